@@ -16,7 +16,7 @@ from calibration_model import NOISE, NOMINAL, SPREAD, TRUE, angles
 from scipy.spatial.transform import Rotation
 
 from controllers.models.denavit_hartenberg import DenavitHartenberg
-from hil.calibration.kinematic.identify import pose_difference
+from hil.calibration.kinematic.identify_denavit_hartenberg import pose_difference
 from hil.terminal.output import Answer
 
 IMAGES, DRAWS, INNER = 40, 20, 6

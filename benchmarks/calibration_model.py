@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from controllers.models.denavit_hartenberg import DenavitHartenberg
-from hil.calibration.kinematic.identify import Identified, PoseNoise, identify_kinematics, pose_difference
+from hil.calibration.kinematic.identify_denavit_hartenberg import Identified, PoseNoise, identify_kinematics, pose_difference
 
 HALF = np.pi / 2
 NOMINAL = DenavitHartenberg(

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from controllers.errors import DesignError
 from controllers.shapers.delays import DelayFilter
 from controllers.shapers.dynamics import Dynamics
-from controllers.shapers.harmonic import harmonic, harmonic_conditions, tap_count
+from controllers.shapers.harmonic_time_delay import harmonic, harmonic_conditions, tap_count
 from controllers.shapers.point_to_point import zv
 from controllers.shapers.second_order import second_order
 from hil.shaping.response import Sinusoids, shaped_reference, shaped_response, sinusoids

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.canopen import motion
+from drivers.canopen import power_and_brakes
 from drivers.canopen.cia402 import Mode, State
-from drivers.canopen.commissioning import commission_axis
+from drivers.canopen.first_move_and_homing import commission_axis
 from drivers.errors import MotionRefusedError
 from drivers.ticking_machine import TickingMachine
 
@@ -55,7 +55,7 @@ class CanMachine(TickingMachine):
                 found += commission_axis(self, axis, homing, alone, 0.0 if windup is None else float(windup[axis]), push=check_first_move)
         return tuple(found)
 
-    def enable(self, hold: motion.Hold | None = None) -> None:
+    def enable(self, hold: power_and_brakes.Hold | None = None) -> None:
         """Bring every drive to operation enabled in cyclic synchronous torque mode, brakes closed.
 
         A drive in fault is reset first, and the reset is checked.
@@ -75,12 +75,12 @@ class CanMachine(TickingMachine):
             self._check_permission()
             axes = range(len(self.axes))
             for axis in axes:
-                motion.reset_fault(self, axis)
-                motion.set_mode(self, axis, Mode.CYCLIC_SYNCHRONOUS_TORQUE)
+                power_and_brakes.reset_fault(self, axis)
+                power_and_brakes.set_mode(self, axis, Mode.CYCLIC_SYNCHRONOUS_TORQUE)
             self.watch.stand()
-            motion.reach(self, State.OPERATION_ENABLED, axes, hold or (lambda _: self.zeros))
+            power_and_brakes.reach(self, State.OPERATION_ENABLED, axes, hold or (lambda _: self.zeros))
 
-    def release_brakes(self, hold: motion.Hold) -> None:
+    def release_brakes(self, hold: power_and_brakes.Hold) -> None:
         """Hold the enabled axes, open all brakes, wait for their feedback.
 
         Parameters
@@ -96,15 +96,15 @@ class CanMachine(TickingMachine):
         """
         with self.stopping_on_error():
             self.watch.stand()
-            motion.open_brakes(self, range(len(self.axes)), hold)
+            power_and_brakes.open_brakes(self, range(len(self.axes)), hold)
 
-    def close_brakes(self, hold: motion.Hold) -> None:
+    def close_brakes(self, hold: power_and_brakes.Hold) -> None:
         """Close all brakes while the drives still hold, then disable the drives: the reverse of `release_brakes` and `enable`."""
         with self.stopping_on_error():
             axes = range(len(self.axes))
             self.watch.settle()
-            motion.close_brakes(self, axes, hold)
-            motion.reach(self, State.SWITCH_ON_DISABLED, axes, hold)
+            power_and_brakes.close_brakes(self, axes, hold)
+            power_and_brakes.reach(self, State.SWITCH_ON_DISABLED, axes, hold)
 
     def _check_permission(self) -> None:
         """Make one tick, and check that motion is permitted."""

@@ -6,7 +6,7 @@ BenchError                 base: one line that names what is wrong, where, and w
 |   |-- RecordingError         a CSV with a hole, an unknown unit, a recording without metadata
 |   `-- ExperimentError        a jog off the grid, an excitation that would saturate, a pose outside the limits
 `-- BadAnswerError              exit status 1: it ran and the answer is bad (a limit tripped, a check failed)
-    `-- LoopAborted            the sample loop stopped the motors: overrun, lost device, limit, hold-to-run released
+    `-- LoopAbortedError            the sample loop stopped the motors: overrun, lost device, limit, hold-to-run released
 """
 
 
@@ -38,5 +38,5 @@ class BadAnswerError(BenchError):
     """The command ran to its end and its answer is bad."""
 
 
-class LoopAborted(BadAnswerError):  # noqa: N818  # an abort is what the experiment ended with; the name is part of the public face
+class LoopAbortedError(BadAnswerError):
     """The sample loop stopped the motors before the experiment was over; what was recorded is kept."""

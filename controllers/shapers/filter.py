@@ -14,7 +14,7 @@ import scipy.signal
 from controllers.errors import DesignError
 from controllers.sections import exactly_compiled, sections_step
 from controllers.settings import AxisLimits
-from controllers.shapers.harmonic import UNIT_GAIN
+from controllers.shapers.harmonic_time_delay import UNIT_GAIN
 from controllers.shapers.sampled import AxisShaper
 
 BLEND_S = 0.5

@@ -10,7 +10,7 @@ from matplotlib import pyplot as plt
 
 from controllers.shapers.delays import DelayFilter
 from controllers.shapers.dynamics import Dynamics
-from controllers.shapers.harmonic import harmonic, harmonic_conditions
+from controllers.shapers.harmonic_time_delay import harmonic, harmonic_conditions
 from controllers.shapers.point_to_point import zv
 
 mpl.rcParams.update({"svg.hashsalt": "isocenter", "svg.fonttype": "none", "font.family": "sans-serif", "font.size": 11})

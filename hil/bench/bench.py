@@ -121,7 +121,7 @@ class Bench:
 
         Raises
         ------
-        LoopAborted, DriverError
+        LoopAbortedError, DriverError
             The motors were stopped; the rows recorded before are in `path`.
 
         Notes

@@ -20,7 +20,7 @@ from drivers.interface import MachineLink, Sample
 from hil.bench.row_layout import RowLayout
 from hil.bench.signals import Signals, StopRequest
 from hil.bench.timing import LoopTiming
-from hil.errors import LoopAborted
+from hil.errors import LoopAbortedError
 
 PROGRESS_TICKS = 128
 """Ticks between calls of the progress callback: twice a second at 256 Hz."""
@@ -122,7 +122,7 @@ class SampleLoop:
 
         Raises
         ------
-        LoopAborted
+        LoopAbortedError
             A limit, a stale position, the I/O, an overrun or a stop request ended the run; the motors were stopped first.
         DriverError
             The link lost a device; it has stopped the motors.
@@ -149,7 +149,7 @@ class SampleLoop:
                 if k >= rows:  # the plan ended within the lost ticks; the newest sample is checked regardless
                     self._see(sample)
                     if reason := self.stop_request.reason or self._violation(sample, plan.reference[-1]) or overrun:
-                        raise LoopAborted(_in_words(f"after row {done - 1}", reason, done, sink))
+                        raise LoopAbortedError(_in_words(f"after row {done - 1}", reason, done, sink))
                     break
                 tail_s = self.clock.idle_began_s - handed_over_s if done else 0.0
                 excitation = plan.excitation[k]
@@ -171,7 +171,7 @@ class SampleLoop:
                         self._row[self.layout.observed] = observer.estimate
                     sink.put(self._row)
                 if reason:
-                    raise LoopAborted(_in_words(f"row {done - 1}", reason, done, sink))
+                    raise LoopAbortedError(_in_words(f"row {done - 1}", reason, done, sink))
                 if progress is not None and k % PROGRESS_TICKS == 0:
                     progress(k)
         except BaseException:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 
 from hil.bench.signals import StopRequest
-from hil.errors import LoopAborted
+from hil.errors import LoopAbortedError
 
 
 @contextlib.contextmanager
@@ -25,7 +25,7 @@ def stopping_on_signals(request: StopRequest, stopping: Callable[[], bool]) -> I
 
     def ask(number: int, frame: FrameType | None) -> None:
         if request.reason and not stopping():
-            raise LoopAborted("interrupted twice; the motors were stopped")
+            raise LoopAbortedError("interrupted twice; the motors were stopped")
         request.ask(f"asked to stop by {signal.Signals(number).name}")
 
     asking = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name)]  # not all everywhere

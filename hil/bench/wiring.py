@@ -27,7 +27,7 @@ from hil.bench.signals import StopRequest
 from hil.emulated.card import find
 from hil.emulated.machine import build_emulated, opened_bus
 from hil.emulated.truth import TruthLog
-from hil.errors import LoopAborted, UnusableInputError
+from hil.errors import LoopAbortedError, UnusableInputError
 from hil.machine import Machine
 from virtual_bus.lockstep import LockstepBus, imu_line, io_line
 
@@ -53,10 +53,10 @@ class HeedingMachine(CanMachine):
         self.troubles += [trouble for trouble in self.stop_trouble if trouble not in self.troubles]
 
     def exchange(self, command: np.ndarray) -> Sample:
-        """Make one tick; after a stop request stop the motors instead and raise LoopAborted with its reason."""
+        """Make one tick; after a stop request stop the motors instead and raise LoopAbortedError with its reason."""
         if self._stop_request.reason:
             self.stop()
-            raise LoopAborted(f"{self._stop_request.reason}; the motors were stopped")
+            raise LoopAbortedError(f"{self._stop_request.reason}; the motors were stopped")
         return super().exchange(command)
 
 

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from controllers.errors import DesignError
-from controllers.shapers.harmonic import harmonic_conditions
+from controllers.shapers.harmonic_time_delay import harmonic_conditions
 from hil.shaping.aim import Aim
 from hil.shaping.shaper_design import Design, delay_map
 from hil.shaping.verdict import Subject

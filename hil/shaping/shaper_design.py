@@ -11,7 +11,7 @@ from controllers.errors import DesignError
 from controllers.shapers.conditions import LIGHTLY_DAMPED, Condition, cancelling
 from controllers.shapers.delays import DelayFilter
 from controllers.shapers.dynamics import Dynamics, Mode
-from controllers.shapers.harmonic import harmonic, harmonic_conditions, tap_count
+from controllers.shapers.harmonic_time_delay import harmonic, harmonic_conditions, tap_count
 from controllers.shapers.point_to_point import ei, multi_mode, two_hump_ei, zv, zvd
 from controllers.shapers.quiet import check_band, quiet
 from controllers.shapers.sampled import AxisShaper, axis_shaper, on_samples

@@ -9,7 +9,7 @@ import numpy as np
 
 from controllers.shapers.delays import DelayFilter
 from controllers.shapers.dynamics import Dynamics, Mode
-from controllers.shapers.harmonic import UNIT_GAIN
+from controllers.shapers.harmonic_time_delay import UNIT_GAIN
 from hil.shaping.aim import Aim
 
 VARIATION = np.linspace(-0.1, 0.1, 21)

@@ -1,13 +1,18 @@
 """Second-order sections step as SciPy filters, and their designs are what they say in continuous time."""
 
+from __future__ import annotations
+
 import os
 import subprocess
 import sys
+from collections.abc import Callable
+from pathlib import Path
 
 import control
 import numpy as np
 import pytest
 import scipy.signal
+from control import TransferFunction
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -25,12 +30,12 @@ CONTROLLER = loop_shaping.cascade(
 )
 
 
-def run(sections, state, inputs):
+def run(sections: np.ndarray, state: np.ndarray, inputs: np.ndarray) -> np.ndarray:
     return np.array([sections_step(sections, state, x) for x in inputs])
 
 
 @pytest.mark.parametrize("order", [1, 2, 5, 8])
-def test_a_step_is_bit_for_bit_sosfilt(order):
+def test_a_step_is_bit_for_bit_sosfilt(order: int) -> None:
     sections = scipy.signal.butter(order, 20.0, fs=RATE_HZ, output="sos")
     inputs = np.random.default_rng(order).normal(size=400)
     zi = np.random.default_rng(1).normal(size=(len(sections), 2))
@@ -53,14 +58,14 @@ assert np.array_equal(outputs, scipy.signal.sosfilt(sections, inputs))
 """
 
 
-def test_a_fast_math_caller_leaves_the_step_exact(tmp_path):
+def test_a_fast_math_caller_leaves_the_step_exact(tmp_path: Path) -> None:
     # numba would hand the caller's fast math down and keep it in the cache for everybody
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
     done = subprocess.run([sys.executable, "-c", FAST_CALLER], env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 
 
-def test_the_response_is_scipys():
+def test_the_response_is_scipys() -> None:
     frequencies = np.geomspace(0.05, 120.0, 50)
     expected = scipy.signal.sosfreqz(CONTROLLER, frequencies, fs=RATE_HZ)[1]
     np.testing.assert_allclose(response(CONTROLLER, frequencies, RATE_HZ), expected, rtol=1e-10)
@@ -81,7 +86,9 @@ def test_the_response_is_scipys():
     ],
     ids=["lead", "lag", "notch", "lowpass", "pid"],
 )
-def test_a_term_is_tustin_with_prewarping_as_in_python_control(term, continuous, match_Hz):
+def test_a_term_is_tustin_with_prewarping_as_in_python_control(
+    term: np.ndarray, continuous: TransferFunction | None, match_Hz: float
+) -> None:
     if continuous is None:
         spread = np.tan(np.radians(45.0 + 25.0))
         continuous = control.tf([spread / (10 * np.pi), 1], [1 / (10 * np.pi), spread])
@@ -92,7 +99,7 @@ def test_a_term_is_tustin_with_prewarping_as_in_python_control(term, continuous,
     np.testing.assert_allclose(response(term, [match_Hz], RATE_HZ), continuous(2j * np.pi * match_Hz), rtol=1e-6)
 
 
-def test_a_lead_gives_its_phase_and_unit_gain_where_it_says():
+def test_a_lead_gives_its_phase_and_unit_gain_where_it_says() -> None:
     value = response(loop_shaping.lead(6.0, 50.0, RATE_HZ), [6.0], RATE_HZ)[0]
     assert abs(value) == pytest.approx(1.0)
     assert np.degrees(np.angle(value)) == pytest.approx(50.0)
@@ -106,20 +113,20 @@ def test_a_lead_gives_its_phase_and_unit_gain_where_it_says():
         lambda: loop_shaping.notch(130.0, 0.1, 0.5, RATE_HZ),
     ],
 )
-def test_a_term_that_cannot_be_is_refused(make):
+def test_a_term_that_cannot_be_is_refused(make: Callable[..., object]) -> None:
     with pytest.raises(DesignError):
         make()
 
 
 @given(output=st.floats(-8.0, 8.0), order=st.permutations(range(5)))
 @settings(max_examples=30, deadline=None)
-def test_a_preloaded_cascade_holds_its_output_wherever_the_integrator_stands(output, order):
+def test_a_preloaded_cascade_holds_its_output_wherever_the_integrator_stands(output: float, order: list[int]) -> None:
     sections = np.ascontiguousarray(CONTROLLER[list(order)])
     state = preload_state(sections, output)
     np.testing.assert_allclose(run(sections, state, np.zeros(2000)), output, atol=1e-10)
 
 
-def test_without_an_integrator_only_zero_can_be_held():
+def test_without_an_integrator_only_zero_can_be_held() -> None:
     sections = loop_shaping.lowpass(30.0, 0.7, RATE_HZ)
     assert not preload_state(sections, 0.0).any()
     with pytest.raises(DesignError, match=r"2\.5.*no integrator"):
@@ -128,7 +135,7 @@ def test_without_an_integrator_only_zero_can_be_held():
 
 @given(position=st.floats(-2.0, 2.0), output=st.floats(-8.0, 8.0))
 @settings(max_examples=30, deadline=None)
-def test_separate_filters_with_integrators_hold_together(position, output):
+def test_separate_filters_with_integrators_hold_together(position: float, output: float) -> None:
     from_reference = loop_shaping.cascade(loop_shaping.pid(80.0, 40.0, 0.0, 30.0, RATE_HZ), loop_shaping.lowpass(50.0, 0.8, RATE_HZ))
     from_position = loop_shaping.cascade(loop_shaping.pid(80.0, 40.0, 5.0, 30.0, RATE_HZ), loop_shaping.lowpass(50.0, 0.8, RATE_HZ))
     state_r, state_y = standstill_states(from_reference, from_position, position, output)
@@ -136,7 +143,7 @@ def test_separate_filters_with_integrators_hold_together(position, output):
     np.testing.assert_allclose(held, output, atol=1e-8)
 
 
-def test_separate_filters_that_differ_at_standstill_are_refused():
+def test_separate_filters_that_differ_at_standstill_are_refused() -> None:
     with pytest.raises(DesignError, match="integrator"):
         standstill_states(loop_shaping.gain(2.0), loop_shaping.gain(1.0), 0.5, 0.0)
     state_r, state_y = standstill_states(loop_shaping.gain(2.0), loop_shaping.gain(1.0), 0.5, 0.5)

@@ -1,6 +1,9 @@
 """Moves and sweeps stay within their limits, measured on their samples, and end where they should."""
 
+from __future__ import annotations
+
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -19,25 +22,27 @@ LIMITS = tuple(
 )
 
 
-def differences(position):
+def differences(position: np.ndarray) -> list[float]:
     from_rest = np.vstack([np.tile(position[0], (3, 1)), position, np.tile(position[-1], (3, 1))])
     return [np.abs(np.diff(from_rest, order, axis=0)).max() * RATE_HZ**order for order in (1, 2, 3)]
 
 
 @given(st.tuples(st.floats(-120, 120), st.floats(-90, 90)), st.tuples(st.floats(-120, 120), st.floats(-90, 90)))
 @settings(max_examples=40, deadline=None)
-def test_any_move_keeps_its_limits_by_differences_and_arrives(start, goal):
+def test_any_move_keeps_its_limits_by_differences_and_arrives(start: tuple[float, float], goal: tuple[float, float]) -> None:
     start, goal = np.array(start) * DEG, np.array(goal) * DEG
     moved = move(start, goal, LIMITS, RATE_HZ)
     np.testing.assert_allclose(moved.position[0], start, atol=1e-12)
     np.testing.assert_allclose(moved.position[-1], goal, atol=1e-9)
     np.testing.assert_allclose(moved.velocity[-1], 0.0, atol=1e-9)
     speed, acceleration, jerk = differences(moved.position)
-    assert speed <= 60 * DEG * (1 + 1e-6) and acceleration <= 120 * DEG * (1 + 1e-6) and jerk <= 600 * DEG * (1 + 1e-4)
+    assert speed <= 60 * DEG * (1 + 1e-6)
+    assert acceleration <= 120 * DEG * (1 + 1e-6)
+    assert jerk <= 600 * DEG * (1 + 1e-4)
 
 
 @pytest.mark.parametrize("speed_deg_s", [30.0, 55.0])
-def test_a_sweep_has_a_part_at_its_speed_and_takes_the_closed_form_time(speed_deg_s):
+def test_a_sweep_has_a_part_at_its_speed_and_takes_the_closed_form_time(speed_deg_s: float) -> None:
     swept = sweep(1, np.array([0.2, -90 * DEG]), 90 * DEG, speed_deg_s * DEG, LIMITS, RATE_HZ)
     assert (swept.position[:, 0] == 0.2).all()
     constant = np.isclose(swept.velocity[:, 1], speed_deg_s * DEG, rtol=1e-9)
@@ -50,7 +55,7 @@ def test_a_sweep_has_a_part_at_its_speed_and_takes_the_closed_form_time(speed_de
 
 @given(st.floats(1.0, 60.0))
 @settings(max_examples=20, deadline=None)
-def test_a_way_too_short_names_the_way_that_would_do(speed_deg_s):
+def test_a_way_too_short_names_the_way_that_would_do(speed_deg_s: float) -> None:
     speed, start = speed_deg_s * DEG, np.zeros(2)
     needed = way_to_reach(speed, 120 * DEG, 600 * DEG)
     with pytest.raises(DesignError, match=f"roll.*too short.*{needed:.5g}"):
@@ -69,13 +74,13 @@ def test_a_way_too_short_names_the_way_that_would_do(speed_deg_s):
         (lambda: move(np.zeros(1), np.ones(1), (dataclasses.replace(LIMITS[0], speed=-1.0),), RATE_HZ), "propeller"),
     ],
 )
-def test_what_cannot_be_moved_is_refused(call, says):
+def test_what_cannot_be_moved_is_refused(call: Callable[..., object], says: str) -> None:
     with pytest.raises(DesignError, match=says):
         call()
 
 
 @pytest.mark.parametrize("name", ["position", "speed", "acceleration", "jerk"])
-def test_a_profile_beyond_a_limit_is_found(name):
+def test_a_profile_beyond_a_limit_is_found(name: str) -> None:
     fields = {"position": np.zeros((9, 2)), "velocity": np.zeros((9, 2)), "acceleration": np.zeros((9, 2))}
     rows = {"position": ("position", 2.0), "speed": ("velocity", 1.1), "acceleration": ("acceleration", 2.2), "jerk": ("acceleration", 0.5)}
     field, value = rows[name]

@@ -1,18 +1,24 @@
 """Bus URLs: what opens, and what an unusable one is told."""
 
+from __future__ import annotations
+
 import socket
 import sys
 import uuid
+from typing import Never
 
 import can
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from refusals import answer_or_refusal
 
 from drivers.bus_url import open_bus, parse_bus_url
 from drivers.errors import BusUnavailableError
 
 IP_RECVTTL = 12  # linux/in.h; Python's socket module does not name it
+
+SO_ATTACH_FILTER = 26  # asm-generic/socket.h
 
 
 def refusal(url: str, bitrate: int = 1_000_000) -> str:
@@ -23,7 +29,7 @@ def refusal(url: str, bitrate: int = 1_000_000) -> str:
     return str(caught.value)
 
 
-def test_virtual_buses_of_one_name_hear_each_other():
+def test_virtual_buses_of_one_name_hear_each_other() -> None:
     name = uuid.uuid4().hex
     with open_bus(f"virtual:{name}", 1_000_000) as left, open_bus(f"virtual:{name}", 1_000_000) as right:
         left.send(can.Message(arbitration_id=0x181, is_extended_id=False, data=b"\x01\x02"))
@@ -44,36 +50,42 @@ def _udp_url() -> str:
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="filters are Linux's")
-def test_a_kernel_that_refuses_socket_filters_has_a_udp_bus_all_the_same_and_no_echo(monkeypatch):
-    url = _udp_url()
+def test_a_kernel_that_refuses_socket_filters_has_a_udp_bus_all_the_same_and_no_echo(monkeypatch: pytest.MonkeyPatch) -> None:
+    url, refused = _udp_url(), []
 
-    def refused(*arguments):
-        raise PermissionError(1, "Operation not permitted")
+    class Sandboxed(socket.socket):
+        def setsockopt(self, level: int, option: int, *value: object) -> None:
+            if option == SO_ATTACH_FILTER:
+                refused.append(option)
+                raise PermissionError(1, "Operation not permitted")
+            super().setsockopt(level, option, *value)
 
-    monkeypatch.setattr("drivers.udp_bus._drop_datagrams_from", refused)
+    monkeypatch.setattr(socket, "socket", Sandboxed)
     with open_bus(url, 1) as left, open_bus(url, 1) as right:
         left.send(can.Message(arbitration_id=0x181, is_extended_id=False, data=b"\x01"))
         assert right.recv(1.0).arbitration_id == 0x181
         assert left.recv(0.05) is None
+    assert refused
 
 
-def test_a_udp_bus_that_cannot_be_set_up_leaves_no_socket_open(monkeypatch):
+def test_a_udp_bus_that_cannot_be_set_up_leaves_no_socket_open(monkeypatch: pytest.MonkeyPatch) -> None:
     url, opened = _udp_url(), []
 
     class Kept(socket.socket):
-        def __init__(self, *arguments, **keywords):
+        def __init__(self, *arguments: int, **keywords: object) -> None:
             super().__init__(*arguments, **keywords)
             opened.append(self)
 
-        def setblocking(self, flag):
+        def setblocking(self, flag: bool) -> Never:
             raise OSError(22, "Invalid argument")
 
     monkeypatch.setattr(socket, "socket", Kept)
     refusal(url)
-    assert len(opened) >= 2 and all(one.fileno() == -1 for one in opened)
+    assert len(opened) >= 2
+    assert all(one.fileno() == -1 for one in opened)
 
 
-def test_udp_buses_of_one_group_hear_each_other():
+def test_udp_buses_of_one_group_hear_each_other() -> None:
     pytest.importorskip("msgpack")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
@@ -88,11 +100,12 @@ def test_udp_buses_of_one_group_hear_each_other():
         except can.CanError as error:
             pytest.skip(f"this host routes no multicast: {error}")
         heard = right.recv(2.0)
-    assert heard is not None and heard.arbitration_id == 0x80
+    assert heard is not None
+    assert heard.arbitration_id == 0x80
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="other systems keep groups apart by themselves")
-def test_udp_buses_of_two_groups_do_not_hear_each_other():
+def test_udp_buses_of_two_groups_do_not_hear_each_other() -> None:
     pytest.importorskip("msgpack")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
@@ -114,7 +127,7 @@ def test_udp_buses_of_two_groups_do_not_hear_each_other():
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="how a datagram's hop limit is asked for is Linux's")
-def test_frames_of_a_udp_bus_do_not_leave_this_host():
+def test_frames_of_a_udp_bus_do_not_leave_this_host() -> None:
     url = _udp_url()
     group, port = "239.74.163.2", int(url.rpartition("@")[2])
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as witness, open_bus(url, 1) as bus:
@@ -129,7 +142,7 @@ def test_frames_of_a_udp_bus_do_not_leave_this_host():
     assert hops == [0]
 
 
-def test_a_udp_bus_speaks_with_python_cans_own_and_does_not_hear_itself():
+def test_a_udp_bus_speaks_with_python_cans_own_and_does_not_hear_itself() -> None:
     pytest.importorskip("msgpack")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
@@ -145,10 +158,12 @@ def test_a_udp_bus_speaks_with_python_cans_own_and_does_not_hear_itself():
         except can.CanError as error:
             pytest.skip(f"this host routes no multicast: {error}")
         heard = theirs.recv(2.0)
-        assert heard is not None and (heard.arbitration_id, bytes(heard.data)) == (0x181, b"\x01\x02")
+        assert heard is not None
+        assert (heard.arbitration_id, bytes(heard.data)) == (0x181, b"\x01\x02")
         theirs.send(can.Message(arbitration_id=0x201, is_extended_id=False, data=b"\x03"))
         heard = ours.recv(2.0)
-        assert heard is not None and (heard.arbitration_id, bytes(heard.data)) == (0x201, b"\x03")
+        assert heard is not None
+        assert (heard.arbitration_id, bytes(heard.data)) == (0x201, b"\x03")
         assert ours.recv(0.0) is None
 
 
@@ -166,16 +181,16 @@ def test_a_udp_bus_speaks_with_python_cans_own_and_does_not_hear_itself():
         ("kvaser:0", "kvaser", 0, {}),
     ],
 )
-def test_urls_are_taken_apart_as_documented(url, interface, channel, options):
+def test_urls_are_taken_apart_as_documented(url: str, interface: str, channel: int | str, options: dict[str, bool | int]) -> None:
     parsed = parse_bus_url(url)
     assert (parsed.interface, parsed.channel, parsed.options) == (interface, channel, options)
 
 
-def test_lockstep_is_left_to_the_bench():
+def test_lockstep_is_left_to_the_bench() -> None:
     assert "the bench builds it" in refusal("lockstep:")
 
 
-def test_an_unknown_interface_names_the_closest_ones():
+def test_an_unknown_interface_names_the_closest_ones() -> None:
     assert "socketcan" in refusal("socketcam:vcan0")
     assert "kvaser" in refusal("kvasser:0")
 
@@ -194,12 +209,12 @@ def test_an_unknown_interface_names_the_closest_ones():
         ("slcan:/dev/ttyACM0@fast", "whole number"),
     ],
 )
-def test_a_malformed_url_is_told_what_would_be_right(url, words):
+def test_a_malformed_url_is_told_what_would_be_right(url: str, words: str) -> None:
     assert words in refusal(url)
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="SocketCAN is Linux")
-def test_a_missing_can_interface_is_told_how_to_make_one():
+def test_a_missing_can_interface_is_told_how_to_make_one() -> None:
     message = refusal("socketcan:vcan77")
     kernel_has_can = True
     try:
@@ -210,18 +225,18 @@ def test_a_missing_can_interface_is_told_how_to_make_one():
 
 
 @pytest.mark.parametrize("platform", ["win32", "darwin"])
-def test_other_systems_are_told_that_socketcan_is_linux(monkeypatch, platform):
+def test_other_systems_are_told_that_socketcan_is_linux(monkeypatch: pytest.MonkeyPatch, platform: str) -> None:
     monkeypatch.setattr(sys, "platform", platform)
     assert "Linux only" in refusal("socketcan:can0")
 
 
-def test_a_missing_serial_adapter_and_a_rate_it_cannot_do_are_named(monkeypatch):
+def test_a_missing_serial_adapter_and_a_rate_it_cannot_do_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("time.sleep", lambda _: None)
     assert "/dev/isocenter-no-such-port" in refusal("slcan:/dev/isocenter-no-such-port@115200")
     assert "slcan has no code for 123456" in refusal("slcan:/dev/ttyACM0", 123_456)
 
 
-def test_a_back_end_without_its_vendor_library_is_one_line():
+def test_a_back_end_without_its_vendor_library_is_one_line() -> None:
     assert refusal("nixnet:CAN1").startswith("nixnet:CAN1: ")
 
 
@@ -229,25 +244,25 @@ def test_a_back_end_without_its_vendor_library_is_one_line():
 @example("udp:224.0.0.1@")
 @example("slcan:@")
 @example("kvaser:99999999999999999999")
-def test_any_text_is_a_bus_url_or_one_clear_error(text):
-    try:
-        parsed = parse_bus_url(text)
-    except BusUnavailableError as error:
-        assert str(error)
+def test_any_text_is_a_bus_url_or_one_clear_error(text: str) -> None:
+    parsed, refusal = answer_or_refusal(BusUnavailableError, parse_bus_url, text)
+    if parsed is None:
+        assert refusal
     else:
         assert parsed.interface == "lockstep" or parsed.interface in can.interfaces.VALID_INTERFACES
 
 
-def test_nobody_hears_a_udp_bus_rehearse():
+def test_nobody_hears_a_udp_bus_rehearse() -> None:
     url = _udp_url()
     with open_bus(url, 1) as left, open_bus(url, 1) as right:
         left.rehearse()
         left.send(can.Message(arbitration_id=0x181, is_extended_id=False, data=b"\x01"))
         assert right.recv(2.0).arbitration_id == 0x181
-        assert right.recv(0.0) is None and left.recv(0.0) is None
+        assert right.recv(0.0) is None
+        assert left.recv(0.0) is None
 
 
-def test_python_cans_own_bus_hears_every_frame_as_it_was_sent_and_no_rehearsal():
+def test_python_cans_own_bus_hears_every_frame_as_it_was_sent_and_no_rehearsal() -> None:
     url = _udp_url()
     port = int(url.partition("@")[2])
     sent, heard = [], []
@@ -261,7 +276,10 @@ def test_python_cans_own_bus_hears_every_frame_as_it_was_sent_and_no_rehearsal()
             ours.rehearse()
             sent.append((can_id, data, len(data)))
             message = theirs.recv(2.0)
-            assert message is not None and not (message.is_extended_id or message.is_remote_frame or message.is_error_frame)
+            assert message is not None
+            assert not (message.is_extended_id)
+            assert not (message.is_remote_frame)
+            assert not (message.is_error_frame)
             heard.append((message.arbitration_id, bytes(message.data), message.dlc))
         assert theirs.recv(0.0) is None
     assert heard == sent

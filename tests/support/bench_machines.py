@@ -30,7 +30,7 @@ def edited(old: str, new: str, text: str = CARM.text, count: int = 0) -> str:
 
 
 def carm_at_1_kHz() -> Machine:
-    """The C-arm sampled at 1 kHz: the controllers of docs/carm.md discretised anew, answers awaited for half a period."""
+    """The C-arm sampled at 1 kHz: the controllers of docs/explanation/carm.md discretised anew, answers awaited for half a period."""
     rate = 1000.0
     controllers = {
         "propeller": loop_shaping.cascade(

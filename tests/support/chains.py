@@ -1,5 +1,9 @@
 """Tables 2.1 and 2.2 of the thesis, and poses of the latter."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -30,7 +34,9 @@ IDENTIFIED = DenavitHartenberg(
 """Table 2.2."""
 
 
-def poses(moving, count, seed, position_m=0.05e-3, angle_rad=0.2e-3):
+def poses(
+    moving: Sequence[int], count: int, seed: int, position_m: float = 0.05e-3, angle_rad: float = 0.2e-3
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Angles of random poses in which only `moving` joints (1 to 4) move, and noisy measurements of Table 2.2's chain."""
     rng = np.random.default_rng(seed)
     angles = np.zeros((count, 4))

@@ -22,8 +22,10 @@ class Outcome:
     def line(self) -> str:
         """The one line of an error: there must be no other, and it must not be a traceback."""
         lines = self.err.splitlines()
-        assert len(lines) == 1 and lines[0].startswith("isocenter: "), self.err
-        assert "Traceback" not in self.err and "fault of isocenter itself" not in self.err
+        assert len(lines) == 1, self.err
+        assert lines[0].startswith("isocenter: "), self.err
+        assert "Traceback" not in self.err
+        assert "fault of isocenter itself" not in self.err
         assert len(lines[0]) > 20  # it says something
         return lines[0]
 

@@ -137,6 +137,8 @@ def encoder_settings(name: str = "roll_encoder", axis: str = "roll", node_id: in
 
 
 class Latched:
+    """Physics of a standing machine: what its sensors read is what a test sets."""
+
     def __init__(self, axes: int) -> None:
         self.position_counts = np.zeros(axes, dtype=np.int64)
         self.link_counts = np.zeros(axes, dtype=np.int64)

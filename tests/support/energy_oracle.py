@@ -9,10 +9,12 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from virtual_bus.settings import PlantSettings, Tree
+
 STEP = 1e-5
 
 
-def _poses(tree, q):
+def _poses(tree: Tree, q: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray, list[tuple[int, str, np.ndarray, np.ndarray]]]]:
     """Per body: rotation, origin, and the (joint number, kind, axis, origin) of every joint above it, all in the world."""
     poses = {"world": (np.eye(3), np.zeros(3), [])}
     number = 0
@@ -32,7 +34,9 @@ def _poses(tree, q):
     return poses
 
 
-def _jacobians(pose, point, joints):
+def _jacobians(
+    pose: tuple[np.ndarray, np.ndarray, list[tuple[int, str, np.ndarray, np.ndarray]]], point: np.ndarray, joints: int
+) -> tuple[np.ndarray, np.ndarray]:
     rotation, origin, chain = pose
     place = origin + rotation @ point
     linear, angular = np.zeros((3, joints)), np.zeros((3, joints))
@@ -45,7 +49,7 @@ def _jacobians(pose, point, joints):
     return linear, angular
 
 
-def mass_matrix(tree, q):
+def mass_matrix(tree: Tree, q: np.ndarray) -> np.ndarray:
     joints = tree.joints
     mass = np.diag([joint.armature for joint in joints]).astype(float)
     poses = _poses(tree, q)
@@ -56,7 +60,7 @@ def mass_matrix(tree, q):
     return mass
 
 
-def gravity_effort(tree, q):
+def gravity_effort(tree: Tree, q: np.ndarray) -> np.ndarray:
     """Generalised force of gravity on the joints."""
     poses = _poses(tree, q)
     effort = np.zeros(len(q))
@@ -66,7 +70,7 @@ def gravity_effort(tree, q):
     return effort
 
 
-def stiffness_matrix(tree, q):
+def stiffness_matrix(tree: Tree, q: np.ndarray) -> np.ndarray:
     columns = []
     for number in range(len(q)):
         shift = np.eye(len(q))[number] * STEP
@@ -74,7 +78,7 @@ def stiffness_matrix(tree, q):
     return np.array(columns).T + np.diag([joint.stiffness for joint in tree.joints])
 
 
-def standstill(settings, axis_positions):
+def standstill(settings: PlantSettings, axis_positions: np.ndarray | tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
     """Joint positions in elastic equilibrium and the drives' holding efforts."""
     tree = settings.tree
     driven = [tree.joint_index(drive.joint) for drive in settings.drives]
@@ -90,7 +94,7 @@ def standstill(settings, axis_positions):
     return q, -residual[driven] / [drive.constant * drive.ratio for drive in settings.drives]
 
 
-def modes(settings, axis_positions):
+def modes(settings: PlantSettings, axis_positions: np.ndarray | tuple[float, float]) -> list[tuple[float, float]]:
     """Frequency [Hz] and damping ratio of every oscillation, rising."""
     tree = settings.tree
     q, _ = standstill(settings, axis_positions)

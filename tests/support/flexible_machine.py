@@ -1,9 +1,11 @@
 """A C-arm whose every mount gives way, as a machine file and as MuJoCo's statics of it."""
 
+from __future__ import annotations
+
 import mujoco
 import numpy as np
 
-from hil.machine import machine_from_text
+from hil.machine import Machine, machine_from_text
 from hil.machine.load import load_machine
 from hil.machine.mjcf import to_mjcf
 
@@ -36,7 +38,7 @@ OFF = {
 """A machine that is off its drawing: axes, tube and panel misplaced by tenths and ones of a millimetre and a milliradian, softer mounts."""
 
 
-def machine_file(changes, name="carm"):
+def machine_file(changes: dict[str, str], name: str = "carm") -> str:
     """The shipped C-arm with pieces of its file replaced."""
     text = load_machine("carm").text
     for old, new in changes.items():
@@ -45,7 +47,7 @@ def machine_file(changes, name="carm"):
     return text.replace('name = "carm"', f'name = "{name}"')
 
 
-def soft_machine(link_encoders=True):
+def soft_machine(link_encoders: bool = True) -> Machine:
     text = machine_file(SOFT)
     if not link_encoders:
         for axis in ("propeller", "roll"):
@@ -56,12 +58,12 @@ def soft_machine(link_encoders=True):
 class Statics:
     """Poses of panel and tube at rest, by MuJoCo: springs against its own gravity."""
 
-    def __init__(self, machine, held=()):
+    def __init__(self, machine: Machine, held: tuple[str, ...] = ()) -> None:
         self.machine, self.held = machine, held
         self.model = mujoco.MjModel.from_xml_string(to_mjcf(machine.plant, "statics"))
         self.data = mujoco.MjData(self.model)
 
-    def __call__(self, positions):
+    def __call__(self, positions: np.ndarray) -> list[np.ndarray]:
         """Frames (4, 4) of panel centre and focal spot in the isocentre."""
         model, data = self.model, self.data
         driven = {drive.joint: k for k, drive in enumerate(self.machine.plant.drives)}

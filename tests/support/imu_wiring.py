@@ -31,7 +31,7 @@ def no_wait(seconds: float) -> None:
 class Bench:
     """A driver and an emulated tracker on one in-process line."""
 
-    def __init__(self, port: ImuPort = PORT, **device_options) -> None:
+    def __init__(self, port: ImuPort = PORT, **device_options: float) -> None:
         self.bench_end, self.device_end = pipe()
         self.device = EmulatedImu(**device_options)
         self.device_end.on_data = lambda: self.device_end.write(self.device.receive(self.device_end.read()))

@@ -52,7 +52,8 @@ class Master:
     def write(self, node: int, index: int, subindex: int, data: bytes) -> None:
         self.send(0x600 + node, struct.pack("<BHB", 0x23 | (4 - len(data)) << 2, index, subindex) + data.ljust(4, b"\0"))
         answers = [data for can_id, data in self.drain() if can_id == 0x580 + node]
-        assert answers and answers[0][0] == 0x60, f"{node}: {index:04X}:{subindex}: {[a.hex() for a in answers]}"
+        assert answers, f"{node}: {index:04X}:{subindex}: {[a.hex() for a in answers]}"
+        assert answers[0][0] == 0x60, f"{node}: {index:04X}:{subindex}: {[a.hex() for a in answers]}"
 
     def read(self, node: int, index: int, subindex: int = 0, signed: bool = False) -> int:
         self.send(0x600 + node, struct.pack("<BHB", 0x40, index, subindex) + bytes(4))

@@ -6,6 +6,8 @@ Row k is (k / 256 s, k). Every 64 rows it prints the recorder's process id and h
 1024 rows ahead of the journal. After ROWS rows it closes the recording and prints how many rows that has.
 """
 
+from __future__ import annotations
+
 import os
 import sys
 
@@ -18,7 +20,7 @@ METADATA = {"machine": {"name": "carm", "hash": "ab", "axes": [], "text": ""}}
 AHEAD_ROWS = 1024
 
 
-def main(path, rows):
+def main(path: str, rows: int) -> None:
     row = np.zeros(2)
     recorder = RecorderProcess(path, CHANNELS, METADATA)
     for k in range(rows):

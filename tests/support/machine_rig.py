@@ -16,7 +16,7 @@ ZERO = np.zeros(2)
 class Rig:
     """Two axes on the scripted bus."""
 
-    def __init__(self, **options):
+    def __init__(self, **options: bool | int) -> None:
         self.drives = [ScriptedDrive(1), ScriptedDrive(2)]
         self.encoders = [ScriptedEncoder(11, self.drives[0]), ScriptedEncoder(12, self.drives[1])]
         self.bus = ScriptedBus(*self.drives, *self.encoders)
@@ -25,7 +25,7 @@ class Rig:
         self.io = ScriptedIo(dict(zip(("propeller", "roll"), self.drives, strict=True)))
         self.machine = CanMachine(self.settings, self.bus, self.clock, io=self.io if self.settings.io else None)
 
-    def ready(self):
+    def ready(self) -> Rig:
         self.machine.start()
         self.machine.enable()
         self.machine.release_brakes(lambda _: ZERO)

@@ -1,5 +1,7 @@
 """Images of marker plates with a known geometry; 1.2 pixels of blur, all of it the panel's."""
 
+from __future__ import annotations
+
 from functools import cache
 
 import numpy as np
@@ -14,18 +16,18 @@ NOMINAL = MarkerProjection.nominal(1.16, 0.25)
 TRUE = MarkerProjection(NOMINAL.values + np.array([1e-3, -2e-3, 2e-3, 4e-3, -3e-3, 6e-3, 0.0, 0.0, 0.0]))
 
 
-def optics(photons):
+def optics(photons: float) -> Optics:
     return Optics(photons=photons, spot_m=0.0, spread_m=1.2 * DETECTOR.pitch_m)
 
 
 @cache
-def mean_image(plate, photons):
+def mean_image(plate: str, photons: float) -> np.ndarray:
     return expected_image(PLATES[plate](), TRUE, DETECTOR, optics(photons))
 
 
-def image(plate, photons, seed):
+def image(plate: str, photons: float, seed: int) -> np.ndarray:
     return exposed(mean_image(plate, photons), optics(photons), np.random.default_rng(seed))
 
 
-def truth(plate):
+def truth(plate: str) -> np.ndarray:
     return DETECTOR.to_pixels(TRUE.project(PLATES[plate]().points_m))

@@ -1,5 +1,7 @@
 """One wiring for all Modbus tests, and how to wait for another thread or process without guessing times."""
 
+from __future__ import annotations
+
 import threading
 import time
 from collections.abc import Callable
@@ -22,11 +24,11 @@ PATIENCE_S = 20.0
 POLL_S = 0.001
 
 
-def io_map(url: str = "", **changes) -> IoMap:
+def io_map(url: str = "", **changes: dict[str, int] | float) -> IoMap:
     return IoMap(**{"url": url, "poll_period_s": 0.05, "stale_after_s": 0.5, **WIRING, **changes})
 
 
-def emulated_io(**options) -> EmulatedIo:
+def emulated_io(**options: object) -> EmulatedIo:
     return EmulatedIo(IoLayout(**WIRING), AXES, **options)
 
 

@@ -1,4 +1,4 @@
-"""One mass on a damper in a digital loop, by its exact recursion: written from docs/notation.md, sharing nothing with the project."""
+"""One mass on a damper in a digital loop, by its exact recursion: written from docs/explanation/notation.md alone."""
 
 from __future__ import annotations
 
@@ -7,13 +7,25 @@ import scipy.linalg
 import scipy.signal
 
 
-def rounded(value, resolution):
+def rounded(value: float, resolution: float) -> float:
     return np.floor(value / resolution + 0.5) * resolution if resolution else value
 
 
 def closed_loop(
-    reference, excitation, *, mass, damping, gain, period_s, position_sections, reference_sections, limit, count, target_step, start
-):
+    reference: np.ndarray,
+    excitation: np.ndarray,
+    *,
+    mass: float,
+    damping: float,
+    gain: float,
+    period_s: float,
+    position_sections: np.ndarray,
+    reference_sections: np.ndarray,
+    limit: float,
+    count: float,
+    target_step: float,
+    start: float,
+) -> np.ndarray:
     """Rows of (position, command): position k is latched before command k acts; the plant feels command k-1 between rows k and k+1."""
     transition = scipy.linalg.expm(np.array([[0.0, 1.0, 0.0], [0.0, -damping / mass, gain / mass], [0.0, 0.0, 0.0]]) * period_s)
     state = np.array([start, 0.0])

@@ -3,7 +3,7 @@
     python replay_in_mujoco.py MODEL.xml MACHINE.toml RECORDING.csv OUT.csv
 
 Of the recording only the references, the excitations and the metadata's start pose and controller states are read. The loop is written from
-docs/notation.md; this file imports none of the project's packages.
+docs/explanation/notation.md; this file imports none of the project's packages.
 """
 
 import csv
@@ -18,17 +18,17 @@ import numpy as np
 STEPS_PER_SAMPLE = 16
 
 
-def rounded(value, resolution):
+def rounded(value: np.ndarray, resolution: float | np.ndarray) -> np.ndarray:
     return np.floor(value / resolution + 0.5) * resolution
 
 
 class Filter:
     """Second-order sections, direct form II transposed."""
 
-    def __init__(self, sections, state):
+    def __init__(self, sections: list[list[float]], state: list[list[float]]) -> None:
         self.sections, self.state = sections, [list(row) for row in state]
 
-    def step(self, x):
+    def step(self, x: float) -> float:
         for (b0, b1, b2, _, a1, a2), s in zip(self.sections, self.state, strict=True):
             y = b0 * x + s[0]
             s[0], s[1] = b1 * x - a1 * y + s[1], b2 * x - a2 * y
@@ -39,19 +39,19 @@ class Filter:
 class LowPass:
     """First order, exact for an input that is linear in time over a step."""
 
-    def __init__(self, bandwidth_Hz, step_s, value):
+    def __init__(self, bandwidth_Hz: float, step_s: float, value: np.ndarray) -> None:
         phase = 2.0 * math.pi * bandwidth_Hz * step_s
         self.decay, mean = math.exp(-phase), (1.0 - math.exp(-phase)) / phase
         self.old, self.new, self.value = mean - self.decay, 1.0 - mean, np.array(value)
 
-    def step(self, start, end):
+    def step(self, start: np.ndarray, end: np.ndarray) -> None:
         self.value = self.decay * self.value + self.old * start + self.new * end
 
 
-def stand_still(model, data, driven, pose):
+def stand_still(model: mujoco.MjModel, data: mujoco.MjData, driven: list[int], pose: list[float]) -> np.ndarray:
     """Elastic equilibrium with the driven joints at `pose`; returns their holding efforts as controls."""
 
-    def load(q):
+    def load(q: np.ndarray) -> np.ndarray:
         data.qpos[:], data.qvel[:], data.qacc[:] = q, 0.0, 0.0
         mujoco.mj_inverse(model, data)
         return data.qfrc_inverse.copy()
@@ -67,7 +67,7 @@ def stand_still(model, data, driven, pose):
     return holding
 
 
-def main(model_path, machine_path, recording_path, out_path):
+def main(model_path: str, machine_path: str, recording_path: str, out_path: str) -> None:
     machine = tomllib.loads(Path(machine_path).read_text(encoding="utf-8"))
     metadata = tomllib.loads(Path(recording_path).with_suffix(".toml").read_text(encoding="utf-8"))
     with open(recording_path, newline="", encoding="utf-8") as stream:
@@ -76,7 +76,7 @@ def main(model_path, machine_path, recording_path, out_path):
     axes = list(machine["drives"])
     drives = [machine["drives"][axis] for axis in axes]
 
-    def given(group):
+    def given(group: str) -> np.ndarray:
         return np.array([[float(row[columns[f"{group}_{axis}"]]) for axis in axes] for row in rows])
 
     reference, excitation = given("reference"), given("excitation")

@@ -87,7 +87,7 @@ def layout() -> RowLayout:
 
 
 def proportional_loop(link: ScriptedLink, *, guard_io: bool = True) -> SampleLoop:
-    """u = 10 A/rad (r - y), limited to 8 A; range +-1 rad, tracking error 0.5 rad, I/O age 0.5 s, 8 lost and 3 stale ticks bridged."""
+    """U = 10 A/rad (r - y), limited to 8 A; range +-1 rad, tracking error 0.5 rad, I/O age 0.5 s, 8 lost and 3 stale ticks bridged."""
     sections = np.array([[GAIN, 0.0, 0.0, 1.0, 0.0, 0.0]])
     return SampleLoop(
         link,

@@ -18,6 +18,8 @@ SAMPLE_RATE_HZ = 64.0
 
 @dataclass(frozen=True)
 class Loop:
+    """State-space matrices of the plant G, gains and lag of the feedback K F, and coefficients of its cubic and square terms."""
+
     A: np.ndarray
     B: np.ndarray
     C: np.ndarray
@@ -28,7 +30,14 @@ class Loop:
     lag: float = 0.0  # pole of the feedback's filter: a controller whose response changes over a local window
 
 
-def two_mode_loop(frequencies_Hz=(3.0, 7.0), damping=(0.03, 0.02), cubic=0.0, square=0.0, feedback=1.0, lag=0.0) -> Loop:
+def two_mode_loop(
+    frequencies_Hz: tuple[float, float] = (3.0, 7.0),
+    damping: tuple[float, float] = (0.03, 0.02),
+    cubic: float = 0.0,
+    square: float = 0.0,
+    feedback: float = 1.0,
+    lag: float = 0.0,
+) -> Loop:
     """Two lightly damped modes; outputs: a non-collocated acceleration and two collocated positions."""
     omega, zeta = 2 * np.pi * np.array(frequencies_Hz), np.array(damping)
     A = np.block([[np.zeros((2, 2)), np.eye(2)], [-np.diag(omega**2), -np.diag(2 * zeta * omega)]])
@@ -62,7 +71,10 @@ def simulate(loop: Loop, excitation: np.ndarray, noise: np.ndarray, initial: np.
 
 
 @njit
-def _march(A, B, C, gains, cubic, square, lag, excitation, noise, x):
+def _march(
+    A: np.ndarray, B: np.ndarray, C: np.ndarray, gains: np.ndarray, cubic: float, square: float, lag: float,
+    excitation: np.ndarray, noise: np.ndarray, x: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     y, u = np.empty(noise.shape), np.empty(excitation.shape)
     filtered = np.zeros(noise.shape[1])
     for k in range(len(excitation)):

@@ -11,12 +11,12 @@ BLOCK_MASS_kg = 2.0
 
 
 def block(
-    *, stiffness: float = 0.0, damping: float = 0.0, brake_effort: float = 50.0, bandwidth_Hz: float = 40.0, substeps: int = 4,
-    effects: tuple[EffectSetting, ...] = (), noise: float = 0.0, resolution: float = 0.0,
+    *, mass_kg: float = BLOCK_MASS_kg, stiffness: float = 0.0, damping: float = 0.0, brake_effort: float = 50.0,
+    bandwidth_Hz: float = 40.0, substeps: int = 4, effects: tuple[EffectSetting, ...] = (), noise: float = 0.0, resolution: float = 0.0,
 ) -> PlantSettings:  # fmt: skip
     """One mass on a rail, pushed in newtons, with every kind of sensor."""
     joint = Joint("rail", "prismatic", np.array([1.0, 0, 0]), stiffness, damping, brake_effort=brake_effort)
-    body = Body("block", "world", np.zeros(3), np.eye(3), BLOCK_MASS_kg, np.zeros(3), 0.01 * np.eye(3), joint)
+    body = Body("block", "world", np.zeros(3), np.eye(3), mass_kg, np.zeros(3), 0.01 * np.eye(3), joint)
     imu = Imu(
         "imu", "block", np.zeros(3), np.eye(3), np.full(3, noise), np.zeros(3), bandwidth_Hz, resolution, np.full(3, noise), np.zeros(3),
         bandwidth_Hz, resolution,

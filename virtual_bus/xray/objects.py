@@ -14,7 +14,7 @@ TUNGSTEN_1_M = 7000.0
 """Attenuation of tungsten at about 60 keV [1/m] (NIST XCOM: 7150)."""
 
 BLOOD_WITH_CONTRAST_1_M = 120.0
-"""Attenuation of an iodine solution of 15 mg/ml at about 60 keV [1/m] over the tissue around it."""
+"""Attenuation of an iodine solution of about 160 mg/ml at about 60 keV [1/m] over the tissue around it."""
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from controllers.models.flexible_chain import SOURCE_NAMES, FlexibleChain
-from hil.calibration.kinematic.identify import free_parameters
+from hil.calibration.kinematic.identify_denavit_hartenberg import free_parameters
 from hil.calibration.kinematic.observable import NullCombination, combinations_seen, fit_seen
 from hil.calibration.use.lookup_table import LookUp
 from hil.errors import UnusableInputError

@@ -8,7 +8,7 @@ import numpy as np
 
 from controllers.models.flexible_chain import FlexibleChain
 from hil.calibration.kinematic.flexible import tolerances
-from hil.calibration.kinematic.identify import free_parameters
+from hil.calibration.kinematic.identify_denavit_hartenberg import free_parameters
 from hil.calibration.kinematic.nominal_chain import nominal_chain
 from hil.calibration.kinematic.observable import NullCombination, combinations_seen
 from hil.errors import UnusableInputError

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import os
 import sys
+from typing import TYPE_CHECKING
 
 import pytest
 from places import BENCHMARKS
+
+if TYPE_CHECKING:
+    from concealed.truth.plant import Machine
 
 sys.path.insert(0, str(BENCHMARKS))
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -14,7 +18,7 @@ pytest.importorskip("mujoco")
 
 
 @pytest.fixture(scope="session")
-def machines(tmp_path_factory):
+def machines(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Machine]:
     """The benchmark's machines, their models exported by the command."""
     from concealed.making import Places, export_models
     from concealed.making import machines as exported

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
+if TYPE_CHECKING:
+    from concealed.truth.apart import Measure
+    from concealed.truth.plant import Machine
+    from concealed.truth.workshop import Workshop
+
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
-def chosen_of():
+def chosen_of() -> Callable[..., object]:
     """(kind, place, shape, strength) as hidden physics."""
     from concealed.truth.catalogue import KINDS
     from concealed.truth.draw import Hidden
@@ -18,7 +27,7 @@ def chosen_of():
     return lambda name, place, shape, strength: Chosen(Hidden(KINDS[name], place, shape, 1.0), strength)
 
 
-def a_shop(machines, name, noise=0.01):
+def a_shop(machines: dict[str, Machine], name: str, noise: float = 0.01) -> tuple[Workshop, Measure]:
     """Of a case that hides nothing, with noise of this share of every channel."""
     from concealed.truth.apart import Measure
     from concealed.truth.draw import draw
@@ -32,7 +41,7 @@ def a_shop(machines, name, noise=0.01):
     return shop, Measure(shop, NoiseUnits(np.random.default_rng(0).normal(size=(3, *base.shape)) * size))
 
 
-def test_an_imu_read_late_imitates_one_with_a_fast_second_pole(machines, chosen_of):
+def test_an_imu_read_late_imitates_one_with_a_fast_second_pole(machines: dict[str, Machine], chosen_of: Callable[..., object]) -> None:
     """Half a millisecond does the same either way but for (lag times frequency)^2 / 2."""
     from concealed.truth.apart import apart
 
@@ -44,7 +53,9 @@ def test_an_imu_read_late_imitates_one_with_a_fast_second_pole(machines, chosen_
 
 
 @pytest.mark.parametrize(("late_s", "asked"), [(2e-5, False), (5e-4, True)])
-def test_a_gyro_may_be_as_late_as_its_low_pass_may_be_off(machines, chosen_of, late_s, asked):
+def test_a_gyro_may_be_as_late_as_its_low_pass_may_be_off(
+    machines: dict[str, Machine], chosen_of: Callable[..., object], late_s: float, asked: bool
+) -> None:
     """2 % of 60 Hz delay by 53 us, which no recording tells from a clock's 20."""
     from concealed.truth.apart import apart
 
@@ -56,7 +67,7 @@ def test_a_gyro_may_be_as_late_as_its_low_pass_may_be_off(machines, chosen_of, l
     assert apart(shop, (late,), 0, measure)["detectability"] > 5.0
 
 
-def test_an_imitator_has_the_strength_that_imitates_best(machines, chosen_of):
+def test_an_imitator_has_the_strength_that_imitates_best(machines: dict[str, Machine], chosen_of: Callable[..., object]) -> None:
     """A friction twenty times as strong, scaled down, sticks longer than a weak one and looks unlike it."""
     from concealed.truth.apart import apart
     from concealed.truth.catalogue import KINDS
@@ -68,7 +79,7 @@ def test_an_imitator_has_the_strength_that_imitates_best(machines, chosen_of):
     assert found["distances"]["coulomb_friction"] < 0.02 * found["detectability"]
 
 
-def test_an_effect_is_asked_for_by_what_it_does_beside_the_others(machines, chosen_of):
+def test_an_effect_is_asked_for_by_what_it_does_beside_the_others(machines: dict[str, Machine], chosen_of: Callable[..., object]) -> None:
     """A joint that a friction slows down passes its cogs otherwise."""
     from concealed.truth.apart import apart
     from concealed.truth.catalogue import KINDS
@@ -89,7 +100,9 @@ def test_an_effect_is_asked_for_by_what_it_does_beside_the_others(machines, chos
     assert found != pytest.approx(left_over(other - nothing, [one - nothing]), rel=0.1)
 
 
-def test_a_drives_lag_is_asked_for_by_what_it_does_beyond_a_current_read_late(machines, chosen_of):
+def test_a_drives_lag_is_asked_for_by_what_it_does_beyond_a_current_read_late(
+    machines: dict[str, Machine], chosen_of: Callable[..., object]
+) -> None:
     """A lag of nothing reads the current before the command that has just come: one sample late, and everything else as it was."""
     from concealed.truth.apart import apart
 
@@ -100,9 +113,11 @@ def test_a_drives_lag_is_asked_for_by_what_it_does_beyond_a_current_read_late(ma
     assert [one["separable"] for one in found] == [False, True]
 
 
-def test_beside_an_encoders_lattice_an_effect_does_what_it_does_without(machines, chosen_of):
-    """What a loop rounds goes around it: of two simulations with a lattice that differ by anything the errors have nothing in common, and
-    a gear's error of two deviations was said to stand 40 from nothing (sealed 3920).
+def test_beside_an_encoders_lattice_an_effect_does_what_it_does_without(
+    machines: dict[str, Machine], chosen_of: Callable[..., object]
+) -> None:
+    """Rounding goes around the loop: the errors of two simulations with a lattice have nothing in common, however little the simulations
+    differ. So distances are those of simulations without it.
     """
     from concealed.truth.apart import apart
     from concealed.truth.catalogue import KINDS
@@ -123,12 +138,14 @@ def test_beside_an_encoders_lattice_an_effect_does_what_it_does_without(machines
         ("slider", "stribeck_friction", "numbers too, by simulations"),
     ],
 )
-def test_in_coarse_steps_imitators_stand_as_far_from_the_truth_as_in_its_own(machines, chosen_of, monkeypatch, name, hidden, by):
+def test_in_coarse_steps_imitators_stand_as_far_from_the_truth_as_in_its_own(
+    machines: dict[str, Machine], chosen_of: Callable[..., object], monkeypatch: pytest.MonkeyPatch, name: str, hidden: str, by: str
+) -> None:
     from concealed.truth import apart as oracle
     from concealed.truth import workshop
     from concealed.truth.catalogue import KINDS
 
-    def found():
+    def found() -> dict[str, bool | dict[str, float] | float]:
         shop, measure = a_shop(machines, name)
         if by == "strengths alone":
             measure.numbers = {}
@@ -147,7 +164,7 @@ def test_in_coarse_steps_imitators_stand_as_far_from_the_truth_as_in_its_own(mac
     assert min(fine["distances"].values()) < 0.98 * fine["detectability"]
 
 
-def test_a_load_the_other_way_is_refitted_the_other_way(machines, chosen_of):
+def test_a_load_the_other_way_is_refitted_the_other_way(machines: dict[str, Machine], chosen_of: Callable[..., object]) -> None:
     from concealed.truth.apart import Beside, _most_alike
 
     shop, measure = a_shop(machines, "slider")
@@ -160,7 +177,9 @@ def test_a_load_the_other_way_is_refitted_the_other_way(machines, chosen_of):
     assert np.linalg.norm(beside.effect - like.signal) < 0.1 * np.linalg.norm(beside.effect)
 
 
-def test_numbers_are_refitted_by_simulations_and_not_by_derivatives_alone(machines, chosen_of):
+def test_numbers_are_refitted_by_simulations_and_not_by_derivatives_alone(
+    machines: dict[str, Machine], chosen_of: Callable[..., object]
+) -> None:
     """A spring a tenth softer is a number of the machine file, far as it is from its derivative."""
     from concealed.truth.apart import apart
     from concealed.truth.oracle import left_over
@@ -172,21 +191,23 @@ def test_numbers_are_refitted_by_simulations_and_not_by_derivatives_alone(machin
     assert apart(shop, (softer,), 0, measure)["detectability"] < 5.0
 
 
-def test_numbers_are_refitted_no_further_than_a_machine_file_may_be_off(machines, chosen_of):
+def test_numbers_are_refitted_no_further_than_a_machine_file_may_be_off(
+    machines: dict[str, Machine], chosen_of: Callable[..., object]
+) -> None:
     from concealed.truth.apart import apart
 
     shop, measure = a_shop(machines, "tilted_arm")
     assert apart(shop, (chosen_of("joint_compliance", "arm", {}, 0.3),), 0, measure)["detectability"] > 1000.0  # 8 without bounds
 
 
-def family(at):
+def family(at: list[float] | np.ndarray) -> np.ndarray:
     """Sines of another frequency and amplitude: the nearest one lies a third of a turn off at the end."""
     t = np.linspace(0.0, 10.0, 400)
     return (1.0 + at[1]) * np.sin(2.0 * np.pi * (1.0 + at[0]) * t)
 
 
 @pytest.mark.parametrize(("most", "reached"), [(0.2, True), (0.015, False)])
-def test_the_nearest_of_a_family_is_found_within_its_bounds(most, reached):
+def test_the_nearest_of_a_family_is_found_within_its_bounds(most: float, reached: bool) -> None:
     from concealed.truth.refitted import nearest
 
     wanted, small = family([0.03, 0.3]), 1e-6
@@ -194,7 +215,7 @@ def test_the_nearest_of_a_family_is_found_within_its_bounds(most, reached):
     bounds = np.array([-most, -0.5]), np.array([most, 0.5])
     visited = []
 
-    def leaves(at):
+    def leaves(at: np.ndarray) -> np.ndarray:
         visited.append(at)
         return wanted - family(at)
 
@@ -203,12 +224,12 @@ def test_the_nearest_of_a_family_is_found_within_its_bounds(most, reached):
     assert np.abs(visited).max(axis=0)[0] <= most + 1e-9
 
 
-def test_derivatives_are_taken_anew_within_the_bounds():
+def test_derivatives_are_taken_anew_within_the_bounds() -> None:
     from concealed.truth.refitted import nearest
 
     visited = []
 
-    def leaves(at):
+    def leaves(at: np.ndarray) -> np.ndarray:
         visited.append(at)
         return np.array([3.0 - 2.0 * at[0] + at[0] ** 2, 4.0 + (at[1] + 1.5) ** 2])
 

@@ -31,7 +31,8 @@ def rows() -> list[dict[str, object]]:
     return [row(number, not bool(is_wrong)) for number, is_wrong in enumerate(wrong)]
 
 
-def test_fitted_confidences_are_the_share_of_right_names(rows):
+@pytest.mark.slow
+def test_fitted_confidences_are_the_share_of_right_names(rows: list[dict[str, object]]) -> None:
     assert np.mean([weighed(one, CERTAIN)[0] for one in rows]) > 0.95
     weights = fit(rows)
     assert np.mean([weighed(one, weights)[0] for one in rows]) == pytest.approx(0.7, abs=0.08)
@@ -40,7 +41,8 @@ def test_fitted_confidences_are_the_share_of_right_names(rows):
     assert np.mean([right for _, right, _ in bins]) == pytest.approx(0.7)
 
 
-def test_false_alarms_are_counted_and_what_passed_no_gate_is_not_fitted(rows):
+@pytest.mark.slow
+def test_false_alarms_are_counted_and_what_passed_no_gate_is_not_fitted(rows: list[dict[str, object]]) -> None:
     null = row(100, False) | {"stratum": "null", "found": False}
     said = calibrate([*rows[:6], null, row(95, True)], CERTAIN)
     assert "1 nulls, false alarms 1 [100]" in said
@@ -48,13 +50,13 @@ def test_false_alarms_are_counted_and_what_passed_no_gate_is_not_fitted(rows):
 
 
 @pytest.mark.parametrize("missing", ["parts", "simpler"])
-def test_rows_that_lack_what_the_tool_weighs_are_refused(rows, missing):
+def test_rows_that_lack_what_the_tool_weighs_are_refused(rows: list[dict[str, object]], missing: str) -> None:
     without = {key: value for key, value in rows[0]["sets"][0].items() if key != missing}
     with pytest.raises(BenchError, match="case 0"):
         weighed(rows[0] | {"sets": [without]}, CERTAIN)
 
 
-def test_a_pair_s_parts_speak_for_it(rows):
+def test_a_pair_s_parts_speak_for_it(rows: list[dict[str, object]]) -> None:
     """Where the unknown costs as much as the set: one law is seldom several effects, at several parts still more seldom."""
 
     def confidence(*places: str) -> float:
@@ -66,12 +68,13 @@ def test_a_pair_s_parts_speak_for_it(rows):
     assert confidence("pan") < confidence("pan", "pan") < confidence("pan", "tilt")
 
 
-def test_a_case_said_to_be_without_a_name_teaches_nothing_about_names(rows):
+@pytest.mark.slow
+def test_a_case_said_to_be_without_a_name_teaches_nothing_about_names(rows: list[dict[str, object]]) -> None:
     unknown = row(30, False) | {"verdict": "unknown_physics", "unexplained_share": 0.7}
     assert "6 cases to fit and 1 to check" in calibrate([*rows[:6], unknown, row(95, True)], CERTAIN)
 
 
-def test_a_law_is_weighed_without_its_terms_from_a_row_as_it_was_in_the_answer(rows):
+def test_a_law_is_weighed_without_its_terms_from_a_row_as_it_was_in_the_answer(rows: list[dict[str, object]]) -> None:
     """A rival that fits as well, dear for a term that was fitted to nothing."""
     best = rows[2]["sets"][0]
     dear = best | {"information": [*best["information"], 1e9]}

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
+if TYPE_CHECKING:
+    from concealed.truth.plant import Machine
 
-def test_the_sealed_set_has_its_strata_and_other_seeds_than_development():
+
+def test_the_sealed_set_has_its_strata_and_other_seeds_than_development() -> None:
     from concealed.making import seeds, stratum_of
 
     seed, cases = seeds("sealed")
@@ -16,7 +21,7 @@ def test_the_sealed_set_has_its_strata_and_other_seeds_than_development():
     assert seed != seeds("development")[0]
 
 
-def test_any_fifteen_cases_hold_every_stratum_and_singles_go_round_the_whole_catalogue(machines):
+def test_any_fifteen_cases_hold_every_stratum_and_singles_go_round_the_whole_catalogue(machines: dict[str, Machine]) -> None:
     from concealed.making import stratum_of
     from concealed.truth.catalogue import INSIDE
     from concealed.truth.draw import draw
@@ -28,7 +33,8 @@ def test_any_fifteen_cases_hold_every_stratum_and_singles_go_round_the_whole_cat
     assert max(abs(factor - 1.0) for case in singles for factor in case.factors.values()) <= 0.1
 
 
-def test_a_case_shows_recordings_and_the_nominal_machine_only(machines, tmp_path):
+@pytest.mark.slow
+def test_a_case_shows_recordings_and_the_nominal_machine_only(machines: dict[str, Machine], tmp_path: Path) -> None:
     from concealed.truth.build import make_case
     from concealed.truth.draw import draw
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from pathlib import Path
 
 import pytest
 from conftest import BENCHMARKS
@@ -14,7 +15,7 @@ FILES = sorted((BENCHMARKS / "concealed" / "machines").glob("*.toml"))
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
-def test_controllers_are_those_of_the_recording_and_all_else_is_the_tools(file):
+def test_controllers_are_those_of_the_recording_and_all_else_is_the_tools(file: Path) -> None:
     from concealed.running import with_controllers_of
 
     nominal = file.read_text(encoding="utf-8")

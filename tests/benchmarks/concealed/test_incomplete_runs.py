@@ -3,14 +3,28 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from test_scoring import answer, finding, truth
 
+if TYPE_CHECKING:
+    from concealed.making import Places
+
 NUMBERS = range(4)
 
 
-def make_run(folder, *, crashed=(), failed=(), left_out=(), commits=("a",), missed=(), faint=()):
+def make_run(
+    folder: Path,
+    *,
+    crashed: tuple[int, ...] = (),
+    failed: tuple[object, ...] = (),
+    left_out: tuple[object, ...] = (),
+    commits: tuple[str] = ("a",),
+    missed: tuple[int, ...] = (),
+    faint: tuple[int, ...] = (),
+) -> Places:
     """Two nulls and two singles; the tool is right where it answers."""
     from concealed.making import Places, seal
 
@@ -38,7 +52,7 @@ def make_run(folder, *, crashed=(), failed=(), left_out=(), commits=("a",), miss
     return places
 
 
-def bars_of(folder, **run):
+def bars_of(folder: Path, **run: tuple[int, ...]) -> tuple[dict[str, dict[str, object]], str]:
     from concealed.scoring import score
 
     text = score(make_run(folder, **run), folder, NUMBERS)
@@ -46,13 +60,13 @@ def bars_of(folder, **run):
     return {bar["bar"].split(",")[0].split(" (")[0].split(":")[0]: bar for bar in bars}, text
 
 
-def test_a_null_without_an_answer_is_an_alarm(tmp_path):
+def test_a_null_without_an_answer_is_an_alarm(tmp_path: Path) -> None:
     bars, _ = bars_of(tmp_path, crashed=(0, 3))
     assert (bars["false alarms on nulls"]["hits"], bars["false alarms on nulls"]["n"]) == (1, 2)
     assert (bars["no answer"]["hits"], bars["no answer"]["n"], bars["no answer"]["met"]) == (2, 4, False)
 
 
-def test_sets_are_counted_with_and_without_effects_that_no_recording_shows(tmp_path):
+def test_sets_are_counted_with_and_without_effects_that_no_recording_shows(tmp_path: Path) -> None:
     bars, _ = bars_of(tmp_path, missed=(2, 3), faint=(3,))
     assert (bars["ambiguous sets hold the truth"]["hits"], bars["ambiguous sets hold the truth"]["n"]) == (0, 2)
     rows = json.loads((tmp_path / "scores_development.json").read_text())["bars"]
@@ -60,24 +74,26 @@ def test_sets_are_counted_with_and_without_effects_that_no_recording_shows(tmp_p
     assert (shown["hits"], shown["n"], shown["met"]) == (0, 1, None)
 
 
-def test_a_command_that_ends_in_an_error_has_not_answered_whatever_it_wrote_before(tmp_path):
+def test_a_command_that_ends_in_an_error_has_not_answered_whatever_it_wrote_before(tmp_path: Path) -> None:
     bars, _ = bars_of(tmp_path, failed=(0, 3))
     assert (bars["no answer"]["hits"], bars["no answer"]["n"]) == (2, 4)
     assert bars["false alarms on nulls"]["hits"] == 1
 
 
-def test_a_tool_that_always_answers_meets_that_bar_and_one_that_nobody_asks_for_is_not_met(tmp_path):
+def test_a_tool_that_always_answers_meets_that_bar_and_one_that_nobody_asks_for_is_not_met(tmp_path: Path) -> None:
     bars, text = bars_of(tmp_path)
-    assert bars["no answer"]["met"] and bars["false alarms on nulls"]["hits"] == 0
+    assert bars["no answer"]["met"]
+    assert bars["false alarms on nulls"]["hits"] == 0
     assert bars["wrong among all confident answers"]["met"] is None
     lines = [line for line in text.splitlines() if "not asked" in line]
-    assert lines and all(line.endswith("| not asked | – |") for line in lines)
+    assert lines
+    assert all(line.endswith("| not asked | – |") for line in lines)
 
 
 @pytest.mark.parametrize(
     ("run", "refused"), [({"left_out": (2,)}, r"1 cases have no answer \(2\)"), ({"commits": ("a", "b")}, r"2 commits \(a, b\)")]
 )
-def test_a_part_of_a_run_is_scored_only_on_request_and_says_so(tmp_path, run, refused):
+def test_a_part_of_a_run_is_scored_only_on_request_and_says_so(tmp_path: Path, run: dict[str, tuple[object, ...]], refused: str) -> None:
     from concealed.scoring import score
 
     places = make_run(tmp_path, **run)
@@ -85,10 +101,11 @@ def test_a_part_of_a_run_is_scored_only_on_request_and_says_so(tmp_path, run, re
         score(places, tmp_path, NUMBERS)
     score(places, tmp_path, NUMBERS, partial=True)
     table = json.loads((tmp_path / "scores_development.json").read_text())
-    assert table["missing"] == list(run.get("left_out", ())) and table["commits"] == list(run.get("commits", ("a",)))
+    assert table["missing"] == list(run.get("left_out", ()))
+    assert table["commits"] == list(run.get("commits", ("a",)))
 
 
-def test_a_case_whose_recordings_a_killed_run_removed_is_made_again(tmp_path, monkeypatch):
+def test_a_case_whose_recordings_a_killed_run_removed_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from concealed import making
 
     made = []
@@ -102,16 +119,16 @@ def test_a_case_whose_recordings_a_killed_run_removed_is_made_again(tmp_path, mo
     assert made == [2]
 
 
-def test_a_truth_that_is_not_here_is_named_with_how_to_make_it(tmp_path):
+def test_a_truth_that_is_not_here_is_named_with_how_to_make_it(tmp_path: Path) -> None:
     from concealed.scoring import score
 
     places = make_run(tmp_path)
     places.truth(2).unlink()
-    with pytest.raises(SystemExit, match=r"truth of case 2 is not here; .*make --seeds development --cases 2"):
+    with pytest.raises(SystemExit, match=r"truth of case [2] is not here; .*make --seeds development --cases [2]"):
         score(places, tmp_path, NUMBERS)
 
 
-def test_cases_that_another_computer_judged_keep_their_judgement_where_the_truth_made_here_is_another(tmp_path):
+def test_cases_that_another_computer_judged_keep_their_judgement_where_the_truth_made_here_is_another(tmp_path: Path) -> None:
     from concealed.scoring import score
 
     places = make_run(tmp_path)
@@ -126,7 +143,7 @@ def test_cases_that_another_computer_judged_keep_their_judgement_where_the_truth
     assert score(places, tmp_path, NUMBERS, judged_before=theirs) == whole
     assert json.loads((tmp_path / "scores_development.json").read_text())["judged_before"] == [2]
     places.truth(3).write_text(other)
-    with pytest.raises(SystemExit, match="not the truth that was sealed when case 3"):
+    with pytest.raises(SystemExit, match=r"not the truth that was sealed when case [3]"):
         score(places, tmp_path, NUMBERS, judged_before=theirs)
 
 
@@ -139,7 +156,7 @@ def test_cases_that_another_computer_judged_keep_their_judgement_where_the_truth
         ({"commits": None}, "no file of scores"),
     ],
 )
-def test_what_is_no_file_of_scores_of_these_answers_is_refused(tmp_path, changes, said):
+def test_what_is_no_file_of_scores_of_these_answers_is_refused(tmp_path: Path, changes: dict[str, object], said: str) -> None:
     from concealed.scoring import score
 
     places = make_run(tmp_path)
@@ -150,18 +167,18 @@ def test_what_is_no_file_of_scores_of_these_answers_is_refused(tmp_path, changes
         score(places, tmp_path, NUMBERS, judged_before=tmp_path / "theirs.json")
 
 
-def test_a_judgement_of_another_answer_is_refused(tmp_path):
+def test_a_judgement_of_another_answer_is_refused(tmp_path: Path) -> None:
     from concealed.scoring import score
 
     places = make_run(tmp_path)
     score(places, tmp_path, NUMBERS)
     theirs = tmp_path / "theirs.json"
     theirs.write_text((tmp_path / "scores_development.json").read_text().replace('"explained"', '"ambiguous"'))
-    with pytest.raises(SystemExit, match="case 2 was judged by another answer"):
+    with pytest.raises(SystemExit, match=r"case [2] was judged by another answer"):
         score(places, tmp_path, NUMBERS, judged_before=theirs)
 
 
-def test_a_file_of_scores_that_is_not_there_is_said(tmp_path):
+def test_a_file_of_scores_that_is_not_there_is_said(tmp_path: Path) -> None:
     from concealed.scoring import score
 
     with pytest.raises(SystemExit, match="no file of scores"):

@@ -2,31 +2,36 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pytest
+
+if TYPE_CHECKING:
+    from concealed.truth.oracle import NoiseUnits
 
 SAMPLES, RATE_Hz = 4000, 200.0
 
 
-def units_of(noise):
+def units_of(noise: np.ndarray) -> NoiseUnits:
     from concealed.truth.oracle import NoiseUnits
 
     return NoiseUnits(noise)
 
 
-def sine(frequency_Hz, amplitude):
+def sine(frequency_Hz: float, amplitude: float) -> np.ndarray:
     t = np.arange(SAMPLES) / RATE_Hz
     return amplitude * np.sin(2.0 * np.pi * frequency_Hz * t)[:, None]
 
 
-def test_a_distance_in_white_noise_is_the_signals_norm_over_its_deviation():
+def test_a_distance_in_white_noise_is_the_signals_norm_over_its_deviation() -> None:
     rng = np.random.default_rng(1)
     units = units_of(0.3 * rng.normal(size=(4, SAMPLES, 1)))
     expected = np.sqrt(4.0) * np.linalg.norm(sine(7.0, 0.05)) / 0.3
     assert np.linalg.norm(units(sine(7.0, 0.05))) == pytest.approx(expected, rel=0.15)
 
 
-def test_a_signal_counts_where_the_noise_is_quiet():
+def test_a_signal_counts_where_the_noise_is_quiet() -> None:
     rng = np.random.default_rng(2)
     noise = rng.normal(size=(4, SAMPLES, 1)) + 20.0 * np.sin(
         2.0 * np.pi * 30.0 * np.arange(SAMPLES)[:, None] / RATE_Hz + rng.normal(size=(4, 1, 1))
@@ -35,7 +40,7 @@ def test_a_signal_counts_where_the_noise_is_quiet():
     assert np.linalg.norm(units(sine(5.0, 1.0))) > 10.0 * np.linalg.norm(units(sine(30.0, 1.0)))
 
 
-def test_refitting_takes_away_what_the_machine_files_numbers_explain():
+def test_refitting_takes_away_what_the_machine_files_numbers_explain() -> None:
     from concealed.truth.oracle import left_over
 
     units = units_of(np.random.default_rng(3).normal(size=(3, SAMPLES, 2)))
@@ -44,7 +49,7 @@ def test_refitting_takes_away_what_the_machine_files_numbers_explain():
     assert left_over(units(2.0 * known + new), [units(known)]) == pytest.approx(np.linalg.norm(units(new)), rel=0.02)
 
 
-def test_a_burst_is_found_at_its_time_position_frequency_and_channel():
+def test_a_burst_is_found_at_its_time_position_frequency_and_channel() -> None:
     from concealed.truth.oracle import location
 
     units = units_of(0.01 * np.random.default_rng(4).normal(size=(3, SAMPLES, 2)))
@@ -59,7 +64,7 @@ def test_a_burst_is_found_at_its_time_position_frequency_and_channel():
 
 
 @pytest.mark.parametrize(("repeats", "channels"), [(3, 3), (4, 9), (3, 12)])
-def test_other_noise_has_a_mean_square_of_one_in_units_of_what_repeats_differ_by(repeats, channels):
+def test_other_noise_has_a_mean_square_of_one_in_units_of_what_repeats_differ_by(repeats: int, channels: int) -> None:
     """The inverse of a density of some sixty degrees of freedom is too large by a tenth for three channels, by a third for twelve, whatever
     the channels' units are.
     """

@@ -6,16 +6,17 @@ import numpy as np
 import pytest
 
 
-def test_clopper_pearson_gives_the_published_limits():
+def test_clopper_pearson_gives_the_published_limits() -> None:
     from concealed.intervals import clopper_pearson, upper_bound
 
     assert clopper_pearson(4, 20) == pytest.approx((0.0573, 0.4366), abs=1e-4)  # Newcombe 1998 quotes the exact interval's kind
     assert upper_bound(0, 300) == pytest.approx(1.0 - 0.05 ** (1.0 / 300.0))  # closed form for no hits
     assert upper_bound(0, 300) < 0.0100
-    assert clopper_pearson(0, 10)[0] == 0.0 and clopper_pearson(10, 10)[1] == 1.0
+    assert clopper_pearson(0, 10)[0] == 0.0
+    assert clopper_pearson(10, 10)[1] == 1.0
 
 
-def test_a_calibrated_tool_is_inside_the_band_and_a_boasting_one_is_not():
+def test_a_calibrated_tool_is_inside_the_band_and_a_boasting_one_is_not() -> None:
     from concealed.intervals import calibration
 
     rng = np.random.default_rng(3)
@@ -24,7 +25,9 @@ def test_a_calibrated_tool_is_inside_the_band_and_a_boasting_one_is_not():
     assert not any(part["inside"] for part in calibration(said, rng.random(400) < said - 0.2))
 
 
-def finding(effect, at, interval=(11.0, 13.0), others=()):
+def finding(
+    effect: str, at: str, interval: tuple[float, float] = (11.0, 13.0), others: list[str] | tuple[object, ...] = ()
+) -> dict[str, object]:
     return {
         "effect": effect, "at": at, "confidence": 0.9,
         "parameters": {"Fc": {"value": 12.0, "unit": "Nm", "ci95": list(interval)}},
@@ -32,7 +35,7 @@ def finding(effect, at, interval=(11.0, 13.0), others=()):
     }  # fmt: skip
 
 
-def truth(**changes):
+def truth(**changes: int | list[dict[str, bool | dict[str, object] | float]] | str) -> dict[str, object]:
     effect = {
         "kind": "coulomb_friction", "at": "roll", "accepted_at": ["roll", "position_roll"], "accepted": ["coulomb_friction"],
         "tuned": False, "compare": {"Fc": 12.5},
@@ -48,19 +51,21 @@ def truth(**changes):
     } | changes  # fmt: skip
 
 
-def answer(verdict, findings, **more):
+def answer(
+    verdict: str, findings: list[dict[str, object]], **more: object
+) -> dict[str, dict[str, dict[str, object] | list[dict[str, object]] | str] | float]:
     diagnosis = {"verdict": verdict, "findings": findings, "hypotheses": [], "location": more.pop("location", {})}
     return {"number": 3, "exit_status": 0, "wall_s": 1.0, "diagnosis": diagnosis} | more
 
 
-def test_the_right_name_at_the_right_place_is_right():
+def test_the_right_name_at_the_right_place_is_right() -> None:
     from concealed.judging import judge
 
     judged = judge(answer("explained", [finding("coulomb_friction", "roll")]), truth())
     assert (judged.asked, judged.right, judged.wrong, judged.covered) == (True, True, False, (True,))
 
 
-def test_an_amplitude_is_compared_at_its_own_joint_and_a_frequency_at_the_spring_behind_it_too():
+def test_an_amplitude_is_compared_at_its_own_joint_and_a_frequency_at_the_spring_behind_it_too() -> None:
     from concealed.judging import judge
 
     names = ["roll", "roll", "roll_rotor", "position_roll", "roll_gear", "c_arc"]
@@ -71,7 +76,7 @@ def test_an_amplitude_is_compared_at_its_own_joint_and_a_frequency_at_the_spring
         assert judge(answer("explained", [said | {"at": at}]), hidden).covered == covered
 
 
-def test_a_friction_named_where_two_add_is_neither_of_them():
+def test_a_friction_named_where_two_add_is_neither_of_them() -> None:
     """Fc 2.5 beside one of 10 and 22 by direction: the one that is named finds their mean, 18.5."""
     from concealed.judging import judge
 
@@ -86,7 +91,7 @@ def test_a_friction_named_where_two_add_is_neither_of_them():
     assert judge(answer("ambiguous", named), apart).covered == (False,)  # at another joint: nothing adds
 
 
-def test_one_friction_named_where_two_of_its_law_add_is_neither_of_them():
+def test_one_friction_named_where_two_of_its_law_add_is_neither_of_them() -> None:
     from concealed.judging import judge
 
     effect, own = truth()["effects"][0], truth()["each"][0]
@@ -96,7 +101,7 @@ def test_one_friction_named_where_two_of_its_law_add_is_neither_of_them():
     assert judge(answer("ambiguous", [named, finding("coulomb_friction", "position_roll", (2.0, 3.0))]), hidden).covered != ()
 
 
-def test_effects_whose_truth_does_not_say_how_far_they_stand_apart_are_not_passed_over():
+def test_effects_whose_truth_does_not_say_how_far_they_stand_apart_are_not_passed_over() -> None:
     from concealed.judging import judge
 
     hidden = truth(condition="little")  # nobody is asked for a name, intervals are compared all the same
@@ -117,7 +122,7 @@ def test_effects_whose_truth_does_not_say_how_far_they_stand_apart_are_not_passe
         ("consistent", [], False, False),
     ],
 )
-def test_what_is_not_right(verdict, findings, right, wrong):
+def test_what_is_not_right(verdict: str, findings: list[dict[str, object]], right: bool, wrong: bool) -> None:
     from concealed.judging import judge
 
     judged = judge(answer(verdict, findings), truth())
@@ -125,7 +130,7 @@ def test_what_is_not_right(verdict, findings, right, wrong):
     assert judged.holds_truth is (verdict == "ambiguous") or "coulomb_friction@roll" in judged.findings
 
 
-def test_a_set_without_an_effect_that_no_recording_shows_lacks_the_truth_but_nothing_that_is_shown():
+def test_a_set_without_an_effect_that_no_recording_shows_lacks_the_truth_but_nothing_that_is_shown() -> None:
     from concealed.judging import judge
 
     hidden, faint = truth(), {**truth()["effects"][0], "kind": "backlash", "accepted": ["backlash"]}
@@ -139,7 +144,7 @@ def test_a_set_without_an_effect_that_no_recording_shows_lacks_the_truth_but_not
     assert judge(named, hidden).holds_shown is None
 
 
-def test_an_alarm_on_a_null_and_a_confident_name_off_the_catalogue():
+def test_an_alarm_on_a_null_and_a_confident_name_off_the_catalogue() -> None:
     from concealed.judging import judge
 
     null = truth(stratum="null", effects=[], each=[])
@@ -147,10 +152,12 @@ def test_an_alarm_on_a_null_and_a_confident_name_off_the_catalogue():
     assert not judge(answer("retuned", []), null).alarm
     off = truth(stratum="off", effects=[{**truth()["effects"][0], "kind": "sloshing_mass", "accepted": []}])
     judged = judge(answer("explained", [finding("coulomb_friction", "roll")]), off)
-    assert judged.confident and judged.wrong and not judged.right
+    assert judged.confident
+    assert judged.wrong
+    assert not judged.right
 
 
-def test_every_kind_says_what_it_was_called_instead():
+def test_every_kind_says_what_it_was_called_instead() -> None:
     from concealed.judging import judge
     from concealed.scoring import by_kind
 
@@ -167,7 +174,7 @@ def test_every_kind_says_what_it_was_called_instead():
     assert row["instead"] == {"viscous_friction": 1, "delay and viscous_friction": 1, "": 1, "coulomb_friction elsewhere": 1}
 
 
-def test_removed_share_and_overlap():
+def test_removed_share_and_overlap() -> None:
     from concealed.judging import judge
 
     rms = {"retuned": {"current_roll": 0.03, "position_roll": 1e-5}, "extended": {"current_roll": 0.01, "position_roll": 1e-5}}
@@ -183,7 +190,7 @@ def test_removed_share_and_overlap():
     assert judged.overlap["position"] == pytest.approx(1.0)
 
 
-def test_of_a_pair_a_changed_number_may_be_left_to_retuning_and_the_other_must_be_named():
+def test_of_a_pair_a_changed_number_may_be_left_to_retuning_and_the_other_must_be_named() -> None:
     from concealed.judging import judge
 
     friction = truth()["effects"][0]

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import ast
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from places import BENCHMARKS
 from scipy.interpolate import CubicSpline
 
+if TYPE_CHECKING:
+    from concealed.truth.kinds import Kind
+    from concealed.truth.plant import Machine
+
 TRUTH = BENCHMARKS / "concealed" / "truth"
 
 
-def test_the_truth_imports_none_of_the_four_packages():
+def test_the_truth_imports_none_of_the_four_packages() -> None:
     imported = set()
     for path in TRUTH.glob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -29,7 +35,7 @@ LARGEST_NRMSE = {"current": 0.01, "effort": 0.002, "position": 2e-4, "link": 2e-
 
 
 @pytest.mark.parametrize("name", ["tilted_arm", "slider", "pan_tilt", "spring_mass", "carm"])
-def test_without_hidden_physics_the_simulation_gives_the_same_recording(machines, tmp_path, name):
+def test_without_hidden_physics_the_simulation_gives_the_same_recording(machines: dict[str, Machine], tmp_path: Path, name: str) -> None:
     from concealed.truth.experiments import Experiment, plan
     from concealed.truth.plant import Plant, Setup
     from concealed.truth.writing import write_recording
@@ -61,7 +67,7 @@ def test_without_hidden_physics_the_simulation_gives_the_same_recording(machines
     assert compared >= 2
 
 
-def test_every_kind_of_physics_changes_some_channel_and_goes_to_none_with_its_strength(machines):
+def test_every_kind_of_physics_changes_some_channel_and_goes_to_none_with_its_strength(machines: dict[str, Machine]) -> None:
     from concealed.truth.catalogue import KINDS
     from concealed.truth.experiments import Experiment, plan
     from concealed.truth.plant import Plant, Setup
@@ -69,7 +75,7 @@ def test_every_kind_of_physics_changes_some_channel_and_goes_to_none_with_its_st
 
     drives = {name: plan(machine, Experiment("mixed", 5)) for name, machine in machines.items()}
 
-    def seen(machine, kind, place, shape, strength):
+    def seen(machine: Machine, kind: Kind, place: str, shape: dict[str, float], strength: float) -> dict[str, np.ndarray]:
         setup = Setup()
         kind.add(setup, machine, place, shape, strength)
         answer = Plant(machine, setup).run(drives[machine.name], lattices=False)
@@ -102,7 +108,7 @@ def test_every_kind_of_physics_changes_some_channel_and_goes_to_none_with_its_st
     assert abrupt == []
 
 
-def test_coulomb_friction_costs_its_level_in_each_direction(machines):
+def test_coulomb_friction_costs_its_level_in_each_direction(machines: dict[str, Machine]) -> None:
     from concealed.truth.catalogue import KINDS
     from concealed.truth.plant import Drive, Plant, Setup
 
@@ -124,7 +130,9 @@ def test_coulomb_friction_costs_its_level_in_each_direction(machines):
 
 
 @pytest.mark.parametrize("name", ["tilted_arm", "carm"])
-def test_the_truths_own_step_is_below_what_its_noise_could_show(machines, monkeypatch, name):
+def test_the_truths_own_step_is_below_what_its_noise_could_show(
+    machines: dict[str, Machine], monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
     from concealed.truth import plant
     from concealed.truth.draw import draw
     from concealed.truth.oracle import NoiseUnits
@@ -140,7 +148,7 @@ def test_the_truths_own_step_is_below_what_its_noise_could_show(machines, monkey
     assert np.linalg.norm(units(shop.matrix(setup, shop.training) - usual)) < 1.5
 
 
-def test_the_oracle_sees_the_samples_that_the_recordings_lose(machines):
+def test_the_oracle_sees_the_samples_that_the_recordings_lose(machines: dict[str, Machine]) -> None:
     """A lost reading repeats the last one, noise and all; the oracle's difference is where one of the case's recordings has such rows."""
     from concealed.truth.catalogue import KINDS
     from concealed.truth.draw import Hidden, draw
@@ -161,7 +169,7 @@ def test_the_oracle_sees_the_samples_that_the_recordings_lose(machines):
         assert np.delete(difference, channel, axis=1).max() < 1e-12
 
 
-def test_an_imus_second_pole_lags_by_its_time_constant(machines):
+def test_an_imus_second_pole_lags_by_its_time_constant(machines: dict[str, Machine]) -> None:
     from concealed.truth.experiments import Experiment, plan
     from concealed.truth.plant import Plant, Setup
 
@@ -175,7 +183,7 @@ def test_an_imus_second_pole_lags_by_its_time_constant(machines):
     assert -(after - before) @ slope / (slope @ slope) == pytest.approx(lag_s, rel=0.05)
 
 
-def test_an_imu_reads_what_it_does_in_much_finer_steps(machines, monkeypatch):
+def test_an_imu_reads_what_it_does_in_much_finer_steps(machines: dict[str, Machine], monkeypatch: pytest.MonkeyPatch) -> None:
     """Fast motion, which second differences weigh: a low pass that takes each step's input for a line errs by 1.3e-4 of it in the gyro."""
     from concealed.truth import plant
     from concealed.truth.experiments import Experiment, plan
@@ -191,7 +199,7 @@ def test_an_imu_reads_what_it_does_in_much_finer_steps(machines, monkeypatch):
 
 
 @pytest.mark.parametrize(("frequency_Hz", "damping_ratio", "step_s"), [(14.0, 0.01, 3e-4), (14.0, 0.01, 9e-4), (4.0, 0.05, 9e-4)])
-def test_an_added_mass_swings_and_decays_as_its_numbers_say(frequency_Hz, damping_ratio, step_s):
+def test_an_added_mass_swings_and_decays_as_its_numbers_say(frequency_Hz: float, damping_ratio: float, step_s: float) -> None:
     """Against the closed form of a damped oscillator whose joint stands."""
     from concealed.truth import joint_physics
 
@@ -204,7 +212,7 @@ def test_an_added_mass_swings_and_decays_as_its_numbers_say(frequency_Hz, dampin
     assert np.abs(places - expected).max() < 1e-3 * 0.01
 
 
-def test_a_sloshing_mass_without_drag_loses_nothing_and_slows_as_a_pendulum_does():
+def test_a_sloshing_mass_without_drag_loses_nothing_and_slows_as_a_pendulum_does() -> None:
     """A pendulum of amplitude A has 1 - A^2/16 of the frequency of a small one (Landau and Lifshitz, Mechanics, sec. 11)."""
     from concealed.truth import joint_physics
 
@@ -232,7 +240,7 @@ def _of_a_standing_joint(kind: int, row: list[float], step_s: float, begun: floa
     return np.array(places)
 
 
-def test_a_mass_that_is_carried_along_pulls_back_by_what_it_takes_to_accelerate_it():
+def test_a_mass_that_is_carried_along_pulls_back_by_what_it_takes_to_accelerate_it() -> None:
     """At a constant acceleration of its joint, in the mean over whole cycles once it hardly swings."""
     from concealed.truth import joint_physics as physics
 
@@ -256,7 +264,7 @@ def test_a_mass_that_is_carried_along_pulls_back_by_what_it_takes_to_accelerate_
         assert np.mean(pulls[-round(1.0 / step_s) :]) == pytest.approx(-mass * a, rel=2e-3)
 
 
-def test_two_poles_in_a_row_give_the_mean_of_what_they_do_in_a_step():
+def test_two_poles_in_a_row_give_the_mean_of_what_they_do_in_a_step() -> None:
     """Against a thousandth of the step."""
     from concealed.truth.loop import through_poles
 
@@ -276,7 +284,7 @@ def test_two_poles_in_a_row_give_the_mean_of_what_they_do_in_a_step():
         assert (moved - fine) / 1e-9 == pytest.approx(slopes, rel=1e-3)
 
 
-def test_a_drives_poles_are_the_same_in_steps_of_a_third(machines):
+def test_a_drives_poles_are_the_same_in_steps_of_a_third(machines: dict[str, Machine]) -> None:
     """A second pole that reads what the first gives at a step's end, as if it were the step's mean, lags by half a step too little."""
     from concealed.truth.catalogue import KINDS
     from concealed.truth.experiments import Experiment, plan
@@ -292,10 +300,8 @@ def test_a_drives_poles_are_the_same_in_steps_of_a_third(machines):
     assert np.linalg.norm(effort - fine) < 1e-4 * np.linalg.norm(fine)
 
 
-def test_what_shakes_a_machine_has_not_bent_it_before(machines):
-    """A shake begins with the record: the integrator holds nothing of it, whatever its phase. It had: the start told more of it than the
-    shake did (11394 and 11827, spent).
-    """
+def test_what_shakes_a_machine_has_not_bent_it_before(machines: dict[str, Machine]) -> None:
+    """A shake begins with the record: the integrator holds nothing of it at the start, whatever its phase."""
     from concealed.truth.catalogue import KINDS
     from concealed.truth.draw import Hidden, draw
     from concealed.truth.workshop import Chosen, Workshop

@@ -1,14 +1,17 @@
 """The chain's poses are those of MuJoCo's, its rows are (2.7) corrected, and its derivatives are those of its poses."""
 
+from __future__ import annotations
+
 import mujoco
 import numpy as np
 from chains import IDENTIFIED, NOMINAL
 from scipy.spatial.transform import Rotation
 
-from hil.calibration.kinematic.identify import pose_difference
+from controllers.models.denavit_hartenberg import DenavitHartenberg
+from hil.calibration.kinematic.identify_denavit_hartenberg import pose_difference
 
 
-def quaternion(*turns):
+def quaternion(*turns: tuple[str, float]) -> str:
     """MuJoCo's w, x, y, z of rotations about given axes, one after the other in the moving frame."""
     total = Rotation.identity()
     for axis, angle in turns:
@@ -16,7 +19,7 @@ def quaternion(*turns):
     return " ".join(f"{value:.17g}" for value in total.as_quat(scalar_first=True))
 
 
-def in_mujoco(chain, angles):
+def in_mujoco(chain: DenavitHartenberg, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Poses of the phantom in the detector's frame, by MuJoCo."""
     u, v, y, z = chain.frame_angles
     text, close = f'<body quat="{quaternion(("x", u), ("y", v))}">', "</body>"
@@ -36,7 +39,7 @@ def in_mujoco(chain, angles):
     return np.array(positions), np.array(rotations)
 
 
-def test_poses_are_mujoco_s():
+def test_poses_are_mujoco_s() -> None:
     angles = np.random.default_rng(1).uniform(-2.0, 2.0, (30, 4))
     position, rotation = IDENTIFIED.poses(angles)
     expected_position, expected_rotation = in_mujoco(IDENTIFIED, angles)
@@ -44,7 +47,7 @@ def test_poses_are_mujoco_s():
     np.testing.assert_allclose(rotation, expected_rotation, atol=1e-12)
 
 
-def test_a_row_is_the_thesis_s_matrix_with_its_third_row_corrected():
+def test_a_row_is_the_thesis_s_matrix_with_its_third_row_corrected() -> None:
     a, offset, alpha, d, beta = IDENTIFIED.table[3]
     one = type(NOMINAL)(("only",), IDENTIFIED.table[3:], np.zeros(4))
     theta = offset + 0.7 * beta
@@ -55,7 +58,7 @@ def test_a_row_is_the_thesis_s_matrix_with_its_third_row_corrected():
     np.testing.assert_allclose(position[0], [a * c, a * s, d], atol=1e-15)
 
 
-def test_derivatives_are_those_of_the_poses():
+def test_derivatives_are_those_of_the_poses() -> None:
     angles = np.random.default_rng(2).uniform(-2.0, 2.0, (7, 4))
     jacobian = IDENTIFIED.jacobian(angles)
     step = 1e-6

@@ -78,7 +78,8 @@ def test_a_design_keeps_low_passes_an_earlier_one_has_none_and_one_without_frequ
     model, noise = pushed_at_a_shift(True)
     write_design(ObserverDesign(model, noise, np.zeros(3), "small", ""), tmp_path / "small.npz")
     kept = read_design(tmp_path / "small.npz")
-    assert kept.model.places == model.places and list(kept.noise.low_pass) == [False, False, True]
+    assert kept.model.places == model.places
+    assert list(kept.noise.low_pass) == [False, False, True]
     with np.load(tmp_path / "small.npz") as file:
         later = dict(file)
     new = ("effort_step", "places", "noise_low_pass")

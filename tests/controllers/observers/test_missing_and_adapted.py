@@ -29,7 +29,9 @@ def _run(observer: ModalObserver, measured: np.ndarray, commands: np.ndarray) ->
 
 
 @pytest.mark.parametrize("kind", ["kf", "ekf", "ukf"])
-def test_an_imu_that_falls_silent_widens_the_estimate_and_its_return_mends_it(drawn, kind: str) -> None:
+def test_an_imu_that_falls_silent_widens_the_estimate_and_its_return_mends_it(
+    drawn: tuple[np.ndarray, np.ndarray, np.ndarray], kind: str
+) -> None:
     measured, commands, _ = drawn
     gap = measured.copy()
     gap[400:800, 4:] = np.nan
@@ -38,11 +40,12 @@ def test_an_imu_that_falls_silent_widens_the_estimate_and_its_return_mends_it(dr
     assert np.isfinite(estimates).all()
     column = [name for name, _ in observer.channels].index("estimate_detector_x_variance")
     before, inside, after = estimates[399, column], estimates[799, column], estimates[1199, column]
-    assert inside > 1.2 * before and after < 1.05 * before
+    assert inside > 1.2 * before
+    assert after < 1.05 * before
     assert (estimates[400:800, [name for name, _ in observer.channels].index("estimate_measured")] == 4).all()
 
 
-def test_rows_in_which_nothing_arrived_are_predictions(drawn) -> None:
+def test_rows_in_which_nothing_arrived_are_predictions(drawn: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
     measured, commands, _ = drawn
     gap = measured.copy()
     gap[600:603] = np.nan
@@ -50,12 +53,14 @@ def test_rows_in_which_nothing_arrived_are_predictions(drawn) -> None:
     states, estimates = _run(observer, gap, commands)
     whole, _ = _run(ModalObserver(small_model(), small_noise(), "ukf"), measured, commands)
     assert np.isfinite(states).all()
-    assert estimates[601, -4] == 0.0 and estimates[601, -3] == 0.0
-    assert np.array_equal(states[:600], whole[:600]) and not np.array_equal(states[601], whole[601])
+    assert estimates[601, -4] == 0.0
+    assert estimates[601, -3] == 0.0
+    assert np.array_equal(states[:600], whole[:600])
+    assert not np.array_equal(states[601], whole[601])
     assert np.abs(states[-1] - whole[-1]).max() < 0.05 * np.abs(whole).max()
 
 
-def test_a_restarted_observer_repeats_itself_to_the_bit(drawn) -> None:
+def test_a_restarted_observer_repeats_itself_to_the_bit(drawn: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
     measured, commands, _ = drawn
     observer = ModalObserver(small_model(), small_noise(), "ukf")
     first, _ = _run(observer, measured[:200], commands)
@@ -66,7 +71,7 @@ def test_a_restarted_observer_repeats_itself_to_the_bit(drawn) -> None:
 
 
 @pytest.mark.parametrize("kind", ["ekf", "ukf"])
-def test_a_mode_ten_per_cent_off_is_found_within_one_per_cent(drawn, kind: str) -> None:
+def test_a_mode_ten_per_cent_off_is_found_within_one_per_cent(drawn: tuple[np.ndarray, np.ndarray, np.ndarray], kind: str) -> None:
     measured, commands, _ = drawn
     wrong = with_lower_mode(small_model(), 1.1)
     observer = ModalObserver(wrong, small_noise(adapted_walk=1e-3), kind, adapted=(0,))  # type: ignore[arg-type]
@@ -77,7 +82,7 @@ def test_a_mode_ten_per_cent_off_is_found_within_one_per_cent(drawn, kind: str) 
     assert abs(np.log(ratio[-1] / 1.1)) < 3.0 * np.sqrt(observer.covariance[18, 18])
 
 
-def test_the_alarm_is_silent_on_chance_and_raised_by_what_is_not_modelled(drawn) -> None:
+def test_the_alarm_is_silent_on_chance_and_raised_by_what_is_not_modelled(drawn: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
     measured, commands, _ = drawn
     alarm = [name for name, _ in ModalObserver(small_model(), small_noise()).channels].index("estimate_alarm")
     _, usual = _run(ModalObserver(small_model(), small_noise(), "ekf"), measured, commands)
@@ -90,7 +95,8 @@ def test_the_alarm_is_silent_on_chance_and_raised_by_what_is_not_modelled(drawn)
 def test_the_monitor_needs_no_measurement_to_keep_still() -> None:
     monitor = InnovationMonitor()
     mean, raised = monitor.step(0.0, 0)
-    assert np.isnan(mean) and not raised
+    assert np.isnan(mean)
+    assert not raised
 
 
 def test_with_all_sensors_little_is_hidden_and_without_the_imu_its_modes_and_biases_are_named() -> None:
@@ -102,7 +108,8 @@ def test_with_all_sensors_little_is_hidden_and_without_the_imu_its_modes_and_bia
     hidden = {name for names in without.blind for name in names}
     assert {f"bias_{channel}" for channel in imu} <= hidden
     told = dict(zip(without.state_names, without.told, strict=True))
-    assert told["position_roll"] > 0.9 and told["bias_imu_x"] < 1e-6
+    assert told["position_roll"] > 0.9
+    assert told["bias_imu_x"] < 1e-6
     assert any("bias_imu_x" in line for line in without.lines)
 
 

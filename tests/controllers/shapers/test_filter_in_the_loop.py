@@ -13,7 +13,7 @@ from controllers.errors import DesignError
 from controllers.settings import AxisLimits
 from controllers.shapers.delays import DelayFilter
 from controllers.shapers.dynamics import Dynamics
-from controllers.shapers.filter import BLEND_S, ReferenceShaper
+from controllers.shapers.filter import ReferenceShaper
 from controllers.shapers.sampled import AxisShaper, axis_shaper
 
 RATE = 256.0
@@ -21,11 +21,13 @@ AXES = ("propeller", "roll")
 FREE = tuple(AxisLimits(axis, -10.0, 10.0, 1e6, np.inf, np.inf, 1.0) for axis in AXES)
 
 
-def shaper_of(gains, delays, axis="roll", **fields):
+def shaper_of(
+    gains: list[float | list[float]] | np.ndarray, delays: list[int] | np.ndarray, axis: str = "roll", **fields: object
+) -> AxisShaper:
     return AxisShaper(axis, np.asarray(delays), np.atleast_2d(gains), np.asarray(fields.pop("positions", [0.0])), **fields)
 
 
-def run(shaper, raw, start):
+def run(shaper: ReferenceShaper, raw: np.ndarray, start: np.ndarray) -> np.ndarray:
     shaper.start(start)
     out = np.empty_like(raw)
     for k in range(len(raw)):
@@ -39,7 +41,7 @@ def run(shaper, raw, start):
     start=st.floats(-1.0, 1.0),
 )
 @settings(max_examples=30, deadline=None)
-def test_it_is_the_convolution_with_its_taps_from_a_standstill(gains, delays, start):
+def test_it_is_the_convolution_with_its_taps_from_a_standstill(gains: np.ndarray, delays: list[int], start: float) -> None:
     gains = np.append(gains, 1.0 - gains.sum())
     delays = np.array([0, *sorted(delays)])
     raw = np.tile([0.3, start], (200, 1))
@@ -51,14 +53,14 @@ def test_it_is_the_convolution_with_its_taps_from_a_standstill(gains, delays, st
     assert (shaped[:, 0] == raw[:, 0]).all()  # an axis without a shaper passes
 
 
-def test_standstill_is_held_to_the_last_bit():
+def test_standstill_is_held_to_the_last_bit() -> None:
     gains = np.array([0.7, -0.5, 0.8])
     raw = np.tile([0.1, 0.3], (300, 1))
     shaped = run(ReferenceShaper(AXES, [shaper_of(gains, [0, 7, 19])], FREE, RATE), raw, raw[0])
     assert (shaped == raw).all()
 
 
-def test_the_tail_filters_the_last_tap():
+def test_the_tail_filters_the_last_tap() -> None:
     system = Dynamics.from_polynomials([0.1, 0.0], [1.0, -0.9], 1.0 / RATE)
     shaper = axis_shaper("roll", [DelayFilter(np.array([0.0, 10.0]) / RATE, np.array([0.4, 0.6]), system)], RATE)
     raw = np.tile([0.0, 0.5], (100, 1))
@@ -69,7 +71,7 @@ def test_the_tail_filters_the_last_tap():
     assert shaped[:, 1] == pytest.approx(expected, abs=1e-12)
 
 
-def test_gains_are_interpolated_over_the_scheduling_axis_and_held_beyond_its_ends():
+def test_gains_are_interpolated_over_the_scheduling_axis_and_held_beyond_its_ends() -> None:
     gains = np.array([[1.0, 0.0], [0.5, 0.5], [0.2, 0.8]])
     shaper = shaper_of(gains, [0, 4], axis="propeller", positions=[-1.0, 0.0, 1.0], schedule_axis="roll")
     for roll, first in ((-2.0, 1.0), (-1.0, 1.0), (-0.5, 0.75), (0.0, 0.5), (0.5, 0.35), (1.0, 0.2), (3.0, 0.2)):
@@ -79,7 +81,7 @@ def test_gains_are_interpolated_over_the_scheduling_axis_and_held_beyond_its_end
         assert shaped[1, 0] == pytest.approx(first, abs=1e-12)
 
 
-def test_switching_on_the_way_makes_no_jump_in_position_or_speed():
+def test_switching_on_the_way_makes_no_jump_in_position_or_speed() -> None:
     shaper = ReferenceShaper(AXES, [shaper_of([2.0, -1.0, -0.5, 0.5], [0, 20, 30, 40])], FREE, RATE)
     times = np.arange(1500) / RATE
     raw = np.column_stack([np.zeros(1500), 0.5 * np.sin(2.0 * times)])
@@ -91,7 +93,8 @@ def test_switching_on_the_way_makes_no_jump_in_position_or_speed():
         if k == 900:
             shaper.switch(False)
         shaper.step(raw[k], out[k])
-    blend = round(BLEND_S * RATE)
+    fade_s = 0.5  # the design value: half a second from raw to shaped
+    blend = round(fade_s * RATE)
     assert (out[:400] == raw[:400]).all()
     assert (out[900 + blend :] == raw[900 + blend :]).all()
     always = run(ReferenceShaper(AXES, [shaper_of([2.0, -1.0, -0.5, 0.5], [0, 20, 30, 40])], FREE, RATE), raw, raw[0])
@@ -99,10 +102,10 @@ def test_switching_on_the_way_makes_no_jump_in_position_or_speed():
     apart = np.abs(always - raw).max()
     acceleration = np.abs(np.diff(out[:, 1], 2)).max() * RATE**2
     by_itself = max(np.abs(np.diff(each[50:, 1], 2)).max() for each in (raw, always)) * RATE**2
-    assert acceleration < by_itself + apart * 5.78 / BLEND_S**2 + 4.0 * 1.9 / BLEND_S
+    assert acceleration < by_itself + apart * 5.78 / fade_s**2 + 4.0 * 1.9 / fade_s
 
 
-def test_range_and_speed_are_held_whatever_comes():
+def test_range_and_speed_are_held_whatever_comes() -> None:
     limits = (FREE[0], AxisLimits("roll", -1.0, 1.0, 2.0, 10.0, 100.0, 0.1))
     shaper = ReferenceShaper(AXES, [shaper_of([3.0, -2.0], [0, 10])], limits, RATE)
     raw = np.zeros((200, 2))
@@ -118,7 +121,7 @@ def test_range_and_speed_are_held_whatever_comes():
     assert out[-1, 1] == 0.9
 
 
-def test_a_missing_reference_repeats_the_last_one():
+def test_a_missing_reference_repeats_the_last_one() -> None:
     raw = np.tile([0.0, 0.2], (100, 1))
     gap = raw.copy()
     gap[40:45, 1] = np.nan
@@ -127,7 +130,7 @@ def test_a_missing_reference_repeats_the_last_one():
     assert (through[0] == through[1]).all()
 
 
-def test_a_shaper_that_would_end_a_move_elsewhere_is_refused():
+def test_a_shaper_that_would_end_a_move_elsewhere_is_refused() -> None:
     with pytest.raises(DesignError, match=r"H\(0\) = 0\.03"):
         ReferenceShaper(AXES, [shaper_of([0.3970, -0.0087, -0.3583], [0, 569, 1138])], FREE, RATE)
     with pytest.raises(DesignError, match=r"H\(0\) = 0\.9"):
@@ -144,19 +147,19 @@ def test_a_shaper_that_would_end_a_move_elsewhere_is_refused():
         ({"tail": np.ones((1, 5))}, "second-order sections"),
     ],
 )
-def test_what_is_no_shaper_is_refused(fields, message):
+def test_what_is_no_shaper_is_refused(fields: dict[str, list[float | list[float]] | np.ndarray], message: str) -> None:
     given_fields = {"gains": [[0.5, 0.2, 0.3]], "delays": [0, 5, 9]} | fields
     with pytest.raises(DesignError, match=message):
         shaper_of(given_fields.pop("gains"), given_fields.pop("delays"), **given_fields)
 
 
-def test_unknown_and_doubled_axes_are_refused():
+def test_unknown_and_doubled_axes_are_refused() -> None:
     with pytest.raises(DesignError, match="no axis 'yaw'"):
         ReferenceShaper(AXES, [shaper_of([1.0], [0], axis="yaw")], FREE, RATE)
     with pytest.raises(DesignError, match="more than one"):
         ReferenceShaper(AXES, [shaper_of([1.0], [0])] * 2, FREE, RATE)
 
 
-def test_delays_between_samples_are_refused():
+def test_delays_between_samples_are_refused() -> None:
     with pytest.raises(DesignError, match="no whole samples"):
         axis_shaper("roll", [DelayFilter(np.array([0.0, 0.0101]), np.array([0.5, 0.5]))], RATE)

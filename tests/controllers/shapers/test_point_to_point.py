@@ -15,7 +15,7 @@ from controllers.shapers.point_to_point import ei, multi_mode, two_hump_ei, zv, 
 from controllers.shapers.sampled import on_samples
 
 
-def residual_vibration(shaper, frequency, damping):
+def residual_vibration(shaper: DelayFilter, frequency: float, damping: float) -> float:
     """Singer and Seering: amplitude of a mode after impulses A_k at t_k, over that after one impulse at the last t_k."""
     damped = frequency * np.sqrt(1.0 - damping**2)
     grown = shaper.gains * np.exp(damping * frequency * shaper.delays_s)
@@ -25,7 +25,7 @@ def residual_vibration(shaper, frequency, damping):
 
 @given(frequency=st.floats(0.5, 200.0), damping=st.floats(0.0, 0.3))
 @settings(max_examples=50, deadline=None)
-def test_zv_and_zvd_leave_nothing_and_move_all_the_way(frequency, damping):
+def test_zv_and_zvd_leave_nothing_and_move_all_the_way(frequency: float, damping: float) -> None:
     for make in (zv, zvd):
         shaper = make(frequency, damping)
         assert residual_vibration(shaper, frequency, damping) < 1e-12
@@ -33,7 +33,7 @@ def test_zv_and_zvd_leave_nothing_and_move_all_the_way(frequency, damping):
         assert (shaper.gains > 0.0).all()
 
 
-def test_zvd_forgives_a_wrong_frequency_more_than_zv_and_ei_more_than_zvd():
+def test_zvd_forgives_a_wrong_frequency_more_than_zv_and_ei_more_than_zvd() -> None:
     wide = {
         make: [abs(s) for s in np.linspace(-0.5, 0.5, 2001) if residual_vibration(make(10.0, 0.0), 10.0 * (1 + s), 0.0) < 0.05]
         for make in (zv, zvd, ei, two_hump_ei)
@@ -43,14 +43,14 @@ def test_zvd_forgives_a_wrong_frequency_more_than_zv_and_ei_more_than_zvd():
     assert insensitivity == pytest.approx([0.064, 0.286, 0.398, 0.726], abs=0.004)
 
 
-def test_ei_leaves_5_percent_at_the_modelled_frequency_and_none_beside_it():
+def test_ei_leaves_5_percent_at_the_modelled_frequency_and_none_beside_it() -> None:
     beside = [residual_vibration(ei(10.0, 0.0), 10.0 * (1 + s), 0.0) for s in np.linspace(-0.2, 0.2, 4001)]
     assert beside[2000] == pytest.approx(0.05, abs=1e-12)
     assert min(beside[:2000]) < 1e-4
     assert min(beside[2001:]) < 1e-4
 
 
-def test_a_convolution_has_the_zeros_of_both():
+def test_a_convolution_has_the_zeros_of_both() -> None:
     modes = [(52.6, 0.055), (88.3, 0.0124)]
     shaper = multi_mode(zv, modes)
     assert len(shaper.gains) == 4
@@ -58,11 +58,11 @@ def test_a_convolution_has_the_zeros_of_both():
         assert residual_vibration(shaper, *mode) < 1e-12
 
 
-def test_taps_that_fall_together_are_joined():
+def test_taps_that_fall_together_are_joined() -> None:
     assert len(zv(10.0, 0.0).then(zv(10.0, 0.0)).gains) == 3
 
 
-def test_moved_onto_samples_the_zeros_stay_exact():
+def test_moved_onto_samples_the_zeros_stay_exact() -> None:
     frequency, damping = 2 * np.pi * 8.37, 0.0554
     shaper = zv(frequency, damping)
     poles = [complex(-damping * frequency, frequency * np.sqrt(1 - damping**2))]
@@ -76,12 +76,12 @@ def test_moved_onto_samples_the_zeros_stay_exact():
 
 
 @pytest.mark.parametrize(("frequency", "damping"), [(0.0, 0.1), (10.0, 1.0), (10.0, -0.1), (float("nan"), 0.1)])
-def test_a_mode_that_is_none_is_refused(frequency, damping):
+def test_a_mode_that_is_none_is_refused(frequency: float, damping: float) -> None:
     with pytest.raises(DesignError, match="positive frequency, damping 0 to below 1"):
         zv(frequency, damping)
 
 
-def test_the_residual_of_a_simulated_step_is_what_the_formula_says():
+def test_the_residual_of_a_simulated_step_is_what_the_formula_says() -> None:
     frequency, damping = 10.0, 0.05
     plant = Dynamics.from_modes([(frequency, damping, 1.0)])
     shaper = zvd(1.1 * frequency, damping)

@@ -10,7 +10,7 @@ from thesis_plants import DAMPING, FORCING_7_2, NATURAL, TABLE_7_2, example_7_1,
 from controllers.shapers.conditions import residuals
 from controllers.shapers.delays import DelayFilter
 from controllers.shapers.dynamics import Dynamics
-from controllers.shapers.harmonic import harmonic, harmonic_conditions
+from controllers.shapers.harmonic_time_delay import harmonic, harmonic_conditions
 from controllers.shapers.point_to_point import zv
 from controllers.shapers.second_order import second_order
 from hil.shaping.response import shaped_reference, shaped_response, sinusoids
@@ -18,11 +18,11 @@ from hil.shaping.response import shaped_reference, shaped_response, sinusoids
 NONE = DelayFilter(np.zeros(1), np.ones(1))
 
 
-def rms(values):
+def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def test_example_7_1_is_met_to_the_printed_digits():
+def test_example_7_1_is_met_to_the_printed_digits() -> None:
     shaper = second_order(NATURAL, DAMPING, 0.7)
     assert shaper.gains == pytest.approx([0.3970, -0.0087, -0.3583], abs=5e-5)
     assert shaper.delays_s == pytest.approx([0.0, 2.2219, 4.4438], abs=5e-5)
@@ -31,31 +31,31 @@ def test_example_7_1_is_met_to_the_printed_digits():
     assert point_to_point.delays_s[1] == pytest.approx(2.22189, abs=5e-6)
 
 
-def test_example_7_1_tracks_and_has_no_gain_at_zero():
+def test_example_7_1_tracks_and_has_no_gain_at_zero() -> None:
     shaper, plant = second_order(NATURAL, DAMPING, 0.7), example_7_1()
     assert complex(shaper.response(0.7j) * plant.response(0.7j)) == pytest.approx(1.0, abs=1e-12)
     assert complex(shaper.response(0.0)).real == pytest.approx(0.03, abs=5e-3)
 
 
-def test_example_7_2_beyond_the_resonance():
+def test_example_7_2_beyond_the_resonance() -> None:
     assert second_order(NATURAL, DAMPING, 3.0).gains == pytest.approx([-2.5477, -1.6030, 0.7414], abs=5e-5)
 
 
 @pytest.mark.parametrize("forcing", [0.3, 0.7, 1.2, 1.6, 3.0, 4.0])
 @pytest.mark.parametrize("half_periods", [1, 2, 3])
-def test_the_closed_form_cancels_the_poles_and_tracks_on_either_side_of_the_resonance(forcing, half_periods):
+def test_the_closed_form_cancels_the_poles_and_tracks_on_either_side_of_the_resonance(forcing: float, half_periods: int) -> None:
     shaper, plant = second_order(NATURAL, DAMPING, forcing, half_periods), example_7_1()
     assert np.abs(shaper.response(plant.poles)).max() < 1e-12 * shaper.gain_sum
     assert complex(shaper.response(1j * forcing) * plant.response(1j * forcing)) == pytest.approx(1.0, abs=1e-12)
 
 
-def test_table_7_2_normal_is_met_to_the_printed_digits():
+def test_table_7_2_normal_is_met_to_the_printed_digits() -> None:
     plant, tail = sixth_order()
     shaper = harmonic(harmonic_conditions(plant, FORCING_7_2), 0.75, tail=tail)
     assert shaper.gains == pytest.approx(TABLE_7_2, abs=1e-4)
 
 
-def test_the_robust_filter_of_table_7_2_meets_its_own_conditions():
+def test_the_robust_filter_of_table_7_2_meets_its_own_conditions() -> None:
     plant, tail = sixth_order()
     second = [pole for pole in plant.poles if abs(abs(pole) - 2.5) < 0.1]
     conditions = harmonic_conditions(plant, FORCING_7_2, robust_poles=second, robust_forcing_rad_s=[2.2])
@@ -72,7 +72,7 @@ def test_the_robust_filter_of_table_7_2_meets_its_own_conditions():
     assert abs(through[0] - through[1]) / (2 * step) < 1e-4
 
 
-def test_within_10_percent_the_robust_filter_tracks_better_and_rings_no_more_than_the_normal_one():
+def test_within_10_percent_the_robust_filter_tracks_better_and_rings_no_more_than_the_normal_one() -> None:
     plant, tail = sixth_order()
     second = [pole for pole in plant.poles if abs(abs(pole) - 2.5) < 0.1]
     normal = harmonic(harmonic_conditions(plant, FORCING_7_2), 0.75, tail=tail)
@@ -91,7 +91,7 @@ def test_within_10_percent_the_robust_filter_tracks_better_and_rings_no_more_tha
 
 
 @pytest.mark.parametrize("robust", [False, True])
-def test_signal_7_40_is_tracked_exactly_once_the_transient_is_over(robust):
+def test_signal_7_40_is_tracked_exactly_once_the_transient_is_over(robust: bool) -> None:
     plant, tail = sixth_order()
     second = [pole for pole in plant.poles if abs(abs(pole) - 2.5) < 0.1] if robust else []
     shaper = harmonic(
@@ -105,7 +105,7 @@ def test_signal_7_40_is_tracked_exactly_once_the_transient_is_over(robust):
     assert np.abs(shaped_response(plant, NONE, reference, times) - reference.at(times)).max() > 1.0
 
 
-def test_a_filter_that_leaves_a_pole_tracks_but_never_settles_in_time():
+def test_a_filter_that_leaves_a_pole_tracks_but_never_settles_in_time() -> None:
     plant, tail = sixth_order()
     kept = [pole for pole in plant.poles if abs(abs(pole) - 3.0) > 0.1]
     shaper = harmonic(harmonic_conditions(plant, FORCING_7_2, kept), 0.75, tail=tail)
@@ -114,7 +114,7 @@ def test_a_filter_that_leaves_a_pole_tracks_but_never_settles_in_time():
     assert np.abs(error).max() > 1e-3
 
 
-def test_the_exact_response_agrees_with_scipys_integration():
+def test_the_exact_response_agrees_with_scipys_integration() -> None:
     plant, shaper = example_7_1(), second_order(NATURAL, DAMPING, 0.7)
     reference, times = sinusoids([1.0, 0.3], [0.7, 2.1], [0.4, -1.0]), np.linspace(0.0, 15.0, 60001)
     force = shaped_reference(shaper, reference, times)
@@ -123,7 +123,7 @@ def test_the_exact_response_agrees_with_scipys_integration():
 
 
 @pytest.mark.parametrize(("wave", "better"), [("triangle", 50.0), ("block", 4.0)])
-def test_example_7_3_a_few_harmonics_track_what_cannot_be_differentiated(wave, better):
+def test_example_7_3_a_few_harmonics_track_what_cannot_be_differentiated(wave: str, better: float) -> None:
     plant = example_7_1()
     shaper = harmonic(harmonic_conditions(plant, [1.0, 3.0, 5.0, 7.0, 11.0]), 0.315)
     k = np.arange(100)
@@ -137,7 +137,7 @@ def test_example_7_3_a_few_harmonics_track_what_cannot_be_differentiated(wave, b
     assert before > better * after
 
 
-def test_a_first_order_plant_both_ways():
+def test_a_first_order_plant_both_ways() -> None:
     plant = Dynamics.from_polynomials([1.0], [1.0, 1.0])
     cancelled = harmonic(harmonic_conditions(plant, [0.7]), 0.8)
     gain_only = harmonic(harmonic_conditions(plant, [0.7], cancelled=()), 0.8)

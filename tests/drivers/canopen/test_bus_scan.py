@@ -1,5 +1,7 @@
 """Who is on a bus: against scripted nodes, and against the `canopen` library's own nodes on python-can's virtual bus."""
 
+from __future__ import annotations
+
 import uuid
 
 import can
@@ -7,18 +9,18 @@ import canopen
 import pytest
 from scripted_nodes import EDS, BusClock, ScriptedBus, ScriptedDrive, ScriptedEncoder, ScriptedNode
 
-from drivers.canopen.scan import scan_bus
+from drivers.canopen.scan import FoundNode, scan_bus
 from drivers.errors import DuplicateNodeError
 from drivers.settings import Identity
 from hil.bench.clock import WallClock
 
 
-def scan(*nodes: ScriptedNode):
+def scan(*nodes: ScriptedNode) -> list[FoundNode]:
     bus = ScriptedBus(*nodes)
     return scan_bus(bus, BusClock(bus))
 
 
-def test_nodes_are_found_with_type_identity_state_and_name():
+def test_nodes_are_found_with_type_identity_state_and_name() -> None:
     drive = ScriptedDrive(3)
     drive.set(0x1017, 0, 100)
     drive.state = 0x05
@@ -34,7 +36,7 @@ def test_nodes_are_found_with_type_identity_state_and_name():
     )
 
 
-def test_scanning_commands_nothing():
+def test_scanning_commands_nothing() -> None:
     drive = ScriptedDrive(3)
     bus = ScriptedBus(drive)
     scan_bus(bus, BusClock(bus))
@@ -42,7 +44,7 @@ def test_scanning_commands_nothing():
     assert all(0x601 <= can_id <= 0x67F and command in (0x40, 0x60, 0x70) for can_id, command in requests)  # uploads only
 
 
-def test_a_node_that_only_beats_is_listed():
+def test_a_node_that_only_beats_is_listed() -> None:
     mute = ScriptedDrive(9)
     mute.answers_sdo = False
     mute.set(0x1017, 0, 500)
@@ -50,20 +52,20 @@ def test_a_node_that_only_beats_is_listed():
     assert (node.node_id, node.device_type, node.nmt_state) == (9, -1, "pre-operational")
 
 
-def test_an_empty_bus_has_nobody():
+def test_an_empty_bus_has_nobody() -> None:
     assert scan() == []
 
 
-def test_two_answers_to_one_request_are_a_duplicate():
+def test_two_answers_to_one_request_are_a_duplicate() -> None:
     with pytest.raises(DuplicateNodeError, match="node id 5: two devices"):
         scan(ScriptedDrive(5), ScriptedDrive(5), ScriptedDrive(6))
 
 
-def test_twice_the_heartbeats_are_a_duplicate_even_when_answers_merge():
+def test_twice_the_heartbeats_are_a_duplicate_even_when_answers_merge() -> None:
     class Shadow(ScriptedDrive):
         """Sends the same bits at the same time as its twin: on a real bus its answers are not seen apart."""
 
-        def _sdo(self, data):
+        def _sdo(self, data: bytes) -> None:
             pass
 
     first, second = ScriptedDrive(5), Shadow(5)
@@ -74,7 +76,7 @@ def test_twice_the_heartbeats_are_a_duplicate_even_when_answers_merge():
         scan(first, second)
 
 
-def test_the_canopen_librarys_own_nodes_are_found_on_a_virtual_bus():
+def test_the_canopen_librarys_own_nodes_are_found_on_a_virtual_bus() -> None:
     channel = uuid.uuid4().hex
     network = canopen.Network(can.Bus(interface="virtual", channel=channel))
     network.connect()

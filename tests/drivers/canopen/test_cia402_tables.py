@@ -1,5 +1,7 @@
 """The drive's state machine against IEC 61800-7-201, its tables written out here once more."""
 
+from __future__ import annotations
+
 import itertools
 
 import pytest
@@ -50,7 +52,7 @@ def command_of(controlword: int) -> str:
     return next(name for pattern, name in CONTROLWORD.items() if matches(pattern, word))
 
 
-def test_every_statusword_decodes_as_the_standards_patterns_say():
+def test_every_statusword_decodes_as_the_standards_patterns_say() -> None:
     for statusword in range(1 << 16):
         expected = [state for pattern, state in STATUSWORD.items() if matches(pattern, format(statusword, "016b"))]
         assert len(expected) <= 1
@@ -58,12 +60,12 @@ def test_every_statusword_decodes_as_the_standards_patterns_say():
 
 
 @given(st.integers(0, 0xFFFF), st.integers(0, 0xFFFF))
-def test_bits_that_are_no_part_of_the_state_do_not_change_it(statusword, other):
+def test_bits_that_are_no_part_of_the_state_do_not_change_it(statusword: int, other: int) -> None:
     assert decode_state(statusword) is decode_state(statusword & 0x6F | other & ~0x6F)
 
 
 @pytest.mark.parametrize(("start", "goal"), list(itertools.product(COMMANDED, REACHABLE)))
-def test_following_the_controlwords_reaches_every_goal_by_the_standards_transitions(start, goal):
+def test_following_the_controlwords_reaches_every_goal_by_the_standards_transitions(start: State, goal: State) -> None:
     state = start
     for _ in range(6):
         command = command_of(next_controlword(state, goal))
@@ -71,17 +73,17 @@ def test_following_the_controlwords_reaches_every_goal_by_the_standards_transiti
     assert state is goal
 
 
-def test_quick_stop_is_entered_from_operation_enabled():
+def test_quick_stop_is_entered_from_operation_enabled() -> None:
     assert command_of(next_controlword(State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE)) == "quick stop"
 
 
 @pytest.mark.parametrize("state", [State.FAULT, State.FAULT_REACTION_ACTIVE, State.UNDEFINED])
 @pytest.mark.parametrize("goal", COMMANDED)
-def test_no_controlword_leaves_a_fault_on_its_own(state, goal):
+def test_no_controlword_leaves_a_fault_on_its_own(state: State, goal: State) -> None:
     assert next_controlword(state, goal) is None
 
 
-def test_no_controlword_on_any_path_has_the_fault_reset_bit():
+def test_no_controlword_on_any_path_has_the_fault_reset_bit() -> None:
     words = [next_controlword(state, goal) for state in State for goal in COMMANDED]
     assert all(word & 0x80 == 0 for word in words if word is not None)
 
@@ -98,10 +100,10 @@ def test_no_controlword_on_any_path_has_the_fault_reset_bit():
         ("111", Homing.FAILED),
     ],
 )
-def test_homing_progress_is_bits_13_12_and_10(bits_13_12_10, progress):
+def test_homing_progress_is_bits_13_12_and_10(bits_13_12_10: str, progress: Homing) -> None:
     error, attained, reached = (int(bit) for bit in bits_13_12_10)
     assert decode_homing(0x0237 & ~0x400 | error << 13 | attained << 12 | reached << 10) is progress
 
 
-def test_a_statusword_reads_as_words():
+def test_a_statusword_reads_as_words() -> None:
     assert describe_statusword(0x0AB7) == "operation enabled, warning, internal limit active (0AB7h)"

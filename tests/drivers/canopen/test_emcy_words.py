@@ -1,10 +1,14 @@
 """Emergency messages in words."""
 
+from __future__ import annotations
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.canopen.emcy import MAXON_VENDOR_ID, decode_emergency, describe_code, describe_register
+from drivers.canopen.emcy import decode_emergency, describe_code, describe_register
+
+MAXON = 0x0000_00FB  # of the vendor ids that CiA has assigned
 
 
 @pytest.mark.parametrize(
@@ -19,23 +23,24 @@ from drivers.canopen.emcy import MAXON_VENDOR_ID, decode_emergency, describe_cod
         ("34ff81deadbeef00", "EMCY FF34h: manufacturer specific (manufacturer), vendor bytes de ad be ef 00"),
     ],
 )
-def test_codes_and_registers_read_as_the_standards_words(frame, words):
+def test_codes_and_registers_read_as_the_standards_words(frame: str, words: str) -> None:
     assert decode_emergency(bytes.fromhex(frame)).describe() == words
 
 
-def test_a_maxon_drive_speaks_maxons_words():
-    assert describe_code(0x7390, MAXON_VENDOR_ID) == "missing main sensor"
+def test_a_maxon_drive_speaks_maxons_words() -> None:
+    assert describe_code(0x7390, MAXON) == "missing main sensor"
     assert describe_code(0x7390) == "additional modules"
-    assert describe_code(0x8A88, MAXON_VENDOR_ID) == "safe torque off"
+    assert describe_code(0x8A88, MAXON) == "safe torque off"
 
 
-def test_all_bits_of_the_error_register_are_named():
+def test_all_bits_of_the_error_register_are_named() -> None:
     assert describe_register(0b1011_1110) == "current, voltage, temperature, communication, device profile, manufacturer"
     assert describe_register(0) == ""
 
 
 @given(st.binary(max_size=8))
-def test_any_payload_becomes_one_line(data):
+def test_any_payload_becomes_one_line(data: bytes) -> None:
     emergency = decode_emergency(data)
-    assert emergency.describe().startswith("EMCY ") and "\n" not in emergency.describe()
+    assert emergency.describe().startswith("EMCY ")
+    assert "\n" not in emergency.describe()
     assert emergency.is_reset == (len(data) < 2 or data[1] == 0)

@@ -1,6 +1,9 @@
 """The drivers on the emulated C-arm, every frame encoded and decoded: nothing here is known to them but the wire."""
 
+from __future__ import annotations
+
 import dataclasses
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -10,6 +13,7 @@ from drivers.errors import DeviceFaultError
 from drivers.machine_link import CanMachine
 from hil.bench.clock import LockstepClock
 from hil.emulated.machine import build_emulated
+from hil.machine import Machine
 from hil.machine.load import load_machine
 from virtual_bus.lockstep import LockstepBus
 
@@ -19,14 +23,16 @@ POSE = np.array([0.3, -0.4])
 
 
 class Rig:
-    def __init__(self, machine=WITHOUT_IO, pose=POSE):
+    """A machine link and the emulated machine at the two ends of a lockstep bus."""
+
+    def __init__(self, machine: Machine = WITHOUT_IO, pose: np.ndarray = POSE) -> None:
         self.emulated = build_emulated(machine, pose, noise=False)
         self.bus = LockstepBus(self.emulated)
         self.clock = LockstepClock(self.bus.pass_time, lambda: self.bus.time_s)
         self.link = CanMachine(machine.bus, self.bus, self.clock)
         self.holding = self.emulated.physics.holding_effort(pose)
 
-    def ready(self):
+    def ready(self) -> Rig:
         self.link.start()
         self.link.home(self.holding, check_first_move=False)
         self.link.enable(lambda _: self.holding)
@@ -34,13 +40,13 @@ class Rig:
 
 
 @pytest.fixture
-def rig():
+def rig() -> Iterator[Rig]:
     rig = Rig()
     yield rig
     rig.bus.shutdown()
 
 
-def test_a_scan_finds_the_four_nodes_with_what_they_are(rig):
+def test_a_scan_finds_the_four_nodes_with_what_they_are(rig: Rig) -> None:
     found = scan_bus(rig.bus, rig.clock)
     assert [(node.node_id, node.description, node.identity.product_code) for node in found] == [
         (1, "servo drive (CiA 402)", 0x49534F01),
@@ -50,12 +56,12 @@ def test_a_scan_finds_the_four_nodes_with_what_they_are(rig):
     ]
 
 
-def test_start_meets_no_object_that_the_devices_lack(rig):
+def test_start_meets_no_object_that_the_devices_lack(rig: Rig) -> None:
     rig.link.start()
     assert rig.link.notes == ()
 
 
-def test_homing_finds_the_pose_the_machine_was_put_at(rig):
+def test_homing_finds_the_pose_the_machine_was_put_at(rig: Rig) -> None:
     rig.link.start()
     rig.link.home(rig.holding, check_first_move=False)
     sample = rig.link.exchange(np.zeros(2))
@@ -64,7 +70,7 @@ def test_homing_finds_the_pose_the_machine_was_put_at(rig):
     assert sample.link_position == pytest.approx(POSE, abs=windup)
 
 
-def test_homing_on_the_encoders_index_pulse_agrees_with_the_link_encoder():
+def test_homing_on_the_encoders_index_pulse_agrees_with_the_link_encoder() -> None:
     settings = WITHOUT_IO.bus
     turn = 4096 * settings.scalings[0].position_resolution  # of the motor, at the joint: the pulse below the start is the first above zero
     nodes = tuple(dataclasses.replace(node, writes=((0x607C, 0, 4096),)) if node.role == "drive" else node for node in settings.nodes)
@@ -79,14 +85,14 @@ def test_homing_on_the_encoders_index_pulse_agrees_with_the_link_encoder():
     rig.bus.shutdown()
 
 
-def test_the_first_move_check_passes_on_a_healthy_machine_and_moves_little(rig):
+def test_the_first_move_check_passes_on_a_healthy_machine_and_moves_little(rig: Rig) -> None:
     rig.link.start()
     lines = rig.link.home(rig.holding)
     assert [("the right way" in line, "differ by" in line) for line in lines] == [(True, False), (False, True)] * 2
     assert rig.link.exchange(np.zeros(2)).position == pytest.approx(POSE, abs=0.01)
 
 
-def test_the_effort_of_a_row_answers_to_the_command_before_it(rig):
+def test_the_effort_of_a_row_answers_to_the_command_before_it(rig: Rig) -> None:
     rig.ready()
     commands = [rig.holding + np.array([0.5, -0.25]) * (-1) ** k for k in range(6)]
     for command in commands:
@@ -94,7 +100,7 @@ def test_the_effort_of_a_row_answers_to_the_command_before_it(rig):
         assert sample.effort == pytest.approx(command, abs=0.005)  # one per mille of 5 A
 
 
-def test_a_positive_command_accelerates_towards_positive_position(rig):
+def test_a_positive_command_accelerates_towards_positive_position(rig: Rig) -> None:
     rig.ready()
     start = rig.link.exchange(rig.holding).position.copy()
     for _ in range(100):
@@ -103,7 +109,7 @@ def test_a_positive_command_accelerates_towards_positive_position(rig):
     assert sample.position[1] < start[1] - 1e-3
 
 
-def test_a_bench_that_dies_leaves_motors_that_stop_by_themselves_and_the_next_start_recovers(rig):
+def test_a_bench_that_dies_leaves_motors_that_stop_by_themselves_and_the_next_start_recovers(rig: Rig) -> None:
     rig.ready()
     rig.link.exchange(rig.holding)
     rig.bus.pass_time(1.0)  # no heartbeat any more
@@ -115,7 +121,7 @@ def test_a_bench_that_dies_leaves_motors_that_stop_by_themselves_and_the_next_st
     assert successor.exchange(rig.holding).fault == ""
 
 
-def test_silence_while_running_is_explained_by_the_drives_own_emergency(rig):
+def test_silence_while_running_is_explained_by_the_drives_own_emergency(rig: Rig) -> None:
     rig.ready()
     rig.link.exchange(rig.holding)
     rig.bus.pass_time(1.0)
@@ -123,7 +129,7 @@ def test_silence_while_running_is_explained_by_the_drives_own_emergency(rig):
         rig.link.exchange(rig.holding)
 
 
-def test_stop_leaves_no_drive_enabled(rig):
+def test_stop_leaves_no_drive_enabled(rig: Rig) -> None:
     rig.ready()
     rig.link.stop()
     assert rig.link.stop_trouble == []

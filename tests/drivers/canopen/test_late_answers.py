@@ -112,5 +112,5 @@ LOST = float("nan")
     ],
 )
 @pytest.mark.parametrize("awake_s", [0.0, 5e-4, 1.0], ids=["asleep", "awake at first", "awake"])
-def test_a_late_answer_is_not_taken_for_the_next_syncs(delays, expected, awake_s):
+def test_a_late_answer_is_not_taken_for_the_next_syncs(delays: list[float | None], expected: list[float], awake_s: float) -> None:
     assert rows(delays, len(expected), awake_s) == pytest.approx(expected, nan_ok=True)

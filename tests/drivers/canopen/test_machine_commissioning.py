@@ -1,46 +1,51 @@
 """Enabling, fault reset, brakes, the first move, homing: each step checks, and a check that fails leaves the machine at rest."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from machine_rig import RESOLUTION, ZERO, Rig
 from scripted_nodes import PERIOD_S, ScriptedDrive
 
 from drivers.errors import BusTimeoutError, DeviceFaultError, MotionRefusedError
+from drivers.interface import Sample
 
 
 @pytest.fixture
-def rig():
+def rig() -> Rig:
     rig = Rig()
     rig.machine.start()
     return rig
 
 
-def controlwords(rig, axis=0):
+def controlwords(rig: Rig, axis: int = 0) -> list[int]:
     words = [int.from_bytes(data[:2], "little") for data in rig.bus.sent(0x201 + axis)]
     return [word for k, word in enumerate(words) if k == 0 or word != words[k - 1]]
 
 
-def test_enabling_walks_through_the_states_in_order(rig):
+def test_enabling_walks_through_the_states_in_order(rig: Rig) -> None:
     rig.machine.enable()
     assert controlwords(rig) == [0x0000, 0x0006, 0x0007, 0x000F]
     assert [drive.power for drive in rig.drives] == ["operation enabled"] * 2
     assert [drive.value(0x6061) for drive in rig.drives] == [10, 10]
 
 
-def test_a_drive_that_does_not_enable_is_named_with_its_state(rig):
+def test_a_drive_that_does_not_enable_is_named_with_its_state(rig: Rig) -> None:
     rig.drives[1].refuses_enable = True
     with pytest.raises(BusTimeoutError, match=r"not operation enabled within 2\.0 s: roll_drive is switched on"):
         rig.machine.enable()
     assert rig.at_rest()
 
 
-def test_a_drive_that_keeps_another_mode_is_refused(rig):
+def test_a_drive_that_keeps_another_mode_is_refused(rig: Rig) -> None:
     rig.drives[0].written = lambda *_: None
     with pytest.raises(MotionRefusedError, match=r"propeller_drive \(node 1\): stays in mode 0, mode 10 \(cyclic synchronous torque\)"):
         rig.machine.enable()
 
 
-def test_a_fault_whose_cause_is_gone_is_reset_by_a_rising_edge_and_then_enabled_only_by_the_states(rig):
+def test_a_fault_whose_cause_is_gone_is_reset_by_a_rising_edge_and_then_enabled_only_by_the_states(rig: Rig) -> None:
     drive = rig.drives[0]
     drive.fail(0x8130)
     drive.fault_cause = False
@@ -52,7 +57,7 @@ def test_a_fault_whose_cause_is_gone_is_reset_by_a_rising_edge_and_then_enabled_
     assert drive.power == "operation enabled"
 
 
-def test_a_fault_that_a_reset_does_not_clear_is_told_with_its_cause(rig):
+def test_a_fault_that_a_reset_does_not_clear_is_told_with_its_cause(rig: Rig) -> None:
     rig.drives[1].fail(0x3220)
     rig.machine.exchange(ZERO)
     with pytest.raises(DeviceFaultError, match=r"roll_drive \(node 2\): fault .*EMCY 3220h: DC link undervoltage.* did not clear"):
@@ -60,7 +65,7 @@ def test_a_fault_that_a_reset_does_not_clear_is_told_with_its_cause(rig):
     assert rig.drives[0].power == "switch on disabled"  # nobody was enabled on the way
 
 
-def test_without_an_emergency_the_error_code_object_explains_a_fault(rig):
+def test_without_an_emergency_the_error_code_object_explains_a_fault(rig: Rig) -> None:
     rig.drives[0].power, rig.drives[0].fault_cause = "fault", True
     rig.drives[0].set(0x603F, 0, 0x4310)
     rig.machine.exchange(ZERO)
@@ -70,7 +75,7 @@ def test_without_an_emergency_the_error_code_object_explains_a_fault(rig):
 
 @pytest.mark.parametrize(("switch", "words"), [("hold_to_run", "hold-to-run is not pressed"), ("door_closed", "the door is open")])
 @pytest.mark.parametrize("method", ["enable", "home"])
-def test_nothing_moves_without_permission(rig, switch, words, method):
+def test_nothing_moves_without_permission(rig: Rig, switch: str, words: str, method: str) -> None:
     setattr(rig.io, switch, False)
     with pytest.raises(MotionRefusedError, match=words):
         getattr(rig.machine, method)()
@@ -85,11 +90,11 @@ TAKEN_BACK = {
 }
 
 
-def take_back_when(rig, happens, take_back):
+def take_back_when(rig: Rig, happens: Callable[..., object], take_back: Callable[..., object]) -> list[object]:
     """Take the permission back in the first tick in which something is so; the SYNCs on the bus by then are returned when asked."""
     synced, update, at = rig.bus.sent, rig.io.update, []
 
-    def watch(sample):
+    def watch(sample: Sample) -> None:
         if not at and happens():
             at.append(len(synced(0x080)))
             take_back(rig.io)
@@ -101,7 +106,7 @@ def take_back_when(rig, happens, take_back):
 
 @pytest.mark.parametrize(("take_back", "words"), TAKEN_BACK.values(), ids=TAKEN_BACK.keys())
 @pytest.mark.parametrize("stage", ["pushed", "homed", "held", "opening", "closing"])
-def test_permission_taken_back_ends_every_procedure_in_the_same_tick(stage, take_back, words):
+def test_permission_taken_back_ends_every_procedure_in_the_same_tick(stage: str, take_back: Callable[..., object], words: str) -> None:
     rig = Rig(method=33)
     machine, drive = rig.machine, rig.drives[0]
     machine.start()
@@ -132,26 +137,27 @@ def test_permission_taken_back_ends_every_procedure_in_the_same_tick(stage, take
     assert rig.at_rest()
 
 
-def test_a_machine_without_io_needs_nobodys_permission():
+def test_a_machine_without_io_needs_nobodys_permission() -> None:
     rig = Rig(io=False)
     rig.machine.start()
     rig.machine.sample.hold_to_run = rig.machine.sample.door_closed = False
     rig.machine.home(check_first_move=False)
 
 
-def test_brakes_open_only_after_the_drives_hold(rig):
+def test_brakes_open_only_after_the_drives_hold(rig: Rig) -> None:
     rig.machine.enable()
     holding = np.array([0.5, -0.5])
     rig.drives[0].gravity, rig.drives[1].gravity = 100, -100  # per mille that the holding effort balances
     rig.bus.log.clear()
     rig.machine.release_brakes(lambda _: holding)
     held = rig.bus.sent(0x201)[: round(0.05 / PERIOD_S)]
-    assert all(data[2:] == (100).to_bytes(2, "little") for data in held) and rig.io.opened_at_sync >= len(held)
+    assert all(data[2:] == (100).to_bytes(2, "little") for data in held)
+    assert rig.io.opened_at_sync >= len(held)
     assert all(drive.brake_open for drive in rig.drives)
     assert [drive.counts for drive in rig.drives] == [1000.0, 1000.0]
 
 
-def test_a_brake_whose_feedback_does_not_follow_is_refused(rig):
+def test_a_brake_whose_feedback_does_not_follow_is_refused(rig: Rig) -> None:
     rig.machine.enable()
     rig.io.jammed = {"roll"}
     with pytest.raises(MotionRefusedError, match=r"brake of roll: not open within 1\.0 s"):
@@ -159,7 +165,7 @@ def test_a_brake_whose_feedback_does_not_follow_is_refused(rig):
     assert rig.at_rest()
 
 
-def test_brakes_of_a_silent_io_are_never_taken_for_closed(rig):
+def test_brakes_of_a_silent_io_are_never_taken_for_closed(rig: Rig) -> None:
     rig.machine.enable()
     rig.machine.release_brakes(lambda _: ZERO)
     rig.io.age_s = 10.0
@@ -167,7 +173,7 @@ def test_brakes_of_a_silent_io_are_never_taken_for_closed(rig):
         rig.machine.close_brakes(lambda _: ZERO)
 
 
-def test_a_fault_of_any_node_ends_a_procedure(rig):
+def test_a_fault_of_any_node_ends_a_procedure(rig: Rig) -> None:
     rig.machine.enable()
     rig.encoders[0].emergency(0x5000)
     with pytest.raises(DeviceFaultError, match=r"propeller_encoder .*device hardware"):
@@ -175,7 +181,7 @@ def test_a_fault_of_any_node_ends_a_procedure(rig):
     assert rig.at_rest()
 
 
-def test_closing_the_brakes_is_the_way_back(rig):
+def test_closing_the_brakes_is_the_way_back(rig: Rig) -> None:
     rig.machine.enable()
     rig.machine.release_brakes(lambda _: ZERO)
     rig.machine.close_brakes(lambda _: ZERO)
@@ -186,18 +192,19 @@ def test_closing_the_brakes_is_the_way_back(rig):
 # ---- the first move
 
 
-def test_homing_checks_each_axis_and_reports_what_it_saw(rig):
+def test_homing_checks_each_axis_and_reports_what_it_saw(rig: Rig) -> None:
     lines = rig.machine.home()
     assert [line.split(":")[0] for line in lines] == ["propeller", "propeller", "roll", "roll"]
-    assert "the right way" in lines[0] and "differ by" in lines[1]
+    assert "the right way" in lines[0]
+    assert "differ by" in lines[1]
     assert rig.at_rest()
 
 
-def test_only_the_axis_under_check_has_voltage_and_an_open_brake(rig):
+def test_only_the_axis_under_check_has_voltage_and_an_open_brake(rig: Rig) -> None:
     seen = set()
     original = ScriptedDrive.on_sync
 
-    def watch(drive):
+    def watch(drive: ScriptedDrive) -> None:
         original(drive)
         seen.add(tuple((d.power == "operation enabled", d.brake_open) for d in rig.drives))
 
@@ -209,7 +216,7 @@ def test_only_the_axis_under_check_has_voltage_and_an_open_brake(rig):
     assert not any((first[0] and second[0]) or (first[1] and second[1]) for first, second in seen)
 
 
-def test_an_axis_that_moves_the_wrong_way_is_refused_after_the_least_travel(rig):
+def test_an_axis_that_moves_the_wrong_way_is_refused_after_the_least_travel(rig: Rig) -> None:
     rig.drives[0].direction = -1
     with pytest.raises(MotionRefusedError, match=r"propeller: moved -.* on a positive effort; motor wiring"):
         rig.machine.home()
@@ -217,7 +224,7 @@ def test_an_axis_that_moves_the_wrong_way_is_refused_after_the_least_travel(rig)
     assert abs(rig.drives[0].counts - 1000) * RESOLUTION < 4 * 3.5e-4
 
 
-def test_an_axis_that_does_not_move_is_refused_and_never_pushed_harder_than_allowed(rig):
+def test_an_axis_that_does_not_move_is_refused_and_never_pushed_harder_than_allowed(rig: Rig) -> None:
     rig.drives[0].friction = 1000
     rig.bus.log.clear()
     with pytest.raises(MotionRefusedError, match=r"propeller: moved \+0\.00e\+00 rad where 3\.50e-04 was expected within 2\.0 s at 0\.3"):
@@ -227,27 +234,27 @@ def test_an_axis_that_does_not_move_is_refused_and_never_pushed_harder_than_allo
     assert rig.at_rest()
 
 
-def test_an_axis_that_falls_under_its_holding_effort_is_told_so_and_not_pushed(rig):
+def test_an_axis_that_falls_under_its_holding_effort_is_told_so_and_not_pushed(rig: Rig) -> None:
     rig.drives[0].gravity = 1
     with pytest.raises(MotionRefusedError, match=r"propeller: moves by -.* under its holding effort of 0 alone"):
         rig.machine.home()
     assert rig.at_rest()
 
 
-def test_a_holding_effort_that_balances_lets_the_check_pass(rig):
+def test_a_holding_effort_that_balances_lets_the_check_pass(rig: Rig) -> None:
     rig.drives[0].gravity = 100
     rig.machine.home(np.array([0.5, 0.0]))
     assert rig.at_rest()
 
 
-def test_a_link_encoder_that_counts_backwards_is_found(rig):
+def test_a_link_encoder_that_counts_backwards_is_found(rig: Rig) -> None:
     rig.encoders[1].direction = -1
     with pytest.raises(MotionRefusedError, match=r"roll: the motor side moved .* the link encoder counts the wrong way"):
         rig.machine.home()
     assert rig.at_rest()
 
 
-def test_the_check_can_be_left_out_where_nothing_may_move(rig):
+def test_the_check_can_be_left_out_where_nothing_may_move(rig: Rig) -> None:
     rig.machine.home(check_first_move=False)
     assert [drive.counts for drive in rig.drives] == [0.0, 0.0]  # homed where they stood
     assert rig.io.history == []

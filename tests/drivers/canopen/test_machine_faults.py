@@ -1,5 +1,9 @@
 """Things go wrong in a tick: the machine is at rest before anybody is told what it was."""
 
+from __future__ import annotations
+
+from typing import Never
+
 import can
 import pytest
 from machine_rig import ZERO, Rig
@@ -14,11 +18,16 @@ from drivers.errors import (
 
 
 @pytest.fixture
-def rig():
+def rig() -> Rig:
     return Rig()
 
 
-def test_a_drive_that_falls_into_fault_stops_everything_and_is_explained(rig):
+def exchange(rig: Rig, ticks: int) -> None:
+    for _ in range(ticks):
+        rig.machine.exchange(ZERO)
+
+
+def test_a_drive_that_falls_into_fault_stops_everything_and_is_explained(rig: Rig) -> None:
     rig.ready()
     rig.drives[1].fail(0x2310)
     with pytest.raises(
@@ -29,7 +38,7 @@ def test_a_drive_that_falls_into_fault_stops_everything_and_is_explained(rig):
     assert decode_emergency(rig.bus.sent(0x082)[-1]).code == 0x2310
 
 
-def test_a_drive_that_is_switched_off_by_somebody_else_is_a_fault(rig):
+def test_a_drive_that_is_switched_off_by_somebody_else_is_a_fault(rig: Rig) -> None:
     rig.ready()
     rig.drives[0].power = "switched on"
     rig.drives[0].refuses_enable = True
@@ -38,7 +47,7 @@ def test_a_drive_that_is_switched_off_by_somebody_else_is_a_fault(rig):
     assert rig.at_rest()
 
 
-def test_an_emergency_of_any_node_is_in_the_sample(rig):
+def test_an_emergency_of_any_node_is_in_the_sample(rig: Rig) -> None:
     rig.ready()
     rig.encoders[0].emergency(0x5000, 0x01)
     faults = [rig.machine.exchange(ZERO).fault for _ in range(3)]
@@ -46,45 +55,44 @@ def test_an_emergency_of_any_node_is_in_the_sample(rig):
     assert faults[-1] == ""
 
 
-def test_a_node_that_leaves_operational_stops_everything(rig):
+def test_a_node_that_leaves_operational_stops_everything(rig: Rig) -> None:
     rig.ready()
     rig.encoders[0].receive(0x000, bytes((0x80, 11)))
     with pytest.raises(DeviceFaultError, match=r"propeller_encoder \(node 11\): left operational: pre-operational"):
-        for _ in range(60):
-            rig.machine.exchange(ZERO)
+        exchange(rig, 60)
     assert rig.at_rest()
 
 
-def test_a_controller_that_went_bus_off_is_a_fault(rig):
+def test_a_controller_that_went_bus_off_is_a_fault(rig: Rig) -> None:
     rig.ready()
     rig.bus.queue.append(can.Message(arbitration_id=0x040, is_error_frame=True, is_extended_id=False, dlc=8))
     assert "bus off" in rig.machine.exchange(ZERO).fault
 
 
-def test_a_node_that_falls_silent_stops_everything_within_its_time_out(rig):
+def test_a_node_that_falls_silent_stops_everything_within_its_time_out(rig: Rig) -> None:
     rig.ready()
     rig.encoders[1].silent = True
     start = rig.bus.time_s
     with pytest.raises(HeartbeatLostError, match=r"roll_encoder \(node 12\)"):
-        for _ in range(1000):
-            rig.machine.exchange(ZERO)
+        exchange(rig, 1000)
     assert rig.bus.time_s - start < 0.1 + 0.25 + 8 * PERIOD_S + 0.7  # its period, its tolerance, the round of checks, the stop
     assert rig.at_rest()
 
 
-def test_a_bus_that_dies_still_closes_the_brakes(rig):
+def test_a_bus_that_dies_still_closes_the_brakes(rig: Rig) -> None:
     rig.ready()
     rig.bus.broken = True
     with pytest.raises(BusError, match="interface went down"):
         rig.machine.exchange(ZERO)
     assert rig.io.history[-1] == {"propeller": False, "roll": False}
-    assert rig.machine.stop_trouble and "quick stop" in rig.machine.stop_trouble[0]
+    assert rig.machine.stop_trouble
+    assert "quick stop" in rig.machine.stop_trouble[0]
 
 
-def test_lost_io_does_not_keep_the_drives_from_being_stopped(rig):
+def test_lost_io_does_not_keep_the_drives_from_being_stopped(rig: Rig) -> None:
     rig.ready()
 
-    def gone(*_):
+    def gone(*_: float) -> Never:
         raise BusError("Modbus server is gone")
 
     rig.io.poll_due = gone

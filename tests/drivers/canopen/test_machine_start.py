@@ -1,6 +1,9 @@
 """A machine that is as its file says starts, at rest; any other is refused before anything is commanded."""
 
+from __future__ import annotations
+
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -20,11 +23,11 @@ from drivers.settings import Pdo
 
 
 @pytest.fixture
-def rig():
+def rig() -> Rig:
     return Rig()
 
 
-def test_start_leaves_all_nodes_operational_and_all_drives_without_voltage(rig):
+def test_start_leaves_all_nodes_operational_and_all_drives_without_voltage(rig: Rig) -> None:
     rig.machine.start()
     assert [node.state for node in rig.bus.nodes] == [0x05] * 4
     assert rig.at_rest()
@@ -40,14 +43,16 @@ def test_start_leaves_all_nodes_operational_and_all_drives_without_voltage(rig):
         (lambda r: setattr(r.drives[1], "mute_pdo", True), BusTimeoutError, r"roll_drive: TPDO 1 \(182h\): no answer"),
     ],
 )
-def test_a_machine_that_is_not_as_its_file_says_does_not_start(rig, spoil, error, words):
+def test_a_machine_that_is_not_as_its_file_says_does_not_start(
+    rig: Rig, spoil: Callable[..., object], error: type[Exception], words: str
+) -> None:
     spoil(rig)
     with pytest.raises(error, match=words):
         rig.machine.start()
     assert rig.at_rest()
 
 
-def test_two_devices_with_one_id_do_not_start(rig):
+def test_two_devices_with_one_id_do_not_start(rig: Rig) -> None:
     twin = ScriptedDrive(2)
     twin.bus = rig.bus
     rig.bus.nodes.append(twin)
@@ -55,7 +60,7 @@ def test_two_devices_with_one_id_do_not_start(rig):
         rig.machine.start()
 
 
-def test_a_second_bench_on_the_bus_is_refused_before_anything_is_commanded(rig):
+def test_a_second_bench_on_the_bus_is_refused_before_anything_is_commanded(rig: Rig) -> None:
     other = ScriptedDrive(127)  # anything that beats with the bench's id
     other.bus = rig.bus
     other.set(0x1017, 0, 100)
@@ -63,11 +68,12 @@ def test_a_second_bench_on_the_bus_is_refused_before_anything_is_commanded(rig):
     with pytest.raises(DuplicateNodeError, match="another bench is running there"):
         rig.machine.start()
     for _ in range(2):  # whoever is refused has nothing to stop: it would stop the other bench in mid-motion
-        assert rig.bus.sent(0x000) == [] and rig.io.history == []
+        assert rig.bus.sent(0x000) == []
+        assert rig.io.history == []
         rig.machine.close()
 
 
-def test_a_closed_machine_is_anybodys_and_a_bench_refused_there_leaves_it_alone(rig):
+def test_a_closed_machine_is_anybodys_and_a_bench_refused_there_leaves_it_alone(rig: Rig) -> None:
     rig.ready()
     rig.machine.close()
     rig.bus.log.clear()
@@ -79,10 +85,11 @@ def test_a_closed_machine_is_anybodys_and_a_bench_refused_there_leaves_it_alone(
     with pytest.raises(DuplicateNodeError):
         rig.machine.start()
     rig.machine.close()
-    assert rig.bus.sent(0x000) == [] and len(rig.io.history) == commands
+    assert rig.bus.sent(0x000) == []
+    assert len(rig.io.history) == commands
 
 
-def test_ticks_before_the_start_and_after_a_stop_are_refused(rig):
+def test_ticks_before_the_start_and_after_a_stop_are_refused(rig: Rig) -> None:
     with pytest.raises(BusError, match="not started"):
         rig.machine.exchange(ZERO)
     rig.ready()
@@ -100,7 +107,9 @@ def test_ticks_before_the_start_and_after_a_stop_are_refused(rig):
         (None, (Pdo(1, 0x181, 255, ((0x6041, 0, 16), (0x6064, 0, 32))),), "no TPDO with transmission type 1 maps statusword"),
     ],
 )
-def test_pdos_that_cannot_run_the_loop_are_refused_before_the_bus_is_touched(rig, rpdos, tpdos, words):
+def test_pdos_that_cannot_run_the_loop_are_refused_before_the_bus_is_touched(
+    rig: Rig, rpdos: tuple[Pdo] | None, tpdos: tuple[Pdo] | None, words: str
+) -> None:
     drive = rig.settings.nodes[0]
     drive = dataclasses.replace(drive, rpdos=rpdos or drive.rpdos, tpdos=tpdos or drive.tpdos)
     settings = dataclasses.replace(rig.settings, nodes=(drive, *rig.settings.nodes[1:]))

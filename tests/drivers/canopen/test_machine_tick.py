@@ -1,8 +1,11 @@
 """The tick of a whole machine: frames and their order, scaling, missing, late and damaged data."""
 
+from __future__ import annotations
+
 import dataclasses
 import math
 import struct
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -12,16 +15,17 @@ from scripted_nodes import PERIOD_S
 from drivers.errors import (
     MotionRefusedError,
 )
+from drivers.interface import Sample
 from drivers.machine_link import CanMachine
 from drivers.settings import ImuPort, Pdo
 
 
 @pytest.fixture
-def rig():
+def rig() -> Rig:
     return Rig()
 
 
-def test_a_tick_is_rpdos_then_sync_then_tpdos_and_the_effort_answers_to_the_command(rig):
+def test_a_tick_is_rpdos_then_sync_then_tpdos_and_the_effort_answers_to_the_command(rig: Rig) -> None:
     rig.ready()
     rig.bus.log.clear()
     sample = rig.machine.exchange(np.array([1.0, -2.5]))
@@ -33,7 +37,7 @@ def test_a_tick_is_rpdos_then_sync_then_tpdos_and_the_effort_answers_to_the_comm
     assert sample.age_s.tolist() == [0.0, 0.0]
 
 
-def test_split_and_swapped_rpdos_carry_the_same_values(rig):
+def test_split_and_swapped_rpdos_carry_the_same_values(rig: Rig) -> None:
     drives = list(rig.settings.nodes[:2])
     drives[0] = dataclasses.replace(drives[0], rpdos=(Pdo(1, 0x201, 1, ((0x6071, 0, 16), (0x6040, 0, 16))),))
     drives[1] = dataclasses.replace(drives[1], rpdos=(Pdo(1, 0x202, 1, ((0x6040, 0, 16),)), Pdo(2, 0x302, 1, ((0x6071, 0, 16),))))
@@ -44,21 +48,21 @@ def test_split_and_swapped_rpdos_carry_the_same_values(rig):
     assert [data.hex() for _, can_id, data in rig.bus.log if can_id in (0x201, 0x202, 0x302)] == ["c8000000", "0000", "0cfe"]
 
 
-def test_commands_are_clipped_to_the_axis_limit(rig):
+def test_commands_are_clipped_to_the_axis_limit(rig: Rig) -> None:
     rig.ready()
     sample = rig.machine.exchange(np.array([9.0, -1e6]))
     assert sample.effort == pytest.approx([8.0, -8.0])
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_a_command_that_is_no_number_is_not_sent_and_stops_the_machine(rig, value):
+def test_a_command_that_is_no_number_is_not_sent_and_stops_the_machine(rig: Rig, value: float) -> None:
     rig.ready()
     with pytest.raises(MotionRefusedError, match="roll: the command is"):
         rig.machine.exchange(np.array([0.0, value]))
     assert rig.at_rest()
 
 
-def test_a_reversed_axis_reverses_position_and_effort_together():
+def test_a_reversed_axis_reverses_position_and_effort_together() -> None:
     rig = Rig(sign=-1)
     rig.ready()
     before = rig.machine.exchange(ZERO).position.copy()
@@ -68,7 +72,7 @@ def test_a_reversed_axis_reverses_position_and_effort_together():
     assert sample.position[0] > before[0]
 
 
-def test_the_own_heartbeat_goes_out_by_tick_count_behind_the_rpdos(rig):
+def test_the_own_heartbeat_goes_out_by_tick_count_behind_the_rpdos(rig: Rig) -> None:
     rig.ready()
     rig.bus.log.clear()
     for _ in range(100):
@@ -81,7 +85,7 @@ def test_the_own_heartbeat_goes_out_by_tick_count_behind_the_rpdos(rig):
     assert set(np.diff(syncs)) == {25}
 
 
-def test_runs_are_repeatable_frame_by_frame():
+def test_runs_are_repeatable_frame_by_frame() -> None:
     logs = []
     for _ in range(2):
         rig = Rig().ready()
@@ -92,20 +96,23 @@ def test_runs_are_repeatable_frame_by_frame():
     assert logs[0] == logs[1]
 
 
-def test_a_missing_pdo_is_nan_in_its_row_and_ages(rig):
+def test_a_missing_pdo_is_nan_in_its_row_and_ages(rig: Rig) -> None:
     rig.ready()
     rig.drives[1].mute_pdo = True
     for k in range(1, 4):
         sample = rig.machine.exchange(ZERO)
-        assert np.isfinite(sample.position[0]) and np.isnan(sample.position[1]) and np.isnan(sample.effort[1])
+        assert np.isfinite(sample.position[0])
+        assert np.isnan(sample.position[1])
+        assert np.isnan(sample.effort[1])
         assert sample.statusword[1] == -1
         assert sample.age_s == pytest.approx([0.0, k * PERIOD_S])
     rig.drives[1].mute_pdo = False
     sample = rig.machine.exchange(ZERO)
-    assert np.isfinite(sample.position[1]) and sample.age_s[1] == 0.0
+    assert np.isfinite(sample.position[1])
+    assert sample.age_s[1] == 0.0
 
 
-def test_waiting_for_a_missing_pdo_ends_with_the_answer_time(rig):
+def test_waiting_for_a_missing_pdo_ends_with_the_answer_time(rig: Rig) -> None:
     rig.ready()
     rig.drives[1].mute_pdo = True
     start = rig.bus.time_s
@@ -118,19 +125,19 @@ class SilentImu:
 
     looks = 0
 
-    def configure(self, wait):
+    def configure(self, wait: Callable[..., object]) -> None:
         pass
 
-    def before_sync(self):
+    def before_sync(self) -> None:
         self.looks = 0
 
-    def poll(self, sample):
+    def poll(self, sample: Sample) -> bool:
         self.looks += 1
         assert self.looks < 1000, "time stands still"
         return False
 
 
-def test_a_silent_imu_is_waited_for_until_the_answer_time_whatever_the_time_is(rig):
+def test_a_silent_imu_is_waited_for_until_the_answer_time_whatever_the_time_is(rig: Rig) -> None:
     settings = dataclasses.replace(rig.settings, imu=ImuPort("imu", "", 921600, triggered_by_sync=True, rate_Hz=256.0))
     rig.machine = CanMachine(settings, rig.bus, rig.clock, SilentImu(), rig.io)
     rig.machine.start()
@@ -147,7 +154,7 @@ def test_a_silent_imu_is_waited_for_until_the_answer_time_whatever_the_time_is(r
         assert rig.bus.time_s == pytest.approx(start + PERIOD_S + patience_s, abs=1e-4)
 
 
-def test_an_answer_that_comes_too_late_is_not_taken_for_the_next_syncs(rig):
+def test_an_answer_that_comes_too_late_is_not_taken_for_the_next_syncs(rig: Rig) -> None:
     rig.ready()
     last = rig.encoders[1]
     last.mute_pdo = True
@@ -158,7 +165,7 @@ def test_an_answer_that_comes_too_late_is_not_taken_for_the_next_syncs(rig):
     assert sample.link_position[1] == pytest.approx((last.value(0x6004) - 4194304) * 2 * math.pi / 2**23)
 
 
-def test_a_pdo_that_is_too_short_is_a_fault_in_words_and_no_value(rig):
+def test_a_pdo_that_is_too_short_is_a_fault_in_words_and_no_value(rig: Rig) -> None:
     rig.ready()
     rig.drives[0].set(0x1A00, 0, 1)
     sample = rig.machine.exchange(ZERO)
@@ -167,7 +174,7 @@ def test_a_pdo_that_is_too_short_is_a_fault_in_words_and_no_value(rig):
 
 
 @pytest.mark.parametrize("step", [1, -1])
-def test_the_position_runs_on_where_the_drives_counter_wraps(rig, step):
+def test_the_position_runs_on_where_the_drives_counter_wraps(rig: Rig, step: int) -> None:
     rig.ready()
     edge = 2**31 - 3 if step > 0 else -(2**31) + 2
     for counts in (edge // 2, edge):  # a step of more than half the counter's range would itself look like a wrap
@@ -179,7 +186,7 @@ def test_the_position_runs_on_where_the_drives_counter_wraps(rig, step):
         assert rig.machine.exchange(ZERO).position[0] == pytest.approx(before + step * k * RESOLUTION, abs=1e-9)
 
 
-def test_link_positions_come_from_the_absolute_encoder(rig):
+def test_link_positions_come_from_the_absolute_encoder(rig: Rig) -> None:
     rig.ready()
     rig.drives[1].link_counts = 4194304 + 1000
     assert rig.machine.exchange(ZERO).link_position[1] == pytest.approx(1000 * 2 * math.pi / 2**23)

@@ -1,7 +1,10 @@
 """Nodes set up from a machine file: the CiA 301 mapping procedure byte by byte, identity, scaling, and real vendors' data sheets."""
 
+from __future__ import annotations
+
 import dataclasses
 import struct
+from pathlib import Path
 
 import canopen
 import pytest
@@ -15,18 +18,20 @@ from drivers.canopen.identity import check_identity
 from drivers.canopen.network import PolledNetwork
 from drivers.canopen.sdo import SdoNode
 from drivers.errors import ConfigurationRefusedError, DeviceFaultError, WrongIdentityError
-from drivers.settings import AxisScaling, Identity, Node, Pdo
+from drivers.settings import AxisScaling, BusSettings, Identity, Node, Pdo
 
 VENDOR_FILES = DATA / "canopen"
 
 
-def opened(node, settings_node, eds=None):
+def opened(node: ScriptedDrive | ScriptedEncoder, settings_node: Node, eds: Path | None = None) -> tuple[ScriptedBus, SdoNode]:
     bus = ScriptedBus(node)
     dictionary = load_object_dictionary(eds or settings_node.eds, settings_node.node_id)
     return bus, SdoNode(PolledNetwork(bus, BusClock(bus)), settings_node.node_id, settings_node.name, dictionary)
 
 
-def configured(node, k=0, settings=None, **changes):
+def configured(
+    node: ScriptedDrive, k: int = 0, settings: BusSettings | None = None, **changes: tuple[tuple[int, int, int], tuple[int, int, int]]
+) -> tuple[ScriptedBus, tuple[str, ...]]:
     settings = settings or machine_settings()
     wanted = dataclasses.replace(settings.nodes[k], **changes)
     bus, sdo = opened(node, wanted)
@@ -34,7 +39,7 @@ def configured(node, k=0, settings=None, **changes):
     return bus, configure_node(sdo, wanted, settings, scaling)
 
 
-def writes(bus, request=0x601):
+def writes(bus: ScriptedBus, request: int = 0x601) -> list[tuple[int, int, int]]:
     """(index, subindex, value) of every expedited download, in order."""
     found = []
     for data in bus.sent(request):
@@ -44,7 +49,7 @@ def writes(bus, request=0x601):
     return found
 
 
-def test_a_pdo_is_mapped_by_the_standards_procedure_and_order():
+def test_a_pdo_is_mapped_by_the_standards_procedure_and_order() -> None:
     settings = machine_settings()
     bus, sdo = opened(ScriptedDrive(1), settings.nodes[0])
     configure_pdo(sdo, settings.nodes[0].tpdos[0], transmit=True)
@@ -60,7 +65,7 @@ def test_a_pdo_is_mapped_by_the_standards_procedure_and_order():
     ]
 
 
-def test_every_write_is_read_back():
+def test_every_write_is_read_back() -> None:
     bus, _ = configured(ScriptedDrive(1))
     requests = [(data[0] & 0xE0, struct.unpack_from("<HB", data, 1)) for data in bus.sent(0x601)]
     for position, (kind, key) in enumerate(requests):
@@ -68,7 +73,7 @@ def test_every_write_is_read_back():
             assert requests[position + 1] == (0x40, key)
 
 
-def test_a_configured_drive_has_pdos_heartbeats_option_codes_and_limits():
+def test_a_configured_drive_has_pdos_heartbeats_option_codes_and_limits() -> None:
     drive = ScriptedDrive(1)
     drive.set(0x1801, 1, 0x4000_0281)  # a PDO that nobody asked for is on
     _, notes = configured(drive)
@@ -83,13 +88,13 @@ def test_a_configured_drive_has_pdos_heartbeats_option_codes_and_limits():
     assert notes == ()
 
 
-def test_the_sync_identifier_is_set_where_it_differs():
+def test_the_sync_identifier_is_set_where_it_differs() -> None:
     drive = ScriptedDrive(1)
     _, _ = configured(drive, settings=dataclasses.replace(machine_settings(), sync_cob_id=0x0A0))
     assert drive.value(0x1005) == 0x0A0
 
 
-def test_the_machine_files_own_writes_come_last_and_win():
+def test_the_machine_files_own_writes_come_last_and_win() -> None:
     drive = ScriptedDrive(1)
     bus, _ = configured(drive, writes=((0x6007, 0, 3), (0x6072, 0, 900)))
     assert (drive.value(0x6007), drive.value(0x6072)) == (3, 900)
@@ -101,7 +106,7 @@ def test_the_machine_files_own_writes_come_last_and_win():
     [((0x1800, 1), "1800h:01"), ((0x1A00, 2), "1A00h:02"), ((0x1017, 0), "1017h"), ((0x6007, 0), "6007h"), ((0x1016, 1), "1016h:01")],
 )
 @pytest.mark.parametrize("kind", ["abort", "stuck"])
-def test_a_refused_or_forgotten_setting_names_node_and_object(place, what, kind):
+def test_a_refused_or_forgotten_setting_names_node_and_object(place: tuple[int, int], what: str, kind: str) -> None:
     drive = ScriptedDrive(1)
     if kind == "abort":
         drive.aborts[place] = 0x06090030
@@ -112,7 +117,7 @@ def test_a_refused_or_forgotten_setting_names_node_and_object(place, what, kind)
     assert what in str(caught.value)
 
 
-def test_a_rated_current_that_differs_and_cannot_be_set_says_how_wrong_efforts_would_be():
+def test_a_rated_current_that_differs_and_cannot_be_set_says_how_wrong_efforts_would_be() -> None:
     drive = ScriptedDrive(1)
     drive.set(0x6075, 0, 4000)
     drive.aborts[0x6075, 0] = 0x06010002
@@ -120,14 +125,15 @@ def test_a_rated_current_that_differs_and_cannot_be_set_says_how_wrong_efforts_w
         configured(drive)
 
 
-def test_a_drive_that_cannot_watch_the_bench_is_noted():
+def test_a_drive_that_cannot_watch_the_bench_is_noted() -> None:
     drive = ScriptedDrive(1)
     settings = dataclasses.replace(machine_settings(), master_heartbeat_period_s=0.0)
     _, notes = configured(drive, settings=settings)
-    assert len(notes) == 1 and "not stopped by the drive when the bench dies" in notes[0]
+    assert len(notes) == 1
+    assert "not stopped by the drive when the bench dies" in notes[0]
 
 
-def test_a_fixed_mapping_is_compared_instead_of_written():
+def test_a_fixed_mapping_is_compared_instead_of_written() -> None:
     settings = machine_settings()
     drive = ScriptedDrive(1)
     drive.objects |= {(0x1A00, 0): b"\x01", (0x1A00, 1): struct.pack("<I", 0x6041_0010)}
@@ -145,7 +151,7 @@ def test_a_fixed_mapping_is_compared_instead_of_written():
     ("subindex", "value", "words"),
     [(1, 0xFB, "vendor_id is 000000FBh, the machine file says 00000000h"), (2, 1, "product_code"), (3, 0x20000, "revision_number")],
 )
-def test_a_wrong_identity_names_expected_and_found(subindex, value, words):
+def test_a_wrong_identity_names_expected_and_found(subindex: int, value: int, words: str) -> None:
     drive = ScriptedDrive(1)
     drive.set(0x1018, subindex, value)
     node = machine_settings().nodes[0]
@@ -154,21 +160,21 @@ def test_a_wrong_identity_names_expected_and_found(subindex, value, words):
         check_identity(sdo, node)
 
 
-def test_identity_fields_the_machine_file_leaves_open_are_not_compared():
+def test_identity_fields_the_machine_file_leaves_open_are_not_compared() -> None:
     drive = ScriptedDrive(1)
     drive.set(0x1018, 1, 0xFB)
     node = dataclasses.replace(machine_settings().nodes[0], identity=Identity(None, 0x49534F01, None, None))
     check_identity(opened(drive, node)[1], node)
 
 
-def test_an_encoder_where_a_drive_is_expected_is_a_wrong_identity():
+def test_an_encoder_where_a_drive_is_expected_is_a_wrong_identity() -> None:
     node = machine_settings().nodes[0]
     _, sdo = opened(ScriptedEncoder(1, ScriptedDrive(2)), node)
     with pytest.raises(WrongIdentityError, match=r"found encoder \(CiA 406\), the machine file expects drive"):
         check_identity(sdo, node)
 
 
-def test_an_encoder_with_an_alarm_is_refused():
+def test_an_encoder_with_an_alarm_is_refused() -> None:
     encoder = ScriptedEncoder(11, ScriptedDrive(1))
     node = machine_settings().nodes[2]
     _, sdo = opened(encoder, node)
@@ -179,7 +185,7 @@ def test_an_encoder_with_an_alarm_is_refused():
 
 
 @pytest.mark.parametrize(("raw", "zero", "counts"), [(5, 3, 2), (3, 5, -2), (0xFFFF_FFFF, 1, -2), (1, 0xFFFF_FFFF, 2), (-1, 1, -2)])
-def test_encoder_counts_are_signed_across_the_end_of_the_counter(raw, zero, counts):
+def test_encoder_counts_are_signed_across_the_end_of_the_counter(raw: int, zero: int, counts: int) -> None:
     assert signed_counts(raw, zero) == counts
 
 
@@ -199,7 +205,7 @@ class VendorDrive(ScriptedDrive):
             for base in (0x1400, 0x1800):
                 self.objects.setdefault((base + number, 1), b"\0\0\0\x80")
 
-    def refuse(self, index, subindex, value):
+    def refuse(self, index: int, subindex: int, value: bytes) -> int:
         variable = self.dictionary.get_variable(index, subindex)
         if not variable.writable:
             return 0x06010002
@@ -209,7 +215,7 @@ class VendorDrive(ScriptedDrive):
 
 
 @pytest.mark.parametrize("name", ["maxon_EPOS4_compact_50-8_node1.eds", "maxon_epos4_50_8_can_encoder_node1.dcf", "pilz_prbt_0_1.dcf"])
-def test_a_real_vendors_drive_is_configured_from_its_own_data_sheet(name):
+def test_a_real_vendors_drive_is_configured_from_its_own_data_sheet(name: str) -> None:
     path = VENDOR_FILES / name
     if not path.exists():
         pytest.skip(f"real device files are not here: {path}")

@@ -1,31 +1,34 @@
 """Boot-up with a time-out of its own, heartbeats with ages, NMT states, two devices of one id."""
 
+from __future__ import annotations
+
 import pytest
 from scripted_nodes import BusClock, ScriptedBus, ScriptedDrive, machine_settings
 
-from drivers.canopen.network import NMT_START, PolledNetwork
+from drivers.canopen.network import PolledNetwork
 from drivers.canopen.supervision import Supervision
 from drivers.errors import BusTimeoutError, DuplicateNodeError, HeartbeatLostError, NodeAbsentError
 
 NODE = machine_settings().nodes[:1]
+START_REMOTE_NODE = 1  # CiA 301, 7.2.8.3.1: the command specifier of the NMT service
 
 
-def supervised(*nodes):
+def supervised(*nodes: ScriptedDrive) -> tuple[ScriptedBus, PolledNetwork, Supervision]:
     bus = ScriptedBus(*nodes)
     network = PolledNetwork(bus, BusClock(bus))
     return bus, network, Supervision(network, NODE)
 
 
-def operational(drive):
+def operational(drive: ScriptedDrive) -> tuple[ScriptedBus, PolledNetwork, Supervision]:
     bus, network, supervision = supervised(drive)
     supervision.boot(NODE)
     drive.set(0x1017, 0, 100)
-    network.command_nmt(NMT_START, 1)
+    network.command_nmt(START_REMOTE_NODE, 1)
     supervision.await_operational(NODE)
     return bus, network, supervision
 
 
-def test_a_node_that_boots_late_but_in_time_is_waited_for():
+def test_a_node_that_boots_late_but_in_time_is_waited_for() -> None:
     drive = ScriptedDrive(1)
     drive.boot_delay_s = 1.9
     bus, _, supervision = supervised(drive)
@@ -33,7 +36,7 @@ def test_a_node_that_boots_late_but_in_time_is_waited_for():
     assert 1.9 <= bus.time_s < 2.0
 
 
-def test_a_node_that_never_boots_is_absent_after_its_own_time_out():
+def test_a_node_that_never_boots_is_absent_after_its_own_time_out() -> None:
     bus, _, supervision = supervised()
     with pytest.raises(
         NodeAbsentError, match=r"propeller_drive \(node 1\): neither boot-up nor SDO answer within 2\.0 s .*scripted.*booted: none"
@@ -42,29 +45,29 @@ def test_a_node_that_never_boots_is_absent_after_its_own_time_out():
     assert 2.0 <= bus.time_s < 4.0
 
 
-def test_a_node_that_does_not_announce_itself_but_answers_is_there():
+def test_a_node_that_does_not_announce_itself_but_answers_is_there() -> None:
     drive = ScriptedDrive(1)
     drive.silent = True
     _, _, supervision = supervised(drive)
     supervision.boot(NODE)
 
 
-def test_two_boot_ups_after_one_reset_are_two_devices():
+def test_two_boot_ups_after_one_reset_are_two_devices() -> None:
     _, _, supervision = supervised(ScriptedDrive(1), ScriptedDrive(1))
     with pytest.raises(DuplicateNodeError, match="2 boot-up messages"):
         supervision.boot(NODE)
 
 
-def test_a_started_node_without_heartbeat_is_reported_with_its_last_state():
+def test_a_started_node_without_heartbeat_is_reported_with_its_last_state() -> None:
     drive = ScriptedDrive(1)
     _, network, supervision = supervised(drive)
     supervision.boot(NODE)
-    network.command_nmt(NMT_START, 1)
+    network.command_nmt(START_REMOTE_NODE, 1)
     with pytest.raises(BusTimeoutError, match=r"propeller_drive \(node 1\): started, but its heartbeat says initialising"):
         supervision.await_operational(NODE)
 
 
-def test_a_silent_node_is_lost_after_two_and_a_half_periods():
+def test_a_silent_node_is_lost_after_two_and_a_half_periods() -> None:
     drive = ScriptedDrive(1)
     bus, network, supervision = operational(drive)
     drive.silent = True
@@ -80,7 +83,7 @@ def test_a_silent_node_is_lost_after_two_and_a_half_periods():
 @pytest.mark.parametrize(
     ("command", "words"), [(0x80, "left operational: pre-operational"), (0x02, "left operational: stopped"), (0x82, "rebooted")]
 )
-def test_a_node_that_leaves_operational_by_itself_is_noticed(command, words):
+def test_a_node_that_leaves_operational_by_itself_is_noticed(command: int, words: str) -> None:
     drive = ScriptedDrive(1)
     _, network, supervision = operational(drive)
     drive.receive(0x000, bytes((command, 1)))
@@ -88,7 +91,7 @@ def test_a_node_that_leaves_operational_by_itself_is_noticed(command, words):
     assert words in supervision.left_operational
 
 
-def test_an_emergency_is_kept_until_it_is_reset():
+def test_an_emergency_is_kept_until_it_is_reset() -> None:
     drive = ScriptedDrive(1)
     _, network, supervision = operational(drive)
     drive.emergency(0x2310, 3)

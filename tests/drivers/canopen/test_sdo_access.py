@@ -1,8 +1,11 @@
 """Objects over SDO without a receiving thread: answers, aborts in words, read-back, lost frames, two devices of one id."""
 
+from __future__ import annotations
+
 import errno
 import threading
 import uuid
+from typing import Never
 
 import can
 import canopen
@@ -11,7 +14,7 @@ from scripted_nodes import EDS, BusClock, ScriptedBus, ScriptedDrive, ScriptedNo
 
 from drivers.canopen.eds import load_object_dictionary
 from drivers.canopen.network import PolledNetwork
-from drivers.canopen.sdo import RESPONSE_TIMEOUT_S, SdoNode
+from drivers.canopen.sdo import SdoNode
 from drivers.errors import BusError, ConfigurationRefusedError, DuplicateNodeError, NodeAbsentError
 from hil.bench.clock import WallClock
 
@@ -22,7 +25,7 @@ def connected(*nodes: ScriptedNode) -> tuple[ScriptedBus, SdoNode]:
     return bus, SdoNode(PolledNetwork(bus, BusClock(bus)), 1, "roll_drive", dictionary)
 
 
-def test_a_read_is_the_standards_bytes_and_starts_no_thread():
+def test_a_read_is_the_standards_bytes_and_starts_no_thread() -> None:
     threads = threading.active_count()
     bus, node = connected(ScriptedDrive(1))
     assert node.read_integer(0x1000) == 0x0002_0192
@@ -30,14 +33,14 @@ def test_a_read_is_the_standards_bytes_and_starts_no_thread():
     assert threading.active_count() == threads
 
 
-def test_a_long_string_comes_in_segments():
+def test_a_long_string_comes_in_segments() -> None:
     drive = ScriptedDrive(1)
     drive.objects[0x1008, 0] = b"A name of more than seven bytes"
     _, node = connected(drive)
     assert node.read_text(0x1008) == "A name of more than seven bytes"
 
 
-def test_integers_go_out_in_the_data_sheets_width_and_come_back_with_its_sign():
+def test_integers_go_out_in_the_data_sheets_width_and_come_back_with_its_sign() -> None:
     bus, node = connected(ScriptedDrive(1))
     node.write_checked(0x6007, 0, -1)
     assert bus.sent(0x601)[0] == bytes.fromhex("2b076000ffff0000")  # expedited, two bytes
@@ -54,7 +57,7 @@ def test_integers_go_out_in_the_data_sheets_width_and_come_back_with_its_sign():
         (0x12345678, "unknown abort code"),
     ],
 )
-def test_an_abort_is_told_in_words_with_node_object_value_and_code(code, words):
+def test_an_abort_is_told_in_words_with_node_object_value_and_code(code: int, words: str) -> None:
     drive = ScriptedDrive(1)
     drive.aborts[0x6072, 0] = code
     _, node = connected(drive)
@@ -64,7 +67,7 @@ def test_an_abort_is_told_in_words_with_node_object_value_and_code(code, words):
         assert part in str(caught.value)
 
 
-def test_a_value_that_does_not_stick_is_refused():
+def test_a_value_that_does_not_stick_is_refused() -> None:
     drive = ScriptedDrive(1)
     drive.stuck.add((0x6072, 0))
     _, node = connected(drive)
@@ -72,7 +75,7 @@ def test_a_value_that_does_not_stick_is_refused():
         node.write_checked(0x6072, 0, 1600)
 
 
-def test_an_object_that_is_not_in_the_data_sheet_and_a_value_too_wide_are_refused_before_anything_is_sent():
+def test_an_object_that_is_not_in_the_data_sheet_and_a_value_too_wide_are_refused_before_anything_is_sent() -> None:
     bus, node = connected(ScriptedDrive(1))
     with pytest.raises(ConfigurationRefusedError, match=r"3333h:01 is not in its EDS"):
         node.write_integer(0x3333, 1, 5)
@@ -81,7 +84,7 @@ def test_an_object_that_is_not_in_the_data_sheet_and_a_value_too_wide_are_refuse
     assert bus.log == []
 
 
-def test_a_missing_object_reads_as_none_where_that_is_allowed():
+def test_a_missing_object_reads_as_none_where_that_is_allowed() -> None:
     _, node = connected(ScriptedDrive(1))
     assert node.read_if_present(0x1018, 4) is None
     assert node.read_if_present(0x2345) is None
@@ -89,21 +92,21 @@ def test_a_missing_object_reads_as_none_where_that_is_allowed():
         node.read(0x1018, 4)
 
 
-def test_a_mute_node_is_asked_three_times_and_then_absent():
+def test_a_mute_node_is_asked_three_times_and_then_absent() -> None:
     drive = ScriptedDrive(1)
     drive.answers_sdo = False
     bus, node = connected(drive)
     with pytest.raises(NodeAbsentError, match="asked 3 times"):
         node.read(0x1000)
-    assert bus.time_s == pytest.approx(3 * RESPONSE_TIMEOUT_S)
+    assert 3 * 0.2 < bus.time_s < 1.0  # an EPOS4 may take 0.2 s to write its flash, and nobody waits a second for a node that is not there
     assert bus.sent(0x601)[-1] == bytes.fromhex("8000000000000405")  # the transfer is aborted: time-out
 
 
-def test_one_lost_answer_is_bridged():
+def test_one_lost_answer_is_bridged() -> None:
     class Forgetful(ScriptedDrive):
         asked = 0
 
-        def _sdo(self, data):
+        def _sdo(self, data: bytes) -> None:
             self.asked += 1
             if self.asked > 1:
                 super()._sdo(data)
@@ -113,11 +116,11 @@ def test_one_lost_answer_is_bridged():
     assert node.read_integer(0x1018, 2) == 0x4953_4F01
 
 
-def test_a_late_answer_to_a_repeated_request_is_no_second_device():
+def test_a_late_answer_to_a_repeated_request_is_no_second_device() -> None:
     class Slow(ScriptedDrive):
         late = None
 
-        def _sdo(self, data):
+        def _sdo(self, data: bytes) -> None:
             if self.late is None:
                 self.late = data
             else:
@@ -125,7 +128,7 @@ def test_a_late_answer_to_a_repeated_request_is_no_second_device():
                 super()._sdo(data)
                 self.late = b"done"
 
-        def receive(self, can_id, data):
+        def receive(self, can_id: int, data: bytes) -> None:
             if self.late == b"done" and can_id == 0x601:
                 ScriptedDrive._sdo(self, data)
             else:
@@ -136,14 +139,14 @@ def test_a_late_answer_to_a_repeated_request_is_no_second_device():
     assert node.read_integer(0x1018, 2) == 0x4953_4F01
 
 
-def test_two_answers_to_one_request_are_two_devices():
+def test_two_answers_to_one_request_are_two_devices() -> None:
     _, node = connected(ScriptedDrive(1), ScriptedDrive(1))
     node.read(0x1000)
     with pytest.raises(DuplicateNodeError, match=r"roll_drive \(node 1\): two answers"):
         node.read(0x1000)
 
 
-def test_other_traffic_while_waiting_reaches_its_subscribers():
+def test_other_traffic_while_waiting_reaches_its_subscribers() -> None:
     bus, node = connected(ScriptedDrive(1))
     beats = []
     node.network.subscribe(0x702, lambda can_id, data, stamp: beats.append(bytes(data)))
@@ -152,7 +155,7 @@ def test_other_traffic_while_waiting_reaches_its_subscribers():
     assert beats == [b"\x05"]
 
 
-def test_a_dead_interface_is_a_bus_error():
+def test_a_dead_interface_is_a_bus_error() -> None:
     bus, node = connected(ScriptedDrive(1))
     bus.broken = True
     with pytest.raises(BusError, match="scripted"):
@@ -161,7 +164,7 @@ def test_a_dead_interface_is_a_bus_error():
         node.network.pump(0.1)
 
 
-def test_the_canopen_librarys_own_server_is_read_and_written_on_a_virtual_bus_in_wall_time():
+def test_the_canopen_librarys_own_server_is_read_and_written_on_a_virtual_bus_in_wall_time() -> None:
     channel = uuid.uuid4().hex
     network = canopen.Network(can.Bus(interface="virtual", channel=channel))
     network.connect()
@@ -177,12 +180,12 @@ def test_the_canopen_librarys_own_server_is_read_and_written_on_a_virtual_bus_in
         network.disconnect()
 
 
-def test_a_transmit_queue_that_is_full_for_a_moment_loses_no_frame():
+def test_a_transmit_queue_that_is_full_for_a_moment_loses_no_frame() -> None:
     bus, node = connected(ScriptedDrive(1))
     refusals = [can.CanOperationError("no buffer space", errno.ENOBUFS), can.CanOperationError("Transmit buffer full")]
     original = bus.send
 
-    def send(message, timeout=None):
+    def send(message: can.Message, timeout: float | None = None) -> None:
         if refusals:
             raise refusals.pop()
         original(message)
@@ -192,10 +195,10 @@ def test_a_transmit_queue_that_is_full_for_a_moment_loses_no_frame():
     assert len(bus.sent(0x601)) == 1
 
 
-def test_a_transmit_queue_that_stays_full_is_a_bus_error():
+def test_a_transmit_queue_that_stays_full_is_a_bus_error() -> None:
     bus, node = connected(ScriptedDrive(1))
 
-    def send(message, timeout=None):
+    def send(message: can.Message, timeout: float | None = None) -> Never:
         raise can.CanOperationError("no buffer space", errno.ENOBUFS)
 
     bus.send = send

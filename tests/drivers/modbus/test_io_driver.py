@@ -1,5 +1,7 @@
 """The I/O driver: what the loop's sample says, brakes, and one clear line for everything that goes wrong on the way."""
 
+from __future__ import annotations
+
 import logging
 import threading
 
@@ -22,7 +24,7 @@ UNIT = WIRING["unit_id"]
 class Bench:
     """A driver and an emulated device, in this process."""
 
-    def __init__(self, **changes) -> None:
+    def __init__(self, **changes: dict[str, int] | float) -> None:
         self.device = emulated_io()
         self.asked: list[bytes] = []
         self.driver = IoDriver(io_map(**changes), InProcessTransport(self.serve), AXES)
@@ -33,7 +35,7 @@ class Bench:
         return self.device.serve(data)
 
 
-def test_the_sample_shows_what_is_wired():
+def test_the_sample_shows_what_is_wired() -> None:
     bench = Bench()
     bench.device.set_temperature("propeller", 41.7)
     bench.device.set_temperature("roll", -3.2)
@@ -46,7 +48,7 @@ def test_the_sample_shows_what_is_wired():
     assert bench.sample.io_age_s == 0.0
 
 
-def test_a_broken_thermometer_is_nan():
+def test_a_broken_thermometer_is_nan() -> None:
     bench = Bench()
     bench.device.set_temperature("roll", float("nan"))
     bench.driver.poll_due(0.0)
@@ -54,7 +56,7 @@ def test_a_broken_thermometer_is_nan():
     assert np.isnan(bench.sample.temperature_degC).tolist() == [False, True]
 
 
-def test_brakes_open_axis_by_axis_and_the_feedback_says_when():
+def test_brakes_open_axis_by_axis_and_the_feedback_says_when() -> None:
     bench = Bench()
     bench.driver.command_brakes({"roll": True, "table": True})
     bench.driver.poll_due(0.0)
@@ -69,7 +71,7 @@ def test_brakes_open_axis_by_axis_and_the_feedback_says_when():
     assert bench.device.coils == [False, True, False]
 
 
-def test_polls_come_at_their_period_and_at_once_for_a_brake():
+def test_polls_come_at_their_period_and_at_once_for_a_brake() -> None:
     bench = Bench()
     for tick in range(256):
         bench.driver.poll_due(tick / 256)
@@ -79,20 +81,20 @@ def test_polls_come_at_their_period_and_at_once_for_a_brake():
     assert len(bench.asked) == 2 * 20 + 3
 
 
-def test_a_poll_is_two_requests_over_the_whole_block():
+def test_a_poll_is_two_requests_over_the_whole_block() -> None:
     bench = Bench()
     bench.driver.poll_due(0.0)
     assert bench.asked == [bytes.fromhex("0001 0000 0006 11 02 0003 0007"), bytes.fromhex("0002 0000 0006 11 04 0002 0004")]
 
 
-def test_coils_that_are_not_the_brakes_are_never_written():
+def test_coils_that_are_not_the_brakes_are_never_written() -> None:
     bench = Bench(brake_coils={"propeller": 0, "roll": 2})
     bench.driver.command_brakes({"propeller": True, "roll": True})
     bench.driver.poll_due(0.0)
     assert bench.asked[:2] == [bytes.fromhex("0001 0000 0008 11 0F 0000 0001 01 01"), bytes.fromhex("0002 0000 0008 11 0F 0002 0001 01 01")]
 
 
-def test_a_stale_state_reads_as_the_safe_one():
+def test_a_stale_state_reads_as_the_safe_one() -> None:
     bench = Bench(poll_period_s=100.0)
     bench.device.set_temperature("roll", 30.0)
     bench.driver.command_brakes({"roll": True})
@@ -102,34 +104,38 @@ def test_a_stale_state_reads_as_the_safe_one():
     bench.driver.poll_once(1.0)
     bench.driver.poll_due(1.5)
     bench.driver.update(bench.sample)
-    assert bench.sample.brakes_open[1] and bench.sample.hold_to_run and bench.sample.io_age_s == 0.5
+    assert bench.sample.brakes_open[1]
+    assert bench.sample.hold_to_run
+    assert bench.sample.io_age_s == 0.5
     bench.driver.poll_due(1.6)
     bench.driver.update(bench.sample)
-    assert not (bench.sample.brakes_open.any() or bench.sample.hold_to_run or bench.sample.door_closed)
+    assert not (bench.sample.brakes_open.any())
+    assert not (bench.sample.hold_to_run)
+    assert not (bench.sample.door_closed)
     assert np.isnan(bench.sample.temperature_degC).all()
     assert bench.sample.io_age_s == pytest.approx(0.6)
 
 
-def test_before_the_first_poll_nothing_is_known():
+def test_before_the_first_poll_nothing_is_known() -> None:
     bench = Bench()
     bench.driver.update(bench.sample)
     assert not bench.sample.hold_to_run
     assert bench.sample.io_age_s == np.inf
 
 
-def test_a_wiring_that_fits_no_request_is_refused():
+def test_a_wiring_that_fits_no_request_is_refused() -> None:
     with pytest.raises(ProtocolError, match=r"input registers 2 to 400 do not fit one request of 125"):
         Bench(temperature_registers={"propeller": 2, "roll": 400})
 
 
-def test_an_address_the_device_does_not_have_is_refused_in_words():
+def test_an_address_the_device_does_not_have_is_refused_in_words() -> None:
     bench = Bench(hold_to_run_input=30)
     with pytest.raises(ConfigurationRefusedError, match=r"unit 17 refuses function 2 at 3 to 30: illegal data address \(2\)"):
         bench.driver.poll_due(0.0)
 
 
 @pytest.mark.parametrize("answer", [b"", b"\x00", bytes.fromhex("0001 0000 0003 11 02 00"), bytes.fromhex("0001 0000 0004 11 02 01")])
-def test_an_answer_that_is_none_is_a_protocol_error(answer):
+def test_an_answer_that_is_none_is_a_protocol_error(answer: bytes) -> None:
     driver = IoDriver(io_map(), InProcessTransport(lambda data: answer), AXES)
     with pytest.raises(ProtocolError):
         driver.poll_due(0.0)
@@ -138,7 +144,7 @@ def test_an_answer_that_is_none_is_a_protocol_error(answer):
 # ---- over TCP -------------------------------------------------------------------------------------------
 
 
-def test_over_tcp_against_a_server_that_is_not_ours():
+def test_over_tcp_against_a_server_that_is_not_ours() -> None:
     server = ModbusServer(host="127.0.0.1", port=0, no_block=True)
     server.start()
     port = server._service.socket.getsockname()[1]
@@ -156,14 +162,14 @@ def test_over_tcp_against_a_server_that_is_not_ours():
     server.stop()
 
 
-def test_nobody_listening_is_one_clear_line():
+def test_nobody_listening_is_one_clear_line() -> None:
     server = ServedTcp(emulated_io())
     server.close()
     with pytest.raises(BusUnavailableError, match=rf"io on tcp:127.0.0.1:{server.port}: cannot connect: Connection refused; check address"):
         IoDriver(io_map(), ClientTransport(server.url), AXES).poll_due(0.0)
 
 
-def test_a_wrong_unit_id_on_tcp_is_the_gateways_refusal():
+def test_a_wrong_unit_id_on_tcp_is_the_gateways_refusal() -> None:
     server = ServedTcp(emulated_io())
     driver = IoDriver(io_map(unit_id=3), transport := ClientTransport(server.url, 5.0), AXES)
     with pytest.raises(ConfigurationRefusedError, match=r"unit 3 refuses .* gateway target failed to respond \(11\); compare unit_id"):
@@ -172,7 +178,7 @@ def test_a_wrong_unit_id_on_tcp_is_the_gateways_refusal():
     server.close()
 
 
-def test_a_server_that_comes_back_is_found_again():
+def test_a_server_that_comes_back_is_found_again() -> None:
     device = emulated_io()
     server = ServedTcp(device)
     driver = IoDriver(io_map(), transport := ClientTransport(server.url, 5.0), AXES)
@@ -221,7 +227,7 @@ REQUEST = {"address": 8, "count": 2, "dev_id": UNIT}
 GOOD = rtu_frame(UNIT, b"\x02\x01\x03")
 
 
-def test_over_a_serial_line_the_driver_reads_and_writes():
+def test_over_a_serial_line_the_driver_reads_and_writes() -> None:
     device = emulated_io()
     device.set_temperature("roll", 21.5)
     server = ServedRtu(device)
@@ -235,7 +241,7 @@ def test_over_a_serial_line_the_driver_reads_and_writes():
     server.close()
 
 
-def test_a_good_serial_answer_is_read():
+def test_a_good_serial_answer_is_read() -> None:
     with SerialDevice(GOOD) as transport:
         assert transport.request(ReadDiscreteInputsRequest(**REQUEST)).bits[:2] == [True, True]
 
@@ -250,17 +256,19 @@ def test_a_good_serial_answer_is_read():
         (rtu_frame(UNIT, b"\x82\x55"), ConfigurationRefusedError, r"unknown exception \(85\)"),
     ],
 )
-def test_bad_serial_answers_are_told_apart(answer, error, words):
+def test_bad_serial_answers_are_told_apart(
+    answer: bytes, error: type[BusTimeoutError] | type[ConfigurationRefusedError] | type[ProtocolError], words: str
+) -> None:
     with SerialDevice(answer) as transport, pytest.raises(error, match=words):
         transport.request(ReadDiscreteInputsRequest(**REQUEST))
 
 
-def test_a_serial_port_that_does_not_exist_is_named():
+def test_a_serial_port_that_does_not_exist_is_named() -> None:
     with pytest.raises(BusUnavailableError, match=r"rtu:/dev/no_such_port@9600: cannot connect: No such file or directory"):
         ClientTransport("rtu:/dev/no_such_port@9600").request(ReadDiscreteInputsRequest(**REQUEST))
 
 
-def test_faults_are_not_also_printed(capfd):
+def test_faults_are_not_also_printed(capfd: pytest.CaptureFixture[str]) -> None:
     # Without a handler of its own the library's log would end on standard error
     assert logging.getLogger("pymodbus").handlers
     with pytest.raises(BusUnavailableError):
@@ -278,13 +286,13 @@ def test_faults_are_not_also_printed(capfd):
         ("rtu:COM4@9600", ("rtu", "COM4", 9600)),
     ],
 )
-def test_urls(url, parsed):
+def test_urls(url: str, parsed: tuple[str, str, int]) -> None:
     assert parse_io_url(url) == parsed
 
 
 @pytest.mark.parametrize(
     "url", ["", "tcp:", "tcp:host", "tcp:host:0", "tcp:host:70000", "rtu:/dev/ttyUSB1", "rtu:/dev/x@0", "http://x:1", "udp:x:1"]
 )
-def test_urls_that_are_none_say_how_they_read(url):
+def test_urls_that_are_none_say_how_they_read(url: str) -> None:
     with pytest.raises(BusUnavailableError, match=r"reads tcp:HOST:PORT or rtu:DEVICE@BAUD"):
         parse_io_url(url)

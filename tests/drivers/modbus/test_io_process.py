@@ -1,5 +1,7 @@
 """The polling process: the loop never waits for the I/O device, and brakes close when the loop dies or stands still."""
 
+from __future__ import annotations
+
 import contextlib
 import itertools
 import multiprocessing
@@ -10,6 +12,8 @@ import sys
 import textwrap
 import threading
 import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,21 +22,23 @@ from places import ROOT, SUPPORT
 
 from drivers.errors import BusUnavailableError, ConfigurationRefusedError
 from drivers.interface import Sample
-from drivers.modbus.io_process import CLOSE_ATTEMPTS, CLOSE_PAUSE_S, LOOP_STILL_S, IoProcess
+from drivers.modbus.io_process import IoProcess
+from virtual_bus.modbus.framing import TcpFraming
+from virtual_bus.modbus.io_device import EmulatedIo
 
 WRITE_COILS = 0x0F
 FUNCTION_BYTE = 7  # of a Modbus/TCP message, behind the MBAP header
 
 
-def writes_coils(data):
+def writes_coils(data: bytes) -> bool:
     return data[FUNCTION_BYTE] == WRITE_COILS
 
 
-def ticking(process, condition, sample=None):
+def ticking(process: IoProcess, condition: Callable[..., object], sample: Sample | None = None) -> Callable[..., bool]:
     """The condition, for `eventually`, asked by a loop that ticks."""
     sample = sample or Sample(2)
 
-    def ask():
+    def ask() -> bool:
         process.update(sample)
         return condition()
 
@@ -40,7 +46,7 @@ def ticking(process, condition, sample=None):
 
 
 @pytest.fixture
-def served():
+def served() -> Iterator[tuple[EmulatedIo, ServedTcp]]:
     """A device on TCP."""
     device = emulated_io()
     server = ServedTcp(device)
@@ -48,7 +54,7 @@ def served():
     server.close()
 
 
-def test_state_and_brake_commands_pass_and_closing_closes_the_brakes(served):
+def test_state_and_brake_commands_pass_and_closing_closes_the_brakes(served: tuple[EmulatedIo, ServedTcp]) -> None:
     device, server = served
     device.set_temperature("roll", 36.6)
     device.set_door(False)
@@ -65,7 +71,7 @@ def test_state_and_brake_commands_pass_and_closing_closes_the_brakes(served):
     device.advance(0.0)
     device.advance(1.0)
 
-    def roll_reads_open():
+    def roll_reads_open() -> bool:
         process.update(sample)
         return sample.brakes_open.tolist() == [False, True]
 
@@ -76,7 +82,7 @@ def test_state_and_brake_commands_pass_and_closing_closes_the_brakes(served):
     process.close()  # any number of times
 
 
-def test_a_device_that_cannot_be_reached_fails_the_start_with_its_reason():
+def test_a_device_that_cannot_be_reached_fails_the_start_with_its_reason() -> None:
     server = ServedTcp(emulated_io())
     server.close()
     process = IoProcess(io_map(server.url), AXES)
@@ -84,13 +90,13 @@ def test_a_device_that_cannot_be_reached_fails_the_start_with_its_reason():
         process.start()
 
 
-def test_a_device_that_refuses_fails_the_start_with_its_words(served):
+def test_a_device_that_refuses_fails_the_start_with_its_words(served: tuple[EmulatedIo, ServedTcp]) -> None:
     _, server = served
     with pytest.raises(ConfigurationRefusedError, match="illegal data address"):
         IoProcess(io_map(server.url, door_input=99), AXES).start()
 
 
-def test_a_lost_device_goes_stale_and_comes_back_with_brakes_closed(served):
+def test_a_lost_device_goes_stale_and_comes_back_with_brakes_closed(served: tuple[EmulatedIo, ServedTcp]) -> None:
     device, server = served
     process = IoProcess(io_map(server.url, poll_period_s=0.01, stale_after_s=0.1), AXES)
     process.start()
@@ -100,17 +106,18 @@ def test_a_lost_device_goes_stale_and_comes_back_with_brakes_closed(served):
     device.serve_tcp = lambda framing, data: b""  # the cable is pulled: requests vanish
     sample = Sample(2)
 
-    def stale():
+    def stale() -> bool:
         process.update(sample)
         return sample.io_age_s > 0.1
 
     assert eventually(stale)
-    assert not sample.hold_to_run and np.isnan(sample.temperature_degC).all()
+    assert not sample.hold_to_run
+    assert np.isnan(sample.temperature_degC).all()
     assert eventually(lambda: "no answer from unit 17" in process.error)
     device.serve_tcp = reachable
     assert eventually(lambda: device.coils == [False, False, False])  # open before, nobody knows what happened since: closed
 
-    def fresh():
+    def fresh() -> bool:
         process.update(sample)
         return sample.io_age_s < 0.1 and sample.hold_to_run
 
@@ -120,7 +127,9 @@ def test_a_lost_device_goes_stale_and_comes_back_with_brakes_closed(served):
     process.close()
 
 
-def test_brakes_of_a_loop_that_stands_still_close_and_stay_closed_until_they_are_commanded_anew(served):
+def test_brakes_of_a_loop_that_stands_still_close_and_stay_closed_until_they_are_commanded_anew(
+    served: tuple[EmulatedIo, ServedTcp],
+) -> None:
     device, server = served
     process = IoProcess(io_map(server.url, poll_period_s=0.01, stale_after_s=60.0), AXES)
     process.start()
@@ -129,7 +138,7 @@ def test_brakes_of_a_loop_that_stands_still_close_and_stay_closed_until_they_are
     last_tick_s = time.monotonic()
     process.update(Sample(2))
     assert eventually(lambda: device.coils == [False, False, False])
-    assert time.monotonic() - last_tick_s > LOOP_STILL_S
+    assert time.monotonic() - last_tick_s > 0.5  # over a hundred ticks, which no busy processor explains
 
     polls = []
     serve = device.serve_tcp
@@ -141,7 +150,7 @@ def test_brakes_of_a_loop_that_stands_still_close_and_stay_closed_until_they_are
     process.close()
 
 
-def test_a_process_that_never_opened_a_brake_leaves_the_brakes_as_they_are(served):
+def test_a_process_that_never_opened_a_brake_leaves_the_brakes_as_they_are(served: tuple[EmulatedIo, ServedTcp]) -> None:
     device, server = served
     device.coils[:] = [True, True, True]  # another bench's
     process = IoProcess(io_map(server.url, poll_period_s=0.01), AXES)
@@ -152,7 +161,7 @@ def test_a_process_that_never_opened_a_brake_leaves_the_brakes_as_they_are(serve
     assert process.trouble == ""
 
 
-def test_closing_is_tried_again_after_a_pause(served):
+def test_closing_is_tried_five_times_with_a_pause_in_which_a_device_restarts_its_server(served: tuple[EmulatedIo, ServedTcp]) -> None:
     device, server = served
     process = IoProcess(io_map(server.url, poll_period_s=0.01, stale_after_s=60.0), AXES)
     process.start()
@@ -160,19 +169,20 @@ def test_closing_is_tried_again_after_a_pause(served):
     assert eventually(ticking(process, lambda: device.coils[2]))
     serve, refused_s = device.serve_tcp, []
 
-    def hang_up(framing, data):
-        if writes_coils(data) and len(refused_s) < CLOSE_ATTEMPTS - 1:
+    def hang_up(framing: TcpFraming, data: bytes) -> bytes:
+        if writes_coils(data) and len(refused_s) < 4:
             refused_s.append(time.monotonic())
             raise ConnectionResetError
         return serve(framing, data)
 
     device.serve_tcp = hang_up
     process.close()
-    assert device.coils == [False, False, False] and process.trouble == ""
-    assert all(later - earlier >= 0.9 * CLOSE_PAUSE_S for earlier, later in itertools.pairwise(refused_s))
+    assert device.coils == [False, False, False]
+    assert process.trouble == ""
+    assert all(later - earlier > 0.15 for earlier, later in itertools.pairwise(refused_s))
 
 
-def test_a_device_that_is_silent_to_the_end_leaves_its_trouble_to_the_caller(served):
+def test_a_device_that_is_silent_to_the_end_leaves_its_trouble_to_the_caller(served: tuple[EmulatedIo, ServedTcp]) -> None:
     device, server = served
     process = IoProcess(io_map(server.url, poll_period_s=0.01, stale_after_s=60.0), AXES)
     process.start()
@@ -186,7 +196,7 @@ def test_a_device_that_is_silent_to_the_end_leaves_its_trouble_to_the_caller(ser
     )
 
 
-def test_a_second_sigterm_does_not_break_the_closing_of_the_brakes(served):
+def test_a_second_sigterm_does_not_break_the_closing_of_the_brakes(served: tuple[EmulatedIo, ServedTcp]) -> None:
     device, server = served
     process = IoProcess(io_map(server.url, poll_period_s=0.01, stale_after_s=60.0), AXES)
     process.start()
@@ -195,7 +205,7 @@ def test_a_second_sigterm_does_not_break_the_closing_of_the_brakes(served):
     assert eventually(ticking(process, lambda: device.coils[2]))
     serve, closing = device.serve_tcp, threading.Event()
 
-    def mute(framing, data):
+    def mute(framing: TcpFraming, data: bytes) -> bytes:
         if writes_coils(data):
             closing.set()
         return b""
@@ -232,7 +242,7 @@ LOOP = """
 
 
 @contextlib.contextmanager
-def loop_with_open_brakes(served, tmp_path):
+def loop_with_open_brakes(served: tuple[EmulatedIo, ServedTcp], tmp_path: Path) -> Iterator[subprocess.Popen[bytes]]:
     """A loop in a process group of its own, as a shell starts one, that ticks with both brakes open."""
     device, server = served
     script = tmp_path / "loop.py"
@@ -248,7 +258,7 @@ def loop_with_open_brakes(served, tmp_path):
 
 
 @pytest.mark.parametrize("end", ["exit", "SIGTERM", "SIGKILL", "SIGHUP to all", "SIGQUIT to all", "SIGKILL to all"])
-def test_when_the_loops_process_dies_the_brakes_close(served, tmp_path, end):
+def test_when_the_loops_process_dies_the_brakes_close(served: tuple[EmulatedIo, ServedTcp], tmp_path: Path, end: str) -> None:
     device, _ = served
     with loop_with_open_brakes(served, tmp_path) as loop:
         if end == "exit":
@@ -261,7 +271,7 @@ def test_when_the_loops_process_dies_the_brakes_close(served, tmp_path, end):
         assert eventually(lambda: device.coils == [False, False, False])
 
 
-def test_when_the_loops_process_hangs_the_brakes_close(served, tmp_path):
+def test_when_the_loops_process_hangs_the_brakes_close(served: tuple[EmulatedIo, ServedTcp], tmp_path: Path) -> None:
     device, _ = served
     with loop_with_open_brakes(served, tmp_path) as loop:
         os.kill(loop.pid, signal.SIGSTOP)

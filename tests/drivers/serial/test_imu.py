@@ -1,5 +1,7 @@
 """Readings of the IMU, row by row: exact, missing, damaged, late, wrapped, faulty."""
 
+from __future__ import annotations
+
 import math
 
 import numpy as np
@@ -23,7 +25,7 @@ def bench() -> Bench:
     return bench
 
 
-def test_every_sync_brings_one_reading_exact_to_float32(bench):
+def test_every_sync_brings_one_reading_exact_to_float32(bench: Bench) -> None:
     for number in range(1, 20):
         imu = IMU * number
         assert bench.tick(number, imu)
@@ -34,12 +36,12 @@ def test_every_sync_brings_one_reading_exact_to_float32(bench):
     assert bench.sample.fault == ""
 
 
-def test_the_device_sends_nothing_between_syncs_when_triggered(bench):
+def test_the_device_sends_nothing_between_syncs_when_triggered(bench: Bench) -> None:
     assert bench.device.advance(5.0) == b""
     assert not bench.driver.poll(bench.sample)
 
 
-def test_a_missing_packet_is_nan_and_not_the_last_one_again(bench):
+def test_a_missing_packet_is_nan_and_not_the_last_one_again(bench: Bench) -> None:
     assert bench.tick(1)
     assert not bench.driver.poll(bench.sample)
     assert np.all(np.isnan(bench.sample.imu))
@@ -47,7 +49,7 @@ def test_a_missing_packet_is_nan_and_not_the_last_one_again(bench):
     assert bench.sample.imu_counter == -1
 
 
-def test_lost_packets_show_in_the_counter(bench):
+def test_lost_packets_show_in_the_counter(bench: Bench) -> None:
     bench.tick(1)
     for number in (2, 3, 4):
         bench.device.on_sync(IMU, number * PERIOD_S)  # never reaches the line
@@ -56,7 +58,7 @@ def test_lost_packets_show_in_the_counter(bench):
     assert bench.sample.imu_counter == 4
 
 
-def test_a_damaged_packet_is_counted_and_missing_in_its_row_only(bench):
+def test_a_damaged_packet_is_counted_and_missing_in_its_row_only(bench: Bench) -> None:
     bench.tick(1)
     damaged = bytearray(bench.device.on_sync(IMU, 2 * PERIOD_S))
     damaged[20] ^= 0xFF
@@ -67,7 +69,7 @@ def test_a_damaged_packet_is_counted_and_missing_in_its_row_only(bench):
     assert bench.driver.lost_packets == 1
 
 
-def test_a_packet_that_comes_after_its_row_was_closed_is_in_no_row(bench):
+def test_a_packet_that_comes_after_its_row_was_closed_is_in_no_row(bench: Bench) -> None:
     bench.tick(1)
     late = bench.device.on_sync(IMU * 2, 2 * PERIOD_S)
     assert not bench.driver.poll(bench.sample)
@@ -77,7 +79,7 @@ def test_a_packet_that_comes_after_its_row_was_closed_is_in_no_row(bench):
     assert (bench.driver.late_packets, bench.driver.lost_packets) == (1, 0)
 
 
-def test_a_packet_split_over_two_reads_arrives_whole(bench):
+def test_a_packet_split_over_two_reads_arrives_whole(bench: Bench) -> None:
     packet = bench.device.on_sync(IMU, PERIOD_S)
     bench.device_end.write(packet[:23])
     assert not bench.driver.poll(bench.sample)
@@ -86,7 +88,7 @@ def test_a_packet_split_over_two_reads_arrives_whole(bench):
     assert np.array_equal(bench.sample.imu, IMU)
 
 
-def test_counter_and_time_run_on_where_the_device_wraps(bench):
+def test_counter_and_time_run_on_where_the_device_wraps(bench: Bench) -> None:
     bench.device_end.write(reading(0xFFFF, 0xFFFFFFF0))
     bench.driver.poll(bench.sample)
     before_s = bench.sample.imu_time_s
@@ -101,13 +103,13 @@ def test_counter_and_time_run_on_where_the_device_wraps(bench):
 
 
 @pytest.mark.parametrize("precision", Precision)
-def test_every_number_format_a_tracker_may_be_set_to_is_read(bench, precision):
+def test_every_number_format_a_tracker_may_be_set_to_is_read(bench: Bench, precision: Precision) -> None:
     bench.device_end.write(encode_reading(Reading(1, 1, (0.5, -0.25, 9.75), (1.5, 0.0, -2.0), 1), precision))
     assert bench.driver.poll(bench.sample)
     assert np.array_equal(bench.sample.imu, [0.5, -0.25, 9.75, 1.5, 0.0, -2.0])
 
 
-def test_a_reading_without_acceleration_fills_no_row(bench):
+def test_a_reading_without_acceleration_fills_no_row(bench: Bench) -> None:
     bench.device_end.write(encode_reading(Reading(1, 1, None, (0.0, 0.0, 0.0), 1)))
     assert not bench.driver.poll(bench.sample)
     assert np.all(np.isnan(bench.sample.imu))
@@ -123,7 +125,7 @@ def test_a_reading_without_acceleration_fills_no_row(bench):
         (encode(MessageId.MTDATA2, b"\x10\x20\x09"), "beyond the message"),
     ],
 )
-def test_device_faults_stand_in_the_sample_in_words_until_the_device_is_configured_anew(bench, wire, words):
+def test_device_faults_stand_in_the_sample_in_words_until_the_device_is_configured_anew(bench: Bench, wire: bytes, words: str) -> None:
     bench.device_end.write(wire)
     bench.driver.poll(bench.sample)
     bench.device_end.write(encode(MessageId.WAKE_UP))

@@ -1,5 +1,7 @@
 """The IMU over a real file descriptor."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +17,7 @@ from virtual_bus.serial.pty import Pty
 from virtual_bus.serial.xsens_imu import EmulatedImu
 
 
-def test_over_a_pseudo_terminal_the_driver_configures_and_reads():
+def test_over_a_pseudo_terminal_the_driver_configures_and_reads() -> None:
     pty = Pty()
     device = EmulatedImu()
     pty.write(device.power_on())  # old bytes in the port are dropped when it is opened
@@ -41,7 +43,7 @@ def test_over_a_pseudo_terminal_the_driver_configures_and_reads():
     pty.close()
 
 
-def test_a_line_that_is_hung_up_is_a_fault_in_words():
+def test_a_line_that_is_hung_up_is_a_fault_in_words() -> None:
     pty = Pty()
     stream = SerialStream(pty.path, 921600)
     driver = ImuDriver(PORT, stream)
@@ -50,7 +52,7 @@ def test_a_line_that_is_hung_up_is_a_fault_in_words():
     assert sample.imu_fault == ""
     pty.close()
 
-    def fault_told():
+    def fault_told() -> bool:
         assert not driver.poll(sample)
         return "is gone" in sample.imu_fault
 
@@ -61,12 +63,12 @@ def test_a_line_that_is_hung_up_is_a_fault_in_words():
     stream.close()
 
 
-def test_a_port_that_does_not_exist_is_named():
+def test_a_port_that_does_not_exist_is_named() -> None:
     with pytest.raises(BusUnavailableError, match=r"/dev/no_such_port at 921600 baud: No such file or directory"):
         SerialStream("/dev/no_such_port", 921600)
 
 
-def test_a_port_in_use_is_named():
+def test_a_port_in_use_is_named() -> None:
     pty = Pty()
     first = SerialStream(pty.path, 921600)
     with pytest.raises(BusUnavailableError, match=pty.path):

@@ -1,4 +1,4 @@
-"""The bench over `lockstep:`: repeatable bit for bit, at 256 Hz and at 1 kHz, and honest about what it found."""
+"""The bench over `lockstep:`: repeatable bit for bit, at 256 Hz and at 1 kHz, and its recordings say what it found."""
 
 from __future__ import annotations
 
@@ -11,12 +11,14 @@ import pytest
 from bench_machines import CARM, STOPWATCH, LosingBus, carm_at_1_kHz, read_truth, run_in_lockstep
 
 from drivers.errors import DeviceFaultError
+from drivers.interface import Sample
+from hil.bench.bench import Bench
 from hil.bench.open import open_bench, recording_paths
 from hil.bench.options import BenchOptions
-from hil.errors import LoopAborted, UnusableInputError
-from hil.experiments import Jog, JogOnly, Multisine, Static
+from hil.errors import LoopAbortedError, UnusableInputError
+from hil.experiments import Jog, JogOnly, Multisine, Plan, Static
 from hil.machine import load_machine
-from hil.recording import read_recording
+from hil.recording import Recording, read_recording
 from hil.simulation import compare, simulate
 from virtual_bus.settings import EffectSetting
 
@@ -30,51 +32,58 @@ LINK_COUNT_rad = CARM.bus.scalings[ROLL].link_resolution
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("lockstep")
 
 
 @pytest.fixture(scope="module")
-def two_plans():
+def two_plans() -> list[Plan]:
     return SHORT.plans(CARM)
 
 
 @pytest.fixture(scope="module")
-def first(folder, two_plans):
+def first(folder: Path, two_plans: list[Plan]) -> list[Recording]:
     """Two recordings of one bench, the machine switched on at pose zero."""
     return run_in_lockstep(folder, two_plans, name="first", start_pose=np.zeros(2), seed=3)
 
 
-def _equal(one, other, leave_out=()):
+def _equal(one: Recording, other: Recording, leave_out: tuple[str, ...] = ()) -> set[str]:
     assert one.channels.keys() == other.channels.keys()
     return {name for name in one.channels if name not in leave_out and not np.array_equal(one[name], other[name], equal_nan=True)}
 
 
-def test_the_same_seed_gives_the_same_recordings_bit_for_bit_and_the_same_frames(folder, two_plans, first):
+def test_the_same_seed_gives_the_same_recordings_bit_for_bit_and_the_same_frames(
+    folder: Path, two_plans: list[Plan], first: list[Recording]
+) -> None:
     again = run_in_lockstep(folder, two_plans, name="again", start_pose=np.zeros(2), seed=3)
     for one, other in zip(first, again, strict=True):
         assert _equal(one, other) == set()
         assert one.metadata == other.metadata
     frames = (folder / "first.log").read_bytes()
-    assert frames == (folder / "again.log").read_bytes() and frames.count(b"\n") > 2 * 256 * 7
+    assert frames == (folder / "again.log").read_bytes()
+    assert frames.count(b"\n") > 2 * 256 * 7
     assert (folder / "first.csv").read_bytes() == (folder / "again.csv").read_bytes()
 
 
-def test_another_seed_changes_the_sensors_noise_and_nothing_the_bench_decides(folder, two_plans, first):
+def test_another_seed_changes_the_sensors_noise_and_nothing_the_bench_decides(
+    folder: Path, two_plans: list[Plan], first: list[Recording]
+) -> None:
     (other,) = run_in_lockstep(folder, two_plans[:1], name="other", start_pose=np.zeros(2), seed=5)
     different = _equal(first[0], other, STOPWATCH)
     assert {"imu_x", "gyro_z", "current_roll"} <= different
     assert not any(name.startswith(("time", "reference", "excitation", "feedforward")) for name in different)
 
 
-def test_a_run_at_1_kHz_keeps_its_time_and_is_what_the_simulation_says(folder):
+def test_a_run_at_1_kHz_keeps_its_time_and_is_what_the_simulation_says(folder: Path) -> None:
     machine = carm_at_1_kHz()
     plans = Multisine(
         pose=POSE, lines=(3, 5, 7), amplitude_A=0.3, period_s=0.5, periods=2, settle_periods=0, experiments="single", jog=None
     ).plans(machine)[1:]
     (recording,) = run_in_lockstep(folder, plans, machine, name="fast")
-    assert recording.rows == 1000 and recording.sample_rate_Hz == pytest.approx(1000.0)
-    assert not recording.channel("position_roll").missing.any() and not recording.channel("imu_z").missing.any()
+    assert recording.rows == 1000
+    assert recording.sample_rate_Hz == pytest.approx(1000.0)
+    assert not recording.channel("position_roll").missing.any()
+    assert not recording.channel("imu_z").missing.any()
     assert np.diff(recording["imu_time"]) == pytest.approx(1e-3, abs=1.01e-4)  # its own time stamps, in steps of 0.1 ms
     assert np.ptp(recording["position_roll"]) > 20 * COUNT_rad
     comparison = compare(recording, simulate(machine, recording))
@@ -82,25 +91,29 @@ def test_a_run_at_1_kHz_keeps_its_time_and_is_what_the_simulation_says(folder):
     assert comparison["current_roll"].nrmse < 0.08  # its noise is 10 mA
 
 
-def test_several_plans_are_named_by_realisation_and_experiment_counted_from_one():
+def test_several_plans_are_named_by_realisation_and_experiment_counted_from_one() -> None:
     plans = Multisine(pose=POSE, lines=(3, 5), amplitude_A=0.1, period_s=1.0, periods=1, realisations=2, jog=None).plans(CARM)
     names = [path.name for path in recording_paths(Path("out/run.csv"), plans)]
     assert names == ["run_r1_e1.csv", "run_r1_e2.csv", "run_r2_e1.csv", "run_r2_e2.csv"]
     assert recording_paths(Path("run.mf4"), plans[:1]) == [Path("run.mf4")]
 
 
-def test_each_recording_says_which_machine_experiment_seed_and_controller_states_made_it(first):
+def test_each_recording_says_which_machine_experiment_seed_and_controller_states_made_it(first: list[Recording]) -> None:
     for number, recording in enumerate(first):
-        assert recording.machine_hash == CARM.hash and recording.machine_text == CARM.text
-        assert recording.experiment["experiment"] == number and recording.experiment["excited_lines"] == [3, 5, 7, 11, 13]
+        assert recording.machine_hash == CARM.hash
+        assert recording.machine_text == CARM.text
+        assert recording.experiment["experiment"] == number
+        assert recording.experiment["excited_lines"] == [3, 5, 7, 11, 13]
         initial = recording.metadata["initial"]
-        assert initial["seed"] == 3 and initial["brakes"] == {"propeller": "open", "roll": "open"}
-        assert recording.rows == 256 and "timing" not in recording.metadata
+        assert initial["seed"] == 3
+        assert initial["brakes"] == {"propeller": "open", "roll": "open"}
+        assert recording.rows == 256
+        assert "timing" not in recording.metadata
         assert set(initial["controller_states"]) == {"propeller", "roll"}
         assert any("homed" in line for line in recording.metadata["bench"]["commissioning"])
 
 
-def test_row_0_is_standstill_in_the_start_pose_the_machine_was_brought_to(folder, first):
+def test_row_0_is_standstill_in_the_start_pose_the_machine_was_brought_to(folder: Path, first: list[Recording]) -> None:
     truth = read_truth(folder / "first.csv")
     for number, recording in enumerate(first):
         for axis, pose in POSE.items():
@@ -111,7 +124,7 @@ def test_row_0_is_standstill_in_the_start_pose_the_machine_was_brought_to(folder
         assert [recording[f"gyro_{axis}"][0] for axis in "xyz"] == pytest.approx([2e-4, -1e-4, 1e-4], abs=4 * 5e-4)  # its bias
 
 
-def test_row_0_answers_to_the_holding_effort_that_the_integrators_bring(first):
+def test_row_0_answers_to_the_holding_effort_that_the_integrators_bring(first: list[Recording]) -> None:
     from virtual_bus.physics import Physics
 
     holding = Physics(CARM.plant, noise=False).holding_effort(np.array([POSE[axis] for axis in CARM.axes]))
@@ -122,14 +135,14 @@ def test_row_0_answers_to_the_holding_effort_that_the_integrators_bring(first):
             assert recording[f"current_{axis}"][0] == pytest.approx(effort, abs=0.1)
 
 
-def test_a_current_answers_to_the_command_of_the_row_before(first):
+def test_a_current_answers_to_the_command_of_the_row_before(first: list[Recording]) -> None:
     command, current = first[1]["command_roll"], first[1]["current_roll"]
     step = CARM.bus.scalings[ROLL].rated / 1000.0  # the target goes out in per mille of rated
     assert np.abs(current[1:] - command[:-1]).max() < 5 * 0.01 + step  # five sigma of its noise
     assert np.abs(current[1:] - command[1:]).max() > 2 * (5 * 0.01 + step)  # and not to its own
 
 
-def test_the_truth_has_a_row_for_every_recorded_row_and_agrees_with_the_encoders(folder, first):
+def test_the_truth_has_a_row_for_every_recorded_row_and_agrees_with_the_encoders(folder: Path, first: list[Recording]) -> None:
     truth = read_truth(folder / "first.csv")
     assert len(truth["time"]) == sum(recording.rows for recording in first)
     for number, recording in enumerate(first):
@@ -142,13 +155,13 @@ def test_the_truth_has_a_row_for_every_recorded_row_and_agrees_with_the_encoders
             assert recording[f"link_position_{axis}"] == pytest.approx(motor + gear, abs=1.01 * LINK_COUNT_rad)
 
 
-def test_every_column_of_the_truth_has_its_name_and_unit(folder, first):
+def test_every_column_of_the_truth_has_its_name_and_unit(folder: Path, first: list[Recording]) -> None:
     header = (folder / "first.csv").read_text().split("\n", 1)[0].split(",")
     assert {"time [s]", "joint_position_roll_gear [rad]", "joint_speed_propeller [rad/s]", "friction_effort_roll [Nm]"} <= set(header)
     assert {"pose_detector_x [m]", "pose_detector_r33", "pose_tube_z [m]"} <= set(header)
 
 
-def test_physics_that_the_machine_file_does_not_know_shows_in_the_current(folder):
+def test_physics_that_the_machine_file_does_not_know_shows_in_the_current(folder: Path) -> None:
     """12 Nm of Coulomb friction at roll: 12/(0.095 * 500) = 0.2526 A to either side, Armstrong-Helouvry et al. 1994."""
     plans = JogOnly(pose={"roll": 0.5}, jog=Jog(0.02, line=1), period_s=5.0, periods=1).plans(CARM)
     secret = CARM.with_effects((EffectSetting("coulomb_friction", "roll", {"Fc": 12.0}),))
@@ -162,7 +175,7 @@ def test_physics_that_the_machine_file_does_not_know_shows_in_the_current(folder
     assert rough.machine_hash == known.machine_hash  # the secret is kept
 
 
-def test_commissioning_says_what_was_checked_axis_by_axis():
+def test_commissioning_says_what_was_checked_axis_by_axis() -> None:
     with open_bench(CARM, BenchOptions("lockstep:"), np.array([0.3, -0.7])) as bench:
         report = bench.commission()
     pushed = [line for line in report if "the right way" in line]
@@ -173,7 +186,7 @@ def test_commissioning_says_what_was_checked_axis_by_axis():
     assert all(abs(float(match[3])) < np.radians(0.1) for match in homed)
 
 
-def test_both_ends_of_the_bus_count_the_same_syncs_and_a_recording_has_one_a_row(folder, two_plans):
+def test_both_ends_of_the_bus_count_the_same_syncs_and_a_recording_has_one_a_row(folder: Path, two_plans: list[Plan]) -> None:
     """What a panel stamps its exposures with, over two sessions."""
     with open_bench(CARM, BenchOptions("lockstep:"), two_plans[0].start_pose) as bench:
         emulated, told = bench.wiring.link.network.can_bus.machine, []
@@ -183,12 +196,13 @@ def test_both_ends_of_the_bus_count_the_same_syncs_and_a_recording_has_one_a_row
 
         for plan in two_plans:
             bench.run(plan, folder / "counted.mf4", rows=Counted)
-    assert len(told) == 4 and all(ours == theirs > 0 for ours, theirs in told)
+    assert len(told) == 4
+    assert all(ours == theirs > 0 for ours, theirs in told)
     rows = [len(plan.reference) for plan in two_plans]
     assert [after[0] - before[0] for before, after in (told[:2], told[2:])] == rows
 
 
-def test_a_machine_without_bus_cannot_be_run_and_is_told_so():
+def test_a_machine_without_bus_cannot_be_run_and_is_told_so() -> None:
     with (
         pytest.raises(UnusableInputError, match=r"emps: its file has no \[bus\]"),
         open_bench(load_machine("emps"), BenchOptions("lockstep:")),
@@ -197,19 +211,21 @@ def test_a_machine_without_bus_cannot_be_run_and_is_told_so():
 
 
 @pytest.fixture
-def losing(monkeypatch):
+def losing(monkeypatch: pytest.MonkeyPatch) -> type[LosingBus]:
     """The lockstep bus loses frames when `LosingBus.lost_ids` says so."""
     monkeypatch.setattr("hil.bench.wiring.LockstepBus", LosingBus)
     monkeypatch.setattr(LosingBus, "lost_ids", ())
     return LosingBus
 
 
-def test_positions_lost_for_a_moment_are_missing_in_the_recording_and_the_run_goes_on(folder, losing, two_plans):
-    def lose_once(bench, row):
+def test_positions_lost_for_a_moment_are_missing_in_the_recording_and_the_run_goes_on(
+    folder: Path, losing: type[LosingBus], two_plans: list[Plan]
+) -> None:
+    def lose_once(bench: Bench, row: int) -> None:
         link = bench.wiring.link
         tick, exchange = 0, link.exchange
 
-        def counted(command):
+        def counted(command: np.ndarray) -> Sample:
             nonlocal tick
             tick += 1
             losing.lost_ids = (0x182,) if row == 0 and 10 <= tick < 13 else ()
@@ -220,26 +236,29 @@ def test_positions_lost_for_a_moment_are_missing_in_the_recording_and_the_run_go
 
     (recording,) = run_in_lockstep(folder, two_plans[:1], name="bridged", progress=lose_once)
     missing = np.flatnonzero(recording.channel("position_roll").missing)
-    assert len(missing) == 3 and np.ptp(missing) == 2
-    assert recording.rows == 256 and not recording.channel("position_propeller").missing.any()
+    assert len(missing) == 3
+    assert np.ptp(missing) == 2
+    assert recording.rows == 256
+    assert not recording.channel("position_propeller").missing.any()
     assert recording["data_age_roll"][missing] == pytest.approx(np.arange(1, 4) / 256.0)
     assert np.isfinite(recording["command_roll"]).all()
 
 
-def test_positions_lost_for_longer_stop_the_motors_and_every_row_is_kept(folder, losing):
+def test_positions_lost_for_longer_stop_the_motors_and_every_row_is_kept(folder: Path, losing: type[LosingBus]) -> None:
     plans = Static(2.0, POSE).plans(CARM)
 
-    def lose(bench, row):
+    def lose(bench: Bench, row: int) -> None:
         losing.lost_ids = (0x182,) if row >= 256 else ()
 
-    with pytest.raises(LoopAborted, match=r"^row 260: roll: no position for 4 ticks.* 261 rows are kept$"):
+    with pytest.raises(LoopAbortedError, match=r"^row 260: roll: no position for 4 ticks.* 261 rows are kept$"):
         run_in_lockstep(folder, plans, name="lost", progress=lose)
     recording = read_recording(folder / "lost_0.mf4")
-    assert recording.rows == 261 and "no position" in recording.metadata["ended"]["error"]
+    assert recording.rows == 261
+    assert "no position" in recording.metadata["ended"]["error"]
     assert np.flatnonzero(recording.channel("position_roll").missing).tolist() == [257, 258, 259, 260]
 
 
-def test_an_imu_that_says_nonsense_is_recorded_as_missing(folder, monkeypatch, two_plans):
+def test_an_imu_that_says_nonsense_is_recorded_as_missing(folder: Path, monkeypatch: pytest.MonkeyPatch, two_plans: list[Plan]) -> None:
     from virtual_bus.serial.xsens_imu import EmulatedImu
 
     honest = EmulatedImu.on_sync
@@ -247,39 +266,41 @@ def test_an_imu_that_says_nonsense_is_recorded_as_missing(folder, monkeypatch, t
         EmulatedImu, "on_sync", lambda self, readings, time_s: honest(self, np.where([0, 0, 1, 0, 0, 0], np.nan, readings), time_s)
     )
     (recording,) = run_in_lockstep(folder, two_plans[:1], name="nonsense")
-    assert recording.channel("imu_z").missing.all() and not recording.channel("imu_x").missing.any()
+    assert recording.channel("imu_z").missing.all()
+    assert not recording.channel("imu_x").missing.any()
 
 
-def test_a_drive_in_fault_stops_the_run_in_words_with_its_rows_kept(folder):
-    def trip(bench, row):
+def test_a_drive_in_fault_stops_the_run_in_words_with_its_rows_kept(folder: Path) -> None:
+    def trip(bench: Bench, row: int) -> None:
         if row == 128:
             emulated = bench.wiring.link.network.can_bus.machine
             emulated.drives["roll_drive"].inject_fault(0x2310)
 
-    with pytest.raises((DeviceFaultError, LoopAborted), match=r"roll_drive.*2310h"):
+    with pytest.raises((DeviceFaultError, LoopAbortedError), match=r"roll_drive.*2310h"):
         run_in_lockstep(folder, Static(2.0, POSE).plans(CARM), name="tripped", progress=trip)
     recording = read_recording(folder / "tripped_0.mf4")
-    assert 128 <= recording.rows <= 132 and "2310h" in recording.metadata["ended"]["error"]
+    assert 128 <= recording.rows <= 132
+    assert "2310h" in recording.metadata["ended"]["error"]
 
 
-def test_a_stop_request_while_homing_stops_there_and_not_at_the_first_row():
+def test_a_stop_request_while_homing_stops_there_and_not_at_the_first_row() -> None:
     with open_bench(CARM, BenchOptions("lockstep:"), np.zeros(2)) as bench:
         bench.loop.stop_request.ask("asked to stop by SIGINT")
-        with pytest.raises(LoopAborted, match=r"^asked to stop by SIGINT; the motors were stopped"):
+        with pytest.raises(LoopAbortedError, match=r"^asked to stop by SIGINT; the motors were stopped"):
             bench.commission()
         assert bench.commissioning == ()
 
 
 @pytest.mark.parametrize("name", [name for name in ("SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name)])
-def test_a_run_asked_to_stop_by_a_signal_keeps_its_rows_and_leaves_the_handlers_as_they_were(folder, name):
+def test_a_run_asked_to_stop_by_a_signal_keeps_its_rows_and_leaves_the_handlers_as_they_were(folder: Path, name: str) -> None:
     number = getattr(signal, name)
     before = signal.getsignal(number)
 
-    def interrupt(bench, row):
+    def interrupt(bench: Bench, row: int) -> None:
         if row == 128:
             signal.raise_signal(number)
 
-    with pytest.raises(LoopAborted, match=rf"row 129: asked to stop by {name}|^asked to stop by {name}"):
+    with pytest.raises(LoopAbortedError, match=rf"row 129: asked to stop by {name}|^asked to stop by {name}"):
         run_in_lockstep(folder, Static(2.0, POSE).plans(CARM), name=f"interrupted_{name}", progress=interrupt)
     assert 129 <= read_recording(folder / f"interrupted_{name}_0.mf4").rows <= 130
     assert signal.getsignal(number) is before

@@ -32,17 +32,17 @@ class SilentAtTheEnd:
 
 
 @pytest.fixture
-def options(monkeypatch):
+def options(monkeypatch: pytest.MonkeyPatch) -> BenchOptions:
     monkeypatch.setattr("hil.bench.wiring.IoProcess", SilentAtTheEnd)
     return BenchOptions(BUS, io_url="tcp:127.0.0.1:502")
 
 
-def test_it_is_the_error_of_a_run_that_has_none(options):
+def test_it_is_the_error_of_a_run_that_has_none(options: BenchOptions) -> None:
     with pytest.raises(BusError, match=f"^{TROUBLE}$"), wall_wiring(WITHOUT_IMU, options, StopRequest()):
         pass
 
 
-def test_it_is_a_note_to_the_error_there_is(options):
+def test_it_is_a_note_to_the_error_there_is(options: BenchOptions) -> None:
     with pytest.raises(KeyError) as caught, wall_wiring(WITHOUT_IMU, options, StopRequest()):
         raise KeyError("row")
     assert caught.value.__notes__ == [TROUBLE]

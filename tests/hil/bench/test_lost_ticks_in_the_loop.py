@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from scripted_bench import PERIOD_S, Rows, ScriptedClock, ScriptedLink, column, proportional_loop, still
 
-from hil.errors import LoopAborted
+from hil.errors import LoopAbortedError
 
 
-def _released(link):
+def _released(link: ScriptedLink) -> None:
     link.sample.hold_to_run = False
 
 
-def _outside(link):
+def _outside(link: ScriptedLink) -> None:
     link.sample.position[1] = 1.01
 
 
-def test_lost_ticks_up_to_the_limit_are_counted_and_the_run_goes_on():
-    def lose(link):
+def test_lost_ticks_up_to_the_limit_are_counted_and_the_run_goes_on() -> None:
+    def lose(link: ScriptedLink) -> None:
         link.clock.missed += 8
 
     clock = ScriptedClock()
@@ -27,8 +29,8 @@ def test_lost_ticks_up_to_the_limit_are_counted_and_the_run_goes_on():
     assert timing.missed == timing.summary()["missed"] == 16
 
 
-def _stall(ticks, also=None):
-    def script(link):
+def _stall(ticks: int, also: Callable[..., object] | None = None) -> Callable[..., object]:
+    def script(link: ScriptedLink) -> None:
         link.clock.missed += ticks
         if also is not None:
             also(link)
@@ -45,25 +47,27 @@ def _stall(ticks, also=None):
     ],
     ids=["overrun", "hold-to-run", "limit"],
 )
-def test_what_happens_while_the_last_ticks_of_a_plan_are_lost_stops_the_motors(event, says):
+def test_what_happens_while_the_last_ticks_of_a_plan_are_lost_stops_the_motors(event: Callable[..., object], says: str) -> None:
     link, sink = ScriptedLink(ScriptedClock(), {18: event}), Rows()
-    with pytest.raises(LoopAborted, match=says) as caught:
+    with pytest.raises(LoopAbortedError, match=says) as caught:
         proportional_loop(link).run(still(20), sink)
-    assert "after row 17" in str(caught.value) and "18 rows are kept" in str(caught.value)
+    assert "after row 17" in str(caught.value)
+    assert "18 rows are kept" in str(caught.value)
     assert link.stops >= 1
 
 
-def test_the_last_ticks_of_a_plan_may_be_lost():
+def test_the_last_ticks_of_a_plan_may_be_lost() -> None:
     link, sink = ScriptedLink(ScriptedClock(), {18: _stall(3)}), Rows()
     timing = proportional_loop(link).run(still(20), sink)
-    assert timing.ticks == len(sink.rows) == 18 and link.stops == 0
+    assert timing.ticks == len(sink.rows) == 18
+    assert link.stops == 0
 
 
-def test_time_and_plan_go_on_while_ticks_are_lost():
+def test_time_and_plan_go_on_while_ticks_are_lost() -> None:
     """Row of tick n: its time is n / f_s and its reference the plan's at n, so a period stays a period on the wall."""
 
-    def lose(ticks):
-        def script(link):
+    def lose(ticks: int) -> Callable[..., object]:
+        def script(link: ScriptedLink) -> None:
             link.clock.missed += ticks
 
         return script
@@ -77,4 +81,5 @@ def test_time_and_plan_go_on_while_ticks_are_lost():
     ticks = [0, 1, 2, 5, 6, 7, 9, 10, 11]
     assert rows[:, 0] == pytest.approx(np.array(ticks) * PERIOD_S)
     assert rows[:, column("reference_propeller")] == pytest.approx(1e-3 * np.array(ticks))
-    assert timing.ticks == len(ticks) and timing.missed == 8
+    assert timing.ticks == len(ticks)
+    assert timing.missed == 8

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ def machine_codes() -> int:
 
 
 @pytest.mark.parametrize("feedforward", ["false", "true"])
-def test_a_bench_that_is_open_compiles_nothing_more(tmp_path, feedforward):
+def test_a_bench_that_is_open_compiles_nothing_more(tmp_path: Path, feedforward: str) -> None:
     machine = machine_from_text(edited("^gravity_feedforward = false", f"gravity_feedforward = {feedforward}"))
     (plan,) = Static(0.5, POSE).plans(machine)
     assert not plan.reference.flags.writeable, "rows that may not be written to are what had machine code of their own"
@@ -33,7 +34,7 @@ def test_a_bench_that_is_open_compiles_nothing_more(tmp_path, feedforward):
         assert machine_codes() == before
 
 
-def test_the_feedback_has_one_machine_code_whatever_may_be_written_to():
+def test_the_feedback_has_one_machine_code_whatever_may_be_written_to() -> None:
     machine = machine_from_text(edited("^gravity_feedforward = false", "gravity_feedforward = true"))
     free, kept = np.zeros(2), np.zeros(2)
     kept.flags.writeable = False

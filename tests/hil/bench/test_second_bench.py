@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import os
+import select
+import socket
 from collections.abc import Iterator
 from typing import ClassVar
 
@@ -10,11 +13,11 @@ import can
 import pytest
 from bench_machines import CARM
 
-import hil.bench.wiring
 from drivers.errors import DuplicateNodeError
 from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
 
+termios = pytest.importorskip("termios", reason="the IMU is on a pseudo-terminal")
 CHANNEL = "second bench"
 
 
@@ -41,11 +44,12 @@ class Watching:
         return contextlib.nullcontext()
 
 
-def test_it_neither_polls_the_io_nor_opens_the_imu_nor_sends_a_frame_nor_shows_an_estimate(running_bench, monkeypatch):
-    touched = []
-    for device in ("IoProcess", "open_stream"):
-        monkeypatch.setattr(hil.bench.wiring, device, lambda *arguments, device=device: touched.append(device))
-    options = BenchOptions(f"virtual:{CHANNEL}", imu_device="/dev/ttyS0", io_url="tcp:127.0.0.1:1", real_time=False)
+def test_it_neither_polls_the_io_nor_opens_the_imu_nor_sends_a_frame_nor_shows_an_estimate(running_bench: can.BusABC) -> None:
+    touched: list[str] = []
+    io, (imu, far_end) = socket.create_server(("127.0.0.1", 0)), os.openpty()
+    settings = termios.tcgetattr(imu)
+    url = f"tcp:127.0.0.1:{io.getsockname()[1]}"
+    options = BenchOptions(f"virtual:{CHANNEL}", imu_device=os.ttyname(far_end), io_url=url, real_time=False)
     with (
         pytest.raises(DuplicateNodeError, match=r"node id 127, the bench's own, is already on .*another bench is running there"),
         open_bench(CARM, options, observer=Watching(touched)),
@@ -53,3 +57,8 @@ def test_it_neither_polls_the_io_nor_opens_the_imu_nor_sends_a_frame_nor_shows_a
         pass
     assert touched == []
     assert running_bench.recv(0.0) is None
+    assert not select.select([io, imu], [], [], 0.0)[0], "nobody has called the I/O, nothing was sent to the IMU"
+    assert termios.tcgetattr(imu) == settings, "nobody has set the IMU's line"
+    io.close()
+    os.close(imu)
+    os.close(far_end)

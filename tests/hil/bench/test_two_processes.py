@@ -20,8 +20,8 @@ TIMEOUT_S = 120.0
 
 
 @pytest.fixture
-def patient_carm(tmp_path) -> Path:
-    """carm whose time-outs a machine busy with other things keeps; what is asserted here is behaviour, not speed."""
+def patient_carm(tmp_path: Path) -> Path:
+    """Carm whose time-outs a machine busy with other things keeps; what is asserted here is behaviour, not speed."""
     text = CARM.text
     for key, value in {
         "heartbeat_s": 1.0,
@@ -39,7 +39,10 @@ def patient_carm(tmp_path) -> Path:
     return path
 
 
-def test_a_run_over_udp_finds_the_emulators_ports_and_records_what_the_truth_says_and_what_the_panel_shows(patient_carm, tmp_path):
+@pytest.mark.slow
+def test_a_run_over_udp_finds_the_emulators_ports_and_records_what_the_truth_says_and_what_the_panel_shows(
+    patient_carm: Path, tmp_path: Path
+) -> None:
     command = [sys.executable, "-m", "hil"]
     truth, recorded, images = tmp_path / "truth.csv", tmp_path / "run.csv", tmp_path / "images"
     emulator = subprocess.Popen(
@@ -52,11 +55,15 @@ def test_a_run_over_udp_finds_the_emulators_ports_and_records_what_the_truth_say
         text=True,
     )
     try:
-        assert emulator.stdout is not None and emulator.stderr is not None
+        assert emulator.stdout is not None
+        assert emulator.stderr is not None
         line = emulator.stdout.readline()
         assert line, emulator.stderr.read()
         ready = json.loads(line)
-        assert ready["ready"] == "carm" and ready["bus"] == BUS and ready["imu"] and ready["io"].startswith("tcp:127.0.0.1:")
+        assert ready["ready"] == "carm"
+        assert ready["bus"] == BUS
+        assert ready["imu"]
+        assert ready["io"].startswith("tcp:127.0.0.1:")
         assert ready["panel"].startswith("tcp:127.0.0.1:")
         run = [*command, "run", "static", "-m", str(patient_carm), "-b", BUS, "--pose", "roll=30", "--seconds", "1", "--no-real-time"]
         run += ["--images", str(images), "--image-binning", "20"]
@@ -64,14 +71,16 @@ def test_a_run_over_udp_finds_the_emulators_ports_and_records_what_the_truth_say
         assert done.returncode == 0, done.stderr
         (answer,) = json.loads(done.stdout)["recordings"]
         timing = answer["timing"]
-        assert timing["lateness_max_us"] >= 0.0 and timing["work_time_p99_us"] > 0.0
+        assert timing["lateness_max_us"] >= 0.0
+        assert timing["work_time_p99_us"] > 0.0
         assert 0 < timing["ticks"] <= 256 <= timing["ticks"] + timing["missed"], "what a loaded computer skipped is counted"
     finally:
         emulator.terminate()
         said = emulator.communicate(timeout=TIMEOUT_S)
     assert emulator.returncode == 0, said
     recording = read_recording(recorded)
-    assert recording.rows == timing["ticks"] and (recording["work_time"] > 0.0).all()
+    assert recording.rows == timing["ticks"]
+    assert (recording["work_time"] > 0.0).all()
     # the IMU's time stamps are the emulated machine's time, in steps of 0.1 ms: they say which row of the truth a row is
     known = read_truth(truth)
     rows = np.flatnonzero(~recording.channel("imu_time").missing & ~recording.channel("position_roll").missing)
@@ -81,6 +90,9 @@ def test_a_run_over_udp_finds_the_emulators_ports_and_records_what_the_truth_say
     assert recording["position_roll"][rows] == pytest.approx(known["joint_position_roll"][nearest], abs=1e-4)
     # the panel found by its emulator's card, each exposure in the loop's time by the SYNCs that both ends have counted
     scan = read_scan(images)
-    assert list(scan.exposure_id) == list(range(len(scan))) and 4 <= len(scan) <= 7 and scan.frame(3).max() > 1000
-    assert scan.start_s[0] > 0.09 and scan.start_s[-1] <= recording.time[-1]
+    assert list(scan.exposure_id) == list(range(len(scan)))
+    assert 4 <= len(scan) <= 7
+    assert scan.frame(3).max() > 1000
+    assert scan.start_s[0] > 0.09
+    assert scan.start_s[-1] <= recording.time[-1]
     assert scan.positions[:, 1] == pytest.approx(np.radians(30.0), abs=1e-3)

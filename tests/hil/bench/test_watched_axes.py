@@ -1,7 +1,7 @@
 """Whatever moves an axis that should stand, or moves it further than it may, is seen and stopped: the emulated C-arm with one thing broken.
 
 How far an axis went is the plant's own truth, from the tick in which the thing broke until the machine was at rest: what the watch allows,
-the brake's 0.1 s, and the swing of the structure behind it. docs/experiments.md has the figures, and those without a watch.
+the brake's 0.1 s, and the swing of the structure behind it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from drivers.errors import MotionRefusedError
 from hil.bench.bench import Bench
 from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
-from hil.errors import LoopAborted
+from hil.errors import LoopAbortedError
 from hil.experiments import Static
 from hil.machine import Machine, machine_from_text
 from virtual_bus.canopen.drive import Cia402Drive
@@ -92,7 +92,8 @@ class Broken:
         """Furthest from where it broke [rad], the machine being at rest again."""
         self.bench.wiring.clock.wait(0.2)  # the nodes are reset; a brake whose feedback lies may still be closing
         self.way.append(self.position())
-        assert not any(drive.power_state.name == "OPERATION_ENABLED" for drive in self.emulated.drives.values()) and not self.brake_open
+        assert not any(drive.power_state.name == "OPERATION_ENABLED" for drive in self.emulated.drives.values())
+        assert not self.brake_open
         return float(np.abs(np.array(self.way) - self.way[0]).max())
 
 
@@ -109,7 +110,7 @@ def still(folder: Path, bench: Bench) -> None:
         (powerless, r"roll: .* moved by -5\.\d\de-03 rad while it should stand", 14e-3),
     ],
 )
-def test_the_first_move_is_watched_tick_by_tick(fault, words, moved):
+def test_the_first_move_is_watched_tick_by_tick(fault: Callable[..., object], words: str, moved: float) -> None:
     with open_bench(CARM, BenchOptions("lockstep:"), START) as bench:
         broken = Broken(bench, "roll", fault, lambda b: b.told_to_open)
         with pytest.raises(MotionRefusedError, match=words):
@@ -124,7 +125,7 @@ def test_the_first_move_is_watched_tick_by_tick(fault, words, moved):
         (powerless, r"roll: .* moved by -5\.\d\de-03 rad while it should stand", 14e-3),
     ],
 )
-def test_an_axis_is_watched_while_its_brake_opens_for_a_run(tmp_path, fault, words, moved):
+def test_an_axis_is_watched_while_its_brake_opens_for_a_run(tmp_path: Path, fault: Callable[..., object], words: str, moved: float) -> None:
     """Without, roll falls for as long as its brake's feedback is waited for, a second."""
     with open_bench(CARM, BenchOptions("lockstep:"), START) as bench:
         bench.commission()
@@ -134,7 +135,7 @@ def test_an_axis_is_watched_while_its_brake_opens_for_a_run(tmp_path, fault, wor
         assert broken.moved() < moved
 
 
-def test_an_axis_is_watched_while_its_brake_closes_after_a_run(tmp_path):
+def test_an_axis_is_watched_while_its_brake_closes_after_a_run(tmp_path: Path) -> None:
     with open_bench(CARM, BenchOptions("lockstep:"), START) as bench:
         opened = []
         broken = Broken(bench, "roll", mute, lambda b: bool(opened) and b.brake_open and not b.told_to_open)
@@ -146,13 +147,15 @@ def test_an_axis_is_watched_while_its_brake_closes_after_a_run(tmp_path):
 
 
 @pytest.mark.parametrize(("fault", "other", "moved"), [(frozen, r"\+0\.00e\+00", 65e-3), (flipped, r"\+2\.\d+e-02", 90e-3)])
-def test_an_encoder_that_lies_is_found_by_the_links_while_the_loop_holds(tmp_path, fault, other, moved):
+def test_an_encoder_that_lies_is_found_by_the_links_while_the_loop_holds(
+    tmp_path: Path, fault: Callable[..., object], other: str, moved: float
+) -> None:
     """Feedback on a frozen position holds nothing, on a reversed one drives the axis away: the tracking error tells late, or never."""
     with open_bench(CARM, BenchOptions("lockstep:"), START) as bench:
         bench.commission()
         broken = Broken(bench, "roll", fault, lambda b: b.told_to_open)
         words = rf"roll: its motor side moved by {other} rad, its link encoder by -[25]\.\d+e-02 while it was led"
-        with pytest.raises(LoopAborted, match=words):
+        with pytest.raises(LoopAbortedError, match=words):
             still(tmp_path, bench)
         assert broken.moved() < moved
 
@@ -181,13 +184,16 @@ def home_on_a_switch(machine: Machine, fault: Callable[[Cia402Drive, Bench], Non
     ],
     ids=["no switch", "frozen", "flipped", "mute", "powerless"],
 )
-def test_homing_that_moves_keeps_to_its_travel_and_speed_and_its_encoders_agree(fault, words, moved):
+def test_homing_that_moves_keeps_to_its_travel_and_speed_and_its_encoders_agree(
+    fault: Callable[..., object], words: str, moved: float
+) -> None:
     way, said = home_on_a_switch(SWITCH_HOMING, fault, -10.0)
     assert said.startswith(words)
     assert way < moved
 
 
-def test_homing_that_finds_its_switch_may_travel_there():
+def test_homing_that_finds_its_switch_may_travel_there() -> None:
     """The switch is 0.02 rad away, its counter jumps there, and only the agreement with the link encoder refuses the zero it took."""
     _, said = home_on_a_switch(SWITCH_HOMING, nothing, START[0] - 0.02)
-    assert "they differ by" in said and "home anew" in said
+    assert "they differ by" in said
+    assert "home anew" in said

@@ -22,24 +22,24 @@ SEVEN = np.array([0.012, 0.4, -0.008, 390.0, 505.0, 1160.7, 810.4])
 """Panel angles [rad], image centre [pixel], source to panel and to isocentre [mm]: what their model knows."""
 
 
-def pixels_of(seven):
+def pixels_of(seven: np.ndarray) -> np.ndarray:
     """(P, 2) where their model sees the bullets."""
     matrix = create_camera_matrix(seven[:3], seven[5], seven[6], [0.388, 0.388], [0, 0, 0])
     return project_camera_matrix(1e3 * PHANTOM.centers_m, seven[3:5], matrix)
 
 
-def beam_of(seven):
+def beam_of(seven: np.ndarray) -> ConeBeam:
     """Their model's projection matrix as our nine parameters."""
     matrix = create_camera_matrix(seven[:3], seven[5], seven[6], [0.388, 0.388], [0, 0, 0])[:3]
     center = np.array([[1.0, 0.0, seven[3]], [0.0, 1.0, seven[4]], [0.0, 0.0, 1.0]])
     return ConeBeam.from_matrices((center @ matrix @ np.diag([1e3, 1e3, 1e3, 1.0]))[None], DETECTOR)
 
 
-def test_their_projections_are_ours():
+def test_their_projections_are_ours() -> None:
     np.testing.assert_allclose(DETECTOR.to_pixels(beam_of(SEVEN).project(PHANTOM.centers_m)[0]), pixels_of(SEVEN), atol=1e-9)
 
 
-def test_their_fit_and_ours_find_the_same_pose_in_the_same_noise():
+def test_their_fit_and_ours_find_the_same_pose_in_the_same_noise() -> None:
     start = SEVEN - [0.01, 0.02, -0.01, 3.0, -4.0, 0.5, -0.4]
     seen = pixels_of(SEVEN) + np.random.default_rng(3).normal(0.0, 0.02, (len(PHANTOM.centers_m), 2))
     found = least_squares(

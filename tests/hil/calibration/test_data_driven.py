@@ -1,5 +1,7 @@
 """The data-driven filter on machines that are built askew by finite motions: parameters from images, late images, changes, withdrawal."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +23,7 @@ SIGMA = np.full(9, 50e-6)
 SMALL = 1e-6
 
 
-def askew(positions, shift=(0.0, 0.0, 0.0), seed=5):
+def askew(positions: np.ndarray, shift: np.ndarray | tuple[float, float, float] = (0.0, 0.0, 0.0), seed: int = 5) -> ConeBeam:
     """The geometry of a machine whose mount, arm and detector stand askew and whose detector sags: rigid motions of its bodies."""
     size = np.random.default_rng(seed).normal(0.0, 5e-4, (4, 6))
     nominal = nominal_beam(CARM, positions)
@@ -38,14 +40,20 @@ def askew(positions, shift=(0.0, 0.0, 0.0), seed=5):
     return ConeBeam.from_frames(source, center, panel @ Rotation.from_rotvec(size[2, 3:] + sag).as_matrix())
 
 
-def path(rows=400, seconds=40.0):
+def path(rows: int = 400, seconds: float = 40.0) -> ObservedBeam:
     """A motion of both axes that crosses its whole range."""
     time = np.linspace(0.0, seconds, rows)
     positions = np.column_stack([1.8 * np.sin(2.0 * np.pi * 3.0 * time / seconds), 1.4 * np.sin(2.0 * np.pi * 2.0 * time / seconds + 0.4)])
     return ObservedBeam(time, positions, np.zeros((rows, 9)), np.tile(DOWN, (rows, 1)), np.repeat([5e-6, 5e-6], 3))
 
 
-def images(observed, count, shift_after=np.inf, shift=(0.0, 0.0, 0.0), seed=1):
+def images(
+    observed: ObservedBeam,
+    count: int,
+    shift_after: float = np.inf,
+    shift: np.ndarray | tuple[float, float, float] = (0.0, 0.0, 0.0),
+    seed: int = 1,
+) -> list[Measurement]:
     """What the phantom's images say, with their noise."""
     noise = np.random.default_rng(seed).normal(size=(count, 9)) * SIGMA
     times = np.linspace(observed.time_s[5], observed.time_s[-20], count)
@@ -56,24 +64,25 @@ def images(observed, count, shift_after=np.inf, shift=(0.0, 0.0, 0.0), seed=1):
     return [Measurement(float(t), row, np.diag(SIGMA**2)) for t, row in zip(times, truth + noise, strict=True)]
 
 
-def error(observed, deviation, shift=(0.0, 0.0, 0.0)):
+def error(observed: ObservedBeam, deviation: np.ndarray, shift: np.ndarray | tuple[float, float, float] = (0.0, 0.0, 0.0)) -> np.ndarray:
     """(N, 9) of the geometry found."""
     return nominal_beam(CARM, observed.positions).moved(deviation).deviation_from(askew(observed.positions, shift))
 
 
-def test_twenty_interleaved_images_tell_the_geometry_of_poses_never_imaged():
+def test_twenty_interleaved_images_tell_the_geometry_of_poses_never_imaged() -> None:
     observed = path()
     found = calibrate_data(MODEL, observed, images(observed, 20), Parameters.unknown(MODEL))
     poses = np.random.default_rng(3).uniform(-1.0, 1.0, (200, 2)) * [1.8, 1.4]
     unseen = ObservedBeam(np.arange(200.0), poses, np.zeros((200, 9)), np.tile(DOWN, (200, 1)), observed.displacement_std)
     held_out = calibrate_data(MODEL, unseen, [], found.parameters)
     left = error(unseen, held_out.final)
-    assert np.sqrt(np.mean(left[:, :6] ** 2)) < 0.06e-3 and np.sqrt(np.mean(left[:, 6:] ** 2)) < 0.06e-3
+    assert np.sqrt(np.mean(left[:, :6] ** 2)) < 0.06e-3
+    assert np.sqrt(np.mean(left[:, 6:] ** 2)) < 0.06e-3
     assert np.sqrt(np.mean(error(unseen, np.zeros((200, 9)))[:, :6] ** 2)) > 0.5e-3
     assert np.sqrt(np.mean((left / held_out.sigma) ** 2)) < 1.5  # and it knows how well it knows
 
 
-def test_one_axis_alone_does_not_tell_the_other_axis_poses():
+def test_one_axis_alone_does_not_tell_the_other_axis_poses() -> None:
     rolling = path()
     rolling.positions[:, 0] = 0.0
     found = calibrate_data(MODEL, rolling, images(rolling, 20), Parameters.unknown(MODEL)).parameters
@@ -86,37 +95,40 @@ def test_one_axis_alone_does_not_tell_the_other_axis_poses():
     assert np.median(off.sigma[:, 3:6]) > 3.0 * np.median(on.sigma[:, 3:6])
 
 
-def test_an_image_that_comes_late_counts_for_what_it_would_have_in_time():
+def test_an_image_that_comes_late_counts_for_what_it_would_have_in_time() -> None:
     observed = replace(path(), displacement_std=np.full(6, 3e-4))  # so that the displacement of another instant would count otherwise
     seen = images(observed, 40)
     prompt, late = (calibrate_data(MODEL, observed, seen, Parameters.unknown(MODEL), late_s=late) for late in (0.0, 1.5))
     assert np.abs(prompt.parameters.values - late.parameters.values).max() < 1e-9
     assert np.allclose(prompt.parameters.covariance, late.parameters.covariance, rtol=1e-6, atol=1e-16)
-    assert np.abs(prompt.live[-1] - late.live[-1]).max() < 1e-9 and np.allclose(prompt.sigma[-1], late.sigma[-1], rtol=1e-6)
+    assert np.abs(prompt.live[-1] - late.live[-1]).max() < 1e-9
+    assert np.allclose(prompt.sigma[-1], late.sigma[-1], rtol=1e-6)
     row = int(np.searchsorted(observed.time_s, seen[0].time_s + 0.3))
     assert late.sigma[row, 3] > 2.0 * prompt.sigma[row, 3]  # but it is not known before it is there
 
 
-def test_a_mount_that_is_bumped_is_found_anew_and_a_wrong_image_is_refused():
+def test_a_mount_that_is_bumped_is_found_anew_and_a_wrong_image_is_refused() -> None:
     observed, shift = path(), (1.5e-3, 2.0e-3, -1.0e-3)
     known = calibrate_data(MODEL, observed, images(observed, 20), Parameters.unknown(MODEL)).parameters
     seen = images(observed, 20, 8, shift, seed=2)
     wrong = seen[4]
     seen[4] = Measurement(wrong.time_s, wrong.values + np.r_[np.zeros(8), 0.05], wrong.covariance)
     found = calibrate_data(MODEL, observed, seen, known)
-    assert found.changes == [8] and found.refused == [4]
+    assert found.changes == [8]
+    assert found.refused == [4]
     assert np.sqrt(np.mean(error(observed, found.live, shift)[300:, 3:6] ** 2)) < 0.08e-3
 
 
-def test_images_are_withdrawn_once_the_place_is_known():
+def test_images_are_withdrawn_once_the_place_is_known() -> None:
     observed = path()
     found = calibrate_data(MODEL, observed, images(observed, 30), Parameters.unknown(MODEL), until_m=0.05e-3)
-    assert found.converged is not None and found.converged == len(found.used) < 30
+    assert found.converged is not None
+    assert found.converged == len(found.used) < 30
     assert found.place_sigma_m[-1] < 0.05e-3 <= found.place_sigma_m[-2]
     assert len(calibrate_data(MODEL, observed, images(observed, 30), Parameters.unknown(MODEL), most=7).used) == 7
 
 
-def test_an_observers_displacement_is_followed_and_does_not_drift():
+def test_an_observers_displacement_is_followed_and_does_not_drift() -> None:
     observed = path()
     swing = (
         3e-4
@@ -131,7 +143,7 @@ def test_an_observers_displacement_is_followed_and_does_not_drift():
 
 
 @pytest.mark.parametrize("where", ["mount", "after_propeller", "detector"])
-def test_every_offset_moves_the_geometry_as_its_body_does(where):
+def test_every_offset_moves_the_geometry_as_its_body_does(where: str) -> None:
     positions = np.random.default_rng(0).uniform(-1.5, 1.5, (6, 2))
     rows = MODEL.rows(positions, np.tile(DOWN, (6, 1)))
     nominal = nominal_beam(CARM, positions)
@@ -144,7 +156,7 @@ def test_every_offset_moves_the_geometry_as_its_body_does(where):
         pivot = center if where == "detector" else np.zeros_like(center)
         for kind, moved_panel, by in (("place", panel, None), ("turn", turn @ panel, turn)):
 
-            def moved(point, by=by, pivot=pivot, along=along):
+            def moved(point: np.ndarray, by: np.ndarray | None = by, pivot: np.ndarray = pivot, along: np.ndarray = along) -> np.ndarray:
                 return point + SMALL * along if by is None else pivot + (by @ (point - pivot)[..., None])[..., 0]
 
             beam = ConeBeam.from_frames(source if where == "detector" else moved(source), moved(center), moved_panel)
@@ -152,7 +164,7 @@ def test_every_offset_moves_the_geometry_as_its_body_does(where):
             assert np.abs(beam.deviation_from(nominal) / SMALL - rows[:, :, column]).max() < 1e-5
 
 
-def test_slow_change_is_followed_from_scan_to_scan_by_three_images_each():
+def test_slow_change_is_followed_from_scan_to_scan_by_three_images_each() -> None:
     observed = path()
     start = calibrate_data(MODEL, observed, images(observed, 20), Parameters.unknown(MODEL)).parameters
     followed, drift = start, np.array([0.1e-3, -0.15e-3, 0.05e-3])

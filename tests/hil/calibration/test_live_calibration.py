@@ -1,6 +1,9 @@
 """The calibration along with the loop gives in every row what the filter over a recording gives with the images that had come by then."""
 
+from __future__ import annotations
+
 import math
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,7 +17,7 @@ from hil.calibration.data_driven.levelled import levelled
 from hil.calibration.data_driven.live import LiveCalibration
 from hil.calibration.data_driven.live_file import KeptSightings, write_live_geometry, write_sightings
 from hil.calibration.data_driven.live_kernel import chain_of, pose_rows
-from hil.calibration.data_driven.observed_beam import FLOOR_M, FLOOR_RAD, ObservedBeam, SLOW_Hz
+from hil.calibration.data_driven.observed_beam import ObservedBeam
 from hil.calibration.data_driven.quasi_static import QuasiStatic
 from hil.calibration.data_driven.values import Calibration, Measurement, Parameters
 from hil.errors import UnusableInputError
@@ -36,7 +39,7 @@ OBSERVER = SimpleNamespace(
 """An observer by its channels alone."""
 
 
-def test_a_row_of_the_compiled_kernel_is_the_models():
+def test_a_row_of_the_compiled_kernel_is_the_models() -> None:
     chain, rows, nominal = chain_of(CARM), np.zeros((9, len(MODEL.names))), np.zeros((6, 3))
     for positions in np.random.default_rng(0).uniform(-1.8, 1.8, (20, 2)):
         pose_rows(*chain, DOWN, positions, rows, nominal)
@@ -49,21 +52,21 @@ def test_a_row_of_the_compiled_kernel_is_the_models():
 class Post:
     """Images by the row in which they come."""
 
-    def __init__(self, sightings):
+    def __init__(self, sightings: list[tuple[int, Sighting]]) -> None:
         self.due = {}
         for row, sighting in sightings:
             self.due.setdefault(row, []).append(sighting)
         self.told = []
 
-    def tell(self, row, time_s, positions):
+    def tell(self, row: int, time_s: float, positions: np.ndarray) -> None:
         self.told.append((row, time_s, *positions))
 
-    def collect(self, row):
+    def collect(self, row: int) -> list[object]:
         return self.due.get(row, [])
 
 
 @pytest.fixture(scope="module")
-def moving():
+def moving() -> SimpleNamespace:
     """A path, the observer's deviations of it, an earlier calibration, and images of a machine that differs from it."""
     generator = np.random.default_rng(6)
     time = np.arange(ROWS) / RATE
@@ -75,12 +78,12 @@ def moving():
     deviation = by_pose @ static + shaken
     known = Parameters(1e-4 * generator.standard_normal(len(MODEL.names)), np.diag((0.1 * MODEL.prior) ** 2))
     start = DataFile("carm", CARM.axes, MODEL.names, time, positions, shaken, shaken, shaken, known.values, known.covariance, static)
-    # what the high-pass leaves, by its own recursion
-    low, share, fast = np.zeros(9), 1.0 - math.exp(-2.0 * math.pi * SLOW_Hz / RATE), np.zeros((ROWS, 9))
+    # what a high-pass of 0.3 Hz leaves, by its own recursion: a scan's poses change in seconds, its modes swing from 8 Hz on
+    low, share, fast = np.zeros(9), 1.0 - math.exp(-2.0 * math.pi * 0.3 / RATE), np.zeros((ROWS, 9))
     for k in range(ROWS):
         low = shaken[k].copy() if k == 0 else low + share * (shaken[k] - low)
         fast[k] = shaken[k] - low
-    spread = np.repeat([FLOOR_M, FLOOR_RAD], 3)
+    spread = np.repeat([10e-6, 100e-6], 3)  # m, rad: the least an observer is believed to be off by
     observed = ObservedBeam(time, positions, fast, np.tile(DOWN, (ROWS, 1)), spread)
     true = MODEL.rows(positions, observed.load) @ (known.values + generator.normal(size=len(MODEL.names)) * MODEL.between_scans) + fast
     sightings = []
@@ -94,7 +97,7 @@ def moving():
     return SimpleNamespace(positions=positions, nominal=nominal, deviation=deviation, start=start, observed=observed, sightings=sightings)
 
 
-def estimates(moving):
+def estimates(moving: SimpleNamespace) -> np.ndarray:
     """Rows of an observer that says these deviations."""
     beam = moving.nominal.moved(moving.deviation)
     names = [name for name, _ in OBSERVER.channels]
@@ -107,7 +110,9 @@ def estimates(moving):
     return rows
 
 
-def live_run(moving, inbox, until_m=0.0, lost=()):
+def live_run(
+    moving: SimpleNamespace, inbox: KeptSightings | Post, until_m: float = 0.0, lost: tuple[int, ...] = ()
+) -> tuple[LiveCalibration, np.ndarray]:
     live = LiveCalibration(CARM, moving.start, OBSERVER, inbox, until_m, moving.positions[::20])
     live.restart(ROWS)
     published = np.full((ROWS, 19), np.nan)
@@ -118,7 +123,7 @@ def live_run(moving, inbox, until_m=0.0, lost=()):
     return live, published
 
 
-def test_every_row_has_what_the_filter_over_the_recording_has_with_the_images_come_by_then(moving):
+def test_every_row_has_what_the_filter_over_the_recording_has_with_the_images_come_by_then(moving: SimpleNamespace) -> None:
     live, published = live_run(moving, Post(moving.sightings))
     measurements = [Measurement(each.time_s, each.values, each.covariance) for _, each in moving.sightings]
     start = moving.start.parameters(MODEL).aged(MODEL)
@@ -133,27 +138,31 @@ def test_every_row_has_what_the_filter_over_the_recording_has_with_the_images_co
     assert [arrival.row for arrival in live.arrivals] == [row for row, _ in moving.sightings]
 
 
-def test_what_it_leaves_is_replayed_bit_for_bit_and_read_as_a_calibration(moving, tmp_path):
+def test_what_it_leaves_is_replayed_bit_for_bit_and_read_as_a_calibration(moving: SimpleNamespace, tmp_path: Path) -> None:
     live, published = live_run(moving, Post(moving.sightings), until_m=1e-4, lost=(300, 301, 302))
-    assert 0 < live.withdrawn_after < len(moving.sightings) and live.summary["withdrawn"] > 0
+    assert 0 < live.withdrawn_after < len(moving.sightings)
+    assert live.summary["withdrawn"] > 0
     write_sightings(live, tmp_path / "sightings.npz")
     kept = KeptSightings(tmp_path / "sightings.npz")
     again, repeated = live_run(moving, kept, kept.until_m, lost=(300, 301, 302))
     assert np.array_equal(published, repeated, equal_nan=True)
     write_live_geometry(live, tmp_path / "geometry.npz")
     found = read_data_file(tmp_path / "geometry.npz")
-    assert len(found.time_s) == ROWS - 3 and np.array_equal(found.values, again.filter.parameters.values)
-    assert np.array_equal(found.live[-1], published[-1, :9]) and np.array_equal(found.static, moving.start.static)
-    with np.load(tmp_path / "geometry.npz") as file:  # what deviations have in common, as docs/formats.md lays it out
+    assert len(found.time_s) == ROWS - 3
+    assert np.array_equal(found.values, again.filter.parameters.values)
+    assert np.array_equal(found.live[-1], published[-1, :9])
+    assert np.array_equal(found.static, moving.start.static)
+    with np.load(tmp_path / "geometry.npz") as file:  # what deviations have in common, as docs/generated/file-formats.md lays it out
         sigma, correlation = file["sigma"][-1], file["correlation"][-1]
     together = np.diag(sigma**2)
     together[np.triu_indices(9, 1)] = correlation * np.outer(sigma, sigma)[np.triu_indices(9, 1)]
     assert np.allclose(np.triu(together), np.triu(live.covariance[-1]), rtol=1e-5, atol=1e-6 * sigma.max() ** 2)
-    assert correlation.dtype == np.float32 and 0.5 < np.abs(correlation).max() <= 1.0
+    assert correlation.dtype == np.float32
+    assert 0.5 < np.abs(correlation).max() <= 1.0
 
 
 @pytest.mark.parametrize("name", ["row", "time_s", "positions", "covariance", "sightings_format"])
-def test_sightings_of_another_shape_are_one_line(moving, tmp_path, name):
+def test_sightings_of_another_shape_are_one_line(moving: SimpleNamespace, tmp_path: Path, name: str) -> None:
     live, _ = live_run(moving, Post(moving.sightings[:3]))
     path = tmp_path / "sightings.npz"
     write_sightings(live, path)
@@ -163,14 +172,14 @@ def test_sightings_of_another_shape_are_one_line(moving, tmp_path, name):
         KeptSightings(path)
 
 
-def test_an_image_that_comes_before_an_earlier_ones_or_of_no_row_is_left_out(moving):
+def test_an_image_that_comes_before_an_earlier_ones_or_of_no_row_is_left_out(moving: SimpleNamespace) -> None:
     (row, first), (_, second), *_ = moving.sightings
     future = Sighting(9, 9, 100.0, "phantom", first.positions, first.values, first.covariance)
     live, _ = live_run(moving, Post([(row + 50, second), (row + 60, first), (row + 60, future)]))
     assert [arrival.fate for arrival in live.arrivals] == ["used", "late", "late"]
 
 
-def test_an_inertial_reading_is_levelled_as_a_recording_is(moving):
+def test_an_inertial_reading_is_levelled_as_a_recording_is(moving: SimpleNamespace) -> None:
     live, _ = live_run(moving, Post([]))
     row = np.concatenate([moving.positions[100], moving.positions[100], np.random.default_rng(1).normal(size=6)])
     units = {"position_propeller": "rad", "position_roll": "rad"}
@@ -186,7 +195,7 @@ def test_an_inertial_reading_is_levelled_as_a_recording_is(moving):
     assert np.isnan(row[4:]).all()
 
 
-def test_a_calibration_made_without_an_observer_is_refused(moving, tmp_path):
+def test_a_calibration_made_without_an_observer_is_refused(moving: SimpleNamespace, tmp_path: Path) -> None:
     seen = moving.observed.deviation
     quiet = Calibration(seen, seen, np.zeros((ROWS, 9, 9)), moving.start.parameters(MODEL))
     write_data_file(MODEL, moving.observed, quiet, tmp_path / "quiet.npz")
@@ -202,7 +211,10 @@ def test_a_calibration_made_without_an_observer_is_refused(moving, tmp_path):
         (["--emulated", "emps"], "--emulated emps: has"),
     ],
 )
-def test_options_that_belong_together_are_one_line(tmp_path, capsys, arguments, line):
+def test_options_that_belong_together_are_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], line: str
+) -> None:
     assert isocenter("run", "static", "-m", "carm", "--seconds", "0.5", "-o", tmp_path / "r.mf4", *arguments) == 2
     error = capsys.readouterr().err
-    assert line in error and error.count("\n") == 1
+    assert line in error
+    assert error.count("\n") == 1

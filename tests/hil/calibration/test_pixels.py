@@ -1,6 +1,9 @@
 """Aspect and skew of (6.4) from the phantom: within their covariance, and as an independent decomposition of the matrices says."""
 
+from __future__ import annotations
+
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,13 +14,13 @@ from scipy.linalg import rq
 
 from hil.calibration.phantom.pixel_shape import fit_pixels
 from hil.errors import UnusableInputError
-from hil.imaging import Detector
+from hil.imaging import ConeBeam, Detector
 
 TRUE = Detector(columns=640, rows=512, pitch_m=0.5e-3, aspect=1.013, skew=0.004)
 DRAWN = Detector(columns=640, rows=512, pitch_m=0.5e-3)
 
 
-def scan(noise, seed=1, count=40):
+def scan(noise: float, seed: int = 1, count: int = 40) -> tuple[ConeBeam, ConeBeam, np.ndarray]:
     rng = np.random.default_rng(seed)
     ideal = nominal(np.linspace(-1.5, 1.5, count))
     true = ideal.moved(rng.normal(0.0, np.repeat([1e-3, 3e-3, 5e-3], 3), (count, 9)))
@@ -25,7 +28,7 @@ def scan(noise, seed=1, count=40):
     return ideal, true, seen + noise * rng.normal(size=seen.shape)
 
 
-def test_the_matrices_are_those_of_the_direct_linear_transform():
+def test_the_matrices_are_those_of_the_direct_linear_transform() -> None:
     ideal, true, seen = scan(0.0)
     fit = fit_pixels(PHANTOM.centers_m, seen, np.full(seen.shape[:2], 0.02), ideal, DRAWN)
     np.testing.assert_allclose(fit.beam.deviation_from(true), 0.0, atol=1e-9)
@@ -47,7 +50,7 @@ def test_the_matrices_are_those_of_the_direct_linear_transform():
         assert abs(upper[0, 0]) * DRAWN.pitch_m == pytest.approx(-true.source_m[k, 2], rel=1e-6)
 
 
-def test_noise_stays_within_the_covariance_and_the_scan_knows_the_pixels_better():
+def test_noise_stays_within_the_covariance_and_the_scan_knows_the_pixels_better() -> None:
     ideal, true, seen = scan(0.02)
     fit = fit_pixels(PHANTOM.centers_m, seen, np.full(seen.shape[:2], 0.02), ideal, DRAWN)
     error = np.column_stack([fit.beam.deviation_from(true), fit.aspect - 1.013, fit.skew - 0.004])
@@ -55,20 +58,23 @@ def test_noise_stays_within_the_covariance_and_the_scan_knows_the_pixels_better(
     assert 0.8 < np.mean(chi2) < 1.25
     panel, sigma = fit.of_the_panel(DRAWN)
     assert sigma.max() < 1e-3
-    assert abs(panel.aspect - 1.013) < 3.0 * sigma[0] and abs(panel.skew - 0.004) < 3.0 * sigma[1]
+    assert abs(panel.aspect - 1.013) < 3.0 * sigma[0]
+    assert abs(panel.skew - 0.004) < 3.0 * sigma[1]
 
 
-def test_exposures_that_show_too_little_are_left_out_and_a_scan_of_such_refused():
+def test_exposures_that_show_too_little_are_left_out_and_a_scan_of_such_refused() -> None:
     ideal, _, seen = scan(0.01, count=4)
     seen[1, 8:] = np.nan
     fit = fit_pixels(PHANTOM.centers_m, seen, np.full(seen.shape[:2], 0.01), ideal, DRAWN)
-    assert np.isnan(fit.covariance[1]).all() and np.isfinite(fit.covariance[[0, 2, 3]]).all()
+    assert np.isnan(fit.covariance[1]).all()
+    assert np.isfinite(fit.covariance[[0, 2, 3]]).all()
     seen[:, 8:] = np.nan
     with pytest.raises(UnusableInputError, match="no exposure shows 9 bullets"):
         fit_pixels(PHANTOM.centers_m, seen, np.full(seen.shape[:2], 0.01), ideal, DRAWN).of_the_panel(DRAWN)
 
 
-def test_a_scan_whose_description_has_square_pixels_is_told_its_aspect(tmp_path):
+@pytest.mark.slow
+def test_a_scan_whose_description_has_square_pixels_is_told_its_aspect(tmp_path: Path) -> None:
     (tmp_path / "m.toml").write_text(machine_file({"detector_size_mm = [381.0, 295.0]": "detector_size_mm = [381.0, 298.0]"}))
     exposed_scan(tmp_path, "--scene", "dodecahedron", "--rate", "4", machine=tmp_path / "m.toml")
     description = tmp_path / "images" / "scan.toml"

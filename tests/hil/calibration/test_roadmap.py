@@ -1,5 +1,7 @@
 """Overlay errors, the reconstruction volume and the compensation of images against closed forms."""
 
+from __future__ import annotations
+
 import itertools
 
 import numpy as np
@@ -19,19 +21,19 @@ from hil.imaging import ConeBeam, Detector
 BEAM = nominal(np.linspace(-1.2, 1.2, 20))
 
 
-def deviation(**mm_or_mrad):
+def deviation(**mm_or_mrad: float) -> np.ndarray:
     names = ("source_u", "source_v", "source_w", "phantom_u", "phantom_v", "phantom_w", "rotation_u", "rotation_v", "rotation_w")
     return np.tile([1e-3 * mm_or_mrad.get(name, 0.0) for name in names], (len(BEAM), 1))
 
 
-def test_a_phantom_that_shifts_moves_its_shadow_by_the_magnification():
+def test_a_phantom_that_shifts_moves_its_shadow_by_the_magnification() -> None:
     table = overlay(BEAM, BEAM.moved(deviation(phantom_u=1.0)), DETECTOR).table
     for place in ("centre", "1/3", "2/3"):
         assert table[place]["mean"] == pytest.approx(1.16 / 0.81 * 1e-3, rel=1e-9)
         assert table[place]["max"] == pytest.approx(table[place]["mean"])
 
 
-def test_a_turn_in_the_panel_grows_with_the_distance_from_the_middle():
+def test_a_turn_in_the_panel_grows_with_the_distance_from_the_middle() -> None:
     table = overlay(BEAM, BEAM.moved(deviation(rotation_w=1.0)), DETECTOR).table
     half = 0.5 * 0.5e-3 * np.array([640, 512])
     angles = np.arange(8) * np.pi / 4
@@ -41,14 +43,14 @@ def test_a_turn_in_the_panel_grows_with_the_distance_from_the_middle():
     assert table["2/3"]["mean"] == pytest.approx(2e-3 * ring / 3.0, rel=1e-3)
 
 
-def test_the_best_nine_tenths_leave_out_the_worst_pose():
+def test_the_best_nine_tenths_leave_out_the_worst_pose() -> None:
     change = deviation(phantom_v=0.1)
     change[[3, 11]] *= 50.0
     table = overlay(BEAM, BEAM.moved(change), DETECTOR).table["centre"]
     assert table["max"] == pytest.approx(50.0 * table["max_90"], rel=1e-6)
 
 
-def test_what_is_wrong_alike_in_all_poses_is_no_overlay_error_of_a_volume_made_alike():
+def test_what_is_wrong_alike_in_all_poses_is_no_overlay_error_of_a_volume_made_alike() -> None:
     turn = Rotation.from_rotvec([3e-3, -2e-3, 5e-3]).as_matrix()
     other = BEAM.referred_to(np.array([2e-3, -3e-3, 1e-3]), turn)
     assert overlay(BEAM, other, DETECTOR).table["centre"]["mean"] > 1e-3
@@ -59,7 +61,7 @@ def test_what_is_wrong_alike_in_all_poses_is_no_overlay_error_of_a_volume_made_a
     assert after.errors_m.mean() < 0.2 * before.errors_m.mean()
 
 
-def test_the_volume_of_one_exposure_is_its_pyramid_and_of_a_turn_the_ball_it_holds():
+def test_the_volume_of_one_exposure_is_its_pyramid_and_of_a_turn_the_ball_it_holds() -> None:
     one = reconstruction_volume(BEAM[:1], DETECTOR)
     assert one.volume_m3 == pytest.approx(0.32 * 0.256 * 1.16 / 3.0, rel=1e-9)
     all_round = nominal(np.linspace(-np.pi, np.pi, 73))
@@ -69,10 +71,11 @@ def test_the_volume_of_one_exposure_is_its_pyramid_and_of_a_turn_the_ball_it_hol
     assert volume.volume_m3 > 4.0 / 3.0 * np.pi * narrow**3
     points = volume.corners_m * 0.999
     on_panel = DETECTOR.to_pixels(all_round.project(points))
-    assert (on_panel > -0.5).all() and (on_panel < [639.5, 511.5]).all()
+    assert (on_panel > -0.5).all()
+    assert (on_panel < [639.5, 511.5]).all()
 
 
-def test_exposures_that_share_nothing_have_no_volume():
+def test_exposures_that_share_nothing_have_no_volume() -> None:
     apart = ConeBeam.from_frames(
         np.array([[0.0, 0.0, -0.81], [2.0, 0.0, -0.81]]), np.array([[0.0, 0.0, 0.35], [2.0, 0.0, 0.35]]), np.tile(np.eye(3), (2, 1, 1))
     )
@@ -80,7 +83,7 @@ def test_exposures_that_share_nothing_have_no_volume():
         reconstruction_volume(apart, DETECTOR)
 
 
-def test_a_compensated_image_shows_the_bullets_where_they_should_be():
+def test_a_compensated_image_shows_the_bullets_where_they_should_be() -> None:
     wanted = nominal(np.array([0.4]))
     true = wanted.moved([[1e-3, -2e-3, 0.0, 3e-3, -2e-3, 0.0, 1e-3, 2e-3, 20e-3]])
     image = image_of(true, seed=2)
@@ -89,7 +92,9 @@ def test_a_compensated_image_shows_the_bullets_where_they_should_be():
     should = DETECTOR.to_pixels(wanted.project(PHANTOM.centers_m)[0])
     distance = np.linalg.norm(found.pixels[:, None] - should[None], axis=2).min(axis=1)
     was = np.linalg.norm(DETECTOR.to_pixels(true.project(PHANTOM.centers_m)[0]) - should, axis=1)
-    assert was.mean() > 8.0 and np.median(distance) < 0.6 and len(distance) > 15
+    assert was.mean() > 8.0
+    assert np.median(distance) < 0.6
+    assert len(distance) > 15
     assert motion.turn_rad[0] == pytest.approx(20e-3, abs=1e-3)  # the panel turned by so much, its shadows back
     stretched = Detector(columns=640, rows=512, pitch_m=0.5e-3, aspect=1.3)
     spot = np.zeros((512, 640))
@@ -101,7 +106,7 @@ def test_a_compensated_image_shows_the_bullets_where_they_should_be():
     np.testing.assert_allclose([column, row], expected, atol=1.0)
 
 
-def test_a_grid_holds_the_poses_at_which_the_machine_stood():
+def test_a_grid_holds_the_poses_at_which_the_machine_stood() -> None:
     places = np.array([[0.0, -1.0], [0.0, 0.0], [0.5, 0.0]])
     way = np.concatenate([np.tile(places[0], (5, 1)), np.linspace(places[0], places[1], 6)[1:-1], np.tile(places[1], (4, 1))])
     way = np.concatenate([way, np.linspace(places[1], places[2], 5)[1:-1], np.tile(places[2], (3, 1))])
@@ -119,7 +124,7 @@ def test_a_grid_holds_the_poses_at_which_the_machine_stood():
 
 
 @pytest.mark.parametrize("times", [1.0, 1.02, 1.5, 3.0, 4.9, 5.1, 20.0, 49.0, 51.0, 1e3, 1e6])
-def test_numbers_on_the_figure_s_axes_do_not_overlap(times):
+def test_numbers_on_the_figure_s_axes_do_not_overlap(times: float) -> None:
     errors = 1.7e-6 * np.tile(np.geomspace(1.0, times, 9), (len(PLACES), 1))
     figure = roadmap_figure({"nominal": Overlay(errors)}, "overlay")
     figure.canvas.draw()

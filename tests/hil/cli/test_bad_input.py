@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import can
 import numpy as np
 import pytest
 from bench_machines import CARM, LosingBus, edited
+from command_line import Isocenter
 
 import hil.bench.wiring
 from hil.cli import main
@@ -19,8 +22,8 @@ CAN_ONLY = re.sub(r"(?ms)^\[bus\.(io|imu)\].*?(?=^\[|\Z)", "", CARM.text)
 
 
 @pytest.fixture
-def machine_file(tmp_path):
-    def write(text: str):
+def machine_file(tmp_path: Path) -> Callable[..., Path]:
+    def write(text: str) -> Path:
         path = tmp_path / "machine.toml"
         path.write_text(text, encoding="utf-8")
         return path
@@ -29,7 +32,7 @@ def machine_file(tmp_path):
 
 
 @pytest.fixture
-def out(tmp_path):
+def out(tmp_path: Path) -> Path:
     return tmp_path / "run.mf4"
 
 
@@ -46,18 +49,25 @@ MACHINES = {
 }
 
 
-@pytest.mark.parametrize("text, says", MACHINES.values(), ids=MACHINES.keys())
-def test_a_machine_file_that_is_wrong(isocenter, machine_file, out, text, says):
+@pytest.mark.parametrize(("text", "says"), MACHINES.values(), ids=MACHINES.keys())
+def test_a_machine_file_that_is_wrong(
+    isocenter: Isocenter, machine_file: Callable[..., Path], out: Path, text: str, says: list[str]
+) -> None:
     refused = isocenter(*STATIC, "--machine", machine_file(text), "-o", out)
-    assert refused.status == 2 and all(word in refused.line for word in says), refused.line
+    assert refused.status == 2, refused.line
+    assert all(word in refused.line for word in says), refused.line
     assert not out.exists()
 
 
 @pytest.mark.parametrize("experiment", [("multisine", "--periods", "1"), ("jog",), ("static",)], ids=["multisine", "jog", "static"])
-def test_no_experiment_closes_a_loop_that_is_not_stable(isocenter, machine_file, out, experiment):
+def test_no_experiment_closes_a_loop_that_is_not_stable(
+    isocenter: Isocenter, machine_file: Callable[..., Path], out: Path, experiment: tuple[str, ...]
+) -> None:
     unstable = machine_file(MACHINES["a controller with too much gain"][0])
     refused = isocenter("run", *experiment, "--machine", unstable, "--bus", "lockstep:", "-o", out)
-    assert refused.status == 2 and "not stable" in refused.line and not out.exists()
+    assert refused.status == 2
+    assert "not stable" in refused.line
+    assert not out.exists()
 
 
 EXPERIMENTS = {
@@ -82,10 +92,11 @@ EXPERIMENTS = {
 }
 
 
-@pytest.mark.parametrize("arguments, says", EXPERIMENTS.values(), ids=EXPERIMENTS.keys())
-def test_an_experiment_that_must_not_be_run(isocenter, out, arguments, says):
+@pytest.mark.parametrize(("arguments", "says"), EXPERIMENTS.values(), ids=EXPERIMENTS.keys())
+def test_an_experiment_that_must_not_be_run(isocenter: Isocenter, out: Path, arguments: tuple[str, ...], says: list[str]) -> None:
     refused = isocenter("run", *arguments, "--machine", "carm", "--bus", "lockstep:", "-o", out)
-    assert refused.status == 2 and all(word in refused.line for word in says), refused.line
+    assert refused.status == 2, refused.line
+    assert all(word in refused.line for word in says), refused.line
     assert not out.exists()
 
 
@@ -97,13 +108,14 @@ EFFECTS = {
 }
 
 
-@pytest.mark.parametrize("text, says", EFFECTS.values(), ids=EFFECTS.keys())
-def test_effects_that_are_none(isocenter, tmp_path, out, text, says):
+@pytest.mark.parametrize(("text", "says"), EFFECTS.values(), ids=EFFECTS.keys())
+def test_effects_that_are_none(isocenter: Isocenter, tmp_path: Path, out: Path, text: str | None, says: list[str]) -> None:
     path = tmp_path / "effects.toml"
     if text is not None:
         path.write_text(text)
     refused = isocenter(*STATIC, "--machine", "carm", "--effects", path, "-o", out)
-    assert refused.status == 2 and all(word in refused.line for word in says), refused.line
+    assert refused.status == 2, refused.line
+    assert all(word in refused.line for word in says), refused.line
 
 
 BUSES = {
@@ -117,58 +129,74 @@ BUSES = {
 @pytest.mark.parametrize(
     "command", [("home", "-m", "carm"), ("scan-bus",), ("run", "static", "-m", "carm", "-o", "x.mf4"), ("emulate", "carm")]
 )
-@pytest.mark.parametrize("url, says", BUSES.values(), ids=BUSES.keys())
-def test_a_bus_that_is_not_there(isocenter, monkeypatch, tmp_path, command, url, says):
+@pytest.mark.parametrize(("url", "says"), BUSES.values(), ids=BUSES.keys())
+def test_a_bus_that_is_not_there(
+    isocenter: Isocenter, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, command: tuple[str, ...], url: str, says: list[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
     refused = isocenter(*command, "--bus", url)
-    assert refused.status == 2 and all(word in refused.line for word in says), refused.line
+    assert refused.status == 2, refused.line
+    assert all(word in refused.line for word in says), refused.line
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_bus_with_nobody_on_it(isocenter, machine_file, out):
+def test_a_bus_with_nobody_on_it(isocenter: Isocenter, machine_file: Callable[..., Path], out: Path) -> None:
     lonely = machine_file(edited(r"^boot_timeout_s = 2.0", "boot_timeout_s = 0.05", CAN_ONLY))
     refused = isocenter("run", "static", "--machine", lonely, "--bus", "virtual:nobody", "--no-real-time", "-o", out)
-    assert refused.status == 2 and "propeller_drive (node 1)" in refused.line and not out.exists()
+    assert refused.status == 2
+    assert "propeller_drive (node 1)" in refused.line
+    assert not out.exists()
 
 
-def test_a_machine_whose_imu_and_io_nobody_has_named(isocenter, out):
+def test_a_machine_whose_imu_and_io_nobody_has_named(isocenter: Isocenter, out: Path) -> None:
     refused = isocenter("run", "static", "--machine", "carm", "--bus", "virtual:nobody", "--no-real-time", "-o", out)
-    assert refused.status == 2 and "IMU" in refused.line and "isocenter emulate" in refused.line
+    assert refused.status == 2
+    assert "IMU" in refused.line
+    assert "isocenter emulate" in refused.line
 
 
-def test_a_node_with_another_identity(isocenter, machine_file, out):
+def test_a_node_with_another_identity(isocenter: Isocenter, machine_file: Callable[..., Path], out: Path) -> None:
     wrong = machine_file(edited(r"^product_code = 0x49534F02", "product_code = 0x49534F77"))
     refused = isocenter(*STATIC, "--machine", wrong, "-o", out)
-    assert refused.status == 2 and not out.exists()
+    assert refused.status == 2
+    assert not out.exists()
     assert all(word in refused.line for word in ("propeller_encoder", "node 11", "49534F77", "49534F02")), refused.line
 
 
 @pytest.fixture
-def emulated_bus(monkeypatch):
+def emulated_bus(monkeypatch: pytest.MonkeyPatch) -> Callable[..., object]:
     """Change what hangs on the emulated machine's bus, behind the machine file's back."""
 
-    def change(how):
+    def change(how: Callable[..., object]) -> None:
         honest = hil.emulated.machine.emulated_bus
         monkeypatch.setattr("hil.emulated.machine.emulated_bus", lambda machine, physics: how(honest(machine, physics)))
 
     return change
 
 
-def test_a_node_that_is_absent(isocenter, emulated_bus, out):
+def test_a_node_that_is_absent(isocenter: Isocenter, emulated_bus: Callable[..., object], out: Path) -> None:
     emulated_bus(lambda bus: replace(bus, encoders=bus.encoders[:1]))
     refused = isocenter(*STATIC, "--machine", "carm", "-o", out)
-    assert refused.status == 2 and "roll_encoder" in refused.line and "node 12" in refused.line and not out.exists()
+    assert refused.status == 2
+    assert "roll_encoder" in refused.line
+    assert "node 12" in refused.line
+    assert not out.exists()
 
 
-def test_two_nodes_with_one_id(isocenter, emulated_bus, out):
+def test_two_nodes_with_one_id(isocenter: Isocenter, emulated_bus: Callable[..., object], out: Path) -> None:
     emulated_bus(lambda bus: replace(bus, encoders=(*bus.encoders, replace(bus.encoders[1], name="forgotten_encoder"))))
     refused = isocenter(*STATIC, "--machine", "carm", "-o", out)
-    assert refused.status == 2 and "node 12" in refused.line and "two" in refused.line and not out.exists()
+    assert refused.status == 2
+    assert "node 12" in refused.line
+    assert "two" in refused.line
+    assert not out.exists()
 
 
-def test_a_position_that_stays_away_is_a_bad_answer_and_the_rows_before_it_are_kept(isocenter, monkeypatch, out):
+def test_a_position_that_stays_away_is_a_bad_answer_and_the_rows_before_it_are_kept(
+    isocenter: Isocenter, monkeypatch: pytest.MonkeyPatch, out: Path
+) -> None:
     class Failing(LosingBus):
-        def recv(self, timeout=None):
+        def recv(self, timeout: float | None = None) -> can.Message | None:
             self.lost_ids = (
                 (0x182,) if out.with_name("run.mf4.part").exists() and out.with_name("run.mf4.part").stat().st_size > 200_000 else ()
             )
@@ -176,7 +204,8 @@ def test_a_position_that_stays_away_is_a_bad_answer_and_the_rows_before_it_are_k
 
     monkeypatch.setattr("hil.bench.wiring.LockstepBus", Failing)
     stopped = isocenter("run", "static", "--seconds", "6", "--bus", "lockstep:", "--machine", "carm", "-o", out)
-    assert stopped.status == 1 and "roll: no position for 4 ticks" in stopped.line
+    assert stopped.status == 1
+    assert "roll: no position for 4 ticks" in stopped.line
     kept = int(re.search(r"(\d+) rows are kept", stopped.line)[1])
     recording = read_recording(out)
     assert recording.rows == kept > 256
@@ -184,29 +213,33 @@ def test_a_position_that_stays_away_is_a_bad_answer_and_the_rows_before_it_are_k
     assert not out.with_name("run.mf4.part").exists()
 
 
-def test_a_bus_that_breaks_in_the_run_is_one_line_that_tells_what_the_stop_ran_into_and_the_rows_are_kept(isocenter, monkeypatch, out):
+def test_a_bus_that_breaks_in_the_run_is_one_line_that_tells_what_the_stop_ran_into_and_the_rows_are_kept(
+    isocenter: Isocenter, monkeypatch: pytest.MonkeyPatch, out: Path
+) -> None:
     part = out.with_name("run.mf4.part")
 
     class Breaking(LosingBus):
-        def send(self, message, timeout=None):
+        def send(self, message: can.Message, timeout: float | None = None) -> None:
             if part.exists() and part.stat().st_size > 200_000:
                 raise can.CanOperationError("the interface went down")
             super().send(message, timeout)
 
     monkeypatch.setattr("hil.bench.wiring.LockstepBus", Breaking)
     stopped = isocenter("run", "static", "--seconds", "6", "--bus", "lockstep:", "--machine", "carm", "-o", out)
-    assert stopped.status == 1 and stopped.line.count("the interface went down") == 2
+    assert stopped.status == 1
+    assert stopped.line.count("the interface went down") == 2
     assert "stopping the motors ran into quick stop" in stopped.line
     recording = read_recording(out)
-    assert recording.rows > 256 and not part.exists()
+    assert recording.rows > 256
+    assert not part.exists()
     assert any("closing the brakes" in trouble or "disabling voltage" in trouble for trouble in recording.metadata["ended"]["stopping"])
 
 
-def test_a_run_that_stops_and_cannot_be_written_says_both(isocenter, monkeypatch, out):
+def test_a_run_that_stops_and_cannot_be_written_says_both(isocenter: Isocenter, monkeypatch: pytest.MonkeyPatch, out: Path) -> None:
     part = out.with_name("run.mf4.part")
 
     class Failing(LosingBus):
-        def recv(self, timeout=None):
+        def recv(self, timeout: float | None = None) -> can.Message | None:
             if part.exists():
                 out.mkdir(exist_ok=True)  # in the recording's place
             self.lost_ids = (0x182,) if part.exists() and part.stat().st_size > 200_000 else ()
@@ -214,8 +247,10 @@ def test_a_run_that_stops_and_cannot_be_written_says_both(isocenter, monkeypatch
 
     monkeypatch.setattr("hil.bench.wiring.LockstepBus", Failing)
     stopped = isocenter("run", "static", "--seconds", "6", "--bus", "lockstep:", "--machine", "carm", "-o", out)
-    assert stopped.status == 1 and "roll: no position for 4 ticks" in stopped.line
-    assert "rows are kept in run.mf4.part" in stopped.line and read_recording(part).rows > 256
+    assert stopped.status == 1
+    assert "roll: no position for 4 ticks" in stopped.line
+    assert "rows are kept in run.mf4.part" in stopped.line
+    assert read_recording(part).rows > 256
 
 
 OUTS = {
@@ -226,19 +261,42 @@ OUTS = {
 }
 
 
-@pytest.mark.parametrize("name, says", OUTS.values(), ids=OUTS.keys())
-def test_a_recording_that_could_not_be_written_is_refused_before_anything_moves(isocenter, monkeypatch, tmp_path, name, says):
-    monkeypatch.setattr("hil.bench.bench.Bench._session", lambda bench: pytest.fail("it moved"))
+@pytest.fixture
+def enabled(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Identifiers of all frames that enable a drive's operation (CiA 402: controlword xFh), without which no motor moves."""
+    ids = []
+
+    class Noting(LosingBus):
+        def send_frame(self, can_id: int, data: bytes) -> None:
+            if can_id in (0x201, 0x202) and data[0] & 0x0F == 0x0F:
+                ids.append(can_id)
+            super().send_frame(can_id, data)
+
+    monkeypatch.setattr("hil.bench.wiring.LockstepBus", Noting)
+    return ids
+
+
+def test_a_run_enables_the_drives(isocenter: Isocenter, enabled: list[int], out: Path) -> None:
+    assert isocenter(*STATIC, "--machine", "carm", "-o", out).status == 0
+    assert set(enabled) == {0x201, 0x202}
+
+
+@pytest.mark.parametrize(("name", "says"), OUTS.values(), ids=OUTS.keys())
+def test_a_recording_that_could_not_be_written_is_refused_before_anything_moves(
+    isocenter: Isocenter, enabled: list[int], tmp_path: Path, name: str, says: list[str]
+) -> None:
     refused = isocenter(*STATIC, "--machine", "carm", "-o", tmp_path / name)
-    assert refused.status == 2 and all(word in refused.line for word in says), refused.line
+    assert refused.status == 2, refused.line
+    assert all(word in refused.line for word in says), refused.line
+    assert enabled == []
 
 
 @pytest.fixture
-def taken(monkeypatch, out):
+def taken(monkeypatch: pytest.MonkeyPatch, out: Path) -> Path:
     """A folder gets in the recording's place while it is recorded."""
 
     class Taking(LosingBus):
-        def recv(self, timeout=None):
+        def recv(self, timeout: float | None = None) -> can.Message | None:
             if out.with_name("run.mf4.part").exists():
                 out.mkdir(exist_ok=True)
             return super().recv(timeout)
@@ -247,29 +305,34 @@ def taken(monkeypatch, out):
     return out
 
 
-def test_a_recording_that_cannot_be_written_at_the_end_keeps_its_rows(isocenter, tmp_path, taken):
+def test_a_recording_that_cannot_be_written_at_the_end_keeps_its_rows(isocenter: Isocenter, tmp_path: Path, taken: Path) -> None:
     refused = isocenter(*STATIC, "--machine", "carm", "-o", taken)
-    assert refused.status == 2 and "128 rows are kept in run.mf4.part" in refused.line
+    assert refused.status == 2
+    assert "128 rows are kept in run.mf4.part" in refused.line
     assert read_recording(tmp_path / "run.mf4.part").rows == 128
 
 
-def test_an_unfinished_recording_is_not_overwritten(isocenter, tmp_path, taken):
+def test_an_unfinished_recording_is_not_overwritten(isocenter: Isocenter, tmp_path: Path, taken: Path) -> None:
     isocenter(*STATIC, "--machine", "carm", "-o", taken)
     taken.rmdir()
     refused = isocenter(*STATIC, "--machine", "carm", "-o", taken)
-    assert refused.status == 2 and "128 rows of a recording that was cut short" in refused.line
+    assert refused.status == 2
+    assert "128 rows of a recording that was cut short" in refused.line
     assert read_recording(tmp_path / "run.mf4.part").rows == 128
 
 
 @pytest.mark.parametrize("option", ["--truth", "--frame-log", "--json"])
-def test_a_side_file_without_a_folder_is_refused_before_anything_moves(isocenter, monkeypatch, tmp_path, out, option):
-    monkeypatch.setattr("hil.bench.bench.Bench._session", lambda bench: pytest.fail("it moved"))
+def test_a_side_file_without_a_folder_is_refused_before_anything_moves(
+    isocenter: Isocenter, enabled: list[int], tmp_path: Path, out: Path, option: str
+) -> None:
     refused = isocenter(*STATIC, "--machine", "carm", "-o", out, option, tmp_path / "nowhere" / "file")
-    assert refused.status == 2 and "nowhere" in refused.line
+    assert refused.status == 2
+    assert "nowhere" in refused.line
+    assert enabled == []
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory):
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording as CSV, with its metadata beside it."""
     path = tmp_path_factory.mktemp("recorded") / "run.csv"
     with pytest.raises(SystemExit) as left:
@@ -291,30 +354,37 @@ HOLES = {
 }
 
 
-@pytest.mark.parametrize("cut, says", HOLES.values(), ids=HOLES.keys())
-def test_a_csv_that_lacks_something(isocenter, recorded, tmp_path, cut, says):
+@pytest.mark.parametrize(("cut", "says"), HOLES.values(), ids=HOLES.keys())
+def test_a_csv_that_lacks_something(
+    isocenter: Isocenter, recorded: Path, tmp_path: Path, cut: Callable[..., object], says: list[str]
+) -> None:
     copy = tmp_path / "run.csv"
     copy.write_text("\n".join(cut(recorded.read_text().splitlines())) + "\n")
     copy.with_suffix(".toml").write_text(recorded.with_suffix(".toml").read_text())
     refused = isocenter("simulate", "carm", copy, "-o", tmp_path / "simulation.mf4")
-    assert refused.status == 2 and all(word in refused.line for word in says), refused.line
+    assert refused.status == 2, refused.line
+    assert all(word in refused.line for word in says), refused.line
     assert not (tmp_path / "simulation.mf4").exists()
 
 
-def test_a_csv_without_metadata_that_lacks_a_row(isocenter, recorded, tmp_path):
+def test_a_csv_without_metadata_that_lacks_a_row(isocenter: Isocenter, recorded: Path, tmp_path: Path) -> None:
     lines = recorded.read_text().splitlines()
     copy = tmp_path / "run.csv"
     copy.write_text("\n".join(lines[:60] + lines[61:]) + "\n")
     refused = isocenter("simulate", "carm", copy, "-o", tmp_path / "simulation.mf4")
-    assert refused.status == 2 and "rows are not equally spaced" in refused.line and "between rows 58 and 59" in refused.line
+    assert refused.status == 2
+    assert "rows are not equally spaced" in refused.line
+    assert "between rows 58 and 59" in refused.line
 
 
-def test_a_csv_with_an_unknown_unit(isocenter, recorded, tmp_path):
+def test_a_csv_with_an_unknown_unit(isocenter: Isocenter, recorded: Path, tmp_path: Path) -> None:
     copy = tmp_path / "run.csv"
     copy.write_text(recorded.read_text().replace("position_roll [rad]", "position_roll [furlong]", 1))
     copy.with_suffix(".toml").write_text(recorded.with_suffix(".toml").read_text())
     refused = isocenter("compare", copy, copy)
-    assert refused.status == 2 and "furlong" in refused.line and "position_roll" in refused.line
+    assert refused.status == 2
+    assert "furlong" in refused.line
+    assert "position_roll" in refused.line
 
 
 FILES = {
@@ -329,24 +399,34 @@ FILES = {
 
 
 @pytest.mark.parametrize("arguments", FILES.values(), ids=FILES.keys())
-def test_a_file_that_is_not_there(isocenter, monkeypatch, tmp_path, arguments):
+def test_a_file_that_is_not_there(
+    isocenter: Isocenter, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, arguments: tuple[str, ...]
+) -> None:
     monkeypatch.chdir(tmp_path)
     refused = isocenter(*arguments)
-    assert refused.status == 2 and "nothere" in refused.line
+    assert refused.status == 2
+    assert "nothere" in refused.line
     assert list(tmp_path.iterdir()) == []
 
 
-def test_truth_and_frame_log_of_a_real_bus_are_refused_in_words(isocenter, out, tmp_path):
+def test_truth_and_frame_log_of_a_real_bus_are_refused_in_words(isocenter: Isocenter, out: Path, tmp_path: Path) -> None:
     for option in ("--truth", "--frame-log"):
         refused = isocenter(
             "run", "static", "--machine", "carm", "--bus", "virtual:nobody", "--no-real-time", "-o", out, option, tmp_path / "file"
         )
-        assert refused.status == 2 and option in refused.line and not (tmp_path / "file").exists()
+        assert refused.status == 2
+        assert option in refused.line
+        assert not (tmp_path / "file").exists()
 
 
-def test_a_fault_of_the_program_itself_is_one_line_and_says_how_to_see_more(capsys, monkeypatch):
+def test_a_fault_of_the_program_itself_is_one_line_and_says_how_to_see_more(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("hil.machine.list_shipped", lambda: 1 / 0)
     with pytest.raises(SystemExit) as left:
         main(["machine", "list"])
     error = capsys.readouterr().err
-    assert left.value.code == 1 and error.count("\n") == 1 and "ISOCENTER_TRACEBACK=1" in error and "ZeroDivisionError" in error
+    assert left.value.code == 1
+    assert error.count("\n") == 1
+    assert "ISOCENTER_TRACEBACK=1" in error
+    assert "ZeroDivisionError" in error

@@ -7,17 +7,22 @@ import subprocess
 import sys
 import threading
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Never
 
 import can
 import numpy as np
 import pytest
 import typer.main
 from bench_machines import edited
+from command_line import Isocenter
 from places import EDS_FILES
+from typer.core import TyperCommand, TyperGroup
 
 from hil.cli import register
 from hil.cli.app import app
+from hil.cli.run import ExperimentGroup
 from hil.machine import list_shipped
 from hil.recording import read_recording
 from hil.terminal.output import plain
@@ -26,7 +31,7 @@ from virtual_bus.canopen.bare import BareMachine
 register.commands(app)
 
 
-def _commands(command, path=()):
+def _commands(command: ExperimentGroup | TyperCommand | TyperGroup, path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
     """Every command and group below the app, as the words that call it."""
     yield path
     for name, child in getattr(command, "commands", {}).items():
@@ -36,7 +41,7 @@ def _commands(command, path=()):
 COMMANDS = list(_commands(typer.main.get_command(app)))
 
 
-def test_every_command_of_the_contract_is_there():
+def test_every_command_of_the_contract_is_there() -> None:
     names = {" ".join(words) for words in COMMANDS}
     wanted = (
         "demo, effects, emulate, scan-bus, home, simulate, compare, identify, shape, convert, machine list, machine show, machine check"
@@ -46,9 +51,10 @@ def test_every_command_of_the_contract_is_there():
 
 
 @pytest.mark.parametrize("words", COMMANDS, ids=lambda words: " ".join(words) or "isocenter")
-def test_help_names_an_example_that_is_a_call_of_this_command(isocenter, words):
+def test_help_names_an_example_that_is_a_call_of_this_command(isocenter: Isocenter, words: tuple[str, ...]) -> None:
     shown = isocenter(*words, "--help")
-    assert shown.status == 0 and shown.err == ""
+    assert shown.status == 0
+    assert shown.err == ""
     if not words:
         assert "isocenter demo" in shown.out
         return
@@ -58,20 +64,22 @@ def test_help_names_an_example_that_is_a_call_of_this_command(isocenter, words):
     assert list(words) in called or (words == ("run", "file") and called), examples
 
 
-def test_a_group_without_a_command_shows_its_help(isocenter):
+def test_a_group_without_a_command_shows_its_help(isocenter: Isocenter) -> None:
     for words in ((), ("run",), ("machine",)):
         shown = isocenter(*words)
         assert "Commands" in shown.out + shown.err
 
 
-def test_python_m_hil_is_isocenter():
+def test_python_m_hil_is_isocenter() -> None:
     done = subprocess.run([sys.executable, "-m", "hil", "machine", "nonsense"], capture_output=True, text=True, timeout=120, check=False)
-    assert done.returncode == 2 and done.stdout == ""
-    assert done.stderr.startswith("isocenter: machine: No such command 'nonsense'") and done.stderr.count("\n") == 1
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.startswith("isocenter: machine: No such command 'nonsense'")
+    assert done.stderr.count("\n") == 1
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory):
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short recording of the C-arm."""
     from hil.cli import main
 
@@ -97,7 +105,9 @@ ANSWERS = {
 
 
 @pytest.mark.parametrize("arguments", ANSWERS.values(), ids=ANSWERS.keys())
-def test_json_to_standard_output_is_all_that_goes_there(isocenter, monkeypatch, tmp_path, recorded, arguments):
+def test_json_to_standard_output_is_all_that_goes_there(
+    isocenter: Isocenter, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, recorded: Path, arguments: tuple[str, ...]
+) -> None:
     monkeypatch.chdir(tmp_path)
     words = [str(recorded) if word == "RECORDED" else word for word in arguments]
     answered = isocenter(*words, "--json", "-")
@@ -106,31 +116,37 @@ def test_json_to_standard_output_is_all_that_goes_there(isocenter, monkeypatch, 
     assert answered.err  # what a person would read
 
 
-def test_json_to_a_file_leaves_standard_output_to_the_person(isocenter, tmp_path):
+def test_json_to_a_file_leaves_standard_output_to_the_person(isocenter: Isocenter, tmp_path: Path) -> None:
     answered = isocenter("machine", "list", "--json", tmp_path / "machines.json")
-    assert "carm" in answered.out and answered.err == ""
+    assert "carm" in answered.out
+    assert answered.err == ""
     assert [entry["name"] for entry in json.loads((tmp_path / "machines.json").read_text())] == list(list_shipped())
 
 
-def test_json_has_no_nan_and_knows_arrays_paths_and_dataclasses():
+def test_json_has_no_nan_and_knows_arrays_paths_and_dataclasses() -> None:
     from drivers.canopen.scan import FoundNode
     from drivers.settings import Identity
 
     node = FoundNode(5, 0x20192, "a drive", Identity(1, 2, None, None), "operational", "")
     document = plain({"a": np.array([1.0, np.nan]), "b": (np.float32(0.5), float("inf")), "c": Path("x"), "node": vars(node)})
-    assert document["a"] == [1.0, None] and document["b"] == [0.5, None] and document["c"] == "x"
+    assert document["a"] == [1.0, None]
+    assert document["b"] == [0.5, None]
+    assert document["c"] == "x"
     assert document["node"]["identity"] == {"vendor_id": 1, "product_code": 2, "revision_number": None, "serial_number": None}
     json.dumps(document, allow_nan=False)
 
 
-def test_a_check_that_fails_is_status_1_with_the_whole_answer(isocenter, tmp_path):
+@pytest.mark.slow
+def test_a_check_that_fails_is_status_1_with_the_whole_answer(isocenter: Isocenter, tmp_path: Path) -> None:
     """Four times the propeller's gain is stable at rest, but far from 40 degrees and 6 dB everywhere."""
     eager = tmp_path / "eager.toml"
     eager.write_text(edited(r"\[1141.398991, -1138.601009", "[4565.595964, -4554.404036"))
     checked = isocenter("machine", "check", eager, "--json", "-")
     document = json.loads(checked.out)
-    assert checked.status == 1 and document["ok"] is False
-    assert any(not finding["ok"] for finding in document["findings"]) and "FAIL" in checked.err
+    assert checked.status == 1
+    assert document["ok"] is False
+    assert any(not finding["ok"] for finding in document["findings"])
+    assert "FAIL" in checked.err
 
 
 class Devices:
@@ -165,27 +181,30 @@ class Devices:
         self._thread.join()
 
 
-def test_scan_bus_lists_who_is_there_for_people_and_programs(isocenter):
+def test_scan_bus_lists_who_is_there_for_people_and_programs(isocenter: Isocenter) -> None:
     with Devices("there", ("isocenter_drive.eds", 5), ("isocenter_encoder.eds", 9)):
         scanned = isocenter("scan-bus", "--bus", "virtual:there", "--json", "-")
     assert scanned.status == 0
     nodes = json.loads(scanned.out)["nodes"]
     assert [(node["node_id"], node["identity"]["product_code"]) for node in nodes] == [(5, 0x49534F01), (9, 0x49534F02)]
-    assert "node 5" in scanned.err and "node 9" in scanned.err
+    assert "node 5" in scanned.err
+    assert "node 9" in scanned.err
 
 
-def test_scan_bus_finds_two_devices_with_one_id(isocenter):
+def test_scan_bus_finds_two_devices_with_one_id(isocenter: Isocenter) -> None:
     with Devices("twins", ("isocenter_drive.eds", 5), ("isocenter_encoder.eds", 5)):
         scanned = isocenter("scan-bus", "--bus", "virtual:twins")
-    assert scanned.status == 2 and "node id 5: two devices" in scanned.line
+    assert scanned.status == 2
+    assert "node id 5: two devices" in scanned.line
 
 
-def test_scan_bus_says_when_nobody_answers(isocenter):
+def test_scan_bus_says_when_nobody_answers(isocenter: Isocenter) -> None:
     scanned = isocenter("scan-bus", "--bus", "virtual:empty")
-    assert scanned.status == 1 and "virtual:empty: nobody answers" in scanned.line
+    assert scanned.status == 1
+    assert "virtual:empty: nobody answers" in scanned.line
 
 
-def test_what_a_reader_of_recordings_warns_of_is_one_line(isocenter, recorded, tmp_path):
+def test_what_a_reader_of_recordings_warns_of_is_one_line(isocenter: Isocenter, recorded: Path, tmp_path: Path) -> None:
     """A recording whose loop and recorder were killed: only its journal is there."""
     from hil.recording.journal import Journal, part_path
 
@@ -199,19 +218,22 @@ def test_what_a_reader_of_recordings_warns_of_is_one_line(isocenter, recorded, t
         compared = isocenter("compare", path, path)
     assert compared.status == 0
     lines = compared.err.splitlines()
-    assert lines and all(line == f"isocenter: {path}: was not closed; 128 rows read from killed.mf4.part" for line in lines)
+    assert lines
+    assert all(line == f"isocenter: {path}: was not closed; 128 rows read from killed.mf4.part" for line in lines)
 
 
-def test_an_interrupt_is_answered_in_one_line(isocenter, monkeypatch):
-    def interrupted():
+def test_an_interrupt_is_answered_in_one_line(isocenter: Isocenter, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted() -> Never:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("hil.machine.list_shipped", interrupted)
     left = isocenter("machine", "list")
-    assert left.status == 1 and left.err == "isocenter: interrupted\n"
+    assert left.status == 1
+    assert left.err == "isocenter: interrupted\n"
 
 
-def test_the_chain_from_run_to_convert(isocenter, tmp_path):
+@pytest.mark.slow
+def test_the_chain_from_run_to_convert(isocenter: Isocenter, tmp_path: Path) -> None:
     """run, simulate, compare, identify, convert: files of one step go into the next, and what comes out is the machine that went in."""
     recording = tmp_path / "run.mf4"
     experiment = ("--lines", "3,5,7,11", "--amplitude", "0.4", "--jog", "0", "--period", "2", "--periods", "2", "--realisations", "2")
@@ -242,7 +264,8 @@ def test_the_chain_from_run_to_convert(isocenter, tmp_path):
     assert isocenter("simulate", "carm", paths[0], "-o", simulated).status == 0
     compared = isocenter("compare", paths[0], simulated, "--json", "-")
     channels = json.loads(compared.out)["channels"]
-    assert channels["position_roll"]["nrmse"] < 0.02 and channels["current_roll"]["nrmse"] < 0.1
+    assert channels["position_roll"]["nrmse"] < 0.02
+    assert channels["current_roll"]["nrmse"] < 0.1
     assert channels["current_roll"]["lag_rows"] == 0
 
     identified = isocenter("identify", *paths, "-o", tmp_path / "carm.frf.npz")
@@ -259,7 +282,9 @@ def test_the_chain_from_run_to_convert(isocenter, tmp_path):
     assert read_recording(table)["position_roll"].tolist() == read_recording(paths[0])["position_roll"].tolist()
 
 
-def test_effects_at_the_command_line_are_physics_of_the_emulated_machine_and_of_the_simulation(isocenter, tmp_path):
+def test_effects_at_the_command_line_are_physics_of_the_emulated_machine_and_of_the_simulation(
+    isocenter: Isocenter, tmp_path: Path
+) -> None:
     effects = tmp_path / "effects.toml"
     effects.write_text('[[effect]]\nname = "coulomb_friction"\nat = "roll"\nFc_Nm = 12.0\n')
     run = ("run", "jog", "-m", "carm", "-b", "lockstep:", "--period", "5", "--periods", "1", "--amplitude", "1", "--no-noise")
@@ -271,10 +296,11 @@ def test_effects_at_the_command_line_are_physics_of_the_emulated_machine_and_of_
         json.loads(isocenter("compare", rough, path, "--json", "-").out)["channels"]["current_roll"]
         for path in (known, tmp_path / "with.mf4")
     )
-    assert without["rms"] > 0.15 and with_friction["rms"] < 0.05 * without["rms"] + 0.02
+    assert without["rms"] > 0.15
+    assert with_friction["rms"] < 0.05 * without["rms"] + 0.02
 
 
-def test_convert_reads_a_mat_whose_variables_are_named_otherwise(isocenter, tmp_path):
+def test_convert_reads_a_mat_whose_variables_are_named_otherwise(isocenter: Isocenter, tmp_path: Path) -> None:
     import scipy.io
 
     time_s = np.arange(100) / 256.0
@@ -282,11 +308,15 @@ def test_convert_reads_a_mat_whose_variables_are_named_otherwise(isocenter, tmp_
     said = ("--map", "t=time", "--map", "q=position_roll")
     assert isocenter("convert", tmp_path / "lab.mat", tmp_path / "lab.csv", "--machine", "carm", *said).status == 0
     recording = read_recording(tmp_path / "lab.csv")
-    assert recording.channel("position_roll").unit == "rad" and np.array_equal(recording["position_roll"], np.sin(time_s))
+    assert recording.channel("position_roll").unit == "rad"
+    assert np.array_equal(recording["position_roll"], np.sin(time_s))
     unnamed = isocenter("convert", tmp_path / "lab.mat", tmp_path / "lab.csv", "--machine", "carm")
-    assert unnamed.status == 2 and "say which is which" in unnamed.line
+    assert unnamed.status == 2
+    assert "say which is which" in unnamed.line
     for wrong, says in (("t", "NAME=CHANNEL"), ("t=", "NAME=CHANNEL"), ("x=time", "no variable x"), ("q=position_elbow", "position_elbow")):
         refused = isocenter("convert", tmp_path / "lab.mat", tmp_path / "lab.csv", "--machine", "carm", "--map", "t=time", "--map", wrong)
-        assert refused.status == 2 and says in refused.line, refused.line
+        assert refused.status == 2, refused.line
+        assert says in refused.line, refused.line
     refused = isocenter("convert", tmp_path / "lab.csv", tmp_path / "lab.mf4", "--map", "t=time")
-    assert refused.status == 2 and "--map is for .mat" in refused.line
+    assert refused.status == 2
+    assert "--map is for .mat" in refused.line

@@ -8,6 +8,7 @@ import pytest
 from bench_machines import CARM
 from hypothesis import example, given
 from hypothesis import strategies as st
+from refusals import answer_or_refusal
 
 from drivers.errors import BusUnavailableError
 from drivers.modbus.transport import parse_io_url
@@ -18,9 +19,9 @@ ANY = st.text(max_size=40)
 NUMBER = st.floats(-1e6, 1e6, allow_nan=False)
 
 
-def one_line(error: Exception, text: str) -> bool:
+def one_line(refusal: str, text: str) -> bool:
     """It names what was given, and is a line if that was one."""
-    return text in str(error) and len(str(error).splitlines()) <= max(1, len(text.splitlines()) + 1)
+    return text in refusal and len(refusal.splitlines()) <= max(1, len(text.splitlines()) + 1)
 
 
 def nearly(*texts: str) -> st.SearchStrategy[str]:
@@ -32,21 +33,20 @@ def nearly(*texts: str) -> st.SearchStrategy[str]:
 @example("roll=nan")
 @example("roll=30,roll=40")
 @example("=")
-def test_any_text_for_a_pose(text):
-    try:
-        pose = parse_pose(text, CARM)
-    except UnusableInputError as error:
-        assert one_line(error, text) and any(
-            right in str(error) for right in ("AXIS=NUMBER", "it has propeller, roll", "say where it is once")
-        )
+def test_any_text_for_a_pose(text: str) -> None:
+    pose, refusal = answer_or_refusal(UnusableInputError, parse_pose, text, CARM)
+    if pose is None:
+        assert one_line(refusal, text)
+        assert any(right in refusal for right in ("AXIS=NUMBER", "it has propeller, roll", "say where it is once"))
         return
     again = ",".join(f"{axis}={value / edge_scale(CARM, axis)!r}" for axis, value in pose.items())
     assert parse_pose(again, CARM) == pytest.approx(pose, rel=1e-15)
-    assert set(pose) <= set(CARM.axes) and all(map(math.isfinite, pose.values()))
+    assert set(pose) <= set(CARM.axes)
+    assert all(map(math.isfinite, pose.values()))
 
 
 @given(st.dictionaries(st.sampled_from(CARM.axes), NUMBER))
-def test_a_pose_that_was_written_is_read(pose):
+def test_a_pose_that_was_written_is_read(pose: dict[str, float]) -> None:
     text = ",".join(f"{axis} = {degrees!r}" for axis, degrees in pose.items())
     assert parse_pose(text, CARM) == pytest.approx({axis: math.radians(degrees) for axis, degrees in pose.items()}, rel=1e-15)
 
@@ -55,25 +55,28 @@ def test_a_pose_that_was_written_is_read(pose):
 @example("40:0.5")
 @example("1:2:3")
 @example("nan:1")
-def test_any_text_for_a_band(text):
-    try:
-        low, high = parse_band("--band", text)
-    except UnusableInputError as error:
-        assert one_line(error, text) and "LOW:HIGH" in str(error)
+def test_any_text_for_a_band(text: str) -> None:
+    band, refusal = answer_or_refusal(UnusableInputError, parse_band, "--band", text)
+    if band is None:
+        assert one_line(refusal, text)
+        assert "LOW:HIGH" in refusal
         return
-    assert low < high and parse_band("--band", f"{low!r}:{high!r}") == (low, high)
+    low, high = band
+    assert low < high
+    assert parse_band("--band", f"{low!r}:{high!r}") == (low, high)
 
 
 @given(nearly("1", ",", "35", "-3", "0", "+7"))
 @example("1,,2")
 @example("0")
-def test_any_text_for_whole_numbers(text):
-    try:
-        numbers = parse_whole_numbers("--lines", text)
-    except UnusableInputError as error:
-        assert one_line(error, text) and "whole numbers from 1" in str(error)
+def test_any_text_for_whole_numbers(text: str) -> None:
+    numbers, refusal = answer_or_refusal(UnusableInputError, parse_whole_numbers, "--lines", text)
+    if numbers is None:
+        assert one_line(refusal, text)
+        assert "whole numbers from 1" in refusal
         return
-    assert min(numbers) >= 1 and parse_whole_numbers("--lines", ",".join(map(str, numbers))) == numbers
+    assert min(numbers) >= 1
+    assert parse_whole_numbers("--lines", ",".join(map(str, numbers))) == numbers
 
 
 @given(nearly("tcp:", "rtu:", "host", ":", "502", "@", "/dev/ttyUSB0", "115200", "[::1]"))
@@ -83,12 +86,14 @@ def test_any_text_for_whole_numbers(text):
 @example("rtu:/dev/ttyUSB0@0")
 @example("tcp:[]:1")
 @example("tcp:host:٣")
-def test_any_text_for_where_the_io_is(text):
-    try:
-        kind, place, number = parse_io_url(text)
-    except BusUnavailableError as error:
-        assert "tcp:HOST:PORT or rtu:DEVICE@BAUD" in str(error) and "\n" not in str(error)
+def test_any_text_for_where_the_io_is(text: str) -> None:
+    parts, refusal = answer_or_refusal(BusUnavailableError, parse_io_url, text)
+    if parts is None:
+        assert "tcp:HOST:PORT or rtu:DEVICE@BAUD" in refusal
+        assert "\n" not in refusal
         return
-    assert place and number > 0
+    kind, place, number = parts
+    assert place
+    assert number > 0
     again = f"tcp:[{place}]:{number}" if kind == "tcp" else f"rtu:{place}@{number}"
     assert parse_io_url(again) == (kind, place, number)

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import Isocenter
 
 from hil.experiments import Jog, Multisine
 
 
-def test_the_demo_leaves_a_page_and_finds_the_friction_it_has_hidden(isocenter, monkeypatch, tmp_path):
+@pytest.mark.slow
+def test_the_demo_leaves_a_page_and_finds_the_friction_it_has_hidden(
+    isocenter: Isocenter, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     pytest.importorskip("matplotlib")
     experiment = Multisine(
         pose={"roll": 0.5}, lines=(3, 5, 7, 9), amplitude_A=0.4, period_s=4.0, periods=2, realisations=2,
@@ -21,9 +26,12 @@ def test_the_demo_leaves_a_page_and_finds_the_friction_it_has_hidden(isocenter, 
     assert told.status == 0, told.err
     document = json.loads(told.out)
     page = (tmp_path / "demo" / "index.html").read_text()
-    assert page.count("data:image/png;base64,") == 4 and "Fc = 12 Nm" in page and "http" not in page.split("data:image", 1)[0]
+    assert page.count("data:image/png;base64,") == 4
+    assert "Fc = 12 Nm" in page
+    assert "http" not in page.split("data:image", 1)[0]
     before, after = (document[key]["channels"]["current_roll"]["nrmse"] for key in ("nominal", "with_friction"))
     assert after < 0.3 * before
-    assert document["lines"] == 4 and len(document["recordings"]) == 4
+    assert document["lines"] == 4
+    assert len(document["recordings"]) == 4
     with np.load(tmp_path / "demo" / "carm.frf.npz") as frf:
         assert frf["G"].shape == (4, 5, 2)

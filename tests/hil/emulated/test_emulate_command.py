@@ -43,7 +43,7 @@ def carm() -> Iterator[dict[str, str]]:
     assert (process.returncode, rest) == (0, ""), errors
 
 
-def test_minimalmodbus_reads_and_works_the_io_on_its_serial_line(carm):
+def test_minimalmodbus_reads_and_works_the_io_on_its_serial_line(carm: dict[str, str]) -> None:
     device, _, baud = carm["io_rtu"].removeprefix("rtu:").rpartition("@")
     instrument = minimalmodbus.Instrument(device, 1)
     instrument.serial.baudrate = int(baud)
@@ -58,22 +58,23 @@ def test_minimalmodbus_reads_and_works_the_io_on_its_serial_line(carm):
     instrument.serial.close()
 
 
-def test_the_same_io_answers_on_tcp(carm):
+def test_the_same_io_answers_on_tcp(carm: dict[str, str]) -> None:
     host, port = carm["io"].removeprefix("tcp:").split(":")
     client = ModbusClient(host=host, port=int(port), unit_id=1, timeout=TIMEOUT_S)
     assert client.read_discrete_inputs(HOLD_TO_RUN, 2) == [True, True]
     client.close()
 
 
-def test_the_imu_listens_where_the_ready_line_says(carm):
+def test_the_imu_listens_where_the_ready_line_says(carm: dict[str, str]) -> None:
     scheme, host, port = carm["imu_tcp"].split(":")
-    assert scheme == "tcp" and os.path.exists(carm["imu"])
+    assert scheme == "tcp"
+    assert os.path.exists(carm["imu"])
     with socket.create_connection((host, int(port)), TIMEOUT_S) as line:
         line.sendall(bytes.fromhex("fa ff 30 00 d1"))  # Xbus: GoToConfig, answered by GoToConfigAck
         assert line.makefile("rb").read(5) == bytes.fromhex("fa ff 31 00 d0")
 
 
-def test_without_json_it_says_in_words_that_it_is_ready(tmp_path: Path):
+def test_without_json_it_says_in_words_that_it_is_ready(tmp_path: Path) -> None:
     process = emulating("--eds", str(DRIVE_EDS), "--node", "5", "--bus", "virtual:words", "--json", str(tmp_path / "ready.json"))
     assert process.stdout is not None
     line = process.stdout.readline()
@@ -90,14 +91,15 @@ def test_without_json_it_says_in_words_that_it_is_ready(tmp_path: Path):
         ("/dev/isocenter-none@9600", "serial port /dev/isocenter-none at 9600 baud: No such file or directory"),
     ],
 )
-def test_a_serial_port_that_is_none_is_one_line(port: str, words: str):
+def test_a_serial_port_that_is_none_is_one_line(port: str, words: str) -> None:
     process = emulating("carm", "--bus", "virtual:none", "--io-rtu", port)
     said, errors = process.communicate(timeout=TIMEOUT_S)
     assert (process.returncode, said) == (2, "")
-    assert errors.startswith(f"isocenter: {words}") and errors.count("\n") == 1
+    assert errors.startswith(f"isocenter: {words}")
+    assert errors.count("\n") == 1
 
 
-def test_a_bus_that_is_lost_ends_the_emulator_with_one_line():
+def test_a_bus_that_is_lost_ends_the_emulator_with_one_line() -> None:
     class Unplugged(can.BusABC):
         def __init__(self) -> None:
             super().__init__("can0")

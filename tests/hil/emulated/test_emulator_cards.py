@@ -9,9 +9,10 @@ from dataclasses import asdict
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from hil.emulated.card import MAX_PID, EmulatorCard, card_from_text
+from hil.emulated.card import EmulatorCard, card_from_text
 
-cards = st.builds(EmulatorCard, **{name: st.text() for name in EmulatorCard.__annotations__} | {"pid": st.integers(1, MAX_PID)})
+LARGEST_PID = 2**31 - 1  # pid_t has 32 bits and a sign
+cards = st.builds(EmulatorCard, **{name: st.text() for name in EmulatorCard.__annotations__} | {"pid": st.integers(1, LARGEST_PID)})
 WHOLE = asdict(EmulatorCard("b", os.getpid(), "", ""))
 names = st.sampled_from(list(EmulatorCard.__annotations__))
 documents = st.recursive(
@@ -31,12 +32,14 @@ def test_a_card_is_read_as_it_was_written(card: EmulatorCard) -> None:
 @example("[" * 100_000)
 @example(json.dumps(WHOLE | {"pid": 0}))
 @example(json.dumps(WHOLE | {"pid": True}))
+@example(json.dumps(WHOLE | {"pid": LARGEST_PID + 1}))
 @example(json.dumps(WHOLE | {"pid": 10**30}))
 @example(json.dumps(WHOLE | {"imu_device": 5}))
 def test_any_other_text_is_no_card_or_a_whole_one(text: str) -> None:
     card = card_from_text(text)
     if card is not None:
-        assert asdict(card) == json.loads(text) and 0 < card.pid <= MAX_PID
+        assert asdict(card) == json.loads(text)
+        assert 0 < card.pid <= LARGEST_PID
 
 
 @given(cards, names, st.none() | st.floats() | st.lists(st.text(), max_size=1))

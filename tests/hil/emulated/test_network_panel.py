@@ -1,25 +1,30 @@
 """A panel on the network: what its wire says, and what the emulated one sends of a machine that it only knows by SYNCs."""
 
+from __future__ import annotations
+
 import contextlib
 import multiprocessing
 import queue
 import socket
 import threading
+from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
+from queue import Queue
 
 import numpy as np
 import pytest
 
 from drivers.errors import BusUnavailableError
-from drivers.imaging import PanelClock, PanelError, PanelLink, panel_link
+from drivers.imaging import Frame, PanelClock, PanelError, PanelLink, panel_link
 from drivers.imaging.panel_link import end_bytes, frame_bytes, read_command
-from hil.emulated import network_panel
 from hil.emulated.beam import beam_of
 from hil.emulated.network_panel import ServedPanel, serve
 from hil.emulated.pose_board import KEPT, PoseBoard
 from hil.errors import BadAnswerError
 from hil.imaging.detector import Detector
 from hil.imaging.nominal import body_frame, imaging_geometry, nominal_detector
+from hil.machine import Machine as MachineSettings
 from hil.machine import load_machine
 from hil.receiving.frames_beside import frames_beside
 from hil.receiving.panel_frames import PanelFrames, RemotePanel, RowSpan
@@ -34,12 +39,12 @@ EARLIER_s = 1234.5
 """What the emulated machine's clock says at the first SYNC: nobody else knows it."""
 
 
-def moving(rows):
+def moving(rows: np.ndarray) -> np.ndarray:
     """Axis positions: a roll sweep at 30 deg/s."""
     return np.column_stack([np.full(len(rows), 0.4), -0.5 + np.radians(30.0) * PERIOD * rows])
 
 
-def poses(rows):
+def poses(rows: np.ndarray) -> list[np.ndarray]:
     """(N, 12) poses of tube and panel."""
     geometry, at = imaging_geometry(CARM), moving(rows)
     found = [body_frame(CARM, body, at) for body in (geometry.source_body, geometry.detector_body)]
@@ -49,11 +54,11 @@ def poses(rows):
 class Machine:
     """SYNC after SYNC onto the board; rows are counted from the first one of the recording."""
 
-    def __init__(self, period_s=PERIOD):
+    def __init__(self, period_s: float = PERIOD) -> None:
         self.board, self._next, self.period_s = PoseBoard(CONTEXT), 0, period_s
         self._tube, self._panel = poses(np.arange(-BEFORE, ROWS + 200))
 
-    def sync(self, count):
+    def sync(self, count: int) -> None:
         for _ in range(count):
             k = self._next
             self.board.put(k + 1, EARLIER_s + k * self.period_s, self._tube[k], self._panel[k])
@@ -66,24 +71,24 @@ GREETING = end_bytes(0)
 class Ready:
     """Where the panel's process says its port."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._is_there, self.port = threading.Event(), 0
 
-    def send(self, port):
+    def send(self, port: int) -> None:
         self.port = port
         self._is_there.set()
 
-    def url(self):
+    def url(self) -> str:
         self._is_there.wait()
         return f"tcp:127.0.0.1:{self.port}"
 
 
 @contextlib.contextmanager
-def greeting(said=GREETING):
+def greeting(said: bytes = GREETING) -> Iterator[tuple[str, Queue]]:
     """What greets every caller so; yields its URL and a queue of the callers."""
     callers = queue.Queue()
 
-    def greet():
+    def greet() -> None:
         with contextlib.suppress(OSError):
             while True:
                 caller, _ = listener.accept()
@@ -95,7 +100,7 @@ def greeting(said=GREETING):
         yield f"tcp:127.0.0.1:{listener.getsockname()[1]}", callers
 
 
-def served(machine, settings=CARM):
+def served(machine: Machine, settings: MachineSettings = CARM) -> str:
     """URL of the emulated panel that follows this machine."""
     ready, order = Ready(), ServedPanel(settings, machine.board, beam_of(settings, "dodecahedron"))
     threading.Thread(target=serve, args=(order, ready), daemon=True).start()
@@ -103,12 +108,13 @@ def served(machine, settings=CARM):
 
 
 @pytest.fixture(scope="module")
-def acquired():
+def acquired() -> tuple[list[Frame], Machine]:
     """Frames of a recording of ROWS rows, and the machine."""
     machine, span = Machine(), RowSpan(CONTEXT)
     source = PanelFrames(RemotePanel(served(machine), RATE_Hz, BINNING, PERIOD, span))
     machine.sync(BEFORE)
-    assert source.poll() == [] and source.is_over, "nobody has told it to expose"
+    assert source.poll() == [], "nobody has told it to expose"
+    assert source.is_over, "nobody has told it to expose"
     span.begin(BEFORE)
     frames = []
     while not frames:  # the panel hears of it some time later, as it would
@@ -124,18 +130,23 @@ def acquired():
     return frames, machine
 
 
-def test_pulses_are_the_rows_in_which_they_were_seen_and_the_panels_clock_is_a_line_through_them(acquired):
+def test_pulses_are_the_rows_in_which_they_were_seen_and_the_panels_clock_is_a_line_through_them(
+    acquired: tuple[list[Frame], Machine],
+) -> None:
     frames, _ = acquired
-    assert [frame.exposure_id for frame in frames] == list(range(len(frames))) and len(frames) >= 3
+    assert [frame.exposure_id for frame in frames] == list(range(len(frames)))
+    assert len(frames) >= 3
     rows = np.array([frame.pulse_s for frame in frames]) / PERIOD
-    assert np.array_equal(rows, np.round(rows)) and rows[0] > 0.0 and rows[-1] <= ROWS
+    assert np.array_equal(rows, np.round(rows))
+    assert rows[0] > 0.0
+    assert rows[-1] <= ROWS
     panel = np.array([frame.panel_s for frame in frames])
     assert np.allclose(np.diff(panel), 1.0 / RATE_Hz, rtol=1e-9), "the rate is the panel's, by its own clock"
     clock = PanelClock(panel, rows * PERIOD, PERIOD)
     assert np.all(np.abs(clock.to_loop(panel) - (rows - 0.5) * PERIOD) <= 0.51 * PERIOD)
 
 
-def test_an_image_is_of_where_the_machine_was_at_its_pulse(acquired):
+def test_an_image_is_of_where_the_machine_was_at_its_pulse(acquired: tuple[list[Frame], Machine]) -> None:
     """Rendered anew from the motion in closed form: 30 deg/s move the panel by a pixel within one tick."""
     frames, _ = acquired
     geometry, beam, detector = imaging_geometry(CARM), beam_of(CARM, "dodecahedron"), nominal_detector(CARM, BINNING)
@@ -144,7 +155,7 @@ def test_an_image_is_of_where_the_machine_was_at_its_pulse(acquired):
     side = XraySide(*tracks, geometry.source_position_m, geometry.detector_center_m, beam.spot, 0.0)
     frame = frames[-1]
 
-    def difference(start_s):
+    def difference(start_s: float) -> float:
         again = beam.image(side, start_s, frame.width_s, detector, np.random.default_rng(1)).astype(float)
         return np.sqrt(np.mean((np.clip(again, 0, 4000) - np.clip(frame.image, 0, 4000)) ** 2))
 
@@ -152,18 +163,20 @@ def test_an_image_is_of_where_the_machine_was_at_its_pulse(acquired):
     assert min(found, key=found.get) == 0, found
 
 
-def test_images_that_came_too_late_are_lost_and_no_other():
+def test_images_that_came_too_late_are_lost_and_no_other() -> None:
     machine = Machine()
     for k in range(KEPT + 100):
         machine.board.put(k, k * PERIOD, np.zeros(12), np.zeros(12))
     newest = (KEPT + 99) * PERIOD
-    assert machine.board.now_s == newest and machine.board.around(0.5, 0.51, 4) is None
+    assert machine.board.now_s == newest
+    assert machine.board.around(0.5, 0.51, 4) is None
     assert machine.board.around(newest, newest, 4) is None, "what follows is not known yet"
     span = machine.board.around(newest - 1.0, newest - 0.99, 4)
-    assert span.time_s[4] >= newest - 1.0 > span.time_s[3] and np.array_equal(span.sync * PERIOD, span.time_s)
+    assert span.time_s[4] >= newest - 1.0 > span.time_s[3]
+    assert np.array_equal(span.sync * PERIOD, span.time_s)
 
 
-def test_a_panel_is_one_hosts_and_the_next_ones_when_that_has_gone(monkeypatch):
+def test_a_panel_is_one_hosts_and_the_next_ones_when_that_has_gone(monkeypatch: pytest.MonkeyPatch) -> None:
     url = served(Machine())
     first = PanelLink(url, PERIOD)
     with monkeypatch.context() as impatient:
@@ -174,9 +187,8 @@ def test_a_panel_is_one_hosts_and_the_next_ones_when_that_has_gone(monkeypatch):
     PanelLink(url, PERIOD).close()
 
 
-def test_exposures_end_where_the_machines_time_stands_still_and_at_a_slow_rate_none_is_lost(monkeypatch):
+def test_exposures_end_where_the_machines_time_stands_still_and_at_a_slow_rate_none_is_lost() -> None:
     """At 50 Hz what an exposure's motion is interpolated through takes three times as long as at 256 Hz."""
-    monkeypatch.setattr(network_panel, "STANDS_S", 0.1)
     period_s = 0.02
     slow = replace(CARM, sample_rate_Hz=1.0 / period_s, plant=replace(CARM.plant, sample_period_s=period_s))
     machine, span, frames = Machine(period_s), RowSpan(CONTEXT), []
@@ -194,13 +206,14 @@ def test_exposures_end_where_the_machines_time_stands_still_and_at_a_slow_rate_n
     assert [frame.exposure_id for frame in frames] == list(range(len(frames)))
 
 
-def test_frames_of_before_row_0_and_of_after_the_last_are_left_out():
+def test_frames_of_before_row_0_and_of_after_the_last_are_left_out() -> None:
     span = RowSpan(CONTEXT)
     with greeting() as (url, callers):
         source = PanelFrames(RemotePanel(url, RATE_Hz, BINNING, PERIOD, span))
         span.begin(99)  # row 0 is the hundredth
         span.end(300)
-        assert source.poll() == [] and not source.is_over
+        assert source.poll() == []
+        assert not source.is_over
         with callers.get() as panel:
             image = np.ones((2, 3), np.uint16)
             syncs = (90, 100, 101, 298, 299, 310)
@@ -214,7 +227,7 @@ def test_frames_of_before_row_0_and_of_after_the_last_are_left_out():
 
 
 @pytest.fixture
-def wire():
+def wire() -> Iterator[tuple[PanelLink, socket]]:
     """A link and the panel's end of its line."""
     with greeting() as (url, callers):
         link = PanelLink(url, PERIOD)
@@ -223,7 +236,7 @@ def wire():
         link.close()
 
 
-def test_frames_come_whole_whatever_pieces_they_come_in(wire):
+def test_frames_come_whole_whatever_pieces_they_come_in(wire: tuple[PanelLink, socket]) -> None:
     link, panel = wire
     link.expose(7.236, 4, first_sync=1000)
     assert read_command(panel.recv(100).rstrip(b"\n")) == (7.236, 4)
@@ -236,7 +249,8 @@ def test_frames_come_whole_whatever_pieces_they_come_in(wire):
         found += link.poll()
     (frame,) = found
     assert (frame.exposure_id, frame.pulse_s, frame.panel_s, frame.width_s) == (3, 64 * PERIOD, 5000.25, 0.008)
-    assert np.array_equal(frame.image, image) and link.exposures == 4
+    assert np.array_equal(frame.image, image)
+    assert link.exposures == 4
     link.stop()
     assert read_command(panel.recv(100).rstrip(b"\n")) is None
     panel.close()
@@ -244,7 +258,7 @@ def test_frames_come_whole_whatever_pieces_they_come_in(wire):
 
 
 @pytest.mark.parametrize(("said", "line"), [(b"HTTP/1.1 400 Bad Request" * 3, "what it sends is no frame"), (b"", "it hung up")])
-def test_what_is_no_panel_is_told(wire, said, line):
+def test_what_is_no_panel_is_told(wire: tuple[PanelLink, socket], said: bytes, line: str) -> None:
     link, panel = wire
     panel.sendall(said)
     panel.shutdown(socket.SHUT_WR)
@@ -253,7 +267,7 @@ def test_what_is_no_panel_is_told(wire, said, line):
         link.poll()
 
 
-def test_a_panel_that_hangs_up_during_a_run_is_told_at_once_and_again_when_that_is_over(tmp_path):
+def test_a_panel_that_hangs_up_during_a_run_is_told_at_once_and_again_when_that_is_over(tmp_path: Path) -> None:
     span, told = RowSpan(CONTEXT), queue.Queue()
     with greeting() as (url, callers):
         order = ReceiverOrder(RemotePanel(url, RATE_Hz, BINNING, PERIOD, span), tmp_path, Detector(6, 4, 1e-3), None, None)
@@ -269,7 +283,7 @@ def test_a_panel_that_hangs_up_during_a_run_is_told_at_once_and_again_when_that_
     assert told.empty()
 
 
-def test_an_address_where_no_panel_is_and_commands_that_are_none():
+def test_an_address_where_no_panel_is_and_commands_that_are_none() -> None:
     for url in ("127.0.0.1", f"tcp:{'a' * 64}:4100", "tcp:a..b:4100"):
         with pytest.raises(BusUnavailableError, match="its address reads tcp:HOST:PORT"):
             PanelLink(url, PERIOD)

@@ -1,5 +1,7 @@
 """The predicted periodic response is what the feedback and the plant do when they are stepped in time, sample by sample."""
 
+from __future__ import annotations
+
 import dataclasses
 
 import control
@@ -10,17 +12,20 @@ import scipy.signal
 from controllers import loop_shaping
 from controllers.feedback import Feedback
 from controllers.multisine import multisine
+from controllers.settings import AxisController
 from hil.errors import ExperimentError
 from hil.experiments.prediction import ClosedLoop
-from hil.machine import load_machine
+from hil.machine import Machine, load_machine
 from virtual_bus.physics import Physics
 
 
-def closed_loop(machine, pose):
+def closed_loop(machine: Machine, pose: np.ndarray) -> ClosedLoop:
     return ClosedLoop(machine, Physics(machine.plant, noise=False), pose)
 
 
-def stepped(a, b, c, controllers, reference, excitation):
+def stepped(
+    a: np.ndarray, b: np.ndarray, c: np.ndarray, controllers: tuple[AxisController, ...], reference: np.ndarray, excitation: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Commands and positions of a closed loop with the machine's timing: the plant feels command k-1 between rows k and k+1."""
     feedback, state, applied = Feedback(controllers), np.zeros(len(a)), np.zeros(reference.shape[1])
     commands, positions = np.zeros_like(reference), np.zeros_like(reference)
@@ -32,7 +37,7 @@ def stepped(a, b, c, controllers, reference, excitation):
     return commands, positions
 
 
-def test_a_carriage_answers_as_its_closed_form_stepped_in_time():
+def test_a_carriage_answers_as_its_closed_form_stepped_in_time() -> None:
     machine = load_machine("emps")  # mass and viscous friction: gtau / (M s^2 + Fv s), Janot 2019
     free = tuple(dataclasses.replace(each, limit=1e9) for each in machine.controllers)
     machine = dataclasses.replace(machine, controllers=free)
@@ -47,7 +52,7 @@ def test_a_carriage_answers_as_its_closed_form_stepped_in_time():
     np.testing.assert_allclose(predicted.position, positions[-period:] - positions[-period:].mean(), atol=1e-3 * scale[1])
 
 
-def test_two_coupled_axes_answer_as_their_linearisation_stepped_in_time():
+def test_two_coupled_axes_answer_as_their_linearisation_stepped_in_time() -> None:
     machine, pose, period = load_machine("carm"), np.array([0.2, -0.6]), 1280
     free = tuple(dataclasses.replace(each, limit=1e9) for each in machine.controllers)
     machine = dataclasses.replace(machine, controllers=free)
@@ -67,7 +72,7 @@ def test_two_coupled_axes_answer_as_their_linearisation_stepped_in_time():
     np.testing.assert_allclose(predicted.speed, speed, atol=0.02 * np.abs(speed).max())
 
 
-def test_a_controller_that_destabilises_is_refused():
+def test_a_controller_that_destabilises_is_refused() -> None:
     machine = load_machine("carm")
     wild = tuple(dataclasses.replace(each, position_sections=loop_shaping.gain(1e5)) for each in machine.controllers)
     with pytest.raises(ExperimentError, match=r"carm.*not stable.*lower the controller's gain"):

@@ -1,6 +1,9 @@
 """Covariances of the plant where the loop couples the inputs strongly: conjugates and transposes count here."""
 
+from __future__ import annotations
+
 import numpy as np
+import pytest
 from simulated_loop import orthogonal_multisine
 
 from hil.identification import LocalModel, fast_local, periodic_records
@@ -10,18 +13,18 @@ COUPLING = np.array([[1.0, 0.9], [-0.2, 0.7]])
 GAINS = np.array([[1.0, -0.5], [0.3, 2.0], [0.0, 1.0]])
 
 
-def complex_normal(rng, *shape):
+def complex_normal(rng: np.random.Generator, *shape: int) -> np.ndarray:
     return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2.0)
 
 
-def normalised_difference(estimated, errors):
+def normalised_difference(estimated: np.ndarray, errors: np.ndarray) -> np.ndarray:
     """Estimated less sample covariance of errors (draws, size), in units of the standard deviations."""
     sample = errors.T @ np.conj(errors) / len(errors)
     deviation = np.sqrt(np.real(np.diagonal(estimated)))
     return (estimated - sample) / np.outer(deviation, deviation)
 
 
-def test_noise_on_averaged_outputs_and_inputs_maps_to_the_plant():
+def test_noise_on_averaged_outputs_and_inputs_maps_to_the_plant() -> None:
     """(3.18) against Monte Carlo with a complex, coupled input matrix and noise shared by outputs and inputs."""
     rng = np.random.default_rng(70)
     U, G = complex_normal(rng, 2, 2), complex_normal(rng, 3, 2)
@@ -33,7 +36,8 @@ def test_noise_on_averaged_outputs_and_inputs_maps_to_the_plant():
     assert np.abs(normalised_difference(expected, errors)).max() < 0.05
 
 
-def test_a_fast_estimate_reports_its_full_covariance_under_coupling():
+@pytest.mark.slow
+def test_a_fast_estimate_reports_its_full_covariance_under_coupling() -> None:
     """(3.45), (3.46) with static gains, so that nothing but the mapping can be wrong."""
     rng = np.random.default_rng(71)
     lines, period, periods = np.arange(1, 100), 256, 6

@@ -1,10 +1,12 @@
 """Claims of the excitation design: lines where the response changes, power where it is least known, motion that stays at the pose."""
 
+from __future__ import annotations
+
 import numpy as np
 import pytest
-from simulated_loop import SAMPLE_RATE_HZ, experiment, plant_response, two_mode_loop
+from simulated_loop import SAMPLE_RATE_HZ, Loop, experiment, plant_response, two_mode_loop
 
-from hil.identification import IdentificationError, periodic_records, robust_bla
+from hil.identification import FrequencyResponse, IdentificationError, periodic_records, robust_bla
 from hil.identification.design.excitation import design_excitation
 from hil.identification.design.frozen_pose import frozen_pose_check
 
@@ -12,7 +14,14 @@ PERIOD, SETTLE = 512, 5
 BAND_HZ = (0.5, 20.0)
 
 
-def measured(frequencies_Hz=(3.0, 7.0), damping=(0.03, 0.02), seed=1, pose=(0.0, 0.0), amplitude=1.0, noise=(0.01, 0.001, 0.001)):
+def measured(
+    frequencies_Hz: tuple[float, float] = (3.0, 7.0),
+    damping: tuple[float, float] = (0.03, 0.02),
+    seed: int = 1,
+    pose: tuple[float, float] = (0.0, 0.0),
+    amplitude: float = 1.0,
+    noise: tuple[float, float, float] = (0.01, 0.001, 0.001),
+) -> tuple[FrequencyResponse, dict[str, np.ndarray], Loop]:
     loop = two_mode_loop(frequencies_Hz=frequencies_Hz, damping=damping)
     lines = np.arange(3, 170)
     data = experiment(
@@ -25,7 +34,7 @@ def measured(frequencies_Hz=(3.0, 7.0), damping=(0.03, 0.02), seed=1, pose=(0.0,
     return robust_bla(records), data, loop
 
 
-def interpolation_error(loop, lines_Hz):
+def interpolation_error(loop: Loop, lines_Hz: np.ndarray) -> float:
     """Largest error, as a share of the peak, of a response known only at some frequencies."""
     fine = np.linspace(1.0, 18.0, 3000)
     truth, known = plant_response(loop, fine), plant_response(loop, lines_Hz)
@@ -33,7 +42,8 @@ def interpolation_error(loop, lines_Hz):
     return np.max(np.abs(between - truth) / np.abs(truth).max(axis=0))
 
 
-def test_lines_crowd_where_a_response_changes():
+@pytest.mark.slow
+def test_lines_crowd_where_a_response_changes() -> None:
     response, _, loop = measured()
     design = design_excitation([response], lines=60, band_Hz=BAND_HZ, period_samples=8 * PERIOD)
     even = np.linspace(*BAND_HZ, 60)
@@ -41,14 +51,14 @@ def test_lines_crowd_where_a_response_changes():
     assert interpolation_error(loop, design.frequencies_Hz) < interpolation_error(loop, even) / 3
 
 
-def test_a_resonance_that_moves_gets_its_whole_range():
+def test_a_resonance_that_moves_gets_its_whole_range() -> None:
     poses = [measured(frequencies_Hz=(f, 7.0), seed=k)[0] for k, f in enumerate((3.0, 3.5, 4.0))]
     at_one = design_excitation(poses[:1], lines=80, band_Hz=BAND_HZ, period_samples=8 * PERIOD).frequencies_Hz
     at_all = design_excitation(poses, lines=80, band_Hz=BAND_HZ, period_samples=8 * PERIOD).frequencies_Hz
     assert np.sum((at_all > 3.3) & (at_all < 4.2)) > 2 * np.sum((at_one > 3.3) & (at_one < 4.2))
 
 
-def test_only_odd_lines_without_the_jogs_are_taken():
+def test_only_odd_lines_without_the_jogs_are_taken() -> None:
     response, _, _ = measured()
     design = design_excitation([response], lines=60, band_Hz=BAND_HZ, period_samples=8 * PERIOD, without=(301,))
     assert np.all(design.lines % 2 == 1)
@@ -56,7 +66,7 @@ def test_only_odd_lines_without_the_jogs_are_taken():
     assert np.mean(design.weights**2) == pytest.approx(1.0)
 
 
-def test_power_goes_where_the_response_is_least_known():
+def test_power_goes_where_the_response_is_least_known() -> None:
     response, _, _ = measured()
     design = design_excitation([response], lines=80, band_Hz=BAND_HZ, period_samples=4 * PERIOD)
     kind = response.standard_deviation("total") / np.abs(response.G)
@@ -64,7 +74,7 @@ def test_power_goes_where_the_response_is_least_known():
     assert np.corrcoef(np.log(worst), np.log(design.weights))[0, 1] > 0.5
 
 
-def test_a_band_without_enough_harmonics_is_refused():
+def test_a_band_without_enough_harmonics_is_refused() -> None:
     response, _, _ = measured()
     with pytest.raises(IdentificationError, match="lengthen the period or ask for fewer"):
         design_excitation([response], lines=400, band_Hz=BAND_HZ, period_samples=PERIOD)
@@ -72,7 +82,7 @@ def test_a_band_without_enough_harmonics_is_refused():
         design_excitation([response], lines=10, band_Hz=(0.5, 32.0), period_samples=PERIOD)
 
 
-def test_the_frozen_pose_check_knows_the_motion_and_what_it_does():
+def test_the_frozen_pose_check_knows_the_motion_and_what_it_does() -> None:
     spacing = 0.5
     made = [measured(frequencies_Hz=(3.0 + 0.2 * k, 7.0), seed=k, pose=(0.0, spacing * k), damping=(0.2, 0.2)) for k in range(3)]
     responses = [response for response, _, _ in made]

@@ -1,10 +1,12 @@
 """Claims of the total covariance over poses that are distorted: excited alike they are distorted alike, and that does not average out."""
 
+from __future__ import annotations
+
 import numpy as np
 import pytest
 from simulated_loop import SAMPLE_RATE_HZ, experiment, orthogonal_multisine, two_mode_loop
 
-from hil.identification import LocalModel, PoseModel, nd_local, periodic_records
+from hil.identification import FrequencyResponse, LocalModel, PoseModel, nd_local, periodic_records
 
 PERIOD, LINES, DRAWS = 1024, np.arange(1, 90), 16
 POSES = np.linspace(-1.0, 1.0, 5)
@@ -12,7 +14,7 @@ MODEL = LocalModel(numerator=3, plant_window=9)
 OVER_POSES = PoseModel((1,), (1,), (2,))
 
 
-def draw(rng, *, alike):
+def draw(rng: np.random.Generator, *, alike: bool) -> FrequencyResponse:
     """The middle pose's response, with a cubic spring and next to no noise."""
     excitation = orthogonal_multisine(rng, PERIOD, LINES)[None, :1]
     made = []
@@ -27,7 +29,7 @@ def draw(rng, *, alike):
 
 
 @pytest.mark.parametrize("alike", [True, False], ids=["excited-alike", "excited-differently"])
-def test_the_total_variance_is_that_over_draws_of_phases(alike):
+def test_the_total_variance_is_that_over_draws_of_phases(alike: bool) -> None:
     rng = np.random.default_rng(95)
     made = [draw(rng, alike=alike) for _ in range(DRAWS)]
     spread = np.var([response.G for response in made], axis=0, ddof=1)

@@ -1,5 +1,7 @@
 """Claims about which unexcited lines an effect of the emulated C-arm reaches: odd effects odd lines, even ones even lines."""
 
+from __future__ import annotations
+
 import numpy as np
 import pytest
 from simulated_loop import orthogonal_multisine
@@ -18,7 +20,7 @@ NOISE = 2e-6  # rad, on the encoders: the plant's own even distortion, its geome
 ROLL = 1
 
 
-def distortion_of_roll(*effects, roll_deg=BALANCED_DEG):
+def distortion_of_roll(*effects: EffectSetting, roll_deg: float = BALANCED_DEG) -> tuple[float, float]:
     """Levels over noise on even and on odd unexcited lines of the roll encoder."""
     simulator, rng = Simulator(load_machine("carm").with_effects(effects)), np.random.default_rng(90)
     pose, rows = np.radians([0.0, roll_deg]), (SETTLE + PERIODS) * PERIOD
@@ -36,7 +38,7 @@ def distortion_of_roll(*effects, roll_deg=BALANCED_DEG):
     return share[found.even].mean(), share[~found.even].mean()
 
 
-def test_the_plain_machine_shows_none_beyond_chance():
+def test_the_plain_machine_shows_none_beyond_chance() -> None:
     """What is left of a mean square less the noise's, where it is not negative: 0.2 to 0.4 of the noise with these few records."""
     even, odd = distortion_of_roll()
     assert even < 1.0
@@ -50,13 +52,13 @@ def test_the_plain_machine_shows_none_beyond_chance():
         ("nonlinear_stiffness", {"k3": 3e12, "bend": 0.0, "corner": 0.0}),
     ],
 )
-def test_odd_effects_reach_odd_lines_only(name, parameters):
+def test_odd_effects_reach_odd_lines_only(name: str, parameters: dict[str, float]) -> None:
     even, odd = distortion_of_roll(EffectSetting(name, "roll", parameters))
     assert odd > 100.0
     assert even < 1.0
 
 
-def test_friction_that_differs_with_direction_reaches_even_lines():
+def test_friction_that_differs_with_direction_reaches_even_lines() -> None:
     """Different viscous coefficients are a mean one and one of |speed|. Coulomb levels: a mean and a constant."""
     even, odd = distortion_of_roll(
         EffectSetting("asymmetric_friction", "roll", {"Fc_plus": 0.0, "Fc_minus": 0.0, "Fv_plus": 600.0, "Fv_minus": 100.0})
@@ -65,7 +67,7 @@ def test_friction_that_differs_with_direction_reaches_even_lines():
     assert odd < 2.0
 
 
-def test_a_wound_up_cubic_spring_reaches_both():
+def test_a_wound_up_cubic_spring_reaches_both() -> None:
     """Away from balance its holding effort adds a square to the cube."""
     even, odd = distortion_of_roll(EffectSetting("nonlinear_stiffness", "roll", {"k3": 3e12, "bend": 0.0, "corner": 0.0}), roll_deg=0.0)
     assert even > 5.0

@@ -1,10 +1,12 @@
 """Claims of the fast best linear approximation: one realisation, detection lines."""
 
+from __future__ import annotations
+
 import numpy as np
 import pytest
-from simulated_loop import SAMPLE_RATE_HZ, experiment, plant_response, two_mode_loop
+from simulated_loop import SAMPLE_RATE_HZ, Loop, experiment, plant_response, two_mode_loop
 
-from hil.identification import IdentificationError, fast_bla, periodic_records, robust_bla
+from hil.identification import IdentificationError, PeriodicRecords, fast_bla, periodic_records, robust_bla
 
 PERIOD, SETTLE = 512, 4
 ODD = np.arange(1, 120, 2)
@@ -12,19 +14,21 @@ STEEP = 18  # lines below the first resonance
 QUIET, NOISE = (1e-5, 1e-6, 1e-6), (0.1, 0.01, 0.01)
 
 
-def with_detection(rng, lines, group):
+def with_detection(rng: np.random.Generator, lines: np.ndarray, group: int) -> np.ndarray:
     """Leave one line out of every group of consecutive ones, at random."""
     groups = [lines[i : i + group] for i in range(0, len(lines) - group + 1, group)]
     return np.setdiff1d(lines, [rng.choice(each) for each in groups])
 
 
-def records_of(rng, loop, lines, noise, realisations=1, periods=4):
+def records_of(
+    rng: np.random.Generator, loop: Loop, lines: np.ndarray, noise: tuple[float, float, float], realisations: int = 1, periods: int = 4
+) -> PeriodicRecords:
     data = experiment(loop, rng, realisations=realisations, periods=periods, settle_periods=SETTLE, period=PERIOD, lines=lines, noise=noise)
     return periodic_records(**data, period_samples=PERIOD, sample_rate_Hz=SAMPLE_RATE_HZ, settle_periods=SETTLE)
 
 
 @pytest.mark.parametrize("group", [2, 3, 4])
-def test_on_a_linear_plant_total_and_noise_variance_agree_and_bounds_hold(group):
+def test_on_a_linear_plant_total_and_noise_variance_agree_and_bounds_hold(group: int) -> None:
     rng = np.random.default_rng(group)
     loop = two_mode_loop(damping=(0.1, 0.1))
     lines = with_detection(rng, ODD, group)
@@ -40,7 +44,7 @@ def test_on_a_linear_plant_total_and_noise_variance_agree_and_bounds_hold(group)
     assert np.mean(ratios) == pytest.approx(6 / 5, rel=0.1)  # the mean of F with 6 degrees of freedom in the noise
 
 
-def test_nonlinear_variance_is_the_scatter_between_realisations():
+def test_nonlinear_variance_is_the_scatter_between_realisations() -> None:
     """The detection lines of a single realisation tell how estimates from other realisations would differ.
 
     Above the first lines, that is: there the distortion of a cubic spring falls steeply and linear interpolation overstates it.
@@ -55,7 +59,7 @@ def test_nonlinear_variance_is_the_scatter_between_realisations():
     assert np.median(scatter / np.mean([response.standard_deviation("noise") ** 2 for response in made], axis=0)) > 100
 
 
-def test_it_finds_the_nonlinear_variance_the_robust_method_finds():
+def test_it_finds_the_nonlinear_variance_the_robust_method_finds() -> None:
     rng = np.random.default_rng(8)
     loop = two_mode_loop(damping=(0.1, 0.1), cubic=3e-4)
     lines = with_detection(rng, ODD, 3)
@@ -65,7 +69,7 @@ def test_it_finds_the_nonlinear_variance_the_robust_method_finds():
     assert np.exp(np.mean(np.log(ratio[STEEP:]))) == pytest.approx(1.0, abs=0.4)
 
 
-def test_even_detection_lines_do_not_count_towards_an_odd_excitation():
+def test_even_detection_lines_do_not_count_towards_an_odd_excitation() -> None:
     rng = np.random.default_rng(9)
     loop = two_mode_loop(damping=(0.1, 0.1), square=1e-4)
     response = fast_bla(records_of(rng, loop, with_detection(rng, ODD, 3), QUIET))
@@ -73,13 +77,13 @@ def test_even_detection_lines_do_not_count_towards_an_odd_excitation():
     assert response.even_odd.level[response.even_odd.even].mean() > 100 * response.even_odd.noise.mean()
 
 
-def test_without_detection_lines_it_says_what_it_needs():
+def test_without_detection_lines_it_says_what_it_needs() -> None:
     rng = np.random.default_rng(10)
     with pytest.raises(IdentificationError, match="needs detection lines, 1 in 2, 3 or 4 left out"):
         fast_bla(records_of(rng, two_mode_loop(damping=(0.1, 0.1)), np.arange(1, 100), NOISE))
 
 
-def test_several_realisations_are_for_the_robust_method():
+def test_several_realisations_are_for_the_robust_method() -> None:
     rng = np.random.default_rng(10)
     with pytest.raises(IdentificationError, match="takes one realisation, not 2"):
         fast_bla(records_of(rng, two_mode_loop(damping=(0.1, 0.1)), with_detection(rng, ODD, 3), NOISE, realisations=2))

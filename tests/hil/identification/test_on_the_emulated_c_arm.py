@@ -1,10 +1,14 @@
 """Claims about frequency responses of the emulated C-arm, held against the linearisation of its plant, which knows no estimator."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from simulated_loop import orthogonal_multisine
 
-from hil.identification import LocalModel, periodic_records, robust_bla, robust_local
+from hil.identification import LocalModel, PeriodicRecords, periodic_records, robust_bla, robust_local
 from hil.machine import load_machine
 from hil.simulation import Inputs, Simulator
 from hil.simulation.linear import sampled_response
@@ -18,7 +22,7 @@ NOISE = np.array((5e-3, 5e-3, 5e-3, 2e-5, 2e-5))
 BIASED = 0.1  # of the noise's standard deviation
 
 
-def records(simulator, rng, noise):
+def records(simulator: Simulator, rng: np.random.Generator, noise: np.ndarray) -> PeriodicRecords:
     rows = (SETTLE + PERIODS) * PERIOD
     y, u, w = (np.empty((REALISATIONS, 2, rows, n)) for n in (len(OUTPUTS), 2, 2))
     for m in range(REALISATIONS):
@@ -33,7 +37,7 @@ def records(simulator, rng, noise):
 
 
 @pytest.fixture(scope="module")
-def measured():
+def measured() -> tuple[PeriodicRecords, PeriodicRecords, np.ndarray]:
     """Records with noise and without, and the plant's own response."""
     machine = load_machine("carm")
     simulator, rng = Simulator(machine), np.random.default_rng(70)
@@ -49,7 +53,9 @@ def measured():
         pytest.param(lambda r: robust_local(r, LocalModel()), id="robust-lrm"),
     ],
 )
-def test_the_linearisation_lies_within_the_bounds_at_95_percent_of_unbiased_lines(measured, estimate):
+def test_the_linearisation_lies_within_the_bounds_at_95_percent_of_unbiased_lines(
+    measured: tuple[PeriodicRecords, PeriodicRecords, np.ndarray], estimate: Callable[..., object]
+) -> None:
     """Bias, what is left without noise (the plant is not quite linear over the motion), beyond a tenth of the noise is counted apart."""
     noisy, clean, truth = measured
     response = estimate(noisy)
@@ -62,7 +68,7 @@ def test_the_linearisation_lies_within_the_bounds_at_95_percent_of_unbiased_line
         assert inside[~unbiased].mean() > 0.85
 
 
-def test_a_linear_plant_shows_no_distortion_beyond_chance(measured):
+def test_a_linear_plant_shows_no_distortion_beyond_chance(measured: tuple[PeriodicRecords, PeriodicRecords, np.ndarray]) -> None:
     """Sums over lines and elements: total over noise variance is one on average where only noise tells records apart."""
     response = robust_bla(measured[0])
     ratio = response.standard_deviation("total") ** 2 / response.standard_deviation("noise") ** 2

@@ -1,10 +1,23 @@
 """Claims of symmetry over the poses: windows at the border go on with images, bounds stay true. Monte Carlo on loops that have it."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
+
 import numpy as np
 import pytest
-from simulated_loop import SAMPLE_RATE_HZ, experiment, plant_response, two_mode_loop
+from simulated_loop import SAMPLE_RATE_HZ, Loop, experiment, plant_response, two_mode_loop
 
-from hil.identification import IdentificationError, LocalModel, PoseModel, PoseSymmetry, fast_local, nd_local, periodic_records
+from hil.identification import (
+    IdentificationError,
+    LocalModel,
+    PeriodicRecords,
+    PoseModel,
+    PoseSymmetry,
+    fast_local,
+    nd_local,
+    periodic_records,
+)
 
 PERIOD, LINES, NOISE = 1024, np.arange(1, 80), (0.3, 0.03, 0.03)
 MODEL = LocalModel(numerator=3, plant_window=8)
@@ -15,11 +28,11 @@ TURNING = (np.arange(8) * np.pi / 4, lambda pose: 3.0 + 0.005 * np.cos(pose), Po
 FOLDED = (np.linspace(-1.0, 1.0, 5), lambda pose: 3.0 + 0.05 * pose**2, PoseSymmetry(mirrors=(0.0,)), 0)
 
 
-def loop_at(pose, frequency_Hz):
+def loop_at(pose: float, frequency_Hz: Callable[..., object]) -> Loop:
     return two_mode_loop(frequencies_Hz=(frequency_Hz(pose), 7.0), damping=(0.5, 0.5), lag=0.5)
 
 
-def draw(rng, poses, frequency_Hz):
+def draw(rng: np.random.Generator, poses: np.ndarray, frequency_Hz: Callable[..., object]) -> list[PeriodicRecords]:
     made = []
     for pose in poses:
         data = experiment(
@@ -38,7 +51,9 @@ def draw(rng, poses, frequency_Hz):
         pytest.param(FOLDED, 1.7, id="mirror-within"),  # the other end's pose
     ],
 )
-def test_at_the_border_images_lower_the_variance_and_bounds_stay_true(case, gain):
+def test_at_the_border_images_lower_the_variance_and_bounds_stay_true(
+    case: tuple[np.ndarray, Callable[..., object], PoseSymmetry, int], gain: float
+) -> None:
     poses, frequency_Hz, symmetry, edge = case
     rng = np.random.default_rng(80)
     truth = plant_response(loop_at(poses[edge], frequency_Hz), LINES * SAMPLE_RATE_HZ / PERIOD)
@@ -59,14 +74,14 @@ def test_at_the_border_images_lower_the_variance_and_bounds_stay_true(case, gain
     assert np.mean(gains) > gain
 
 
-def test_the_estimate_has_the_symmetry_it_was_given():
+def test_the_estimate_has_the_symmetry_it_was_given() -> None:
     """At a mirrored pair of poses one response, from both poses' data."""
     poses, frequency_Hz, symmetry, _ = FOLDED
     made = nd_local(draw(np.random.default_rng(81), poses, frequency_Hz), MODEL, PoseModel((2,), (2,), (2,), symmetry=(symmetry,)))
     np.testing.assert_allclose(made[1].G, made[3].G, rtol=1e-9)
 
 
-def test_without_a_symmetry_nothing_changes_and_one_per_parameter_is_asked_for():
+def test_without_a_symmetry_nothing_changes_and_one_per_parameter_is_asked_for() -> None:
     poses, frequency_Hz, symmetry, _ = MIRRORED
     records = draw(np.random.default_rng(82), poses, frequency_Hz)
     plain, declared = (nd_local(records, MODEL, PoseModel((1,), (1,), (2,), symmetry=s)) for s in ((), (PoseSymmetry(),)))

@@ -1,17 +1,19 @@
 """Claims of the automatic choice of orders and windows."""
 
+from __future__ import annotations
+
 import numpy as np
 import pytest
 from simulated_loop import SAMPLE_RATE_HZ, experiment, plant_response, two_mode_loop
 
-from hil.identification import IdentificationError, LocalModel, PoseModel, fast_local, nd_local, periodic_records
+from hil.identification import IdentificationError, LocalModel, PeriodicRecords, PoseModel, fast_local, nd_local, periodic_records
 from hil.identification.local.selection import Candidate, select_local_model
 
 PERIOD, LINES = 1024, np.arange(1, 200)
 MODELS = [Candidate(LocalModel(n, 2, d, plant_window=w)) for n, d in ((1, 0), (2, 0), (4, 0), (1, 1), (2, 1)) for w in (8, 12, 20)]
 
 
-def records_of(rng, damping, noise, pose=0.0):
+def records_of(rng: np.random.Generator, damping: float, noise: float, pose: float = 0.0) -> tuple[PeriodicRecords, np.ndarray]:
     loop = two_mode_loop(frequencies_Hz=(3.0 + 0.1 * pose, 7.0), damping=(damping, damping))
     data = experiment(
         loop, rng, realisations=1, experiments=1, periods=8, period=PERIOD, lines=LINES, noise=np.array((1.0, 0.1, 0.1)) * noise
@@ -21,7 +23,7 @@ def records_of(rng, damping, noise, pose=0.0):
     )
 
 
-def true_error(candidate, records, truth, unit):
+def true_error(candidate: Candidate, records: list[PeriodicRecords], truth: np.ndarray, unit: np.ndarray) -> float:
     if candidate.over_poses.windows:
         made = np.stack([response.G for response in nd_local(records, candidate.model, candidate.over_poses)])
     else:
@@ -30,7 +32,7 @@ def true_error(candidate, records, truth, unit):
 
 
 @pytest.mark.parametrize(("damping", "noise"), [(0.02, 0.03), (0.05, 0.5), (0.5, 0.5)])
-def test_the_chosen_model_errs_little_more_than_the_best_one_on_fresh_data(damping, noise):
+def test_the_chosen_model_errs_little_more_than_the_best_one_on_fresh_data(damping: float, noise: float) -> None:
     rng = np.random.default_rng(40)
     records, truth = records_of(rng, damping, noise)
     found = select_local_model([records], MODELS)
@@ -41,7 +43,7 @@ def test_the_chosen_model_errs_little_more_than_the_best_one_on_fresh_data(dampi
     assert max(errors.values()) > 1.5 * min(errors.values())
 
 
-def test_neighbouring_poses_are_used_where_they_help():
+def test_neighbouring_poses_are_used_where_they_help() -> None:
     rng = np.random.default_rng(41)
     made = [records_of(rng, 0.5, 0.5, pose) for pose in np.linspace(-1.0, 1.0, 5)]
     model = LocalModel(2, 2, 1, plant_window=8)
@@ -49,7 +51,7 @@ def test_neighbouring_poses_are_used_where_they_help():
     assert found.chosen.over_poses.windows == (2,)
 
 
-def test_neighbouring_poses_are_left_alone_where_they_mislead():
+def test_neighbouring_poses_are_left_alone_where_they_mislead() -> None:
     rng = np.random.default_rng(42)
     made = [records_of(rng, 0.02, 0.03, pose) for pose in np.linspace(-20.0, 20.0, 5)]  # the mode moves by many of its widths
     model = LocalModel(2, 2, 1, plant_window=8)
@@ -57,7 +59,7 @@ def test_neighbouring_poses_are_left_alone_where_they_mislead():
     assert found.chosen.over_poses.windows == ()
 
 
-def test_models_the_data_cannot_carry_are_refused_with_the_reason():
+def test_models_the_data_cannot_carry_are_refused_with_the_reason() -> None:
     records, _ = records_of(np.random.default_rng(43), 0.5, 0.5)
     found = select_local_model([records], [Candidate(LocalModel(plant_window=1)), MODELS[0]])
     assert found.chosen == MODELS[0]
@@ -66,7 +68,7 @@ def test_models_the_data_cannot_carry_are_refused_with_the_reason():
         select_local_model([records], [Candidate(LocalModel(plant_window=1))])
 
 
-def test_without_candidates_it_brings_its_own():
+def test_without_candidates_it_brings_its_own() -> None:
     records, truth = records_of(np.random.default_rng(44), 0.05, 0.1)
     found = select_local_model([records])
     response = fast_local(records, found.chosen.model)

@@ -1,6 +1,9 @@
 """isocenter geometry convert: a table through every file and back says the same, and what cannot be is one line."""
 
+from __future__ import annotations
+
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,21 +18,21 @@ CARM = load_machine("carm")
 POSITIONS = np.radians([[0.0, -40.0], [20.0, 10.0], [-70.0, 80.0]])
 
 
-def isocenter(*arguments):
+def isocenter(*arguments: Path | str) -> int:
     with pytest.raises(SystemExit) as ended:
         main([str(argument) for argument in arguments])
     return ended.value.code
 
 
 @pytest.fixture
-def table(tmp_path):
+def table(tmp_path: Path) -> Path:
     deviation = np.random.default_rng(1).normal(0.0, np.repeat([1e-3, 2e-3, 3e-3], 3), (3, 9))
     write_look_up(LookUp(CARM.axes, POSITIONS, deviation, np.zeros((3, 9, 9)), {"machine": "carm"}), tmp_path / "t.npz")
     return tmp_path / "t.npz"
 
 
 @pytest.mark.parametrize("way", [["a.csv"], ["a.json"], ["a.xml"], ["a.csv", "b.json", "c.xml", "d.csv"], ["n.npz"]])
-def test_a_table_says_the_same_after_any_way(table, tmp_path, way):
+def test_a_table_says_the_same_after_any_way(table: Path, tmp_path: Path, way: list[str]) -> None:
     source = table
     for name in way:
         assert isocenter("geometry", "convert", "carm", source, tmp_path / name, "--json", tmp_path / "said.json") == 0
@@ -39,15 +42,16 @@ def test_a_table_says_the_same_after_any_way(table, tmp_path, way):
     np.testing.assert_allclose(said.deviation_from(expected), 0.0, atol=1e-9)
 
 
-def test_matrices_in_json_are_of_the_pixels_they_name(table, tmp_path):
+def test_matrices_in_json_are_of_the_pixels_they_name(table: Path, tmp_path: Path) -> None:
     assert isocenter("geometry", "convert", "carm", table, tmp_path / "fine.json", "--binning", "2") == 0
     assert isocenter("geometry", "convert", "carm", tmp_path / "fine.json", tmp_path / "again.json") == 0
     fine, again = (json.loads((tmp_path / name).read_text()) for name in ("fine.json", "again.json"))
-    assert again["detector"] == fine["detector"] and fine["detector"]["columns"] == 1240
+    assert again["detector"] == fine["detector"]
+    assert fine["detector"]["columns"] == 1240
     np.testing.assert_allclose(again["matrices"], fine["matrices"], rtol=1e-9)
 
 
-def test_what_dicom_cannot_hold_is_told(table, tmp_path, capsys):
+def test_what_dicom_cannot_hold_is_told(table: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("pydicom")
     assert isocenter("geometry", "convert", "carm", table, tmp_path / "a.dcm") == 0
     assert "DICOM's attributes hold no offsets and no turn in the panel's plane: lost up to" in capsys.readouterr().out
@@ -68,14 +72,19 @@ def test_what_dicom_cannot_hold_is_told(table, tmp_path, capsys):
         (["t.npz", "x.csv", "--binning", "7"], "cannot be read 7 x 7 at a time"),
     ],
 )
-def test_what_cannot_be_converted_is_one_line(table, tmp_path, monkeypatch, capsys, arguments, line):
+def test_what_cannot_be_converted_is_one_line(
+    table: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], arguments: list[str], line: str
+) -> None:
     monkeypatch.chdir(tmp_path)
     assert isocenter("geometry", "convert", "carm", *arguments) == 2
     error = capsys.readouterr().err
-    assert line in error and error.count("\n") == 1
+    assert line in error
+    assert error.count("\n") == 1
 
 
-def test_matrices_of_other_pixels_and_tables_without_positions_are_refused(table, tmp_path, capsys):
+def test_matrices_of_other_pixels_and_tables_without_positions_are_refused(
+    table: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert isocenter("geometry", "convert", "carm", table, tmp_path / "a.csv") == 0
     assert isocenter("geometry", "convert", "carm", tmp_path / "a.csv", tmp_path / "x.npz") == 2
     assert "a table goes by axis positions, and the input has none" in capsys.readouterr().err

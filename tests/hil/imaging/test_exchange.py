@@ -1,7 +1,11 @@
 """Every file of a geometry reads back equal, and says to RTK and pydicom what it says to us."""
 
+from __future__ import annotations
+
 import json
 import warnings
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,7 +26,7 @@ ANGLE = st.floats(-3.1, 3.1)
 
 
 @st.composite
-def beams(draw):
+def beams(draw: Callable[..., object]) -> ConeBeam:
     """One to four exposures of any orientation, source and phantom centimetres off."""
     rows = [
         [
@@ -41,18 +45,18 @@ def beams(draw):
     return ConeBeam.from_parameters(np.array(rows))
 
 
-def assert_same(found, beam, atol=1e-9):
+def assert_same(found: ConeBeam, beam: ConeBeam, atol: float = 1e-9) -> None:
     np.testing.assert_allclose(found.deviation_from(beam), 0.0, atol=atol)
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("exchange")
 
 
 @given(beam=beams(), suffix=st.sampled_from([".csv", ".json"]))
 @settings(max_examples=60, deadline=None)
-def test_matrices_read_back(folder, beam, suffix):
+def test_matrices_read_back(folder: Path, beam: ConeBeam, suffix: str) -> None:
     path = folder / f"matrices{suffix}"
     write_matrices(path, beam, DETECTOR)
     other = Detector(10, 10, 1e-3) if suffix == ".json" else DETECTOR  # a JSON file knows its detector
@@ -63,16 +67,17 @@ def test_matrices_read_back(folder, beam, suffix):
 
 @given(beam=beams(), rows_up=st.booleans())
 @settings(max_examples=60, deadline=None)
-def test_rtk_s_xml_reads_back(folder, beam, rows_up):
+def test_rtk_s_xml_reads_back(folder: Path, beam: ConeBeam, rows_up: bool) -> None:
     write_rtk(folder / "rtk.xml", beam, rows_up)
     found, flipped = read_rtk(folder / "rtk.xml")
     assert flipped == rows_up
     assert_same(found, beam)
 
 
+@pytest.mark.slow
 @given(beam=beams(), rows_up=st.booleans())
 @settings(max_examples=25, deadline=None)
-def test_rtk_reads_our_file_as_its_own_and_we_read_rtk_s(folder, beam, rows_up):
+def test_rtk_reads_our_file_as_its_own_and_we_read_rtk_s(folder: Path, beam: ConeBeam, rows_up: bool) -> None:
     itk = pytest.importorskip("itk")
     rtk = itk.RTK
     write_rtk(folder / "ours.xml", beam, rows_up)
@@ -106,7 +111,7 @@ def test_rtk_reads_our_file_as_its_own_and_we_read_rtk_s(folder, beam, rows_up):
     further=st.floats(0.2, 0.6),
 )
 @settings(max_examples=60, deadline=None)
-def test_dicom_s_attributes_read_back(folder, primary, secondary, distance, further):
+def test_dicom_s_attributes_read_back(folder: Path, primary: list[float], secondary: float, distance: float, further: float) -> None:
     pytest.importorskip("pydicom")
     from hil.imaging.exchange.dicom_xa import Positioner
 
@@ -116,24 +121,26 @@ def test_dicom_s_attributes_read_back(folder, primary, secondary, distance, furt
     found = read_xa(folder / "xa.dcm")
     assert_same(found.beam, given_.beam, atol=1e-9)
     assert (found.detector.columns, found.detector.rows) == (620, 480)
-    assert found.detector.pitch_m == pytest.approx(0.6e-3) and found.detector.aspect == pytest.approx(1.01)
+    assert found.detector.pitch_m == pytest.approx(0.6e-3)
+    assert found.detector.aspect == pytest.approx(1.01)
     again, lost = positioner_of(found.beam, DETECTOR)
     np.testing.assert_allclose(lost, 0.0, atol=1e-9)
     np.testing.assert_allclose(again.primary_rad, given_.primary_rad, atol=1e-9)
 
 
-def test_the_positioner_s_angles_are_minus_propeller_and_minus_roll():
+def test_the_positioner_s_angles_are_minus_propeller_and_minus_roll() -> None:
     machine = load_machine("carm")
     positions = np.radians([[0.0, 0.0], [30.0, 0.0], [0.0, -40.0], [50.0, 20.0]])
     found, lost = positioner_of(nominal_beam(machine, positions), None)
     np.testing.assert_allclose(np.column_stack([found.primary_rad, found.secondary_rad]), -positions, atol=1e-12)
     np.testing.assert_allclose(lost, 0.0, atol=1e-12)
-    assert found.source_to_patient_m == pytest.approx(0.81) and found.source_to_detector_m == pytest.approx(1.16)
+    assert found.source_to_patient_m == pytest.approx(0.81)
+    assert found.source_to_detector_m == pytest.approx(1.16)
     # Turned about the feet's direction by +30 degrees the panel, above at first, is on the patient's right: RAO, negative
     assert nominal_beam(machine, positions[1:2]).detector_in_phantom_m[0, 1] < 0.0 > found.primary_rad[1]
 
 
-def test_a_dicom_file_holds_the_images_that_pydicom_shows(tmp_path):
+def test_a_dicom_file_holds_the_images_that_pydicom_shows(tmp_path: Path) -> None:
     pydicom = pytest.importorskip("pydicom")
     images = np.random.default_rng(2).integers(0, 65535, (3, 480, 620), dtype=np.uint16)
     positioner, _ = positioner_of(nominal_beam(load_machine("carm"), np.array([[0.1, 0.0], [0.2, 0.0], [0.3, 0.0]])), DETECTOR)
@@ -142,14 +149,16 @@ def test_a_dicom_file_holds_the_images_that_pydicom_shows(tmp_path):
         write_xa(tmp_path / "a.dcm", positioner, images)
     data = pydicom.dcmread(tmp_path / "a.dcm")
     np.testing.assert_array_equal(data.pixel_array, images)
-    assert data.Modality == "XA" and data.PositionerMotion == "DYNAMIC" and float(data.DistanceSourceToDetector) == pytest.approx(1160.0)
+    assert data.Modality == "XA"
+    assert data.PositionerMotion == "DYNAMIC"
+    assert float(data.DistanceSourceToDetector) == pytest.approx(1160.0)
     assert [float(value) for value in data.PositionerPrimaryAngleIncrement] == pytest.approx(np.degrees([0.0, -0.1, -0.2]))
 
 
 BEAM = ConeBeam.from_parameters([[0.0, 0.0, -1.16, 0.0, 0.0, -0.35, 0.0, 0.0, 0.3]])
 
 
-def spoilt(path, change):
+def spoilt(path: Path, change: Callable[..., object]) -> int | None:
     """A good file, changed."""
     if path.suffix == ".xml":
         write_rtk(path, BEAM)
@@ -161,7 +170,7 @@ def spoilt(path, change):
     path.write_text(change(path.read_text()))
 
 
-def _without_distance(path):
+def _without_distance(path: Path) -> None:
     import pydicom
 
     data = pydicom.dcmread(path)
@@ -169,7 +178,7 @@ def _without_distance(path):
     data.save_as(path)
 
 
-def _more_frames(path):
+def _more_frames(path: Path) -> None:
     import pydicom
 
     data = pydicom.dcmread(path)
@@ -177,7 +186,7 @@ def _more_frames(path):
     data.save_as(path)
 
 
-def _one_spacing(path):
+def _one_spacing(path: Path) -> None:
     import pydicom
 
     data = pydicom.dcmread(path)
@@ -211,7 +220,7 @@ def _one_spacing(path):
         ("a.dcm", _more_frames, "the positioner moves over 4 frames"),
     ],
 )
-def test_a_spoilt_file_is_one_line(tmp_path, name, change, line):
+def test_a_spoilt_file_is_one_line(tmp_path: Path, name: str, change: Callable[..., object], line: str) -> None:
     if name.endswith(".dcm"):
         pytest.importorskip("pydicom")
     path = tmp_path / name
@@ -220,5 +229,6 @@ def test_a_spoilt_file_is_one_line(tmp_path, name, change, line):
     for where in (path, tmp_path / f"missing{path.suffix}"):
         with pytest.raises(UnusableInputError) as refused:
             read(where)
-        assert "\n" not in str(refused.value) and str(where) in str(refused.value)
+        assert "\n" not in str(refused.value)
+        assert str(where) in str(refused.value)
         assert line in str(refused.value) or "No such file" in str(refused.value)

@@ -18,7 +18,7 @@ def some_exposures(n: int = 50, seed: int = 5) -> ConeBeam:
     return ConeBeam.from_parameters(parameters)
 
 
-def test_a_point_on_the_ray_from_the_focal_spot_falls_where_the_ray_meets_the_panel():
+def test_a_point_on_the_ray_from_the_focal_spot_falls_where_the_ray_meets_the_panel() -> None:
     beam = some_exposures()
     on_panel = np.array([[0.05, -0.08, 0.0]] * len(beam))  # in the detector's frame
     inside = beam.source_m + 0.6 * (on_panel - beam.source_m)
@@ -26,7 +26,7 @@ def test_a_point_on_the_ray_from_the_focal_spot_falls_where_the_ray_meets_the_pa
     np.testing.assert_allclose(beam.project(points[:, None, :])[:, 0], on_panel[:, :2], atol=1e-12)
 
 
-def test_matrices_say_what_project_says():
+def test_matrices_say_what_project_says() -> None:
     beam = some_exposures()
     points = np.random.default_rng(6).uniform(-0.1, 0.1, (20, 3))
     homogeneous = np.einsum("nij,pj->npi", beam.matrices(DETECTOR), np.column_stack([points, np.ones(20)]))
@@ -34,19 +34,19 @@ def test_matrices_say_what_project_says():
     np.testing.assert_allclose(homogeneous[..., :2] / homogeneous[..., 2:], DETECTOR.to_pixels(beam.project(points)), atol=1e-9)
 
 
-def test_matrices_of_any_scale_and_sign_give_the_parameters_back():
+def test_matrices_of_any_scale_and_sign_give_the_parameters_back() -> None:
     beam = some_exposures()
     scale = np.random.default_rng(7).choice([-3.0, 0.01, 250.0], len(beam))
     again = ConeBeam.from_matrices(beam.matrices(DETECTOR) * scale[:, None, None], DETECTOR)
     np.testing.assert_allclose(again.parameters, beam.parameters, atol=1e-11)
 
 
-def test_a_matrix_that_is_no_projection_is_refused():
+def test_a_matrix_that_is_no_projection_is_refused() -> None:
     with pytest.raises(ValueError, match="matrix 0 is no projection"):
         ConeBeam.from_matrices(np.ones((1, 3, 4)), DETECTOR)
 
 
-def test_frames_and_change_of_reference_keep_the_images():
+def test_frames_and_change_of_reference_keep_the_images() -> None:
     beam = some_exposures()
     again = ConeBeam.from_frames(beam.source_in_phantom_m, beam.detector_in_phantom_m, beam.rotation)
     np.testing.assert_allclose(again.parameters, beam.parameters, atol=1e-12)
@@ -55,13 +55,13 @@ def test_frames_and_change_of_reference_keep_the_images():
     np.testing.assert_allclose(beam.referred_to(origin, rotation).project((points - origin) @ rotation), beam.project(points), atol=1e-12)
 
 
-def test_pixels_and_metres_are_each_other_s_inverse_and_the_centre_is_the_middle():
+def test_pixels_and_metres_are_each_other_s_inverse_and_the_centre_is_the_middle() -> None:
     points = np.random.default_rng(9).uniform(-0.1, 0.1, (20, 2))
     np.testing.assert_allclose(DETECTOR.to_metres(DETECTOR.to_pixels(points)), points, atol=1e-15)
     np.testing.assert_allclose(DETECTOR.to_pixels(np.zeros(2)), [319.5, 255.5])
 
 
-def test_rtk_projects_points_to_the_same_places():
+def test_rtk_projects_points_to_the_same_places() -> None:
     itk = pytest.importorskip("itk")
     beam = some_exposures()
     points = np.random.default_rng(10).uniform(-100.0, 100.0, (20, 3))

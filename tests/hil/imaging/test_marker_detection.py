@@ -1,5 +1,9 @@
 """Crossings of a marker plate are found to the stated fractions of a pixel, and lines that are none of the plate's are refused."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from marker_images import DETECTOR, NOMINAL, TRUE, image, mean_image, optics, truth
@@ -17,22 +21,24 @@ from virtual_bus.xray.imaging import exposed
 
 @pytest.mark.parametrize(("photons", "limit"), [(2000.0, 0.03), (200.0, 0.15)])
 @pytest.mark.parametrize("plate", ["experimental", "clinical"])
-def test_crossings_are_found_to_the_stated_accuracy(plate, photons, limit):
+def test_crossings_are_found_to_the_stated_accuracy(plate: str, photons: float, limit: float) -> None:
     found = find_marker(image(plate, photons, 1), PLATES[plate](), NOMINAL, DETECTOR)
-    assert len(found.index) == len(truth(plate)) and not found.refused
+    assert len(found.index) == len(truth(plate))
+    assert not found.refused
     error = found.pixels - truth(plate)[found.index]
     assert np.sqrt(np.mean(error**2)) < limit
 
 
-def test_the_profile_s_fit_is_more_than_twice_as_close_as_edges_alone():
+def test_the_profile_s_fit_is_more_than_twice_as_close_as_edges_alone() -> None:
     plate = experimental_plate()
     fine = find_marker(image("experimental", 2000.0, 2), plate, NOMINAL, DETECTOR)
     coarse = coarse_points(image("experimental", 2000.0, 2), plate, NOMINAL, DETECTOR)
     fine_rms, coarse_rms = (np.sqrt(np.mean((each.pixels - truth("experimental")[each.index]) ** 2)) for each in (fine, coarse))
-    assert len(coarse.index) == 99 and 2.0 * fine_rms < coarse_rms < 0.1
+    assert len(coarse.index) == 99
+    assert 2.0 * fine_rms < coarse_rms < 0.1
 
 
-def test_lines_are_scattered_as_their_covariance_says():
+def test_lines_are_scattered_as_their_covariance_says() -> None:
     plate = experimental_plate()
     standard = []
     for seed in range(8):
@@ -45,7 +51,7 @@ def test_lines_are_scattered_as_their_covariance_says():
     assert 0.8 < np.mean(standard) < 1.25, standard
 
 
-def bent(mean):
+def bent(mean: np.ndarray) -> np.ndarray:
     """The sixth groove along y, 0.6 pixel beside its place."""
     column = round(truth("experimental")[5 * 9 : 6 * 9, 0].mean())
     here = mean[:, column - 25 : column + 26]
@@ -54,7 +60,7 @@ def bent(mean):
     return moved
 
 
-def covered(mean):
+def covered(mean: np.ndarray) -> np.ndarray:
     """A wire lies along the sixth groove, over half of it."""
     column = round(truth("experimental")[5 * 9 : 6 * 9, 0].mean())
     shaded = mean.copy()
@@ -63,15 +69,16 @@ def covered(mean):
 
 
 @pytest.mark.parametrize("spoil", [bent, covered])
-def test_a_spoilt_line_is_refused_and_the_rest_keeps_its_accuracy(spoil):
+def test_a_spoilt_line_is_refused_and_the_rest_keeps_its_accuracy(spoil: Callable[..., np.ndarray]) -> None:
     spoilt = exposed(spoil(mean_image("experimental", 2000.0)), optics(2000.0), np.random.default_rng(3))
     found = find_marker(spoilt, experimental_plate(), NOMINAL, DETECTOR)
     assert list(found.refused) == [5], found.refused
-    assert len(found.index) == 90 and not np.isin(np.arange(45, 54), found.index).any()
+    assert len(found.index) == 90
+    assert not np.isin(np.arange(45, 54), found.index).any()
     assert np.sqrt(np.mean((found.pixels - truth("experimental")[found.index]) ** 2)) < 0.03
 
 
-def test_a_bright_scratch_and_a_dark_wire_between_the_grooves_are_taken_for_no_groove():
+def test_a_bright_scratch_and_a_dark_wire_between_the_grooves_are_taken_for_no_groove() -> None:
     mean = mean_image("experimental", 2000.0).copy()
     places = np.sort(truth("experimental").reshape(11, 9, 2)[:, 4, 0])
     between = np.rint(0.5 * (places[:-1] + places[1:])).astype(int)
@@ -82,19 +89,20 @@ def test_a_bright_scratch_and_a_dark_wire_between_the_grooves_are_taken_for_no_g
     assert np.sqrt(np.mean((found.pixels - truth("experimental")) ** 2)) < 0.03
 
 
-def test_a_plate_that_stands_elsewhere_is_found_up_to_less_than_half_a_pitch():
+def test_a_plate_that_stands_elsewhere_is_found_up_to_less_than_half_a_pitch() -> None:
     away = MarkerProjection(NOMINAL.values + np.array([9e-3, -8e-3, 0, 0, 0, 0, 0, 0, 0]))
     found = find_marker(image("experimental", 2000.0, 5), experimental_plate(), away, DETECTOR)
     assert np.sqrt(np.mean((found.pixels - truth("experimental")[found.index]) ** 2)) < 0.03
 
 
-def test_the_hybrid_median_removes_single_pixels_and_keeps_a_corner():
+def test_the_hybrid_median_removes_single_pixels_and_keeps_a_corner() -> None:
     corner = np.full((30, 30), 100.0)
     corner[15:, 15:] = 500.0
     spoilt = corner.copy()
     spoilt[5, 5], spoilt[20, 22] = 65535.0, 0.0
     filtered = hybrid_median(spoilt)
-    assert filtered[5, 5] == 100.0 and filtered[20, 22] == 500.0
+    assert filtered[5, 5] == 100.0
+    assert filtered[20, 22] == 500.0
     np.testing.assert_array_equal(hybrid_median(corner)[:, 17:], corner[:, 17:])
 
 
@@ -107,18 +115,18 @@ def test_the_hybrid_median_removes_single_pixels_and_keeps_a_corner():
         (np.full((480, 640), 400, np.uint16), "the detector has 512 rows and 640 columns"),
     ],
 )
-def test_an_image_without_a_plate_is_one_line(picture, line):
+def test_an_image_without_a_plate_is_one_line(picture: np.ndarray, line: str) -> None:
     with pytest.raises(UnusableInputError, match=line):
         find_marker(picture, experimental_plate(), NOMINAL, DETECTOR)
 
 
-def test_noise_alone_makes_no_plate():
+def test_noise_alone_makes_no_plate() -> None:
     noise = np.random.default_rng(6).poisson(400.0, (512, 640)).astype(np.uint16)
     with pytest.raises(UnusableInputError, match="of the experimental plate are in the image"):
         find_marker(noise, experimental_plate(), TRUE, DETECTOR)
 
 
-def test_a_narrow_groove_looked_for_beside_its_place_is_found_there_or_not_at_all():
+def test_a_narrow_groove_looked_for_beside_its_place_is_found_there_or_not_at_all() -> None:
     """Three pixels wide, as the clinical plate's on a panel read 8 x 8: a fit that runs away is a line refused."""
     away = np.arange(80) - 47.6
     profile = 400.0 + 240.0 * (erf((away + 1.5) / 2.1) - erf((away - 1.5) / 2.1))

@@ -1,5 +1,7 @@
 """The pose from a marker plate: true within its covariance, and silent about nothing it cannot tell apart."""
 
+from __future__ import annotations
+
 import numpy as np
 import pytest
 from marker_images import DETECTOR, NOMINAL, TRUE, image
@@ -14,37 +16,40 @@ PLATE = experimental_plate()
 FINE = Detector(2480, 1920, 381e-3 / 2480)
 
 
-def points(projection, detector, deviation=0.1, rng=None):
+def points(
+    projection: MarkerProjection, detector: Detector, deviation: float = 0.1, rng: np.random.Generator | None = None
+) -> MarkerPoints:
     pixels = detector.to_pixels(projection.project(PLATE.points_m))
     if rng is not None:
         pixels = pixels + deviation * rng.standard_normal(pixels.shape)
     return MarkerPoints(np.arange(99), pixels, deviation**2 * np.eye(198), {}, {})
 
 
-def test_a_plate_projects_as_the_cone_beam_geometry_says():
+def test_a_plate_projects_as_the_cone_beam_geometry_says() -> None:
     beam = ConeBeam(TRUE.source_m[None], TRUE.plate_m[None], TRUE.rotation.T[None])
     np.testing.assert_allclose(TRUE.project(PLATE.points_m), beam.project(PLATE.points_m)[0], atol=1e-13)
 
 
 @pytest.mark.parametrize("free", [LINEAR, NONLINEAR, (*NONLINEAR[:2], *NONLINEAR[3:], "plate_distance")])
-def test_without_noise_the_parameters_come_back(free):
+def test_without_noise_the_parameters_come_back(free: tuple[str, ...]) -> None:
     true = NOMINAL.values.copy()
     for name in free:
         k = PARAMETERS.index(name)
         true[k] = TRUE.values[k] if name != "plate_distance" else 0.2504
     fit = fit_marker(points(MarkerProjection(true), FINE), PLATE, FINE, NOMINAL, free)
     np.testing.assert_allclose(fit.projection.values, true, atol=1e-9)
-    assert fit.residual_pixels < 1e-6 and set(fit.held) == set(PARAMETERS) - set(free)
+    assert fit.residual_pixels < 1e-6
+    assert set(fit.held) == set(PARAMETERS) - set(free)
 
 
-def test_free_angles_take_f_x_from_micrometres_to_tenths_of_a_millimetre():
+def test_free_angles_take_f_x_from_micrometres_to_tenths_of_a_millimetre() -> None:
     straight = fit_marker(points(NOMINAL, FINE), PLATE, FINE, NOMINAL, LINEAR)
     turned = fit_marker(points(NOMINAL, FINE), PLATE, FINE, NOMINAL, NONLINEAR)
     assert np.sqrt(straight.covariance[0, 0]) == pytest.approx(1.5e-6, rel=0.1)  # 0.1 pixel over the root of 99 points
     assert np.sqrt(turned.covariance[0, 0]) == pytest.approx(0.2e-3, rel=0.3)
 
 
-def test_the_linear_case_is_the_nonlinear_one_where_angles_are_known():
+def test_the_linear_case_is_the_nonlinear_one_where_angles_are_known() -> None:
     seen = points(TRUE, FINE, 0.1, np.random.default_rng(1))
     known = MarkerProjection(np.concatenate([NOMINAL.values[:3], TRUE.values[3:]]))
     linear, steps = fit_marker_linear(seen, PLATE, FINE, known), fit_marker(seen, PLATE, FINE, known, LINEAR)
@@ -52,14 +57,14 @@ def test_the_linear_case_is_the_nonlinear_one_where_angles_are_known():
     np.testing.assert_allclose(linear.covariance, steps.covariance, rtol=1e-6, atol=1e-18)
 
 
-def test_neglected_angles_bias_the_linear_case():
+def test_neglected_angles_bias_the_linear_case() -> None:
     seen = points(TRUE, FINE)
     biased = fit_marker_linear(seen, PLATE, FINE, NOMINAL)
     # theta_y = -3 mrad turns the plate's shadow by 1.16 m of focal length: 3.5 mm that the linear case takes for f_x
     assert biased.projection.values[0] - TRUE.values[0] == pytest.approx(-3e-3 * 1.16, rel=0.05)
 
 
-def test_poses_are_scattered_as_their_covariance_says():
+def test_poses_are_scattered_as_their_covariance_says() -> None:
     rng = np.random.default_rng(2)
     fits = [fit_marker(points(TRUE, FINE, 0.1, rng), PLATE, FINE, NOMINAL) for _ in range(300)]
     error = np.array([fit.projection.values - TRUE.values for fit in fits])[:, :6]
@@ -69,7 +74,7 @@ def test_poses_are_scattered_as_their_covariance_says():
     assert np.std(error, axis=0, ddof=1) == pytest.approx(np.sqrt(np.diag(fits[0].covariance)[:6]), rel=0.15)
 
 
-def test_from_images_the_pose_is_true_within_the_covariance_that_correlated_points_have():
+def test_from_images_the_pose_is_true_within_the_covariance_that_correlated_points_have() -> None:
     chi2 = []
     for seed in range(8):
         found = find_marker(image("experimental", 2000.0, 30 + seed), PLATE, NOMINAL, DETECTOR)
@@ -88,6 +93,6 @@ def test_from_images_the_pose_is_true_within_the_covariance_that_correlated_poin
         (("tilt",), "tilt to fit: the parameters of a marker are focal_u"),
     ],
 )
-def test_what_one_image_cannot_tell_apart_is_named(free, line):
+def test_what_one_image_cannot_tell_apart_is_named(free: tuple[str, ...], line: str) -> None:
     with pytest.raises(UnusableInputError, match=line):
         fit_marker(points(NOMINAL, FINE), PLATE, FINE, NOMINAL, free)

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import re
 import typing
+from collections.abc import Iterator
 
 from places import ROOT
 from pydantic import BaseModel
 
 from drivers.canopen.objects import MAPPABLE
-from hil.machine.schema import MachineTable
+from hil.machine.schema import (
+    MachineTable,
+)
 from hil.machine.table import written_key
 from hil.machine.units import CONSTANT_UNITS, UNITS
 
-PAGE = (ROOT / "docs" / "machine-file.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "generated" / "machine-file.md").read_text(encoding="utf-8")
 EXPLAINED = set(re.findall(r"`([^`\s]+)`", PAGE))
 
 
-def tables(annotation):
+def tables(annotation: object) -> Iterator[object]:
     """Every table a field's type is made of."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
@@ -27,7 +30,7 @@ def tables(annotation):
         yield from tables(argument)
 
 
-def test_every_key_is_explained():
+def test_every_key_is_explained() -> None:
     missing = []
     for table in set(tables(MachineTable)):
         for field in table.model_fields:
@@ -41,7 +44,7 @@ def test_every_key_is_explained():
     assert sorted(missing) == []
 
 
-def test_every_unit_and_object_name_is_listed():
+def test_every_unit_and_object_name_is_listed() -> None:
     units = {unit for dimension in UNITS.values() for unit in dimension if not unit.startswith("K_per")}
     assert units <= EXPLAINED
     assert {f'"{unit}"' for unit in CONSTANT_UNITS} <= EXPLAINED

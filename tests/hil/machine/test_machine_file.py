@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hil.machine import list_shipped, load_machine, machine_from_text
+from hil.machine import Machine, list_shipped, load_machine, machine_from_text
 from hil.machine.summary import machine_document, machine_lines
 from hil.machine.units import UNITS
 
@@ -53,15 +54,15 @@ resolution_um = 2.0
 
 
 @pytest.fixture(scope="module")
-def slide():
+def slide() -> Machine:
     return machine_from_text(ONE_AXIS)
 
 
-def test_both_shipped_machines_are_listed():
+def test_both_shipped_machines_are_listed() -> None:
     assert set(list_shipped()) == {"carm", "coupled_electric_drives", "emps", "laas_anti_cogging", "silverbox", "turntable"}
 
 
-def test_the_c_arm_has_the_contracts_axes_rate_and_units():
+def test_the_c_arm_has_the_contracts_axes_rate_and_units() -> None:
     carm = load_machine("carm")
     assert carm.axes == ("propeller", "roll")
     assert carm.sample_rate_Hz == 256.0
@@ -72,7 +73,7 @@ def test_the_c_arm_has_the_contracts_axes_rate_and_units():
     assert [joint.name for joint in carm.plant.tree.joints if joint.name in carm.axes] == ["propeller", "roll"]
 
 
-def test_what_a_count_and_a_permille_are_worth():
+def test_what_a_count_and_a_permille_are_worth() -> None:
     carm = load_machine("carm")
     scaling = carm.bus.scalings[1]
     assert scaling.position_resolution == pytest.approx(math.tau / (4096 * 500))
@@ -82,27 +83,28 @@ def test_what_a_count_and_a_permille_are_worth():
     assert carm.plant.drives[1].resolution == pytest.approx(0.005)
 
 
-def test_pdo_names_become_objects_of_cia_402_and_406():
+def test_pdo_names_become_objects_of_cia_402_and_406() -> None:
     nodes = {node.name: node for node in load_machine("carm").bus.nodes}
     assert nodes["roll_drive"].tpdos[0].entries == ((0x6041, 0, 16), (0x6064, 0, 32), (0x6078, 0, 16))
     assert nodes["roll_drive"].rpdos[0].entries == ((0x6040, 0, 16), (0x6071, 0, 16))
     assert nodes["roll_encoder"].tpdos[0].entries == ((0x6004, 0, 32),)
 
 
-def test_a_pdo_entry_may_be_written_in_numbers():
+def test_a_pdo_entry_may_be_written_in_numbers() -> None:
     text = load_machine("carm").text.replace('"position_actual_value"', '"0x6064:00:32"', 1)
     assert machine_from_text(text).bus.nodes[0].tpdos[0].entries[1] == (0x6064, 0, 32)
 
 
-def test_the_hash_is_sha256_of_the_text_and_the_text_is_the_file():
+def test_the_hash_is_sha256_of_the_text_and_the_text_is_the_file() -> None:
     carm = load_machine("carm")
     assert carm.hash == hashlib.sha256(carm.path.read_bytes()).hexdigest()
     assert machine_from_text(carm.text).hash == carm.hash
 
 
-def test_the_benchmark_axis_has_the_benchmarks_constants_and_a_cascaded_loop():
+def test_the_benchmark_axis_has_the_benchmarks_constants_and_a_cascaded_loop() -> None:
     emps = load_machine("emps")
-    assert emps.bus is None and emps.sample_rate_Hz == 1000.0
+    assert emps.bus is None
+    assert emps.sample_rate_Hz == 1000.0
     body, drive, controller = emps.plant.tree.bodies[0], emps.plant.drives[0], emps.controllers[0]
     assert (body.mass_kg, body.joint.damping, drive.constant * drive.ratio) == (95.1089, 203.5034, 35.15065)
     # vir = kv (kp (qg - qm) - dqm/dt): at standstill both sections weigh a position alike, a ramp costs kv volts per m/s
@@ -114,7 +116,7 @@ def test_the_benchmark_axis_has_the_benchmarks_constants_and_a_cascaded_loop():
     assert position @ ramp - kv * kp * 0.0 == pytest.approx(kv * (1.0 - 0.0), rel=1e-6)
 
 
-def test_units_are_taken_from_the_keys(slide):
+def test_units_are_taken_from_the_keys(slide: Machine) -> None:
     cart, drive, encoder = slide.plant.tree.bodies[1], slide.plant.drives[0], slide.plant.encoders[0]
     assert slide.sample_rate_Hz == 1000.0
     assert cart.mass_kg == pytest.approx(2.5)
@@ -126,24 +128,27 @@ def test_units_are_taken_from_the_keys(slide):
     assert encoder.resolution == pytest.approx(2e-6)
 
 
-def test_the_rotors_inertia_is_seen_through_the_ratio_squared(slide):
+def test_the_rotors_inertia_is_seen_through_the_ratio_squared(slide: Machine) -> None:
     assert slide.plant.tree.joints[0].armature == pytest.approx(0.5e-4 * 100.0**2)
 
 
-def test_orientation_turns_the_body_in_its_parent(slide):
+def test_orientation_turns_the_body_in_its_parent(slide: Machine) -> None:
     np.testing.assert_allclose(slide.plant.tree.bodies[0].orientation @ [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], atol=1e-15)
 
 
-def test_orientation_angles_are_about_the_parents_axes_in_the_order_x_y_z():
+def test_orientation_angles_are_about_the_parents_axes_in_the_order_x_y_z() -> None:
     machine = machine_from_text(ONE_AXIS.replace("orientation_deg = [0.0, 0.0, 90.0]", "orientation_deg = [90.0, 0.0, 90.0]"))
     turned = machine.plant.tree.bodies[0].orientation @ np.eye(3)
     # about x first: y goes to z and z to -y; then about the parent's z: x to y and y to -x
     np.testing.assert_allclose(turned, np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]).T, atol=1e-15)
 
 
-def test_what_the_file_leaves_out_is_open(slide):
-    assert slide.bus is None and slide.geometry is None and slide.controllers == ()
-    assert slide.limits[0].upper == math.inf and slide.limits[0].unit == "m"
+def test_what_the_file_leaves_out_is_open(slide: Machine) -> None:
+    assert slide.bus is None
+    assert slide.geometry is None
+    assert slide.controllers == ()
+    assert slide.limits[0].upper == math.inf
+    assert slide.limits[0].unit == "m"
     np.testing.assert_array_equal(slide.plant.tree.gravity_m_s2, [0.0, 0.0, -9.81])
 
 
@@ -158,11 +163,11 @@ def test_what_the_file_leaves_out_is_open(slide):
         ("force", "kN", 1e3),
     ],
 )
-def test_factors_to_si(dimension, unit, factor):
+def test_factors_to_si(dimension: str, unit: str, factor: float) -> None:
     assert UNITS[dimension][unit] == pytest.approx(factor)
 
 
-def test_an_eds_file_beside_the_machine_file_wins_over_the_shipped_one(tmp_path):
+def test_an_eds_file_beside_the_machine_file_wins_over_the_shipped_one(tmp_path: Path) -> None:
     own = tmp_path / "isocenter_drive.eds"
     own.write_text("; own")
     path = tmp_path / "copy.toml"
@@ -172,13 +177,13 @@ def test_an_eds_file_beside_the_machine_file_wins_over_the_shipped_one(tmp_path)
     assert nodes["roll_encoder"].eds.parent != tmp_path
 
 
-def test_effects_are_added_without_touching_the_file():
+def test_effects_are_added_without_touching_the_file() -> None:
     carm = load_machine("carm")
     assert carm.with_effects(()).plant.effects == ()
     assert carm.with_effects(()).hash == carm.hash
 
 
-def test_the_summary_names_every_body_and_node():
+def test_the_summary_names_every_body_and_node() -> None:
     carm = load_machine("carm")
     page = "\n".join(machine_lines(carm))
     document = machine_document(carm)
@@ -189,5 +194,5 @@ def test_the_summary_names_every_body_and_node():
 
 
 @pytest.mark.parametrize(("name", "said"), [("carm", "7 degrees of freedom, "), ("emps", "1 degree of freedom, ")])
-def test_the_summary_counts_degrees_of_freedom(name, said):
+def test_the_summary_counts_degrees_of_freedom(name: str, said: str) -> None:
     assert said in machine_lines(load_machine(name))[1]

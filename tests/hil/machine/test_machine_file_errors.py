@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from pathlib import Path
+
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -80,23 +83,24 @@ MISTAKES = [
 
 
 @pytest.mark.parametrize(("old", "new", "words"), MISTAKES, ids=[f"{i}-{' '.join(m[2])[:40]}" for i, m in enumerate(MISTAKES)])
-def test_a_mistake_gets_one_line_that_names_it(old, new, words):
+def test_a_mistake_gets_one_line_that_names_it(old: str, new: str, words: list[str]) -> None:
     assert old in CARM
     with pytest.raises(MachineFileError) as caught:
         machine_from_text(CARM.replace(old, new, 1), label="carm.toml")
     line = str(caught.value)
     assert line.startswith("carm.toml: ")
-    assert "\n" not in line and len(line) < 400
+    assert "\n" not in line
+    assert len(line) < 400
     for word in words:
         assert word in line
 
 
-def test_a_missing_file_names_what_is_shipped(tmp_path):
+def test_a_missing_file_names_what_is_shipped(tmp_path: Path) -> None:
     with pytest.raises(MachineFileError, match=r"nothing\.toml: No such file.*carm, coupled_electric_drives, emps"):
         load_machine(tmp_path / "nothing.toml")
 
 
-def test_a_folder_or_bytes_are_no_machine_file(tmp_path):
+def test_a_folder_or_bytes_are_no_machine_file(tmp_path: Path) -> None:
     with pytest.raises(MachineFileError, match="directory"):
         load_machine(tmp_path)
     (tmp_path / "latin.toml").write_bytes("name = 'Röntgen'".encode("latin-1"))
@@ -104,19 +108,21 @@ def test_a_folder_or_bytes_are_no_machine_file(tmp_path):
         load_machine(tmp_path / "latin.toml")
 
 
-def outcome(text):
+def outcome(text: str) -> Machine | str:
     """A machine, or the one line; anything else fails the test."""
     try:
         return machine_from_text(text, label="carm.toml")
     except MachineFileError as error:
         line = str(error)
-        assert line.startswith("carm.toml: ") and "\n" not in line and len(line) < 600
+        assert line.startswith("carm.toml: ")
+        assert "\n" not in line
+        assert len(line) < 600
         return line
 
 
 @FAST
 @given(data=st.data())
-def test_damaged_text_gives_a_machine_or_one_line(data):
+def test_damaged_text_gives_a_machine_or_one_line(data: st.DataObject) -> None:
     text = CARM
     for _ in range(data.draw(st.integers(1, 3))):
         start = data.draw(st.integers(0, len(text)))
@@ -125,7 +131,9 @@ def test_damaged_text_gives_a_machine_or_one_line(data):
     assert isinstance(outcome(text), Machine | str)
 
 
-def leaves(table, path=()):
+def leaves(
+    table: dict[str, object] | list[dict[str, object] | float | str], path: tuple[int | str, ...] = ()
+) -> Iterator[tuple[int | str, ...]]:
     """Paths to every value, tables and lists included."""
     entries = table.items() if isinstance(table, dict) else enumerate(table)
     for key, value in entries:
@@ -147,7 +155,7 @@ VALUES = st.one_of(
 
 @FAST
 @given(where=st.sampled_from(LEAVES), value=VALUES, drop=st.booleans())
-def test_any_value_in_any_place_gives_a_machine_or_one_line(where, value, drop):
+def test_any_value_in_any_place_gives_a_machine_or_one_line(where: tuple[int | str, ...], value: object, drop: bool) -> None:
     raw = parse_toml(CARM, "carm.toml")
     table = raw
     for key in where[:-1]:
@@ -159,7 +167,7 @@ def test_any_value_in_any_place_gives_a_machine_or_one_line(where, value, drop):
     assert isinstance(outcome(toml_text(raw)), Machine | str)
 
 
-def test_a_rewritten_file_says_the_same():
+def test_a_rewritten_file_says_the_same() -> None:
     again = machine_from_text(toml_text(parse_toml(CARM, "carm.toml")))
     original = machine_from_text(CARM)
     assert again.bus == original.bus

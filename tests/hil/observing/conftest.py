@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +14,15 @@ from hil.observing import ObserverDesign, design_observer, tune
 from hil.observing.simulated_recordings import emulated_recording, emulated_responses
 from hil.simulation import Simulator
 
+HERE = Path(__file__).parent
 POSES_rad = (-0.6, -0.3, 0.0, 0.3, 0.6)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Whatever asks for the observer is slow: the first of them waits for it."""
+    for item in items:
+        if isinstance(item, pytest.Function) and item.path.is_relative_to(HERE) and "design" in item.fixturenames:
+            item.add_marker(pytest.mark.slow)
 
 
 @pytest.fixture(scope="session")

@@ -31,7 +31,7 @@ def isocenter(*arguments: object) -> int:
 
 
 @pytest.fixture(scope="module")
-def files(machine: Machine, design: ObserverDesign, tmp_path_factory) -> Path:
+def files(machine: Machine, design: ObserverDesign, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An observer's design, and a calibration that knows next to nothing but that there was an observer."""
     folder: Path = tmp_path_factory.mktemp("live")
     write_design(design, folder / "observer.npz")
@@ -52,22 +52,28 @@ def run(folder: Path, name: str, scene: str, experiment: list[str]) -> int:
     return isocenter("run", *experiment, "-m", "carm", "-b", "lockstep:", *live, "--image-rate", "4.3", "--seed", "3", *kept)
 
 
-def test_a_run_knows_its_geometry_row_by_row_and_its_recording_replays_it(machine: Machine, files: Path, capsys) -> None:
+def test_a_run_knows_its_geometry_row_by_row_and_its_recording_replays_it(
+    machine: Machine, files: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert run(files, "phantom", "dodecahedron", SWEEP) == 0
     assert "seen live" in capsys.readouterr().out
     recording = read_recording(files / "phantom.mf4")
     images, deviation = recording["deviation_images"], recording.matrix([f"deviation_{name}" for name in DEVIATIONS])
-    assert images[0] == 0 and images[-1] >= 3 and (np.diff(images) >= 0).all()
+    assert images[0] == 0
+    assert images[-1] >= 3
+    assert (np.diff(images) >= 0).all()
     first = 0.1 + 2 / 4.3 + 0.008 + 0.2  # the third exposure's image: the panel's clock is known
     assert np.flatnonzero(images)[0] == int(np.ceil(first * machine.sample_rate_Hz))
-    assert (np.abs(deviation[:100, 3:6]).max() < 1e-4) and recording["deviation_phantom_u_variance"][50] > 1e-6
+    assert np.abs(deviation[:100, 3:6]).max() < 1e-4
+    assert recording["deviation_phantom_u_variance"][50] > 1e-6
     side = xray_side(machine, files / "phantom.csv", SPOT, 0.1)
     rows = np.arange(int(np.flatnonzero(images)[0]), recording.rows - 10, 10)
     true = true_beam(side, recording.time[rows], np.zeros(len(rows)))
     nominal = nominal_beam(machine, recording.matrix([f"estimate_link_position_{axis}" for axis in machine.axes])[rows])
     error = nominal.moved(deviation[rows]).deviation_from(true)
     sigma = np.sqrt(recording.matrix([f"deviation_{name}_variance" for name in DEVIATIONS])[rows])
-    assert np.sqrt(np.mean((error / sigma) ** 2)) < 1.5 and sigma[:, 3:6].max() < 0.2e-3
+    assert np.sqrt(np.mean((error / sigma) ** 2)) < 1.5
+    assert sigma[:, 3:6].max() < 0.2e-3
     assert np.linalg.norm(error[-1, 3:6]) < 0.15 * np.linalg.norm(nominal.deviation_from(true)[-1, 3:6])
     replay = ["--design", files / "observer.npz", "--data", files / "start.npz", "--images", files / "phantom"]
     assert isocenter("observe", "carm", files / "phantom.mf4", "-o", files / "again.npz", *replay) == 0
@@ -75,7 +81,8 @@ def test_a_run_knows_its_geometry_row_by_row_and_its_recording_replays_it(machin
     assert isocenter("observe", "carm", files / "phantom.mf4", "-o", files / "other.npz", *replay[:2]) == 0
     assert "a calibration ran along, which levels what the observer reads; give --data and --images as well" in capsys.readouterr().out
     geometry = read_data_file(files / "phantom" / "geometry.npz")
-    assert np.array_equal(geometry.live, deviation) and len(geometry.beam(machine, recording.time[rows])) == len(rows)
+    assert np.array_equal(geometry.live, deviation)
+    assert len(geometry.beam(machine, recording.time[rows])) == len(rows)
 
 
 def test_marker_plates_are_taken_in_too(files: Path) -> None:

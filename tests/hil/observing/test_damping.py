@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -79,7 +80,8 @@ def test_it_predicts_with_the_command_as_the_drives_round_it() -> None:
         for k in range(300):
             law.step(np.zeros(STATES), acting, True, k)
         efforts.append(law.effort.copy())
-    assert np.abs(efforts[0]).max() > 0.0 and np.array_equal(*efforts)
+    assert np.abs(efforts[0]).max() > 0.0
+    assert np.array_equal(*efforts)
 
 
 def test_without_damping_the_whole_loop_is_the_position_loop(machine: Machine, design: ObserverDesign) -> None:
@@ -95,7 +97,7 @@ def test_without_damping_the_whole_loop_is_the_position_loop(machine: Machine, d
     assert whole.damping_ratio(8.3) > 0.03
 
 
-def test_the_ring_down_on_the_bus_is_that_of_the_linear_loop(machine: Machine, design: ObserverDesign, tmp_path) -> None:
+def test_the_ring_down_on_the_bus_is_that_of_the_linear_loop(machine: Machine, design: ObserverDesign, tmp_path: Path) -> None:
     physics = Physics(machine.plant, noise=False)
     found = {}
     for wanted in (0.0, 0.1):
@@ -106,10 +108,11 @@ def test_the_ring_down_on_the_bus_is_that_of_the_linear_loop(machine: Machine, d
     assert found[0.1] > 2.0 * found[0.0]
 
 
-def test_it_comes_and_goes_without_a_step_and_a_replay_is_the_same(machine: Machine, design: ObserverDesign, tmp_path) -> None:
+def test_it_comes_and_goes_without_a_step_and_a_replay_is_the_same(machine: Machine, design: ObserverDesign, tmp_path: Path) -> None:
     recording = rung(machine, damped_live(design, 0.1), tmp_path / "damped.mf4")
     share = recording["damping_share"]
-    assert share[0] == share[-1] == 0.0 and share.max() == 1.0
+    assert share[0] == share[-1] == 0.0
+    assert share.max() == 1.0
     assert np.abs(np.diff(share)).max() <= 1.0 / 128 + 1e-12
     assert np.flatnonzero(share)[0] == pytest.approx(256, abs=2)  # after a second that proves the estimate
     assert 0.05 < np.abs(recording["damping_propeller"]).max() <= 2.0
@@ -126,7 +129,8 @@ def _settled(law: ModalDamping) -> np.ndarray:
     for k in range(600):
         x[4], x[8] = 1e-3 * np.sin(0.196 * k), 1e-3 * 50.0 * np.cos(0.196 * k)
         law.step(x, REST, True, k)
-    assert law.share == 1.0 and np.abs(law.effort).max() > 1e-3
+    assert law.share == 1.0
+    assert np.abs(law.effort).max() > 1e-3
     return x
 
 
@@ -139,13 +143,16 @@ def test_an_estimate_that_cannot_be_trusted_ramps_it_out_and_a_second_of_a_good_
     for k in range(128):
         law.step(bad, REST, False, 600 + k)
         efforts.append(law.effort.copy())
-    assert np.isfinite(efforts).all() and law.share == 0.0 and not law.effort.any()
+    assert np.isfinite(efforts).all()
+    assert law.share == 0.0
+    assert not law.effort.any()
     assert np.abs(np.diff(efforts, axis=0)).max() <= np.abs(efforts[0]).max() / 127
     shares = []
     for k in range(256 + 128 + 1):
         law.step(x, REST, True, 728 + k)
         shares.append(law.share)
-    assert shares[255] == 0.0 and shares[-1] == 1.0
+    assert shares[255] == 0.0
+    assert shares[-1] == 1.0
 
 
 def test_lost_ticks_bring_the_end_of_the_plan_nearer_and_it_is_off_there_without_a_jump() -> None:
@@ -156,7 +163,8 @@ def test_lost_ticks_bring_the_end_of_the_plan_nearer_and_it_is_off_there_without
         law.step(x, REST, True, tick)
         shares.append(law.share)
         tick += 9 if tick % 3 == 0 and tick < end - 9 else 1  # eight lost now and then
-    assert shares[0] == 1.0 and shares[-1] == 0.0
+    assert shares[0] == 1.0
+    assert shares[-1] == 0.0
     assert np.diff(shares).min() >= -9.0 / 128 - 1e-12
     assert shares[-2] <= 1.0 / 128 + 1e-12
 
@@ -184,7 +192,8 @@ def test_more_than_the_margins_allow_is_refused_in_one_line(machine: Machine, de
     for wanted, word in ((0.5, "of phase margin"), (3.0, "unstable in 1 of 1 poses")):
         with pytest.raises(UnusableInputError, match=word) as caught:
             accept_damping(machine, results[wanted])
-        assert "\n" not in str(caught.value) and "roll 17.19 deg" in str(caught.value)
+        assert "\n" not in str(caught.value)
+        assert "roll 17.19 deg" in str(caught.value)
 
 
 @pytest.mark.parametrize(("imu", "has"), [("", "the bench has none"), ("imu_source", "the bench has imu_source")])

@@ -10,14 +10,17 @@ from observed_models import DenseModel, FREQUENCIES_Hz, drawn_rows, small_model,
 
 from controllers.observers.consistency import share_in_band
 from controllers.observers.modal_observer import ModalObserver
+from controllers.observers.settings import ObserverNoise
 
 filterpy_kalman = pytest.importorskip("filterpy.kalman", reason="filterpy is in the extra `test`")
 
 ROWS = 120
 
 
-def _linear_reference(dense: DenseModel, observer: ModalObserver, noise, measured: np.ndarray, commands: np.ndarray) -> np.ndarray:
-    """filterpy's Kalman filter on the dense model: states (N, states)."""
+def _linear_reference(
+    dense: DenseModel, observer: ModalObserver, noise: ObserverNoise, measured: np.ndarray, commands: np.ndarray
+) -> np.ndarray:
+    """Filterpy's Kalman filter on the dense model: states (N, states)."""
     states = dense.states
     reference = filterpy_kalman.KalmanFilter(states, 10, 2)
     zero, nothing = np.zeros(states), np.zeros(2)

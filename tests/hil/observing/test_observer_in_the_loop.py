@@ -17,7 +17,7 @@ from drivers.interface import Sample
 from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
 from hil.cli import main
-from hil.errors import LoopAborted, UnusableInputError
+from hil.errors import LoopAbortedError, UnusableInputError
 from hil.experiments import Scan
 from hil.machine import Machine
 from hil.machine.effects_file import read_effects_file
@@ -49,7 +49,9 @@ def imu_missing(recording: Recording) -> np.ndarray:
     return np.asarray(recording["estimate_measured"] == 4)
 
 
-def test_two_recordings_of_one_bench_are_each_replayed_from_their_own_row_0(machine: Machine, design: ObserverDesign, tmp_path) -> None:
+def test_two_recordings_of_one_bench_are_each_replayed_from_their_own_row_0(
+    machine: Machine, design: ObserverDesign, tmp_path: Path
+) -> None:
     plan = PLAN.plans(machine)[0]
     with open_bench(machine, BenchOptions("lockstep:", seed=5), plan.start_pose, LiveObserver(design.observer())) as bench:
         for name in ("one.mf4", "two.csv"):
@@ -60,7 +62,7 @@ def test_two_recordings_of_one_bench_are_each_replayed_from_their_own_row_0(mach
         assert recording.metadata["observer"]["filter"] == "ukf"
 
 
-def test_an_observer_that_only_watches_changes_no_command(machine: Machine, design: ObserverDesign, tmp_path) -> None:
+def test_an_observer_that_only_watches_changes_no_command(machine: Machine, design: ObserverDesign, tmp_path: Path) -> None:
     watched = scanned(machine, design, tmp_path / "watched.mf4")
     plan = PLAN.plans(machine)[0]
     with open_bench(machine, BenchOptions("lockstep:", seed=5), plan.start_pose) as bench:
@@ -70,7 +72,9 @@ def test_an_observer_that_only_watches_changes_no_command(machine: Machine, desi
         assert np.array_equal(channel.values, watched[name], equal_nan=True), name
 
 
-def test_an_imu_whose_readings_are_held_counts_as_missing_and_variances_grow(machine: Machine, design: ObserverDesign, tmp_path) -> None:
+def test_an_imu_whose_readings_are_held_counts_as_missing_and_variances_grow(
+    machine: Machine, design: ObserverDesign, tmp_path: Path
+) -> None:
     effects = tmp_path / "effects.toml"
     effects.write_text('[[effect]]\nname = "sample_dropout"\nat = "imu"\np = 0.3\nlength = 40\nseed = 4\n')
     emulated = machine.with_effects(read_effects_file(effects, machine))
@@ -81,12 +85,13 @@ def test_an_imu_whose_readings_are_held_counts_as_missing_and_variances_grow(mac
     variance = recording["estimate_detector_wy_variance"]
     begins = np.flatnonzero(np.diff(held.astype(int)) == 1)
     grows = [variance[k + 32] / variance[k] for k in begins if k > 128 and k + 32 < len(variance)]
-    assert len(grows) > 1 and min(grows) > 1.3, grows
+    assert len(grows) > 1, grows
+    assert min(grows) > 1.3, grows
     assert np.isfinite(recording["command_roll"]).all()
     assert_replayed(recording, design)
 
 
-def test_ticks_the_loop_lost_are_time_that_passed_live_and_in_replay(machine: Machine, design: ObserverDesign, tmp_path) -> None:
+def test_ticks_the_loop_lost_are_time_that_passed_live_and_in_replay(machine: Machine, design: ObserverDesign, tmp_path: Path) -> None:
     plan = PLAN.plans(machine)[0]
     with open_bench(machine, BenchOptions("lockstep:", seed=5), plan.start_pose, LiveObserver(design.observer())) as bench:
 
@@ -101,7 +106,7 @@ def test_ticks_the_loop_lost_are_time_that_passed_live_and_in_replay(machine: Ma
 
 
 def test_after_ticks_that_are_not_recorded_the_estimate_is_where_the_machine_went_meanwhile(
-    machine: Machine, design: ObserverDesign, tmp_path
+    machine: Machine, design: ObserverDesign, tmp_path: Path
 ) -> None:
     whole = scanned(machine, design, tmp_path / "whole.mf4")
     kept = np.ones(whole.rows, dtype=bool)
@@ -166,7 +171,7 @@ def cable(monkeypatch: pytest.MonkeyPatch) -> Cable:
     return cable
 
 
-def test_a_run_goes_on_without_its_imu_and_says_so(machine: Machine, design: ObserverDesign, cable: Cable, tmp_path) -> None:
+def test_a_run_goes_on_without_its_imu_and_says_so(machine: Machine, design: ObserverDesign, cable: Cable, tmp_path: Path) -> None:
     plan = PLAN.plans(machine)[0]
     with open_bench(machine, BenchOptions("lockstep:", seed=5), plan.start_pose, LiveObserver(design.observer())) as bench:
         timing = bench.run(plan, tmp_path / "unplugged.mf4", cable.pull_at(256))
@@ -174,23 +179,24 @@ def test_a_run_goes_on_without_its_imu_and_says_so(machine: Machine, design: Obs
     assert recording.rows == plan.rows
     assert np.flatnonzero(imu_missing(recording)).tolist() == list(range(257, plan.rows))
     (note,) = timing.notes
-    assert note.startswith("row 257: imu 'imu': serial port") and "goes on with encoders and model" in note
+    assert note.startswith("row 257: imu 'imu': serial port")
+    assert "goes on with encoders and model" in note
     variance = recording["estimate_detector_wy_variance"]
     assert variance[-1] > 2.0 * variance[256]
     assert np.isfinite(recording.matrix([f"estimate_detector_{axis}" for axis in ("x", "y", "z", "vx", "wx")])).all()
     assert_replayed(recording, design)
 
 
-def test_without_an_observer_an_imu_that_is_gone_ends_the_run(machine: Machine, cable: Cable, tmp_path) -> None:
+def test_without_an_observer_an_imu_that_is_gone_ends_the_run(machine: Machine, cable: Cable, tmp_path: Path) -> None:
     plan = PLAN.plans(machine)[0]
     with (
-        pytest.raises(LoopAborted, match="row 257: imu 'imu': serial port /dev/ttyUSB0 is gone"),
+        pytest.raises(LoopAbortedError, match="row 257: imu 'imu': serial port /dev/ttyUSB0 is gone"),
         open_bench(machine, BenchOptions("lockstep:", seed=5), plan.start_pose) as bench,
     ):
         bench.run(plan, tmp_path / "unplugged.mf4", cable.pull_at(256))
 
 
-def test_another_process_reads_whole_rows(tmp_path) -> None:
+def test_another_process_reads_whole_rows(tmp_path: Path) -> None:
     bus = f"virtual:{tmp_path.name}-{os.getpid()}"  # a killed test run may have left a page
     with pytest.raises(UnusableInputError, match="no observer runs there"):
         latest_estimate(bus)
@@ -208,7 +214,7 @@ def test_another_process_reads_whole_rows(tmp_path) -> None:
         board.close()
 
 
-def test_a_second_page_on_the_bus_leaves_the_first_writers_memory_alone_and_stays_when_it_ends(tmp_path) -> None:
+def test_a_second_page_on_the_bus_leaves_the_first_writers_memory_alone_and_stays_when_it_ends(tmp_path: Path) -> None:
     bus = f"virtual:{tmp_path.name}-{os.getpid()}"  # a killed test run may have left a page
     first = EstimateBoard(bus, [f"estimate_{k}" for k in range(2000)])  # some pages of memory
     second = EstimateBoard(bus, ["estimate_a"])
@@ -230,7 +236,7 @@ def leave_a_page(bus: str, name: str) -> None:
     subprocess.run([sys.executable, "-c", made], check=True)
 
 
-def test_pages_of_killed_runs_are_removed_and_those_of_living_ones_are_not(tmp_path) -> None:
+def test_pages_of_killed_runs_are_removed_and_those_of_living_ones_are_not(tmp_path: Path) -> None:
     lives, killed = f"virtual:{tmp_path.name}-{os.getpid()}", f"virtual:{tmp_path.name}-{os.getpid()}-killed"
     board = EstimateBoard(lives, ["estimate_a"])
     try:
@@ -246,7 +252,7 @@ def test_pages_of_killed_runs_are_removed_and_those_of_living_ones_are_not(tmp_p
         board.close()
 
 
-def test_a_run_that_begins_while_a_killed_one_s_page_is_removed_keeps_its_own(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_that_begins_while_a_killed_one_s_page_is_removed_keeps_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bus, begun, rename = f"virtual:{tmp_path.name}-{os.getpid()}", list[EstimateBoard](), Path.rename
     leave_a_page(bus, bus)
 
@@ -266,7 +272,7 @@ def test_a_run_that_begins_while_a_killed_one_s_page_is_removed_keeps_its_own(tm
 
 
 def test_the_command_runs_an_observer_and_refuses_what_does_not_fit(
-    machine: Machine, design: ObserverDesign, tmp_path, capsys: pytest.CaptureFixture[str]
+    machine: Machine, design: ObserverDesign, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_design(design, tmp_path / "carm.observer.npz")
     recorded = tmp_path / "still.mf4"
@@ -279,7 +285,8 @@ def test_the_command_runs_an_observer_and_refuses_what_does_not_fit(
     with pytest.raises(SystemExit) as left:
         main([*replay, "--json", "-"])
     document = json.loads(capsys.readouterr().out)
-    assert left.value.code == 0 and document["live"] == "the same"
+    assert left.value.code == 0
+    assert document["live"] == "the same"
     for more, word in (
         (["--observer", "absent.npz"], "absent.npz: no such file"),
         (["--damping", "0.1"], "give --observer FILE as well"),
@@ -289,4 +296,6 @@ def test_the_command_runs_an_observer_and_refuses_what_does_not_fit(
         with pytest.raises(SystemExit) as left:
             main([*still, *more])
         error = capsys.readouterr().err
-        assert left.value.code == 2 and word in error and len(error.strip().splitlines()) == 1
+        assert left.value.code == 2
+        assert word in error
+        assert len(error.strip().splitlines()) == 1

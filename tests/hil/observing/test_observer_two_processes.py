@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from hil.errors import UnusableInputError
 from hil.machine import Machine
@@ -52,7 +53,8 @@ def test_estimates_are_published_recorded_and_repeated(machine: Machine, design:
     emulate = [*ISOCENTER, "emulate", str(tmp_path / "patient.toml"), "--bus", BUS, "--no-real-time"]
     with subprocess.Popen(emulate, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as emulator:
         try:
-            assert emulator.stdout is not None and emulator.stdout.readline()
+            assert emulator.stdout is not None
+            assert emulator.stdout.readline()
             run = [*ISOCENTER, "run", "static", "-m", str(tmp_path / "patient.toml"), "-b", BUS, "--seconds", "2", "--no-real-time"]
             options = ["--observer", str(tmp_path / "carm.observer.npz"), "-o", str(tmp_path / "still.mf4")]
             with subprocess.Popen([*run, *options], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
@@ -66,11 +68,8 @@ def test_estimates_are_published_recorded_and_repeated(machine: Machine, design:
     replayed = observe(recording, design.observer())
     assert recording.rows > 256  # a tick that was missed is no row
     assert np.array_equal(recording.matrix(replayed.names), replayed.values, equal_nan=True)
-    assert seen is not None and seen.names == replayed.names
+    assert seen is not None
+    assert seen.names == replayed.names
     assert np.array_equal(seen.values, np.full(len(seen.names), np.nan) if seen.row < 0 else replayed.values[seen.row], equal_nan=True)
-    try:
+    with pytest.raises(UnusableInputError, match="no observer runs there"):
         latest_estimate(BUS)
-    except UnusableInputError as error:
-        assert "no observer runs there" in str(error)
-    else:
-        raise AssertionError("the estimate outlived the run")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -114,7 +115,7 @@ def test_the_detectors_rocking_is_seen_though_no_encoder_sees_it(machine: Machin
         assert np.linalg.norm(here - there) < left_open_rad, f"{here} against {there}"
 
 
-def test_a_live_observer_and_its_replay_agree_to_the_bit(machine: Machine, design: ObserverDesign, tmp_path) -> None:
+def test_a_live_observer_and_its_replay_agree_to_the_bit(machine: Machine, design: ObserverDesign, tmp_path: Path) -> None:
     live = LiveObserver(design.observer("ukf"))
     plan = Scan("roll", -0.1, 0.1, 0.2, dwell_s=0.3).plans(machine)[0]
     with open_bench(machine, BenchOptions("lockstep:", seed=5), plan.start_pose, live) as bench:
@@ -125,14 +126,14 @@ def test_a_live_observer_and_its_replay_agree_to_the_bit(machine: Machine, desig
     assert np.isfinite(replayed.values[-1]).all()
 
 
-def test_a_design_file_keeps_every_bit(design: ObserverDesign, scan: Recording, tmp_path) -> None:
+def test_a_design_file_keeps_every_bit(design: ObserverDesign, scan: Recording, tmp_path: Path) -> None:
     write_design(design, tmp_path / "carm.observer.npz")
     again = read_design(tmp_path / "carm.observer.npz")
     short = scan.part(slice(0, 100))
     assert np.array_equal(observe(short, design.observer()).values, observe(short, again.observer()).values, equal_nan=True)
 
 
-def test_estimates_are_read_by_numpy_alone_and_join_a_recording(design: ObserverDesign, scan: Recording, tmp_path) -> None:
+def test_estimates_are_read_by_numpy_alone_and_join_a_recording(design: ObserverDesign, scan: Recording, tmp_path: Path) -> None:
     short = scan.part(slice(0, 100))
     estimate = observe(short, design.observer("ekf"))
     write_estimate(estimate, tmp_path / "run.est.npz")
@@ -144,7 +145,8 @@ def test_estimates_are_read_by_numpy_alone_and_join_a_recording(design: Observer
     write_estimate(estimate, tmp_path / "run.mf4", short)
     joined = read_recording(tmp_path / "run.mf4")
     assert np.array_equal(joined["estimate_detector_ry_variance"], estimate["estimate_detector_ry_variance"])
-    assert joined.channel("estimate_detector_ry_variance").unit == "rad^2" and "position_roll" in joined
+    assert joined.channel("estimate_detector_ry_variance").unit == "rad^2"
+    assert "position_roll" in joined
 
 
 def test_a_recording_without_link_encoders_is_replayed_and_that_is_said(design: ObserverDesign, scan: Recording) -> None:
@@ -161,7 +163,7 @@ def test_a_recording_without_link_encoders_is_replayed_and_that_is_said(design: 
         assert variance < design.noise.measurement[2 + k] ** 2
 
 
-def test_what_cannot_be_observed_is_refused_in_one_line(machine: Machine, design: ObserverDesign, scan: Recording, tmp_path) -> None:
+def test_what_cannot_be_observed_is_refused_in_one_line(machine: Machine, design: ObserverDesign, scan: Recording, tmp_path: Path) -> None:
     observer = design.observer("ekf")
     nothing = Recording({"time": scan.channels["time"], "temperature_roll": Channel("degC", np.zeros(scan.rows))}, {})
     with pytest.raises(RecordingError, match="none of the channels"):
@@ -233,7 +235,7 @@ def emulated_responses_none() -> list:
 
 
 def test_the_command_writes_estimates_and_says_whether_to_believe_them(
-    design: ObserverDesign, scan: Recording, tmp_path, capsys: pytest.CaptureFixture[str]
+    design: ObserverDesign, scan: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from hil.recording import write_recording
 
@@ -244,7 +246,9 @@ def test_the_command_writes_estimates_and_says_whether_to_believe_them(
         main([*arguments, "--design", str(tmp_path / "carm.observer.npz"), "--json", "-"])
     assert left.value.code == 0
     document = json.loads(capsys.readouterr().out)
-    assert document["rows"] == 400 and 0.5 < document["mean_nis"] < 1.5 and document["alarm_share"] < 0.05
+    assert document["rows"] == 400
+    assert 0.5 < document["mean_nis"] < 1.5
+    assert document["alarm_share"] < 0.05
     assert len(read_estimate(tmp_path / "scan.est.npz").time_s) == 400
     for more, word in (
         (["--filter", "pf"], "kf, ekf, ukf"),
@@ -256,10 +260,14 @@ def test_the_command_writes_estimates_and_says_whether_to_believe_them(
         with pytest.raises(SystemExit) as left:
             main([*arguments, *extra])
         error = capsys.readouterr().err
-        assert left.value.code == 2 and word in error and len(error.strip().splitlines()) == 1
+        assert left.value.code == 2
+        assert word in error
+        assert len(error.strip().splitlines()) == 1
 
 
-def test_the_command_designs_from_multisines_and_standing_records(machine: Machine, scan: Recording, tmp_path, capsys) -> None:
+def test_the_command_designs_from_multisines_and_standing_records(
+    machine: Machine, scan: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     from controllers.excitation_lines import Band
     from hil.experiments import Multisine
     from hil.recording import write_recording
@@ -283,5 +291,6 @@ def test_the_command_designs_from_multisines_and_standing_records(machine: Machi
     said = capsys.readouterr()
     assert left.value.code == 0, said.err
     assert (tmp_path / "scan.png").stat().st_size > 10_000
-    assert "1 poses" in said.out and "tuned on the recording itself" in said.out
+    assert "1 poses" in said.out
+    assert "tuned on the recording itself" in said.out
     assert read_design(tmp_path / "made.npz").model.frequencies_Hz(np.array([0.0, 0.2]))[1] == pytest.approx(14.04, rel=0.01)

@@ -86,7 +86,8 @@ def sag_by_statics(pose: float) -> np.ndarray:
 
 def test_a_mount_gives_way_to_gravity_as_it_does_to_the_drive(model: ModalModel) -> None:
     sagging, mount = with_sag(model, POSES[:, None], POSES[:, None], np.array([TORQUE_PER_A]))
-    assert mount is not None and mount.is_clear
+    assert mount is not None
+    assert mount.is_clear
     assert 1.0 / mount.compliance == pytest.approx(MOUNT_STIFFNESS, rel=0.02)
     assert mount.lever == pytest.approx(LEVER, rel=0.02)
     between = np.linspace(-2.3, 2.3, 9)
@@ -102,5 +103,7 @@ def test_what_is_not_told_stays_without_sag(model: ModalModel) -> None:
     assert with_sag(upright, POSES[:, None], POSES[:, None], gain) == (upright, None)
     few = POSES[7:8, None]
     still, mount = with_sag(model, few, few, gain)
-    assert still is model and mount is not None and not mount.is_clear
+    assert still is model
+    assert mount is not None
+    assert not mount.is_clear
     assert "left out" in mount.note

@@ -85,7 +85,8 @@ def test_deviations_of_springs_are_those_of_the_fit_without_some_poses_each_time
         found.append([*fitted.springs, fitted.mount.lever])
     jackknife = np.sqrt(10.0) * np.std(found, axis=0)
     ratio = np.append(structure.deviations, structure.lever_deviation) / jackknife
-    assert (ratio > 0.5).all() and (ratio < 2.0).all(), ratio
+    assert (ratio > 0.5).all(), ratio
+    assert (ratio < 2.0).all(), ratio
 
 
 def test_modal_masses_are_found_also_where_a_drive_hardly_moves(structure: Structure) -> None:
@@ -127,7 +128,9 @@ def test_the_mode_that_no_line_excited_is_what_the_springs_leave_for_it(machine:
     true = true_model(machine, exact, 5, joints, COUNTS)
     placed = with_coupling(with_places(exact, structure), structure, effort_gain(machine))
     whole, note = with_last_mode(placed, structure, 40.0)
-    assert whole.modes == 5 and note.startswith("mode 5, above the lines") and "72 Hz" in note
+    assert whole.modes == 5
+    assert note.startswith("mode 5, above the lines")
+    assert "72 Hz" in note
     wrong = {4: 0.0, 5: 0.0}
     for pose in (np.array([0.3, -0.8]), np.array([-1.2, 0.5]), np.array([0.9, 1.2])):
         wanted = detector_by(true, pose)
@@ -154,9 +157,12 @@ def test_the_last_mode_moves_a_second_sensor_on_the_detector_likewise_and_is_lef
     two, other = (replace(placed, sensors=(placed.sensors[0], second), coefficients=rows) for second in (on_detector, elsewhere))
     model, _ = with_last_mode(two, structure, 40.0)
     shape = model.at(pose)[modes * model.mode_stride :][twist.start :][:12].reshape(2, 6)
-    assert np.abs(wanted).max() > 0.0 and shape == pytest.approx(np.tile(wanted, (2, 1)), rel=1e-12)
+    assert np.abs(wanted).max() > 0.0
+    assert shape == pytest.approx(np.tile(wanted, (2, 1)), rel=1e-12)
     left, note = with_last_mode(other, structure, 40.0)
-    assert left is other and note.startswith("mode 5, above the lines, is left out") and elsewhere.channels[0] in note
+    assert left is other
+    assert note.startswith("mode 5, above the lines, is left out")
+    assert elsewhere.channels[0] in note
 
 
 def test_gravity_at_its_places_is_told_through_noise_that_bends_told_pose_by_pose_let_through(
@@ -193,7 +199,8 @@ def test_gravity_at_its_places_is_told_through_noise_that_bends_told_pose_by_pos
             found = Rotation.from_matrix(straight.T @ turned @ Rotation.from_rotvec(bend @ table[:, 5 + 2 * n : 8 + 2 * n]).as_matrix())
             errors[name].append(float(np.linalg.norm(found.as_rotvec() - true)))
     rms = {name: np.sqrt(np.mean(np.square(each))) for name, each in errors.items()}
-    assert rms["together"] < 2e-5 and rms["together"] < 0.5 * rms["alone"], rms
+    assert rms["together"] < 2e-5, rms
+    assert rms["together"] < 0.5 * rms["alone"], rms
 
 
 def test_inertias_told_wrong_with_the_sign_of_the_first_axis_come_out_right(

@@ -102,7 +102,8 @@ def test_an_offset_of_a_motor_counter_is_found_and_those_that_only_images_tell_a
         observer.step_measured(measured[k], commands[max(k - 1, 0)])
     at = observer.state_names.index("offset_motor_roll")
     spread = np.sqrt(observer.covariance[at, at])
-    assert abs(observer.state[at] - motor) < 4.0 * spread and spread < 0.2 * 1e-3
+    assert abs(observer.state[at] - motor) < 4.0 * spread
+    assert spread < 0.2 * 1e-3
     blind = {name for group in observability(observer, [np.zeros(2)]).blind for name in group}
     assert {f"offset_detector_{name}" for name in ("x", "y", "z", "rx", "ry", "rz")} <= blind
 
@@ -143,7 +144,8 @@ def test_offsets_that_do_not_fit_are_one_clear_line() -> None:
 def test_positions_to_measure_at_are_those_between_which_polynomials_do_not_swing(machine: Machine) -> None:
     for axis, count in ((0, 5), (0, 9), (1, 11)):
         positions, limit = np.array(axis_grid(machine, axis, count)), machine.limits[axis]
-        assert limit.lower < positions[0] < limit.lower + 0.1 and limit.upper - 0.1 < positions[-1] < limit.upper
+        assert limit.lower < positions[0] < limit.lower + 0.1
+        assert limit.upper - 0.1 < positions[-1] < limit.upper
         between = np.linspace(positions[0], positions[-1], 1001)
         weights = _functions(between, count) @ np.linalg.inv(_functions(positions, count))
         assert np.abs(weights).sum(axis=1).max() < 2.5  # Lebesgue's constant
@@ -156,7 +158,9 @@ def test_poses_along_a_line_or_a_cross_are_warned_of_and_a_grid_is_not() -> None
     grid = np.array([[first, second] for first in along[::4] for second in along[::4]])
     for poses in (line, cross):
         (warning,) = untold_note(poses, harmonics_for(poses), "responses")
-        assert warning.startswith("WARNING") and "do not tell how the axes act together" in warning and "\n" not in warning
+        assert warning.startswith("WARNING")
+        assert "do not tell how the axes act together" in warning
+        assert "\n" not in warning
     assert untold_note(grid, harmonics_for(grid), "responses") == ()
 
 

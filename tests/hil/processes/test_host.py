@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -18,11 +19,11 @@ BUS = "udp:239.74.163.77"
 
 
 @pytest.fixture(autouse=True)
-def own_folder(monkeypatch, tmp_path):
+def own_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
 
 
-def test_an_emulators_ports_are_found_by_its_bus_as_long_as_it_lives():
+def test_an_emulators_ports_are_found_by_its_bus_as_long_as_it_lives() -> None:
     card = EmulatorCard(BUS, os.getpid(), "/dev/pts/7", "tcp:127.0.0.1:5020")
     assert find(BUS) is None
     with published(card):
@@ -31,14 +32,14 @@ def test_an_emulators_ports_are_found_by_its_bus_as_long_as_it_lives():
     assert find(BUS) is None
 
 
-def test_the_card_of_an_emulator_that_was_killed_is_not_believed():
+def test_the_card_of_an_emulator_that_was_killed_is_not_believed() -> None:
     dead = subprocess.Popen([sys.executable, "-c", ""])
     dead.wait()
     with published(EmulatorCard(BUS, dead.pid, "/dev/pts/7", "")):
         assert find(BUS) is None
 
 
-def test_ticks_lost_on_an_emulated_machine_are_told_to_who_observes_it(tmp_path):
+def test_ticks_lost_on_an_emulated_machine_are_told_to_who_observes_it(tmp_path: Path) -> None:
     run = RunOptions(tmp_path / "r.mf4", bus=BUS, observer=tmp_path / "observer.npz")
     assert stepped_over(run, 3) == (), "a real machine moves on"
     with published(EmulatorCard(BUS, os.getpid(), "", "")):
@@ -47,28 +48,32 @@ def test_ticks_lost_on_an_emulated_machine_are_told_to_who_observes_it(tmp_path)
         assert stepped_over(run, 0) == () == stepped_over(replace(run, observer=None), 3)
 
 
-def test_a_damaged_card_is_no_card(tmp_path):
+def test_a_damaged_card_is_no_card(tmp_path: Path) -> None:
     with published(EmulatorCard(BUS, os.getpid(), "", "")):
         (path,) = tmp_path.glob("*/*.json")
         path.write_text('{"bus": 1')
         assert find(BUS) is None
 
 
-def test_real_time_is_given_back_and_garbage_is_collected_again():
+def test_real_time_is_given_back_and_garbage_is_collected_again() -> None:
     before = os.sched_getscheduler(0)
     with real_time() as granted:
         assert not gc.isenabled()
         assert str(granted).startswith(("SCHED_FIFO 50", "default scheduler"))
         assert (os.sched_getscheduler(0) == os.SCHED_FIFO) == (granted.scheduler == "SCHED_FIFO 50")
-    assert gc.isenabled() and gc.get_freeze_count() == 0 and os.sched_getscheduler(0) == before
+    assert gc.isenabled()
+    assert gc.get_freeze_count() == 0
+    assert os.sched_getscheduler(0) == before
 
 
-def test_real_time_that_is_not_wanted_is_not_asked_for():
+def test_real_time_that_is_not_wanted_is_not_asked_for() -> None:
     with real_time(wanted=False) as granted:
-        assert granted.scheduler == "default scheduler" and not granted.memory_locked
+        assert granted.scheduler == "default scheduler"
+        assert not granted.memory_locked
 
 
-def test_a_loop_that_fails_gives_everything_back_too():
+def test_a_loop_that_fails_gives_everything_back_too() -> None:
     with pytest.raises(ZeroDivisionError), real_time():
         _ = 1 / 0
-    assert gc.isenabled() and os.sched_getscheduler(0) == os.SCHED_OTHER
+    assert gc.isenabled()
+    assert os.sched_getscheduler(0) == os.SCHED_OTHER

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -22,7 +23,7 @@ if __name__ == "__main__":
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGKILL")
 @pytest.mark.parametrize("method", ["fork", "spawn"])
-def test_workers_of_a_process_that_was_killed_end(method, tmp_path):
+def test_workers_of_a_process_that_was_killed_end(method: str, tmp_path: Path) -> None:
     """They hold its output open while they live."""
     script = tmp_path / "pool.py"
     script.write_text(POOL)

@@ -14,7 +14,7 @@ from hil.receiving.watch import Live, Watch
 CONTEXT, PERIOD = multiprocessing.get_context("spawn"), 1.0 / 256.0
 
 
-def test_a_lost_tick_shifts_the_loops_time_against_the_count_of_syncs():
+def test_a_lost_tick_shifts_the_loops_time_against_the_count_of_syncs() -> None:
     box = Mailbox(CONTEXT, 2)
     end = LoopEnd(box)
     for row in (0, 1, 2, 5, 6):  # two ticks were lost
@@ -24,7 +24,7 @@ def test_a_lost_tick_shifts_the_loops_time_against_the_count_of_syncs():
     assert np.isnan(box.loop_time(4.5 * PERIOD, PERIOD)), "of a row that has not been told"
 
 
-def test_what_a_full_mailbox_has_no_place_for_is_counted_and_what_it_holds_is_whole():
+def test_what_a_full_mailbox_has_no_place_for_is_counted_and_what_it_holds_is_whole() -> None:
     box = Mailbox(CONTEXT, 2)
     end = LoopEnd(box)
     for number in range(LETTERS + 3):
@@ -32,10 +32,11 @@ def test_what_a_full_mailbox_has_no_place_for_is_counted_and_what_it_holds_is_wh
     assert end.lost == 3
     assert [(each.exposure_id, each.values[0]) for each in end.collect(0)] == [(k, k) for k in range(LETTERS)]
     box.send(Sighting(99, 99, 9.9, "phantom", np.zeros(2), np.zeros(9), np.eye(9)))
-    assert [each.exposure_id for each in end.collect(1)] == [99] and end.lost == 3
+    assert [each.exposure_id for each in end.collect(1)] == [99]
+    assert end.lost == 3
 
 
-def test_an_image_of_a_row_that_is_kept_no_longer_is_counted_and_one_of_before_row_0_is_not():
+def test_an_image_of_a_row_that_is_kept_no_longer_is_counted_and_one_of_before_row_0_is_not() -> None:
     box, panel = Mailbox(CONTEXT, 2), Detector(16, 12, 20e-3)
     end, watch = LoopEnd(box), Watch(Live(load_machine("carm"), box), panel, None)
     for row in range(POSES + 200):

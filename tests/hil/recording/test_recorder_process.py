@@ -1,10 +1,13 @@
 """The recorder process under SIGKILL: whatever dies, at whatever moment, what was in the journal is read, row after row."""
 
+from __future__ import annotations
+
 import os
 import select
 import signal
 import subprocess
 import sys
+import time
 import warnings
 from pathlib import Path
 
@@ -13,10 +16,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from places import SUPPORT
+from refusals import answer_or_refusal
 
 from hil.errors import RecordingError
-from hil.recording import RecorderProcess, read_recording
-from hil.recording.recorder import DRAIN_PERIOD_S
+from hil.recording import RecorderProcess, Recording, read_recording
+from hil.recording.journal import recover
 from hil.recording.ring import Ring
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are killed and awaited with Linux's pidfd")
@@ -31,55 +35,55 @@ CHANNELS = [("time", "s"), ("position_roll", "rad")]
 class Loop:
     """A loop process, and what it said last."""
 
-    def __init__(self, path, rows=ENDLESS):
+    def __init__(self, path: Path, rows: int = ENDLESS) -> None:
         self.process = subprocess.Popen([sys.executable, LOOP, path, str(rows)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         self.recorder = self.kept = 0
 
-    def listen(self, lines):
+    def listen(self, lines: int) -> None:
         for _ in range(lines):
             word, number = self.process.stdout.readline().split()
             if word == "closed":
                 return
             self.recorder, self.kept = int(word), int(number)
 
-    def kill(self):
+    def kill(self) -> None:
         self.process.kill()
         self.process.wait()
 
-    def complaints(self):
+    def complaints(self) -> str:
         """Everything it and its recorder wrote to the terminal; returns once both are gone."""
         return self.process.stderr.read()
 
 
-def ended(pid):
+def ended(pid: int) -> int:
     """A handle that turns readable when the process ends."""
     return os.pidfd_open(pid)
 
 
-def wait_for(handle):
+def wait_for(handle: int) -> None:
     readable, _, _ = select.select([handle], [], [], 60.0)
     os.close(handle)
     assert readable, "the recorder did not end"
 
 
-def read_whatever_is_there(path):
+def read_whatever_is_there(path: Path) -> Recording:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return read_recording(path)
 
 
-def assert_unbroken(recording, at_least):
+def assert_unbroken(recording: Recording, at_least: int) -> None:
     np.testing.assert_array_equal(recording["estimate_row"], np.arange(recording.rows))
     assert recording.rows >= at_least
 
 
-def named_memory(pid):
+def named_memory(pid: int) -> list[object]:
     """Shared memory of a process that has a name, and so would be left behind if everybody were killed."""
     return [line for line in Path(f"/proc/{pid}/maps").read_text().splitlines() if "/dev/shm/" in line]
 
 
 @pytest.mark.parametrize("lines", [2, 40, 103])  # the first is said before the first row
-def test_when_the_loop_is_killed_the_recorder_finishes_the_recording(tmp_path, lines):
+def test_when_the_loop_is_killed_the_recorder_finishes_the_recording(tmp_path: Path, lines: int) -> None:
     path = tmp_path / "run.mf4"
     loop = Loop(path)
     loop.listen(lines)
@@ -96,7 +100,7 @@ def test_when_the_loop_is_killed_the_recorder_finishes_the_recording(tmp_path, l
 
 
 @pytest.mark.parametrize("lines", [1, 60])
-def test_when_the_recorder_is_killed_again_and_again_no_row_is_lost(tmp_path, lines):
+def test_when_the_recorder_is_killed_again_and_again_no_row_is_lost(tmp_path: Path, lines: int) -> None:
     path = tmp_path / "run.csv"
     loop = Loop(path, rows=20_000)
     killed = set()
@@ -115,7 +119,7 @@ def test_when_the_recorder_is_killed_again_and_again_no_row_is_lost(tmp_path, li
     assert not (tmp_path / "run.csv.part").exists()
 
 
-def test_a_recorder_is_replaced_by_a_process_that_is_not_the_loops_child(tmp_path):
+def test_a_recorder_is_replaced_by_a_process_that_is_not_the_loops_child(tmp_path: Path) -> None:
     """The loop's process is copied for nobody while it ticks."""
     with RecorderProcess(tmp_path / "run.csv", CHANNELS, {}) as recorder:
         first, keeper = recorder.pid, os.getpgid(recorder.pid)
@@ -129,7 +133,7 @@ def test_a_recorder_is_replaced_by_a_process_that_is_not_the_loops_child(tmp_pat
     np.testing.assert_array_equal(read_recording(tmp_path / "run.csv")["position_roll"], np.arange(100))
 
 
-def test_a_recorder_records_on_when_the_process_that_would_replace_it_is_killed(tmp_path):
+def test_a_recorder_records_on_when_the_process_that_would_replace_it_is_killed(tmp_path: Path) -> None:
     with RecorderProcess(tmp_path / "run.csv", CHANNELS, {}) as recorder:
         fill(recorder, 0, 50)
         os.kill(os.getpgid(recorder.pid), signal.SIGKILL)
@@ -139,7 +143,7 @@ def test_a_recorder_records_on_when_the_process_that_would_replace_it_is_killed(
 
 @pytest.mark.parametrize("first", ["loop", "recorder"])
 @pytest.mark.parametrize("lines", [3, 88])
-def test_when_both_are_killed_another_recorder_finishes_the_recording(tmp_path, first, lines):
+def test_when_both_are_killed_another_recorder_finishes_the_recording(tmp_path: Path, first: str, lines: int) -> None:
     path = tmp_path / "run.mf4"
     loop = Loop(path)
     loop.listen(lines)
@@ -156,7 +160,7 @@ def test_when_both_are_killed_another_recorder_finishes_the_recording(tmp_path, 
 
 
 @pytest.mark.parametrize("lines", [3, 88])
-def test_when_all_are_killed_the_journal_is_read(tmp_path, lines):
+def test_when_all_are_killed_the_journal_is_read(tmp_path: Path, lines: int) -> None:
     path = tmp_path / "run.mf4"
     loop = Loop(path)
     loop.listen(lines)
@@ -170,22 +174,37 @@ def test_when_all_are_killed_the_journal_is_read(tmp_path, lines):
     assert loop.complaints() == ""
 
 
-def test_rows_reach_the_disk_well_within_the_second_that_may_be_lost():
-    assert DRAIN_PERIOD_S <= 0.1
+def test_rows_reach_the_disk_well_within_the_second_that_may_be_lost(tmp_path: Path) -> None:
+    took_s = []
+    with RecorderProcess(tmp_path / "run.csv", CHANNELS, {}) as recorder:
+        for k in range(1, 6):  # a busy computer may delay some of them
+            fill(recorder, 10 * (k - 1), 10 * k)
+            put_s = time.monotonic()
+            while rows_on_disk(tmp_path / "run.csv.part") < 10 * k:
+                assert time.monotonic() - put_s < 10.0
+                time.sleep(0.005)
+            took_s.append(time.monotonic() - put_s)
+    assert min(took_s) < 0.2
 
 
-def fill(recorder, first, last):
+def rows_on_disk(part: Path) -> int:
+    """Rows that could be read from the journal if all processes were killed now."""
+    recovered, _ = answer_or_refusal(RecordingError, recover, part)
+    return 0 if recovered is None else recovered.rows
+
+
+def fill(recorder: RecorderProcess, first: int, last: int) -> None:
     for k in range(first, last):
         recorder.put(np.array([k / 256.0, float(k)]))
 
 
-def stop(recorder):
+def stop(recorder: RecorderProcess) -> None:
     os.kill(recorder.pid, signal.SIGSTOP)
     while Path(f"/proc/{recorder.pid}/stat").read_text().rpartition(")")[2].split()[0] != "T":
         os.sched_yield()
 
 
-def test_a_full_ring_loses_the_newest_rows_counts_them_and_never_waits(tmp_path):
+def test_a_full_ring_loses_the_newest_rows_counts_them_and_never_waits(tmp_path: Path) -> None:
     with RecorderProcess(tmp_path / "run.csv", CHANNELS, {}, capacity_rows=8) as recorder:
         stop(recorder)
         fill(recorder, 0, 20)
@@ -196,7 +215,7 @@ def test_a_full_ring_loses_the_newest_rows_counts_them_and_never_waits(tmp_path)
     assert recording.metadata["rows_lost"] == 12
 
 
-def test_a_recorder_killed_at_the_very_end_leaves_the_rest_to_the_loop(tmp_path):
+def test_a_recorder_killed_at_the_very_end_leaves_the_rest_to_the_loop(tmp_path: Path) -> None:
     with RecorderProcess(tmp_path / "run.csv", CHANNELS, {}) as recorder:
         stop(recorder)
         fill(recorder, 0, 100)
@@ -205,7 +224,7 @@ def test_a_recorder_killed_at_the_very_end_leaves_the_rest_to_the_loop(tmp_path)
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
-def test_signals_that_mean_the_loop_do_not_end_the_recorder(tmp_path, name):
+def test_signals_that_mean_the_loop_do_not_end_the_recorder(tmp_path: Path, name: str) -> None:
     with RecorderProcess(tmp_path / "run.csv", CHANNELS, {}) as recorder:
         handle = ended(recorder.pid)
         os.kill(recorder.pid, getattr(signal, name))
@@ -216,7 +235,7 @@ def test_signals_that_mean_the_loop_do_not_end_the_recorder(tmp_path, name):
     assert read_recording(tmp_path / "run.csv").rows == 100
 
 
-def test_the_ring_wraps_without_mixing_rows(tmp_path):
+def test_the_ring_wraps_without_mixing_rows(tmp_path: Path) -> None:
     with RecorderProcess(tmp_path / "run.csv", CHANNELS, {}, capacity_rows=64) as recorder:
         for k in range(2000):
             while k - recorder.rows_kept >= 64:
@@ -225,7 +244,7 @@ def test_the_ring_wraps_without_mixing_rows(tmp_path):
     np.testing.assert_array_equal(read_recording(tmp_path / "run.csv")["position_roll"], np.arange(2000))
 
 
-def test_rows_a_recorder_finds_no_room_for_are_written_by_the_loop(tmp_path):
+def test_rows_a_recorder_finds_no_room_for_are_written_by_the_loop(tmp_path: Path) -> None:
     recorder = RecorderProcess(tmp_path / "run.csv", CHANNELS, {})
     resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE, (4096, 4096))
     fill(recorder, 0, 1000)
@@ -233,7 +252,7 @@ def test_rows_a_recorder_finds_no_room_for_are_written_by_the_loop(tmp_path):
     np.testing.assert_array_equal(read_recording(tmp_path / "run.csv")["position_roll"], np.arange(1000))
 
 
-def test_a_full_disk_is_one_line_at_the_end_and_what_fitted_is_read(tmp_path):
+def test_a_full_disk_is_one_line_at_the_end_and_what_fitted_is_read(tmp_path: Path) -> None:
     recorder = RecorderProcess(tmp_path / "run.csv", CHANNELS, {})
     resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE, (4096, 4096))
     fill(recorder, 0, 100)
@@ -252,15 +271,19 @@ def test_a_full_disk_is_one_line_at_the_end_and_what_fitted_is_read(tmp_path):
     assert recording.rows >= 100
 
 
-def test_a_folder_that_is_not_there_is_one_line_before_anything_starts(tmp_path):
+def test_a_folder_that_is_not_there_is_one_line_before_anything_starts(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"run\.csv\.part: cannot be written: No such file or directory"):
         RecorderProcess(tmp_path / "absent" / "run.csv", CHANNELS, {})
 
 
-def test_a_failed_run_is_kept_with_its_reason(tmp_path):
-    with pytest.raises(ValueError, match="limit"), RecorderProcess(tmp_path / "run.csv", CHANNELS, {}) as recorder:
-        fill(recorder, 0, 10)
-        raise ValueError("a limit tripped")
+def test_a_failed_run_is_kept_with_its_reason(tmp_path: Path) -> None:
+    def failing_loop() -> None:
+        with RecorderProcess(tmp_path / "run.csv", CHANNELS, {}) as recorder:
+            fill(recorder, 0, 10)
+            raise ValueError("a limit tripped")
+
+    with pytest.raises(ValueError, match="limit"):
+        failing_loop()
     recording = read_recording(tmp_path / "run.csv")
     assert recording.rows == 10
     assert recording.metadata["ended"] == {"error": "a limit tripped"}
@@ -268,7 +291,7 @@ def test_a_failed_run_is_kept_with_its_reason(tmp_path):
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(capacity=st.integers(1, 9), steps=st.lists(st.tuples(st.integers(0, 12), st.integers(1, 12)), max_size=20))
-def test_what_is_taken_from_a_ring_is_what_was_put_in_order(capacity, steps):
+def test_what_is_taken_from_a_ring_is_what_was_put_in_order(capacity: int, steps: list[tuple[int, int]]) -> None:
     ring = Ring(1, capacity)
     put = taken = 0
     for wanted, limit in steps:

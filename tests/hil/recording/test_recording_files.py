@@ -1,6 +1,9 @@
 """Recordings through files and back: nothing is lost, nothing is invented, and damage is one clear line."""
 
+from __future__ import annotations
+
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +11,7 @@ import pytest
 from asammdf import MDF
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from refusals import answer_or_refusal
 
 from hil.errors import RecordingError
 from hil.files.toml_text import plain, toml_text
@@ -28,7 +32,7 @@ KINDS = {"position_roll": ("rad", values), "effort_x": ("N", values), "estimate_
 
 
 @st.composite
-def recordings(draw):
+def recordings(draw: Callable[..., object]) -> Recording:
     steps = draw(st.lists(st.floats(1e-6, 1e3), min_size=1, max_size=12))
     rows = len(steps)
     channels = {"time": Channel("s", np.cumsum(steps))}
@@ -38,7 +42,7 @@ def recordings(draw):
     return Recording(channels, {"note": draw(tables), "machine": {"name": draw(text), "hash": "h", "text": draw(text), "axes": ["roll"]}})
 
 
-def assert_same(found, wanted):
+def assert_same(found: Recording, wanted: Recording) -> None:
     assert list(found.channels) == list(wanted.channels)
     for name, channel in wanted.channels.items():
         assert found.channels[name].unit == channel.unit
@@ -51,7 +55,7 @@ def assert_same(found, wanted):
 
 @FILES
 @given(recordings(), st.sampled_from([".mf4", ".csv"]))
-def test_what_is_written_reads_back_bit_for_bit(tmp_path, recording, suffix):
+def test_what_is_written_reads_back_bit_for_bit(tmp_path: Path, recording: Recording, suffix: str) -> None:
     path = tmp_path / f"run{suffix}"
     write_recording(recording, path)
     assert_same(read_recording(path), recording)
@@ -60,11 +64,11 @@ def test_what_is_written_reads_back_bit_for_bit(tmp_path, recording, suffix):
 
 @settings(max_examples=200, deadline=None)
 @given(tables)
-def test_toml_text_reads_back_equal(table):
+def test_toml_text_reads_back_equal(table: dict[str, object]) -> None:
     assert tomllib.loads(toml_text(table)) == plain(table)
 
 
-def example(rows=6):
+def example(rows: int = 6) -> Recording:
     position = np.linspace(0.0, 1.0, rows)
     position[2] = np.nan
     status = np.full(rows, 0x1237, dtype=float)
@@ -79,7 +83,7 @@ def example(rows=6):
     return Recording(channels, {"machine": machine, "experiment": {"seed": 3}})
 
 
-def test_asammdf_sees_ordinary_signals_with_units_and_invalid_samples(tmp_path):
+def test_asammdf_sees_ordinary_signals_with_units_and_invalid_samples(tmp_path: Path) -> None:
     write_recording(example(), tmp_path / "run.mf4")
     with MDF(tmp_path / "run.mf4") as mdf:
         position = mdf.get("position_roll", ignore_invalidation_bits=True)
@@ -93,13 +97,13 @@ def test_asammdf_sees_ordinary_signals_with_units_and_invalid_samples(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".mf4", ".csv"])
-def test_the_same_recording_is_the_same_file(tmp_path, suffix):
+def test_the_same_recording_is_the_same_file(tmp_path: Path, suffix: str) -> None:
     write_recording(example(), tmp_path / f"a{suffix}")
     write_recording(example(), tmp_path / f"b{suffix}")
     assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
 
 
-def test_the_start_of_a_recording_is_the_start_in_asammdf(tmp_path):
+def test_the_start_of_a_recording_is_the_start_in_asammdf(tmp_path: Path) -> None:
     write_recording(example().with_metadata(started="2025-06-30T12:00:00+02:00"), tmp_path / "run.mf4")
     with MDF(tmp_path / "run.mf4") as mdf:
         assert mdf.header.start_time.isoformat() == "2025-06-30T12:00:00+02:00"
@@ -108,7 +112,7 @@ def test_the_start_of_a_recording_is_the_start_in_asammdf(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["run.mf4", "run.csv"])
-def test_a_file_that_cannot_be_written_whole_leaves_the_old_one(tmp_path, name):
+def test_a_file_that_cannot_be_written_whole_leaves_the_old_one(tmp_path: Path, name: str) -> None:
     resource = pytest.importorskip("resource", reason="file sizes are limited with POSIX's resource")
     write_recording(example(), tmp_path / name)
     rows = 2000
@@ -124,7 +128,7 @@ def test_a_file_that_cannot_be_written_whole_leaves_the_old_one(tmp_path, name):
     assert_same(read_recording(tmp_path / name), example())
 
 
-def test_numpy_alone_reads_the_csv(tmp_path):
+def test_numpy_alone_reads_the_csv(tmp_path: Path) -> None:
     write_recording(example(), tmp_path / "run.csv")
     table = np.genfromtxt(tmp_path / "run.csv", delimiter=",", names=True, deletechars="", replace_space=" ")
     np.testing.assert_array_equal(table["position_roll [rad]"], example()["position_roll"])
@@ -132,10 +136,12 @@ def test_numpy_alone_reads_the_csv(tmp_path):
 
 
 class Machine:
+    """As much of a machine as reading a recording without metadata asks for."""
+
     name, text, hash, axes = "carm", 'name = "carm"', "ab", ("roll",)
 
 
-def test_a_csv_without_metadata_needs_the_machine(tmp_path):
+def test_a_csv_without_metadata_needs_the_machine(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_text("time [s],position_roll [deg]\n0,1\n0.5,\n")
     with pytest.raises(RecordingError, match="--machine"):
@@ -145,7 +151,7 @@ def test_a_csv_without_metadata_needs_the_machine(tmp_path):
     np.testing.assert_allclose(recording["position_roll"], [np.pi / 180.0, np.nan])
 
 
-def test_an_mf4_of_another_tool_needs_the_machine_and_is_read_with_it(tmp_path):
+def test_an_mf4_of_another_tool_needs_the_machine_and_is_read_with_it(tmp_path: Path) -> None:
     write_recording(example(), tmp_path / "run.mf4")
     with MDF(tmp_path / "run.mf4") as mdf, mdf.cut(start=1 / 256, stop=4 / 256) as cut:
         cut.save(tmp_path / "cut.mf4")
@@ -172,16 +178,17 @@ def test_an_mf4_of_another_tool_needs_the_machine_and_is_read_with_it(tmp_path):
         ('time [s],"x\n0,1\n', "line 2: unexpected end of data"),
     ],
 )
-def test_a_csv_with_a_fault_is_refused_by_its_line(tmp_path, content, message):
+def test_a_csv_with_a_fault_is_refused_by_its_line(tmp_path: Path, content: str, message: str) -> None:
     path = tmp_path / "run.csv"
     path.write_text(content)
     with pytest.raises(RecordingError, match=message) as refusal:
         read_recording(path, Machine())
-    assert str(refusal.value).startswith(str(path)) and "\n" not in str(refusal.value)
+    assert str(refusal.value).startswith(str(path))
+    assert "\n" not in str(refusal.value)
 
 
 @pytest.mark.parametrize("rows_kept", [2, 5])
-def test_a_csv_that_was_cut_off_between_rows_is_noticed(tmp_path, rows_kept):
+def test_a_csv_that_was_cut_off_between_rows_is_noticed(tmp_path: Path, rows_kept: int) -> None:
     write_recording(example(), tmp_path / "run.csv")
     lines = (tmp_path / "run.csv").read_text().splitlines(keepends=True)
     (tmp_path / "run.csv").write_text("".join(lines[: rows_kept + 1]))
@@ -189,7 +196,7 @@ def test_a_csv_that_was_cut_off_between_rows_is_noticed(tmp_path, rows_kept):
         read_recording(tmp_path / "run.csv")
 
 
-def test_a_machine_file_of_the_same_name_is_not_overwritten(tmp_path):
+def test_a_machine_file_of_the_same_name_is_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / "carm.toml").write_text('name = "carm"\n')
     with pytest.raises(RecordingError, match="choose another name"):
         write_recording(example(), tmp_path / "carm.csv")
@@ -198,70 +205,68 @@ def test_a_machine_file_of_the_same_name_is_not_overwritten(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory) -> bytes:
+def written(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     path = tmp_path_factory.mktemp("written") / "run.mf4"
     write_recording(example(), path)
     return path.read_bytes()
 
 
+@pytest.mark.slow
 @FILES
 @given(cut=st.integers(1, 2400))
-def test_a_truncated_mf4_is_refused_or_whole(tmp_path, written, cut):
+def test_a_truncated_mf4_is_refused_or_whole(tmp_path: Path, written: bytes, cut: int) -> None:
     read_or_refused(tmp_path / "cut.mf4", written[: max(len(written) - cut, 0)])
 
 
 @FILES
 @given(place=st.integers(0, 10_000), bit=st.integers(0, 7))
-def test_a_flipped_bit_anywhere_in_an_mf4_is_refused_or_harmless(tmp_path, written, place, bit):
+def test_a_flipped_bit_anywhere_in_an_mf4_is_refused_or_harmless(tmp_path: Path, written: bytes, place: int, bit: int) -> None:
     content = bytearray(written)
     content[place % len(content)] ^= 1 << bit
     read_or_refused(tmp_path / "flipped.mf4", bytes(content))
 
 
-def test_a_file_that_is_no_mf4_is_refused_by_what_it_is_not(tmp_path):
+def test_a_file_that_is_no_mf4_is_refused_by_what_it_is_not(tmp_path: Path) -> None:
     (tmp_path / "run.mf4").write_bytes(b"something else altogether")
     with pytest.raises(RecordingError, match=r"run\.mf4: no MDF 4 file, or damaged: it is not a valid"):
         read_recording(tmp_path / "run.mf4")
 
 
-def read_or_refused(path: Path, content: bytes):
+def read_or_refused(path: Path, content: bytes) -> None:
     path.write_bytes(content)
-    try:
-        found = read_recording(path)
-    except RecordingError as refusal:
-        assert str(refusal).startswith(str(path)) and "\n" not in str(refusal) and "BytesIO" not in str(refusal)
+    found, refusal = answer_or_refusal(RecordingError, read_recording, path)
+    if found is None:
+        assert refusal.startswith(str(path))
+        assert "\n" not in refusal
+        assert "BytesIO" not in refusal
     else:
         assert_same(found, example())
 
 
 @FILES
 @given(place=st.integers(0, 10_000), byte=st.integers(0, 255), keep=st.integers(0, 10_000))
-def test_a_damaged_csv_is_read_or_refused_in_one_line(tmp_path, place, byte, keep):
+def test_a_damaged_csv_is_read_or_refused_in_one_line(tmp_path: Path, place: int, byte: int, keep: int) -> None:
     write_recording(example(), tmp_path / "run.csv")
     content = bytearray((tmp_path / "run.csv").read_bytes())
     content[place % len(content)] = byte
     (tmp_path / "run.csv").write_bytes(content[: keep + 1])
-    try:
-        read_recording(tmp_path / "run.csv")
-    except RecordingError as refusal:
-        assert "\n" not in str(refusal)
+    _, refusal = answer_or_refusal(RecordingError, read_recording, tmp_path / "run.csv")
+    assert refusal is None or "\n" not in refusal
 
 
 @FILES
 @given(place=st.integers(0, 10_000), byte=st.integers(0, 255))
-def test_damaged_metadata_are_read_or_refused_in_one_line(tmp_path, place, byte):
+def test_damaged_metadata_are_read_or_refused_in_one_line(tmp_path: Path, place: int, byte: int) -> None:
     write_recording(example(), tmp_path / "run.csv")
     content = bytearray((tmp_path / "run.toml").read_bytes())
     content[place % len(content)] = byte
     (tmp_path / "run.toml").write_bytes(content)
-    try:
-        read_recording(tmp_path / "run.csv")
-    except RecordingError as refusal:
-        assert "\n" not in str(refusal)
+    _, refusal = answer_or_refusal(RecordingError, read_recording, tmp_path / "run.csv")
+    assert refusal is None or "\n" not in refusal
     (tmp_path / "run.toml").unlink()
 
 
-def test_convert_goes_both_ways_without_loss(tmp_path):
+def test_convert_goes_both_ways_without_loss(tmp_path: Path) -> None:
     write_recording(example(), tmp_path / "a.csv")
     convert(tmp_path / "a.csv", tmp_path / "b.mf4")
     convert(tmp_path / "b.mf4", tmp_path / "c.csv")
@@ -270,18 +275,18 @@ def test_convert_goes_both_ways_without_loss(tmp_path):
 
 
 @pytest.mark.parametrize("target", ["b.mat", "b.log", "b"])
-def test_a_format_that_cannot_be_written_is_refused_before_reading(tmp_path, target):
+def test_a_format_that_cannot_be_written_is_refused_before_reading(tmp_path: Path, target: str) -> None:
     with pytest.raises(RecordingError, match=r"cannot be written as .*\.mf4, \.csv can"):
         convert(tmp_path / "absent.csv", tmp_path / target)
 
 
 @pytest.mark.parametrize("name", ["absent.mf4", "absent.csv", "absent.mat", "absent.log", "absent.blf"])
-def test_a_missing_file_is_one_line(tmp_path, name):
+def test_a_missing_file_is_one_line(tmp_path: Path, name: str) -> None:
     with pytest.raises(RecordingError, match="no such file"):
         read_recording(tmp_path / name)
 
 
 @pytest.mark.parametrize("name", ["run.mf4", "run.csv"])
-def test_a_folder_that_is_not_there_is_one_line(tmp_path, name):
+def test_a_folder_that_is_not_there_is_one_line(tmp_path: Path, name: str) -> None:
     with pytest.raises(RecordingError, match=r"cannot be written: No such file or directory"):
         write_recording(example(), tmp_path / "absent" / name)

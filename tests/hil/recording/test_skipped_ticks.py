@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -35,18 +36,18 @@ def run(**tables: object) -> Recording:
     return Recording(channels, {"experiment": experiment, "bench": {"bus": "socketcan:can0"}, **tables})
 
 
-def test_rate_and_ticks_come_from_time():
+def test_rate_and_ticks_come_from_time() -> None:
     recording = run()
     assert recording.sample_rate_Hz == RATE_HZ
     np.testing.assert_array_equal(recording.ticks, TICKS)
 
 
-def test_a_period_with_a_gap_is_none():
+def test_a_period_with_a_gap_is_none() -> None:
     """Of ticks 8 to 39 the periods from 8 and from 24 have one."""
     np.testing.assert_array_equal(run().in_periods("position_roll"), [range(16, 24), range(32, 40)])
 
 
-def test_every_tick_has_its_plan_and_what_was_measured_is_not_invented():
+def test_every_tick_has_its_plan_and_what_was_measured_is_not_invented() -> None:
     whole = on_every_tick(run())
     assert whole.time == pytest.approx(EVERY / RATE_HZ)
     assert whole["reference_roll"] == pytest.approx(0.1 + 0.01 * EVERY)
@@ -54,13 +55,13 @@ def test_every_tick_has_its_plan_and_what_was_measured_is_not_invented():
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(whole["position_roll"])), SKIPPED)
 
 
-def test_a_recording_without_gaps_is_left_as_it_is():
+def test_a_recording_without_gaps_is_left_as_it_is() -> None:
     recording = run().part(slice(0, 11))
     assert on_every_tick(recording) is recording
 
 
 @pytest.mark.parametrize("suffix", [".mf4", ".csv"])
-def test_whoever_reads_it_is_told_in_one_line(tmp_path, suffix):
+def test_whoever_reads_it_is_told_in_one_line(tmp_path: Path, suffix: str) -> None:
     write_recording(run(), tmp_path / f"run{suffix}")
     with pytest.warns(
         RecordingWarning, match=r"run\.(mf4|csv): 3 ticks are missing in 2 places, first after row 10 \(0\.0390625 s\)[^\n]*$"
@@ -73,13 +74,13 @@ def test_whoever_reads_it_is_told_in_one_line(tmp_path, suffix):
         read_recording(tmp_path / f"whole{suffix}")
 
 
-def test_rows_that_are_missing_elsewhere_are_refused_as_ever():
+def test_rows_that_are_missing_elsewhere_are_refused_as_ever() -> None:
     recording = Recording({"time": Channel("s", TICKS / RATE_HZ)}, {})
     with pytest.raises(RecordingError, match="rows are not equally spaced"):
         _ = recording.sample_rate_Hz
 
 
-def test_a_simulation_runs_over_the_gap_and_has_the_rows_there_are():
+def test_a_simulation_runs_over_the_gap_and_has_the_rows_there_are() -> None:
     machine = load_machine("carm")
     reference = 0.1 * (1.0 - np.cos(2.0 * np.pi * EVERY / 400.0))
     channels = {"time": Channel("s", EVERY / RATE_HZ)}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,17 +20,17 @@ from hil.errors import ExperimentError, UnusableInputError
 from hil.experiments import Scan
 from hil.identification import write_frf
 from hil.identification.result import FrequencyResponse
-from hil.machine import load_machine
+from hil.machine import Machine, load_machine
 from hil.recording import read_recording
 from hil.shaping.aim import periodic, sweep
 from hil.shaping.identified import subject_from_frf, subject_from_model
 from hil.shaping.plans import BeyondLimitsError, Shaped, shape_plan, shaped
 from hil.shaping.plants import closed_loop
 from hil.shaping.poses import scheduled_poses, subject_at
-from hil.shaping.shaper_design import choose_delay, delay_map, design_all, poles_to_cancel, shaper_of
+from hil.shaping.shaper_design import Design, choose_delay, delay_map, design_all, poles_to_cancel, shaper_of
 from hil.shaping.shaper_file import ShaperFile, read_shaper, write_shaper
-from hil.shaping.verdict import judge, tracking_error, vibration_left
-from hil.simulation import Inputs, Simulator
+from hil.shaping.verdict import Subject, judge, tracking_error, vibration_left
+from hil.simulation import Inputs, Outputs, Simulator
 from hil.simulation.linear import sampled_response
 from virtual_bus.physics import Physics
 
@@ -37,12 +38,12 @@ RATE = 256.0
 
 
 @pytest.fixture(scope="module")
-def machine():
+def machine() -> Machine:
     return load_machine("carm")
 
 
 @pytest.fixture(scope="module")
-def exact(machine):
+def exact(machine: Machine) -> Machine:
     """The machine without quantisation: what a linear prediction can be held against."""
     plant = replace(
         machine.plant,
@@ -53,32 +54,32 @@ def exact(machine):
 
 
 @pytest.fixture(scope="module")
-def physics(machine):
+def physics(machine: Machine) -> Physics:
     return Physics(machine.plant, noise=False)
 
 
 @pytest.fixture(scope="module")
-def nominal(machine, physics):
+def nominal(machine: Machine, physics: Physics) -> dict[str, Subject]:
     return {axis: subject_at(machine, np.zeros(2), axis, "link", physics) for axis in machine.axes}
 
 
 @pytest.fixture(scope="module")
-def sweep_designs(nominal):
+def sweep_designs(nominal: dict[str, Subject]) -> tuple[Design, ...]:
     return design_all([nominal["roll"]], sweep(), RATE).designs
 
 
 @pytest.fixture(scope="module")
-def roll_file(sweep_designs):
+def roll_file(sweep_designs: tuple[Design, ...]) -> ShaperFile:
     return ShaperFile((shaper_of(sweep_designs[0], "roll", RATE),), RATE, {"machine": "carm"})
 
 
-def simulate(machine, reference):
+def simulate(machine: Machine, reference: np.ndarray) -> Outputs:
     still = np.zeros_like(reference)
     return Simulator(machine).run(Inputs(reference, still, still, None, reference[0].copy()))
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_the_closed_loop_designed_for_is_the_machines(machine, exact, physics, axis):
+def test_the_closed_loop_designed_for_is_the_machines(machine: Machine, exact: Machine, physics: Physics, axis: int) -> None:
     frequencies, samples = np.array([1.25, 5.0, 8.75]), 1024  # whole periods in 4 s
     times = np.arange(3 * samples) / RATE
     reference = np.zeros((len(times), 2))
@@ -92,13 +93,13 @@ def test_the_closed_loop_designed_for_is_the_machines(machine, exact, physics, a
     assert spectra[0] / spectra[1] == pytest.approx(predicted, rel=3e-3)
 
 
-def test_the_eight_hertz_mode_and_the_detector_mode_are_cancelled(nominal):
+def test_the_eight_hertz_mode_and_the_detector_mode_are_cancelled(nominal: dict[str, Subject]) -> None:
     frequencies = [abs(pole) / 2 / np.pi for pole in poles_to_cancel([nominal["propeller"]], RATE)[0]]
     assert min(abs(f - 8.4) for f in frequencies) < 0.3
     assert min(abs(f - 14.05) for f in frequencies) < 0.3
 
 
-def test_designs_come_with_the_recommended_one_first(sweep_designs):
+def test_designs_come_with_the_recommended_one_first(sweep_designs: tuple[Design, ...]) -> None:
     assert not sweep_designs[0].verdict.against
     clean = [design.verdict.cost for design in sweep_designs if not design.verdict.against]
     assert clean == sorted(clean)
@@ -110,7 +111,7 @@ def test_designs_come_with_the_recommended_one_first(sweep_designs):
     assert by_name["hTDF robust"].vibration_at_10 < by_name["ZV"].vibration_at_10
 
 
-def test_what_speaks_against_a_shaper_is_said(nominal):
+def test_what_speaks_against_a_shaper_is_said(nominal: dict[str, Subject]) -> None:
     subject, aim = nominal["roll"], sweep(0.5)
     cases = {
         "gains sum to more than 3": [5.0, -4.0],
@@ -123,13 +124,13 @@ def test_what_speaks_against_a_shaper_is_said(nominal):
         assert text in judge([shaper], [subject], aim, [()]).against
 
 
-def test_what_is_left_out_is_listed(sweep_designs):
+def test_what_is_left_out_is_listed(sweep_designs: tuple[Design, ...]) -> None:
     listed = sweep_designs[0].verdict.left_out
     assert any(each.frequency_Hz < 0.2 for each in listed)  # the integrator's slow pole
     assert all(each.residual > 0.0 for each in listed)
 
 
-def test_a_periodic_design_tracks_its_harmonics_exactly(nominal):
+def test_a_periodic_design_tracks_its_harmonics_exactly(nominal: dict[str, Subject]) -> None:
     aim = periodic(3.0, (1, 3, 5))
     design = design_all([nominal["propeller"]], aim, RATE).named("hTDF quiet")
     assert tracking_error(design.filters[0], nominal["propeller"].dynamics, aim) < 1e-9
@@ -137,7 +138,7 @@ def test_a_periodic_design_tracks_its_harmonics_exactly(nominal):
     assert design.verdict.transient_s < 3.0
 
 
-def test_a_schedule_serves_every_pose_better_than_one_pose_does(machine, physics):
+def test_a_schedule_serves_every_pose_better_than_one_pose_does(machine: Machine, physics: Physics) -> None:
     poses = scheduled_poses(machine, np.zeros(2), "roll")
     subjects = [subject_at(machine, pose, "propeller", "link", physics) for pose in poses]
     scheduled = design_all(subjects, sweep(), RATE).named("hTDF robust")
@@ -149,8 +150,8 @@ def test_a_schedule_serves_every_pose_better_than_one_pose_does(machine, physics
     ReferenceShaper(machine.axes, [shaper], machine.limits, RATE)
 
 
-def test_the_map_shows_gains_growing_as_the_delay_shrinks(nominal):
-    from controllers.shapers.harmonic import harmonic_conditions
+def test_the_map_shows_gains_growing_as_the_delay_shrinks(nominal: dict[str, Subject]) -> None:
+    from controllers.shapers.harmonic_time_delay import harmonic_conditions
 
     subject = nominal["roll"]
     poles = poles_to_cancel([subject], RATE)[0]
@@ -163,7 +164,7 @@ def test_the_map_shows_gains_growing_as_the_delay_shrinks(nominal):
 
 
 @pytest.fixture(scope="module")
-def frf(machine):
+def frf(machine: Machine) -> FrequencyResponse:
     """The machine's response with 0.3 % noise, as an identification would write it."""
     lines = np.arange(3, 800, 4)
     outputs = ("position_propeller", "position_roll", "link_position_propeller", "link_position_roll", "imu_x", "imu_y", "imu_z")
@@ -176,7 +177,9 @@ def frf(machine):
     )  # fmt: skip
 
 
-def test_a_frequency_response_gives_the_same_modes_as_the_machine_file(machine, nominal, frf):
+def test_a_frequency_response_gives_the_same_modes_as_the_machine_file(
+    machine: Machine, nominal: dict[str, Subject], frf: FrequencyResponse
+) -> None:
     found, error = subject_from_frf(machine, frf, "propeller")
     assert error < 0.02
     true = nominal["propeller"]
@@ -189,7 +192,7 @@ def test_a_frequency_response_gives_the_same_modes_as_the_machine_file(machine, 
         subject_from_frf(machine, frf, "propeller", "detector")
 
 
-def test_a_file_comes_back_equal(tmp_path, roll_file):
+def test_a_file_comes_back_equal(tmp_path: Path, roll_file: ShaperFile) -> None:
     write_shaper(roll_file, tmp_path / "a.npz")
     back = read_shaper(tmp_path / "a.npz")
     assert back.sample_rate_Hz == RATE
@@ -200,7 +203,7 @@ def test_a_file_comes_back_equal(tmp_path, roll_file):
 
 
 @pytest.mark.parametrize("damage", ["missing", "text", "array", "delays", "format"])
-def test_a_file_that_is_no_shaper_is_one_line(tmp_path, roll_file, damage):
+def test_a_file_that_is_no_shaper_is_one_line(tmp_path: Path, roll_file: ShaperFile, damage: str) -> None:
     path = tmp_path / "a.npz"
     if damage == "text":
         path.write_text("no archive")
@@ -219,7 +222,7 @@ def test_a_file_that_is_no_shaper_is_one_line(tmp_path, roll_file, damage):
     assert "\n" not in str(caught.value)
 
 
-def test_a_shaped_plan_is_the_raw_one_through_the_loops_filter(machine, roll_file):
+def test_a_shaped_plan_is_the_raw_one_through_the_loops_filter(machine: Machine, roll_file: ShaperFile) -> None:
     plan = Shaped(Scan("roll", -0.8, 0.8, speed=np.radians(30), dwell_s=0.0), roll_file).plans(machine)[0]
     running = ReferenceShaper(machine.axes, roll_file.shapers, machine.limits, RATE)
     running.start(plan.start_pose)
@@ -233,7 +236,7 @@ def test_a_shaped_plan_is_the_raw_one_through_the_loops_filter(machine, roll_fil
     assert plan.metadata["period_samples"] == plan.rows
 
 
-def test_a_scan_at_full_limits_is_refused_shaped_and_planned_more_gently_when_asked(machine, roll_file):
+def test_a_scan_at_full_limits_is_refused_shaped_and_planned_more_gently_when_asked(machine: Machine, roll_file: ShaperFile) -> None:
     scan = Scan("roll", -0.8, 0.8, speed=np.radians(30))
     with pytest.raises(BeyondLimitsError, match="the shaper adds"):
         shape_plan(scan.plans(machine)[0], roll_file, machine)
@@ -243,20 +246,20 @@ def test_a_scan_at_full_limits_is_refused_shaped_and_planned_more_gently_when_as
     assert any("planned with" in note for note in plan.notes)
 
 
-def test_a_transient_longer_than_the_scans_period_is_refused(machine, nominal):
+def test_a_transient_longer_than_the_scans_period_is_refused(machine: Machine, nominal: dict[str, Subject]) -> None:
     design = design_all([nominal["roll"]], periodic(5.0), RATE).named("hTDF quiet")
     file = ShaperFile((shaper_of(design, "roll", RATE),), RATE)
     with pytest.raises(ExperimentError, match="its transient takes"):
         Shaped(Scan("roll", -0.1, 0.1, speed=0.2, sweeps=4, dwell_s=0.0), file).plans(machine)
 
 
-def test_another_sample_rate_is_refused(machine, roll_file):
+def test_another_sample_rate_is_refused(machine: Machine, roll_file: ShaperFile) -> None:
     plan = Scan("roll", -0.3, 0.3, speed=0.3).plans(machine)[0]
     with pytest.raises(ExperimentError, match="designed for 512 Hz"):
         shape_plan(plan, replace(roll_file, sample_rate_Hz=512.0), machine)
 
 
-def test_the_shaped_machine_rings_less_after_a_sweep(machine, exact, nominal):
+def test_the_shaped_machine_rings_less_after_a_sweep(machine: Machine, exact: Machine, nominal: dict[str, Subject]) -> None:
     """Free run of the machine itself, not of the model the shaper was designed for."""
     design = design_all([nominal["propeller"]], sweep(), RATE).named("hTDF robust")
     gentle = replace(machine, limits=tuple(replace(each, acceleration=0.5 * each.acceleration, jerk=350.0) for each in machine.limits))
@@ -273,7 +276,9 @@ def test_the_shaped_machine_rings_less_after_a_sweep(machine, exact, nominal):
     assert swing[0] > 5.0 * swing[1]
 
 
-def test_over_the_bus_a_shaped_periodic_scan_vibrates_and_errs_several_times_less(machine, nominal, tmp_path):
+def test_over_the_bus_a_shaped_periodic_scan_vibrates_and_errs_several_times_less(
+    machine: Machine, nominal: dict[str, Subject], tmp_path: Path
+) -> None:
     """Closed loop over every CAN frame in lockstep: detector acceleration between 4 and 20 Hz from the emulator's truth."""
     gentle = replace(machine, limits=tuple(replace(e, acceleration=0.5 * e.acceleration, jerk=0.5 * e.jerk) for e in machine.limits))
     raw = Scan("propeller", -0.17, 0.17, speed=0.24, dwell_s=0.0, sweeps=6).plans(gentle)[0]
@@ -300,14 +305,14 @@ def test_over_the_bus_a_shaped_periodic_scan_vibrates_and_errs_several_times_les
     assert error[0] > 3.0 * error[1]
 
 
-def test_an_identified_model_closes_the_same_loop(machine, physics, nominal):
+def test_an_identified_model_closes_the_same_loop(machine: Machine, physics: Physics, nominal: dict[str, Subject]) -> None:
     found = subject_from_model(machine, physics.linearise(np.zeros(2)), "roll")
     s = 2j * np.pi * np.array([0.3, 3.0, 12.0])
     assert found.dynamics.response(s) == pytest.approx(nominal["roll"].dynamics.response(s), rel=1e-9)
     assert len(poles_to_cancel([found], RATE)[0]) == len(poles_to_cancel([nominal["roll"]], RATE)[0])
 
 
-def test_the_command_judges_writes_and_answers(tmp_path, capsys):
+def test_the_command_judges_writes_and_answers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, table = tmp_path / "roll.npz", tmp_path / "roll.csv"
     arguments = ["shape", "carm", "--axis", "roll", "-o", str(out), "--csv", str(table), "--json", "-", "--figure", str(tmp_path / "a.png")]
     with pytest.raises(SystemExit) as left:
@@ -320,7 +325,9 @@ def test_the_command_judges_writes_and_answers(tmp_path, capsys):
     assert (tmp_path / "a.png").stat().st_size > 10_000
 
 
-def test_the_command_designs_from_an_identified_response(tmp_path, capsys, frf):
+def test_the_command_designs_from_an_identified_response(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], frf: FrequencyResponse
+) -> None:
     write_frf(frf, tmp_path / "carm.frf.npz")
     with pytest.raises(SystemExit) as left:
         main(["shape", "carm", "--axis", "propeller", "--frf", str(tmp_path / "carm.frf.npz"), "-o", str(tmp_path / "a.npz")])
@@ -340,7 +347,7 @@ def test_the_command_designs_from_an_identified_response(tmp_path, capsys, frf):
         (["--axis", "roll", "--longest", "0.01"], "allow a longer transient"),
     ],
 )
-def test_bad_input_is_one_line_and_status_2(tmp_path, capsys, options, message):
+def test_bad_input_is_one_line_and_status_2(tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], message: str) -> None:
     with pytest.raises(SystemExit) as left:
         main(["shape", "carm", "-o", str(tmp_path / "x.npz"), *options])
     assert left.value.code == 2

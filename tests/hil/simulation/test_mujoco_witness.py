@@ -11,7 +11,7 @@ from places import SUPPORT
 from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
 from hil.experiments import Multisine
-from hil.machine import load_machine
+from hil.machine import Machine, load_machine
 from hil.machine.mjcf import to_mjcf
 from hil.recording import Recording, read_recording
 from hil.simulation import compare, simulate
@@ -22,7 +22,7 @@ pytest.importorskip("mujoco")
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
+def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Machine, Recording, Recording]:
     """A noise-free multisine under jog over the whole stack in lockstep: the recording and what MuJoCo makes of it."""
     folder = tmp_path_factory.mktemp("witness")
     machine = load_machine("carm")
@@ -37,7 +37,7 @@ def run(tmp_path_factory):
     return machine, read_recording(recorded), read_recording(replayed, machine=machine)
 
 
-def test_the_witness_imports_none_of_the_four_packages():
+def test_the_witness_imports_none_of_the_four_packages() -> None:
     text = SCRIPT.read_text(encoding="utf-8")
     assert not any(f"import {package}" in text or f"from {package}" in text for package in ("hil", "drivers", "controllers", "virtual_bus"))
 
@@ -47,7 +47,7 @@ def test_the_witness_imports_none_of_the_four_packages():
 LARGEST_RMS = {"command": 0.015, "current": 0.015, "position": 6e-6, "imu": 0.007, "gyro": 1.5e-4}
 
 
-def check(recorded: Recording, other: Recording):
+def check(recorded: Recording, other: Recording) -> None:
     comparison = compare(recorded, other)
     compared = [channel for channel in comparison.channels if channel.name.split("_")[0] in LARGEST_RMS]
     assert len(compared) == 12
@@ -57,11 +57,11 @@ def check(recorded: Recording, other: Recording):
         assert channel.lag_rows == 0, comparison.table()
 
 
-def test_mujoco_reproduces_the_run(run):
+def test_mujoco_reproduces_the_run(run: tuple[Machine, Recording, Recording]) -> None:
     _, recorded, replayed = run
     check(recorded, replayed)
 
 
-def test_the_simulation_reproduces_the_run(run):
+def test_the_simulation_reproduces_the_run(run: tuple[Machine, Recording, Recording]) -> None:
     machine, recorded, _ = run
     check(recorded, simulate(machine, recorded))

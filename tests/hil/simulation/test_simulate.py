@@ -9,7 +9,7 @@ import one_mass
 import pytest
 
 from hil.errors import BadAnswerError, ExperimentError, RecordingError
-from hil.machine import load_machine, machine_from_text
+from hil.machine import Machine, load_machine, machine_from_text
 from hil.recording import Channel, Recording
 from hil.simulation import Simulator, inputs_of, simulate
 from virtual_bus.settings import EffectSetting
@@ -19,7 +19,9 @@ CARM = load_machine("carm")
 ROWS = 600
 
 
-def recording_of(machine, rows=ROWS, seed=3, amplitude=0.3, sweep=None, **others):
+def recording_of(
+    machine: Machine, rows: int = ROWS, seed: int = 3, amplitude: float = 0.3, sweep: float | None = None, **others: dict[str, Channel]
+) -> Recording:
     """Inputs of a smooth, exciting experiment."""
     time_s = np.arange(rows) / machine.sample_rate_Hz
     random = np.random.default_rng(seed)
@@ -31,7 +33,7 @@ def recording_of(machine, rows=ROWS, seed=3, amplitude=0.3, sweep=None, **others
     return Recording(channels | others.pop("channels", {}), others)
 
 
-def edited(machine, *pairs):
+def edited(machine: Machine, *pairs: tuple[str, str]) -> Machine:
     text = machine.text
     for old, new in pairs:
         assert old in text
@@ -39,7 +41,7 @@ def edited(machine, *pairs):
     return machine_from_text(text)
 
 
-def expected(machine, recording, start=0.0):
+def expected(machine: Machine, recording: Recording, start: float = 0.0) -> np.ndarray:
     body, drive, controller = machine.plant.tree.bodies[0], machine.plant.drives[0], machine.controllers[0]
     return one_mass.closed_loop(
         recording["reference_carriage"],
@@ -67,7 +69,7 @@ def expected(machine, recording, start=0.0):
     ],
     ids=["smooth", "quantised", "saturated", "four plant steps a sample"],
 )
-def test_closed_loop_equals_the_exact_recursion(changes):
+def test_closed_loop_equals_the_exact_recursion(changes: list[tuple[str, str]]) -> None:
     machine = edited(EMPS, *changes)
     recording = recording_of(machine)
     position, command = expected(machine, recording).T
@@ -78,7 +80,7 @@ def test_closed_loop_equals_the_exact_recursion(changes):
         assert np.abs(command).max() == 0.7
 
 
-def test_a_command_moves_the_position_two_rows_later():
+def test_a_command_moves_the_position_two_rows_later() -> None:
     machine = edited(EMPS, ("resolution_um = 0.05", "resolution_um = 0.0"))
     recording = recording_of(machine, rows=6, amplitude=0.0, sweep=0.0)
     pulse = np.zeros(6)
@@ -89,7 +91,7 @@ def test_a_command_moves_the_position_two_rows_later():
     assert position[3] > 0.0
 
 
-def test_only_reference_and_excitation_are_read():
+def test_only_reference_and_excitation_are_read() -> None:
     recording = recording_of(EMPS)
     noise = {"position_carriage": Channel("m", np.full(ROWS, 7.0)), "command_carriage": Channel("V", np.full(ROWS, np.nan))}
     disturbed = recording_of(EMPS, channels=noise)
@@ -97,7 +99,7 @@ def test_only_reference_and_excitation_are_read():
         np.testing.assert_array_equal(simulate(EMPS, recording)[name], simulate(EMPS, disturbed)[name])
 
 
-def test_repeated_simulations_are_equal_bit_for_bit():
+def test_repeated_simulations_are_equal_bit_for_bit() -> None:
     recording = recording_of(CARM, amplitude=0.1)
     first, second = simulate(CARM, recording), simulate(CARM, recording)
     assert list(first.channels) == list(second.channels)
@@ -106,7 +108,7 @@ def test_repeated_simulations_are_equal_bit_for_bit():
 
 
 @pytest.mark.parametrize("pose_deg", [(0.0, 0.0), (-100.0, 60.0), (75.0, -90.0)])
-def test_a_machine_that_is_left_alone_stands_still_at_its_start_pose(pose_deg):
+def test_a_machine_that_is_left_alone_stands_still_at_its_start_pose(pose_deg: tuple[float, float]) -> None:
     pose = np.radians(pose_deg)
     rows = 512
     still = recording_of(CARM, rows, amplitude=0.0, sweep=0.0)
@@ -120,7 +122,7 @@ def test_a_machine_that_is_left_alone_stands_still_at_its_start_pose(pose_deg):
     np.testing.assert_allclose(np.linalg.norm([simulation[f"imu_{axis}"] for axis in "xyz"], axis=0), 9.81, atol=0.02)
 
 
-def test_without_effects_nothing_rubs_and_with_friction_the_command_shows_it():
+def test_without_effects_nothing_rubs_and_with_friction_the_command_shows_it() -> None:
     rows = 3000
     recording = recording_of(EMPS, rows, amplitude=0.0)
     smooth = simulate(EMPS, recording)["command_carriage"]
@@ -131,7 +133,7 @@ def test_without_effects_nothing_rubs_and_with_friction_the_command_shows_it():
     assert np.median(extra) == pytest.approx(20.0 / 35.15065, rel=0.02)  # volts that 20 N cost
 
 
-def test_parameters_change_without_another_machine_file():
+def test_parameters_change_without_another_machine_file() -> None:
     simulator = Simulator(EMPS)
     given = inputs_of(EMPS, recording_of(EMPS, amplitude=0.0))
     heavy = simulator.run(given, simulator.plant.with_values({"carriage.mass_kg": 190.2178}))
@@ -140,7 +142,7 @@ def test_parameters_change_without_another_machine_file():
     assert not np.array_equal(heavy.command, simulator.run(given).command)
 
 
-def test_controller_states_of_the_metadata_are_taken_over():
+def test_controller_states_of_the_metadata_are_taken_over() -> None:
     recording = recording_of(CARM, amplitude=0.0, sweep=0.0)
     states = {axis: {"position": [[0.5, 0.0], [0.0, 0.0], [0.0, 0.0]]} for axis in CARM.axes}
     bumped = Recording(recording.channels, {"initial": {"controller_states": states}})
@@ -148,7 +150,7 @@ def test_controller_states_of_the_metadata_are_taken_over():
     assert simulate(CARM, bumped)["command_roll"][0] == pytest.approx(0.5 * lead[0] * notch[0])
 
 
-def test_it_starts_where_the_run_stood():
+def test_it_starts_where_the_run_stood() -> None:
     """A loop that stood off its pose comes back as the exact recursion from there does."""
     machine = edited(EMPS, ("resolution_um = 0.05", "resolution_um = 0.0"))
     recording = recording_of(machine)
@@ -164,7 +166,7 @@ def test_it_starts_where_the_run_stood():
         simulate(machine, recording.with_metadata(initial={"standing": {"deviation": [0.0, 0.0]}}))
 
 
-def test_an_open_loop_machine_is_driven_by_its_command():
+def test_an_open_loop_machine_is_driven_by_its_command() -> None:
     text = EMPS.text
     open_loop = machine_from_text(text[: text.index("# vir =")] + text[text.index("[limits.carriage]") :])
     command = np.where(np.arange(ROWS) < 300, 1.0, 0.0)
@@ -187,7 +189,7 @@ def test_an_open_loop_machine_is_driven_by_its_command():
         ({}, 0.0),
     ],
 )
-def test_an_open_loop_starts_at_the_first_reading_of_each_axis(encoders, start):
+def test_an_open_loop_starts_at_the_first_reading_of_each_axis(encoders: dict[str, list[float]], start: float) -> None:
     open_loop = replace(CARM, controllers=())
     time = Channel("s", np.arange(2) / open_loop.sample_rate_Hz)
     channels = {"time": time} | {f"command_{axis}": Channel("A", np.zeros(2)) for axis in open_loop.axes}
@@ -195,20 +197,20 @@ def test_an_open_loop_starts_at_the_first_reading_of_each_axis(encoders, start):
     np.testing.assert_array_equal(inputs_of(open_loop, Recording(channels, {})).start_pose, [0.0, start])
 
 
-def test_an_unstable_loop_is_reported_with_its_time():
+def test_an_unstable_loop_is_reported_with_its_time() -> None:
     strong, unlimited, smooth = ("[160720.821,", "[-1.0e150,"), ("limit_V = 10.0", "limit_V = 1e308"), ("_um = 0.05", "_um = 0.0")
     wild = edited(EMPS, strong, unlimited, smooth)
     with pytest.raises(BadAnswerError, match=r"emps: the simulation diverged at .* s; check the controller"):
         simulate(wild, recording_of(EMPS))
 
 
-def test_a_start_that_nothing_holds_is_refused():
+def test_a_start_that_nothing_holds_is_refused() -> None:
     text = CARM.text.replace("[1141.398991, -1138.601009, 0.0, 1.0, -1.0, 0.0]", "[100.0, 0.0, 0.0, 1.0, 0.0, 0.0]")
     with pytest.raises(ExperimentError, match="propeller: nothing in the controller holds"):
         simulate(machine_from_text(text), recording_of(CARM))
 
 
-def test_a_hole_in_the_inputs_names_channel_and_row():
+def test_a_hole_in_the_inputs_names_channel_and_row() -> None:
     recording = recording_of(EMPS)
     holed = recording["reference_carriage"].copy()
     holed[41] = np.nan
@@ -216,17 +218,17 @@ def test_a_hole_in_the_inputs_names_channel_and_row():
         simulate(EMPS, Recording({**recording.channels, "reference_carriage": Channel("m", holed)}, {}))
 
 
-def test_another_sample_rate_is_refused():
+def test_another_sample_rate_is_refused() -> None:
     with pytest.raises(RecordingError, match="1000 rows a second; carm runs at 256 Hz"):
         simulate(CARM, recording_of(EMPS))
 
 
-def test_a_recording_without_reference_is_refused():
+def test_a_recording_without_reference_is_refused() -> None:
     with pytest.raises(RecordingError, match="reference_carriage"):
         simulate(EMPS, Recording({"time": Channel("s", np.arange(9) * 1e-3)}, {}))
 
 
-def test_what_damping_added_to_the_command_drives_the_simulation_lost_ticks_included():
+def test_what_damping_added_to_the_command_drives_the_simulation_lost_ticks_included() -> None:
     plain = recording_of(CARM)
     added = {axis: 0.2 * np.sin(0.05 * np.arange(ROWS) + k) for k, axis in enumerate(CARM.axes)}
     channels = {f"damping_{axis}": Channel("A", values) for axis, values in added.items()} | {"damping_share": Channel("", np.ones(ROWS))}

@@ -48,7 +48,7 @@ def put(recorder: RecorderProcess, first: int, last: int) -> None:
         recorder.put(np.array([k / 256.0]))
 
 
-def test_it_follows_the_rows_and_ends_with_the_run(monkeypatch, tmp_path):
+def test_it_follows_the_rows_and_ends_with_the_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("COLUMNS", "100")
     with terminal() as shown, RecorderProcess(tmp_path / "run.csv", [("time", "s")], {}) as recorder:

@@ -60,6 +60,8 @@ pytestmark = needs_vendor_files
 
 @dataclass
 class Exchange:
+    """A request of the tester and what the device of the trace answered."""
+
     line: int
     request: bytes
     theirs: bytes
@@ -127,7 +129,8 @@ def test_most_answers_are_the_same_to_the_byte(exchanges: list[Exchange]) -> Non
 def test_every_abort_code_of_the_trace_is_ours_too(exchanges: list[Exchange]) -> None:
     codes = Counter(exchange.theirs[4:] for exchange in exchanges if exchange.theirs[0] == 0x80)
     matched = Counter(exchange.ours[4:] for exchange in exchanges if exchange.agrees() and exchange.ours and exchange.ours[0] == 0x80)
-    assert len(codes) == 16 and codes.keys() == matched.keys()
+    assert len(codes) == 16
+    assert codes.keys() == matched.keys()
 
 
 def test_the_restricted_identifiers_are_the_standards(exchanges: list[Exchange]) -> None:

@@ -192,9 +192,11 @@ def test_a_fault_outlives_a_reset_of_communication_and_not_a_reset_of_the_node()
     bench = Bench()
     bench.drive.inject_fault(0x2310)
     bench.wire.command(0x82)
-    assert bench.state == "fault" and bench.remote.sdo[0x1001].raw == 0x03
+    assert bench.state == "fault"
+    assert bench.remote.sdo[0x1001].raw == 0x03
     bench.wire.command(0x81)
-    assert bench.state == "switch on disabled" and bench.remote.sdo[0x1001].raw == 0
+    assert bench.state == "switch on disabled"
+    assert bench.remote.sdo[0x1001].raw == 0
 
 
 def test_a_fault_is_told_once_with_its_code() -> None:

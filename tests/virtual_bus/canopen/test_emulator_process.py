@@ -156,7 +156,9 @@ class StallingBus(can.BusABC):
 @pytest.mark.parametrize(
     ("stall_s", "looks", "periods"), [(5.0, 1, 0), (0.3, 4, 0), (0.002, 500, 256)], ids=["one stall", "four", "a silent bus"]
 )
-def test_an_emulator_that_stood_still_does_not_take_that_for_silence(monkeypatch, stall_s: float, looks: int, periods: int) -> None:
+def test_an_emulator_that_stood_still_does_not_take_that_for_silence(
+    monkeypatch: pytest.MonkeyPatch, stall_s: float, looks: int, periods: int
+) -> None:
     """A SYNC has come while it stood still: one period passes, as without the stall. On a bus that is silent time goes on."""
     physics = SpinningMasses()
     machine = EmulatedMachine(physics, two_axis_bus(), PERIOD_S)  # type: ignore[arg-type]
@@ -184,7 +186,7 @@ class BusyBus(StallingBus):
 
 
 @pytest.mark.parametrize("punctual", [True, False])
-def test_the_io_answers_however_busy_the_bus_is(monkeypatch, punctual: bool) -> None:
+def test_the_io_answers_however_busy_the_bus_is(monkeypatch: pytest.MonkeyPatch, punctual: bool) -> None:
     device = EmulatedIo(LAYOUT, SpinningMasses().axes)
     machine = EmulatedMachine(SpinningMasses(), two_axis_bus(), PERIOD_S, io=device)  # type: ignore[arg-type]
     machine.place(np.zeros(2))

@@ -6,6 +6,7 @@ import struct
 
 import canopen
 import pytest
+from canopen import RemoteNode
 from device_wires import ENCODER_EDS, Wire, abort_code, client, encoder_settings, u8, u16, u32
 
 from virtual_bus.canopen.encoder import Cia406Encoder
@@ -22,13 +23,15 @@ def encoder() -> tuple[Wire, canopen.RemoteNode, Cia406Encoder]:
 
 
 @pytest.mark.parametrize(("counts", "shown"), [(0, 4194304), (100, 4194404), (-4194304, 0), (-4194305, TURN - 1), (4194304, 0)])
-def test_the_position_counts_from_where_it_was_mounted_and_wraps_in_one_turn(encoder, counts: int, shown: int) -> None:  # type: ignore[no-untyped-def]
+def test_the_position_counts_from_where_it_was_mounted_and_wraps_in_one_turn(
+    encoder: tuple[Wire, RemoteNode, Cia406Encoder], counts: int, shown: int
+) -> None:  # type: ignore[no-untyped-def]
     _, remote, device = encoder
     device.latch(counts)
     assert remote.sdo[0x6004].raw == shown
 
 
-def test_it_says_what_it_is(encoder) -> None:  # type: ignore[no-untyped-def]
+def test_it_says_what_it_is(encoder: tuple[Wire, RemoteNode, Cia406Encoder]) -> None:  # type: ignore[no-untyped-def]
     _, remote, _ = encoder
     assert remote.sdo[0x1000].raw & 0xFFFF == 406
     assert remote.sdo[0x1000].raw >> 16 == 1, "absolute rotary encoder, single turn"
@@ -36,7 +39,7 @@ def test_it_says_what_it_is(encoder) -> None:  # type: ignore[no-untyped-def]
     assert remote.sdo[0x1018][2].raw == 0x49534F02
 
 
-def test_a_preset_shifts_the_position_and_shows_in_the_offset(encoder) -> None:  # type: ignore[no-untyped-def]
+def test_a_preset_shifts_the_position_and_shows_in_the_offset(encoder: tuple[Wire, RemoteNode, Cia406Encoder]) -> None:  # type: ignore[no-untyped-def]
     _, remote, device = encoder
     device.latch(1000)
     remote.sdo[0x6003].raw = 77
@@ -47,7 +50,7 @@ def test_a_preset_shifts_the_position_and_shows_in_the_offset(encoder) -> None: 
     assert abort_code(lambda: remote.sdo.download(0x6003, 0, u32(TURN))) == 0x06090031
 
 
-def test_a_saved_preset_survives_a_reset_and_an_unsaved_one_does_not(encoder) -> None:  # type: ignore[no-untyped-def]
+def test_a_saved_preset_survives_a_reset_and_an_unsaved_one_does_not(encoder: tuple[Wire, RemoteNode, Cia406Encoder]) -> None:  # type: ignore[no-untyped-def]
     wire, remote, device = encoder
     device.latch(1000)
     remote.sdo[0x6003].raw = 77
@@ -59,7 +62,7 @@ def test_a_saved_preset_survives_a_reset_and_an_unsaved_one_does_not(encoder) ->
     assert remote.sdo[0x6004].raw == 77
 
 
-def test_the_direction_can_be_reversed(encoder) -> None:  # type: ignore[no-untyped-def]
+def test_the_direction_can_be_reversed(encoder: tuple[Wire, RemoteNode, Cia406Encoder]) -> None:  # type: ignore[no-untyped-def]
     _, remote, device = encoder
     device.latch(1000)
     remote.sdo[0x6000].raw = 0x0005
@@ -69,7 +72,7 @@ def test_the_direction_can_be_reversed(encoder) -> None:  # type: ignore[no-unty
     assert abort_code(lambda: remote.sdo.download(0x6000, 0, u16(0x0002))) == 0x06090030
 
 
-def test_the_measuring_range_can_be_shortened_and_not_lengthened(encoder) -> None:  # type: ignore[no-untyped-def]
+def test_the_measuring_range_can_be_shortened_and_not_lengthened(encoder: tuple[Wire, RemoteNode, Cia406Encoder]) -> None:  # type: ignore[no-untyped-def]
     _, remote, device = encoder
     remote.sdo[0x6002].raw = 1000
     device.latch(0)
@@ -77,7 +80,7 @@ def test_the_measuring_range_can_be_shortened_and_not_lengthened(encoder) -> Non
     assert abort_code(lambda: remote.sdo.download(0x6002, 0, u32(TURN + 1))) == 0x06090031
 
 
-def test_the_cyclic_timer_sends_the_position(encoder) -> None:  # type: ignore[no-untyped-def]
+def test_the_cyclic_timer_sends_the_position(encoder: tuple[Wire, RemoteNode, Cia406Encoder]) -> None:  # type: ignore[no-untyped-def]
     wire, remote, device = encoder
     remote.sdo[0x6200].raw = 20
     assert remote.sdo[0x1800][5].raw == 20
@@ -90,7 +93,7 @@ def test_the_cyclic_timer_sends_the_position(encoder) -> None:  # type: ignore[n
     assert 10 <= len(frames) <= 11
 
 
-def test_the_position_comes_with_every_sync(encoder) -> None:  # type: ignore[no-untyped-def]
+def test_the_position_comes_with_every_sync(encoder: tuple[Wire, RemoteNode, Cia406Encoder]) -> None:  # type: ignore[no-untyped-def]
     wire, remote, device = encoder
     remote.sdo.download(0x1801, 2, u8(1))
     remote.sdo.download(0x1801, 1, u32(0x284))

@@ -9,17 +9,19 @@ from device_wires import PERIOD_S
 
 from hil.emulated.machine import emulated_bus
 from hil.machine import load_machine
-from virtual_bus.idle_time import ANSWER_SHARE, QUIET_SHARE, SILENCE_S, IdleTime
+from virtual_bus.idle_time import IdleTime
 from virtual_bus.physics import Physics
 
-QUIET_S, ANSWER_S = QUIET_SHARE * SILENCE_S, ANSWER_SHARE * SILENCE_S
+SILENCE_S = 0.1  # longer than a busy computer lets a process stand still, shorter than the usual heartbeat time-outs
+QUIET_S = 0.002  # a master that computes between two frames is quiet for less
+ANSWER_S = 0.02  # so much more silence is left for an answer to a device that has spoken
 
 
 class Silence:
     """Silence in slices of a millisecond, as an emulator on the wall clock sees it; counts the periods that pass."""
 
-    def __init__(self, silence_s: float = SILENCE_S) -> None:
-        self.idle = IdleTime(PERIOD_S, silence_s)
+    def __init__(self, silence_s: float | None = None) -> None:
+        self.idle = IdleTime(PERIOD_S) if silence_s is None else IdleTime(PERIOD_S, silence_s)
         self.periods = 0
         self.talkative = False  # the devices send something in every period
 
@@ -103,8 +105,10 @@ def test_after_a_device_has_spoken_time_waits_for_an_answer_and_is_then_made_up_
     assert silence.periods == 1
     silence.wait(ANSWER_S - 0.003)
     assert silence.periods == 1
+    silence.wait(0.006)
+    assert silence.periods == 2
     silence.talkative = False
-    silence.wait(1.0)
+    silence.wait(1.0 - 0.006)
     assert silence.passed_s == pytest.approx(1.0 + ANSWER_S + SILENCE_S, abs=2 * PERIOD_S)
 
 

@@ -95,8 +95,10 @@ def test_the_log_is_in_candumps_form_and_holds_both_directions() -> None:
     form = re.compile(r"\((\d+\.\d{6})\) lockstep ([0-9A-F]{3})#((?:[0-9A-F]{2}){0,8})")
     stamps = [float(form.fullmatch(line).group(1)) for line in lines]  # type: ignore[union-attr]
     assert stamps == sorted(stamps)
-    assert "(0.000000) lockstep 080#" in lines and "(0.003906) lockstep 080#" in lines
-    assert any(" 201#" in line for line in lines) and any(" 181#" in line for line in lines)
+    assert "(0.000000) lockstep 080#" in lines
+    assert "(0.003906) lockstep 080#" in lines
+    assert any(" 201#" in line for line in lines)
+    assert any(" 181#" in line for line in lines)
     assert next(iter(can.CanutilsLogReader(io.StringIO(master.log.getvalue())))).arbitration_id == 0x601
 
 
@@ -160,19 +162,23 @@ def test_waiting_draws_no_noise_and_triggers_nothing() -> None:
     times: list[float] = []
     master = Master(witness=times.append)
     master.wait(1.0)
-    assert master.physics.rows == 0 and times == []
+    assert master.physics.rows == 0
+    assert times == []
     master.tick({}, {})
-    assert master.physics.rows == 1 and len(times) == 1
+    assert master.physics.rows == 1
+    assert len(times) == 1
 
 
 def test_receiving_with_a_time_out_waits_in_virtual_time_only() -> None:
     master = Master()
-    assert master.bus.recv(0.0) is None and master.bus.time_s == 0.0
+    assert master.bus.recv(0.0) is None
+    assert master.bus.time_s == 0.0
     assert master.bus.recv(1.5) is None
     assert master.bus.time_s == pytest.approx(1.5)
     master.write(1, 0x1017, 0, b"\xf4\x01")
     message = master.bus.recv(5.0)
-    assert message is not None and message.arbitration_id == 0x701
+    assert message is not None
+    assert message.arbitration_id == 0x701
     assert master.bus.time_s < 1.7
 
 
@@ -182,7 +188,8 @@ def test_it_is_a_python_can_bus() -> None:
     for node in (2, 1):
         master.send(0x600 + node, bytes.fromhex("40 00 10 00 00 00 00 00"))
     message = master.bus.recv(0.0)
-    assert message is not None and message.arbitration_id == 0x581
+    assert message is not None
+    assert message.arbitration_id == 0x581
     assert (message.dlc, message.is_extended_id, message.is_rx) == (8, False, True)
     assert "581" in str(message)
     assert master.bus.recv(0.0) is None

@@ -241,7 +241,8 @@ def test_a_reset_of_communication_leaves_the_application_alone(drive: tuple[Wire
 def test_saved_parameters_survive_power_off_and_load_brings_the_defaults_back(tmp_path: Path) -> None:
     memory = tmp_path / "encoder.json"
     wire, remote = bare_wire(ENCODER_EDS, 4, memory)
-    assert remote.sdo[0x1010][1].raw == 1 and remote.sdo[0x1011][1].raw == 1
+    assert remote.sdo[0x1010][1].raw == 1
+    assert remote.sdo[0x1011][1].raw == 1
     remote.sdo[0x1017].raw = 250
     assert abort_code(lambda: remote.sdo.download(0x1010, 1, b"SAVE")) == 0x08000020
     remote.sdo.download(0x1010, 1, b"save")

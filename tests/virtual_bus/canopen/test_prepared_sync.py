@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,7 @@ from hil.experiments import Static
 from hil.machine import Machine, load_machine
 from hil.machine.effects_file import effects_from_text
 from virtual_bus.machine import EmulatedMachine
-from virtual_bus.physics import Physics
+from virtual_bus.physics import Latched, Physics
 
 CARM = load_machine("carm")
 SENSOR_EFFECTS = """
@@ -40,23 +41,23 @@ def frames(folder: Path, name: str, emulated: Machine) -> str:
 
 
 @pytest.fixture
-def prepared(monkeypatch):
+def prepared(monkeypatch: pytest.MonkeyPatch) -> Callable[[], list[bool]]:
     """Whether each preparation was used, once emulated machines prepare ahead of every SYNC."""
     used: list[bool] = []
     receive, latch = EmulatedMachine.receive, Physics.latch
 
-    def receive_prepared(self, can_id, data):
+    def receive_prepared(self: EmulatedMachine, can_id: int, data: bytes) -> None:
         if can_id == self.bus.sync_cob_id:
             self.prepare()
         receive(self, can_id, data)
         if can_id != self.bus.sync_cob_id:
             self.prepare()  # too early: the other drive's target and more may be to come
 
-    def noted_latch(self):
+    def noted_latch(self: Physics) -> Latched:
         used.append(self._prepared == (self._effort.tobytes(), self._brakes.tobytes()))
         return latch(self)
 
-    def switch_on():
+    def switch_on() -> list[bool]:
         monkeypatch.setattr(EmulatedMachine, "receive", receive_prepared)
         monkeypatch.setattr(Physics, "latch", noted_latch)
         return used
@@ -65,7 +66,9 @@ def prepared(monkeypatch):
 
 
 @pytest.mark.parametrize("effects", ["", SENSOR_EFFECTS], ids=["as the file has it", "with effects on its sensors"])
-def test_a_session_has_the_same_frames_and_rows_whether_the_emulator_measured_ahead_or_not(tmp_path, prepared, effects):
+def test_a_session_has_the_same_frames_and_rows_whether_the_emulator_measured_ahead_or_not(
+    tmp_path: Path, prepared: Callable[[], list[bool]], effects: str
+) -> None:
     emulated = CARM.with_effects(effects_from_text(effects, CARM, "effects")) if effects else CARM
     plain = frames(tmp_path, "run", emulated)
     used = prepared()

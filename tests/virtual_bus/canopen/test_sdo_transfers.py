@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import canopen
@@ -125,7 +126,8 @@ def test_a_lost_block_segment_is_sent_again(lab: tuple[Wire, canopen.RemoteNode]
     wire.forget()
     wire.frame(0x604, bytes.fromhex("A2 02 04 00 00 00 00 00"))  # segments 3 and 4 were lost
     again = wire.heard(0x584)
-    assert [data[0] for data in again] == [1, 0x82] and again[0][1:] == bytes(range(14, 21))
+    assert [data[0] for data in again] == [1, 0x82]
+    assert again[0][1:] == bytes(range(14, 21))
     assert wire.sdo_raw(bytes.fromhex("A2 02 04 00 00 00 00 00"))[0] == 0xC1
 
 
@@ -170,7 +172,7 @@ def test_an_empty_text_reads_as_no_bytes(lab: tuple[Wire, canopen.RemoteNode]) -
         (lambda sdo: sdo.download(0x2001, 0, bytes(70000)), 0x05040005),
     ],
 )
-def test_what_is_wrong_is_said_by_its_abort_code(lab: tuple[Wire, canopen.RemoteNode], action, code: int) -> None:  # type: ignore[no-untyped-def]
+def test_what_is_wrong_is_said_by_its_abort_code(lab: tuple[Wire, canopen.RemoteNode], action: Callable[..., object], code: int) -> None:  # type: ignore[no-untyped-def]
     _, remote = lab
     assert abort_code(lambda: action(remote.sdo)) == code
 

@@ -147,7 +147,8 @@ def test_a_delay_of_two_and_a_half_samples_shifts_what_flows_and_what_moves() ->
     effect = EffectSetting("delay", "rail", {"Td": 2.5 * PERIOD_s})
     np.testing.assert_array_equal(latched(effect, pulse), [0, 0, 0, 2.5, 2.5, 0, 0, 0])  # from 3.5 to 4.5 samples: means over theirs
     moved = latched(effect, pulse, "position")
-    assert moved[3] == 0.0 and moved[4] == pytest.approx(0.5 * 5.0 / M * (0.5 * PERIOD_s) ** 2, rel=1e-9)
+    assert moved[3] == 0.0
+    assert moved[4] == pytest.approx(0.5 * 5.0 / M * (0.5 * PERIOD_s) ** 2, rel=1e-9)
     assert moved[5] == pytest.approx(0.5 * 5.0 / M * PERIOD_s**2 + 5.0 / M * PERIOD_s * 0.5 * PERIOD_s, rel=1e-9)
 
 

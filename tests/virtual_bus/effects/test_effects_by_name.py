@@ -135,7 +135,8 @@ def test_a_joint_hangs_at_the_side_of_its_gap_that_its_load_chooses() -> None:
 @pytest.mark.parametrize(("axis", "sprung"), [("propeller", "propeller_gear"), ("roll", "roll_gear"), ("support_arm", "arm_yaw")])
 def test_a_joint_rests_on_a_flank_of_its_gap_where_gravity_in_it_has_no_stable_place_as_well(axis: str, sprung: str, gap: float) -> None:
     """Upright, hanging with its own equilibrium far away, or about an upright axis, where next to no effort leaves it at the corner: within
-    the gap gravity's gradient leads away from where the joint falls."""
+    the gap gravity's gradient leads away from where the joint falls.
+    """
     plant = compile_plant(CARM.with_effects((EffectSetting("backlash", axis, {"b": gap, "flank": 0.0}),)).plant)
     joint, held = CARM.plant.tree.joint_index(sprung), list(plant.joint_of_axis().values())
     free = [n for n in range(plant.joints) if n not in held]
@@ -170,7 +171,8 @@ def test_a_load_on_a_level_belt_rests_on_the_flank_that_it_is_pushed_to(gap_m: f
 def test_a_place_that_cannot_have_it_is_refused_in_one_line(entry: dict, hint: str) -> None:
     with pytest.raises(EffectError) as refusal:
         bind_effects([entry], EMPS.plant, "effects.toml")
-    assert hint in str(refusal.value) and "\n" not in str(refusal.value)
+    assert hint in str(refusal.value)
+    assert "\n" not in str(refusal.value)
 
 
 def test_a_coupling_larger_than_what_it_couples_is_refused() -> None:

@@ -68,7 +68,9 @@ def test_emulator_and_simulation_agree(name: str, simulator: Simulator, inputs: 
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_it_shows_where_it_is_and_vanishes_bit_for_bit_with_its_strength(name: str, simulator, inputs, plain) -> None:
+def test_it_shows_where_it_is_and_vanishes_bit_for_bit_with_its_strength(
+    name: str, simulator: Simulator, inputs: Inputs, plain: Outputs
+) -> None:
     setting = EXAMPLES[name]
     neutral = {p.name: p.neutral for p in effects()[name].parameters if p.is_strength}
     assert neutral
@@ -107,14 +109,18 @@ def test_the_catalogue_is_complete_for_a_reader() -> None:
     entries = {entry["name"]: entry for entry in catalogue()}
     assert len(entries) == len(EXAMPLES)
     for entry in entries.values():
-        assert entry["equation"] and entry["convention"] and entry["source"] and entry["at"]
+        assert entry["equation"]
+        assert entry["convention"]
+        assert entry["source"]
+        assert entry["at"]
         assert set(entry["neighbours"]) <= set(entries)
         for parameter in entry["parameters"]:
-            assert parameter["low"] < parameter["high"] and parameter["key"].startswith(parameter["name"])
+            assert parameter["low"] < parameter["high"]
+            assert parameter["key"].startswith(parameter["name"])
 
 
 @pytest.mark.parametrize("name", sorted(EXAMPLES))
-def test_sensors_are_told_of_the_effects_they_have_something_of_and_of_no_others(name):
+def test_sensors_are_told_of_the_effects_they_have_something_of_and_of_no_others(name: str) -> None:
     own, under = (sensor_effects(CARM.plant, chosen) for chosen in ((), (EXAMPLES[name],)))
     differs = any(not np.array_equal(one, other) for one, other in zip(own, under, strict=True))
     assert act_on_sensors([EXAMPLES[name]]) is differs

@@ -1,28 +1,32 @@
 """The emulated I/O device, asked by Modbus clients that are not ours, and by bytes from the specification."""
 
+from __future__ import annotations
+
 import math
 import socket
 import struct
+from collections.abc import Iterator
 
 import minimalmodbus
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from minimalmodbus import Instrument
 from modbus_wiring import AXES, WIRING, ServedRtu, ServedTcp, emulated_io
 from pyModbusTCP.client import ModbusClient
 
 from drivers.errors import ProtocolError
-from drivers.modbus.registers import NO_TEMPERATURE, register_to_temperature, temperature_to_register
+from drivers.modbus.registers import register_to_temperature, temperature_to_register
 from virtual_bus.errors import EmulatorError
 from virtual_bus.modbus.framing import TcpFraming, crc16, rtu_frame, rtu_request, tcp_frame
-from virtual_bus.modbus.io_device import BRAKE_DELAY_S
+from virtual_bus.modbus.io_device import EmulatedIo
 
 UNIT = WIRING["unit_id"]
 
 
 @pytest.fixture
-def tcp():
+def tcp() -> Iterator[tuple[EmulatedIo, ModbusClient]]:
     """A device on TCP and pyModbusTCP's client to it."""
     device = emulated_io()
     server = ServedTcp(device)
@@ -33,7 +37,7 @@ def tcp():
 
 
 @pytest.fixture
-def rtu():
+def rtu() -> Iterator[tuple[EmulatedIo, Instrument]]:
     """A device on a pseudo terminal and minimalmodbus's instrument on it."""
     device = emulated_io()
     server = ServedRtu(device)
@@ -45,7 +49,7 @@ def rtu():
     server.close()
 
 
-def test_pymodbustcp_reads_inputs_and_temperatures(tcp):
+def test_pymodbustcp_reads_inputs_and_temperatures(tcp: tuple[EmulatedIo, ModbusClient]) -> None:
     device, client = tcp
     device.set_hold_to_run(False)
     device.set_temperature("propeller", 24.3)
@@ -55,19 +59,21 @@ def test_pymodbustcp_reads_inputs_and_temperatures(tcp):
     assert client.read_input_registers(0, 6) == [0, 0, 0x10000 - 51, 0, 0, 243]
 
 
-def test_pymodbustcp_writes_coils_and_sees_the_feedback(tcp):
+def test_pymodbustcp_writes_coils_and_sees_the_feedback(tcp: tuple[EmulatedIo, ModbusClient]) -> None:
     device, client = tcp
     assert client.write_single_coil(2, True)
     assert client.read_coils(0, 3) == [False, False, True]
     device.advance(1.0)
     assert client.read_discrete_inputs(3, 2) == [False, False]
-    device.advance(1.0 + BRAKE_DELAY_S)
+    device.advance(1.0 + 0.03)  # spring-applied brakes open in 30 to 60 ms
+    assert client.read_discrete_inputs(3, 2) == [False, False]
+    device.advance(1.0 + 0.06)
     assert client.read_discrete_inputs(3, 2) == [True, False]
     assert client.write_multiple_coils(1, [True, False])
     assert device.coils == [False, True, False]
 
 
-def test_minimalmodbus_reads_inputs_and_temperatures(rtu):
+def test_minimalmodbus_reads_inputs_and_temperatures(rtu: tuple[EmulatedIo, Instrument]) -> None:
     device, instrument = rtu
     device.set_door(False)
     device.set_temperature("roll", -5.1)
@@ -76,7 +82,7 @@ def test_minimalmodbus_reads_inputs_and_temperatures(rtu):
     assert instrument.read_registers(0, 6, functioncode=4) == [0, 0, 0x10000 - 51, 0, 0, 0]
 
 
-def test_minimalmodbus_writes_coils(rtu):
+def test_minimalmodbus_writes_coils(rtu: tuple[EmulatedIo, Instrument]) -> None:
     device, instrument = rtu
     instrument.write_bit(1, 1)
     instrument.write_bits(0, [0, 1, 1])
@@ -84,7 +90,7 @@ def test_minimalmodbus_writes_coils(rtu):
     assert device.coils == [False, True, True]
 
 
-def test_minimalmodbus_gets_exceptions_and_the_line_lives_on(rtu):
+def test_minimalmodbus_gets_exceptions_and_the_line_lives_on(rtu: tuple[EmulatedIo, Instrument]) -> None:
     _, instrument = rtu
     instrument.serial.timeout = 0.3  # it always waits for the length of a good answer
     with pytest.raises(minimalmodbus.IllegalRequestError, match="illegal data address"):
@@ -94,7 +100,7 @@ def test_minimalmodbus_gets_exceptions_and_the_line_lives_on(rtu):
     assert instrument.read_bit(9) == 1
 
 
-def test_a_foreign_or_damaged_frame_on_the_serial_line_is_not_answered(rtu):
+def test_a_foreign_or_damaged_frame_on_the_serial_line_is_not_answered(rtu: tuple[EmulatedIo, Instrument]) -> None:
     device, instrument = rtu
     instrument.serial.timeout = 0.05
     instrument.address = UNIT + 1
@@ -103,7 +109,7 @@ def test_a_foreign_or_damaged_frame_on_the_serial_line_is_not_answered(rtu):
     assert device.serve_rtu(rtu_frame(UNIT, b"\x02\x00\x09\x00\x01")[:-1] + b"\x00") == b""
 
 
-def test_a_broadcast_is_obeyed_in_silence():
+def test_a_broadcast_is_obeyed_in_silence() -> None:
     device = emulated_io()
     assert device.serve_rtu(rtu_frame(0, b"\x05\x00\x01\xff\x00")) == b""
     assert device.coils[1]
@@ -137,19 +143,19 @@ def test_a_broadcast_is_obeyed_in_silence():
         ("02 0000", "82 03"),
     ],
 )
-def test_requests_are_answered_as_the_specification_says(pdu, answer):
+def test_requests_are_answered_as_the_specification_says(pdu: str, answer: str) -> None:
     assert emulated_io().serve_pdu(bytes.fromhex(pdu)) == bytes.fromhex(answer)
 
 
 @given(st.binary(min_size=1, max_size=253))
-def test_no_request_makes_the_device_fail(pdu):
+def test_no_request_makes_the_device_fail(pdu: bytes) -> None:
     device = emulated_io()
     answer = device.serve_pdu(pdu)
     assert answer[0] & 0x7F == pdu[0] & 0x7F
     assert len(device.coils) == 3
 
 
-def test_on_tcp_another_unit_gets_the_gateways_answer(tcp):
+def test_on_tcp_another_unit_gets_the_gateways_answer(tcp: tuple[EmulatedIo, ModbusClient]) -> None:
     _, client = tcp
     client.unit_id = UNIT + 1
     assert client.read_coils(0) is None
@@ -158,7 +164,7 @@ def test_on_tcp_another_unit_gets_the_gateways_answer(tcp):
     assert client.read_coils(0) == [False]
 
 
-def test_a_client_that_speaks_something_else_is_hung_up_on_and_others_are_not(tcp):
+def test_a_client_that_speaks_something_else_is_hung_up_on_and_others_are_not(tcp: tuple[EmulatedIo, ModbusClient]) -> None:
     _, client = tcp
     assert client.read_coils(0) == [False]
     with socket.create_connection((client.host, client.port), 5.0) as line:
@@ -167,7 +173,7 @@ def test_a_client_that_speaks_something_else_is_hung_up_on_and_others_are_not(tc
     assert client.read_coils(0) == [False]
 
 
-def test_a_port_in_use_is_one_clear_line():
+def test_a_port_in_use_is_one_clear_line() -> None:
     server = ServedTcp(emulated_io())
     with pytest.raises(EmulatorError, match=rf"127.0.0.1:{server.port}: Address already in use; give another port"):
         ServedTcp(emulated_io(), port=server.port)
@@ -178,7 +184,7 @@ requests = st.lists(st.tuples(st.integers(0, 0xFFFF), st.integers(0, 255), st.bi
 
 
 @given(requests, st.lists(st.integers(1, 50), max_size=30))
-def test_split_and_merged_tcp_segments_hold_the_same_requests(sent, cuts):
+def test_split_and_merged_tcp_segments_hold_the_same_requests(sent: list[tuple[int, int, bytes]], cuts: list[int]) -> None:
     stream = b"".join(tcp_frame(*request) for request in sent)
     framing = TcpFraming()
     received, start = [], 0
@@ -190,12 +196,12 @@ def test_split_and_merged_tcp_segments_hold_the_same_requests(sent, cuts):
 
 
 @given(st.binary(max_size=60))
-def test_no_bytes_make_the_tcp_framing_fail(data):
+def test_no_bytes_make_the_tcp_framing_fail(data: bytes) -> None:
     for request in TcpFraming().feed(data):
         assert 1 <= len(request.pdu) <= 253
 
 
-def test_the_serial_check_is_the_documented_one():
+def test_the_serial_check_is_the_documented_one() -> None:
     # Modbus over Serial Line V1.02, sec. 6.2.2 (example: 02 07 -> 0x1241, sent low byte first), and the usual check value of CRC-16/MODBUS
     assert crc16(b"\x02\x07") == 0x1241
     assert crc16(b"123456789") == 0x4B37
@@ -203,7 +209,7 @@ def test_the_serial_check_is_the_documented_one():
 
 
 @given(st.integers(0, 255), st.binary(min_size=1, max_size=250), st.data())
-def test_serial_frames_survive_and_damage_is_noticed(unit_id, pdu, data):
+def test_serial_frames_survive_and_damage_is_noticed(unit_id: int, pdu: bytes, data: st.DataObject) -> None:
     frame = rtu_frame(unit_id, pdu)
     assert rtu_request(frame) == (unit_id, pdu)
     damaged = bytearray(frame)
@@ -212,14 +218,14 @@ def test_serial_frames_survive_and_damage_is_noticed(unit_id, pdu, data):
 
 
 @given(st.floats(-3276.7, 3276.7))
-def test_temperatures_survive_within_half_a_step(temperature_degC):
+def test_temperatures_survive_within_half_a_step(temperature_degC: float) -> None:
     assert register_to_temperature(temperature_to_register(temperature_degC)) == pytest.approx(temperature_degC, abs=0.0501)
 
 
 @given(st.integers(0, 0xFFFF))
-def test_registers_are_signed_tenths(register):
+def test_registers_are_signed_tenths(register: int) -> None:
     temperature_degC = register_to_temperature(register)
-    if register == NO_TEMPERATURE:
+    if register == 0x8000:  # the sensor is broken or not connected
         assert math.isnan(temperature_degC)
     else:
         assert temperature_degC == struct.unpack(">h", register.to_bytes(2, "big"))[0] / 10
@@ -227,12 +233,12 @@ def test_registers_are_signed_tenths(register):
 
 
 @pytest.mark.parametrize("temperature_degC", [3277.0, -3277.0, math.inf])
-def test_a_temperature_that_fits_no_register_is_refused(temperature_degC):
+def test_a_temperature_that_fits_no_register_is_refused(temperature_degC: float) -> None:
     with pytest.raises(ProtocolError, match="does not fit"):
         temperature_to_register(temperature_degC)
 
 
-def test_brakes_follow_their_coils_after_the_delay_and_say_so():
+def test_brakes_follow_their_coils_after_the_delay_and_say_so() -> None:
     heard = []
     device = emulated_io(on_brakes=lambda closed: heard.append(closed.tolist()), brake_delay_s=0.04)
     device.serve_pdu(bytes.fromhex("0F 0001 0002 01 03"))
@@ -246,7 +252,7 @@ def test_brakes_follow_their_coils_after_the_delay_and_say_so():
     assert device.discrete_inputs[3:5] == [False, True]  # roll, propeller
 
 
-def test_a_coil_that_changes_its_mind_in_time_moves_no_brake():
+def test_a_coil_that_changes_its_mind_in_time_moves_no_brake() -> None:
     device = emulated_io(brake_delay_s=0.04)
     device.serve_pdu(bytes.fromhex("05 0001 FF00"))
     device.advance(0.0)
@@ -259,7 +265,7 @@ def test_a_coil_that_changes_its_mind_in_time_moves_no_brake():
     assert np.array_equal(device.brakes_closed, [False, True])
 
 
-def test_an_axis_without_wiring_is_left_alone():
+def test_an_axis_without_wiring_is_left_alone() -> None:
     device = emulated_io()
     device.set_temperature("table", 30.0)
     assert device.input_registers == [0] * 6

@@ -35,7 +35,8 @@ def test_parameters_have_names_units_and_the_files_values() -> None:
     assert by_name["roll.armature_kg_m2"].value > 0.0
     assert by_name["roll.constant_Nm_A"].unit == "Nm/A"
     assert by_name["roll.armature_kg_m2"].unit == "kg m^2"
-    assert by_name["gravity.z_m_s2"].value == -9.81 and by_name["gravity.z_m_s2"].unit == "m/s^2"
+    assert by_name["gravity.z_m_s2"].value == -9.81
+    assert by_name["gravity.z_m_s2"].unit == "m/s^2"
 
 
 def test_an_unknown_parameter_is_answered_with_its_neighbours() -> None:
@@ -59,7 +60,8 @@ def test_an_unknown_parameter_is_answered_with_its_neighbours() -> None:
 def test_what_is_no_plant_is_refused_in_one_line(settings: PlantSettings, hint: str) -> None:
     with pytest.raises(PlantError) as refusal:
         compile_plant(settings)
-    assert hint in str(refusal.value) and "\n" not in str(refusal.value)
+    assert hint in str(refusal.value)
+    assert "\n" not in str(refusal.value)
 
 
 def test_an_axis_that_is_no_unit_vector_is_refused() -> None:

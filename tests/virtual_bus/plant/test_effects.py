@@ -17,9 +17,12 @@ def test_the_catalogue_says_what_a_reader_needs_of_every_effect() -> None:
     entries = {entry["name"]: entry for entry in catalogue()}
     assert {"coulomb_friction", "stribeck_friction"} <= set(entries)
     for entry in entries.values():
-        assert entry["convention"] and entry["source"] and entry["at"]
+        assert entry["convention"]
+        assert entry["source"]
+        assert entry["at"]
         for parameter in entry["parameters"]:
-            assert parameter["low"] < parameter["high"] and parameter["description"]
+            assert parameter["low"] < parameter["high"]
+            assert parameter["description"]
     coulomb = entries["coulomb_friction"]["parameters"][0]
     assert (coulomb["key"], coulomb["unit"]) == ("Fc_Nm", "Nm")
     assert (coulomb["key_prismatic"], coulomb["unit_prismatic"]) == ("Fc_N", "N")
@@ -53,7 +56,9 @@ def test_a_wrong_effect_is_refused_in_one_line_that_helps(entry: dict, hint: str
     with pytest.raises(EffectError) as refusal:
         bind_effects([entry], block(), "effects.toml")
     text = str(refusal.value)
-    assert text.startswith("effects.toml: effect 1") and hint in text and "\n" not in text
+    assert text.startswith("effects.toml: effect 1")
+    assert hint in text
+    assert "\n" not in text
 
 
 def test_the_same_effect_twice_at_one_place_is_refused() -> None:

@@ -6,7 +6,6 @@ import itertools
 
 import numpy as np
 import pytest
-import small_plants
 from small_plants import BLOCK_MASS_kg, block, run
 
 from virtual_bus.effects import bouc_wen_hysteresis, presliding_hysteresis
@@ -37,12 +36,14 @@ LAWS = {"presliding_hysteresis": presliding_hysteresis.react, "bouc_wen_hysteres
 @pytest.mark.parametrize(("mass_kg", "rounding_m_s"), [(BLOCK_MASS_kg, 1e-9), (0.02, 1e-7)])
 @pytest.mark.parametrize(("name", "number"), [(name, number) for name, sets in STIFF.items() for number in range(len(sets))])
 def test_what_acted_in_a_step_is_what_the_law_asks_for_however_stiff_it_is(
-    name: str, number: int, mass_kg: float, rounding_m_s: float, monkeypatch: pytest.MonkeyPatch
+    name: str, number: int, mass_kg: float, rounding_m_s: float
 ) -> None:
     """A light block's bristles stop it within a step from two orders further off."""
-    monkeypatch.setattr(small_plants, "BLOCK_MASS_kg", mass_kg)
     parameters = STIFF[name][number]
-    states = run(block(stiffness=150.0, damping=2.0, effects=(EffectSetting(name, "rail", parameters),), substeps=1), FORCES[:, None])
+    states = run(
+        block(mass_kg=mass_kg, stiffness=150.0, damping=2.0, effects=(EffectSetting(name, "rail", parameters),), substeps=1),
+        FORCES[:, None],
+    )
     asked = []
     for before, after in itertools.pairwise(states):
         state = ReactionState(before[MEMORY], 0.0, before[POSITION], before[SPEED], after[SPEED], STEP_s)

@@ -48,7 +48,7 @@ def test_an_edit_of_this_file_gives_generated_modules_another_name(file: Path) -
 
 def test_a_plant_counts_no_references_so_that_nothing_in_it_may_ask_for_memory() -> None:
     @compiled
-    def asks_for_memory(to, what):
+    def asks_for_memory(to: np.ndarray, what: np.ndarray) -> None:
         to[:] = what  # a copy of `what`, where the two overlap
 
     with pytest.raises(NumbaError, match="NRT required but not enabled"):
@@ -58,6 +58,7 @@ def test_a_plant_counts_no_references_so_that_nothing_in_it_may_ask_for_memory()
 def test_whole_simulations_let_other_threads_go_on_and_what_a_loop_calls_every_sample_does_not() -> None:
     plant = compile_plant(load_machine("carm").plant)
     functions = [one for one in vars(plant.module).values() if hasattr(one, "targetoptions")]
-    assert plant.advance in functions and not any(one.targetoptions.get("nogil") for one in functions)
+    assert plant.advance in functions
+    assert not any(one.targetoptions.get("nogil") for one in functions)
     for kernel in (closed_loop_kernel(plant), lane_kernel(plant, 4)):
         assert kernel.run.targetoptions["nogil"]

@@ -20,7 +20,7 @@ fast = numba.njit(fastmath=FAST_MATH, error_model="numpy", _nrt=False)
 
 
 @fast
-def circular(memory):
+def circular(memory: np.ndarray) -> None:
     work = view(memory)
     for i in range(len(work.angle)):
         work.sine[i] = math.sin(work.angle[i])
@@ -28,7 +28,7 @@ def circular(memory):
 
 
 @fast
-def arithmetic(memory, by):
+def arithmetic(memory: np.ndarray, by: float) -> None:
     work = view(memory)
     total = 0.0
     for j in range(3):
@@ -39,7 +39,7 @@ def arithmetic(memory, by):
 
 
 @fast
-def one_machine(memory, lane):
+def one_machine(memory: np.ndarray, lane: int) -> None:
     work = view(memory)
     work.angle[1, lane] = work.table[1, 2, lane] + 1.0
 
@@ -68,7 +68,8 @@ def test_a_lane_that_is_no_number_has_no_sine_and_leaves_the_others_alone() -> N
     circular(memory)
     for name, expected in (("sine", math.sin(0.5)), ("cosine", math.cos(0.5))):
         found = RECORD.field(memory, name)
-        assert np.isnan(found[0, 2]) and np.isnan(found[1, 5])
+        assert np.isnan(found[0, 2])
+        assert np.isnan(found[1, 5])
         assert np.sum(np.abs(found - expected) < 1e-15) == 3 * LANES - 2
 
 
@@ -103,7 +104,7 @@ def test_with_the_lane_as_a_further_index_one_machine_is_read_and_written() -> N
 
 def test_lanes_are_not_compared() -> None:
     @compiled
-    def branches(memory):
+    def branches(memory: np.ndarray) -> None:
         work = view(memory)
         if work.angle[0] > 0.0:
             work.angle[0] = 1.0

@@ -58,6 +58,6 @@ def test_nothing_collides(exported: mujoco.MjModel) -> None:
     assert exported.ngeom == 0
 
 
-def test_a_point_mass_on_a_slide_is_a_model_mujoco_takes():
+def test_a_point_mass_on_a_slide_is_a_model_mujoco_takes() -> None:
     model = mujoco.MjModel.from_xml_string(to_mjcf(load_machine("emps").plant, "emps"))
     assert model.body("carriage").mass[0] == pytest.approx(95.1089)

@@ -74,7 +74,8 @@ def test_a_joint_with_nothing_to_rest_against_is_refused_in_one_line() -> None:
     bodies = (*settings.tree.bodies[:3], replace(lift, joint=replace(lift.joint, stiffness=0.0)), settings.tree.bodies[4])
     with pytest.raises(PlantError, match="no elastic equilibrium") as refusal:
         Physics(replace(settings, tree=replace(settings.tree, bodies=bodies)))
-    assert "lift" in str(refusal.value) and "\n" not in str(refusal.value)
+    assert "lift" in str(refusal.value)
+    assert "\n" not in str(refusal.value)
 
 
 def test_what_is_applied_is_felt_until_the_next_sample_and_read_at_once() -> None:

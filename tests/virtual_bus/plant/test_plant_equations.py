@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import mujoco
@@ -60,7 +61,7 @@ def random_tree(seed: int, count: int) -> PlantSettings:
 
 
 @pytest.fixture(scope="module")
-def interpreted(tmp_path_factory: pytest.TempPathFactory):
+def interpreted(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """The generated modules run as plain Python: a hundred trees are looked at, and none is worth a compilation."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ISOCENTER_CACHE", str(tmp_path_factory.mktemp("generated")))

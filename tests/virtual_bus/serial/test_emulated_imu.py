@@ -1,12 +1,13 @@
 """The emulated IMU by itself: states, refusals, rates and status word as the manual of the real one has them."""
 
+from __future__ import annotations
+
 import struct
 
 import pytest
 from imu_wiring import IMU, PERIOD_S, Bench, answers, no_wait
 
 from drivers.serial.xbus import (
-    MAX_RATE,
     DataId,
     ErrorCode,
     MessageId,
@@ -28,7 +29,7 @@ def bench() -> Bench:
     return bench
 
 
-def test_a_waking_device_waits_for_its_acknowledge_and_then_measures():
+def test_a_waking_device_waits_for_its_acknowledge_and_then_measures() -> None:
     device = EmulatedImu()
     assert device.power_on() == bytes.fromhex("FAFF3E00C3")
     assert device.advance(0.4) == b""
@@ -39,13 +40,13 @@ def test_a_waking_device_waits_for_its_acknowledge_and_then_measures():
     assert len(readings) == 100  # its default rate
 
 
-def test_wake_up_acknowledged_in_time_leads_to_config():
+def test_wake_up_acknowledged_in_time_leads_to_config() -> None:
     device = EmulatedImu()
     assert answers(device, MessageId.WAKE_UP_ACK) == []
     assert device.state is State.CONFIG
 
 
-def test_reset_restarts_the_device_and_keeps_its_settings():
+def test_reset_restarts_the_device_and_keeps_its_settings() -> None:
     device = EmulatedImu()
     answers(device, MessageId.GO_TO_CONFIG)
     wanted = encode_output_configuration([(DataId.ACCELERATION, 400)])
@@ -57,12 +58,12 @@ def test_reset_restarts_the_device_and_keeps_its_settings():
 
 
 @pytest.mark.parametrize("command", [MessageId.REQ_DEVICE_ID, MessageId.SET_OUTPUT_CONFIGURATION, MessageId.GO_TO_MEASUREMENT, 0x77])
-def test_commands_of_the_config_state_are_refused_while_measuring(bench, command):
+def test_commands_of_the_config_state_are_refused_while_measuring(bench: Bench, command: MessageId | int) -> None:
     assert answers(bench.device, command) == [(MessageId.ERROR, bytes((ErrorCode.INVALID_MESSAGE,)))]
     assert bench.device.state is State.MEASUREMENT
 
 
-def test_a_damaged_command_is_not_obeyed_and_answered_with_an_error(bench):
+def test_a_damaged_command_is_not_obeyed_and_answered_with_an_error(bench: Bench) -> None:
     assert bench.device.receive(bytes.fromhex("FAFF3000D2")) == bytes.fromhex("FAFF420104BA")
     assert bench.device.state is State.MEASUREMENT
 
@@ -76,21 +77,21 @@ def test_a_damaged_command_is_not_obeyed_and_answered_with_an_error(bench):
         (MessageId.SET_SYNC_SETTINGS, bytes(5)),
     ],
 )
-def test_parameters_it_does_not_know_are_refused(command, data):
+def test_parameters_it_does_not_know_are_refused(command: MessageId, data: bytes) -> None:
     device = EmulatedImu()
     answers(device, MessageId.GO_TO_CONFIG)
     assert answers(device, command, data) == [(MessageId.ERROR, bytes((ErrorCode.INVALID_PARAMETER,)))]
 
 
-def test_granted_rates_are_told():
+def test_granted_rates_are_told() -> None:
     device = EmulatedImu()
     answers(device, MessageId.GO_TO_CONFIG)
     asked = [(DataId.SAMPLE_TIME_FINE, 7), (DataId.ACCELERATION, 0), (DataId.RATE_OF_TURN, 9000)]
     ((_, data),) = answers(device, MessageId.SET_OUTPUT_CONFIGURATION, encode_output_configuration(asked))
-    assert [rate for _, rate in decode_output_configuration(data)] == [MAX_RATE, 2000, 2000]
+    assert [rate for _, rate in decode_output_configuration(data)] == [0xFFFF, 2000, 2000]  # Xsens: 0xFFFF stands for "with every message"
 
 
-def test_sync_pulses_can_be_skipped():
+def test_sync_pulses_can_be_skipped() -> None:
     device = EmulatedImu()
     answers(device, MessageId.GO_TO_CONFIG)
     setting = SyncSetting(8, 2, 1, 0, skip_first=2, skip_factor=1, pulse_width=0, delay=0)
@@ -100,13 +101,13 @@ def test_sync_pulses_can_be_skipped():
     assert [bool(device.on_sync(IMU, number * PERIOD_S)) for number in range(6)] == [False, False, True, False, True, False]
 
 
-def test_the_status_word_marks_readings_drawn_by_sync(bench):
+def test_the_status_word_marks_readings_drawn_by_sync(bench: Bench) -> None:
     (message,) = StreamParser().feed(bench.device.on_sync(IMU, 1.0))
     assert decode_reading(message.data).status == 1 << 21 | 0b11
     assert message.data[-4:] == struct.pack(">I", 1 << 21 | 0b11)
 
 
-def test_a_pipe_nobody_reads_loses_new_bytes_as_a_port_does():
+def test_a_pipe_nobody_reads_loses_new_bytes_as_a_port_does() -> None:
     bench_end, device_end = pipe()
     device_end.write(bytes(65_000))
     device_end.write(bytes(1000))

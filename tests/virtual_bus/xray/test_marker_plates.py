@@ -1,11 +1,13 @@
 """A plate's projection is the length of metal on each ray, found again by walking along the rays in small steps."""
 
+from __future__ import annotations
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from hil.emulated.marker_images import steel
-from hil.imaging.markers import PLATES
+from hil.imaging.markers import PLATES, MarkerPlate
 from virtual_bus.xray.markers import Mounted, plate_attenuation, ray_shifts
 from virtual_bus.xray.render import Panel, View
 
@@ -14,7 +16,7 @@ SOURCE = np.array([3e-3, -2e-3, -1.16])
 STEPS = 4000
 
 
-def metal(plate, points):
+def metal(plate: MarkerPlate, points: np.ndarray) -> np.ndarray:
     """Whether points (..., 3) of the plate's frame lie in it, by the drawing's words."""
     x, y, z = np.moveaxis(points, -1, 0)
     low = -0.5 * plate.depth_m
@@ -30,7 +32,7 @@ def metal(plate, points):
 
 
 @pytest.mark.parametrize("name", list(PLATES))
-def test_a_ray_s_length_in_the_metal_is_what_walking_along_it_finds(name):
+def test_a_ray_s_length_in_the_metal_is_what_walking_along_it_finds(name: str) -> None:
     plate = PLATES[name]()
     turn = Rotation.from_euler("xyz", [0.05, -0.04, 0.03]).as_matrix()
     origin = SOURCE + np.array([1e-3, 0.5e-3, 0.25])
@@ -47,4 +49,5 @@ def test_a_ray_s_length_in_the_metal_is_what_walking_along_it_finds(name):
     walked *= (share[1] - share[0]) * np.linalg.norm(ray, axis=-1)
     step = 0.03 * 1.2 / STEPS
     np.testing.assert_allclose(cast / steel(plate).attenuation_1_m, walked, atol=4.0 * step)
-    assert cast.max() > 1.5 and cast.min() < 1.2
+    assert cast.max() > 1.5
+    assert cast.min() < 1.2

@@ -62,7 +62,7 @@ def harmonic(conditions: Sequence[Condition], delay_s: float, *, tail: Dynamics 
     ----------
     conditions : from `harmonic_conditions`.
     delay_s : T.
-    tail : on the last tap, from `controllers.shapers.inverse`.
+    tail : on the last tap, from `controllers.shapers.zero_inversion`.
     extra_taps : beyond the number of equations.
 
     Raises

@@ -16,7 +16,7 @@ from controllers.errors import DesignError
 from controllers.shapers.conditions import Condition, equations, solve
 from controllers.shapers.delays import DelayFilter
 from controllers.shapers.dynamics import Dynamics
-from controllers.shapers.harmonic import tap_count
+from controllers.shapers.harmonic_time_delay import tap_count
 
 GRID_PER_RADIAN = 8
 """Points per radian of the fastest term of the determinant: sum over the conditions' frequencies times their taps."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.canopen import cia402, motion
+from drivers.canopen import cia402, power_and_brakes
 from drivers.canopen.cia402 import HOMING_AT_PRESENT_POSITION, Homing, Mode, State
-from drivers.canopen.motion import SETTLED_TICKS, Machine
+from drivers.canopen.power_and_brakes import SETTLED_TICKS, Machine
 from drivers.errors import BusTimeoutError, MotionRefusedError
 from drivers.settings import HomingSettings
 
@@ -44,15 +44,15 @@ def commission_axis(machine: Machine, axis: int, settings: HomingSettings, holdi
     MotionRefusedError, DeviceFaultError, BusTimeoutError
     """
     found = []
-    motion.reset_fault(machine, axis)
+    power_and_brakes.reset_fault(machine, axis)
     if push:
-        motion.set_mode(machine, axis, Mode.CYCLIC_SYNCHRONOUS_TORQUE)
+        power_and_brakes.set_mode(machine, axis, Mode.CYCLIC_SYNCHRONOUS_TORQUE)
         machine.watch.stand()
-        motion.reach(machine, State.OPERATION_ENABLED, [axis], lambda _: holding)
-        motion.open_brakes(machine, [axis], lambda _: holding)
+        power_and_brakes.reach(machine, State.OPERATION_ENABLED, [axis], lambda _: holding)
+        power_and_brakes.open_brakes(machine, [axis], lambda _: holding)
         found.append(check_first_move(machine, axis, settings, holding))
-        motion.close_brakes(machine, [axis], lambda _: holding)
-        motion.reach(machine, State.SWITCH_ON_DISABLED, [axis], lambda _: holding)
+        power_and_brakes.close_brakes(machine, [axis], lambda _: holding)
+        power_and_brakes.reach(machine, State.SWITCH_ON_DISABLED, [axis], lambda _: holding)
     home_drive(machine, axis, settings, holding, windup)
     found.append(check_agreement(machine, axis, settings, holding, windup))
     return found
@@ -75,7 +75,7 @@ def check_first_move(machine: Machine, axis: int, settings: HomingSettings, hold
     """
     name, unit, travel = machine.axes[axis], machine.scalings[axis].position_unit, settings.direction_check_travel
     start, link_start = _positions(machine, axis, holding)
-    motion.run_for(machine, DRIFT_WATCH_S, lambda _: holding)
+    power_and_brakes.run_for(machine, DRIFT_WATCH_S, lambda _: holding)
     drift = _positions(machine, axis, holding)[0] - start
     if abs(drift) >= travel:
         raise MotionRefusedError(
@@ -102,7 +102,7 @@ def _push_until_moved(machine: Machine, axis: int, settings: HomingSettings, hol
         elapsed += machine.period_s
         push = settings.direction_check_effort * min(1.0, elapsed / ramp_s)
         command[axis] = holding[axis] + push
-        moved = motion.tick(machine, command).position[axis] - start
+        moved = power_and_brakes.tick(machine, command).position[axis] - start
         if moved >= travel:
             return push
         if moved <= -travel:
@@ -130,20 +130,20 @@ def home_drive(machine: Machine, axis: int, settings: HomingSettings, holding: n
         The drive reports a homing error, or homing took too long.
     """
     moves = settings.method not in HOMING_AT_PRESENT_POSITION
-    motion.set_mode(machine, axis, Mode.HOMING)
+    power_and_brakes.set_mode(machine, axis, Mode.HOMING)
     _write_homing(machine, axis, settings, moves)
     machine.resume_ticks()
     machine.watch.stand(sets_counter=None if moves else axis)
-    motion.reach(machine, State.OPERATION_ENABLED, [axis], lambda _: holding)
+    power_and_brakes.reach(machine, State.OPERATION_ENABLED, [axis], lambda _: holding)
     if moves:
-        motion.open_brakes(machine, [axis], lambda _: holding)
+        power_and_brakes.open_brakes(machine, [axis], lambda _: holding)
         machine.watch.home(axis, settings)
     _run_homing(machine, axis, settings, holding)
     if moves:
         machine.watch.stand()
-        motion.close_brakes(machine, [axis], lambda _: holding)
-    motion.reach(machine, State.SWITCH_ON_DISABLED, [axis], lambda _: holding)
-    motion.set_mode(machine, axis, Mode.CYCLIC_SYNCHRONOUS_TORQUE)
+        power_and_brakes.close_brakes(machine, [axis], lambda _: holding)
+    power_and_brakes.reach(machine, State.SWITCH_ON_DISABLED, [axis], lambda _: holding)
+    power_and_brakes.set_mode(machine, axis, Mode.CYCLIC_SYNCHRONOUS_TORQUE)
     source = machine.inputs[axis]
     source.counter_was_set()
     source.offset = 0.0
@@ -187,7 +187,7 @@ def _positions(machine: Machine, axis: int, command: np.ndarray) -> tuple[float,
     has_link = machine.scalings[axis].link_resolution != 0.0
     deadline = machine.clock.now() + SAMPLE_TIMEOUT_S
     while True:
-        sample = motion.tick(machine, command)
+        sample = power_and_brakes.tick(machine, command)
         position, link = float(sample.position[axis]), float(sample.link_position[axis])
         if np.isfinite(position) and (np.isfinite(link) or not has_link):
             return position, link
@@ -198,7 +198,7 @@ def _positions(machine: Machine, axis: int, command: np.ndarray) -> tuple[float,
 
 def _mean_positions(machine: Machine, axis: int, command: np.ndarray) -> tuple[float, float]:
     """Return motor-side position and link position, averaged at a standstill in which the structure may still swing."""
-    rows = [_positions(machine, axis, command) for _ in range(motion.ticks_in(machine, AVERAGING_S))]
+    rows = [_positions(machine, axis, command) for _ in range(power_and_brakes.ticks_in(machine, AVERAGING_S))]
     position, link = np.mean(rows, axis=0)
     return float(position), float(link)
 
@@ -219,12 +219,12 @@ def _write_homing(machine: Machine, axis: int, settings: HomingSettings, moves: 
 def _run_homing(machine: Machine, axis: int, settings: HomingSettings, command: np.ndarray) -> None:
     machine.set_controlword(axis, cia402.ENABLE_OPERATION | cia402.HOMING_START)  # rises from the low bit with which it was enabled
     for _ in range(SETTLED_TICKS):
-        motion.tick(machine, command)
+        power_and_brakes.tick(machine, command)
     deadline = machine.clock.now() + settings.timeout_s
     while (progress := cia402.decode_homing(machine.inputs[axis].statusword)) is not Homing.DONE:
         failed = progress in (Homing.FAILED, Homing.FAILED_MOVING)
         if failed or machine.clock.now() > deadline:
             reason = progress.value if failed else f"not completed within {settings.timeout_s:.1f} s ({progress.value})"
             raise MotionRefusedError(f"{machine.axes[axis]}: homing by method {settings.method}: {reason}; the position is not known")
-        motion.tick(machine, command)
+        power_and_brakes.tick(machine, command)
     machine.set_controlword(axis, cia402.ENABLE_OPERATION)
