@@ -180,14 +180,14 @@ def compensate(
     """Turn and shift every image."""
     from hil.calibration.kinematic.geometric_model import read_calibration
     from hil.calibration.use.compensation import compensated, compensation
-    from hil.imaging.extra import imaging_package
+    from hil.extras import extra_package
     from hil.imaging.nominal import nominal_beam
     from hil.imaging.scan_folder import FRAMES, read_scan, write_description, write_exposures
 
     machine = load(machine_name)
     answer = Answer(json_to)
     folder_can_be_written(out)
-    tifffile = imaging_package("tifffile", "images")
+    tifffile = extra_package("tifffile", "images")
     scan = read_scan(scan_folder)
     if out.exists() and out.samefile(scan_folder):
         raise UnusableInputError(f"{out}: is read by this command; write to another folder")

@@ -22,20 +22,29 @@ def list_machines(json_to: JsonOption = None) -> None:
 
     answer = Answer(json_to)
     machines = [load_machine(name) for name in list_shipped()]
+    width = max(len(machine.name) for machine in machines)
     for machine in machines:
-        answer.say(f"{machine.name:10s} {machine.description}")
+        answer.say(f"{machine.name:{width}s} {machine.description}")
     answer.write(
         [{"name": machine.name, "description": machine.description, "axes": machine.axes, "hash": machine.hash} for machine in machines]
     )
 
 
 @app.command(help="What a machine file says: bodies, drives, sensors, limits, bus.\n\nExample:  isocenter machine show carm")
-def show(machine_name: MachineArgument, json_to: JsonOption = None) -> None:
+def show(
+    machine_name: MachineArgument,
+    toml: Annotated[bool, typer.Option("--toml", help="Print the machine file itself, to begin one of your own.")] = False,
+    json_to: JsonOption = None,
+) -> None:
     """Print a summary for a person; with --json the numbers in SI."""
     from hil.machine.summary import machine_document, machine_lines
 
     machine = load(machine_name)
     answer = Answer(json_to)
+    if toml:
+        answer.say(machine.text.rstrip("\n"))
+        answer.write(machine_document(machine))
+        return
     for line in machine_lines(machine):
         answer.say(line)
     answer.write(machine_document(machine))

@@ -12,8 +12,8 @@ from scipy.interpolate import CubicSpline
 
 from hil.emulated.beam import Beam
 from hil.errors import UnusableInputError
+from hil.extras import extra_package
 from hil.imaging.detector import Detector
-from hil.imaging.extra import imaging_package
 from hil.imaging.geometry import ConeBeam
 from hil.imaging.nominal import imaging_geometry
 from hil.imaging.scan_folder import FRAMES, write_description, write_exposures
@@ -114,7 +114,7 @@ def expose(
     UnusableInputError
         The scan is shorter than one exposure, or the folder cannot be written.
     """
-    tifffile = imaging_package("tifffile", "images")
+    tifffile = extra_package("tifffile", "images")
     starts = exposures.starts(side.panel.last_s)
     starts = starts[starts >= side.panel.first_s]
     if not len(starts):

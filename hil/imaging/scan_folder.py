@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from hil.errors import UnusableInputError
+from hil.extras import extra_package
 from hil.files.toml_text import toml_text
 from hil.imaging.detector import Detector
-from hil.imaging.extra import imaging_package
 from hil.machine import Machine
 
 FORMAT = 1
@@ -88,7 +88,7 @@ class ImageScan:
         UnusableInputError
             The file does not hold it, or not in this panel's size.
         """
-        tifffile = imaging_package("tifffile", "images")
+        tifffile = extra_package("tifffile", "images")
         path = self.folder / FRAMES
         try:
             image: np.ndarray = tifffile.imread(path, key=k)

@@ -224,7 +224,7 @@ def _axis_of(channel: str, stems: tuple[str, ...], what: str, table: MachineTabl
 
 
 def joint_of(axis: str, table: MachineTable, tree: Tree) -> Joint:
-    """The actuated joint of an axis."""
+    """Return the actuated joint of an axis."""
     return tree.joints[tree.joint_index(table.drives[axis].joint)]
 
 
@@ -263,7 +263,7 @@ def build_controllers(table: MachineTable) -> tuple[AxisController, ...]:
 
 
 def build_limits(table: MachineTable, tree: Tree) -> tuple[AxisLimits, ...]:
-    """What every axis may do, in axis order; infinite where the file says nothing."""
+    """Build the limits of every axis, in axis order; infinite where the file says nothing."""
     for axis, limits in table.limits.items():
         where: Where = ("limits", axis)
         require_known(axis, table.drives, where, "axis")

@@ -39,7 +39,7 @@ _NEEDED: dict[str, dict[str, tuple[str, ...]]] = {
 
 
 def build_bus(table: MachineTable, plant: PlantSettings, folder: Path | None) -> BusSettings | None:
-    """The whole bus, or None for a machine that can only be simulated. EDS files are taken from `folder`, else from the shipped ones."""
+    """Build the whole bus; None for a machine without one. EDS files are taken from `folder`, else from the shipped ones."""
     bus = table.bus
     if bus is None:
         return None

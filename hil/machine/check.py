@@ -109,14 +109,14 @@ def _examine_pose(machine: Machine, physics: Physics, pose: tuple[float, ...]) -
 
 
 def _from_command_to_position(machine: Machine, linear: control.StateSpace, joints: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The mechanical part alone: the IMU's low passes listen and do nothing."""
+    """Return A, B and C of the mechanical part alone: the IMU's low passes have no influence on it."""
     rows = [linear.output_labels.index(f"position_{axis}") for axis in machine.axes if machine.controllers]
     part = slice(0, 2 * joints)
     return np.asarray(linear.A)[part, part], np.asarray(linear.B)[part], np.asarray(linear.C)[rows, part]
 
 
 def shown_pose(machine: Machine, pose: tuple[float, ...]) -> str:
-    """A pose in the units people use."""
+    """Write a pose in the units people use."""
     parts = []
     for units, position in zip(machine.units, pose, strict=True):
         number = f"{math.degrees(position):.4g} deg" if units.position == "rad" else f"{position:.4g} m"
@@ -167,7 +167,7 @@ def _stability(machine: Machine, results: list[PoseResult]) -> Finding:
 
 
 def _reference_filters(machine: Machine) -> list[Finding]:
-    """A separate C_r stands outside the loop: no feedback would hold a pole of its own that runs away."""
+    """Check a separate C_r by itself: it stands outside the loop, so no feedback holds an unstable pole of it."""
     findings = []
     for controller in machine.controllers:
         if controller.reference_sections is not None:

@@ -1,4 +1,4 @@
-"""The linearised closed loop at one pose: stability and margins, timing as in docs/notation.md."""
+"""The linearised closed loop at one pose: stability and margins, timing as in docs/explanation/notation.md."""
 
 from __future__ import annotations
 
@@ -113,7 +113,8 @@ def loop_margins(frequencies_Hz: np.ndarray, gain: np.ndarray) -> Margins:
 
 def _response(sections: np.ndarray, z: np.ndarray) -> np.ndarray:
     b0, b1, b2, _, a1, a2 = (column[:, None] for column in sections.T)
-    return np.prod((b0 + (b1 + b2 / z) / z) / (1.0 + (a1 + a2 / z) / z), axis=0)
+    response: np.ndarray = np.prod((b0 + (b1 + b2 / z) / z) / (1.0 + (a1 + a2 / z) / z), axis=0)
+    return response
 
 
 def cascade_state_space(sections: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:

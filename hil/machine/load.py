@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import tomllib
 from pathlib import Path
+from typing import Any
 
 from pydantic import ValidationError
 
@@ -96,7 +97,7 @@ def read_text(path: Path, right: str) -> str:
         raise MachineFileError(" ".join(f"{path}: {reason}; {right}".split())) from None
 
 
-def parse_toml(text: str, file: str) -> dict:
+def parse_toml(text: str, file: str) -> dict[str, Any]:
     """TOML text to a dictionary; a syntax error names its line in one line."""
     try:
         return tomllib.loads(text)

@@ -19,7 +19,7 @@ class ComplaintError(Exception):
 
 
 def one_line(file: str, raw: dict[str, Any], complaint: ComplaintError) -> str:
-    """The complaint with its place and the value the file has there."""
+    """Write the complaint with its place and the value that the file has there."""
     path, value, found = _walk(raw, complaint.where)
     shown = f" = {_shown(value)}" if found and not isinstance(value, dict) else ""
     place = f"{path}{shown}: " if path else ""
@@ -85,7 +85,7 @@ def _words(kind: str, context: dict[str, Any], message: str) -> str:
     return message
 
 
-def _walk(raw: Any, where: tuple[str | int, ...]) -> tuple[str, Any, bool]:
+def _walk(raw: object, where: tuple[str | int, ...]) -> tuple[str, object, bool]:
     """Path as a person reads it, the value there, and whether it exists. Keys match with or without their unit."""
     path = ""
     value, found = raw, True
@@ -111,7 +111,7 @@ def _plain(text: str) -> str:
     return shown if len(shown) <= _LONGEST_VALUE else shown[:_LONGEST_VALUE] + "…"
 
 
-def _shown(value: Any) -> str:
+def _shown(value: object) -> str:
     try:
         text = _toml(value)
     except ValueError:  # an integer too long to print
@@ -119,7 +119,7 @@ def _shown(value: Any) -> str:
     return text if len(text) <= _LONGEST_VALUE else text[:_LONGEST_VALUE] + "…"
 
 
-def _toml(value: Any) -> str:
+def _toml(value: object) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):

@@ -57,16 +57,18 @@ class Machine:
     bus: BusSettings | None
 
     def axis_index(self, axis: str) -> int:
+        """Return the axis's place in `axes`."""
         return self.axes.index(axis)
 
     def axis_of_channel(self, name: str) -> str | None:
-        """The axis a channel is of: of `position_fine_z` the axis `fine_z` where there is one beside `z`. None for others, an IMU's among
-        them: its `imu_z` is not of an axis `z`.
+        """Return the axis that a channel belongs to; None for channels of no axis.
+
+        `position_fine_z` belongs to `fine_z` where there is such an axis beside `z`. An IMU's `imu_z` belongs to no axis, not to `z`.
         """
         if name in imu_channel_names(self.plant):
             return None
         return max((axis for axis in self.axes if name.endswith(f"_{axis}")), key=len, default=None)
 
     def with_effects(self, effects: tuple[EffectSetting, ...]) -> Machine:
-        """The same machine with other physics added by name."""
+        """Return the same machine with other physics added by name."""
         return replace(self, plant=replace(self.plant, effects=tuple(effects)))

@@ -9,7 +9,7 @@ from hil.machine.model import Machine
 
 
 def machine_document(machine: Machine) -> dict[str, Any]:
-    """The machine in SI and the drives' units, as plain values."""
+    """Return the machine in SI and the drives' units, as plain values."""
     plant = machine.plant
     return {
         "name": machine.name,
@@ -75,7 +75,7 @@ def machine_document(machine: Machine) -> dict[str, Any]:
 
 
 def machine_lines(machine: Machine) -> list[str]:
-    """A page for a person: angles in degrees, everything else in SI."""
+    """Write a page for a person: angles in degrees, everything else in SI."""
     plant = machine.plant
     joints = plant.tree.joints
     driven = {drive.joint for drive in plant.drives}

@@ -29,7 +29,7 @@ class Table(BaseModel):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _read_keys(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+    def _read_keys(cls, data: object, handler: ModelWrapValidatorHandler[Self]) -> Self:
         if not isinstance(data, dict):
             raise PydanticCustomError("table", "must be a table; write [name] or { key = value }")
         values: dict[str, Any] = {}
@@ -48,21 +48,22 @@ class Table(BaseModel):
         return table
 
     def key(self, field: str) -> str:
-        """The key as the file has it, or as it could be written."""
+        """Return the key as the file has it, or as it could be written."""
         return self._keys.get(field, written_key(type(self), field))
 
     def has(self, field: str) -> bool:
+        """Tell whether the file says this field."""
         return field in self._keys
 
     def dimension(self, field: str) -> str | None:
-        """Dimension the file's unit has; None when the key was left out."""
+        """Return the dimension of the file's unit; None when the key was left out."""
         if field not in self._keys:
             return None
         quantity = _quantities(type(self))[field]
         return quantity.dimension_of(self._keys[field][len(field) + 1 :])
 
     def unit(self, field: str) -> str:
-        """Unit the file wrote the quantity in; "" when the key was left out."""
+        """Return the unit that the file wrote the quantity in; "" when the key was left out."""
         return self._keys[field][len(field) + 1 :] if field in self._keys else ""
 
 
@@ -77,13 +78,13 @@ def _quantities(table: type[Table]) -> dict[str, Quantity]:
 
 
 def written_key(table: type[Table], field: str) -> str:
-    """How a field is written in the file, with the first unit it may have."""
+    """Write a field as in the file, with the first unit that it may have."""
     quantity = _quantities(table).get(field)
     return field if quantity is None else f"{field}_{next(iter(quantity.units))}"
 
 
 def _field_of(table: type[Table], key: str) -> tuple[str, float | None]:
-    """Field a key means and the factor of its unit to SI (None: no unit)."""
+    """Return the field that a key means, and the factor of its unit to SI (None: no unit)."""
     quantities = _quantities(table)
     if key in table.model_fields and key not in quantities:
         return key, None
@@ -109,8 +110,8 @@ def _choices(stem: str, quantity: Quantity) -> str:
     return " or ".join(f"{stem}_{unit}" for unit in quantity.units)
 
 
-def _scaled(value: Any, factor: float) -> Any:
-    """A number or nested list of numbers times factor; anything else as it is, for the type check to refuse."""
+def _scaled(value: object, factor: float) -> object:
+    """Multiply a number or nested list of numbers; return anything else as it is, for the type check to refuse."""
     if isinstance(value, list):
         return [_scaled(entry, factor) for entry in value]
     if isinstance(value, bool) or not isinstance(value, int | float) or factor == 1.0:

@@ -67,8 +67,9 @@ class Quantity:
 
     @property
     def units(self) -> dict[str, float]:
-        """Every unit this quantity may be written in, with its factor to SI."""
+        """Every unit that this quantity may be written in, with its factor to SI."""
         return {unit: factor for dimension in self.dimensions for unit, factor in UNITS[dimension].items()}
 
     def dimension_of(self, unit: str) -> str:
+        """Return the dimension of this quantity that a unit belongs to."""
         return next(dimension for dimension in self.dimensions if unit in UNITS[dimension])

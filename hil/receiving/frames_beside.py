@@ -18,7 +18,7 @@ from hil.emulated import panel as emulated_panel
 from hil.emulated.images import positions_at
 from hil.emulated.panel import PanelOrder
 from hil.errors import BadAnswerError, UnusableInputError
-from hil.imaging.extra import imaging_package
+from hil.extras import extra_package
 from hil.imaging.scan_folder import FRAMES, write_description, write_exposures
 from hil.machine import Machine
 from hil.processes.second_in_line import politely
@@ -62,7 +62,7 @@ def frames_beside(order: ReceiverOrder, panel: PanelOrder | None, say: Callable[
     BadAnswerError
         A process died.
     """
-    imaging_package("tifffile", "images")
+    extra_package("tifffile", "images")
     if isinstance(order.panel, RemotePanel):
         PanelLink(order.panel.url, order.panel.period_s).close()  # is it there, and nobody else's?
     try:

@@ -12,8 +12,8 @@ import numpy as np
 from drivers.errors import DriverError
 from drivers.imaging import PanelClock
 from hil.errors import BadAnswerError, UnusableInputError
+from hil.extras import extra_package
 from hil.imaging.detector import Detector
-from hil.imaging.extra import imaging_package
 from hil.imaging.markers import MarkerProjection
 from hil.imaging.scan_folder import FRAMES
 from hil.receiving.panel_frames import FrameSource, PanelFrames, RemotePanel, SpooledFrames
@@ -61,7 +61,7 @@ def serve(order: ReceiverOrder, is_over: Event) -> None:
 
 
 def _serve(order: ReceiverOrder, is_over: Event) -> None:
-    tifffile = imaging_package("tifffile", "images")
+    tifffile = extra_package("tifffile", "images")
     folder = order.folder
     source: FrameSource = SpooledFrames(order.panel) if isinstance(order.panel, Path) else PanelFrames(order.panel)
     watch = None if order.live is None else Watch(order.live, order.detector, order.nominal)

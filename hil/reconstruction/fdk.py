@@ -11,8 +11,8 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
 from hil.errors import UnusableInputError
+from hil.extras import extra_package
 from hil.imaging.detector import Detector
-from hil.imaging.extra import imaging_package
 from hil.imaging.geometry import ConeBeam
 from hil.imaging.pixels import without_dead_pixels
 
@@ -260,7 +260,7 @@ def _fdk(projections: np.ndarray, frames: np.ndarray, pitch_m: tuple[float, floa
 
     `frames` (N, 4, 3) are source, panel, its u and v.
     """
-    itk = imaging_package("itk", "reconstructions")
+    itk = extra_package("itk", "reconstructions")
     if not hasattr(itk, "RTK"):
         raise UnusableInputError("reconstructions need itk-rtk beside itk: pip install 'isocenter[imaging]'")
     rtk = itk.RTK

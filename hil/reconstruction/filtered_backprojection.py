@@ -13,7 +13,7 @@ import numpy as np
 from scipy.signal import fftconvolve
 
 from hil.errors import UnusableInputError
-from hil.imaging.extra import imaging_package
+from hil.extras import extra_package
 
 
 def parallel_projections(image: np.ndarray, angles: np.ndarray, spacing_m: float) -> np.ndarray:
@@ -113,4 +113,4 @@ def _fan_filter(bins: int, step: float) -> np.ndarray:
 
 
 def _transforms() -> ModuleType:
-    return imaging_package("skimage.transform", "reconstructions in a plane")
+    return extra_package("skimage.transform", "reconstructions in a plane")

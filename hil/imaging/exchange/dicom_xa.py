@@ -17,8 +17,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hil.errors import UnusableInputError
+from hil.extras import extra_package
 from hil.imaging.detector import Detector
-from hil.imaging.extra import imaging_package
 from hil.imaging.geometry import ConeBeam
 
 if TYPE_CHECKING:
@@ -179,5 +179,5 @@ def _decimal(value: float) -> str:
 
 
 def _pydicom() -> ModuleType:
-    imaging_package("pydicom.errors", "DICOM files")
-    return imaging_package("pydicom", "DICOM files")
+    extra_package("pydicom.errors", "DICOM files")
+    return extra_package("pydicom", "DICOM files")

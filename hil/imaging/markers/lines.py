@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from hil.imaging.extra import imaging_package
+from hil.extras import extra_package
 
 WIDEST_TURN_RAD = np.radians(6.0)
 """A line may be turned this far from where it is expected."""
@@ -54,7 +54,7 @@ def edges_of(filtered: np.ndarray, image: np.ndarray) -> tuple[Edges, Edges]:
 
     Counts become 2 sqrt(counts), whose noise is the same everywhere; its size is measured, so any linear unit will do.
     """
-    canny = imaging_package("skimage.feature", "marker plates").canny
+    canny = extra_package("skimage.feature", "marker plates").canny
 
     steady = 2.0 * np.sqrt(np.maximum(filtered, 0.0))
     sample = 2.0 * np.sqrt(np.maximum(image[::4], 0.0).astype(np.float32))
@@ -90,7 +90,7 @@ def hough_lines(edges: Edges, shape: tuple[int, int], width: float, turn: float,
     apart : float
         Least distance of two of the plate's lines [pixel]; a scratch halfway between two is a line of its own.
     """
-    hough_line = imaging_package("skimage.transform", "marker plates").hough_line
+    hough_line = extra_package("skimage.transform", "marker plates").hough_line
 
     # (6.10) with u across the lines and v along them: r = across cos(theta) + along sin(theta), so that slope = -tan(theta)
     angles = -turn + np.arange(-WIDEST_TURN_RAD, WIDEST_TURN_RAD + 1e-9, ANGLE_STEP_RAD)

@@ -8,6 +8,7 @@ import sys
 import threading
 import warnings
 from collections.abc import Iterator
+from importlib.metadata import version
 from pathlib import Path
 from typing import Never
 
@@ -23,7 +24,7 @@ from typer.core import TyperCommand, TyperGroup
 from hil.cli import register
 from hil.cli.app import app
 from hil.cli.run import ExperimentGroup
-from hil.machine import list_shipped
+from hil.machine import list_shipped, load_machine
 from hil.recording import read_recording
 from hil.terminal.output import plain
 from virtual_bus.canopen.bare import BareMachine
@@ -320,3 +321,15 @@ def test_convert_reads_a_mat_whose_variables_are_named_otherwise(isocenter: Isoc
     refused = isocenter("convert", tmp_path / "lab.csv", tmp_path / "lab.mf4", "--map", "t=time")
     assert refused.status == 2
     assert "--map is for .mat" in refused.line
+
+
+def test_a_shipped_machine_file_is_printed_to_begin_one_of_your_own(isocenter: Isocenter, tmp_path: Path) -> None:
+    done = isocenter("machine", "show", "turntable", "--toml")
+    assert done.status == 0
+    (tmp_path / "mine.toml").write_text(done.out)
+    assert load_machine(tmp_path / "mine.toml").text.rstrip() == load_machine("turntable").text.rstrip()
+
+
+def test_the_version_is_that_of_the_distribution(isocenter: Isocenter) -> None:
+    done = isocenter("--version")
+    assert (done.status, done.out) == (0, f"isocenter {version('isocenter')}\n")

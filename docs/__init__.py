@@ -1,0 +1,1 @@
+"""Documentation: pages written by hand, generators of the others, and the site's configuration."""

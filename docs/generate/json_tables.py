@@ -1,0 +1,280 @@
+"""Keys of every command's JSON answer, and of diagnosis.json. A test holds them against the code."""
+
+from __future__ import annotations
+
+from docs.generate.format_tables import Entry
+
+_IDENTIFY = (
+    Entry("frf", "text", 'The file that was written. Of several poses the answer is `{"poses": [one of these per pose]}`.'),
+    Entry("method, settings, notes", "text, object, list", "How the response was estimated, and what a user should know."),
+    Entry("inputs, outputs", "list", "`name` and `unit` of each."),
+    Entry("lines, frequencies_Hz", "list", "Excited lines and their frequencies."),
+    Entry("magnitude, phase_rad", "(lines, outputs, inputs)", "The response."),
+    Entry("noise_standard_deviation, total_standard_deviation", "(lines, outputs, inputs) or null", "Of each complex element."),
+)
+_RUN = (
+    Entry("machine, hash", "text", "Name and hash of the machine file."),
+    Entry("bus, scheduler", "text", "The bus, and how the loop was scheduled."),
+    Entry(
+        "recordings",
+        "list",
+        "`recording` (the file), `experiment` (its metadata), `notes`, and `timing`: `ticks`, `missed`, and of `lateness`, "
+        "`work_time`, `answer_time` and `own_work_time` the keys `…_p50_us`, `…_p99_us`, `…_p99.9_us` and `…_max_us`.",
+    ),
+    Entry(
+        "calibration",
+        "object",
+        "Only with `--data`: images by fate, `place_sigma_m`, `lost`, `unplaced`, `source` and the file `geometry`.",
+    ),
+)
+
+COMMANDS: dict[str, tuple[Entry, ...]] = {
+    "demo": (
+        Entry("page", "text", "The page that was written."),
+        Entry("seconds, lockstep_times_real_time", "number", "Time of the whole, and speed of the emulated machine."),
+        Entry("recordings, frf", "list, text", "Files that were written."),
+        Entry("lines", "number", "Excited lines."),
+        Entry("nominal, with_friction", "object", "Comparisons as of `compare`."),
+    ),
+    "effects": (
+        Entry("[].name, kind, equation, convention, source", "text", "One object per effect, as on the page of [effects](effects.md)."),
+        Entry("[].at, neighbours", "list", "Kinds of place, and effects it is mistaken for."),
+        Entry("[].needs", "text", "`spring` or `neighbour`, where the place needs one."),
+        Entry("[].several", "text", "Parameter in which several at one place differ."),
+        Entry(
+            "[].parameters",
+            "list",
+            "`name`, `key`, `unit`, `key_prismatic`, `unit_prismatic`, `low`, `high`, `description`, `is_strength`, `neutral`.",
+        ),
+    ),
+    "emulate": (
+        Entry("ready", "text", "The machine or EDS file. The object is written in one line when everything listens."),
+        Entry("bus", "text", "The bus."),
+        Entry("node", "number", "Only with `--eds`."),
+        Entry("imu, imu_tcp, io, io_rtu, panel", "text", "Ports of the emulated devices, those that there are."),
+    ),
+    "scan-bus": (
+        Entry("bus", "text", "The bus."),
+        Entry("nodes", "list", "`node_id`, `device_type`, `description`, `identity`, `nmt_state`, `name`."),
+    ),
+    "home": (Entry("machine, bus", "text", "Machine and bus."), Entry("checks", "list of text", "What was checked, in order.")),
+    "simulate": (
+        Entry("simulation, rows", "text, number", "The file that was written, and its rows."),
+        Entry("effects", "list", "Physics that was added: `name`, `at`, `parameters`."),
+    ),
+    "compare": (
+        Entry(
+            "channels.NAME",
+            "object",
+            "`unit`; `rms` and `largest` difference in it; `nrmse`, rms over the rms of the recording about its mean, null "
+            "where it does not move; `lag_rows`, by how many rows the recording is later; `rows` compared.",
+        ),
+        Entry("only_recorded, only_simulated", "list", "Channels that only one of them has."),
+    ),
+    "convert": (
+        Entry("target, rows", "text, number", "The file that was written, and its rows."),
+        Entry("channels", "object", "Channel to unit."),
+    ),
+    "identify": _IDENTIFY,
+    "shape": (
+        Entry("shaper", "text", "The file that was written."),
+        Entry("chosen, recommended", "text", "The design that was written, and the recommended one."),
+        Entry("machine, hash, aim, source, output, verdict", "", "As in the notes of the SHAPER file."),
+        Entry(
+            "designs",
+            "list",
+            "One verdict per design, the recommended one first: `name`; the shares `vibration`, `tracking` and the same `…_at_10` "
+            "per cent off; `lag_s`, `transient_s`, `largest_gain`, `gain_sum`, `static_gain`, `left_out`, `against`.",
+        ),
+        Entry("refused", "object", "Design to the reason why there is none."),
+    ),
+    "observe": (
+        Entry("estimate, rows, filter, states, notes", "", "The file that was written, and what is in it."),
+        Entry(
+            "mean_nis, share_in_band, alarm_share",
+            "number",
+            "Consistency: mean normalised innovation squared per measurement, share of rows in the 95 % band, share of rows with an alarm.",
+        ),
+        Entry("rms", "object", "Estimate to its root mean square."),
+        Entry("not_observed", "list", "Combinations of states that the sensors do not show."),
+        Entry(
+            "live",
+            "text",
+            "How the replay compares with what ran along: `the same`, or the first difference; empty where nothing ran along.",
+        ),
+    ),
+    "expose": (Entry("folder, exposures", "text, number", "The scan's folder, and its images."),),
+    "roadmap": (
+        Entry("poses, registered", "number, true or false", "Benchmark poses, and whether worlds were laid on each other."),
+        Entry("overlay_m", "object", "Calibration to place on the image to `max`, `max_90` (of the best 90 %) and `mean`."),
+    ),
+    "reconstruct": (
+        Entry("geometry, projections", "text, number", "The geometry that was used, and the number of images."),
+        Entry("wires.WIRE", "object", "`peak_1_m`, `peak_ratio`, `widths_m`, `offset_m`, `artefact`."),
+    ),
+    "diagnose": (Entry("", "", "The object of `diagnosis.json`, below."),),
+    "machine list": (Entry("[].name, description, axes, hash", "", "One object per shipped machine."),),
+    "machine show": (
+        Entry("name, description, hash", "text", "The machine."),
+        Entry(
+            "axes",
+            "list",
+            "`name`, `position_unit`, `effort_unit`, `joint`, `effort_per_unit`, `effort_limit`, `target_resolution`, `range`, `speed`, "
+            "`acceleration`, `jerk`, `tracking_error`, in SI and the drive's unit.",
+        ),
+        Entry("sample_rate_Hz, substeps", "number", "Timing."),
+        Entry(
+            "bodies",
+            "list",
+            "`name`, `parent`, `mass_kg`, and `joint` with `name`, `type`, `stiffness`, `damping`, `armature`, `brake_effort`.",
+        ),
+        Entry("sensors", "list", "Channels, and names of IMUs."),
+        Entry("controllers", "list", "`axis`, `position_sections`, `reference_sections`, `gravity_feedforward`."),
+        Entry("nodes", "list", "`name`, `role`, `axis`, `node_id`."),
+    ),
+    "machine check": (
+        Entry("machine", "text", "The machine."),
+        Entry("ok", "true or false", "Whether every check is passed."),
+        Entry("findings", "list", "`name` of the check, `ok`, `text` for a person, and its numbers in `values`."),
+    ),
+    "machine export": (Entry("mjcf, machine, hash", "text", "The file that was written, and what it is of."),),
+    **dict.fromkeys(("run multisine", "run scan", "run jog", "run static", "run file"), _RUN),
+    "calibrate phantom": (
+        Entry("exposures, used", "number", "Images, and those that were used."),
+        Entry("residual_um, bullets", "list", "Per exposure: residual on the panel, and bullets that were used."),
+        Entry("axes, positions, deviation", "list", "As in the LOOKUP file."),
+        Entry("sigma", "(N, 9)", "Standard deviations."),
+        Entry("aspect, skew", "number", "Shape of the pixels."),
+    ),
+    "calibrate marker": (
+        Entry("plate, exposures, used, free", "", "Plate, images, those that were used, parameters that were fitted."),
+        Entry("values, sigma", "(N, 9)", "Parameters of every exposure, and their standard deviations."),
+        Entry("points, residual_pixels, deviation_pixels, blur_pixels", "(N,) or (N, 2)", "Crossings, and quality of every image."),
+        Entry("unusable, suspect_exposures", "object, list", "Exposure to the reason, and exposures of suspect quality."),
+    ),
+    "calibrate data": (
+        Entry("images, used", "number", "Images offered and used."),
+        Entry("refused, changes", "list", "Images that were refused, and those at which the mount was found moved."),
+        Entry(
+            "converged, place_sigma_m", "", "Image at which the geometry was known well enough, or null; how well it is known at the end."
+        ),
+        Entry("parameters.NAME", "object", "`value`, `unit`, `sigma`."),
+        Entry("sigma", "(9,)", "Median standard deviations of the nine parameters."),
+    ),
+    "calibrate level": (Entry("recording, rows", "text, number", "The file that was written, and its rows."),),
+    "calibrate model": (
+        Entry("exposures, rank", "number", "Exposures, and combinations of parameters that they show."),
+        Entry(
+            "singular_values, null, frozen", "list", "What is shown how well, combinations that are not shown, parameters that were kept."
+        ),
+        Entry("chi2, unmodelled_m", "number", "Misfit, and what the model leaves out."),
+        Entry("clock_lag_periods", "object", "`value`, `sigma`."),
+        Entry("parameters.NAME", "object", "`value`, `nominal`, `sigma`, `unit`."),
+        Entry("scans", "list", "How well each scan is fitted or predicted."),
+    ),
+    "calibrate scan": (
+        Entry("experiment, seconds, stops", "text, number, list", "The file that was written, how long it takes, and its poses."),
+        Entry(
+            "position_sigma_m, rotation_sigma_rad, nominal_sigma_m",
+            "number",
+            "How well the geometry will be known, and how well it is now.",
+        ),
+        Entry("rank, null, frozen", "", "As of `calibrate model`."),
+    ),
+    "calibrate grid": (
+        Entry("experiment, poses, seconds", "text, number, number", "The file that was written, its poses, and how long it takes."),
+    ),
+    "calibrate spot": (
+        Entry("time_s, spot_m, sigma_m", "list", "Place of the focal spot over time."),
+        Entry("drift_m", "(2,)", "Drift along columns and rows."),
+        Entry("frequencies_Hz, amplitudes_m", "list", "Spectrum."),
+        Entry("anode_alias_Hz, anode_wobble_m", "number, (2,)", "Only with `--anode`: where it shows, and how much."),
+    ),
+    "geometry at": (
+        Entry("pose", "object", "Axis to position."),
+        Entry(
+            "parameters, nominal, deviation, sigma",
+            "object",
+            "The nine parameters (2.2), the nominal ones, deviations and their standard deviations.",
+        ),
+    ),
+    "geometry truth": (Entry("table, exposures, deviation", "", "The file that was written, and what is in it."),),
+    "geometry standing": (Entry("table, poses", "", "The file that was written, and its poses."),),
+    "geometry volume": (Entry("volume_m3, radius_m, corners_m", "", "The volume, a ball about the isocentre in it, and its corners."),),
+    "geometry compensate": (
+        Entry("folder", "text", "The scan's folder that was written."),
+        Entry("turn_rad, shift_m, left_m", "list", "Per image: turn, shift, and what stays within 50 mm."),
+    ),
+    "geometry convert": (
+        Entry("written, exposures, parameters, notes", "", "The file that was written, the nine parameters of each exposure, remarks."),
+    ),
+}
+
+DIAGNOSIS = (
+    Entry(
+        "verdict", "text", "`inconclusive`, `unknown_physics`, `ambiguous`, `explained`, `retuned` or `consistent`; the first that applies."
+    ),
+    Entry("reason", "text", "The verdict in a sentence."),
+    Entry("findings", "list", "Effects held for present: those of the likeliest set, then what recordings show by themselves."),
+    Entry("findings[].effect", "text", "Name of the effect."),
+    Entry("findings[].at", "text", "Where it acts."),
+    Entry("findings[].confidence", "0 to 1", "Of all hypotheses together that have this effect."),
+    Entry(
+        "findings[].parameters.NAME", "object", "`value`, `unit` and `ci95`, a span of 95 %; by the parameter's name without unit, `Fc`."
+    ),
+    Entry("findings[].ambiguous_with", "list", "Effects of other plausible sets that the likeliest set has not."),
+    Entry(
+        "findings[].ambiguous_sets",
+        "list of lists",
+        "Other plausible sets: without this effect, or with all findings and something besides.",
+    ),
+    Entry("findings[].separating_experiment", "text or null", "`next_experiment.toml`, where it was written."),
+    Entry("findings[].evidence_for", "list of text", "What speaks for the effect."),
+    Entry("findings[].evidence_against", "list of text", "What speaks against it."),
+    Entry("hypotheses", "list", "All sets that were weighed, the likeliest first."),
+    Entry("hypotheses[].effects", "list", "Effects of the set; empty: no effect is missing."),
+    Entry("hypotheses[].confidence", "0 to 1", "Confidences of all sets sum to at most 1; the rest is unknown physics."),
+    Entry("hypotheses[].gained", "number", "Fall of the sum of squares in units of noise, over no effect, in training."),
+    Entry("hypotheses[].gained_held_out", "number or null", "The same in the held-out recordings, with training's parameters."),
+    Entry("hypotheses[].parameters", "number", "Parameters that were fitted for it."),
+    Entry(
+        "hypotheses[].is_confirmed",
+        "true or false",
+        "Whether it passed the test that the effects are there, or was read off the recordings.",
+    ),
+    Entry(
+        "retuned.OWNER.QUANTITY",
+        "object",
+        "`nominal`, `value`, `unit`, `ci95`: numbers of the machine file that the recordings show. One key, with its dot.",
+    ),
+    Entry("frozen.OWNER.QUANTITY", "text", "Numbers that the recordings do not show or do not decide, and what became of them."),
+    Entry("noise", "text", "What the noise was taken from: `repeats`, `periods` of one recording, or `assumed`."),
+    Entry("location.channels", "object", "Channel to its share of the mismatch's power in units of noise; shares sum to 1."),
+    Entry("location.frequency_hz", "spans [Hz]", "Frequencies. A dimension in which the mismatch is not localised is left out."),
+    Entry("location.time_s", "object", "Recording to spans [s] of its time."),
+    Entry("location.position", "object", "Axis to spans [rad or m]."),
+    Entry("location.speed", "object", "Axis to spans [rad/s or m/s]."),
+    Entry("location.effort", "object", "Axis to spans [drive's unit]."),
+    Entry("location.direction", "object", "Axis to `positive`, `negative` or `both`."),
+    Entry("location.shares", "object", "Dimension to axis (or `all`) to the share of the power that its spans hold."),
+    Entry(
+        "fit.channels.CHANNEL",
+        "stages",
+        "NRMSE of a free run: rms of recorded less simulated, over the rms of the recorded channel about its mean.",
+    ),
+    Entry("fit.train", "stages", "E: root mean square over channels of the residual in units of that channel's noise, in training."),
+    Entry("fit.held_out", "stages or null", "The same held out."),
+    Entry("fit.removed_share", "number or null", "(E_retuned² - E_extended²) / (E_retuned² - 1), held out where there is one."),
+    Entry("fit.removed_share_from_nominal", "number or null", "The same from E_nominal."),
+    Entry("predicted_separations", "list", "What the next experiment should show, of the likeliest set against each rival."),
+    Entry("predicted_separations[].rival", "list", "Effects of the rival."),
+    Entry(
+        "predicted_separations[].if_likeliest", "number", "Standard deviations of one recording's noise, where the likeliest set is right."
+    ),
+    Entry("predicted_separations[].if_rival", "number", "The same where the rival is right."),
+    Entry("disturbance.joints", "object", "Joint to the share of the mismatch's power that an effort on it alone would reproduce."),
+    Entry("disturbance.sensors", "object", "Channel to the share of its power that efforts on all joints leave to its sensor."),
+    Entry("suspicions", "list of text", "What looks like a wrong unit, a wrong sign or a gross delay. Nothing is corrected."),
+    Entry("unexplained_share", "0 to 1", "Of what re-tuning leaves above noise in training, what the extended simulation leaves."),
+    Entry("seconds", "s", "Time of the diagnosis, without writing files."),
+)

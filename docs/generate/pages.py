@@ -1,0 +1,38 @@
+"""The generated pages by name, and how those on disk differ from them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from docs.generate import command_line, effects, file_formats, json_answers, machine_file, results, thesis_map
+
+ROOT = Path(__file__).resolve().parents[2]
+GENERATED = ROOT / "docs" / "generated"
+
+GENERATORS = {
+    "command-line.md": command_line.page,
+    "effects.md": effects.page,
+    "file-formats.md": file_formats.page,
+    "json.md": json_answers.page,
+    "machine-file.md": machine_file.page,
+    "results.md": results.page,
+    "thesis-map.md": thesis_map.page,
+}
+"""File name of a page and the function that writes its text."""
+
+
+def pages() -> dict[str, str]:
+    """Make every page: file name to text."""
+    return {name: make() for name, make in GENERATORS.items()}
+
+
+def differences(wanted: Mapping[str, str], folder: Path = GENERATED) -> list[str]:
+    """List the pages of a folder that are stale, missing or orphaned, one line each."""
+    found = {path.name: path for path in folder.glob("*.md")}
+    lines = [f"missing: {folder.name}/{name}" for name in wanted if name not in found]
+    lines += [f"orphaned: {folder.name}/{name}" for name in found if name not in wanted]
+    lines += [
+        f"stale: {folder.name}/{name}" for name, text in wanted.items() if name in found and found[name].read_text(encoding="utf-8") != text
+    ]
+    return sorted(lines)

@@ -1,0 +1,427 @@
+"""What the results page shows: for each results file the command, what was asked, and which figures."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+Path = tuple[str, ...]
+
+
+class Column(NamedTuple):
+    """A figure of every row: its heading with the unit, where it is below the row, and the factor to that unit."""
+
+    heading: str
+    path: Path
+    factor: float = 1.0
+
+
+class Figure(NamedTuple):
+    """One figure: what it is, where it is in the file, its unit, the factor to that unit, and what was asked of it."""
+
+    name: str
+    path: Path
+    unit: str = ""
+    factor: float = 1.0
+    asked: str = ""
+
+
+class Rows(NamedTuple):
+    """A table: a row per key of the object at `path`, or per named key."""
+
+    heading: str
+    path: Path
+    columns: tuple[Column, ...]
+    keys: tuple[str, ...] = ()
+
+
+class Shown(NamedTuple):
+    """A results file of benchmarks/results and what of it is shown."""
+
+    file: str
+    title: str
+    text: str
+    command: str
+    figures: tuple[Figure, ...] = ()
+    rows: tuple[Rows, ...] = ()
+
+
+_PLACES = (
+    Column("focal spot [mm]", ("source_mm",)),
+    Column("isocentre [mm]", ("phantom_mm",)),
+    Column("rotation [mrad]", ("rotation_mrad",)),
+)
+_POSES = (
+    Column("focal spot [mm]", ("source_m",), 1e3),
+    Column("isocentre [mm]", ("position_m",), 1e3),
+    Column("rotation [mrad]", ("rotation_rad",), 1e3),
+)
+_OVERLAY = tuple(Column(f"{place}, largest of the best 90 % [mm]", (place, "max_90"), 1e3) for place in ("centre", "1/3", "2/3"))
+_LIVE = (Column("focal spot [mm]", ("source",)), Column("isocentre [mm]", ("phantom",)), Column("rotation [mrad]", ("rotation",)))
+_LIVE_ROWS = (
+    "nominal",
+    "live, row by row",
+    "live, parameters of the end",
+    "afterwards, as known at each row",
+    "afterwards, parameters of the end",
+)
+_FILTERS = ("kf", "ekf", "ukf", "filterpy_ukf", "numpy_ukf")
+_LATENESS = tuple(
+    Figure(f"{what}, {share} %", ("timing", f"{key}_p{share}_us"), "µs", 1.0, asked if share == "99.9" else "")
+    for what, key, asked in (("lateness of SYNC", "lateness", ""), ("whole tick", "work_time", "below 1000 µs"))
+    for share in ("50", "99", "99.9")
+)
+
+DIAGNOSIS = (
+    Shown(
+        "real_recordings.json",
+        "Recordings that others measured",
+        "Public benchmark data, diagnosed with the shipped machine files. The share is of the difference above the noise that the "
+        "effects found remove from held-out recordings.",
+        "python benchmarks/real_recordings.py --json benchmarks/results/real_recordings.json",
+        rows=(
+            Rows(
+                "recording",
+                (),
+                (Column("verdict", ("verdict",)), Column("removed share", ("removed_share",)), Column("time [s]", ("seconds",))),
+            ),
+        ),
+    ),
+    Shown(
+        "next_experiment.json",
+        "Does the next experiment separate",
+        "A turning joint with one effect, whose first recordings leave rivals. The experiments that the diagnosis proposes are then run.",
+        "python benchmarks/next_experiment.py",
+        rows=(
+            Rows(
+                "effect",
+                ("circle",),
+                (Column("verdict at first", ("first", "verdict")), Column("verdict at the end", ("rounds", "-1", "then", "verdict"))),
+            ),
+        ),
+    ),
+    Shown(
+        "diagnosis_speed.json",
+        "Time and memory of a diagnosis",
+        "The two-axis C-arm with four repeats and a held-out recording of 60 s each, the whole catalogue, two processes.",
+        "python benchmarks/diagnosis_speed.py",
+        (
+            Figure("wall clock", ("-1", "wall_s"), "s", 1.0, "at most 60 s"),
+            Figure("processor", ("-1", "processor_s"), "s"),
+            Figure("memory", ("-1", "peak_GB"), "GB", 1.0, "below 2 GB"),
+        ),
+    ),
+)
+"""Beside the proof, which has a table of its own."""
+
+SHOWN = (
+    *DIAGNOSIS,
+    Shown(
+        "wall_clock_udp.json",
+        "Timing on the wall clock",
+        "Loop and emulated machine in two processes on a UDP bus, ten minutes at 256 Hz, two virtual processors with real-time scheduling.",
+        "python benchmarks/wall_clock.py --bus udp: --json benchmarks/results/wall_clock_udp.json",
+        (Figure("ticks", ("timing", "ticks")), Figure("ticks missed", ("timing", "missed")), *_LATENESS),
+    ),
+    Shown(
+        "observer_steps.json",
+        "Time of an observer's step",
+        "24 states and 10 measurements; `filterpy_ukf` and `numpy_ukf` are the same filter in a public package and in plain NumPy.",
+        "python benchmarks/observer.py --json benchmarks/results/observer_steps.json",
+        rows=(Rows("filter", (), (Column("median [µs]", ("p50_us",)), Column("99 % [µs]", ("p99_us",))), _FILTERS),),
+    ),
+    Shown(
+        "observer_tick.json",
+        "Time of a tick with shaper, observer and damping",
+        "Loop and emulated machine in two processes on a UDP bus.",
+        "python benchmarks/observer.py --design carm.observer.npz --json benchmarks/results/observer_tick.json",
+        tuple(
+            Figure(f"whole tick, {share} %", ("tick_in_two_processes", "timing", f"work_time_p{share}_us"), "µs", 1.0, asked)
+            for share, asked in (("50", ""), ("99", ""), ("99.9", "below 1000 µs"))
+        ),
+    ),
+    Shown(
+        "observer_scan.json",
+        "Observer during shaken scans",
+        "Root mean square error of the detector's displacement. The oracle is a filter that knows the emulator's true model.",
+        "python benchmarks/observer_scan.py --save-design carm.observer.npz --json benchmarks/results/observer_scan.json",
+        rows=tuple(
+            Rows(scan, ("scans", scan), (Column("shift [µm]", ("shift_um",)), Column("turn [µrad]", ("turn_urad",))), keys)
+            for keys in (("motor encoders", "link encoders", "model only", "kf", "ekf", "ukf", "oracle"),)
+            for scan in ("roll 30 deg/s", "roll 55 deg/s", "propeller 30 deg/s")
+        ),
+    ),
+    Shown(
+        "observer_tracking.json",
+        "A mode that has changed",
+        "An adapted natural frequency after 20 s of a shaken scan.",
+        "python benchmarks/observer_tracking.py --design carm.observer.npz --json benchmarks/results/observer_tracking.json",
+        rows=(
+            Rows(
+                "shaken scan",
+                ("shaken",),
+                (
+                    Column("error after 20 s [%]", ("error_after_20_s_percent",)),
+                    Column("standard deviation believed [%]", ("deviation_believed_percent",)),
+                    Column("least possible [%]", ("deviation_possible_percent",)),
+                ),
+            ),
+        ),
+    ),
+    Shown(
+        "observer_damping.json",
+        "Damping by the observer",
+        "Damping ratio of the lowest mode in ring-downs, and by the linearised loop.",
+        "python benchmarks/damping.py --design carm.observer.npz --json benchmarks/results/observer_damping.json",
+        rows=(
+            Rows(
+                "damping ratio asked of `--damping`",
+                (),
+                (
+                    Column("ring-down", ("ring_down_ratio",)),
+                    Column("linear loop", ("linear_ratio",)),
+                    Column("acceleration, rms [m/s²]", ("shaken", "acceleration_rms_m_s2")),
+                ),
+                ("asked for 0", "asked for 0.05", "asked for 0.1"),
+            ),
+        ),
+    ),
+    Shown(
+        "identification_speed.json",
+        "Time of the estimators",
+        "Two axes; processor time.",
+        "python benchmarks/identification_speed.py --out benchmarks/results/identification_speed.json",
+        (
+            Figure("robust BLA", ("robust_bla_s",), "s"),
+            Figure("robust LRM", ("robust_lrm_s",), "s"),
+            Figure("robust LRM, 13 poses", ("robust_lrm_13_poses_s",), "s"),
+            Figure("fast LPM, two experiments", ("fast_lpm_two_experiments_s",), "s"),
+            Figure("fast LRM, two experiments", ("fast_lrm_two_experiments_s",), "s"),
+            Figure("memory of a long measurement", ("long_measurement_peak_GB",), "GB"),
+        ),
+    ),
+    Shown(
+        "identification_coverage.json",
+        "Are the covariances true",
+        "Each case is drawn anew; a variance ratio of 1 and a share of 0.95 are right.",
+        "python benchmarks/identification_coverage.py --out benchmarks/results/identification_coverage.json",
+        rows=(
+            Rows(
+                "method and case",
+                (),
+                (
+                    Column("estimated over sample variance, noise", ("noise: estimated over sample variance",)),
+                    Column("within the 95 % circle, noise", ("noise: within 95 % circle",)),
+                    Column("estimated over sample variance, total", ("total: estimated over sample variance",)),
+                    Column("within the 95 % circle, total", ("total: within 95 % circle",)),
+                ),
+            ),
+        ),
+    ),
+    Shown(
+        "identification_public.json",
+        "Beside a public package",
+        "The same data in the package `best-linear-approximation`.",
+        "python benchmarks/identification_public.py --out benchmarks/results/identification_public.json",
+        (
+            Figure("closed loop: largest relative difference of G", ("closed loop", "G")),
+            Figure("closed loop: noise variance, theirs over ours", ("closed loop", "noise variance, theirs over ours")),
+            Figure("closed loop: total variance, theirs over ours", ("closed loop", "total variance, theirs over ours")),
+            Figure("closed loop: our time", ("closed loop", "ours_s"), "s"),
+            Figure("closed loop: their time", ("closed loop", "theirs_s"), "s"),
+            Figure("Silverbox: largest relative difference of G", ("silverbox", "G")),
+            Figure("Silverbox: total variance, theirs over ours", ("silverbox", "total variance, theirs over ours")),
+        ),
+    ),
+    Shown(
+        "identification_modal.json",
+        "Modal model at held-out poses",
+        "A modal model over roll positions from frequency responses, compared halfway between them.",
+        "python benchmarks/identification_modal.py --out benchmarks/results/identification_modal.json",
+        rows=(
+            Rows(
+                "poses",
+                (),
+                (
+                    Column("largest error of a natural frequency [%]", ("largest error of a natural frequency [%]",)),
+                    Column("largest error of a damping ratio [%]", ("largest error of a damping ratio [%]",)),
+                    Column("within the noise bound", ("within the noise bound",)),
+                ),
+                ("13 poses, 15 degrees apart", "25 poses, 7.5 degrees apart"),
+            ),
+        ),
+    ),
+    Shown(
+        "identification_sec35.json",
+        "Robust and fast methods (thesis Sec. 3.5)",
+        "Fast methods on one record, robust ones on 14. Standard deviation of the response beside that of the robust BLA.",
+        "python benchmarks/identification_sec35.py --out benchmarks/results/identification_sec35.json",
+        rows=(
+            Rows(
+                "method",
+                (),
+                (
+                    Column("deviation over robust BLA's", ("deviation_over_robust_BLA",)),
+                    Column("predicted by the covariances", ("predicted_by_the_covariances",)),
+                ),
+                ("robust BLA", "robust LPM", "robust LRM", "fast LPM", "fast LRM"),
+            ),
+        ),
+    ),
+    Shown(
+        "identification_sec47.json",
+        "Bias and variance over poses (thesis Sec. 4.7)",
+        "25 frozen roll positions of the emulated C-arm. The error is (4.55) over the response.",
+        "python benchmarks/identification_sec47.py --out benchmarks/results/identification_sec47.json",
+        (
+            Figure("variance gained by 2D-LPM over LPM, inner poses", ("gain of 2D-LPM over LPM [dB]", "measured_inner_poses"), "dB"),
+            Figure("the same, predicted", ("gain of 2D-LPM over LPM [dB]", "predicted_inner_poses_from_SHS"), "dB"),
+            Figure("variance gained by 2D-LRM over LRM, inner poses", ("gain of 2D-LRM over LRM [dB]", "measured_inner_poses"), "dB"),
+            Figure("the same, predicted", ("gain of 2D-LRM over LRM [dB]", "predicted_inner_poses_from_SHS"), "dB"),
+        ),
+        (
+            Rows(
+                "method",
+                (),
+                (
+                    Column("error", ("error_4_55_relative",)),
+                    Column("reported over sample variance, total", ("reported_over_sample_total_variance",)),
+                ),
+                ("LPM", "2D-LPM", "LRM", "2D-LRM"),
+            ),
+        ),
+    ),
+    Shown(
+        "identification_sec48.json",
+        "Gain over poses with friction (thesis Sec. 4.8)",
+        "Coulomb friction of 8 Nm in both joints of the emulated C-arm. Variance that neighbouring poses remove.",
+        "python benchmarks/identification_sec48.py --out benchmarks/results/identification_sec48.json",
+        tuple(
+            Figure(f"{method}, {name}", (key, "inner_poses", field), "dB")
+            for method, key in (("2D-LPM", "2D-LPM over LPM [dB]"), ("2D-LRM", "2D-LRM over LRM [dB]"))
+            for name, field in (
+                ("of the noise, predicted", "predicted"),
+                ("over draws of phases", "over_draws"),
+                ("reported", "reported_total"),
+            )
+        ),
+    ),
+    Shown(
+        "imaging_markers.json",
+        "Accuracy of marker crossings",
+        "Twelve drawn images a row; `predicted` is what the photon noise leaves.",
+        "python benchmarks/imaging_markers.py --out benchmarks/results/imaging_markers.json",
+        rows=(
+            Rows(
+                "plate, blur, photons a pixel",
+                ("crossings",),
+                (
+                    Column("rms error [pixels]", ("rms_pixels",)),
+                    Column("predicted [pixels]", ("predicted_pixels",)),
+                    Column("by edges, as in the thesis [pixels]", ("edges_rms_pixels",)),
+                    Column("time of an image [ms]", ("median_s",), 1e3),
+                ),
+            ),
+        ),
+    ),
+    Shown(
+        "imaging_reconstruction.json",
+        "Reconstruction",
+        "150 projections of 256 × 256 pixels into 128³ voxels, one thread.",
+        "python benchmarks/imaging_reconstruction.py --json benchmarks/results/imaging_reconstruction.json",
+        (Figure("cone-beam volume, wall clock", ("cone_beam", "wall_s"), "s", 1.0, "at most 3 s"),),
+    ),
+    Shown(
+        "calibration_phantom_speed.json",
+        "Time of a phantom calibration",
+        "1200 images of 620 × 480 pixels, two processes.",
+        "python benchmarks/calibration_phantom_speed.py SCAN --out benchmarks/results/calibration_phantom_speed.json",
+        (Figure("wall clock", ("wall_s",), "s", 1.0, "at most 60 s"), Figure("processor", ("processor_s",), "s")),
+    ),
+    Shown(
+        "calibration_model.json",
+        "Kinematic parameters from poses",
+        "Four joints of the thesis's Table 2.2, from 1200 measured poses.",
+        "python benchmarks/calibration_model.py --out benchmarks/results/calibration_model.json",
+        (
+            Figure("held-out position error", ("held_out", "position_m"), "µm", 1e6),
+            Figure("held-out angle error", ("held_out", "angle_rad"), "µrad", 1e6),
+            Figure("parameters within three standard deviations", ("parameters", "within_3_sigma"), "", 1.0, "all"),
+            Figure("parameters", ("parameters", "of")),
+            Figure("processor time", ("processor_s",), "s"),
+        ),
+    ),
+    *(
+        Shown(
+            f"calibration_carm_{machine}.json",
+            f"Model and look-up tables: {title}",
+            "Root mean square error of scans, and overlay errors of a roadmap over benchmark poses.",
+            f"python benchmarks/calibration_carm.py --machine {machine} --out benchmarks/results/calibration_carm_{machine}.json",
+            (),
+            (
+                Rows("scan of roll", ("pose", "roll"), _POSES),
+                Rows("scan of propeller", ("pose", "propeller"), _POSES),
+                Rows("roadmap, not registered", ("overlay as-it-is",), _OVERLAY),
+                Rows("roadmap, registered", ("overlay registered",), _OVERLAY),
+            ),
+        )
+        for machine, title in (("off", "a C-arm built off its drawing"), ("bending", "the same with a mount that bends otherwise"))
+    ),
+    Shown(
+        "calibration_side_by_side.json",
+        "All calibrations on one scan",
+        "Root mean square error of the geometry, by calibration, for a machine that repeats itself and for one that does not.",
+        "python benchmarks/calibration_side_by_side.py --work WORK --json benchmarks/results/calibration_side_by_side.json",
+        (
+            Figure("recording time of the look-up tables", ("workload", "phantom_s"), "s"),
+            Figure("recording time of the model's tour", ("workload", "tour_s"), "s"),
+        ),
+        (
+            Rows("repeatable", ("repeatable", "rows"), _PLACES),
+            Rows("not repeatable", ("not_repeatable", "rows"), _PLACES),
+        ),
+    ),
+    Shown(
+        "calibration_other_runs.json",
+        "Data-driven calibration on further scans",
+        "Median error over scans.",
+        "python benchmarks/calibration_other_runs.py --work WORK --json benchmarks/results/calibration_other_runs.json",
+        rows=(
+            Rows(
+                "calibration",
+                ("summary",),
+                (
+                    Column("focal spot [mm]", ("median", "source_mm")),
+                    Column("isocentre [mm]", ("median", "phantom_mm")),
+                    Column("rotation [mrad]", ("median", "rotation_mrad")),
+                ),
+            ),
+        ),
+    ),
+    Shown(
+        "calibration_live.json",
+        "Calibration during a run",
+        "Root mean square error of the geometry of a run in lockstep with images.",
+        "python benchmarks/calibration_live.py --work WORK --json benchmarks/results/calibration_live.json",
+        (
+            Figure("images used", ("images",)),
+            Figure("time of a row", ("step", "row_median_us"), "µs"),
+            Figure("time of an image", ("step", "image_median_us"), "µs"),
+        ),
+        (Rows("geometry", (), _LIVE, _LIVE_ROWS),),
+    ),
+    Shown(
+        "calibration_live_wall.json",
+        "Calibration during a run, wall clock",
+        "The same in two processes on a UDP bus.",
+        "python benchmarks/calibration_live.py --work WORK --bus udp: --json benchmarks/results/calibration_live_wall.json",
+        (Figure("ticks missed", ("wall clock", "timing", "missed")), Figure("images used", ("wall clock", "images", "used"))),
+        (Rows("geometry", (), _LIVE, _LIVE_ROWS),),
+    ),
+)
+
+PROOF = "concealed/scores_sealed.json"
+PROOF_COMMAND = "python benchmarks/concealed all --results DIR --work WORK"
+PROOF_TEXT = """
+Machines with concealed physics, simulated by code that shares nothing with the diagnosis; [The proof](../explanation/proof.md) says how
+they are drawn and judged. An interval is of 95 %.
+"""
