@@ -212,7 +212,8 @@ def _others() -> Iterator[tuple[str, str, str]]:
 
 def _archive(file: ArrayFile) -> Iterator[str]:
     yield f"## {file.title}"
-    yield f"A NumPy archive (`.npz`) of {', '.join(code(each) for each in file.writer.split(', '))}. {file.text}"
+    writers = ", ".join(code(each) for each in file.writer.split(", ") if each)
+    yield f"A NumPy archive (`.npz`) of {writers}. {file.text}" if writers else file.text
     yield _entries(file.arrays, ("array", "shape", "meaning"))
     if file.example:
         yield "NumPy alone reads it:"

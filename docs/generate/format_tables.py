@@ -367,8 +367,8 @@ MARKER = ArrayFile(
 
 DATA = ArrayFile(
     "Data-driven calibrations",
-    "isocenter calibrate data, isocenter run --data (geometry.npz)",
-    "N rows of a recording, p parameters. A deviation has nine numbers as in a LOOKUP.",
+    "isocenter calibrate data, isocenter run --data",
+    "N rows of a recording, p parameters. `run` calls it `geometry.npz`. A deviation has nine numbers as in a LOOKUP.",
     (
         Entry("data_calibration_format", "", "1."),
         Entry("machine, axes", "", "The machine and its axes."),
@@ -393,8 +393,8 @@ DATA = ArrayFile(
 
 SIGHTINGS = ArrayFile(
     "Sightings of a live calibration",
-    "isocenter run --data (sightings.npz)",
-    "S images that were seen, in the order in which they came; a run can be replayed from them.",
+    "isocenter run --data",
+    "`run` calls it `sightings.npz`. S images that were seen, in the order in which they came; a run can be replayed from them.",
     (
         Entry("sightings_format", "", "1."),
         Entry("until_m, poses", "(); (poses, axes)", "How well, and where, the geometry had to be known."),
@@ -411,8 +411,9 @@ SIGHTINGS = ArrayFile(
 
 SPOOL = ArrayFile(
     "Spool: frames of a panel",
-    "a panel's software, for isocenter run --images --spool DIR",
-    "Files `frame_NNNNNN.npz`. They are written under another name and renamed when whole.",
+    "",
+    "The software of an X-ray panel writes a NumPy archive `frame_NNNNNN.npz` per exposure into the folder that `isocenter run --images "
+    "--spool DIR` watches. It is written under another name and renamed when whole.",
     (
         Entry("format", "", "1."),
         Entry("exposure_id", "", "Counts up."),

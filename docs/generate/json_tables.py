@@ -215,7 +215,7 @@ DIAGNOSIS = (
         "verdict", "text", "`inconclusive`, `unknown_physics`, `ambiguous`, `explained`, `retuned` or `consistent`; the first that applies."
     ),
     Entry("reason", "text", "The verdict in a sentence."),
-    Entry("findings", "list", "Effects held for present: those of the likeliest set, then what recordings show by themselves."),
+    Entry("findings", "list", "Effects taken to be there: those of the likeliest set, then what recordings show by themselves."),
     Entry("findings[].effect", "text", "Name of the effect."),
     Entry("findings[].at", "text", "Where it acts."),
     Entry("findings[].confidence", "0 to 1", "Of all hypotheses together that have this effect."),

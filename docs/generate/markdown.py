@@ -33,14 +33,16 @@ def sentence(text: str) -> str:
     text = text.strip()
     if not text:
         return ""
-    first = text.split(" ", 1)[0]
+    first = text.split(" ", 1)[0].removesuffix(":").replace("-", "")
     if first.isalpha() and (len(first) == 1 or first.islower()):
         text = text[0].upper() + text[1:]
     return text if text[-1] in ".!?:" else text + "."
 
 
 def number(value: float) -> str:
-    """Write a number as briefly as it reads back equal to nine digits."""
+    """Write a whole number in full, another as briefly as it reads back equal to nine digits."""
+    if isinstance(value, int):
+        return str(value)
     text = f"{value:.9g}"
     return text.replace("e+0", "e").replace("e-0", "e-").replace("e+", "e")
 

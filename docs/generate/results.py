@@ -101,7 +101,7 @@ def _proof(folder: Path) -> Iterator[str]:
         return
     document = json.loads((folder / PROOF).read_text(encoding="utf-8"))
     yield "## The proof of the diagnosis"
-    yield f"{PROOF_TEXT.strip()} There are {document['cases']} machines."
+    yield f"{PROOF_TEXT.strip()} {document['cases']} machines were diagnosed."
     yield block(PROOF_COMMAND, "sh")
     yield table(("figure", "measured", "of", "95 % interval", "asked", "met"), (_bar(bar) for bar in document["bars"]))
 

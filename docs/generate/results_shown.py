@@ -75,8 +75,8 @@ DIAGNOSIS = (
     Shown(
         "real_recordings.json",
         "Recordings that others measured",
-        "Public benchmark data, diagnosed with the shipped machine files. The share is of the difference above the noise that the "
-        "effects found remove from held-out recordings.",
+        "Public benchmark data, diagnosed with the shipped machine files. The removed share is what the effects found take away of the "
+        "difference above the noise, in held-out recordings. It exceeds 1 where less is left than the assumed noise.",
         "python benchmarks/real_recordings.py --json benchmarks/results/real_recordings.json",
         rows=(
             Rows(
@@ -89,7 +89,8 @@ DIAGNOSIS = (
     Shown(
         "next_experiment.json",
         "Does the next experiment separate",
-        "A turning joint with one effect, whose first recordings leave rivals. The experiments that the diagnosis proposes are then run.",
+        "The emulated turntable with one hidden effect. While the verdict is `ambiguous`, the experiment that the diagnosis proposes is "
+        "run, twice at most. The last column is empty where no experiment was needed.",
         "python benchmarks/next_experiment.py",
         rows=(
             Rows(
@@ -102,7 +103,7 @@ DIAGNOSIS = (
     Shown(
         "diagnosis_speed.json",
         "Time and memory of a diagnosis",
-        "The two-axis C-arm with four repeats and a held-out recording of 60 s each, the whole catalogue, two processes.",
+        "The two-axis C-arm with four repeats and a held-out recording of 60 s each; all effects are tried, in two processes.",
         "python benchmarks/diagnosis_speed.py",
         (
             Figure("wall clock", ("-1", "wall_s"), "s", 1.0, "at most 60 s"),
@@ -118,7 +119,8 @@ SHOWN = (
     Shown(
         "wall_clock_udp.json",
         "Timing on the wall clock",
-        "Loop and emulated machine in two processes on a UDP bus, ten minutes at 256 Hz, two virtual processors with real-time scheduling.",
+        "Loop and emulated machine in two processes on a UDP bus, ten minutes at 256 Hz, two virtual processors with real-time scheduling. "
+        "*Whole tick* is `work_time` of [Timing](../explanation/timing.md). Per cents are percentiles.",
         "python benchmarks/wall_clock.py --bus udp: --json benchmarks/results/wall_clock_udp.json",
         (Figure("ticks", ("timing", "ticks")), Figure("ticks missed", ("timing", "missed")), *_LATENESS),
     ),
@@ -153,7 +155,7 @@ SHOWN = (
     Shown(
         "observer_tracking.json",
         "A mode that has changed",
-        "An adapted natural frequency after 20 s of a shaken scan.",
+        "A natural frequency that the observer adapts (`--adapt`), after 20 s of a shaken scan.",
         "python benchmarks/observer_tracking.py --design carm.observer.npz --json benchmarks/results/observer_tracking.json",
         rows=(
             Rows(
@@ -170,7 +172,7 @@ SHOWN = (
     Shown(
         "observer_damping.json",
         "Damping by the observer",
-        "Damping ratio of the lowest mode in ring-downs, and by the linearised loop.",
+        "Damping ratio of the lowest mode, measured in ring-downs and computed from the linearised loop.",
         "python benchmarks/damping.py --design carm.observer.npz --json benchmarks/results/observer_damping.json",
         rows=(
             Rows(
@@ -188,7 +190,8 @@ SHOWN = (
     Shown(
         "identification_speed.json",
         "Time of the estimators",
-        "Two axes; processor time.",
+        "Processor time for two axes. BLA is the best linear approximation by averaging, LPM and LRM are the local polynomial and rational "
+        "methods; [Identification](../explanation/identification.md) explains them.",
         "python benchmarks/identification_speed.py --out benchmarks/results/identification_speed.json",
         (
             Figure("robust BLA", ("robust_bla_s",), "s"),
@@ -202,7 +205,8 @@ SHOWN = (
     Shown(
         "identification_coverage.json",
         "Are the covariances true",
-        "Each case is drawn anew; a variance ratio of 1 and a share of 0.95 are right.",
+        "Data are drawn many times and estimated each time. A ratio of variances of 1 and a share of 0.95 are right. P is the number of "
+        "periods; 2D methods use neighbouring poses.",
         "python benchmarks/identification_coverage.py --out benchmarks/results/identification_coverage.json",
         rows=(
             Rows(
@@ -220,16 +224,16 @@ SHOWN = (
     Shown(
         "identification_public.json",
         "Beside a public package",
-        "The same data in the package `best-linear-approximation`.",
+        "The same data, estimated by Isocenter and by the package `best-linear-approximation`.",
         "python benchmarks/identification_public.py --out benchmarks/results/identification_public.json",
         (
             Figure("closed loop: largest relative difference of G", ("closed loop", "G")),
-            Figure("closed loop: noise variance, theirs over ours", ("closed loop", "noise variance, theirs over ours")),
-            Figure("closed loop: total variance, theirs over ours", ("closed loop", "total variance, theirs over ours")),
-            Figure("closed loop: our time", ("closed loop", "ours_s"), "s"),
-            Figure("closed loop: their time", ("closed loop", "theirs_s"), "s"),
+            Figure("closed loop: noise variance, package over Isocenter", ("closed loop", "noise variance, theirs over ours")),
+            Figure("closed loop: total variance, package over Isocenter", ("closed loop", "total variance, theirs over ours")),
+            Figure("closed loop: time of Isocenter", ("closed loop", "ours_s"), "s"),
+            Figure("closed loop: time of the package", ("closed loop", "theirs_s"), "s"),
             Figure("Silverbox: largest relative difference of G", ("silverbox", "G")),
-            Figure("Silverbox: total variance, theirs over ours", ("silverbox", "total variance, theirs over ours")),
+            Figure("Silverbox: total variance, package over Isocenter", ("silverbox", "total variance, theirs over ours")),
         ),
     ),
     Shown(
@@ -253,7 +257,7 @@ SHOWN = (
     Shown(
         "identification_sec35.json",
         "Robust and fast methods (thesis Sec. 3.5)",
-        "Fast methods on one record, robust ones on 14. Standard deviation of the response beside that of the robust BLA.",
+        "Fast methods on one recording, robust ones on 14. Standard deviation of the response, over that of the robust BLA.",
         "python benchmarks/identification_sec35.py --out benchmarks/results/identification_sec35.json",
         rows=(
             Rows(
@@ -270,7 +274,7 @@ SHOWN = (
     Shown(
         "identification_sec47.json",
         "Bias and variance over poses (thesis Sec. 4.7)",
-        "25 frozen roll positions of the emulated C-arm. The error is (4.55) over the response.",
+        "The emulated C-arm at 25 roll positions. The error is that of the thesis's (4.55), relative to the response.",
         "python benchmarks/identification_sec47.py --out benchmarks/results/identification_sec47.json",
         (
             Figure("variance gained by 2D-LPM over LPM, inner poses", ("gain of 2D-LPM over LPM [dB]", "measured_inner_poses"), "dB"),
@@ -293,7 +297,7 @@ SHOWN = (
     Shown(
         "identification_sec48.json",
         "Gain over poses with friction (thesis Sec. 4.8)",
-        "Coulomb friction of 8 Nm in both joints of the emulated C-arm. Variance that neighbouring poses remove.",
+        "The emulated C-arm with a Coulomb friction of 8 Nm in both joints. Figures say by how much neighbouring poses lower the variance.",
         "python benchmarks/identification_sec48.py --out benchmarks/results/identification_sec48.json",
         tuple(
             Figure(f"{method}, {name}", (key, "inner_poses", field), "dB")
@@ -308,7 +312,7 @@ SHOWN = (
     Shown(
         "imaging_markers.json",
         "Accuracy of marker crossings",
-        "Twelve drawn images a row; `predicted` is what the photon noise leaves.",
+        "Twelve emulated images a row; *predicted* is the error that photon noise alone causes.",
         "python benchmarks/imaging_markers.py --out benchmarks/results/imaging_markers.json",
         rows=(
             Rows(
@@ -354,7 +358,9 @@ SHOWN = (
         Shown(
             f"calibration_carm_{machine}.json",
             f"Model and look-up tables: {title}",
-            "Root mean square error of scans, and overlay errors of a roadmap over benchmark poses.",
+            "Root mean square error of the geometry in a scan, and overlay errors over benchmark poses. *nominal* is the drawing, "
+            "*phantom* a look-up table of the same scan, *model* the kinematic model, *grid* a table of standing poses and *grid_six* "
+            "the same with the focal spot held. *Registered* errors leave out what is alike in all poses.",
             f"python benchmarks/calibration_carm.py --machine {machine} --out benchmarks/results/calibration_carm_{machine}.json",
             (),
             (
@@ -364,12 +370,14 @@ SHOWN = (
                 Rows("roadmap, registered", ("overlay registered",), _OVERLAY),
             ),
         )
-        for machine, title in (("off", "a C-arm built off its drawing"), ("bending", "the same with a mount that bends otherwise"))
+        for machine, title in (("off", "a C-arm built off its drawing"), ("bending", "the same, with an arc that bends at the tube"))
     ),
     Shown(
         "calibration_side_by_side.json",
         "All calibrations on one scan",
-        "Root mean square error of the geometry, by calibration, for a machine that repeats itself and for one that does not.",
+        "Root mean square error of the geometry, for a machine that repeats itself and for one that does not. *Data-driven* is the filter "
+        "of [Calibration](../explanation/calibration.md), *marker-augmented* the same with a plate in every exposure. *Live* is what was "
+        "known at each sample; other rows use the parameters of the end.",
         "python benchmarks/calibration_side_by_side.py --work WORK --json benchmarks/results/calibration_side_by_side.json",
         (
             Figure("recording time of the look-up tables", ("workload", "phantom_s"), "s"),
@@ -383,7 +391,7 @@ SHOWN = (
     Shown(
         "calibration_other_runs.json",
         "Data-driven calibration on further scans",
-        "Median error over scans.",
+        "Median error over scans. *Images of the tour* are those that the calibration before the scan was made from.",
         "python benchmarks/calibration_other_runs.py --work WORK --json benchmarks/results/calibration_other_runs.json",
         rows=(
             Rows(
@@ -422,6 +430,10 @@ SHOWN = (
 PROOF = "concealed/scores_sealed.json"
 PROOF_COMMAND = "python benchmarks/concealed all --results DIR --work WORK"
 PROOF_TEXT = """
-Machines with concealed physics, simulated by code that shares nothing with the diagnosis; [The proof](../explanation/proof.md) says how
-they are drawn and judged. An interval is of 95 %.
+Machines with concealed physics, simulated by code that shares nothing with the diagnosis. [The proof](../explanation/proof.md) says
+how they are drawn and judged.
+
+A *null* hides nothing. The *oracle* is a fit that knows what is hidden; it *separates* an effect whose name may be asked for.
+*Confident* is the verdict `explained`. A law off the catalogue is *spanned* where an effect of the catalogue imitates it, in the
+strength that was drawn. The column *of* holds what was counted, and how many there were.
 """
