@@ -163,7 +163,5 @@ DECLINED = {
     "6.6": _CONCLUSIONS,
     "7.1": _INTRODUCTION,
     "7.5": _CONCLUSIONS,
-    "8.1": "conclusions of the thesis; nothing to implement",
-    "8.2": "recommendations; each is a project of its own",
 }
 """Section to the reason why no code is its implementation."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
-from hil.cli.options import MachineArgument, can_be_written, load
+from hil.cli.options import MachineArgument, ScanArgument, can_be_written, load
 from hil.errors import UnusableInputError
 from hil.terminal.output import Answer, JsonOption, follower, progress, save_figure
 
@@ -27,7 +27,6 @@ app = typer.Typer(
 MOST_NAMED = 8
 """Exposures that a line names."""
 
-ScanArgument = Annotated[Path, typer.Argument(metavar="SCAN", help="Folder of a scan's images (docs/generated/file-formats.md).")]
 FigureOption = Annotated[Path | None, typer.Option("--figure", metavar="PNG", help="The nine parameters over the scan.")]
 JobsOption = Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Processes that look at images.")]
 

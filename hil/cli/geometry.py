@@ -9,7 +9,7 @@ import numpy as np
 import typer
 
 from hil.cli import exchange
-from hil.cli.options import MachineArgument, PoseOption, can_be_written, folder_can_be_written, load, not_an_input, parse_pose
+from hil.cli.options import MachineArgument, PoseOption, ScanArgument, can_be_written, folder_can_be_written, load, not_an_input, parse_pose
 from hil.errors import UnusableInputError
 from hil.terminal.output import Answer, JsonOption, progress
 
@@ -20,7 +20,6 @@ app = typer.Typer(
     "\n\nExample:  isocenter geometry volume carm scan --with carm.model.npz",
 )
 
-ScanArgument = Annotated[Path, typer.Argument(metavar="SCAN", help="Folder of a scan's images (docs/generated/file-formats.md).")]
 WithOption = Annotated[
     Path | None, typer.Option("--with", metavar="FILE", help="Look-up table or model; the nominal geometry unless given.")
 ]

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 MachineOption = Annotated[
     str, typer.Option("--machine", "-m", metavar="M", help="Machine file, or the name of a shipped one (isocenter machine list).")
 ]
+ScanArgument = Annotated[
+    Path, typer.Argument(metavar="SCAN", help="Folder of a scan: its images, when they were exposed, and the panel's description.")
+]
 MachineArgument = Annotated[str, typer.Argument(metavar="M", help="Machine file, or the name of a shipped one (isocenter machine list).")]
 BusOption = Annotated[
     str,

@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from hil.cli.options import MachineArgument, folder_can_be_written, load
+from hil.cli.options import MachineArgument, ScanArgument, folder_can_be_written, load
 from hil.errors import UnusableInputError
 from hil.terminal.output import Answer, JsonOption, progress
 
@@ -28,7 +28,7 @@ def register(app: typer.Typer) -> None:
 
 def reconstruct(
     machine_name: MachineArgument,
-    scan_folder: Annotated[Path, typer.Argument(metavar="SCAN", help="Folder of a scan's images (docs/generated/file-formats.md).")],
+    scan_folder: ScanArgument,
     out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder for volume.mha and figures.")],
     lookup: Annotated[Path | None, typer.Option("--lookup", metavar="LOOKUP", help="Look-up table or model; nominal without.")] = None,
     geometry: Annotated[

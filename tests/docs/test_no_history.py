@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 from collections.abc import Iterable, Iterator
@@ -33,6 +34,8 @@ def texts() -> list[Path]:
         ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"], cwd=ROOT, capture_output=True, check=False
     )
     if listing.returncode:
+        if os.environ.get("CI"):
+            pytest.fail(f"git lists no files here: {listing.stderr.decode()}")
         pytest.skip("no checkout: git lists no files")
     names = sorted({name for name in listing.stdout.decode().split("\0") if name.endswith(SUFFIXES) and not name.startswith(ALLOWED)})
     return [ROOT / name for name in names if (ROOT / name).is_file()]
@@ -65,6 +68,12 @@ def known_to_git(words: Iterable[str]) -> set[str]:
     )
     kinds = answer.stdout.splitlines()[: len(asked)]
     return {word for word, kind in zip(asked, kinds, strict=True) if kind == "commit"} if asked else set()
+
+
+def test_the_history_is_whole_in_ci() -> None:
+    """In a shallow clone git knows one commit alone, and the next test would see no other."""
+    asked = subprocess.run(["git", "rev-parse", "--is-shallow-repository"], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert not (os.environ.get("CI") and asked.stdout.strip() != "false"), "fetch the whole history: fetch-depth 0"
 
 
 def test_no_commit_is_named() -> None:

@@ -43,6 +43,34 @@ def test_every_place_is_there() -> None:
     assert gone(text, ROOT) == []
 
 
+METHODS = {
+    "multisine": "controllers/multisine.py",
+    "jog mode": "controllers/jog.py",
+    "best linear approximation": "hil/identification/bla/best_linear_approximation.py",
+    "harmonic time-delay filter": "controllers/shapers/harmonic_time_delay.py",
+    "zero inversion": "controllers/shapers/zero_inversion.py",
+    "shortest delays": "controllers/shapers/shortest_delays.py",
+    "phantom calibration": "hil/calibration/phantom/phantom_calibration.py",
+    "focal spot": "hil/calibration/marker/focal_spot.py",
+    "Kalman filter": "controllers/observers/kalman.py",
+    "extended Kalman filter": "controllers/observers/extended.py",
+    "unscented Kalman filter": "controllers/observers/unscented.py",
+    "parameters as states": "hil/calibration/data_driven/parameter_filter.py",
+    "Denavit-Hartenberg identification": "hil/calibration/kinematic/identify_denavit_hartenberg.py",
+    "hybrid median filter": "hil/imaging/markers/hybrid_median.py",
+    "Hadamard experiments": "controllers/orthogonal_experiments.py",
+    "detection lines": "hil/identification/bla/detection_lines.py",
+    "nD-LPM and nD-LRM": "hil/identification/over_poses/nd_lpm_lrm.py",
+    "wire evaluation": "hil/reconstruction/wire_profiles.py",
+}
+"""Where a reader who knows the thesis and the list of files alone looks for a method."""
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_method_stands_under_its_name_and_in_the_map(method: str) -> None:
+    assert METHODS[method] in {place.partition(":")[0] for place in places_in(PAGE.read_text(encoding="utf-8"))}
+
+
 def test_the_sections_are_those_of_the_thesis() -> None:
     """As many in every chapter, numbered without a hole, and equations from the first to the last."""
     for chapter, count in SECTIONS_OF_CHAPTERS.items():
@@ -61,11 +89,13 @@ def test_the_sections_are_those_of_the_thesis() -> None:
 
 
 def test_reasons_and_further_places_are_of_sections_that_exist() -> None:
-    """And no section has both a reason for having no code and code."""
+    """And no section has both code and a reason for having none."""
     numbers = {section.number for section in SECTIONS}
     assert set(DECLINED) <= numbers
     assert set(ALSO) <= numbers
     assert set(DECLINED).isdisjoint(ALSO)
+    text = PAGE.read_text(encoding="utf-8")
+    assert [number for number in DECLINED if f"\n| {number} | " not in text or f" | declined: {DECLINED[number]} |" not in text] == []
 
 
 def test_a_symbol_that_goes_is_missed(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from concealed.truth.loop import DRIVE, ENCODER, run
 from concealed.truth.memory import forward_address
 
 STEP_S = 0.0003
-"""Longest plant step. What a step a third as long changes then stays under 1.5 in the oracle's units (tests/concealed)."""
+"""Longest plant step. What a step a third as long changes then stays under 1.5 in the oracle's units (tests/benchmarks/concealed)."""
 
 COARSE = 3
 """Times as long steps of what is not recorded: imitators, derivatives, refits and the search for a strength. Every one of them is a

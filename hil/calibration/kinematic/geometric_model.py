@@ -64,8 +64,8 @@ class GeometricModel:
         jacobian = self.chain.jacobian(np.atleast_2d(positions))
         jacobian[:, 6:] *= -1.0
         half = jacobian @ self._root
-        rotation: np.ndarray = half @ np.swapaxes(half, 1, 2)
-        return rotation
+        covariance: np.ndarray = half @ np.swapaxes(half, 1, 2)
+        return covariance
 
     @cached_property
     def _root(self) -> np.ndarray:

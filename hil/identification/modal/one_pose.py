@@ -244,5 +244,5 @@ class _Problem:
         real, imaginary = J[:L], J[L:]
         both = np.einsum("lap,lab,lbq->pq", real, V.real, real) + np.einsum("lap,lab,lbq->pq", imaginary, V.real, imaginary)
         cross = np.einsum("lap,lab,lbq->pq", imaginary, V.imag, real)
-        hessian: np.ndarray = both + cross + cross.T
-        return hessian
+        meat: np.ndarray = both + cross + cross.T
+        return meat
