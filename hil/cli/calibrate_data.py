@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from hil.machine import Machine
     from hil.recording import Recording
 
-RecordingArgument = Annotated[Path, typer.Argument(metavar="REC", help="Recording of the scan.")]
+RecordingArgument = Annotated[Path, typer.Argument(metavar="REC", help="Recording: of the scan, or at rest.")]
 
 
 def register(app: typer.Typer) -> None:
@@ -56,7 +56,7 @@ def data(
     marker: Annotated[Path | None, typer.Option("--marker", metavar="SCAN", help="Folder of marker images of the same scan.")] = None,
     images: Annotated[int | None, typer.Option("--images", metavar="N", min=0, help="Withdraw phantom images after so many.")] = None,
     until: Annotated[
-        float, typer.Option("--until", metavar="MM", min=0.0, help="Withdraw them once the place is known so well; 0: never.")
+        float, typer.Option("--until", metavar="MM", min=0.0, help="Withdraw phantom images once the place is known so well; 0: never.")
     ] = 0.0,
     late: Annotated[float, typer.Option("--late", metavar="MS", min=0.0, help="How long after its exposure an image is there.")] = 200.0,
     figure: Annotated[Path | None, typer.Option("--figure", metavar="PNG", help="The nine parameters over time.")] = None,

@@ -128,7 +128,7 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
                 if kept := keep_earlier(path):
                     answer.say(kept)
                 if not lockstep:
-                    answer.say(f"{path}: {plan.rows / machine.sample_rate_Hz:.0f} s, after homing, way and standstill")
+                    answer.say(f"{path}: homing, way and standstill, then {plan.rows / machine.sample_rate_Hz:.0f} s are recorded")
                 task = bars.add_task(path.name, total=plan.rows)
                 beside = None if not answer.console.is_terminal else functools.partial(drawn_beside, rows=plan.rows, name=path.name)
                 timing = bench.run(plan, path, follower(bars, task) if lockstep else None, beside, rows)

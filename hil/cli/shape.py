@@ -79,6 +79,11 @@ def shape(
     candidates = design_all(subjects, aim, machine.sample_rate_Hz, band)
     designs = candidates.designs
     chosen = candidates.named(take) if take else designs[0]
+    verdicts = [vars(design.verdict) | {"left_out": [vars(each) for each in design.verdict.left_out]} for design in designs]
+    notes = {"machine": machine.name, "hash": machine.hash, "aim": vars(aim), "source": source, "output": output}
+    notes["verdict"] = chosen.verdict.line
+    shapers = (shaper_of(chosen, axis, machine.sample_rate_Hz, positions, schedule),)
+    write_shaper(ShaperFile(shapers, machine.sample_rate_Hz, notes), out)
     for design in designs:
         answer.say(f"{'*' if design is chosen else ' '} {design.verdict.line}")
     for name, reason in candidates.refused.items():
@@ -86,11 +91,6 @@ def shape(
     for line in _left_out_lines(chosen):
         answer.say(line)
     answer.say(f"the quiet design keeps {band[0]:g} to {band[1]:g} Hz low; modes are sought over the whole band of the loop")
-    verdicts = [vars(design.verdict) | {"left_out": [vars(each) for each in design.verdict.left_out]} for design in designs]
-    notes = {"machine": machine.name, "hash": machine.hash, "aim": vars(aim), "source": source, "output": output}
-    notes["verdict"] = chosen.verdict.line
-    shapers = (shaper_of(chosen, axis, machine.sample_rate_Hz, positions, schedule),)
-    write_shaper(ShaperFile(shapers, machine.sample_rate_Hz, notes), out)
     answer.say(f"{out}: {chosen.name}, {len(chosen.filters[0].gains)} taps, {len(positions)} pose{'s' if len(positions) > 1 else ''}")
     if table is not None:
         _write_csv(verdicts, table)
