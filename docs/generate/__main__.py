@@ -16,7 +16,7 @@ def main(arguments: list[str] | None = None) -> int:
     wanted = pages()
     found = differences(wanted)
     for line in found:
-        print(line)
+        print(line if check else f"{line}; written")
     if check:
         return 1 if found else 0
     GENERATED.mkdir(exist_ok=True)
