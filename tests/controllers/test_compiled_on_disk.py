@@ -50,6 +50,7 @@ def run(house: Path) -> str:
     return done.stdout.strip()
 
 
+@pytest.mark.slow
 def test_an_edit_of_a_file_that_is_compiled_in_is_seen(house: Path) -> None:
     assert run(house) == "21.0 0 scaled True"
     assert run(house) == "21.0 1 scaled True", "the second process finds what the first has compiled"

@@ -63,6 +63,7 @@ def test_weights_shape_the_lines_and_leave_the_rms(weights: list[float]) -> None
     assert np.sqrt(np.mean(drawn.signals**2)) == pytest.approx(1.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("phases", ["random", "optimised"])
 def test_phases_have_no_mean_over_realisations(phases: str) -> None:
     # |mean of M unit vectors| has rms 1/sqrt(M); (3.8) asks for E exp(i phi) = 0

@@ -58,6 +58,7 @@ assert np.array_equal(outputs, scipy.signal.sosfilt(sections, inputs))
 """
 
 
+@pytest.mark.slow
 def test_a_fast_math_caller_leaves_the_step_exact(tmp_path: Path) -> None:
     # numba would hand the caller's fast math down and keep it in the cache for everybody
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}

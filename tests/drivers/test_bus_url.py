@@ -240,6 +240,7 @@ def test_a_back_end_without_its_vendor_library_is_one_line() -> None:
     assert refusal("nixnet:CAN1").startswith("nixnet:CAN1: ")
 
 
+@pytest.mark.slow
 @given(st.text(max_size=40))
 @example("udp:224.0.0.1@")
 @example("slcan:@")

@@ -17,6 +17,7 @@ INSIDE = Path(__file__).parent / "inside"
 TIMEOUT_S = 1200.0
 
 
+@pytest.mark.slow
 def test_two_processes_over_vcan0(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Emulator and loop talk over vcan0, candump is the witness, slcan crosses a pty; nothing in there may be skipped."""
     monkeypatch.chdir(ROOT)

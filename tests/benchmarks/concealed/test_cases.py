@@ -21,6 +21,7 @@ def test_the_sealed_set_has_its_strata_and_other_seeds_than_development() -> Non
     assert seed != seeds("development")[0]
 
 
+@pytest.mark.slow
 def test_any_fifteen_cases_hold_every_stratum_and_singles_go_round_the_whole_catalogue(machines: dict[str, Machine]) -> None:
     from concealed.making import stratum_of
     from concealed.truth.catalogue import INSIDE

@@ -67,6 +67,7 @@ def test_without_hidden_physics_the_simulation_gives_the_same_recording(machines
     assert compared >= 2
 
 
+@pytest.mark.nightly
 def test_every_kind_of_physics_changes_some_channel_and_goes_to_none_with_its_strength(machines: dict[str, Machine]) -> None:
     from concealed.truth.catalogue import KINDS
     from concealed.truth.experiments import Experiment, plan

@@ -59,6 +59,7 @@ def test_a_low_pass_is_flat_below_its_corner_and_falls_with_the_square_of_freque
         assert density(frequency_Hz) / density(0.01) == pytest.approx(of_second_order(frequency_Hz), rel=0.05), frequency_Hz
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_low_pass", [True, False])
 def test_tuning_takes_a_low_pass_where_one_pushes_and_a_band_where_that_does(is_low_pass: bool) -> None:
     model, noise = pushed_at_a_shift(is_low_pass)

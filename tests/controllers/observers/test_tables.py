@@ -40,6 +40,7 @@ def test_a_sample_and_its_readings_are_those_of_the_equations_written_with_matri
         assert np.abs(read - expected[1]).max() < 1e-12 * np.abs(expected[1]).max()
 
 
+@pytest.mark.slow
 def test_with_adapted_modes_the_ukf_is_one_that_asks_the_model_at_every_sigma_point() -> None:
     measured, commands, _ = drawn_rows(DenseModel(small_model(), small_noise()), small_noise(), 60, seed=11)
     observer = ModalObserver(with_lower_mode(small_model(), 1.1), small_noise(adapted_walk=1e-3), "ukf", adapted=(0, 2))

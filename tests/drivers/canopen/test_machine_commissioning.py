@@ -104,6 +104,7 @@ def take_back_when(rig: Rig, happens: Callable[..., object], take_back: Callable
     return at
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("take_back", "words"), TAKEN_BACK.values(), ids=TAKEN_BACK.keys())
 @pytest.mark.parametrize("stage", ["pushed", "homed", "held", "opening", "closing"])
 def test_permission_taken_back_ends_every_procedure_in_the_same_tick(stage: str, take_back: Callable[..., object], words: str) -> None:

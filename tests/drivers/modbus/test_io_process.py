@@ -257,6 +257,7 @@ def loop_with_open_brakes(served: tuple[EmulatedIo, ServedTcp], tmp_path: Path) 
             loop.kill()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end", ["exit", "SIGTERM", "SIGKILL", "SIGHUP to all", "SIGQUIT to all", "SIGKILL to all"])
 def test_when_the_loops_process_dies_the_brakes_close(served: tuple[EmulatedIo, ServedTcp], tmp_path: Path, end: str) -> None:
     device, _ = served

@@ -52,6 +52,7 @@ def _equal(one: Recording, other: Recording, leave_out: tuple[str, ...] = ()) ->
     return {name for name in one.channels if name not in leave_out and not np.array_equal(one[name], other[name], equal_nan=True)}
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_recordings_bit_for_bit_and_the_same_frames(
     folder: Path, two_plans: list[Plan], first: list[Recording]
 ) -> None:
@@ -65,6 +66,7 @@ def test_the_same_seed_gives_the_same_recordings_bit_for_bit_and_the_same_frames
     assert (folder / "first.csv").read_bytes() == (folder / "again.csv").read_bytes()
 
 
+@pytest.mark.slow
 def test_another_seed_changes_the_sensors_noise_and_nothing_the_bench_decides(
     folder: Path, two_plans: list[Plan], first: list[Recording]
 ) -> None:
@@ -74,6 +76,7 @@ def test_another_seed_changes_the_sensors_noise_and_nothing_the_bench_decides(
     assert not any(name.startswith(("time", "reference", "excitation", "feedforward")) for name in different)
 
 
+@pytest.mark.slow
 def test_a_run_at_1_kHz_keeps_its_time_and_is_what_the_simulation_says(folder: Path) -> None:
     machine = carm_at_1_kHz()
     plans = Multisine(
@@ -161,6 +164,7 @@ def test_every_column_of_the_truth_has_its_name_and_unit(folder: Path, first: li
     assert {"pose_detector_x [m]", "pose_detector_r33", "pose_tube_z [m]"} <= set(header)
 
 
+@pytest.mark.slow
 def test_physics_that_the_machine_file_does_not_know_shows_in_the_current(folder: Path) -> None:
     """12 Nm of Coulomb friction at roll: 12/(0.095 * 500) = 0.2526 A to either side, Armstrong-Helouvry et al. 1994."""
     plans = JogOnly(pose={"roll": 0.5}, jog=Jog(0.02, line=1), period_s=5.0, periods=1).plans(CARM)
@@ -291,6 +295,7 @@ def test_a_stop_request_while_homing_stops_there_and_not_at_the_first_row() -> N
         assert bench.commissioning == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in ("SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name)])
 def test_a_run_asked_to_stop_by_a_signal_keeps_its_rows_and_leaves_the_handlers_as_they_were(folder: Path, name: str) -> None:
     number = getattr(signal, name)

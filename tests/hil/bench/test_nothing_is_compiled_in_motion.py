@@ -23,6 +23,7 @@ def machine_codes() -> int:
     return sum(len(one.signatures) for one in gc.get_objects() if issubclass(type(one), Dispatcher))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("feedforward", ["false", "true"])
 def test_a_bench_that_is_open_compiles_nothing_more(tmp_path: Path, feedforward: str) -> None:
     machine = machine_from_text(edited("^gravity_feedforward = false", f"gravity_feedforward = {feedforward}"))

@@ -76,6 +76,7 @@ def watched(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hil.bench.wiring.LockstepBus", WatchedBus)
 
 
+@pytest.mark.slow
 def test_a_second_ctrl_c_while_the_motors_are_being_stopped_does_not_break_the_stop_off(tmp_path: Path) -> None:
     def interrupt() -> None:
         signal.raise_signal(signal.SIGINT)
@@ -95,6 +96,7 @@ def test_a_second_ctrl_c_while_the_motors_are_being_stopped_does_not_break_the_s
     )
 
 
+@pytest.mark.slow
 def test_a_drive_holds_its_axis_until_its_brake_has_closed(tmp_path: Path) -> None:
     """The brake's mechanics are slow here: a drive that switches itself off at standstill would let the axis fall before."""
     with open_bench(CARM, BenchOptions("lockstep:"), START) as bench:
@@ -118,6 +120,7 @@ def test_a_second_ctrl_c_elsewhere_interrupts_at_once() -> None:
             signal.raise_signal(signal.SIGINT)
 
 
+@pytest.mark.slow
 def test_the_first_command_an_enabled_drive_obeys_holds_its_axis(tmp_path: Path) -> None:
     """Roll stands where gravity turns it with 0.5 A and more; zero at the instant of enabling would let it fall."""
     start = np.array([0.0, 0.6])
@@ -145,6 +148,7 @@ def moved_while_planning(bench: Bench, monkeypatch: pytest.MonkeyPatch, counts: 
     monkeypatch.setattr(bench, "_way_to", planned)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("goal", [START, START + 0.05], ids=["stay", "move"])
 def test_a_machine_that_moved_while_its_way_was_planned_is_not_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, goal: np.ndarray
@@ -159,6 +163,7 @@ def test_a_machine_that_moved_while_its_way_was_planned_is_not_run(
         bench.run(Static(1.0, pose).plans(CARM)[0], tmp_path / "again.mf4")  # planned anew from where it stands
 
 
+@pytest.mark.slow
 def test_a_machine_that_moved_a_little_is_led_to_its_way_without_a_jump(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with open_bench(CARM, BenchOptions("lockstep:"), START) as bench:
         moved_while_planning(bench, monkeypatch, 300.0)

@@ -101,6 +101,7 @@ def still(folder: Path, bench: Bench) -> None:
     bench.run(Static(0.5, dict(zip(CARM.axes, map(float, START), strict=True))).plans(CARM)[0], folder / "run.mf4")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "words", "moved"),
     [
@@ -118,6 +119,7 @@ def test_the_first_move_is_watched_tick_by_tick(fault: Callable[..., object], wo
         assert broken.moved() < moved
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "words", "moved"),
     [
@@ -146,6 +148,7 @@ def test_an_axis_is_watched_while_its_brake_closes_after_a_run(tmp_path: Path) -
         assert broken.moved() < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("fault", "other", "moved"), [(frozen, r"\+0\.00e\+00", 65e-3), (flipped, r"\+2\.\d+e-02", 90e-3)])
 def test_an_encoder_that_lies_is_found_by_the_links_while_the_loop_holds(
     tmp_path: Path, fault: Callable[..., object], other: str, moved: float
@@ -173,6 +176,7 @@ def home_on_a_switch(machine: Machine, fault: Callable[[Cia402Drive, Bench], Non
         return broken.moved(), str(refused.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "words", "moved"),
     [

@@ -126,6 +126,7 @@ BUSES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "command", [("home", "-m", "carm"), ("scan-bus",), ("run", "static", "-m", "carm", "-o", "x.mf4"), ("emulate", "carm")]
 )
@@ -192,6 +193,7 @@ def test_two_nodes_with_one_id(isocenter: Isocenter, emulated_bus: Callable[...,
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_a_position_that_stays_away_is_a_bad_answer_and_the_rows_before_it_are_kept(
     isocenter: Isocenter, monkeypatch: pytest.MonkeyPatch, out: Path
 ) -> None:
@@ -213,6 +215,7 @@ def test_a_position_that_stays_away_is_a_bad_answer_and_the_rows_before_it_are_k
     assert not out.with_name("run.mf4.part").exists()
 
 
+@pytest.mark.slow
 def test_a_bus_that_breaks_in_the_run_is_one_line_that_tells_what_the_stop_ran_into_and_the_rows_are_kept(
     isocenter: Isocenter, monkeypatch: pytest.MonkeyPatch, out: Path
 ) -> None:
@@ -235,6 +238,7 @@ def test_a_bus_that_breaks_in_the_run_is_one_line_that_tells_what_the_stop_ran_i
     assert any("closing the brakes" in trouble or "disabling voltage" in trouble for trouble in recording.metadata["ended"]["stopping"])
 
 
+@pytest.mark.slow
 def test_a_run_that_stops_and_cannot_be_written_says_both(isocenter: Isocenter, monkeypatch: pytest.MonkeyPatch, out: Path) -> None:
     part = out.with_name("run.mf4.part")
 
@@ -305,6 +309,7 @@ def taken(monkeypatch: pytest.MonkeyPatch, out: Path) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_a_recording_that_cannot_be_written_at_the_end_keeps_its_rows(isocenter: Isocenter, tmp_path: Path, taken: Path) -> None:
     refused = isocenter(*STATIC, "--machine", "carm", "-o", taken)
     assert refused.status == 2
@@ -312,6 +317,7 @@ def test_a_recording_that_cannot_be_written_at_the_end_keeps_its_rows(isocenter:
     assert read_recording(tmp_path / "run.mf4.part").rows == 128
 
 
+@pytest.mark.slow
 def test_an_unfinished_recording_is_not_overwritten(isocenter: Isocenter, tmp_path: Path, taken: Path) -> None:
     isocenter(*STATIC, "--machine", "carm", "-o", taken)
     taken.rmdir()
@@ -354,6 +360,7 @@ HOLES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("cut", "says"), HOLES.values(), ids=HOLES.keys())
 def test_a_csv_that_lacks_something(
     isocenter: Isocenter, recorded: Path, tmp_path: Path, cut: Callable[..., object], says: list[str]

@@ -51,6 +51,7 @@ def test_every_command_of_the_contract_is_there() -> None:
     assert set(wanted.split(", ")) <= names
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", COMMANDS, ids=lambda words: " ".join(words) or "isocenter")
 def test_help_names_an_example_that_is_a_call_of_this_command(isocenter: Isocenter, words: tuple[str, ...]) -> None:
     shown = isocenter(*words, "--help")
@@ -105,6 +106,7 @@ ANSWERS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arguments", ANSWERS.values(), ids=ANSWERS.keys())
 def test_json_to_standard_output_is_all_that_goes_there(
     isocenter: Isocenter, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, recorded: Path, arguments: tuple[str, ...]
@@ -283,6 +285,7 @@ def test_the_chain_from_run_to_convert(isocenter: Isocenter, tmp_path: Path) -> 
     assert read_recording(table)["position_roll"].tolist() == read_recording(paths[0])["position_roll"].tolist()
 
 
+@pytest.mark.slow
 def test_effects_at_the_command_line_are_physics_of_the_emulated_machine_and_of_the_simulation(
     isocenter: Isocenter, tmp_path: Path
 ) -> None:

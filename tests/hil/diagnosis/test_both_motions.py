@@ -45,6 +45,7 @@ def strength(one: Contender) -> float:
     return float((one.fitted if one.moved is None else one.moved).values[0][0])
 
 
+@pytest.mark.nightly
 def test_what_training_does_not_show_is_where_held_out_recordings_want_it(with_friction):
     before, after = moved(*with_friction, seen=0.0)
     assert strength(before) == pytest.approx(0.75 * COULOMB_N, rel=0.03)

@@ -41,6 +41,7 @@ def run(folder, seed, *experiment):
     return read_recording(path, load_machine(TABLE))
 
 
+@pytest.mark.nightly
 def test_the_experiment_it_writes_tells_a_cable_from_what_looks_like_one(tmp_path, monkeypatch):
     for name, few in (("DRAWS", 4), ("REFITTED", 3), ("REFINEMENTS", 5)):
         monkeypatch.setattr(next_experiment, name, few)

@@ -151,6 +151,7 @@ def test_many_bursts_of_losses_of_a_channel_that_does_not_move_are_measured(shar
     assert found.share == pytest.approx(lost.mean(), rel=0.15)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("radius", "angle"), [(0.0, 0.0), (0.9, 0.0), (0.9, 1.0), (0.95, 2.7), (0.98, 2.9), (0.9, np.pi)])
 def test_noise_alone_loses_nothing_slow_or_fast(radius, angle):
     """Autoregressive, a pair of poles there."""
@@ -178,6 +179,7 @@ def test_an_encoder_that_repeats_itself_is_at_rest():
     assert not without_lost_samples(encoder, simulated, CHANNELS)[1]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("period", [4, 8, 12, 20, 30, 40, 60, 100])
 @pytest.mark.parametrize("quiet", [0.2, 0.3, 0.6])
 @pytest.mark.parametrize("around", [0.0, 7.0])

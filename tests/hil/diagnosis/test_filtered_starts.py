@@ -118,6 +118,7 @@ def smooth(random: np.random.Generator, rows: int) -> np.ndarray:
     return np.cumsum(random.standard_normal(rows))
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("machine", ["arm", "rotor"])
 def test_efforts_behind_a_record_have_its_products_with_their_responses(machine, request):
     runs, tuning = request.getfixturevalue(machine)

@@ -237,6 +237,7 @@ def test_coggings_of_several_orders_at_one_place_add_up():
     assert np.abs(whole - recorded(ROTOR, inputs, wave(36.0, 0.04, -0.9))["position_rotor"]).max() > 1e-3
 
 
+@pytest.mark.slow
 def test_a_cogging_of_another_order_is_found_beside_the_first():
     recordings = pieces(24, wave(96.0, 0.04, -1.1), Np=72.0, A1=0.1, phi1=0.4, A2=0.0, phi2=0.0)
     first, second = EffectAt("cogging", "rotor"), EffectAt("cogging", "rotor", 2)
@@ -268,6 +269,7 @@ def test_a_frequency_is_fitted_to_a_part_of_a_cycle_over_the_record():
     assert fit.values[0][1] == pytest.approx(20.0, abs=0.01 / time_s)
 
 
+@pytest.mark.slow
 def test_an_order_is_guessed_from_pieces_together_and_fitted_to_a_thousandth():
     recordings = pieces(Np=72.0, A1=0.1, phi1=0.4, A2=0.0, phi2=0.0)
     with FreeRuns({TRAIN: (found := mismatch(ROTOR, recordings))}, found.noise) as runs:
@@ -280,6 +282,7 @@ def test_an_order_is_guessed_from_pieces_together_and_fitted_to_a_thousandth():
     assert fit.values[0][1] == pytest.approx(0.1, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_law_whose_second_harmonic_is_larger_is_found_from_twice_its_order():
     recordings = pieces(8, Np=36.0, A1=0.04, phi1=-0.9, A2=0.1, phi2=0.4)
     with FreeRuns({TRAIN: (found := mismatch(ROTOR, recordings))}, found.noise) as runs:
@@ -290,6 +293,7 @@ def test_a_law_whose_second_harmonic_is_larger_is_found_from_twice_its_order():
     assert (order, a1, a2) == pytest.approx((36.0, 0.04, 0.1), rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "start",
     [

@@ -348,6 +348,7 @@ def head():
         yield runs, retune(runs)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("name", "inertia"), [("pose_dependent_dynamics", 0.2), ("axis_coupling", 0.02)], ids=["of the first axis", "between both"]
 )

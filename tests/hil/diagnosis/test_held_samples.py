@@ -135,6 +135,7 @@ def test_held_samples_are_named_and_taken_out():
     assert np.isfinite(kept[:, :, 1]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stiction_N", [0.0, 250.0], ids=["slides", "sticks, and comes free at another time in every repeat"])
 @pytest.mark.parametrize("disturbance_N", [10.0, 30.0])
 @pytest.mark.parametrize("seed", range(2))

@@ -48,6 +48,7 @@ def test_a_lattice_of_any_step_and_offset_is_found(seed, times, offset, share):
     assert found.ci95[1] >= step * (1.0 - 1e-5)
 
 
+@pytest.mark.nightly
 @settings(max_examples=40, deadline=None, derandomize=True)
 @given(st.integers(0, 10_000), st.sampled_from([2.0, 3.0]), st.floats(0.1, 0.9), st.floats(0.0, 1.0), st.floats(0.3, 1.0))
 def test_a_lattice_between_counts_is_found_by_the_counts_that_are_never_read(seed, whole, beyond, offset, share):

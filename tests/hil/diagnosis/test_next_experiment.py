@@ -64,6 +64,7 @@ def slow_jog():
     return plan
 
 
+@pytest.mark.slow
 def test_it_separates_better_than_a_slow_jog(proposal, rivals, noise):
     """In units of what an equation may err: a share of what it explains."""
     apart = Separation(RAIL, rivals, noise, CHANNELS)
@@ -170,6 +171,7 @@ def with_tuned(of: Model, **priors: float) -> Model:
     return replace(of, indices=indices, scale=np.array(list(priors.values())), free=())
 
 
+@pytest.mark.slow
 def test_a_refit_of_several_rounds_pays_for_the_way_it_goes(noise):
     """A mass a fifth too large, two of its priors: the least distance of a fine scan of it."""
     plan, priors = slow_jog(), np.linspace(-3.0, 0.0, 61)

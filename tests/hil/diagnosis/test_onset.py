@@ -40,6 +40,7 @@ def repeats(size_N: float, phases: list[float]):
     return {f"{k}": recorded(WAY, shaken(size_N, begins, k), k) for k, begins in enumerate(phases)}
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("size_N", "phases"), TO_ONE_SIDE.values(), ids=TO_ONE_SIDE)
 def test_repeats_that_noise_first_pushes_to_one_side_lack_no_physics(monkeypatch, size_N, phases):
     held_out = {"held out": recorded(0.5 * WAY, shaken(size_N, phases[0], 5), 9)}

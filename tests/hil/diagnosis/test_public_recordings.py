@@ -74,6 +74,7 @@ def test_pieces_of_the_motors_record_begin_in_motion():
         assert np.abs(judged(recording, simulate(data.machine, recording), "position_rotor"))[:2].max() < 0.01
 
 
+@pytest.mark.slow
 @present
 def test_cogging_of_a_motor_starts_at_its_first_order_and_not_at_twice_that():
     """Effort at 144 a turn stands out as well; started there alone, a fit would have no 72."""

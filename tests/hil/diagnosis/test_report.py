@@ -57,6 +57,7 @@ def test_a_figure_of_a_part_of_a_record_says_which_part_and_why(found):
     assert drawn_over(short, np.ones(3000)).endswith("all 3 s of it")
 
 
+@pytest.mark.slow
 def test_places_and_speeds_and_efforts_have_their_units(friction, tmp_path):
     spans = {"carriage": ((0.125, 0.25),)}
     location = replace(friction.diagnosis.location, position=spans, speed=spans, effort=spans)

@@ -83,6 +83,7 @@ def test_repeats_that_are_counts_apart_share_nothing():
     assert mismatch(OPEN, repeats(0.05)).noise.shared is not None
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("apart", [0.0, 0.1, 0.2, 0.4, 1.0])
 def test_what_two_readings_share_is_the_correlation_of_their_rounding_errors(apart):
     """Drawn: places anywhere within a count, two readings that scatter about each."""

@@ -100,6 +100,7 @@ def test_an_answer_that_cannot_be_simulated_comes_in_no_time(both_late):
     assert delays(both_late, nothing) == delays(both_late, None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("duration_s", "verdict"), [(0.6, "inconclusive"), (3.0, "retuned")])
 def test_only_an_answer_that_says_what_the_machine_is_is_asked(monkeypatch, duration_s, verdict):
     asked = []

@@ -42,6 +42,7 @@ def test_one_thread_per_processor_that_may_be_used_unless_said_otherwise(tmp_pat
     assert asked == [threads]
 
 
+@pytest.mark.nightly
 def test_the_answer_is_the_same_from_two_threads(friction, with_friction):
     two = diagnose(MACHINE, *with_friction, jobs=2)
     assert two.diagnosis.hypotheses == friction.diagnosis.hypotheses

@@ -51,6 +51,7 @@ def no_repeats():
     return diagnose(MACHINE, repeats(1, seed=5, disturbance_N=0.01))
 
 
+@pytest.mark.slow
 def test_no_effect_has_a_computed_confidence_capped_where_the_noise_is_assumed(no_repeats):
     assert no_repeats.diagnosis.verdict in ("consistent", "retuned")
     assert no_repeats.diagnosis.noise == "assumed" and no_repeats.evidence.cap == CAP_ASSUMED

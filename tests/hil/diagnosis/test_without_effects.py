@@ -36,6 +36,7 @@ TRUTH = {"mass": 1.08 * MASS_kg, "damping": 0.94 * DAMPING, "duration_s": 2.0}
 """A carriage whose numbers alone are off."""
 
 
+@pytest.mark.nightly
 def test_numbers_that_fits_of_effects_find_are_the_machines_own(monkeypatch):
     monkeypatch.setattr(diagnosing, "retune", stopped_short)
     shares = []
@@ -46,6 +47,7 @@ def test_numbers_that_fits_of_effects_find_are_the_machines_own(monkeypatch):
     assert shares == sorted(shares)  # the search that is begun once more does not go back
 
 
+@pytest.mark.nightly
 def test_a_bound_on_the_noise_is_that_of_the_best_numbers_as_well(monkeypatch):
     train = mismatch(MACHINE, aligned(MACHINE, repeats(1, **TRUTH)))
     whole = with_bounded_noise(train, 1, lambda what, share: None)

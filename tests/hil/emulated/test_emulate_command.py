@@ -43,6 +43,7 @@ def carm() -> Iterator[dict[str, str]]:
     assert (process.returncode, rest) == (0, ""), errors
 
 
+@pytest.mark.slow
 def test_minimalmodbus_reads_and_works_the_io_on_its_serial_line(carm: dict[str, str]) -> None:
     device, _, baud = carm["io_rtu"].removeprefix("rtu:").rpartition("@")
     instrument = minimalmodbus.Instrument(device, 1)
@@ -74,6 +75,7 @@ def test_the_imu_listens_where_the_ready_line_says(carm: dict[str, str]) -> None
         assert line.makefile("rb").read(5) == bytes.fromhex("fa ff 31 00 d0")
 
 
+@pytest.mark.slow
 def test_without_json_it_says_in_words_that_it_is_ready(tmp_path: Path) -> None:
     process = emulating("--eds", str(DRIVE_EDS), "--node", "5", "--bus", "virtual:words", "--json", str(tmp_path / "ready.json"))
     assert process.stdout is not None
@@ -84,6 +86,7 @@ def test_without_json_it_says_in_words_that_it_is_ready(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "ready.json").read_text()) == {"ready": str(DRIVE_EDS), "bus": "virtual:words", "node": 5}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("port", "words"),
     [

@@ -267,6 +267,7 @@ def test_what_is_no_panel_is_told(wire: tuple[PanelLink, socket], said: bytes, l
         link.poll()
 
 
+@pytest.mark.slow
 def test_a_panel_that_hangs_up_during_a_run_is_told_at_once_and_again_when_that_is_over(tmp_path: Path) -> None:
     span, told = RowSpan(CONTEXT), queue.Queue()
     with greeting() as (url, callers):

@@ -28,6 +28,7 @@ def draw(rng: np.random.Generator, *, alike: bool) -> FrequencyResponse:
     return nd_local(made, MODEL, OVER_POSES)[2]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("alike", [True, False], ids=["excited-alike", "excited-differently"])
 def test_the_total_variance_is_that_over_draws_of_phases(alike: bool) -> None:
     rng = np.random.default_rng(95)

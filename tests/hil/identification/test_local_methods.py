@@ -95,6 +95,7 @@ def test_lpm_is_lrm_without_denominator_and_needs_a_smoother_transient() -> None
     assert rational < polynomial < 1e-3
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("estimate", "realisations", "experiments", "draws"),
     [
@@ -159,6 +160,7 @@ def poses_of(
     return records, np.stack([truth_of(loop) for loop in loops])
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("model", [LPM, LRM], ids=["2d-lpm", "2d-lrm"])
 def test_neighbouring_poses_lower_the_variance_and_covariances_stay_true(model: LocalModel) -> None:
     rng = np.random.default_rng(3)

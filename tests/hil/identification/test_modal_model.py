@@ -90,6 +90,7 @@ def test_responses_at_poses_held_out_err_less_than_the_measurement(model: ModalF
     assert np.mean(below) >= 0.95
 
 
+@pytest.mark.nightly
 def test_confidence_intervals_hold_what_they_promise() -> None:
     """At the poses fitted and between, over several fits."""
     inside = []
@@ -131,6 +132,7 @@ def test_stability_and_passivity_are_told(model: ModalFrfModel) -> None:
     np.testing.assert_array_equal(model.passive_modes(0.0), [[True, True], [False, True]])
 
 
+@pytest.mark.slow
 def test_the_order_over_the_poses_is_the_datas_own() -> None:
     """Of a machine whose first mode alone moves, along 1 / omega^2 = quadratic in the pose."""
     rng = np.random.default_rng(70)
@@ -144,6 +146,7 @@ def test_the_order_over_the_poses_is_the_datas_own() -> None:
     assert len(second.coefficients[0]) == 1
 
 
+@pytest.mark.slow
 def test_poles_below_the_band_do_not_bend_the_response_within_it() -> None:
     """A rigid body's slow pair below the lowest line, moving over the poses and repelled by gravity at some of them."""
     rng = np.random.default_rng(71)

@@ -42,6 +42,7 @@ def draw(rng: np.random.Generator, poses: np.ndarray, frequency_Hz: Callable[...
     return made
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("case", "gain"),
     [

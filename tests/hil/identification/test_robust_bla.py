@@ -47,6 +47,7 @@ def test_without_noise_the_estimate_is_the_plants_response() -> None:
     np.testing.assert_allclose(response.G, truth, rtol=1e-7, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["noise", "total"])
 def test_the_truth_lies_within_the_95_percent_bounds_at_95_percent_of_the_lines(draws: list[FrequencyResponse], kind: str) -> None:
     truth = plant_response(two_mode_loop(), draws[0].frequencies_Hz)

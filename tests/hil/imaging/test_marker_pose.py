@@ -64,6 +64,7 @@ def test_neglected_angles_bias_the_linear_case() -> None:
     assert biased.projection.values[0] - TRUE.values[0] == pytest.approx(-3e-3 * 1.16, rel=0.05)
 
 
+@pytest.mark.slow
 def test_poses_are_scattered_as_their_covariance_says() -> None:
     rng = np.random.default_rng(2)
     fits = [fit_marker(points(TRUE, FINE, 0.1, rng), PLATE, FINE, NOMINAL) for _ in range(300)]
@@ -74,6 +75,7 @@ def test_poses_are_scattered_as_their_covariance_says() -> None:
     assert np.std(error, axis=0, ddof=1) == pytest.approx(np.sqrt(np.diag(fits[0].covariance)[:6]), rel=0.15)
 
 
+@pytest.mark.slow
 def test_from_images_the_pose_is_true_within_the_covariance_that_correlated_points_have() -> None:
     chi2 = []
     for seed in range(8):

@@ -50,6 +50,7 @@ def test_modes_and_holding_efforts_agree_with_energies(carm: Machine) -> None:
         np.testing.assert_allclose(result.modes, expected, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_lightly_damped_mode_near_8_hz_moves_by_more_than_1_hz_over_roll(carm: Machine) -> None:
     frequency, damping = mode_near(carm, (0, 0), 8.0)
     assert frequency == pytest.approx(8.0, abs=0.3)
@@ -65,6 +66,7 @@ def test_the_shift_follows_from_geometry_because_moving_a_mass_moves_it(carm: Ma
     assert after - before > 0.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("propeller_deg", [-120, -60, 0, 60, 120])
 def test_the_detector_mode_near_14_hz_does_not_move_over_roll(carm: Machine, propeller_deg: int) -> None:
     frequencies = [mode_near(carm, (propeller_deg, roll), 14.0)[0] for roll in ROLLS_DEG]

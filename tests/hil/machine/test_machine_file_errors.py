@@ -153,6 +153,7 @@ VALUES = st.one_of(
 )
 
 
+@pytest.mark.slow
 @FAST
 @given(where=st.sampled_from(LEAVES), value=VALUES, drop=st.booleans())
 def test_any_value_in_any_place_gives_a_machine_or_one_line(where: tuple[int | str, ...], value: object, drop: bool) -> None:

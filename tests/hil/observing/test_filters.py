@@ -96,6 +96,7 @@ def test_the_ukf_is_filterpys_with_equal_weights_on_turning_axes() -> None:
     assert np.allclose(observer.covariance, reference.P, rtol=1e-5, atol=1e-6 * np.outer(deviation, deviation).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["ekf", "ukf"])
 def test_nis_is_in_its_band_when_noise_is_as_modelled(kind: str) -> None:
     model, noise = small_model(), small_noise()

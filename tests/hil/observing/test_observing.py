@@ -265,6 +265,7 @@ def test_the_command_writes_estimates_and_says_whether_to_believe_them(
         assert len(error.strip().splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_the_command_designs_from_multisines_and_standing_records(
     machine: Machine, scan: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

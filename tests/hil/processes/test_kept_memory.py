@@ -37,6 +37,7 @@ def takes_any_size() -> bool:
     return subprocess.run(command, check=False).returncode == 0
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux") or not hasattr(ctypes.CDLL(None), "mallopt"), reason="of glibc")
 def test_an_array_that_is_given_back_costs_the_next_one_no_pages() -> None:
     pages = 50 * 40_000_000 // 4096

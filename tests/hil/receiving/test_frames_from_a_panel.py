@@ -98,6 +98,7 @@ def test_what_is_no_frame_is_named(tmp_path: Path) -> None:
         FrameSpool(tmp_path).poll()
 
 
+@pytest.mark.slow
 def test_frames_that_never_came_are_named_and_the_rest_is_a_scan(tmp_path: Path) -> None:
     machine = load_machine("carm")
     (tmp_path / "spool").mkdir()
@@ -131,6 +132,7 @@ def test_exposures_told_by_the_count_of_syncs_are_later_by_the_ticks_that_were_l
     assert np.abs(found - (start + late)).max() < PERIOD / 2
 
 
+@pytest.mark.slow
 def test_a_receiver_that_dies_is_told(tmp_path: Path) -> None:
     (tmp_path / "spool").mkdir()
     nowhere = MarkerProjection(np.zeros(9))

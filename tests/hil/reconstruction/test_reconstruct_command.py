@@ -68,6 +68,7 @@ def test_a_table_of_another_version_of_the_machine_s_file_is_said(tmp_path: Path
     assert "t.npz was made with another version of carm's file; its deviations are used as they are" in said.out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("speed", "told"),
     [

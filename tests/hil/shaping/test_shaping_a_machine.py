@@ -276,6 +276,7 @@ def test_the_shaped_machine_rings_less_after_a_sweep(machine: Machine, exact: Ma
     assert swing[0] > 5.0 * swing[1]
 
 
+@pytest.mark.slow
 def test_over_the_bus_a_shaped_periodic_scan_vibrates_and_errs_several_times_less(
     machine: Machine, nominal: dict[str, Subject], tmp_path: Path
 ) -> None:

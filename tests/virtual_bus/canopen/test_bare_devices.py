@@ -70,6 +70,7 @@ sdo_writes = st.tuples(
 states = st.tuples(st.just(0x000), st.builds(lambda command: bytes((command, 5)), st.sampled_from([1, 2, 128, 129, 130])))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("eds", [DRIVE_EDS, ENCODER_EDS], ids=lambda path: path.name)
 @settings(max_examples=60, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(traffic=st.lists(st.one_of(frames.map(lambda many: many[0] if many else (0x080, b"")), sdo_writes, states), max_size=60))

@@ -69,6 +69,7 @@ def emulate(channel: str, serve: Callable[[can.BusABC, Callable[..., None]], Non
 STOPS = [getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGHUP", "SIGQUIT") if hasattr(signal, name)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end_with", STOPS)
 def test_a_bare_device_serves_until_it_is_told_to_stop(end_with: int) -> None:
     def work(bus: can.BusABC) -> None:

@@ -146,6 +146,7 @@ def test_a_master_that_reacts_to_a_heartbeat_finds_the_machine_where_it_spoke() 
     assert master.machine.time_s == spoke_s
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start", range(12))
 def test_heartbeats_fall_on_the_same_syncs_whenever_they_began(start: int) -> None:
     """25.6 samples are 0.1 s: every fifth heartbeat falls on a sample exactly, and rounding must not decide."""

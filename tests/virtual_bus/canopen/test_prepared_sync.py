@@ -65,6 +65,7 @@ def prepared(monkeypatch: pytest.MonkeyPatch) -> Callable[[], list[bool]]:
     return switch_on
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effects", ["", SENSOR_EFFECTS], ids=["as the file has it", "with effects on its sensors"])
 def test_a_session_has_the_same_frames_and_rows_whether_the_emulator_measured_ahead_or_not(
     tmp_path: Path, prepared: Callable[[], list[bool]], effects: str

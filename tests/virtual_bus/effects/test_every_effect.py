@@ -60,6 +60,7 @@ def test_there_is_an_example_of_every_effect() -> None:
     assert set(EXAMPLES) == set(effects())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_emulator_and_simulation_agree(name: str, simulator: Simulator, inputs: Inputs) -> None:
     simulated = simulator.run(inputs, effects=(EXAMPLES[name],))
@@ -87,6 +88,7 @@ def test_it_needs_no_compilation(name: str) -> None:
     assert compile_plant(CARM.with_effects((EXAMPLES[name],)).plant).module is compile_plant(CARM.plant).module
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_the_machine_stands_still_with_it_at_its_holding_effort(name: str) -> None:
     if name in ("base_motion", "encoder_quantization"):

@@ -59,6 +59,7 @@ def assert_same_motion(ours: np.ndarray, theirs: np.ndarray) -> None:
     assert difference.max() < 1e-5, difference
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pose", POSES)
 @pytest.mark.parametrize("driven", [False, True], ids=["free", "driven"])
 def test_ten_seconds_of_the_c_arm_are_those_of_mujoco(carm: PlantSettings, pose: tuple[float, float], driven: bool) -> None:
