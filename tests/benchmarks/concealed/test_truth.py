@@ -130,6 +130,7 @@ def test_coulomb_friction_costs_its_level_in_each_direction(machines: dict[str, 
         assert np.mean(added[rows]) == pytest.approx(6.0 * sign, rel=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["tilted_arm", "carm"])
 def test_the_truths_own_step_is_below_what_its_noise_could_show(
     machines: dict[str, Machine], monkeypatch: pytest.MonkeyPatch, name: str

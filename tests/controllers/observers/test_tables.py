@@ -20,6 +20,7 @@ def asked(observer: ModalObserver, x: np.ndarray, u: np.ndarray) -> tuple[np.nda
     return after, read
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("has_places", [False, True])
 def test_a_sample_and_its_readings_are_those_of_the_equations_written_with_matrices(has_places: bool) -> None:
     model, noise = small_model(), small_noise()

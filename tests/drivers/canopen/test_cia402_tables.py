@@ -52,6 +52,7 @@ def command_of(controlword: int) -> str:
     return next(name for pattern, name in CONTROLWORD.items() if matches(pattern, word))
 
 
+@pytest.mark.slow
 def test_every_statusword_decodes_as_the_standards_patterns_say() -> None:
     for statusword in range(1 << 16):
         expected = [state for pattern, state in STATUSWORD.items() if matches(pattern, format(statusword, "016b"))]

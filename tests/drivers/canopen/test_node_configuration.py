@@ -101,6 +101,7 @@ def test_the_machine_files_own_writes_come_last_and_win() -> None:
     assert [w for w in writes(bus) if w[0] in (0x6007, 0x6072)] == [(0x6007, 0, 3), (0x6072, 0, 900)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("place", "what"),
     [((0x1800, 1), "1800h:01"), ((0x1A00, 2), "1A00h:02"), ((0x1017, 0), "1017h"), ((0x6007, 0), "6007h"), ((0x1016, 1), "1016h:01")],

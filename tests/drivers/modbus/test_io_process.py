@@ -182,6 +182,7 @@ def test_closing_is_tried_five_times_with_a_pause_in_which_a_device_restarts_its
     assert all(later - earlier > 0.15 for earlier, later in itertools.pairwise(refused_s))
 
 
+@pytest.mark.slow
 def test_a_device_that_is_silent_to_the_end_leaves_its_trouble_to_the_caller(served: tuple[EmulatedIo, ServedTcp]) -> None:
     device, server = served
     process = IoProcess(io_map(server.url, poll_period_s=0.01, stale_after_s=60.0), AXES)

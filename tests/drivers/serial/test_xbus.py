@@ -91,6 +91,7 @@ def test_a_message_that_is_too_long_is_refused() -> None:
         encode(0x36, bytes(LONGEST + 1))
 
 
+@pytest.mark.slow
 @given(st.lists(messages, max_size=6), st.lists(st.integers(1, 60), max_size=40))
 def test_split_reads_lose_nothing(sent: list[tuple[int, bytes]], cuts: list[int]) -> None:
     stream = b"".join(encode(*message) for message in sent)

@@ -190,6 +190,7 @@ def test_commissioning_says_what_was_checked_axis_by_axis() -> None:
     assert all(abs(float(match[3])) < np.radians(0.1) for match in homed)
 
 
+@pytest.mark.slow
 def test_both_ends_of_the_bus_count_the_same_syncs_and_a_recording_has_one_a_row(folder: Path, two_plans: list[Plan]) -> None:
     """What a panel stamps its exposures with, over two sessions."""
     with open_bench(CARM, BenchOptions("lockstep:"), two_plans[0].start_pose) as bench:

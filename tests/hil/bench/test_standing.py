@@ -36,6 +36,7 @@ def test_a_machine_that_stands_says_how_well(tmp_path: Path) -> None:
     assert (np.abs(standing["speed"]) < 5.0 * COUNTS).all()
 
 
+@pytest.mark.slow
 def test_a_machine_that_does_not_come_to_stand_is_recorded_and_told(tmp_path: Path) -> None:
     """The building shakes both joints, at no second of the wait both through zero: five quarters of a turn a second, and out of step."""
     shaken = CARM.with_effects(

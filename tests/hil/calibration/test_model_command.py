@@ -55,6 +55,7 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_two_sweeps_predict_poses_of_other_scans_within_the_covariance(tables: Path, tmp_path: Path) -> None:
     scans = [tables / "roll.npz", tables / "propeller.npz"]
     written = ["-o", tmp_path / "m.npz", "--json", tmp_path / "m.json", "--figure", tmp_path / "m.png"]
@@ -85,6 +86,7 @@ def test_two_sweeps_predict_poses_of_other_scans_within_the_covariance(tables: P
     assert (tmp_path / "m.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_a_panel_s_clock_that_lags_and_a_phantom_that_was_moved_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     there = np.concatenate([sweep("roll", -85, 85, 0, 30), sweep("roll", 85, -85, 0, 30), sweep("propeller", -100, 100, 30, 30)])
     truth = table(there, tmp_path / "all.npz", 8)
@@ -183,6 +185,7 @@ def test_files_that_are_no_calibration_of_this_machine_are_one_line(
     assert capsys.readouterr().err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_the_proposed_scan_runs_and_shows_more_than_one_sweep(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert isocenter("calibrate", "scan", "carm", "--sweeps", "3", "-o", tmp_path / "c.toml", "--json", tmp_path / "c.json") == 0
     answer = json.loads((tmp_path / "c.json").read_text())

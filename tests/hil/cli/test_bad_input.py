@@ -92,6 +92,7 @@ EXPERIMENTS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("arguments", "says"), EXPERIMENTS.values(), ids=EXPERIMENTS.keys())
 def test_an_experiment_that_must_not_be_run(isocenter: Isocenter, out: Path, arguments: tuple[str, ...], says: list[str]) -> None:
     refused = isocenter("run", *arguments, "--machine", "carm", "--bus", "lockstep:", "-o", out)
@@ -156,6 +157,7 @@ def test_a_machine_whose_imu_and_io_nobody_has_named(isocenter: Isocenter, out: 
     assert "isocenter emulate" in refused.line
 
 
+@pytest.mark.slow
 def test_a_node_with_another_identity(isocenter: Isocenter, machine_file: Callable[..., Path], out: Path) -> None:
     wrong = machine_file(edited(r"^product_code = 0x49534F02", "product_code = 0x49534F77"))
     refused = isocenter(*STATIC, "--machine", wrong, "-o", out)
@@ -280,6 +282,7 @@ def enabled(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return ids
 
 
+@pytest.mark.slow
 def test_a_run_enables_the_drives(isocenter: Isocenter, enabled: list[int], out: Path) -> None:
     assert isocenter(*STATIC, "--machine", "carm", "-o", out).status == 0
     assert set(enabled) == {0x201, 0x202}

@@ -304,6 +304,7 @@ def test_effects_at_the_command_line_are_physics_of_the_emulated_machine_and_of_
     assert with_friction["rms"] < 0.05 * without["rms"] + 0.02
 
 
+@pytest.mark.slow
 def test_convert_reads_a_mat_whose_variables_are_named_otherwise(isocenter: Isocenter, tmp_path: Path) -> None:
     import scipy.io
 

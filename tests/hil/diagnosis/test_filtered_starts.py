@@ -164,6 +164,7 @@ def test_a_wave_starts_at_its_order_amplitude_and_phase(arm, name):
     assert np.exp(1j * starts[0][[2, 4]]) == pytest.approx(np.exp(1j * values[[2, 4]]), abs=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WAVES)
 def test_a_wave_of_ten_deviations_starts_at_its_order_among_all_that_are_asked(arm, name):
     """Chance gains 36 in the best of all orders."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from carriage import MACHINE, recording, reference, repeats, run
 
 from hil.diagnosis.diagnose import diagnose
@@ -15,6 +16,7 @@ def stop(x: float) -> float:
     return -STIFFNESS_N_per_m * max(x - STOP_m, 0.0)
 
 
+@pytest.mark.slow
 def test_a_stop_that_training_does_not_reach_is_located_and_drawn_in_the_held_out_recording():
     wanted = reference(DURATION_s)
     assert wanted.max() < STOP_m < 1.5 * wanted.max()
@@ -29,6 +31,7 @@ def test_a_stop_that_training_does_not_reach_is_located_and_drawn_in_the_held_ou
     ]
 
 
+@pytest.mark.slow
 def test_the_same_motion_without_a_stop_is_no_more_than_its_numbers_say():
     wanted = reference(DURATION_s)
     outcome = diagnose(MACHINE, repeats(3, DURATION_s), {"further": recording(1.5 * wanted, *run(1.5 * wanted))}, look_further=False)

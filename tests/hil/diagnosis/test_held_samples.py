@@ -31,6 +31,7 @@ def repeats(seed, holding, moved=8.0, length=3, repeats=3, coloured=True):
     return passed + NOISE * random.standard_normal(passed.shape), held
 
 
+@pytest.mark.slow
 @settings(max_examples=8, deadline=None, derandomize=True)
 @given(st.integers(0, 10_000), st.sampled_from([0.01, 0.03, 0.1]), st.booleans())
 def test_the_share_of_held_samples_is_measured(seed, share, coloured):

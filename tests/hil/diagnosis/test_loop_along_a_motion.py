@@ -60,6 +60,7 @@ def likeness(head, axis: str) -> float:
     return float(answer @ shown / np.sqrt((answer @ answer) * (shown @ shown)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axis", ["pan", "tilt"])
 def test_the_loop_answers_to_an_effort_as_the_free_run_does_along_a_motion_that_turns_the_imu(head, axis):
     assert likeness(head, axis) > 0.97

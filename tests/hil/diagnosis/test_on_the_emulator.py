@@ -51,6 +51,7 @@ def test_nothing_is_found_where_nothing_is_hidden(tmp_path):
     assert 0.5 < found.fit.held_out.nominal < 1.3
 
 
+@pytest.mark.slow
 def test_a_table_that_stands_is_no_spring(tmp_path):
     """Its encoder's reading never changes, and what the loop does within that count is seen on the link."""
     machine = load_machine(TABLE)

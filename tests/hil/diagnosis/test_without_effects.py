@@ -55,6 +55,7 @@ def test_a_bound_on_the_noise_is_that_of_the_best_numbers_as_well(monkeypatch):
     assert with_bounded_noise(train, 1, lambda what, share: None).noise.std == pytest.approx(whole.noise.std, rel=0.002)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "values", "is_tuning"),
     [

@@ -102,6 +102,7 @@ def test_a_serial_port_that_is_none_is_one_line(port: str, words: str) -> None:
     assert errors.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_a_bus_that_is_lost_ends_the_emulator_with_one_line() -> None:
     class Unplugged(can.BusABC):
         def __init__(self) -> None:

@@ -60,6 +60,7 @@ experiments = st.one_of(
 )
 
 
+@pytest.mark.slow
 @given(experiments)
 @settings(max_examples=150, deadline=None)
 def test_any_experiment_reads_back_equal(experiment: Experiment) -> None:

@@ -62,6 +62,7 @@ def test_every_family_of_methods_agrees_with_the_average(folder: Path, options: 
     assert np.median(ratio) == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.slow
 def test_a_designed_multisine_excites_what_the_responses_ask_for(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     design = [part for number in (1, 2) for part in ("--design", folder / f"carm_p{number}.frf.npz")]
     run = (*RUN, *design, "--design-lines", "30", "--period", "4", "--periods", "2", "--band", "1:40", "-o", tmp_path / "d.csv")
@@ -76,6 +77,7 @@ def test_a_designed_multisine_excites_what_the_responses_ask_for(folder: Path, t
     assert np.ptp(spectrum[lines]) > 0.2 * spectrum[lines].max()  # weighted, not flat
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [

@@ -201,6 +201,7 @@ def test_the_figure_labels_every_axis_with_its_unit(made: list[Recording]) -> No
     assert figure.axes[-1].get_xlabel() == "Frequency [Hz]"
 
 
+@pytest.mark.slow
 def test_figures_over_poses_name_axes_and_methods(made: list[Recording]) -> None:
     poses = [replace(identify(recordings(seed=s, pose=(0.0, angle))), pose=(0.0, angle)) for s, angle in ((1, -0.5), (2, 0.5))]
     surface = surface_figure(poses, 1)

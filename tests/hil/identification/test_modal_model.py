@@ -75,6 +75,7 @@ def test_the_number_of_modes_is_found(responses: list[FrequencyResponse]) -> Non
     np.testing.assert_allclose(np.sqrt(fit.a0) / (2 * np.pi), frequencies_Hz(0.0), rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_poles_at_poses_held_out_are_foretold(model: ModalFrfModel) -> None:
     for pose in POSES[1::2]:
         found_Hz, found_damping, _, _ = model.modes(pose)

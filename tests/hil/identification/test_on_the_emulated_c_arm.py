@@ -45,6 +45,7 @@ def measured() -> tuple[PeriodicRecords, PeriodicRecords, np.ndarray]:
     return noisy, clean, sampled_response(machine, POSE, LINES * 256.0 / PERIOD, OUTPUTS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "estimate",
     [

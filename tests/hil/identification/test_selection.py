@@ -31,6 +31,7 @@ def true_error(candidate: Candidate, records: list[PeriodicRecords], truth: np.n
     return np.mean(np.abs(made - truth) ** 2 / unit)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("damping", "noise"), [(0.02, 0.03), (0.05, 0.5), (0.5, 0.5)])
 def test_the_chosen_model_errs_little_more_than_the_best_one_on_fresh_data(damping: float, noise: float) -> None:
     rng = np.random.default_rng(40)

@@ -60,6 +60,7 @@ def test_what_dicom_cannot_hold_is_told(table: Path, tmp_path: Path, capsys: pyt
     np.testing.assert_allclose(parameters[:, [0, 1, 3, 4]], 0.0, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [

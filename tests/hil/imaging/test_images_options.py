@@ -19,6 +19,7 @@ def refused(folder: Path, capsys: pytest.CaptureFixture[str], *arguments: Path |
     return error
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [

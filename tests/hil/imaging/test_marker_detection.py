@@ -19,6 +19,7 @@ from hil.imaging.markers.profile import fit_profile
 from virtual_bus.xray.imaging import exposed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("photons", "limit"), [(2000.0, 0.03), (200.0, 0.15)])
 @pytest.mark.parametrize("plate", ["experimental", "clinical"])
 def test_crossings_are_found_to_the_stated_accuracy(plate: str, photons: float, limit: float) -> None:
@@ -38,6 +39,7 @@ def test_the_profile_s_fit_is_more_than_twice_as_close_as_edges_alone() -> None:
     assert 2.0 * fine_rms < coarse_rms < 0.1
 
 
+@pytest.mark.slow
 def test_lines_are_scattered_as_their_covariance_says() -> None:
     plate = experimental_plate()
     standard = []

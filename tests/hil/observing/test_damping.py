@@ -37,6 +37,7 @@ def small_law(ratio: float = 0.1, modes: int = 4, mode: int = 0) -> ModalDamping
     return ModalDamping(observer, DampingSettings(ratio, mode))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wanted", [0.05, 0.15])
 def test_with_the_true_state_the_law_gives_the_ratio_that_is_asked_for(wanted: float) -> None:
     """Against matrices of an independent derivation; the mode alone, since the law answers for no other."""

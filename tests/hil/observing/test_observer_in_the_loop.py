@@ -236,6 +236,7 @@ def leave_a_page(bus: str, name: str) -> None:
     subprocess.run([sys.executable, "-c", made], check=True)
 
 
+@pytest.mark.slow
 def test_pages_of_killed_runs_are_removed_and_those_of_living_ones_are_not(tmp_path: Path) -> None:
     lives, killed = f"virtual:{tmp_path.name}-{os.getpid()}", f"virtual:{tmp_path.name}-{os.getpid()}-killed"
     board = EstimateBoard(lives, ["estimate_a"])
@@ -252,6 +253,7 @@ def test_pages_of_killed_runs_are_removed_and_those_of_living_ones_are_not(tmp_p
         board.close()
 
 
+@pytest.mark.slow
 def test_a_run_that_begins_while_a_killed_one_s_page_is_removed_keeps_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bus, begun, rename = f"virtual:{tmp_path.name}-{os.getpid()}", list[EstimateBoard](), Path.rename
     leave_a_page(bus, bus)

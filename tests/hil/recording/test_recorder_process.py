@@ -99,6 +99,7 @@ def test_when_the_loop_is_killed_the_recorder_finishes_the_recording(tmp_path: P
     assert loop.complaints() == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lines", [1, 60])
 def test_when_the_recorder_is_killed_again_and_again_no_row_is_lost(tmp_path: Path, lines: int) -> None:
     path = tmp_path / "run.csv"
@@ -141,6 +142,7 @@ def test_a_recorder_records_on_when_the_process_that_would_replace_it_is_killed(
     np.testing.assert_array_equal(read_recording(tmp_path / "run.csv")["position_roll"], np.arange(100))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", ["loop", "recorder"])
 @pytest.mark.parametrize("lines", [3, 88])
 def test_when_both_are_killed_another_recorder_finishes_the_recording(tmp_path: Path, first: str, lines: int) -> None:

@@ -57,6 +57,7 @@ def check(recorded: Recording, other: Recording) -> None:
         assert channel.lag_rows == 0, comparison.table()
 
 
+@pytest.mark.slow
 def test_mujoco_reproduces_the_run(run: tuple[Machine, Recording, Recording]) -> None:
     _, recorded, replayed = run
     check(recorded, replayed)

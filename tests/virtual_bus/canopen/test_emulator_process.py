@@ -154,6 +154,7 @@ class StallingBus(can.BusABC):
         return message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("stall_s", "looks", "periods"), [(5.0, 1, 0), (0.3, 4, 0), (0.002, 500, 256)], ids=["one stall", "four", "a silent bus"]
 )
@@ -186,6 +187,7 @@ class BusyBus(StallingBus):
         return super().recv(timeout)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("punctual", [True, False])
 def test_the_io_answers_however_busy_the_bus_is(monkeypatch: pytest.MonkeyPatch, punctual: bool) -> None:
     device = EmulatedIo(LAYOUT, SpinningMasses().axes)

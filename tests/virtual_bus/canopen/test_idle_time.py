@@ -57,6 +57,7 @@ def test_a_bench_may_stand_still_for_as_long_as_it_was_said() -> None:
     assert silence.passed_s == pytest.approx(0.4 + 1.0, abs=PERIOD_S)  # what was held back is made up for
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("nodes_s", "master_s", "silence_s"), [(0.1, 0.1, 0.1), (0.3, 1.0, 0.3), (4.0, 0.2, 0.2), (4.0, 1.5, 0.5), (0.05, 1.0, 0.1)]
 )

@@ -83,6 +83,7 @@ def test_it_shows_where_it_is_and_vanishes_bit_for_bit_with_its_strength(
     assert all(np.isfinite(getattr(having, group)).all() for group in GROUPS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_it_needs_no_compilation(name: str) -> None:
     assert compile_plant(CARM.with_effects((EXAMPLES[name],)).plant).module is compile_plant(CARM.plant).module

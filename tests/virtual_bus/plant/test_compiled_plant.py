@@ -71,6 +71,7 @@ def test_an_axis_that_is_no_unit_vector_is_refused() -> None:
         compile_plant(with_body(gantry(), "cart", joint=replace(cart.joint, axis=np.array([1.0, 1.0, 0.0]))))
 
 
+@pytest.mark.slow
 def test_a_later_process_loads_the_plant_without_compiling() -> None:
     compile_plant(block()).advance(*_arguments())
     code = (

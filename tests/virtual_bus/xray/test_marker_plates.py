@@ -31,6 +31,7 @@ def metal(plate: MarkerPlate, points: np.ndarray) -> np.ndarray:
     return solid & ~(etched & (z < -low))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(PLATES))
 def test_a_ray_s_length_in_the_metal_is_what_walking_along_it_finds(name: str) -> None:
     plate = PLATES[name]()

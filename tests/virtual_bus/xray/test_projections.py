@@ -41,6 +41,7 @@ def test_a_ray_along_a_rod_is_the_rod_s_length() -> None:
     assert attenuation(STRAIGHT, PANEL, [rod], rays=1)[80, 100] == pytest.approx(0.08, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_a_rod_s_image_does_not_depend_on_which_rays_were_left_out() -> None:
     rng = np.random.default_rng(3)
     for _ in range(20):
