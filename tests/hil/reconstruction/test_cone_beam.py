@@ -17,6 +17,8 @@ from hil.reconstruction.wire_profiles import wire_quality
 from virtual_bus.xray.objects import Ball, Rod
 from virtual_bus.xray.render import Panel, View, attenuation
 
+pytestmark = pytest.mark.slow  # the toolkit takes a quarter of a minute to load
+
 DETECTOR = Detector(columns=160, rows=160, pitch_m=1.0e-3)
 PANEL = Panel(columns=160, rows=160, pitch_m=1.0e-3)
 pytest.importorskip("itk")
@@ -36,7 +38,6 @@ def projections(beam: ConeBeam, items: list[Ball | Rod]) -> np.ndarray:
     return np.array([attenuation(view, PANEL, items, rays=1) for view in views])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("axis", ["y", "x"])
 def test_two_balls_come_back_with_their_attenuation_and_place(axis: str) -> None:
     balls = [Ball(np.array([0.005, 0.003, -0.004]), 0.02, 20.0), Ball(np.array([0.012, 0.0, 0.0]), 0.006, 30.0)]

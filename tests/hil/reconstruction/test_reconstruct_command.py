@@ -12,6 +12,8 @@ from hil.cli import main
 from hil.imaging import Detector
 from hil.imaging.scan_folder import read_scan, write_description, write_exposures
 
+pytestmark = pytest.mark.slow  # the toolkit takes a quarter of a minute to load
+
 tifffile = pytest.importorskip("tifffile")
 ANGLE = np.linspace(-1.6, 1.6, 24)
 
@@ -68,7 +70,6 @@ def test_a_table_of_another_version_of_the_machine_s_file_is_said(tmp_path: Path
     assert "t.npz was made with another version of carm's file; its deviations are used as they are" in said.out
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("speed", "told"),
     [
