@@ -61,7 +61,7 @@ def test_pixels_and_metres_are_each_other_s_inverse_and_the_centre_is_the_middle
     np.testing.assert_allclose(DETECTOR.to_pixels(np.zeros(2)), [319.5, 255.5])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_rtk_projects_points_to_the_same_places() -> None:
     itk = pytest.importorskip("itk")
     beam = some_exposures()
