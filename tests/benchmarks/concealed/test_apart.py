@@ -69,6 +69,7 @@ def test_a_gyro_may_be_as_late_as_its_low_pass_may_be_off(
     assert apart(shop, (late,), 0, measure)["detectability"] > 5.0
 
 
+@pytest.mark.nightly
 def test_an_imitator_has_the_strength_that_imitates_best(machines: dict[str, Machine], chosen_of: Callable[..., object]) -> None:
     """A friction twenty times as strong, scaled down, sticks longer than a weak one and looks unlike it."""
     from concealed.truth.apart import apart

@@ -26,7 +26,7 @@ def stepped(observer: ModalObserver) -> np.ndarray:
     return F[:12, :12]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_turning_axes_couple_as_in_the_matrices() -> None:
     model = small_model()
     coupling = 0.3 * np.random.default_rng(5).normal(size=(2, 2, 4, 1))

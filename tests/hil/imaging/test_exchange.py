@@ -74,7 +74,7 @@ def test_rtk_s_xml_reads_back(folder: Path, beam: ConeBeam, rows_up: bool) -> No
     assert_same(found, beam)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @given(beam=beams(), rows_up=st.booleans())
 @settings(max_examples=25, deadline=None)
 def test_rtk_reads_our_file_as_its_own_and_we_read_rtk_s(folder: Path, beam: ConeBeam, rows_up: bool) -> None:

@@ -85,6 +85,7 @@ def test_a_run_knows_its_geometry_row_by_row_and_its_recording_replays_it(
     assert len(geometry.beam(machine, recording.time[rows])) == len(rows)
 
 
+@pytest.mark.nightly
 def test_marker_plates_are_taken_in_too(files: Path) -> None:
     assert run(files, "plate", "clinical", ["static", "--seconds", "0.9"]) == 0
     recording = read_recording(files / "plate.mf4")

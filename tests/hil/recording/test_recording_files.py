@@ -212,7 +212,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 
 @pytest.mark.slow
-@FILES
+@settings(FILES, max_examples=30)
 @given(cut=st.integers(1, 2400))
 def test_a_truncated_mf4_is_refused_or_whole(tmp_path: Path, written: bytes, cut: int) -> None:
     read_or_refused(tmp_path / "cut.mf4", written[: max(len(written) - cut, 0)])
