@@ -9,6 +9,11 @@ from places import ROOT
 from test_floors import imports_of
 
 STEPS = (
+    "observed",
+    "seen",
+    "library",
+    "tuned",
+    "named",
     "recorded",
     "residuals",
     "tuning",

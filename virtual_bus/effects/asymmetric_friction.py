@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from virtual_bus.effects.effect import FRICTION, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, each
 from virtual_bus.effects.motion import JointState
 from virtual_bus.effects.residual import Residual, fitted
 
@@ -24,6 +25,8 @@ EFFECT = Effect(
     ),
     neighbours=("constant_load", "gravity_imbalance", "coulomb_friction"),
     source="Armstrong-Hélouvry, Dupont, Canudas de Wit 1994, Sec. 2.1",
+    family="dry_friction",
+    parent="coulomb_friction",
 )
 
 
@@ -41,3 +44,8 @@ def guess(residual: Residual) -> tuple[float, float, float, float]:
         numbers.append(fitted([np.ones_like(speed), speed], -direction * residual.effort[chosen]))
     (c_plus, v_plus), (c_minus, v_minus) = numbers
     return float(c_plus), float(c_minus), float(v_plus), float(v_minus)
+
+
+def laws(place: Place) -> list[Law]:
+    """Return levels and slopes of both directions."""
+    return [each(("Fc_plus", "Fc_minus", "Fv_plus", "Fv_minus"))]

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from virtual_bus.effects.effect import COUPLING, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, wave
 from virtual_bus.effects.motion import PairMotion
 from virtual_bus.effects.residual import Residual, fitted
 
@@ -24,6 +25,7 @@ EFFECT = Effect(
     ),
     neighbours=("imu_misalignment", "pose_dependent_dynamics"),
     source="Spong, Hutchinson, Vidyasagar 2006, Sec. 7.2",
+    family="inertia",
 )
 
 
@@ -42,3 +44,8 @@ def guess(residual: Residual) -> tuple[float, float]:
     a, q = residual.other_acceleration, residual.other_position
     cosine, sine = fitted([-a * np.cos(q), a * np.sin(q), -residual.acceleration], residual.effort)[:2]
     return math.hypot(cosine, sine), math.atan2(sine, cosine)
+
+
+def laws(place: Place) -> list[Law]:
+    """Return a cosine of free phase."""
+    return [wave("J12", "phi", 0.01 * place.inertia)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from virtual_bus.effects.effect import ELASTIC, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, one
 from virtual_bus.effects.motion import JointMotion
 from virtual_bus.effects.residual import Residual
 
@@ -30,6 +31,7 @@ EFFECT = Effect(
     ),
     neighbours=("presliding_hysteresis", "joint_compliance", "delay"),
     source="Nordin and Gutman 2002, eq. (3); Johnson 1985, ch. 4 (flanks in contact are softer at first)",
+    family="elasticity",
 )
 
 
@@ -47,3 +49,9 @@ def guess(residual: Residual) -> tuple[float, float]:
     """
     half = 0.5 * float(np.ptp(residual.effort)) / max(residual.stiffness, 1e-9)
     return half, half
+
+
+def laws(place: Place) -> list[Law]:
+    """Return a small gap, closed at once or over several deflections."""
+    largest = 0.5 * place.travel
+    return [one("b", min(0.02 * largest, 0.1), flank=min(share * largest, 0.1)) for share in (0.0, 0.1, 0.4)]

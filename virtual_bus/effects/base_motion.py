@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from virtual_bus.effects.effect import EFFORT, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, wave
 from virtual_bus.effects.motion import JointMotion
 from virtual_bus.effects.residual import Residual, harmonics, strongest_frequency_Hz
 
@@ -23,6 +24,7 @@ EFFECT = Effect(
     ),
     neighbours=("structural_mode",),
     source="IEEE Std 1293, vibration of the test pier",
+    family="external",
 )
 
 
@@ -36,3 +38,8 @@ def guess(residual: Residual) -> tuple[float, float, float]:
     f = strongest_frequency_Hz(residual.time_s, residual.effort)
     ((amplitude, phase),) = harmonics(2.0 * math.pi * f * residual.time_s, residual.effort, (1,))
     return amplitude, f, phase + 0.5 * math.pi
+
+
+def laws(place: Place) -> list[Law]:
+    """Return the strongest lines, a sine of free phase each."""
+    return [wave("A", "phi", f=f) for f in place.lines_Hz()]

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from virtual_bus.effects.effect import REACTION, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, one
 from virtual_bus.effects.motion import ReactionState
 from virtual_bus.effects.residual import Residual
 
@@ -41,6 +42,7 @@ EFFECT = Effect(
     ),
     neighbours=("presliding_hysteresis", "nonlinear_stiffness"),
     source="Wen 1976; Noël and Kerschen 2017, Sec. 2.2",
+    family="hysteresis",
 )
 
 
@@ -70,3 +72,8 @@ def guess(residual: Residual) -> tuple[float, float, float, float, float]:
     """Guess a loop that is flat at a quarter of the travel, with half the effort's range there."""
     z_max = max(0.25 * float(np.ptp(residual.position)), 1e-9)
     return 0.5 * float(np.ptp(residual.effort)) / z_max, 1.0, z_max, 0.5, 1.0
+
+
+def laws(place: Place) -> list[Law]:
+    """Return a loop that is flat after several displacements."""
+    return [one("k", A=1.0, z_max=min(place.travel * share, 1.0), beta_share=0.5, n=1.0) for share in (0.003, 0.01, 0.03, 0.1)]

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from virtual_bus.effects.effect import EFFORT, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, each
 from virtual_bus.effects.motion import JointMotion
 from virtual_bus.effects.residual import Residual, fitted
 
@@ -20,6 +23,7 @@ EFFECT = Effect(
     convention="effort on the joint = -kc (position - theta0) - kc3 (position - theta0)^3, on the joint's side of the gear",
     neighbours=("gravity_imbalance", "transmission_error", "constant_load"),
     source="Noël and Kerschen 2017, Sec. 2.1",
+    family="static_load",
 )
 
 
@@ -37,3 +41,21 @@ def guess(residual: Residual) -> tuple[float, float, float]:
     q = residual.position
     slope, offset = fitted([-q, np.ones_like(q), -np.sign(residual.speed)], residual.effort)[:2]
     return float(slope), 0.0, float(offset / slope) if slope > 0.0 else 0.0
+
+
+def laws(place: Place) -> list[Law]:
+    """Return a straight line over the position, and a cubic about several positions."""
+    ends = (place.low, place.high)
+    line = Law(
+        tuple({"kc": 1.0, "kc3": 0.0, "theta0": end} for end in ends),
+        lambda w: {"kc": max(float(w[0] + w[1]), 0.0), "kc3": 0.0, "theta0": _slack(w, ends)},
+        -math.inf,
+    )
+    cubic = [each(("kc", "kc3"), theta0=place.low + share * place.travel) for share in (0.0, 0.5, 1.0)]
+    return [line, *cubic]
+
+
+def _slack(weights: np.ndarray, ends: tuple[float, float]) -> float:
+    """Return where two springs together are slack."""
+    total = float(weights[0] + weights[1])
+    return min(max((weights[0] * ends[0] + weights[1] * ends[1]) / total, -10.0), 10.0) if total > 0.0 else 0.5 * (ends[0] + ends[1])

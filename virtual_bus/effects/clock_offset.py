@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from virtual_bus.effects.effect import CLOCK, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, each
 from virtual_bus.effects.residual import Residual, lag_of
 
 EFFECT = Effect(
@@ -19,6 +20,7 @@ EFFECT = Effect(
     ),
     neighbours=("delay", "imu_bandwidth"),
     source="IEEE Std 1588, offset and skew",
+    family="timing",
 )
 
 
@@ -35,3 +37,9 @@ def guess(residual: Residual) -> tuple[float, float]:
     apart = 2.0 * (residual.time_s[-1] - residual.time_s[0]) / 3.0
     drift = (lags[1] - lags[0]) / apart
     return lags[0] - drift * apart / 4.0, drift
+
+
+def laws(place: Place) -> list[Law]:
+    """Return a tenth of a row, constant or at the recording's end."""
+    small = 0.1 * place.period_s
+    return [each(("t0",), min(small, 0.1), delta=0.0), each(("delta",), min(small / place.duration_s, 0.01), t0=0.0)]

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from virtual_bus.effects.effect import EFFORT, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, wave
 from virtual_bus.effects.motion import JointMotion
 from virtual_bus.effects.residual import Residual, harmonics, strongest_order
 
@@ -33,6 +36,7 @@ EFFECT = Effect(
     neighbours=("torque_ripple", "transmission_error", "encoder_eccentricity"),
     source="Hanselman 2006, Sec. 7",
     several="Np",
+    family="periodic_effort",
 )
 
 
@@ -48,3 +52,19 @@ def guess(residual: Residual) -> tuple[float, float, float, float, float]:
     order = strongest_order(angle, residual.effort)
     (a1, phi1), (a2, phi2) = harmonics(order * angle, residual.effort)
     return float(order), a1, phi1, a2, phi2
+
+
+def laws(place: Place) -> list[Law]:
+    """Return orders of the motor's turn, each with twice the order."""
+    return [_of_order(order) for order in place.orders(place.ratio)]
+
+
+def _of_order(order: float) -> Law:
+    """Return waves of an order and of twice the order."""
+    first, second = wave("A1", "phi1", Np=order, A2=0.0, phi2=0.0), wave("A2", "phi2", Np=order, A1=0.0, phi1=0.0)
+
+    def parameters(w: np.ndarray) -> dict[str, float]:
+        one, other = first.parameters(w[:2]), second.parameters(w[2:])
+        return {"Np": order, "A1": one["A1"], "phi1": one["phi1"], "A2": other["A2"], "phi2": other["phi2"]}
+
+    return Law((*first.columns, *second.columns), parameters, -math.inf)

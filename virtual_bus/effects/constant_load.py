@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from virtual_bus.effects.effect import EFFORT, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, one
 from virtual_bus.effects.motion import JointMotion
 from virtual_bus.effects.residual import Residual, fitted
 
@@ -16,6 +17,8 @@ EFFECT = Effect(
     convention="effort on the joint = +tau0: positive pushes towards positive position, on the joint's side of the gear",
     neighbours=("gravity_imbalance", "asymmetric_friction"),
     source="Janot, Gautier, Brunot 2019 (EMPS), the force offset",
+    family="static_load",
+    everyday=True,
 )
 
 
@@ -27,3 +30,8 @@ def effort(motion: JointMotion, tau0: float) -> float:
 def guess(residual: Residual) -> tuple[float]:
     """Take the mean of the missing effort, beside friction."""
     return (float(fitted([np.ones_like(residual.speed), -np.sign(residual.speed), -residual.speed], residual.effort)[0]),)
+
+
+def laws(place: Place) -> list[Law]:
+    """Return one effort."""
+    return [one("tau0", both_signs=True)]

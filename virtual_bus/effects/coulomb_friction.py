@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from virtual_bus.effects.effect import FRICTION, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, one
 from virtual_bus.effects.motion import JointState
 from virtual_bus.effects.residual import Residual, fitted
 
@@ -16,6 +17,8 @@ EFFECT = Effect(
     convention="effort on the joint = -Fc sign(speed), on the joint's side of the gear; a joint at rest is held up to Fc",
     neighbours=("viscous_friction", "load_dependent_friction", "torque_constant"),
     source="Armstrong-Hélouvry, Dupont, Canudas de Wit 1994, eq. (3)",
+    family="dry_friction",
+    everyday=True,
 )
 
 
@@ -29,3 +32,8 @@ def guess(residual: Residual) -> tuple[float]:
     moving = residual.moves
     weights = fitted([-np.sign(residual.speed[moving]), np.ones(moving.sum())], residual.effort[moving])
     return (float(weights[0]),)
+
+
+def laws(place: Place) -> list[Law]:
+    """Return one level."""
+    return [one("Fc")]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from virtual_bus.effects.effect import LIMIT, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, fixed
 from virtual_bus.effects.motion import DriveState
 from virtual_bus.effects.residual import Residual
 
@@ -29,6 +30,7 @@ EFFECT = Effect(
     ),
     neighbours=("torque_constant", "end_stop"),
     source="imax(speed) = (V - Ke speed) / R, the voltage equation of a motor at constant current",
+    family="drive_limit",
 )
 
 
@@ -41,3 +43,9 @@ def limited(state: DriveState, imax: float, droop: float) -> float:
 def guess(residual: Residual) -> tuple[float, float]:
     """Take the largest current measured, the same at every speed."""
     return float(np.abs(residual.measured).max()), 0.0
+
+
+def laws(place: Place) -> list[Law]:
+    """Return limits below the largest current, the same at all speeds or falling with it."""
+    limits = (place.current * share for share in (0.95, 0.85, 0.7, 0.55))
+    return [fixed(imax=limit, droop=droop * limit / max(place.speed, 1e-9)) for limit in limits for droop in (0.0, 0.5)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from virtual_bus.effects.effect import DELAY, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, one
 from virtual_bus.effects.residual import Residual, lag_of
 
 EFFECT = Effect(
@@ -24,6 +25,7 @@ EFFECT = Effect(
     ),
     neighbours=("clock_offset", "drive_bandwidth", "structural_mode"),
     source="Åström and Wittenmark 1997, Sec. 3.2",
+    family="drive_lag",
 )
 
 
@@ -35,3 +37,8 @@ def delay_s(Td: float) -> float:
 def guess(residual: Residual) -> tuple[float]:
     """Take the lag of the measured current."""
     return (lag_of(residual.measured, residual.simulated, residual.time_s[1] - residual.time_s[0]),)
+
+
+def laws(place: Place) -> list[Law]:
+    """Return a tenth of a row."""
+    return [one("Td", min(0.1 * place.period_s, 0.05))]

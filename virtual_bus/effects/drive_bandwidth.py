@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import scipy.linalg
 
 from virtual_bus.effects.effect import LAG, Effect, Parameter
+from virtual_bus.effects.law import Law, Place
 from virtual_bus.effects.residual import Residual, lag_of
 
 EFFECT = Effect(
@@ -22,6 +25,7 @@ EFFECT = Effect(
     ),
     neighbours=("delay", "structural_mode", "viscous_friction"),
     source="CiA 402 drives' current loops; closed form by the matrix exponential",
+    family="drive_lag",
 )
 
 
@@ -41,3 +45,13 @@ def guess(residual: Residual) -> tuple[float, float]:
     sample_s = residual.time_s[1] - residual.time_s[0]
     lag = max(lag_of(residual.measured, residual.simulated, sample_s), 1e-5)
     return 1.4 / (2.0 * np.pi * lag), 0.7
+
+
+def laws(place: Place) -> list[Law]:
+    """Return a lag of a tenth of a row, which is in proportion to one over the natural frequency."""
+    return [_of_damping(zeta, 10.0 / (2.0 * math.pi * place.period_s)) for zeta in (0.5, 1.0)]
+
+
+def _of_damping(zeta: float, highest_Hz: float) -> Law:
+    """Return the law of a damping ratio, whose weight is a lag."""
+    return Law(({"fc": highest_Hz, "zeta": zeta},), lambda w: {"fc": highest_Hz / max(float(w[0]), 1e-3), "zeta": zeta})

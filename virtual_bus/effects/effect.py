@@ -85,6 +85,8 @@ class Parameter:
     is_strength: bool = True  # with every strength at `neutral`, the effect does nothing
     neutral: float = 0.0
     default: float | None = None  # of a file that leaves it out; None where it must not
+    fixed: bool = False  # a choice, not a number that could be fitted
+    small: float = 1e-6  # a step from zero that shows, and changes little
 
     def unit_at(self, prismatic: bool, drive_unit: str = DRIVE_UNIT) -> str:
         """Return the unit at a joint that turns or one that slides, behind a drive that counts in `drive_unit`."""
@@ -114,4 +116,7 @@ class Effect:
     convention: str  # sign, half or full gap, which side of the gear
     neighbours: tuple[str, ...]  # what it is mistaken for
     source: str
+    family: str  # effects that recordings often tell apart from all others but not from each other
+    parent: str = ""  # the effect that this one refines: it is not looked for alone
+    everyday: bool = False  # what an engineer's first fit has at every driven joint
     several: str = ""  # the parameter in which several at one place differ; "" where there is but one

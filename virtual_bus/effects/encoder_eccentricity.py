@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from virtual_bus.effects.effect import ENCODER_ERROR, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, one, wave
 from virtual_bus.effects.residual import Residual, harmonics, strongest_order
 
 EFFECT = Effect(
@@ -32,7 +33,12 @@ EFFECT = Effect(
     ),
     neighbours=("transmission_error", "cogging"),
     source="thesis ch. 3; Kavanagh 2001",
+    family="periodic_position",
 )
+
+
+SMALL_rad = 1e-5
+"""At the joint: what a good encoder errs by."""
 
 
 def error(position: float, a: float, phi: float, b: float, Nl: float) -> float:
@@ -47,3 +53,21 @@ def guess(residual: Residual) -> tuple[float, float, float, float]:
     order = strongest_order(residual.position, rest)
     ((b, _),) = harmonics(order * residual.position, rest, (1,))
     return a, phi, b, float(order)
+
+
+def laws(place: Place) -> list[Law]:
+    """Return once a turn where the joint goes far enough, and with lines."""
+    if not place.shows_order(1.0):
+        return [one("b", SMALL_rad, a=0.0, phi=0.0, Nl=order) for order in place.orders()]
+    return [wave("a", "phi", SMALL_rad, b=0.0, Nl=2.0), *(_with_lines(order) for order in place.orders() if order != 1.0)]
+
+
+def _with_lines(order: float) -> Law:
+    """Return once a turn together with lines of this order."""
+    columns = (*wave("a", "phi", SMALL_rad, b=0.0, Nl=order).columns, {"a": 0.0, "phi": 0.0, "b": SMALL_rad, "Nl": order})
+
+    def parameters(w: np.ndarray) -> dict[str, float]:
+        a, phi = SMALL_rad * float(np.hypot(w[0], w[1])), float(np.arctan2(w[1], w[0]))
+        return {"a": a, "phi": phi, "b": SMALL_rad * max(float(w[2]), 0.0), "Nl": order}
+
+    return Law(columns, parameters, -math.inf)

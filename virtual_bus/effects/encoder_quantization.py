@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from virtual_bus.effects.effect import LATTICE, Effect, Parameter
+from virtual_bus.effects.law import Law, Place
 from virtual_bus.effects.residual import Residual
 
 EFFECT = Effect(
@@ -15,6 +16,7 @@ EFFECT = Effect(
     convention="the reading is the nearest multiple of q, halves upwards, then on the encoder's own lattice",
     neighbours=("coulomb_friction",),
     source="Widrow and Kollár 2008, Sec. 1.1",
+    family="encoder",
 )
 
 
@@ -28,3 +30,8 @@ def guess(residual: Residual) -> tuple[float]:
     steps = np.diff(np.unique(residual.measured))
     steps = steps[steps > 1e-12]
     return (float(steps.min()) if steps.size else 0.0,)
+
+
+def laws(place: Place) -> list[Law]:
+    """Return no form: a lattice is seen in the readings themselves."""
+    return []

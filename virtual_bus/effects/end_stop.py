@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from virtual_bus.effects.effect import EFFORT, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, one
 from virtual_bus.effects.motion import JointMotion
 from virtual_bus.effects.residual import Residual
 
@@ -22,6 +23,7 @@ EFFECT = Effect(
             high=1.0,
             description="+1: it stops motion beyond at_position towards positive position, -1: towards negative; its sign counts",
             is_strength=False,
+            fixed=True,
         ),
     ),
     equation="K depth + D depth', depth >= 0 past the stop, effort never sticky",
@@ -31,6 +33,7 @@ EFFECT = Effect(
     ),
     neighbours=("current_saturation", "cable_spring"),
     source="Hunt and Crossley 1975 (linear case)",
+    family="end_stop",
 )
 
 
@@ -50,3 +53,12 @@ def guess(residual: Residual) -> tuple[float, float, float, float]:
     depth = 0.05 * travel
     position = float(q.max() - depth) if side > 0.0 else float(q.min() + depth)
     return float(np.abs(residual.effort).max()) / max(depth, 1e-9), 0.0, position, side
+
+
+def laws(place: Place) -> list[Law]:
+    """Return stops within the outer tenth of the range on either side."""
+    return [
+        one("K", D=0.0, at_position=end - side * share * place.travel, side=side)
+        for side, end in ((-1.0, place.low), (1.0, place.high))
+        for share in (0.01, 0.03, 0.1)
+    ]

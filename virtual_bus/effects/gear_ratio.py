@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from virtual_bus.effects.effect import CHANGE, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, one
 from virtual_bus.effects.residual import Residual, fitted
 
 EFFECT = Effect(
@@ -18,6 +19,7 @@ EFFECT = Effect(
     ),
     neighbours=("encoder_eccentricity", "torque_constant"),
     source="docs/explanation/notation.md, Signs",
+    family="gearing",
 )
 
 
@@ -41,3 +43,8 @@ def guess(residual: Residual) -> tuple[float]:
     """Take the motor side's surplus per travel of the link."""
     travel = residual.position - residual.position.mean()
     return (float(fitted([travel, np.ones_like(travel)], residual.difference)[0]),)
+
+
+def laws(place: Place) -> list[Law]:
+    """Return a tenth of a per cent, where a sensor beyond the gear shows it: else it is a change of the machine's numbers."""
+    return [one("beta", 0.001, both_signs=True)] if place.is_seen_twice else []

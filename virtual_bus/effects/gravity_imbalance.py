@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from virtual_bus.effects.effect import EFFORT, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, wave
 from virtual_bus.effects.motion import JointMotion
 from virtual_bus.effects.residual import Residual, fitted
 
@@ -31,6 +32,7 @@ EFFECT = Effect(
     ),
     neighbours=("cable_spring", "constant_load", "transmission_error", "payload"),
     source="Featherstone 2008, Sec. 5.3, of one body",
+    family="static_load",
 )
 
 
@@ -44,3 +46,8 @@ def guess(residual: Residual) -> tuple[float, float]:
     q = residual.position
     sine, cosine = fitted([-np.sin(q), -np.cos(q), -np.sign(residual.speed)], residual.effort)[:2]
     return math.hypot(sine, cosine), math.atan2(cosine, sine)
+
+
+def laws(place: Place) -> list[Law]:
+    """Return a sine of free phase."""
+    return [wave("mgr", "phi")]

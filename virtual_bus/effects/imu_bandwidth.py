@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from virtual_bus.effects.effect import IMU_CHANGE, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, fixed
 from virtual_bus.effects.residual import Residual, lag_of
 
 EFFECT = Effect(
@@ -28,6 +29,7 @@ EFFECT = Effect(
     convention="a low pass of this lag on accelerometer and gyro, in place of the machine file's own of first order",
     neighbours=("structural_mode", "clock_offset"),
     source="IEEE Std 1293, frequency response: a proof mass on a spring, or filters in a row, are of second order",
+    family="imu",
 )
 
 
@@ -48,3 +50,8 @@ def guess(residual: Residual) -> tuple[float, float]:
     sample_s = residual.time_s[1] - residual.time_s[0]
     lag = max(lag_of(residual.measured[:, channel], residual.simulated[:, channel], sample_s), 1e-4)
     return 1.0 / (2.0 * np.pi * lag), 0.0
+
+
+def laws(place: Place) -> list[Law]:
+    """Return low passes over the band, of first and second order."""
+    return [fixed(fc=share / place.period_s, shape=shape) for share in (0.03, 0.06, 0.12, 0.25, 0.5) for shape in (0.0, 0.5)]

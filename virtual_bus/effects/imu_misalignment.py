@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from virtual_bus.effects.effect import CALIBRATION, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, each
 from virtual_bus.effects.residual import Residual
 
 EFFECT = Effect(
@@ -23,6 +24,7 @@ EFFECT = Effect(
     ),
     neighbours=("axis_coupling", "imu_scale_bias"),
     source="IEEE Std 1293; IEEE Std 1431",
+    family="imu",
 )
 
 
@@ -40,3 +42,8 @@ def guess(residual: Residual) -> tuple[float, float, float]:
     rows = np.stack([np.stack([zero, z, -y], 1), np.stack([-z, zero, x], 1), np.stack([y, -x, zero], 1)], 1)
     rotation = np.linalg.lstsq(rows.reshape(-1, 3), difference.reshape(-1), rcond=None)[0]
     return float(rotation[0]), float(rotation[1]), float(rotation[2])
+
+
+def laws(place: Place) -> list[Law]:
+    """Return a small rotation."""
+    return [each(("rx", "ry", "rz"), 0.01, both_signs=True)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from virtual_bus.effects.effect import CALIBRATION, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, each
 from virtual_bus.effects.residual import Residual, fitted
 
 EFFECT = Effect(
@@ -26,6 +27,7 @@ EFFECT = Effect(
     ),
     neighbours=("imu_misalignment",),
     source="IEEE Std 1293; IEEE Std 1431",
+    family="imu",
 )
 
 
@@ -44,3 +46,8 @@ def guess(residual: Residual) -> tuple[float, float, float, float, float, float,
     scale, bias = np.array(lines).T
     sx, sy, sz, bx, by, bz = (float(value) for value in (*scale[:3], *bias[:3]))
     return sx, sy, sz, bx, by, bz, float(scale[3:].mean()), float(bias[3:].mean())
+
+
+def laws(place: Place) -> list[Law]:
+    """Return scales and biases."""
+    return [each(("sx", "sy", "sz", "bx", "by", "bz", "sg", "bg"), 0.01, both_signs=True)]

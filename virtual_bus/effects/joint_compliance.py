@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from virtual_bus.effects.effect import SPRING_CHANGE, Effect, Parameter
+from virtual_bus.effects.law import Law, Place
 from virtual_bus.effects.residual import Residual, fitted
 
 EFFECT = Effect(
@@ -21,6 +22,7 @@ EFFECT = Effect(
     ),
     neighbours=("backlash", "structural_mode", "nonlinear_stiffness"),
     source="Spong 1987, eqs. (13)-(14)",
+    family="elasticity",
 )
 
 
@@ -39,3 +41,9 @@ def guess(residual: Residual) -> tuple[float, float]:
     """Take the part of the link's lag that follows the drive's effort."""
     columns = [-residual.drive_effort, np.ones_like(residual.drive_effort)]
     return float(fitted(columns, residual.difference)[0]), 0.0
+
+
+def laws(place: Place) -> list[Law]:
+    """Return a tenth of the spring's own compliance, and damping beside."""
+    c = min(0.1 / max(place.stiffness, 1e-9), 0.001)
+    return [Law(({"c": c, "d": 0.0}, {"c": 0.0, "d": 1.0}), lambda w: {"c": c * float(w[0]), "d": float(w[1])})]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from virtual_bus.effects.effect import FRICTION, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, one
 from virtual_bus.effects.motion import JointState
 from virtual_bus.effects.residual import Residual, fitted
 
@@ -19,6 +20,7 @@ EFFECT = Effect(
     ),
     neighbours=("position_dependent_friction", "gravity_imbalance", "coulomb_friction"),
     source="Bittencourt and Gunnarsson 2012, eq. (5)",
+    family="dry_friction",
 )
 
 
@@ -31,3 +33,8 @@ def guess(residual: Residual) -> tuple[float]:
     """Take the missing effort against motion per effort of the drive, beside a Coulomb level."""
     against = -np.sign(residual.speed)
     return (float(fitted([against * np.abs(residual.drive_effort), against, np.ones_like(against)], residual.effort)[0]),)
+
+
+def laws(place: Place) -> list[Law]:
+    """Return one coefficient."""
+    return [one("Kl", 0.1)]

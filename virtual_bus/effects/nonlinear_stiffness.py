@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from virtual_bus.effects.effect import ELASTIC, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, one
 from virtual_bus.effects.motion import JointMotion
 from virtual_bus.effects.residual import Residual, fitted
 
@@ -45,6 +46,7 @@ EFFECT = Effect(
     ),
     neighbours=("bouc_wen_hysteresis", "backlash"),
     source="Noël and Kerschen 2017, Sec. 2.1; Shaw and Holmes 1983 (a spring that another comes to at a corner)",
+    family="elasticity",
 )
 
 NEARLY_CUBIC = 0.01
@@ -72,3 +74,10 @@ def guess(residual: Residual) -> tuple[float, float, float]:
     """Take the cubic part of the missing effort over the spring's deflection."""
     x = residual.other_position
     return float(fitted([-(x**3), -x, np.ones_like(x)], residual.effort)[0]), FIRST_BEND / max(float((x**2).max()), 1e-11), 0.0
+
+
+def laws(place: Place) -> list[Law]:
+    """Return a cubic, straight or from a corner on."""
+    largest = 0.5 * place.travel
+    k3 = 0.1 * place.stiffness / largest**2
+    return [one("k3", k3, both_signs=True, bend=bend, corner=0.0) for bend in (0.0, 9.0 / largest**2)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from virtual_bus.effects.effect import BODY_CHANGE, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, one
 from virtual_bus.effects.residual import Residual, fitted
 
 EFFECT = Effect(
@@ -15,6 +16,7 @@ EFFECT = Effect(
     convention="the body's mass grows by dm at the centre of mass the machine file gives; acts at a body that has a mass",
     neighbours=("torque_constant", "gravity_imbalance"),
     source="Featherstone 2008, Sec. 2.13",
+    family="inertia",
 )
 
 
@@ -29,3 +31,8 @@ def guess(residual: Residual) -> tuple[float]:
     """Take the inertia missing at the joint, at a lever of one metre."""
     columns = [-residual.acceleration, -residual.speed, -np.sign(residual.speed), np.ones_like(residual.speed)]
     return (float(fitted(columns, residual.effort)[0]),)
+
+
+def laws(place: Place) -> list[Law]:
+    """Return one mass."""
+    return [one("dm")]

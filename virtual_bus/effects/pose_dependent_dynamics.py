@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from virtual_bus.effects.effect import COUPLING, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, raised_wave
 from virtual_bus.effects.motion import PairMotion
 from virtual_bus.effects.residual import Residual, fitted
 
@@ -31,6 +32,7 @@ EFFECT = Effect(
     ),
     neighbours=("structural_mode", "axis_coupling"),
     source="Spong, Hutchinson, Vidyasagar 2006, Sec. 7.2",
+    family="inertia",
 )
 
 
@@ -46,3 +48,8 @@ def guess(residual: Residual) -> tuple[float, float]:
     a, q = residual.acceleration, residual.other_position
     cosine, sine = fitted([-0.5 * a * np.cos(q), 0.5 * a * np.sin(q), -0.5 * a], residual.effort)[:2]
     return math.hypot(cosine, sine), math.atan2(sine, cosine)
+
+
+def laws(place: Place) -> list[Law]:
+    """Return a raised cosine of free phase."""
+    return [raised_wave("dJ", "phi", 0.05 * place.inertia)]

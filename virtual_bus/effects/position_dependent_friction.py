@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from virtual_bus.effects.effect import FRICTION, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, raised_wave
 from virtual_bus.effects.motion import JointState
 from virtual_bus.effects.residual import Residual, harmonics
 
@@ -39,6 +40,7 @@ EFFECT = Effect(
     ),
     neighbours=("load_dependent_friction", "coulomb_friction"),
     source="Armstrong-Hélouvry, Dupont, Canudas de Wit 1994, Sec. 2.1",
+    family="dry_friction",
 )
 
 
@@ -53,3 +55,8 @@ def guess(residual: Residual) -> tuple[float, float, float]:
     against = -np.sign(residual.speed[moving]) * residual.effort[moving]
     ((amplitude, phase),) = harmonics(residual.position[moving], against, (1,))
     return 2.0 * amplitude, 1.0, phase
+
+
+def laws(place: Place) -> list[Law]:
+    """Return periods per turn from what the range shows up to some ten."""
+    return [raised_wave("Fc", "phi", k=k) for k in (0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 18.0)]

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from virtual_bus.effects.effect import REACTION, Effect, Parameter
+from virtual_bus.effects.law import Law, Place
 from virtual_bus.effects.motion import ReactionState
 from virtual_bus.effects.residual import Residual, fitted
 
@@ -27,6 +28,8 @@ EFFECT = Effect(
     ),
     neighbours=("backlash", "stribeck_friction", "bouc_wen_hysteresis"),
     source="Canudas de Wit, Olsson, Åström, Lischinsky 1995, eqs. (1)-(4); Dahl 1968",
+    family="dry_friction",
+    parent="coulomb_friction",
 )
 
 
@@ -66,3 +69,15 @@ def guess(residual: Residual) -> tuple[float, float, float, float, float]:
     travel = float(np.ptp(residual.position))
     stiffness = slope if slope > 0.0 else 100.0 * level / max(travel, 1e-9)
     return level, 0.0, max(0.05 * float(np.abs(residual.speed).max(initial=0.0)), 1e-5), max(stiffness, 1.0), 0.0
+
+
+def laws(place: Place) -> list[Law]:
+    """Return a level that is reached after several displacements: the bristles' bend at it."""
+    return [_bent_by(place.travel * share, max(0.1 * place.effort, 1e-9)) for share in (0.001, 0.003, 0.01, 0.03)]
+
+
+def _bent_by(bend: float, level: float) -> Law:
+    """Return the law whose bristles slip after this bend, at any level."""
+    rest = {"Fs_minus_Fc": 0.0, "vs": 0.01, "sigma1": 0.0}
+    columns = ({"Fc": level, "sigma0": level / bend, **rest},)
+    return Law(columns, lambda w: {"Fc": level * float(w[0]), "sigma0": level * float(w[0]) / bend, **rest})

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from virtual_bus.effects.effect import FRICTION, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, one
 from virtual_bus.effects.motion import JointState
 from virtual_bus.effects.residual import Residual, fitted
 
@@ -16,6 +17,7 @@ EFFECT = Effect(
     convention="effort on the joint = -Fv2 speed abs(speed), on the joint's side of the gear",
     neighbours=("viscous_friction",),
     source="Armstrong-Hélouvry, Dupont, Canudas de Wit 1994, Sec. 2.1",
+    family="viscous_friction",
 )
 
 
@@ -28,3 +30,8 @@ def guess(residual: Residual) -> tuple[float]:
     """Take the part of the missing effort along speed abs(speed), beside viscous and Coulomb friction and a load."""
     speed = residual.speed
     return (float(fitted([-speed * np.abs(speed), -speed, -np.sign(speed), np.ones_like(speed)], residual.effort)[0]),)
+
+
+def laws(place: Place) -> list[Law]:
+    """Return one coefficient."""
+    return [one("Fv2")]

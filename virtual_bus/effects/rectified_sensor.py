@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from virtual_bus.effects.effect import SIGN, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, fixed, one
 from virtual_bus.effects.residual import Residual
 
 EFFECT = Effect(
@@ -20,6 +21,7 @@ EFFECT = Effect(
     ),
     neighbours=("constant_load",),
     source="CoupledDrives benchmark (Wigren and Schoukens 2017): pulse counters without direction",
+    family="sign",
 )
 
 
@@ -33,3 +35,8 @@ def guess(residual: Residual) -> tuple[float, float]:
     simulated, measured = residual.simulated, residual.measured
     errors = [float(np.sum((measured - candidate) ** 2)) for candidate in (simulated, np.abs(simulated), -simulated, -np.abs(simulated))]
     return ((0.0, 1.0), (1.0, 1.0), (0.0, -1.0), (1.0, -1.0))[int(np.argmin(errors))]
+
+
+def laws(place: Place) -> list[Law]:
+    """Return a share of the magnitude, and the other sign."""
+    return [one("share", 0.1, sign=1.0), fixed(share=0.0, sign=-1.0)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from virtual_bus.effects.effect import DROPOUT, Effect, Parameter
+from virtual_bus.effects.law import Law, Place
 from virtual_bus.effects.residual import Residual
 
 EFFECT = Effect(
@@ -20,6 +21,7 @@ EFFECT = Effect(
             high=1000000000.0,
             description="of the losses' own random stream: the same in every run",
             is_strength=False,
+            fixed=True,
         ),
     ),
     equation="y_k = y_(k-1) with probability p per burst",
@@ -29,6 +31,7 @@ EFFECT = Effect(
     ),
     neighbours=("encoder_quantization",),
     source="Schenato 2009, zero-order hold on packet loss",
+    family="timing",
 )
 
 
@@ -52,3 +55,8 @@ def guess(residual: Residual) -> tuple[float, float, float]:
     repeated = (np.diff(residual.measured) == 0.0) & (np.abs(np.diff(residual.simulated)) > 0.0)
     bursts = int(np.sum(np.diff(np.concatenate(([0], repeated.astype(int)))) == 1))
     return float(repeated.mean()), float(max(repeated.sum() / max(bursts, 1), 1.0)), 0.0
+
+
+def laws(place: Place) -> list[Law]:
+    """Return no form: held samples are seen in the readings themselves."""
+    return []

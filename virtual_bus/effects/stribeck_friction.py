@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from virtual_bus.effects.effect import FRICTION, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, one
 from virtual_bus.effects.motion import JointState
 from virtual_bus.effects.residual import Residual, fitted
 
@@ -25,6 +26,8 @@ EFFECT = Effect(
     ),
     neighbours=("coulomb_friction", "presliding_hysteresis"),
     source="Armstrong-Hélouvry, Dupont, Canudas de Wit 1994, eq. (5); Bo and Pavelescu 1982",
+    family="dry_friction",
+    parent="coulomb_friction",
 )
 
 
@@ -39,3 +42,8 @@ def guess(residual: Residual) -> tuple[float, float, float]:
     excess = -np.exp(-((residual.speed / vs) ** 2)) * np.sign(residual.speed)
     weights = fitted([excess, -np.sign(residual.speed), np.ones_like(excess)], residual.effort)
     return float(weights[0]), vs, 2.0
+
+
+def laws(place: Place) -> list[Law]:
+    """Return one level above Coulomb's, falling at several speeds."""
+    return [one("Fs_minus_Fc", vs=min(max(vs, 1e-5), 1.0), delta=2.0) for vs in place.speeds()]

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from virtual_bus.effects.effect import REACTION, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, one
 from virtual_bus.effects.motion import ReactionState
 from virtual_bus.effects.residual import Residual, fitted, strongest_frequency_Hz
 
@@ -32,6 +33,7 @@ EFFECT = Effect(
     ),
     neighbours=("drive_bandwidth", "delay", "base_motion", "joint_compliance"),
     source="Den Hartog 1956, Sec. 3.2",
+    family="elasticity",
 )
 
 
@@ -62,3 +64,8 @@ def guess(residual: Residual) -> tuple[float, float, float]:
     f = strongest_frequency_Hz(residual.time_s, residual.effort)
     inertia = float(fitted([-residual.acceleration, -residual.speed, np.ones_like(residual.speed)], residual.effort)[0])
     return abs(inertia), f, 0.02
+
+
+def laws(place: Place) -> list[Law]:
+    """Return a twentieth of the inertia there, at frequencies over the whole band."""
+    return [one("J", 0.05 * place.inertia, f=f, zeta=0.02) for f in place.grid_Hz(2.0) if f < 200.0]

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from virtual_bus.effects.effect import REACTION, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, one
 from virtual_bus.effects.motion import ReactionState
 from virtual_bus.effects.residual import Residual, fitted
 
@@ -39,6 +40,8 @@ EFFECT = Effect(
     ),
     neighbours=("viscous_friction", "torque_constant", "cable_spring"),
     source="Bittencourt and Gunnarsson 2012, eq. (9)",
+    family="viscous_friction",
+    parent="viscous_friction",
 )
 
 
@@ -65,3 +68,9 @@ def guess(residual: Residual) -> tuple[float, float, float, float]:
     warm = min(max(ends[1], 1e-3 * cold), cold)
     power = cold * float(np.mean(residual.speed**2))
     return cold, 0.02, 50.0 * math.log(cold / warm) / max(power, 1e-9), (residual.time_s[-1] - residual.time_s[0]) / 3.0
+
+
+def laws(place: Place) -> list[Law]:
+    """Return a coefficient that halves within the recording at the power that it has there."""
+    power = max(place.effort * place.speed, 1e-9)
+    return [one("Fv0", a=0.02, R=40.0 / power, tau=tau) for tau in (0.2 * place.duration_s + 1.0, place.duration_s + 1.0)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from virtual_bus.effects.effect import CHANGE, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, one
 from virtual_bus.effects.residual import Residual, fitted
 
 EFFECT = Effect(
@@ -15,6 +16,7 @@ EFFECT = Effect(
     convention="effort per unit of the drive is (1 + eps) times the machine file's",
     neighbours=("coulomb_friction", "payload", "gear_ratio"),
     source="thesis ch. 2; docs/explanation/notation.md, Signs",
+    family="drive_gain",
 )
 
 
@@ -28,3 +30,8 @@ CHANGES = (("axis", "constant", _constant),)
 def guess(residual: Residual) -> tuple[float]:
     """Take the missing effort per effort of the drive."""
     return (float(fitted([residual.drive_effort, np.ones_like(residual.drive_effort)], residual.effort)[0]),)
+
+
+def laws(place: Place) -> list[Law]:
+    """Return one per cent."""
+    return [one("eps", 0.01, both_signs=True)]

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from virtual_bus.effects.effect import RIPPLE, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, wave
 from virtual_bus.effects.motion import DriveState
 from virtual_bus.effects.residual import Residual, harmonics, strongest_order
 
@@ -34,6 +35,7 @@ EFFECT = Effect(
     ),
     neighbours=("cogging", "transmission_error"),
     source="Hanselman 2006, Sec. 8",
+    family="periodic_effort",
 )
 
 
@@ -51,3 +53,8 @@ def guess(residual: Residual) -> tuple[float, float, float, float, float]:
     order = strongest_order(angle, share)
     (a1, phi1), (a2, phi2) = harmonics(order * angle, share)
     return float(order), a1, phi1, a2, phi2
+
+
+def laws(place: Place) -> list[Law]:
+    """Return orders of the motor's turn."""
+    return [wave("A1", "phi1", 0.01, Np=order, A2=0.0, phi2=0.0) for order in place.orders(place.ratio)]

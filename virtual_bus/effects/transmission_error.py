@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from virtual_bus.effects.effect import TRANSMISSION, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, wave
 from virtual_bus.effects.motion import PairMotion
 from virtual_bus.effects.residual import Residual, harmonics, strongest_order
 
@@ -33,6 +34,7 @@ EFFECT = Effect(
     ),
     neighbours=("cogging", "encoder_eccentricity", "cable_spring"),
     source="Tuttle and Seering 1996, eq. (1)",
+    family="periodic_position",
 )
 
 
@@ -50,3 +52,12 @@ def guess(residual: Residual) -> tuple[float, float, float, float, float]:
     order = strongest_order(angle, residual.difference)
     (e1, phi1), (e2, phi2) = harmonics(order * angle, residual.difference)
     return float(order), e1, phi1, e2, phi2
+
+
+def laws(place: Place) -> list[Law]:
+    """Return orders of the motor's turn."""
+    return [
+        wave("e1", "phi1", 1e-5, k=order / place.ratio if by_joint else order, e2=0.0, phi2=0.0)
+        for by_joint in (True, False)
+        for order in place.orders(1.0 if by_joint else place.ratio)
+    ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from virtual_bus.effects.effect import CHANGE, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, one
 from virtual_bus.effects.residual import Residual, fitted
 
 EFFECT = Effect(
@@ -17,6 +18,8 @@ EFFECT = Effect(
     convention="effort on the joint = -Fv speed, on the joint's side of the gear, in addition to the joint's own damping",
     neighbours=("coulomb_friction", "quadratic_friction", "drive_bandwidth"),
     source="Armstrong-Hélouvry, Dupont, Canudas de Wit 1994, eq. (4)",
+    family="viscous_friction",
+    everyday=True,
 )
 
 
@@ -31,3 +34,8 @@ def guess(residual: Residual) -> tuple[float]:
     """Take the slope of the missing effort over speed, beside a Coulomb level and a load."""
     speed = residual.speed
     return (float(fitted([-speed, -np.sign(speed), np.ones_like(speed)], residual.effort)[0]),)
+
+
+def laws(place: Place) -> list[Law]:
+    """Return one coefficient."""
+    return [one("Fv")]

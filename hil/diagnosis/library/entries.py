@@ -1,0 +1,98 @@
+"""The library: every law of every effect at every place, as columns beside the numbers' columns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.diagnosis.library.columns import Column, column
+from hil.diagnosis.library.places import joint_of, place_of
+from hil.diagnosis.seen.along import Along, Motion, Signals
+from virtual_bus.effects.effect import Effect
+from virtual_bus.effects.law import Law
+from virtual_bus.effects.places import places
+from virtual_bus.effects.registry import effects, module_of
+from virtual_bus.errors import EffectError
+from virtual_bus.settings import EffectSetting
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """One law of one effect at one place.
+
+    Attributes
+    ----------
+    columns : tuple of tuple of Column
+        Per recording, one a weight.
+    """
+
+    effect: Effect
+    at: str
+    law: Law
+    columns: tuple[tuple[Column, ...], ...]
+
+    @property
+    def width(self) -> int:
+        """Number of weights."""
+        return len(self.law.columns)
+
+    def setting(self, weights: np.ndarray) -> EffectSetting:
+        """Return the effect at these weights, its parameters within their bounds."""
+        return setting_of(self.effect, self.at, self.law.parameters(weights))
+
+
+def setting_of(effect: Effect, at: str, parameters: dict[str, float]) -> EffectSetting:
+    """Return an effect with all its parameters, kept within their bounds."""
+    values = {}
+    for parameter in effect.parameters:
+        value = parameters.get(parameter.name, parameter.neutral if parameter.default is None else parameter.default)
+        values[parameter.name] = min(max(float(value), parameter.low), parameter.high)
+    return EffectSetting(effect.name, at, values)
+
+
+def different_places(effect: Effect, along: Along) -> list[str]:
+    """Return the places of an effect, each joint once: an axis and the body that its joint carries are the same place."""
+    found: dict[object, str] = {}
+    bodies = {body.name for body in along.settings.tree.bodies}
+    for at in places(effect.kind, along.settings):
+        joint = joint_of(effect, at, along)
+        is_joint = joint is not None and (at in bodies or any(drive.axis == at for drive in along.settings.drives))
+        found.setdefault(joint if is_joint else at, at)
+    return list(found.values())
+
+
+def entries(
+    alongs: Sequence[Along], motions: Sequence[Motion], nominal: Sequence[Signals], values: np.ndarray, missing: Sequence[np.ndarray],
+    inertias: np.ndarray, chosen: Sequence[str] | None = None,
+) -> list[Entry]:  # fmt: skip
+    """Return the laws of all effects at all places that change anything in these recordings.
+
+    Parameters
+    ----------
+    nominal : sequence of Signals
+        Along these motions with these values and no effect.
+    """
+    found = []
+    for name, effect in effects().items():
+        if chosen is not None and name not in chosen:
+            continue
+        for at in different_places(effect, alongs[0]):
+            place = place_of(effect, at, alongs, motions, nominal, missing, inertias)
+            for law in module_of(name).laws(place):
+                columns = []
+                try:
+                    for parameters in law.columns:
+                        one = (setting_of(effect, at, dict(parameters)),)
+                        columns.append(
+                            [
+                                column(without, along.signals(motion, along.plant.model(values, one), one))
+                                for along, motion, without in zip(alongs, motions, nominal, strict=True)
+                            ]
+                        )
+                except EffectError:
+                    continue
+                if any(each.efforts or each.readings for per in columns for each in per):
+                    found.append(Entry(effect, at, law, tuple(tuple(per[g] for per in columns) for g in range(len(alongs)))))
+    return found

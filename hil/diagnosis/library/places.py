@@ -1,0 +1,80 @@
+"""What the places of a machine did in the recordings: what laws of effects begin from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hil.diagnosis.seen.along import Along, Motion, Signals
+from virtual_bus.effects.effect import Effect
+from virtual_bus.effects.law import Place
+from virtual_bus.effects.places import imu_channel_names, joint_at, spring_at
+
+
+def joint_of(effect: Effect, at: str, along: Along) -> int | None:
+    """Return the number of the joint that an effect acts at; None for a sensor that no joint carries."""
+    settings = along.settings
+    if effect.kind.needs == "spring":
+        name = spring_at(at, settings)
+        return None if name is None else along.joints.index(name)
+    sensors = {sensor.channel: sensor.joints[0] for sensor in settings.joint_sensors}
+    if at in sensors:
+        return along.joints.index(sensors[at])
+    axes = {drive.axis for drive in settings.drives}
+    bodies = {body.name for body in settings.tree.bodies if body.joint is not None}
+    if at in axes or at in bodies:
+        return along.joints.index(joint_at(at, settings))
+    return None
+
+
+def place_of(
+    effect: Effect, at: str, alongs: Sequence[Along], motions: Sequence[Motion], signals: Sequence[Signals], missing: Sequence[np.ndarray],
+    inertias: np.ndarray,
+) -> Place:  # fmt: skip
+    """Return what one place did, over all recordings together.
+
+    Parameters
+    ----------
+    missing : sequence of (N, n) arrays
+        Efforts on the joints that no equation explains, one array a recording.
+    inertias : (n,) array
+        Of what moves with each joint.
+    """
+    first = alongs[0]
+    settings = first.settings
+    joint = joint_of(effect, at, first)
+    axis = next((k for k, drive in enumerate(settings.drives) if drive.axis == at), None)
+    j = 0 if joint is None else joint
+    position = np.concatenate([motion.position[:, j] for motion in motions])
+    speed = np.concatenate([motion.speed[:, j] for motion in motions])
+    effort = np.concatenate([each.needed[:, j] for each in signals])
+    short = np.concatenate([each[:, j] for each in missing])
+    current = 0.0 if axis is None else max(float(np.abs(along.observed.targets[:, axis]).max()) for along in alongs)
+    lowest, highest = np.quantile(position, [0.0, 1.0])
+    if effect.kind.needs == "spring":
+        largest = max(abs(float(lowest)), abs(float(highest)))
+        lowest, highest = -largest, largest
+    return Place(
+        low=float(lowest),
+        high=float(highest),
+        speed=max(float(np.quantile(np.abs(speed), 0.995)), 1e-9),
+        effort=max(float(np.sqrt(np.mean(effort**2))), 1e-12),
+        current=current,
+        ratio=1.0 if axis is None else settings.drives[axis].ratio,
+        stiffness=settings.tree.joints[j].stiffness,
+        inertia=float(inertias[j]),
+        period_s=first.observed.period_s,
+        duration_s=max(float(along.observed.time[-1]) for along in alongs),
+        is_seen_twice=joint is not None and _seen_twice(first, joint),
+        position=position,
+        missing=short,
+    )
+
+
+def _seen_twice(along: Along, joint: int) -> bool:
+    """Return whether an encoder of several joints or an IMU reads what a joint does, too."""
+    channels = set(along.observed.channels)
+    name = along.joints[joint]
+    links = [sensor for sensor in along.settings.joint_sensors if name in sensor.joints and len(sensor.joints) > 1]
+    return any(sensor.channel in channels for sensor in links) or bool(channels & set(imu_channel_names(along.settings)))

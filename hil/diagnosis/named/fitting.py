@@ -1,0 +1,204 @@
+"""A set of effects fitted to the whitened recordings, its parameters and the machine's numbers together: Gauss-Newton within bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.diagnosis.library.columns import column
+from hil.diagnosis.library.entries import setting_of
+from hil.diagnosis.tuned.bounded import bounded_least_squares
+from hil.diagnosis.tuned.retuning import Looked, Tuned
+from virtual_bus.effects.effect import PHASE, Parameter
+from virtual_bus.effects.registry import effects
+from virtual_bus.errors import EffectError
+from virtual_bus.settings import EffectSetting
+
+ACCURACY = 1e-3
+"""Relative error of a column, since equations are linearised and motions smoothed: what a set of effects and changes of numbers would add
+up to, one by one, is as unsure as this. It keeps large changes that cancel each other from being fitted to noise."""
+ITERATIONS = 8
+HALVINGS = 4
+SETTLED = 0.3
+"""Decrease of the squared innovations, in units of noise, below which a fit has ended: a tenth of what a parameter must bring."""
+STEP = 0.02
+"""Of a difference, as a share of a parameter: laws with corners need a step that is longer than a row."""
+SHAPE_STEP, STRENGTH_STEP, PHASE_STEP = 0.3, 1.0, 0.5
+"""Longest step of a shape and of a strength, as shares of them, and of a phase [rad]: their effect is linear nearby only."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A set of effects at its best parameters.
+
+    Attributes
+    ----------
+    settings : tuple of EffectSetting
+    offset : (P,) array
+        Nuisances, as in `Tuned`.
+    cost : float
+        Squared innovations and the numbers' prior.
+    innovations : tuple of (N m,) arrays
+        What is left.
+    columns : tuple of (N m, P + Q) arrays
+        Nuisances, then the effects' free parameters.
+    parameters : tuple of (int, Parameter)
+        Which effect's each free parameter is.
+    """
+
+    settings: tuple[EffectSetting, ...]
+    offset: np.ndarray
+    cost: float
+    innovations: tuple[np.ndarray, ...]
+    columns: tuple[np.ndarray, ...]
+    parameters: tuple[tuple[int, Parameter], ...]
+
+    @property
+    def names(self) -> frozenset[tuple[str, str]]:
+        """Effect and place of each."""
+        return frozenset((setting.name, setting.at) for setting in self.settings)
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Covariance (P + Q, P + Q) of nuisances and parameters."""
+        squares = sum(each.T @ each for each in self.columns)
+        squares = squares + np.diag(np.append(np.ones(len(self.offset)), np.zeros(len(squares) - len(self.offset))))
+        scale = np.sqrt(np.maximum(np.diag(squares), 1e-300))
+        inverse: np.ndarray = np.linalg.pinv(squares / scale[:, None] / scale, hermitian=True) / scale[:, None] / scale
+        return inverse
+
+
+def fit(tuned: Tuned, settings: Sequence[EffectSetting], offset: np.ndarray | None = None) -> Fitted | None:
+    """Fit a set of effects from these parameters; None where the machine cannot take them together."""
+    settings = tuple(settings)
+    offset = tuned.offset.copy() if offset is None else offset
+    parameters = tuple(
+        (k, parameter) for k, setting in enumerate(settings) for parameter in effects()[setting.name].parameters if not parameter.fixed
+    )
+    try:
+        left, unsure = _left(tuned, settings, offset)
+    except EffectError:
+        return None
+    cost = _cost(left, offset) + unsure
+    columns: tuple[np.ndarray, ...] = ()
+    for _ in range(ITERATIONS):
+        columns = tuple(np.hstack([one.numbers, _derivatives(tuned, one, settings, parameters)]) for one in tuned.looked)
+        step = _step(tuned, settings, offset, parameters, columns, left)
+        taken = _shortened(tuned, settings, offset, parameters, step, cost)
+        if taken is None:
+            break
+        gained = cost - taken[3]
+        settings, offset, left, cost = taken
+        if gained < SETTLED:
+            break
+    return Fitted(settings, offset, cost, left, columns, parameters)
+
+
+def _left(tuned: Tuned, settings: tuple[EffectSetting, ...], offset: np.ndarray) -> tuple[tuple[np.ndarray, ...], float]:
+    """Return the innovations that a set of effects and a change of the nuisances leave, and how unsure their energy is."""
+    left = []
+    moved = offset - tuned.offset
+    unsure = 0.0
+    for one in tuned.looked:
+        unsure += float(tuned.energies(one) @ moved**2)
+        rest = one.innovations - one.numbers @ moved
+        if settings:
+            together = _signals(tuned, one, settings)
+            columns = [column(one.signals, together)]
+            if len(settings) > 1:
+                columns += [column(one.signals, _signals(tuned, one, (setting,))) for setting in settings]
+            whitened = one.whiten(columns)
+            unsure += float(np.sum(whitened[:, min(1, len(columns) - 1) :] ** 2))
+            rest = rest - whitened[:, 0]
+        left.append(rest)
+    return tuple(left), ACCURACY**2 * unsure
+
+
+def _signals(tuned: Tuned, one: Looked, settings: tuple[EffectSetting, ...]):  # type: ignore[no-untyped-def]
+    along = one.beside.along
+    return along.signals(one.motion, along.plant.model(tuned.values, settings), settings)
+
+
+def _cost(left: Sequence[np.ndarray], offset: np.ndarray) -> float:
+    return float(sum(each @ each for each in left) + offset @ offset)
+
+
+def _derivatives(tuned: Tuned, one: Looked, settings: tuple[EffectSetting, ...], parameters: Sequence[tuple[int, Parameter]]) -> np.ndarray:
+    """Return whitened columns (N m, Q) of the effects' parameters, by differences."""
+    if not parameters:
+        return np.zeros((len(one.innovations), 0))
+    here = _signals(tuned, one, settings)
+    columns = []
+    for k, parameter in parameters:
+        value = settings[k].parameters[parameter.name]
+        step = _difference(parameter, value)
+        if value + step > parameter.high:
+            step = -step
+        moved = (*settings[:k], _with(settings[k], {parameter.name: value + step}), *settings[k + 1 :])
+        try:
+            columns.append(column(here, _signals(tuned, one, moved), step))
+        except EffectError:
+            columns.append(column(here, here))
+    return one.whiten(columns)
+
+
+def _difference(parameter: Parameter, value: float) -> float:
+    if parameter.unit == PHASE:
+        return STEP
+    return STEP * abs(value) if value != 0.0 else parameter.small
+
+
+def _with(setting: EffectSetting, changes: dict[str, float]) -> EffectSetting:
+    return setting_of(effects()[setting.name], setting.at, {**setting.parameters, **changes})
+
+
+def _step(
+    tuned: Tuned, settings: tuple[EffectSetting, ...], offset: np.ndarray, parameters: Sequence[tuple[int, Parameter]],
+    columns: Sequence[np.ndarray], left: Sequence[np.ndarray],
+) -> np.ndarray:  # fmt: skip
+    count = len(offset)
+    squares = sum(each.T @ each for each in columns)
+    slopes = sum(each.T @ rest for each, rest in zip(columns, left, strict=True))
+    squares[range(count), range(count)] += 1.0
+    slopes[:count] -= offset
+    energies = ACCURACY**2 * np.diag(squares).copy()
+    energies[:count] -= ACCURACY**2
+    strengths = [settings[k].parameters[p.name] - p.neutral if p.is_strength else 0.0 for k, p in parameters]
+    at = np.append(offset - tuned.offset, strengths)
+    energies[count:] *= [p.is_strength for _, p in parameters]
+    squares[range(len(slopes)), range(len(slopes))] += energies
+    slopes -= energies * at
+    free = tuned.bounds
+    low, high = list(free[0] + tuned.offset - offset), list(free[1] + tuned.offset - offset)
+    for k, parameter in parameters:
+        value = settings[k].parameters[parameter.name]
+        longest = PHASE_STEP if parameter.unit == PHASE else (STRENGTH_STEP if parameter.is_strength else SHAPE_STEP) * abs(value)
+        if value == 0.0 and parameter.unit != PHASE:
+            longest = np.inf if parameter.is_strength else parameter.small
+        low.append(max(parameter.low - value, -longest))
+        high.append(min(parameter.high - value, longest))
+    return bounded_least_squares(squares, slopes, np.array(low), np.array(high))
+
+
+def _shortened(
+    tuned: Tuned, settings: tuple[EffectSetting, ...], offset: np.ndarray, parameters: Sequence[tuple[int, Parameter]], step: np.ndarray,
+    cost: float,
+) -> tuple[tuple[EffectSetting, ...], np.ndarray, tuple[np.ndarray, ...], float] | None:  # fmt: skip
+    """Return the first of the step and its halves that lowers the cost; None where none does."""
+    for halving in range(HALVINGS):
+        share = 0.5**halving
+        changes: list[dict[str, float]] = [{} for _ in settings]
+        for (k, parameter), by in zip(parameters, step[len(offset) :], strict=True):
+            changes[k][parameter.name] = settings[k].parameters[parameter.name] + share * float(by)
+        moved = tuple(_with(setting, change) for setting, change in zip(settings, changes, strict=True))
+        further = offset + share * step[: len(offset)]
+        try:
+            left, unsure = _left(tuned, moved, further)
+        except EffectError:
+            continue
+        lower = _cost(left, further) + unsure
+        if lower < cost:
+            return moved, further, left, lower
+    return None

@@ -1,0 +1,123 @@
+"""The search for sets of effects: the library proposes, fits decide."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.diagnosis.library.entries import Entry, entries
+from hil.diagnosis.named.fitting import Fitted, fit
+from hil.diagnosis.tuned.bounded import bounded_least_squares
+from hil.diagnosis.tuned.retuning import Tuned
+from virtual_bus.effects.registry import effects
+
+OWN = 1e-6
+"""Share of a column's square that must be its own, and not that of numbers and effects that are fitted already: columns are kept in single
+precision."""
+DEPTH = 3
+"""Effects in a set at most."""
+PROPOSED = 6
+"""Effects that the library proposes beside a set, the most promising law of each."""
+KEPT = 3
+"""Sets of each size that further effects are sought beside."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ranked:
+    """A fitted set and what it costs, price included, in twice the log of its evidence."""
+
+    fitted: Fitted
+    price: float
+
+    @property
+    def cost(self) -> float:
+        """Squared innovations, prior and price."""
+        return self.fitted.cost + self.price
+
+
+def library(tuned: Tuned) -> list[Entry]:
+    """Return the laws of all effects at all places, for these recordings."""
+    alongs = [one.beside.along for one in tuned.looked]
+    motions = [one.motion for one in tuned.looked]
+    signals = [one.signals for one in tuned.looked]
+    missing = [one.given - one.needed for one in signals]
+    inertia, _ = tuned.plant.inertia_and_bias(tuned.looked[0].beside.model, motions[0].position[:1], 0.0 * motions[0].position[:1])
+    return entries(alongs, motions, signals, tuned.values, missing, np.diag(inertia[0]))
+
+
+def search(tuned: Tuned, laws: Sequence[Entry]) -> list[Ranked]:
+    """Return fitted sets, the likeliest first; the empty set is among them."""
+    columns = [one.whiten([c for law in laws for c in law.columns[g]]) for g, one in enumerate(tuned.looked)]
+    squares = sum(each.T @ each for each in columns)
+    places = {(law.effect.name, law.at) for law in laws}
+    readings = tuned.readings
+
+    def price(fitted: Fitted) -> float:
+        """Bayesian information criterion, extended by the number of sets that there are (Chen and Chen 2008)."""
+        size = len(fitted.settings)
+        return len(fitted.parameters) * math.log(readings) + 2.0 * math.log(math.comb(max(len(places), size), size))
+
+    start = fit(tuned, ())
+    assert start is not None
+    found: dict[frozenset[tuple[str, str]], Ranked] = {start.names: Ranked(start, price(start))}
+    beam = [start]
+    for _ in range(DEPTH):
+        further: list[Ranked] = []
+        for fitted in beam:
+            for law, weights in _proposed(fitted, laws, columns, squares):
+                names = fitted.names | {(law.effect.name, law.at)}
+                if names in found:
+                    continue
+                longer = fit(tuned, (*fitted.settings, law.setting(weights)), fitted.offset)
+                if longer is None:
+                    continue
+                found[names] = Ranked(longer, price(longer))
+                further.append(found[names])
+        further.sort(key=lambda each: each.cost)
+        if not further or further[0].cost > min(found[fitted.names].cost for fitted in beam):
+            break
+        beam = [each.fitted for each in further[:KEPT]]
+    return sorted(found.values(), key=lambda each: each.cost)
+
+
+def _proposed(fitted: Fitted, laws: Sequence[Entry], columns: Sequence[np.ndarray], squares: np.ndarray) -> list[tuple[Entry, np.ndarray]]:
+    """Return the laws that would explain most beside a fitted set, one an effect and place, with their weights."""
+    own = sum(each.T @ each for each in fitted.columns)
+    own = own + np.diag(np.append(np.ones(len(fitted.offset)), np.zeros(len(own) - len(fitted.offset))))
+    scale = np.sqrt(np.maximum(np.diag(own), 1e-300))
+    root = np.linalg.inv(np.linalg.cholesky(own / scale[:, None] / scale + 1e-10 * np.eye(len(own))))
+    slopes = sum(each.T @ rest for each, rest in zip(fitted.columns, fitted.innovations, strict=True))
+    slopes[: len(fitted.offset)] -= fitted.offset
+    across = (sum(c.T @ d for c, d in zip(columns, fitted.columns, strict=True)) / scale) @ root.T
+    taken = root @ (slopes / scale)
+    pulls = sum(c.T @ rest for c, rest in zip(columns, fitted.innovations, strict=True))
+    best: dict[tuple[str, str], tuple[float, Entry, np.ndarray]] = {}
+    first = 0
+    for law in laws:
+        part = slice(first, first + law.width)
+        first = part.stop
+        name = (law.effect.name, law.at)
+        if name in fitted.names and not law.effect.several:
+            continue
+        plain = squares[part, part]
+        reduced = plain - across[part] @ across[part].T
+        pull = pulls[part] - across[part] @ taken
+        reduced = reduced + OWN * np.diag(np.diag(plain))
+        low, high = np.full(law.width, law.law.lowest), np.full(law.width, law.law.highest)
+        try:
+            weights = bounded_least_squares(reduced, pull, low, high)
+        except np.linalg.LinAlgError:
+            continue
+        gain = float(2.0 * pull @ weights - weights @ reduced @ weights)
+        if name not in best or gain > best[name][0]:
+            best[name] = (gain, law, weights)
+    ordered = sorted(best.values(), key=lambda each: -each[0])
+    return [(law, weights) for gain, law, weights in ordered[:PROPOSED] if gain > 2.0 * math.log(max(len(best), 1))]
+
+
+def families(fitted: Fitted) -> frozenset[tuple[str, str]]:
+    """Return family and place of each effect."""
+    return frozenset((effects()[setting.name].family, setting.at) for setting in fitted.settings)

@@ -1,0 +1,74 @@
+"""Repeats of one experiment: their mean, and what each differs from it by."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hil.diagnosis.observed.rows import Observed, observed
+from hil.machine import Machine
+from hil.recording import Recording
+
+SAME = 1e-9
+"""Share of a reference's range by which repeats may differ: rounding of a text file."""
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Recordings of one experiment.
+
+    Attributes
+    ----------
+    mean : Observed
+        Of all repeats, row by row; missing where one repeat misses a sample.
+    repeats : tuple of Observed
+    """
+
+    mean: Observed
+    repeats: tuple[Observed, ...]
+
+    @property
+    def name(self) -> str:
+        """Return the repeats' names."""
+        return ", ".join(each.name for each in self.repeats)
+
+
+def groups(machine: Machine, recordings: Mapping[str, Recording]) -> tuple[Group, ...]:
+    """Return the recordings on rows, repeats together."""
+    found: list[list[Observed]] = []
+    for name, recording in recordings.items():
+        one = observed(machine, name, recording)
+        alike = next((group for group in found if are_repeats(group[0], one)), None)
+        if alike is None:
+            found.append([one])
+        else:
+            alike.append(one)
+    return tuple(Group(_mean(group), tuple(group)) for group in found)
+
+
+def are_repeats(one: Observed, other: Observed) -> bool:
+    """Return whether two recordings are of the same experiment: the same references and excitations, some of which move."""
+    if one.rows != other.rows or one.channels != other.channels or abs(one.period_s - other.period_s) > SAME * one.period_s:
+        return False
+    names = [name for name in one.recording.channels if name.startswith(("reference_", "excitation_"))]
+    if not one.machine.controllers:
+        names = [name for name in one.recording.channels if name.startswith("command_")]
+    if not names or names != [name for name in names if name in other.recording]:
+        return False
+    moves = False
+    for name in names:
+        first, second = one.recording[name], other.recording[name]
+        reach = float(np.ptp(first))
+        if not np.allclose(first, second, rtol=0.0, atol=SAME * max(reach, 1e-12), equal_nan=True):
+            return False
+        moves = moves or reach > 0.0
+    return moves
+
+
+def _mean(group: Sequence[Observed]) -> Observed:
+    if len(group) == 1:
+        return group[0]
+    targets, currents, readings = (np.mean([getattr(each, name) for each in group], axis=0) for name in ("targets", "currents", "readings"))
+    return replace(group[0], name=", ".join(each.name for each in group), targets=targets, currents=currents, readings=readings)

@@ -1,0 +1,127 @@
+"""A recording on rows of one period: what acted on the machine from each row to the next, and what its sensors read there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from hil.errors import RecordingError
+from hil.machine import Machine
+from hil.recording import Recording
+from virtual_bus.effects.places import imu_channel_names
+from virtual_bus.settings import PlantSettings
+
+JITTER = 0.01
+"""Share of a period: a step of time that differs by less is the recorder's clock."""
+FEWEST_ROWS = 50
+"""Fewer rows say nothing about a motion of second order in several joints."""
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """One recording on N rows.
+
+    Attributes
+    ----------
+    name : str
+    machine : Machine
+    recording : Recording
+    time : (N,) array
+        [s] from the first row on.
+    period_s : float
+    targets : (N, axes) array
+        What the drives were told to bring about from each row to the next, in their units, on their lattice.
+    currents : (N, axes) array
+        What they measured at the rows; NaN where they did not.
+    channels : tuple of str
+        Encoders, speed sensors, IMUs, as far as they were recorded.
+    readings : (N, m) array
+        NaN where a sample is missing.
+    """
+
+    name: str
+    machine: Machine
+    recording: Recording
+    time: np.ndarray
+    period_s: float
+    targets: np.ndarray
+    currents: np.ndarray
+    channels: tuple[str, ...]
+    readings: np.ndarray
+
+    @property
+    def rows(self) -> int:
+        """N."""
+        return len(self.time)
+
+    @cached_property
+    def settings(self) -> PlantSettings:
+        """The plant with one step a row."""
+        return replace(self.machine.plant, sample_period_s=self.period_s, substeps=1, effects=())
+
+
+def sensor_channels(machine: Machine) -> tuple[str, ...]:
+    """Return the channels of positions, speeds and IMUs that a machine has."""
+    return (*(sensor.channel for sensor in machine.plant.joint_sensors), *imu_channel_names(machine.plant))
+
+
+def observed(machine: Machine, name: str, recording: Recording) -> Observed:
+    """Bring a recording onto rows.
+
+    Even recordings keep their rows. Uneven ones are read off at their median rate: linear between samples for efforts; sensors at the
+    nearest sample, where one is nearer than half a period.
+
+    Raises
+    ------
+    RecordingError
+        No effort was recorded or commanded, or hardly a row.
+    """
+    time = recording.time - recording.time[0]
+    if len(time) < FEWEST_ROWS:
+        raise RecordingError(f"{name}: has {len(time)} rows; a diagnosis takes {FEWEST_ROWS} at least")
+    gaps = np.diff(time)
+    period = float(np.median(gaps))
+    is_even = bool(np.all(np.abs(gaps - period) < JITTER * period))
+    rows = np.arange(len(time)) * period if is_even else np.arange(0.0, time[-1] + 0.5 * period, period)
+    commands, currents = _efforts(machine, name, recording)
+    if is_even:
+        acting, flowing = _one_row_later(commands), currents
+    else:
+        acting, flowing = (np.column_stack([np.interp(rows, time, column) for column in values.T]) for values in (commands, currents))
+    missing = np.isnan(acting)
+    acting = np.where(missing, flowing, acting)
+    lattice = np.array([drive.resolution for drive in machine.plant.drives])
+    steps = np.where(lattice > 0.0, lattice, 1.0)
+    acting = np.where((lattice > 0.0) & ~missing, np.floor(acting / steps + 0.5) * steps, acting)
+    if np.isnan(acting).any():
+        axis = machine.axes[int(np.flatnonzero(np.isnan(acting).any(axis=0))[0])]
+        raise RecordingError(f"{name}: neither command_{axis} nor a measured effort of {axis} is complete; one of them is needed")
+    channels = tuple(channel for channel in sensor_channels(machine) if channel in recording and np.isfinite(recording[channel]).any())
+    readings = recording.matrix(channels) if channels else np.zeros((len(time), 0))
+    if not is_even:
+        nearest = np.clip(np.searchsorted(time, rows), 1, len(time) - 1)
+        nearest -= rows - time[nearest - 1] < time[nearest] - rows
+        readings = np.where((np.abs(time[nearest] - rows) < 0.5 * period)[:, None], readings[nearest], np.nan)
+    return Observed(name, machine, recording, rows, period, acting, flowing, channels, readings)
+
+
+def _efforts(machine: Machine, name: str, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+    """Return commands and measured efforts (M, axes); NaN where there are none."""
+    rows = recording.rows
+    measured = {sensor.axis: sensor.channel for sensor in machine.plant.currents}
+    commands, currents = np.full((rows, len(machine.axes)), np.nan), np.full((rows, len(machine.axes)), np.nan)
+    for i, axis in enumerate(machine.axes):
+        if f"command_{axis}" in recording:
+            commands[:, i] = recording[f"command_{axis}"]
+        for channel in (measured.get(axis), f"current_{axis}", f"effort_{axis}"):
+            if channel is not None and channel in recording:
+                currents[:, i] = recording[channel]
+                break
+    return commands, currents
+
+
+def _one_row_later(commands: np.ndarray) -> np.ndarray:
+    """Return what acts from each row on: the command of row k acts from row k + 1; before the first one what it asks for."""
+    return np.vstack([commands[:1], commands[:-1]])

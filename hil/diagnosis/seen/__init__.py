@@ -1,0 +1,1 @@
+"""What moved, which effort was missing, and how surely: the recordings beside the equations, without simulating them."""

@@ -1,0 +1,221 @@
+"""A machine along one recording: which efforts a motion takes, which ones the drives gave, and what the sensors should have read."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.integrate
+
+from hil.diagnosis.observed.rows import Observed
+from hil.diagnosis.seen.smoothing import Smoothed, smoothed
+from hil.errors import BadAnswerError
+from virtual_bus.effects.effect import FRICTION
+from virtual_bus.effects.places import imu_channel_names
+from virtual_bus.effects.registry import effects as known_effects
+from virtual_bus.plant.along import along_module
+from virtual_bus.plant.compiled import compile_plant
+from virtual_bus.plant.drives import DRIVE_STATES
+from virtual_bus.plant.statics import resting_state
+from virtual_bus.sensors.effects import channel_names, new_memory
+from virtual_bus.sensors.measure import new_readings, sensor_model
+from virtual_bus.settings import EffectSetting
+
+FINE = 2
+"""Steps of the base motion in a row: with one, springs that swing at a tenth of the sample rate would give 5 % of their effort wrong."""
+PHASE_OF_A_STEP = 0.25
+"""Largest product of a Runge-Kutta step and the fastest mode's frequency: the phase error of a step is its fifth power over 120."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Positions, speeds and accelerations (N, n) of all joints, and how unsure the speeds are (N, n)."""
+
+    position: np.ndarray
+    speed: np.ndarray
+    acceleration: np.ndarray
+    speed_deviation: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """What a machine with some numbers and effects does along a motion.
+
+    Attributes
+    ----------
+    needed : (N, n) array
+        Efforts on the joints that the motion takes.
+    given : (N, n) array
+        Mean efforts of the drives on the joints from each row to the next, less those of dry friction.
+    currents : (N, axes) array
+        In the drives at the rows.
+    readings : (N, m) array
+        Of the recorded channels, without noise or lattice.
+    """
+
+    needed: np.ndarray
+    given: np.ndarray
+    currents: np.ndarray
+    readings: np.ndarray
+
+
+class Along:
+    """The plant of a machine along one recording's motion.
+
+    Parameters
+    ----------
+    observed : Observed
+    """
+
+    def __init__(self, observed: Observed) -> None:
+        self.observed = observed
+        self.settings = observed.settings
+        self.plant = compile_plant(self.settings)
+        self.fine_plant = compile_plant(replace(self.settings, sample_period_s=observed.period_s / FINE))
+        self._module = along_module(self.plant)
+        self._work = self.plant.new_work()
+        self.joints = [joint.name for joint in self.settings.tree.joints]
+        names = channel_names(self.settings)
+        self._columns = [names.index(channel) for channel in observed.channels]
+        self.smooth = self._smoothed()
+
+    def of(self, observed: Observed) -> Along:
+        """Return the same with another recording of the same experiment, whose motion is taken from this one."""
+        other = copy.copy(self)
+        other.observed = observed
+        return other
+
+    def first(self, rows: int) -> Along:
+        """Return the same with the first rows of the recording alone."""
+        one = self.observed
+        cut = {name: getattr(one, name)[:rows] for name in ("time", "targets", "currents", "readings")}
+        other = self.of(replace(one, **cut))
+        other.smooth = {joint: replace(motion, slow=motion.slow[:rows]) for joint, motion in self.smooth.items()}
+        return other
+
+    @property
+    def measured_currents(self) -> np.ndarray:
+        """Measured currents (N, axes); NaN where they are what is taken for the targets."""
+        observed = self.observed
+        same = np.all((observed.currents == observed.targets) | np.isnan(observed.currents), axis=0)
+        return np.where(same, np.nan, observed.currents)
+
+    def _smoothed(self) -> dict[int, Smoothed]:
+        """Return the smoothed motion of every joint that has an encoder of its own."""
+        found = {}
+        observed = self.observed
+        for encoder in self.settings.encoders:
+            joint = self.joints.index(encoder.joints[0])
+            if len(encoder.joints) > 1 or encoder.channel not in observed.channels or joint in found:
+                continue
+            samples = observed.readings[:, observed.channels.index(encoder.channel)]
+            found[joint] = smoothed(observed.time, samples, encoder.resolution, observed.time)
+        return found
+
+    @property
+    def followed(self) -> np.ndarray:
+        """Which joints (n,) an encoder of their own follows."""
+        return np.array([joint in self.smooth for joint in range(len(self.joints))])
+
+    def base(self, model: np.ndarray) -> Motion:
+        """Return the slow part of the recorded motion on FINE steps a row, with the other joints carried along by the equations.
+
+        It is what the equations are linearised about. It has no faster part since a motion must be smooth between the rows, too.
+        `model` is of `fine_plant`.
+
+        Raises
+        ------
+        BadAnswerError
+            The carried joints leave all bounds.
+        """
+        rows, n = (self.observed.rows - 1) * FINE + 1, len(self.joints)
+        q, v, a, u = (np.zeros((rows, n)) for _ in range(4))
+        for joint, motion in self.smooth.items():
+            finer = _finer(motion.slow, self.observed.period_s)
+            q[:, joint], v[:, joint], a[:, joint], u[:, joint] = finer.T
+        carried = ~self.followed
+        if carried.any():
+            state = resting_state(self.plant, model, q[0, self.plant.driven_joints], held_by_brakes=False)
+            q[0, carried] = state[: self.plant.joints][carried]
+            substeps = max(1, int(np.ceil(float(model["inner_steps"][0]) / PHASE_OF_A_STEP)))
+            if not self._module.carry(model, self._work, carried, substeps, q, v, a):
+                raise BadAnswerError(f"{self.observed.name}: joints without an encoder leave all bounds under the recorded motion")
+        return Motion(q, v, a, u)
+
+    def along_base(self, motion: Motion, model: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the efforts (N, n) that a fine motion takes at each row and just before the next, and the IMUs' readings (N, 6 imus).
+
+        The efforts are those of the straight line that comes closest to the course in between.
+        """
+        needed = np.zeros_like(motion.position)
+        self._module.efforts(model, self._work, motion.position, motion.speed, motion.acceleration, needed)
+        imus = np.zeros((len(needed), len(imu_channel_names(self.settings))))
+        if imus.shape[1]:
+            self._module.readings(model, self._work, motion.position, motion.speed, motion.acceleration, imus)
+        rows = self.observed.rows
+        inside = np.stack([needed[k : (rows - 1) * FINE + k : FINE] for k in range(FINE + 1)])  # (FINE + 1, N - 1, n)
+        steps = np.linspace(0.0, 1.0, FINE + 1)
+        mean = scipy.integrate.simpson(inside, x=steps, axis=0)
+        moment = scipy.integrate.simpson((inside - mean) * (steps - 0.5)[:, None, None], x=steps, axis=0)
+        last = needed[-1:]
+        return np.vstack([mean - 6.0 * moment, last]), np.vstack([mean + 6.0 * moment, last]), imus[::FINE]
+
+    def signals(self, motion: Motion, model: np.ndarray, effects: Sequence[EffectSetting] = (), imus: np.ndarray | None = None) -> Signals:
+        """Return what the machine does along a motion; `model` is of the same effects. `imus` are their readings where they are known."""
+        observed = self.observed
+        rows, n, axes = observed.rows, len(self.joints), len(self.settings.drives)
+        needed, given = np.zeros((rows, n)), np.zeros((rows, n))
+        self._module.efforts(model, self._work, motion.position, motion.speed, motion.acceleration, needed)
+        state = self.plant.new_state(motion.position[0])
+        for axis in range(axes):
+            first = self.plant.first_drive_state + axis * DRIVE_STATES
+            state[first] = state[first + 2 : first + DRIVE_STATES] = observed.targets[0, axis]
+        currents = np.zeros((rows, axes))
+        self._module.drive(
+            model, self._work, observed.targets, motion.position, motion.speed, motion.acceleration, state, currents, given
+        )  # fmt: skip
+        if any(known_effects()[each.name].kind is FRICTION for each in effects):
+            rubbed = np.zeros((rows, n))
+            self._module.rub(model, self._work, motion.position, motion.speed, motion.speed_deviation, rubbed)
+            given -= rubbed
+        if imus is None:
+            imus = np.zeros((rows, len(imu_channel_names(self.settings))))
+            if imus.shape[1]:
+                self._module.readings(model, self._work, motion.position, motion.speed, motion.acceleration, imus)
+        out = np.zeros((rows, 4 * axes + imus.shape[1]))
+        sensors = sensor_model(self.settings, effects)
+        lattices = ("position_resolution", "link_resolution", "speed_resolution", "effort_resolution")
+        sensors = sensors._replace(
+            imu_resolution=np.zeros_like(sensors.imu_resolution), **{name: 0.0 * getattr(sensors, name) for name in lattices}
+        )
+        self._module.sense(
+            motion.position, motion.speed, currents, imus, state, np.zeros(axes), np.zeros(axes + imus.shape[1]), sensors,
+            new_memory(self.settings), new_readings(self.settings), out,
+        )  # fmt: skip
+        return Signals(needed, given, np.nan_to_num(out[:, 2 * axes : 3 * axes]), out[:, self._columns])
+
+    def linearised(self, motion: Motion, model: np.ndarray, stride: int) -> tuple[np.ndarray, ...]:
+        """Return inverse inertias, stiffnesses, dampings (L, n, n), and what IMUs feel (L, channels, n) of all three."""
+        q, v, a = (np.ascontiguousarray(each[::stride]) for each in (motion.position, motion.speed, motion.acceleration))
+        count, n, channels = len(q), len(self.joints), len(imu_channel_names(self.settings))
+        squares = [np.zeros((count, n, n)) for _ in range(3)]
+        gradients = [np.zeros((count, channels, n)) for _ in range(3)]
+        self._module.linearise(model, self._work, q, v, a, *squares, *gradients)
+        return (*squares, *gradients)
+
+
+def _finer(slow: np.ndarray, period_s: float) -> np.ndarray:
+    """Return position, speed, acceleration (linear in between) and the speed's deviation (N, 4) on FINE steps a row."""
+    fine = np.zeros(((len(slow) - 1) * FINE + 1, 4))
+    fine[::FINE] = slow
+    q, v, a = slow[:-1, :3].T
+    jerk = np.diff(slow[:, 2]) / period_s
+    for k in range(1, FINE):
+        t = period_s * k / FINE
+        fine[k::FINE, 0] = q + t * (v + t * (0.5 * a + t * jerk / 6.0))
+        fine[k::FINE, 1] = v + t * (a + 0.5 * t * jerk)
+        fine[k::FINE, 2] = a + t * jerk
+        fine[k::FINE, 3] = slow[:-1, 3]
+    return fine

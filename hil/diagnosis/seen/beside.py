@@ -1,0 +1,207 @@
+"""The recording beside the equations: missing efforts and residual readings along the base motion, and the filter that whitens them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hil.diagnosis.seen.along import FINE, Along, Motion, Signals
+from hil.diagnosis.seen.filtering import Linearised, Whitening, discretised, smooth_states, whitening
+from virtual_bus.effects.places import imu_channel_names
+from virtual_bus.settings import EffectSetting
+
+POSES_PER_SECOND = 64
+"""Linearisations: a pose changes little in 16 ms."""
+SHORTEST_LAG_S = 1e-9
+"""Of a low pass: a shorter one is none."""
+UNKNOWN_POSITION = 1e-3
+UNKNOWN_SPEED = 1e-2
+"""rad or m, and per second: standard deviations of what row 0 does beside the base motion."""
+
+
+@dataclass(frozen=True, eq=False)
+class Levels:
+    """Noise of a machine.
+
+    Attributes
+    ----------
+    disturbance : (n,) array
+        Standard deviation of the effort on every joint that no equation knows [Nm or N].
+    corner_Hz : float
+        Of its spectrum, which is flat below.
+    sensors : (m + axes,) array
+        Standard deviations of the readings, then of the measured currents.
+    """
+
+    disturbance: np.ndarray
+    corner_Hz: float
+    sensors: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """What is left of one recording beside a machine's equations.
+
+    Attributes
+    ----------
+    along : Along
+    model : record
+    effects : tuple of EffectSetting
+    base : Motion
+    imus : (N, 6 imus) array
+        Their readings along it.
+    signals : Signals
+        Along the base motion.
+    missing, missing_ends : (N, n) arrays
+        Efforts given less needed, at each row and just before the next.
+    left : (N, m + axes) array
+        Readings less what the base motion says, then measured currents less nominal; NaN where missing.
+    """
+
+    along: Along
+    model: np.ndarray
+    effects: tuple[EffectSetting, ...]
+    base: Motion
+    imus: np.ndarray
+    signals: Signals
+    missing: np.ndarray
+    missing_ends: np.ndarray
+    left: np.ndarray
+    filters: dict[float, Linearised] = field(default_factory=dict)
+
+    @property
+    def present(self) -> np.ndarray:
+        """Which readings (N, m + axes) there are."""
+        there: np.ndarray = ~np.isnan(self.left)
+        return there
+
+    def with_left(self, left: np.ndarray) -> Beside:
+        """Return the same with other residual readings."""
+        return replace(self, left=left)
+
+    def less(self, efforts: Mapping[int, tuple[np.ndarray, np.ndarray]], readings: Mapping[int, np.ndarray]) -> Beside:
+        """Return the same beside equations that have further efforts on joints, and further readings."""
+        missing, ends, left = self.missing.copy(), self.missing_ends.copy(), self.left.copy()
+        for joint, (start, end) in efforts.items():
+            missing[:, joint] -= start
+            ends[:, joint] -= end
+        for channel, values in readings.items():
+            left[:, channel] -= values
+        return replace(self, missing=missing, missing_ends=ends, left=left)
+
+    def linearised(self, levels: Levels) -> Linearised:
+        """Return the filter's matrices with these levels; those of the machine are computed once a corner."""
+        if levels.corner_Hz not in self.filters:
+            self.filters[levels.corner_Hz] = _linearised(self, levels.corner_Hz)
+        plain = self.filters[levels.corner_Hz]
+        n = len(levels.disturbance)
+        process, start = np.zeros(len(plain.process)), np.zeros(len(plain.process))
+        decay = self._decay(levels)
+        process[2 * n : 3 * n] = levels.disturbance**2 * (1.0 - decay**2)
+        start[:n], start[n : 2 * n], start[2 * n : 3 * n] = UNKNOWN_POSITION**2, UNKNOWN_SPEED**2, levels.disturbance**2
+        return replace(plain, noise=levels.sensors**2, process=process, start=start)
+
+    def whitening(self, levels: Levels, unsure: np.ndarray | None = None) -> Whitening:
+        """Return the filter with these levels.
+
+        `unsure` (N, n) is the variance of a further effort on each joint [Nm^2 or N^2], which may be another one in every row.
+        """
+        extra = None
+        if unsure is not None and unsure.any():
+            n = unsure.shape[1]
+            extra = np.zeros((len(unsure), self.linearised(levels).transition.shape[1]))
+            extra[:, 2 * n : 3 * n] = unsure * (1.0 - self._decay(levels) ** 2)
+        return whitening(self.linearised(levels), self.present, extra)
+
+    def _decay(self, levels: Levels) -> float:
+        """Return what is left of a disturbance one row later."""
+        return float(np.exp(-2.0 * np.pi * levels.corner_Hz * self.along.observed.period_s))
+
+    def whitened(self, filtered: Whitening) -> np.ndarray:
+        """Return the recording's innovations (N, m + axes), zero where nothing was read."""
+        rows, channels = self.left.shape
+        out = np.zeros((rows * channels, 1))
+        state = np.zeros((filtered.along.transition.shape[1], 1))
+        efforts, ends, readings = (
+            np.ascontiguousarray(each[:, :, None]) for each in (self.missing, self.missing_ends, np.nan_to_num(self.left))
+        )
+        filtered.columns(efforts, ends, readings, 0, state, out)
+        return out.reshape(rows, channels)
+
+    def motion(self, filtered: Whitening) -> Motion:
+        """Return what all joints did by all sensors: the base motion and the smoothed deviations from it."""
+        states, deviations = smooth_states(filtered, self.missing, self.missing_ends, np.nan_to_num(self.left), self.present)
+        n = self.missing.shape[1]
+        position = self.base.position + states[:, :n]
+        speed = self.base.speed + states[:, n : 2 * n]
+        acceleration = self.base.acceleration + np.gradient(states[:, n : 2 * n], self.along.observed.period_s, axis=0)
+        for joint, motion in self.along.smooth.items():  # by its own encoder alone, which does not take the equations' word near a reversal
+            speed[:, joint] = motion.speed
+        return Motion(position, speed, acceleration, np.maximum(deviations[:, n : 2 * n], self.base.speed_deviation))
+
+
+def beside(along: Along, values: np.ndarray | None = None, effects: tuple[EffectSetting, ...] = ()) -> Beside:
+    """Put a recording beside the equations with these numbers and effects."""
+    model = along.plant.model(values, effects)
+    fine_model = along.fine_plant.model(values, effects)
+    fine = along.base(fine_model)
+    start, end, imus = along.along_base(fine, fine_model)
+    base = Motion(*(np.ascontiguousarray(each[::FINE]) for each in (fine.position, fine.speed, fine.acceleration, fine.speed_deviation)))
+    signals = along.signals(base, model, effects, imus)
+    left = np.hstack([along.observed.readings - signals.readings, along.measured_currents - signals.currents])
+    return Beside(along, model, effects, base, imus, signals, signals.given - start, signals.given - end, left)
+
+
+def default_levels(along: Along) -> Levels:
+    """Return the levels that the machine file gives: sensors alone, with a hundredth of the drives' limit as disturbance."""
+    settings, observed = along.settings, along.observed
+    noise = {}
+    for sensor in settings.joint_sensors:
+        noise[sensor.channel] = sensor.resolution / np.sqrt(12.0)
+    names = iter(imu_channel_names(settings))
+    for imu in settings.imus:
+        for rms, resolution in (
+            (imu.accelerometer_noise_rms_m_s2, imu.accelerometer_resolution_m_s2),
+            (imu.gyro_noise_rms_rad_s, imu.gyro_resolution_rad_s),
+        ):
+            for axis in range(3):
+                noise[next(names)] = float(np.hypot(rms[axis], resolution / np.sqrt(12.0)))
+    by_axis = {sensor.axis: float(np.hypot(sensor.noise_rms, sensor.resolution / np.sqrt(12.0))) for sensor in settings.currents}
+    sensors = [max(noise[channel], 1e-9) for channel in observed.channels]
+    sensors += [max(by_axis.get(drive.axis, 0.0), 1e-3 * drive.limit) for drive in settings.drives]
+    return Levels(np.zeros(len(along.joints)), 5.0, np.array(sensors))
+
+
+def _linearised(self: Beside, corner_Hz: float) -> Linearised:
+    along = self.along
+    observed, settings = along.observed, along.settings
+    n, period = len(along.joints), observed.period_s
+    stride = max(1, int(1.0 / (POSES_PER_SECOND * period)))
+    inverses, stiffnesses, dampings, of_position, of_speed, of_acceleration = along.linearised(self.base, self.model, stride)
+    count, imus = len(inverses), of_position.shape[1]
+    size, channels = 3 * n + imus, len(observed.channels) + len(settings.drives)
+    at_once = of_acceleration @ inverses
+    felt = np.concatenate([of_position - at_once @ stiffnesses, of_speed - at_once @ dampings], axis=2)
+    is_filtered = self.model[0]["is_filtered"][:imus] != 0
+    corners = np.where(is_filtered, 1.0 / np.maximum(self.model[0]["filter_lag"][:imus, 0], SHORTEST_LAG_S), 0.0)
+    transition, of_effort, of_rise = np.zeros((count, size, size)), np.zeros((count, size, n)), np.zeros((count, size, n))
+    discretised(period, inverses, stiffnesses, dampings, felt, at_once, corners, transition, of_effort, of_rise)
+    disturbances = np.arange(2 * n, 3 * n)
+    transition[:, disturbances, disturbances] = np.exp(-2.0 * np.pi * corner_Hz * period)
+    observation, through = np.zeros((count, channels, size)), np.zeros((count, channels, n))
+    sensors = {sensor.channel: sensor for sensor in settings.joint_sensors}
+    speeds = {sensor.channel for sensor in settings.speeds}
+    names = imu_channel_names(settings)
+    for c, channel in enumerate(observed.channels):
+        if channel in sensors:
+            for joint in sensors[channel].joints:
+                observation[:, c, along.joints.index(joint) + (n if channel in speeds else 0)] = 1.0
+        elif is_filtered[names.index(channel)]:
+            observation[:, c, 3 * n + names.index(channel)] = 1.0
+        else:
+            k = names.index(channel)
+            observation[:, c, : 2 * n], observation[:, c, 2 * n : 3 * n], through[:, c] = felt[:, k], at_once[:, k], at_once[:, k]
+    nothing = np.zeros(size)
+    return Linearised(stride, transition, of_effort, of_rise, observation, through, np.zeros(channels), nothing, nothing)

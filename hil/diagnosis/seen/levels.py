@@ -1,0 +1,85 @@
+"""Noise of a set of recordings: from repeats where there are some, else from what the recordings leave beside their equations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hil.diagnosis.observed.groups import Group
+from hil.diagnosis.seen.along import Along
+from hil.diagnosis.seen.beside import Beside, Levels, beside, default_levels
+from hil.diagnosis.seen.noise import levels_from
+
+CORNERS_Hz = (0.2, 1.0, 5.0, 30.0)
+"""Of the disturbances' spectrum; the likeliest one is taken."""
+NEAR = 5
+"""Iterations after which the corners are compared."""
+FINEST = 0.05
+"""Share of a sensor's noise by the machine file that its own noise is at least: less would be a share of one step of its lattice."""
+BEGUN = 0.002
+"""Share of what a drive can give at most, as the disturbances' first level."""
+
+
+def repeat_levels(groups: Sequence[Group], alongs: Sequence[Along]) -> Levels | None:
+    """Return the noise of the groups' means, from what repeats differ by; None where there are none.
+
+    A disturbance differs from repeat to repeat, so its mean is smaller by the root of their number. So is a sensor's noise; what its
+    lattice rounds away is the same in all repeats, as far as it does not show in their differences.
+    """
+    parts = [part for group, along in zip(groups, alongs, strict=True) if len(group.repeats) > 1 for part in _differences(group, along)]
+    if not parts:
+        return None
+    begin = default_levels(alongs[0])
+    lowest = FINEST * begin.sensors
+    first = np.full(len(begin.disturbance), BEGUN * max(_largest_effort(alongs[0]), 1e-9))
+    near = [levels_from(parts, Levels(first, corner, begin.sensors), lowest, NEAR) for corner in CORNERS_Hz]
+    found = levels_from(parts, max(near, key=lambda levels: log_likelihood(parts[:1], levels)), lowest)
+    count = min(len(group.repeats) for group in groups if len(group.repeats) > 1)
+    variance, lattice = found.sensors**2, _lattices(alongs[0]) ** 2
+    sensors = np.sqrt(variance / count + np.maximum(lattice - variance, 0.0))
+    return Levels(found.disturbance / np.sqrt(count), found.corner_Hz, sensors)
+
+
+def residual_levels(besides: Sequence[Beside], corner_Hz: float) -> Levels:
+    """Return the noise that explains all that recordings leave beside their equations."""
+    parts = [(one, one.missing, one.missing_ends, one.left) for one in besides]
+    begin = default_levels(besides[0].along)
+    first = np.full(len(begin.disturbance), BEGUN * max(_largest_effort(besides[0].along), 1e-9))
+    return levels_from(parts, Levels(first, corner_Hz, begin.sensors), FINEST * begin.sensors)
+
+
+def log_likelihood(parts: Sequence[tuple[Beside, np.ndarray, np.ndarray, np.ndarray]], levels: Levels) -> float:
+    """Return the log likelihood of noise alone, up to a constant."""
+    total = 0.0
+    for one, missing, ends, left in parts:
+        filtered = one.whitening(levels)
+        innovations = replace(one, missing=missing, missing_ends=ends, left=left).whitened(filtered)
+        total -= 0.5 * (float(np.sum(innovations**2)) + filtered.log_determinant)
+    return total
+
+
+def _differences(group: Group, along: Along) -> list[tuple[Beside, np.ndarray, np.ndarray, np.ndarray]]:
+    """Return what each repeat differs from the mean by, scaled to one recording's noise, beside the nominal equations."""
+    one = beside(along)
+    own = []
+    for repeat in group.repeats:
+        signals = along.of(repeat).signals(one.base, one.model, (), one.imus)
+        own.append((signals.given, np.hstack([repeat.readings, along.of(repeat).measured_currents - signals.currents])))
+    given, left = (np.mean([each[k] for each in own], axis=0) for k in range(2))
+    scale = np.sqrt(len(own) / (len(own) - 1.0))
+    return [
+        (one, scale * (g - given), scale * (g - given), scale * (r - left)) for g, r in own[1:]
+    ]  # the first one follows from the others
+
+
+def _largest_effort(along: Along) -> float:
+    return max((drive.limit * drive.ratio * drive.constant for drive in along.settings.drives if np.isfinite(drive.limit)), default=0.0)
+
+
+def _lattices(along: Along) -> np.ndarray:
+    """Return the standard deviations of rounding (m + axes,) of encoders and speed sensors."""
+    steps = {sensor.channel: sensor.resolution for sensor in along.settings.joint_sensors}
+    own = [steps.get(channel, 0.0) for channel in along.observed.channels] + [0.0] * len(along.settings.drives)
+    return np.array(own) / np.sqrt(12.0)

@@ -1,0 +1,1 @@
+"""Whether the numbers of the machine file are right, within their tolerances."""

@@ -1,0 +1,60 @@
+"""Numbers re-tuned and effects named by seeing, on a carriage that an independent recursion simulates."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from carriage import DAMPING, MACHINE, MASS_kg, repeats
+
+from hil.diagnosis.named.naming import Named, name
+from hil.diagnosis.observed.groups import groups
+from hil.diagnosis.tuned.numbers import PRIOR
+
+HEAVIER = 1.05
+COULOMB_N = 20.0
+
+
+@pytest.fixture(scope="module")
+def heavier() -> Named:
+    return name(MACHINE, repeats(4, mass=HEAVIER * MASS_kg, damping=0.94 * DAMPING))
+
+
+@pytest.fixture(scope="module")
+def rubbing() -> Named:
+    return name(MACHINE, repeats(4, mass=HEAVIER * MASS_kg, coulomb_N=COULOMB_N))
+
+
+def test_repeats_are_one_experiment() -> None:
+    recordings = {**repeats(2), **repeats(1, experiment=1)}
+    found = groups(MACHINE, recordings)
+    assert [len(group.repeats) for group in found] == [2, 1]
+    np.testing.assert_allclose(
+        found[0].mean.readings[:, 0], np.mean([recordings[name]["position_carriage"] for name in ("run_0_0", "run_0_1")], axis=0)
+    )
+
+
+def test_where_nothing_is_missing_the_numbers_leave_noise_alone(heavier: Named) -> None:
+    energy = sum(float(one.innovations @ one.innovations) for one in heavier.tuned.looked) / heavier.tuned.readings
+    assert energy == pytest.approx(1.0, abs=0.12)
+    values = dict(zip([p.name for p in heavier.tuned.plant.parameters], heavier.tuned.values, strict=True))
+    gain = values["carriage.constant_N_V"] / MACHINE.plant.drives[0].constant
+    mass = next(value for name, value in values.items() if name.endswith("mass_kg"))
+    damping = values["carriage.damping_N_s_m"]
+    assert mass / gain == pytest.approx(HEAVIER * MASS_kg, rel=0.005)
+    assert damping / gain == pytest.approx(0.94 * DAMPING, rel=0.02)
+
+
+def test_nothing_is_named_where_nothing_is_missing(heavier: Named) -> None:
+    assert heavier.ranked[0].fitted.settings == ()
+
+
+def test_a_hidden_friction_is_named_with_its_strength(rubbing: Named) -> None:
+    best = rubbing.ranked[0].fitted
+    assert [(setting.name, setting.at) for setting in best.settings] == [("coulomb_friction", "carriage")]
+    gain = 1.0 + PRIOR * best.offset[rubbing.tuned.numbers.names.index("carriage.constant")]
+    assert best.settings[0].parameters["Fc"] / gain == pytest.approx(COULOMB_N, rel=0.01)  # all efforts together have no scale of their own
+
+
+def test_rivals_are_ranked_behind_by_what_they_leave(rubbing: Named) -> None:
+    assert rubbing.ranked[0].cost < rubbing.ranked[1].cost
+    assert any(ranked.fitted.settings == () for ranked in rubbing.ranked)
