@@ -62,4 +62,4 @@ def name(machine: Machine, recordings: Mapping[str, Recording]) -> Named:
     for _ in range(TIMES):
         tuned = tuned_at(alongs, levels, baseline.offset, known_of(tuned, baseline))
         baseline = everyday_fit(tuned)
-    return Named(found, levels, tuned, baseline, tuple(search(tuned, library(tuned))))
+    return Named(found, levels, tuned, baseline, tuple(search(tuned, library(tuned), baseline)))

@@ -48,8 +48,12 @@ def library(tuned: Tuned) -> list[Entry]:
     return entries(alongs, motions, signals, tuned.values, missing, np.diag(inertia[0]))
 
 
-def search(tuned: Tuned, laws: Sequence[Entry]) -> list[Ranked]:
-    """Return fitted sets, the likeliest first; the empty set is among them."""
+def search(tuned: Tuned, laws: Sequence[Entry], baseline: Fitted) -> list[Ranked]:
+    """Return fitted sets, the likeliest first; the empty set is among them.
+
+    Sets are sought from nothing on, one effect after the other, and from the engineer's first fit, whose effects are left out one after the
+    other: two effects may show only together.
+    """
     columns = [one.whiten([c for law in laws for c in law.columns[g]]) for g, one in enumerate(tuned.looked)]
     squares = sum(each.T @ each for each in columns)
     places = {(law.effect.name, law.at) for law in laws}
@@ -64,6 +68,14 @@ def search(tuned: Tuned, laws: Sequence[Entry]) -> list[Ranked]:
     assert start is not None
     found: dict[frozenset[tuple[str, str]], Ranked] = {start.names: Ranked(start, price(start))}
     beam = [start]
+    shorter: Fitted | None = baseline
+    while shorter is not None and shorter.settings:
+        kept = [fit(tuned, (*shorter.settings[:k], *shorter.settings[k + 1 :]), shorter.offset) for k in range(len(shorter.settings))]
+        fits = [Ranked(each, price(each)) for each in kept if each is not None and each.names not in found]
+        found |= {each.fitted.names: each for each in fits}
+        shorter = min(fits, key=lambda each: each.cost).fitted if fits else None
+    best = min(found.values(), key=lambda each: each.cost).fitted
+    beam += [best] if best is not start else []
     for _ in range(DEPTH):
         further: list[Ranked] = []
         for fitted in beam:

@@ -106,7 +106,7 @@ class Along:
         """Return the smoothed motion of every joint that has an encoder of its own."""
         found = {}
         observed = self.observed
-        for encoder in self.settings.encoders:
+        for encoder in sorted(self.settings.encoders, key=lambda encoder: encoder.resolution):  # of several the finest
             joint = self.joints.index(encoder.joints[0])
             if len(encoder.joints) > 1 or encoder.channel not in observed.channels or joint in found:
                 continue

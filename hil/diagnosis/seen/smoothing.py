@@ -40,7 +40,8 @@ class Smoothed:
     position_deviation, speed_deviation, acceleration_deviation : (N,) arrays
         Their standard deviations.
     slow : (N, 4) array
-        Position, speed and acceleration without what is faster than SLOW, and the deviation of the speed.
+        Position, speed and acceleration without what is faster than SLOW, and how unsure the speed's direction is: while a joint moves by
+        less than a step of its encoder within the smoother's memory, what the encoder rounds away is no white noise.
     noise : float
         Standard deviation of a sample [rad or m].
     jerk : float
@@ -222,10 +223,12 @@ def smoothed(times: np.ndarray, samples: np.ndarray, resolution: float, grid: np
 
     fast = read(jerk)
     slow = read(min(jerk, noise * period * (2.0 * np.pi * SLOW / period) ** 6))
+    bandwidth = (jerk / (noise * period)) ** (1.0 / 6.0)  # rad/s
+    direction = np.hypot(fast[:, 4], resolution * bandwidth)
     names = ("position", "speed", "acceleration", "position_deviation", "speed_deviation", "acceleration_deviation")
     return Smoothed(
         **dict(zip(names, fast.T, strict=True)),
-        slow=np.column_stack([slow[:, :3], fast[:, 4]]),
+        slow=np.column_stack([slow[:, :3], direction]),
         noise=float(np.sqrt(noise)),
         jerk=float(jerk),
     )
