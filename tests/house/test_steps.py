@@ -9,6 +9,7 @@ from places import ROOT
 from test_floors import imports_of
 
 STEPS = (
+    "audit",
     "observed",
     "seen",
     "library",

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from hil.diagnosis.library.entries import different_places, setting_of
-from hil.diagnosis.named.fitting import Fitted, fit
-from hil.diagnosis.tuned.retuning import Known, Tuned
+from hil.diagnosis.seen.along import Along
+from hil.diagnosis.tuned.retuning import Known
 from virtual_bus.effects.effect import FRICTION
 from virtual_bus.effects.motion import JointState
 from virtual_bus.effects.places import joint_at
@@ -14,30 +14,25 @@ from virtual_bus.effects.registry import effects, module_of
 from virtual_bus.settings import EffectSetting
 
 
-def everyday_fit(tuned: Tuned) -> Fitted:
-    """Return the fit of all everyday effects at all axes together."""
-    along = tuned.looked[0].beside.along
+def everyday_effects(along: Along) -> tuple[EffectSetting, ...]:
+    """Return all everyday effects at all axes, without strength."""
     axes = {drive.axis for drive in along.settings.drives}
-    settings = [
+    return tuple(
         setting_of(effect, at, {})
         for effect in effects().values()
         if effect.everyday
         for at in different_places(effect, along)
         if at in axes
-    ]
-    found = fit(tuned, settings)
-    assert found is not None
-    return found
+    )
 
 
-def known_of(tuned: Tuned, fitted: Fitted) -> Known:
-    """Return what a fitted set says of friction."""
-    along = tuned.looked[0].beside.along
+def known_of(along: Along, settings: tuple[EffectSetting, ...]) -> Known:
+    """Return what a set of effects says of friction."""
     dry = np.zeros(len(along.joints))
-    for setting in fitted.settings:
+    for setting in settings:
         if effects()[setting.name].kind is FRICTION:
             dry[along.joints.index(joint_at(setting.at, along.settings))] += _at_rest(setting)
-    return Known(fitted.settings, dry)
+    return Known(settings, dry)
 
 
 def _at_rest(setting: EffectSetting) -> float:

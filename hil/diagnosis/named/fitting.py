@@ -70,8 +70,14 @@ class Fitted:
         return inverse
 
 
-def fit(tuned: Tuned, settings: Sequence[EffectSetting], offset: np.ndarray | None = None) -> Fitted | None:
-    """Fit a set of effects from these parameters; None where the machine cannot take them together."""
+def fit(
+    tuned: Tuned, settings: Sequence[EffectSetting], offset: np.ndarray | None = None, weight: float = 1.0, longest: float = np.inf
+) -> Fitted | None:
+    """Fit a set of effects from these parameters; None where the machine cannot take them together.
+
+    `weight` is that of squared innovations, below one while the equations are far off; `longest` is how far a nuisance may go from where
+    the machine was seen, in standard deviations of its prior.
+    """
     settings = tuple(settings)
     offset = tuned.offset.copy() if offset is None else offset
     parameters = tuple(
@@ -81,12 +87,12 @@ def fit(tuned: Tuned, settings: Sequence[EffectSetting], offset: np.ndarray | No
         left, unsure = _left(tuned, settings, offset)
     except EffectError:
         return None
-    cost = _cost(left, offset) + unsure
+    cost = weight * (_cost(left, offset) + unsure) + (1.0 - weight) * float(offset @ offset)
     columns: tuple[np.ndarray, ...] = ()
     for _ in range(ITERATIONS):
         columns = tuple(np.hstack([one.numbers, _derivatives(tuned, one, settings, parameters)]) for one in tuned.looked)
-        step = _step(tuned, settings, offset, parameters, columns, left)
-        taken = _shortened(tuned, settings, offset, parameters, step, cost)
+        step = _step(tuned, settings, offset, parameters, columns, left, weight, longest)
+        taken = _shortened(tuned, settings, offset, parameters, step, cost, weight)
         if taken is None:
             break
         gained = cost - taken[3]
@@ -156,11 +162,11 @@ def _with(setting: EffectSetting, changes: dict[str, float]) -> EffectSetting:
 
 def _step(
     tuned: Tuned, settings: tuple[EffectSetting, ...], offset: np.ndarray, parameters: Sequence[tuple[int, Parameter]],
-    columns: Sequence[np.ndarray], left: Sequence[np.ndarray],
+    columns: Sequence[np.ndarray], left: Sequence[np.ndarray], weight: float, longest: float,
 ) -> np.ndarray:  # fmt: skip
     count = len(offset)
-    squares = sum(each.T @ each for each in columns)
-    slopes = sum(each.T @ rest for each, rest in zip(columns, left, strict=True))
+    squares = weight * sum(each.T @ each for each in columns)
+    slopes = weight * sum(each.T @ rest for each, rest in zip(columns, left, strict=True))
     squares[range(count), range(count)] += 1.0
     slopes[:count] -= offset
     energies = ACCURACY**2 * np.diag(squares).copy()
@@ -171,20 +177,21 @@ def _step(
     squares[range(len(slopes)), range(len(slopes))] += energies
     slopes -= energies * at
     free = tuned.bounds
-    low, high = list(free[0] + tuned.offset - offset), list(free[1] + tuned.offset - offset)
+    low = list(np.maximum(free[0], -longest) + tuned.offset - offset)
+    high = list(np.minimum(free[1], longest) + tuned.offset - offset)
     for k, parameter in parameters:
         value = settings[k].parameters[parameter.name]
-        longest = PHASE_STEP if parameter.unit == PHASE else (STRENGTH_STEP if parameter.is_strength else SHAPE_STEP) * abs(value)
+        most = PHASE_STEP if parameter.unit == PHASE else (STRENGTH_STEP if parameter.is_strength else SHAPE_STEP) * abs(value)
         if value == 0.0 and parameter.unit != PHASE:
-            longest = np.inf if parameter.is_strength else parameter.small
-        low.append(max(parameter.low - value, -longest))
-        high.append(min(parameter.high - value, longest))
+            most = np.inf if parameter.is_strength else parameter.small
+        low.append(max(parameter.low - value, -most))
+        high.append(min(parameter.high - value, most))
     return bounded_least_squares(squares, slopes, np.array(low), np.array(high))
 
 
 def _shortened(
     tuned: Tuned, settings: tuple[EffectSetting, ...], offset: np.ndarray, parameters: Sequence[tuple[int, Parameter]], step: np.ndarray,
-    cost: float,
+    cost: float, weight: float,
 ) -> tuple[tuple[EffectSetting, ...], np.ndarray, tuple[np.ndarray, ...], float] | None:  # fmt: skip
     """Return the first of the step and its halves that lowers the cost; None where none does."""
     for halving in range(HALVINGS):
@@ -198,7 +205,7 @@ def _shortened(
             left, unsure = _left(tuned, moved, further)
         except EffectError:
             continue
-        lower = _cost(left, further) + unsure
+        lower = weight * (_cost(left, further) + unsure) + (1.0 - weight) * float(further @ further)
         if lower < cost:
             return moved, further, left, lower
     return None

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from hil.diagnosis.named.everyday import everyday_fit, known_of
-from hil.diagnosis.named.fitting import Fitted
+from hil.diagnosis.named.everyday import everyday_effects
+from hil.diagnosis.named.fitting import Fitted, fit
 from hil.diagnosis.named.search import Ranked, library, search
+from hil.diagnosis.named.settling import settled
 from hil.diagnosis.observed.groups import Group, groups
 from hil.diagnosis.seen.along import Along
 from hil.diagnosis.seen.beside import Levels
 from hil.diagnosis.seen.levels import repeat_levels
-from hil.diagnosis.tuned.retuning import Tuned, retune, tuned_at
+from hil.diagnosis.tuned.retuning import Tuned, nominal_offset
 from hil.errors import RecordingError
 from hil.machine import Machine
 from hil.recording import Recording
-
-TIMES = 2
-"""That the recordings are seen anew with the friction found so far: how a joint moved near a reversal follows from it, and it from that."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,9 +56,12 @@ def name(machine: Machine, recordings: Mapping[str, Recording]) -> Named:
     levels = repeat_levels(found, alongs)
     if levels is None:
         raise RecordingError("no two recordings are of one experiment: record each one three times, so that they show their noise")
-    tuned = retune(alongs, levels)
-    baseline = everyday_fit(tuned)
-    for _ in range(TIMES):
-        tuned = tuned_at(alongs, levels, baseline.offset, known_of(tuned, baseline))
-        baseline = everyday_fit(tuned)
+    tuned, plain = settled(alongs, levels, nominal_offset(alongs[0]))
+    with_friction, baseline = settled(alongs, levels, plain.offset, everyday_effects(alongs[0]))
+    if baseline.cost + len(baseline.parameters) * math.log(tuned.readings) < plain.cost:
+        tuned = with_friction
+    else:
+        begun = fit(tuned, baseline.settings, baseline.offset)
+        assert begun is not None
+        baseline = begun
     return Named(found, levels, tuned, baseline, tuple(search(tuned, library(tuned), baseline)))

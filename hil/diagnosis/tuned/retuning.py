@@ -12,19 +12,12 @@ from hil.diagnosis.library.columns import Column, Filtered, column
 from hil.diagnosis.seen.along import Along, Motion, Signals
 from hil.diagnosis.seen.beside import Beside, Levels, beside
 from hil.diagnosis.seen.filtering import Whitening
-from hil.diagnosis.tuned.bounded import bounded_least_squares
 from hil.diagnosis.tuned.numbers import TOLERANCE, Numbers, numbers_of
 from virtual_bus.plant.compiled import CompiledPlant
 from virtual_bus.settings import EffectSetting
 
 STEP = 1e-3
 """Of a column's difference, in standard deviations of a number: half the digits of a double are left."""
-ITERATIONS = 8
-"""Most machines arrive in three."""
-SETTLED = 0.01
-"""Standard deviations of a number: a smaller step changes nothing that could be seen."""
-LONGEST = 1.0
-"""Standard deviations of a number's prior: of a step, since the equations are linear in their numbers only nearby."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,15 +60,12 @@ class Tuned:
     offset : (P,) array
         Nuisances in standard deviations of their prior: numbers, then biases of IMU channels.
     looked : tuple of Looked
-    misfits : tuple of float
-        Squared innovations per reading, at every step.
     readings : int
     """
 
     numbers: Numbers
     offset: np.ndarray
     looked: tuple[Looked, ...]
-    misfits: tuple[float, ...]
     readings: int
 
     @property
@@ -121,44 +111,16 @@ class Known:
     dry: np.ndarray
 
 
-def retune(alongs: Sequence[Along], levels: Levels) -> Tuned:
-    """Correct the machine file's numbers so that the recordings' innovations become small.
-
-    While the equations are far off, their error counts as noise: squared innovations are weighed by their mean.
-    """
-    numbers = numbers_of(alongs[0].plant)
-    channels = bias_channels(alongs[0])
-    offset = np.zeros(len(numbers.indices) + len(channels))
-    misfits: list[float] = []
-    best: tuple[float, np.ndarray, tuple[Looked, ...]] | None = None
-    for _ in range(ITERATIONS):
-        looked = tuple(look(along, numbers, offset, levels) for along in alongs)
-        readings = sum(one.whitening.readings for one in looked)
-        energy = sum(float(one.innovations @ one.innovations) for one in looked)
-        misfits.append(energy / readings)
-        cost = energy + float(offset @ offset)
-        if best is None or cost < best[0]:
-            best = (cost, offset, looked)
-        weight = 1.0 / max(1.0, misfits[-1])
-        squares = weight * sum(one.numbers.T @ one.numbers for one in looked) + np.eye(len(offset))
-        slopes = weight * sum(one.numbers.T @ one.innovations for one in looked) - offset
-        low, high = bounds_of(numbers, offset)
-        step = bounded_least_squares(squares, slopes, np.maximum(low, -LONGEST), np.minimum(high, LONGEST))
-        if np.abs(step).max(initial=0.0) < SETTLED:
-            break
-        offset = offset + step
-    assert best is not None
-    _, offset, looked = best
-    return Tuned(numbers, offset, looked, tuple(misfits), readings)
-
-
-def tuned_at(alongs: Sequence[Along], levels: Levels, offset: np.ndarray, known: Known) -> Tuned:
+def tuned_at(alongs: Sequence[Along], levels: Levels, offset: np.ndarray, known: Known | None = None) -> Tuned:
     """Return the machine with these nuisances, seen with what is known of its friction."""
     numbers = numbers_of(alongs[0].plant)
     looked = tuple(look(along, numbers, offset, levels, known) for along in alongs)
-    readings = sum(one.whitening.readings for one in looked)
-    misfit = sum(float(one.innovations @ one.innovations) for one in looked) / readings
-    return Tuned(numbers, offset, looked, (misfit,), readings)
+    return Tuned(numbers, offset, looked, sum(one.whitening.readings for one in looked))
+
+
+def nominal_offset(along: Along) -> np.ndarray:
+    """Return the nuisances (P,) of the machine file: all zero."""
+    return np.zeros(len(numbers_of(along.plant).indices) + len(bias_channels(along)))
 
 
 def look(along: Along, numbers: Numbers, offset: np.ndarray, levels: Levels, known: Known | None = None) -> Looked:

@@ -1,0 +1,288 @@
+"""The controller's law replayed over the recorded reference and position: is the recorded command what the machine file says?
+
+The law is linear in its error and in its states at row 0, so that gain, delay and start are a linear regression, exact to the command's
+last digit. Where it is another law of the same order, its difference equation is one, too (Ljung 1999, Sec. 4.2, without noise).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import scipy.signal
+
+from controllers.settings import AxisController
+from hil.machine import Machine
+from hil.machine.load import machine_from_text
+from hil.recording import Recording
+
+LATEST_ROWS = 16
+"""Of a command that comes late."""
+EXACT = 1e-4
+"""Share of the command's rms that a law may leave and be the law: positions in text files have nine digits, of which a lead takes five."""
+STEPS = 3.0
+"""Times the rms that rounding to the command's own lattice leaves."""
+TOLERANCE = 1e-3
+"""Of a gain: a law whose gain is off by less is the file's, whose numbers have four digits."""
+FEWEST_ROWS_AT_LIMIT = 3
+"""One after the other: a peak has one row."""
+DIGITS = 1e-9
+"""Share of the largest command below which two commands are the same."""
+MOST_STEPS = 1e7
+"""Steps of a lattice that a command's range may have, so that it is one: finer are the digits of a number."""
+
+Status = Literal["as_filed", "differs", "unknown"]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A number that was measured, beside the machine file's; the interval holds it in 95 of 100 cases."""
+
+    value: float | None
+    ci95: tuple[float, float] | None
+    file: float | None
+
+
+@dataclass(frozen=True)
+class AxisAudit:
+    """What the recordings show of one axis's controller.
+
+    Attributes
+    ----------
+    axis : str
+    status : "as_filed", "differs" or "unknown"
+        Unknown where no law of this order gives the recorded command.
+    gain : Measured
+        Of the recorded command over the file's law; negative for a wrong sign.
+    delay_s, saturation, rate_Hz, offset : Measured
+        How late the command is, where it ends, how often it changes, and what it has at row 0 beyond what holds the machine.
+    replayed_rms : float
+        Of what is left beside the best law, in the drive's unit.
+    resolution : float
+        Of the recorded command.
+    said : str
+        In one sentence.
+    """
+
+    axis: str
+    status: Status
+    gain: Measured
+    delay_s: Measured
+    saturation: Measured
+    rate_Hz: Measured
+    offset: Measured
+    replayed_rms: float
+    resolution: float
+    said: str
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """One recording of one axis: what the law takes and gives, row by row."""
+
+    reference: np.ndarray
+    position: np.ndarray
+    added: np.ndarray  # excitation and feedforward, which no law changes
+    command: np.ndarray
+
+
+def audit_controllers(machine: Machine, recordings: Sequence[Recording]) -> list[AxisAudit]:
+    """Audit every axis whose command, reference and position were recorded at the machine's own sample rate."""
+    found = []
+    for i, controller in enumerate(machine.controllers):
+        parts = [part for recording in recordings if (part := _part(machine, recording, controller.axis)) is not None]
+        if parts:
+            found.append(_audit(machine, controller, parts, machine.units[i].effort))
+    return found
+
+
+def controllers_of(machine: Machine, recording: Recording) -> Machine:
+    """Return the machine with the controllers that a recording says it was made with.
+
+    A recording may have been made under a softer controller than the file's; its metadata hold its own machine file.
+    """
+    text = recording.metadata.get("machine", {}).get("text")
+    if not isinstance(text, str) or text == machine.text:
+        return machine
+    own = machine_from_text(text, label="the recording's own machine file")
+    return replace(machine, controllers=own.controllers) if own.axes == machine.axes else machine
+
+
+def _part(machine: Machine, recording: Recording, axis: str) -> _Part | None:
+    names = (f"reference_{axis}", f"position_{axis}", f"command_{axis}")
+    period = 1.0 / machine.sample_rate_Hz
+    if any(name not in recording for name in names) or np.any(np.abs(np.diff(recording.time) - period) > 0.01 * period):
+        return None
+    reference, position, command = (recording[name] for name in names)
+    added = sum((recording[name] for name in (f"excitation_{axis}", f"feedforward_{axis}") if name in recording), np.zeros(len(command)))
+    if not all(np.isfinite(each).all() for each in (reference, position, command, added)):
+        return None
+    return _Part(reference, position, added, command)
+
+
+def _audit(machine: Machine, controller: AxisController, parts: Sequence[_Part], unit: str) -> AxisAudit:
+    period = 1.0 / machine.sample_rate_Hz
+    commands = np.concatenate([part.command for part in parts])
+    resolution = command_resolution(commands)
+    limit = _limit(parts, resolution)
+    free = [_free_rows(part, min(limit or np.inf, controller.limit), resolution) for part in parts]
+    held = _rows_held(parts, free, resolution)
+    enough = STEPS * resolution / np.sqrt(12.0) + EXACT * float(np.sqrt(np.mean(commands**2)))
+    delays = [_regressed(controller, parts, free, delay) for delay in range(LATEST_ROWS + 1)]
+    delay = int(np.argmin([each[2] for each in delays]))
+    gain, deviation, rms, offset = delays[delay]
+    saturates = limit is not None and limit < controller.limit * (1.0 - TOLERANCE)
+    status: Status = "unknown"
+    said = f"{controller.axis}: no law of the file's order gives the recorded command; {rms:.2g} {unit} rms are left of it"
+    if rms <= enough:
+        wrong = []
+        if abs(gain - 1.0) > max(TOLERANCE, 2.0 * deviation):
+            wrong.append(f"{gain:.3f} times what the file's controller computes from the recorded reference and position")
+        if delay:
+            wrong.append(f"{delay} rows ({1e3 * delay * period:.3g} ms) late")
+        if saturates:
+            wrong.append(f"limited to {limit:.4g} {unit}; the file says {controller.limit:.4g} {unit}")
+        status = "differs" if wrong else "as_filed"
+        said = f"{controller.axis}: the recorded command is " + (", ".join(wrong) if wrong else "what the file's controller computes")
+        said += f" (residual {rms:.1g} {unit})"
+    elif held > 1:
+        status = "differs"
+        rate = machine.sample_rate_Hz / held
+        said = f"{controller.axis}: the recorded command changes every {held} rows: the controller runs at {rate:.4g} Hz, not the file's"
+        said += f" {machine.sample_rate_Hz:.4g} Hz"
+    elif _another_law(controller, parts, free) <= enough:
+        status = "differs"
+        said = f"{controller.axis}: the recorded command is that of another law than the file's, of the same order"
+    return AxisAudit(
+        controller.axis,
+        status,
+        Measured(gain, (gain - 1.96 * deviation, gain + 1.96 * deviation), 1.0),
+        Measured(delay * period, None, 0.0),
+        Measured(limit, None, controller.limit),
+        Measured(machine.sample_rate_Hz / held, None, machine.sample_rate_Hz),
+        Measured(offset, None, None),
+        rms,
+        resolution,
+        said,
+    )
+
+
+def command_resolution(commands: np.ndarray) -> float:
+    """Return the step of the lattice that commands lie on; their last digits where they lie on none."""
+    largest = float(np.abs(commands).max(initial=0.0))
+    steps = np.diff(np.unique(commands))
+    steps = steps[steps > DIGITS * largest]
+    if not steps.size:
+        return DIGITS * largest
+    step = float(steps.min())
+    on_lattice = np.abs(commands / step - np.round(commands / step)).max() < 1e-3
+    return step if on_lattice and largest / step < MOST_STEPS else DIGITS * largest
+
+
+def _rows_held(parts: Sequence[_Part], free: Sequence[np.ndarray], resolution: float) -> int:
+    """Return after how many rows the law's part of the command changes, at most."""
+    gaps = []
+    for part, rows in zip(parts, free, strict=True):
+        changes = (np.abs(np.diff(part.command - part.added)) > 0.5 * resolution) & rows[1:] & rows[:-1]
+        gaps.append(np.diff(np.flatnonzero(changes)))
+    every = np.concatenate(gaps)
+    return int(np.gcd.reduce(every)) if every.size > 1 else 1
+
+
+def _limit(parts: Sequence[_Part], resolution: float) -> float | None:
+    """Return where the commands end, for some rows on end; None where they end nowhere."""
+    largest = max(float(np.abs(part.command).max(initial=0.0)) for part in parts)
+    close = max(1e-3 * resolution, DIGITS * largest)
+    for part in parts:
+        at_limit = np.abs(np.abs(part.command) - largest) <= close
+        runs = np.diff(np.flatnonzero(np.diff(np.concatenate([[False], at_limit, [False]]).astype(int))))[::2]
+        if largest > 0.0 and runs.size and runs.max() >= FEWEST_ROWS_AT_LIMIT:
+            return largest
+    return None
+
+
+def _free_rows(part: _Part, limit: float, resolution: float) -> np.ndarray:
+    """Return the rows whose command is within its limit."""
+    free: np.ndarray = np.abs(part.command) < limit - max(resolution, DIGITS * limit)
+    return free
+
+
+def _regressed(
+    controller: AxisController, parts: Sequence[_Part], free: Sequence[np.ndarray], delay: int
+) -> tuple[float, float, float, float]:
+    """Return gain, its standard deviation, the rms that is left, and the start's part of the command, for a law so many rows late."""
+    columns, targets, starts = [], [], []
+    states = _zero_input(controller, max(len(part.command) for part in parts))
+    width = states.shape[1]
+    for number, (part, rows) in enumerate(zip(parts, free, strict=True)):
+        law = _late(_law(controller, part), delay)
+        own = np.zeros((len(law), width * len(parts)))
+        own[delay:, width * number : width * (number + 1)] = states[: len(law) - delay]
+        used = rows & (np.arange(len(law)) >= delay)
+        columns.append(np.column_stack([law, own])[used])
+        targets.append((part.command - part.added)[used])
+        starts.append(states[: len(law)])
+    matrix, target = np.vstack(columns), np.concatenate(targets)
+    if len(target) < 2 * matrix.shape[1]:
+        return float("nan"), float("nan"), np.inf, float("nan")
+    scale = np.sqrt(np.sum(matrix**2, axis=0))
+    scale[scale == 0.0] = 1.0
+    u, s, vt = np.linalg.svd(matrix / scale, full_matrices=False)
+    kept = s > 1e-12 * s[0]
+    weights = (vt[kept].T @ ((u[:, kept].T @ target) / s[kept])) / scale
+    left = target - matrix @ weights
+    rms = float(np.sqrt(np.mean(left**2)))
+    variance = float(np.sum((vt[kept][:, 0] / s[kept]) ** 2)) / scale[0] ** 2
+    offset = float(starts[0][0] @ weights[1 : 1 + width])
+    return float(weights[0]), rms * float(np.sqrt(variance)), rms, offset
+
+
+def _law(controller: AxisController, part: _Part) -> np.ndarray:
+    """Return the file's law from rest."""
+    if controller.reference_sections is None:
+        law: np.ndarray = scipy.signal.sosfilt(controller.position_sections, part.reference - part.position)
+        return law
+    asked = scipy.signal.sosfilt(controller.reference_sections, part.reference)
+    law = asked - scipy.signal.sosfilt(controller.position_sections, part.position)
+    return law
+
+
+def _late(values: np.ndarray, rows: int) -> np.ndarray:
+    return np.concatenate([np.zeros(rows), values[: len(values) - rows]])
+
+
+def _zero_input(controller: AxisController, rows: int) -> np.ndarray:
+    """Return what every state at row 0 adds to the command (rows, states)."""
+    found = []
+    for sections in (controller.position_sections, controller.reference_sections):
+        if sections is None:
+            continue
+        for section in range(len(sections)):
+            for state in range(2):
+                start = np.zeros((len(sections), 2))
+                start[section, state] = 1.0
+                found.append(scipy.signal.sosfilt(sections, np.zeros(rows), zi=start)[0])
+    return np.column_stack(found)
+
+
+def _another_law(controller: AxisController, parts: Sequence[_Part], free: Sequence[np.ndarray]) -> float:
+    """Return the rms that the best difference equation of the file's order leaves of the command's change by it."""
+    order = 2 * max(len(controller.position_sections), 0 if controller.reference_sections is None else len(controller.reference_sections))
+    columns, targets = [], []
+    for part, rows in zip(parts, free, strict=True):
+        output = part.command - part.added
+        inputs = [part.reference - part.position] if controller.reference_sections is None else [part.reference, part.position]
+        lags = [np.roll(output, k) for k in range(1, order + 1)] + [np.roll(each, k) for each in inputs for k in range(order + 1)]
+        used = rows & (np.arange(len(output)) >= order)
+        for k in range(1, order + 1):
+            used &= np.roll(rows, k)
+        columns.append(np.column_stack(lags)[used])
+        targets.append(output[used])
+    matrix, target = np.vstack(columns), np.concatenate(targets)
+    if len(target) < 3 * matrix.shape[1]:
+        return np.inf
+    scale = np.sqrt(np.sum(matrix**2, axis=0)) + 1e-300
+    weights = np.linalg.lstsq(matrix / scale, target, rcond=1e-13)[0] / scale
+    return float(np.sqrt(np.mean((target - matrix @ weights) ** 2)))

@@ -1,0 +1,56 @@
+"""Numbers and a set of effects fitted for good: seen anew, and fitted anew, until nothing changes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hil.diagnosis.named.everyday import known_of
+from hil.diagnosis.named.fitting import Fitted, fit
+from hil.diagnosis.seen.along import Along
+from hil.diagnosis.seen.beside import Levels
+from hil.diagnosis.tuned.retuning import Tuned, tuned_at
+from virtual_bus.settings import EffectSetting
+
+ITERATIONS = 8
+"""Most machines arrive in three."""
+LONGEST = 1.0
+"""Standard deviations of a number's prior: how far it may go before the machine is seen anew, since equations are linear nearby only."""
+SETTLED = 1.0
+"""Decrease of the cost, in units of noise, below which nothing changes."""
+
+
+def settled(alongs: Sequence[Along], levels: Levels, offset: np.ndarray, settings: Sequence[EffectSetting] = ()) -> tuple[Tuned, Fitted]:
+    """Return the machine where numbers and effects fit best, and the fit there.
+
+    While the equations are far off, their error counts as noise: squared innovations are weighed by their mean. A step that makes the
+    machine that is seen anew worse is halved.
+    """
+    settings = tuple(settings)
+    best: tuple[float, Tuned, Fitted] | None = None
+    longest = LONGEST
+    for _ in range(ITERATIONS):
+        known = known_of(alongs[0], settings) if settings else None
+        tuned = tuned_at(alongs, levels, offset, known)
+        here = fit(tuned, settings, offset, longest=0.0)
+        if here is None:
+            break
+        gained = np.inf if best is None else best[0] - here.cost
+        if best is None or gained > 0.0:
+            best = (here.cost, tuned, here)
+        else:
+            longest *= 0.3
+        _, tuned, here = best
+        if 0.0 < gained < SETTLED or longest < 0.02:
+            break
+        weight = 1.0 / max(1.0, sum(float(each @ each) for each in here.innovations) / tuned.readings)
+        further = fit(tuned, here.settings, here.offset, weight, longest)
+        if further is None:
+            break
+        offset, settings = further.offset, further.settings
+    assert best is not None
+    _, tuned, _ = best
+    last = fit(tuned, best[2].settings, best[2].offset)
+    assert last is not None
+    return tuned, last
