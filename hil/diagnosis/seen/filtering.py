@@ -2,7 +2,7 @@
 
 The state is what the machine does beside that motion: deviations of the joints' positions and speeds, a disturbance on every joint
 (first-order Gauss-Markov), and the IMUs' low passes. Its innovations are white with unit variance where the equations are right; a missing
-term leaves in them what its column, filtered alike, has. Linearised Kalman filter: Anderson and Moore 1979, Secs. 3.1 and 8.2.
+term leaves in them what its column, filtered alike, has. Linearised Kalman filter: Anderson and Moore 1979, chapters 3 and 8.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Position, speed and acceleration of one joint from its samples: a Kalman smoother whose jerk is constant between rows and white.
 
-Rauch, Tung and Striebel 1965; the process is the piecewise constant one of Bar-Shalom, Li, Kirubarajan 2001, Sec. 6.3: the smoothed
+Rauch, Tung and Striebel 1965; the process is the piecewise constant one of Bar-Shalom, Li, Kirubarajan 2001, chapter 6: the smoothed
 acceleration is linear between rows, exactly, and speed and position are its integrals. Samples may be uneven or missing. The jerk's level,
 which is the smoother's bandwidth, is the likeliest one; so is the noise of the samples, which is no less than their resolution makes it.
 """
