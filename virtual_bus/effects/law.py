@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -68,8 +67,10 @@ class Place:
 
         An order is left out where the joint does not pass a whole period of it.
         """
-        least = next(order for order in itertools.count(1) if self.shows_order(order * per_turn))
-        orders = np.arange(least, most + 1, dtype=float)
+        least = math.ceil(2.0 * math.pi / (self.travel * per_turn))
+        orders = np.arange(max(least, 1), most + 1, dtype=float)
+        if not orders.size:
+            return []
         centred = self.missing - self.missing.mean()
         power = np.array([abs(np.sum(centred * np.exp(-1j * order * per_turn * self.position))) for order in orders])
         return _peaks(orders, power)
