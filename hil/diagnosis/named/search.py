@@ -17,6 +17,8 @@ from virtual_bus.effects.registry import effects
 OWN = 1e-6
 """Share of a column's square that must be its own, and not that of numbers and effects that are fitted already: columns are kept in single
 precision."""
+FORM = 0.1
+"""Relative error of a law: friction, springs and motors of real machines follow the catalogue's curves to a tenth or so."""
 DEPTH = 3
 """Effects in a set at most."""
 PROPOSED = 6
@@ -57,15 +59,13 @@ def search(tuned: Tuned, laws: Sequence[Entry], baseline: Fitted) -> list[Ranked
     columns = [one.whiten([c for law in laws for c in law.columns[g]]) for g, one in enumerate(tuned.looked)]
     squares = sum(each.T @ each for each in columns)
     places = {(law.effect.name, law.at) for law in laws}
-    readings = tuned.readings
-
-    def price(fitted: Fitted) -> float:
-        """Bayesian information criterion, extended by the number of sets that there are (Chen and Chen 2008)."""
-        size = len(fitted.settings)
-        return len(fitted.parameters) * math.log(readings) + 2.0 * math.log(math.comb(max(len(places), size), size))
 
     start = fit(tuned, ())
     assert start is not None
+
+    def price(fitted: Fitted) -> float:
+        return _price(fitted, start.cost, tuned.readings, len(places))
+
     found: dict[frozenset[tuple[str, str]], Ranked] = {start.names: Ranked(start, price(start))}
     beam = [start]
     shorter: Fitted | None = baseline
@@ -93,6 +93,19 @@ def search(tuned: Tuned, laws: Sequence[Entry], baseline: Fitted) -> list[Ranked
             break
         beam = [each.fitted for each in further[:KEPT]]
     return sorted(found.values(), key=lambda each: each.cost)
+
+
+def _price(fitted: Fitted, cost_of_nothing: float, readings: int, places: int) -> float:
+    """Return the price of a set of effects.
+
+    It is the Bayesian information criterion, extended by the number of sets that there are (Chen and Chen 2008). An effect beside others
+    must explain more than what their laws may be wrong by; only the everyday ones are free of that beside each other.
+    """
+    size = len(fitted.settings)
+    bought = len(fitted.parameters) * math.log(readings) + 2.0 * math.log(math.comb(max(places, size), size))
+    special = sum(not effects()[setting.name].everyday for setting in fitted.settings)
+    beside = special - 1 if special == size else special
+    return bought + max(beside, 0) * FORM**2 * max(cost_of_nothing - fitted.cost, 0.0)
 
 
 def _proposed(fitted: Fitted, laws: Sequence[Entry], columns: Sequence[np.ndarray], squares: np.ndarray) -> list[tuple[Entry, np.ndarray]]:
