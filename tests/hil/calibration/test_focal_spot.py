@@ -37,7 +37,7 @@ def test_the_anode_shows_at_its_alias_with_its_own_amplitude() -> None:
     assert seen.drift_m[0] == pytest.approx(8e-6 * (1.0 - np.exp(-7.8 / 4.0)), rel=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_command_measures_the_emulated_tube(tmp_path: Path) -> None:
     still = ["run", "static", "-m", "carm", "-b", "lockstep:", "--seconds", "1.2", "--truth", tmp_path / "t.csv", "-o", tmp_path / "r.mf4"]
     assert isocenter(*still) == 0

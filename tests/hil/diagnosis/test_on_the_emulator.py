@@ -31,7 +31,7 @@ def answer(folder, hidden):
     return diagnose(machine, recordings, held_out, look_further=False).diagnosis
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_hidden_friction_comes_first_with_its_strength(tmp_path):
     hidden = tmp_path / "hidden.toml"
     hidden.write_text(FRICTION)

@@ -43,6 +43,7 @@ def read_along(run: subprocess.Popen[str]) -> LatestEstimate | None:
     return seen
 
 
+@pytest.mark.nightly
 def test_estimates_are_published_recorded_and_repeated(machine: Machine, design: ObserverDesign, tmp_path: Path) -> None:
     text = re.sub(r"(?ms)^\[bus\.io\].*?(?=^\[|\Z)", "", machine.text)
     for key, value in PATIENT.items():
