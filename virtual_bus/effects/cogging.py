@@ -55,8 +55,9 @@ def guess(residual: Residual) -> tuple[float, float, float, float, float]:
 
 
 def laws(place: Place) -> list[Law]:
-    """Return orders of the motor's turn, each with twice the order."""
-    return [_of_order(order) for order in place.orders(place.ratio)]
+    """Return orders of the motor's turn, alone and with twice the order."""
+    orders = place.orders(place.ratio)
+    return [wave("A1", "phi1", Np=order, A2=0.0, phi2=0.0) for order in orders] + [_of_order(order) for order in orders]
 
 
 def _of_order(order: float) -> Law:

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from virtual_bus.effects.effect import CALIBRATION, Effect, Parameter
-from virtual_bus.effects.law import Law, Place, each
+from virtual_bus.effects.law import Law, Place, each, one
 from virtual_bus.effects.residual import Residual
 
 EFFECT = Effect(
@@ -45,5 +45,7 @@ def guess(residual: Residual) -> tuple[float, float, float]:
 
 
 def laws(place: Place) -> list[Law]:
-    """Return a small rotation."""
-    return [each(("rx", "ry", "rz"), 0.01, both_signs=True)]
+    """Return a small turn about one axis, or any."""
+    names = ("rx", "ry", "rz")
+    singles = [one(name, 0.01, both_signs=True, **{other: 0.0 for other in names if other != name}) for name in names]
+    return [*singles, each(names, 0.01, both_signs=True)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from virtual_bus.effects.effect import CALIBRATION, Effect, Parameter
-from virtual_bus.effects.law import Law, Place, each
+from virtual_bus.effects.law import Law, Place, each, one
 from virtual_bus.effects.residual import Residual, fitted
 
 EFFECT = Effect(
@@ -49,5 +49,8 @@ def guess(residual: Residual) -> tuple[float, float, float, float, float, float,
 
 
 def laws(place: Place) -> list[Law]:
-    """Return scales and biases."""
-    return [each(("sx", "sy", "sz", "bx", "by", "bz", "sg", "bg"), 0.01, both_signs=True)]
+    """Return one scale or bias, or all of them."""
+    names = ("sx", "sy", "sz", "bx", "by", "bz", "sg", "bg")
+    rest = dict.fromkeys(names, 0.0)
+    singles = [one(name, 0.01, both_signs=True, **{other: 0.0 for other in rest if other != name}) for name in names]
+    return [*singles, each(names, 0.01, both_signs=True)]

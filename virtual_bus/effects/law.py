@@ -11,6 +11,8 @@ import scipy.fft
 
 MOST_ORDERS = 200
 """Of a motor's turn: one of 36 slots and 48 poles has 144."""
+PERIODS = 64
+"""Of a wave within the way that a joint slides, at most."""
 TRIED = 4
 """Orders and lines that hypotheses begin from: among the strongest four is the right one, where it explains more than its neighbours."""
 
@@ -39,6 +41,8 @@ class Place:
         Of a row, and of the longest recording.
     is_seen_twice : bool
         Whether another sensor than the motor's encoder reads the joint's motion.
+    is_prismatic : bool
+        Whether the joint slides.
     position, missing : (N,) arrays
         The joint's position, and the effort on it that no equation explains [Nm or N].
     """
@@ -54,6 +58,7 @@ class Place:
     period_s: float
     duration_s: float
     is_seen_twice: bool
+    is_prismatic: bool
     position: np.ndarray
     missing: np.ndarray
 
@@ -68,6 +73,8 @@ class Place:
         An order is left out where the joint does not pass a whole period of it.
         """
         least = math.ceil(2.0 * math.pi / (self.travel * per_turn))
+        if self.is_prismatic:  # orders per radian of a metre: there is no turn that would limit them
+            most = PERIODS * least
         orders = np.arange(max(least, 1), most + 1, dtype=float)
         if not orders.size:
             return []

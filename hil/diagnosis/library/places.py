@@ -67,6 +67,7 @@ def place_of(
         period_s=first.observed.period_s,
         duration_s=max(float(along.observed.time[-1]) for along in alongs),
         is_seen_twice=joint is not None and _seen_twice(first, joint),
+        is_prismatic=settings.tree.joints[j].kind == "prismatic",
         position=position,
         missing=short,
     )

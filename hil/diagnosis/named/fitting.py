@@ -102,6 +102,18 @@ def fit(
     return Fitted(settings, offset, cost, left, columns, parameters)
 
 
+def _free(setting: EffectSetting) -> list[Parameter]:
+    """Return the parameters of an effect that are fitted.
+
+    A strength that a law leaves at its neutral value stays there, unless all do.
+    """
+    parameters = [parameter for parameter in effects()[setting.name].parameters if not parameter.fixed]
+    acting = [parameter for parameter in parameters if parameter.is_strength and setting.parameters[parameter.name] != parameter.neutral]
+    if not acting:
+        return parameters
+    return [parameter for parameter in parameters if not parameter.is_strength or parameter in acting]
+
+
 def _left(tuned: Tuned, settings: tuple[EffectSetting, ...], offset: np.ndarray) -> tuple[tuple[np.ndarray, ...], float]:
     """Return the innovations that a set of effects and a change of the nuisances leave, and how unsure their energy is."""
     left = []

@@ -79,7 +79,7 @@ def search(tuned: Tuned, laws: Sequence[Entry], baseline: Fitted) -> list[Ranked
     for _ in range(DEPTH):
         further: list[Ranked] = []
         for fitted in beam:
-            for law, weights in _proposed(fitted, laws, columns, squares):
+            for law, weights in _proposed(fitted, laws, columns, squares, tuned.readings):
                 names = fitted.names | {(law.effect.name, law.at)}
                 if names in found:
                     continue
@@ -108,7 +108,9 @@ def _price(fitted: Fitted, cost_of_nothing: float, readings: int, places: int) -
     return bought + max(beside, 0) * FORM**2 * max(cost_of_nothing - fitted.cost, 0.0)
 
 
-def _proposed(fitted: Fitted, laws: Sequence[Entry], columns: Sequence[np.ndarray], squares: np.ndarray) -> list[tuple[Entry, np.ndarray]]:
+def _proposed(
+    fitted: Fitted, laws: Sequence[Entry], columns: Sequence[np.ndarray], squares: np.ndarray, readings: int
+) -> list[tuple[Entry, np.ndarray]]:
     """Return the laws that would explain most beside a fitted set, one an effect and place, with their weights."""
     own = sum(each.T @ each for each in fitted.columns)
     own = own + np.diag(np.append(np.ones(len(fitted.offset)), np.zeros(len(own) - len(fitted.offset))))
@@ -136,11 +138,11 @@ def _proposed(fitted: Fitted, laws: Sequence[Entry], columns: Sequence[np.ndarra
             weights = bounded_least_squares(reduced, pull, low, high)
         except np.linalg.LinAlgError:
             continue
-        gain = float(2.0 * pull @ weights - weights @ reduced @ weights)
+        gain = float(2.0 * pull @ weights - weights @ reduced @ weights) - law.width * math.log(readings)
         if name not in best or gain > best[name][0]:
             best[name] = (gain, law, weights)
     ordered = sorted(best.values(), key=lambda each: -each[0])
-    return [(law, weights) for gain, law, weights in ordered[:PROPOSED] if gain > 2.0 * math.log(max(len(best), 1))]
+    return [(law, weights) for gain, law, weights in ordered[:PROPOSED] if gain > 0.0]
 
 
 def families(fitted: Fitted) -> frozenset[tuple[str, str]]:

@@ -13,11 +13,17 @@ from hil.diagnosis.seen.along import Along, Motion, Signals
 from hil.diagnosis.seen.beside import Beside, Levels, beside
 from hil.diagnosis.seen.filtering import Whitening
 from hil.diagnosis.tuned.numbers import TOLERANCE, Numbers, numbers_of
+from virtual_bus.effects.places import imu_channel_names
 from virtual_bus.plant.compiled import CompiledPlant
 from virtual_bus.settings import EffectSetting
 
 STEP = 1e-3
 """Of a column's difference, in standard deviations of a number: half the digits of a double are left."""
+
+
+BIAS = 0.1
+"""Standard deviation of an IMU channel's bias beside the machine file's, in units of the noise of a reading: what is larger is the effect
+of that name. At least a step of its lattice."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,6 +200,19 @@ def bias_channels(along: Along) -> list[int]:
 
 
 def bias_columns(along: Along, levels: Levels) -> list[Column]:
-    """Return a constant on every IMU channel, as large as the noise of one of its readings."""
+    """Return a constant on every IMU channel, in units of what a machine file's bias may be off by."""
     ones = np.ones(along.observed.rows, dtype=np.float32)
-    return [Column({}, {c: ones * np.float32(levels.sensors[c])}) for c in bias_channels(along)]
+    steps = _imu_steps(along)
+    return [
+        Column({}, {c: ones * np.float32(max(steps[along.observed.channels[c]], BIAS * levels.sensors[c]))}) for c in bias_channels(along)
+    ]
+
+
+def _imu_steps(along: Along) -> dict[str, float]:
+    """Return the resolution of every IMU channel."""
+    steps = [
+        resolution
+        for imu in along.settings.imus
+        for resolution in 3 * [imu.accelerometer_resolution_m_s2] + 3 * [imu.gyro_resolution_rad_s]
+    ]
+    return dict(zip(imu_channel_names(along.settings), steps, strict=True))
