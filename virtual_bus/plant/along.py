@@ -95,11 +95,15 @@ def linearise(model, work, positions, speeds, accelerations, inverses, stiffness
 '''
 
 
+def along_sources() -> str:
+    """Return the source of everything that `along_module` is compiled from."""
+    return "\n".join(inspect.getsource(module) for module in (*DEPENDENCIES, sys.modules[__name__])) + sensor_sources()
+
+
 def along_module(plant: CompiledPlant) -> ModuleType:
     """Return the module with `efforts`, `readings`, `carry`, `drive`, `sense` and `linearise`, compiled once and cached."""
-    sources = "\n".join(inspect.getsource(module) for module in (*DEPENDENCIES, sys.modules[__name__])) + sensor_sources()
     text = ENTRY_POINTS.replace("EFFECTS", compiled_effects().__name__).replace("SENSORS", compiled_sensors().__name__)
-    return plant.fuse("along", text, sources)
+    return plant.fuse("along", text, along_sources())
 
 
 @compiled
