@@ -41,6 +41,8 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("[].at, neighbours", "list", "Kinds of place, and effects it is mistaken for."),
         Entry("[].needs", "text", "`spring` or `neighbour`, where the place needs one."),
         Entry("[].several", "text", "Parameter in which several at one place differ."),
+        Entry("[].family, parent", "text", "Laws that are hard to tell from each other, and the effect that this one refines."),
+        Entry("[].everyday", "true or false", "Whether an engineer's first fit has it."),
         Entry(
             "[].parameters",
             "list",

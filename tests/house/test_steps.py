@@ -12,7 +12,7 @@ STEPS = (
     "audit",
     "observed",
     "seen",
-    "library",
+    "candidates",
     "tuned",
     "named",
     "recorded",

@@ -107,7 +107,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Effect:
-    """One kind of physics by name. Its file is virtual_bus/effects/<name>.py and holds EFFECT, the kind's hook and `guess`."""
+    """One kind of physics by name. Its file is virtual_bus/effects/<name>.py and holds EFFECT, the kind's hook, `guess` and `laws`."""
 
     name: str
     kind: EffectKind
@@ -117,6 +117,6 @@ class Effect:
     neighbours: tuple[str, ...]  # what it is mistaken for
     source: str
     family: str  # effects that recordings often tell apart from all others but not from each other
-    parent: str = ""  # the effect that this one refines: it is not looked for alone
+    parent: str = ""  # the effect that this one refines
     everyday: bool = False  # what an engineer's first fit has at every driven joint
     several: str = ""  # the parameter in which several at one place differ; "" where there is but one

@@ -67,14 +67,13 @@ class Place:
         """Range of positions, at least a billionth."""
         return max(self.high - self.low, 1e-9)
 
-    def orders(self, per_turn: float = 1.0, most: int = MOST_ORDERS) -> list[float]:
+    def orders(self, per_turn: float = 1.0) -> list[float]:
         """Return the orders, as whole numbers of periods per `per_turn`-th of a turn, over which most is missing.
 
         An order is left out where the joint does not pass a whole period of it.
         """
         least = math.ceil(2.0 * math.pi / (self.travel * per_turn))
-        if self.is_prismatic:  # orders per radian of a metre: there is no turn that would limit them
-            most = PERIODS * least
+        most = PERIODS * least if self.is_prismatic else MOST_ORDERS  # a joint that slides has no turn that would limit them
         orders = np.arange(max(least, 1), most + 1, dtype=float)
         if not orders.size:
             return []

@@ -21,11 +21,11 @@ def _modules() -> dict[str, ModuleType]:
         module = importlib.import_module(f"{__package__}.{entry.name}")
         effect = getattr(module, "EFFECT", None)
         if isinstance(effect, Effect):
-            complete = hasattr(module, effect.kind.function) and hasattr(module, "guess")
+            complete = all(hasattr(module, hook) for hook in (effect.kind.function, "guess", "laws"))
             if effect.name != entry.name or len(effect.parameters) > MAX_PARAMETERS or not complete:
                 raise ImportError(
                     f"{module.__name__}: EFFECT must be named {entry.name!r}, have at most {MAX_PARAMETERS} parameters and define "
-                    f"{effect.kind.function} and guess"
+                    f"{effect.kind.function}, guess and laws"
                 )
             found[effect.name] = module
     return found
@@ -107,6 +107,9 @@ def catalogue() -> list[dict[str, object]]:
             "convention": effect.convention,
             "neighbours": list(effect.neighbours),
             "source": effect.source,
+            "family": effect.family,
+            "parent": effect.parent,
+            "everyday": effect.everyday,
             "several": effect.several,
         }
         for effect in effects().values()

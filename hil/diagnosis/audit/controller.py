@@ -17,6 +17,7 @@ from controllers.settings import AxisController
 from hil.machine import Machine
 from hil.machine.load import machine_from_text
 from hil.recording import Recording
+from hil.recording.model import UNEQUAL_STEP
 
 LATEST_ROWS = 16
 """Of a command that comes late."""
@@ -113,7 +114,7 @@ def controllers_of(machine: Machine, recording: Recording) -> Machine:
 def _part(machine: Machine, recording: Recording, axis: str) -> _Part | None:
     names = (f"reference_{axis}", f"position_{axis}", f"command_{axis}")
     period = 1.0 / machine.sample_rate_Hz
-    if any(name not in recording for name in names) or np.any(np.abs(np.diff(recording.time) - period) > 0.01 * period):
+    if any(name not in recording for name in names) or np.any(np.abs(np.diff(recording.time) - period) > UNEQUAL_STEP * period):
         return None
     reference, position, command = (recording[name] for name in names)
     added = sum((recording[name] for name in (f"excitation_{axis}", f"feedforward_{axis}") if name in recording), np.zeros(len(command)))
@@ -136,7 +137,9 @@ def _audit(machine: Machine, controller: AxisController, parts: Sequence[_Part],
     saturates = limit is not None and limit < controller.limit * (1.0 - TOLERANCE)
     status: Status = "unknown"
     said = f"{controller.axis}: no law of the file's order gives the recorded command; {rms:.2g} {unit} rms are left of it"
-    if rms <= enough:
+    if not np.isfinite(rms):
+        said = f"{controller.axis}: too few rows of the command are within its limit to say which law gives it"
+    elif rms <= enough:
         wrong = []
         if abs(gain - 1.0) > max(TOLERANCE, 2.0 * deviation):
             wrong.append(f"{gain:.3f} times what the file's controller computes from the recorded reference and position")
@@ -158,11 +161,11 @@ def _audit(machine: Machine, controller: AxisController, parts: Sequence[_Part],
     return AxisAudit(
         controller.axis,
         status,
-        Measured(gain, (gain - 1.96 * deviation, gain + 1.96 * deviation), 1.0),
+        Measured(gain, (gain - 1.96 * deviation, gain + 1.96 * deviation), 1.0) if np.isfinite(rms) else Measured(None, None, 1.0),
         Measured(delay * period, None, 0.0),
         Measured(limit, None, controller.limit),
         Measured(machine.sample_rate_Hz / held, None, machine.sample_rate_Hz),
-        Measured(offset, None, None),
+        Measured(offset if np.isfinite(rms) else None, None, None),
         rms,
         resolution,
         said,

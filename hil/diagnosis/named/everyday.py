@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.diagnosis.library.entries import different_places, setting_of
+from hil.diagnosis.candidates.entries import different_places, setting_of
 from hil.diagnosis.seen.along import Along
 from hil.diagnosis.tuned.retuning import Known
 from virtual_bus.effects.effect import FRICTION

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.diagnosis.library.columns import column
-from hil.diagnosis.library.entries import setting_of
+from hil.diagnosis.candidates.columns import column
+from hil.diagnosis.candidates.entries import setting_of
 from hil.diagnosis.tuned.bounded import bounded_least_squares
 from hil.diagnosis.tuned.retuning import Looked, Tuned
 from virtual_bus.effects.effect import PHASE, Parameter
@@ -60,15 +60,6 @@ class Fitted:
         """Effect and place of each."""
         return frozenset((setting.name, setting.at) for setting in self.settings)
 
-    @property
-    def covariance(self) -> np.ndarray:
-        """Covariance (P + Q, P + Q) of nuisances and parameters."""
-        squares = sum(each.T @ each for each in self.columns)
-        squares = squares + np.diag(np.append(np.ones(len(self.offset)), np.zeros(len(squares) - len(self.offset))))
-        scale = np.sqrt(np.maximum(np.diag(squares), 1e-300))
-        inverse: np.ndarray = np.linalg.pinv(squares / scale[:, None] / scale, hermitian=True) / scale[:, None] / scale
-        return inverse
-
 
 def fit(
     tuned: Tuned, settings: Sequence[EffectSetting], offset: np.ndarray | None = None, weight: float = 1.0, longest: float = np.inf
@@ -80,9 +71,7 @@ def fit(
     """
     settings = tuple(settings)
     offset = tuned.offset.copy() if offset is None else offset
-    parameters = tuple(
-        (k, parameter) for k, setting in enumerate(settings) for parameter in effects()[setting.name].parameters if not parameter.fixed
-    )
+    parameters = tuple((k, parameter) for k, setting in enumerate(settings) for parameter in _free(setting))
     try:
         left, unsure = _left(tuned, settings, offset)
     except EffectError:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.diagnosis.library.entries import Entry, entries
+from hil.diagnosis.candidates.entries import Entry, entries
 from hil.diagnosis.named.fitting import Fitted, fit
 from hil.diagnosis.tuned.bounded import bounded_least_squares
 from hil.diagnosis.tuned.retuning import Tuned
@@ -143,8 +143,3 @@ def _proposed(
             best[name] = (gain, law, weights)
     ordered = sorted(best.values(), key=lambda each: -each[0])
     return [(law, weights) for gain, law, weights in ordered[:PROPOSED] if gain > 0.0]
-
-
-def families(fitted: Fitted) -> frozenset[tuple[str, str]]:
-    """Return family and place of each effect."""
-    return frozenset((effects()[setting.name].family, setting.at) for setting in fitted.settings)

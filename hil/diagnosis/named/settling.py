@@ -17,6 +17,8 @@ ITERATIONS = 8
 """Most machines arrive in three."""
 LONGEST = 1.0
 """Standard deviations of a number's prior: how far it may go before the machine is seen anew, since equations are linear nearby only."""
+SHORTENED, SHORTEST = 0.3, 0.02
+"""Of a step that was too long, and where shortening ends, in standard deviations of a number's prior."""
 SETTLED = 1.0
 """Decrease of the cost, in units of noise, below which nothing changes."""
 
@@ -25,7 +27,7 @@ def settled(alongs: Sequence[Along], levels: Levels, offset: np.ndarray, setting
     """Return the machine where numbers and effects fit best, and the fit there.
 
     While the equations are far off, their error counts as noise: squared innovations are weighed by their mean. A step that makes the
-    machine that is seen anew worse is halved.
+    machine that is seen anew worse is shortened.
     """
     settings = tuple(settings)
     best: tuple[float, Tuned, Fitted] | None = None
@@ -40,9 +42,9 @@ def settled(alongs: Sequence[Along], levels: Levels, offset: np.ndarray, setting
         if best is None or gained > 0.0:
             best = (here.cost, tuned, here)
         else:
-            longest *= 0.3
+            longest *= SHORTENED
         _, tuned, here = best
-        if 0.0 < gained < SETTLED or longest < 0.02:
+        if 0.0 < gained < SETTLED or longest < SHORTEST:
             break
         weight = 1.0 / max(1.0, sum(float(each @ each) for each in here.innovations) / tuned.readings)
         further = fit(tuned, here.settings, here.offset, weight, longest)

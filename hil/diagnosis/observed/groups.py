@@ -29,11 +29,6 @@ class Group:
     mean: Observed
     repeats: tuple[Observed, ...]
 
-    @property
-    def name(self) -> str:
-        """Return the repeats' names."""
-        return ", ".join(each.name for each in self.repeats)
-
 
 def groups(machine: Machine, recordings: Mapping[str, Recording]) -> tuple[Group, ...]:
     """Return the recordings on rows, repeats together."""

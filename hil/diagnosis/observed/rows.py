@@ -10,11 +10,10 @@ import numpy as np
 from hil.errors import RecordingError
 from hil.machine import Machine
 from hil.recording import Recording
+from hil.recording.model import UNEQUAL_STEP
 from virtual_bus.effects.places import imu_channel_names
 from virtual_bus.settings import PlantSettings
 
-JITTER = 0.01
-"""Share of a period: a step of time that differs by less is the recorder's clock."""
 FEWEST_ROWS = 50
 """Fewer rows say nothing about a motion of second order in several joints."""
 
@@ -83,7 +82,7 @@ def observed(machine: Machine, name: str, recording: Recording) -> Observed:
         raise RecordingError(f"{name}: has {len(time)} rows; a diagnosis takes {FEWEST_ROWS} at least")
     gaps = np.diff(time)
     period = float(np.median(gaps))
-    is_even = bool(np.all(np.abs(gaps - period) < JITTER * period))
+    is_even = bool(np.all(np.abs(gaps - period) < UNEQUAL_STEP * period))
     rows = np.arange(len(time)) * period if is_even else np.arange(0.0, time[-1] + 0.5 * period, period)
     commands, currents = _efforts(machine, name, recording)
     if is_even:

@@ -87,14 +87,6 @@ class Along:
         other.observed = observed
         return other
 
-    def first(self, rows: int) -> Along:
-        """Return the same with the first rows of the recording alone."""
-        one = self.observed
-        cut = {name: getattr(one, name)[:rows] for name in ("time", "targets", "currents", "readings")}
-        other = self.of(replace(one, **cut))
-        other.smooth = {joint: replace(motion, slow=motion.slow[:rows]) for joint, motion in self.smooth.items()}
-        return other
-
     @property
     def measured_currents(self) -> np.ndarray:
         """Measured currents (N, axes); NaN where they are what is taken for the targets."""

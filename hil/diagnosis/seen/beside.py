@@ -10,7 +10,6 @@ import numpy as np
 from hil.diagnosis.seen.along import FINE, Along, Motion, Signals
 from hil.diagnosis.seen.filtering import Linearised, Whitening, discretised, smooth_states, whitening
 from virtual_bus.effects.places import imu_channel_names
-from virtual_bus.settings import EffectSetting
 
 POSES_PER_SECOND = 64
 """Linearisations: a pose changes little in 16 ms."""
@@ -48,7 +47,6 @@ class Beside:
     ----------
     along : Along
     model : record
-    effects : tuple of EffectSetting
     base : Motion
     imus : (N, 6 imus) array
         Their readings along it.
@@ -62,7 +60,6 @@ class Beside:
 
     along: Along
     model: np.ndarray
-    effects: tuple[EffectSetting, ...]
     base: Motion
     imus: np.ndarray
     signals: Signals
@@ -142,20 +139,20 @@ class Beside:
         return Motion(position, speed, acceleration, np.maximum(deviations[:, n : 2 * n], self.base.speed_deviation))
 
 
-def beside(along: Along, values: np.ndarray | None = None, effects: tuple[EffectSetting, ...] = ()) -> Beside:
-    """Put a recording beside the equations with these numbers and effects."""
-    model = along.plant.model(values, effects)
-    fine_model = along.fine_plant.model(values, effects)
+def beside(along: Along, values: np.ndarray | None = None) -> Beside:
+    """Put a recording beside the equations with these numbers; the machine file's by default."""
+    model = along.plant.model(values, ())
+    fine_model = along.fine_plant.model(values, ())
     fine = along.base(fine_model)
     start, end, imus = along.along_base(fine, fine_model)
     base = Motion(*(np.ascontiguousarray(each[::FINE]) for each in (fine.position, fine.speed, fine.acceleration, fine.speed_deviation)))
-    signals = along.signals(base, model, effects, imus)
+    signals = along.signals(base, model, (), imus)
     left = np.hstack([along.observed.readings - signals.readings, along.measured_currents - signals.currents])
-    return Beside(along, model, effects, base, imus, signals, signals.given - start, signals.given - end, left)
+    return Beside(along, model, base, imus, signals, signals.given - start, signals.given - end, left)
 
 
 def default_levels(along: Along) -> Levels:
-    """Return the levels that the machine file gives: sensors alone, with a hundredth of the drives' limit as disturbance."""
+    """Return the levels that the machine file gives: those of its sensors, and no disturbance."""
     settings, observed = along.settings, along.observed
     noise = {}
     for sensor in settings.joint_sensors:

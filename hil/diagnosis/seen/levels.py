@@ -1,4 +1,4 @@
-"""Noise of a set of recordings: from repeats where there are some, else from what the recordings leave beside their equations."""
+"""Noise of a set of recordings, from what repeats of an experiment differ by: no physics is left in it."""
 
 from __future__ import annotations
 
@@ -42,14 +42,6 @@ def repeat_levels(groups: Sequence[Group], alongs: Sequence[Along]) -> Levels | 
     return Levels(found.disturbance / np.sqrt(count), found.corner_Hz, sensors)
 
 
-def residual_levels(besides: Sequence[Beside], corner_Hz: float) -> Levels:
-    """Return the noise that explains all that recordings leave beside their equations."""
-    parts = [(one, one.missing, one.missing_ends, one.left) for one in besides]
-    begin = default_levels(besides[0].along)
-    first = np.full(len(begin.disturbance), BEGUN * max(_largest_effort(besides[0].along), 1e-9))
-    return levels_from(parts, Levels(first, corner_Hz, begin.sensors), FINEST * begin.sensors)
-
-
 def log_likelihood(parts: Sequence[tuple[Beside, np.ndarray, np.ndarray, np.ndarray]], levels: Levels) -> float:
     """Return the log likelihood of noise alone, up to a constant."""
     total = 0.0
@@ -69,9 +61,8 @@ def _differences(group: Group, along: Along) -> list[tuple[Beside, np.ndarray, n
         own.append((signals.given, np.hstack([repeat.readings, along.of(repeat).measured_currents - signals.currents])))
     given, left = (np.mean([each[k] for each in own], axis=0) for k in range(2))
     scale = np.sqrt(len(own) / (len(own) - 1.0))
-    return [
-        (one, scale * (g - given), scale * (g - given), scale * (r - left)) for g, r in own[1:]
-    ]  # the first one follows from the others
+    independent = own[1:]  # the first one follows from the others
+    return [(one, scale * (g - given), scale * (g - given), scale * (r - left)) for g, r in independent]
 
 
 def _largest_effort(along: Along) -> float:

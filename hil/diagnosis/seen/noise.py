@@ -1,7 +1,6 @@
 """Levels of the noise: of the disturbances on the joints and of the sensors, by expectation maximisation.
 
-From what repeats of an experiment differ by, in which no physics is left; or from what a recording leaves beside its equations. Shumway and
-Stoffer 1982; the smoothed noises come from the adjoint states of the Bryson-Frazier smoother.
+Shumway and Stoffer 1982; the smoothed noises come from the adjoint states of the Bryson-Frazier smoother.
 """
 
 from __future__ import annotations

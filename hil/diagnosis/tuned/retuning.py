@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.special
 
-from hil.diagnosis.library.columns import Column, Filtered, column
+from hil.diagnosis.candidates.columns import Column, Filtered, column
 from hil.diagnosis.seen.along import Along, Motion, Signals
 from hil.diagnosis.seen.beside import Beside, Levels, beside
 from hil.diagnosis.seen.filtering import Whitening
@@ -19,8 +19,6 @@ from virtual_bus.settings import EffectSetting
 
 STEP = 1e-3
 """Of a column's difference, in standard deviations of a number: half the digits of a double are left."""
-
-
 BIAS = 0.1
 """Standard deviation of an IMU channel's bias beside the machine file's, in units of the noise of a reading: what is larger is the effect
 of that name. At least a step of its lattice."""

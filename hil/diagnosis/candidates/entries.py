@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.diagnosis.library.columns import Column, column
-from hil.diagnosis.library.places import joint_of, place_of
+from hil.diagnosis.candidates.columns import Column, column
+from hil.diagnosis.candidates.places import joint_of, place_of
 from hil.diagnosis.seen.along import Along, Motion, Signals
 from virtual_bus.effects.effect import Effect
 from virtual_bus.effects.law import Law
@@ -65,7 +65,7 @@ def different_places(effect: Effect, along: Along) -> list[str]:
 
 def entries(
     alongs: Sequence[Along], motions: Sequence[Motion], nominal: Sequence[Signals], values: np.ndarray, missing: Sequence[np.ndarray],
-    inertias: np.ndarray, chosen: Sequence[str] | None = None,
+    inertias: np.ndarray,
 ) -> list[Entry]:  # fmt: skip
     """Return the laws of all effects at all places that change anything in these recordings.
 
@@ -76,8 +76,6 @@ def entries(
     """
     found = []
     for name, effect in effects().items():
-        if chosen is not None and name not in chosen:
-            continue
         for at in different_places(effect, alongs[0]):
             place = place_of(effect, at, alongs, motions, nominal, missing, inertias)
             for law in module_of(name).laws(place):
