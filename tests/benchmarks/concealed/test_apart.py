@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from concealed.truth.plant import Machine
     from concealed.truth.workshop import Workshop
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 
 
 @pytest.fixture
@@ -41,7 +41,6 @@ def a_shop(machines: dict[str, Machine], name: str, noise: float = 0.01) -> tupl
     return shop, Measure(shop, NoiseUnits(np.random.default_rng(0).normal(size=(3, *base.shape)) * size))
 
 
-@pytest.mark.nightly
 def test_an_imu_read_late_imitates_one_with_a_fast_second_pole(machines: dict[str, Machine], chosen_of: Callable[..., object]) -> None:
     """Half a millisecond does the same either way but for (lag times frequency)^2 / 2."""
     from concealed.truth.apart import apart
@@ -53,7 +52,6 @@ def test_an_imu_read_late_imitates_one_with_a_fast_second_pole(machines: dict[st
     assert min(found["distances"].values()) < 0.05 * found["detectability"]
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize(("late_s", "asked"), [(2e-5, False), (5e-4, True)])
 def test_a_gyro_may_be_as_late_as_its_low_pass_may_be_off(
     machines: dict[str, Machine], chosen_of: Callable[..., object], late_s: float, asked: bool
@@ -69,7 +67,6 @@ def test_a_gyro_may_be_as_late_as_its_low_pass_may_be_off(
     assert apart(shop, (late,), 0, measure)["detectability"] > 5.0
 
 
-@pytest.mark.nightly
 def test_an_imitator_has_the_strength_that_imitates_best(machines: dict[str, Machine], chosen_of: Callable[..., object]) -> None:
     """A friction twenty times as strong, scaled down, sticks longer than a weak one and looks unlike it."""
     from concealed.truth.apart import apart
@@ -133,7 +130,6 @@ def test_beside_an_encoders_lattice_an_effect_does_what_it_does_without(
     assert beside == pytest.approx(alone, rel=1e-6)
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("name", "hidden", "by"),
     [

@@ -31,7 +31,7 @@ def rows() -> list[dict[str, object]]:
     return [row(number, not bool(is_wrong)) for number, is_wrong in enumerate(wrong)]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_fitted_confidences_are_the_share_of_right_names(rows: list[dict[str, object]]) -> None:
     assert np.mean([weighed(one, CERTAIN)[0] for one in rows]) > 0.95
     weights = fit(rows)
@@ -41,7 +41,7 @@ def test_fitted_confidences_are_the_share_of_right_names(rows: list[dict[str, ob
     assert np.mean([right for _, right, _ in bins]) == pytest.approx(0.7)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_false_alarms_are_counted_and_what_passed_no_gate_is_not_fitted(rows: list[dict[str, object]]) -> None:
     null = row(100, False) | {"stratum": "null", "found": False}
     said = calibrate([*rows[:6], null, row(95, True)], CERTAIN)
@@ -68,7 +68,7 @@ def test_a_pair_s_parts_speak_for_it(rows: list[dict[str, object]]) -> None:
     assert confidence("pan") < confidence("pan", "pan") < confidence("pan", "tilt")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_case_said_to_be_without_a_name_teaches_nothing_about_names(rows: list[dict[str, object]]) -> None:
     unknown = row(30, False) | {"verdict": "unknown_physics", "unexplained_share": 0.7}
     assert "6 cases to fit and 1 to check" in calibrate([*rows[:6], unknown, row(95, True)], CERTAIN)

@@ -31,7 +31,7 @@ def modules() -> list[str]:
     return list(sys.modules)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_it_writes_the_same_file_as_the_command_by_itself(tmp_path: Path, by_itself: ByItself) -> None:
     from concealed.preloaded import isocenter
 
@@ -41,7 +41,7 @@ def test_it_writes_the_same_file_as_the_command_by_itself(tmp_path: Path, by_its
     assert ours.read_bytes() == its.read_bytes()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_it_refuses_in_the_same_words(tmp_path: Path, by_itself: ByItself) -> None:
     from concealed.preloaded import isocenter
 
@@ -72,7 +72,7 @@ def test_it_begins_with_the_tool_and_without_the_truth() -> None:
     assert not [name for name in there if name.startswith(("concealed", "mujoco"))]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_worker_of_the_benchmark_can_run_it() -> None:
     from concealed.preloaded import isocenter
 
@@ -80,7 +80,7 @@ def test_a_worker_of_the_benchmark_can_run_it() -> None:
         assert pool.submit(isocenter, "effects").result().exit_status == 0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_another_checkout_s_tool_is_refused(tmp_path: Path) -> None:
     """Where the benchmark is begun in a folder with a `hil` of its own, that one would be loaded."""
     other = tmp_path / "hil"

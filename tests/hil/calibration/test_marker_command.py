@@ -33,6 +33,7 @@ def measured(scanned: Path) -> dict[str, np.ndarray]:
         return dict(file)
 
 
+@pytest.mark.nightly
 def test_the_parameters_of_a_scan_are_the_true_ones(scanned: Path, measured: dict[str, np.ndarray]) -> None:
     scan, machine = read_scan(scanned / "images"), load_machine("carm")
     side = xray_side(machine, scanned / "truth.csv", STILL, 0.0)
@@ -54,6 +55,7 @@ def test_the_parameters_of_a_scan_are_the_true_ones(scanned: Path, measured: dic
     assert (scanned / "f.png").stat().st_size > 10_000
 
 
+@pytest.mark.nightly
 def test_the_linear_case_takes_angles_for_a_shift_of_the_source(scanned: Path, measured: dict[str, np.ndarray]) -> None:
     """Sec. 6.4.1: f_x, f_y and Z-bar alone; the panel's rocking by some mrad shows in them, 1.16 mm for each."""
     named = [argument for name in ("focal_u", "focal_v", "focal_length") for argument in ("--free", name)]

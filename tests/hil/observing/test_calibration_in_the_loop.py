@@ -52,6 +52,7 @@ def run(folder: Path, name: str, scene: str, experiment: list[str]) -> int:
     return isocenter("run", *experiment, "-m", "carm", "-b", "lockstep:", *live, "--image-rate", "4.3", "--seed", "3", *kept)
 
 
+@pytest.mark.nightly
 def test_a_run_knows_its_geometry_row_by_row_and_its_recording_replays_it(
     machine: Machine, files: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -62,6 +62,7 @@ def test_a_table_of_another_machine_or_order_of_axes_is_refused(
     assert line in refused(capsys, scan_of(tmp_path / "scan"), "--lookup", table, "-o", tmp_path / "out")
 
 
+@pytest.mark.nightly
 def test_a_table_of_another_version_of_the_machine_s_file_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     table, scan = table_of(tmp_path / "t.npz", hash="0"), scan_of(tmp_path / "scan")
     pytest.importorskip("itk")
