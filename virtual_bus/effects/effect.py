@@ -31,6 +31,7 @@ class EffectKind:
     allowed_at: tuple[str, ...]  # "axis", "body", "encoder", "imu", "channel"
     description: str
     needs: str = ""  # "spring": a sprung joint there; "neighbour": a further axis
+    before_current: bool = False  # acts between a drive's target and the current that flows
 
 
 FRICTION = EffectKind(
@@ -54,10 +55,18 @@ REACTION = EffectKind(
     "reaction", "react", ("axis", "body"),
     "react(state: ReactionState, *parameters) -> mean effort over a step and the effect's two states at its end",
 )  # fmt: skip
-LIMIT = EffectKind("drive limit", "limited", ("axis",), "limited(state: DriveState, *parameters) -> current that flows [drive's unit]")
+LIMIT = EffectKind(
+    "drive limit", "limited", ("axis",), "limited(state: DriveState, *parameters) -> current that flows [drive's unit]", before_current=True
+)
 RIPPLE = EffectKind("drive ripple", "factor", ("axis",), "factor(state: DriveState, *parameters) -> motor effort over its nominal value")
-LAG = EffectKind("drive lag", "transition", ("axis",), "transition(step_s, *parameters) -> what is left of a current error after a step")
-DELAY = EffectKind("drive delay", "delay_s", ("axis",), "delay_s(*parameters) -> how much later the drive acts [s]")
+LAG = EffectKind(
+    "drive lag",
+    "transition",
+    ("axis",),
+    "transition(step_s, *parameters) -> what is left of a current error after a step",
+    before_current=True,
+)
+DELAY = EffectKind("drive delay", "delay_s", ("axis",), "delay_s(*parameters) -> how much later the drive acts [s]", before_current=True)
 CHANGE = EffectKind("change", "CHANGES", ("axis",), "CHANGES: what becomes of numbers of the machine file")
 BODY_CHANGE = EffectKind("change", "CHANGES", ("body",), "CHANGES: what becomes of numbers of the machine file")
 SPRING_CHANGE = EffectKind("change", "CHANGES", ("axis", "body"), "CHANGES: what becomes of the sprung joint behind the axis", "spring")

@@ -13,7 +13,9 @@ EFFECT = Effect(
     kind=SIGN,
     parameters=(
         Parameter("share", unit="", low=0.0, high=1.0, description="0: sign kept, 1: magnitude only"),
-        Parameter("sign", unit="", low=-1.0, high=1.0, description="+1, or -1 for a channel wired the wrong way round", neutral=1.0),
+        Parameter(
+            "sign", unit="", low=-1.0, high=1.0, description="+1, or -1 for a channel wired the wrong way round", neutral=1.0, fixed=True
+        ),
     ),
     equation="y = abs(x), or -x",
     convention=(

@@ -56,6 +56,8 @@ def different_places(effect: Effect, along: Along) -> list[str]:
     """Return the places of an effect, each joint once: an axis and the body that its joint carries are the same place."""
     found: dict[object, str] = {}
     bodies = {body.name for body in along.settings.tree.bodies}
+    if effect.kind.before_current and along.observed.are_measured.all():
+        return []
     for at in places(effect.kind, along.settings):
         joint = joint_of(effect, at, along)
         is_joint = joint is not None and (at in bodies or any(drive.axis == at for drive in along.settings.drives))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -23,6 +24,10 @@ ITERATIONS = 8
 HALVINGS = 4
 SETTLED = 0.3
 """Decrease of the squared innovations, in units of noise, below which a fit has ended: a tenth of what a parameter must bring."""
+BLOCKS = 20
+"""Stretches of all recordings: fewer would show the scatter badly, more would cut through what errs together."""
+DETERMINED = 1.0
+"""Square of a column, in units of noise, below which the recordings say less of a nuisance than its prior."""
 STEP = 0.02
 """Of a difference, as a share of a parameter: laws with corners need a step that is longer than a row."""
 SHAPE_STEP, STRENGTH_STEP, PHASE_STEP = 0.3, 1.0, 0.5
@@ -38,8 +43,8 @@ class Fitted:
     settings : tuple of EffectSetting
     offset : (P,) array
         Nuisances, as in `Tuned`.
-    cost : float
-        Squared innovations and the numbers' prior.
+    squares : float
+        Squared innovations.
     innovations : tuple of (N m,) arrays
         What is left.
     columns : tuple of (N m, P + Q) arrays
@@ -50,10 +55,33 @@ class Fitted:
 
     settings: tuple[EffectSetting, ...]
     offset: np.ndarray
-    cost: float
+    squares: float
     innovations: tuple[np.ndarray, ...]
     columns: tuple[np.ndarray, ...]
     parameters: tuple[tuple[int, Parameter], ...]
+
+    @cached_property
+    def dispersion(self) -> float:
+        """How many times the scatter of white noise the fitted numbers and parameters have, by what stretches of the recordings say alone.
+
+        What no equation knows is seldom white: a law that is a little wrong errs the same way for a while. One at least. The mean over
+        numbers and parameters of the variance of their scores over blocks (White 1982, the sandwich's filling).
+        """
+        rows = sum(len(rest) for rest in self.innovations)
+        scores, squares = [], np.zeros(self.columns[0].shape[1])
+        for rest, columns in zip(self.innovations, self.columns, strict=True):
+            count = max(1, round(BLOCKS * len(rest) / rows))
+            for inside in np.array_split(np.arange(len(rest)), count):
+                scores.append(columns[inside].T @ rest[inside])
+            squares += np.einsum("ij,ij->j", columns, columns)
+        each = np.array(scores)
+        spread = np.sum((each - each.mean(axis=0)) ** 2, axis=0) * len(each) / max(len(each) - 1, 1)
+        seen = squares > DETERMINED
+        return max(1.0, float(np.mean(spread[seen] / squares[seen]))) if seen.any() else 1.0
+
+    def cost(self, dispersion: float = 1.0) -> float:
+        """Return squared innovations, in units of what scatters, and the numbers' prior."""
+        return self.squares / dispersion + float(self.offset @ self.offset)
 
     @property
     def names(self) -> frozenset[tuple[str, str]]:
@@ -62,33 +90,32 @@ class Fitted:
 
 
 def fit(
-    tuned: Tuned, settings: Sequence[EffectSetting], offset: np.ndarray | None = None, weight: float = 1.0, longest: float = np.inf
+    tuned: Tuned, settings: Sequence[EffectSetting], offset: np.ndarray | None = None, dispersion: float = 1.0, longest: float = np.inf
 ) -> Fitted | None:
     """Fit a set of effects from these parameters; None where the machine cannot take them together.
 
-    `weight` is that of squared innovations, below one while the equations are far off; `longest` is how far a nuisance may go from where
-    the machine was seen, in standard deviations of its prior.
+    Squared innovations count in units of `dispersion` beside the numbers' prior. `longest` is how far a nuisance may go from where the
+    machine was seen, in standard deviations of its prior.
     """
     settings = tuple(settings)
     offset = tuned.offset.copy() if offset is None else offset
     parameters = tuple((k, parameter) for k, setting in enumerate(settings) for parameter in _free(setting))
     try:
-        left, unsure = _left(tuned, settings, offset)
+        left, squares = _left(tuned, settings, offset)
     except EffectError:
         return None
-    cost = weight * (_cost(left, offset) + unsure) + (1.0 - weight) * float(offset @ offset)
     columns: tuple[np.ndarray, ...] = ()
     for _ in range(ITERATIONS):
         columns = tuple(np.hstack([one.numbers, _derivatives(tuned, one, settings, parameters)]) for one in tuned.looked)
-        step = _step(tuned, settings, offset, parameters, columns, left, weight, longest)
-        taken = _shortened(tuned, settings, offset, parameters, step, cost, weight)
+        step = _step(tuned, settings, offset, parameters, columns, left, 1.0 / dispersion, longest)
+        cost = squares / dispersion + float(offset @ offset)
+        taken = _shortened(tuned, settings, offset, parameters, step, cost, dispersion)
         if taken is None:
             break
-        gained = cost - taken[3]
-        settings, offset, left, cost = taken
-        if gained < SETTLED:
+        settings, offset, left, squares = taken
+        if cost - (squares / dispersion + float(offset @ offset)) < SETTLED:
             break
-    return Fitted(settings, offset, cost, left, columns, parameters)
+    return Fitted(settings, offset, squares, left, columns, parameters)
 
 
 def _free(setting: EffectSetting) -> list[Parameter]:
@@ -104,7 +131,7 @@ def _free(setting: EffectSetting) -> list[Parameter]:
 
 
 def _left(tuned: Tuned, settings: tuple[EffectSetting, ...], offset: np.ndarray) -> tuple[tuple[np.ndarray, ...], float]:
-    """Return the innovations that a set of effects and a change of the nuisances leave, and how unsure their energy is."""
+    """Return the innovations that effects and a change of the nuisances leave, and their squares with what is unsure of them."""
     left = []
     moved = offset - tuned.offset
     unsure = 0.0
@@ -119,17 +146,31 @@ def _left(tuned: Tuned, settings: tuple[EffectSetting, ...], offset: np.ndarray)
             whitened = one.whiten(columns)
             unsure += float(np.sum(whitened[:, min(1, len(columns) - 1) :] ** 2))
             rest = rest - whitened[:, 0]
+            rest = (rest.reshape(-1, one.beside.left.shape[1]) / _drive_units(tuned, one, settings)).reshape(-1)
         left.append(rest)
-    return tuple(left), ACCURACY**2 * unsure
+    squares = ACCURACY**2 * unsure + float(sum(rest @ rest for rest in left))
+    return tuple(left), squares
+
+
+def _drive_units(tuned: Tuned, one: Looked, settings: tuple[EffectSetting, ...]) -> np.ndarray:
+    """Return by how much weaker (m + axes,) than the file's a set of effects makes the drives whose joints each reading shows.
+
+    Noise is known in the drives' units: otherwise every drive would be found weaker than it is, since that makes all efforts smaller.
+    """
+    along = one.beside.along
+    gains = along.plant.model(tuned.values, settings)[0]["effort_gain"] / one.beside.model[0]["effort_gain"]
+    weaker = np.ones(one.beside.left.shape[1])
+    joints = {sensor.channel: sensor.joints for sensor in along.settings.joint_sensors}
+    for drive, gain in zip(along.settings.drives, gains, strict=False):
+        for c, channel in enumerate(along.observed.channels):
+            if drive.joint in joints.get(channel, ()):
+                weaker[c] = min(weaker[c], max(float(gain), 1e-3))
+    return weaker
 
 
 def _signals(tuned: Tuned, one: Looked, settings: tuple[EffectSetting, ...]):  # type: ignore[no-untyped-def]
     along = one.beside.along
     return along.signals(one.motion, along.plant.model(tuned.values, settings), settings)
-
-
-def _cost(left: Sequence[np.ndarray], offset: np.ndarray) -> float:
-    return float(sum(each @ each for each in left) + offset @ offset)
 
 
 def _derivatives(tuned: Tuned, one: Looked, settings: tuple[EffectSetting, ...], parameters: Sequence[tuple[int, Parameter]]) -> np.ndarray:
@@ -192,7 +233,7 @@ def _step(
 
 def _shortened(
     tuned: Tuned, settings: tuple[EffectSetting, ...], offset: np.ndarray, parameters: Sequence[tuple[int, Parameter]], step: np.ndarray,
-    cost: float, weight: float,
+    cost: float, dispersion: float,
 ) -> tuple[tuple[EffectSetting, ...], np.ndarray, tuple[np.ndarray, ...], float] | None:  # fmt: skip
     """Return the first of the step and its halves that lowers the cost; None where none does."""
     for halving in range(HALVINGS):
@@ -203,10 +244,9 @@ def _shortened(
         moved = tuple(_with(setting, change) for setting, change in zip(settings, changes, strict=True))
         further = offset + share * step[: len(offset)]
         try:
-            left, unsure = _left(tuned, moved, further)
+            left, squares = _left(tuned, moved, further)
         except EffectError:
             continue
-        lower = weight * (_cost(left, further) + unsure) + (1.0 - weight) * float(further @ further)
-        if lower < cost:
-            return moved, further, left, lower
+        if squares / dispersion + float(further @ further) < cost:
+            return moved, further, left, squares
     return None

@@ -33,11 +33,12 @@ class Ranked:
 
     fitted: Fitted
     price: float
+    dispersion: float = 1.0
 
     @property
     def cost(self) -> float:
-        """Squared innovations, prior and price."""
-        return self.fitted.cost + self.price
+        """Squared innovations in units of what scatters, and price."""
+        return self.fitted.cost(self.dispersion) + self.price
 
 
 def library(tuned: Tuned) -> list[Entry]:
@@ -50,28 +51,33 @@ def library(tuned: Tuned) -> list[Entry]:
     return entries(alongs, motions, signals, tuned.values, missing, np.diag(inertia[0]))
 
 
-def search(tuned: Tuned, laws: Sequence[Entry], baseline: Fitted) -> list[Ranked]:
+def search(tuned: Tuned, laws: Sequence[Entry], baseline: Fitted, materiality: float = 1.0) -> list[Ranked]:
     """Return fitted sets, the likeliest first; the empty set is among them.
 
     Sets are sought from nothing on, one effect after the other, and from the engineer's first fit, whose effects are left out one after the
-    other: two effects may show only together.
+    other: two effects may show only together. Effects that are not everyday have to leave less by the factor
+    `materiality` each.
     """
     columns = [one.whiten([c for law in laws for c in law.columns[g]]) for g, one in enumerate(tuned.looked)]
     squares = sum(each.T @ each for each in columns)
     places = {(law.effect.name, law.at) for law in laws}
 
-    start = fit(tuned, ())
+    dispersion = scatter = baseline.dispersion
+    start = fit(tuned, (), None, scatter)
     assert start is not None
 
-    def price(fitted: Fitted) -> float:
-        return _price(fitted, start.cost, tuned.readings, len(places))
+    def ranked(fitted: Fitted) -> Ranked:
+        bought = _price(fitted, start.cost(dispersion), dispersion, tuned.readings, len(places))
+        return Ranked(fitted, bought + (materiality ** _special(fitted) - 1.0) * fitted.squares / dispersion, dispersion)
 
-    found: dict[frozenset[tuple[str, str]], Ranked] = {start.names: Ranked(start, price(start))}
+    found: dict[frozenset[tuple[str, str]], Ranked] = {start.names: ranked(start)}
     beam = [start]
     shorter: Fitted | None = baseline
     while shorter is not None and shorter.settings:
-        kept = [fit(tuned, (*shorter.settings[:k], *shorter.settings[k + 1 :]), shorter.offset) for k in range(len(shorter.settings))]
-        fits = [Ranked(each, price(each)) for each in kept if each is not None and each.names not in found]
+        kept = [
+            fit(tuned, (*shorter.settings[:k], *shorter.settings[k + 1 :]), shorter.offset, scatter) for k in range(len(shorter.settings))
+        ]
+        fits = [ranked(each) for each in kept if each is not None and each.names not in found]
         found |= {each.fitted.names: each for each in fits}
         shorter = min(fits, key=lambda each: each.cost).fitted if fits else None
     best = min(found.values(), key=lambda each: each.cost).fitted
@@ -79,23 +85,25 @@ def search(tuned: Tuned, laws: Sequence[Entry], baseline: Fitted) -> list[Ranked
     for _ in range(DEPTH):
         further: list[Ranked] = []
         for fitted in beam:
-            for law, weights in _proposed(fitted, laws, columns, squares, tuned.readings):
+            for law, weights in _proposed(fitted, laws, columns, squares, tuned.readings, dispersion):
                 names = fitted.names | {(law.effect.name, law.at)}
                 if names in found:
                     continue
-                longer = fit(tuned, (*fitted.settings, law.setting(weights)), fitted.offset)
+                longer = fit(tuned, (*fitted.settings, law.setting(weights)), fitted.offset, scatter)
                 if longer is None:
                     continue
-                found[names] = Ranked(longer, price(longer))
+                found[names] = ranked(longer)
                 further.append(found[names])
         further.sort(key=lambda each: each.cost)
         if not further or further[0].cost > min(found[fitted.names].cost for fitted in beam):
             break
         beam = [each.fitted for each in further[:KEPT]]
+        dispersion = min(dispersion, beam[0].dispersion)
+        found = {names: ranked(each.fitted) for names, each in found.items()}
     return sorted(found.values(), key=lambda each: each.cost)
 
 
-def _price(fitted: Fitted, cost_of_nothing: float, readings: int, places: int) -> float:
+def _price(fitted: Fitted, cost_of_nothing: float, dispersion: float, readings: int, places: int) -> float:
     """Return the price of a set of effects.
 
     It is the Bayesian information criterion, extended by the number of sets that there are (Chen and Chen 2008). An effect beside others
@@ -103,21 +111,26 @@ def _price(fitted: Fitted, cost_of_nothing: float, readings: int, places: int) -
     """
     size = len(fitted.settings)
     bought = len(fitted.parameters) * math.log(readings) + 2.0 * math.log(math.comb(max(places, size), size))
-    special = sum(not effects()[setting.name].everyday for setting in fitted.settings)
+    special = _special(fitted)
     beside = special - 1 if special == size else special
-    return bought + max(beside, 0) * FORM**2 * max(cost_of_nothing - fitted.cost, 0.0)
+    return bought + max(beside, 0) * FORM**2 * max(cost_of_nothing - fitted.cost(dispersion), 0.0)
+
+
+def _special(fitted: Fitted) -> int:
+    """Return the number of effects that are not everyday."""
+    return sum(not effects()[setting.name].everyday for setting in fitted.settings)
 
 
 def _proposed(
-    fitted: Fitted, laws: Sequence[Entry], columns: Sequence[np.ndarray], squares: np.ndarray, readings: int
+    fitted: Fitted, laws: Sequence[Entry], columns: Sequence[np.ndarray], squares: np.ndarray, readings: int, dispersion: float
 ) -> list[tuple[Entry, np.ndarray]]:
     """Return the laws that would explain most beside a fitted set, one an effect and place, with their weights."""
     own = sum(each.T @ each for each in fitted.columns)
-    own = own + np.diag(np.append(np.ones(len(fitted.offset)), np.zeros(len(own) - len(fitted.offset))))
+    own = own + dispersion * np.diag(np.append(np.ones(len(fitted.offset)), np.zeros(len(own) - len(fitted.offset))))
     scale = np.sqrt(np.maximum(np.diag(own), 1e-300))
     root = np.linalg.inv(np.linalg.cholesky(own / scale[:, None] / scale + 1e-10 * np.eye(len(own))))
     slopes = sum(each.T @ rest for each, rest in zip(fitted.columns, fitted.innovations, strict=True))
-    slopes[: len(fitted.offset)] -= fitted.offset
+    slopes[: len(fitted.offset)] -= dispersion * fitted.offset
     across = (sum(c.T @ d for c, d in zip(columns, fitted.columns, strict=True)) / scale) @ root.T
     taken = root @ (slopes / scale)
     pulls = sum(c.T @ rest for c, rest in zip(columns, fitted.innovations, strict=True))
@@ -138,7 +151,7 @@ def _proposed(
             weights = bounded_least_squares(reduced, pull, low, high)
         except np.linalg.LinAlgError:
             continue
-        gain = float(2.0 * pull @ weights - weights @ reduced @ weights) - law.width * math.log(readings)
+        gain = float(2.0 * pull @ weights - weights @ reduced @ weights) / dispersion - law.width * math.log(readings)
         if name not in best or gain > best[name][0]:
             best[name] = (gain, law, weights)
     ordered = sorted(best.values(), key=lambda each: -each[0])

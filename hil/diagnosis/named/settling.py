@@ -30,29 +30,29 @@ def settled(alongs: Sequence[Along], levels: Levels, offset: np.ndarray, setting
     machine that is seen anew worse is shortened.
     """
     settings = tuple(settings)
-    best: tuple[float, Tuned, Fitted] | None = None
-    longest = LONGEST
+    best: tuple[Tuned, Fitted] | None = None
+    longest, dispersion = LONGEST, np.inf
     for _ in range(ITERATIONS):
-        known = known_of(alongs[0], settings) if settings else None
-        tuned = tuned_at(alongs, levels, offset, known)
+        tuned = tuned_at(alongs, levels, offset, known_of(alongs[0], settings) if settings else None)
         here = fit(tuned, settings, offset, longest=0.0)
         if here is None:
             break
-        gained = np.inf if best is None else best[0] - here.cost
-        if best is None or gained > 0.0:
-            best = (here.cost, tuned, here)
+        dispersion = min(dispersion, max(here.dispersion, here.squares / tuned.readings))
+        gained = np.inf if best is None else best[1].cost(dispersion) - here.cost(dispersion)
+        if gained > 0.0:
+            best = (tuned, here)
         else:
             longest *= SHORTENED
-        _, tuned, here = best
+        assert best is not None
+        tuned, here = best
         if 0.0 < gained < SETTLED or longest < SHORTEST:
             break
-        weight = 1.0 / max(1.0, sum(float(each @ each) for each in here.innovations) / tuned.readings)
-        further = fit(tuned, here.settings, here.offset, weight, longest)
+        further = fit(tuned, here.settings, here.offset, dispersion, longest)
         if further is None:
             break
         offset, settings = further.offset, further.settings
     assert best is not None
-    _, tuned, _ = best
-    last = fit(tuned, best[2].settings, best[2].offset)
+    tuned, here = best
+    last = fit(tuned, here.settings, here.offset, max(here.dispersion, here.squares / tuned.readings))
     assert last is not None
     return tuned, last

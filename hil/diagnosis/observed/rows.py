@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -54,6 +55,31 @@ class Observed:
     def rows(self) -> int:
         """N."""
         return len(self.time)
+
+    @cached_property
+    def are_measured(self) -> np.ndarray:
+        """Which targets (axes,) are measured efforts, since no command was recorded: what a drive makes of commands is in them."""
+        same: np.ndarray = np.all((self.currents == self.targets) | np.isnan(self.currents), axis=0) & ~np.isnan(self.currents).all(axis=0)
+        return same
+
+    def coarser(self, by: int) -> Observed:
+        """Return every `by`-th row of running means over as many rows; readings and efforts pass the same filter."""
+        if by == 1:
+            return self
+        begins = np.arange(0, self.rows - 2 * by, by)
+        window = begins[:, None] + np.arange(by)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # a mean of missing samples is missing
+            readings = np.nanmean(self.readings[window], axis=1)
+            currents = np.nanmean(self.currents[window], axis=1)
+        running = np.stack([self.targets[window + k].mean(axis=1) for k in range(by)])
+        same = self.are_measured
+        targets = running.mean(axis=0)  # from each kept row to the next
+        currents[:, same] = targets[:, same]
+        return replace(
+            self, time=np.arange(len(begins)) * by * self.period_s, period_s=by * self.period_s, targets=targets, currents=currents,
+            readings=readings,
+        )  # fmt: skip
 
     @cached_property
     def settings(self) -> PlantSettings:

@@ -19,7 +19,7 @@ from virtual_bus.plant.along import along_module
 from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.plant.drives import DRIVE_STATES
 from virtual_bus.plant.statics import resting_state
-from virtual_bus.sensors.effects import channel_names, new_memory
+from virtual_bus.sensors.effects import act_on_sensors, channel_names, new_memory
 from virtual_bus.sensors.measure import new_readings, sensor_model
 from virtual_bus.settings import EffectSetting
 
@@ -90,20 +90,27 @@ class Along:
     @property
     def measured_currents(self) -> np.ndarray:
         """Measured currents (N, axes); NaN where they are what is taken for the targets."""
-        observed = self.observed
-        same = np.all((observed.currents == observed.targets) | np.isnan(observed.currents), axis=0)
-        return np.where(same, np.nan, observed.currents)
+        return np.where(self.observed.are_measured, np.nan, self.observed.currents)
 
     def _smoothed(self) -> dict[int, Smoothed]:
-        """Return the smoothed motion of every joint that has an encoder of its own."""
-        found = {}
+        """Return the smoothed motion of every joint that an encoder follows: its own, or one of joints the others of which are followed.
+
+        Springs are not followed by what two encoders differ by: they seldom give way by more than a few steps of a lattice.
+        """
+        found: dict[int, Smoothed] = {}
         observed = self.observed
-        for encoder in sorted(self.settings.encoders, key=lambda encoder: encoder.resolution):  # of several the finest
-            joint = self.joints.index(encoder.joints[0])
-            if len(encoder.joints) > 1 or encoder.channel not in observed.channels or joint in found:
+        finest = sorted(self.settings.encoders, key=lambda encoder: (len(encoder.joints), encoder.resolution))
+        for encoder in finest:
+            joints = [self.joints.index(name) for name in encoder.joints]
+            further = [joint for joint in joints if joint not in found]
+            if len(further) != 1 or encoder.channel not in observed.channels:
+                continue
+            if len(joints) > 1 and self.settings.tree.joints[further[0]].stiffness > 0.0:
                 continue
             samples = observed.readings[:, observed.channels.index(encoder.channel)]
-            found[joint] = smoothed(observed.time, samples, encoder.resolution, observed.time)
+            for joint in joints:
+                samples = samples - found[joint].position if joint in found else samples
+            found[further[0]] = smoothed(observed.time, samples, encoder.resolution, observed.time)
         return found
 
     @property
@@ -176,6 +183,8 @@ class Along:
             imus = np.zeros((rows, len(imu_channel_names(self.settings))))
             if imus.shape[1]:
                 self._module.readings(model, self._work, motion.position, motion.speed, motion.acceleration, imus)
+        if not imus.shape[1] and not act_on_sensors(effects):
+            return Signals(needed, given, currents, self._plain_readings(motion))
         out = np.zeros((rows, 4 * axes + imus.shape[1]))
         sensors = sensor_model(self.settings, effects)
         lattices = ("position_resolution", "link_resolution", "speed_resolution", "effort_resolution")
@@ -187,6 +196,16 @@ class Along:
             new_memory(self.settings), new_readings(self.settings), out,
         )  # fmt: skip
         return Signals(needed, given, np.nan_to_num(out[:, 2 * axes : 3 * axes]), out[:, self._columns])
+
+    def _plain_readings(self, motion: Motion) -> np.ndarray:
+        """Return what encoders and speed sensors (N, m) without errors read."""
+        out = np.zeros((len(motion.position), len(self.observed.channels)))
+        for sensor in self.settings.joint_sensors:
+            if sensor.channel in self.observed.channels:
+                values = motion.speed if sensor in self.settings.speeds else motion.position
+                joints = [self.joints.index(joint) for joint in sensor.joints]
+                out[:, self.observed.channels.index(sensor.channel)] = values[:, joints].sum(axis=1)
+        return out
 
     def linearised(self, motion: Motion, model: np.ndarray, stride: int) -> tuple[np.ndarray, ...]:
         """Return inverse inertias, stiffnesses, dampings (L, n, n), and what IMUs feel (L, channels, n) of all three."""

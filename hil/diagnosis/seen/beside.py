@@ -32,11 +32,14 @@ class Levels:
         Of its spectrum, which is flat below.
     sensors : (m + axes,) array
         Standard deviations of the readings, then of the measured currents.
+    are_assumed : bool
+        Whether they are what a fit leaves, and not what repeats differ by.
     """
 
     disturbance: np.ndarray
     corner_Hz: float
     sensors: np.ndarray
+    are_assumed: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +101,9 @@ class Beside:
         decay = self._decay(levels)
         process[2 * n : 3 * n] = levels.disturbance**2 * (1.0 - decay**2)
         start[:n], start[n : 2 * n], start[2 * n : 3 * n] = UNKNOWN_POSITION**2, UNKNOWN_SPEED**2, levels.disturbance**2
+        for joint, motion in self.along.smooth.items():  # what is faster than the base motion
+            start[joint] += np.mean((motion.position - motion.slow[:, 0]) ** 2)
+            start[n + joint] += np.mean((motion.speed - motion.slow[:, 1]) ** 2)
         return replace(plain, noise=levels.sensors**2, process=process, start=start)
 
     def whitening(self, levels: Levels, unsure: np.ndarray | None = None) -> Whitening:

@@ -52,11 +52,15 @@ class Linearised:
 
 @dataclass(frozen=True)
 class Whitening:
-    """Gains (N, s, m) and inverse roots (N, m, m) of the innovations' covariances; of a missing reading both are zero."""
+    """Gains (N, s, m) and inverse roots (N, m, m) of the innovations' covariances; of a missing reading both are zero.
+
+    `extra` (N, s) holds further variances of the state after each row; (1, s) where there are none.
+    """
 
     along: Linearised
     gains: np.ndarray
     roots: np.ndarray
+    extra: np.ndarray
     log_determinant: float
     readings: int
 
@@ -101,22 +105,62 @@ def whitening(along: Linearised, present: np.ndarray, extra: np.ndarray | None =
     total = _covariances(
         along.stride, along.transition, along.observation, along.noise, along.process, along.start, present, more, gains, roots
     )
-    return Whitening(along, gains, roots, float(total), int(present.sum()))
+    return Whitening(along, gains, roots, more, float(total), int(present.sum()))
+
+
+@numba.njit(cache=True, fastmath=True, nogil=True)
+def times(a, b, out):  # type: ignore[no-untyped-def]
+    """Write the product of two small matrices; their zeros cost nothing."""
+    for i in range(a.shape[0]):
+        out[i, :] = 0.0
+        for k in range(a.shape[1]):
+            weight = a[i, k]
+            if weight != 0.0:
+                for j in range(b.shape[1]):
+                    out[i, j] += weight * b[k, j]
+
+
+@numba.njit(cache=True, fastmath=True, nogil=True)
+def times_transposed(a, b, out):  # type: ignore[no-untyped-def]
+    """Write a b'."""
+    for i in range(a.shape[0]):
+        for j in range(b.shape[0]):
+            total = 0.0
+            for k in range(a.shape[1]):
+                total += a[i, k] * b[j, k]
+            out[i, j] = total
+
+
+@numba.njit(cache=True, fastmath=True, nogil=True)
+def propagated(p, transition, process, extra, k, work, out):  # type: ignore[no-untyped-def]
+    """Write the covariance one row later, symmetric to the last bit."""
+    size = len(p)
+    times(transition, p, work)
+    times_transposed(work, transition, out)
+    for i in range(size):
+        for j in range(i):
+            mean = 0.5 * (out[i, j] + out[j, i])
+            out[i, j] = mean
+            out[j, i] = mean
+        out[i, i] += process[i]
+        if len(extra) > 1:
+            out[i, i] += extra[k, i]
 
 
 @numba.njit(cache=True, fastmath=False)
 def _covariances(stride, transition, observation, noise, process, start, present, extra, gains, roots):  # type: ignore[no-untyped-def]
     rows, channels = present.shape
     states = transition.shape[1]
-    p = np.zeros((states, states))
+    p, work = np.zeros((states, states)), np.zeros((states, states))
+    ph, s, half = np.zeros((states, channels)), np.zeros((channels, channels)), np.zeros((states, channels))
     for i in range(states):
         p[i, i] = start[i]
     total = 0.0
     for k in range(rows):
         number = k // stride
         a, h = transition[number], observation[number]
-        ph = np.dot(p, h.T.copy())
-        s = np.dot(h, ph)
+        times_transposed(p, h, ph)
+        times(h, ph, s)
         for c in range(channels):
             s[c, c] += noise[c]
         for c in range(channels):
@@ -127,23 +171,20 @@ def _covariances(stride, transition, observation, noise, process, start, present
                 s[c, c] = 1.0
                 for i in range(states):
                     ph[i, c] = 0.0
-        root = np.linalg.inv(np.linalg.cholesky(s))
-        gain = np.dot(np.dot(ph, root.T.copy()), root)
+        root = np.linalg.inv(np.linalg.cholesky(s)) if channels > 1 else 1.0 / np.sqrt(s)
+        times_transposed(ph, root, half)
+        times(half, root, gains[k])
         for c in range(channels):
             if present[k, c]:
                 total -= 2.0 * np.log(root[c, c])
             else:
                 root[c, c] = 0.0
         roots[k] = root
-        gains[k] = gain
-        p = p - np.dot(gain, ph.T.copy())
-        p = np.dot(np.dot(a, p), a.T.copy())
-        p = 0.5 * (p + p.T)
         for i in range(states):
-            p[i, i] += process[i]
-        if len(extra) > 1:
-            for i in range(states):
-                p[i, i] += extra[k, i]
+            for j in range(states):
+                for c in range(channels):
+                    p[i, j] -= gains[k, i, c] * ph[j, c]
+        propagated(p, a, process, extra, k, work, p)
     return total
 
 
@@ -156,78 +197,148 @@ def smooth_states(
     states, deviations = np.zeros((rows, size)), np.zeros((rows, size))
     _smoothed(
         lin.stride, lin.transition, lin.of_effort, lin.of_rise, lin.observation, lin.through, lin.noise, lin.process, lin.start,
-        filtered.gains, filtered.roots, efforts, ends, readings, present, states, deviations,
+        filtered.extra, filtered.gains, filtered.roots, efforts, ends, readings, present, states, deviations,
     )  # fmt: skip
     return states, deviations
 
 
 @numba.njit(cache=True, fastmath=False)
 def _smoothed(  # type: ignore[no-untyped-def]
-    stride, transition, of_effort, of_rise, observation, through, noise, process, start, gains, roots, efforts, ends, readings, present,
-    states, deviations,
+    stride, transition, of_effort, of_rise, observation, through, noise, process, start, extra, gains, roots, efforts, ends, readings,
+    present, states, deviations,
 ):  # fmt: skip
     rows, channels = readings.shape
     size = transition.shape[1]
     covariances = np.zeros((rows, size, size))
     innovations = np.zeros((rows, channels))
-    p = np.zeros((size, size))
+    p, work = np.zeros((size, size)), np.zeros((size, size))
+    ph = np.zeros((size, channels))
     for i in range(size):
         p[i, i] = start[i]
-    x = np.zeros(size)
+    x, corrected = np.zeros(size), np.zeros(size)
     for k in range(rows):
         number = k // stride
         a, h = transition[number], observation[number]
         covariances[k] = p
         states[k] = x
-        v = readings[k] - np.dot(h, x) - np.dot(through[number], efforts[k])
+        times_transposed(p, h, ph)
         for c in range(channels):
-            if not present[k, c]:
-                v[c] = 0.0
-        innovations[k] = v
-        x = np.dot(a, x + np.dot(gains[k], v)) + np.dot(of_effort[number], efforts[k]) + np.dot(of_rise[number], ends[k] - efforts[k])
-        p = p - np.dot(gains[k], np.dot(h, p))
-        p = np.dot(np.dot(a, p), a.T.copy())
-        p = 0.5 * (p + p.T)
+            value = readings[k, c]
+            for j in range(size):
+                value -= h[c, j] * x[j]
+            for j in range(efforts.shape[1]):
+                value -= through[number, c, j] * efforts[k, j]
+            innovations[k, c] = value if present[k, c] else 0.0
         for i in range(size):
-            p[i, i] += process[i]
-    adjoint = np.zeros(size)
-    weight = np.zeros((size, size))
+            corrected[i] = x[i]
+            for c in range(channels):
+                corrected[i] += gains[k, i, c] * innovations[k, c]
+        for i in range(size):
+            value = 0.0
+            for j in range(size):
+                value += a[i, j] * corrected[j]
+            for j in range(efforts.shape[1]):
+                value += of_effort[number, i, j] * efforts[k, j] + of_rise[number, i, j] * (ends[k, j] - efforts[k, j])
+            x[i] = value
+        for i in range(size):
+            for j in range(size):
+                for c in range(channels):
+                    p[i, j] -= gains[k, i, c] * ph[j, c]
+        propagated(p, a, process, extra, k, work, p)
+    adjoint, moved = np.zeros(size), np.zeros(size)
+    weight, turned, back = np.zeros((size, size)), np.zeros((size, size)), np.zeros((size, size))
+    inverse, seen = np.zeros((channels, channels)), np.zeros((channels, size))
     for k in range(rows - 1, -1, -1):
         number = k // stride
         h = observation[number]
-        inverse = np.dot(roots[k].T.copy(), roots[k])
-        back = np.eye(size) - np.dot(gains[k], h)
-        adjoint = np.dot(back.T.copy(), adjoint) - np.dot(h.T.copy(), np.dot(inverse, innovations[k]))
-        weight = np.dot(np.dot(back.T.copy(), weight), back) + np.dot(np.dot(h.T.copy(), inverse), h)
-        states[k] = states[k] - np.dot(covariances[k], adjoint)
-        reduced = np.dot(np.dot(covariances[k], weight), covariances[k])
+        times(roots[k].T, roots[k], inverse)
+        times(inverse, h, seen)
+        times(gains[k], h, back)
         for i in range(size):
-            deviations[k, i] = np.sqrt(max(covariances[k, i, i] - reduced[i, i], 0.0))
+            for j in range(size):
+                back[i, j] = -back[i, j]
+            back[i, i] += 1.0
+        for i in range(size):
+            value = 0.0
+            for j in range(size):
+                value += back[j, i] * adjoint[j]
+            for c in range(channels):
+                value -= seen[c, i] * innovations[k, c]
+            moved[i] = value
+        adjoint[:] = moved
+        times(back.T, weight, turned)
+        times(turned, back, weight)
+        for i in range(size):
+            for j in range(size):
+                for c in range(channels):
+                    weight[i, j] += h[c, i] * seen[c, j]
+        times(covariances[k], weight, turned)
+        for i in range(size):
+            reduced = 0.0
+            for j in range(size):
+                states[k, i] -= covariances[k, i, j] * adjoint[j]
+                reduced += turned[i, j] * covariances[k, j, i]
+            deviations[k, i] = np.sqrt(max(covariances[k, i, i] - reduced, 0.0))
         if k > 0:
             a = transition[(k - 1) // stride]
-            adjoint = np.dot(a.T.copy(), adjoint)
-            weight = np.dot(np.dot(a.T.copy(), weight), a)
+            for i in range(size):
+                value = 0.0
+                for j in range(size):
+                    value += a[j, i] * adjoint[j]
+                moved[i] = value
+            adjoint[:] = moved
+            times(a.T, weight, turned)
+            times(turned, a, weight)
 
 
-@numba.njit(cache=True, fastmath=False, nogil=True)
+@numba.njit(cache=True, fastmath=True, nogil=True)
 def _columns(stride, transition, of_effort, of_rise, observation, through, gains, roots, efforts, ends, readings, first, state, out):  # type: ignore[no-untyped-def]
     rows, channels, count = readings.shape
-    states = state.shape[0]
-    seen = np.zeros((channels, count))
+    states, joints = state.shape[0], efforts.shape[1]
+    innovation, corrected = np.zeros((channels, count)), np.zeros((states, count))
     for r in range(rows):
         k = first + r
         number = k // stride
-        np.dot(observation[number], state, seen)
-        innovation = readings[r] - seen
-        innovation -= np.dot(through[number], efforts[r])
-        np.dot(roots[k], innovation, out[r * channels : (r + 1) * channels])
-        corrected = state + np.dot(gains[k], innovation)
-        moved = np.dot(transition[number], corrected)
-        moved += np.dot(of_effort[number], efforts[r])
-        moved += np.dot(of_rise[number], ends[r] - efforts[r])
+        innovation[:] = readings[r]
+        for i in range(channels):
+            for j in range(states):
+                weight = observation[number, i, j]
+                if weight != 0.0:
+                    for c in range(count):
+                        innovation[i, c] -= weight * state[j, c]
+            for j in range(joints):
+                weight = through[number, i, j]
+                if weight != 0.0:
+                    for c in range(count):
+                        innovation[i, c] -= weight * efforts[r, j, c]
+        for i in range(channels):
+            row = out[r * channels + i]
+            row[:] = 0.0
+            for j in range(channels):
+                weight = roots[k, i, j]
+                if weight != 0.0:
+                    for c in range(count):
+                        row[c] += weight * innovation[j, c]
         for i in range(states):
             for c in range(count):
-                state[i, c] = moved[i, c]
+                corrected[i, c] = state[i, c]
+            for j in range(channels):
+                weight = gains[k, i, j]
+                if weight != 0.0:
+                    for c in range(count):
+                        corrected[i, c] += weight * innovation[j, c]
+        for i in range(states):
+            state[i, :] = 0.0
+            for j in range(states):
+                weight = transition[number, i, j]
+                if weight != 0.0:
+                    for c in range(count):
+                        state[i, c] += weight * corrected[j, c]
+            for j in range(joints):
+                held, rising = of_effort[number, i, j], of_rise[number, i, j]
+                if held != 0.0 or rising != 0.0:
+                    for c in range(count):
+                        state[i, c] += held * efforts[r, j, c] + rising * (ends[r, j, c] - efforts[r, j, c])
 
 
 @numba.njit(cache=True, fastmath=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,9 @@ TOLERANCE = 1.5
 CLOCKED_PRIOR = 0.02
 """Of corners that a sensor's clock makes: data sheets say 1 to 3 %."""
 CLOCKED = ("accelerometer_bandwidth", "gyro_bandwidth")
+MOST_FREED = 10.0
+"""Bound of a rotor's inertia that the file leaves out, in units of what moves with its joint: behind a gear of a hundred a rotor is heavier
+than a wrist."""
 TUNED = ("mass", "center_of_mass", "inertia", "stiffness", "damping", "armature", "constant", *CLOCKED)
 
 
@@ -29,16 +32,25 @@ class Numbers:
         Among the plant's parameters.
     scale : (P,) array
         One unit of the coordinates, in the parameters' units.
+    low, high : (P,) arrays
+        How far they may go, in the same units.
     """
 
     plant: CompiledPlant
     indices: np.ndarray
     scale: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
 
     @property
     def names(self) -> list[str]:
         """Return owner and quantity of each."""
         return [f"{self.plant.parameters[i].owner}.{self.plant.parameters[i].quantity}" for i in self.indices]
+
+    def holding(self, quantity: str) -> Numbers:
+        """Return the same with a quantity that stays at the file's values."""
+        held = np.array([self.plant.parameters[i].quantity.startswith(quantity) for i in self.indices], dtype=bool)
+        return replace(self, low=np.where(held, 0.0, self.low), high=np.where(held, 0.0, self.high))
 
     def values(self, offset: np.ndarray) -> np.ndarray:
         """Return the plant's parameters at these coordinates (P,)."""
@@ -48,11 +60,29 @@ class Numbers:
 
 
 def numbers_of(plant: CompiledPlant) -> Numbers:
-    """Return the numbers that are not zero in the file."""
-    chosen = [
-        (i, parameter.value * (CLOCKED_PRIOR if parameter.quantity in CLOCKED else PRIOR))
-        for i, parameter in enumerate(plant.parameters)
-        if parameter.value != 0.0 and parameter.quantity.startswith(TUNED)
-    ]
-    indices, scale = zip(*chosen, strict=True) if chosen else ((), ())
-    return Numbers(plant, np.array(indices, dtype=np.int64), np.abs(np.array(scale, dtype=float)))
+    """Return the numbers that may be corrected: those of the file, and inertias of rotors that it leaves out."""
+    indices, scales, low, high = [], [], [], []
+    driven = {drive.joint for drive in plant.settings.drives}
+    for i, parameter in enumerate(plant.parameters):
+        if not parameter.quantity.startswith(TUNED):
+            continue
+        if parameter.value != 0.0:
+            scales.append(abs(parameter.value) * (CLOCKED_PRIOR if parameter.quantity in CLOCKED else PRIOR))
+            low.append(-TOLERANCE)
+            high.append(TOLERANCE)
+        elif parameter.quantity.startswith("armature") and parameter.owner in driven:
+            scales.append(PRIOR * _inertia(plant, parameter.owner))
+            low.append(0.0)
+            high.append(MOST_FREED / PRIOR)
+        else:
+            continue
+        indices.append(i)
+    return Numbers(plant, np.array(indices, dtype=np.int64), *(np.array(each, dtype=float) for each in (scales, low, high)))
+
+
+def _inertia(plant: CompiledPlant, joint: str) -> float:
+    """Return what moves with a joint in the pose zero [kg m^2 or kg]."""
+    names = [each.name for each in plant.settings.tree.joints]
+    zero = np.zeros((1, len(names)))
+    inertia, _ = plant.inertia_and_bias(plant.model(None, ()), zero, zero)
+    return float(inertia[0][names.index(joint), names.index(joint)])

@@ -12,7 +12,7 @@ from hil.diagnosis.candidates.columns import Column, Filtered, column
 from hil.diagnosis.seen.along import Along, Motion, Signals
 from hil.diagnosis.seen.beside import Beside, Levels, beside
 from hil.diagnosis.seen.filtering import Whitening
-from hil.diagnosis.tuned.numbers import TOLERANCE, Numbers, numbers_of
+from hil.diagnosis.tuned.numbers import Numbers, numbers_of
 from virtual_bus.effects.places import imu_channel_names
 from virtual_bus.plant.compiled import CompiledPlant
 from virtual_bus.settings import EffectSetting
@@ -22,6 +22,8 @@ STEP = 1e-3
 BIAS = 0.1
 """Standard deviation of an IMU channel's bias beside the machine file's, in units of the noise of a reading: what is larger is the effect
 of that name. At least a step of its lattice."""
+ZERO_rad, ZERO_m = 0.01, 1e-3
+"""Standard deviation of an encoder's zero: of a disc set on a shaft by hand, or of a stop that homing runs onto."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +40,7 @@ class Looked:
         Along that motion, nominal physics with the tuned numbers.
     innovations : (N m,) array
     numbers : (N m, P) array
-        Whitened columns of the nuisances: numbers, then sensors' biases.
+        Whitened columns of the nuisances: numbers, then offsets of sensors.
     """
 
     beside: Beside
@@ -62,7 +64,7 @@ class Tuned:
     ----------
     numbers : Numbers
     offset : (P,) array
-        Nuisances in standard deviations of their prior: numbers, then biases of IMU channels.
+        Nuisances in standard deviations of their prior: numbers, then offsets of sensors.
     looked : tuple of Looked
     readings : int
     """
@@ -95,8 +97,8 @@ class Tuned:
 
 def bounds_of(numbers: Numbers, offset: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return how far nuisances at this offset may move."""
-    free = np.where(np.arange(len(offset)) < len(numbers.indices), TOLERANCE, np.inf)
-    return -free - offset, free - offset
+    free = np.full(len(offset) - len(numbers.indices), np.inf)
+    return np.append(numbers.low, -free) - offset, np.append(numbers.high, free) - offset
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,26 +119,30 @@ class Known:
 
 def tuned_at(alongs: Sequence[Along], levels: Levels, offset: np.ndarray, known: Known | None = None) -> Tuned:
     """Return the machine with these nuisances, seen with what is known of its friction."""
-    numbers = numbers_of(alongs[0].plant)
-    looked = tuple(look(along, numbers, offset, levels, known) for along in alongs)
+    numbers, biases = numbers_of(alongs[0].plant), biases_of(alongs)
+    if levels.are_assumed:
+        numbers = numbers.holding("constant")  # weaker drives and lighter machines would make all that is left smaller
+    looked = tuple(look(along, numbers, [bias.of(k) for bias in biases], offset, levels, known) for k, along in enumerate(alongs))
     return Tuned(numbers, offset, looked, sum(one.whitening.readings for one in looked))
 
 
-def nominal_offset(along: Along) -> np.ndarray:
+def nominal_offset(alongs: Sequence[Along]) -> np.ndarray:
     """Return the nuisances (P,) of the machine file: all zero."""
-    return np.zeros(len(numbers_of(along.plant).indices) + len(bias_channels(along)))
+    return np.zeros(len(numbers_of(alongs[0].plant).indices) + len(biases_of(alongs)))
 
 
-def look(along: Along, numbers: Numbers, offset: np.ndarray, levels: Levels, known: Known | None = None) -> Looked:
+def look(
+    along: Along, numbers: Numbers, biases: Sequence[Bias | None], offset: np.ndarray, levels: Levels, known: Known | None = None
+) -> Looked:
     """Put a recording beside the equations with these nuisances, and find their columns."""
     count = len(numbers.indices)
     one = beside(along, numbers.values(offset[:count]))
     levels = _of_this_inertia(levels, along, one)
-    biases = bias_columns(along, levels)
+    constants = [_constant(along, levels, bias) for bias in biases]
     left = one.left.copy()
-    for value, bias in zip(offset[count:], biases, strict=True):
-        ((channel, column_of),) = bias.readings.items()
-        left[:, channel] -= value * column_of
+    for value, constant in zip(offset[count:], constants, strict=True):
+        for channel, column_of in constant.readings.items():
+            left[:, channel] -= value * column_of
     one = one.with_left(left)
     filtered = one.whitening(levels)
     motion = one.motion(filtered)
@@ -156,7 +162,7 @@ def look(along: Along, numbers: Numbers, offset: np.ndarray, levels: Levels, kno
         moved = offset[:count].copy()
         moved[k] += STEP
         columns.append(column(signals, along.signals(motion, along.plant.model(numbers.values(moved), ())), STEP))
-    columns += biases
+    columns += constants
     innovations = one.whitened(filtered)
     rows, channels = one.left.shape
     whitened = Filtered(filtered, columns, one.missing.shape[1], channels).block(0, rows)
@@ -191,19 +197,47 @@ def _mean_direction(motion: Motion) -> np.ndarray:
     return mean
 
 
-def bias_channels(along: Along) -> list[int]:
-    """Return the numbers of the IMUs' channels: what they read at rest is never quite zero."""
-    joints = {sensor.channel for sensor in along.settings.joint_sensors}
-    return [c for c, channel in enumerate(along.observed.channels) if channel not in joints]
+@dataclass(frozen=True)
+class Bias:
+    """An offset of a sensor's readings: of the channel of this number, in one recording or (None) in all of them."""
+
+    channel: int
+    recording: int | None
+
+    def of(self, recording: int) -> Bias | None:
+        """Return this, where it acts in a recording."""
+        return self if self.recording in (None, recording) else None
 
 
-def bias_columns(along: Along, levels: Levels) -> list[Column]:
-    """Return a constant on every IMU channel, in units of what a machine file's bias may be off by."""
-    ones = np.ones(along.observed.rows, dtype=np.float32)
-    steps = _imu_steps(along)
-    return [
-        Column({}, {c: ones * np.float32(max(steps[along.observed.channels[c]], BIAS * levels.sensors[c]))}) for c in bias_channels(along)
-    ]
+def biases_of(alongs: Sequence[Along]) -> list[Bias]:
+    """Return the offsets that sensors have: what an IMU reads at rest is never quite zero, nor is an encoder's zero where it should be.
+
+    An incremental encoder has another zero in every recording.
+    """
+    settings, channels = alongs[0].settings, alongs[0].observed.channels
+    speeds = {sensor.channel for sensor in settings.speeds}
+    encoders = {encoder.channel: encoder for encoder in settings.encoders}
+    found = []
+    for c, channel in enumerate(channels):
+        if channel in encoders and not encoders[channel].absolute:
+            found += [Bias(c, k) for k in range(len(alongs))]
+        elif channel not in speeds:
+            found.append(Bias(c, None))
+    return found
+
+
+def _constant(along: Along, levels: Levels, bias: Bias | None) -> Column:
+    """Return a constant on a channel, in standard deviations of its prior."""
+    if bias is None:
+        return Column({}, {})
+    channel = along.observed.channels[bias.channel]
+    encoders = {encoder.channel: encoder for encoder in along.settings.encoders}
+    if channel in encoders:
+        joint = along.settings.tree.joints[along.joints.index(encoders[channel].joints[0])]
+        unit = ZERO_m if joint.kind == "prismatic" else ZERO_rad
+    else:
+        unit = max(_imu_steps(along)[channel], BIAS * levels.sensors[bias.channel])
+    return Column({}, {bias.channel: np.full(along.observed.rows, unit, dtype=np.float32)})
 
 
 def _imu_steps(along: Along) -> dict[str, float]:

@@ -1,0 +1,141 @@
+"""Noise where nothing repeats: sensors are as noisy as motions are rough, and what the engineer's first fit leaves is disturbance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import scipy.signal
+
+from hil.diagnosis.candidates.columns import column
+from hil.diagnosis.named.fitting import Fitted
+from hil.diagnosis.seen.along import Along, Motion
+from hil.diagnosis.seen.beside import Levels, default_levels
+from hil.diagnosis.tuned.retuning import Tuned
+
+CORNER = 0.25
+"""Of the disturbances' spectrum, as a share of the sample rate: above all that a machine follows."""
+WITHIN_ROW = 0.1
+"""Of what a disturbance that is another one in every row moves a joint by within a row."""
+WIDEST, HALVINGS = 1000.0, 10
+"""Factor that the disturbances' first level may be off by, and halvings of its logarithm: to a per cent."""
+MOST_ROWS = 15_000
+"""Times joints, of all recordings together."""
+MOTION, PER_CYCLE = 0.99, 30.0
+"""Share of the speeds' power, and rows per period of the fastest motion in it."""
+PER_OCTAVE = 2
+"""Bands of the spectrum that are averaged by their logarithms: what differentiated noise adds to the highest ones, and what physics that
+is sought leaves in the lowest ones, counts little."""
+
+
+def assumed_levels(alongs: Sequence[Along]) -> Levels:
+    """Return the noise that is assumed of a machine at first, from what the machine file leaves unexplained."""
+    first = alongs[0]
+    corner = CORNER / first.observed.period_s
+    left = [_left(along) for along in alongs]
+    disturbance = np.array(
+        [np.sqrt(_density([each[:, j] for each in left], first.observed.period_s) * 0.5 * np.pi * corner) for j in range(len(first.joints))]
+    )
+    sensors = default_levels(first).sensors
+    for c, channel in enumerate(first.observed.channels):
+        sensors[c] = max(sensors[c], *(_roughness(along, c, channel) for along in alongs))
+    return _with_rows(first, Levels(disturbance, corner, sensors, are_assumed=True))
+
+
+def matched(levels: Levels, tuned: Tuned, fitted: Fitted) -> Levels:
+    """Return the levels with disturbances as strong as makes what a fit leaves of the mean size that they say.
+
+    What was differentiated is rougher than motions are. A filter's innovations are not.
+    """
+    low, high = -np.log(WIDEST), np.log(WIDEST)
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        scaled = _with_rows(tuned.looked[0].beside.along, replace(levels, disturbance=levels.disturbance * np.exp(middle)))
+        squares = 0.0
+        for one in tuned.looked:
+            along = one.beside.along
+            with_it = along.signals(one.motion, along.plant.model(tuned.values, fitted.settings), fitted.settings)
+            extra = column(one.signals, with_it)
+            left = one.beside.less(extra.efforts, extra.readings)
+            squares += float(np.sum(left.whitened(left.whitening(scaled)) ** 2))
+        low, high = (middle, high) if squares > tuned.readings else (low, middle)
+    return _with_rows(tuned.looked[0].beside.along, replace(levels, disturbance=levels.disturbance * np.exp(0.5 * (low + high))))
+
+
+def _with_rows(along: Along, levels: Levels) -> Levels:
+    """Return the levels with sensors at least as noisy as disturbances within a row make them.
+
+    A motion that is known exactly at the rows, with an effort between them that is not, has innovations that alternate for ever.
+    """
+    position = np.zeros((1, len(along.joints)))
+    for joint, motion in along.smooth.items():
+        position[0, joint] = motion.position[0]
+    inertia, _ = along.plant.inertia_and_bias(along.plant.model(None, ()), position, 0.0 * position)
+    within = WITHIN_ROW * levels.disturbance / np.diag(inertia[0]) * along.observed.period_s
+    sensors = levels.sensors.copy()
+    speeds = {sensor.channel for sensor in along.settings.speeds}
+    for sensor in along.settings.joint_sensors:
+        if sensor.channel in along.observed.channels:
+            c = along.observed.channels.index(sensor.channel)
+            share = 1.0 if sensor.channel in speeds else along.observed.period_s
+            sensors[c] = max(sensors[c], *(share * within[along.joints.index(joint)] for joint in sensor.joints))
+    return replace(levels, sensors=sensors)
+
+
+def _roughness(along: Along, number: int, channel: str) -> float:
+    """Return how far a sensor's readings lie about the smoothed motion; 0 where no motion was smoothed from what it reads."""
+    samples = along.observed.readings[:, number]
+    for sensor in along.settings.joint_sensors:
+        joints = [along.joints.index(joint) for joint in sensor.joints]
+        if sensor.channel == channel and all(joint in along.smooth for joint in joints):
+            if sensor in along.settings.encoders:
+                return max(along.smooth[joint].noise for joint in joints)
+            return float(np.nanstd(samples - sum(along.smooth[joint].speed for joint in joints)))
+    return 0.0
+
+
+def coarsest(alongs: Sequence[Along]) -> int:
+    """Return how many rows may be taken together: motions stay well resolved, and an answer comes within seconds."""
+    first = alongs[0]
+    rows = sum(along.observed.rows for along in alongs) * len(first.joints)
+    fastest = 0.0
+    for along in alongs:
+        for motion in along.smooth.values():
+            frequencies, power = scipy.signal.periodogram(motion.speed, 1.0 / first.observed.period_s, window="hann")
+            whole = np.cumsum(power)
+            fastest = max(fastest, float(frequencies[np.searchsorted(whole, MOTION * whole[-1])]))
+    by = int(min(rows / MOST_ROWS, 1.0 / (first.observed.period_s * PER_CYCLE * max(fastest, 1e-9))))
+    return max(1, by)
+
+
+def _left(along: Along) -> np.ndarray:
+    """Return the efforts (N, n) that drives gave and the motion did not take."""
+    signals = along.signals(_by_encoders(along), along.plant.model(None, ()))
+    return signals.given - signals.needed
+
+
+def _by_encoders(along: Along) -> Motion:
+    """Return the motion by every joint's own encoder; that of the others by the equations."""
+    base = along.base(along.fine_plant.model(None, ()))
+    every = (len(base.position) - 1) // (along.observed.rows - 1)
+    columns = [np.ascontiguousarray(each[::every]) for each in (base.position, base.speed, base.acceleration, base.speed_deviation)]
+    for joint, one in along.smooth.items():
+        for values, own in zip(columns, (one.position, one.speed, one.acceleration, one.speed_deviation), strict=True):
+            values[:, joint] = own
+    return Motion(*columns)
+
+
+def _density(efforts: Sequence[np.ndarray], period_s: float) -> float:
+    """Return the typical one-sided power spectral density [effort^2/Hz]."""
+    longest = max(len(each) for each in efforts) * period_s
+    edges = np.geomspace(1.0 / longest, 0.5 / period_s, max(2, round(PER_OCTAVE * np.log2(0.5 * longest / period_s))))
+    sums, counts = np.zeros(len(edges) - 1), np.zeros(len(edges) - 1)
+    for effort in efforts:
+        frequencies, power = scipy.signal.periodogram(effort, 1.0 / period_s, window="hann", detrend="linear")
+        band = np.digitize(frequencies, edges) - 1
+        inside = (band >= 0) & (band < len(sums))
+        np.add.at(sums, band[inside], power[inside])
+        np.add.at(counts, band[inside], 1.0)
+    means = sums[counts > 0] / counts[counts > 0]
+    return float(np.exp(np.mean(np.log(np.maximum(means, 1e-30)))))
