@@ -27,7 +27,6 @@ RECORDS = {
 }
 """File, and columns of voltage and sensor by the record's name."""
 SPLITS = {"official": "uniform", "readme": "uniform", "prbs": "prbs"}
-JOINTS = 2
 FITTED_STATES = [1, 2, 3]
 """Twist of the belt, speed of the motors and speed of the twist: of two positions and two speeds, those that the sensor depends on."""
 
@@ -93,7 +92,10 @@ def _restarted(
     sensor: np.ndarray,
     answer: tuple[np.ndarray | None, Sequence[EffectSetting]],
 ) -> np.ndarray:
-    """Return the sensor's outputs (rows,) from the state that fits the given rows best, searched from the state `border` on."""
+    """Return the sensor's outputs (rows,) from the state that fits the given rows best, searched from the state `border` on.
+
+    The first of them does not count: in the baseline it is a state of its own, that of the sensor.
+    """
     rest = np.zeros(1)
 
     def outputs(states: np.ndarray, rows: int | None = None) -> np.ndarray:
@@ -102,8 +104,11 @@ def _restarted(
         read: np.ndarray = simulator.drive(voltage[:rows], rest, rest, *answer, begin)[0].speed[:, 0]
         return read
 
-    found = least_squares(lambda states: outputs(states, GIVEN_ROWS) - sensor[:GIVEN_ROWS], border[FITTED_STATES])
-    return outputs(found.x)
+    def residuals(states: np.ndarray) -> np.ndarray:
+        missing: np.ndarray = (outputs(states, GIVEN_ROWS) - sensor[:GIVEN_ROWS])[1:]
+        return missing
+
+    return outputs(least_squares(residuals, border[FITTED_STATES]).x)
 
 
 def _recording(machine: Machine, voltage: np.ndarray, sensor: np.ndarray, rows: int | None, settle_rows: int) -> Recording:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from hil.diagnosis.named.assumed import assumed_levels, coarsest, matched
 from hil.diagnosis.named.everyday import everyday_effects
 from hil.diagnosis.named.fitting import Fitted, fit
+from hil.diagnosis.named.proving import proved
 from hil.diagnosis.named.search import Ranked, library, search
 from hil.diagnosis.named.settling import settled
 from hil.diagnosis.observed.groups import Group, groups
@@ -40,6 +41,8 @@ class Named:
         With the everyday effects at every driven joint.
     ranked : tuple of Ranked
         The likeliest set first.
+    best : Fitted
+        The set that predicts: the likeliest one, where noise is known from repeats.
     """
 
     groups: tuple[Group, ...]
@@ -47,6 +50,7 @@ class Named:
     tuned: Tuned
     baseline: Fitted
     ranked: tuple[Ranked, ...]
+    best: Fitted
 
 
 def name(machine: Machine, recordings: Mapping[str, Recording]) -> Named:
@@ -83,4 +87,8 @@ def name(machine: Machine, recordings: Mapping[str, Recording]) -> Named:
         if ranked[0].fitted.names == best.names:
             break
         tuned, best = settled(alongs, levels, ranked[0].fitted.offset, ranked[0].fitted.settings)
-    return Named(found, levels, tuned, baseline, tuple(ranked))
+    best = ranked[0].fitted
+    if levels.are_assumed:
+        further = tuple(each for each in baseline.settings if (each.name, each.at) not in best.names)
+        tuned, best = proved(alongs, levels, best.offset, (*best.settings, *further))
+    return Named(found, levels, tuned, baseline, tuple(ranked), best)

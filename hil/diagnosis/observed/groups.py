@@ -55,6 +55,8 @@ def are_repeats(one: Observed, other: Observed) -> bool:
     moves = False
     for name in names:
         first, second = one.recording[name], other.recording[name]
+        if len(first) != len(second):
+            return False
         reach = float(np.ptp(first))
         if not np.allclose(first, second, rtol=0.0, atol=SAME * max(reach, 1e-12), equal_nan=True):
             return False

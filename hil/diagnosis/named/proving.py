@@ -1,0 +1,107 @@
+"""Which effects of a set predict stretches of the recordings that they were not fitted to, in a view that slow misfits dominate.
+
+With weak disturbances a filter's innovations come close to the errors of a free run along the recorded motion: what is wrong adds up. So
+fast misfits, which laws of friction are bent to where they can be, count little. Numbers of right equations are the same in both views.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hil.diagnosis.named.fitting import BLOCKS, Fitted
+from hil.diagnosis.named.settling import settled
+from hil.diagnosis.seen.along import Along
+from hil.diagnosis.seen.beside import Levels
+from hil.diagnosis.tuned.bounded import bounded_least_squares
+from hil.diagnosis.tuned.retuning import Tuned
+from virtual_bus.settings import EffectSetting
+
+SLOW = 0.03
+"""Of the disturbances' level: motions are then followed a sixth as fast."""
+FAST = 0.1
+"""Share of a motion that is faster than what equations are linearised about."""
+SURE, LARGE = 2.0, 0.1
+"""Standard errors, over stretches, by which an effect lowers the squares of stretches left out, and share of them: one of both keeps it.
+Few stretches may show an effect, and then it shows much."""
+
+
+def proved(alongs: Sequence[Along], levels: Levels, offset: np.ndarray, settings: Sequence[EffectSetting]) -> tuple[Tuned, Fitted]:
+    """Return the machine and the fit, in the slow view, of those effects that predict.
+
+    Parameters
+    ----------
+    alongs : sequence of Along
+    levels : Levels
+        Assumed noise.
+    offset : (P,) array
+    settings : sequence of EffectSetting
+        All that may act: effects that do not predict are left out one by one, the least useful first.
+    """
+    slow = replace(levels, disturbance=_share(alongs) * levels.disturbance)
+    tuned, fitted = settled(alongs, slow, offset, settings)
+    while True:
+        worst = _least_useful(tuned, fitted)
+        if worst is None:
+            return tuned, fitted
+        fewer = (*fitted.settings[:worst], *fitted.settings[worst + 1 :])
+        tuned, fitted = settled(alongs, slow, fitted.offset, fewer)
+
+
+def _least_useful(tuned: Tuned, fitted: Fitted) -> int | None:
+    """Return the effect without which stretches left out are predicted best; None where every effect is sure to help."""
+    blocks = _blocks(fitted)
+    whole = _left_out(tuned, fitted, blocks, None)
+    found: tuple[float, int] | None = None
+    for number in range(len(fitted.settings)):
+        worse = _left_out(tuned, fitted, blocks, number) - whole
+        share = float(worse.sum() / whole.sum())
+        is_sure = worse.mean() > SURE * worse.std(ddof=1) / np.sqrt(len(worse))
+        if not is_sure and share < LARGE and (found is None or share < found[0]):
+            found = (share, number)
+    return None if found is None else found[1]
+
+
+def _blocks(fitted: Fitted) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return innovations and columns of stretches, alike in length."""
+    rows = sum(len(rest) for rest in fitted.innovations)
+    blocks = []
+    for rest, columns in zip(fitted.innovations, fitted.columns, strict=True):
+        count = max(1, round(BLOCKS * len(rest) / rows))
+        blocks += [(rest[inside], columns[inside]) for inside in np.array_split(np.arange(len(rest)), count)]
+    return blocks
+
+
+def _left_out(tuned: Tuned, fitted: Fitted, blocks: Sequence[tuple[np.ndarray, np.ndarray]], without: int | None) -> np.ndarray:
+    """Return the squares of each stretch, predicted from the others; without one effect where that is given.
+
+    Equations are linear about the fit.
+    """
+    count = len(fitted.offset)
+    low, high = (bound + tuned.offset - fitted.offset for bound in tuned.bounds)
+    for number, parameter in fitted.parameters:
+        value = fitted.settings[number].parameters[parameter.name]
+        low, high = np.append(low, parameter.low - value), np.append(high, parameter.high - value)
+        if number == without:
+            low[-1] = high[-1] = parameter.neutral - value if parameter.is_strength else 0.0
+    prior = fitted.dispersion * np.append(np.ones(count), np.zeros(len(fitted.parameters)))
+    pull = prior * np.append(fitted.offset, np.zeros(len(fitted.parameters)))
+    squares = [columns.T @ columns for _, columns in blocks]
+    slopes = [columns.T @ rest for rest, columns in blocks]
+    all_squares, all_slopes = sum(squares) + np.diag(prior), sum(slopes) - pull
+    left = []
+    for own, slope, (rest, columns) in zip(squares, slopes, blocks, strict=True):
+        step = bounded_least_squares(all_squares - own, all_slopes - slope, low, high)
+        left.append(float(np.sum((rest - columns @ step) ** 2)))
+    return np.array(left)
+
+
+def _share(alongs: Sequence[Along]) -> float:
+    """Return the slow view's share of disturbances: all, where motions are too fast for equations that are linear nearby."""
+    for along in alongs:
+        for motion in along.smooth.values():
+            if np.std(motion.position - motion.slow[:, 0]) > FAST * np.std(motion.position):
+                return 1.0
+    return SLOW
