@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import scipy.optimize
 import scipy.signal
 
 from hil.diagnosis.candidates.columns import column
@@ -19,8 +18,8 @@ CORNER = 0.25
 """Of the disturbances' spectrum, as a share of the sample rate: above all that a machine follows."""
 WITHIN_ROW = 0.1
 """Of what a disturbance that is another one in every row moves a joint by within a row."""
-WIDEST = 1000.0
-"""Factor that the first levels may be off by."""
+WIDEST, HALVINGS = 1000.0, 10
+"""Factor that the disturbances' first level may be off by, and halvings of its logarithm: to a per cent."""
 MOST_ROWS = 15_000
 """Times joints, of all recordings together."""
 MOTION, PER_CYCLE = 0.99, 30.0
@@ -45,32 +44,20 @@ def assumed_levels(alongs: Sequence[Along]) -> Levels:
 
 
 def matched(levels: Levels, tuned: Tuned, fitted: Fitted) -> Levels:
-    """Return the likeliest levels of disturbances and of sensors, beside what a fit explains.
-
-    Each of both keeps its proportions; a motion's roughness alone would be taken for either.
-    """
+    """Return the levels with disturbances as strong as makes what a fit leaves of the mean size that they say."""
     parts = []
     for one in tuned.looked:
         along = one.beside.along
         with_it = along.signals(one.motion, along.plant.model(tuned.values, fitted.settings), fitted.settings)
         extra = column(one.signals, with_it)
         parts.append(one.beside.less(extra.efforts, extra.readings))
-    along = parts[0].along
-
-    def scaled(logarithms: np.ndarray) -> Levels:
-        disturbance, sensors = np.exp(np.clip(logarithms, -np.log(WIDEST), np.log(WIDEST)))
-        return _with_rows(along, replace(levels, disturbance=levels.disturbance * disturbance, sensors=levels.sensors * sensors))
-
-    def cost(logarithms: np.ndarray) -> float:
-        total, here = 0.0, scaled(logarithms)
-        for part in parts:
-            filtered = part.whitening(here)
-            total += filtered.log_determinant + float(np.sum(part.whitened(filtered) ** 2))
-        return total
-
-    begin = [[0.0, 0.0], [-2.0, 0.0], [0.0, 1.5]]
-    found = scipy.optimize.minimize(cost, begin[0], method="Nelder-Mead", options={"xatol": 0.05, "fatol": 2.0, "initial_simplex": begin})
-    return scaled(found.x)
+    low, high = -np.log(WIDEST), np.log(WIDEST)
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        scaled = _with_rows(parts[0].along, replace(levels, disturbance=levels.disturbance * np.exp(middle)))
+        squares = sum(float(np.sum(part.whitened(part.whitening(scaled)) ** 2)) for part in parts)
+        low, high = (middle, high) if squares > tuned.readings else (low, middle)
+    return _with_rows(parts[0].along, replace(levels, disturbance=levels.disturbance * np.exp(0.5 * (low + high))))
 
 
 def _with_rows(along: Along, levels: Levels) -> Levels:

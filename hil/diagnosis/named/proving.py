@@ -17,6 +17,7 @@ from hil.diagnosis.seen.along import Along
 from hil.diagnosis.seen.beside import Levels
 from hil.diagnosis.tuned.bounded import bounded_least_squares
 from hil.diagnosis.tuned.retuning import Tuned
+from virtual_bus.effects.registry import effects
 from virtual_bus.settings import EffectSetting
 
 SLOW = 0.03
@@ -41,17 +42,21 @@ def proved(alongs: Sequence[Along], levels: Levels, offset: np.ndarray, settings
         All that may act: effects that do not predict are left out one by one, the least useful first.
     """
     slow = replace(levels, disturbance=_share(alongs) * levels.disturbance)
-    tuned, fitted = settled(alongs, slow, offset, settings)
+    left = list(settings)
     while True:
+        tuned, fitted = settled(alongs, slow, offset, left)  # from where each began: what went had drawn the others its way
         worst = _least_useful(tuned, fitted)
         if worst is None:
             return tuned, fitted
-        fewer = (*fitted.settings[:worst], *fitted.settings[worst + 1 :])
-        tuned, fitted = settled(alongs, slow, fitted.offset, fewer)
+        del left[worst]
 
 
 def _least_useful(tuned: Tuned, fitted: Fitted) -> int | None:
     """Return the effect without which stretches left out are predicted best; None where every effect is sure to help."""
+    for number, setting in enumerate(fitted.settings):
+        strengths = [each for each in effects()[setting.name].parameters if each.is_strength]
+        if all(setting.parameters[each.name] == each.neutral for each in strengths):
+            return number
     blocks = _blocks(fitted)
     whole = _left_out(tuned, fitted, blocks, None)
     found: tuple[float, int] | None = None
