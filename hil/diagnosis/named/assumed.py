@@ -17,13 +17,13 @@ from hil.diagnosis.tuned.retuning import Tuned
 CORNER = 0.25
 """Of the disturbances' spectrum, as a share of the sample rate: above all that a machine follows."""
 WITHIN_ROW = 0.1
-"""Of what a disturbance that is another one in every row moves a joint by within a row."""
+"""Noise of a sensor, at least, in units of what a disturbance that differs from row to row moves its joint by within a row."""
 WIDEST, HALVINGS = 1000.0, 10
 """Factor that the disturbances' first level may be off by, and halvings of its logarithm: to a per cent."""
 MOST_ROWS = 15_000
-"""Times joints, of all recordings together."""
+"""Of all recordings together, times joints: an answer comes within half a minute."""
 MOTION, PER_CYCLE = 0.99, 30.0
-"""Share of the speeds' power, and rows per period of the fastest motion in it."""
+"""Share of the speeds' power that is kept, and rows per period of the fastest motion in it: equations are linearised about a thirtieth."""
 PER_OCTAVE = 2
 """Bands of the spectrum that are averaged by their logarithms: what differentiated noise adds to the highest ones, and what physics that
 is sought leaves in the lowest ones, counts little."""

@@ -36,11 +36,11 @@ class Named:
     groups : tuple of Group
     levels : Levels
     tuned : Tuned
-        The machine without effects.
+        The machine where it was last seen: its numbers are those of `best`.
     baseline : Fitted
         With the everyday effects at every driven joint.
     ranked : tuple of Ranked
-        The likeliest set first.
+        The likeliest set first, as far as fast misfits count.
     best : Fitted
         The set that predicts: the likeliest one, where noise is known from repeats.
     """
@@ -67,7 +67,8 @@ def name(machine: Machine, recordings: Mapping[str, Recording]) -> Named:
     materiality = 1.0
     if levels is None:
         materiality = MATERIAL
-        alongs = [Along(along.observed.coarser(by)) for by in [coarsest(alongs)] for along in alongs]
+        by = coarsest(alongs)
+        alongs = [Along(along.observed.coarser(by)) for along in alongs] if by > 1 else alongs
         levels = assumed_levels(alongs)
     with_friction, baseline = settled(alongs, levels, nominal_offset(alongs), everyday_effects(alongs[0]))
     if levels.are_assumed:
