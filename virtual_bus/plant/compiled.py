@@ -192,6 +192,11 @@ class CompiledPlant:
         shape = np.shape(q)
         return inertias.reshape(*shape, self.joints), biases.reshape(shape)
 
+    def inertias(self, model: np.ndarray, q: np.ndarray) -> np.ndarray:
+        """Return what moves with every joint (n,) in a pose (n,) [kg m^2 or kg], the armatures included."""
+        inertia, _ = self.inertia_and_bias(model, q[None], np.zeros((1, self.joints)))
+        return np.diag(inertia[0]).copy()
+
     @cached_property
     def _at_poses(self) -> ModuleType:
         return self.fuse("poses", AT_POSES)

@@ -65,11 +65,10 @@ def _with_rows(along: Along, levels: Levels) -> Levels:
 
     A motion that is known exactly at the rows, with an effort between them that is not, has innovations that alternate for ever.
     """
-    position = np.zeros((1, len(along.joints)))
+    pose = np.zeros(len(along.joints))
     for joint, motion in along.smooth.items():
-        position[0, joint] = motion.position[0]
-    inertia, _ = along.plant.inertia_and_bias(along.plant.model(None, ()), position, 0.0 * position)
-    within = WITHIN_ROW * levels.disturbance / np.diag(inertia[0]) * along.observed.period_s
+        pose[joint] = motion.position[0]
+    within = WITHIN_ROW * levels.disturbance / along.plant.inertias(along.plant.model(None, ()), pose) * along.observed.period_s
     sensors = levels.sensors.copy()
     speeds = {sensor.channel for sensor in along.settings.speeds}
     for sensor in along.settings.joint_sensors:

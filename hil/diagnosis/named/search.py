@@ -47,8 +47,8 @@ def library(tuned: Tuned) -> list[Entry]:
     motions = [one.motion for one in tuned.looked]
     signals = [one.signals for one in tuned.looked]
     missing = [one.given - one.needed for one in signals]
-    inertia, _ = tuned.plant.inertia_and_bias(tuned.looked[0].beside.model, motions[0].position[:1], 0.0 * motions[0].position[:1])
-    return entries(alongs, motions, signals, tuned.values, missing, np.diag(inertia[0]))
+    inertias = tuned.plant.inertias(tuned.looked[0].beside.model, motions[0].position[0])
+    return entries(alongs, motions, signals, tuned.values, missing, inertias)
 
 
 def search(tuned: Tuned, laws: Sequence[Entry], baseline: Fitted, materiality: float = 1.0) -> list[Ranked]:

@@ -62,7 +62,9 @@ class Numbers:
 def numbers_of(plant: CompiledPlant) -> Numbers:
     """Return the numbers that may be corrected: those of the file, and inertias of rotors that it leaves out."""
     indices, scales, low, high = [], [], [], []
+    names = [joint.name for joint in plant.settings.tree.joints]
     driven = {drive.joint for drive in plant.settings.drives}
+    moved = plant.inertias(plant.model(None, ()), np.zeros(len(names)))
     for i, parameter in enumerate(plant.parameters):
         if not parameter.quantity.startswith(TUNED):
             continue
@@ -71,18 +73,10 @@ def numbers_of(plant: CompiledPlant) -> Numbers:
             low.append(-TOLERANCE)
             high.append(TOLERANCE)
         elif parameter.quantity.startswith("armature") and parameter.owner in driven:
-            scales.append(PRIOR * _inertia(plant, parameter.owner))
+            scales.append(PRIOR * float(moved[names.index(parameter.owner)]))
             low.append(0.0)
             high.append(MOST_FREED / PRIOR)
         else:
             continue
         indices.append(i)
     return Numbers(plant, np.array(indices, dtype=np.int64), *(np.array(each, dtype=float) for each in (scales, low, high)))
-
-
-def _inertia(plant: CompiledPlant, joint: str) -> float:
-    """Return what moves with a joint in the pose zero [kg m^2 or kg]."""
-    names = [each.name for each in plant.settings.tree.joints]
-    zero = np.zeros((1, len(names)))
-    inertia, _ = plant.inertia_and_bias(plant.model(None, ()), zero, zero)
-    return float(inertia[0][names.index(joint), names.index(joint)])

@@ -174,9 +174,8 @@ def _of_this_inertia(levels: Levels, along: Along, one: Beside) -> Levels:
 
     Otherwise every machine would be found lighter, and its drives weaker, than it is: the same motion would need smaller disturbances.
     """
-    q = one.base.position[:1]
-    inertias = [np.diag(along.plant.inertia_and_bias(model, q, 0.0 * q)[0][0]) for model in (one.model, along.plant.model(None, ()))]
-    return replace(levels, disturbance=levels.disturbance * inertias[0] / inertias[1])
+    here, file = (along.plant.inertias(model, one.base.position[0]) for model in (one.model, along.plant.model(None, ())))
+    return replace(levels, disturbance=levels.disturbance * here / file)
 
 
 def _as_the_equations_say(along: Along, one: Beside, motion: Motion, given: np.ndarray) -> Motion:

@@ -27,8 +27,8 @@ def along() -> Linearised:
     )
 
 
-def dense(along: Linearised, present: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Covariance of all readings, and the map from start and process noise to all states."""
+def dense(along: Linearised, present: np.ndarray, extra: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Covariance of the readings that there are, and of all states with all readings."""
     inputs = STATES * ROWS
     states = np.zeros((ROWS, STATES, inputs))
     states[0, :, :STATES] = np.eye(STATES)
@@ -36,6 +36,8 @@ def dense(along: Linearised, present: np.ndarray) -> tuple[np.ndarray, np.ndarra
         states[k + 1] = along.transition[k // 3] @ states[k]
         states[k + 1, :, STATES * (k + 1) : STATES * (k + 2)] += np.eye(STATES)
     variances = np.concatenate([along.start, np.tile(along.process, ROWS - 1)])
+    if extra is not None:  # after each row
+        variances[STATES:] += extra[:-1].ravel()
     seen = np.concatenate([along.observation[k // 3] @ states[k] for k in range(ROWS)])
     covariance = (seen * variances) @ seen.T + np.diag(np.tile(along.noise, ROWS))
     return covariance[np.ix_(present.ravel(), present.ravel())], states * variances @ seen.T
@@ -87,14 +89,20 @@ def test_columns_may_pass_in_several_parts(along: Linearised) -> None:
     np.testing.assert_allclose(parts, whole)
 
 
-def test_smoothed_states_are_the_conditional_means(along: Linearised) -> None:
+@pytest.mark.parametrize("some_missing", [False, True])
+@pytest.mark.parametrize("some_more_unsure", [False, True])
+def test_smoothed_states_are_the_conditional_means(along: Linearised, some_missing: bool, some_more_unsure: bool) -> None:
     rng = np.random.default_rng(SEED + 4)
-    readings = rng.normal(size=(ROWS, CHANNELS))
     present = np.ones((ROWS, CHANNELS), dtype=bool)
+    if some_missing:
+        present[3, 1] = present[7] = False
+    extra = rng.uniform(0.0, 5.0, (ROWS, STATES)) if some_more_unsure else None
+    readings = rng.normal(size=(ROWS, CHANNELS)) * present
     nothing = np.zeros((ROWS, 1))
-    states, deviations = smooth_states(whitening(along, present), nothing, nothing, readings, present)
-    covariance, across = dense(along, present)
-    np.testing.assert_allclose(states, across @ np.linalg.solve(covariance, readings.ravel()), atol=1e-9)
+    states, deviations = smooth_states(whitening(along, present, extra), nothing, nothing, readings, present)
+    covariance, across = dense(along, present, extra)
+    across = across[:, :, present.ravel()]
+    np.testing.assert_allclose(states, across @ np.linalg.solve(covariance, readings.ravel()[present.ravel()]), atol=1e-9)
     before = np.diag(along.start)
     after = before - across[0] @ np.linalg.solve(covariance, across[0].T)
     np.testing.assert_allclose(deviations[0], np.sqrt(np.diag(after)), rtol=1e-7)
