@@ -19,10 +19,10 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from diagnosis_speed import driven
 
-from hil.diagnosis.residuals.simulated import smooth
 from hil.machine import load_machine
 from hil.simulation import Outputs, Simulator
 from hil.simulation.simulate import inputs_of
+from hil.simulation.smooth import smooth
 from virtual_bus.plant.lanes import LANES
 from virtual_bus.settings import EffectSetting
 

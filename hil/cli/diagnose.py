@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,12 +16,18 @@ from hil.errors import RecordingError
 from hil.terminal.output import Answer, JsonOption, plain, progress
 
 if TYPE_CHECKING:
+    from hil.diagnosis.answered.answer import Answered
+    from hil.diagnosis.audit.audit import Audit
     from hil.diagnosis.diagnose import Outcome
+    from hil.diagnosis.result import Diagnosis, Finding
     from hil.machine import Machine
     from hil.recording import Recording
 
 MOST_THREADS = 4
 """By default: more would find little to do, since eight runs go side by side in each and fits wait for their answers."""
+
+STEPS = ("audit", "seen")
+"""After which a diagnosis can stop."""
 
 
 def register(app: typer.Typer) -> None:
@@ -44,11 +51,17 @@ def diagnose(
         int | None,
         typer.Option("--jobs", "-j", metavar="N", min=1, help="Threads; one per processor unless given, 4 at most. Same answer."),
     ] = None,
+    stop_after: Annotated[
+        str | None,
+        typer.Option("--stop-after", metavar="STEP", help="`audit`: controllers and encoders alone. `seen`: also what each joint lacks."),
+    ] = None,
     json_to: JsonOption = None,
 ) -> None:
     """Diagnose and write DIR."""
+    from hil.diagnosis.audit.audit import audit
+    from hil.diagnosis.by_motion import diagnose_along, is_along_the_motion
     from hil.diagnosis.diagnose import diagnose as run_diagnosis
-    from hil.diagnosis.files import write_diagnosis
+    from hil.diagnosis.files import write_answer, write_diagnosis
     from hil.processes.kept_memory import keep_memory
 
     keep_memory()
@@ -59,16 +72,64 @@ def diagnose(
     train = _read(recordings, machine)
     held = _read(held_out or [], machine, train)
     _check_no_copies(train, held)
+    audited = audit(machine, [*train.values(), *held.values()])
+    if stop_after is not None:
+        _stopped(stop_after, answer, machine, train, audited)
+        return
+    is_along = is_along_the_motion(machine, train, audited)
     with progress(Answer("-").console) as bars:
         task = bars.add_task("reading", total=1.0)
 
         def report(what: str, share: float) -> None:
             bars.update(task, description=what, completed=share)
 
-        outcome = run_diagnosis(machine, train, held, jobs=_processors() if jobs is None else jobs, report=report)
+        def first(diagnosis: Diagnosis) -> None:
+            write_answer(diagnosis, out)
+            bars.console.print(f"first answer: {_found(diagnosis.findings)} (provisional; {diagnosis.seconds:.1f} s)", style="dim")
+
+        outcome: Outcome | Answered
+        if is_along:
+            outcome = diagnose_along(machine, train, held, audited, report, first)
+        else:
+            outcome = run_diagnosis(machine, train, held, jobs=_processors() if jobs is None else jobs, report=report)
+            outcome = replace(outcome, diagnosis=replace(outcome.diagnosis, audit=audited.document()))
     write_diagnosis(outcome, machine, out)
     _say(answer, outcome, out)
     answer.write(plain(outcome.diagnosis.document()))
+    if outcome.diagnosis.verdict == "misconfigured":
+        raise typer.Exit(1)
+
+
+def _stopped(step: str, answer: Answer, machine: Machine, recordings: Mapping[str, Recording], audited: Audit) -> None:
+    """Say what the first steps show."""
+    from hil.diagnosis.seen.see import see
+    from hil.errors import UnusableInputError
+
+    if step not in STEPS:
+        raise UnusableInputError(f"--stop-after {step}: is no step; {' or '.join(STEPS)} would be right")
+    for said in [*(axis.said for axis in audited.axes), *(pair.said for pair in audited.sensors)]:
+        answer.say(said)
+    if not audited.axes:
+        rate = f"{machine.sample_rate_Hz:g} Hz"
+        answer.say(f"no recording has reference, position and command of an axis at {rate}: no controller is audited")
+    document: dict[str, object] = {"audit": audited.document()}
+    if step == "seen":
+        units = {drive.joint: "N" if drive.joint in _sliding(machine) else "Nm" for drive in machine.plant.drives}
+        missing = see(machine, recordings).missing()
+        for each in missing:
+            rms = [float(np.sqrt(np.mean(values**2))) for values in (each.given, each.missing)]
+            said = f"{each.recording}, {each.joint}: effort {rms[0]:.3g} {units[each.joint]} rms,"
+            answer.say(f"{said} of which the motion by the machine file lacks {rms[1]:.3g} {units[each.joint]} ({each.share:.0%})")
+        document["seen"] = [
+            {"recording": each.recording, "joint": each.joint, "unit": units[each.joint], "missing_share": each.share} for each in missing
+        ]
+    answer.write(plain(document))
+    if audited.wrong:
+        raise typer.Exit(1)
+
+
+def _sliding(machine: Machine) -> set[str]:
+    return {joint.name for joint in machine.plant.tree.joints if joint.kind == "prismatic"}
 
 
 def _processors() -> int:
@@ -129,7 +190,20 @@ def _same_rows(one: Recording, other: Recording) -> bool:
     return names == set(other.channels) and all(np.array_equal(one[n], other[n], equal_nan=True) for n in names)
 
 
-def _say(answer: Answer, outcome: Outcome, out: Path) -> None:
+def _found(findings: Sequence[Finding]) -> str:
+    """Return effects with their numbers, on one line."""
+    words = []
+    for finding in findings:
+        numbers = ", ".join(
+            f"{name} = {e.value:.4g}{' ' + e.unit if e.unit else ''} ({e.ci95[0]:.4g} to {e.ci95[1]:.4g})"
+            for name, e in finding.parameters.items()
+        )
+        words.append(f"{finding.effect}: {numbers}")
+    return "; ".join(words) or "no effect"
+
+
+def _say(answer: Answer, outcome: Outcome | Answered, out: Path) -> None:
+    from hil.diagnosis.answered.answer import Answered
     from hil.diagnosis.diagnose import NEXT_EXPERIMENT
 
     diagnosis = outcome.diagnosis
@@ -137,15 +211,13 @@ def _say(answer: Answer, outcome: Outcome, out: Path) -> None:
     for suspicion in diagnosis.suspicions:
         answer.say(f"  {suspicion}")
     for finding in diagnosis.findings:
-        numbers = ", ".join(
-            f"{name} = {e.value:.4g}{' ' + e.unit if e.unit else ''} ({e.ci95[0]:.4g} to {e.ci95[1]:.4g})"
-            for name, e in finding.parameters.items()
-        )
-        answer.say(f"  {finding.effect}: confidence {finding.confidence:.2f}; {numbers}")
+        answer.say(f"  {finding.effect}: confidence {finding.confidence:.2f}; {_found([finding]).split(': ', 1)[1]}")
     judged = diagnosis.fit.held_out or diagnosis.fit.train
     where = "held-out" if diagnosis.fit.held_out is not None else "training"
-    stages = [("nominal", judged.nominal), ("re-tuned", judged.retuned), ("extended", judged.extended)]
-    answer.say(f"E, misfit in units of noise, {where}: " + ", ".join(f"{name} {value:.3g}" for name, value in stages if value is not None))
-    if outcome.proposal is not None:
+    stages = [("nominal", judged.nominal), ("re-tuned", judged.retuned), ("engineer's fit", judged.baseline), ("extended", judged.extended)]
+    shown = ", ".join(f"{name} {value:.3g}" for name, value in stages if value is not None)
+    if shown:
+        answer.say(f"E, misfit in units of noise, {where}: {shown}")
+    if not isinstance(outcome, Answered) and outcome.proposal is not None:
         answer.say(f"  {outcome.proposal.said(str(out / NEXT_EXPERIMENT))}")
     answer.say(f"{out}: report.html, diagnosis.json, effects.toml, machine.toml ({diagnosis.seconds:.1f} s)")

@@ -6,14 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-Verdict = Literal["inconclusive", "unknown_physics", "ambiguous", "explained", "retuned", "consistent"]
+Verdict = Literal["inconclusive", "misconfigured", "unknown_physics", "ambiguous", "explained", "retuned", "consistent"]
 NoiseKind = Literal["repeats", "periods", "assumed"]
 Span = tuple[float, float]
 
 READ_OFF = 0.99
 """Confidence of what recordings show by themselves, with nothing fitted."""
 
-STAGES = ("nominal", "retuned", "extended", "placebo", "noise_floor")
+STAGES = ("nominal", "retuned", "extended", "placebo", "noise_floor", "baseline")
 
 
 @dataclass(frozen=True, order=True)
@@ -72,6 +72,8 @@ class Finding:
     separating_experiment: str | None = None  # file that `isocenter run` takes
     evidence_for: tuple[str, ...] = ()
     evidence_against: tuple[str, ...] = ()
+    family: str = ""  # of effects that recordings often do not tell apart
+    variants: tuple[tuple[EffectAt, float], ...] = ()  # laws of the family at this place that may be it, and how sure each is
 
     def document(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -84,6 +86,8 @@ class Finding:
             "separating_experiment": self.separating_experiment,
             "evidence_for": list(self.evidence_for),
             "evidence_against": list(self.evidence_against),
+            "family": self.family,
+            "variants": [{**effect.document(), "confidence": share} for effect, share in self.variants],
         }
 
 
@@ -174,13 +178,14 @@ class DisturbanceShares:
 
 @dataclass(frozen=True)
 class Stages:
-    """One misfit measure at the five stages of a diagnosis; None where there is nothing to compute it from."""
+    """One misfit measure at the stages of a diagnosis; None where there is nothing to compute it from."""
 
     nominal: float | None
     retuned: float | None
     extended: float | None
     placebo: float | None
     noise_floor: float | None
+    baseline: float | None = None  # of the engineer's fit: everyday effects and numbers
 
     def document(self) -> dict[str, float | None]:
         """Return plain values for JSON."""
@@ -200,6 +205,7 @@ class Fit:
     held_out: Stages | None
     removed_share: float | None
     removed_share_from_nominal: float | None
+    horizon_s: float | None = None  # of the free runs; None: whole recordings
 
     def document(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -209,7 +215,22 @@ class Fit:
             "held_out": None if self.held_out is None else self.held_out.document(),
             "removed_share": self.removed_share,
             "removed_share_from_nominal": self.removed_share_from_nominal,
+            "horizon_s": self.horizon_s,
         }
+
+
+@dataclass(frozen=True)
+class DetectionLimit:
+    """The least strength of an effect that the recordings would have shown; None where no strength would."""
+
+    effect: EffectAt
+    parameter: str
+    strength: float | None
+    unit: str
+
+    def document(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {**self.effect.document(), "parameter": self.parameter, "strength": self.strength, "unit": self.unit}
 
 
 @dataclass(frozen=True)
@@ -230,6 +251,10 @@ class Diagnosis:
     disturbance: DisturbanceShares = field(default_factory=DisturbanceShares)
     suspicions: tuple[str, ...] = ()  # what looks like a wrong unit, a wrong sign or a gross delay
     separations: tuple[PredictedSeparation, ...] = ()  # by the next experiment
+    audit: Mapping[str, Any] = field(default_factory=dict)  # of controllers and sensors
+    detection_limits: tuple[DetectionLimit, ...] = ()
+    baseline: tuple[Finding, ...] = ()  # the engineer's fit: everyday effects at every driven joint
+    provisional: bool = False
 
     def document(self) -> dict[str, Any]:
         """Return the whole answer as plain values, laid out in docs/generated/json.md."""
@@ -246,6 +271,13 @@ class Diagnosis:
             "predicted_separations": [each.document() for each in self.separations],
             "disturbance": self.disturbance.document(),
             "suspicions": list(self.suspicions),
+            "audit": dict(self.audit),
+            "detection_limits": [limit.document() for limit in self.detection_limits],
+            "baseline": [
+                {**one.effect.document(), "parameters": {name: value.document() for name, value in one.parameters.items()}}
+                for one in self.baseline
+            ],
+            "provisional": self.provisional,
             "unexplained_share": self.unexplained_share,
             "seconds": self.seconds,
         }

@@ -31,6 +31,8 @@ class Inputs:
         Speeds of the driven joints at row 0 [rad/s or m/s], springs at rest; None: standstill.
     controller_states : mapping or None
         As `Feedback.states`; None: integrators at the holding effort.
+    first_effort : (n_axes,) array or None
+        Beside a command: acts from row 0 on, until the first command does; None: what holds the machine there.
     """
 
     reference: np.ndarray | None
@@ -41,6 +43,7 @@ class Inputs:
     controller_states: Mapping[str, Any] | None = None
     start_speed: np.ndarray | None = None
     deviation: np.ndarray | None = None
+    first_effort: np.ndarray | None = None
 
     @property
     def standing_pose(self) -> np.ndarray:

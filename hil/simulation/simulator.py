@@ -154,6 +154,7 @@ class Simulator:
             loop, holding = self._started(inputs, holding, values, effects)
         else:
             loop = self._open_loop
+            holding = holding if inputs.first_effort is None else inputs.first_effort
         settings = self.machine.plant
         sensors = with_effects(self._own_sensors, settings, settings.effects if effects is None else effects)
         return Prepared(model, state, holding.copy(), loop, sensors)

@@ -15,6 +15,8 @@ STEPS = (
     "candidates",
     "tuned",
     "named",
+    "predicted",
+    "answered",
     "recorded",
     "residuals",
     "tuning",

@@ -32,6 +32,7 @@ EFFECT = Effect(
     neighbours=("presliding_hysteresis", "joint_compliance", "delay"),
     source="Nordin and Gutman 2002, eq. (3); Johnson 1985, ch. 4 (flanks in contact are softer at first)",
     family="elasticity",
+    play="b",
 )
 
 

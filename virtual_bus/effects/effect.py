@@ -128,4 +128,5 @@ class Effect:
     family: str  # effects that recordings often tell apart from all others but not from each other
     parent: str = ""  # the effect that this one refines
     everyday: bool = False  # what an engineer's first fit has at every driven joint
+    play: str = ""  # the parameter that is half of what two encoders of its axis lie apart by
     several: str = ""  # the parameter in which several at one place differ; "" where there is but one

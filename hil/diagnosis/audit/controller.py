@@ -117,7 +117,8 @@ def _part(machine: Machine, recording: Recording, axis: str) -> _Part | None:
     if any(name not in recording for name in names) or np.any(np.abs(np.diff(recording.time) - period) > UNEQUAL_STEP * period):
         return None
     reference, position, command = (recording[name] for name in names)
-    added = sum((recording[name] for name in (f"excitation_{axis}", f"feedforward_{axis}") if name in recording), np.zeros(len(command)))
+    further = [name for name in (f"excitation_{axis}", f"feedforward_{axis}", f"damping_{axis}") if name in recording]
+    added = sum((recording[name] for name in further), np.zeros(len(command)))
     if not all(np.isfinite(each).all() for each in (reference, position, command, added)):
         return None
     return _Part(reference, position, added, command)

@@ -52,12 +52,12 @@ class Filtered:
         self._joints, self._channels = joints, channels
         self._state = np.zeros((filtered.along.transition.shape[1], len(columns)))
 
-    def block(self, first: int, last: int) -> np.ndarray:
-        """Return the whitened rows ((last - first) * channels, C); blocks are asked for in order."""
+    def whole(self, rows: int) -> np.ndarray:
+        """Return the whitened rows (N m, C)."""
         count = len(self._columns)
-        out = np.zeros(((last - first) * self._channels, count))
-        for begin in range(first, last, ROWS):
-            end = min(begin + ROWS, last)
+        out = np.zeros((rows * self._channels, count))
+        for begin in range(0, rows, ROWS):
+            end = min(begin + ROWS, rows)
             efforts, ends = np.zeros((2, end - begin, self._joints, count))
             readings = np.zeros((end - begin, self._channels, count))
             for c, one in enumerate(self._columns):
@@ -65,6 +65,6 @@ class Filtered:
                     efforts[:, joint, c], ends[:, joint, c] = at[begin:end], until[begin:end]
                 for channel, values in one.readings.items():
                     readings[:, channel, c] = values[begin:end]
-            part = out[(begin - first) * self._channels : (end - first) * self._channels]
+            part = out[begin * self._channels : end * self._channels]
             self._filtered.columns(efforts, ends, readings, begin, self._state, part)
-        return out
+        return self._filtered.coloured(out)

@@ -14,13 +14,13 @@ import numpy as np
 
 from hil.diagnosis.judging.form_error import NO_ERROR, FormError
 from hil.diagnosis.residuals.noise import NoiseModel, sensor_floor
-from hil.diagnosis.residuals.simulated import simulated_matrix, smooth
 from hil.diagnosis.residuals.spectra import gains_of
 from hil.diagnosis.starting.motion import HIGHEST_EFFORT_Hz, highest_seen_Hz
 from hil.diagnosis.tuning.free_run import FreeRuns
 from hil.diagnosis.tuning.retune import Tuning
 from hil.machine import Machine
 from hil.simulation import Inputs, Simulator
+from hil.simulation.smooth import simulated_matrix, smooth
 
 
 def onset(runs: FreeRuns, name: str, tuning: Tuning) -> FormError:

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 
-from hil.diagnosis.named.assumed import assumed_levels, coarsest, matched
 from hil.diagnosis.named.everyday import everyday_effects
 from hil.diagnosis.named.fitting import Fitted, fit
-from hil.diagnosis.named.proving import proved
+from hil.diagnosis.named.matching import matched
+from hil.diagnosis.named.proving import proved, slow_view
 from hil.diagnosis.named.search import Ranked, library, search
 from hil.diagnosis.named.settling import settled
-from hil.diagnosis.observed.groups import Group, groups
-from hil.diagnosis.seen.along import Along
 from hil.diagnosis.seen.beside import Levels
-from hil.diagnosis.seen.levels import repeat_levels
+from hil.diagnosis.seen.see import Seen
 from hil.diagnosis.tuned.retuning import Tuned, nominal_offset
-from hil.machine import Machine
-from hil.recording import Recording
 
 ROUNDS = 3
 """Searches: once the best set is known the machine is seen with it, and what is missing beside it shows."""
@@ -33,10 +29,15 @@ class Named:
 
     Attributes
     ----------
-    groups : tuple of Group
+    seen : Seen
     levels : Levels
+        As strong as makes what the engineer's first fit leaves of the size that they say, where they are assumed.
+    view : Levels
+        By which the answer was judged: those, or with weaker disturbances where they are assumed.
+    plain : Fitted
+        Numbers alone.
     tuned : Tuned
-        The machine where it was last seen: its numbers are those of `best`.
+        The machine where it was last seen, in that view: its numbers are those of `best`.
     baseline : Fitted
         With the everyday effects at every driven joint.
     ranked : tuple of Ranked
@@ -45,35 +46,44 @@ class Named:
         The set that predicts: the likeliest one, where noise is known from repeats.
     """
 
-    groups: tuple[Group, ...]
+    seen: Seen
     levels: Levels
+    view: Levels
+    plain: Fitted
     tuned: Tuned
     baseline: Fitted
     ranked: tuple[Ranked, ...]
     best: Fitted
 
+    @property
+    def materiality(self) -> float:
+        """Factor by which what is left must be less with an effect that is not everyday."""
+        return MATERIAL if self.levels.are_assumed else 1.0
 
-def name(machine: Machine, recordings: Mapping[str, Recording]) -> Named:
+
+def name(
+    seen: Seen,
+    report: Callable[[str, float], None] = lambda what, share: None,
+    first: Callable[[Fitted], None] = lambda baseline: None,
+) -> Named:
     """Name the effects that a machine's simulation lacks.
 
-    Raises
-    ------
-    RecordingError
-        Recordings that cannot be used.
+    Parameters
+    ----------
+    seen : Seen
+    report : callable, optional
+        Told what is being done, and the share of the whole that is done.
+    first : callable, optional
+        Told the engineer's first fit as soon as there is one.
     """
-    found = groups(machine, recordings)
-    alongs = [Along(group.mean) for group in found]
-    levels = repeat_levels(found, alongs)
-    materiality = 1.0
-    if levels is None:
-        materiality = MATERIAL
-        by = coarsest(alongs)
-        alongs = [Along(along.observed.coarser(by)) for along in alongs] if by > 1 else alongs
-        levels = assumed_levels(alongs)
+    alongs, levels = seen.alongs, seen.levels
+    report("fitting numbers and friction", 0.1)
     with_friction, baseline = settled(alongs, levels, nominal_offset(alongs), everyday_effects(alongs[0]))
     if levels.are_assumed:
         levels = matched(levels, with_friction, baseline)
         with_friction, baseline = settled(alongs, levels, baseline.offset, baseline.settings)
+    first(baseline)
+    report("fitting numbers alone", 0.25)
     tuned, plain = settled(alongs, levels, nominal_offset(alongs))
     dispersion = baseline.dispersion
     if baseline.cost(dispersion) + len(baseline.parameters) * math.log(tuned.readings) < plain.cost(dispersion):
@@ -83,13 +93,16 @@ def name(machine: Machine, recordings: Mapping[str, Recording]) -> Named:
         assert begun is not None
         best = begun
     ranked: list[Ranked] = []
-    for _ in range(ROUNDS):
-        ranked = search(tuned, library(tuned), best, materiality)
+    for turn in range(ROUNDS):
+        report("searching", 0.35 + 0.4 * turn / ROUNDS)
+        ranked = search(tuned, library(tuned), best, MATERIAL if levels.are_assumed else 1.0)
         if ranked[0].fitted.names == best.names:
             break
         tuned, best = settled(alongs, levels, ranked[0].fitted.offset, ranked[0].fitted.settings)
-    best = ranked[0].fitted
+    best, view = ranked[0].fitted, levels
     if levels.are_assumed:
+        report("proving", 0.75)
         further = tuple(each for each in baseline.settings if (each.name, each.at) not in best.names)
-        tuned, best = proved(alongs, levels, best.offset, (*best.settings, *further))
-    return Named(found, levels, tuned, baseline, tuple(ranked), best)
+        view = slow_view(alongs, levels)
+        tuned, best = proved(alongs, view, best.offset, (*best.settings, *further))
+    return Named(seen, levels, view, plain, tuned, baseline, tuple(ranked), best)

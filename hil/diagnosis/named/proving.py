@@ -7,11 +7,13 @@ fast misfits, which laws of friction are bent to where they can be, count little
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.stats
 
-from hil.diagnosis.named.fitting import BLOCKS, Fitted
+from hil.diagnosis.named.fitting import BLOCKS, Fitted, fit
+from hil.diagnosis.named.search import Library, library, proposed
 from hil.diagnosis.named.settling import settled
 from hil.diagnosis.seen.along import Along
 from hil.diagnosis.seen.beside import Levels
@@ -26,7 +28,9 @@ FAST = 0.1
 """Share of a motion that is faster than what equations are linearised about."""
 SURE, LARGE = 2.0, 0.1
 """Standard errors, over stretches, by which an effect lowers the squares of stretches left out, and share of them: one of both keeps it.
-Few stretches may show an effect, and then it shows much."""
+Few stretches may show an effect, and then it shows much. What was not in the set before has to be both."""
+EXCHANGES = 3
+"""At most."""
 
 
 def proved(alongs: Sequence[Along], levels: Levels, offset: np.ndarray, settings: Sequence[EffectSetting]) -> tuple[Tuned, Fitted]:
@@ -36,15 +40,103 @@ def proved(alongs: Sequence[Along], levels: Levels, offset: np.ndarray, settings
     ----------
     alongs : sequence of Along
     levels : Levels
-        Assumed noise.
+        Of the slow view.
     offset : (P,) array
     settings : sequence of EffectSetting
-        All that may act: effects that do not predict are left out one by one, the least useful first.
+        All that may act: effects that do not predict are left out one by one, the least useful first. Then an effect or two are exchanged
+        for another law of the same family that predicts better. None is added: real machines have a little of everything, and many small
+        effects bend to any misfit.
     """
-    slow = replace(levels, disturbance=_share(alongs) * levels.disturbance)
+    tuned, fitted = _eliminated(alongs, levels, offset, settings)
+    for _ in range(EXCHANGES):
+        left = left_out(tuned, fitted)
+        better = _better(tuned, fitted, left)
+        if better is None:
+            break
+        further = _eliminated(alongs, levels, fitted.offset, better.settings)
+        if further[1].names == fitted.names or not left_out(*further).sum() < left.sum():
+            break
+        tuned, fitted = further
+    return tuned, fitted
+
+
+def left_out(tuned: Tuned, fitted: Fitted) -> np.ndarray:
+    """Return the squares of every stretch, predicted from the others."""
+    return _left_out(tuned, fitted, _blocks(fitted), None)
+
+
+@dataclass(frozen=True, eq=False)
+class Neighbour:
+    """A fitted set that differs from another one by an effect or two.
+
+    Attributes
+    ----------
+    fitted : Fitted
+    without : tuple of int
+        Which effects of the other set it has not.
+    has_another : bool
+        Whether its last effect is none of the other set's.
+    """
+
+    fitted: Fitted
+    without: tuple[int, ...]
+    has_another: bool
+
+
+def neighbours(tuned: Tuned, best: Fitted, of: Library) -> list[Neighbour]:
+    """Return what might stand in place of each effect of a set, and the set without it.
+
+    Laws that would explain most beside what is kept are fitted with it: in place of one effect, or of two at one place. Two laws of one
+    family at one place are one law.
+    """
+    count = len(best.settings)
+    pairs = [(k, j) for k in range(count) for j in range(k) if best.settings[k].at == best.settings[j].at]
+    found = []
+    for without in [*((k,) for k in range(count)), *pairs]:
+        kept = tuple(setting for k, setting in enumerate(best.settings) if k not in without)
+        rest = fit(tuned, kept, best.offset, best.dispersion)
+        if rest is None:
+            continue
+        if len(without) == 1:
+            found.append(Neighbour(rest, without, has_another=False))
+        taken = best.names | {(effects()[one.name].family, one.at) for one in kept}
+        for law, weights in proposed(rest, of, tuned.readings, best.dispersion):
+            if {(law.effect.name, law.at), (law.effect.family, law.at)} & taken:
+                continue
+            other = fit(tuned, (*kept, law.setting(weights)), rest.offset, best.dispersion)
+            if other is not None:
+                found.append(Neighbour(other, without, has_another=True))
+    return found
+
+
+def _better(tuned: Tuned, best: Fitted, left: np.ndarray) -> Fitted | None:
+    """Return the other law that predicts stretches left out best, where it is sure to, and by much; None where none is.
+
+    Of several that are tried each has to be surer (Bonferroni).
+    """
+    found: tuple[float, Fitted] | None = None
+    tried = [one for one in neighbours(tuned, best, library(tuned)) if one.has_another and _is_refined(best, one)]
+    freedom = len(left) - 1
+    sure = scipy.stats.t.isf(scipy.stats.t.sf(SURE, freedom) / max(len(tried), 1), freedom)
+    for one in tried:
+        gained = left - left_out(tuned, one.fitted)
+        is_sure = gained.mean() > sure * gained.std(ddof=1) / np.sqrt(len(gained))
+        if is_sure and gained.sum() > LARGE * left.sum() and (found is None or gained.sum() > found[0]):
+            found = (float(gained.sum()), one.fitted)
+    return None if found is None else found[1]
+
+
+def _is_refined(best: Fitted, one: Neighbour) -> bool:
+    """Whether a neighbour's last effect is another law of the family and at the place of one that it has not."""
+    law = one.fitted.settings[-1]
+    gone = {(effects()[best.settings[k].name].family, best.settings[k].at) for k in one.without}
+    return (effects()[law.name].family, law.at) in gone
+
+
+def _eliminated(alongs: Sequence[Along], levels: Levels, offset: np.ndarray, settings: Sequence[EffectSetting]) -> tuple[Tuned, Fitted]:
     left = list(settings)
     while True:
-        tuned, fitted = settled(alongs, slow, offset, left)  # from where each began: what went had drawn the others its way
+        tuned, fitted = settled(alongs, levels, offset, left)  # from where each began: what went had drawn the others its way
         worst = _least_useful(tuned, fitted)
         if worst is None:
             return tuned, fitted
@@ -103,10 +195,10 @@ def _left_out(tuned: Tuned, fitted: Fitted, blocks: Sequence[tuple[np.ndarray, n
     return np.array(left)
 
 
-def _share(alongs: Sequence[Along]) -> float:
-    """Return the slow view's share of disturbances: all, where motions are too fast for equations that are linear nearby."""
+def slow_view(alongs: Sequence[Along], levels: Levels) -> Levels:
+    """Return assumed noise with weaker disturbances; the same, where motions are too fast for equations that are linear nearby."""
     for along in alongs:
         for motion in along.smooth.values():
             if np.std(motion.position - motion.slow[:, 0]) > FAST * np.std(motion.position):
-                return 1.0
-    return SLOW
+                return levels
+    return replace(levels, disturbance=SLOW * levels.disturbance)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,33 +41,91 @@ class Ranked:
         return self.fitted.cost(self.dispersion) + self.price
 
 
-def library(tuned: Tuned) -> list[Entry]:
+@dataclass(frozen=True, eq=False)
+class Library:
+    """The laws of all effects at all places beside what was recorded.
+
+    Attributes
+    ----------
+    laws : tuple of Entry
+    columns : tuple of (N m, L) arrays
+        Whitened, one array a recording.
+    squares : (L, L) array
+    """
+
+    laws: tuple[Entry, ...]
+    columns: tuple[np.ndarray, ...]
+    squares: np.ndarray
+
+    @property
+    def places(self) -> int:
+        """Number of effects and places."""
+        return len({(law.effect.name, law.at) for law in self.laws})
+
+
+def library(tuned: Tuned) -> Library:
     """Return the laws of all effects at all places, for these recordings."""
     alongs = [one.beside.along for one in tuned.looked]
     motions = [one.motion for one in tuned.looked]
     signals = [one.signals for one in tuned.looked]
     missing = [one.given - one.needed for one in signals]
     inertias = tuned.plant.inertias(tuned.looked[0].beside.model, motions[0].position[0])
-    return entries(alongs, motions, signals, tuned.values, missing, inertias)
+    laws = entries(alongs, motions, signals, tuned.values, missing, inertias)
+    columns = [one.whiten([c for law in laws for c in law.columns[g]]) for g, one in enumerate(tuned.looked)]
+    return Library(tuple(laws), tuple(columns), np.sum([each.T @ each for each in columns], axis=0))
 
 
-def search(tuned: Tuned, laws: Sequence[Entry], baseline: Fitted, materiality: float = 1.0) -> list[Ranked]:
+def beside_fit(fitted: Fitted, of: Library, dispersion: float) -> Iterator[tuple[Entry, np.ndarray, np.ndarray]]:
+    """Yield every law with the squares (w, w) and the slopes (w,) that a fitted set's numbers and parameters leave of its columns."""
+    own = np.sum([each.T @ each for each in fitted.columns], axis=0)
+    own = own + dispersion * np.diag(np.append(np.ones(len(fitted.offset)), np.zeros(len(own) - len(fitted.offset))))
+    scale = np.sqrt(np.maximum(np.diag(own), 1e-300))
+    root = np.linalg.inv(np.linalg.cholesky(own / scale[:, None] / scale + 1e-10 * np.eye(len(own))))
+    slopes = sum(each.T @ rest for each, rest in zip(fitted.columns, fitted.innovations, strict=True))
+    slopes[: len(fitted.offset)] -= dispersion * fitted.offset
+    across = (sum(c.T @ d for c, d in zip(of.columns, fitted.columns, strict=True)) / scale) @ root.T
+    taken = root @ (slopes / scale)
+    pulls = sum(c.T @ rest for c, rest in zip(of.columns, fitted.innovations, strict=True))
+    first = 0
+    for law in of.laws:
+        part = slice(first, first + law.width)
+        first = part.stop
+        plain = of.squares[part, part]
+        yield law, plain - across[part] @ across[part].T + OWN * np.diag(np.diag(plain)), pulls[part] - across[part] @ taken
+
+
+def proposed(fitted: Fitted, of: Library, readings: int, dispersion: float) -> list[tuple[Entry, np.ndarray]]:
+    """Return the laws that would explain most beside a fitted set, one an effect and place, with their weights."""
+    best: dict[tuple[str, str], tuple[float, Entry, np.ndarray]] = {}
+    for law, reduced, pull in beside_fit(fitted, of, dispersion):
+        name = (law.effect.name, law.at)
+        if name in fitted.names and not law.effect.several:
+            continue
+        low, high = np.full(law.width, law.law.lowest), np.full(law.width, law.law.highest)
+        try:
+            weights = bounded_least_squares(reduced, pull, low, high)
+        except np.linalg.LinAlgError:
+            continue
+        gain = float(2.0 * pull @ weights - weights @ reduced @ weights) / dispersion - law.width * math.log(readings)
+        if name not in best or gain > best[name][0]:
+            best[name] = (gain, law, weights)
+    ordered = sorted(best.values(), key=lambda each: -each[0])
+    return [(law, weights) for gain, law, weights in ordered[:PROPOSED] if gain > 0.0]
+
+
+def search(tuned: Tuned, laws: Library, baseline: Fitted, materiality: float = 1.0) -> list[Ranked]:
     """Return fitted sets, the likeliest first; the empty set is among them.
 
     Sets are sought from nothing on, one effect after the other, and from the engineer's first fit, whose effects are left out one after the
     other: two effects may show only together. Effects that are not everyday have to leave less by the factor
     `materiality` each.
     """
-    columns = [one.whiten([c for law in laws for c in law.columns[g]]) for g, one in enumerate(tuned.looked)]
-    squares = sum(each.T @ each for each in columns)
-    places = {(law.effect.name, law.at) for law in laws}
-
     dispersion = scatter = baseline.dispersion
     start = fit(tuned, (), None, scatter)
     assert start is not None
 
     def ranked(fitted: Fitted) -> Ranked:
-        bought = _price(fitted, start.cost(dispersion), dispersion, tuned.readings, len(places))
+        bought = _price(fitted, start.cost(dispersion), dispersion, tuned.readings, laws.places)
         return Ranked(fitted, bought + (materiality ** _special(fitted) - 1.0) * fitted.squares / dispersion, dispersion)
 
     found: dict[frozenset[tuple[str, str]], Ranked] = {start.names: ranked(start)}
@@ -85,7 +143,7 @@ def search(tuned: Tuned, laws: Sequence[Entry], baseline: Fitted, materiality: f
     for _ in range(DEPTH):
         further: list[Ranked] = []
         for fitted in beam:
-            for law, weights in _proposed(fitted, laws, columns, squares, tuned.readings, dispersion):
+            for law, weights in proposed(fitted, laws, tuned.readings, dispersion):
                 names = fitted.names | {(law.effect.name, law.at)}
                 if names in found:
                     continue
@@ -119,40 +177,3 @@ def _price(fitted: Fitted, cost_of_nothing: float, dispersion: float, readings: 
 def _special(fitted: Fitted) -> int:
     """Return the number of effects that are not everyday."""
     return sum(not effects()[setting.name].everyday for setting in fitted.settings)
-
-
-def _proposed(
-    fitted: Fitted, laws: Sequence[Entry], columns: Sequence[np.ndarray], squares: np.ndarray, readings: int, dispersion: float
-) -> list[tuple[Entry, np.ndarray]]:
-    """Return the laws that would explain most beside a fitted set, one an effect and place, with their weights."""
-    own = sum(each.T @ each for each in fitted.columns)
-    own = own + dispersion * np.diag(np.append(np.ones(len(fitted.offset)), np.zeros(len(own) - len(fitted.offset))))
-    scale = np.sqrt(np.maximum(np.diag(own), 1e-300))
-    root = np.linalg.inv(np.linalg.cholesky(own / scale[:, None] / scale + 1e-10 * np.eye(len(own))))
-    slopes = sum(each.T @ rest for each, rest in zip(fitted.columns, fitted.innovations, strict=True))
-    slopes[: len(fitted.offset)] -= dispersion * fitted.offset
-    across = (sum(c.T @ d for c, d in zip(columns, fitted.columns, strict=True)) / scale) @ root.T
-    taken = root @ (slopes / scale)
-    pulls = sum(c.T @ rest for c, rest in zip(columns, fitted.innovations, strict=True))
-    best: dict[tuple[str, str], tuple[float, Entry, np.ndarray]] = {}
-    first = 0
-    for law in laws:
-        part = slice(first, first + law.width)
-        first = part.stop
-        name = (law.effect.name, law.at)
-        if name in fitted.names and not law.effect.several:
-            continue
-        plain = squares[part, part]
-        reduced = plain - across[part] @ across[part].T
-        pull = pulls[part] - across[part] @ taken
-        reduced = reduced + OWN * np.diag(np.diag(plain))
-        low, high = np.full(law.width, law.law.lowest), np.full(law.width, law.law.highest)
-        try:
-            weights = bounded_least_squares(reduced, pull, low, high)
-        except np.linalg.LinAlgError:
-            continue
-        gain = float(2.0 * pull @ weights - weights @ reduced @ weights) / dispersion - law.width * math.log(readings)
-        if name not in best or gain > best[name][0]:
-            best[name] = (gain, law, weights)
-    ordered = sorted(best.values(), key=lambda each: -each[0])
-    return [(law, weights) for gain, law, weights in ordered[:PROPOSED] if gain > 0.0]

@@ -14,8 +14,8 @@ from dataclasses import replace
 import numpy as np
 
 from hil.diagnosis.residuals.repeat_group import RepeatGroup
-from hil.diagnosis.residuals.simulated import simulated_matrix, smooth
 from hil.simulation import Inputs, Simulator
+from hil.simulation.smooth import simulated_matrix, smooth
 
 PHASES = 8
 """Places within a count, equally far apart, that the loop's errors are drawn for: as many records as their spectrum is averaged over."""

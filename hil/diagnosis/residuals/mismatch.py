@@ -22,7 +22,6 @@ from hil.diagnosis.residuals.loop_lattices import loop_lattices
 from hil.diagnosis.residuals.noise import NoiseModel, noise_model
 from hil.diagnosis.residuals.repeat_group import RepeatGroup
 from hil.diagnosis.residuals.shared_rounding import shared_rounding, with_less_rounding
-from hil.diagnosis.residuals.simulated import channel_outputs
 from hil.diagnosis.residuals.usable import (
     LARGEST_MISSING_SHARE,
     channels_in_common,
@@ -42,6 +41,7 @@ from hil.machine.load import machine_from_text
 from hil.recording import Recording, RecordingWarning
 from hil.simulation import Simulator, inputs_of
 from hil.simulation.simulate import RATE_TOLERANCE
+from hil.simulation.smooth import channel_outputs
 from virtual_bus.settings import EffectSetting
 
 SPEED_WINDOW_s = 0.05

@@ -15,9 +15,9 @@ import numpy as np
 
 from hil.diagnosis.residuals.loop_lattices import LEAST_SHARED, PHASES, rows_of
 from hil.diagnosis.residuals.repeat_group import RepeatGroup
-from hil.diagnosis.residuals.simulated import smooth
 from hil.machine import Machine
 from hil.simulation import Simulator
+from hil.simulation.smooth import smooth
 
 BLOCK_s = 0.25
 """Stretch over which it is asked how far repeats are apart: they may be near in one part of a motion and far in another."""

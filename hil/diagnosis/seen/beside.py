@@ -34,12 +34,18 @@ class Levels:
         Standard deviations of the readings, then of the measured currents.
     are_assumed : bool
         Whether they are what a fit leaves, and not what repeats differ by.
+    colour : (m + axes, p + 1) array or None
+        Filters that innovations of such noise are white behind.
+    loudness : mapping of str to (N, m + axes) array
+        By recording: how large innovations are from row to row.
     """
 
     disturbance: np.ndarray
     corner_Hz: float
     sensors: np.ndarray
     are_assumed: bool = False
+    colour: np.ndarray | None = None
+    loudness: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +122,8 @@ class Beside:
             n = unsure.shape[1]
             extra = np.zeros((len(unsure), self.linearised(levels).transition.shape[1]))
             extra[:, 2 * n : 3 * n] = unsure * (1.0 - self._decay(levels) ** 2)
-        return whitening(self.linearised(levels), self.present, extra)
+        plain = whitening(self.linearised(levels), self.present, extra)
+        return replace(plain, colour=levels.colour, loudness=levels.loudness.get(self.along.observed.name))
 
     def _decay(self, levels: Levels) -> float:
         """Return what is left of a disturbance one row later."""
@@ -131,7 +138,7 @@ class Beside:
             np.ascontiguousarray(each[:, :, None]) for each in (self.missing, self.missing_ends, np.nan_to_num(self.left))
         )
         filtered.columns(efforts, ends, readings, 0, state, out)
-        return out.reshape(rows, channels)
+        return filtered.coloured(out).reshape(rows, channels)
 
     def motion(self, filtered: Whitening) -> Motion:
         """Return what all joints did by all sensors: the base motion and the smoothed deviations from it."""

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
+from hil.diagnosis.seen.colour import whitened_by
+
 DETERMINED = 1e-12
 """Share of the largest pivot: a smaller one is rounding."""
 TAYLOR = 12
@@ -54,7 +56,8 @@ class Linearised:
 class Whitening:
     """Gains (N, s, m) and inverse roots (N, m, m) of the innovations' covariances; of a missing reading both are zero.
 
-    `extra` (N, s) holds further variances of the state after each row; (1, s) where there are none.
+    `extra` (N, s) holds further variances of the state after each row; (1, s) where there are none. Innovations are divided by `loudness`
+    (N, m), and pass the filters `colour` (m, p + 1) last; None where they are white.
     """
 
     along: Linearised
@@ -63,6 +66,8 @@ class Whitening:
     extra: np.ndarray
     log_determinant: float
     readings: int
+    colour: np.ndarray | None = None
+    loudness: np.ndarray | None = None
 
     def columns(self, efforts: np.ndarray, ends: np.ndarray, readings: np.ndarray, first: int, state: np.ndarray, out: np.ndarray) -> None:
         """Pass columns through the filter from row `first` on.
@@ -85,6 +90,14 @@ class Whitening:
             lin.stride, lin.transition, lin.of_effort, lin.of_rise, lin.observation, lin.through, self.gains, self.roots, efforts, ends,
             readings, first, state, out,
         )  # fmt: skip
+
+    def coloured(self, out: np.ndarray) -> np.ndarray:
+        """Return whitened columns (N m, C) of a whole recording without the colour of its noise; `out` is overwritten."""
+        if self.loudness is not None:
+            out /= self.loudness.reshape(-1, 1)
+        if self.colour is not None:
+            whitened_by(self.colour, out)
+        return out
 
 
 def whitening(along: Linearised, present: np.ndarray, extra: np.ndarray | None = None) -> Whitening:

@@ -10,6 +10,7 @@ import numpy as np
 from hil.diagnosis.observed.groups import Group
 from hil.diagnosis.seen.along import Along
 from hil.diagnosis.seen.beside import Beside, Levels, beside, default_levels
+from hil.diagnosis.seen.colour import colour_of, loudness_of
 from hil.diagnosis.seen.noise import levels_from
 
 CORNERS_Hz = (0.2, 1.0, 5.0, 30.0)
@@ -39,17 +40,27 @@ def repeat_levels(groups: Sequence[Group], alongs: Sequence[Along]) -> Levels | 
     count = min(len(group.repeats) for group in groups if len(group.repeats) > 1)
     variance, lattice = found.sensors**2, _lattices(alongs[0]) ** 2
     sensors = np.sqrt(variance / count + np.maximum(lattice - variance, 0.0))
-    return Levels(found.disturbance / np.sqrt(count), found.corner_Hz, sensors)
+    loudness: dict[str, np.ndarray] = {}
+    even = []
+    for name in dict.fromkeys(part[0].along.observed.name for part in parts):
+        own = [_innovations(part, found) for part in parts if part[0].along.observed.name == name]
+        loudness[name] = loudness_of(own)
+        even += [each / loudness[name] for each in own]
+    return Levels(found.disturbance / np.sqrt(count), found.corner_Hz, sensors, colour=colour_of(even), loudness=loudness)
 
 
 def log_likelihood(parts: Sequence[tuple[Beside, np.ndarray, np.ndarray, np.ndarray]], levels: Levels) -> float:
     """Return the log likelihood of noise alone, up to a constant."""
     total = 0.0
-    for one, missing, ends, left in parts:
-        filtered = one.whitening(levels)
-        innovations = replace(one, missing=missing, missing_ends=ends, left=left).whitened(filtered)
-        total -= 0.5 * (float(np.sum(innovations**2)) + filtered.log_determinant)
+    for part in parts:
+        innovations = _innovations(part, levels)
+        total -= 0.5 * (float(np.sum(innovations**2)) + part[0].whitening(levels).log_determinant)
     return total
+
+
+def _innovations(part: tuple[Beside, np.ndarray, np.ndarray, np.ndarray], levels: Levels) -> np.ndarray:
+    one, missing, ends, left = part
+    return replace(one, missing=missing, missing_ends=ends, left=left).whitened(one.whitening(levels))
 
 
 def _differences(group: Group, along: Along) -> list[tuple[Beside, np.ndarray, np.ndarray, np.ndarray]]:

@@ -26,7 +26,6 @@ from hil.diagnosis.fitting.coordinates import ORDER_UNIT
 from hil.diagnosis.fitting.refit import Fitted
 from hil.diagnosis.residuals.carried import CarriedImu, carried_imu
 from hil.diagnosis.residuals.noise import NoiseModel
-from hil.diagnosis.residuals.simulated import simulated_matrix, smooth
 from hil.diagnosis.starting.candidates import setting_of
 from hil.diagnosis.tuning.least_squares import least_within
 from hil.diagnosis.tuning.retune import LARGEST_CHANGE, PRIOR, Tuning
@@ -34,6 +33,7 @@ from hil.errors import BadAnswerError
 from hil.experiments import Plan
 from hil.machine import Machine
 from hil.simulation import Inputs, Simulator
+from hil.simulation.smooth import simulated_matrix, smooth
 from virtual_bus.effects.effect import Parameter
 from virtual_bus.effects.registry import effects
 from virtual_bus.plant.lanes import LANES

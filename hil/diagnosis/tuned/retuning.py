@@ -53,7 +53,7 @@ class Looked:
     def whiten(self, columns: Sequence[Column]) -> np.ndarray:
         """Return whitened columns (N m, C)."""
         rows, channels = self.beside.left.shape
-        return Filtered(self.whitening, columns, self.beside.missing.shape[1], channels).block(0, rows)
+        return Filtered(self.whitening, columns, self.beside.missing.shape[1], channels).whole(rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +165,7 @@ def look(
     columns += constants
     innovations = one.whitened(filtered)
     rows, channels = one.left.shape
-    whitened = Filtered(filtered, columns, one.missing.shape[1], channels).block(0, rows)
+    whitened = Filtered(filtered, columns, one.missing.shape[1], channels).whole(rows)
     return Looked(one, filtered, motion, signals, innovations.reshape(-1), whitened)
 
 

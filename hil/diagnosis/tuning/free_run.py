@@ -21,9 +21,9 @@ import numpy as np
 from hil.diagnosis.residuals.mismatch import Mismatch
 from hil.diagnosis.residuals.noise import NoiseModel
 from hil.diagnosis.residuals.own_lines import weighted
-from hil.diagnosis.residuals.simulated import simulated_matrix, smooth
 from hil.machine import Machine
 from hil.simulation import Simulator
+from hil.simulation.smooth import simulated_matrix, smooth
 from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.plant.lanes import LANES
 from virtual_bus.plant.parameters import PlantParameter

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+pytestmark = pytest.mark.nightly
+
 if TYPE_CHECKING:
     from concealed.truth.plant import Machine
 

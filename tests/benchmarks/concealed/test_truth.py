@@ -11,6 +11,8 @@ import pytest
 from places import BENCHMARKS
 from scipy.interpolate import CubicSpline
 
+pytestmark = pytest.mark.nightly
+
 if TYPE_CHECKING:
     from concealed.truth.kinds import Kind
     from concealed.truth.plant import Machine

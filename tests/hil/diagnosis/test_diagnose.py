@@ -71,7 +71,7 @@ def test_other_numbers_alone_are_no_missing_physics():
     assert outcome.diagnosis.findings == ()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("force_N", "verdict", "confidence"), [(0.24, "ambiguous", 1.0 - WEIGHTS.outside), (0.5, "explained", STANDS_ALONE)]
 )
@@ -86,7 +86,7 @@ def test_a_name_stands_alone_where_recordings_show_it_by_more_than_another_law_c
     assert ("another law, known or not, may look like so little" in outcome.diagnosis.reason) == (verdict == "ambiguous")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_the_held_out_recording_alone_shows_is_not_called_other_numbers():
     """Numbers that are off there explain themselves; a wave that only that motion passes does not, and is located there."""
     truth = {"mass": 1.09 * MASS_kg, "duration_s": 3.0, "seed": 7}
@@ -110,7 +110,7 @@ def test_too_short_a_recording_is_said_to_be_too_short():
     assert "0.6 s" in outcome.diagnosis.reason
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("mutation", ["labels negated", "time reversed"])
 def test_a_mismatch_of_which_friction_is_not_the_cause_is_not_called_friction(friction, with_friction, mutation):
     stand_in = friction.train.groups[0].simulated[

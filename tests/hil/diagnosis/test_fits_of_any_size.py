@@ -30,6 +30,8 @@ from hil.simulation import simulate
 from virtual_bus.effects.nonlinear_stiffness import effort
 from virtual_bus.settings import EffectSetting
 
+pytestmark = pytest.mark.nightly
+
 EMPS = load_machine("emps")
 SILVERBOX = load_machine("silverbox")
 ROTOR = load_machine("laas_anti_cogging")

@@ -8,6 +8,8 @@ from carriage import MACHINE, recording, reference, repeats, run
 from hil.diagnosis.diagnose import diagnose
 from hil.diagnosis.report.page import report_figures
 
+pytestmark = pytest.mark.nightly
+
 STOP_m, STIFFNESS_N_per_m = 0.065, 2e5
 DURATION_s = 2.0
 

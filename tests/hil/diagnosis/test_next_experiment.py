@@ -10,7 +10,6 @@ from pushed_mass import NOISE, RAIL, pushed_mass
 
 from hil.diagnosis.judging.errors_of_laws import temperature
 from hil.diagnosis.residuals.noise import assumed_noise
-from hil.diagnosis.residuals.simulated import simulated_matrix, smooth
 from hil.diagnosis.separating.experiment_families import requests
 from hil.diagnosis.separating.next_experiment import DRAWS, REFINEMENTS, REFITTED, propose
 from hil.diagnosis.separating.separation import EFFECT_STEP, ROUNDS, Model, Separation
@@ -19,6 +18,7 @@ from hil.experiments import Jog, JogOnly, Scan, experiment_from_text
 from hil.experiments.file_text import experiment_text
 from hil.machine import load_machine
 from hil.simulation import Inputs, Simulator
+from hil.simulation.smooth import simulated_matrix, smooth
 from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.settings import EffectSetting
 

@@ -20,6 +20,8 @@ from virtual_bus.settings import EffectSetting
 sys.path.insert(0, str(BENCHMARKS))
 from real_data import DATA, REAL_SETS, hold_equivalent
 
+pytestmark = pytest.mark.nightly
+
 present = pytest.mark.skipif(not DATA.is_dir(), reason=f"{DATA} is not here: these recordings are not part of the project")
 
 

@@ -10,7 +10,7 @@ import scipy.optimize
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil.diagnosis.answering.machine_file import retuned_text
+from hil.diagnosis.answered.machine_file import retuned_text
 from hil.diagnosis.tuning.retune import LARGEST_CHANGE, PRIOR, Tuning, bounded_step, sensitivity_trials, tunable
 from hil.machine import load_machine, machine_from_text
 from virtual_bus.plant.parameters import plant_parameters

@@ -12,13 +12,13 @@ from carriage import MACHINE, repeats
 from hil.diagnosis.fitting.refit import Fitted
 from hil.diagnosis.recorded.align import aligned
 from hil.diagnosis.residuals.mismatch import mismatch
-from hil.diagnosis.residuals.simulated import simulated_matrix, smooth
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.searching.selection import Selection
 from hil.diagnosis.searching.step_error import FINER, with_finer_steps
 from hil.diagnosis.tuning.free_run import FINE_STEPS, TRAIN, FreeRuns, Trial
 from hil.diagnosis.tuning.retune import Tuning, retune
 from hil.simulation import Simulator
+from hil.simulation.smooth import simulated_matrix, smooth
 
 
 @pytest.fixture

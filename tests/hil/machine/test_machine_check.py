@@ -67,7 +67,7 @@ def test_the_shift_follows_from_geometry_because_moving_a_mass_moves_it(carm: Ma
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("propeller_deg", [-120, -60, 0, 60, 120])
+@pytest.mark.parametrize("propeller_deg", [0, *(pytest.param(deg, marks=pytest.mark.nightly) for deg in (-120, -60, 60, 120))])
 def test_the_detector_mode_near_14_hz_does_not_move_over_roll(carm: Machine, propeller_deg: int) -> None:
     frequencies = [mode_near(carm, (propeller_deg, roll), 14.0)[0] for roll in ROLLS_DEG]
     assert frequencies[2] == pytest.approx(14.0, abs=0.2)

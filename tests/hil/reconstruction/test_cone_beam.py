@@ -38,7 +38,7 @@ def projections(beam: ConeBeam, items: list[Ball | Rod]) -> np.ndarray:
     return np.array([attenuation(view, PANEL, items, rays=1) for view in views])
 
 
-@pytest.mark.parametrize("axis", ["y", "x"])
+@pytest.mark.parametrize("axis", ["y", pytest.param("x", marks=pytest.mark.nightly)])
 def test_two_balls_come_back_with_their_attenuation_and_place(axis: str) -> None:
     balls = [Ball(np.array([0.005, 0.003, -0.004]), 0.02, 20.0), Ball(np.array([0.012, 0.0, 0.0]), 0.006, 30.0)]
     beam = scan(axis)

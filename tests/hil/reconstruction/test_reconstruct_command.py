@@ -75,9 +75,9 @@ def test_a_table_of_another_version_of_the_machine_s_file_is_said(tmp_path: Path
     ("speed", "told"),
     [
         ([0.0, 3.2 / 23.0], False),
-        (None, False),
+        pytest.param(None, False, marks=pytest.mark.nightly),
         ([0.0, -3.2 / 23.0], True),
-        ([0.0, 0.25], True),
+        pytest.param([0.0, 0.25], True, marks=pytest.mark.nightly),
     ],
 )
 def test_a_table_made_at_another_speed_or_the_other_way_is_said(

@@ -10,10 +10,10 @@ import pytest
 from effect_examples import EXAMPLES, ROWS, jog
 from places import CONCEALED_MACHINES
 
-from hil.diagnosis.residuals.simulated import smooth
 from hil.errors import BadAnswerError, BenchError
 from hil.machine import load_machine
 from hil.simulation import Inputs, Outputs, Simulator
+from hil.simulation.smooth import smooth
 from virtual_bus.errors import EmulatorError
 from virtual_bus.plant.lanes import LANES
 from virtual_bus.settings import EffectSetting

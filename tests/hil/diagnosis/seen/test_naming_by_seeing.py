@@ -8,6 +8,7 @@ from carriage import DAMPING, MACHINE, MASS_kg, repeats
 
 from hil.diagnosis.named.naming import Named, name
 from hil.diagnosis.observed.groups import groups
+from hil.diagnosis.seen.see import see
 from hil.diagnosis.tuned.numbers import PRIOR
 
 HEAVIER = 1.05
@@ -16,12 +17,12 @@ COULOMB_N = 20.0
 
 @pytest.fixture(scope="module")
 def heavier() -> Named:
-    return name(MACHINE, repeats(4, mass=HEAVIER * MASS_kg, damping=0.94 * DAMPING))
+    return name(see(MACHINE, repeats(4, mass=HEAVIER * MASS_kg, damping=0.94 * DAMPING)))
 
 
 @pytest.fixture(scope="module")
 def rubbing() -> Named:
-    return name(MACHINE, repeats(4, mass=HEAVIER * MASS_kg, coulomb_N=COULOMB_N))
+    return name(see(MACHINE, repeats(4, mass=HEAVIER * MASS_kg, coulomb_N=COULOMB_N)))
 
 
 def test_repeats_are_one_experiment() -> None:

@@ -8,13 +8,14 @@ from carriage import MACHINE, MASS_kg, repeats
 
 from hil.diagnosis.named.naming import Named, name
 from hil.diagnosis.observed.rows import observed
+from hil.diagnosis.seen.see import see
 
 COULOMB_N, LOAD_N = 20.0, 6.0
 
 
 @pytest.fixture(scope="module")
 def rubbing() -> Named:
-    return name(MACHINE, repeats(1, duration_s=6.0, coulomb_N=COULOMB_N, load_N=LOAD_N))
+    return name(see(MACHINE, repeats(1, duration_s=6.0, coulomb_N=COULOMB_N, load_N=LOAD_N)))
 
 
 def named(found: Named) -> dict[str, dict[str, float]]:
@@ -30,11 +31,11 @@ def test_friction_and_load_are_named_with_their_strengths(rubbing: Named) -> Non
 
 def test_noise_is_said_to_be_assumed(rubbing: Named) -> None:
     assert rubbing.levels.are_assumed
-    assert not name(MACHINE, repeats(3, duration_s=2.0)).levels.are_assumed
+    assert not name(see(MACHINE, repeats(3, duration_s=2.0))).levels.are_assumed
 
 
 def test_numbers_alone_are_no_physics() -> None:
-    found = name(MACHINE, repeats(1, duration_s=6.0, mass=1.08 * MASS_kg))
+    found = name(see(MACHINE, repeats(1, duration_s=6.0, mass=1.08 * MASS_kg)))
     assert named(found) == {}
     values = dict(
         zip(

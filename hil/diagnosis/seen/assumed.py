@@ -8,18 +8,13 @@ from dataclasses import replace
 import numpy as np
 import scipy.signal
 
-from hil.diagnosis.candidates.columns import column
-from hil.diagnosis.named.fitting import Fitted
 from hil.diagnosis.seen.along import Along, Motion
 from hil.diagnosis.seen.beside import Levels, default_levels
-from hil.diagnosis.tuned.retuning import Tuned
 
 CORNER = 0.25
 """Of the disturbances' spectrum, as a share of the sample rate: above all that a machine follows."""
 WITHIN_ROW = 0.1
 """Noise of a sensor, at least, in units of what a disturbance that differs from row to row moves its joint by within a row."""
-WIDEST, HALVINGS = 1000.0, 10
-"""Factor that the disturbances' first level may be off by, and halvings of its logarithm: to a per cent."""
 MOST_ROWS = 15_000
 """Of all recordings together, times joints: an answer comes within half a minute."""
 MOTION, PER_CYCLE = 0.99, 30.0
@@ -33,34 +28,17 @@ def assumed_levels(alongs: Sequence[Along]) -> Levels:
     """Return the noise that is assumed of a machine at first, from what the machine file leaves unexplained."""
     first = alongs[0]
     corner = CORNER / first.observed.period_s
-    left = [_left(along) for along in alongs]
+    left = [efforts_by_encoders(along)[2] for along in alongs]
     disturbance = np.array(
         [np.sqrt(_density([each[:, j] for each in left], first.observed.period_s) * 0.5 * np.pi * corner) for j in range(len(first.joints))]
     )
     sensors = default_levels(first).sensors
     for c, channel in enumerate(first.observed.channels):
         sensors[c] = max(sensors[c], *(_roughness(along, c, channel) for along in alongs))
-    return _with_rows(first, Levels(disturbance, corner, sensors, are_assumed=True))
+    return with_rows(first, Levels(disturbance, corner, sensors, are_assumed=True))
 
 
-def matched(levels: Levels, tuned: Tuned, fitted: Fitted) -> Levels:
-    """Return the levels with disturbances as strong as makes what a fit leaves of the mean size that they say."""
-    parts = []
-    for one in tuned.looked:
-        along = one.beside.along
-        with_it = along.signals(one.motion, along.plant.model(tuned.values, fitted.settings), fitted.settings)
-        extra = column(one.signals, with_it)
-        parts.append(one.beside.less(extra.efforts, extra.readings))
-    low, high = -np.log(WIDEST), np.log(WIDEST)
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        scaled = _with_rows(parts[0].along, replace(levels, disturbance=levels.disturbance * np.exp(middle)))
-        squares = sum(float(np.sum(part.whitened(part.whitening(scaled)) ** 2)) for part in parts)
-        low, high = (middle, high) if squares > tuned.readings else (low, middle)
-    return _with_rows(parts[0].along, replace(levels, disturbance=levels.disturbance * np.exp(0.5 * (low + high))))
-
-
-def _with_rows(along: Along, levels: Levels) -> Levels:
+def with_rows(along: Along, levels: Levels) -> Levels:
     """Return the levels with sensors at least as noisy as disturbances within a row make them.
 
     A motion that is known exactly at the rows, with an effort between them that is not, has innovations that alternate for ever.
@@ -105,10 +83,11 @@ def coarsest(alongs: Sequence[Along]) -> int:
     return max(1, by)
 
 
-def _left(along: Along) -> np.ndarray:
-    """Return the efforts (N, n) that drives gave and the motion did not take."""
-    signals = along.signals(_by_encoders(along), along.plant.model(None, ()))
-    return signals.given - signals.needed
+def efforts_by_encoders(along: Along) -> tuple[Motion, np.ndarray, np.ndarray]:
+    """Return the motion by encoders, the efforts (N, n) that drives gave along it, and what of them the motion did not take."""
+    motion = _by_encoders(along)
+    signals = along.signals(motion, along.plant.model(None, ()))
+    return motion, signals.given, signals.given - signals.needed
 
 
 def _by_encoders(along: Along) -> Motion:

@@ -21,7 +21,7 @@ AGREEMENT = 1e-9
 def retuned_text(machine: Machine, parameters: Sequence[PlantParameter], values: np.ndarray) -> str:
     """The machine file's tables with these plant parameters; comments are lost.
 
-    Every number is multiplied by new over nominal value, so that it stays in the unit the file gives it in.
+    Every number is multiplied by new over nominal value, so that it stays in the unit the file gives it in. Drives without a rotor get one.
 
     Raises
     ------
@@ -32,6 +32,8 @@ def retuned_text(machine: Machine, parameters: Sequence[PlantParameter], values:
     for parameter, value in zip(parameters, values, strict=True):
         if value != parameter.value and parameter.value != 0.0:
             _scale(document, machine, parameter, float(value / parameter.value))
+        elif value != parameter.value and parameter.quantity.startswith("armature"):
+            _add_rotor(document, machine, parameter, float(value))
     text = f"# {machine.name}, its numbers re-tuned to recordings by `isocenter diagnose`\n" + toml_text(document)
     # by their order: a body and a sensor may have the same name
     for read, value in zip(plant_parameters(machine_from_text(text, machine.path).plant), values, strict=True):
@@ -60,6 +62,14 @@ def _scale(document: dict[str, Any], machine: Machine, parameter: PlantParameter
         if parameter.quantity == "armature" and drive.get("joint") == parameter.owner:
             for rotor in ("rotor_inertia", "rotor_mass"):
                 _scale_key(drive, rotor, factor)
+
+
+def _add_rotor(document: dict[str, Any], machine: Machine, parameter: PlantParameter, value: float) -> None:
+    """Give the drive of a joint a rotor, which the file leaves out."""
+    for drive in machine.plant.drives:
+        if drive.joint == parameter.owner:
+            key = "rotor_mass_kg" if parameter.unit == "kg" else "rotor_inertia_kg_m2"
+            document["drives"][drive.axis][key] = value / drive.ratio**2
 
 
 def _scale_key(table: dict[str, Any], quantity: str, factor: float) -> None:

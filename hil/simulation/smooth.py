@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from hil.machine import Machine
-from hil.simulation import Outputs
+from hil.simulation.simulator import Outputs
 
 IMU_CHANNELS = ("imu_x", "imu_y", "imu_z", "gyro_x", "gyro_y", "gyro_z")
 
@@ -18,7 +18,7 @@ LARGEST_STEP_s = 1.0 / 500.0
 
 
 def smooth(machine: Machine, finer: int = 1, rounded: str | None = None) -> Machine:
-    """The same machine without the lattices of its sensors and targets, in plant steps of at most LARGEST_STEP_s over `finer`.
+    """Return the same machine without the lattices of its sensors and targets, in plant steps of at most LARGEST_STEP_s over `finer`.
 
     Rounding is noise to a recording, and it hides what a small change of a parameter does: a sensitivity through a coarse encoder is zero
     or a jump. The axis `rounded` keeps its encoders' lattices and its target's.
@@ -40,7 +40,7 @@ def smooth(machine: Machine, finer: int = 1, rounded: str | None = None) -> Mach
 
 
 def channel_outputs(machine: Machine, outputs: Outputs) -> dict[str, np.ndarray]:
-    """Simulated channels by name, each (N,); those alone that the machine has."""
+    """Return simulated channels by name, each (N,); those alone that the machine has."""
     channels = {name: getattr(outputs, kind)[:, column] for name, (kind, column) in _columns(machine).items()}
     return {name: values for name, values in channels.items() if not np.isnan(values).all()}
 

@@ -1,0 +1,91 @@
+"""Whether controllers and sensors are what the machine file says, before any physics is sought."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from hil.diagnosis.audit.controller import AxisAudit, Measured, audit_controllers, controllers_of
+from hil.diagnosis.audit.sensors import SensorAudit, audit_sensors
+from hil.machine import Machine
+from hil.recording import Recording
+
+GRAVITY = ("as_filed", "unknown", "differs")
+"""Of several recordings the gravest counts."""
+
+
+@dataclass(frozen=True)
+class Audit:
+    """What recordings show of a machine's controllers and sensors.
+
+    Attributes
+    ----------
+    machine : Machine
+    axes : tuple of AxisAudit
+        Of those axes whose command, reference and position were recorded.
+    sensors : tuple of SensorAudit
+    """
+
+    machine: Machine
+    axes: tuple[AxisAudit, ...]
+    sensors: tuple[SensorAudit, ...]
+
+    @property
+    def are_controllers_as_filed(self) -> bool:
+        """Whether every axis was recorded under the file's law."""
+        return len(self.axes) == len(self.machine.axes) and all(axis.status == "as_filed" for axis in self.axes)
+
+    @property
+    def has_play(self) -> bool:
+        """Whether two encoders of an axis show play between them."""
+        return any(each.gap > 0.0 for each in self.sensors)
+
+    @property
+    def wrong(self) -> list[str]:
+        """What is not as the file says of controllers, a sentence each."""
+        return [axis.said for axis in self.axes if axis.status == "differs"]
+
+    def document(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {
+            "axes": {axis.axis: _axis(axis) for axis in self.axes},
+            "sensors": [
+                {key: getattr(each, key) for key in ("first", "second", "gain", "delay_s", "gap", "offset", "status")}
+                for each in self.sensors
+            ],
+        }
+
+
+def audit(machine: Machine, recordings: Sequence[Recording]) -> Audit:
+    """Audit the controllers and the pairs of encoders that recordings show; every recording beside the controllers that it names."""
+    parts: list[tuple[Machine, list[Recording]]] = []
+    for recording in recordings:
+        own = controllers_of(machine, recording)
+        alike = next((part for one, part in parts if one.text == own.text and one.controllers is own.controllers), None)
+        if alike is None:
+            parts.append((own, [recording]))
+        else:
+            alike.append(recording)
+    worst: dict[str, AxisAudit] = {}
+    for own, part in parts:
+        for one in audit_controllers(own, part):
+            if one.axis not in worst or GRAVITY.index(one.status) > GRAVITY.index(worst[one.axis].status):
+                worst[one.axis] = one
+    return Audit(machine, tuple(worst[axis] for axis in machine.axes if axis in worst), tuple(audit_sensors(machine, recordings)))
+
+
+def _axis(axis: AxisAudit) -> dict[str, Any]:
+    measured = {key: _measured(getattr(axis, key)) for key in ("gain", "delay_s", "saturation", "offset", "rate_Hz")}
+    sign = None if axis.gain.value is None else (1.0 if axis.gain.value > 0.0 else -1.0)
+    return {
+        **measured,
+        "sign": {"value": sign, "ci95": None, "file": 1.0},
+        "replayed_rms": axis.replayed_rms,
+        "resolution": axis.resolution,
+        "status": axis.status,
+    }
+
+
+def _measured(one: Measured) -> dict[str, Any]:
+    return {"value": one.value, "ci95": None if one.ci95 is None else list(one.ci95), "file": one.file}

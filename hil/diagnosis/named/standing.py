@@ -1,0 +1,184 @@
+"""How an answer stands: what else would explain as much, how sure its numbers are, and what the recordings could not show."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.diagnosis.candidates.entries import Entry
+from hil.diagnosis.named.fitting import Fitted, fit
+from hil.diagnosis.named.naming import Named
+from hil.diagnosis.named.proving import left_out, neighbours
+from hil.diagnosis.named.search import Library, beside_fit
+from hil.diagnosis.named.settling import settled
+from hil.diagnosis.tuned.retuning import nominal_offset, tuned_at
+from virtual_bus.effects.effect import Parameter
+from virtual_bus.settings import EffectSetting
+
+MOVED = 1e-3
+"""Of a number's prior: a number that moved by less stayed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Alternative:
+    """A set of effects that might act instead.
+
+    Attributes
+    ----------
+    settings : tuple of EffectSetting
+    behind : float
+        How far it is behind the answer, in twice the log of its evidence; negative where it is likelier.
+    without : tuple of int
+        Which effects of the answer it has not.
+    has_another : bool
+        Whether its last effect stands in their place.
+    gained : float
+        By how much it lowers what no effect leaves, in units of what scatters.
+    parameters : int
+    """
+
+    settings: tuple[EffectSetting, ...]
+    behind: float
+    without: tuple[int, ...]
+    has_another: bool
+    gained: float
+    parameters: int
+
+
+@dataclass(frozen=True)
+class Limit:
+    """The least strength of an effect that the recordings would have shown.
+
+    Attributes
+    ----------
+    effect, at, parameter : str
+    strength : float
+        Of that parameter, beside its neutral value; infinite where no strength that it may have would show.
+    """
+
+    effect: str
+    at: str
+    parameter: Parameter
+    strength: float
+
+
+def unexplained(named: Named) -> float:
+    """Return the share that the answer leaves of what its numbers leave without effects."""
+    best = named.best
+    empty = fit(named.tuned, (), best.offset, best.dispersion)
+    return 1.0 if empty is None else min(1.0, best.squares / max(empty.squares, 1e-300))
+
+
+def gained_by(named: Named) -> float:
+    """Return by how much the answer's effects lower the squares, in units of what scatters."""
+    best = named.best
+    empty = fit(named.tuned, (), best.offset, best.dispersion)
+    return 0.0 if empty is None else empty.cost(best.dispersion) - best.cost(best.dispersion)
+
+
+def numbers_help(named: Named) -> bool:
+    """Return whether other numbers in the machine file, and no effect, explain what the file's do not."""
+    nominal = tuned_at(named.seen.alongs, named.view, nominal_offset(named.seen.alongs))
+    before = sum(float(one.innovations @ one.innovations) for one in nominal.looked)
+    moved = int(np.sum(np.abs(named.best.offset[: len(nominal.numbers.indices)]) > MOVED))
+    gained = (before - named.best.squares) / named.best.dispersion - float(named.best.offset @ named.best.offset)
+    return gained > max(moved, 1) * math.log(nominal.readings)
+
+
+def alternatives(named: Named, of: Library) -> list[Alternative]:
+    """Return what might stand in place of effects of the answer, and the answer without one; the least far behind first.
+
+    Where noise is assumed, sets are weighed by how well they predict stretches left out, else by the Bayesian information criterion.
+    """
+    tuned, best = named.tuned, named.best
+    unit = best.dispersion
+    empty = fit(tuned, (), best.offset, unit)
+    nothing = math.inf if empty is None else empty.cost(unit)
+
+    def evidence(fitted: Fitted) -> float:
+        if named.levels.are_assumed:
+            return float(left_out(tuned, fitted).sum()) / unit
+        return fitted.cost(unit) + len(fitted.parameters) * math.log(tuned.readings)
+
+    own = evidence(best)
+    found = []
+    for each in neighbours(tuned, best, of):
+        one = each.fitted
+        gained, behind = nothing - one.cost(unit), evidence(one) - own
+        found.append(Alternative(one.settings, behind, each.without, each.has_another, gained, len(one.parameters)))
+    return sorted(found, key=lambda each: each.behind)
+
+
+def deviations(named: Named) -> np.ndarray:
+    """Return standard deviations (P + Q,) of nuisances [of their prior] and of the answer's parameters.
+
+    Where noise is assumed, no equation is quite right: what another view of the same recordings, in which fast misfits count more, gives
+    for the same effects belongs to what is unsure.
+    """
+    best = named.best
+    scatter = scattered(best)
+    if not named.levels.are_assumed or not best.settings:
+        return scatter
+    _, other = settled(named.seen.alongs, named.levels, best.offset, best.settings)
+    here, there = _coordinates(best), _coordinates(other)
+    if len(here) != len(there):
+        return scatter
+    return np.sqrt(scatter**2 + 0.5 * (here - there) ** 2)
+
+
+def detection_limits(named: Named, of: Library) -> list[Limit]:
+    """Return the least strength of every effect at every place that would have been named beside the answer.
+
+    It is the strength whose expected gain is what the search asks of an effect. Of laws with several weights the one that shows least
+    counts.
+    """
+    tuned, best = named.tuned, named.best
+    least: dict[tuple[str, str], Limit] = {}
+    for law, reduced, _ in beside_fit(best, of, best.dispersion):
+        strengths = [parameter for parameter in law.effect.parameters if parameter.is_strength]
+        if not strengths or (law.effect.name, law.at) in best.names:
+            continue
+        asked = len(strengths) * math.log(tuned.readings) + 2.0 * math.log(of.places)
+        if not law.effect.everyday:
+            asked += (named.materiality - 1.0) * best.squares / best.dispersion
+        limit = _limit(law, strengths, reduced, asked * best.dispersion)
+        key = (limit.effect, limit.at)
+        if key not in least or limit.strength < least[key].strength:
+            least[key] = limit
+    return sorted(least.values(), key=lambda each: (each.effect, each.at))
+
+
+def _limit(law: Entry, strengths: Sequence[Parameter], squares: np.ndarray, asked: float) -> Limit:
+    """Return the least strength of a law that shows, whichever of its weights it has."""
+    least = 0.0
+    for number, square in enumerate(np.diag(squares)):
+        weights = np.zeros(len(squares))
+        weights[number] = math.sqrt(asked / max(float(square), 1e-300))
+        within = [
+            max(abs(setting.parameters[each.name] - each.neutral) for each in strengths)
+            for setting in (law.setting(weights), law.setting(-weights))
+            if all(_is_within(each, setting.parameters[each.name]) for each in strengths)
+        ]
+        least = max(least, min((each for each in within if each > 0.0), default=math.inf))
+    return Limit(law.effect.name, law.at, strengths[0], least)
+
+
+def _is_within(parameter: Parameter, value: float) -> bool:
+    return value == parameter.neutral or parameter.low < value < parameter.high
+
+
+def scattered(fitted: Fitted) -> np.ndarray:
+    """Return standard deviations (P + Q,) of nuisances and parameters, by what scatters (White 1982)."""
+    squares = np.sum([each.T @ each for each in fitted.columns], axis=0) / fitted.dispersion
+    count = len(fitted.offset)
+    squares[range(count), range(count)] += 1.0
+    scale = np.sqrt(np.maximum(np.diag(squares), 1e-300))
+    inverse = np.linalg.pinv(squares / scale[:, None] / scale, hermitian=True)
+    return np.sqrt(np.diag(inverse)) / scale
+
+
+def _coordinates(fitted: Fitted) -> np.ndarray:
+    return np.append(fitted.offset, [fitted.settings[k].parameters[parameter.name] for k, parameter in fitted.parameters])

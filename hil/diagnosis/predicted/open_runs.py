@@ -1,0 +1,127 @@
+"""Free runs driven by the recorded efforts, with no controller to keep them near the recording: whole ones, or of a horizon."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hil.diagnosis.seen.along import Along
+from hil.diagnosis.seen.assumed import efforts_by_encoders
+from hil.diagnosis.seen.beside import Levels
+from hil.errors import BenchError
+from hil.simulation import Inputs, Simulator
+from hil.simulation.smooth import simulated_matrix, smooth
+from virtual_bus.settings import EffectSetting
+
+HORIZONS_s = (30.0, 10.0, 3.0, 1.0, 0.3, 0.1)
+"""Tried one after the other, after whole runs."""
+AS_LARGE = 1.0
+"""Error of the best simulation, as a share of the recorded motion, above which a run says nothing more than its drift."""
+FEWEST_ROWS = 4
+"""Of a run."""
+
+Machine = tuple[np.ndarray | None, tuple[EffectSetting, ...]]
+"""Plant parameters (None: those of the file) and effects."""
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """Errors of free runs.
+
+    Attributes
+    ----------
+    horizon_s : float or None
+        Length of the runs; None: whole recordings.
+    channels : mapping of str to mapping of str to float
+        By channel and machine: rms error over the rms of the recording about its mean; infinite where a simulation ended.
+    """
+
+    horizon_s: float | None
+    channels: Mapping[str, Mapping[str, float]]
+
+
+def predicted(alongs: Sequence[Along], levels: Levels, machines: Mapping[str, Machine], judged: str) -> Predicted | None:
+    """Return the errors of free runs of some machines over the longest horizon over which one of them is near the recordings.
+
+    Parameters
+    ----------
+    alongs : sequence of Along
+    levels : Levels
+        Of the sensors' noise, which is the table's machine "noise".
+    machines : mapping of str to Machine
+    judged : str
+        The machine whose errors choose the horizon.
+
+    Returns
+    -------
+    Predicted or None
+        None where no horizon is short enough.
+    """
+    channels = _channels(alongs[0])
+    runs = [_Runs(along) for along in alongs]
+    spread = np.sqrt(np.mean(np.concatenate([(run.recorded - np.nanmean(run.recorded, axis=0)) ** 2 for run in runs]), axis=0))
+    kept = [c for c in range(len(channels)) if spread[c] > 0.0]
+    for horizon in (None, *HORIZONS_s):
+        errors = _errors(runs, horizon, machines[judged], spread)
+        if errors is not None and max(errors[kept], default=np.inf) < AS_LARGE:
+            table: dict[str, dict[str, float]] = {channels[c]: {} for c in kept}
+            for name, machine in machines.items():
+                found = errors if name == judged else _errors(runs, horizon, machine, spread)
+                for c in kept:
+                    table[channels[c]][name] = np.inf if found is None else float(found[c])
+            for c in kept:
+                table[channels[c]]["noise"] = float(levels.sensors[alongs[0].observed.channels.index(channels[c])] / spread[c])
+            return Predicted(horizon, table)
+    return None
+
+
+class _Runs:
+    """One recording, and the simulator of its rows."""
+
+    def __init__(self, along: Along) -> None:
+        observed = along.observed
+        machine = observed.machine
+        plant = replace(machine.plant, sample_period_s=observed.period_s)
+        self.simulator = Simulator(smooth(replace(machine, plant=plant, sample_rate_Hz=1.0 / observed.period_s, controllers=())))
+        self.channels = _channels(along)
+        self.recorded = observed.readings[:, [observed.channels.index(channel) for channel in self.channels]]
+        self.targets = observed.targets
+        motion = efforts_by_encoders(along)[0]
+        driven = list(self.simulator.plant.joint_of_axis().values())
+        self.position, self.speed = motion.position[:, driven], motion.speed[:, driven]
+        self.rows, self.period_s = observed.rows, observed.period_s
+
+    def error(self, horizon_s: float | None, machine: Machine) -> np.ndarray | None:
+        """Return what free runs are off by (N, C); None where one ends early."""
+        rows = self.rows if horizon_s is None else max(FEWEST_ROWS, round(horizon_s / self.period_s))
+        count = max(1, self.rows // rows)
+        off = []
+        for begin in (rows * np.arange(count)).tolist():
+            end = min(begin + rows, self.rows)
+            efforts = self.targets[begin:end]
+            none = np.zeros_like(efforts)
+            command = np.vstack([efforts[1:], efforts[-1:]])  # a command acts a row late
+            inputs = Inputs(None, none, none, command, self.position[begin], start_speed=self.speed[begin], first_effort=efforts[0])
+            try:
+                outputs = self.simulator.run(inputs, machine[0], machine[1])
+            except BenchError:
+                return None
+            off.append(simulated_matrix(self.simulator.machine, outputs, self.channels) - self.recorded[begin:end])
+        return np.concatenate(off)
+
+
+def _errors(runs: Sequence[_Runs], horizon_s: float | None, machine: Machine, spread: np.ndarray) -> np.ndarray | None:
+    off = [run.error(horizon_s, machine) for run in runs]
+    if any(each is None for each in off):
+        return None
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        errors: np.ndarray = np.sqrt(np.nanmean(np.concatenate([each for each in off if each is not None]) ** 2, axis=0)) / spread
+    return errors if np.isfinite(errors[spread > 0.0]).all() else None
+
+
+def _channels(along: Along) -> tuple[str, ...]:
+    """Return the encoders, speed sensors and first IMU that were recorded, as a simulation has them."""
+    sensors = [sensor.channel for sensor in along.settings.joint_sensors]
+    return tuple(channel for channel in along.observed.channels if channel in sensors)

@@ -1,0 +1,125 @@
+"""What recordings show by themselves: motions, and the efforts that the machine file's equations lack along them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.diagnosis.observed.groups import Group, groups
+from hil.diagnosis.seen.along import Along
+from hil.diagnosis.seen.assumed import assumed_levels, coarsest, efforts_by_encoders
+from hil.diagnosis.seen.beside import Levels
+from hil.diagnosis.seen.levels import repeat_levels
+from hil.errors import RecordingError
+from hil.machine import Machine
+from hil.recording import Recording
+from virtual_bus.settings import EffectSetting
+
+STANDSTILL = 3.0
+"""Range of a position, in units of what its sensor's noise and lattice make of standstill, up to which a joint did not move."""
+
+
+@dataclass(frozen=True, eq=False)
+class Missing:
+    """What one joint's equation lacks along one recording.
+
+    Attributes
+    ----------
+    recording, joint : str
+    time, position, speed, given, missing : (N,) arrays
+        [s]; [rad or m]; per second; the drive's effort on the joint, and what of it the motion does not take [Nm or N].
+    """
+
+    recording: str
+    joint: str
+    time: np.ndarray
+    position: np.ndarray
+    speed: np.ndarray
+    given: np.ndarray
+    missing: np.ndarray
+
+    @property
+    def share(self) -> float:
+        """Rms of what is missing over that of the effort."""
+        return float(np.sqrt(np.mean(self.missing**2) / max(np.mean(self.given**2), 1e-300)))
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """Recordings of a machine beside its equations.
+
+    Attributes
+    ----------
+    groups : tuple of Group
+        Repeats together.
+    alongs : tuple of Along
+        One a group.
+    levels : Levels
+        Noise: from repeats, or assumed.
+    """
+
+    groups: tuple[Group, ...]
+    alongs: tuple[Along, ...]
+    levels: Levels
+
+    @property
+    def still(self) -> list[str]:
+        """The driven joints that no recording moves."""
+        driven = {drive.joint for drive in self.alongs[0].settings.drives}
+        moved = set()
+        for along in self.alongs:
+            for joint, motion in along.smooth.items():
+                if np.ptp(motion.position) > STANDSTILL * max(6.0 * motion.noise, _step(along, joint)):
+                    moved.add(along.joints[joint])
+        return [name for name in self.alongs[0].joints if name in driven and name not in moved]
+
+    def missing(self) -> list[Missing]:
+        """Return what the machine file's equations lack on every driven joint that an encoder follows."""
+        found = []
+        for along in self.alongs:
+            motion, given, left = efforts_by_encoders(along)
+            driven = {drive.joint for drive in along.settings.drives}
+            for joint in along.smooth:
+                if along.joints[joint] in driven:
+                    columns = (motion.position, motion.speed, given, left)
+                    values = (each[:, joint] for each in columns)
+                    found.append(Missing(along.observed.name, along.joints[joint], along.observed.time, *values))
+        return found
+
+    def said_by(self, values: np.ndarray, effects: Sequence[EffectSetting]) -> list[np.ndarray]:
+        """Return what other numbers and effects say of the efforts (N,) in `missing`, in the same order."""
+        found = []
+        for along, motion in ((along, efforts_by_encoders(along)[0]) for along in self.alongs):
+            nominal = along.signals(motion, along.plant.model(None, ()))
+            other = along.signals(motion, along.plant.model(values, effects), effects)
+            said = (other.needed - nominal.needed) - (other.given - nominal.given)
+            driven = {drive.joint for drive in along.settings.drives}
+            found += [said[:, joint] for joint in along.smooth if along.joints[joint] in driven]
+        return found
+
+
+def see(machine: Machine, recordings: Mapping[str, Recording]) -> Seen:
+    """See what recordings of a machine show beside its equations.
+
+    Raises
+    ------
+    RecordingError
+        Recordings that cannot be used.
+    """
+    found = groups(machine, recordings)
+    alongs = [Along(group.mean) for group in found]
+    if not alongs[0].smooth:
+        first = found[0].mean.name
+        raise RecordingError(f"{first}: no encoder of {machine.name} follows a joint by itself; record position_{machine.axes[0]}")
+    levels = repeat_levels(found, alongs)
+    if levels is None:
+        by = coarsest(alongs)
+        alongs = [Along(along.observed.coarser(by)) for along in alongs] if by > 1 else alongs
+        levels = assumed_levels(alongs)
+    return Seen(found, tuple(alongs), levels)
+
+
+def _step(along: Along, joint: int) -> float:
+    return max(encoder.resolution for encoder in along.settings.encoders if along.joints[joint] in encoder.joints)
