@@ -31,6 +31,7 @@ _STAGE_TEXTS = {
     "extended": "With the findings as well.",
     "placebo": "With the change that the findings make run backwards in time; null without findings.",
     "noise_floor": "Noise alone.",
+    "baseline": "With the engineer's fit: numbers, and friction and load of every driven joint; null in an answer by free runs.",
 }
 
 

@@ -214,7 +214,7 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
 
 DIAGNOSIS = (
     Entry(
-        "verdict", "text", "`inconclusive`, `unknown_physics`, `ambiguous`, `explained`, `retuned` or `consistent`; the first that applies."
+        "verdict", "text", "`inconclusive`, `misconfigured`, `unknown_physics`, `ambiguous`, `explained`, `retuned` or `consistent`; the first that applies."
     ),
     Entry("reason", "text", "The verdict in a sentence."),
     Entry("findings", "list", "Effects taken to be there: those of the likeliest set, then what recordings show by themselves."),
@@ -233,6 +233,8 @@ DIAGNOSIS = (
     Entry("findings[].separating_experiment", "text or null", "`next_experiment.toml`, where it was written."),
     Entry("findings[].evidence_for", "list of text", "What speaks for the effect."),
     Entry("findings[].evidence_against", "list of text", "What speaks against it."),
+    Entry("findings[].family", "text", "Family of the effect: laws that recordings often do not tell apart. Empty in an answer by free runs."),
+    Entry("findings[].variants", "list", "Laws of the family at this place that may be it: `effect`, `at`, `confidence`."),
     Entry("hypotheses", "list", "All sets that were weighed, the likeliest first."),
     Entry("hypotheses[].effects", "list", "Effects of the set; empty: no effect is missing."),
     Entry("hypotheses[].confidence", "0 to 1", "Confidences of all sets sum to at most 1; the rest is unknown physics."),
@@ -268,6 +270,7 @@ DIAGNOSIS = (
     Entry("fit.held_out", "stages or null", "The same held out."),
     Entry("fit.removed_share", "number or null", "(E_retuned² - E_extended²) / (E_retuned² - 1), held out where there is one."),
     Entry("fit.removed_share_from_nominal", "number or null", "The same from E_nominal."),
+    Entry("fit.horizon_s", "s or null", "Length of the free runs that `fit` was measured by; null: whole recordings."),
     Entry("predicted_separations", "list", "What the next experiment should show, of the likeliest set against each rival."),
     Entry("predicted_separations[].rival", "list", "Effects of the rival."),
     Entry(
@@ -277,6 +280,18 @@ DIAGNOSIS = (
     Entry("disturbance.joints", "object", "Joint to the share of the mismatch's power that an effort on it alone would reproduce."),
     Entry("disturbance.sensors", "object", "Channel to the share of its power that efforts on all joints leave to its sensor."),
     Entry("suspicions", "list of text", "What looks like a wrong unit, a wrong sign or a gross delay. Nothing is corrected."),
+    Entry(
+        "audit.axes.AXIS",
+        "object",
+        "Controller: `gain`, `delay_s`, `saturation`, `offset`, `rate_Hz`, `sign` (each `value`, `ci95`, `file`), `replayed_rms`, `resolution`,"
+        " `status`: `as_filed`, `differs` or `unknown`.",
+    ),
+    Entry(
+        "audit.sensors", "list", "Two encoders of an axis: `first`, `second`, `gain`, `delay_s`, `gap` (play between both), `offset`, `status`."
+    ),
+    Entry("detection_limits", "list", "The least that would have shown: `effect`, `at`, `parameter`, `strength` (null: none would), `unit`."),
+    Entry("baseline", "list", "The engineer's fit: friction and load of every driven joint, each with `parameters`."),
+    Entry("provisional", "true or false", "Whether this is a first answer, which the last word replaces."),
     Entry("unexplained_share", "0 to 1", "Of what re-tuning leaves above noise in training, what the extended simulation leaves."),
     Entry("seconds", "s", "Time of the diagnosis, without writing files."),
 )

@@ -51,6 +51,8 @@ class Fitted:
         Nuisances, then the effects' free parameters.
     parameters : tuple of (int, Parameter)
         Which effect's each free parameter is.
+    is_noise_known : bool
+        From repeats.
     """
 
     settings: tuple[EffectSetting, ...]
@@ -59,14 +61,18 @@ class Fitted:
     innovations: tuple[np.ndarray, ...]
     columns: tuple[np.ndarray, ...]
     parameters: tuple[tuple[int, Parameter], ...]
+    is_noise_known: bool
 
     @cached_property
     def dispersion(self) -> float:
         """How many times the scatter of white noise the fitted numbers and parameters have, by what stretches of the recordings say alone.
 
         What no equation knows is seldom white: a law that is a little wrong errs the same way for a while. One at least. The mean over
-        numbers and parameters of the variance of their scores over blocks (White 1982, the sandwich's filling).
+        numbers and parameters of the variance of their scores over blocks (White 1982, the sandwich's filling). Noise that is known from
+        repeats is white behind its filter: what is not is what is sought.
         """
+        if self.is_noise_known:
+            return 1.0
         rows = sum(len(rest) for rest in self.innovations)
         scores, squares = [], np.zeros(self.columns[0].shape[1])
         for rest, columns in zip(self.innovations, self.columns, strict=True):
@@ -115,7 +121,7 @@ def fit(
         settings, offset, left, squares = taken
         if cost - (squares / dispersion + float(offset @ offset)) < SETTLED:
             break
-    return Fitted(settings, offset, squares, left, columns, parameters)
+    return Fitted(settings, offset, squares, left, columns, parameters, not tuned.levels.are_assumed)
 
 
 def _free(setting: EffectSetting) -> list[Parameter]:

@@ -16,6 +16,7 @@ from hil.diagnosis.named.search import Library, beside_fit
 from hil.diagnosis.named.settling import settled
 from hil.diagnosis.tuned.retuning import nominal_offset, tuned_at
 from virtual_bus.effects.effect import Parameter
+from virtual_bus.effects.registry import effects
 from virtual_bus.settings import EffectSetting
 
 MOVED = 1e-3
@@ -133,13 +134,14 @@ def detection_limits(named: Named, of: Library) -> list[Limit]:
     """Return the least strength of every effect at every place that would have been named beside the answer.
 
     It is the strength whose expected gain is what the search asks of an effect. Of laws with several weights the one that shows least
-    counts.
+    counts. Families that were found at a place are left out there.
     """
     tuned, best = named.tuned, named.best
+    taken = {(effects()[one.name].family, one.at) for one in best.settings}
     least: dict[tuple[str, str], Limit] = {}
     for law, reduced, _ in beside_fit(best, of, best.dispersion):
         strengths = [parameter for parameter in law.effect.parameters if parameter.is_strength]
-        if not strengths or (law.effect.name, law.at) in best.names:
+        if not strengths or (law.effect.family, law.at) in taken:
             continue
         asked = len(strengths) * math.log(tuned.readings) + 2.0 * math.log(of.places)
         if not law.effect.everyday:

@@ -67,12 +67,14 @@ class Tuned:
         Nuisances in standard deviations of their prior: numbers, then offsets of sensors.
     looked : tuple of Looked
     readings : int
+    levels : Levels
     """
 
     numbers: Numbers
     offset: np.ndarray
     looked: tuple[Looked, ...]
     readings: int
+    levels: Levels
 
     @property
     def plant(self) -> CompiledPlant:
@@ -123,7 +125,7 @@ def tuned_at(alongs: Sequence[Along], levels: Levels, offset: np.ndarray, known:
     if levels.are_assumed:
         numbers = numbers.holding("constant")  # weaker drives and lighter machines would make all that is left smaller
     looked = tuple(look(along, numbers, [bias.of(k) for bias in biases], offset, levels, known) for k, along in enumerate(alongs))
-    return Tuned(numbers, offset, looked, sum(one.whitening.readings for one in looked))
+    return Tuned(numbers, offset, looked, sum(one.whitening.readings for one in looked), levels)
 
 
 def nominal_offset(alongs: Sequence[Along]) -> np.ndarray:
