@@ -18,6 +18,7 @@ import numpy as np
 from real_data import DATA
 
 from hil.diagnosis.named.naming import Named, name
+from hil.diagnosis.predicted.refitting import refitted
 from hil.diagnosis.seen.see import see
 from virtual_bus.settings import EffectSetting
 
@@ -68,7 +69,7 @@ def main() -> None:
             if arguments.splits not in split or split in results.get(of, {}):
                 continue
             begun = time.monotonic()
-            named = name(see(data.machine, data.train))
+            named = refitted(name(see(data.machine, data.train)))
             seconds = time.monotonic() - begun
             values = named.tuned.numbers.values(named.best.offset[: len(named.tuned.numbers.indices)])
             answers = {"nominal": (None, ()), "answer": (values, named.best.settings)}

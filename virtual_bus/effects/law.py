@@ -15,6 +15,8 @@ PERIODS = 64
 """Of a wave within the way that a joint slides, at most."""
 BINS = 16
 """A wave that is read off at the middle of so many steps a period loses 0.6 % of its amplitude."""
+FINER = 4
+"""Orders for each that the travel tells apart."""
 TRIED = 4
 """Orders and lines that hypotheses begin from: among the strongest four is the right one, where it explains more than its neighbours."""
 
@@ -70,21 +72,23 @@ class Place:
         return max(self.high - self.low, 1e-9)
 
     def orders(self, per_turn: float = 1.0) -> list[float]:
-        """Return the orders, as whole numbers of periods per `per_turn`-th of a turn, over which most is missing.
+        """Return the orders, in periods per `per_turn`-th of a turn, over which most is missing.
 
-        An order is left out where the joint does not pass a whole period of it.
+        They lie a quarter of what the joint's travel tells apart from each other: behind a gear they need not be whole. An order is left
+        out where the joint does not pass a whole period of it.
         """
-        least = math.ceil(2.0 * math.pi / (self.travel * per_turn))
-        most = PERIODS * least if self.is_prismatic else MOST_ORDERS  # a joint that slides has no turn that would limit them
-        orders = np.arange(max(least, 1), most + 1, dtype=float)
-        if not orders.size:
-            return []
-        centred = self.missing - self.missing.mean()
         turn = 2.0 * math.pi / per_turn
-        bins = BINS * int(orders[-1])  # a bin is a small part of the highest order's period
-        at = np.floor(np.mod(self.position, turn) / turn * bins).astype(np.int64) % bins
-        power = np.abs(scipy.fft.rfft(np.bincount(at, weights=centred, minlength=bins)))
-        return _peaks(orders, power[orders.astype(np.int64)])
+        least = turn / self.travel
+        most = PERIODS * least if self.is_prismatic else MOST_ORDERS  # a joint that slides has no turn that would limit them
+        if least >= most:
+            return []
+        bins = math.ceil(BINS * most / least)  # of the travel: a small part of the highest order's period
+        at = np.minimum(((self.position - self.low) / self.travel * bins).astype(np.int64), bins - 1)
+        weights = np.bincount(np.maximum(at, 0), weights=self.missing - self.missing.mean(), minlength=bins)
+        power = np.abs(scipy.fft.rfft(weights, FINER * bins))
+        orders = np.arange(len(power)) * least / FINER
+        inside = (orders >= least) & (orders <= most)
+        return _peaks(orders[inside], power[inside])
 
     def shows_order(self, order: float) -> bool:
         """Return whether the joint passes a whole period of so many a turn."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from hil.diagnosis.named.standing import (
     unexplained,
 )
 from hil.diagnosis.predicted.open_runs import Predicted, predicted
+from hil.diagnosis.predicted.refitting import refitted
 from hil.diagnosis.result import (
     READ_OFF,
     DetectionLimit,
@@ -88,18 +89,21 @@ class Answered:
 
 def answer(machine: Machine, audit: Audit, named: Named, held_out: Mapping[str, Recording], began: float) -> Answered:
     """Return the answer to what was named; held-out recordings are scored and decide nothing. `began` is when (`time.monotonic`)."""
-    tuned, best, seen = named.tuned, named.best, named.seen
     noise: NoiseKind = "assumed" if named.levels.are_assumed else "repeats"
+    before, named = {fitted.names: fitted for _, fitted in named.sets}, refitted(named)
+    tuned, best, seen = named.tuned, named.best, named.seen
+    along_motion = before.get(best.names, best)
+    judged = replace(named, best=along_motion)  # rivals are weighed along the motion, where equations are linear
     of = library(tuned)
-    others = alternatives(named, of) if best.settings else []
-    spread = deviations(named)
+    others = alternatives(judged, of) if best.settings else []
+    spread = deviations(judged, best)
     values = tuned.numbers.values(best.offset[: len(tuned.numbers.indices)])
     settings = machine.plant
     estimates = _estimates(settings, best, spread)
     findings = _findings(best, others, estimates, LARGEST[noise])
-    limits = detection_limits(named, of)
+    limits = detection_limits(judged, of)
     retuned, frozen = _numbers(tuned, best, spread)
-    verdict, reason = _verdict(audit, named, findings, others, _unseen(machine, seen, limits))
+    verdict, reason = _verdict(audit, judged, findings, others, _unseen(machine, seen, limits))
     machines = _machines(named, values)
     alongs = seen.alongs
     train = predicted(alongs, named.levels, machines, "extended")
@@ -112,13 +116,13 @@ def answer(machine: Machine, audit: Audit, named: Named, held_out: Mapping[str, 
         verdict=verdict,
         reason=reason,
         findings=findings,
-        hypotheses=_hypotheses(best, gained_by(named), others, LARGEST[noise]),
+        hypotheses=_hypotheses(best, gained_by(judged), others, LARGEST[noise]),
         retuned=retuned,
         frozen=frozen,
         noise=noise,
         location=Location(channels=_by_channel(machine, missing)),
         fit=_fit(train, held, held_out != {}),
-        unexplained_share=unexplained(named),
+        unexplained_share=unexplained(judged),
         seconds=time.monotonic() - began,
         disturbance=DisturbanceShares(joints=missing),
         audit=audit.document(),

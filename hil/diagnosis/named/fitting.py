@@ -105,7 +105,7 @@ def fit(
     """
     settings = tuple(settings)
     offset = tuned.offset.copy() if offset is None else offset
-    parameters = tuple((k, parameter) for k, setting in enumerate(settings) for parameter in _free(setting))
+    parameters = tuple((k, parameter) for k, setting in enumerate(settings) for parameter in free_parameters(setting))
     try:
         left, squares = _left(tuned, settings, offset)
     except EffectError:
@@ -124,7 +124,7 @@ def fit(
     return Fitted(settings, offset, squares, left, columns, parameters, not tuned.levels.are_assumed)
 
 
-def _free(setting: EffectSetting) -> list[Parameter]:
+def free_parameters(setting: EffectSetting) -> list[Parameter]:
     """Return the parameters of an effect that are fitted.
 
     A strength that a law leaves at its neutral value stays there, unless all do.
@@ -187,10 +187,10 @@ def _derivatives(tuned: Tuned, one: Looked, settings: tuple[EffectSetting, ...],
     columns = []
     for k, parameter in parameters:
         value = settings[k].parameters[parameter.name]
-        step = _difference(parameter, value)
+        step = difference(parameter, value)
         if value + step > parameter.high:
             step = -step
-        moved = (*settings[:k], _with(settings[k], {parameter.name: value + step}), *settings[k + 1 :])
+        moved = (*settings[:k], changed(settings[k], {parameter.name: value + step}), *settings[k + 1 :])
         try:
             columns.append(column(here, _signals(tuned, one, moved), step))
         except EffectError:
@@ -198,13 +198,15 @@ def _derivatives(tuned: Tuned, one: Looked, settings: tuple[EffectSetting, ...],
     return one.whiten(columns)
 
 
-def _difference(parameter: Parameter, value: float) -> float:
+def difference(parameter: Parameter, value: float) -> float:
+    """Return the step by which a parameter's effect is differentiated."""
     if parameter.unit == PHASE:
         return STEP
     return STEP * abs(value) if value != 0.0 else parameter.small
 
 
-def _with(setting: EffectSetting, changes: dict[str, float]) -> EffectSetting:
+def changed(setting: EffectSetting, changes: dict[str, float]) -> EffectSetting:
+    """Return an effect with other values of some parameters, within their bounds."""
     return setting_of(effects()[setting.name], setting.at, {**setting.parameters, **changes})
 
 
@@ -228,13 +230,18 @@ def _step(
     low = list(np.maximum(free[0], -longest) + tuned.offset - offset)
     high = list(np.minimum(free[1], longest) + tuned.offset - offset)
     for k, parameter in parameters:
-        value = settings[k].parameters[parameter.name]
-        most = PHASE_STEP if parameter.unit == PHASE else (STRENGTH_STEP if parameter.is_strength else SHAPE_STEP) * abs(value)
-        if value == 0.0 and parameter.unit != PHASE:
-            most = np.inf if parameter.is_strength else parameter.small
-        low.append(max(parameter.low - value, -most))
-        high.append(min(parameter.high - value, most))
+        below, above = reach(parameter, settings[k].parameters[parameter.name])
+        low.append(below)
+        high.append(above)
     return bounded_least_squares(squares, slopes, np.array(low), np.array(high))
+
+
+def reach(parameter: Parameter, value: float) -> tuple[float, float]:
+    """Return how far down and up a parameter may go in one step."""
+    most = PHASE_STEP if parameter.unit == PHASE else (STRENGTH_STEP if parameter.is_strength else SHAPE_STEP) * abs(value)
+    if value == 0.0 and parameter.unit != PHASE:
+        most = np.inf if parameter.is_strength else parameter.small
+    return max(parameter.low - value, -most), min(parameter.high - value, most)
 
 
 def _shortened(
@@ -247,7 +254,7 @@ def _shortened(
         changes: list[dict[str, float]] = [{} for _ in settings]
         for (k, parameter), by in zip(parameters, step[len(offset) :], strict=True):
             changes[k][parameter.name] = settings[k].parameters[parameter.name] + share * float(by)
-        moved = tuple(_with(setting, change) for setting, change in zip(settings, changes, strict=True))
+        moved = tuple(changed(setting, change) for setting, change in zip(settings, changes, strict=True))
         further = offset + share * step[: len(offset)]
         try:
             left, squares = _left(tuned, moved, further)

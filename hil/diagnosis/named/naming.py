@@ -44,6 +44,8 @@ class Named:
         The likeliest set first, as far as fast misfits count.
     best : Fitted
         The set that predicts: the likeliest one, where noise is known from repeats.
+    sets : tuple of (Tuned, Fitted)
+        Sets that free runs may decide between, that one first.
     """
 
     seen: Seen
@@ -54,6 +56,7 @@ class Named:
     baseline: Fitted
     ranked: tuple[Ranked, ...]
     best: Fitted
+    sets: tuple[tuple[Tuned, Fitted], ...]
 
     @property
     def materiality(self) -> float:
@@ -100,9 +103,10 @@ def name(
             break
         tuned, best = settled(alongs, levels, ranked[0].fitted.offset, ranked[0].fitted.settings)
     best, view = ranked[0].fitted, levels
+    sets = [(tuned, best)]
     if levels.are_assumed:
         report("proving", 0.75)
-        further = tuple(each for each in baseline.settings if (each.name, each.at) not in best.names)
         view = slow_view(alongs, levels)
-        tuned, best = proved(alongs, view, best.offset, (*best.settings, *further))
-    return Named(seen, levels, view, plain, tuned, baseline, tuple(ranked), best)
+        sets = proved(alongs, view, best.offset, best.settings, baseline.settings)
+        tuned, best = sets[0]
+    return Named(seen, levels, view, plain, tuned, baseline, tuple(ranked), best, tuple(sets))

@@ -33,8 +33,10 @@ EXCHANGES = 3
 """At most."""
 
 
-def proved(alongs: Sequence[Along], levels: Levels, offset: np.ndarray, settings: Sequence[EffectSetting]) -> tuple[Tuned, Fitted]:
-    """Return the machine and the fit, in the slow view, of those effects that predict.
+def proved(
+    alongs: Sequence[Along], levels: Levels, offset: np.ndarray, settings: Sequence[EffectSetting], everyday: Sequence[EffectSetting]
+) -> list[tuple[Tuned, Fitted]]:
+    """Return machines and fits, in the slow view, of effects that predict: what was named, the everyday set, and what is better than these.
 
     Parameters
     ----------
@@ -43,11 +45,23 @@ def proved(alongs: Sequence[Along], levels: Levels, offset: np.ndarray, settings
         Of the slow view.
     offset : (P,) array
     settings : sequence of EffectSetting
-        All that may act: effects that do not predict are left out one by one, the least useful first. Then an effect or two are exchanged
+        What was named. Everyday effects are added, and those that do not predict are left out one by one, the least useful first. In a
+        second set everyday effects stand in place of all laws of their families. In the better one, an effect or two are then exchanged
         for another law of the same family that predicts better. None is added: real machines have a little of everything, and many small
         effects bend to any misfit.
+    everyday : sequence of EffectSetting
     """
-    tuned, fitted = _eliminated(alongs, levels, offset, settings)
+    taken = {(one.name, one.at) for one in settings}
+    usual = {(effects()[one.name].family, one.at) for one in everyday}
+    special = [one for one in settings if (effects()[one.name].family, one.at) not in usual]
+    sets = [[*settings, *(one for one in everyday if (one.name, one.at) not in taken)], [*everyday, *special]]
+    found: list[tuple[Tuned, Fitted]] = []
+    for one in sets:
+        tuned, fitted = _eliminated(alongs, levels, offset, one)
+        if all(fitted.names != other.names for _, other in found):
+            found.append((tuned, fitted))
+    tuned, fitted = min(found, key=lambda pair: float(left_out(*pair).sum()))
+    first = fitted
     for _ in range(EXCHANGES):
         left = left_out(tuned, fitted)
         better = _better(tuned, fitted, left)
@@ -57,7 +71,9 @@ def proved(alongs: Sequence[Along], levels: Levels, offset: np.ndarray, settings
         if further[1].names == fitted.names or not left_out(*further).sum() < left.sum():
             break
         tuned, fitted = further
-    return tuned, fitted
+    if fitted is not first and all(fitted.names != other.names for _, other in found):
+        found.append((tuned, fitted))
+    return sorted(found, key=lambda pair: float(left_out(*pair).sum()))
 
 
 def left_out(tuned: Tuned, fitted: Fitted) -> np.ndarray:

@@ -113,21 +113,20 @@ def alternatives(named: Named, of: Library) -> list[Alternative]:
     return sorted(found, key=lambda each: each.behind)
 
 
-def deviations(named: Named) -> np.ndarray:
+def deviations(named: Named, other: Fitted) -> np.ndarray:
     """Return standard deviations (P + Q,) of nuisances [of their prior] and of the answer's parameters.
 
     Where noise is assumed, no equation is quite right: what another view of the same recordings, in which fast misfits count more, gives
-    for the same effects belongs to what is unsure.
+    for the same effects belongs to what is unsure, and so does what `other`, a fit to free runs, gives.
     """
     best = named.best
     scatter = scattered(best)
     if not named.levels.are_assumed or not best.settings:
         return scatter
-    _, other = settled(named.seen.alongs, named.levels, best.offset, best.settings)
-    here, there = _coordinates(best), _coordinates(other)
-    if len(here) != len(there):
-        return scatter
-    return np.sqrt(scatter**2 + 0.5 * (here - there) ** 2)
+    _, fast = settled(named.seen.alongs, named.levels, best.offset, best.settings)
+    views = [_coordinates(each) for each in (best, fast, other)]
+    views = [each for each in views if len(each) == len(scatter)]
+    return np.sqrt(scatter**2 + np.var(views, axis=0, ddof=1)) if len(views) > 1 else scatter
 
 
 def detection_limits(named: Named, of: Library) -> list[Limit]:

@@ -60,8 +60,8 @@ def predicted(alongs: Sequence[Along], levels: Levels, machines: Mapping[str, Ma
         None where no horizon is short enough.
     """
     channels = _channels(alongs[0])
-    runs = [_Runs(along) for along in alongs]
-    spread = np.sqrt(np.mean(np.concatenate([(run.recorded - np.nanmean(run.recorded, axis=0)) ** 2 for run in runs]), axis=0))
+    runs = [Runs(along) for along in alongs]
+    spread = np.sqrt(np.nanmean(np.concatenate([(run.recorded - np.nanmean(run.recorded, axis=0)) ** 2 for run in runs]), axis=0))
     kept = [c for c in range(len(channels)) if spread[c] > 0.0]
     for horizon in (None, *HORIZONS_s):
         errors = _errors(runs, horizon, machines[judged], spread)
@@ -77,8 +77,13 @@ def predicted(alongs: Sequence[Along], levels: Levels, machines: Mapping[str, Ma
     return None
 
 
-class _Runs:
-    """One recording, and the simulator of its rows."""
+class Runs:
+    """One recording, and free runs of its simulator beside it.
+
+    Parameters
+    ----------
+    along : Along
+    """
 
     def __init__(self, along: Along) -> None:
         observed = along.observed
@@ -91,33 +96,46 @@ class _Runs:
         motion = efforts_by_encoders(along)[0]
         driven = list(self.simulator.plant.joint_of_axis().values())
         self.position, self.speed = motion.position[:, driven], motion.speed[:, driven]
+        self.speed_deviation = motion.speed_deviation[:, driven]
+        self.position_deviation = np.array([along.smooth[joint].noise if joint in along.smooth else 0.0 for joint in driven])
         self.rows, self.period_s = observed.rows, observed.period_s
 
-    def error(self, horizon_s: float | None, machine: Machine) -> np.ndarray | None:
-        """Return what free runs are off by (N, C); None where one ends early."""
-        rows = self.rows if horizon_s is None else max(FEWEST_ROWS, round(horizon_s / self.period_s))
-        count = max(1, self.rows // rows)
-        off = []
-        for begin in (rows * np.arange(count)).tolist():
-            end = min(begin + rows, self.rows)
+    def windows(self, horizon_s: float | None) -> list[tuple[int, int]]:
+        """Return first rows, and the rows behind the last ones, of runs of this length, one after the other."""
+        rows = self.rows if horizon_s is None else min(self.rows, max(FEWEST_ROWS, round(horizon_s / self.period_s)))
+        return [(rows * k, rows * (k + 1)) for k in range(self.rows // rows)]
+
+    def off(self, horizon_s: float | None, machine: Machine, shift: tuple[np.ndarray, np.ndarray] | None = None) -> list[np.ndarray] | None:
+        """Return what the simulated windows are off by, (rows, C) each; None where one ends early.
+
+        `shift` (windows, axes) are added to the positions and to the speeds that they begin from.
+        """
+        found = []
+        for number, (begin, end) in enumerate(self.windows(horizon_s)):
             efforts = self.targets[begin:end]
             none = np.zeros_like(efforts)
             command = np.vstack([efforts[1:], efforts[-1:]])  # a command acts a row late
-            inputs = Inputs(None, none, none, command, self.position[begin], start_speed=self.speed[begin], first_effort=efforts[0])
+            position, speed = self.position[begin], self.speed[begin]
+            if shift is not None:
+                position, speed = position + shift[0][number], speed + shift[1][number]
+            inputs = Inputs(None, none, none, command, position, start_speed=speed, first_effort=efforts[0])
             try:
                 outputs = self.simulator.run(inputs, machine[0], machine[1])
             except BenchError:
                 return None
-            off.append(simulated_matrix(self.simulator.machine, outputs, self.channels) - self.recorded[begin:end])
-        return np.concatenate(off)
+            found.append(simulated_matrix(self.simulator.machine, outputs, self.channels) - self.recorded[begin:end])
+        return found
 
 
-def _errors(runs: Sequence[_Runs], horizon_s: float | None, machine: Machine, spread: np.ndarray) -> np.ndarray | None:
-    off = [run.error(horizon_s, machine) for run in runs]
-    if any(each is None for each in off):
-        return None
+def _errors(runs: Sequence[Runs], horizon_s: float | None, machine: Machine, spread: np.ndarray) -> np.ndarray | None:
+    off: list[np.ndarray] = []
+    for run in runs:
+        found = run.off(horizon_s, machine)
+        if found is None:
+            return None
+        off += found
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        errors: np.ndarray = np.sqrt(np.nanmean(np.concatenate([each for each in off if each is not None]) ** 2, axis=0)) / spread
+        errors: np.ndarray = np.sqrt(np.nanmean(np.concatenate(off) ** 2, axis=0)) / spread
     return errors if np.isfinite(errors[spread > 0.0]).all() else None
 
 

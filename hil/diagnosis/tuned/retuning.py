@@ -157,7 +157,7 @@ def look(
     given = along.signals(motion, one.model).given
     if known is not None:
         given = along.signals(motion, model, known.effects).given
-    motion = _as_the_equations_say(along, one, motion, given)
+    motion = _by_encoders(along, motion) if levels.are_assumed else _as_the_equations_say(along, one, motion, given)
     signals = along.signals(motion, one.model)
     columns = []
     for k in range(count):
@@ -190,6 +190,18 @@ def _as_the_equations_say(along: Along, one: Beside, motion: Motion, given: np.n
     at_rows = 0.5 * (given + np.vstack([given[:1], given[:-1]]))
     further = np.linalg.solve(inertia, (at_rows - needed)[..., None])[..., 0]
     return replace(motion, acceleration=motion.acceleration + further)
+
+
+def _by_encoders(along: Along, motion: Motion) -> Motion:
+    """Return the motion with the slow accelerations that encoders show.
+
+    Where noise is assumed, equations may be far off, and what they say of accelerations with them. What is faster is noise for the most
+    part; it would make every inertia look smaller than it is.
+    """
+    acceleration = motion.acceleration.copy()
+    for joint, one in along.smooth.items():
+        acceleration[:, joint] = one.slow[:, 2]
+    return replace(motion, acceleration=acceleration)
 
 
 def _mean_direction(motion: Motion) -> np.ndarray:
