@@ -15,6 +15,8 @@ POSES_PER_SECOND = 64
 """Linearisations: a pose changes little in 16 ms."""
 SHORTEST_LAG_S = 1e-9
 """Of a low pass: a shorter one is none."""
+NEARBY = 1e-3
+"""Share of a deviation within which equations are linear."""
 UNKNOWN_POSITION = 1e-3
 UNKNOWN_SPEED = 1e-2
 """rad or m, and per second: standard deviations of what row 0 does beside the base motion."""
@@ -75,7 +77,7 @@ class Beside:
     missing: np.ndarray
     missing_ends: np.ndarray
     left: np.ndarray
-    filters: dict[float, Linearised] = field(default_factory=dict)
+    filters: dict[float, tuple[Linearised, np.ndarray]] = field(default_factory=dict)
 
     @property
     def present(self) -> np.ndarray:
@@ -97,11 +99,27 @@ class Beside:
             left[:, channel] -= values
         return replace(self, missing=missing, missing_ends=ends, left=left)
 
+    def about(self, motion: Motion) -> Beside:
+        """Return the same less what the equations have along a motion beyond their linear part about the base motion.
+
+        A motion that is faster than the base motion turns an IMU faster, and bodies press outwards by the square of that.
+        """
+        base = self.base
+        moves = [(getattr(motion, name) - getattr(base, name)) for name in ("position", "speed", "acceleration")]
+        near = [getattr(base, name) + NEARBY * by for name, by in zip(("position", "speed", "acceleration"), moves, strict=True)]
+        here, there, linear = (
+            self.along.signals(each, self.model) for each in (base, motion, Motion(*near, base.speed_deviation))
+        )  # fmt: skip
+        needed = there.needed - here.needed - (linear.needed - here.needed) / NEARBY
+        readings = there.readings - here.readings - (linear.readings - here.readings) / NEARBY
+        efforts = {joint: (needed[:, joint], np.append(needed[1:, joint], needed[-1, joint])) for joint in range(needed.shape[1])}
+        return self.less(efforts, {channel: readings[:, channel] for channel in range(readings.shape[1])})
+
     def linearised(self, levels: Levels) -> Linearised:
         """Return the filter's matrices with these levels; those of the machine are computed once a corner."""
         if levels.corner_Hz not in self.filters:
             self.filters[levels.corner_Hz] = _linearised(self, levels.corner_Hz)
-        plain = self.filters[levels.corner_Hz]
+        plain, felt = self.filters[levels.corner_Hz]
         n = len(levels.disturbance)
         process, start = np.zeros(len(plain.process)), np.zeros(len(plain.process))
         decay = self._decay(levels)
@@ -110,6 +128,7 @@ class Beside:
         for joint, motion in self.along.smooth.items():  # what is faster than the base motion
             start[joint] += np.mean((motion.position - motion.slow[:, 0]) ** 2)
             start[n + joint] += np.mean((motion.speed - motion.slow[:, 1]) ** 2)
+        start[3 * n :] = felt**2 @ start[: 3 * n]  # what the low passes of an IMU hold
         return replace(plain, noise=levels.sensors**2, process=process, start=start)
 
     def whitening(self, levels: Levels, unsure: np.ndarray | None = None) -> Whitening:
@@ -140,15 +159,20 @@ class Beside:
         filtered.columns(efforts, ends, readings, 0, state, out)
         return filtered.coloured(out).reshape(rows, channels)
 
-    def motion(self, filtered: Whitening) -> Motion:
-        """Return what all joints did by all sensors: the base motion and the smoothed deviations from it."""
+    def motion(self, filtered: Whitening, by_encoders: bool = True) -> Motion:
+        """Return what all joints did by all sensors: the base motion and the smoothed deviations from it.
+
+        Speeds of joints that an encoder of their own follows are by it alone where that is asked for: it does not take the equations' word
+        near a reversal.
+        """
         states, deviations = smooth_states(filtered, self.missing, self.missing_ends, np.nan_to_num(self.left), self.present)
         n = self.missing.shape[1]
         position = self.base.position + states[:, :n]
         speed = self.base.speed + states[:, n : 2 * n]
         acceleration = self.base.acceleration + np.gradient(states[:, n : 2 * n], self.along.observed.period_s, axis=0)
-        for joint, motion in self.along.smooth.items():  # by its own encoder alone, which does not take the equations' word near a reversal
-            speed[:, joint] = motion.speed
+        if by_encoders:
+            for joint, motion in self.along.smooth.items():
+                speed[:, joint] = motion.speed
         return Motion(position, speed, acceleration, np.maximum(deviations[:, n : 2 * n], self.base.speed_deviation))
 
 
@@ -184,7 +208,8 @@ def default_levels(along: Along) -> Levels:
     return Levels(np.zeros(len(along.joints)), 5.0, np.array(sensors))
 
 
-def _linearised(self: Beside, corner_Hz: float) -> Linearised:
+def _linearised(self: Beside, corner_Hz: float) -> tuple[Linearised, np.ndarray]:
+    """Return the filter's matrices, and what IMUs feel (channels, 3 n) of positions, speeds and disturbances at row 0."""
     along = self.along
     observed, settings = along.observed, along.settings
     n, period = len(along.joints), observed.period_s
@@ -214,4 +239,5 @@ def _linearised(self: Beside, corner_Hz: float) -> Linearised:
             k = names.index(channel)
             observation[:, c, : 2 * n], observation[:, c, 2 * n : 3 * n], through[:, c] = felt[:, k], at_once[:, k], at_once[:, k]
     nothing = np.zeros(size)
-    return Linearised(stride, transition, of_effort, of_rise, observation, through, np.zeros(channels), nothing, nothing)
+    first = np.hstack([felt[0], at_once[0]])
+    return Linearised(stride, transition, of_effort, of_rise, observation, through, np.zeros(channels), nothing, nothing), first

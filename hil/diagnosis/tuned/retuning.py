@@ -147,6 +147,7 @@ def look(
             left[:, channel] -= value * column_of
     one = one.with_left(left)
     filtered = one.whitening(levels)
+    one = one.about(one.motion(filtered, by_encoders=False))
     motion = one.motion(filtered)
     if known is not None:
         model = along.plant.model(numbers.values(offset[:count]), known.effects)
