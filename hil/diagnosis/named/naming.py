@@ -98,7 +98,7 @@ def name(
     ranked: list[Ranked] = []
     for turn in range(ROUNDS):
         report("searching", 0.35 + 0.4 * turn / ROUNDS)
-        ranked = search(tuned, library(tuned), best, MATERIAL if levels.are_assumed else 1.0)
+        ranked = search(tuned, library(tuned, best.settings), best, MATERIAL if levels.are_assumed else 1.0)
         if ranked[0].fitted.names == best.names:
             break
         tuned, best = settled(alongs, levels, ranked[0].fitted.offset, ranked[0].fitted.settings)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,7 @@ from hil.diagnosis.named.fitting import Fitted, fit
 from hil.diagnosis.tuned.bounded import bounded_least_squares
 from hil.diagnosis.tuned.retuning import Tuned
 from virtual_bus.effects.registry import effects
+from virtual_bus.settings import EffectSetting
 
 OWN = 1e-6
 """Share of a column's square that must be its own, and not that of numbers and effects that are fitted already: columns are kept in single
@@ -63,12 +64,16 @@ class Library:
         return len({(law.effect.name, law.at) for law in self.laws})
 
 
-def library(tuned: Tuned) -> Library:
-    """Return the laws of all effects at all places, for these recordings."""
+def library(tuned: Tuned, settings: Sequence[EffectSetting] = ()) -> Library:
+    """Return the laws of all effects at all places, for these recordings; orders and lines are sought in what `settings` leave."""
     alongs = [one.beside.along for one in tuned.looked]
     motions = [one.motion for one in tuned.looked]
     signals = [one.signals for one in tuned.looked]
     missing = [one.given - one.needed for one in signals]
+    if settings:
+        model = tuned.plant.model(tuned.values, settings)
+        left = [along.signals(motion, model, settings) for along, motion in zip(alongs, motions, strict=True)]
+        missing = [one.given - one.needed for one in left]
     inertias = tuned.plant.inertias(tuned.looked[0].beside.model, motions[0].position[0])
     laws = entries(alongs, motions, signals, tuned.values, missing, inertias)
     columns = [one.whiten([c for law in laws for c in law.columns[g]]) for g, one in enumerate(tuned.looked)]
