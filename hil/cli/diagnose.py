@@ -59,7 +59,7 @@ def diagnose(
 ) -> None:
     """Diagnose and write DIR."""
     from hil.diagnosis.audit.audit import audit
-    from hil.diagnosis.by_motion import diagnose_along, is_along_the_motion
+    from hil.diagnosis.by_motion import diagnose_along, is_along_the_motion, with_second_opinion
     from hil.diagnosis.diagnose import diagnose as run_diagnosis
     from hil.diagnosis.files import write_answer, write_diagnosis
     from hil.processes.kept_memory import keep_memory
@@ -92,7 +92,9 @@ def diagnose(
             outcome = diagnose_along(machine, train, held, audited, report, first)
         else:
             outcome = run_diagnosis(machine, train, held, jobs=_processors() if jobs is None else jobs, report=report)
-            outcome = replace(outcome, diagnosis=replace(outcome.diagnosis, audit=audited.document()))
+            report("looking along the motion", 0.98)
+            diagnosis = with_second_opinion(machine, train, outcome.diagnosis)
+            outcome = replace(outcome, diagnosis=replace(diagnosis, audit=audited.document()))
     write_diagnosis(outcome, machine, out)
     _say(answer, outcome, out)
     answer.write(plain(outcome.diagnosis.document()))

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 from hil.diagnosis.answered.answer import Answered, answer, first_answer, nothing_seen, play_seen
+from hil.diagnosis.answering.verdict import FAINT_GAIN, NULLS_LEFT
 from hil.diagnosis.audit.audit import Audit
-from hil.diagnosis.named.fitting import Fitted
-from hil.diagnosis.named.naming import name
+from hil.diagnosis.named.fitting import Fitted, fit
+from hil.diagnosis.named.naming import Named, name
 from hil.diagnosis.observed.groups import groups
-from hil.diagnosis.result import Diagnosis
+from hil.diagnosis.result import Diagnosis, EffectAt, Hypothesis
 from hil.diagnosis.seen.see import see
+from hil.errors import BenchError
 from hil.machine import Machine
 from hil.recording import Recording
+
+EVEN = 0.5
+"""Share of a confidence that is left where two ways of equal standing say different things."""
 
 
 def diagnose_along(
@@ -58,6 +65,53 @@ def diagnose_along(
     named = name(seen, report, say)
     report("weighing rivals", 0.9)
     return answer(machine, audit, named, held_out, began)
+
+
+def with_second_opinion(machine: Machine, recordings: Mapping[str, Recording], diagnosis: Diagnosis) -> Diagnosis:
+    """Return an answer by free runs, less sure where another set of effects explains the recorded motion down to its noise.
+
+    A set that is part of the answer's is no other one, and an effect that gains little is no part of a set.
+    """
+    if diagnosis.verdict not in ("explained", "ambiguous") or not diagnosis.findings:
+        return diagnosis
+    try:
+        named = name(see(machine, recordings))
+    except BenchError:
+        return diagnosis
+    best = named.best
+    other = tuple(EffectAt(one.name, one.at) for k, one in enumerate(best.settings) if _gain(named, k) > FAINT_GAIN)
+    own = tuple(finding.effect for finding in diagnosis.findings)
+    if best.squares > (1.0 + NULLS_LEFT) * named.tuned.readings or named.levels.are_assumed or set(other) <= set(own):
+        return diagnosis
+    said = " and ".join(map(str, other))
+    findings = tuple(
+        replace(
+            finding,
+            confidence=finding.confidence if finding.effect in other else EVEN * finding.confidence,
+            ambiguous_with=tuple(dict.fromkeys((*finding.ambiguous_with, *(one for one in other if one not in own)))),
+            ambiguous_sets=finding.ambiguous_sets if finding.effect in other else (*finding.ambiguous_sets, other),
+            evidence_against=(*finding.evidence_against, f"{said} explains the recorded motion down to its noise"),
+        )
+        for finding in diagnosis.findings
+    )
+    listed = [h for h in diagnosis.hypotheses if set(h.effects) != set(other)]
+    first = max((h.confidence for h in listed), default=1.0)
+    hypotheses = [replace(h, confidence=EVEN * h.confidence) for h in listed]
+    hypotheses.append(Hypothesis(other, EVEN * first, parameters=len(best.parameters)))
+    return replace(
+        diagnosis,
+        verdict="ambiguous",
+        reason=f"{diagnosis.reason}; along the recorded motion {said} explains as much",
+        findings=findings,
+        hypotheses=tuple(sorted(hypotheses, key=lambda h: -h.confidence)),
+    )
+
+
+def _gain(named: Named, number: int) -> float:
+    """Return by how much one effect of the answer lowers the squares beside the others, everything fitted again."""
+    best = named.best
+    without = fit(named.tuned, (*best.settings[:number], *best.settings[number + 1 :]), best.offset, best.dispersion)
+    return math.inf if without is None else without.cost(best.dispersion) - best.cost(best.dispersion)
 
 
 def is_along_the_motion(machine: Machine, recordings: Mapping[str, Recording], audit: Audit) -> bool:

@@ -105,11 +105,13 @@ class Beside:
         A motion that is faster than the base motion turns an IMU faster, and bodies press outwards by the square of that.
         """
         base = self.base
-        moves = [(getattr(motion, name) - getattr(base, name)) for name in ("position", "speed", "acceleration")]
-        near = [getattr(base, name) + NEARBY * by for name, by in zip(("position", "speed", "acceleration"), moves, strict=True)]
-        here, there, linear = (
-            self.along.signals(each, self.model) for each in (base, motion, Motion(*near, base.speed_deviation))
-        )  # fmt: skip
+        near = Motion(
+            base.position + NEARBY * (motion.position - base.position),
+            base.speed + NEARBY * (motion.speed - base.speed),
+            base.acceleration + NEARBY * (motion.acceleration - base.acceleration),
+            base.speed_deviation,
+        )
+        here, there, linear = (self.along.signals(each, self.model) for each in (base, motion, near))
         needed = there.needed - here.needed - (linear.needed - here.needed) / NEARBY
         readings = there.readings - here.readings - (linear.readings - here.readings) / NEARBY
         efforts = {joint: (needed[:, joint], np.append(needed[1:, joint], needed[-1, joint])) for joint in range(needed.shape[1])}

@@ -10,6 +10,8 @@ import scipy.linalg
 
 QUIETEST = 0.01
 """Share of the mean square below which nothing is quiet: a stretch in which an encoder's lattice hides all noise says nothing of it."""
+WHITEST = 1e-3
+"""Of noise, the share that nothing before predicts, at least."""
 LONGEST = 32
 """Rows that an autoregression looks back, at most: a narrow line takes two, and a slope some more."""
 
@@ -48,6 +50,8 @@ def colour_of(innovations: Sequence[np.ndarray]) -> np.ndarray:
         filters[c, 0] = 1.0
         if lags[0] <= 0.0:
             continue
+        size = min(float(lags[0]), 1.0)  # of what repeats do not show, as of a lattice, the levels know
+        lags[0] *= 1.0 + WHITEST
         best = np.inf
         for order in range(min(LONGEST, rows // LONGEST) + 1):
             back = scipy.linalg.solve_toeplitz(lags[:order], lags[1 : order + 1]) if order else np.zeros(0)
@@ -57,7 +61,7 @@ def colour_of(innovations: Sequence[np.ndarray]) -> np.ndarray:
                 best = criterion
                 filters[c] = 0.0
                 filters[c, 0], filters[c, 1 : order + 1] = 1.0, -back
-                filters[c] /= np.sqrt(variance)
+                filters[c] *= np.sqrt(size / variance)
     return filters
 
 

@@ -19,6 +19,8 @@ NEAR = 5
 """Iterations after which the corners are compared."""
 FINEST = 0.05
 """Share of a sensor's noise by the machine file that its own noise is at least: less would be a share of one step of its lattice."""
+HIDDEN = 0.5
+"""Share of an innovation's precision that a lattice leaves, below which it hides the noise."""
 BEGUN = 0.002
 """Share of what a drive can give at most, as the disturbances' first level."""
 
@@ -40,13 +42,23 @@ def repeat_levels(groups: Sequence[Group], alongs: Sequence[Along]) -> Levels | 
     count = min(len(group.repeats) for group in groups if len(group.repeats) > 1)
     variance, lattice = found.sensors**2, _lattices(alongs[0]) ** 2
     sensors = np.sqrt(variance / count + np.maximum(lattice - variance, 0.0))
+    hidden = _hidden(parts[0][0], found, replace(found, sensors=np.sqrt(np.maximum(variance, lattice))))
     loudness: dict[str, np.ndarray] = {}
     even = []
     for name in dict.fromkeys(part[0].along.observed.name for part in parts):
         own = [_innovations(part, found) for part in parts if part[0].along.observed.name == name]
-        loudness[name] = loudness_of(own)
+        loudness[name] = np.where(hidden, 1.0, loudness_of(own))  # repeats do not show what a lattice hides
         even += [each / loudness[name] for each in own]
-    return Levels(found.disturbance / np.sqrt(count), found.corner_Hz, sensors, colour=colour_of(even), loudness=loudness)
+    colour = colour_of(even)
+    colour[hidden] = np.eye(1, colour.shape[1])
+    return Levels(found.disturbance / np.sqrt(count), found.corner_Hz, sensors, colour=colour, loudness=loudness)
+
+
+def _hidden(one: Beside, shown: Levels, with_lattices: Levels) -> np.ndarray:
+    """Return whose innovations (m + axes,) lattices, which do not show in what repeats differ by, make larger by half or more."""
+    without, those = (np.einsum("kcc->kc", one.whitening(levels).roots) ** 2 for levels in (shown, with_lattices))
+    hidden: np.ndarray = those.mean(axis=0) < HIDDEN * without.mean(axis=0)
+    return hidden
 
 
 def log_likelihood(parts: Sequence[tuple[Beside, np.ndarray, np.ndarray, np.ndarray]], levels: Levels) -> float:

@@ -1,0 +1,144 @@
+"""Recordings without repeats or without a known controller: audited, seen, named, proved, and answered by the command."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from carriage import MACHINE, MASS_kg, recording, repeats
+from command_line import Isocenter
+from places import DATA, needs_data
+
+from hil.diagnosis.named.naming import Named, name
+from hil.diagnosis.named.search import library
+from hil.diagnosis.named.standing import detection_limits
+from hil.diagnosis.predicted.open_runs import predicted
+from hil.diagnosis.predicted.refitting import refitted
+from hil.diagnosis.seen.see import see
+from hil.machine.effects_file import read_effects_file
+from hil.machine.load import machine_from_text
+from hil.recording import write_recording
+
+COULOMB_N, LOAD_N = 20.0, 6.0
+TRUTH = {"coulomb_N": COULOMB_N, "load_N": LOAD_N, "duration_s": 6.0}
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    for number, (label, each) in enumerate({**repeats(1, **TRUTH), **repeats(1, experiment=1, **TRUTH)}.items()):
+        write_recording(each, tmp_path / f"{'train' if number == 0 else 'held'}_{label}.csv")
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def rubbing() -> Named:
+    return name(see(MACHINE, repeats(1, **TRUTH)))
+
+
+def answer(isocenter: Isocenter, folder: Path, *words: str) -> dict[str, Any]:
+    done = isocenter("diagnose", "emps", *words, "-o", str(folder / "found"))
+    assert done.status == 0, done.err
+    found: dict[str, Any] = json.loads((folder / "found" / "diagnosis.json").read_text())
+    return found
+
+
+def test_the_command_names_friction_and_load_of_one_recording(folder: Path, isocenter: Isocenter) -> None:
+    found = answer(isocenter, folder, "train_run_0_0.csv", "--held-out", "held_run_1_0.csv")
+    named = {finding["effect"]: finding for finding in found["findings"]}
+    assert set(named) == {"coulomb_friction", "constant_load"}
+    for effect, parameter, truth in (("coulomb_friction", "Fc", COULOMB_N), ("constant_load", "tau0", LOAD_N)):
+        low, high = sorted(abs(end) for end in named[effect]["parameters"][parameter]["ci95"])
+        assert low <= truth <= high, effect
+    assert found["noise"] == "assumed"
+    assert found["provisional"] is False
+    assert max(finding["confidence"] for finding in found["findings"]) <= 0.9
+    assert {one["effect"] for one in found["baseline"]} >= {"coulomb_friction", "constant_load", "viscous_friction"}
+    stages = found["fit"]["held_out"]
+    assert stages["extended"] < 0.1 * stages["nominal"]
+    assert found["audit"]["axes"]["carriage"]["status"] == "unknown"  # its command has noise that no law gives
+    assert sum(h["confidence"] for h in found["hypotheses"]) <= 1.0 + 1e-9
+    assert {each.name for each in read_effects_file(folder / "found" / "effects.toml", MACHINE)} == set(named)
+    machine_from_text((folder / "found" / "machine.toml").read_text(), label="re-tuned")
+    assert "coulomb_friction at carriage" in (folder / "found" / "report.html").read_text()
+
+
+def test_a_first_answer_is_said_before_the_last_word(folder: Path, isocenter: Isocenter) -> None:
+    done = isocenter("diagnose", "emps", "train_run_0_0.csv", "-o", "found")
+    assert "first answer: " in done.err and "provisional" in done.err
+
+
+def test_what_was_seen_is_said_without_a_search(folder: Path, isocenter: Isocenter) -> None:
+    done = isocenter("diagnose", "emps", "train_run_0_0.csv", "-o", "found", "--stop-after", "seen", "--json", "-")
+    seen = json.loads(done.out)["seen"]
+    assert [(each["recording"], each["joint"], each["unit"]) for each in seen] == [("train_run_0_0", "carriage", "N")]
+    assert not (folder / "found").exists() or not any((folder / "found").iterdir())
+
+
+def test_another_step_is_refused(folder: Path, isocenter: Isocenter) -> None:
+    done = isocenter("diagnose", "emps", "train_run_0_0.csv", "-o", "found", "--stop-after", "all")
+    assert done.status == 2
+    assert "audit or seen would be right" in done.err
+
+
+def test_a_carriage_that_stands_says_nothing(tmp_path: Path, isocenter: Isocenter, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    random = np.random.default_rng(3)
+    still = 1e-7 * random.standard_normal(2000)
+    write_recording(recording(np.zeros(2000), still, 1e-3 * random.standard_normal(2000)), tmp_path / "still.csv")
+    found = answer(isocenter, tmp_path, "still.csv")
+    assert found["verdict"] == "inconclusive"
+    assert "carriage" in found["reason"]
+
+
+def test_a_friction_of_three_times_its_limit_is_found_and_a_third_is_not() -> None:
+    nothing = name(see(MACHINE, repeats(1, duration_s=6.0)))
+    (limit,) = [each for each in detection_limits(nothing, library(nothing.tuned)) if each.effect == "coulomb_friction"]
+    assert 0.0 < limit.strength < COULOMB_N
+    found = [
+        {setting.name for setting in name(see(MACHINE, repeats(1, duration_s=6.0, coulomb_N=by * limit.strength))).best.settings}
+        for by in (3.0, 1.0 / 3.0)
+    ]
+    assert "coulomb_friction" in found[0]
+    assert "coulomb_friction" not in found[1]
+
+
+def test_a_refit_keeps_strengths_and_predicts_no_worse(rubbing: Named) -> None:
+    after = refitted(rubbing)
+    strengths = {setting.name: setting.parameters for setting in after.best.settings}
+    assert strengths["coulomb_friction"]["Fc"] == pytest.approx(COULOMB_N, rel=0.05)
+    numbers = rubbing.tuned.numbers
+    machines = {
+        label: (numbers.values(each.best.offset[: len(numbers.indices)]), each.best.settings)
+        for label, each in (("before", rubbing), ("after", after))
+    }
+    errors = predicted(rubbing.seen.alongs, rubbing.levels, machines, "before")
+    assert errors is not None
+    table = errors.channels["position_carriage"]
+    assert table["after"] <= 1.05 * table["before"]
+
+
+def test_a_heavier_carriage_is_a_matter_of_numbers(tmp_path: Path, isocenter: Isocenter, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for label, each in repeats(1, duration_s=6.0, mass=1.1 * MASS_kg).items():
+        write_recording(each, tmp_path / f"{label}.csv")
+    assert answer(isocenter, tmp_path, "run_0_0.csv")["verdict"] == "retuned"
+
+
+@needs_data("field", "a recording of friction and a load")
+def test_where_one_law_and_two_explain_as_much_both_are_listed(
+    tmp_path: Path, isocenter: Isocenter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = DATA / "field" / "17-friction-offset"
+    monkeypatch.chdir(tmp_path)
+    recordings = [str(folder / f"r{number}.csv") for number in (1, 2, 3)]
+    machine = str(DATA / "field" / "work" / "turntable.toml")
+    done = isocenter("diagnose", machine, *recordings, "--held-out", str(folder / "h.csv"), "-o", "found", "-j", "1")
+    assert done.status == 0, done.err
+    found = json.loads((tmp_path / "found" / "diagnosis.json").read_text())
+    sets = [{effect["effect"] for effect in hypothesis["effects"]} for hypothesis in found["hypotheses"][:2]]
+    assert found["verdict"] == "ambiguous"
+    assert {"coulomb_friction", "constant_load"} in sets
