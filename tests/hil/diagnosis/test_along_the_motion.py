@@ -94,6 +94,7 @@ def test_a_carriage_that_stands_says_nothing(tmp_path: Path, isocenter: Isocente
     assert "carriage" in found["reason"]
 
 
+@pytest.mark.nightly
 def test_a_friction_of_three_times_its_limit_is_found_and_a_third_is_not() -> None:
     nothing = name(see(MACHINE, repeats(1, duration_s=6.0)))
     (limit,) = [each for each in detection_limits(nothing, library(nothing.tuned)) if each.effect == "coulomb_friction"]

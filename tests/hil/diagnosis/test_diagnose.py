@@ -48,7 +48,7 @@ def test_the_answer_is_written_as_promised(friction, tmp_path):
     assert finding <= set(document["findings"][0])
     assert set(document["findings"][0]["parameters"]["Fc"]) == {"value", "unit", "ci95"}
     assert sum(hypothesis["confidence"] for hypothesis in document["hypotheses"]) <= 1.0 + 1e-9
-    stages = {"nominal", "retuned", "extended", "placebo", "noise_floor"}
+    stages = {"nominal", "retuned", "extended", "placebo", "noise_floor", "baseline"}
     assert set(document["fit"]["train"]) == set(document["fit"]["held_out"]) == stages
     assert all(set(channel) == stages for channel in document["fit"]["channels"].values())
     assert sum(document["location"]["channels"].values()) == pytest.approx(1.0)

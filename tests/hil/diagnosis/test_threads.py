@@ -35,6 +35,7 @@ def test_one_thread_per_processor_that_may_be_used_unless_said_otherwise(tmp_pat
         asked.append(jobs)
         raise RecordingError("enough")
 
+    monkeypatch.setattr("hil.diagnosis.by_motion.is_along_the_motion", lambda *_: False)  # that way has one thread
     monkeypatch.setattr("hil.diagnosis.diagnose.diagnose", ask)
     monkeypatch.setattr("os.sched_getaffinity", lambda _: processors, raising=False)
     with pytest.raises(SystemExit):

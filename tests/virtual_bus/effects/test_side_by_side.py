@@ -54,6 +54,7 @@ def drawn(simulator: Simulator, seed: int) -> np.ndarray:
     return nominal * (1.0 + 0.01 * np.random.default_rng(seed).uniform(-1.0, 1.0, len(nominal)))
 
 
+@pytest.mark.nightly
 def test_every_effect_of_the_catalogue_does_beside_others_what_it_does_alone(simulator: Simulator, inputs: Inputs) -> None:
     trials = [(drawn(simulator, seed), (setting,)) for seed, setting in enumerate(EXAMPLES.values())]
     together = simulator.run_all(inputs, trials)

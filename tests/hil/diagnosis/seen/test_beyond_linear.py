@@ -55,6 +55,7 @@ gyro_noise_rms_rad_s = [0.001, 0.001, 0.001]
 TIME_s = np.arange(400) / 200.0
 
 
+@pytest.mark.nightly
 def test_the_square_of_the_speed_is_taken_off_the_readings() -> None:
     machine = machine_from_text(TEXT, label="boom")
     slow, fast = 0.4 * np.sin(3.0 * TIME_s), 0.004 * np.sin(60.0 * TIME_s)
