@@ -214,7 +214,9 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
 
 DIAGNOSIS = (
     Entry(
-        "verdict", "text", "`inconclusive`, `misconfigured`, `unknown_physics`, `ambiguous`, `explained`, `retuned` or `consistent`; the first that applies."
+        "verdict",
+        "text",
+        "`inconclusive`, `misconfigured`, `unknown_physics`, `ambiguous`, `explained`, `retuned` or `consistent`; the first that applies.",
     ),
     Entry("reason", "text", "The verdict in a sentence."),
     Entry("findings", "list", "Effects taken to be there: those of the likeliest set, then what recordings show by themselves."),
@@ -233,7 +235,7 @@ DIAGNOSIS = (
     Entry("findings[].separating_experiment", "text or null", "`next_experiment.toml`, where it was written."),
     Entry("findings[].evidence_for", "list of text", "What speaks for the effect."),
     Entry("findings[].evidence_against", "list of text", "What speaks against it."),
-    Entry("findings[].family", "text", "Family of the effect: laws that recordings often do not tell apart. Empty in an answer by free runs."),
+    Entry("findings[].family", "text", "Laws that recordings often do not tell apart. Empty in an answer by free runs."),
     Entry("findings[].variants", "list", "Laws of the family at this place that may be it: `effect`, `at`, `confidence`."),
     Entry("hypotheses", "list", "All sets that were weighed, the likeliest first."),
     Entry("hypotheses[].effects", "list", "Effects of the set; empty: no effect is missing."),
@@ -283,13 +285,11 @@ DIAGNOSIS = (
     Entry(
         "audit.axes.AXIS",
         "object",
-        "Controller: `gain`, `delay_s`, `saturation`, `offset`, `rate_Hz`, `sign` (each `value`, `ci95`, `file`), `replayed_rms`, `resolution`,"
-        " `status`: `as_filed`, `differs` or `unknown`.",
+        "Controller: `gain`, `delay_s`, `saturation`, `offset`, `rate_Hz`, `sign` (each `value`, `ci95`, `file`), `replayed_rms`,"
+        " `resolution`, `status`: `as_filed`, `differs` or `unknown`.",
     ),
-    Entry(
-        "audit.sensors", "list", "Two encoders of an axis: `first`, `second`, `gain`, `delay_s`, `gap` (play between both), `offset`, `status`."
-    ),
-    Entry("detection_limits", "list", "The least that would have shown: `effect`, `at`, `parameter`, `strength` (null: none would), `unit`."),
+    Entry("audit.sensors", "list", "Two encoders of an axis: `first`, `second`, `gain`, `delay_s`, `gap` (play), `offset`, `status`."),
+    Entry("detection_limits", "list", "The least that would have shown: `effect`, `at`, `parameter`, `strength` (or null), `unit`."),
     Entry("baseline", "list", "The engineer's fit: friction and load of every driven joint, each with `parameters`."),
     Entry("provisional", "true or false", "Whether this is a first answer, which the last word replaces."),
     Entry("unexplained_share", "0 to 1", "Of what re-tuning leaves above noise in training, what the extended simulation leaves."),
