@@ -118,9 +118,13 @@ def is_along_the_motion(machine: Machine, recordings: Mapping[str, Recording], a
     """Return whether recordings are diagnosed along their motion, and not by free runs of the closed loop.
 
     They are where no free run of the loop would be the machine's: its controllers are not the file's, or are not known; or where nothing
-    repeats, so that a free run cannot be told from noise. Play that encoders show is read off.
+    repeats, so that a free run cannot be told from noise, and every joint has an encoder, without which disturbances of a joint are not
+    seen. Play that encoders show is read off.
     """
     if audit.has_play or not audit.are_controllers_as_filed:
         return True
+    followed = {encoder.joints[0] for encoder in machine.plant.encoders if len(encoder.joints) == 1}
+    if any(joint.name not in followed for joint in machine.plant.tree.joints):
+        return False
     has_periods = any(recording.experiment.get("period_samples") for recording in recordings.values())
     return not has_periods and all(len(group.repeats) == 1 for group in groups(machine, recordings))

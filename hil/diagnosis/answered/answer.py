@@ -222,6 +222,8 @@ def _verdict(
     if rivals or doubted:
         said = "; ".join(dict.fromkeys(_words(other.settings) for other in [*rivals, *doubted]))
         return "ambiguous", f"{names}, which these recordings do not tell apart from {said}"
+    if named.levels.are_assumed and not named.seen.alongs[0].followed.all():
+        return "ambiguous", f"{names}, if disturbances at joints that no encoder follows are small: record repeats, which show them"
     return "explained", f"{names}: no other law or place explains these recordings as well"
 
 
