@@ -7,6 +7,8 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
+import numpy as np
+
 from hil.diagnosis.answered.answer import Answered, answer, first_answer, nothing_seen, play_seen
 from hil.diagnosis.answering.verdict import FAINT_GAIN, NULLS_LEFT
 from hil.diagnosis.audit.audit import Audit
@@ -18,6 +20,7 @@ from hil.diagnosis.seen.see import see
 from hil.errors import BenchError
 from hil.machine import Machine
 from hil.recording import Recording
+from virtual_bus.errors import EmulatorError
 
 EVEN = 0.5
 """Share of a confidence that is left where two ways of equal standing say different things."""
@@ -75,13 +78,16 @@ def with_second_opinion(machine: Machine, recordings: Mapping[str, Recording], d
     if diagnosis.verdict not in ("explained", "ambiguous") or not diagnosis.findings:
         return diagnosis
     try:
-        named = name(see(machine, recordings))
-    except BenchError:
+        seen = see(machine, recordings)
+        if seen.levels.are_assumed:
+            return diagnosis
+        named = name(seen)
+    except (BenchError, EmulatorError, np.linalg.LinAlgError):
         return diagnosis
     best = named.best
     other = tuple(EffectAt(one.name, one.at) for k, one in enumerate(best.settings) if _gain(named, k) > FAINT_GAIN)
     own = tuple(finding.effect for finding in diagnosis.findings)
-    if best.squares > (1.0 + NULLS_LEFT) * named.tuned.readings or named.levels.are_assumed or set(other) <= set(own):
+    if best.squares > (1.0 + NULLS_LEFT) * named.tuned.readings or set(other) <= set(own):
         return diagnosis
     said = " and ".join(map(str, other))
     findings = tuple(

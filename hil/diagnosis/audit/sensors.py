@@ -101,7 +101,7 @@ def _part(recording: Recording, pair: tuple[str, str]) -> _Pair | None:
     axis = pair[0].removeprefix("position_")
     efforts = [recording[name] for name in (f"current_{axis}", f"effort_{axis}", f"command_{axis}") if name in recording]
     effort = np.nan_to_num(efforts[0]) if efforts else np.zeros(len(first))
-    used = np.isfinite(first) & np.isfinite(second)
+    used = np.isfinite(first) & np.isfinite(second) & np.isfinite(speed) & np.isfinite(acceleration)
     used[:SPAN] = used[-SPAN:] = False
     if used.sum() < FEWEST_ROWS or np.ptp(first[used]) == 0.0:
         return None

@@ -13,6 +13,7 @@ from hil.diagnosis.seen.beside import Levels
 from hil.errors import BenchError
 from hil.simulation import Inputs, Simulator
 from hil.simulation.smooth import simulated_matrix, smooth
+from virtual_bus.errors import EmulatorError
 from virtual_bus.settings import EffectSetting
 
 HORIZONS_s = (30.0, 10.0, 3.0, 1.0, 0.3, 0.1)
@@ -121,7 +122,7 @@ class Runs:
             inputs = Inputs(None, none, none, command, position, start_speed=speed, first_effort=efforts[0])
             try:
                 outputs = self.simulator.run(inputs, machine[0], machine[1])
-            except BenchError:
+            except (BenchError, EmulatorError):
                 return None
             found.append(simulated_matrix(self.simulator.machine, outputs, self.channels) - self.recorded[begin:end])
         return found
