@@ -130,9 +130,8 @@ def free_run(
 
 
 class OpenLoop(Simulator):
-    """A simulator of runs in open loop in which an effort acts from its own row on, not from the next one on."""
+    """A simulator of runs in open loop that begin in any state and tell the one that they end in; an effort acts from its own row on."""
 
-    _first: np.ndarray
     _begin: np.ndarray | None
     _state: np.ndarray
 
@@ -158,14 +157,13 @@ class OpenLoop(Simulator):
         state : array, optional
             The plant's whole state at row 0 instead.
         """
-        self._first, self._begin = efforts[0], state
+        self._begin = state
         none = np.zeros_like(efforts)
-        inputs = Inputs(None, none, none, np.vstack([efforts[1:], efforts[-1:]]), pose, start_speed=speed)
+        inputs = Inputs(None, none, none, np.vstack([efforts[1:], efforts[-1:]]), pose, start_speed=speed, first_effort=efforts[0])
         return self.run(inputs, values, effects), self._state
 
     def _prepared(self, inputs: Inputs, values: np.ndarray | None, effects: Sequence[EffectSetting] | None) -> Prepared:
         prepared = super()._prepared(inputs, values, effects)
-        prepared.target[:] = self._first
         if self._begin is not None:
             prepared.state[:] = self._begin
         self._state = prepared.state  # a run advances it

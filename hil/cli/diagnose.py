@@ -12,7 +12,7 @@ import numpy as np
 import typer
 
 from hil.cli.options import MachineArgument, folder_can_be_written, load
-from hil.errors import RecordingError
+from hil.errors import RecordingError, UnusableInputError
 from hil.terminal.output import Answer, JsonOption, plain, progress
 
 if TYPE_CHECKING:
@@ -64,6 +64,8 @@ def diagnose(
     from hil.diagnosis.files import write_answer, write_diagnosis
     from hil.processes.kept_memory import keep_memory
 
+    if stop_after not in (None, *STEPS):
+        raise UnusableInputError(f"--stop-after {stop_after}: is no step; {' or '.join(STEPS)} would be right")
     keep_memory()
     answer = Answer(json_to)
     machine = load(machine_name)
@@ -72,7 +74,7 @@ def diagnose(
     train = _read(recordings, machine)
     held = _read(held_out or [], machine, train)
     _check_no_copies(train, held)
-    audited = audit(machine, [*train.values(), *held.values()])
+    audited = audit(machine, list(train.values()))
     if stop_after is not None:
         _stopped(stop_after, answer, machine, train, audited)
         return
@@ -105,10 +107,7 @@ def diagnose(
 def _stopped(step: str, answer: Answer, machine: Machine, recordings: Mapping[str, Recording], audited: Audit) -> None:
     """Say what the first steps show."""
     from hil.diagnosis.seen.see import see
-    from hil.errors import UnusableInputError
 
-    if step not in STEPS:
-        raise UnusableInputError(f"--stop-after {step}: is no step; {' or '.join(STEPS)} would be right")
     for said in [*(axis.said for axis in audited.axes), *(pair.said for pair in audited.sensors)]:
         answer.say(said)
     if not audited.axes:

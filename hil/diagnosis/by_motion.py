@@ -43,7 +43,7 @@ def diagnose_along(
     recordings, held_out : mapping of str to Recording
         By name; held-out ones are scored and decide nothing.
     audit : Audit
-        Of all of these recordings.
+        Of the recordings that are fitted to.
     report : callable, optional
         Told what is being done, and the share of the whole that is done.
     first : callable, optional
@@ -55,9 +55,9 @@ def diagnose_along(
         Recordings that cannot be used.
     """
     began = time.monotonic()
-    report("seeing", 0.0)
+    report("reading the motion", 0.0)
     seen = see(machine, recordings)
-    if seen.still:
+    if seen.is_still:
         return nothing_seen(machine, audit, seen, time.monotonic() - began)
     if audit.has_play:
         return play_seen(machine, audit, seen, time.monotonic() - began)
@@ -127,9 +127,12 @@ def is_along_the_motion(machine: Machine, recordings: Mapping[str, Recording], a
     repeats, so that a free run cannot be told from noise, and every joint has an encoder, without which disturbances of a joint are not
     seen. Play that encoders show is read off.
     """
-    if audit.has_play or not audit.are_controllers_as_filed:
+    recorded = {channel for recording in recordings.values() for channel in recording.channels}
+    followed = {encoder.joints[0] for encoder in machine.plant.encoders if len(encoder.joints) == 1 and encoder.channel in recorded}
+    if not followed:  # by an IMU alone no motion is known
+        return False
+    if audit.has_play or audit.wrong or not audit.are_controllers_as_filed:
         return True
-    followed = {encoder.joints[0] for encoder in machine.plant.encoders if len(encoder.joints) == 1}
     if any(joint.name not in followed for joint in machine.plant.tree.joints):
         return False
     has_periods = any(recording.experiment.get("period_samples") for recording in recordings.values())

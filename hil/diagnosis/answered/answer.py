@@ -71,20 +71,20 @@ class Answered:
     ----------
     machine : Machine
     diagnosis : Diagnosis
+    recordings : tuple of str
     named : Named or None
-        None where the recordings show nothing.
+        None where the recordings show nothing, or by themselves.
     values : (parameters,) array
         Plant parameters of the answer.
     effects : tuple of EffectSetting
-    prediction : Predicted or None
     """
 
     machine: Machine
     diagnosis: Diagnosis
+    recordings: tuple[str, ...]
     named: Named | None
     values: np.ndarray
     effects: tuple[EffectSetting, ...]
-    prediction: Predicted | None
 
 
 def answer(machine: Machine, audit: Audit, named: Named, held_out: Mapping[str, Recording], began: float) -> Answered:
@@ -106,12 +106,12 @@ def answer(machine: Machine, audit: Audit, named: Named, held_out: Mapping[str, 
     verdict, reason = _verdict(audit, judged, findings, others, _unseen(machine, seen, limits))
     machines = _machines(named, values)
     alongs = seen.alongs
-    train = predicted(alongs, named.levels, machines, "extended")
+    scales = dict(zip(alongs[0].observed.channels, named.levels.sensors.tolist(), strict=False))  # efforts follow the channels
+    train = predicted(alongs, scales, machines, "extended")
     held = None
     if held_out:
-        held_seen = see(machine, held_out)
-        held = predicted(held_seen.alongs, named.levels, machines, "extended")
-    missing = {along.joints[j]: float(share) for along in alongs[:1] for j, share in _shares(named).items()}
+        held = predicted(see(machine, held_out).alongs, scales, machines, "extended")
+    missing = {alongs[0].joints[joint]: share for joint, share in _shares(named).items()}
     diagnosis = Diagnosis(
         verdict=verdict,
         reason=reason,
@@ -129,7 +129,7 @@ def answer(machine: Machine, audit: Audit, named: Named, held_out: Mapping[str, 
         detection_limits=tuple(_limit(limit, settings) for limit in limits),
         baseline=baseline_of(machine, named.baseline, noise),
     )
-    return Answered(machine, diagnosis, named, values, best.settings, held or train)
+    return Answered(machine, diagnosis, _names(seen), named, values, best.settings)
 
 
 def baseline_of(machine: Machine, fitted: Fitted, noise: NoiseKind) -> tuple[Finding, ...]:
@@ -151,27 +151,32 @@ def nothing_seen(machine: Machine, audit: Audit, seen: Seen, seconds: float) -> 
         findings=(), hypotheses=(), retuned={}, frozen={}, noise=noise, location=Location(),
         fit=Fit({}, stages, None, None, None), unexplained_share=0.0, seconds=seconds, audit=audit.document(),
     )  # fmt: skip
-    return Answered(machine, diagnosis, None, seen.alongs[0].plant.nominal, (), None)
+    return Answered(machine, diagnosis, _names(seen), None, seen.alongs[0].plant.nominal, ())
 
 
 def play_seen(machine: Machine, audit: Audit, seen: Seen, seconds: float) -> Answered:
     """Return the answer where two encoders show play between them: what else is missing shows once it is modelled."""
     noise: NoiseKind = "assumed" if seen.levels.are_assumed else "repeats"
     stages = Stages(None, None, None, None, None)
-    found = tuple(_play(machine, each) for each in audit.sensors if each.gap > 0.0)
+    sure = min(READ_OFF, LARGEST[noise])
+    found = tuple(_play(machine, each, sure) for each in audit.sensors if each.gap > 0.0)
     names = " and ".join(str(finding.effect) for finding in found)
     said = "; ".join(each.said for each in audit.sensors if each.gap > 0.0)
     diagnosis = Diagnosis(
         verdict="misconfigured" if audit.wrong else "explained",
         reason=f"{'; '.join([*audit.wrong, ''])}{names}: {said}. What else is missing shows once the machine file has this play",
-        findings=found, hypotheses=(Hypothesis(tuple(one.effect for one in found), READ_OFF, is_confirmed=True),), retuned={}, frozen={},
+        findings=found, hypotheses=(Hypothesis(tuple(one.effect for one in found), sure, is_confirmed=True),), retuned={}, frozen={},
         noise=noise, location=Location(channels={each.second: 1.0 / len(found) for each in audit.sensors if each.gap > 0.0}),
-        fit=Fit({}, stages, None, None, None), unexplained_share=0.0, seconds=seconds, audit=audit.document(),
+        fit=Fit({}, stages, None, None, None), unexplained_share=1.0, seconds=seconds, audit=audit.document(),
     )  # fmt: skip
-    return Answered(machine, diagnosis, None, seen.alongs[0].plant.nominal, (), None)
+    return Answered(machine, diagnosis, _names(seen), None, seen.alongs[0].plant.nominal, ())
 
 
-def _play(machine: Machine, one: SensorAudit) -> Finding:
+def _names(seen: Seen) -> tuple[str, ...]:
+    return tuple(repeat.name for group in seen.groups for repeat in group.repeats)
+
+
+def _play(machine: Machine, one: SensorAudit, sure: float) -> Finding:
     """Return what two encoders show by themselves."""
     axis = one.first.removeprefix("position_")
     effect = next(effect for effect in effects().values() if effect.play)
@@ -179,7 +184,7 @@ def _play(machine: Machine, one: SensorAudit) -> Finding:
     reach = WITHIN_95 * one.scatter
     half = 0.5 * one.gap
     table = {gap.name: Estimate(half, _unit(gap, axis, machine.plant), (half - reach, half + reach))}
-    return Finding(EffectAt(effect.name, axis), READ_OFF, table, evidence_for=(one.said,), family=effect.family)
+    return Finding(EffectAt(effect.name, axis), sure, table, evidence_for=(one.said,), family=effect.family)
 
 
 def first_answer(machine: Machine, audit: Audit, seen: Seen, baseline: Fitted, seconds: float) -> Diagnosis:
@@ -188,8 +193,8 @@ def first_answer(machine: Machine, audit: Audit, seen: Seen, baseline: Fitted, s
     stages = Stages(None, None, None, None, None)
     fitted = baseline_of(machine, baseline, noise)
     return Diagnosis(
-        verdict="ambiguous",
-        reason="first answer: friction of every driven joint, fitted as an engineer would; the search goes on",
+        verdict="misconfigured" if audit.wrong else "ambiguous",
+        reason="; ".join(audit.wrong) or "first answer: friction of every driven joint, fitted as an engineer would; the search goes on",
         findings=tuple(one for one in fitted if _is_sure(one)), hypotheses=(), retuned={}, frozen={}, noise=noise, location=Location(),
         fit=Fit({}, stages, None, None, None), unexplained_share=1.0, seconds=seconds, audit=audit.document(), baseline=fitted,
         provisional=True,
@@ -205,19 +210,18 @@ def _verdict(
 ) -> tuple[Verdict, str]:
     """Return the first verdict that applies, and why."""
     names = " and ".join(str(finding.effect) for finding in findings)
+    if unseen and not findings:
+        said = f"friction as large as all effort would not have shown at {', '.join(unseen)}: excite it more, or for longer"
+        return "inconclusive", "; ".join([said, *audit.wrong])
     if audit.wrong:
         said = "; ".join(audit.wrong)
         return "misconfigured", said + (f"; beside it, the recorded efforts show {names}" if findings else "; no physics is missing")
     if not findings:
-        if unseen:
-            return (
-                "inconclusive",
-                f"friction as large as all effort would not have shown at {', '.join(unseen)}: excite it more, or for longer",
-            )
         if numbers_help(named):
             return "retuned", f"other numbers in the machine file explain the difference; {NOTHING_MISSING}"
         return "consistent", NOTHING_MISSING
-    rivals = [other for other in others if other.has_another and other.behind < NOT_TOLD_APART and not _is_variant(named.best, other)]
+    near = [other for other in others if other.has_another and other.behind < NOT_TOLD_APART]
+    rivals = [other for other in near if other.behind < 0.0 or not _is_variant(named.best, other)]  # a likelier law of the family, too
     doubted = [other for other in others if not other.has_another and other.behind < NOT_TOLD_APART]
     if rivals or doubted:
         said = "; ".join(dict.fromkeys(_words(other.settings) for other in [*rivals, *doubted]))
@@ -280,8 +284,8 @@ def _findings(best: Fitted, others: Sequence[Alternative], estimates: Sequence[M
                 parameters=table,
                 ambiguous_with=tuple(EffectAt(other.settings[-1].name, other.settings[-1].at) for other in rivals),
                 ambiguous_sets=tuple(tuple(EffectAt(one.name, one.at) for one in other.settings) for other in rivals),
-                evidence_for=(f"without it, twice the log of the evidence is {missing:.4g} less",),
-                evidence_against=tuple(f"{_words(other.settings)} is only {other.behind:.3g} behind" for other in rivals),
+                evidence_for=(f"without it, squares rise by {missing:.4g} in units of what scatters",),
+                evidence_against=tuple(f"{_words(other.settings)} is {other.behind:.3g} such units behind" for other in rivals),
                 family=family,
                 variants=tuple(sorted(variants, key=lambda pair: -pair[1])),
             )
@@ -371,13 +375,15 @@ def _total(found: Predicted | None) -> Stages:
     total: dict[str, float | None] = {}
     for stage in ("nominal", "retuned", "extended", "baseline"):
         ratios = [table[stage] / table["noise"] for table in found.channels.values() if table["noise"] > 0.0]
-        value = math.sqrt(sum(ratio**2 for ratio in ratios) / len(ratios)) if ratios else math.inf
+        value = math.hypot(*ratios) / math.sqrt(len(ratios)) if ratios else math.inf
         total[stage] = value if math.isfinite(value) else None
     return Stages(total["nominal"], total["retuned"], total["extended"], None, 1.0, total["baseline"])
 
 
 def _removed(before: float | None, after: float | None) -> float | None:
-    return None if before is None or after is None or before <= 1.0 else (before**2 - after**2) / (before**2 - 1.0)
+    if before is None or after is None or before <= 1.0:
+        return None
+    return (1.0 - (after / before) ** 2) / (1.0 - before**-2.0)  # without squares of what ran away
 
 
 def _shares(named: Named) -> dict[int, float]:

@@ -43,8 +43,8 @@ class Audit:
 
     @property
     def wrong(self) -> list[str]:
-        """What is not as the file says of controllers, a sentence each."""
-        return [axis.said for axis in self.axes if axis.status == "differs"]
+        """What is not as the file says of controllers, and of units and signs of encoders, a sentence each."""
+        return [axis.said for axis in self.axes if axis.status == "differs"] + [pair.said for pair in self.sensors if pair.is_wrong]
 
     def document(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -59,17 +59,12 @@ class Audit:
 
 def audit(machine: Machine, recordings: Sequence[Recording]) -> Audit:
     """Audit the controllers and the pairs of encoders that recordings show; every recording beside the controllers that it names."""
-    parts: list[tuple[Machine, list[Recording]]] = []
+    parts: dict[str, list[Recording]] = {}
     for recording in recordings:
-        own = controllers_of(machine, recording)
-        alike = next((part for one, part in parts if one.text == own.text and one.controllers is own.controllers), None)
-        if alike is None:
-            parts.append((own, [recording]))
-        else:
-            alike.append(recording)
+        parts.setdefault(recording.machine_text, []).append(recording)
     worst: dict[str, AxisAudit] = {}
-    for own, part in parts:
-        for one in audit_controllers(own, part):
+    for part in parts.values():
+        for one in audit_controllers(controllers_of(machine, part[0]), part):
             if one.axis not in worst or GRAVITY.index(one.status) > GRAVITY.index(worst[one.axis].status):
                 worst[one.axis] = one
     return Audit(machine, tuple(worst[axis] for axis in machine.axes if axis in worst), tuple(audit_sensors(machine, recordings)))

@@ -19,6 +19,8 @@ GAIN, DELAY = 1e-3, 0.25
 HALF = 0.5
 """Of what position, speed, acceleration and effort leave of the difference, that two sides must leave for there to be play: a shaft winds
 up in proportion, and a gap has two ends. Of both the median size counts: on its way from one end to the other play is on neither."""
+WRONG_UNIT = 2.0
+"""Ratio of two encoders of one axis, or its inverse, from which one of them counts in another unit: no gear errs by so much."""
 PASSES = 50
 """Of the division into two sides; a dozen are enough."""
 SPAN = 5
@@ -73,6 +75,11 @@ class SensorAudit:
     offset: float
     status: Literal["as_filed", "differs"]
     said: str
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether one of both counts the other way round, or in another unit, which no effect makes of it."""
+        return not 1.0 / WRONG_UNIT < self.gain < WRONG_UNIT
 
 
 def audit_sensors(machine: Machine, recordings: Sequence[Recording]) -> list[SensorAudit]:

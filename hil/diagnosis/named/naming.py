@@ -99,13 +99,15 @@ def name(
     for turn in range(ROUNDS):
         report("searching", 0.35 + 0.4 * turn / ROUNDS)
         ranked = search(tuned, library(tuned, best.settings), best, MATERIAL if levels.are_assumed else 1.0)
-        if ranked[0].fitted.names == best.names:
+        is_settled = ranked[0].fitted.names == best.names
+        best = ranked[0].fitted
+        if is_settled:
             break
-        tuned, best = settled(alongs, levels, ranked[0].fitted.offset, ranked[0].fitted.settings)
-    best, view = ranked[0].fitted, levels
+        tuned, best = settled(alongs, levels, best.offset, best.settings)
+    view = levels
     sets = [(tuned, best)]
     if levels.are_assumed:
-        report("proving", 0.75)
+        report("predicting what was left out", 0.75)
         view = slow_view(alongs, levels)
         sets = proved(alongs, view, best.offset, best.settings, baseline.settings)
         tuned, best = sets[0]

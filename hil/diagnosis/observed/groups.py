@@ -31,7 +31,7 @@ class Group:
 
 
 def groups(machine: Machine, recordings: Mapping[str, Recording]) -> tuple[Group, ...]:
-    """Return the recordings on rows, repeats together."""
+    """Return the recordings on rows, repeats together, with the channels that all of them have."""
     found: list[list[Observed]] = []
     for name, recording in recordings.items():
         one = observed(machine, name, recording)
@@ -40,7 +40,10 @@ def groups(machine: Machine, recordings: Mapping[str, Recording]) -> tuple[Group
             found.append([one])
         else:
             alike.append(one)
-    return tuple(Group(_mean(group), tuple(group)) for group in found)
+    every = [one for group in found for one in group]
+    common = [channel for channel in every[0].channels if all(channel in one.channels for one in every)] if every else []
+    kept = [[one.with_channels(common) for one in group] for group in found]
+    return tuple(Group(_mean(group), tuple(group)) for group in kept)
 
 
 def are_repeats(one: Observed, other: Observed) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -61,6 +62,10 @@ class Observed:
         """Which targets (axes,) are measured efforts, since no command was recorded: what a drive makes of commands is in them."""
         same: np.ndarray = np.all((self.currents == self.targets) | np.isnan(self.currents), axis=0) & ~np.isnan(self.currents).all(axis=0)
         return same
+
+    def with_channels(self, channels: Sequence[str]) -> Observed:
+        """Return the same with some of its channels."""
+        return replace(self, channels=tuple(channels), readings=self.readings[:, [self.channels.index(channel) for channel in channels]])
 
     def coarser(self, by: int) -> Observed:
         """Return every `by`-th row of running means over as many rows; readings and efforts pass the same filter."""

@@ -9,7 +9,6 @@ import numpy as np
 
 from hil.diagnosis.seen.along import Along
 from hil.diagnosis.seen.assumed import efforts_by_encoders
-from hil.diagnosis.seen.beside import Levels
 from hil.errors import BenchError
 from hil.simulation import Inputs, Simulator
 from hil.simulation.smooth import simulated_matrix, smooth
@@ -43,14 +42,14 @@ class Predicted:
     channels: Mapping[str, Mapping[str, float]]
 
 
-def predicted(alongs: Sequence[Along], levels: Levels, machines: Mapping[str, Machine], judged: str) -> Predicted | None:
+def predicted(alongs: Sequence[Along], noise: Mapping[str, float], machines: Mapping[str, Machine], judged: str) -> Predicted | None:
     """Return the errors of free runs of some machines over the longest horizon over which one of them is near the recordings.
 
     Parameters
     ----------
     alongs : sequence of Along
-    levels : Levels
-        Of the sensors' noise, which is the table's machine "noise".
+    noise : mapping of str to float
+        Standard deviation by channel, which is the table's machine "noise"; channels without it are left out.
     machines : mapping of str to Machine
     judged : str
         The machine whose errors choose the horizon.
@@ -63,7 +62,7 @@ def predicted(alongs: Sequence[Along], levels: Levels, machines: Mapping[str, Ma
     channels = _channels(alongs[0])
     runs = [Runs(along) for along in alongs]
     spread = np.sqrt(np.nanmean(np.concatenate([(run.recorded - np.nanmean(run.recorded, axis=0)) ** 2 for run in runs]), axis=0))
-    kept = [c for c in range(len(channels)) if spread[c] > 0.0]
+    kept = [c for c in range(len(channels)) if spread[c] > 0.0 and channels[c] in noise]
     for horizon in (None, *HORIZONS_s):
         errors = _errors(runs, horizon, machines[judged], spread)
         if errors is not None and max(errors[kept], default=np.inf) < AS_LARGE:
@@ -73,7 +72,7 @@ def predicted(alongs: Sequence[Along], levels: Levels, machines: Mapping[str, Ma
                 for c in kept:
                     table[channels[c]][name] = np.inf if found is None else float(found[c])
             for c in kept:
-                table[channels[c]]["noise"] = float(levels.sensors[alongs[0].observed.channels.index(channels[c])] / spread[c])
+                table[channels[c]]["noise"] = noise[channels[c]] / float(spread[c])
             return Predicted(horizon, table)
     return None
 
@@ -141,6 +140,6 @@ def _errors(runs: Sequence[Runs], horizon_s: float | None, machine: Machine, spr
 
 
 def _channels(along: Along) -> tuple[str, ...]:
-    """Return the encoders, speed sensors and first IMU that were recorded, as a simulation has them."""
+    """Return the encoders and speed sensors that were recorded."""
     sensors = [sensor.channel for sensor in along.settings.joint_sensors]
     return tuple(channel for channel in along.observed.channels if channel in sensors)

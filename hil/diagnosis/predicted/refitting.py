@@ -13,7 +13,6 @@ from hil.diagnosis.predicted.open_runs import AS_LARGE, HORIZONS_s, Machine, Run
 from hil.diagnosis.tuned.bounded import bounded_least_squares
 from hil.diagnosis.tuned.numbers import Numbers
 from virtual_bus.effects.effect import Parameter
-from virtual_bus.errors import EffectError
 from virtual_bus.settings import EffectSetting
 
 ITERATIONS = 6
@@ -105,12 +104,15 @@ def _squares(
         off = run.off(horizon, _machine(numbers, point))
         if off is None:
             return np.inf
-        total += sum(float(np.nanmean((off[k] / spread) ** 2)) for k in np.flatnonzero(some))
+        squares = [(off[k] / spread) ** 2 for k in np.flatnonzero(some)]
+        total += sum(float(np.nanmean(each)) for each in squares if not np.isnan(each).all())  # a gap may be longer than a window
     return total if np.isfinite(total) else np.inf
 
 
 def _fit(runs: Sequence[Runs], numbers: Numbers, point: _Point, horizon: float, spread: np.ndarray, used: Sequence[np.ndarray]) -> _Point:
     begin = _squares(runs, numbers, point, horizon, spread, used)
+    if not 0.0 < begin < np.inf:
+        return point
     unit = begin / max(sum(int(np.sum(some)) for some in used), 1)  # of a window's mean square: its error at first
     cost = begin / unit + float(point.offset @ point.offset)
     for _ in range(ITERATIONS):
@@ -163,19 +165,18 @@ def _normal_equations(
             return None
         columns = []
         for one in moved:
-            try:
-                there = run.off(horizon, _machine(numbers, one))
-            except EffectError:
-                there = here
+            there = run.off(horizon, _machine(numbers, one))
             columns.append(here if there is None else there)
         starts = _starts(run, horizon, _machine(numbers, point), here)
         for k in np.flatnonzero(some):
             rest = (here[k] / spread).reshape(-1)
             seen = np.isfinite(rest)
+            if not seen.any():
+                continue
             changes = [((each[k] - here[k]) / spread).reshape(-1) for each in columns]
             jacobian = np.column_stack(changes) / steps
             begun = np.column_stack([(each[k] / spread).reshape(-1) for each in starts])
-            weight = 1.0 / max(int(seen.sum()), 1)
+            weight = 1.0 / int(seen.sum())
             jacobian, begun, rest = jacobian[seen], begun[seen], rest[seen]
             inner = np.linalg.solve(weight * begun.T @ begun + np.eye(begun.shape[1]) * float(np.mean(rest**2)), weight * begun.T)
             left, without = rest - begun @ (inner @ rest), jacobian - begun @ (inner @ jacobian)

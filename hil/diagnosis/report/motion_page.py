@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import html
 from pathlib import Path
-from string import Template
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from hil.diagnosis.answered.answer import Answered
 from hil.diagnosis.report.style import BLUE, STAGE_NAMES
-from hil.diagnosis.report.tables import disturbance_shares, findings, fit_table, hypotheses, image, retuned_table, table
+from hil.diagnosis.report.tables import disturbance_shares, findings, fit_table, hypotheses, image, retuned_table, table, whole_page
 from hil.diagnosis.result import DetectionLimit
 from hil.diagnosis.seen.see import Missing
 
-_TEMPLATE = Path(__file__).with_name("motion_page.html")
 MOST_POINTS = 4000
 """Of a figure, a joint."""
 GREY = "0.6"
@@ -33,12 +31,14 @@ def _document(answered: Answered) -> str:
     diagnosis, machine = answered.diagnosis, answered.machine
     horizon = diagnosis.fit.horizon_s
     runs = "over whole recordings" if horizon is None else f"of {horizon:g} s, begun again and again from the recorded state"
+    if not diagnosis.fit.channels:
+        runs = "stay near the recordings over no horizon"
     values = {
         "machine": html.escape(machine.name),
         "description": html.escape(machine.description),
         "verdict": html.escape(diagnosis.verdict.replace("_", " ")),
         "reason": html.escape(diagnosis.reason),
-        "recordings": html.escape("; ".join(group.mean.name for group in answered.named.seen.groups) if answered.named else "none used"),
+        "recordings": html.escape(", ".join(answered.recordings)),
         "noise": HEADINGS[diagnosis.noise],
         "seconds": f"{diagnosis.seconds:.1f}",
         "unexplained": f"{diagnosis.unexplained_share:.1%}",
@@ -52,7 +52,7 @@ def _document(answered: Answered) -> str:
         "retuned": retuned_table(diagnosis),
         "limits": _limits(diagnosis.detection_limits),
     }
-    return Template(_TEMPLATE.read_text(encoding="utf-8")).substitute(values)
+    return whole_page("motion_page.html", values)
 
 
 def _audit(answered: Answered) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import html
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from string import Template
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -18,14 +17,23 @@ from hil.diagnosis.report.matrix import matrix_figure
 from hil.diagnosis.report.missing_effort import missing_effort_figure
 from hil.diagnosis.report.overlay import overlay_figure
 from hil.diagnosis.report.style import STAGE_NAMES
-from hil.diagnosis.report.tables import disturbance_shares, falling, findings, fit_table, hypotheses, image, retuned_table, table
+from hil.diagnosis.report.tables import (
+    disturbance_shares,
+    falling,
+    findings,
+    fit_table,
+    hypotheses,
+    image,
+    retuned_table,
+    table,
+    whole_page,
+)
 from hil.diagnosis.report.waterfall import waterfall_figure
 from hil.diagnosis.result import Diagnosis, Finding, Location
 from hil.diagnosis.tuning.free_run import HELD_OUT, TRAIN
 from hil.machine.model import AxisUnits
 from virtual_bus.effects.registry import effects
 
-_TEMPLATE = Path(__file__).with_name("page.html")
 SECTIONS = ("waterfall", "overlay", "effect", "heat", "disturbance", "matrix")
 DRAWN = ("nominal", "retuned", "extended")
 ONLY_HELD_OUT = "<p>Of the held-out recordings beside the machine that is re-tuned to them alone: training shows nothing.</p>"
@@ -117,7 +125,7 @@ def _document(outcome: Outcome) -> str:
         "retuned": retuned_table(diagnosis),
         **{f"figure_{name}": text or absent.get(name, "") for name, text in figures.items()},
     }
-    return Template(_TEMPLATE.read_text(encoding="utf-8")).substitute(values)
+    return whole_page("page.html", values)
 
 
 def _location(diagnosis: Diagnosis, units: Mapping[str, AxisUnits]) -> str:

@@ -6,6 +6,8 @@ import base64
 import html
 import io
 from collections.abc import Mapping, Sequence
+from pathlib import Path
+from string import Template
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -15,6 +17,12 @@ from hil.diagnosis.result import STAGES, Diagnosis, Estimate, Stages
 from hil.diagnosis.separating.next_experiment import Proposal
 
 DPI = 100
+
+
+def whole_page(body: str, values: Mapping[str, str]) -> str:
+    """Return a page: the head that all pages share, and the body of this file, with its values."""
+    here = Path(__file__).parent
+    return Template("".join((here / name).read_text(encoding="utf-8") for name in ("head.html", body))).substitute(values)
 
 
 def image(caption: str, figure: Figure) -> str:

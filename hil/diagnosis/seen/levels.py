@@ -39,7 +39,7 @@ def repeat_levels(groups: Sequence[Group], alongs: Sequence[Along]) -> Levels | 
     first = np.full(len(begin.disturbance), BEGUN * max(_largest_effort(alongs[0]), 1e-9))
     near = [levels_from(parts, Levels(first, corner, begin.sensors), lowest, NEAR) for corner in CORNERS_Hz]
     found = levels_from(parts, max(near, key=lambda levels: log_likelihood(parts[:1], levels)), lowest)
-    count = min(len(group.repeats) for group in groups if len(group.repeats) > 1)
+    count = min(len(group.repeats) for group in groups)  # what was recorded once has all of a recording's noise
     variance, lattice = found.sensors**2, _lattices(alongs[0]) ** 2
     sensors = np.sqrt(variance / count + np.maximum(lattice - variance, 0.0))
     hidden = _hidden(parts[0][0], found, replace(found, sensors=np.sqrt(np.maximum(variance, lattice))))

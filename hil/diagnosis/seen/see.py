@@ -42,8 +42,9 @@ class Missing:
 
     @property
     def share(self) -> float:
-        """Rms of what is missing over that of the effort."""
-        return float(np.sqrt(np.mean(self.missing**2) / max(np.mean(self.given**2), 1e-300)))
+        """Rms of what is missing over that of the effort; 1 where no effort was given, and 0 where nothing is missing."""
+        given, missing = float(np.mean(self.given**2)), float(np.mean(self.missing**2))
+        return float(np.sqrt(missing / given)) if given > 0.0 else float(missing > 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,14 +67,21 @@ class Seen:
 
     @property
     def still(self) -> list[str]:
-        """The driven joints that no recording moves."""
-        driven = {drive.joint for drive in self.alongs[0].settings.drives}
+        """The driven joints that encoders follow and no recording moves."""
+        first = self.alongs[0]
+        driven = {drive.joint for drive in first.settings.drives}
+        followed = {first.joints[joint] for joint in first.smooth}
         moved = set()
         for along in self.alongs:
             for joint, motion in along.smooth.items():
                 if np.ptp(motion.position) > STANDSTILL * max(6.0 * motion.noise, _step(along, joint)):
                     moved.add(along.joints[joint])
-        return [name for name in self.alongs[0].joints if name in driven and name not in moved]
+        return [name for name in first.joints if name in driven & followed and name not in moved]
+
+    @property
+    def is_still(self) -> bool:
+        """Whether nothing moves."""
+        return set(self.still) >= {each.joint for each in self.missing()}
 
     def missing(self) -> list[Missing]:
         """Return what the machine file's equations lack on every driven joint that an encoder follows."""

@@ -20,7 +20,7 @@ from hil.diagnosis.predicted.refitting import refitted
 from hil.diagnosis.seen.see import see
 from hil.machine.effects_file import read_effects_file
 from hil.machine.load import machine_from_text
-from hil.recording import write_recording
+from hil.recording import Channel, Recording, write_recording
 
 COULOMB_N, LOAD_N = 20.0, 6.0
 TRUTH = {"coulomb_N": COULOMB_N, "load_N": LOAD_N, "duration_s": 6.0}
@@ -94,6 +94,15 @@ def test_a_carriage_that_stands_says_nothing(tmp_path: Path, isocenter: Isocente
     assert "carriage" in found["reason"]
 
 
+@pytest.mark.filterwarnings("error:Mean of empty slice")
+def test_a_pause_longer_than_a_window_is_no_obstacle() -> None:
+    (whole,) = repeats(1, **TRUTH).values()
+    kept = (whole.time < 2.0) | (whole.time > 4.5)
+    channels = {label: Channel(channel.unit, channel.values[kept]) for label, channel in whole.channels.items()}
+    found = refitted(name(see(MACHINE, {"paused": Recording(channels, whole.metadata)})))
+    assert np.isfinite(found.best.offset).all()
+
+
 @pytest.mark.nightly
 def test_a_friction_of_three_times_its_limit_is_found_and_a_third_is_not() -> None:
     nothing = name(see(MACHINE, repeats(1, duration_s=6.0)))
@@ -116,7 +125,7 @@ def test_a_refit_keeps_strengths_and_predicts_no_worse(rubbing: Named) -> None:
         label: (numbers.values(each.best.offset[: len(numbers.indices)]), each.best.settings)
         for label, each in (("before", rubbing), ("after", after))
     }
-    errors = predicted(rubbing.seen.alongs, rubbing.levels, machines, "before")
+    errors = predicted(rubbing.seen.alongs, {"position_carriage": 1e-7}, machines, "before")
     assert errors is not None
     table = errors.channels["position_carriage"]
     assert table["after"] <= 1.05 * table["before"]

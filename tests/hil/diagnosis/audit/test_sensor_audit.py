@@ -75,6 +75,27 @@ def test_encoders_that_agree_are_as_filed() -> None:
     assert found.status == "as_filed"
 
 
+@pytest.mark.parametrize(("factor", "said"), [(180.0 / np.pi, "57.2958 times as large"), (-1.0, "-1.0000 times as large")])
+def test_another_unit_and_the_other_way_round_are_misconfigured(
+    tmp_path: Path, isocenter: Isocenter, monkeypatch: pytest.MonkeyPatch, factor: float, said: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_recording(recording(factor * POSITION_rad, friction()), tmp_path / "swing.csv")
+    done = isocenter("diagnose", "turntable", "swing.csv", "-o", "found", "--stop-after", "audit")
+    assert done.status == 1
+    assert said in done.out
+
+
+def test_missing_samples_are_no_difference() -> None:
+    link = POSITION_rad.copy()
+    holed = recording(link, friction())
+    values = POSITION_rad.copy()
+    values[700] = np.nan
+    channels = {**holed.channels, "position_turn": Channel("rad", values)}
+    (found,) = audit_sensors(MACHINE, [Recording(channels, holed.metadata)])
+    assert found.status == "as_filed"
+
+
 def test_the_command_reads_play_off(tmp_path: Path, isocenter: Isocenter, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     write_recording(recording(played(GAP_rad), friction()), tmp_path / "swing.csv")

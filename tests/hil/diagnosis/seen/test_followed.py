@@ -8,6 +8,7 @@ import pytest
 from hil.diagnosis.candidates.entries import different_places
 from hil.diagnosis.observed.rows import observed
 from hil.diagnosis.seen.along import Along
+from hil.diagnosis.seen.see import see
 from hil.machine.load import machine_from_text
 from hil.recording import Channel, Recording, recording_metadata
 from virtual_bus.effects.registry import effects
@@ -78,3 +79,12 @@ def test_what_a_drive_makes_of_commands_is_in_measured_efforts(efforts: str, pla
     assert seen.observed.are_measured.all() == (efforts == "effort")
     for name in ("current_saturation", "drive_bandwidth", "delay"):
         assert different_places(effects()[name], seen) == places
+
+
+def test_recordings_are_seen_in_the_channels_that_all_have() -> None:
+    both = along("command").observed
+    recording = both.recording
+    fewer = {label: channel for label, channel in recording.channels.items() if label != "position_second"}
+    seen = see(both.machine, {"both": recording, "fewer": Recording(fewer, recording.metadata)})
+    assert [each.observed.channels for each in seen.alongs] == [("position_first",)] * 2
+    assert [each.observed.readings.shape[1] for each in seen.alongs] == [1, 1]
