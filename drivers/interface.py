@@ -92,4 +92,8 @@ class MachineLink(Protocol):
         """
 
     def stop(self) -> None:
-        """Quick stop every drive, close the brakes, disable. Works from any state, any number of times, and never raises."""
+        """Quick stop every drive, close the brakes, prove them, disable. Works from any state, any number of times, and never raises."""
+
+    @property
+    def outcome(self) -> str:
+        """How the last stop ended, in words, as far as it was seen."""

@@ -99,12 +99,11 @@ class CanMachine(TickingMachine):
             power_and_brakes.open_brakes(self, range(len(self.axes)), hold)
 
     def close_brakes(self, hold: power_and_brakes.Hold) -> None:
-        """Close all brakes while the drives still hold, then disable the drives: the reverse of `release_brakes` and `enable`."""
+        """Close all brakes while the drives still hold, prove them, disable the drives: the reverse of `release_brakes` and `enable`."""
         with self.stopping_on_error():
             axes = range(len(self.axes))
             self.watch.settle()
-            power_and_brakes.close_brakes(self, axes, hold)
-            power_and_brakes.reach(self, State.SWITCH_ON_DISABLED, axes, hold)
+            power_and_brakes.come_to_rest(self, axes, hold)
 
     def _check_permission(self) -> None:
         """Make one tick, and check that motion is permitted."""

@@ -6,13 +6,16 @@ This is all that the sample loop needs of a machine that is ready to run. `drive
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import can
 import canopen
 import numpy as np
 
-from drivers.canopen import cia402
+from drivers.canopen import cia402, power_and_brakes
+from drivers.canopen.axis_stop import POWERED, AxisRest, AxisStop
+from drivers.canopen.cia402 import Mode
 from drivers.canopen.cia406 import check_alarms
 from drivers.canopen.configuration import configure_node
 from drivers.canopen.cyclic import CyclicExchange, drives
@@ -20,10 +23,10 @@ from drivers.canopen.eds import load_object_dictionary
 from drivers.canopen.identity import check_identity
 from drivers.canopen.network import NMT_PRE_OPERATIONAL, NMT_START, PolledNetwork
 from drivers.canopen.sdo import SdoNode
-from drivers.canopen.stopping import Attempts, Standstill, bring_to_rest
+from drivers.canopen.stopping import Attempts, Attendant, Stops, Unattended, in_words
 from drivers.canopen.supervision import Supervision, refuse_second_bench
 from drivers.canopen.watch import MotionWatch
-from drivers.errors import BusError, BusTimeoutError, DeviceFaultError, DriverError
+from drivers.errors import BusError, BusTimeoutError, DeviceFaultError, DriverError, MotionRefusedError
 from drivers.interface import Clock, Sample
 from drivers.settings import BusSettings, Node
 
@@ -52,6 +55,8 @@ class TickingMachine:
         Driver of the detector's IMU; configured by `start`.
     io : Io, optional
         Driver of brakes, hold-to-run, door and temperatures. Without one the machine has no brakes the bench could command.
+    attendant : Attendant, optional
+        Looks after axes that only their drives hold; without one they are held without end.
 
     Raises
     ------
@@ -59,7 +64,15 @@ class TickingMachine:
         The settings' nodes and PDOs do not make a machine the loop can run.
     """
 
-    def __init__(self, settings: BusSettings, bus: can.BusABC, clock: Clock, imu: ImuDriver | None = None, io: Io | None = None) -> None:
+    def __init__(
+        self,
+        settings: BusSettings,
+        bus: can.BusABC,
+        clock: Clock,
+        imu: ImuDriver | None = None,
+        io: Io | None = None,
+        attendant: Attendant | None = None,
+    ) -> None:
         self.settings = settings
         self.clock = clock
         self.period_s = settings.sync_period_s
@@ -75,6 +88,9 @@ class TickingMachine:
         self.notes: tuple[str, ...] = ()  # what nodes cannot do, from the last start
         self.stop_trouble: list[str] = []  # what went wrong in the last stop
         self.stopping = False  # from the first step of a stop to its last; a signal handler must not interrupt it
+        self.attendant: Attendant = attendant or Unattended()
+        self.rests: tuple[AxisRest, ...] = ()  # how each axis ended in the last stop
+        self.modes: list[Mode | None] = [None] * len(self.axes)  # of the drives, as far as the bench has chosen them
         self._imu, self._io = imu, io
         self._imu_triggered = settings.imu is not None and settings.imu.triggered_by_sync
         self._nodes: dict[int, SdoNode] = {}
@@ -83,7 +99,6 @@ class TickingMachine:
         self._ticking = False
         self._ours = False  # nobody else runs this machine; only then may anything be sent, even to stop it
         self._io_lost = ""
-        self._standstill = self._new_standstill()
         self.zeros = np.zeros(len(self.axes))  # no effort on any axis
 
     def start(self) -> None:
@@ -108,6 +123,10 @@ class TickingMachine:
             for node in self.settings.nodes:
                 notes += self._configure(node)
             self.notes = tuple(notes)
+            self.rests, self.modes = (), [None] * len(self.axes)
+            holding = [axis for axis in range(len(self.axes)) if self._is_powered(axis)]
+            for axis, output in enumerate(self._cyclic.outputs):
+                output.controlword = cia402.QUICK_STOP if axis in holding else cia402.DISABLE_VOLTAGE
             for node in self.settings.nodes:
                 self.network.command_nmt(NMT_START, node.node_id)
             self._cyclic.syncs = 0
@@ -117,6 +136,8 @@ class TickingMachine:
             self._ticking = True
             self.resume_ticks()
             self._await_first_answers()
+            if holding:
+                self._take_over(holding)
 
     def exchange(self, command: np.ndarray) -> Sample:
         """Send `command` (n_axes,), wait for the next tick, return what was latched at its SYNC. See `drivers.interface.MachineLink`.
@@ -162,10 +183,11 @@ class TickingMachine:
         self._cyclic.rehearse()
 
     def stop(self) -> None:
-        """Stop: quick stop, brakes closed, voltage off, nodes pre-operational. Works from any state, any number of times, never raises.
+        """Stop: quick stop, brakes closed and proven, voltage off, nodes pre-operational. Works from any state, any number of times.
 
-        `stop_trouble` lists what failed; later steps are tried regardless. A machine that another bench runs, or that was never started, is
-        not touched: neither its bus nor its I/O.
+        Never raises: `outcome` says how it ended, `stop_trouble` lists what failed; later steps are tried regardless. Where a brake is not
+        proven the drive holds, and this does not return before the attendant lets it. A machine that another bench runs, or that was never
+        started, is not touched: neither its bus nor its I/O.
         """
         outer, self.stopping = self.stopping, True
         try:
@@ -181,8 +203,9 @@ class TickingMachine:
             self.stop()
             self.network.stop_heartbeat()
             attempts = Attempts()
-            if self._ours:
-                for node in self.settings.nodes:
+            held = {rest.axis for rest in self.rests if rest.held}
+            for node in self.settings.nodes if self._ours else ():
+                if node.axis not in held:
                     attempts.make(f"resetting {node.name}", self.supervision.reset, node, RESET_PATIENCE_S)
             self._ours = False  # another bench may take it after this
             self.stop_trouble += attempts.trouble
@@ -253,6 +276,17 @@ class TickingMachine:
             check_alarms(sdo)
         return notes
 
+    def _is_powered(self, axis: int) -> bool:
+        """Return whether a drive has voltage although no bench runs it: it may be all that holds its axis."""
+        return cia402.decode_state(self.sdo(axis).read_integer(cia402.STATUSWORD)) in POWERED
+
+    def _take_over(self, axes: Sequence[int]) -> None:
+        """Bring to rest what drives held before this bench came; a brake that is not proven leaves them holding."""
+        stops = self._stops(axes)
+        stops.run()
+        if unproven := [rest for rest in stops.rests if not rest.safe]:
+            raise MotionRefusedError(f"found under voltage at the start, and {in_words(unproven)}")
+
     def _await_first_answers(self) -> None:
         for _ in range(FIRST_ANSWERS_TICKS):
             self.exchange(self.zeros)
@@ -301,41 +335,96 @@ class TickingMachine:
         self._io_lost = ""
         attempts = Attempts()
         if self._ticking:
-            cyclic = self._cyclic
-            self._standstill = self._new_standstill()
-            bring_to_rest(
-                attempts, self.clock, cyclic.inputs, cyclic.outputs, self._tick_at_rest, self._close_all_brakes, self._axis_at_rest
-            )
+            stops = self._stops(range(len(self.axes)))
+            attempts.make("stopping", stops.run)
+            attempts.make("holding", stops.serve_hold, self.attendant)
+            ended = {rest.axis: rest for rest in stops.rests}
+            unknown = "nobody knows whether it stands: the stop broke off"
+            self.rests = tuple(ended.get(axis, AxisRest(axis, False, False, unknown)) for axis in self.axes)
         else:
-            attempts.make("closing the brakes", self._close_all_brakes)
+            attempts.make("closing the brakes", self.command_brakes, dict.fromkeys(self.axes, False))
         self._ticking = False
+        held = {rest.axis for rest in self.rests if rest.held}
         for node in self.settings.nodes:
-            attempts.make(f"{node.name} to pre-operational", self.network.command_nmt, NMT_PRE_OPERATIONAL, node.node_id)
+            if node.axis not in held:
+                attempts.make(f"{node.name} to pre-operational", self.network.command_nmt, NMT_PRE_OPERATIONAL, node.node_id)
         self.stop_trouble = attempts.trouble + ([f"I/O: {self._io_lost}"] if self._io_lost else [])
 
-    def _tick_at_rest(self) -> None:
+    def rest_axes(self, axes: Sequence[int], effort: np.ndarray) -> None:
+        """Prove the closed brakes of enabled axes that stand, and take their voltage; see `drivers.canopen.axis_stop`.
+
+        Parameters
+        ----------
+        axes : sequence of int
+        effort : (n_axes,) array
+            With which the drives hold them now.
+
+        Raises
+        ------
+        MotionRefusedError
+            A brake is not proven; its drive holds.
+        """
+        stops = self._stops(axes)
+        for axis in stops.axes:
+            self.arm(axis.axis, False)
+            axis.prove(float(effort[axis.axis]))
+        stops.run()
+        if unproven := [rest for rest in stops.rests if not rest.safe]:
+            raise MotionRefusedError(in_words(unproven))
+
+    @property
+    def outcome(self) -> str:
+        """How the last stop ended, in words, as far as it was seen."""
+        if not self.rests:
+            return "nothing was moved"
+        words = in_words(self.rests)
+        return f"the motors were stopped: {words}" if all(rest.safe for rest in self.rests) else words
+
+    def _stops(self, axes: Sequence[int]) -> Stops:
+        """Return the stops of these axes; all others keep their controlwords."""
+        settings = self.settings
+        stops = [
+            AxisStop(
+                axis,
+                self.scalings[axis],
+                settings.motions[axis],
+                settings.homings[axis],
+                self.period_s,
+                braked=self.has_brake(axis),
+                takes_torque=self.modes[axis] is Mode.CYCLIC_SYNCHRONOUS_TORQUE,
+            )
+            for axis in axes
+        ]
+        efforts = self.zeros.copy()
+
+        def tick() -> None:
+            for stop in stops:
+                self._cyclic.outputs[stop.axis].controlword = stop.controlword
+                efforts[stop.axis] = stop.effort
+            self._tick_at_rest(efforts)
+
+        return Stops(stops, self.clock, self.sample, tick, self._close_brakes, self.io_is_fresh, self._to_torque)
+
+    def _tick_at_rest(self, efforts: np.ndarray) -> None:
         """Make one tick during a stop; the drives are stopped even when the I/O is lost."""
-        self._cyclic.run(self.zeros.tolist(), self.sample, self._before_sync)
-        self._standstill.update(self.sample.position)
-        if self._io is None or self._io_lost:
+        self._cyclic.run(efforts.tolist(), self.sample, self._before_sync)
+        if self._io is None:
             return
         try:
             self._io.poll_due(self.clock.now())
-            self._io.update(self.sample)
         except DriverError as error:
             self._io_lost = str(error)
+        self._io.update(self.sample)
 
-    def _close_all_brakes(self) -> None:
-        self.command_brakes({axis: False for axis in self.axes})
+    def _close_brakes(self, axes: Sequence[str]) -> None:
+        self.command_brakes(dict.fromkeys(axes, False))
 
-    def _axis_at_rest(self, axis: int, powered: bool) -> bool:
-        """Return whether an axis is at rest: by its brake's feedback from a fresh I/O; without a brake by its position while powered."""
-        if self.has_brake(axis):
-            return self.io_is_fresh() and not self.sample.brakes_open[axis]
-        return not powered or self._standstill.of(axis)
-
-    def _new_standstill(self) -> Standstill:
-        return Standstill(np.array([scaling.position_resolution for scaling in self.scalings]), self.period_s)
+    def _to_torque(self, axis: int) -> bool:
+        try:
+            power_and_brakes.set_mode(self, axis, Mode.CYCLIC_SYNCHRONOUS_TORQUE)
+        except DriverError:
+            return False
+        return True
 
 
 class _StopOnError:

@@ -58,6 +58,7 @@ SWITCH_ON = 0x0007
 DISABLE_OPERATION = 0x0007
 ENABLE_OPERATION = 0x000F
 FAULT_RESET = 0x0080
+STATUSWORD = 0x6041
 HOMING_START = 1 << 4
 HOMING_AT_PRESENT_POSITION = frozenset({35, 37})  # methods that take the present position as zero
 

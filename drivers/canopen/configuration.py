@@ -21,8 +21,8 @@ SYNC_COB_ID, CONSUMER_HEARTBEAT, PRODUCER_HEARTBEAT = 0x1005, 0x1016, 0x1017
 MAX_TORQUE, MAX_CURRENT, RATED_CURRENT, RATED_TORQUE = 0x6072, 0x6073, 0x6075, 0x6076
 
 OPTION_CODES = (
-    (0x6007, 1),  # abort connection (heartbeat of the bench lost, bus off): fault, so the motor stops and somebody has to acknowledge it
-    (0x605A, 6),  # quick stop: slow down on the quick stop ramp and hold; the bench takes the voltage once the brakes have closed
+    (0x6007, 3),  # abort connection (heartbeat of the bench lost, bus off): quick stop, so the drive holds; after a fault it holds nothing
+    (0x605A, 6),  # quick stop: slow down on the quick stop ramp and hold; the bench takes the voltage once the brakes are proven
     (0x605B, 0),  # shutdown: disable the drive function; the brake holds by then
     (0x605C, 1),  # disable operation: slow down on the slow down ramp
     (0x605E, 2),  # fault reaction: slow down on the quick stop ramp

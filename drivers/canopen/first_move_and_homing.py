@@ -51,8 +51,7 @@ def commission_axis(machine: Machine, axis: int, settings: HomingSettings, holdi
         power_and_brakes.reach(machine, State.OPERATION_ENABLED, [axis], lambda _: holding)
         power_and_brakes.open_brakes(machine, [axis], lambda _: holding)
         found.append(check_first_move(machine, axis, settings, holding))
-        power_and_brakes.close_brakes(machine, [axis], lambda _: holding)
-        power_and_brakes.reach(machine, State.SWITCH_ON_DISABLED, [axis], lambda _: holding)
+        power_and_brakes.come_to_rest(machine, [axis], lambda _: holding)
     home_drive(machine, axis, settings, holding, windup)
     found.append(check_agreement(machine, axis, settings, holding, windup))
     return found
@@ -141,8 +140,9 @@ def home_drive(machine: Machine, axis: int, settings: HomingSettings, holding: n
     _run_homing(machine, axis, settings, holding)
     if moves:
         machine.watch.stand()
-        power_and_brakes.close_brakes(machine, [axis], lambda _: holding)
-    power_and_brakes.reach(machine, State.SWITCH_ON_DISABLED, [axis], lambda _: holding)
+        power_and_brakes.come_to_rest(machine, [axis], lambda _: holding)
+    else:  # its brake has not been opened since the axis stood without voltage
+        power_and_brakes.reach(machine, State.SWITCH_ON_DISABLED, [axis], lambda _: holding)
     power_and_brakes.set_mode(machine, axis, Mode.CYCLIC_SYNCHRONOUS_TORQUE)
     source = machine.inputs[axis]
     source.counter_was_set()

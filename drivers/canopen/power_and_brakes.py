@@ -48,6 +48,7 @@ class Machine(Protocol):
     inputs: tuple[AxisInput, ...]
     sample: Sample
     watch: MotionWatch
+    modes: list[Mode | None]  # of the drives, None where the bench has chosen none
 
     def exchange(self, command: np.ndarray) -> Sample:
         """Make one tick; raises on faults of armed drives."""
@@ -63,6 +64,9 @@ class Machine(Protocol):
 
     def has_brake(self, axis: int) -> bool:
         """Return whether the I/O commands a brake of this axis."""
+
+    def rest_axes(self, axes: Sequence[int], effort: np.ndarray) -> None:
+        """Prove the closed brakes of enabled axes that stand with this effort, and take their voltage."""
 
     def refusal(self) -> str:
         """Return in words why hold-to-run, door or I/O forbid motion; '' when they permit it."""
@@ -161,7 +165,9 @@ def set_mode(machine: Machine, axis: int, mode: Mode) -> None:
         The drive keeps another mode.
     """
     sdo = machine.sdo(axis)
+    machine.modes[axis] = None
     if sdo.read_integer(MODES_DISPLAY) == mode:
+        machine.modes[axis] = mode
         return
     sdo.write_integer(MODES_OF_OPERATION, 0, mode)
     deadline = machine.clock.now() + MODE_TIMEOUT_S
@@ -171,6 +177,7 @@ def set_mode(machine: Machine, axis: int, mode: Mode) -> None:
                 f"{sdo.who}: stays in mode {shown}, mode {int(mode)} ({mode.name.lower().replace('_', ' ')}) was asked for"
             )
         sdo.network.pump_for(0.01)
+    machine.modes[axis] = mode
     machine.resume_ticks()
 
 
@@ -189,6 +196,18 @@ def open_brakes(machine: Machine, axes: Sequence[int], hold: Hold) -> None:
 def close_brakes(machine: Machine, axes: Sequence[int], hold: Hold) -> None:
     """Close the brakes while the drives still hold, and wait until their feedback says closed."""
     _move_brakes(machine, axes, hold, wanted=False)
+
+
+def come_to_rest(machine: Machine, axes: Sequence[int], hold: Hold) -> None:
+    """Close the brakes of axes that their drives hold, prove them, and take the voltage.
+
+    Raises
+    ------
+    MotionRefusedError
+        A brake's feedback does not follow, or a brake does not hold the axis when its drive lets go; the drive holds.
+    """
+    close_brakes(machine, axes, hold)
+    machine.rest_axes(axes, hold(machine.sample))
 
 
 def run_for(machine: Machine, seconds: float, hold: Hold) -> None:

@@ -1,24 +1,15 @@
-"""Stop of the drives from any state: quick stop, brakes, voltage off. Every step is tried, even when the one before failed."""
+"""Stop of all axes from any state, and the service of a hold where a brake is not proven."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
+from typing import Protocol
 
-import numpy as np
+from drivers.canopen.axis_stop import AxisRest, AxisStop
+from drivers.interface import Clock, Sample
 
-from drivers.canopen import cia402
-from drivers.canopen.cia402 import State
-from drivers.canopen.cyclic import AxisInput, AxisOutput
-from drivers.interface import Clock
-
-QUICK_STOP_PATIENCE_S = 0.6  # for slowing down, and for the brakes to close
-DISABLE_PATIENCE_S = 0.2
-STANDSTILL_S = 0.05  # an axis whose position has not changed for this long stands still
-STANDSTILL_COUNTS = 1.5  # a position held by its drive may flicker by a count
-POWERED = frozenset(
-    {State.READY_TO_SWITCH_ON, State.SWITCHED_ON, State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE}
-)
+SAY_EVERY_S = 5.0
+"""Time between two reports of a hold, after each of which the brakes are told to close once more."""
 
 
 class Attempts:
@@ -35,78 +26,129 @@ class Attempts:
             self.trouble.append(f"{step}: {error}")
 
 
-class Standstill:
-    """Determines, tick by tick, which axes have stood still for `STANDSTILL_S`; with a missing position an axis does not count as still.
+class Attendant(Protocol):
+    """Who looks after axes that only their drives hold."""
+
+    def say(self, text: str) -> None:
+        """Tell an operator."""
+
+    def stays(self, held_s: float) -> bool:
+        """Return whether the hold is served on, `held_s` after it began. When it is left, the drives hold by themselves or not at all."""
+
+    def released(self) -> bool:
+        """Return whether an operator has confirmed that the held axes are supported."""
+
+
+class Unattended:
+    """Serves a hold without end, in silence."""
+
+    def say(self, text: str) -> None:
+        """Say nothing."""
+
+    def stays(self, held_s: float) -> bool:
+        """Stay."""
+        return True
+
+    def released(self) -> bool:
+        """Nobody confirms anything."""
+        return False
+
+
+class Stops:
+    """The stops of several axes, stepped together.
 
     Parameters
     ----------
-    resolution : (n_axes,) array
-        One count of each axis [rad or m].
-    period_s : float
-        Between ticks.
-    """
-
-    def __init__(self, resolution: np.ndarray, period_s: float) -> None:
-        self._window = STANDSTILL_COUNTS * resolution
-        self._needed = math.ceil(STANDSTILL_S / period_s)
-        self._anchor = np.full(len(resolution), np.nan)
-        self._ticks = np.zeros(len(resolution), dtype=np.int64)
-
-    def update(self, position: np.ndarray) -> None:
-        """Take the newest positions (n_axes,)."""
-        still = np.abs(position - self._anchor) <= self._window
-        self._ticks = np.where(still, self._ticks + 1, 0)
-        self._anchor = np.where(still, self._anchor, position)
-
-    def of(self, axis: int) -> bool:
-        """Return whether this axis stands still."""
-        return bool(self._ticks[axis] >= self._needed)
-
-
-def bring_to_rest(
-    attempts: Attempts,
-    clock: Clock,
-    inputs: Sequence[AxisInput],
-    outputs: Sequence[AxisOutput],
-    tick: Callable[[], object],
-    close_brakes: Callable[[], object],
-    at_rest: Callable[[int, bool], bool],
-) -> None:
-    """Quick stop and close the brakes at once; switch voltage off only when every axis is at rest or time is up, so that nothing falls.
-
-    Parameters
-    ----------
-    attempts : Attempts
+    axes : sequence of AxisStop
     clock : Clock
-    inputs, outputs : of the axes
+    sample : Sample
+        Which `tick` overwrites.
     tick : callable
-        One SYNC with zero targets, raising nothing but a dead bus.
+        One SYNC with the stops' controlwords and efforts; raises nothing but a dead bus.
     close_brakes : callable
-        Commands all brakes to close.
-    at_rest : callable
-        Takes an axis and whether its drive is powered. Returns whether the voltage may be switched off: its brake has closed or, where the
-        bench commands none, its drive has brought it to a standstill.
+        Told the axes whose brakes are to close.
+    io_is_fresh : callable
+    to_torque : callable
+        Brings the drive of an axis into cyclic synchronous torque mode; returns whether it did.
     """
 
-    def tick_until(patience_s: float, done: Callable[[], bool]) -> None:
-        deadline = clock.now() + patience_s
-        tick()
-        while not done() and clock.now() < deadline:
-            tick()
+    def __init__(
+        self,
+        axes: Sequence[AxisStop],
+        clock: Clock,
+        sample: Sample,
+        tick: Callable[[], object],
+        close_brakes: Callable[[Sequence[str]], object],
+        io_is_fresh: Callable[[], bool],
+        to_torque: Callable[[int], bool],
+    ) -> None:
+        self.axes = axes
+        self._clock, self._sample, self._tick = clock, sample, tick
+        self._close_brakes, self._io_is_fresh, self._to_torque = close_brakes, io_is_fresh, to_torque
 
-    def states() -> list[State]:
-        return [cia402.decode_state(source.statusword) for source in inputs]
+    def run(self) -> None:
+        """Step, tick by tick, until every axis is at rest, held, or given up. The brakes are told first: a bus may be dead."""
+        self._order_brakes()
+        while any(axis.rest is None for axis in self.axes):
+            self.step()
+        self._tick()  # the last controlwords
 
-    for output in outputs:
-        output.controlword = cia402.QUICK_STOP
-    attempts.make("quick stop", tick)
-    attempts.make("closing the brakes", close_brakes)
-    attempts.make(
-        "slowing down",
-        tick_until,
-        QUICK_STOP_PATIENCE_S,
-        lambda: all(state is not State.OPERATION_ENABLED and at_rest(axis, state in POWERED) for axis, state in enumerate(states())),
-    )
-    for output in outputs:
-        output.controlword = cia402.DISABLE_VOLTAGE
-    attempts.make("disabling voltage", tick_until, DISABLE_PATIENCE_S, lambda: POWERED.isdisjoint(states()))
+    def step(self) -> None:
+        """Make one tick."""
+        self._tick()
+        fresh = self._io_is_fresh()
+        for axis in self.axes:
+            axis.step(self._sample, io_is_fresh=fresh)
+        self._order_brakes()
+        for axis in self.axes:
+            if axis.asks_for_torque:
+                axis.torque_mode(self._to_torque(axis.axis))
+
+    def _order_brakes(self) -> None:
+        ordered = [axis for axis in self.axes if axis.orders_brake]
+        if ordered:
+            self._close_brakes([axis.name for axis in ordered])
+            for axis in ordered:
+                axis.orders_brake = False
+
+    @property
+    def held(self) -> list[AxisRest]:
+        """The axes that only their drives hold."""
+        return [rest for rest in self.rests if rest.held]
+
+    @property
+    def rests(self) -> list[AxisRest]:
+        """How the axes that have come to an end did."""
+        return [rest for axis in self.axes if (rest := axis.rest) is not None]
+
+    def serve_hold(self, attendant: Attendant) -> None:
+        """Hold what only its drive holds, until its brake is proven, an operator releases it, or the attendant leaves."""
+        if not self.held:
+            return
+        began_s = said_s = self._clock.now()
+        attendant.say(in_words(self.held))
+        while self.held:
+            now_s = self._clock.now()
+            tries_again = now_s - said_s >= SAY_EVERY_S
+            if attendant.released():
+                for axis in self.axes:
+                    axis.release()
+            elif not attendant.stays(now_s - began_s):
+                return
+            elif tries_again:
+                said_s = now_s
+                for axis in self.axes:
+                    axis.close_again()
+            self.step()
+            while any(axis.rest is None for axis in self.axes):
+                self.step()
+            if tries_again or not self.held:
+                attendant.say(in_words(self.rests))
+
+
+def in_words(rests: Sequence[AxisRest]) -> str:
+    """Return how axes were brought to rest, those with the same end together."""
+    together: dict[str, list[str]] = {}
+    for rest in rests:
+        together.setdefault(rest.words, []).append(rest.axis)
+    return "; ".join(f"{', '.join(axes)} {words}" for words, axes in together.items())

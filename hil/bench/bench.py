@@ -156,7 +156,8 @@ class Bench:
             tables["bench"] = self._circumstances()
         except BaseException as error:
             self.wiring.pause_truth()
-            tables["ended"] = {"error": str(error) or type(error).__name__, "stopping": self.wiring.link.troubles}
+            link = self.wiring.link
+            tables["ended"] = {"error": str(error) or type(error).__name__, "outcome": link.outcome, "stopping": link.troubles}
             try:
                 sink.close(tables)
             except RecordingError as problem:
@@ -179,6 +180,8 @@ class Bench:
                 self.commissioning = self.commissioning or tuple(found)
                 yield
             except Exception as error:
+                if link.rests and link.outcome not in str(error):
+                    error.add_note(link.outcome)
                 if link.troubles:
                     more = f" and {len(link.troubles) - 1} more" if len(link.troubles) > 1 else ""
                     error.add_note(f"stopping the motors ran into {link.troubles[0]}{more}")

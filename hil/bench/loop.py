@@ -57,6 +57,14 @@ class Observer(Protocol):
         """Take one row: the latched sample, the command (n_axes,) of the row before, which is on the wire, and the tick of the plan."""
 
 
+class _EndedError(Exception):
+    """The run must end, and why; what became of the machine is known only after the stop."""
+
+    def __init__(self, where: str, reason: str) -> None:
+        super().__init__(reason)
+        self.where, self.reason = where, reason
+
+
 _UNTIMED = (0.0, math.nan, math.nan)
 
 
@@ -149,7 +157,7 @@ class SampleLoop:
                 if k >= rows:  # the plan ended within the lost ticks; the newest sample is checked regardless
                     self._see(sample)
                     if reason := self.stop_request.reason or self._violation(sample, plan.reference[-1]) or overrun:
-                        raise LoopAbortedError(_in_words(f"after row {done - 1}", reason, done, sink))
+                        raise _EndedError(f"after row {done - 1}", reason)
                     break
                 tail_s = self.clock.idle_began_s - handed_over_s if done else 0.0
                 excitation = plan.excitation[k]
@@ -171,9 +179,14 @@ class SampleLoop:
                         self._row[self.layout.observed] = observer.estimate
                     sink.put(self._row)
                 if reason:
-                    raise LoopAbortedError(_in_words(f"row {done - 1}", reason, done, sink))
+                    raise _EndedError(f"row {done - 1}", reason)
                 if progress is not None and k % PROGRESS_TICKS == 0:
                     progress(k)
+        except _EndedError as ended:
+            self.link.stop()
+            kept = f"{done} rows are kept" if sink is not None else "nothing was recorded"
+            where = f"{ended.where}: " if sink is not None else ""
+            raise LoopAbortedError(f"{where}{ended.reason}; {self.link.outcome}; {kept}") from None
         except BaseException:
             self.link.stop()
             raise
@@ -224,9 +237,3 @@ class SampleLoop:
             if not sample.io_age_s <= self.io_stale_s:
                 return f"the I/O has not answered for {sample.io_age_s:.2f} s, {self.io_stale_s:.2f} s are allowed"
         return ""
-
-
-def _in_words(where: str, reason: str, done: int, sink: Sink | None) -> str:
-    if sink is None:
-        return f"{reason}; the motors were stopped before anything was recorded"
-    return f"{where}: {reason}; the motors were stopped and {done} rows are kept"

@@ -25,7 +25,7 @@ def stopping_on_signals(request: StopRequest, stopping: Callable[[], bool]) -> I
 
     def ask(number: int, frame: FrameType | None) -> None:
         if request.reason and not stopping():
-            raise LoopAbortedError("interrupted twice; the motors were stopped")
+            raise LoopAbortedError("interrupted twice")
         request.ask(f"asked to stop by {signal.Signals(number).name}")
 
     asking = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name)]  # not all everywhere

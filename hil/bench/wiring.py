@@ -11,6 +11,7 @@ import can
 import numpy as np
 
 from drivers.canopen.network import PolledNetwork
+from drivers.canopen.stopping import Attendant
 from drivers.canopen.supervision import refuse_second_bench
 from drivers.errors import BusError, BusUnavailableError
 from drivers.interface import Clock, Sample
@@ -21,6 +22,7 @@ from drivers.modbus.transport import InProcessTransport
 from drivers.serial.imu import ImuDriver
 from drivers.serial.stream import open_stream
 from drivers.settings import BusSettings
+from hil.bench.attendant import LockstepAttendant, Operator
 from hil.bench.clock import ANSWERS_AWAKE_S, LockstepClock, WallClock
 from hil.bench.options import BenchOptions
 from hil.bench.signals import StopRequest
@@ -36,9 +38,16 @@ class HeedingMachine(CanMachine):
     """A machine that obeys a stop request also in the ticks it makes by itself: booting, homing, brakes."""
 
     def __init__(
-        self, stop_request: StopRequest, settings: BusSettings, bus: can.BusABC, clock: Clock, imu: ImuDriver | None, io: Io | None
+        self,
+        stop_request: StopRequest,
+        settings: BusSettings,
+        bus: can.BusABC,
+        clock: Clock,
+        imu: ImuDriver | None,
+        io: Io | None,
+        attendant: Attendant,
     ) -> None:
-        super().__init__(settings, bus, clock, imu, io)
+        super().__init__(settings, bus, clock, imu, io, attendant)
         self.troubles: list[str] = []  # errors of all stops since the last start; a repeated stop does not repeat them
         self._stop_request = stop_request
 
@@ -56,7 +65,7 @@ class HeedingMachine(CanMachine):
         """Make one tick; after a stop request stop the motors instead and raise LoopAbortedError with its reason."""
         if self._stop_request.reason:
             self.stop()
-            raise LoopAbortedError(f"{self._stop_request.reason}; the motors were stopped")
+            raise LoopAbortedError(f"{self._stop_request.reason}; {self.outcome}")
         return super().exchange(command)
 
 
@@ -105,7 +114,7 @@ def lockstep_wiring(machine: Machine, options: BenchOptions, start_pose: np.ndar
 
             io = IoDriver(settings.io, InProcessTransport(serve), machine.axes)
         clock = LockstepClock(bus.pass_time, lambda: bus.time_s)
-        yield Wiring(HeedingMachine(stop_request, settings, bus, clock, imu, io), clock, True, truth)
+        yield Wiring(HeedingMachine(stop_request, settings, bus, clock, imu, io, LockstepAttendant()), clock, True, truth)
 
 
 @contextlib.contextmanager
@@ -144,7 +153,7 @@ def wall_wiring(machine: Machine, options: BenchOptions, stop_request: StopReque
         io = None
         if settings.io is not None:
             io = stack.enter_context(_polling(IoProcess(settings.io, machine.axes)))
-        link = HeedingMachine(stop_request, settings, bus, clock, imu, io)
+        link = HeedingMachine(stop_request, settings, bus, clock, imu, io, Operator())
         if options.real_time:
             clock.rehearsals.append(link.rehearse)
         yield Wiring(link, clock, False)

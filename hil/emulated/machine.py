@@ -36,8 +36,8 @@ from virtual_bus.settings import EmulatedBus, EmulatedDrive, EmulatedEncoder
 if TYPE_CHECKING:
     from hil.emulated.pose_board import PoseBoard
 
-OWN_LOOP_BANDWIDTH_Hz = 0.5
-"""Bandwidth of the drives' own velocity loop for homing and stopping, far below the structure's first mode."""
+OWN_LOOP_BANDWIDTH_Hz = 2.0
+"""Bandwidth of the drives' own velocity loop for homing and stopping: a quarter of the slowest mode of such a structure, 8 Hz."""
 
 LONGEST_SILENCE_S = 0.5
 """Where heartbeats are slow, longest pause of a bench before the machine's time continues without it; each real wait takes this much

@@ -13,6 +13,24 @@ RESOLUTION = 2 * math.pi / (4096 * 150)
 ZERO = np.zeros(2)
 
 
+class PatientFor:
+    """An attendant who leaves a hold after a while, and keeps what was said."""
+
+    def __init__(self, seconds: float) -> None:
+        self.seconds, self.said, self.confirms = seconds, [], False
+        self.on_say = lambda: None
+
+    def say(self, text: str) -> None:
+        self.said.append(text)
+        self.on_say()
+
+    def stays(self, held_s: float) -> bool:
+        return held_s < self.seconds
+
+    def released(self) -> bool:
+        return self.confirms
+
+
 class Rig:
     """Two axes on the scripted bus."""
 
@@ -23,7 +41,8 @@ class Rig:
         self.clock = BusClock(self.bus)
         self.settings = machine_settings(**options)
         self.io = ScriptedIo(dict(zip(("propeller", "roll"), self.drives, strict=True)))
-        self.machine = CanMachine(self.settings, self.bus, self.clock, io=self.io if self.settings.io else None)
+        self.attendant = PatientFor(2.0)
+        self.machine = CanMachine(self.settings, self.bus, self.clock, io=self.io if self.settings.io else None, attendant=self.attendant)
 
     def ready(self) -> Rig:
         self.machine.start()

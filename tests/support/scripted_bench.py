@@ -57,6 +57,10 @@ class ScriptedLink:
     def stop(self) -> None:
         self.stops += 1
 
+    @property
+    def outcome(self) -> str:
+        return "the motors were stopped: propeller, roll at rest: brake proven, voltage off"
+
 
 @dataclass
 class Rows:

@@ -53,7 +53,7 @@ class ScriptedDrive(ScriptedNode):
         self.direction, self.gravity, self.friction, self.brake_open = 1, 0.0, 0.0, False
         self.speed, self.counts, self.link_counts = 0.0, 1000.0, 4194304.0
         self.homing_ticks, self.homing_result, self._homing_left, self._homing_bits = 1, "attained", 0, 0x400
-        self.refuses_enable = False
+        self.refuses_enable, self.resumes = False, True  # transition 16 is optional
         self.ramp, self._standing_ticks = 0.0, 0  # quick stop: counts per tick^2
         self.set(0x6041, 0, 0x240)
 
@@ -70,7 +70,8 @@ class ScriptedDrive(ScriptedNode):
         self._transition(self.value(0x6040))
         torque = struct.unpack("<h", self.objects[0x6071, 0])[0] if self.power == "operation enabled" and self.value(0x6061) == 10 else 0
         self._homing(self.value(0x6040))
-        push = self.direction * torque - self.gravity
+        carried = self.power == "quick stop active" and self.ramp > 0.0  # its velocity loop bears the load
+        push = 0.0 if carried else self.direction * torque - self.gravity
         if self.brake_open and (abs(push) > self.friction or self.speed):
             self.speed += push * self.COUNTS_PER_PERMILLE
             self.counts += self.speed
@@ -97,7 +98,10 @@ class ScriptedDrive(ScriptedNode):
             self.power = "ready to switch on"
         elif word & 0x8F == 0x07 and self.power in ("ready to switch on", "operation enabled"):
             self.power = "switched on"
-        elif word & 0x8F == 0x0F and self.power == "switched on" and not self.refuses_enable:
+        elif word & 0x8F == 0x0F and (
+            (self.power == "switched on" and not self.refuses_enable)
+            or (self.power == "quick stop active" and self.resumes and self.value(0x605A) >= 5)
+        ):
             self.power = "operation enabled"
 
     def _quick_stop(self) -> None:
@@ -146,6 +150,7 @@ class ScriptedIo:
         self.hold_to_run = self.door_closed = True
         self.age_s = 0.0
         self.jammed: set[str] = set()
+        self.lies: set[str] = set()  # axes whose feedback follows the coil and not the brake
         self.history: list[dict[str, bool]] = []
         self._wanted = dict.fromkeys(drives, False)
         self._left = 0
@@ -167,8 +172,8 @@ class ScriptedIo:
 
     def update(self, sample: object) -> None:
         sample.hold_to_run, sample.door_closed, sample.io_age_s = self.hold_to_run, self.door_closed, self.age_s
-        for axis, drive in enumerate(self.drives.values()):
-            sample.brakes_open[axis] = drive.brake_open
+        for axis, (name, drive) in enumerate(self.drives.items()):
+            sample.brakes_open[axis] = self._wanted[name] if name in self.lies and self._left <= 0 else drive.brake_open
 
 
 def machine_settings(axes: tuple[str, ...] = ("propeller", "roll"), *, sign: int = 1, method: int = 37, io: bool = True) -> BusSettings:

@@ -86,10 +86,11 @@ def test_a_bus_that_dies_still_closes_the_brakes(rig: Rig) -> None:
         rig.machine.exchange(ZERO)
     assert rig.io.history[-1] == {"propeller": False, "roll": False}
     assert rig.machine.stop_trouble
-    assert "quick stop" in rig.machine.stop_trouble[0]
+    assert "stopping: " in rig.machine.stop_trouble[0]
+    assert rig.machine.outcome == "propeller, roll nobody knows whether it stands: the stop broke off"
 
 
-def test_lost_io_does_not_keep_the_drives_from_being_stopped(rig: Rig) -> None:
+def test_lost_io_does_not_keep_the_drives_from_holding(rig: Rig) -> None:
     rig.ready()
 
     def gone(*_: float) -> Never:
@@ -98,5 +99,6 @@ def test_lost_io_does_not_keep_the_drives_from_being_stopped(rig: Rig) -> None:
     rig.io.poll_due = gone
     with pytest.raises(BusError, match="Modbus server is gone"):
         rig.machine.exchange(ZERO)
-    assert all(drive.power == "switch on disabled" for drive in rig.drives)
+    assert all(drive.power == "quick stop active" for drive in rig.drives)
+    assert "held by its drive: its brake reports open" in rig.machine.outcome
     assert any("Modbus server is gone" in trouble for trouble in rig.machine.stop_trouble)

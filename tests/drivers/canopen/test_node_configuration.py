@@ -82,7 +82,7 @@ def test_a_configured_drive_has_pdos_heartbeats_option_codes_and_limits() -> Non
     assert [drive.value(0x1600, s) for s in range(3)] == [2, 0x6040_0010, 0x6071_0010]
     assert drive.value(0x1017) == 100
     assert drive.value(0x1016, 1) == 127 << 16 | 250  # the bench may be silent for two and a half of its periods
-    assert [drive.value(index) for index in (0x6007, 0x605A, 0x605C, 0x605E)] == [1, 6, 1, 2]
+    assert [drive.value(index) for index in (0x6007, 0x605A, 0x605C, 0x605E)] == [3, 6, 1, 2]
     assert [drive.value(0x6075), drive.value(0x6076)] == [5000, 675]
     assert [drive.value(0x6072), drive.value(0x6073)] == [1600, 1600]  # 8 A of 5 A rated
     assert notes == ()

@@ -1,0 +1,412 @@
+"""The stop of one axis: quick stop and brake at once, standstill, proof of the brake, voltage off. One step per tick.
+
+An axis with gravity on it is held by its drive or by its brake. So the drive keeps its voltage until the brake is proven: its feedback says
+closed, and the link stays where it is while the drive lets go and pushes a little. Where that fails, the drive goes on holding.
+
+The brake does not wait for the standstill: it shortens the travel, and it is all there is where the drive does not obey.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import inf, isfinite, nan
+
+from drivers.canopen import cia402
+from drivers.canopen.cia402 import State
+from drivers.interface import Sample
+from drivers.settings import AxisScaling, HomingSettings, MotionLimits
+
+ANSWER_S = 0.03
+"""Time in which a drive shows that it obeys: two ticks from a controlword to its statusword, and as many again for lost frames."""
+
+CLOSING_S = 1.0  # Modbus poll, relay, armature, feedback, Modbus poll
+SETTLING_S = 5.0  # a drive's own velocity loop creeps for seconds before its counter stands
+STANDSTILL_S = 0.05  # a motor whose position has not changed for this long stands still
+STANDSTILL_COUNTS = 1.5  # a position held by its drive may flicker by a count
+SWING_S = 0.125  # of the link before its brake is proven: a period at 8 Hz, the slowest mode of such a structure
+STANDING_SHARE = 0.1  # of the tracking error: how far a standing link may swing
+RAMP_S = 0.1  # in which the drive lets go, and in which it pushes: slower than the structure swings
+WATCH_S = 0.1  # after voltage off; a heavy arm falls ten times the travel that is noticed
+VOLTAGE_OFF_S = 0.2  # a drive that still has its voltage after this does not obey
+RETAKE_S = 0.5  # three transitions of CiA 402, each with its answer, and lost frames
+STOP_AT_MOST_S = 10.0  # of all steps together: a feedback that flickers must not keep a stop from ending
+
+POWERED = frozenset(
+    {State.READY_TO_SWITCH_ON, State.SWITCHED_ON, State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE}
+)
+
+
+@dataclass(frozen=True)
+class AxisRest:
+    """How the stop of an axis ended, as far as it was seen."""
+
+    axis: str
+    safe: bool  # stands, without voltage, and held by what was checked
+    held: bool  # the drive holds it, because the brake is not proven
+    words: str
+
+
+class AxisStop:
+    """The stop of one axis.
+
+    Parameters
+    ----------
+    axis : int
+        Of the arrays of a sample.
+    scaling : AxisScaling
+    limits : MotionLimits
+    homing : HomingSettings
+        Its first-move check says which push moves the axis with an open brake, and how far a moved axis moves.
+    period_s : float
+        Between ticks.
+    braked : bool
+        Whether the I/O commands a brake of this axis and reports it.
+    takes_torque : bool
+        Whether the drive is in cyclic synchronous torque mode; otherwise nothing can push against the brake.
+
+    Attributes
+    ----------
+    controlword : int
+    effort : float
+        Both for the next tick, in the drive's unit.
+    orders_brake : bool
+        Whether the brake is to be told to close; whoever tells it clears this.
+    asks_for_torque : bool
+        Whether the drive must be brought into cyclic synchronous torque mode for the proof; answered by `torque_mode`.
+    """
+
+    def __init__(
+        self,
+        axis: int,
+        scaling: AxisScaling,
+        limits: MotionLimits,
+        homing: HomingSettings,
+        period_s: float,
+        *,
+        braked: bool,
+        takes_torque: bool,
+    ) -> None:
+        self.axis, self.name = axis, scaling.axis
+        self.controlword = cia402.QUICK_STOP
+        self.effort = 0.0
+        self.orders_brake = self.asks_for_torque = False
+        self._unit = scaling.position_unit
+        self._period_s = period_s
+        self._braked, self._takes_torque = braked, takes_torque
+        self._flicker = STANDSTILL_COUNTS * scaling.position_resolution
+        self._apart = STANDING_SHARE * limits.tracking_error
+        self._stale_ticks = limits.stale_ticks
+        self._push, self._travel = homing.direction_check_effort, homing.direction_check_travel
+        self._motor, self._link = _Path(self._in_ticks(SWING_S)), _Path(self._in_ticks(SWING_S))
+        self._anchor, self._still_ticks = nan, 0
+        self._held_effort = nan
+        self._silent = self._lost = 0  # ticks without a statusword, without any position
+        self._state = State.UNDEFINED
+        self._closed: bool | None = None  # what the brake's feedback says; None: nobody knows
+        self._proof = ""
+        self._held_for = self._held_because = ""
+        self._retries, self._watched = False, True
+        self._rest: AxisRest | None = None
+        self._ticks = self._all_ticks = 0
+        self._close()
+
+    # ---- from outside ----------------------------------------------------------------------------------
+    @property
+    def rest(self) -> AxisRest | None:
+        """How the stop ended; None while it is under way."""
+        if self._held_for:
+            return AxisRest(self.name, False, True, f"held by its drive: {self._held_for}")
+        return self._rest
+
+    def prove(self, effort: float) -> None:
+        """Begin where a motion has ended by itself: its drive enabled with this effort, its brake closed.
+
+        An axis whose brake is not the bench's is stopped as from any other state.
+        """
+        if not self._braked:
+            return
+        self.controlword, self.effort, self._held_effort = cia402.ENABLE_OPERATION, effort, effort
+        self.orders_brake = False
+        self._go(self._swinging)
+
+    def close_again(self) -> None:
+        """Tell the brake of a held axis to close once more; a brake that slipped is not tried again."""
+        if self._held_for and self._retries:
+            self._close()
+
+    def torque_mode(self, reached: bool) -> None:
+        """Answer `asks_for_torque`."""
+        self.asks_for_torque, self._takes_torque = False, reached
+        if not reached:
+            self._hold("its drive does not change to torque mode, so nothing can push against its brake")
+
+    def release(self) -> None:
+        """Take the voltage from a held axis: an operator has confirmed that it is supported."""
+        if self._held_for:
+            self._held_for, self._proof, self._watched = "", "released by the operator", False
+            self._go(self._letting_go)
+
+    def step(self, sample: Sample, *, io_is_fresh: bool) -> None:
+        """Take one tick's sample; set controlword, effort and brake for the next."""
+        self._see(sample, io_is_fresh)
+        self._ticks += 1
+        if self.rest is None:
+            self._all_ticks += 1
+            if self._all_ticks > self._in_ticks(STOP_AT_MOST_S) and self._phase != self._closing:
+                self._close()
+        self._phase()
+
+    # ---- what is seen ----------------------------------------------------------------------------------
+    def _see(self, sample: Sample, io_is_fresh: bool) -> None:
+        axis = self.axis
+        statusword = int(sample.statusword[axis])
+        self._silent = 0 if statusword >= 0 else self._silent + 1
+        if statusword >= 0:
+            self._state = cia402.decode_state(statusword)
+        elif self._silent > self._stale_ticks:
+            self._state = State.UNDEFINED
+        position, link, effort = float(sample.position[axis]), float(sample.link_position[axis]), float(sample.effort[axis])
+        self._motor.take(position)
+        self._link.take(link)
+        self._lost = 0 if isfinite(position) or isfinite(link) else self._lost + 1
+        if isfinite(position):
+            if abs(position - self._anchor) <= self._flicker:
+                self._still_ticks += 1
+            else:
+                self._anchor, self._still_ticks = position, 0
+        if isfinite(effort) and self._state is State.QUICK_STOP_ACTIVE:
+            before = self._held_effort if isfinite(self._held_effort) else effort
+            self._held_effort = before + (effort - before) / self._in_ticks(STANDSTILL_S)
+        self._closed = (not bool(sample.brakes_open[axis]) if io_is_fresh else None) if self._braked else None
+
+    def _in_ticks(self, seconds: float) -> int:
+        return max(1, math.ceil(seconds / self._period_s))
+
+    def _after(self, seconds: float) -> bool:
+        return self._ticks >= self._in_ticks(seconds)
+
+    @property
+    def _judge(self) -> _Path:
+        """The link's path, which carries the load, where it is seen; else the motor side's."""
+        return self._link if self._link.fresh(self._stale_ticks) else self._motor
+
+    def _stands(self) -> bool:
+        """Return whether both encoders have stood still; a structure that swings on behind a standing motor stands."""
+        if self._motor.fresh(self._stale_ticks) and self._still_ticks < self._in_ticks(STANDSTILL_S):
+            return False
+        return self._lost <= self._stale_ticks and self._judge.range <= self._apart
+
+    def _slipped(self) -> float:
+        """Return how far the link is outside its swing of before [rad or m]; 0 within the travel that counts as moved."""
+        beyond = self._judge.beyond()
+        return beyond if abs(beyond) > self._travel else 0.0
+
+    @property
+    def _brake_words(self) -> str:
+        if not self._braked:
+            return "the bench commands no brake of it"
+        if self._closed is None:
+            return "the I/O does not say whether its brake is closed"
+        return "its brake reports closed" if self._closed else "its brake reports open"
+
+    @property
+    def _motion_words(self) -> str:
+        return "it stands" if self._stands() else "IT MOVES" if self._lost <= self._stale_ticks else "nobody knows whether it moves"
+
+    # ---- the sequence ----------------------------------------------------------------------------------
+    def _go(self, phase: Callable[[], None]) -> None:
+        self._phase, self._ticks = phase, 0
+
+    def _close(self) -> None:
+        """Order quick stop and brake."""
+        self.orders_brake, self._held_for = True, ""
+        self._go(self._closing)
+
+    def _closing(self) -> None:
+        """Wait for brake and standstill; the drive holds meanwhile, if it can."""
+        self.controlword, self.effort = cia402.QUICK_STOP, 0.0
+        flickers = self._all_ticks > self._in_ticks(STOP_AT_MOST_S)
+        if not flickers and (self._closed or not self._braked) and self._stands():
+            if self._state is State.QUICK_STOP_ACTIVE:
+                self._go(self._swinging)
+                return
+            if self._state not in POWERED and self._state is not State.UNDEFINED:
+                self.controlword = cia402.DISABLE_VOLTAGE
+                self._go(self._watching)
+                return
+        settles = self._state is State.QUICK_STOP_ACTIVE and (self._closed or not self._braked)
+        if not self._after(SETTLING_S if settles else CLOSING_S):
+            return
+        if self._state is State.QUICK_STOP_ACTIVE:
+            told = f"{self._brake_words} {CLOSING_S:g} s after it was told to close, " if not settles else ""
+            self._hold(told + self._motion_words)
+            self._retries = True
+            return
+        self._give_up()
+
+    def _give_up(self) -> None:
+        """End without a drive that holds: the brake is all there is."""
+        if self._state is State.UNDEFINED:
+            drive = "its drive does not answer"
+        elif self._state is State.OPERATION_ENABLED:
+            drive = "its drive does not obey the quick stop and may push: take its supply away"
+        else:
+            drive = f"its drive is {self._state.value} and holds nothing"
+        self._end(False, f"not proven at rest: {drive}; {self._brake_words}; {self._motion_words}")
+
+    def _swinging(self) -> None:
+        """See how far the structure swings, then let go: all that it moves beyond that is the brake's slip."""
+        if self._lost_hold() or not self._after(SWING_S):
+            return
+        if self.asks_for_torque:
+            return
+        self._judge.mark()
+        if not self._braked:
+            self._go(self._letting_go)
+        elif self._takes_torque:
+            self._go(self._taking_over)
+        else:
+            self.asks_for_torque = True
+
+    def _taking_over(self) -> None:
+        """Turn the drive's own hold into a torque of the same size (transition 16)."""
+        self.controlword = cia402.ENABLE_OPERATION
+        self.effort = self._held_effort if isfinite(self._held_effort) else 0.0
+        if self._lost_hold():
+            return
+        if self._state is State.OPERATION_ENABLED:
+            self._go(self._pushing)
+        elif self._after(2.0 * ANSWER_S):  # the transition is optional in the standard
+            self._proof = "brake closed by its feedback, not pushed: its drive does not leave quick stop for torque"
+            self._go(self._letting_go)
+
+    def _pushing(self) -> None:
+        """Let go, then push the way the load pulls as hard as the first move was pushed."""
+        held = self._held_effort if isfinite(self._held_effort) else 0.0
+        push = -math.copysign(self._push, held)
+        elapsed = self._ticks * self._period_s / RAMP_S
+        if elapsed <= 1.0:
+            self.effort = held * (1.0 - elapsed)
+        elif elapsed <= 2.0:
+            self.effort = push * (elapsed - 1.0)
+        else:
+            self.effort = push * max(0.0, 3.0 - elapsed)
+        if self._lost_hold():
+            return
+        if elapsed > 3.0:
+            self._proof = "brake proven"
+            self._go(self._letting_go)
+
+    def _lost_hold(self) -> bool:
+        """Leave the proof where it fails; return whether it has."""
+        moved = self._slipped() if self._phase != self._swinging else 0.0
+        if self._state not in (State.QUICK_STOP_ACTIVE, State.OPERATION_ENABLED):
+            self._close()
+        elif moved:
+            self._hold(f"its brake slips: {self._judge_name} moved by {moved:+.1e} {self._unit} when the drive let go")
+        elif self._braked and not self._closed:
+            self._close()
+        elif self._lost > self._stale_ticks:
+            self._hold("its position is not known, so its brake cannot be proven")
+            self._retries = True
+        else:
+            return False
+        return True
+
+    @property
+    def _judge_name(self) -> str:
+        return "its link" if self._judge is self._link else "its motor side"
+
+    def _letting_go(self) -> None:
+        """Voltage off, watched, and taken back at once if the link moves."""
+        self.controlword, self.effort = cia402.DISABLE_VOLTAGE, 0.0
+        moved = self._slipped()
+        if moved and self._watched:
+            self._held_because = f"{self._judge_name} moved by {moved:+.1e} {self._unit} when the voltage went; {self._brake_words}"
+            self._go(self._taking_back)
+        elif self._state in POWERED:
+            if self._after(VOLTAGE_OFF_S):
+                self._end(False, f"not proven at rest: its drive keeps its voltage ({self._state.value}); {self._brake_words}")
+        elif self._after(WATCH_S):
+            proof = self._proof or "it stands without a brake of the bench's"
+            self._end(self._stands() or bool(self._closed), f"at rest: {proof}, voltage off")
+
+    def _taking_back(self) -> None:
+        """Enable the drive again, with no torque: what it held with may have been wound up against the brake."""
+        self.effort = 0.0
+        if self._state in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE):
+            self._hold(self._held_because)
+            return
+        word = cia402.next_controlword(self._state, State.OPERATION_ENABLED)
+        if word is None or self._after(RETAKE_S):
+            self._give_up()
+        else:
+            self.controlword = word
+
+    def _watching(self) -> None:
+        """Without voltage from the start: the brake, or nothing, holds the axis; see that it stands."""
+        self.controlword = cia402.DISABLE_VOLTAGE
+        if not self._stands() or (self._braked and not self._closed):
+            self._close()
+        elif self._after(WATCH_S):
+            fault = f", its drive in {self._state.value}" if self._state is State.FAULT else ""
+            brake = "brake closed by its feedback" if self._braked else "it stands without a brake of the bench's"
+            self._end(True, f"at rest: {brake}, no voltage{fault}")
+
+    def _hold(self, reason: str) -> None:
+        self.controlword, self.effort = cia402.QUICK_STOP, 0.0
+        self._held_for, self._retries = reason, False
+        self._go(self._holding)
+
+    def _holding(self) -> None:
+        self.controlword = cia402.QUICK_STOP
+        if self._state is not State.QUICK_STOP_ACTIVE and self._after(ANSWER_S):
+            self._close()
+
+    def _end(self, safe: bool, words: str) -> None:
+        self._rest = AxisRest(self.name, safe, False, words)
+        if safe:
+            self.controlword = cia402.DISABLE_VOLTAGE
+        self.effort = 0.0
+        self._go(self._ended)
+
+    def _ended(self) -> None:
+        """Change nothing more."""
+
+
+class _Path:
+    """The newest positions of one encoder."""
+
+    def __init__(self, window: int) -> None:
+        self._positions: deque[float] = deque(maxlen=window)
+        self._stale = 0
+        self._low = self._high = nan
+
+    def take(self, position: float) -> None:
+        """Take a position; NaN when none has come."""
+        if isfinite(position):
+            self._positions.append(position)
+            self._stale = 0
+        else:
+            self._stale += 1
+
+    def fresh(self, stale_ticks: int) -> bool:
+        """Return whether a position has come, and lately."""
+        return bool(self._positions) and self._stale <= stale_ticks
+
+    @property
+    def range(self) -> float:
+        """Width of the newest positions; endless where there are none."""
+        return max(self._positions) - min(self._positions) if self._positions else inf
+
+    def mark(self) -> None:
+        """Remember the range of its swing."""
+        self._low, self._high = min(self._positions), max(self._positions)
+
+    def beyond(self) -> float:
+        """Return how far it is outside the marked range; 0 inside, and where nothing was marked."""
+        position = self._positions[-1] if self._positions else nan
+        return position - self._high if position > self._high else position - self._low if position < self._low else 0.0
