@@ -83,6 +83,7 @@ class TickingMachine:
         self._ticking = False
         self._ours = False  # nobody else runs this machine; only then may anything be sent, even to stop it
         self._io_lost = ""
+        self._malformed_before = (0, 0, 0, 0)
         self._standstill = self._new_standstill()
         self.zeros = np.zeros(len(self.axes))  # no effort on any axis
 
@@ -114,6 +115,7 @@ class TickingMachine:
             self.supervision.await_operational(self.settings.nodes)
             if self.settings.master_heartbeat_period_s > 0.0:
                 self.network.start_heartbeat(self.settings.master_node_id, self.settings.master_heartbeat_period_s)
+            self._malformed_before = self._malformed()
             self._ticking = True
             self.resume_ticks()
             self._await_first_answers()
@@ -154,6 +156,19 @@ class TickingMachine:
     def syncs(self) -> int:
         """SYNCs sent since the nodes were started; a device that counts them from its NMT start has the same number."""
         return self._cyclic.syncs
+
+    @property
+    def dropped(self) -> str:
+        """What has come malformed since the nodes were started, and was dropped, in words; '' when nothing has."""
+        counts = [now - before for now, before in zip(self._malformed(), self._malformed_before, strict=True)]
+        first = self.network.first_malformed
+        names = (f"frames{f' (first: {first})' if first else ''}", "datagrams", "messages of the IMU", "answers of the I/O")
+        said = ", ".join(f"{count} {name}" for count, name in zip(counts, names, strict=True) if count)
+        return f"dropped because malformed: {said}" if said else ""
+
+    def _malformed(self) -> tuple[int, int, int, int]:
+        imu = 0 if self._imu is None else self._imu.malformed + self._imu.checksum_errors
+        return self.network.malformed, getattr(self.network.can_bus, "malformed", 0), imu, getattr(self._io, "malformed", 0)
 
     def rehearse(self) -> None:
         """Execute the code of a tick shortly before it, to warm the processor's caches; nothing is sent and nothing changes."""

@@ -12,7 +12,7 @@ import can
 
 from drivers.canopen.cia402 import DISABLE_VOLTAGE
 from drivers.canopen.cia406 import signed_counts
-from drivers.canopen.network import EMERGENCY, HEARTBEAT, PolledNetwork, receive_frame, send_frame
+from drivers.canopen.network import EMERGENCY, HEARTBEAT, PolledNetwork, is_data_frame, receive_frame, send_frame
 from drivers.canopen.pdo import PdoCodec
 from drivers.canopen.supervision import Supervision
 from drivers.errors import ConfigurationRefusedError, MotionRefusedError, ProtocolError
@@ -120,6 +120,7 @@ class _Tpdo:
     def __init__(self, node: Node, pdo: Pdo, axis: int, source: AxisInput) -> None:
         self.who = f"{node.name}: TPDO {pdo.number} ({pdo.cob_id:03X}h)"
         self.cob_id = pdo.cob_id
+        self.malformed = ""  # what was wrong with the last frame that was dropped
         self.axis = axis
         self.source = source
         self.every_sync = pdo.transmission_type == 1
@@ -264,8 +265,12 @@ class CyclicExchange:
 
     @property
     def missing(self) -> list[str]:
-        """TPDOs that did not answer the last SYNC, in words."""
-        return [tpdo.who for bit, tpdo in enumerate(self._tpdos) if self._outstanding >> bit & 1]
+        """TPDOs that did not answer the last SYNC, in words, with what was wrong with their frames."""
+        return [
+            tpdo.who + (f" ({tpdo.malformed})" if tpdo.malformed else "")
+            for bit, tpdo in enumerate(self._tpdos)
+            if self._outstanding >> bit & 1
+        ]
 
     def _clear(self, sample: Sample) -> None:
         sample.position.fill(nan)
@@ -298,12 +303,11 @@ class CyclicExchange:
                 awake, remaining = remaining > asleep_at, max(0.0, remaining)
                 continue
             entry = by_cob_id.get(message.arbitration_id)
-            if entry is None:
+            if entry is None or not is_data_frame(message):
                 self._other(message)
-            elif not (message.is_error_frame or message.is_remote_frame):
+            else:
                 bit, tpdo = entry
-                try:
-                    tpdo.take(message.data, sample)
+                if self._took(tpdo, message.data, sample):
                     came |= 1 << bit
                     if owed[bit]:
                         owed[bit] -= 1
@@ -313,8 +317,6 @@ class CyclicExchange:
                         if not in_debt:
                             usual_s, took_s = self._usual_s[bit], timeout_s - remaining
                             self._usual_s[bit] = usual_s + (took_s - usual_s) / USUAL_OVER if usual_s == usual_s else took_s
-                except ProtocolError as error:
-                    self._fault = self._fault or f"{tpdo.who}: {error}"
             if remaining <= 0.0:
                 remaining = 0.0  # what already lies in the queue is still taken
                 overtime += 1
@@ -343,22 +345,29 @@ class CyclicExchange:
             if message is None:
                 return
             entry = self._by_cob_id.get(message.arbitration_id)
-            if entry is None:
+            if entry is None or not is_data_frame(message):
                 self._other(message)
             else:
                 bit, tpdo = entry
                 self.late_frames += 1
                 self._owed[bit] = max(0, self._owed[bit] - 1)
-                try:
-                    tpdo.take(message.data, sample)  # keeps the counter's wraps and the newest statusword right; the row is cleared next
-                except ProtocolError as error:
-                    self._fault = self._fault or f"{tpdo.who}: {error}"
+                self._took(tpdo, message.data, sample)  # keeps the counter's wraps and newest statusword right; the row is cleared next
+
+    def _took(self, tpdo: _Tpdo, data: bytearray, sample: Sample) -> bool:
+        """Put a frame's values into the sample; drop a malformed frame and return False: its row lacks the values."""
+        try:
+            tpdo.take(data, sample)
+        except ProtocolError as error:
+            tpdo.malformed = str(error)
+            self._network.drop(f"{tpdo.who}: {error}")
+            return False
+        return True
 
     def _other(self, message: can.Message) -> None:
         identifier = message.arbitration_id
         if message.is_error_frame and identifier & ERROR_FRAME_BUS_OFF:
             self._fault = self._fault or f"{self._bus.channel_info}: the CAN controller is bus off; check wiring, termination and bit rate"
-        if message.is_error_frame or message.is_remote_frame or message.is_extended_id:
+        if not is_data_frame(message):
             return
         if (node_id := self._heartbeats.get(identifier)) is not None:
             self._supervision.heartbeat(node_id, message.data)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from drivers.canopen.emcy import Emergency, decode_emergency
+from drivers.canopen.emcy import CODE_BYTES, Emergency, decode_emergency
 from drivers.canopen.network import EMERGENCY, HEARTBEAT, NMT_RESET_COMMUNICATION, NMT_STATES, PolledNetwork
 from drivers.canopen.sdo import SdoNode
 from drivers.errors import BusTimeoutError, DeviceFaultError, DuplicateNodeError, HeartbeatLostError, NodeAbsentError
@@ -72,18 +72,24 @@ class Supervision:
     def heartbeat(self, node_id: int, data: bytes | bytearray) -> None:
         """Take a heartbeat or boot-up message (one byte: NMT state)."""
         watched = self._nodes[node_id]
-        state = data[0] & 0x7F if data else -1
+        if len(data) != 1 or data[0] & 0x7F not in NMT_STATES:
+            self._network.drop(f"{watched.who}: a heartbeat of the bytes {bytes(data).hex(' ') or 'none'}, which is no NMT state")
+            return
+        state = data[0] & 0x7F  # bit 7 is reserved
         watched.heard_s = self._network.clock.now()
         if state == BOOT_UP:
             watched.boots += 1
         if self._running and state != OPERATIONAL:
-            change = "rebooted" if state == BOOT_UP else f"left operational: {NMT_STATES.get(state, f'NMT state {state:02X}h')}"
+            change = "rebooted" if state == BOOT_UP else f"left operational: {NMT_STATES[state]}"
             self.left_operational = self.left_operational or f"{watched.who}: {change}"
         watched.state = state
 
     def emergency(self, node_id: int, data: bytes | bytearray) -> None:
         """Take an EMCY message."""
         watched = self._nodes[node_id]
+        if len(data) < CODE_BYTES:
+            self._network.drop(f"{watched.who}: an EMCY of {len(data)} bytes, which has no error code")
+            return
         message = decode_emergency(data)
         watched.emergency = None if message.is_reset else message
         if not message.is_reset:
@@ -220,8 +226,7 @@ def refuse_second_bench(network: PolledNetwork, own_node_id: int, heartbeat_peri
     def listen(can_id: int, data: bytearray, stamp: float) -> None:
         heard.append(can_id)
 
-    while network.pump(0.0):  # frames older than this start
-        pass
+    network.drain()  # frames older than this start
     network.subscribe(HEARTBEAT + own_node_id, listen)
     network.pump_for(HEARTBEAT_TOLERANCE * heartbeat_period_s)
     network.unsubscribe(HEARTBEAT + own_node_id, listen)
