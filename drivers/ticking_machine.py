@@ -23,7 +23,7 @@ from drivers.canopen.sdo import SdoNode
 from drivers.canopen.stopping import Attempts, Standstill, bring_to_rest
 from drivers.canopen.supervision import Supervision, refuse_second_bench
 from drivers.canopen.watch import MotionWatch
-from drivers.errors import BusError, BusTimeoutError, DeviceFaultError, DriverError
+from drivers.errors import BusError, BusTimeoutError, DeviceFaultError, DriverError, SecondMasterError
 from drivers.interface import Clock, Sample
 from drivers.settings import BusSettings, Node
 
@@ -93,6 +93,8 @@ class TickingMachine:
         Raises
         ------
         NodeAbsentError, DuplicateNodeError, WrongIdentityError, ConfigurationRefusedError, DeviceFaultError, BusTimeoutError, BusError
+        SecondMasterError
+            Another master is on this bus; nothing was sent.
         """
         if self._ticking:
             self.stop()
@@ -101,6 +103,7 @@ class TickingMachine:
             self.watch.forget()
             self.network.stop_heartbeat()
             refuse_second_bench(self.network, self.settings.master_node_id, self.settings.master_heartbeat_period_s)
+            self._refuse_intruder()
             self._ours = True
             if self._imu is not None:
                 self._imu.configure(self.clock.wait)
@@ -129,6 +132,8 @@ class TickingMachine:
             An enabled drive left operation enabled, or a node left the NMT state operational.
         HeartbeatLostError
             A node fell silent.
+        SecondMasterError
+            Somebody else sends what only the bench, or one of its devices, may send.
         MotionRefusedError
             The command holds a value that is no number.
         BusError
@@ -139,6 +144,7 @@ class TickingMachine:
             if not self._ticking:
                 raise BusError("the machine is not started, or was stopped; start it first")
             overdue_s = self._cyclic.run(command.tolist(), sample, self._before_sync)
+            self._refuse_intruder()
             self._poll(sample, overdue_s)
             for axis, source in enumerate(self.inputs):
                 if self._armed[axis] and source.statusword & OPERATION_ENABLED_MASK != OPERATION_ENABLED_VALUE:
@@ -276,6 +282,10 @@ class TickingMachine:
         raise BusTimeoutError(
             f"{', '.join(self._cyclic.missing)}: no answer to {FIRST_ANSWERS_TICKS} SYNCs within {self.settings.answer_timeout_s} s each"
         )
+
+    def _refuse_intruder(self) -> None:
+        if self.network.intruder:
+            raise SecondMasterError(self.network.intruder)
 
     def _before_sync(self) -> None:
         if self._imu is not None:

@@ -13,6 +13,7 @@ import can
 from drivers.canopen.cia402 import DISABLE_VOLTAGE
 from drivers.canopen.cia406 import signed_counts
 from drivers.canopen.network import EMERGENCY, HEARTBEAT, PolledNetwork, is_data_frame, receive_frame, send_frame
+from drivers.canopen.one_master import OneMaster
 from drivers.canopen.pdo import PdoCodec
 from drivers.canopen.supervision import Supervision
 from drivers.errors import ConfigurationRefusedError, MotionRefusedError, ProtocolError
@@ -204,6 +205,9 @@ class CyclicExchange:
         self._spread_s = ANSWER_SPREAD * settings.sync_period_s
         self._missed = 0
         self._fault = ""
+        self._one_master = OneMaster(network, settings, [tpdo.who if tpdo.every_sync else None for tpdo in self._tpdos])
+        self._flood_frames = self._one_master.flood_frames
+        self._others = self._last_other = 0  # frames of others in this tick, and the last one's identifier
         self.late_frames = 0  # process data that came after the end of its tick
         self.syncs = 0  # SYNCs sent since the owner set this to 0
 
@@ -241,7 +245,7 @@ class CyclicExchange:
             output.send(bus, target)
         if self._heartbeat_ticks and self._tick % self._heartbeat_ticks == 0:
             self._network.send_heartbeat()
-        self._tick += 1
+        self._tick = self._one_master.tick = self._tick + 1
         sample.lateness_s = self._clock.wait_tick()
         self._drop_stale(sample)
         if before_sync is not None:
@@ -251,6 +255,9 @@ class CyclicExchange:
         self.syncs += 1
         overdue_s = self._clock.now() + self._answer_timeout_s
         self._outstanding = outstanding = self._receive(sample, overdue_s)
+        if self._others > self._flood_frames:
+            self._one_master.flooded(self._others, self._last_other)
+        self._others = 0
         self._grow_ages(sample, outstanding)
         self._fault = self._fault or self._supervision.take_fault()
         sample.fault, self._fault = self._fault, ""
@@ -308,6 +315,8 @@ class CyclicExchange:
             else:
                 bit, tpdo = entry
                 if self._took(tpdo, message.data, sample):
+                    if came >> bit & 1:
+                        self._one_master.extra(bit)
                     came |= 1 << bit
                     if owed[bit]:
                         owed[bit] -= 1
@@ -329,6 +338,8 @@ class CyclicExchange:
         for bit, tpdo in enumerate(self._tpdos):
             if not outstanding >> bit & 1:
                 continue
+            if not came >> bit & 1:
+                self._one_master.missed(bit)
             usual_s = self._usual_s[bit]
             if came >> bit & 1 and abs(self._alone_s[bit] - usual_s) <= self._spread_s:
                 outstanding &= ~(1 << bit)
@@ -351,7 +362,8 @@ class CyclicExchange:
                 bit, tpdo = entry
                 self.late_frames += 1
                 self._owed[bit] = max(0, self._owed[bit] - 1)
-                self._took(tpdo, message.data, sample)  # keeps the counter's wraps and newest statusword right; the row is cleared next
+                if self._took(tpdo, message.data, sample):  # keeps the counter's wraps and newest statusword right; the row is cleared next
+                    self._one_master.extra(bit)
 
     def _took(self, tpdo: _Tpdo, data: bytearray, sample: Sample) -> bool:
         """Put a frame's values into the sample; drop a malformed frame and return False: its row lacks the values."""
@@ -367,6 +379,8 @@ class CyclicExchange:
         identifier = message.arbitration_id
         if message.is_error_frame and identifier & ERROR_FRAME_BUS_OFF:
             self._fault = self._fault or f"{self._bus.channel_info}: the CAN controller is bus off; check wiring, termination and bit rate"
+        self._others += 1
+        self._last_other = identifier
         if not is_data_frame(message):
             return
         if (node_id := self._heartbeats.get(identifier)) is not None:

@@ -47,6 +47,10 @@ class PolledNetwork(canopen.Network):
         self.clock = clock
         self.malformed = 0  # frames dropped because they are none of their protocol
         self.first_malformed = ""  # the first of them, in words
+        self.intruder = ""  # who else sends what only the bench or one device may send, in words
+        self.heartbeats_sent = 0
+        self._requests = self._echoes = 0
+        self._last_request: tuple[int, bytes] | None = None  # whose echo has not come
         self._heartbeat: can.Message | None = None
         self._heartbeat_patience_s = 0.0
         self._heartbeat_due_s = 0.0
@@ -61,6 +65,8 @@ class PolledNetwork(canopen.Network):
             The bus does not take it.
         """
         send_frame(self.can_bus, can.Message(arbitration_id=can_id, is_extended_id=False, data=data, is_remote_frame=remote))
+        self._requests += 1
+        self._last_request = can_id, bytes(data)
 
     def command_nmt(self, command: int, node_id: int) -> None:
         """Send an NMT command (CiA 301) to one node."""
@@ -80,8 +86,19 @@ class PolledNetwork(canopen.Network):
         if message is None:
             return False
         if is_data_frame(message):
+            if self._last_request is not None and self._last_request == (message.arbitration_id, message.data):
+                self._echoes, self._last_request = self._echoes + 1, None
             self.notify(message.arbitration_id, message.data, message.timestamp)
         return True
+
+    @property
+    def echoes(self) -> bool:
+        """Whether this adapter hands the bench its own frames, which most do not: most of its requests so far came back."""
+        return 2 * self._echoes > self._requests
+
+    def accuse(self, words: str) -> None:
+        """Name whoever sends what is not theirs to send; the first stays."""
+        self.intruder = self.intruder or words
 
     def drop(self, why: str) -> None:
         """Count a malformed frame that nobody obeys."""
@@ -120,6 +137,7 @@ class PolledNetwork(canopen.Network):
         """Send the bench's heartbeat now, if it is on."""
         if self._heartbeat is not None:
             send_frame(self.can_bus, self._heartbeat)
+            self.heartbeats_sent += 1
             self._heartbeat_due_s = self.clock.now() + self._heartbeat_patience_s
 
 
