@@ -2,7 +2,7 @@
 
 virtual:NAME                    in this process (python-can's virtual bus)
 socketcan:vcan0                 Linux SocketCAN
-udp:GROUP[@PORT]                between processes, over UDP multicast
+udp:GROUP[@PORT]                between processes of this host, over UDP multicast on the loopback interface
 slcan:/dev/ttyACM0@1000000      serial adapter; after @ the serial line's baud rate (the CAN bit rate comes from the machine file)
 INTERFACE:CHANNEL               any other back end of python-can
 lockstep:                       in process, virtual time; not a bus of python-can, the bench builds it
@@ -126,7 +126,7 @@ def _udp(url: str, rest: str) -> BusUrl:
         raise BusUnavailableError(
             f"{url}: {group!r} is no multicast address; use 224.0.0.0 to 239.255.255.255, for example udp:{DEFAULT_UDP_GROUP}"
         )
-    options: dict[str, Any] = {"fd": False}
+    options: dict[str, Any] = {}
     if "@" in rest:
         options["port"] = _number(url, port, "UDP port", 1, 65535)
     return BusUrl(url, "udp_multicast", group, options)

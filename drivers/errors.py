@@ -3,7 +3,8 @@
 DriverError                    base; exit status 1 unless a class says otherwise
 |-- BusError                       the bus itself
 |   |-- BusUnavailableError (OSError)       no such interface, interface down, bad URL           exit status 2
-|   `-- BusTimeoutError (TimeoutError)      nobody answered in time
+|   |-- BusTimeoutError (TimeoutError)      nobody answered in time
+|   `-- SecondMasterError                   somebody else sends what only the bench, or one device, may send
 |-- DeviceError                    one device
 |   |-- NodeAbsentError (TimeoutError)      configured node sent neither boot-up nor SDO answer   exit status 2
 |   |-- WrongIdentityError                  vendor, product or revision differ from the file      exit status 2
@@ -37,6 +38,10 @@ class BusUnavailableError(BusError, OSError):
 
 class BusTimeoutError(BusError, TimeoutError):
     """Nobody answered in time."""
+
+
+class SecondMasterError(BusError):
+    """Somebody else on the bus sends what only the bench, or one of its devices, may send; or floods it."""
 
 
 class DeviceError(DriverError):

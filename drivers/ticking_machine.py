@@ -26,7 +26,7 @@ from drivers.canopen.sdo import SdoNode
 from drivers.canopen.stopping import Attempts, Attendant, Stops, Unattended, in_words
 from drivers.canopen.supervision import Supervision, refuse_second_bench
 from drivers.canopen.watch import MotionWatch
-from drivers.errors import BusError, BusTimeoutError, DeviceFaultError, DriverError, MotionRefusedError
+from drivers.errors import BusError, BusTimeoutError, DeviceFaultError, DriverError, MotionRefusedError, SecondMasterError
 from drivers.interface import Clock, Sample
 from drivers.settings import BusSettings, Node
 
@@ -99,6 +99,7 @@ class TickingMachine:
         self._ticking = False
         self._ours = False  # nobody else runs this machine; only then may anything be sent, even to stop it
         self._io_lost = ""
+        self._malformed_before = (0, 0, 0, 0)
         self.zeros = np.zeros(len(self.axes))  # no effort on any axis
 
     def start(self) -> None:
@@ -107,6 +108,8 @@ class TickingMachine:
         Raises
         ------
         NodeAbsentError, DuplicateNodeError, WrongIdentityError, ConfigurationRefusedError, DeviceFaultError, BusTimeoutError, BusError
+        SecondMasterError
+            Another master is on this bus; nothing was sent.
         """
         if self._ticking:
             self.stop()
@@ -115,6 +118,7 @@ class TickingMachine:
             self.watch.forget()
             self.network.stop_heartbeat()
             refuse_second_bench(self.network, self.settings.master_node_id, self.settings.master_heartbeat_period_s)
+            self._refuse_intruder()
             self._ours = True
             if self._imu is not None:
                 self._imu.configure(self.clock.wait)
@@ -133,6 +137,7 @@ class TickingMachine:
             self.supervision.await_operational(self.settings.nodes)
             if self.settings.master_heartbeat_period_s > 0.0:
                 self.network.start_heartbeat(self.settings.master_node_id, self.settings.master_heartbeat_period_s)
+            self._malformed_before = self._malformed()
             self._ticking = True
             self.resume_ticks()
             self._await_first_answers()
@@ -148,6 +153,8 @@ class TickingMachine:
             An enabled drive left operation enabled, or a node left the NMT state operational.
         HeartbeatLostError
             A node fell silent.
+        SecondMasterError
+            Somebody else sends what only the bench, or one of its devices, may send.
         MotionRefusedError
             The command holds a value that is no number.
         BusError
@@ -158,6 +165,7 @@ class TickingMachine:
             if not self._ticking:
                 raise BusError("the machine is not started, or was stopped; start it first")
             overdue_s = self._cyclic.run(command.tolist(), sample, self._before_sync)
+            self._refuse_intruder()
             self._poll(sample, overdue_s)
             for axis, source in enumerate(self.inputs):
                 if self._armed[axis] and source.statusword & OPERATION_ENABLED_MASK != OPERATION_ENABLED_VALUE:
@@ -175,6 +183,19 @@ class TickingMachine:
     def syncs(self) -> int:
         """SYNCs sent since the nodes were started; a device that counts them from its NMT start has the same number."""
         return self._cyclic.syncs
+
+    @property
+    def dropped(self) -> str:
+        """What has come malformed since the nodes were started, and was dropped, in words; '' when nothing has."""
+        counts = [now - before for now, before in zip(self._malformed(), self._malformed_before, strict=True)]
+        first = self.network.first_malformed
+        names = (f"frames{f' (first: {first})' if first else ''}", "datagrams", "messages of the IMU", "answers of the I/O")
+        said = ", ".join(f"{count} {name}" for count, name in zip(counts, names, strict=True) if count)
+        return f"dropped because malformed: {said}" if said else ""
+
+    def _malformed(self) -> tuple[int, int, int, int]:
+        imu = 0 if self._imu is None else self._imu.malformed + self._imu.checksum_errors
+        return self.network.malformed, getattr(self.network.can_bus, "malformed", 0), imu, getattr(self._io, "malformed", 0)
 
     def rehearse(self) -> None:
         """Execute the code of a tick shortly before it, to warm the processor's caches; nothing is sent and nothing changes."""
@@ -295,6 +316,10 @@ class TickingMachine:
         raise BusTimeoutError(
             f"{', '.join(self._cyclic.missing)}: no answer to {FIRST_ANSWERS_TICKS} SYNCs within {self.settings.answer_timeout_s} s each"
         )
+
+    def _refuse_intruder(self) -> None:
+        if self.network.intruder:
+            raise SecondMasterError(self.network.intruder)
 
     def _before_sync(self) -> None:
         if self._imu is not None:

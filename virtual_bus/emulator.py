@@ -221,7 +221,7 @@ def _serve(bus: can.BusABC, device: Emulated, on_ready: Callable[[], None], poll
             now_s = time.perf_counter()
             device.idle(min(now_s - last_s, LOOK_S))
             last_s = now_s
-            if message is not None and not (message.is_remote_frame or message.is_error_frame or message.is_extended_id):
+            if message is not None and not (message.is_remote_frame or message.is_error_frame or message.is_extended_id or message.is_fd):
                 device.receive(message.arbitration_id, bytes(message.data))
                 if tick is not None:
                     tick.heard(message.arbitration_id, now_s)

@@ -57,10 +57,9 @@ class LockstepBus(can.BusABC):
         machine.connect(self._queue if log is None else self._queue_logged)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Hand a frame to the machine. Nobody listens to remote and 29-bit frames."""
-        if msg.is_remote_frame or msg.is_extended_id:
-            return
-        self.send_frame(msg.arbitration_id, bytes(msg.data))
+        """Hand a frame to the machine. Nobody listens to remote, error, 29-bit and CAN FD frames."""
+        if not (msg.is_remote_frame or msg.is_error_frame or msg.is_extended_id or msg.is_fd):
+            self.send_frame(msg.arbitration_id, bytes(msg.data))
 
     def send_frame(self, can_id: int, data: bytes) -> None:
         """Hand a frame to the machine without a message object around it."""

@@ -14,7 +14,7 @@ import numpy as np
 from virtual_bus.canopen.drive import Cia402Drive
 from virtual_bus.canopen.encoder import Cia406Encoder
 from virtual_bus.canopen.nmt import NmtCommand
-from virtual_bus.canopen.node import Emit, Node
+from virtual_bus.canopen.node import MOST_SYNC_BYTES, Emit, Node
 from virtual_bus.canopen.power_state import PowerState
 from virtual_bus.idle_time import IdleTime
 from virtual_bus.modbus.io_device import EmulatedIo
@@ -162,6 +162,10 @@ class EmulatedMachine:
         First comes what is due, then targets, sensors, TPDOs in node-id order, and the IMU. Heartbeats go before the TPDOs: a master that
         waits for the last TPDO has then heard everything of this SYNC, and the order of frames on the bus depends on no race.
         """
+        if len(data) > MOST_SYNC_BYTES:
+            for node in self._sync_nodes:
+                node.malformed += 1
+            return
         self._idle.sync()
         self.syncs += 1
         self._tick_nodes()

@@ -12,7 +12,8 @@ import can
 
 from drivers.canopen.cia402 import DISABLE_VOLTAGE
 from drivers.canopen.cia406 import signed_counts
-from drivers.canopen.network import EMERGENCY, HEARTBEAT, PolledNetwork, receive_frame, send_frame
+from drivers.canopen.network import EMERGENCY, HEARTBEAT, PolledNetwork, is_data_frame, receive_frame, send_frame
+from drivers.canopen.one_master import OneMaster
 from drivers.canopen.pdo import PdoCodec
 from drivers.canopen.supervision import Supervision
 from drivers.errors import ConfigurationRefusedError, MotionRefusedError, ProtocolError
@@ -120,6 +121,7 @@ class _Tpdo:
     def __init__(self, node: Node, pdo: Pdo, axis: int, source: AxisInput) -> None:
         self.who = f"{node.name}: TPDO {pdo.number} ({pdo.cob_id:03X}h)"
         self.cob_id = pdo.cob_id
+        self.malformed = ""  # what was wrong with the last frame that was dropped
         self.axis = axis
         self.source = source
         self.every_sync = pdo.transmission_type == 1
@@ -203,6 +205,9 @@ class CyclicExchange:
         self._spread_s = ANSWER_SPREAD * settings.sync_period_s
         self._missed = 0
         self._fault = ""
+        self._one_master = OneMaster(network, settings, [tpdo.who if tpdo.every_sync else None for tpdo in self._tpdos])
+        self._flood_frames = self._one_master.flood_frames
+        self._others = self._last_other = 0  # frames of others in this tick, and the last one's identifier
         self.late_frames = 0  # process data that came after the end of its tick
         self.syncs = 0  # SYNCs sent since the owner set this to 0
 
@@ -240,7 +245,7 @@ class CyclicExchange:
             output.send(bus, target)
         if self._heartbeat_ticks and self._tick % self._heartbeat_ticks == 0:
             self._network.send_heartbeat()
-        self._tick += 1
+        self._tick = self._one_master.tick = self._tick + 1
         sample.lateness_s = self._clock.wait_tick()
         self._drop_stale(sample)
         if before_sync is not None:
@@ -250,6 +255,9 @@ class CyclicExchange:
         self.syncs += 1
         overdue_s = self._clock.now() + self._answer_timeout_s
         self._outstanding = outstanding = self._receive(sample, overdue_s)
+        if self._others > self._flood_frames:
+            self._one_master.flooded(self._others, self._last_other)
+        self._others = 0
         self._grow_ages(sample, outstanding)
         self._fault = self._fault or self._supervision.take_fault()
         sample.fault, self._fault = self._fault, ""
@@ -264,8 +272,12 @@ class CyclicExchange:
 
     @property
     def missing(self) -> list[str]:
-        """TPDOs that did not answer the last SYNC, in words."""
-        return [tpdo.who for bit, tpdo in enumerate(self._tpdos) if self._outstanding >> bit & 1]
+        """TPDOs that did not answer the last SYNC, in words, with what was wrong with their frames."""
+        return [
+            tpdo.who + (f" ({tpdo.malformed})" if tpdo.malformed else "")
+            for bit, tpdo in enumerate(self._tpdos)
+            if self._outstanding >> bit & 1
+        ]
 
     def _clear(self, sample: Sample) -> None:
         sample.position.fill(nan)
@@ -298,12 +310,13 @@ class CyclicExchange:
                 awake, remaining = remaining > asleep_at, max(0.0, remaining)
                 continue
             entry = by_cob_id.get(message.arbitration_id)
-            if entry is None:
+            if entry is None or not is_data_frame(message):
                 self._other(message)
-            elif not (message.is_error_frame or message.is_remote_frame):
+            else:
                 bit, tpdo = entry
-                try:
-                    tpdo.take(message.data, sample)
+                if self._took(tpdo, message.data, sample):
+                    if came >> bit & 1:
+                        self._one_master.extra(bit)
                     came |= 1 << bit
                     if owed[bit]:
                         owed[bit] -= 1
@@ -313,8 +326,6 @@ class CyclicExchange:
                         if not in_debt:
                             usual_s, took_s = self._usual_s[bit], timeout_s - remaining
                             self._usual_s[bit] = usual_s + (took_s - usual_s) / USUAL_OVER if usual_s == usual_s else took_s
-                except ProtocolError as error:
-                    self._fault = self._fault or f"{tpdo.who}: {error}"
             if remaining <= 0.0:
                 remaining = 0.0  # what already lies in the queue is still taken
                 overtime += 1
@@ -327,6 +338,8 @@ class CyclicExchange:
         for bit, tpdo in enumerate(self._tpdos):
             if not outstanding >> bit & 1:
                 continue
+            if not came >> bit & 1:
+                self._one_master.missed(bit)
             usual_s = self._usual_s[bit]
             if came >> bit & 1 and abs(self._alone_s[bit] - usual_s) <= self._spread_s:
                 outstanding &= ~(1 << bit)
@@ -343,22 +356,32 @@ class CyclicExchange:
             if message is None:
                 return
             entry = self._by_cob_id.get(message.arbitration_id)
-            if entry is None:
+            if entry is None or not is_data_frame(message):
                 self._other(message)
             else:
                 bit, tpdo = entry
                 self.late_frames += 1
                 self._owed[bit] = max(0, self._owed[bit] - 1)
-                try:
-                    tpdo.take(message.data, sample)  # keeps the counter's wraps and the newest statusword right; the row is cleared next
-                except ProtocolError as error:
-                    self._fault = self._fault or f"{tpdo.who}: {error}"
+                if self._took(tpdo, message.data, sample):  # keeps the counter's wraps and newest statusword right; the row is cleared next
+                    self._one_master.extra(bit)
+
+    def _took(self, tpdo: _Tpdo, data: bytearray, sample: Sample) -> bool:
+        """Put a frame's values into the sample; drop a malformed frame and return False: its row lacks the values."""
+        try:
+            tpdo.take(data, sample)
+        except ProtocolError as error:
+            tpdo.malformed = str(error)
+            self._network.drop(f"{tpdo.who}: {error}")
+            return False
+        return True
 
     def _other(self, message: can.Message) -> None:
         identifier = message.arbitration_id
         if message.is_error_frame and identifier & ERROR_FRAME_BUS_OFF:
             self._fault = self._fault or f"{self._bus.channel_info}: the CAN controller is bus off; check wiring, termination and bit rate"
-        if message.is_error_frame or message.is_remote_frame or message.is_extended_id:
+        self._others += 1
+        self._last_other = identifier
+        if not is_data_frame(message):
             return
         if (node_id := self._heartbeats.get(identifier)) is not None:
             self._supervision.heartbeat(node_id, message.data)

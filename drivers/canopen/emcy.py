@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 MAXON_VENDOR_ID = 0x000000FB
 _LAYOUT = struct.Struct("<HB5s")
+CODE_BYTES = 2  # without its error code a frame says nothing
 
 # error register, object 1001h, CiA 301
 REGISTER_BITS = ("generic", "current", "voltage", "temperature", "communication", "device profile", "reserved", "manufacturer")

@@ -18,6 +18,8 @@ from drivers.interface import Clock
 SEND_PATIENCE_S = 0.002
 """How long a full transmit queue (ENOBUFS) may last: 15 frames at 1 Mbit/s. python-can's own send time-out does not cover this errno."""
 
+QUEUED_FRAMES = 10_000  # more than a receive queue holds; a flood refills it as fast as it is read
+
 HEARTBEAT_PATIENCE = 1.5
 """Periods after which waiting code sends the bench's heartbeat: later than the sample loop would, sooner than a node misses it."""
 
@@ -43,9 +45,16 @@ class PolledNetwork(canopen.Network):
         super().__init__(bus)
         self.can_bus = bus
         self.clock = clock
+        self.malformed = 0  # frames dropped because they are none of their protocol
+        self.first_malformed = ""  # the first of them, in words
+        self.intruder = ""  # who else sends what only the bench or one device may send, in words
+        self.heartbeats_sent = 0
+        self._requests = self._echoes = 0
+        self._last_request: tuple[int, bytes] | None = None  # whose echo has not come
         self._heartbeat: can.Message | None = None
         self._heartbeat_patience_s = 0.0
         self._heartbeat_due_s = 0.0
+        self.unsubscribe(self.lss.LSS_RX_COBID)  # nobody here asks over LSS, and the library keeps all answers
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
         """Send one frame with an 11-bit identifier.
@@ -56,6 +65,8 @@ class PolledNetwork(canopen.Network):
             The bus does not take it.
         """
         send_frame(self.can_bus, can.Message(arbitration_id=can_id, is_extended_id=False, data=data, is_remote_frame=remote))
+        self._requests += 1
+        self._last_request = can_id, bytes(data)
 
     def command_nmt(self, command: int, node_id: int) -> None:
         """Send an NMT command (CiA 301) to one node."""
@@ -74,15 +85,43 @@ class PolledNetwork(canopen.Network):
         message = receive_frame(self.can_bus, timeout_s)
         if message is None:
             return False
-        if not (message.is_error_frame or message.is_remote_frame or message.is_extended_id):
+        if is_data_frame(message):
+            if self._last_request is not None and self._last_request == (message.arbitration_id, message.data):
+                self._echoes, self._last_request = self._echoes + 1, None
             self.notify(message.arbitration_id, message.data, message.timestamp)
         return True
+
+    @property
+    def echoes(self) -> bool:
+        """Whether this adapter hands the bench its own frames, which most do not: most of its requests so far came back."""
+        return 2 * self._echoes > self._requests
+
+    def accuse(self, words: str) -> None:
+        """Name whoever sends what is not theirs to send; the first stays."""
+        self.intruder = self.intruder or words
+
+    def drop(self, why: str) -> None:
+        """Count a malformed frame that nobody obeys."""
+        self.malformed += 1
+        self.first_malformed = self.first_malformed or why
 
     def pump_for(self, duration_s: float) -> None:
         """Receive for this long."""
         deadline = self.clock.now() + duration_s
         while (remaining := deadline - self.clock.now()) > 0.0 and self.pump(remaining):
             pass
+
+    def drain(self) -> None:
+        """Receive what has come already, and not more than a flood could bring meanwhile.
+
+        Raises
+        ------
+        BusError
+            The bus cannot be read.
+        """
+        for _ in range(QUEUED_FRAMES):
+            if not self.pump(0.0):
+                return
 
     def start_heartbeat(self, node_id: int, period_s: float) -> None:
         """Start the bench's own heartbeat: the sample loop sends it by tick count, long waits in between by time."""
@@ -98,7 +137,13 @@ class PolledNetwork(canopen.Network):
         """Send the bench's heartbeat now, if it is on."""
         if self._heartbeat is not None:
             send_frame(self.can_bus, self._heartbeat)
+            self.heartbeats_sent += 1
             self._heartbeat_due_s = self.clock.now() + self._heartbeat_patience_s
+
+
+def is_data_frame(message: can.Message) -> bool:
+    """Return whether this is a data frame with an 11-bit identifier, the only kind that CANopen uses for what is exchanged here."""
+    return not (message.is_extended_id or message.is_error_frame or message.is_remote_frame or message.is_fd)
 
 
 def send_frame(bus: can.BusABC, message: can.Message) -> None:

@@ -77,8 +77,7 @@ def scan_bus(bus: can.BusABC, clock: Clock, listen_s: float = LISTEN_S) -> list[
     heard = dict(beats)
     for node_id in NODE_IDS:
         network.send_message(SDO_REQUEST + node_id, _ASK_DEVICE_TYPE)
-        while network.pump(0.0):
-            pass
+        network.drain()
     network.pump_for(ANSWER_S)
     for node_id in NODE_IDS:
         network.unsubscribe(SDO_RESPONSE + node_id)

@@ -14,7 +14,9 @@ from drivers.canopen.network import SDO_REQUEST, SDO_RESPONSE, PolledNetwork
 from drivers.errors import ConfigurationRefusedError, DuplicateNodeError, NodeAbsentError
 
 RESPONSE_TIMEOUT_S = 0.3  # CiA 301 gives none; EPOS4 answers within 20 ms, writes to its flash within 200 ms
+SHORTEST_ANSWER = 4  # CiA 301 asks for 8 bytes; some devices leave out data bytes that are zero
 TRIES = 3  # of a request that starts a transfer; segments are not repeated, their toggle bit would differ
+MOST_SEGMENTS = 9363  # 64 kB; what is read here are numbers and names
 ABORT_TIMED_OUT = 0x0504_0000
 ABSENT_OBJECT = frozenset({0x0602_0000, 0x0609_0011})  # no such object, no such subindex
 _INITIATES = frozenset({0x20, 0x40})  # command specifiers (bits 7..5) of initiate download and initiate upload
@@ -33,6 +35,7 @@ class PolledSdoClient(SdoClient):
         self._who = who
         self._answers: deque[bytes] = deque()
         self._answers_owed = 0
+        self._segments = 0  # of the transfer under way
         network.subscribe(self.tx_cobid, self.on_response)
 
     def close(self) -> None:
@@ -40,7 +43,10 @@ class PolledSdoClient(SdoClient):
         self.network.unsubscribe(self.tx_cobid, self.on_response)
 
     def on_response(self, can_id: int, data: bytearray, timestamp: float) -> None:
-        """Keep an answer until it is read."""
+        """Keep an answer until it is read; one without a whole multiplexer or of no SDO's length is dropped."""
+        if not SHORTEST_ANSWER <= len(data) <= 8:
+            self.network.drop(f"{self._who}: an SDO answer of {len(data)} bytes")
+            return
         self._answers.append(bytes(data).ljust(8, b"\0"))
 
     def read_response(self) -> bytes:
@@ -60,7 +66,12 @@ class PolledSdoClient(SdoClient):
     def request_response(self, sdo_request: bytes) -> bytes:
         """Send a request and wait for its answer; a lost frame is handled by asking again."""
         self._expect_silence()
-        tries = TRIES if sdo_request[0] & 0xE0 in _INITIATES else 1
+        initiates = sdo_request[0] & 0xE0 in _INITIATES
+        self._segments = 0 if initiates else self._segments + 1
+        if self._segments > MOST_SEGMENTS:
+            self.abort()
+            raise SdoCommunicationError(f"the node sends more than {MOST_SEGMENTS} segments without an end")
+        tries = TRIES if initiates else 1
         for _ in range(tries):
             self._answers_owed += 1
             self.send_request(sdo_request)  # type: ignore[no-untyped-call]
@@ -76,14 +87,14 @@ class PolledSdoClient(SdoClient):
         self.send_request(struct.pack("<BHBI", 0x80, 0, 0, abort_code))  # type: ignore[no-untyped-call]
 
     def _expect_silence(self) -> None:
-        while self.network.pump(0.0):
-            pass
-        if len(self._answers) > max(0, self._answers_owed):
+        self.network.drain()
+        twice = len(self._answers) > max(0, self._answers_owed)
+        self._answers.clear()
+        self._answers_owed = 0
+        if twice:
             raise DuplicateNodeError(
                 f"{self._who}: two answers to one SDO request: two devices share this id; give one of them another (switches or LSS)"
             )
-        self._answers.clear()
-        self._answers_owed = 0
 
 
 class SdoNode:

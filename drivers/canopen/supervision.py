@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from drivers.canopen.emcy import Emergency, decode_emergency
+from drivers.canopen.emcy import CODE_BYTES, Emergency, decode_emergency
 from drivers.canopen.network import EMERGENCY, HEARTBEAT, NMT_RESET_COMMUNICATION, NMT_STATES, PolledNetwork
 from drivers.canopen.sdo import SdoNode
 from drivers.errors import BusTimeoutError, DeviceFaultError, DuplicateNodeError, HeartbeatLostError, NodeAbsentError
@@ -17,6 +17,13 @@ from drivers.settings import Node
 
 HEARTBEAT_TOLERANCE = 2.5
 """Periods for which a heartbeat may be missing: one lost frame and half a period of jitter."""
+
+RATE_TOLERANCE = 1.25
+"""By how much a heartbeat may be faster than its period: no clock errs by so much, and two devices are twice as fast."""
+MOST_AHEAD = 2.5
+"""Heartbeats that may have come more than their rate explains: one delayed by a whole period, followed by one in time."""
+TOGETHER_SHARE = 0.02
+"""Share of a period within which heartbeats were held up by a pause of the bench, and read at once: they count as one."""
 
 STALE_FRAMES = 256  # frames dropped before a reset: a boot-up message from before it is not its answer
 BOOT_SETTLE_S = 0.05
@@ -32,12 +39,17 @@ class _Watched:
 
     name: str
     node_id: int
-    timeout_s: float
+    period_s: float
     vendor_id: int | None
     state: int = -1  # NMT state of the last heartbeat, -1 before the first message
     heard_s: float = float("nan")
     boots: int = 0
+    ahead: float = 0.0  # heartbeats that came more than their rate explains
     emergency: Emergency | None = None  # newest that is not reset
+
+    @property
+    def timeout_s(self) -> float:
+        return HEARTBEAT_TOLERANCE * self.period_s
 
     @property
     def who(self) -> str:
@@ -56,10 +68,7 @@ class Supervision:
 
     def __init__(self, network: PolledNetwork, nodes: Sequence[Node]) -> None:
         self._network = network
-        self._nodes = {
-            node.node_id: _Watched(node.name, node.node_id, HEARTBEAT_TOLERANCE * node.heartbeat_period_s, node.identity.vendor_id)
-            for node in nodes
-        }
+        self._nodes = {node.node_id: _Watched(node.name, node.node_id, node.heartbeat_period_s, node.identity.vendor_id) for node in nodes}
         self._guarded = [watched for watched in self._nodes.values() if watched.timeout_s > 0.0]
         self._turn = 0
         self._running = False  # nodes were started, so leaving operational is a fault
@@ -72,18 +81,41 @@ class Supervision:
     def heartbeat(self, node_id: int, data: bytes | bytearray) -> None:
         """Take a heartbeat or boot-up message (one byte: NMT state)."""
         watched = self._nodes[node_id]
-        state = data[0] & 0x7F if data else -1
-        watched.heard_s = self._network.clock.now()
+        if len(data) != 1 or data[0] & 0x7F not in NMT_STATES:
+            self._network.drop(f"{watched.who}: a heartbeat of the bytes {bytes(data).hex(' ') or 'none'}, which is no NMT state")
+            return
+        state = data[0] & 0x7F  # bit 7 is reserved
+        now_s = self._network.clock.now()
+        early = self._running and self._is_early(watched, now_s)
+        watched.heard_s = now_s
         if state == BOOT_UP:
             watched.boots += 1
         if self._running and state != OPERATIONAL:
-            change = "rebooted" if state == BOOT_UP else f"left operational: {NMT_STATES.get(state, f'NMT state {state:02X}h')}"
+            change = "rebooted" if state == BOOT_UP else f"left operational: {NMT_STATES[state]}"
+            if early:
+                change += "; it came between two heartbeats, so a second device may have its id"
             self.left_operational = self.left_operational or f"{watched.who}: {change}"
         watched.state = state
+
+    def _is_early(self, watched: _Watched, now_s: float) -> bool:
+        """Return whether a heartbeat comes before its time; name a second sender if that lasts."""
+        since_s, period_s = now_s - watched.heard_s, watched.period_s
+        if not since_s > TOGETHER_SHARE * period_s or not period_s:
+            return False
+        watched.ahead = max(0.0, watched.ahead - RATE_TOLERANCE * since_s / period_s) + 1.0
+        if watched.ahead > MOST_AHEAD:
+            self._network.accuse(
+                f"{watched.who}: its heartbeat comes more often than every {period_s:g} s: a second device has its id; give one of them "
+                f"another id, or switch it off"
+            )
+        return since_s < period_s / RATE_TOLERANCE
 
     def emergency(self, node_id: int, data: bytes | bytearray) -> None:
         """Take an EMCY message."""
         watched = self._nodes[node_id]
+        if len(data) < CODE_BYTES:
+            self._network.drop(f"{watched.who}: an EMCY of {len(data)} bytes, which has no error code")
+            return
         message = decode_emergency(data)
         watched.emergency = None if message.is_reset else message
         if not message.is_reset:
@@ -200,6 +232,7 @@ class Supervision:
         now = clock.now()
         for watched in self._nodes.values():
             watched.heard_s = watched.heard_s if watched.heard_s == watched.heard_s else now
+            watched.ahead = 0.0
         self._fresh_fault = self.left_operational = ""
         self._running = True
 
@@ -220,8 +253,8 @@ def refuse_second_bench(network: PolledNetwork, own_node_id: int, heartbeat_peri
     def listen(can_id: int, data: bytearray, stamp: float) -> None:
         heard.append(can_id)
 
-    while network.pump(0.0):  # frames older than this start
-        pass
+    network.drain()  # frames older than this start
+    network.intruder = ""
     network.subscribe(HEARTBEAT + own_node_id, listen)
     network.pump_for(HEARTBEAT_TOLERANCE * heartbeat_period_s)
     network.unsubscribe(HEARTBEAT + own_node_id, listen)

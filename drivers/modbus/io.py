@@ -71,6 +71,7 @@ class IoDriver:
 
     def __init__(self, io_map: IoMap, transport: Transport, axes: tuple[str, ...]) -> None:
         self.state = IoState(len(axes))
+        self.malformed = 0  # polls whose answer was none
         self._map = io_map
         self._transport = transport
         self._axes = axes
@@ -109,11 +110,18 @@ class IoDriver:
         state.time_s = now_s
 
     def poll_due(self, now_s: float) -> None:
-        """Poll when the period is over or a brake command is pending. Errors as in `poll_once`."""
+        """Poll when the period is over or a brake command is pending.
+
+        An answer that is malformed is counted and dropped: the state keeps its age, and a brake command stays pending for the next poll.
+        Other errors as in `poll_once`.
+        """
         self._now_s = now_s
         if now_s >= self._next_poll_s or self._commanded:
             self._next_poll_s = now_s + self._map.poll_period_s
-            self.poll_once(now_s)
+            try:
+                self.poll_once(now_s)
+            except ProtocolError:
+                self.malformed += 1
 
     def update(self, sample: Sample) -> None:
         """Copy the newest state into the sample, aged by the last `poll_due`."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import re
 import socket
+import struct
 from collections.abc import Callable
 from typing import Protocol
 
@@ -22,6 +23,8 @@ ANSWER_TIMEOUT_S = 0.2  # an I/O device answers within some 10 ms
 RETRIES = 1
 REQUEST_AT_MOST_S = ANSWER_TIMEOUT_S * (1 + 2 * (1 + RETRIES))  # connecting; every try, whose time an answer in pieces doubles
 MBAP_UNIT_OFFSET = 6
+UNREADABLE = (ModbusException, struct.error, ValueError, IndexError, TypeError, AttributeError)
+"""What pymodbus raises over bytes that are no message; the last five are its decoder's, on messages that are cut off or too long."""
 
 logging.getLogger("pymodbus").addHandler(logging.NullHandler())  # faults are raised as exceptions, not written to standard error
 
@@ -66,7 +69,11 @@ class InProcessTransport:
         """Send a request and return its answer."""
         self._transaction = self._transaction % 0xFFFF + 1
         pdu.transaction_id = self._transaction
-        _, answer = self._framer.handleFrame(self._serve(self._framer.buildFrame(pdu)), pdu.dev_id, pdu.transaction_id)
+        said = self._serve(self._framer.buildFrame(pdu))
+        try:
+            _, answer = self._framer.handleFrame(said, pdu.dev_id, pdu.transaction_id)
+        except UNREADABLE as error:
+            raise ProtocolError(f"io: the in-process device's answer is no Modbus message: {error}") from error
         if answer is None:
             raise ProtocolError("io: the in-process device's answer is no Modbus message")
         return _without_exception("io", pdu, answer)
@@ -106,7 +113,7 @@ class ClientTransport:
             raise BusUnavailableError(f"{self.name}: cannot connect: {self._why_not()}; check address, cable and power")
         try:
             answer = self._client.execute(False, pdu)
-        except (ModbusException, OSError) as error:
+        except (*UNREADABLE, OSError) as error:
             self.close()
             raise self._explained(pdu.dev_id) from error
         return _without_exception(self.name, pdu, answer)
@@ -151,6 +158,8 @@ def _without_exception(name: str, request: ModbusPDU, answer: ModbusPDU) -> Modb
             f"{name}: unit {request.dev_id} refuses function {request.function_code} at {request.address} to {last}:"
             f" {reason} ({answer.exception_code}); compare unit_id and addresses with the device's manual"
         )
+    if answer.function_code != request.function_code:
+        raise ProtocolError(f"{name}: an answer to function {answer.function_code} where function {request.function_code} was asked")
     return answer
 
 

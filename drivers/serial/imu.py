@@ -77,6 +77,8 @@ class ImuDriver:
     late_packets : int
         Packets that arrived after the end of their tick, and so are in no row.
     checksum_errors : int
+    malformed : int
+        Messages with a right checksum whose content is no reading.
     """
 
     def __init__(self, port: ImuPort, stream: ByteStream) -> None:
@@ -84,6 +86,7 @@ class ImuDriver:
         self.identity: ImuIdentity | None = None
         self.lost_packets = 0
         self.late_packets = 0
+        self.malformed = 0
         self._stream = stream
         self._parser = StreamParser()
         self._rehearsal = StreamParser()
@@ -123,7 +126,7 @@ class ImuDriver:
         self._ask(MessageId.GO_TO_MEASUREMENT, b"", wait)
         self._counter = self._time_ticks = -1
         self._fault = ""
-        self.lost_packets = self.late_packets = 0
+        self.lost_packets = self.late_packets = self.malformed = 0
         return self.identity
 
     def before_sync(self) -> None:
@@ -184,10 +187,12 @@ class ImuDriver:
             if message.message_id == MessageId.MTDATA2:
                 try:
                     reading = decode_reading(message.data)
-                except ProtocolError as error:
-                    self._report(str(error))
+                except ProtocolError:
+                    self.malformed += 1
                     continue
-                if None not in reading[:4]:
+                if None in reading[:4]:
+                    self.malformed += 1
+                else:
                     readings.append(reading)
             elif message.message_id == MessageId.ERROR:
                 self._report(f"reports {_error_in_words(message.data)}")

@@ -164,7 +164,8 @@ class Bench:
                 error.add_note(str(problem))
             raise
         sink.close(tables)
-        return dataclasses.replace(timing, notes=notes + timing.notes)
+        dropped = (self.wiring.link.dropped,) if self.wiring.link.dropped else ()
+        return dataclasses.replace(timing, notes=notes + timing.notes + dropped)
 
     @contextlib.contextmanager
     def _session(self) -> Iterator[None]:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import socket
 import sys
 import uuid
+from random import Random
 from typing import Never
 
 import can
 import pytest
+from can.interfaces.udp_multicast.utils import pack_message
 from hypothesis import example, given
 from hypothesis import strategies as st
 from refusals import answer_or_refusal
@@ -19,6 +21,7 @@ from drivers.errors import BusUnavailableError
 IP_RECVTTL = 12  # linux/in.h; Python's socket module does not name it
 
 SO_ATTACH_FILTER = 26  # asm-generic/socket.h
+GROUP = "239.74.163.2"
 
 
 def refusal(url: str, bitrate: int = 1_000_000) -> str:
@@ -49,6 +52,19 @@ def _udp_url() -> str:
     return f"udp:239.74.163.2@{port}"
 
 
+def _port(url: str) -> int:
+    return int(url.rpartition("@")[2])
+
+
+def _address_on_the_network() -> str:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))  # documentation's network: nothing is sent
+        except OSError as error:
+            pytest.skip(f"this host has no network: {error}")
+        return str(probe.getsockname()[0])
+
+
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="filters are Linux's")
 def test_a_kernel_that_refuses_socket_filters_has_a_udp_bus_all_the_same_and_no_echo(monkeypatch: pytest.MonkeyPatch) -> None:
     url, refused = _udp_url(), []
@@ -76,7 +92,7 @@ def test_a_udp_bus_that_cannot_be_set_up_leaves_no_socket_open(monkeypatch: pyte
             super().__init__(*arguments, **keywords)
             opened.append(self)
 
-        def setblocking(self, flag: bool) -> Never:
+        def connect(self, address: object) -> Never:
             raise OSError(22, "Invalid argument")
 
     monkeypatch.setattr(socket, "socket", Kept)
@@ -142,29 +158,57 @@ def test_frames_of_a_udp_bus_do_not_leave_this_host() -> None:
     assert hops == [0]
 
 
-def test_a_udp_bus_speaks_with_python_cans_own_and_does_not_hear_itself() -> None:
-    pytest.importorskip("msgpack")
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    try:
-        ours = open_bus(f"udp:239.74.163.23@{port}", 1)
-        theirs = can.Bus(interface="udp_multicast", channel="239.74.163.23", port=port, fd=False)
-    except (BusUnavailableError, can.CanError) as error:
-        pytest.skip(f"this host joins no multicast group: {error}")
-    with ours, theirs:
-        try:
-            ours.send(can.Message(arbitration_id=0x181, is_extended_id=False, data=b"\x01\x02"))
-        except can.CanError as error:
-            pytest.skip(f"this host routes no multicast: {error}")
-        heard = theirs.recv(2.0)
-        assert heard is not None
-        assert (heard.arbitration_id, bytes(heard.data)) == (0x181, b"\x01\x02")
-        theirs.send(can.Message(arbitration_id=0x201, is_extended_id=False, data=b"\x03"))
+def test_a_udp_bus_reads_python_cans_datagrams_and_does_not_hear_itself() -> None:
+    url = _udp_url()
+    with open_bus(url, 1) as ours, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as theirs:
+        theirs.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
+        ours.send(can.Message(arbitration_id=0x181, is_extended_id=False, data=b"\x01\x02"))
+        theirs.sendto(pack_message(can.Message(arbitration_id=0x201, is_extended_id=False, data=b"\x03")), (GROUP, _port(url)))
         heard = ours.recv(2.0)
         assert heard is not None
         assert (heard.arbitration_id, bytes(heard.data)) == (0x201, b"\x03")
         assert ours.recv(0.0) is None
+
+
+def test_what_is_sent_on_a_network_interface_is_not_on_the_udp_bus() -> None:
+    url = _udp_url()
+    port = _port(url)
+    own = _address_on_the_network()
+    datagram = pack_message(can.Message(arbitration_id=0x201, is_extended_id=False, data=b"\x03"))
+    with open_bus(url, 1) as bus, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        # somebody else on this host has joined the group there, so the datagrams do come this far
+        with can.Bus(interface="udp_multicast", channel=GROUP, port=port, fd=False) as theirs:
+            theirs.send(can.Message(arbitration_id=0x201, is_extended_id=False, data=b"\x03"))
+        assert bus.recv(0.05) is None
+        stranger.bind((own, 0))
+        stranger.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
+        stranger.sendto(datagram, (GROUP, port))  # on the loopback interface, with another interface's address
+        stranger.sendto(datagram, (own, port))  # to this port, not to the group
+        assert bus.recv(0.05) is None
+        assert bus.strangers == 1
+
+
+@pytest.mark.slow
+def test_a_udp_bus_that_is_fed_garbage_counts_it_and_hears_the_next_frame() -> None:
+    url, random = _udp_url(), Random(1)
+    good = pack_message(can.Message(arbitration_id=0x181, is_extended_id=False, data=b"\x07"))
+    with open_bus(url, 1) as bus, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stray:
+        stray.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
+        for number in range(1, 501):
+            stray.sendto(random.randbytes(random.randrange(0, 200)), (GROUP, _port(url)))
+            stray.sendto(good, (GROUP, _port(url)))
+            assert bytes(bus.recv(2.0).data) == b"\x07"
+            assert bus.malformed == number
+
+
+def test_a_flood_of_garbage_does_not_hold_up_whoever_asks_for_a_frame_that_is_not_there() -> None:
+    url = _udp_url()
+    with open_bus(url, 1) as bus, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stray:
+        stray.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
+        for _ in range(200):
+            stray.sendto(b"?", (GROUP, _port(url)))
+        assert bus.recv(0.0) is None
+        assert 0 < bus.malformed < 100
 
 
 @pytest.mark.parametrize(
@@ -175,8 +219,8 @@ def test_a_udp_bus_speaks_with_python_cans_own_and_does_not_hear_itself() -> Non
         ("SocketCAN:vcan0", "socketcan", "vcan0", {}),
         ("slcan:/dev/ttyACM0@1000000", "slcan", "/dev/ttyACM0", {"tty_baudrate": 1_000_000}),
         ("slcan:COM8", "slcan", "COM8", {}),
-        ("udp:", "udp_multicast", "239.74.163.2", {"fd": False}),
-        ("udp:ff15::1@5000", "udp_multicast", "ff15::1", {"fd": False, "port": 5000}),
+        ("udp:", "udp_multicast", "239.74.163.2", {}),
+        ("udp:ff15::1@5000", "udp_multicast", "ff15::1", {"port": 5000}),
         ("pcan:PCAN_USBBUS1", "pcan", "PCAN_USBBUS1", {}),
         ("kvaser:0", "kvaser", 0, {}),
     ],

@@ -8,7 +8,9 @@ from typing import TypeVar
 Answer = TypeVar("Answer")
 
 
-def answer_or_refusal(refusal: type[Exception], call: Callable[..., Answer], *arguments: object) -> tuple[Answer, None] | tuple[None, str]:
+def answer_or_refusal(
+    refusal: type[Exception] | tuple[type[Exception], ...], call: Callable[..., Answer], *arguments: object
+) -> tuple[Answer, None] | tuple[None, str]:
     """The call's answer and None, or None and the message of its `refusal`; any other exception passes."""
     try:
         return call(*arguments), None

@@ -24,6 +24,8 @@ class NmtCommand(IntEnum):
     RESET_COMMUNICATION = 0x82
 
 
+NMT_COMMANDS = frozenset(NmtCommand)
+
 STATE_AFTER = {
     NmtCommand.START: NmtState.OPERATIONAL,
     NmtCommand.STOP: NmtState.STOPPED,

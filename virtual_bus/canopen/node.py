@@ -17,7 +17,7 @@ from virtual_bus.canopen import communication, pdo_rules
 from virtual_bus.canopen.cob_id import CAN_ID
 from virtual_bus.canopen.emergency import HEARTBEAT_ERROR, Emergency
 from virtual_bus.canopen.heartbeat import HeartbeatConsumer, HeartbeatProducer
-from virtual_bus.canopen.nmt import STATE_AFTER, NmtCommand, NmtState
+from virtual_bus.canopen.nmt import NMT_COMMANDS, STATE_AFTER, NmtCommand, NmtState
 from virtual_bus.canopen.objects import Entry, Objects, Value, key_of
 from virtual_bus.canopen.pdo import Rpdo, Tpdo
 from virtual_bus.canopen.sdo_server import SdoServer
@@ -30,6 +30,7 @@ Handler = Callable[[bytes], None]
 ROUNDING_S = 1e-6
 """Everything is due a microsecond early, so that rounding does not decide whether a time that falls on a sample is due there."""
 _ALL_OBJECTS = range(0x1000, 0x10000)
+NMT_BYTES, HEARTBEAT_BYTES, MOST_SYNC_BYTES, SDO_BYTES = 2, 1, 1, 8  # lengths of CiA 301's frames; others are malformed
 _SYNC_LENGTH_ERROR, _BUS_OFF_RECOVERED = 0x8240, 0x8140
 _AFTER_COMMUNICATION_ERROR = {0: NmtState.PRE_OPERATIONAL, 2: NmtState.STOPPED}  # 1029h:01; 1 keeps the state
 
@@ -68,6 +69,7 @@ class Node:
         self.state = NmtState.INITIALISING
         self.now_s = 0.0
         self.deadline_s = math.inf  # nothing is due before
+        self.malformed = 0  # frames dropped because they are none of their protocol
         self.routes: dict[int, Handler] = {}
         self.on_routes: Callable[[], None] = lambda: None  # called when `routes` has been rebuilt
         self._memory = Storage(self.objects, self.volatile, self.kept, memory)
@@ -192,6 +194,9 @@ class Node:
 
     def sync(self, data: bytes) -> None:
         """Answer a SYNC, for a device that stands alone: apply what has come, then send what is mapped."""
+        if len(data) > MOST_SYNC_BYTES:
+            self.malformed += 1
+            return
         counter = self.begin_sync(data)
         self.end_sync(counter)
 
@@ -220,12 +225,12 @@ class Node:
             tpdo.rehearse()
 
     def _on_nmt(self, data: bytes) -> None:
-        if len(data) != 2 or data[1] not in (0, self.node_id):
+        if len(data) != NMT_BYTES or data[0] not in NMT_COMMANDS:
+            self.malformed += 1
             return
-        try:
-            command = NmtCommand(data[0])
-        except ValueError:
+        if data[1] not in (0, self.node_id):
             return
+        command = NmtCommand(data[0])
         if command is NmtCommand.RESET_NODE:
             self.connection_lost("reset")
             self._reset(_ALL_OBJECTS)
@@ -238,6 +243,9 @@ class Node:
                 self.connection_lost("stopped")
 
     def _on_sdo(self, data: bytes) -> None:
+        if len(data) != SDO_BYTES:
+            self.malformed += 1
+            return
         self._sdo.receive(data)
         for tpdo in self._event_tpdos:
             tpdo.check_event()
@@ -296,7 +304,13 @@ class Node:
         self.on_routes()
 
     def _heartbeat_handler(self, node_id: int) -> Handler:
-        return lambda data: self._consumer.heard(node_id)
+        def heard(data: bytes) -> None:
+            if len(data) == HEARTBEAT_BYTES:
+                self._consumer.heard(node_id)
+            else:
+                self.malformed += 1  # it must not keep a master alive that is gone
+
+        return heard
 
     # ---- for profile devices --------------------------------------------------------------------------
     def application_reset(self) -> None:

@@ -75,9 +75,7 @@ class SdoServer:
         self._transfer = None
 
     def receive(self, frame: bytes) -> None:
-        """Answer one request frame. Frames that are not eight bytes long are no SDO and are ignored."""
-        if len(frame) != 8:
-            return
+        """Answer one request frame (8 bytes)."""
         if frame[0] >> 5 == 4 and not isinstance(self._transfer, BlockDownload):
             self._transfer = None  # the client aborts: no answer
             return

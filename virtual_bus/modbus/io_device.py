@@ -78,6 +78,7 @@ class EmulatedIo:
         self._open = np.zeros(len(axes), dtype=bool)
         self._moving: list[tuple[float, bool] | None] = [None] * len(axes)  # (when it arrives, open or closed)
         self._tcp = TcpFraming()
+        self.malformed = 0  # connections and serial frames dropped because they do not speak Modbus
         self.set_hold_to_run(True)
         self.set_door(True)
 
@@ -142,6 +143,7 @@ class EmulatedIo:
             else:
                 answer = bytes((pdu[0] | 0x80, ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND))
             answers += tcp_frame(transaction, unit_id, answer)
+        self.malformed += framing.broken
         return answers
 
     def serve_rtu(self, frame: bytes) -> bytes:
@@ -150,7 +152,10 @@ class EmulatedIo:
         There is none to damaged, foreign and broadcast frames.
         """
         request = rtu_request(frame)
-        if request is None or request[0] not in (self.layout.unit_id, BROADCAST):
+        if request is None:
+            self.malformed += 1
+            return b""
+        if request[0] not in (self.layout.unit_id, BROADCAST):
             return b""
         answer = self.serve_pdu(request[1])
         return rtu_frame(self.layout.unit_id, answer) if request[0] != BROADCAST else b""

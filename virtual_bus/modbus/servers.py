@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from virtual_bus.errors import EmulatorError
-from virtual_bus.modbus.framing import TcpFraming
+from virtual_bus.modbus.framing import RTU_MAX_BYTES, TcpFraming
 from virtual_bus.modbus.io_device import EmulatedIo
 
 READ_BYTES = 4096
@@ -117,7 +117,7 @@ class ModbusRtuServer:
         """Take what has come; answer when the line has been silent for long enough since."""
         now_s = time.perf_counter()
         if data := self._line.read():
-            self._frame += data
+            self._frame = (self._frame + data)[: RTU_MAX_BYTES + 1]  # one byte too many is enough to be refused
             self._heard_s = now_s
         elif self._frame and now_s - self._heard_s >= RTU_SILENCE_S:
             frame, self._frame = self._frame, b""

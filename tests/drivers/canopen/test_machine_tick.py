@@ -123,7 +123,7 @@ def test_waiting_for_a_missing_pdo_ends_with_the_answer_time(rig: Rig) -> None:
 class SilentImu:
     """Configured, and then nothing."""
 
-    looks = 0
+    looks = malformed = checksum_errors = 0
 
     def configure(self, wait: Callable[..., object]) -> None:
         pass
@@ -165,12 +165,14 @@ def test_an_answer_that_comes_too_late_is_not_taken_for_the_next_syncs(rig: Rig)
     assert sample.link_position[1] == pytest.approx((last.value(0x6004) - 4194304) * 2 * math.pi / 2**23)
 
 
-def test_a_pdo_that_is_too_short_is_a_fault_in_words_and_no_value(rig: Rig) -> None:
+def test_a_pdo_that_is_too_short_is_counted_and_is_no_value(rig: Rig) -> None:
     rig.ready()
     rig.drives[0].set(0x1A00, 0, 1)
     sample = rig.machine.exchange(ZERO)
     assert np.isnan(sample.position[0])
-    assert sample.fault == "propeller_drive: TPDO 1 (181h): PDO of 2 bytes where 8 are mapped"
+    assert sample.fault == ""
+    assert rig.machine.network.malformed == 1
+    assert rig.machine.network.first_malformed == "propeller_drive: TPDO 1 (181h): PDO of 2 bytes where 8 are mapped"
 
 
 @pytest.mark.parametrize("step", [1, -1])

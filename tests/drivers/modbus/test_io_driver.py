@@ -138,7 +138,10 @@ def test_an_address_the_device_does_not_have_is_refused_in_words() -> None:
 def test_an_answer_that_is_none_is_a_protocol_error(answer: bytes) -> None:
     driver = IoDriver(io_map(), InProcessTransport(lambda data: answer), AXES)
     with pytest.raises(ProtocolError):
-        driver.poll_due(0.0)
+        driver.poll_once(0.0)
+    driver.poll_due(0.0)
+    driver.update(sample := Sample(2))
+    assert (driver.malformed, sample.io_age_s) == (1, np.inf)
 
 
 # ---- over TCP -------------------------------------------------------------------------------------------

@@ -115,6 +115,12 @@ def test_a_reading_without_acceleration_fills_no_row(bench: Bench) -> None:
     assert np.all(np.isnan(bench.sample.imu))
 
 
+def test_a_message_whose_content_is_no_reading_is_counted_and_fills_no_row(bench: Bench) -> None:
+    bench.device_end.write(encode(MessageId.MTDATA2, b"\x10\x20\x09"))
+    assert not bench.driver.poll(bench.sample)
+    assert (bench.driver.malformed, bench.sample.imu_fault) == (1, "")
+
+
 @pytest.mark.parametrize(
     ("wire", "words"),
     [
@@ -122,7 +128,6 @@ def test_a_reading_without_acceleration_fills_no_row(bench: Bench) -> None:
         (encode(MessageId.ERROR, b"\x99"), "error 0x99"),
         (encode(MessageId.WAKE_UP), "started anew"),
         (encode_reading(Reading(1, 1, (0.0, 0.0, 9.81), (0.0, 0.0, 0.0), 0)), "self-test"),
-        (encode(MessageId.MTDATA2, b"\x10\x20\x09"), "beyond the message"),
     ],
 )
 def test_device_faults_stand_in_the_sample_in_words_until_the_device_is_configured_anew(bench: Bench, wire: bytes, words: str) -> None:
