@@ -26,10 +26,12 @@ def everyday_effects(along: Along) -> tuple[EffectSetting, ...]:
     )
 
 
-def known_of(along: Along, settings: tuple[EffectSetting, ...]) -> Known:
-    """Return what a set of effects says of friction."""
+def known_of(along: Along, settings: tuple[EffectSetting, ...]) -> Known | None:
+    """Return what a set of effects, and those that are known, say of friction; None where there are none."""
+    if not settings and not along.known:
+        return None
     dry = np.zeros(len(along.joints))
-    for setting in settings:
+    for setting in (*along.known, *settings):
         if effects()[setting.name].kind is FRICTION:
             dry[along.joints.index(joint_at(setting.at, along.settings))] += _at_rest(setting)
     return Known(settings, dry)

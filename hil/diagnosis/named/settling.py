@@ -33,7 +33,7 @@ def settled(alongs: Sequence[Along], levels: Levels, offset: np.ndarray, setting
     best: tuple[Tuned, Fitted] | None = None
     longest, dispersion = LONGEST, np.inf
     for _ in range(ITERATIONS):
-        tuned = tuned_at(alongs, levels, offset, known_of(alongs[0], settings) if settings else None)
+        tuned = tuned_at(alongs, levels, offset, known_of(alongs[0], settings))
         here = fit(tuned, settings, offset, longest=0.0)
         if here is None:
             break

@@ -67,11 +67,17 @@ class Along:
     Parameters
     ----------
     observed : Observed
+
+    Attributes
+    ----------
+    known : tuple of EffectSetting
+        Physics that the machine has by name, in all that is computed here.
     """
 
     def __init__(self, observed: Observed) -> None:
         self.observed = observed
         self.settings = observed.settings
+        self.known = self.settings.effects
         self.plant = compile_plant(self.settings)
         self.fine_plant = compile_plant(replace(self.settings, sample_period_s=observed.period_s / FINE))
         self._module = along_module(self.plant)
@@ -86,6 +92,10 @@ class Along:
         other = copy.copy(self)
         other.observed = observed
         return other
+
+    def model(self, values: np.ndarray | None = None, effects: Sequence[EffectSetting] = (), *, fine: bool = False) -> np.ndarray:
+        """Return the record of the plant, or of the fine one, with these numbers (None: the file's), what is known of it and effects."""
+        return (self.fine_plant if fine else self.plant).model(values, (*self.known, *effects))
 
     @property
     def measured_currents(self) -> np.ndarray:
@@ -163,7 +173,7 @@ class Along:
 
     def signals(self, motion: Motion, model: np.ndarray, effects: Sequence[EffectSetting] = (), imus: np.ndarray | None = None) -> Signals:
         """Return what the machine does along a motion; `model` is of the same effects. `imus` are their readings where they are known."""
-        observed = self.observed
+        observed, effects = self.observed, (*self.known, *effects)
         rows, n, axes = observed.rows, len(self.joints), len(self.settings.drives)
         needed, given = np.zeros((rows, n)), np.zeros((rows, n))
         self._module.efforts(model, self._work, motion.position, motion.speed, motion.acceleration, needed)

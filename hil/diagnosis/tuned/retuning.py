@@ -150,7 +150,7 @@ def look(
     one = one.about(one.motion(filtered, by_encoders=False))
     motion = one.motion(filtered)
     if known is not None:
-        model = along.plant.model(numbers.values(offset[:count]), known.effects)
+        model = along.model(numbers.values(offset[:count]), known.effects)
         with_it = column(along.signals(motion, one.model), along.signals(motion, model, known.effects))
         unsure = known.dry**2 * (1.0 - _mean_direction(motion) ** 2)
         motion = one.less(with_it.efforts, with_it.readings).motion(one.whitening(levels, unsure))
@@ -160,11 +160,12 @@ def look(
         given = along.signals(motion, model, known.effects).given
     motion = _by_encoders(along, motion) if levels.are_assumed else _as_the_equations_say(along, one, motion, given)
     signals = along.signals(motion, one.model)
+    one = one.given_along(signals)
     columns = []
     for k in range(count):
         moved = offset[:count].copy()
         moved[k] += STEP
-        columns.append(column(signals, along.signals(motion, along.plant.model(numbers.values(moved), ())), STEP))
+        columns.append(column(signals, along.signals(motion, along.model(numbers.values(moved))), STEP))
     columns += constants
     innovations = one.whitened(filtered)
     rows, channels = one.left.shape
@@ -177,7 +178,7 @@ def _of_this_inertia(levels: Levels, along: Along, one: Beside) -> Levels:
 
     Otherwise every machine would be found lighter, and its drives weaker, than it is: the same motion would need smaller disturbances.
     """
-    here, file = (along.plant.inertias(model, one.base.position[0]) for model in (one.model, along.plant.model(None, ())))
+    here, file = (along.plant.inertias(model, one.base.position[0]) for model in (one.model, along.model()))
     return replace(levels, disturbance=levels.disturbance * here / file)
 
 
