@@ -44,8 +44,8 @@ def efforts(model, work, positions, speeds, accelerations, out):
 
 
 @compiled_for_threads
-def rub(model, work, positions, speeds, deviations, out):
-    along.rub(equations, friction_of, model[0], work[0], positions, speeds, deviations, out)
+def rub(model, work, positions, speeds, deviations, efforts, out):
+    along.rub(equations, friction_of, model[0], work[0], positions, speeds, deviations, efforts, out)
 
 
 @compiled_for_threads
@@ -162,9 +162,11 @@ def mean_sign(start: float, end: float, deviation: float) -> float:
 @compiled
 def rub(
     equations: Equations, friction_of: FrictionOf, model: np.record, work: np.record, positions: np.ndarray, speeds: np.ndarray,
-    deviations: np.ndarray, out: np.ndarray,
+    deviations: np.ndarray, efforts: np.ndarray, out: np.ndarray,
 ) -> None:  # fmt: skip
     """Write the mean effort (N, n) of dry friction, against the motion, from each row to the next.
+
+    `efforts` (N, n) are those of the drives on the joints, from each row to the next.
 
     The speed goes along a straight line in between, and is known up to its standard deviation (N, n): friction has the mean that it has
     over such speeds, so that it does not jump where the direction is not known.
@@ -180,6 +182,7 @@ def rub(
             if model.friction_first[j + 1] == model.friction_first[j]:
                 continue
             work.brake[j] = 0.0
+            work.effort[j] = efforts[k, j]
             ahead = min(k + 1, rows - 1)
             work.position[j] = 0.5 * (positions[k, j] + positions[ahead, j])
             speed = 0.5 * (abs(speeds[k, j]) + abs(speeds[ahead, j]))
@@ -230,6 +233,7 @@ def free_acceleration(equations: Equations, friction_of: FrictionOf, is_carried:
             pull -= model.damping[i] * work.query_speed[i]
             if model.friction_first[i + 1] > model.friction_first[i]:
                 work.brake[i] = 0.0
+                work.effort[i] = 0.0
                 work.position[i] = work.query_position[i]
                 direction = 1.0 if work.query_speed[i] >= 0.0 else -1.0
                 pull -= direction * friction_level(i, abs(work.query_speed[i]), direction, friction_of, model, work)

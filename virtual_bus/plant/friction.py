@@ -26,7 +26,8 @@ def friction_level(j: int, speed: float, direction: float, friction_of: Friction
 
     `speed` is a magnitude. At 0 the level is the most that the joint holds against that direction.
     """
-    state = JointState(speed, direction, work.position[j], abs(work.bias[j]))
+    motor = abs(work.effort[j] - model.damping[j] * speed * direction)
+    state = JointState(speed, direction, work.position[j], abs(work.bias[j]), motor)
     total: float = work.brake[j]
     for row in range(model.friction_first[j], model.friction_first[j + 1]):
         total += friction_of(int(model.friction_rows[row, 0]), state, model.friction_rows[row])

@@ -25,6 +25,8 @@ from virtual_bus.settings import EffectSetting
 
 FINE = 2
 """Steps of the base motion in a row: with one, springs that swing at a tenth of the sample rate would give 5 % of their effort wrong."""
+CREEP = 1e-9
+"""rad/s or m/s: a speed at which friction is what it is at rest."""
 PHASE_OF_A_STEP = 0.25
 """Largest product of a Runge-Kutta step and the fastest mode's frequency: the phase error of a step is its fifth power over 120."""
 
@@ -173,22 +175,13 @@ class Along:
 
     def signals(self, motion: Motion, model: np.ndarray, effects: Sequence[EffectSetting] = (), imus: np.ndarray | None = None) -> Signals:
         """Return what the machine does along a motion; `model` is of the same effects. `imus` are their readings where they are known."""
-        observed, effects = self.observed, (*self.known, *effects)
-        rows, n, axes = observed.rows, len(self.joints), len(self.settings.drives)
-        needed, given = np.zeros((rows, n)), np.zeros((rows, n))
+        effects = (*self.known, *effects)
+        rows, axes = self.observed.rows, len(self.settings.drives)
+        needed = np.zeros_like(motion.position)
         self._module.efforts(model, self._work, motion.position, motion.speed, motion.acceleration, needed)
-        state = self.plant.new_state(motion.position[0])
-        for axis in range(axes):
-            first = self.plant.first_drive_state + axis * DRIVE_STATES
-            state[first] = state[first + 2 : first + DRIVE_STATES] = observed.targets[0, axis]
-        currents = np.zeros((rows, axes))
-        self._module.drive(
-            model, self._work, observed.targets, motion.position, motion.speed, motion.acceleration, state, currents, given
-        )  # fmt: skip
+        given, currents, state = self._driven(motion, model)
         if any(known_effects()[each.name].kind is FRICTION for each in effects):
-            rubbed = np.zeros((rows, n))
-            self._module.rub(model, self._work, motion.position, motion.speed, motion.speed_deviation, rubbed)
-            given -= rubbed
+            given = given - self._rubbed(motion, model, given, motion.speed, motion.speed_deviation)
         if imus is None:
             imus = np.zeros((rows, len(imu_channel_names(self.settings))))
             if imus.shape[1]:
@@ -206,6 +199,29 @@ class Along:
             new_memory(self.settings), new_readings(self.settings), out,
         )  # fmt: skip
         return Signals(needed, given, np.nan_to_num(out[:, 2 * axes : 3 * axes]), out[:, self._columns])
+
+    def friction_at_rest(self, motion: Motion, model: np.ndarray) -> np.ndarray:
+        """Return the efforts (N, n) that friction holds joints with that stand still in these poses, under the drives' efforts."""
+        given, _, _ = self._driven(motion, model)
+        creeping = np.full_like(motion.speed, CREEP)
+        return self._rubbed(motion, model, given, creeping, 0.0 * creeping)
+
+    def _driven(self, motion: Motion, model: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the drives' mean efforts on the joints (N, n), currents (N, axes), and the plant's state with what drives remember."""
+        targets = self.observed.targets
+        state = self.plant.new_state(motion.position[0])
+        for axis in range(targets.shape[1]):
+            first = self.plant.first_drive_state + axis * DRIVE_STATES
+            state[first] = state[first + 2 : first + DRIVE_STATES] = targets[0, axis]
+        given, currents = np.zeros_like(motion.position), np.zeros_like(targets)
+        self._module.drive(model, self._work, targets, motion.position, motion.speed, motion.acceleration, state, currents, given)
+        return given, currents, state
+
+    def _rubbed(self, motion: Motion, model: np.ndarray, given: np.ndarray, speed: np.ndarray, deviation: np.ndarray) -> np.ndarray:
+        """Return the efforts of friction (N, n) against these speeds."""
+        rubbed = np.zeros_like(given)
+        self._module.rub(model, self._work, motion.position, speed, deviation, given, rubbed)
+        return rubbed
 
     def _plain_readings(self, motion: Motion) -> np.ndarray:
         """Return what encoders and speed sensors (N, m) without errors read."""
