@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.diagnosis.candidates.entries import Entry
-from hil.diagnosis.named.everyday import known_of
 from hil.diagnosis.named.fitting import Fitted, fit
 from hil.diagnosis.named.naming import Named
 from hil.diagnosis.named.proving import left_out, neighbours
@@ -83,8 +82,7 @@ def gained_by(named: Named) -> float:
 
 def numbers_help(named: Named) -> bool:
     """Return whether other numbers in the machine file, and no effect, explain what the file's do not."""
-    alongs = named.seen.alongs
-    nominal = tuned_at(alongs, named.view, nominal_offset(alongs), known_of(alongs[0], ()))
+    nominal = tuned_at(named.seen.alongs, named.view, nominal_offset(named.seen.alongs))
     before = sum(float(one.innovations @ one.innovations) for one in nominal.looked)
     moved = int(np.sum(np.abs(named.best.offset[: len(nominal.numbers.indices)]) > MOVED))
     gained = (before - named.best.squares) / named.best.dispersion - float(named.best.offset @ named.best.offset)

@@ -103,28 +103,12 @@ def bounds_of(numbers: Numbers, offset: np.ndarray) -> tuple[np.ndarray, np.ndar
     return np.append(numbers.low, -free) - offset, np.append(numbers.high, free) - offset
 
 
-@dataclass(frozen=True, eq=False)
-class Known:
-    """What is known of a machine's friction before the rest is sought.
-
-    Attributes
-    ----------
-    effects : tuple of EffectSetting
-        By which the motion is read off the sensors.
-    dry : (n,) array
-        Level of dry friction on every joint [Nm or N]: how far the effort on a joint is unknown while nothing says which way it moves.
-    """
-
-    effects: tuple[EffectSetting, ...]
-    dry: np.ndarray
-
-
-def tuned_at(alongs: Sequence[Along], levels: Levels, offset: np.ndarray, known: Known | None = None) -> Tuned:
-    """Return the machine with these nuisances, seen with what is known of its friction."""
+def tuned_at(alongs: Sequence[Along], levels: Levels, offset: np.ndarray, effects: Sequence[EffectSetting] = ()) -> Tuned:
+    """Return the machine with these nuisances, its motion read off the sensors with these effects."""
     numbers, biases = numbers_of(alongs[0].plant), biases_of(alongs)
     if levels.are_assumed:
         numbers = numbers.holding("constant")  # weaker drives and lighter machines would make all that is left smaller
-    looked = tuple(look(along, numbers, [bias.of(k) for bias in biases], offset, levels, known) for k, along in enumerate(alongs))
+    looked = tuple(look(along, numbers, [bias.of(k) for bias in biases], offset, levels, effects) for k, along in enumerate(alongs))
     return Tuned(numbers, offset, looked, sum(one.whitening.readings for one in looked), levels)
 
 
@@ -134,9 +118,12 @@ def nominal_offset(alongs: Sequence[Along]) -> np.ndarray:
 
 
 def look(
-    along: Along, numbers: Numbers, biases: Sequence[Bias | None], offset: np.ndarray, levels: Levels, known: Known | None = None
+    along: Along, numbers: Numbers, biases: Sequence[Bias | None], offset: np.ndarray, levels: Levels, effects: Sequence[EffectSetting] = ()
 ) -> Looked:
-    """Put a recording beside the equations with these nuisances, and find their columns."""
+    """Put a recording beside the equations with these nuisances, and find their columns.
+
+    Where dry friction acts, the effort on a joint is unknown up to its level at rest while nothing says which way the joint moves.
+    """
     count = len(numbers.indices)
     one = beside(along, numbers.values(offset[:count]))
     levels = _of_this_inertia(levels, along, one)
@@ -149,15 +136,13 @@ def look(
     filtered = one.whitening(levels)
     one = one.about(one.motion(filtered, by_encoders=False))
     motion = one.motion(filtered)
-    if known is not None:
-        model = along.model(numbers.values(offset[:count]), known.effects)
-        with_it = column(along.signals(motion, one.model), along.signals(motion, model, known.effects))
-        unsure = known.dry**2 * (1.0 - _mean_direction(motion) ** 2)
-        motion = one.less(with_it.efforts, with_it.readings).motion(one.whitening(levels, unsure))
-        filtered = one.whitening(levels, known.dry**2 * (1.0 - _mean_direction(motion) ** 2))
-    given = along.signals(motion, one.model).given
-    if known is not None:
-        given = along.signals(motion, model, known.effects).given
+    model = along.model(numbers.values(offset[:count]), effects)
+    if effects or along.known:
+        with_it = column(along.signals(motion, one.model), along.signals(motion, model, effects))
+        dry = along.friction_at_rest(motion, model)
+        motion = one.less(with_it.efforts, with_it.readings).motion(one.whitening(levels, _unknown(motion, dry)))
+        filtered = one.whitening(levels, _unknown(motion, dry))
+    given = along.signals(motion, model, effects).given
     motion = _by_encoders(along, motion) if levels.are_assumed else _as_the_equations_say(along, one, motion, given)
     signals = along.signals(motion, one.model)
     one = one.given_along(signals)
@@ -206,10 +191,11 @@ def _by_encoders(along: Along, motion: Motion) -> Motion:
     return replace(motion, acceleration=acceleration)
 
 
-def _mean_direction(motion: Motion) -> np.ndarray:
-    """Return the mean sign (N, n) of speeds that are known up to their deviations."""
-    mean: np.ndarray = scipy.special.erf(motion.speed / (np.sqrt(2.0) * np.maximum(motion.speed_deviation, 1e-12)))
-    return mean
+def _unknown(motion: Motion, dry: np.ndarray) -> np.ndarray:
+    """Return the variances (N, n) of friction of these levels against speeds that are known up to their deviations."""
+    mean_sign = scipy.special.erf(motion.speed / (np.sqrt(2.0) * np.maximum(motion.speed_deviation, 1e-12)))
+    variances: np.ndarray = dry**2 * (1.0 - mean_sign**2)
+    return variances
 
 
 @dataclass(frozen=True)

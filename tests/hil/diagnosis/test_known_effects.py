@@ -11,7 +11,7 @@ from carriage import MACHINE, repeats
 from command_line import Isocenter
 
 from hil.diagnosis.diagnose import diagnose
-from hil.diagnosis.named.everyday import everyday_effects, known_of
+from hil.diagnosis.named.everyday import everyday_effects
 from hil.diagnosis.named.fitting import fit
 from hil.diagnosis.named.search import library
 from hil.diagnosis.seen.beside import Levels
@@ -87,7 +87,7 @@ def test_by_free_runs_what_is_known_is_no_finding() -> None:
 
 def looked(seen: Seen, levels: Levels, settings: tuple[EffectSetting, ...]) -> np.ndarray:
     offset = nominal_offset(seen.alongs)
-    tuned = tuned_at(seen.alongs, levels, offset, known_of(seen.alongs[0], settings))
+    tuned = tuned_at(seen.alongs, levels, offset, settings)
     fitted = fit(tuned, settings, offset, longest=0.0)
     assert fitted is not None
     return np.concatenate(fitted.innovations)
@@ -98,7 +98,7 @@ def test_along_the_motion_what_is_known_explains_what_it_would_explain_if_found(
     plain, knowing = see(MACHINE, recordings), see(MACHINE.with_effects((FRICTION,)), recordings)
     without = looked(plain, plain.levels, ())
     known = looked(knowing, plain.levels, ())
-    tuned = tuned_at(plain.alongs, plain.levels, nominal_offset(plain.alongs), known_of(plain.alongs[0], (FRICTION,)))
+    tuned = tuned_at(plain.alongs, plain.levels, nominal_offset(plain.alongs), (FRICTION,))
     (one,) = tuned.looked
     along = plain.alongs[0]
     signals = along.signals(one.motion, along.model(tuned.values, (FRICTION,)), (FRICTION,))
@@ -110,7 +110,7 @@ def test_along_the_motion_what_is_known_explains_what_it_would_explain_if_found(
 def test_no_law_is_sought_where_it_is_known() -> None:
     knowing = see(MACHINE.with_effects((FRICTION,)), repeats(1, **TRUTH))
     assert {one.name for one in everyday_effects(knowing.alongs[0])} == {"constant_load", "viscous_friction"}
-    tuned = tuned_at(knowing.alongs, knowing.levels, nominal_offset(knowing.alongs), known_of(knowing.alongs[0], ()))
+    tuned = tuned_at(knowing.alongs, knowing.levels, nominal_offset(knowing.alongs))
     laws = {law.effect.name for law in library(tuned).laws}
     assert "coulomb_friction" not in laws
     assert {"asymmetric_friction", "constant_load"} <= laws
