@@ -147,7 +147,7 @@ def friction_along(
     friction = np.zeros_like(needed)
     for _ in range(PASSES):
         given, friction = needed + friction, np.zeros_like(needed)
-        module.rub(model, work, position, speed, np.full_like(speed, deviation), given, friction)
+        module.rub(model, work, position, speed, np.full_like(speed, deviation), given, friction, np.zeros_like(needed))
     return friction
 
 

@@ -48,6 +48,7 @@ EXAMPLES = {
         EffectSetting("quadratic_friction", "roll", {"Fv2": 300.0}),
         EffectSetting("rectified_sensor", "gyro_y", {"share": 1.0, "sign": 1.0}),
         EffectSetting("sample_dropout", "link_position_roll", {"p": 0.2, "length": 3.0, "seed": 7.0}),
+        EffectSetting("shared_motor_friction", "propeller", {"Fc": 8.0, "Fv": 30.0, "c": 0.7}),
         EffectSetting("stribeck_friction", "roll", {"Fs_minus_Fc": 4.0, "vs": 0.02, "delta": 1.5}),
         EffectSetting("structural_mode", "roll", {"J": 6.0, "f": 17.0, "zeta": 0.02}),
         EffectSetting("temperature_dependent_friction", "roll", {"Fv0": 60.0, "a": 0.05, "R": 20.0, "tau": 3.0}),

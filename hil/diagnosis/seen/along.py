@@ -12,7 +12,7 @@ import scipy.integrate
 from hil.diagnosis.observed.rows import Observed
 from hil.diagnosis.seen.smoothing import Smoothed, smoothed
 from hil.errors import BadAnswerError
-from virtual_bus.effects.effect import FRICTION
+from virtual_bus.effects.effect import FRICTION, SHARED_FRICTION
 from virtual_bus.effects.places import imu_channel_names
 from virtual_bus.effects.registry import effects as known_effects
 from virtual_bus.plant.along import along_module
@@ -25,8 +25,6 @@ from virtual_bus.settings import EffectSetting
 
 FINE = 2
 """Steps of the base motion in a row: with one, springs that swing at a tenth of the sample rate would give 5 % of their effort wrong."""
-CREEP = 1e-9
-"""rad/s or m/s: a speed at which friction is what it is at rest."""
 PHASE_OF_A_STEP = 0.25
 """Largest product of a Runge-Kutta step and the fastest mode's frequency: the phase error of a step is its fifth power over 120."""
 
@@ -180,8 +178,8 @@ class Along:
         needed = np.zeros_like(motion.position)
         self._module.efforts(model, self._work, motion.position, motion.speed, motion.acceleration, needed)
         given, currents, state = self._driven(motion, model)
-        if any(known_effects()[each.name].kind is FRICTION for each in effects):
-            given = given - self._rubbed(motion, model, given, motion.speed, motion.speed_deviation)
+        if any(known_effects()[each.name].kind in (FRICTION, SHARED_FRICTION) for each in effects):
+            given = given - self._rubbed(motion, model, given)[0]
         if imus is None:
             imus = np.zeros((rows, len(imu_channel_names(self.settings))))
             if imus.shape[1]:
@@ -200,11 +198,9 @@ class Along:
         )  # fmt: skip
         return Signals(needed, given, np.nan_to_num(out[:, 2 * axes : 3 * axes]), out[:, self._columns])
 
-    def friction_at_rest(self, motion: Motion, model: np.ndarray) -> np.ndarray:
-        """Return the efforts (N, n) that friction holds joints with that stand still in these poses, under the drives' efforts."""
-        given, _, _ = self._driven(motion, model)
-        creeping = np.full_like(motion.speed, CREEP)
-        return self._rubbed(motion, model, given, creeping, 0.0 * creeping)
+    def unknown_friction(self, motion: Motion, model: np.ndarray) -> np.ndarray:
+        """Return the variances (N, n) of the efforts of friction, which are unknown where nothing says which way a joint moves."""
+        return self._rubbed(motion, model, self._driven(motion, model)[0])[1]
 
     def _driven(self, motion: Motion, model: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the drives' mean efforts on the joints (N, n), currents (N, axes), and the plant's state with what drives remember."""
@@ -217,11 +213,11 @@ class Along:
         self._module.drive(model, self._work, targets, motion.position, motion.speed, motion.acceleration, state, currents, given)
         return given, currents, state
 
-    def _rubbed(self, motion: Motion, model: np.ndarray, given: np.ndarray, speed: np.ndarray, deviation: np.ndarray) -> np.ndarray:
-        """Return the efforts of friction (N, n) against these speeds."""
-        rubbed = np.zeros_like(given)
-        self._module.rub(model, self._work, motion.position, speed, deviation, given, rubbed)
-        return rubbed
+    def _rubbed(self, motion: Motion, model: np.ndarray, given: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the mean efforts of friction (N, n), against the motion, and their variances."""
+        mean, variances = np.zeros_like(given), np.zeros_like(given)
+        self._module.rub(model, self._work, motion.position, motion.speed, motion.speed_deviation, given, mean, variances)
+        return mean, variances
 
     def _plain_readings(self, motion: Motion) -> np.ndarray:
         """Return what encoders and speed sensors (N, m) without errors read."""

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.special
 
 from hil.diagnosis.candidates.columns import Column, Filtered, column
 from hil.diagnosis.seen.along import Along, Motion, Signals
@@ -122,7 +121,7 @@ def look(
 ) -> Looked:
     """Put a recording beside the equations with these nuisances, and find their columns.
 
-    Where dry friction acts, the effort on a joint is unknown up to its level at rest while nothing says which way the joint moves.
+    Where friction acts, the effort on a joint is unknown up to its level while nothing says which way the joint moves.
     """
     count = len(numbers.indices)
     one = beside(along, numbers.values(offset[:count]))
@@ -139,9 +138,9 @@ def look(
     model = along.model(numbers.values(offset[:count]), effects)
     if effects or along.known:
         with_it = column(along.signals(motion, one.model), along.signals(motion, model, effects))
-        dry = along.friction_at_rest(motion, model)
-        motion = one.less(with_it.efforts, with_it.readings).motion(one.whitening(levels, _unknown(motion, dry)))
-        filtered = one.whitening(levels, _unknown(motion, dry))
+        unsure = along.unknown_friction(motion, model)
+        motion = one.less(with_it.efforts, with_it.readings).motion(one.whitening(levels, unsure))
+        filtered = one.whitening(levels, along.unknown_friction(motion, model))
     given = along.signals(motion, model, effects).given
     motion = _by_encoders(along, motion) if levels.are_assumed else _as_the_equations_say(along, one, motion, given)
     signals = along.signals(motion, one.model)
@@ -189,13 +188,6 @@ def _by_encoders(along: Along, motion: Motion) -> Motion:
     for joint, one in along.smooth.items():
         acceleration[:, joint] = one.slow[:, 2]
     return replace(motion, acceleration=acceleration)
-
-
-def _unknown(motion: Motion, dry: np.ndarray) -> np.ndarray:
-    """Return the variances (N, n) of friction of these levels against speeds that are known up to their deviations."""
-    mean_sign = scipy.special.erf(motion.speed / (np.sqrt(2.0) * np.maximum(motion.speed_deviation, 1e-12)))
-    variances: np.ndarray = dry**2 * (1.0 - mean_sign**2)
-    return variances
 
 
 @dataclass(frozen=True)
