@@ -19,11 +19,18 @@ from hil.machine.load import machine_from_text
 from hil.recording import Channel, Recording, recording_metadata
 from hil.simulation import Inputs, Outputs, Simulator
 from hil.simulation.several import Prepared
+from virtual_bus.plant.along import along_module
+from virtual_bus.plant.compiled import CompiledPlant
 from virtual_bus.settings import EffectSetting
 
-__all__ = ["DATA", "OpenLoop", "RealSet", "free_run", "machine_of", "mean_efforts", "nrmse", "on_rows", "recording_of", "without_delay"]
+__all__ = [
+    "DATA", "OpenLoop", "RealSet", "free_run", "friction_along", "machine_of", "mean_efforts",
+    "nrmse", "on_rows", "recording_of", "without_delay",
+]  # fmt: skip
 
 HERE = Path(__file__).resolve().parent
+PASSES = 8
+"""In which friction that is a third of the drives' efforts is found to a ten-thousandth."""
 
 
 def machine_of(file: str, **changes: str) -> Machine:
@@ -127,6 +134,21 @@ def free_run(
     begins = pose - 0.5 * period_s**2 * missed
     inputs = Inputs(None, none, none, command, begins, start_speed=speed + period_s * missed)
     return simulator.run(inputs, values, effects).position
+
+
+def friction_along(
+    plant: CompiledPlant, model: np.ndarray, position: np.ndarray, speed: np.ndarray, deviation: float, needed: np.ndarray
+) -> np.ndarray:
+    """Return the friction (rows, joints) of a motion whose drives give `needed` and overcome it.
+
+    It may depend on what the drives give, so it is found in passes; `deviation` [rad/s or m/s] is that of the speed.
+    """
+    module, work = along_module(plant), plant.new_work()
+    friction = np.zeros_like(needed)
+    for _ in range(PASSES):
+        given, friction = needed + friction, np.zeros_like(needed)
+        module.rub(model, work, position, speed, np.full_like(speed, deviation), given, friction, np.zeros_like(needed))
+    return friction
 
 
 class OpenLoop(Simulator):

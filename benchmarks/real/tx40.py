@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-from real.common import DATA, RealSet, machine_of, nrmse, recording_of
+from real.common import DATA, RealSet, friction_along, machine_of, nrmse, recording_of
 from scipy.signal import butter, sosfiltfilt
 
 from hil.machine import Machine
@@ -95,9 +95,9 @@ def inverse_dynamics(machine: Machine, values: np.ndarray | None, effects: Seque
     module, work = along_module(plant), plant.new_work()
     model = plant.model(values, (*machine.plant.effects, *effects))
     position, speed, acceleration = motion()
-    needed, friction = np.zeros_like(position), np.zeros_like(position)
+    needed = np.zeros_like(position)
     module.efforts(model, work, position, speed, acceleration, needed)
-    module.rub(model, work, position, speed, np.full_like(speed, SLIP_SPEED_rad_s), friction)
+    friction = friction_along(plant, model, position, speed, SLIP_SPEED_rad_s, needed)
     total: np.ndarray = (needed + friction)[:, plant.driven_joints] / model["effort_gain"][0]
     return total
 

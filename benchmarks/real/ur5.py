@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from real.common import DATA, RealSet, free_run, machine_of, mean_efforts, nrmse, on_rows, recording_of, without_delay
+from real.common import DATA, RealSet, free_run, friction_along, machine_of, mean_efforts, nrmse, on_rows, recording_of, without_delay
 from scipy.signal import savgol_filter
 
 from hil.machine import Machine
@@ -109,9 +109,9 @@ def _asked(simulator: Simulator, record: Record, values: np.ndarray | None, effe
     speed = savgol_filter(record.even_speed, SMOOTH_ROWS, 3)
     acceleration = savgol_filter(record.even_speed, SMOOTH_ROWS, 3, deriv=1, delta=1.0 / RATE_Hz)
     motion = [np.ascontiguousarray(each[:, None]) for each in (record.even_position, speed, acceleration)]
-    needed, rubbed = np.zeros_like(motion[0]), np.zeros_like(motion[0])
+    needed = np.zeros_like(motion[0])
     module.efforts(model, plant.new_work(), *motion, needed)
-    module.rub(model, plant.new_work(), motion[0], motion[1], np.full_like(motion[0], SLIP_SPEED_rad_s), rubbed)
+    rubbed = friction_along(plant, model, motion[0], motion[1], SLIP_SPEED_rad_s, needed)
     currents: np.ndarray = (needed + rubbed)[:, 0] / plant.drive_gains(model, motion[0][0])[0]
     return currents
 

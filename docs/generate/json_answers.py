@@ -21,7 +21,7 @@ DIAGNOSIS_TEXT = """
 `isocenter diagnose ... -o DIR` writes `DIR/diagnosis.json`, and the same with `--json`. A *span* is `[low, high]`. An
 *effect* is `{"effect": NAME, "at": PLACE}`, named as on the page of [effects](effects.md) and in the machine file.
 *Stages* are an object of the five keys below. What the numbers mean is in [Diagnosis](../explanation/diagnosis.md).
-Beside it DIR holds `report.html`, `effects.toml` (what was found), `machine.toml` (the re-tuned machine file, which
+Beside it DIR holds `report.html`, `effects.toml` (what was known and found), `machine.toml` (the re-tuned machine file, which
 belongs to `effects.toml`) and, where one was found, `next_experiment.toml` for `isocenter run file`.
 """
 

@@ -291,6 +291,7 @@ DIAGNOSIS = (
     Entry("audit.sensors", "list", "Two encoders of an axis: `first`, `second`, `gain`, `delay_s`, `gap` (play), `offset`, `status`."),
     Entry("detection_limits", "list", "The least that would have shown: `effect`, `at`, `parameter`, `strength` (or null), `unit`."),
     Entry("baseline", "list", "The engineer's fit: friction and load of every driven joint, each with `parameters`."),
+    Entry("known", "list", "Effects given with `--known`: `effect`, `at` and `parameters`, each `value` and `unit`."),
     Entry("provisional", "true or false", "Whether this is a first answer, which the last word replaces."),
     Entry("unexplained_share", "0 to 1", "Of what re-tuning leaves above noise in training, what the extended simulation leaves."),
     Entry("seconds", "s", "Time of the diagnosis, without writing files."),

@@ -47,6 +47,10 @@ def diagnose(
     held_out: Annotated[
         list[Path] | None, typer.Option("--held-out", metavar="REC...", help="Recordings to judge by; nothing is fitted to them.")
     ] = None,
+    known: Annotated[
+        Path | None,
+        typer.Option("--known", metavar="FILE", help="Effects file (TOML) of physics that the machine has: simulated, and not sought."),
+    ] = None,
     jobs: Annotated[
         int | None,
         typer.Option("--jobs", "-j", metavar="N", min=1, help="Threads; one per processor unless given, 4 at most. Same answer."),
@@ -68,7 +72,7 @@ def diagnose(
         raise UnusableInputError(f"--stop-after {stop_after}: is no step; {' or '.join(STEPS)} would be right")
     keep_memory()
     answer = Answer(json_to)
-    machine = load(machine_name)
+    machine = load(machine_name, known)
     folder_can_be_written(out)
     _check_apart(recordings, held_out or [])
     train = _read(recordings, machine)
@@ -209,6 +213,8 @@ def _say(answer: Answer, outcome: Outcome | Answered, out: Path) -> None:
 
     diagnosis = outcome.diagnosis
     answer.say(f"{diagnosis.verdict}: {diagnosis.reason}")
+    if diagnosis.known:
+        answer.say(f"  known: {', '.join(str(one.effect) for one in diagnosis.known)}")
     for suspicion in diagnosis.suspicions:
         answer.say(f"  {suspicion}")
     for finding in diagnosis.findings:

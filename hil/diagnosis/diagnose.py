@@ -25,6 +25,7 @@ from hil.diagnosis.judging.errors_of_laws import erring
 from hil.diagnosis.judging.held_out import HeldOut
 from hil.diagnosis.locating.disturbance import disturbance_shares
 from hil.diagnosis.locating.location import locate, locate_outcome
+from hil.diagnosis.observed.known import known_effects
 from hil.diagnosis.ranking.both_motions import with_both_motions
 from hil.diagnosis.ranking.naming import (
     CAP_UNCONFIRMED,
@@ -270,6 +271,7 @@ def diagnose(
             seconds=time.monotonic() - began,
             disturbance=disturbed,
             suspicions=suspicions(train, train.with_simulated(stages[TRAIN]["extended"]) if verdict in SAYS_WHAT_IT_IS else None),
+            known=known_effects(machine.plant),
             separations=() if proposal is None else predicted(proposal, [h.fitted for h in rivals_of(hypotheses)]),
         )
     found = (*effects, *(what.setting(channel) for channel, what in train.read_off))

@@ -234,6 +234,18 @@ class DetectionLimit:
 
 
 @dataclass(frozen=True)
+class KnownEffect:
+    """An effect that was given: every simulation has it, with these numbers, and it was not sought at its place."""
+
+    effect: EffectAt
+    parameters: Mapping[str, tuple[float, str]]  # value and unit
+
+    def document(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {**self.effect.document(), "parameters": {name: {"value": v, "unit": unit} for name, (v, unit) in self.parameters.items()}}
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """The whole answer."""
 
@@ -255,6 +267,7 @@ class Diagnosis:
     detection_limits: tuple[DetectionLimit, ...] = ()
     baseline: tuple[Finding, ...] = ()  # the engineer's fit: everyday effects at every driven joint
     provisional: bool = False
+    known: tuple[KnownEffect, ...] = ()
 
     def document(self) -> dict[str, Any]:
         """Return the whole answer as plain values, laid out in docs/generated/json.md."""
@@ -278,6 +291,7 @@ class Diagnosis:
                 for one in self.baseline
             ],
             "provisional": self.provisional,
+            "known": [one.document() for one in self.known],
             "unexplained_share": self.unexplained_share,
             "seconds": self.seconds,
         }

@@ -147,11 +147,12 @@ def stacked_effects(effects: Sequence[SensorEffects]) -> SensorEffects:
 def _acting(models: np.ndarray, affected: np.ndarray) -> Acting:
     rubs = np.diff(models["friction_first"]) > 0
     reacts = models["reaction_count"] > 0
+    shares = models["shared_count"] > 0
     joints = np.any(rubs | (models["reacts"] > 0), axis=0)
     return Acting(
         np.flatnonzero((models["effort_count"] > 0) | (models["pair_count"] > 0)),
         np.flatnonzero(reacts),
-        np.flatnonzero(rubs.any(axis=1) | reacts),
+        np.flatnonzero(rubs.any(axis=1) | reacts | shares),
         np.flatnonzero(models["has_drive_effects"]),
         affected,
         np.asarray(joints, dtype=np.int64),

@@ -145,6 +145,8 @@ class Simulator:
         return BadAnswerError(f"{self.machine.name}: the simulation diverged {at}; check the controller with `isocenter machine check`")
 
     def _prepared(self, inputs: Inputs, values: np.ndarray | None, effects: Sequence[EffectSetting] | None) -> Prepared:
+        settings = self.machine.plant
+        effects = settings.effects if effects is None else effects
         model = self.plant.model(values, effects)
         state = resting_state(self.plant, model, inputs.standing_pose, held_by_brakes=False)
         holding = held_effort(self.plant, state)
@@ -155,8 +157,7 @@ class Simulator:
         else:
             loop = self._open_loop
             holding = holding if inputs.first_effort is None else inputs.first_effort
-        settings = self.machine.plant
-        sensors = with_effects(self._own_sensors, settings, settings.effects if effects is None else effects)
+        sensors = with_effects(self._own_sensors, settings, effects)
         return Prepared(model, state, holding.copy(), loop, sensors)
 
     @cached_property
@@ -186,7 +187,7 @@ class Simulator:
         return Loop(np.zeros((0, 6)), np.zeros((0, 2)), np.zeros((axes, 3), dtype=np.int64), limit, np.zeros((axes, 2)))
 
     def _started(
-        self, inputs: Inputs, holding: np.ndarray, values: np.ndarray | None, effects: Sequence[EffectSetting] | None
+        self, inputs: Inputs, holding: np.ndarray, values: np.ndarray | None, effects: Sequence[EffectSetting]
     ) -> tuple[Loop, np.ndarray]:
         """Return the loop and the targets that the drives hold at row 0.
 

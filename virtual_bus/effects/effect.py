@@ -38,6 +38,11 @@ FRICTION = EffectKind(
     "friction", "level", ("axis",),
     "level(state: JointState, *parameters) -> effort [Nm or N], not negative, that opposes the joint's motion; at rest, the most it holds",
 )  # fmt: skip
+SHARED_FRICTION = EffectKind(
+    "shared friction", "level", ("axis",),
+    "level(state: JointState, *parameters), as of friction, against a motor that turns with the next axis and, by share(*parameters), this",
+    "neighbour",
+)  # fmt: skip
 EFFORT = EffectKind("effort", "effort", ("axis", "body"), "effort(motion: JointMotion, *parameters) -> effort [Nm or N] on the joint")
 ELASTIC = EffectKind(
     "elastic", "effort", ("axis", "body"),

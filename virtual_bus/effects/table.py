@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from virtual_bus.effects.effect import COUPLING, MAX_PARAMETERS, TRANSMISSION
+from virtual_bus.effects.effect import COUPLING, FRICTION, MAX_PARAMETERS, SHARED_FRICTION, TRANSMISSION
 from virtual_bus.effects.places import joint_at, next_axis, spring_at
 from virtual_bus.effects.registry import effect_number, effects, module_of
 from virtual_bus.errors import EffectError
@@ -15,6 +15,7 @@ from virtual_bus.settings import EffectSetting, PlantSettings
 MAX_FRICTIONS = 32  # effects of one kind of one machine: a compiled plant's tables have a fixed size
 MAX_EFFORTS = 32
 MAX_PAIRS = 8
+MAX_SHARED = 8
 MAX_REACTIONS = 8
 HELD_SAMPLES = 16  # targets that a delayed drive remembers
 ROW = 1 + MAX_PARAMETERS  # effect number, then its parameters
@@ -65,13 +66,26 @@ def fill_friction(record: np.record, chosen: Sequence[EffectSetting], settings: 
     Those of joint j are friction_first[j] to friction_first[j + 1].
     """
     number = settings.tree.joint_index
-    frictions = with_hook(chosen, "level", MAX_FRICTIONS)
+    frictions = with_hook([setting for setting in chosen if effects()[setting.name].kind is FRICTION], "level", MAX_FRICTIONS)
     frictions.sort(key=lambda setting: number(joint_at(setting.at, settings)))
     counts = np.zeros(len(settings.tree.joints), dtype=np.int64)
     for k, setting in enumerate(frictions):
         record["friction_rows"][k] = effect_row(setting)
         counts[number(joint_at(setting.at, settings))] += 1
     record["friction_first"] = np.concatenate(([0], np.cumsum(counts)))
+
+
+def fill_shared(record: np.record, chosen: Sequence[EffectSetting], settings: PlantSettings) -> None:
+    """Put friction of motors that turn with two axes into a plant's record: the next axis's joint, then the own one and its share."""
+    shared = with_hook([setting for setting in chosen if effects()[setting.name].kind is SHARED_FRICTION], "level", MAX_SHARED)
+    record["shared_count"] = len(shared)
+    for k, setting in enumerate(shared):
+        row = effect_row(setting)
+        joints = [settings.tree.joint_index(joint_at(at, settings)) for at in (next_axis(setting.at, settings), setting.at)]
+        record["shared_rows"][k] = row
+        record["shared_joints"][k] = joints
+        record["share"][k] = module_of(setting.name).share(*setting.parameters.values())
+        record["reacts"][joints] = 1
 
 
 def fill_terms(record: np.record, chosen: Sequence[EffectSetting], ratio_of_axis: dict[str, float], settings: PlantSettings) -> None:

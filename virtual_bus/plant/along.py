@@ -16,7 +16,7 @@ from virtual_bus.effects.dispatch import compiled_effects
 from virtual_bus.effects.motion import FrictionOf, LimitedBy, ReactionOf, ReactionState, RippleOf
 from virtual_bus.plant.compiled import DEPENDENCIES, CompiledPlant
 from virtual_bus.plant.drives import drive_currents, drive_joints, remember_targets
-from virtual_bus.plant.friction import friction_level
+from virtual_bus.plant.friction import friction_level, shared_level, shared_speed
 from virtual_bus.plant.integrator import second_order
 from virtual_bus.plant.jit import compiled
 from virtual_bus.plant.linear import invert
@@ -44,8 +44,8 @@ def efforts(model, work, positions, speeds, accelerations, out):
 
 
 @compiled_for_threads
-def rub(model, work, positions, speeds, deviations, out):
-    along.rub(equations, friction_of, model[0], work[0], positions, speeds, deviations, out)
+def rub(model, work, positions, speeds, deviations, efforts, out, variances):
+    along.rub(equations, friction_of, model[0], work[0], positions, speeds, deviations, efforts, out, variances)
 
 
 @compiled_for_threads
@@ -162,12 +162,14 @@ def mean_sign(start: float, end: float, deviation: float) -> float:
 @compiled
 def rub(
     equations: Equations, friction_of: FrictionOf, model: np.record, work: np.record, positions: np.ndarray, speeds: np.ndarray,
-    deviations: np.ndarray, out: np.ndarray,
+    deviations: np.ndarray, efforts: np.ndarray, out: np.ndarray, variances: np.ndarray,
 ) -> None:  # fmt: skip
-    """Write the mean effort (N, n) of dry friction, against the motion, from each row to the next.
+    """Write the mean effort (N, n) of dry friction, against the motion, from each row to the next, and its variance (N, n).
+
+    `efforts` (N, n) are those of the drives on the joints, from each row to the next.
 
     The speed goes along a straight line in between, and is known up to its standard deviation (N, n): friction has the mean that it has
-    over such speeds, so that it does not jump where the direction is not known.
+    over such speeds, so that it does not jump where the direction is not known. There it may be anything up to its level.
     """
     rows, joints = positions.shape
     period = model.step_s * model.steps
@@ -177,15 +179,33 @@ def rub(
         equations(model, work)
         for j in range(joints):
             out[k, j] = 0.0
-            if model.friction_first[j + 1] == model.friction_first[j]:
-                continue
+            variances[k, j] = 0.0
             work.brake[j] = 0.0
+            work.effort[j] = efforts[k, j]
             ahead = min(k + 1, rows - 1)
             work.position[j] = 0.5 * (positions[k, j] + positions[ahead, j])
+            if model.friction_first[j + 1] == model.friction_first[j]:
+                continue
             speed = 0.5 * (abs(speeds[k, j]) + abs(speeds[ahead, j]))
             forward = 0.5 * (1.0 + mean_sign(speeds[k, j], speeds[ahead, j], max(deviations[k, j], 1e-12)))
-            out[k, j] = forward * friction_level(j, speed, 1.0, friction_of, model, work)
-            out[k, j] -= (1.0 - forward) * friction_level(j, speed, -1.0, friction_of, model, work)
+            up = friction_level(j, speed, 1.0, friction_of, model, work)
+            down = friction_level(j, speed, -1.0, friction_of, model, work)
+            out[k, j] = forward * up - (1.0 - forward) * down
+            variances[k, j] = forward * (1.0 - forward) * (up + down) ** 2
+        for row in range(model.shared_count):
+            i, j, share = model.shared_joints[row, 0], model.shared_joints[row, 1], model.share[row]
+            ahead = min(k + 1, rows - 1)
+            begin, end = shared_speed(row, speeds[k], model), shared_speed(row, speeds[ahead], model)
+            deviation = math.hypot(deviations[k, i], share * deviations[k, j])
+            forward = 0.5 * (1.0 + mean_sign(begin, end, max(deviation, 1e-12)))
+            speed = 0.5 * (abs(begin) + abs(end))
+            up = shared_level(row, speed, 1.0, friction_of, model, work)
+            down = shared_level(row, speed, -1.0, friction_of, model, work)
+            effort, variance = forward * up - (1.0 - forward) * down, forward * (1.0 - forward) * (up + down) ** 2
+            out[k, i] += effort
+            out[k, j] += share * effort
+            variances[k, i] += variance
+            variances[k, j] += share * share * variance
 
 
 @compiled
@@ -230,6 +250,7 @@ def free_acceleration(equations: Equations, friction_of: FrictionOf, is_carried:
             pull -= model.damping[i] * work.query_speed[i]
             if model.friction_first[i + 1] > model.friction_first[i]:
                 work.brake[i] = 0.0
+                work.effort[i] = 0.0
                 work.position[i] = work.query_position[i]
                 direction = 1.0 if work.query_speed[i] >= 0.0 else -1.0
                 pull -= direction * friction_level(i, abs(work.query_speed[i]), direction, friction_of, model, work)
@@ -237,6 +258,14 @@ def free_acceleration(equations: Equations, friction_of: FrictionOf, is_carried:
                 if not is_carried[j]:
                     pull -= work.mass[max(i, j), min(i, j)] * work.acceleration[j]
             work.force[i] = pull
+    for row in range(model.shared_count):
+        i, j = model.shared_joints[row, 0], model.shared_joints[row, 1]
+        speed = shared_speed(row, work.query_speed, model)
+        if speed != 0.0 and (is_carried[i] or is_carried[j]):
+            direction = 1.0 if speed > 0.0 else -1.0
+            effort = direction * shared_level(row, abs(speed), direction, friction_of, model, work)
+            work.force[i] -= effort if is_carried[i] else 0.0
+            work.force[j] -= model.share[row] * effort if is_carried[j] else 0.0
     # the carried block of the inertia, the other joints decoupled with unit inertia
     for i in range(joints):
         for j in range(i + 1):

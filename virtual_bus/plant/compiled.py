@@ -298,6 +298,7 @@ class CompiledPlant:
         table.fill_friction(record, effects, settings)
         table.fill_terms(record, effects, ratio_of_axis, settings)
         table.fill_reactions(record, effects, settings)
+        table.fill_shared(record, effects, settings)
         table.fill_drives(record, effects, ratio_of_axis, settings)
         record["inner_steps"] = self._known_inner_steps(model)
         return model

@@ -93,7 +93,7 @@ def advance_one(equations: Equations, friction_of: FrictionOf, reaction_of: Reac
             respond(j, inner, model, work)
         else:
             work.friction[j] = 0.0
-            if model.reacts[j]:
+            if model.reacts[j]:  # or shares a friction
                 any_friction = True
                 respond(j, inner, model, work)
     for part in range(model.inner_steps):

@@ -6,7 +6,7 @@ import numpy as np
 
 from virtual_bus.effects.motion import FrictionOf, LimitedBy, ReactionOf, RippleOf
 from virtual_bus.plant.drives import load_instant
-from virtual_bus.plant.friction import STUCK_SPEED, SWEEPS, friction_level, rubs
+from virtual_bus.plant.friction import SHARED_SWEEPS, STUCK_SPEED, SWEEPS, friction_level, rubs, shared_level, shared_speed
 from virtual_bus.plant.integrator import read_imus, read_state
 from virtual_bus.plant.jit import compiled
 from virtual_bus.plant.linear import invert, multiply
@@ -39,7 +39,11 @@ def joint_acceleration(
     multiply(work.inverse, work.force, work.acceleration)
     for j in range(n):
         work.friction[j] = 0.0
-    for _ in range(SWEEPS):
+    for row in range(model.shared_count):
+        work.shared[row] = 0.0
+    for _ in range(SHARED_SWEEPS if model.shared_count > 0 else SWEEPS):
+        for row in range(model.shared_count):
+            share_instant(row, friction_of, model, work)
         for j in range(n):
             if not rubs(j, model, work):
                 continue
@@ -54,6 +58,25 @@ def joint_acceleration(
             work.friction[j] = friction
             for i in range(n):
                 work.acceleration[i] += work.inverse[j, i] * change
+
+
+@compiled
+def share_instant(row: int, friction_of: FrictionOf, model: np.record, work: np.record) -> None:
+    """Find the effort of a shared friction at this instant, and correct the accelerations."""
+    i, k, share = model.shared_joints[row, 0], model.shared_joints[row, 1], model.share[row]
+    inverse = work.inverse[i, i] + 2.0 * share * work.inverse[i, k] + share * share * work.inverse[k, k]
+    drive = (work.acceleration[i] + share * work.acceleration[k]) / inverse - work.shared[row]
+    speed = shared_speed(row, work.speed, model)
+    if speed != 0.0:
+        direction = 1.0 if speed > 0.0 else -1.0
+        effort = -direction * shared_level(row, abs(speed), direction, friction_of, model, work)
+    else:
+        onward = 1.0 if drive > 0.0 else -1.0
+        effort = -onward * min(abs(drive), shared_level(row, 0.0, onward, friction_of, model, work))
+    change = effort - work.shared[row]
+    work.shared[row] = effort
+    for m in range(len(work.position)):
+        work.acceleration[m] += (work.inverse[i, m] + share * work.inverse[k, m]) * change
 
 
 @compiled

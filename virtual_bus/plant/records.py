@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from virtual_bus.effects.table import MAX_EFFORTS, MAX_FRICTIONS, MAX_PAIRS, MAX_REACTIONS, ROW
+from virtual_bus.effects.table import MAX_EFFORTS, MAX_FRICTIONS, MAX_PAIRS, MAX_REACTIONS, MAX_SHARED, ROW
 
 Equations = Callable[[np.record, np.record], None]  # a generated function of `model` and `work`
 
@@ -48,7 +48,15 @@ def model_dtype(joints: int, axes: int, imus: int, constants: int) -> np.dtype:
             ("reaction_count", "i8"),
             ("reaction_rows", "f8", (MAX_REACTIONS, ROW)),
             ("reaction_joint", "i8", (MAX_REACTIONS,)),
-            ("reacts", "u1", (n,)),  # 1: an effect with a memory acts on the joint
+            ("reacts", "u1", (n,)),  # 1: an effect with a memory, or a friction that another joint shares, acts on the joint
+            ("shared_count", "i8"),
+            ("shared_rows", "f8", (MAX_SHARED, ROW)),
+            ("shared_joints", "i8", (MAX_SHARED, 2)),
+            (
+                "share",
+                "f8",
+                (MAX_SHARED,),
+            ),  # of the second joint's speed in the speed that it acts against, beside the whole of the first's
             ("has_drive_effects", "u1"),  # 0: targets are currents
             ("drive_ratio", "f8", (max(axes, 1),)),
             ("limit_rows", "f8", (max(axes, 1), ROW)),  # effect number -1: none
@@ -87,6 +95,7 @@ def work_dtype(joints: int, axes: int, imus: int, bodies: int) -> np.dtype:
         + [("time_s", "f8"), ("query_time_s", "f8")]  # since the start; negative where a standstill is looked for
         + [(name, "f8", (max(axes, 1),)) for name in ("currents", "gains")]
         + [(name, "f8", (MAX_REACTIONS,)) for name in ("reaction", "reaction_guess")]
+        + [("shared", "f8", (MAX_SHARED,))]
         + [("memory", "f8", (MAX_REACTIONS, 2))]
     )
 

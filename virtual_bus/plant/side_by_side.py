@@ -142,6 +142,7 @@ def settle_apart(
             work.position[j] = side.position[j, lane]
             work.start_speed[j] = side.start_speed[j, lane]
             work.bias[j] = side.bias[j, lane]
+            work.effort[j] = side.effort[j, lane]
             for i in range(n):
                 work.speed_response[j, i] = side.speed_response[j, i, lane]
     settle(friction_of, reaction_of, h, model, work)

@@ -25,6 +25,7 @@ from hil.diagnosis.named.standing import (
     scattered,
     unexplained,
 )
+from hil.diagnosis.observed.known import known_effects
 from hil.diagnosis.predicted.open_runs import Predicted, predicted
 from hil.diagnosis.predicted.refitting import refitted
 from hil.diagnosis.result import (
@@ -128,6 +129,7 @@ def answer(machine: Machine, audit: Audit, named: Named, held_out: Mapping[str, 
         audit=audit.document(),
         detection_limits=tuple(_limit(limit, settings) for limit in limits),
         baseline=baseline_of(machine, named.baseline, noise),
+        known=known_effects(machine.plant),
     )
     return Answered(machine, diagnosis, _names(seen), named, values, best.settings)
 
@@ -150,6 +152,7 @@ def nothing_seen(machine: Machine, audit: Audit, seen: Seen, seconds: float) -> 
         reason=f"{', '.join(seen.still)} {'does' if len(seen.still) == 1 else 'do'} not move in these recordings: excite every axis",
         findings=(), hypotheses=(), retuned={}, frozen={}, noise=noise, location=Location(),
         fit=Fit({}, stages, None, None, None), unexplained_share=0.0, seconds=seconds, audit=audit.document(),
+        known=known_effects(machine.plant),
     )  # fmt: skip
     return Answered(machine, diagnosis, _names(seen), None, seen.alongs[0].plant.nominal, ())
 
@@ -168,6 +171,7 @@ def play_seen(machine: Machine, audit: Audit, seen: Seen, seconds: float) -> Ans
         findings=found, hypotheses=(Hypothesis(tuple(one.effect for one in found), sure, is_confirmed=True),), retuned={}, frozen={},
         noise=noise, location=Location(channels={each.second: 1.0 / len(found) for each in audit.sensors if each.gap > 0.0}),
         fit=Fit({}, stages, None, None, None), unexplained_share=1.0, seconds=seconds, audit=audit.document(),
+        known=known_effects(machine.plant),
     )  # fmt: skip
     return Answered(machine, diagnosis, _names(seen), None, seen.alongs[0].plant.nominal, ())
 
@@ -197,7 +201,7 @@ def first_answer(machine: Machine, audit: Audit, seen: Seen, baseline: Fitted, s
         reason="; ".join(audit.wrong) or "first answer: friction of every driven joint, fitted as an engineer would; the search goes on",
         findings=tuple(one for one in fitted if _is_sure(one)), hypotheses=(), retuned={}, frozen={}, noise=noise, location=Location(),
         fit=Fit({}, stages, None, None, None), unexplained_share=1.0, seconds=seconds, audit=audit.document(), baseline=fitted,
-        provisional=True,
+        provisional=True, known=known_effects(machine.plant),
     )  # fmt: skip
 
 

@@ -53,15 +53,26 @@ def setting_of(effect: Effect, at: str, parameters: dict[str, float]) -> EffectS
 
 
 def different_places(effect: Effect, along: Along) -> list[str]:
-    """Return the places of an effect, each joint once: an axis and the body that its joint carries are the same place."""
+    """Return the places of an effect, each joint once: an axis and the body that its joint carries are the same place.
+
+    Where the effect is known already, and acts but once at a place, it is not sought.
+    """
     found: dict[object, str] = {}
     bodies = {body.name for body in along.settings.tree.bodies}
+
+    def place(at: str) -> object:
+        joint = joint_of(effect, at, along)
+        is_joint = joint is not None and (at in bodies or any(drive.axis == at for drive in along.settings.drives))
+        return joint if is_joint else at
+
     if effect.kind.before_current and along.observed.are_measured.all():
         return []
     for at in places(effect.kind, along.settings):
-        joint = joint_of(effect, at, along)
-        is_joint = joint is not None and (at in bodies or any(drive.axis == at for drive in along.settings.drives))
-        found.setdefault(joint if is_joint else at, at)
+        found.setdefault(place(at), at)
+    if not effect.several:
+        for one in along.known:
+            if one.name == effect.name:
+                found.pop(place(one.at), None)
     return list(found.values())
 
 
@@ -87,7 +98,7 @@ def entries(
                         one = (setting_of(effect, at, dict(parameters)),)
                         columns.append(
                             [
-                                column(without, along.signals(motion, along.plant.model(values, one), one))
+                                column(without, along.signals(motion, along.model(values, one), one))
                                 for along, motion, without in zip(alongs, motions, nominal, strict=True)
                             ]
                         )

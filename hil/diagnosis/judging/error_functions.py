@@ -391,7 +391,7 @@ def _of_a_friction(name: str, motion: Residual, since_reversal: np.ndarray) -> l
     functions += [against * np.exp(-since_reversal / (share * travel)) for share in AFTER_REVERSAL]
     if name == "position_dependent_friction":
         functions += [against * hat for hat in _hats(motion.position, KNOTS)]
-    if name == "load_dependent_friction":
+    if name in ("load_dependent_friction", "motor_load_friction"):
         functions += [against * hat for hat in _hats(np.abs(motion.drive_effort), SLOW_KNOTS)]
     if name == "temperature_dependent_friction":
         functions += [shape * hat for shape in (against, motion.speed / top) for hat in _hats(motion.time_s, SLOW_KNOTS)]

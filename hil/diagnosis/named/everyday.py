@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from hil.diagnosis.candidates.entries import different_places, setting_of
 from hil.diagnosis.seen.along import Along
-from hil.diagnosis.tuned.retuning import Known
-from virtual_bus.effects.effect import FRICTION
-from virtual_bus.effects.motion import JointState
-from virtual_bus.effects.places import joint_at
-from virtual_bus.effects.registry import effects, module_of
+from virtual_bus.effects.registry import effects
 from virtual_bus.settings import EffectSetting
 
 
@@ -24,18 +18,3 @@ def everyday_effects(along: Along) -> tuple[EffectSetting, ...]:
         for at in different_places(effect, along)
         if at in axes
     )
-
-
-def known_of(along: Along, settings: tuple[EffectSetting, ...]) -> Known:
-    """Return what a set of effects says of friction."""
-    dry = np.zeros(len(along.joints))
-    for setting in settings:
-        if effects()[setting.name].kind is FRICTION:
-            dry[along.joints.index(joint_at(setting.at, along.settings))] += _at_rest(setting)
-    return Known(settings, dry)
-
-
-def _at_rest(setting: EffectSetting) -> float:
-    """Return the level [Nm or N] that a friction law has at rest, without load."""
-    arguments = [setting.parameters[parameter.name] for parameter in effects()[setting.name].parameters]
-    return float(module_of(setting.name).level(JointState(0.0, 1.0, 0.0, 0.0), *arguments))

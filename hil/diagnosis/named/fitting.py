@@ -164,7 +164,7 @@ def _drive_units(tuned: Tuned, one: Looked, settings: tuple[EffectSetting, ...])
     Noise is known in the drives' units: otherwise every drive would be found weaker than it is, since that makes all efforts smaller.
     """
     along = one.beside.along
-    gains = along.plant.model(tuned.values, settings)[0]["effort_gain"] / one.beside.model[0]["effort_gain"]
+    gains = along.model(tuned.values, settings)[0]["effort_gain"] / one.beside.model[0]["effort_gain"]
     weaker = np.ones(one.beside.left.shape[1])
     joints = {sensor.channel: sensor.joints for sensor in along.settings.joint_sensors}
     for drive, gain in zip(along.settings.drives, gains, strict=False):
@@ -176,7 +176,7 @@ def _drive_units(tuned: Tuned, one: Looked, settings: tuple[EffectSetting, ...])
 
 def _signals(tuned: Tuned, one: Looked, settings: tuple[EffectSetting, ...]):  # type: ignore[no-untyped-def]
     along = one.beside.along
-    return along.signals(one.motion, along.plant.model(tuned.values, settings), settings)
+    return along.signals(one.motion, along.model(tuned.values, settings), settings)
 
 
 def _derivatives(tuned: Tuned, one: Looked, settings: tuple[EffectSetting, ...], parameters: Sequence[tuple[int, Parameter]]) -> np.ndarray:

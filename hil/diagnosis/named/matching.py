@@ -21,7 +21,7 @@ def matched(levels: Levels, tuned: Tuned, fitted: Fitted) -> Levels:
     parts = []
     for one in tuned.looked:
         along = one.beside.along
-        with_it = along.signals(one.motion, along.plant.model(tuned.values, fitted.settings), fitted.settings)
+        with_it = along.signals(one.motion, along.model(tuned.values, fitted.settings), fitted.settings)
         extra = column(one.signals, with_it)
         parts.append(one.beside.less(extra.efforts, extra.readings))
     low, high = -np.log(WIDEST), np.log(WIDEST)

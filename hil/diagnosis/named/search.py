@@ -71,7 +71,7 @@ def library(tuned: Tuned, settings: Sequence[EffectSetting] = ()) -> Library:
     signals = [one.signals for one in tuned.looked]
     missing = [one.given - one.needed for one in signals]
     if settings:
-        model = tuned.plant.model(tuned.values, settings)
+        model = alongs[0].model(tuned.values, settings)
         left = [along.signals(motion, model, settings) for along, motion in zip(alongs, motions, strict=True)]
         missing = [one.given - one.needed for one in left]
     inertias = tuned.plant.inertias(tuned.looked[0].beside.model, motions[0].position[0])

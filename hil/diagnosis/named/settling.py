@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.diagnosis.named.everyday import known_of
 from hil.diagnosis.named.fitting import Fitted, fit
 from hil.diagnosis.seen.along import Along
 from hil.diagnosis.seen.beside import Levels
@@ -33,7 +32,7 @@ def settled(alongs: Sequence[Along], levels: Levels, offset: np.ndarray, setting
     best: tuple[Tuned, Fitted] | None = None
     longest, dispersion = LONGEST, np.inf
     for _ in range(ITERATIONS):
-        tuned = tuned_at(alongs, levels, offset, known_of(alongs[0], settings) if settings else None)
+        tuned = tuned_at(alongs, levels, offset, settings)
         here = fit(tuned, settings, offset, longest=0.0)
         if here is None:
             break

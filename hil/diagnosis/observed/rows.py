@@ -89,7 +89,7 @@ class Observed:
     @cached_property
     def settings(self) -> PlantSettings:
         """The plant with one step a row."""
-        return replace(self.machine.plant, sample_period_s=self.period_s, substeps=1, effects=())
+        return replace(self.machine.plant, sample_period_s=self.period_s, substeps=1)
 
 
 def sensor_channels(machine: Machine) -> tuple[str, ...]:

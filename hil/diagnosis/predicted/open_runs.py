@@ -23,7 +23,7 @@ FEWEST_ROWS = 4
 """Of a run."""
 
 Machine = tuple[np.ndarray | None, tuple[EffectSetting, ...]]
-"""Plant parameters (None: those of the file) and effects."""
+"""Plant parameters (None: those of the file), and effects besides those that are known."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +90,7 @@ class Runs:
         machine = observed.machine
         plant = replace(machine.plant, sample_period_s=observed.period_s)
         self.simulator = Simulator(smooth(replace(machine, plant=plant, sample_rate_Hz=1.0 / observed.period_s, controllers=())))
+        self.known = along.known
         self.channels = _channels(along)
         self.recorded = observed.readings[:, [observed.channels.index(channel) for channel in self.channels]]
         self.targets = observed.targets
@@ -120,7 +121,7 @@ class Runs:
                 position, speed = position + shift[0][number], speed + shift[1][number]
             inputs = Inputs(None, none, none, command, position, start_speed=speed, first_effort=efforts[0])
             try:
-                outputs = self.simulator.run(inputs, machine[0], machine[1])
+                outputs = self.simulator.run(inputs, machine[0], (*self.known, *machine[1]))
             except (BenchError, EmulatorError):
                 return None
             found.append(simulated_matrix(self.simulator.machine, outputs, self.channels) - self.recorded[begin:end])

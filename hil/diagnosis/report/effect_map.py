@@ -32,7 +32,7 @@ from virtual_bus.effects.places import joint_at, spring_at
 from virtual_bus.effects.registry import effects
 
 SENSOR_KINDS = (CALIBRATION, CLOCK, DROPOUT, ENCODER_ERROR, IMU_CHANGE, LATTICE, SIGN)
-BY_SPEED = ("quadratic_friction", "temperature_dependent_friction", "viscous_friction", "presliding_hysteresis")
+BY_SPEED = ("power_law_friction", "quadratic_friction", "temperature_dependent_friction", "viscous_friction", "presliding_hysteresis")
 OVER_POSITION = ("position_dependent_friction",)
 ON_A_SPRING = (ELASTIC, SPRING_CHANGE)
 CELLS = 40

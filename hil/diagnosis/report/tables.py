@@ -42,8 +42,8 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def findings(diagnosis: Diagnosis, proposal: Proposal | None) -> str:
-    """Return what was found, with its evidence."""
-    parts = []
+    """Return what was known and what was found, with its evidence."""
+    parts = [f"<p>Known, and in every simulation: {html.escape(known(diagnosis))}.</p>"] if diagnosis.known else []
     for finding in diagnosis.findings:
         numbers = ", ".join(f"{name} = {_estimate(estimate)}" for name, estimate in finding.parameters.items())
         lines = [f"<h3>{html.escape(str(finding.effect))}, confidence {finding.confidence:.2f}</h3>", f"<p>{html.escape(numbers)}</p>"]
@@ -56,7 +56,15 @@ def findings(diagnosis: Diagnosis, proposal: Proposal | None) -> str:
         if finding.separating_experiment and proposal is not None:
             lines.append(f"<p>The next experiment: {html.escape(proposal.said(finding.separating_experiment))}.</p>")
         parts.append("\n".join(lines))
-    return "\n".join(parts) or "<p>No effect is named.</p>"
+    return "\n".join(parts if diagnosis.findings else [*parts, "<p>No effect is named.</p>"])
+
+
+def known(diagnosis: Diagnosis) -> str:
+    """Return the effects that were given, with their numbers."""
+    return "; ".join(
+        f"{one.effect}: " + ", ".join(f"{name} = {value:.4g} {unit}".rstrip() for name, (value, unit) in one.parameters.items())
+        for one in diagnosis.known
+    )
 
 
 def _estimate(estimate: Estimate) -> str:

@@ -68,8 +68,10 @@ class Mismatch:
 
     @property
     def read_off(self) -> tuple[tuple[str, Dropout | Lattice], ...]:
-        """What the recordings show by themselves: where, and what."""
-        return (*self.lost.items(), *self.lattices.items())
+        """What the recordings show by themselves and is not known: where, and what."""
+        known = {(one.name, one.at) for one in self.machine.plant.effects}
+        shown: tuple[tuple[str, Dropout | Lattice], ...] = (*self.lost.items(), *self.lattices.items())
+        return tuple((channel, what) for channel, what in shown if (what.setting(channel).name, channel) not in known)
 
     @property
     def axes(self) -> tuple[str, ...]:

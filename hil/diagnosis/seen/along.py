@@ -12,7 +12,7 @@ import scipy.integrate
 from hil.diagnosis.observed.rows import Observed
 from hil.diagnosis.seen.smoothing import Smoothed, smoothed
 from hil.errors import BadAnswerError
-from virtual_bus.effects.effect import FRICTION
+from virtual_bus.effects.effect import FRICTION, SHARED_FRICTION
 from virtual_bus.effects.places import imu_channel_names
 from virtual_bus.effects.registry import effects as known_effects
 from virtual_bus.plant.along import along_module
@@ -67,11 +67,17 @@ class Along:
     Parameters
     ----------
     observed : Observed
+
+    Attributes
+    ----------
+    known : tuple of EffectSetting
+        Physics that the machine has by name, in all that is computed here.
     """
 
     def __init__(self, observed: Observed) -> None:
         self.observed = observed
         self.settings = observed.settings
+        self.known = self.settings.effects
         self.plant = compile_plant(self.settings)
         self.fine_plant = compile_plant(replace(self.settings, sample_period_s=observed.period_s / FINE))
         self._module = along_module(self.plant)
@@ -86,6 +92,10 @@ class Along:
         other = copy.copy(self)
         other.observed = observed
         return other
+
+    def model(self, values: np.ndarray | None = None, effects: Sequence[EffectSetting] = (), *, fine: bool = False) -> np.ndarray:
+        """Return the record of the plant, or of the fine one, with these numbers (None: the file's), what is known of it and effects."""
+        return (self.fine_plant if fine else self.plant).model(values, (*self.known, *effects))
 
     @property
     def measured_currents(self) -> np.ndarray:
@@ -163,22 +173,13 @@ class Along:
 
     def signals(self, motion: Motion, model: np.ndarray, effects: Sequence[EffectSetting] = (), imus: np.ndarray | None = None) -> Signals:
         """Return what the machine does along a motion; `model` is of the same effects. `imus` are their readings where they are known."""
-        observed = self.observed
-        rows, n, axes = observed.rows, len(self.joints), len(self.settings.drives)
-        needed, given = np.zeros((rows, n)), np.zeros((rows, n))
+        effects = (*self.known, *effects)
+        rows, axes = self.observed.rows, len(self.settings.drives)
+        needed = np.zeros_like(motion.position)
         self._module.efforts(model, self._work, motion.position, motion.speed, motion.acceleration, needed)
-        state = self.plant.new_state(motion.position[0])
-        for axis in range(axes):
-            first = self.plant.first_drive_state + axis * DRIVE_STATES
-            state[first] = state[first + 2 : first + DRIVE_STATES] = observed.targets[0, axis]
-        currents = np.zeros((rows, axes))
-        self._module.drive(
-            model, self._work, observed.targets, motion.position, motion.speed, motion.acceleration, state, currents, given
-        )  # fmt: skip
-        if any(known_effects()[each.name].kind is FRICTION for each in effects):
-            rubbed = np.zeros((rows, n))
-            self._module.rub(model, self._work, motion.position, motion.speed, motion.speed_deviation, rubbed)
-            given -= rubbed
+        given, currents, state = self._driven(motion, model)
+        if any(known_effects()[each.name].kind in (FRICTION, SHARED_FRICTION) for each in effects):
+            given = given - self._rubbed(motion, model, given)[0]
         if imus is None:
             imus = np.zeros((rows, len(imu_channel_names(self.settings))))
             if imus.shape[1]:
@@ -196,6 +197,27 @@ class Along:
             new_memory(self.settings), new_readings(self.settings), out,
         )  # fmt: skip
         return Signals(needed, given, np.nan_to_num(out[:, 2 * axes : 3 * axes]), out[:, self._columns])
+
+    def unknown_friction(self, motion: Motion, model: np.ndarray) -> np.ndarray:
+        """Return the variances (N, n) of the efforts of friction, which are unknown where nothing says which way a joint moves."""
+        return self._rubbed(motion, model, self._driven(motion, model)[0])[1]
+
+    def _driven(self, motion: Motion, model: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the drives' mean efforts on the joints (N, n), currents (N, axes), and the plant's state with what drives remember."""
+        targets = self.observed.targets
+        state = self.plant.new_state(motion.position[0])
+        for axis in range(targets.shape[1]):
+            first = self.plant.first_drive_state + axis * DRIVE_STATES
+            state[first] = state[first + 2 : first + DRIVE_STATES] = targets[0, axis]
+        given, currents = np.zeros_like(motion.position), np.zeros_like(targets)
+        self._module.drive(model, self._work, targets, motion.position, motion.speed, motion.acceleration, state, currents, given)
+        return given, currents, state
+
+    def _rubbed(self, motion: Motion, model: np.ndarray, given: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the mean efforts of friction (N, n), against the motion, and their variances."""
+        mean, variances = np.zeros_like(given), np.zeros_like(given)
+        self._module.rub(model, self._work, motion.position, motion.speed, motion.speed_deviation, given, mean, variances)
+        return mean, variances
 
     def _plain_readings(self, motion: Motion) -> np.ndarray:
         """Return what encoders and speed sensors (N, m) without errors read."""

@@ -46,7 +46,7 @@ def with_rows(along: Along, levels: Levels) -> Levels:
     pose = np.zeros(len(along.joints))
     for joint, motion in along.smooth.items():
         pose[joint] = motion.position[0]
-    within = WITHIN_ROW * levels.disturbance / along.plant.inertias(along.plant.model(None, ()), pose) * along.observed.period_s
+    within = WITHIN_ROW * levels.disturbance / along.plant.inertias(along.model(), pose) * along.observed.period_s
     sensors = levels.sensors.copy()
     speeds = {sensor.channel for sensor in along.settings.speeds}
     for sensor in along.settings.joint_sensors:
@@ -86,13 +86,13 @@ def coarsest(alongs: Sequence[Along]) -> int:
 def efforts_by_encoders(along: Along) -> tuple[Motion, np.ndarray, np.ndarray]:
     """Return the motion by encoders, the efforts (N, n) that drives gave along it, and what of them the motion did not take."""
     motion = _by_encoders(along)
-    signals = along.signals(motion, along.plant.model(None, ()))
+    signals = along.signals(motion, along.model())
     return motion, signals.given, signals.given - signals.needed
 
 
 def _by_encoders(along: Along) -> Motion:
     """Return the motion by every joint's own encoder; that of the others by the equations."""
-    base = along.base(along.fine_plant.model(None, ()))
+    base = along.base(along.model(fine=True))
     every = (len(base.position) - 1) // (along.observed.rows - 1)
     columns = [np.ascontiguousarray(each[::every]) for each in (base.position, base.speed, base.acceleration, base.speed_deviation)]
     for joint, one in along.smooth.items():

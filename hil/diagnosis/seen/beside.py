@@ -115,7 +115,14 @@ class Beside:
         needed = there.needed - here.needed - (linear.needed - here.needed) / NEARBY
         readings = there.readings - here.readings - (linear.readings - here.readings) / NEARBY
         efforts = {joint: (needed[:, joint], np.append(needed[1:, joint], needed[-1, joint])) for joint in range(needed.shape[1])}
-        return self.less(efforts, {channel: readings[:, channel] for channel in range(readings.shape[1])})
+        further = self.less(efforts, {channel: readings[:, channel] for channel in range(readings.shape[1])})
+        return further.given_along(there)
+
+    def given_along(self, signals: Signals) -> Beside:
+        """Return the same with what drives give, less dry friction, along another motion: friction that is known turns with its speed."""
+        change = signals.given - self.signals.given
+        own = replace(self.signals, given=signals.given)
+        return replace(self, signals=own, missing=self.missing + change, missing_ends=self.missing_ends + change)
 
     def linearised(self, levels: Levels) -> Linearised:
         """Return the filter's matrices with these levels; those of the machine are computed once a corner."""
@@ -180,8 +187,7 @@ class Beside:
 
 def beside(along: Along, values: np.ndarray | None = None) -> Beside:
     """Put a recording beside the equations with these numbers; the machine file's by default."""
-    model = along.plant.model(values, ())
-    fine_model = along.fine_plant.model(values, ())
+    model, fine_model = along.model(values), along.model(values, fine=True)
     fine = along.base(fine_model)
     start, end, imus = along.along_base(fine, fine_model)
     base = Motion(*(np.ascontiguousarray(each[::FINE]) for each in (fine.position, fine.speed, fine.acceleration, fine.speed_deviation)))

@@ -100,8 +100,8 @@ class Seen:
         """Return what other numbers and effects say of the efforts (N,) in `missing`, in the same order."""
         found = []
         for along, motion in ((along, efforts_by_encoders(along)[0]) for along in self.alongs):
-            nominal = along.signals(motion, along.plant.model(None, ()))
-            other = along.signals(motion, along.plant.model(values, effects), effects)
+            nominal = along.signals(motion, along.model())
+            other = along.signals(motion, along.model(values, effects), effects)
             said = (other.needed - nominal.needed) - (other.given - nominal.given)
             driven = {drive.joint for drive in along.settings.drives}
             found += [said[:, joint] for joint in along.smooth if along.joints[joint] in driven]

@@ -11,7 +11,7 @@ from hil.diagnosis.result import EffectAt
 from hil.diagnosis.starting.motion import Motion
 from hil.diagnosis.starting.shape_limits import NO_LIMIT, shape_limits
 from hil.diagnosis.starting.starts import shapes_of, starts_of
-from virtual_bus.effects.effect import CLOCK, DROPOUT, ELASTIC, SIGN, SPRING_CHANGE, TRANSMISSION
+from virtual_bus.effects.effect import CLOCK, DROPOUT, SIGN, Effect
 from virtual_bus.effects.places import is_prismatic, joint_at, places, spring_at
 from virtual_bus.effects.registry import effects
 from virtual_bus.settings import EffectSetting, PlantSettings
@@ -79,10 +79,10 @@ def candidates(
 
 
 def places_to_try(settings: PlantSettings, channels: Sequence[str]) -> list[EffectAt]:
-    """Every effect once at every place that is physically another one."""
+    """Every effect once at every place that is physically another one; of those the machine has, such as may act there several times."""
     driven = {drive.joint for drive in settings.drives}
     chosen: list[EffectAt] = []
-    taken: set[tuple[str, str]] = set()
+    taken = {(one.name, _place(one.name, one.at, settings)) for one in settings.effects if not effects()[one.name].several}
     of_imus = [channel for channel in channels if channel.startswith(("imu_", "gyro_"))]
     for name, effect in effects().items():
         if effect.kind is DROPOUT or (name in NEEDS_GRAVITY and not np.any(settings.tree.gravity_m_s2)):
@@ -91,11 +91,8 @@ def places_to_try(settings: PlantSettings, channels: Sequence[str]) -> list[Effe
         for at in places(effect.kind, settings):
             if name in NEEDS_GRAVITY and is_prismatic(at, settings):
                 continue
-            key = at
-            if effect.kind in (ELASTIC, SPRING_CHANGE, TRANSMISSION):
-                key = spring_at(at, settings) or at
-            elif "axis" in effect.kind.allowed_at and "body" in effect.kind.allowed_at:
-                key = joint_at(at, settings)
+            key = _place(name, at, settings)
+            if _is_at_a_joint(effect):
                 if key not in driven and (name not in ON_A_SPRING or spring_at(at, settings) is None):
                     continue
             elif is_of_readings and at not in channels and not (effect.kind is CLOCK and at == WHOLE_IMU and len(of_imus) > 1):
@@ -106,3 +103,15 @@ def places_to_try(settings: PlantSettings, channels: Sequence[str]) -> list[Effe
                 taken.add((name, key))
                 chosen.append(EffectAt(name, at))
     return chosen
+
+
+def _place(name: str, at: str, settings: PlantSettings) -> str:
+    """What is the same for all names of a place where an effect is physically the same."""
+    effect = effects()[name]
+    if effect.kind.needs == "spring":
+        return spring_at(at, settings) or at
+    return joint_at(at, settings) if _is_at_a_joint(effect) else at
+
+
+def _is_at_a_joint(effect: Effect) -> bool:
+    return effect.kind.needs != "spring" and {"axis", "body"} <= set(effect.kind.allowed_at)

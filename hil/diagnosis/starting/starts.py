@@ -14,7 +14,7 @@ from hil.diagnosis.starting.motion import Motion
 from hil.diagnosis.starting.start_frequencies import LIGHTEST, LOWEST_MODE_Hz, highest_mode_Hz, lines, modes
 from hil.diagnosis.starting.start_waves import ONE_HARMONIC, WAVES, encoder_orders, position_friction, searched_orders, wave_orders
 from hil.diagnosis.starting.typical import Start, Typical
-from virtual_bus.effects.effect import COUPLING, SIGN, Effect, Parameter
+from virtual_bus.effects.effect import SIGN, Effect, Parameter
 from virtual_bus.effects.registry import effects, initial_guess
 from virtual_bus.effects.residual import Residual
 
@@ -36,7 +36,7 @@ one there, of a fifth of the sample rate."""
 def starts_of(name: str, at: str, motion: Motion) -> list[np.ndarray]:
     """(parameters,) start values, the most plausible first; none where the place does not move."""
     effect = effects()[name]
-    residual = motion.residual(at, coupled=effect.kind is COUPLING)
+    residual = motion.residual(at, coupled=effect.kind.needs == "neighbour")
     try:
         guessed = initial_guess(name, residual)
     except (np.linalg.LinAlgError, ValueError, IndexError, ZeroDivisionError):
@@ -62,7 +62,7 @@ def shapes_of(name: str, at: str, motion: Motion, starts: int) -> float:
     told apart as half-power bandwidths, 2 zeta of a frequency each, stand beside each other. Other effects count their starts.
     """
     effect = effects()[name]
-    residual = motion.residual(at, coupled=effect.kind is COUPLING)
+    residual = motion.residual(at, coupled=effect.kind.needs == "neighbour")
     typical = Typical(motion, at, residual)
     if name in WAVES:
         lowest, highest = searched_orders(name, residual, typical)

@@ -64,7 +64,7 @@ def numbers_of(plant: CompiledPlant) -> Numbers:
     indices, scales, low, high = [], [], [], []
     names = [joint.name for joint in plant.settings.tree.joints]
     driven = {drive.joint for drive in plant.settings.drives}
-    moved = plant.inertias(plant.model(None, ()), np.zeros(len(names)))
+    moved = plant.inertias(plant.model(), np.zeros(len(names)))
     for i, parameter in enumerate(plant.parameters):
         if not parameter.quantity.startswith(TUNED):
             continue

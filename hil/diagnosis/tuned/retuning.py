@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.special
 
 from hil.diagnosis.candidates.columns import Column, Filtered, column
 from hil.diagnosis.seen.along import Along, Motion, Signals
@@ -103,28 +102,12 @@ def bounds_of(numbers: Numbers, offset: np.ndarray) -> tuple[np.ndarray, np.ndar
     return np.append(numbers.low, -free) - offset, np.append(numbers.high, free) - offset
 
 
-@dataclass(frozen=True, eq=False)
-class Known:
-    """What is known of a machine's friction before the rest is sought.
-
-    Attributes
-    ----------
-    effects : tuple of EffectSetting
-        By which the motion is read off the sensors.
-    dry : (n,) array
-        Level of dry friction on every joint [Nm or N]: how far the effort on a joint is unknown while nothing says which way it moves.
-    """
-
-    effects: tuple[EffectSetting, ...]
-    dry: np.ndarray
-
-
-def tuned_at(alongs: Sequence[Along], levels: Levels, offset: np.ndarray, known: Known | None = None) -> Tuned:
-    """Return the machine with these nuisances, seen with what is known of its friction."""
+def tuned_at(alongs: Sequence[Along], levels: Levels, offset: np.ndarray, effects: Sequence[EffectSetting] = ()) -> Tuned:
+    """Return the machine with these nuisances, its motion read off the sensors with these effects."""
     numbers, biases = numbers_of(alongs[0].plant), biases_of(alongs)
     if levels.are_assumed:
         numbers = numbers.holding("constant")  # weaker drives and lighter machines would make all that is left smaller
-    looked = tuple(look(along, numbers, [bias.of(k) for bias in biases], offset, levels, known) for k, along in enumerate(alongs))
+    looked = tuple(look(along, numbers, [bias.of(k) for bias in biases], offset, levels, effects) for k, along in enumerate(alongs))
     return Tuned(numbers, offset, looked, sum(one.whitening.readings for one in looked), levels)
 
 
@@ -134,9 +117,12 @@ def nominal_offset(alongs: Sequence[Along]) -> np.ndarray:
 
 
 def look(
-    along: Along, numbers: Numbers, biases: Sequence[Bias | None], offset: np.ndarray, levels: Levels, known: Known | None = None
+    along: Along, numbers: Numbers, biases: Sequence[Bias | None], offset: np.ndarray, levels: Levels, effects: Sequence[EffectSetting] = ()
 ) -> Looked:
-    """Put a recording beside the equations with these nuisances, and find their columns."""
+    """Put a recording beside the equations with these nuisances, and find their columns.
+
+    Where friction acts, the effort on a joint is unknown up to its level while nothing says which way the joint moves.
+    """
     count = len(numbers.indices)
     one = beside(along, numbers.values(offset[:count]))
     levels = _of_this_inertia(levels, along, one)
@@ -149,22 +135,21 @@ def look(
     filtered = one.whitening(levels)
     one = one.about(one.motion(filtered, by_encoders=False))
     motion = one.motion(filtered)
-    if known is not None:
-        model = along.plant.model(numbers.values(offset[:count]), known.effects)
-        with_it = column(along.signals(motion, one.model), along.signals(motion, model, known.effects))
-        unsure = known.dry**2 * (1.0 - _mean_direction(motion) ** 2)
+    model = along.model(numbers.values(offset[:count]), effects)
+    if effects or along.known:
+        with_it = column(along.signals(motion, one.model), along.signals(motion, model, effects))
+        unsure = along.unknown_friction(motion, model)
         motion = one.less(with_it.efforts, with_it.readings).motion(one.whitening(levels, unsure))
-        filtered = one.whitening(levels, known.dry**2 * (1.0 - _mean_direction(motion) ** 2))
-    given = along.signals(motion, one.model).given
-    if known is not None:
-        given = along.signals(motion, model, known.effects).given
+        filtered = one.whitening(levels, along.unknown_friction(motion, model))
+    given = along.signals(motion, model, effects).given
     motion = _by_encoders(along, motion) if levels.are_assumed else _as_the_equations_say(along, one, motion, given)
     signals = along.signals(motion, one.model)
+    one = one.given_along(signals)
     columns = []
     for k in range(count):
         moved = offset[:count].copy()
         moved[k] += STEP
-        columns.append(column(signals, along.signals(motion, along.plant.model(numbers.values(moved), ())), STEP))
+        columns.append(column(signals, along.signals(motion, along.model(numbers.values(moved))), STEP))
     columns += constants
     innovations = one.whitened(filtered)
     rows, channels = one.left.shape
@@ -177,7 +162,7 @@ def _of_this_inertia(levels: Levels, along: Along, one: Beside) -> Levels:
 
     Otherwise every machine would be found lighter, and its drives weaker, than it is: the same motion would need smaller disturbances.
     """
-    here, file = (along.plant.inertias(model, one.base.position[0]) for model in (one.model, along.plant.model(None, ())))
+    here, file = (along.plant.inertias(model, one.base.position[0]) for model in (one.model, along.model()))
     return replace(levels, disturbance=levels.disturbance * here / file)
 
 
@@ -203,12 +188,6 @@ def _by_encoders(along: Along, motion: Motion) -> Motion:
     for joint, one in along.smooth.items():
         acceleration[:, joint] = one.slow[:, 2]
     return replace(motion, acceleration=acceleration)
-
-
-def _mean_direction(motion: Motion) -> np.ndarray:
-    """Return the mean sign (N, n) of speeds that are known up to their deviations."""
-    mean: np.ndarray = scipy.special.erf(motion.speed / (np.sqrt(2.0) * np.maximum(motion.speed_deviation, 1e-12)))
-    return mean
 
 
 @dataclass(frozen=True)

@@ -70,8 +70,19 @@ def test_friction_is_its_mean_over_the_way_from_row_to_row(pair: CompiledPlant) 
     q, v = np.zeros((4, 2)), np.zeros((4, 2))
     v[:, 0] = [0.3, -0.1, -0.2, -0.2]
     rubbed = np.zeros((4, 2))
-    along_module(pair).rub(pair.model(None, effects), pair.new_work(), q, v, np.full((4, 2), 1e-9), rubbed)
+    along_module(pair).rub(
+        pair.model(None, effects), pair.new_work(), q, v, np.full((4, 2), 1e-9), np.zeros((4, 2)), rubbed, np.zeros((4, 2))
+    )
     np.testing.assert_allclose(rubbed[:3, 0], [2.0 * 0.5, -2.0, -2.0], atol=1e-6)  # three quarters of the way forwards
+
+
+def test_friction_of_a_motor_is_a_share_of_its_effort_less_the_joints_damper(pair: CompiledPlant) -> None:
+    effects = (EffectSetting("motor_load_friction", "cart", {"Km": 0.2}),)
+    q, v, efforts, rubbed = (np.zeros((4, 2)) for _ in range(4))
+    v[:, 0], efforts[:, 0] = [0.3, 0.3, -0.3, -0.3], [5.0, -5.0, 5.0, 5.0]
+    along_module(pair).rub(pair.model(None, effects), pair.new_work(), q, v, np.full((4, 2), 1e-9), efforts, rubbed, np.zeros((4, 2)))
+    np.testing.assert_allclose(rubbed[[0, 2], 0], [0.2 * (5.0 - 9.0 * 0.3), -0.2 * (5.0 + 9.0 * 0.3)], atol=1e-6)
+    np.testing.assert_allclose(rubbed[:, 1], 0.0)
 
 
 @pytest.mark.parametrize(("start", "end", "deviation"), [(0.3, -0.1, 0.05), (0.02, 0.021, 0.05), (-0.2, -0.1, 0.3), (0.0, 0.0, 0.1)])

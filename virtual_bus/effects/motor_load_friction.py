@@ -1,0 +1,42 @@
+"""Motor-load friction: what a gear loses of its motor's effort, whatever the load asks for."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from virtual_bus.effects.effect import FRICTION, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, one
+from virtual_bus.effects.motion import JointState
+from virtual_bus.effects.residual import Residual, fitted
+
+EFFECT = Effect(
+    name="motor_load_friction",
+    kind=FRICTION,
+    parameters=(Parameter("Km", unit="", low=0.0, high=0.9, description="friction per effort of the motor"),),
+    equation="Km abs(motor) sign(speed)",
+    convention=(
+        "effort on the joint = -Km abs(motor) sign(speed); motor is the drive's effort less the joint's damper, which holds a back-EMF, "
+        "on the joint's side of the gear; a joint at rest is held up to that level. A gear that drives its load has the efficiency 1 - Km, "
+        "one that its load drives 1 / (1 + Km)"
+    ),
+    neighbours=("load_dependent_friction", "torque_constant", "coulomb_friction"),
+    source="Duclusaud, Passault, Padois, Ly 2024 (arXiv:2410.08650), model M5: the part of the motor's torque",
+    family="dry_friction",
+)
+
+
+def level(state: JointState, Km: float) -> float:
+    """Return the friction level [Nm or N]."""
+    return Km * state.motor
+
+
+def guess(residual: Residual) -> tuple[float]:
+    """Take the missing effort against motion per effort of the drive, beside Coulomb and viscous friction and a load."""
+    against = -np.sign(residual.speed)
+    columns = [against * np.abs(residual.drive_effort), against, -residual.speed, np.ones_like(against)]
+    return (float(fitted(columns, residual.effort)[0]),)
+
+
+def laws(place: Place) -> list[Law]:
+    """Return one coefficient."""
+    return [one("Km", 0.1)]

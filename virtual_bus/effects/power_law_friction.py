@@ -1,0 +1,50 @@
+"""Power-law friction: lubricated contacts, whose friction grows with speed less and less."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from virtual_bus.effects.effect import FRICTION, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, one
+from virtual_bus.effects.motion import JointState
+from virtual_bus.effects.residual import Residual, fitted
+
+EFFECT = Effect(
+    name="power_law_friction",
+    kind=FRICTION,
+    parameters=(
+        Parameter("F1", unit="Nm", low=0.0, high=5000.0, description="effort at a speed of one: 1 rad/s or 1 m/s"),
+        Parameter(
+            "p",
+            unit="",
+            low=0.3,
+            high=0.8,
+            description="exponent: 1/2, the square root of speed, of fits to robots; 2/3 of rolling bearings with oil",
+            is_strength=False,
+            default=0.5,
+        ),
+    ),
+    equation="F1 abs(speed)^p sign(speed)",
+    convention="effort on the joint = -F1 abs(speed)^p sign(speed), speed in rad/s (m/s), on the joint's side of the gear",
+    neighbours=("viscous_friction", "coulomb_friction", "stribeck_friction"),
+    source="Harris and Kotzalas 2006, ch. 10 (after Palmgren 1959: (viscosity x speed)^(2/3)); square root: an intermediate exponent",
+    family="viscous_friction",
+    parent="viscous_friction",
+)
+
+
+def level(state: JointState, F1: float, p: float) -> float:
+    """Return the friction level [Nm or N]."""
+    return F1 * state.speed**p
+
+
+def guess(residual: Residual) -> tuple[float, float]:
+    """Take the part of the missing effort along the root of speed, beside viscous and Coulomb friction and a load."""
+    speed = residual.speed
+    sign = np.sign(speed)
+    return float(fitted([-sign * np.sqrt(np.abs(speed)), -speed, -sign, np.ones_like(speed)], residual.effort)[0]), 0.5
+
+
+def laws(place: Place) -> list[Law]:
+    """Return one strength, at the square root of speed."""
+    return [one("F1", p=0.5)]
