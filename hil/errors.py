@@ -9,6 +9,11 @@ BenchError                 base: one line that names what is wrong, where, and w
     `-- LoopAbortedError            the sample loop stopped the motors: overrun, lost device, limit, hold-to-run released
 """
 
+from __future__ import annotations
+
+TRACEBACK_VARIABLE = "ISOCENTER_TRACEBACK"
+"""Environment variable that shows the traceback of an error."""
+
 
 class BenchError(Exception):
     """Base of every error the bench raises on purpose."""
@@ -40,3 +45,18 @@ class BadAnswerError(BenchError):
 
 class LoopAbortedError(BadAnswerError):
     """The sample loop stopped the motors before the experiment was over; what was recorded is kept."""
+
+
+def in_one_line(error: Exception) -> tuple[str, int]:
+    """Return what a command says of an error that ended it, and its exit status: 1 a bad answer, 2 unusable input."""
+    from controllers.errors import ControlError
+    from drivers.errors import DriverError
+    from virtual_bus.errors import EmulatorError
+
+    if isinstance(error, BenchError | DriverError | EmulatorError | ControlError):
+        line, status = "; ".join([str(error), *getattr(error, "__notes__", ())]), error.exit_status
+    elif isinstance(error, OSError):
+        line, status = f"{f'{error.filename}: ' if error.filename else ''}{error.strerror or error}", 2
+    else:
+        line, status = f"a fault of isocenter itself: {error!r}; {TRACEBACK_VARIABLE}=1 shows where", 1
+    return " ".join(line.split("\n")), status

@@ -22,6 +22,7 @@ from virtual_bus.modbus.servers import ModbusRtuServer, ModbusTcpServer
 from virtual_bus.serial.pty import Pty
 from virtual_bus.serial.tcp_line import TcpLine
 from virtual_bus.serial.xsens_imu import EmulatedImu
+from virtual_bus.special_frames import FLAGS, message_of
 
 AWAKE_SHARE = 0.65
 """Share of a period before an expected SYNC during which the emulator stays awake. Where the kernel cannot be preempted, a process that
@@ -236,14 +237,14 @@ def _sender(bus: can.BusABC) -> Emit:
     """Return the function that puts a frame on this bus and bridges a transmit queue that is full for a moment."""
 
     def send_message(can_id: int, data: bytes) -> None:
-        bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+        bus.send(message_of(can_id, data))
 
     send_frame = getattr(bus, "send_frame", send_message)  # some buses do without the message object
 
     def send(can_id: int, data: bytes) -> None:
         for _ in range(SEND_ATTEMPTS):
             try:
-                send_frame(can_id, data)
+                (send_message if can_id & FLAGS else send_frame)(can_id, data)
                 return
             except can.CanOperationError:  # the transmit queue is full
                 time.sleep(SEND_PAUSE_S)

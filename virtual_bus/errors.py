@@ -1,4 +1,4 @@
-"""Errors of the emulated machine: an unusable plant, effect or device description, or a lost bus."""
+"""Errors of the emulated machine: an unusable plant, effect, fault or device description, or a lost bus."""
 
 
 class EmulatorError(Exception):
@@ -13,6 +13,10 @@ class PlantError(EmulatorError, ValueError):
 
 class EffectError(EmulatorError, ValueError):
     """An effect that does not exist, acts where it may not, or has a parameter out of bounds."""
+
+
+class FaultError(EmulatorError, ValueError):
+    """A fault that does not exist, acts where it may not, or has a parameter or condition that cannot be."""
 
 
 class BusLostError(EmulatorError, ConnectionError):

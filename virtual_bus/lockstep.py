@@ -13,6 +13,7 @@ import can
 
 from virtual_bus.machine import EmulatedMachine
 from virtual_bus.serial.pipe import PipeEnd, pipe
+from virtual_bus.special_frames import FLAGS, message_of
 
 CHANNEL = "lockstep"
 
@@ -77,7 +78,8 @@ class LockstepBus(can.BusABC):
         while True:
             if not self._frames and not (timeout and self._wait_for_frame(timeout)):
                 return None
-            message = ReceivedFrame(*self._frames.popleft(), self.time_s)
+            can_id, data = self._frames.popleft()
+            message = self._special(can_id, data) if can_id & FLAGS else ReceivedFrame(can_id, data, self.time_s)
             if self._filters is None or self._matches_filters(message):
                 return message
 
@@ -99,6 +101,11 @@ class LockstepBus(can.BusABC):
             self.pass_time(step_s)
             timeout_s -= step_s
         return bool(self._frames)
+
+    def _special(self, can_id: int, data: bytes) -> can.Message:
+        message = message_of(can_id, data)
+        message.timestamp = self.time_s
+        return message
 
     def _queue(self, can_id: int, data: bytes) -> None:
         self._frames.append((can_id, data))

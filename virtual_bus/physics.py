@@ -114,6 +114,20 @@ class Physics:
         """Close or open the brakes (axes,). A closed brake is Coulomb friction of the joint's `brake_effort`."""
         self._brakes[:] = np.asarray(closed, dtype=bool)
 
+    def set_brake_shares(self, share: np.ndarray) -> None:
+        """Let each brake hold this share of its effort (axes,): 1 as when it is closed, 0 as when it is open, between them one at fault."""
+        self._brakes[:] = share
+
+    @property
+    def joint_positions(self) -> np.ndarray:
+        """True joint positions (n,) [rad or m] of this instant; a view that changes with time."""
+        return self._state[: self.plant.joints]
+
+    @property
+    def joint_speeds(self) -> np.ndarray:
+        """True joint speeds (n,) [rad/s or m/s] of this instant; a view that changes with time."""
+        return self._state[self.plant.joints : 2 * self.plant.joints]
+
     def apply(self, effort: np.ndarray) -> None:
         """Set the effort on the motors from the present time on (axes,), in the drives' units.
 

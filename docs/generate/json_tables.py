@@ -26,6 +26,12 @@ _RUN = (
         "object",
         "Only with `--data`: images by fate, `place_sigma_m`, `lost`, `unplaced`, `source` and the file `geometry`.",
     ),
+    Entry(
+        "faults",
+        "object",
+        "Only with `--faults`: `events`, when each fault began and ended (`time_s` of the machine, `label`, `begins`), and `outcome` since "
+        "the last began: `onset_s`, `watched_s`, and of each of `axes` `axis`, `ending`, `rest_s`, `travel`, `furthest`, `fastest`.",
+    ),
 )
 
 COMMANDS: dict[str, tuple[Entry, ...]] = {
@@ -54,6 +60,27 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("bus", "text", "The bus."),
         Entry("node", "number", "Only with `--eds`."),
         Entry("imu, imu_tcp, io, io_rtu, panel", "text", "Ports of the emulated devices, those that there are."),
+    ),
+    "faults list": (
+        Entry(
+            "faults",
+            "list",
+            "`name`, `does`, `class`, `at`, `at_in_words`, `emulated`, and `parameters` as on the page of [faults](faults.md).",
+        ),
+        Entry("places, states", "object", "Kinds of place, and states that a condition may name, in words."),
+    ),
+    "faults check": (
+        Entry("machine, hash, software", "text", "What was tried, and with which version."),
+        Entry("axis, speed, unit, rows", "text, number, text, number", "The sweep of every run."),
+        Entry("verdicts", "object", "How many faults ended how."),
+        Entry("processor_s", "number", "Processor time of all runs."),
+        Entry(
+            "faults",
+            "list",
+            "`name` of the row, `kind`, `at`, `group`, `during`; `verdict` (stopped, noted, unnoticed, not at rest, never began, did not "
+            "end), `exit_status`, `said`, `stopping`; `rows` kept of `planned`; `onset_s`, `rest_s`, `travel`, `ending`, `watched_s`, and "
+            "`axes` as of `run`; `processor_s`.",
+        ),
     ),
     "scan-bus": (
         Entry("bus", "text", "The bus."),

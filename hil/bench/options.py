@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from hil.machine import Machine
+from virtual_bus.faults.fault import FaultSetting
+from virtual_bus.faults.motion_log import MotionLog
+from virtual_bus.faults.schedule import FaultEvent
 
 
 @dataclass(frozen=True)
@@ -27,6 +30,12 @@ class BenchOptions:
         In lockstep, file for the values that only the emulator knows.
     emulated : Machine, optional
         In lockstep, the machine that is emulated, where it differs from the machine file.
+    faults : tuple of FaultSetting
+        In lockstep, what goes wrong on the emulated machine.
+    motion : MotionLog, optional
+        In lockstep, takes the machine's true motion, from power-on until it is at rest after the last SYNC.
+    events : list
+        In lockstep, takes when each fault began and ended.
     real_time : bool
         On a bus, request real-time scheduling; not where loop and emulator have to share one processor.
     """
@@ -39,4 +48,7 @@ class BenchOptions:
     frame_log: Path | None = None
     truth: Path | None = None
     emulated: Machine | None = None
+    faults: tuple[FaultSetting, ...] = ()
+    motion: MotionLog | None = None
+    events: list[FaultEvent] = field(default_factory=list)
     real_time: bool = True

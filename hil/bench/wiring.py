@@ -31,7 +31,12 @@ from hil.emulated.machine import build_emulated, opened_bus
 from hil.emulated.truth import TruthLog
 from hil.errors import LoopAbortedError, UnusableInputError
 from hil.machine import Machine
+from virtual_bus.faults.machine import FaultyMachine
 from virtual_bus.lockstep import LockstepBus, imu_line, io_line
+
+REST_AT_MOST_S = 20.0
+"""Longest time for which a machine with faults is watched after its last SYNC: an arm that swings free on its bearings alone comes to rest
+within it, or is not coming to rest."""
 
 
 class HeedingMachine(CanMachine):
@@ -77,15 +82,20 @@ class Wiring:
     clock: LockstepClock | WallClock
     lockstep: bool
     truth: TruthLog | None = None
+    faulty: FaultyMachine | None = None
 
     def start_truth(self) -> None:
         """Begin truth rows with the next SYNC."""
         if self.truth is not None:
             self.truth.recording = True
+        if self.faulty is not None:
+            self.faulty.recording = True
 
     def pause_truth(self) -> None:
-        """End truth rows."""
-        if self.truth is not None:
+        """End truth rows; of a machine with faults they go on, until it is at rest."""
+        if self.faulty is not None:
+            self.faulty.recording = False
+        elif self.truth is not None:
             self.truth.recording = False
 
 
@@ -99,10 +109,22 @@ def lockstep_wiring(machine: Machine, options: BenchOptions, start_pose: np.ndar
         if options.truth is not None:
             truth = stack.enter_context(contextlib.closing(TruthLog(options.truth, (options.emulated or machine).plant.tree.joints)))
             truth.recording = False
-        emulated = build_emulated(options.emulated or machine, start_pose, seed=options.seed, noise=options.noise, truth=truth)
+        emulated = build_emulated(
+            options.emulated or machine,
+            start_pose,
+            seed=options.seed,
+            noise=options.noise,
+            truth=truth,
+            faults=options.faults,
+            motion=options.motion,
+        )
         log = stack.enter_context(options.frame_log.open("w", encoding="utf-8")) if options.frame_log is not None else None
         bus = LockstepBus(emulated, log)
         stack.callback(bus.shutdown)
+        faulty = emulated if isinstance(emulated, FaultyMachine) else None
+        if faulty is not None:
+            stack.callback(options.events.extend, faulty.schedule.events)
+            stack.callback(faulty.let_rest, bus.pass_time, REST_AT_MOST_S)
         imu = ImuDriver(settings.imu, imu_line(emulated)) if settings.imu is not None else None
         io: Io | None = None
         if settings.io is not None:
@@ -114,7 +136,7 @@ def lockstep_wiring(machine: Machine, options: BenchOptions, start_pose: np.ndar
 
             io = IoDriver(settings.io, InProcessTransport(serve), machine.axes)
         clock = LockstepClock(bus.pass_time, lambda: bus.time_s)
-        yield Wiring(HeedingMachine(stop_request, settings, bus, clock, imu, io, LockstepAttendant()), clock, True, truth)
+        yield Wiring(HeedingMachine(stop_request, settings, bus, clock, imu, io, LockstepAttendant()), clock, True, truth, faulty)
 
 
 @contextlib.contextmanager
@@ -135,6 +157,8 @@ def wall_wiring(machine: Machine, options: BenchOptions, stop_request: StopReque
     if options.emulated is not None or not options.noise:
         what = "--effects" if options.emulated is not None else "--no-noise"
         raise UnusableInputError(f"{what}: only an emulated machine can be told; give it to `isocenter emulate`, or run on lockstep:")
+    if options.faults or options.motion is not None:
+        raise UnusableInputError("--faults: only an emulated machine can have them; give them to `isocenter emulate`, or run on lockstep:")
     if options.truth is not None:
         raise UnusableInputError("--truth: only an emulator knows the truth; give it to `isocenter emulate`, or run on lockstep:")
     if options.frame_log is not None:

@@ -13,13 +13,11 @@ from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
 import typer
 
-from hil.errors import UnusableInputError
+from hil.errors import TRACEBACK_VARIABLE, UnusableInputError, in_one_line
 from hil.version import software_version
 
 if TYPE_CHECKING:
     from typer._click.exceptions import ClickException
-
-TRACEBACK_VARIABLE = "ISOCENTER_TRACEBACK"
 
 # Matrices here are small: BLAS threads that spin for each other take the processor from the loop and cost more than they bring.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -148,19 +146,9 @@ def _say_usage(error: ClickException) -> int:
 
 
 def _say_error(error: Exception) -> int:
-    from controllers.errors import ControlError
-    from drivers.errors import DriverError
-    from hil.errors import BenchError
-    from virtual_bus.errors import EmulatorError
-
     if os.environ.get(TRACEBACK_VARIABLE):
         traceback.print_exception(error)
-    if isinstance(error, (BenchError, DriverError, EmulatorError, ControlError)):
-        return _say("; ".join([str(error), *getattr(error, "__notes__", ())]), error.exit_status)
-    if isinstance(error, OSError):
-        place = f"{error.filename}: " if error.filename else ""
-        return _say(f"{place}{error.strerror or error}", 2)
-    return _say(f"a fault of isocenter itself: {error!r}; {TRACEBACK_VARIABLE}=1 shows where", 1)
+    return _say(*in_one_line(error))
 
 
 def _say(line: str, status: int) -> int:

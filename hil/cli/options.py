@@ -14,6 +14,7 @@ from hil.terminal.output import refuse_unwritable, refuse_unwritable_folder
 
 if TYPE_CHECKING:
     from hil.machine import Machine
+    from virtual_bus.faults.fault import FaultSetting
     from virtual_bus.settings import EffectSetting
 
 MachineOption = Annotated[
@@ -33,6 +34,9 @@ BusOption = Annotated[
     ),
 ]
 EffectsOption = Annotated[Path | None, typer.Option("--effects", metavar="FILE", help="Effects file (TOML): physics added by name.")]
+FaultsOption = Annotated[
+    Path | None, typer.Option("--faults", metavar="FILE", help="Faults file (TOML): what goes wrong, and when (isocenter faults list).")
+]
 PoseOption = Annotated[
     str, typer.Option("--pose", metavar="AXIS=VALUE,...", help="Start pose, in degrees (mm on a prismatic axis); axes left out stand at 0.")
 ]
@@ -61,6 +65,25 @@ def read_effects(path: Path, machine: Machine) -> tuple[EffectSetting, ...]:
     from hil.machine.effects_file import read_effects_file
 
     return read_effects_file(path, machine)
+
+
+def read_faults(path: Path | None, machine: Machine, lockstep: bool) -> tuple[FaultSetting, ...]:
+    """Read the faults of a file, checked against the list of faults and the machine; without a file there are none.
+
+    Raises
+    ------
+    UnusableInputError
+        A fault waits for rows to be recorded, of which an emulator on a bus does not know.
+    """
+    from hil.machine.faults_file import read_faults_file
+
+    faults = () if path is None else read_faults_file(path, machine)
+    for fault in faults:
+        if not lockstep and str(fault.when).startswith("recording"):
+            raise UnusableInputError(
+                f'{path}: {fault.label}: when = "{fault.when}": only a run on lockstep: knows; name a motion, such as "settled"'
+            )
+    return faults
 
 
 def edge_scale(machine: Machine, axis: str) -> float:

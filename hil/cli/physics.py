@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from hil.cli.options import BusOption, EffectsOption, PoseOption, RealTimeOption, load, parse_pose
+from hil.cli.options import BusOption, EffectsOption, FaultsOption, PoseOption, RealTimeOption, load, parse_pose, read_faults
 from hil.terminal.output import Answer, JsonOption
 
 PORTS = {"node": "node", "IMU": "imu", "I/O": "io", "I/O over RTU": "io_rtu", "panel": "panel"}
@@ -64,6 +64,7 @@ def emulate(
     panel: Annotated[
         str, typer.Option("--panel", metavar="SCENE", help="Serve an X-ray panel too, with this scene or marker plate in the beam.")
     ] = "",
+    faults: FaultsOption = None,
     real_time: RealTimeOption = True,
     json_to: JsonOption = None,
 ) -> None:
@@ -72,8 +73,8 @@ def emulate(
 
     if (eds is None) == (machine_name is None):
         raise typer.BadParameter("give either a machine M or --eds FILE")
-    if eds is not None and (io_rtu or panel):
-        raise typer.BadParameter(f"{'--panel' if panel else '--io-rtu'}: is a machine's; leave it out with --eds")
+    if eds is not None and (io_rtu or panel or faults):
+        raise typer.BadParameter(f"{'--panel' if panel else '--io-rtu' if io_rtu else '--faults'}: is a machine's; leave it out with --eds")
     answer = Answer(json_to)
 
     def ready(found: dict[str, object]) -> None:
@@ -88,4 +89,5 @@ def emulate(
     machine = load(machine_name, effects_file)
     start = parse_pose(pose, machine)
     wires = {"io_rtu": io_rtu, "panel": panel}
-    emulate_machine(machine, bus, start, seed=seed, noise=noise, truth=truth, punctual=real_time, **wires, on_ready=ready)
+    wrong = read_faults(faults, machine, lockstep=False)
+    emulate_machine(machine, bus, start, seed=seed, noise=noise, truth=truth, punctual=real_time, **wires, faults=wrong, on_ready=ready)

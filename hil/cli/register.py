@@ -12,6 +12,7 @@ from hil.cli import (
     calibrate_model,
     calibrate_spot,
     diagnose,
+    faults,
     geometry,
     identify,
     machine,
@@ -46,3 +47,4 @@ def commands(app: typer.Typer) -> None:
     geometry.register(app)
     reconstruct.register(app)
     diagnose.register(app)
+    app.add_typer(faults.app, name="faults")

@@ -14,6 +14,7 @@ from hil.cli.observe import DampingOption, ObserverOption, live_observer
 from hil.cli.options import (
     BusOption,
     EffectsOption,
+    FaultsOption,
     ImuOption,
     IoOption,
     RealTimeOption,
@@ -22,9 +23,11 @@ from hil.cli.options import (
     load,
     not_an_input,
     read_effects,
+    read_faults,
 )
 from hil.cli.run_data import DataOption, UntilOption, data_beside, keep_sightings, leave
 from hil.cli.run_images import BinningOption, ImageRateOption, ImagesOption, PanelOption, SceneOption, SpoolOption, images_beside
+from hil.cli.told_faults import Told
 from hil.emulated.card import find
 from hil.errors import UnusableInputError
 from hil.terminal.output import Answer, JsonOption, follower, progress
@@ -59,6 +62,7 @@ class RunOptions:
     bus: BusOption = "lockstep:"
     seed: SeedOption = 0
     effects: EffectsOption = None
+    faults: FaultsOption = None
     imu: ImuOption = ""
     io: IoOption = ""
     emulated: EmulatedOption = ""
@@ -91,14 +95,18 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
         answer.say(note)
     paths = recording_paths(run.out, plans)
     can_be_written(*(path for path in paths if not path.is_file()), run.frame_log, run.truth)  # a file that is there is moved aside
-    inputs = [path for path in (run.observer, run.data, run.effects) if path is not None]
+    inputs = [path for path in (run.observer, run.data, run.effects, run.faults) if path is not None]
     for written in (run.frame_log, run.truth):
         if written is not None:
             not_an_input(written, *inputs)
     lockstep = run.bus.startswith("lockstep:")
     if run.emulated and not lockstep:
         raise UnusableInputError("--emulated: only a run on lockstep: emulates; give that machine to `isocenter emulate`")
+    if run.faults is not None and not lockstep:
+        raise UnusableInputError("--faults: only an emulated machine can have them; give them to `isocenter emulate`, or run on lockstep:")
     emulated = _emulated(machine, run)
+    faults = read_faults(run.faults, emulated or machine, lockstep)
+    told = Told.of(faults, machine)
     records: list[dict[str, Any]] = []
     data = data_beside(machine, run.data, run.until, run.observer is not None, run.images, run.image_rate, plans, lockstep)
     watching = live_observer(run.observer, run.damping, machine, answer, None if data is None else data.behind)
@@ -118,10 +126,13 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
         data,
     )
     with contextlib.ExitStack() as stack:
+        stack.callback(told.say, answer)
         if data is not None and run.images is not None:
             stack.callback(keep_sightings, data, run.images)
         truth, rows = stack.enter_context(frames)
-        options = BenchOptions(run.bus, run.imu, run.io, run.seed, run.noise, run.frame_log, truth, emulated, run.real_time)
+        options = BenchOptions(
+            run.bus, run.imu, run.io, run.seed, run.noise, run.frame_log, truth, emulated, faults, told.motion, told.events, run.real_time
+        )
         bench = stack.enter_context(open_bench(machine, options, plans[0].start_pose, watching))
         with progress(answer.console, live=lockstep) as bars:
             for plan, path in zip(plans, paths, strict=True):
@@ -152,6 +163,8 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
     document["recordings"] = records
     if data is not None and run.images is not None:
         document["calibration"] = leave(data, run.images, answer)
+    if faults:
+        document["faults"] = told.document()
     answer.write(document)
 
 

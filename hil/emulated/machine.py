@@ -6,7 +6,7 @@ import math
 import multiprocessing
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,6 +24,11 @@ from hil.machine import Machine
 from hil.processes.real_time import real_time
 from virtual_bus.canopen.bare import BareMachine
 from virtual_bus.emulator import Ports, run_device, run_emulator
+from virtual_bus.faults.binding import inject
+from virtual_bus.faults.devices import FaultyBrakes, FaultyImu, FaultyIo
+from virtual_bus.faults.fault import FaultSetting
+from virtual_bus.faults.machine import FaultyMachine
+from virtual_bus.faults.motion_log import MotionLog
 from virtual_bus.idle_time import SILENCE_S
 from virtual_bus.machine import EmulatedMachine
 from virtual_bus.modbus.io_device import EmulatedIo, IoLayout
@@ -55,8 +60,12 @@ def build_emulated(
     noise: bool = True,
     truth: TruthLog | None = None,
     board: PoseBoard | None = None,
+    faults: Sequence[FaultSetting] = (),
+    motion: MotionLog | None = None,
 ) -> EmulatedMachine:
     """Build the whole machine, placed at `pose` (n_axes,), not yet powered on; the panel's process reads the `board`.
+
+    With `faults`, or a log for its true `motion`, it is a `FaultyMachine`.
 
     Raises
     ------
@@ -68,7 +77,7 @@ def build_emulated(
     physics = Physics(machine.plant, seed, noise)
     physics.advance()  # compiles everything before a caller waits for an answer; `place` undoes the step
     io_map = machine.bus.io
-    io = None
+    layout = None
     if io_map is not None:
         layout = IoLayout(
             io_map.unit_id,
@@ -78,9 +87,6 @@ def build_emulated(
             io_map.door_input,
             io_map.temperature_registers,
         )
-        io = EmulatedIo(layout, machine.axes, on_brakes=physics.set_brakes)
-        io.set_hold_to_run(True)
-        io.set_door(True)
     geometry = machine.geometry
 
     def witness(time_s: float) -> None:
@@ -90,14 +96,21 @@ def build_emulated(
         if board is not None and geometry is not None:
             board.put(emulated.syncs, time_s, true[f"pose_{geometry.source_body}"], true[f"pose_{geometry.detector_body}"])
 
-    emulated = EmulatedMachine(
-        physics,
-        emulated_bus(machine, physics),
-        machine.plant.sample_period_s,
-        imu=EmulatedImu() if machine.bus.imu is not None else None,
-        io=io,
-        witness=None if truth is None and board is None else witness,
-    )
+    devices = emulated_bus(machine, physics)
+    period_s, has_imu = machine.plant.sample_period_s, machine.bus.imu is not None
+    seen = None if truth is None and board is None else witness
+    emulated: EmulatedMachine
+    if faults or motion is not None:
+        brakes = FaultyBrakes(physics)
+        faulty_io = FaultyIo(layout, machine.axes, brakes) if layout is not None else None
+        faulty_imu = FaultyImu() if has_imu else None
+        emulated = FaultyMachine(
+            physics, devices, period_s, brakes=brakes, imu=faulty_imu, io=faulty_io, witness=seen, seed=seed, log=motion
+        )
+        inject(emulated, faults)
+    else:
+        io = EmulatedIo(layout, machine.axes, on_brakes=physics.set_brakes) if layout is not None else None
+        emulated = EmulatedMachine(physics, devices, period_s, imu=EmulatedImu() if has_imu else None, io=io, witness=seen)
     emulated.place(np.zeros(len(machine.axes)) if pose is None else pose)
     return emulated
 
@@ -172,6 +185,7 @@ def emulate_machine(
     punctual: bool = True,
     io_rtu: str = "",
     panel: str = "",
+    faults: Sequence[FaultSetting] = (),
     on_ready: Callable[[dict[str, object]], None],
 ) -> None:
     """Emulate a machine on a bus, wall clock, until SIGTERM or SIGINT.
@@ -182,6 +196,8 @@ def emulate_machine(
         Serve the I/O over Modbus RTU too: on a pseudo terminal ("pty") or a serial port ("DEVICE@BAUD").
     panel : str
         Serve an X-ray panel too, with this scene or marker plate in the beam.
+    faults : sequence of FaultSetting
+        What goes wrong, and when.
     on_ready : callable
         Called once, when all ports are open, with a description of the machine and the ports of IMU and I/O.
 
@@ -204,7 +220,7 @@ def emulate_machine(
 
             board = PoseBoard(multiprocessing.get_context("spawn"))
             panel_url = stack.enter_context(panel_beside(machine, board, panel))
-        emulated = build_emulated(machine, start, seed=seed, noise=noise, truth=log, board=board)
+        emulated = build_emulated(machine, start, seed=seed, noise=noise, truth=log, board=board, faults=faults)
 
         def ready(ports: Ports) -> None:
             # The bench takes the TCP port: the kernel passes data of a pseudo terminal on in a worker of ordinary priority, for which a

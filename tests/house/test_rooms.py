@@ -31,6 +31,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "diagnosis": ("experiments", "files", "machine", "processes", "recording", "simulation"),
     "figures": ("calibration", "identification", "imaging", "observing", "reconstruction", "shaping"),
     "terminal": ("recording",),
+    "faults": ("bench", "experiments", "machine", "recording", "terminal", "version"),
     "demo": ("bench", "experiments", "figures", "identification", "machine", "recording", "simulation", "terminal"),
     "cli": (
         "bench",
@@ -40,6 +41,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "emulated",
         "experiments",
         "extras",
+        "faults",
         "figures",
         "identification",
         "imaging",

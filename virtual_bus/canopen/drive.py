@@ -70,12 +70,12 @@ class Cia402Drive(Node):
         self._max_torque, self._max_current = entry(0x6072), entry(0x6073)
         self._install_checks()
         negative, positive = self._counts(settings.negative_switch), self._counts(settings.positive_switch)
-        self._reference = Reference(settings.counts_per_turn, negative, positive)
+        reference = Reference(settings.counts_per_turn, negative, positive)
         per_count = settings.position_resolution * 1000.0 / settings.rated
         gains = VelocityGains(settings.velocity_gain * per_count, settings.velocity_integral_gain * per_count)
         self._speed = SpeedMeter(period_s)
         self._loop = VelocityLoop(gains, period_s, STANDSTILL_SHARE * self.objects.number(0x6099, 2))
-        self._homing = Homing(self._reference)
+        self.homing = Homing(reference)
         self._origin = self._absolute = self._offset = 0
         self.power_state = PowerState.NOT_READY_TO_SWITCH_ON
         self._causes: set[int] = set()  # of persistent faults: no reset while one is there
@@ -110,7 +110,7 @@ class Cia402Drive(Node):
     def application_reset(self) -> None:
         """Switch the power stage off, set the position counter to zero, and forget the home position."""
         self._offset = -self._absolute
-        self._homing.reset()
+        self.homing.reset()
         self._speed.restart()
         self._clear()
         self._set_state(PowerState.SWITCH_ON_DISABLED)  # transitions 0 and 1
@@ -135,6 +135,10 @@ class Cia402Drive(Node):
         if persistent:
             self._causes.add(code)
         self._fault(code)
+
+    def cause_gone(self, code: int) -> None:
+        """Take the cause of a persistent fault away: from now on the fault can be reset."""
+        self._causes.discard(code)
 
     def connection_lost(self, reason: str) -> None:
         """React as the abort connection option code (6007h) says.
@@ -205,7 +209,7 @@ class Cia402Drive(Node):
             self._faults = []
             self._error_code.value = 0
         if state is not PowerState.OPERATION_ENABLED:
-            self._homing.interrupt()
+            self.homing.interrupt()
         self._set_state(state)
         return True
 
@@ -224,7 +228,7 @@ class Cia402Drive(Node):
         if option == 0:
             self._set_state(after if after is not None else PowerState.SWITCH_ON_DISABLED)
             return
-        self._homing.interrupt()
+        self.homing.interrupt()
         self._after_stop = after
         self._stopping = True
         self._stop_began_s = self.now_s
@@ -236,7 +240,7 @@ class Cia402Drive(Node):
 
     def _halt(self, asked: bool) -> None:
         if asked and not self._halted and self.power_state is PowerState.OPERATION_ENABLED:
-            self._homing.interrupt()
+            self.homing.interrupt()
             self._deceleration = self._ramp(self.objects.number(0x605D))
             self._loop.start(self._speed.counts_s if math.isfinite(self._deceleration) else 0.0, self._permille)
         self._halted = asked
@@ -245,7 +249,7 @@ class Cia402Drive(Node):
     def _choose_mode(self) -> None:
         if self._mode.value in MODES and self._mode_display.value != self._mode.value:
             self._mode_display.value = self._mode.value
-            self._homing.interrupt()
+            self.homing.interrupt()
             self._loop.start(0.0, self._permille)
             self._refresh()
 
@@ -253,15 +257,15 @@ class Cia402Drive(Node):
         if self._mode_display.value != HOMING_MODE or self.power_state is not PowerState.OPERATION_ENABLED:
             return
         if not word & HOMING_START:
-            self._homing.interrupt()
+            self.homing.interrupt()
         elif not previous & HOMING_START and not self._halted:
-            self._homing.start(self.objects.number(0x6098), self._absolute)
+            self.homing.start(self.objects.number(0x6098), self._absolute)
             self._loop.start(self._speed.counts_s, self._permille)
             self._take_home()
 
     def _take_home(self) -> None:
-        if self._homing.state is HomingState.ATTAINED and self._offset != self.objects.number(0x607C) - self._homing.home_counts:
-            self._offset = self.objects.number(0x607C) - self._homing.home_counts
+        if self.homing.state is HomingState.ATTAINED and self._offset != self.objects.number(0x607C) - self.homing.home_counts:
+            self._offset = self.objects.number(0x607C) - self.homing.home_counts
             self._position.value = wrap_32(self._absolute + self._offset)
 
     # ---- one sample -----------------------------------------------------------------------------------
@@ -303,9 +307,9 @@ class Cia402Drive(Node):
 
     def _home(self) -> int:
         speed = 0.0
-        if self._homing.running:
+        if self.homing.running:
             search, zero = self.objects.number(0x6099, 1), self.objects.number(0x6099, 2)
-            speed = self._homing.update(self._absolute, search, zero, self._loop.standing)
+            speed = self.homing.update(self._absolute, search, zero, self._loop.standing)
             self._take_home()
         return self._regulate(speed, self.objects.number(0x609A))
 
@@ -334,7 +338,7 @@ class Cia402Drive(Node):
         permille = round(effort * self._permille_per_effort)
         self._torque.value = self._current.value = min(max(permille, -_INT16), _INT16)
         self._check_temperature(temperature_degC)
-        reference = self._reference
+        reference = self.homing.reference
         self._inputs.value = reference.at_negative_switch(absolute) | reference.at_positive_switch(absolute) << 1
         self._refresh()
 
@@ -368,12 +372,12 @@ class Cia402Drive(Node):
 
     def _homing_bits(self) -> int:
         """Return bits 10, 12 and 13 of the homing mode (IEC 61800-7-201, table 105)."""
-        state = self._homing.state
+        state = self.homing.state
         if state is HomingState.ATTAINED:
             return HOMING_ATTAINED | TARGET_REACHED
         if state is HomingState.FAILED:
             return HOMING_ERROR | TARGET_REACHED
-        return 0 if self._homing.running else TARGET_REACHED
+        return 0 if self.homing.running else TARGET_REACHED
 
 
 def wrap_32(value: int) -> int:

@@ -50,10 +50,16 @@ class Reference:
 
 
 class Homing:
-    """The homing runs of a drive. `update` is called once per sample and returns how fast to move."""
+    """The homing runs of a drive. `update` is called once per sample and returns how fast to move.
+
+    Attributes
+    ----------
+    reference : Reference
+        Index pulse and switches, as they are wired.
+    """
 
     def __init__(self, reference: Reference) -> None:
-        self._reference = reference
+        self.reference = reference
         self.state = HomingState.IDLE
         self.home_counts = 0  # absolute count that is home, once ATTAINED
         self._method = 0
@@ -103,11 +109,11 @@ class Homing:
 
     def _seek_index(self, counts: int, zero_speed: float) -> float:
         direction = INDEX_PULSE[self._method]
-        blocked = self._reference.at_negative_switch(counts) if direction < 0 else self._reference.at_positive_switch(counts)
+        blocked = self.reference.at_negative_switch(counts) if direction < 0 else self.reference.at_positive_switch(counts)
         if self.state is not HomingState.SEARCHING or blocked:
             self.state = HomingState.FAILED if self.state is HomingState.SEARCHING else self.state
             return 0.0
-        index = self._reference.index_between(self._last, counts)
+        index = self.reference.index_between(self._last, counts)
         if index is not None:
             return self._found(index)
         return direction * zero_speed
@@ -131,7 +137,7 @@ class Homing:
         return 0.0
 
     def _switch_position(self) -> int | None:
-        return self._reference.negative_switch if LIMIT_SWITCH[self._method] < 0 else self._reference.positive_switch
+        return self.reference.negative_switch if LIMIT_SWITCH[self._method] < 0 else self.reference.positive_switch
 
     def _at_switch(self, counts: int) -> bool:
-        return self._reference.at_negative_switch(counts) if LIMIT_SWITCH[self._method] < 0 else self._reference.at_positive_switch(counts)
+        return self.reference.at_negative_switch(counts) if LIMIT_SWITCH[self._method] < 0 else self.reference.at_positive_switch(counts)

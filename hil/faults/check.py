@@ -1,0 +1,267 @@
+"""One run per fault of the table, in lockstep, one after the other: what was said, what moved, what is kept."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import math
+import signal
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from types import FrameType
+from typing import Any, Literal
+
+from hil.bench.open import open_bench
+from hil.bench.options import BenchOptions
+from hil.errors import RecordingError, in_one_line
+from hil.experiments import Plan
+from hil.faults.trials import FaultTrial, standard_scan
+from hil.machine import Machine
+from hil.machine.faults_file import faults_text
+from hil.recording import read_recording
+from hil.terminal.output import plain
+from hil.version import software_version
+from virtual_bus.faults.motion_log import MotionLog
+from virtual_bus.faults.outcome import AxisOutcome, FaultOutcome, outcome_of
+from virtual_bus.faults.schedule import FaultEvent
+
+OUTCOMES = "outcomes.jsonl"
+PROCESSOR_LIMIT_S = 120.0
+"""Processor time after which a run counts as one that does not end: forty times what one takes."""
+PACKAGES = ("controllers", "drivers", "hil/bench", "hil/faults", "hil/recording", "virtual_bus")
+"""What a run with a fault goes through."""
+
+Verdict = Literal["stopped", "noted", "unnoticed", "not at rest", "never began", "did not end"]
+
+
+@dataclass(frozen=True)
+class TrialOutcome:
+    """What became of one fault.
+
+    Parameters
+    ----------
+    name, kind, at, group, during : of the trial
+    verdict : str
+        "stopped": the run ended with an error and everything is at rest. "noted": it went on and said something of it. "unnoticed": it
+        ended as if nothing had been. "not at rest": something still moves, or has moved without a stop. "never began": the run ended
+        before the fault's time. "did not end".
+    exit_status : int
+        Of the command `run`.
+    said : str
+        Its last line, and its notes.
+    stopping : tuple of str
+        What went wrong in the stop itself.
+    rows : int
+        Rows of the recording that are kept, of `planned`.
+    planned : int
+    onset_s : float
+        Machine time of the fault, NaN: it never began.
+    rest_s : float
+        From there to rest of every axis, NaN: not at rest.
+    travel : float
+        Of the axis that swept, from there to rest or to the end of the watch [rad or m].
+    ending : str
+        Of that axis: what holds it.
+    watched_s : float
+        How long the truth was watched after the fault.
+    axes : tuple of AxisOutcome
+    processor_s : float
+        That the run took.
+    """
+
+    name: str
+    kind: str
+    at: str
+    group: str
+    during: str
+    verdict: Verdict
+    exit_status: int
+    said: str
+    stopping: tuple[str, ...]
+    rows: int
+    planned: int
+    onset_s: float
+    rest_s: float
+    travel: float
+    ending: str
+    watched_s: float
+    axes: tuple[AxisOutcome, ...]
+    processor_s: float
+
+
+class _EndlessError(BaseException):
+    """A run has taken more processor time than it may; no `except Exception` on its way may keep it."""
+
+
+def check_faults(
+    machine: Machine, axis: str, table: Sequence[FaultTrial], folder: Path, progress: Callable[[int, TrialOutcome], None] | None = None
+) -> list[TrialOutcome]:
+    """Run every trial, and keep each outcome in the folder as soon as it is there; those that are there already are not run again.
+
+    Parameters
+    ----------
+    machine : Machine
+    axis : str
+        That sweeps.
+    table : sequence of FaultTrial
+    folder : Path
+        Exists; `outcomes.jsonl` grows in it.
+    progress : callable, optional
+        Called with the number of rows done and the newest.
+    """
+    kept_path = folder / OUTCOMES
+    kept = _kept(kept_path)
+    plan, _ = standard_scan(machine, axis)
+    outcomes = []
+    for number, trial in enumerate(table, start=1):
+        key = _key(machine, axis, trial)
+        outcome = kept.get(key)
+        if outcome is None:
+            outcome = run_trial(machine, axis, trial, plan)
+            _keep(kept_path, json.dumps({"key": key, **_as_json(outcome)}, ensure_ascii=False))
+        outcomes.append(outcome)
+        if progress is not None:
+            progress(number, outcome)
+    return outcomes
+
+
+def run_trial(machine: Machine, axis: str, trial: FaultTrial, plan: Plan) -> TrialOutcome:
+    """Run one trial."""
+    motion, events = MotionLog(machine.axes), list[FaultEvent]()
+    options = BenchOptions("lockstep:", faults=trial.settings, motion=motion, events=events)
+    began_s = time.process_time()
+    status, lines, troubles = 0, list[str](), tuple[str, ...]()
+    with tempfile.TemporaryDirectory() as scratch:
+        path = Path(scratch) / "run.mf4"
+        try:
+            with _limited(PROCESSOR_LIMIT_S), open_bench(machine, options, plan.start_pose) as bench:
+                try:
+                    lines += bench.run(plan, path).notes
+                finally:
+                    troubles = tuple(bench.wiring.link.troubles)
+        except _EndlessError:
+            status, lines = 1, [*lines, f"has taken {PROCESSOR_LIMIT_S:g} s of processor time and was given up"]
+        except Exception as error:
+            line, status = in_one_line(error)
+            lines.append(line)
+        rows = _rows_kept(path)
+    onsets = [event.time_s for event in events if event.begins]
+    complete = len(onsets) == len(trial.settings)
+    outcome = outcome_of(motion, min(max(onsets), float(motion.time_s[-1]))) if onsets and len(motion) else None
+    return TrialOutcome(
+        trial.name,
+        trial.kind,
+        trial.at,
+        trial.group,
+        trial.during,
+        _verdict(status, lines, outcome, complete=complete or status > 0),
+        status,
+        "; ".join(lines),
+        troubles,
+        rows,
+        plan.rows,
+        max(onsets, default=math.nan),
+        max((one.rest_s for one in outcome.axes), default=math.nan) if outcome is not None and outcome.at_rest else math.nan,
+        outcome.of(axis).travel if outcome is not None else math.nan,
+        outcome.of(axis).ending if outcome is not None else "",
+        outcome.watched_s if outcome is not None else 0.0,
+        outcome.axes if outcome is not None else (),
+        round(time.process_time() - began_s, 2),
+    )
+
+
+def _verdict(status: int, lines: Sequence[str], outcome: FaultOutcome | None, *, complete: bool) -> Verdict:
+    if lines and lines[-1].endswith("was given up"):
+        return "did not end"
+    if outcome is None or not complete:
+        return "never began"
+    if not outcome.at_rest:
+        return "not at rest"
+    if status:
+        return "stopped"
+    return "noted" if lines else "unnoticed"
+
+
+@contextlib.contextmanager
+def _limited(seconds: float) -> Iterator[None]:
+    """End the block with `_EndlessError` after so much processor time, where the system can tell."""
+    if not hasattr(signal, "setitimer"):
+        yield
+        return
+
+    def give_up(signum: int, frame: FrameType | None) -> None:
+        raise _EndlessError
+
+    before = signal.signal(signal.SIGVTALRM, give_up)
+    signal.setitimer(signal.ITIMER_VIRTUAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
+        signal.signal(signal.SIGVTALRM, before)
+
+
+def _rows_kept(path: Path) -> int:
+    """Return how many rows of a recording can be read; 0 where there is none."""
+    if not path.is_file():
+        return 0
+    try:
+        return len(read_recording(path).time)
+    except RecordingError:
+        return 0
+
+
+def _key(machine: Machine, axis: str, trial: FaultTrial) -> str:
+    """Return what an outcome depends on, as a digest: the machine, the software, the faults and the sweep."""
+    text = "\n".join((machine.hash, _software(), axis, trial.name, faults_text(trial.settings)))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+@cache
+def _software() -> str:
+    """Return a digest of the program's files: outcomes of a program that was changed are not those of this one."""
+    digest = hashlib.sha256(software_version().encode())
+    for package in PACKAGES:
+        for path in sorted((Path(__file__).parents[2] / package).rglob("*.py")):
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def _as_json(outcome: TrialOutcome) -> dict[str, Any]:
+    document = plain(outcome)
+    assert isinstance(document, dict)
+    return document
+
+
+def _keep(path: Path, line: str) -> None:
+    """Add a line to a file, behind one that may have been cut off."""
+    cut_off = path.is_file() and path.stat().st_size > 0 and not path.read_bytes().endswith(b"\n")
+    with path.open("a", encoding="utf-8") as file:
+        file.write(("\n" if cut_off else "") + line + "\n")
+
+
+def _kept(path: Path) -> dict[str, TrialOutcome]:
+    """Return the outcomes of earlier runs by their key; a line that was cut off counts for nothing."""
+    found = {}
+    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+    for line in lines:
+        with contextlib.suppress(ValueError, TypeError, KeyError):
+            entry = json.loads(line)
+            key = entry.pop("key")
+            found[key] = _from_json(entry)
+    return found
+
+
+def _from_json(entry: dict[str, Any]) -> TrialOutcome:
+    """Return an outcome as `_as_json` wrote it: null is NaN."""
+
+    def numbers(table: dict[str, Any]) -> dict[str, Any]:
+        return {key: math.nan if value is None else value for key, value in table.items()}
+
+    axes = tuple(AxisOutcome(**numbers(axis)) for axis in entry.pop("axes"))
+    return TrialOutcome(**numbers(entry) | {"axes": axes, "stopping": tuple(entry["stopping"])})

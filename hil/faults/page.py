@@ -1,0 +1,105 @@
+"""The page of the table of faults: one self-contained HTML file, and the same as data."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from string import Template
+
+from hil.bench.wiring import REST_AT_MOST_S
+from hil.faults.check import TrialOutcome
+from hil.faults.trials import standard_scan
+from hil.machine import Machine
+from hil.version import software_version
+from virtual_bus.faults.registry import fault_kinds
+
+_TEMPLATE = Path(__file__).with_name("page.html")
+PAGE, DATA = "faults.html", "faults.json"
+BAD = ("not at rest", "did not end")
+DOUBTFUL = ("unnoticed", "never began")
+_HEAD = ("fault", "at", "during", "verdict", "rest [s]", "travel [{unit}]", "at the end", "rows", "said")
+
+
+def document_of(machine: Machine, axis: str, outcomes: Sequence[TrialOutcome]) -> dict[str, object]:
+    """Return the table as data."""
+    plan, speed = standard_scan(machine, axis)
+    return {
+        "machine": machine.name,
+        "hash": machine.hash,
+        "software": software_version(),
+        "axis": axis,
+        "speed": speed,
+        "unit": machine.units[machine.axis_index(axis)].position,
+        "rows": plan.rows,
+        "verdicts": Counter(outcome.verdict for outcome in outcomes),
+        "processor_s": sum(outcome.processor_s for outcome in outcomes),
+        "faults": outcomes,
+    }
+
+
+def write_page(machine: Machine, axis: str, outcomes: Sequence[TrialOutcome], folder: Path) -> Path:
+    """Write the page into a folder and return its path."""
+    path = folder / PAGE
+    path.write_text(page_of(machine, axis, outcomes), encoding="utf-8")
+    return path
+
+
+def page_of(machine: Machine, axis: str, outcomes: Sequence[TrialOutcome]) -> str:
+    """Return the page's text, the classes of faults in their own order and the worst of each first."""
+    unit = machine.units[machine.axis_index(axis)].position
+    groups = list(dict.fromkeys(outcome.group for outcome in outcomes))
+    _, speed = standard_scan(machine, axis)
+    return Template(_TEMPLATE.read_text(encoding="utf-8")).substitute(
+        machine=html.escape(machine.name),
+        description=html.escape(machine.description),
+        axis=html.escape(axis),
+        speed=f"{speed:.2f}",
+        unit=unit,
+        count=len(outcomes),
+        seconds=f"{sum(outcome.processor_s for outcome in outcomes):.0f}",
+        software=html.escape(software_version()),
+        hash=machine.hash[:12],
+        summary=html.escape(summary_of(outcomes)),
+        watch=f"{REST_AT_MOST_S:g}",
+        sections="\n".join(_section(group, [outcome for outcome in outcomes if outcome.group == group], unit) for group in groups),
+    )
+
+
+def summary_of(outcomes: Sequence[TrialOutcome]) -> str:
+    """Return how many faults ended how, in a line."""
+    counts = Counter(outcome.verdict for outcome in outcomes)
+    faults = "1 fault" if len(outcomes) == 1 else f"{len(outcomes)} faults"
+    return f"{faults}: " + ", ".join(f"{number} {verdict}" for verdict, number in counts.most_common())
+
+
+def _section(group: str, outcomes: Sequence[TrialOutcome], unit: str) -> str:
+    head = "".join(f"<th>{cell.format(unit=unit)}</th>" for cell in _HEAD)
+    rank = {**dict.fromkeys(BAD, 0), **dict.fromkeys(DOUBTFUL, 1)}
+    rows = "\n".join(_row(outcome) for outcome in sorted(outcomes, key=lambda outcome: rank.get(outcome.verdict, 2)))
+    return f"<h2>{html.escape(group[0].upper() + group[1:])}</h2>\n<table>\n<tr>{head}</tr>\n{rows}\n</table>"
+
+
+def _row(outcome: TrialOutcome) -> str:
+    look = "bad" if outcome.verdict in BAD else "doubtful" if outcome.verdict in DOUBTFUL else "good"
+    details = outcome.name.split("/")[3:]
+    does = fault_kinds()[outcome.kind].does
+    said = "<br>".join(html.escape(text) for text in (outcome.said, *(f"stopping: {trouble}" for trouble in outcome.stopping)) if text)
+    cells = (
+        f"<td>{html.escape(outcome.kind)} {html.escape(' '.join(details))}<br><small>{html.escape(does)}</small></td>",
+        f"<td>{html.escape(outcome.at)}</td>",
+        f"<td>{html.escape(outcome.during)}</td>",
+        f"<td>{html.escape(outcome.verdict)}<br><small>exit status {outcome.exit_status}</small></td>",
+        f'<td class="number">{_number(outcome.rest_s, 2)}</td>',
+        f'<td class="number">{_number(outcome.travel, 3)}</td>',
+        f"<td>{html.escape(outcome.ending)}</td>",
+        f'<td class="number">{outcome.rows} of {outcome.planned}</td>',
+        f"<td>{said}</td>",
+    )
+    return f'<tr class="{look}">' + "".join(cells) + "</tr>"
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if math.isfinite(value) else "–"

@@ -1,0 +1,155 @@
+"""The trials of the table: every fault at every place of an axis that moves, at the time at which its declaration says."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+
+from hil.errors import ExperimentError, UnusableInputError
+from hil.experiments import Plan, Scan
+from hil.machine import Machine
+from hil.machine.faults_file import places_of
+from virtual_bus.faults.binding import FaultPlaces
+from virtual_bus.faults.condition import Comparison, Condition, InState
+from virtual_bus.faults.fault import FaultKind, FaultSetting, Group, Phase, Trial
+from virtual_bus.faults.registry import fault_kinds
+
+SPEED = 0.4
+"""rad/s or m/s of the sweep: a scan of a C-arm; half the axis's limit where that is less."""
+SPEED_SHARE = 0.5
+SWEEP_S = 1.25
+"""The sweep is this long at its speed: the fault comes when it has accelerated, and most are seen within tenths of a second."""
+FORTH_SHARE = 0.4
+"""Share of the sweep before the middle of the axis's range: an arm is not balanced at its end."""
+FAST_SHARE = 0.9
+"""Share of the sweep's speed from which on a fault of the sweep begins."""
+DWELL_S = 0.25
+
+_NEEDS_METHOD = {"limit_switch_stuck": (17, 18), "index_pulse_missing": (33, 34)}
+"""Faults that only show where the axis is homed by one of these methods."""
+
+
+@dataclass(frozen=True)
+class FaultTrial:
+    """One row of the table.
+
+    Parameters
+    ----------
+    name : str
+        Unique in the table: the fault, its place, its phase, and the parameters that are not the defaults.
+    kind, at, group : of the fault
+    during : Phase
+        Of the run.
+    settings : tuple of FaultSetting
+        The fault, and behind it what ends the run where its phase asks for a stop.
+    """
+
+    name: str
+    kind: str
+    at: str
+    group: Group
+    during: Phase
+    settings: tuple[FaultSetting, ...]
+
+
+def standard_scan(machine: Machine, axis: str) -> tuple[Plan, float]:
+    """Return the plan of a short sweep of an axis about the middle of its range, and its speed [rad/s or m/s].
+
+    Raises
+    ------
+    UnusableInputError
+        The machine cannot make it.
+    """
+    limit = machine.limits[machine.axis_index(axis)]
+    speed = min(SPEED, SPEED_SHARE * limit.speed)
+    middle, way = 0.5 * (limit.lower + limit.upper), min(speed * SWEEP_S, 0.5 * (limit.upper - limit.lower))
+    begin = middle + FORTH_SHARE * way
+    try:
+        (plan,) = Scan(axis, begin, begin - way, speed, dwell_s=DWELL_S).plans(machine)
+    except ExperimentError as error:
+        raise UnusableInputError(f"{machine.name}: the sweep of {axis} that the table of faults runs: {error}") from None
+    return plan, speed
+
+
+def trials(machine: Machine, axis: str, only: Collection[str] = ()) -> tuple[FaultTrial, ...]:
+    """Return the rows of the table for a machine whose `axis` sweeps.
+
+    Parameters
+    ----------
+    machine : Machine
+    axis : str
+    only : collection of str
+        Names of faults or of rows; all unless given.
+
+    Raises
+    ------
+    UnusableInputError
+        One of `only` is neither, or no row is left.
+    """
+    places = places_of(machine)
+    _, speed = standard_scan(machine, axis)
+    rows = [
+        row
+        for kind in fault_kinds().values()
+        if _shows(kind, machine, axis)
+        for row in _rows(kind, places, _at(kind, machine, axis), axis, speed)
+    ]
+    unknown = [name for name in only if not any(name in (row.name, row.kind) for row in rows)]
+    if unknown:
+        known = "this machine cannot have it" if unknown[0] in fault_kinds() else "`isocenter faults list` names all"
+        raise UnusableInputError(f"--only {unknown[0]}: no such fault in the table of {machine.name}: {known}")
+    return tuple(row for row in rows if not only or row.kind in only or row.name in only)
+
+
+def _shows(kind: FaultKind, machine: Machine, axis: str) -> bool:
+    methods = _NEEDS_METHOD.get(kind.name)
+    assert machine.bus is not None
+    return kind.begin is not None and (methods is None or machine.bus.homings[machine.axis_index(axis)].method in methods)
+
+
+def _at(kind: FaultKind, machine: Machine, axis: str) -> tuple[str, ...]:
+    """Return the places of an axis for a fault: its drive, its encoder, itself, or what there is once."""
+    places = places_of(machine)
+    assert machine.bus is not None
+    here = {node.name for node in machine.bus.nodes if node.axis == axis} | {axis, "imu", "io", "bus"}
+    return tuple(place for place in places.of(kind.at) if place in here)
+
+
+def _rows(kind: FaultKind, places: FaultPlaces, at: tuple[str, ...], axis: str, speed: float) -> Iterator[FaultTrial]:
+    for place in at:
+        for trial in kind.trials:
+            if trial.during == "stop" and not places.io:
+                continue
+            yield _row(kind, place, trial, axis, speed)
+
+
+def _row(kind: FaultKind, at: str, trial: Trial, axis: str, speed: float) -> FaultTrial:
+    values = {parameter.name: trial.values.get(parameter.name, parameter.default) for parameter in kind.parameters}
+    lasting = float("inf") if trial.for_s is None else trial.for_s
+    settings = [FaultSetting(kind.name, at, values, _when(trial.during, axis, speed), 0.0, lasting)]
+    if trial.during == "stop":
+        settings.append(FaultSetting("hold_to_run_released", "io", {}, _when("sweep", axis, speed)))
+    more = [f"{name}={value:g}" for name, value in trial.values.items()] + ([f"for_s={trial.for_s:g}"] if trial.for_s is not None else [])
+    name = "/".join((kind.name, at, trial.during.replace(" ", "_"), *more))
+    return FaultTrial(name, kind.name, at, kind.group, trial.during, tuple(settings))
+
+
+def _when(during: Phase, axis: str, speed: float) -> Condition | None:
+    if during == "start":
+        return None
+    if during == "sweep":
+        return Comparison(f"speed_{axis}", True, ">", FAST_SHARE * speed)
+    return InState({"first move": "enabled", "homing": "homing", "settled": "settled", "stop": "settled"}[during], axis)
+
+
+def swept_axis(machine: Machine, wanted: str = "") -> str:
+    """Return the axis that sweeps: the one that is asked for, or the machine's last, which the others carry.
+
+    Raises
+    ------
+    UnusableInputError
+        There is no such axis.
+    """
+    if wanted and wanted not in machine.axes:
+        raise UnusableInputError(f"--axis {wanted}: {machine.name} has {', '.join(machine.axes)}")
+    return wanted or machine.axes[-1]

@@ -1,0 +1,94 @@
+"""The declaration of a fault: its name, what it does, where it may act, its parameters, and how it is made in the emulated machine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from virtual_bus.faults.condition import Condition
+from virtual_bus.faults.machine import FaultyMachine
+from virtual_bus.faults.seam import Undo
+
+Values = Mapping[str, float]
+Begin = Callable[[FaultyMachine, str, Values], Undo]
+"""Begins a fault at a place with its parameters, and returns what takes it back."""
+
+Place = Literal["axis", "brake", "feedback", "thermometer", "drive", "encoder", "node", "imu", "io", "bus", "process"]
+PLACES: dict[Place, str] = {
+    "axis": "an axis",
+    "brake": "an axis with a brake",
+    "feedback": "an axis whose brake the I/O watches",
+    "thermometer": "an axis with a temperature sensor",
+    "drive": "a drive's node",
+    "encoder": "a link encoder's node",
+    "node": "any node",
+    "imu": "imu",
+    "io": "io",
+    "bus": "bus",
+    "process": "a process of the bench",
+}
+"""Kinds of places, and what a faults file writes as `at`."""
+
+Group = Literal["drive", "brake", "I/O", "encoder", "IMU", "temperature", "bus", "process", "homing", "commissioning", "first move"]
+
+Phase = Literal["start", "first move", "homing", "settled", "sweep", "stop"]
+"""Part of a run in which the table of faults tries a fault; "stop": from the start of a sweep that hold-to-run ends."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of a fault."""
+
+    name: str
+    unit: str
+    default: float
+    low: float
+    high: float
+    description: str
+    whole: bool = False
+
+    @property
+    def key(self) -> str:
+        """The name as it is written in a faults file: `delay_s`, `share`."""
+        suffix = self.unit.replace("/", "_").replace(" ", "_").replace("^", "")
+        return f"{self.name}_{suffix}" if suffix else self.name
+
+
+@dataclass(frozen=True)
+class Trial:
+    """How the table of faults tries a fault: when in its run, with which parameters, for how long."""
+
+    during: Phase = "sweep"
+    values: Mapping[str, float] = field(default_factory=dict)
+    for_s: float | None = None  # None: for ever
+
+
+@dataclass(frozen=True)
+class FaultKind:
+    """One fault by name."""
+
+    name: str
+    does: str  # in a sentence
+    group: Group
+    at: Place
+    begin: Begin | None  # None: not of the emulated machine but of the bench's processes
+    parameters: tuple[Parameter, ...] = ()
+    trials: tuple[Trial, ...] = (Trial(),)
+
+
+@dataclass(frozen=True)
+class FaultSetting:
+    """One fault of a faults file, bound to a place of a machine: parameters in SI, in the fault's own order."""
+
+    name: str
+    at: str
+    parameters: Mapping[str, float]
+    when: Condition | None = None
+    from_s: float = 0.0
+    for_s: float = float("inf")
+
+    @property
+    def label(self) -> str:
+        """The fault and its place in words."""
+        return f"{self.name} at {self.at}"
