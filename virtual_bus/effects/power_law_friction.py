@@ -35,7 +35,8 @@ EFFECT = Effect(
 
 def level(state: JointState, F1: float, p: float) -> float:
     """Return the friction level [Nm or N]."""
-    return F1 * state.speed**p
+    level: float = F1 * state.speed**p
+    return level
 
 
 def guess(residual: Residual) -> tuple[float, float]:
