@@ -41,6 +41,7 @@ class Node:
     heartbeat_period_s: float
     boot_timeout_s: float
     writes: tuple[tuple[int, int, int], ...] = ()  # further (index, subindex, value) of the file, written and read back
+    stopped_by: str = ""  # what stops a drive that cannot stop by itself when the bench is gone
 
 
 @dataclass(frozen=True)

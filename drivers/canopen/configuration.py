@@ -61,10 +61,12 @@ def configure_node(sdo: SdoNode, node: Node, settings: BusSettings, scaling: Axi
         sdo.write_checked(SYNC_COB_ID, 0, settings.sync_cob_id)
     _configure_pdos(sdo, node)
     sdo.write_checked(PRODUCER_HEARTBEAT, 0, round(node.heartbeat_period_s * 1000))
-    if not _watch_bench(sdo, settings) and node.role == "drive":
-        notes.append(f"{sdo.who}: has no heartbeat consumer (1016h); its motor is not stopped by the drive when the bench dies")
+    watches = _watch_bench(sdo, settings)
     if node.role == "drive":
-        notes += [f"{sdo.who}: has no option code {index:04X}h" for index in _write_option_codes(sdo, own_writes)]
+        lacking = [] if watches else ["heartbeat consumer (1016h) that watches a heartbeat of the bench"]
+        lacking += [f"option code {index:04X}h" for index in _write_option_codes(sdo, own_writes)]
+        if lacking:
+            notes.append(_stopped_otherwise(sdo, node, lacking))
     if scaling is not None:
         _configure_scaling(sdo, scaling, own_writes)
     for index, subindex, value in node.writes:
@@ -123,6 +125,16 @@ def _watch_bench(sdo: SdoNode, settings: BusSettings) -> bool:
     milliseconds = round(HEARTBEAT_TOLERANCE * settings.master_heartbeat_period_s * 1000)
     sdo.write_checked(CONSUMER_HEARTBEAT, 1, settings.master_node_id << 16 | milliseconds)
     return True
+
+
+def _stopped_otherwise(sdo: SdoNode, node: Node, lacking: list[str]) -> str:
+    """Return the note on a drive that does not stop by itself; refuse it where the machine file does not say what stops it."""
+    without = f"{sdo.who}: it has no {' and no '.join(lacking)}, so it does not stop by itself when the bench is gone"
+    if not node.stopped_by:
+        raise ConfigurationRefusedError(
+            f'{without}; wire what does, e.g. safe torque off, and name it: bus.nodes.{node.name}.stopped_by = "…"'
+        )
+    return f"{without}; what stops it, by the machine file: {node.stopped_by}"
 
 
 def _write_option_codes(sdo: SdoNode, own_writes: set[tuple[int, int]]) -> list[int]:

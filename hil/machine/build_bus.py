@@ -159,6 +159,7 @@ def _node(name: str, node: NodeTable, folder: Path | None) -> Node:
         heartbeat_period_s=node.heartbeat,
         boot_timeout_s=node.boot_timeout,
         writes=tuple((write.index, write.subindex, write.value) for write in node.write),
+        stopped_by=node.stopped_by,
     )
 
 

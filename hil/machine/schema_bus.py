@@ -75,6 +75,9 @@ class NodeTable(Table):
     """What it receives."""
     write: tuple[WriteTable, ...] = ()
     """Further objects to write."""
+    stopped_by: Text = ""
+    """What stops the motor when the bench is gone, in words, of a drive that lacks the heartbeat consumer (1016h) or its reaction (6007h,
+    605Eh). Without it such a drive is refused."""
 
 
 class HomingTable(Table):

@@ -126,12 +126,15 @@ def test_a_rated_current_that_differs_and_cannot_be_set_says_how_wrong_efforts_w
         configured(drive)
 
 
-def test_a_drive_that_cannot_watch_the_bench_is_noted() -> None:
-    drive = ScriptedDrive(1)
+def test_a_drive_that_cannot_watch_the_bench_is_refused_unless_the_file_says_what_stops_it() -> None:
     settings = dataclasses.replace(machine_settings(), master_heartbeat_period_s=0.0)
-    _, notes = configured(drive, settings=settings)
+    with pytest.raises(ConfigurationRefusedError, match=r"no heartbeat consumer \(1016h\).*stopped_by = "):
+        configured(ScriptedDrive(1), settings=settings)
+    first, *others = settings.nodes
+    named = dataclasses.replace(settings, nodes=(dataclasses.replace(first, stopped_by="safe torque off in the door's chain"), *others))
+    _, notes = configured(ScriptedDrive(1), settings=named)
     assert len(notes) == 1
-    assert "not stopped by the drive when the bench dies" in notes[0]
+    assert notes[0].endswith("what stops it, by the machine file: safe torque off in the door's chain")
 
 
 def test_a_fixed_mapping_is_compared_instead_of_written() -> None:
@@ -229,6 +232,8 @@ def test_a_real_vendors_drive_is_configured_from_its_own_data_sheet(name: str) -
     node = Node(
         "vendor", "drive", "roll", 1, path, Identity(*[None] * 4), (Pdo(1, 0x181, 1, entries),), (Pdo(1, 0x201, 1, targets),), 0.1, 2.0
     )
+    lacks = any(dictionary.get_variable(index) is None for index in (0x1016, 0x6007, 0x605E))
+    node = dataclasses.replace(node, stopped_by="safe torque off" if lacks else "")
     drive = VendorDrive(dictionary, 1)
     bus = ScriptedBus(drive)
     sdo = SdoNode(PolledNetwork(bus, BusClock(bus)), 1, "vendor", dictionary)
@@ -236,4 +241,4 @@ def test_a_real_vendors_drive_is_configured_from_its_own_data_sheet(name: str) -
     assert [drive.value(0x1A00, s) for s in range(len(entries) + 1)] == [len(entries), *(i << 16 | s << 8 | b for i, s, b in entries)]
     assert drive.value(0x1800, 1) == 0x4000_0181
     assert drive.value(0x1017) == 100
-    assert all("1016h" in note or "option code" in note for note in notes)
+    assert len(notes) == lacks
