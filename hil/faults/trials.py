@@ -25,7 +25,14 @@ FAST_SHARE = 0.9
 """Share of the sweep's speed from which on a fault of the sweep begins."""
 DWELL_S = 0.25
 
-_NEEDS_METHOD = {"limit_switch_stuck": (17, 18), "index_pulse_missing": (33, 34)}
+_STATE_OF: dict[Phase, str] = {
+    "operational": "operational",
+    "first move": "enabled",
+    "homing": "homing",
+    "settled": "settled",
+    "stop": "settled",
+}
+_NEEDS_METHOD = {"limit_switch_stuck": (17, 18), "index_pulse_missing": (33, 34), "homing_wrong_direction": (17, 18, 33, 34)}
 """Faults that only show where the axis is homed by one of these methods."""
 
 
@@ -139,7 +146,7 @@ def _when(during: Phase, axis: str, speed: float) -> Condition | None:
         return None
     if during == "sweep":
         return Comparison(f"speed_{axis}", True, ">", FAST_SHARE * speed)
-    return InState({"first move": "enabled", "homing": "homing", "settled": "settled", "stop": "settled"}[during], axis)
+    return InState(_STATE_OF[during], axis)
 
 
 def swept_axis(machine: Machine, wanted: str = "") -> str:

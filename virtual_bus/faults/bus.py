@@ -27,15 +27,19 @@ def foreign_sync(machine: FaultyMachine, at: str, values: Values) -> Undo:
 
 
 def foreign_tpdo(machine: FaultyMachine, at: str, values: Values) -> Undo:
-    """Let somebody else send a node's PDOs, with zeros, before the node does."""
+    """Let somebody else send a node's PDOs, with zeros, just before or behind each of the node."""
     node = node_of(machine, at)
-    ids = sorted(tpdo_ids(node))
+    ids, sent = tpdo_ids(node), 0
 
-    def send() -> None:
-        for can_id in ids:
-            machine.intrude(can_id, bytes(int(values["bytes"])))
+    def join(can_id: int, data: bytes) -> list[Frame]:
+        nonlocal sent
+        sent += can_id in ids
+        if can_id not in ids or sent % int(values["every"]):
+            return [(can_id, data)]
+        foreign = (can_id, bytes(len(data)))
+        return [(can_id, data), foreign] if values["behind"] else [foreign, (can_id, data)]
 
-    return _every(machine, values, send)
+    return machine.said.add(node.node_id, join)
 
 
 def foreign_heartbeat(machine: FaultyMachine, at: str, values: Values) -> Undo:
@@ -157,7 +161,8 @@ KINDS = (
     FaultKind("foreign_sync", "Somebody else sends SYNCs too; the devices answer each.", "bus", "bus", foreign_sync, (EVERY,),
               (Trial(), Trial(values={"every": 10.0}), Trial("start"))),
     FaultKind("foreign_tpdo", "Somebody else sends the node's PDOs, with zeros.", "bus", "node", foreign_tpdo,
-              (EVERY, Parameter("bytes", "", 8.0, 0.0, 8.0, "length of the frames", whole=True)), (Trial(), Trial(values={"every": 50.0}))),
+              (EVERY, Parameter("behind", "", 1.0, 0.0, 1.0, "1: behind the node's own PDO, 0: before it", whole=True)),
+              (Trial(), Trial(values={"behind": 0.0}), Trial(values={"every": 50.0}))),
     FaultKind("foreign_heartbeat", "Somebody else sends the node's heartbeat.", "bus", "node", foreign_heartbeat,
               (Parameter("every", "", 25.0, 1.0, 1e6, "SYNC in which it sends", whole=True),
                Parameter("state", "", 5.0, 0.0, 127.0, "NMT state it tells", whole=True)),

@@ -9,11 +9,12 @@ from virtual_bus.canopen import abort
 from virtual_bus.canopen.abort import SdoAbortError
 from virtual_bus.canopen.homing import Homing, HomingState, Reference
 from virtual_bus.canopen.objects import Value, key_of
+from virtual_bus.canopen.power_state import PowerState
 from virtual_bus.faults.drives import drive_of
 from virtual_bus.faults.fault import FaultKind, Parameter, Trial, Values
 from virtual_bus.faults.machine import FaultyMachine, Frame
 from virtual_bus.faults.nodes import node_of, unplugged
-from virtual_bus.faults.seam import Undo
+from virtual_bus.faults.seam import Undo, both
 
 SDO_ANSWER, HEARTBEAT, BOOT_UP = 0x580, 0x700, b"\x00"
 IDENTITY, MODE_DISPLAY, HEARTBEAT_TIME = 0x1018, 0x6061, 0x1017
@@ -129,8 +130,13 @@ def mode_never_follows(machine: FaultyMachine, at: str, values: Values) -> Undo:
 def reset_refused(machine: FaultyMachine, at: str, values: Values) -> Undo:
     """Be in fault, with a cause that stays."""
     drive = drive_of(machine, at)
-    drive.inject_fault(SOFTWARE_ERROR, persistent=True)
-    return lambda: drive.cause_gone(SOFTWARE_ERROR)
+
+    def stay_in_fault() -> None:
+        if drive.power_state not in (PowerState.FAULT, PowerState.FAULT_REACTION_ACTIVE):
+            drive.inject_fault(SOFTWARE_ERROR, persistent=True)
+
+    stay_in_fault()
+    return both(machine.samples.add("", stay_in_fault), lambda: drive.cause_gone(SOFTWARE_ERROR))
 
 
 def starts_in_fault(machine: FaultyMachine, at: str, values: Values) -> Undo:
@@ -232,9 +238,9 @@ KINDS = (
     FaultKind("mode_never_follows", "The drive's mode display never follows the mode that was asked.", "homing", "drive",
               mode_never_follows, trials=FROM_START),
     FaultKind("fault_reset_refused", "The drive is in fault and cannot be reset.", "commissioning", "drive", reset_refused,
-              trials=(Trial("first move"), Trial("start"))),
+              trials=(Trial("operational"), Trial("first move"))),
     FaultKind("drive_starts_in_fault", "The drive is in fault, which a reset ends.", "commissioning", "drive", starts_in_fault,
-              trials=(Trial("first move"),)),
+              trials=(Trial("operational"),)),
     FaultKind("sdo_aborts", "The node refuses writes of one object.", "commissioning", "node", sdo_aborts, (INDEX, SUBINDEX), FROM_START),
     FaultKind("sdo_silent", "The node answers no SDO.", "commissioning", "node", sdo_silent, trials=FROM_START),
     FaultKind("sdo_wrong_object", "The node answers SDOs with another object's index.", "commissioning", "node", sdo_wrong_object,

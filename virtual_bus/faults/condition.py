@@ -19,6 +19,7 @@ from virtual_bus.errors import FaultError
 STATES = {
     "moving": "faster than 0.05 rad/s (m/s)",
     "settled": "enabled, its brake open and slower than 0.001 rad/s (m/s) for one second",
+    "operational": "its drive is NMT operational",
     "homing": "its drive displays the homing mode",
     "enabled": "its drive is in operation enabled",
     "stopping": "its drive is in quick stop or fault reaction",

@@ -68,6 +68,8 @@ class FaultyIo(EmulatedIo):
         Key "": from the bytes of an answer on TCP to those that are sent.
     hangs_up : bool
         Whether every connection is closed as soon as something comes.
+    hangs : bool
+        Whether requests are taken and nothing is done.
     """
 
     def __init__(self, layout: IoLayout, axes: tuple[str, ...], brakes: FaultyBrakes) -> None:
@@ -75,7 +77,7 @@ class FaultyIo(EmulatedIo):
         self.thermometers: Seam[Callable[[float], float]] = Seam()
         self.refusals: Seam[Callable[[bytes], bytes | None]] = Seam()
         self.answers: Seam[Callable[[bytes], bytes]] = Seam()
-        self.hangs_up = False
+        self.hangs_up = self.hangs = False
         self._brakes = brakes
         super().__init__(layout, axes)
 
@@ -108,6 +110,9 @@ class FaultyIo(EmulatedIo):
         if self.hangs_up:
             framing.broken = True
             return b""
+        if self.hangs:
+            framing.feed(data)
+            return b""
         answer = super().serve_tcp(framing, data)
         for change in self.answers.at(""):
             answer = change(answer)
@@ -115,7 +120,7 @@ class FaultyIo(EmulatedIo):
 
     def serve_rtu(self, frame: bytes) -> bytes:
         """Answer a frame of a serial line, where there is an answer."""
-        answer = b"" if self.hangs_up else super().serve_rtu(frame)
+        answer = b"" if self.hangs_up or self.hangs else super().serve_rtu(frame)
         for change in self.answers.at(""):
             answer = change(answer)
         return answer

@@ -197,7 +197,7 @@ KINDS = (
     FaultKind("torque_noisy", "The power stage adds noise.", "drive", "drive", _stage(_ripples),
               (Parameter("share", "", 0.3, 0.0, 5.0, "rms over the rated effort"),)),
     FaultKind("drive_deaf", "The drive ignores RPDOs and goes on with the last effort.", "drive", "drive", deaf,
-              trials=(Trial(), Trial("settled"), Trial("stop"))),
+              trials=(Trial(), Trial("settled"))),
     FaultKind("drive_hangs", "The drive neither hears nor says anything and goes on with the last effort.", "drive", "drive", hangs),
     FaultKind("drive_loses_power", "The drive is off: no effort, no frames.", "drive", "drive", loses_power,
               trials=(Trial(), Trial(for_s=0.5))),

@@ -32,7 +32,7 @@ PLACES: dict[Place, str] = {
 
 Group = Literal["drive", "brake", "I/O", "encoder", "IMU", "temperature", "bus", "process", "homing", "commissioning", "first move"]
 
-Phase = Literal["start", "first move", "homing", "settled", "sweep", "stop"]
+Phase = Literal["start", "operational", "first move", "homing", "settled", "sweep", "stop"]
 """Part of a run in which the table of faults tries a fault; "stop": from the start of a sweep that hold-to-run ends."""
 
 

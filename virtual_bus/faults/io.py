@@ -45,7 +45,13 @@ def vanishes(machine: FaultyMachine, at: str, values: Values) -> Undo:
 
 def hangs(machine: FaultyMachine, at: str, values: Values) -> Undo:
     """Take requests and answer none; the outputs stay as they are."""
-    return _device(machine).answers.add("", lambda answer: b"")
+    device = _device(machine)
+    device.hangs = True
+
+    def undo() -> None:
+        device.hangs = False
+
+    return undo
 
 
 def answers_late(machine: FaultyMachine, at: str, values: Values) -> Undo:

@@ -12,6 +12,7 @@ from functools import partial
 
 import numpy as np
 
+from virtual_bus.canopen.nmt import NmtState
 from virtual_bus.canopen.node import Emit, Handler, Node
 from virtual_bus.canopen.power_state import PowerState
 from virtual_bus.faults.condition import MOVING_SPEED, SETTLED_S, STILL_SPEED
@@ -63,8 +64,8 @@ class FaultyMachine(EmulatedMachine):
         Key "": called once per sample.
     recording : bool
         Whether rows are being recorded; the bench sets it, where it is in this process.
-    log : MotionLog
-        The true motion since power-on.
+    log : MotionLog, optional
+        Takes the true motion from power-on; None: nobody wants it, and a machine may run for days.
     """
 
     def __init__(
@@ -91,7 +92,7 @@ class FaultyMachine(EmulatedMachine):
         self.intruders: Seam[Callable[[], None]] = Seam()
         self.samples: Seam[Callable[[], None]] = Seam()
         self.recording = False
-        self.log = log if log is not None else MotionLog(physics.axes)
+        self.log = log
         self.nodes: dict[str, Node] = {**self.drives, **self.encoders}
         self._schedule = Schedule()
         self._seed = seed
@@ -108,7 +109,8 @@ class FaultyMachine(EmulatedMachine):
             if encoder.channel.startswith("link_position_")
         }
         self._temperature = np.full(len(physics.axes), math.nan)
-        self._still_samples = [0] * len(physics.axes)
+        self._still_samples = [0] * len(physics.axes)  # per axis that is free to move
+        self._rest_samples = 0  # of all axes, whatever holds them
 
     # ---- faults ---------------------------------------------------------------------------------------
     def inject(self, injection: Injection) -> None:
@@ -163,6 +165,8 @@ class FaultyMachine(EmulatedMachine):
             return abs(float(self.physics.joint_speeds[self._joints[index]])) > MOVING_SPEED
         if state == "settled":
             return enabled and self._still_samples[index] * self.period_s >= SETTLED_S
+        if state == "operational":
+            return drive is not None and drive.state is NmtState.OPERATIONAL
         if state == "homing":
             return drive is not None and drive.objects.number(0x6061) == HOMING_MODE
         if state == "enabled":
@@ -305,8 +309,13 @@ class FaultyMachine(EmulatedMachine):
         for index, speed in enumerate(speeds):
             free = not self._braked[index] or self.brakes.is_open[index]
             self._still_samples[index] = self._still_samples[index] + 1 if free and abs(speed) <= STILL_SPEED else 0
+        self._rest_samples = self._rest_samples + 1 if all(abs(speed) <= STILL_SPEED for speed in speeds) else 0
         self._schedule.step(self, self.time_s)
-        self.log.add(
+        if self.log is not None:
+            self._write_log(self.log, speeds)
+
+    def _write_log(self, log: MotionLog, speeds: list[float]) -> None:
+        log.add(
             self.time_s,
             [float(self.physics.joint_positions[joint]) for joint in self._joints],
             speeds,
@@ -319,9 +328,9 @@ class FaultyMachine(EmulatedMachine):
         self.brakes.settle([drive is not None and drive.power_state in HOLDING for drive in self._drive_in_order])
 
     def let_rest(self, pass_time: Callable[[float], None], at_most_s: float) -> None:
-        """Let the machine's time go on without SYNCs until every axis has been still for `REST_S`, `at_most_s` [s] at most."""
-        until_s = self.time_s + at_most_s
-        while self.time_s < until_s - self.period_s and not self.log.still_for(REST_S, STILL_SPEED, self.period_s):
+        """Let the machine's time go on without SYNCs until every axis has been still for `REST_S` since, `at_most_s` [s] at most."""
+        began_s, until_s = self.time_s, self.time_s + at_most_s
+        while self.time_s < began_s + REST_S or (self.time_s < until_s and self._rest_samples * self.period_s < REST_S):
             pass_time(self.period_s)
 
 

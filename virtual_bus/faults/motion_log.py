@@ -74,8 +74,3 @@ class MotionLog:
     def drive(self) -> np.ndarray:
         """State of each axis's drive (N, axes), as `PowerState`."""
         return np.array(self._drive, dtype=np.int64).reshape(-1, len(self.axes))
-
-    def still_for(self, seconds: float, speed: float, period_s: float) -> bool:
-        """Return whether no axis has been faster than `speed` for the last `seconds`."""
-        rows = max(1, round(seconds / period_s))
-        return len(self) >= rows and bool((np.abs(np.array(self._speed[-rows:])) <= speed).all())

@@ -13,8 +13,6 @@ from virtual_bus.faults.machine import REST_S
 from virtual_bus.faults.motion_log import HOLDING, MotionLog
 
 Ending = Literal["moving", "held by its brake", "held by its drive", "held by both", "at rest, held by nothing"]
-HELD_SHARE = 0.5
-"""Share of its effort from which on a brake counts as holding."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +104,7 @@ def _axis_outcome(axis: str, time_s: np.ndarray, position: np.ndarray, speed: np
     at_rest = not len(fast) or time_s[-1] - time_s[last] >= REST_S
     until = min(last + 1, len(time_s) - 1) if at_rest else len(time_s) - 1
     way = position[: until + 1]
-    by_brake, by_drive = brake >= HELD_SHARE, drive in HOLDING
+    by_brake, by_drive = brake > 0.0, drive in HOLDING
     return AxisOutcome(
         axis,
         _ending(at_rest, by_brake, by_drive),

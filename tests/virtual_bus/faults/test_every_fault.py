@@ -65,7 +65,7 @@ def test_it_begins_and_ends_and_leaves_nothing_behind(bus: LockstepBus, name: st
     assert ended.time_s - began.time_s == pytest.approx(lasting_s)
     assert not any(seams(machine))
     assert machine.faulty_io is not None
-    assert not machine.faulty_io.hangs_up
+    assert not any((machine.faulty_io.hangs_up, machine.faulty_io.hangs))
 
 
 def test_there_are_as_many_faults_as_the_table_promises() -> None:

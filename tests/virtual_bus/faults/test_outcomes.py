@@ -43,7 +43,7 @@ def test_time_and_travel_of_a_constant_deceleration() -> None:
         (0.0, ENABLED, "held by its drive"),
         (1.0, ENABLED, "held by both"),
         (0.0, OFF, "at rest, held by nothing"),
-        (0.2, OFF, "at rest, held by nothing"),
+        (0.2, OFF, "held by its brake"),
     ],
 )
 def test_what_holds_an_axis_at_rest_is_named(brake: float, drive: int, ending: str) -> None:
