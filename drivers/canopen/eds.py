@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import re
+import stat
 from pathlib import Path
 
 import canopen
@@ -19,6 +20,9 @@ from drivers.errors import ProtocolError
 _OBJECT = re.compile(r"^([0-9A-F]{4})(?:SUB([0-9A-F]{1,2}))?$")
 _COMMENT = re.compile(r"\s;.*$")
 _MAX_FILE_BYTES = 4_000_000  # the largest data sheets in the field are some hundred kilobytes
+_MOST_ENTRIES = 16_384
+"""Most objects and subindices of a file, compact arrays written out: real devices have some thousands. A line of a compact array stands
+for 254 of them, so that a small file could stand for millions."""
 
 _VARIABLE, _DOMAIN_OBJECT = 0x07, 0x02
 _TEXT_KEYS = frozenset({"ParameterName", "AccessType", "VendorName", "ProductName", "OrderCode", "StorageLocation", "Denotation"})
@@ -67,8 +71,11 @@ def load_object_dictionary(path: str | Path, node_id: int | None = None) -> cano
     """
     path = Path(path)
     try:
-        if path.stat().st_size > _MAX_FILE_BYTES:
-            raise ProtocolError(f"{path}: {path.stat().st_size} bytes: no EDS or DCF file is that large")
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):
+            raise ProtocolError(f"{path}: is a folder, device or pipe: an EDS or DCF is a regular file")
+        if status.st_size > _MAX_FILE_BYTES:
+            raise ProtocolError(f"{path}: {status.st_size} bytes: no EDS or DCF file is that large")
         text = _decode(path.read_bytes())
     except OSError as error:
         raise ProtocolError(f"{path}: cannot be read: {error.strerror or error}") from error
@@ -136,6 +143,9 @@ def _clean(sections: Sections, node_id: int | None) -> str:
     _emit(out, "DeviceInfo", _plain_numbers(sections.get("DeviceInfo", {}), "DeviceInfo"))
     _emit_dummies(out, sections.get("DUMMYUSAGE", {}))
     objects = sorted((match.group(1), int(match.group(2) or "-1", 16), head) for head in sections if (match := _OBJECT.match(head)))
+    entries = len(objects) + sum(_compact_count(head, sections) for _, subindex, head in objects if subindex < 0)
+    if entries > _MOST_ENTRIES:
+        raise ProtocolError(f"{entries} objects and subindices, compact arrays written out: a data sheet has at most {_MOST_ENTRIES}")
     present = {index for index, subindex, _ in objects if subindex < 0}
     for index, subindex, head in objects:
         if subindex >= 0 and index not in present:
@@ -173,9 +183,7 @@ def _emit_dummies(out: io.StringIO, given: dict[str, str]) -> None:
 def _emit_compact_array(out: io.StringIO, index: str, sections: Sections, node_id: int | None) -> None:
     """Write out a compact array: every element has the array's type, and its own name and value where the file lists them."""
     keys = sections[index]
-    count = _integer(keys["CompactSubObj"], None, f"[{index}] CompactSubObj")
-    if not 0 <= count <= 254:
-        raise ProtocolError(f"[{index}]: CompactSubObj={count}: must be 0 to 254")
+    count = _compact_count(index, sections)
     names, values = sections.get(f"{index}NAME", {}), sections.get(f"{index}VALUE", {})
     size = {"ParameterName": "Number of entries", "DataType": "5", "AccessType": "ro", "DefaultValue": str(count)}
     _emit(out, f"{index}sub0", _object_keys(size, f"{index}sub0", node_id))
@@ -185,6 +193,14 @@ def _emit_compact_array(out: io.StringIO, index: str, sections: Sections, node_i
         if str(i) in values:
             element["ParameterValue"] = values[str(i)]
         _emit(out, f"{index}sub{i:X}", _object_keys(element, f"{index}sub{i:X}", node_id))
+
+
+def _compact_count(index: str, sections: Sections) -> int:
+    """Return the number of elements of a compact array, 0 for another object."""
+    count = _integer(sections[index].get("CompactSubObj") or "0", None, f"[{index}] CompactSubObj")
+    if not 0 <= count <= 254:
+        raise ProtocolError(f"[{index}]: CompactSubObj={count}: must be 0 to 254")
+    return count
 
 
 def _plain_numbers(keys: dict[str, str], head: str) -> dict[str, str]:

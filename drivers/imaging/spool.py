@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from drivers.errors import DriverError
 
 FORMAT = 1
 PATTERN = "frame_*.npz"
+MOST_BYTES = 2**28  # unpacked; the largest flat panels have 16 million pixels of two bytes
 
 
 class SpoolError(DriverError):
@@ -96,12 +98,18 @@ class FrameSpool:
     @staticmethod
     def _read(path: Path) -> Frame:
         try:
+            if not path.is_file():
+                raise SpoolError(f"{path}: is a folder, device or pipe: a frame is a regular file")
+            with zipfile.ZipFile(path) as archive:
+                claimed = sum(entry.file_size for entry in archive.infolist())
+            if claimed > MOST_BYTES:
+                raise SpoolError(f"{path}: claims {claimed} bytes unpacked; a frame has at most {MOST_BYTES}")
             with np.load(path, allow_pickle=False) as file:
                 if int(file["format"]) != FORMAT:
                     raise SpoolError(f"{path}: format {int(file['format'])}; this version reads {FORMAT}")
                 panel_s, width_s, pulse_s = (float(value) for value in file["times_s"])
                 frame = Frame(int(file["exposure_id"]), panel_s, width_s, pulse_s, file["image"])
-        except (OSError, KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        except (OSError, KeyError, TypeError, ValueError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error) as error:
             raise SpoolError(f"{path}: no frame of a panel ({error})") from None
         if frame.image.dtype != np.uint16:
             raise SpoolError(f"{path}: the image is of {frame.image.dtype}; photon counts are uint16")

@@ -20,6 +20,7 @@ from hil.experiments.plan import Experiment
 from hil.experiments.scan import Scan
 from hil.experiments.static import Static
 from hil.experiments.tour import Tour
+from hil.files.regular import check_regular
 from hil.machine import Machine
 from hil.machine.messages import ComplaintError, from_validation, one_line
 from hil.machine.table import Table
@@ -46,6 +47,7 @@ def read_experiment(path: str | Path, machine: Machine) -> Experiment:
     ExperimentError
         The file cannot be used; one line names file, key, value, the fault and what would be right.
     """
+    check_regular(Path(path), ExperimentError)
     try:
         text = Path(path).read_bytes().decode("utf-8")
     except UnicodeDecodeError as error:

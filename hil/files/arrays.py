@@ -13,13 +13,17 @@ import numpy as np
 
 from hil.errors import UnusableInputError
 from hil.files.atomic import write_atomically
+from hil.files.regular import check_regular
 
 _DAMAGED = (
     *(ValueError, TypeError, AttributeError, KeyError, EOFError, RuntimeError, SyntaxError),
-    *(tokenize.TokenError, zipfile.BadZipFile, zlib.error),
+    *(tokenize.TokenError, zipfile.BadZipFile, zlib.error, MemoryError),
 )
 """Errors of NumPy and zipfile on files that are damaged or of another kind: RuntimeError for an unknown method or password, those of the
-tokenizer for an array's header."""
+tokenizer for an array's header, MemoryError for an array whose header claims more than there is."""
+
+MOST_UNPACKED = 2**29
+"""Most bytes that an archive's arrays may have together: a hundred times those of the largest observer design."""
 
 
 def write_arrays(path: str | Path, arrays: Mapping[str, object]) -> None:
@@ -56,9 +60,16 @@ def read_arrays(path: str | Path, what: str, error: type[UnusableInputError] = U
     UnusableInputError
         The file is missing, damaged, or no archive of arrays.
     """
+    check_regular(Path(path), error)
     try:
+        with zipfile.ZipFile(path) as archive:
+            claimed = sum(entry.file_size for entry in archive.infolist())
+        if claimed > MOST_UNPACKED:
+            raise error(f"{path}: not {what}: its arrays claim {claimed} bytes unpacked; at most {MOST_UNPACKED} are read")
         with np.load(path, allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
+    except UnusableInputError:
+        raise
     except FileNotFoundError:
         raise error(f"{path}: no such file") from None
     except OSError as problem:

@@ -14,6 +14,7 @@ import numpy as np
 
 from hil.errors import UnusableInputError
 from hil.extras import extra_package
+from hil.files.regular import check_regular
 from hil.files.toml_text import toml_text
 from hil.imaging.detector import Detector
 from hil.machine import Machine
@@ -136,6 +137,7 @@ def read_scan(folder: Path) -> ImageScan:
         Something is missing, unreadable, or does not belong together.
     """
     description = folder / DESCRIPTION
+    check_regular(description)
     try:
         document = tomllib.loads(description.read_text(encoding="utf-8"))
     except OSError as error:

@@ -10,6 +10,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from hil.errors import MachineFileError
+from hil.files.regular import check_regular
 from hil.machine.build import build_controllers, build_geometry, build_limits, build_plant, build_units
 from hil.machine.build_bus import build_bus
 from hil.machine.messages import ComplaintError, from_validation, one_line
@@ -88,6 +89,7 @@ def machine_from_text(text: str, path: Path | None = None, label: str = "") -> M
 
 def read_text(path: Path, right: str) -> str:
     """Text of a file; `right` is what to do where there is none."""
+    check_regular(path, MachineFileError)
     try:
         return path.read_bytes().decode("utf-8")
     except UnicodeDecodeError as error:

@@ -13,6 +13,7 @@ import numpy as np
 
 from hil.errors import RecordingError
 from hil.files.atomic import write_atomically
+from hil.files.regular import check_regular
 from hil.recording.channels import check_name, is_whole, unit_and_factor
 from hil.recording.metadata import MachineFile, machine_table, metadata_text, parse_metadata
 from hil.recording.model import CAN_FRAMES, Channel, Recording
@@ -89,6 +90,7 @@ def _cells(name: str, values: np.ndarray) -> list[str]:
 
 
 def _read_text(path: Path) -> str:
+    check_regular(path, RecordingError)
     try:
         return path.read_bytes().decode("utf-8-sig")
     except OSError as problem:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hil.errors import RecordingError
+from hil.files.regular import check_regular
 from hil.recording.csv_table import read_csv, write_csv
 from hil.recording.journal import part_path, recover
 from hil.recording.model import Recording
@@ -40,10 +41,11 @@ def read_recording(path: str | Path, machine: Machine | None = None, names: dict
     """
     path = Path(path)
     part = part_path(path)
-    if path.suffix == ".part":
-        return recover(path)
     if path.is_dir():
         raise RecordingError(f"{path}: is a folder; give the recordings in it")
+    check_regular(path, RecordingError)
+    if path.suffix == ".part":
+        return recover(path)
     _check_suffix(path, READABLE, "read")
     if not path.exists():
         if not part.exists():

@@ -29,11 +29,12 @@ from typing import Any, Protocol, cast
 
 import numpy as np
 from asammdf import MDF, Signal
-from asammdf.blocks.v4_blocks import HeaderBlock
+from asammdf.blocks.v4_blocks import ChannelGroup, HeaderBlock
 from asammdf.blocks.v4_constants import CompressionAlgorithm
 
 from hil.errors import RecordingError
 from hil.files.atomic import write_atomically
+from hil.files.regular import MOST_BYTES
 from hil.recording.channels import is_whole
 from hil.recording.metadata import MachineFile, machine_table, metadata_text, parse_metadata
 from hil.recording.model import UNEQUAL_STEP, Channel, Recording
@@ -57,10 +58,15 @@ _IN_MEMORY = re.compile(r"""['"]?<_io\.BytesIO[^>]*>['"]?""")
 _UNFIT = re.compile(r'[,"\[\]\x00-\x1f\x7f]')
 
 
+DEFLATE_AT_MOST = 1032
+"""Most bytes that a byte of a compressed block can stand for (zlib's technical details)."""
+
+
 class _Group(Protocol):
     """A channel group of a file."""
 
     channels: Sequence[object]
+    channel_group: ChannelGroup
 
 
 def write_mdf4(recording: Recording, path: Path) -> None:
@@ -98,6 +104,7 @@ def read_mdf4(path: Path, machine: MachineFile | None = None) -> Recording:
     with _hushed():
         try:
             with MDF(io.BytesIO(content)) as mdf:
+                _check_claims(mdf, len(content), path)
                 metadata = _metadata(mdf, path, machine)
                 channels = _channels(mdf, path)
         except RecordingError:
@@ -112,6 +119,19 @@ def read_mdf4(path: Path, machine: MachineFile | None = None) -> Recording:
         return Recording(channels, metadata)
     except RecordingError as problem:
         raise RecordingError(f"{path}: {problem}") from None
+
+
+def _check_claims(mdf: MDF, file_bytes: int, path: Path) -> None:
+    """Refuse a file whose headers claim more samples than it can hold, before memory is taken for them."""
+    claimed = 0
+    for group in cast(Sequence[_Group], mdf.groups):
+        head = group.channel_group
+        claimed += head.cycles_nr * (head.samples_byte_nr + head.invalidation_bytes_nr)
+    most = min(MOST_BYTES, DEFLATE_AT_MOST * file_bytes)
+    if claimed > most:
+        raise RecordingError(
+            f"{path}: damaged: its headers claim {claimed} bytes of samples; a file of {file_bytes} bytes has at most {most}"
+        )
 
 
 def _signal(name: str, channel: Channel, time: np.ndarray) -> Signal:

@@ -77,7 +77,7 @@ class Node:
         self._producer = HeartbeatProducer(self)
         self._consumer = HeartbeatConsumer(self)
         self._sync_producer = SyncProducer(self)
-        self._sdo = SdoServer(self.objects, self._send_sdo)
+        self._sdo = SdoServer(self, self._send_sdo)
         self._rpdos = [Rpdo(self, number) for number in self._pdo_numbers(0x1400, 0x1600)]
         self._tpdos = [Tpdo(self, number) for number in self._pdo_numbers(0x1800, 0x1A00)]
         self._install_rules()
@@ -169,7 +169,15 @@ class Node:
         """Move time on to `now_s` and send what is due by then."""
         self.now_s = now_s
         if now_s >= self.deadline_s:
-            timed: tuple[Timed, ...] = (self._consumer, self._producer, self._sync_producer, self.emergency, *self._rpdos, *self._tpdos)
+            timed: tuple[Timed, ...] = (
+                self._consumer,
+                self._producer,
+                self._sync_producer,
+                self.emergency,
+                self._sdo,
+                *self._rpdos,
+                *self._tpdos,
+            )
             self.deadline_s = math.inf
             for part in timed:
                 part.expire(now_s)

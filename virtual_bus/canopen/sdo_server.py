@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable
 
 from virtual_bus.canopen import abort
 from virtual_bus.canopen.abort import SdoAbortError
 from virtual_bus.canopen.objects import Objects
+from virtual_bus.canopen.port import Port
 from virtual_bus.canopen.sdo_block import BlockDownload, BlockUpload
 
+CLIENT_TIMEOUT_S = 1.0
+"""Longest pause of a client within a transfer; CiA 301 gives none, and clients wait 0.3 to 1 s for an answer. Then the device aborts."""
 _SCS_SEGMENT_DOWNLOAD, _SCS_INITIATE_DOWNLOAD = 0x20, 0x60
 _HEAD = struct.Struct("<BHBI")
 
@@ -63,19 +67,37 @@ class _Download:
 
 
 class SdoServer:
-    """The server of a device: answers requests with frames handed to `send`, and keeps the one transfer under way."""
+    """The server of a device: answers requests with frames handed to `send`, and keeps the one transfer under way.
 
-    def __init__(self, objects: Objects, send: Callable[[bytes], None]) -> None:
-        self._objects = objects
+    A client that pauses for `CLIENT_TIMEOUT_S` is taken for dead, and its transfer is aborted.
+    """
+
+    def __init__(self, node: Port, send: Callable[[bytes], None]) -> None:
+        self._node = node
+        self._objects = node.objects
         self._send = send
+        self.deadline_s = math.inf
         self._transfer: _Upload | _Download | BlockUpload | BlockDownload | None = None
 
     def reset(self) -> None:
         """Forget a transfer under way, silently."""
         self._transfer = None
+        self.deadline_s = math.inf
+
+    def expire(self, now_s: float) -> None:
+        """Abort the transfer of a client that has not gone on in time."""
+        if now_s >= self.deadline_s:
+            transfer, self._transfer, self.deadline_s = self._transfer, None, math.inf
+            if transfer is not None:
+                self._send(_HEAD.pack(0x80, transfer.index, transfer.subindex, abort.TIMED_OUT))
 
     def receive(self, frame: bytes) -> None:
         """Answer one request frame (8 bytes)."""
+        self._answer(frame)
+        self.deadline_s = math.inf if self._transfer is None else self._node.after(CLIENT_TIMEOUT_S)
+        self._node.schedule(self.deadline_s)
+
+    def _answer(self, frame: bytes) -> None:
         if frame[0] >> 5 == 4 and not isinstance(self._transfer, BlockDownload):
             self._transfer = None  # the client aborts: no answer
             return

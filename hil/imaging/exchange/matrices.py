@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.errors import UnusableInputError
+from hil.files.regular import check_regular
 from hil.imaging.detector import Detector
 from hil.imaging.geometry import ConeBeam
 from hil.imaging.scan_folder import detector_from
@@ -54,6 +55,7 @@ def read_matrices(path: Path, detector: Detector) -> tuple[ConeBeam, Detector]:
     UnusableInputError
         Missing, of another form, or a matrix that is no projection with square-angled axes on this detector.
     """
+    check_regular(path)
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:

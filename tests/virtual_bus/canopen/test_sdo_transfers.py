@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -277,3 +278,26 @@ def test_no_sequence_of_requests_breaks_the_server(frames: list[bytes]) -> None:
         assert all(len(data) == 8 for data in wire.heard(0x584))
     wire.frame(0x604, bytes.fromhex("80 00 00 00 00 00 00 00"))  # whatever was under way is over
     assert wire.sdo_raw(bytes.fromhex("40 00 10 00 00 00 00 00"))[:4] == bytes.fromhex("43 00 10 00")
+
+
+def test_a_dead_clients_transfer_is_aborted_after_a_second_and_the_next_client_is_served(
+    lab: tuple[Wire, canopen.RemoteNode],
+) -> None:
+    wire, remote = lab
+    assert wire.sdo_raw(struct.pack("<BHBI", 0x40, 0x2000, 0, 0))[0] == 0x41  # a name in segments, and no segment is asked for
+    wire.forget()
+    wire.pass_time(0.9)
+    assert wire.heard(0x580 + wire.device.node_id) == []
+    wire.pass_time(0.2)
+    assert wire.heard(0x580 + wire.device.node_id) == [struct.pack("<BHBI", 0x80, 0x2000, 0, 0x05040000)]
+    wire.pass_time(5.0)
+    assert len(wire.heard(0x580 + wire.device.node_id)) == 1
+    assert remote.sdo.upload(0x2000, 0) == b"hello"
+
+
+def test_a_block_download_that_stops_does_not_swallow_other_requests_for_ever(lab: tuple[Wire, canopen.RemoteNode]) -> None:
+    wire, remote = lab
+    before = remote.sdo.upload(0x1017, 0)
+    assert wire.sdo_raw(struct.pack("<BHBI", 0xC2, 0x1017, 0, 2))[0] == 0xA4
+    wire.pass_time(1.1)
+    assert remote.sdo.upload(0x1017, 0) == before
