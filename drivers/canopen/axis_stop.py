@@ -28,6 +28,8 @@ STANDSTILL_S = 0.05  # a motor whose position has not changed for this long stan
 STANDSTILL_COUNTS = 1.5  # a position held by its drive may flicker by a count
 SWING_S = 0.125  # of the link before its brake is proven: a period at 8 Hz, the slowest mode of such a structure
 STANDING_SHARE = 0.1  # of the tracking error: how far a standing link may swing
+PUSH_SHARE = 0.25
+"""Share of the load, beyond the load itself, that a proven brake holds: linings wear, and the next load may be a patient's."""
 RAMP_S = 0.1  # in which the drive lets go, and in which it pushes: slower than the structure swings
 WATCH_S = 0.1  # after voltage off; a heavy arm falls ten times the travel that is noticed
 VOLTAGE_OFF_S = 0.2  # a drive that still has its voltage after this does not obey
@@ -284,9 +286,9 @@ class AxisStop:
             self._go(self._letting_go)
 
     def _pushing(self) -> None:
-        """Let go, then push the way the load pulls as hard as the first move was pushed."""
+        """Let go, then push the way the load pulls: as hard as the first move was pushed, and a share of the load."""
         held = self._held_effort if isfinite(self._held_effort) else 0.0
-        push = -math.copysign(self._push, held)
+        push = -math.copysign(self._push + PUSH_SHARE * abs(held), held)
         elapsed = self._ticks * self._period_s / RAMP_S
         if elapsed <= 1.0:
             self.effort = held * (1.0 - elapsed)

@@ -7,12 +7,14 @@ the brakes are closed. The polling process has its own session, so that a lost t
 from __future__ import annotations
 
 import contextlib
+import math
 import multiprocessing
 import os
 import signal
 import time
 from collections.abc import Mapping
 from multiprocessing.connection import wait
+from multiprocessing.context import SpawnProcess
 from multiprocessing.shared_memory import SharedMemory
 
 import numpy as np
@@ -31,6 +33,7 @@ LOOP_STILL_S = 0.5
 """Longest pause of the loop with a brake open: over a hundred ticks, more than a busy processor explains. A loop that is stopped, swapped
 out or in a debugger does not close its brakes, and without its SYNC and heartbeat the drives hold nothing."""
 
+POLLER_HANGS_S = 4.0 * REQUEST_AT_MOST_S  # without a word of the polling process: a poll is three requests
 CLOSE_ATTEMPTS = 5  # of closing the brakes on the way out
 CLOSE_PAUSE_S = 0.2  # between attempts: a connection is refused within microseconds, while a device that restarts its server takes longer
 EXIT_S = 1.0  # a Python process that ends, on a loaded machine
@@ -78,11 +81,25 @@ class IoProcess:
         self._closed = False
         self._memory = SharedMemory(create=True, size=Block.bytes(len(self._values)) + Block.bytes(len(self._told)))
         self._published, self._command = _blocks(self._memory, len(axes))
-        # A fresh interpreter: a forked one would inherit the loop's locked memory and the locks of its threads.
+        self._process = self._new_process()
+        self._heard_s = math.inf  # when the polling process last published anything
+
+    def _new_process(self) -> SpawnProcess:
+        """Return a polling process in a fresh interpreter: a forked one would inherit the loop's locked memory and its threads' locks."""
         context = multiprocessing.get_context("spawn")
-        self._process = context.Process(
-            target=_poll_until_told, args=(io_map, axes, self._memory.name, os.getpid()), name="isocenter-io", daemon=True
-        )
+        arguments = (self._map, self._axes, self._memory.name, os.getpid())
+        return context.Process(target=_poll_until_told, args=arguments, name="isocenter-io", daemon=True)
+
+    def _replace_dead_process(self) -> None:
+        """Start another polling process where the old one is gone or hangs: somebody must close the brakes."""
+        hangs = time.monotonic() - self._heard_s > POLLER_HANGS_S
+        if self._closed or self._process.pid is None or not (hangs or not self._process.is_alive()):
+            return
+        self._process.kill()
+        self._process.join()
+        self._heard_s = math.inf
+        self._process = self._new_process()
+        self._process.start()
 
     def start(self) -> None:
         """Start polling and wait for the first answer.
@@ -121,7 +138,12 @@ class IoProcess:
         self._state.copy_to(sample, time.monotonic(), self._map.stale_after_s)
 
     def command_brakes(self, brakes: Mapping[str, bool]) -> None:
-        """Open (True) or close the brakes of the named axes; the other process notices within a hundredth of a second."""
+        """Open (True) or close the brakes of the named axes; the other process notices within a hundredth of a second.
+
+        A polling process that is gone or hangs is replaced when brakes are to close.
+        """
+        if not any(brakes.values()):
+            self._replace_dead_process()
         self._orders += 1
         for index, axis in enumerate(self._axes):
             if axis in brakes:
@@ -166,6 +188,7 @@ class IoProcess:
         if sequence < 0:
             return
         self._seen = sequence
+        self._heard_s = time.monotonic()
         state, values, axes = self._state, self._values, len(self._axes)
         state.time_s = float(values[0])
         state.hold_to_run = bool(values[1])

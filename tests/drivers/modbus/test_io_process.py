@@ -220,6 +220,29 @@ def test_a_second_sigterm_does_not_break_the_closing_of_the_brakes(served: tuple
     process.close()
 
 
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "hangs"])
+def test_a_polling_process_that_is_gone_or_hangs_is_replaced_to_close_the_brakes(
+    served: tuple[EmulatedIo, ServedTcp], end: signal.Signals, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    device, server = served
+    monkeypatch.setattr("drivers.modbus.io_process.POLLER_HANGS_S", 0.2)
+    process = IoProcess(io_map(server.url, poll_period_s=0.01, stale_after_s=60.0), AXES)
+    process.start()
+    (child,) = (child for child in multiprocessing.active_children() if child.name == "isocenter-io")
+    process.command_brakes({"roll": True})
+    assert eventually(ticking(process, lambda: device.coils[2]))
+    os.kill(child.pid, end)
+
+    def closes() -> bool:
+        process.command_brakes({"propeller": False, "roll": False})
+        return not device.coils[2]
+
+    assert eventually(ticking(process, closes))
+    assert child.pid not in {other.pid for other in multiprocessing.active_children()}
+    process.close()
+    assert process.trouble == ""
+
+
 LOOP = """
     import select
     import signal
