@@ -28,7 +28,11 @@ from virtual_bus.physics import Physics
 
 @contextlib.contextmanager
 def open_bench(
-    machine: Machine, options: BenchOptions, start_pose: np.ndarray | None = None, observer: LiveObserver | None = None
+    machine: Machine,
+    options: BenchOptions,
+    start_pose: np.ndarray | None = None,
+    observer: LiveObserver | None = None,
+    stop_request: StopRequest | None = None,
 ) -> Iterator[Bench]:
     """Open the bench: find a machine on its bus, at rest.
 
@@ -40,6 +44,8 @@ def open_bench(
         In lockstep, the pose of the emulated machine when it is switched on.
     observer : LiveObserver, optional
         Watches every recorded row.
+    stop_request : StopRequest, optional
+        Takes the request of a signal to stop; for a caller who wants to know of it.
 
     Raises
     ------
@@ -55,7 +61,7 @@ def open_bench(
     model = Physics(machine.plant, noise=False)
     feedback = _warm(Feedback(machine.controllers))
     lockstep = options.bus_url.startswith("lockstep:")
-    stop_request = StopRequest()
+    stop_request = StopRequest() if stop_request is None else stop_request
     links: list[HeedingMachine] = []
     with contextlib.ExitStack() as stack:
         stack.enter_context(stopping_on_signals(stop_request, lambda: any(link.stopping for link in links)))

@@ -18,6 +18,7 @@ from typing import Any, Literal
 
 from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
+from hil.bench.signals import StopRequest
 from hil.errors import RecordingError, in_one_line
 from hil.experiments import Plan
 from hil.faults.trials import FaultTrial, standard_scan
@@ -131,15 +132,21 @@ def check_faults(
 
 
 def run_trial(machine: Machine, axis: str, trial: FaultTrial, plan: Plan) -> TrialOutcome:
-    """Run one trial."""
+    """Run one trial.
+
+    Raises
+    ------
+    LoopAbortedError
+        The user asked to stop; of this trial nothing is kept.
+    """
     motion, events = MotionLog(machine.axes), list[FaultEvent]()
     options = BenchOptions("lockstep:", faults=trial.settings, motion=motion, events=events)
     began_s = time.process_time()
-    status, lines, troubles = 0, list[str](), tuple[str, ...]()
+    status, lines, troubles, request = 0, list[str](), tuple[str, ...](), StopRequest()
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "run.mf4"
         try:
-            with _limited(PROCESSOR_LIMIT_S), open_bench(machine, options, plan.start_pose) as bench:
+            with _limited(PROCESSOR_LIMIT_S), open_bench(machine, options, plan.start_pose, stop_request=request) as bench:
                 try:
                     lines += bench.run(plan, path).notes
                 finally:
@@ -147,6 +154,8 @@ def run_trial(machine: Machine, axis: str, trial: FaultTrial, plan: Plan) -> Tri
         except _EndlessError:
             status, lines = 1, [*lines, f"has taken {PROCESSOR_LIMIT_S:g} s of processor time and was given up"]
         except Exception as error:
+            if request.reason:
+                raise  # by the user, who wants the table to end
             line, status = in_one_line(error)
             lines.append(line)
         rows = _rows_kept(path)

@@ -99,7 +99,7 @@ class FaultyMachine(EmulatedMachine):
         self._emit: Emit = lambda can_id, data: None
         self._answering = False
         joints = physics.plant.joint_of_axis()
-        self._joints = [joints[axis] for axis in physics.axes]
+        self._joints = np.array([joints[axis] for axis in physics.axes], dtype=np.intp)
         self._drive_of = {drive.settings.axis: drive for drive in self.drives.values()}
         self._drive_in_order = [self._drive_of.get(axis) for axis in physics.axes]
         self._braked = [physics.settings.tree.joints[joint].brake_effort > 0.0 for joint in self._joints]
@@ -305,7 +305,7 @@ class FaultyMachine(EmulatedMachine):
         super()._advance()
         for work in self.samples.at(""):
             work()
-        speeds = [float(self.physics.joint_speeds[joint]) for joint in self._joints]
+        speeds: list[float] = self.physics.joint_speeds[self._joints].tolist()
         for index, speed in enumerate(speeds):
             free = not self._braked[index] or self.brakes.is_open[index]
             self._still_samples[index] = self._still_samples[index] + 1 if free and abs(speed) <= STILL_SPEED else 0
@@ -317,7 +317,7 @@ class FaultyMachine(EmulatedMachine):
     def _write_log(self, log: MotionLog, speeds: list[float]) -> None:
         log.add(
             self.time_s,
-            [float(self.physics.joint_positions[joint]) for joint in self._joints],
+            self.physics.joint_positions[self._joints].tolist(),
             speeds,
             self._effort.tolist(),
             [share if braked else 0.0 for share, braked in zip(self.brakes.share.tolist(), self._braked, strict=True)],

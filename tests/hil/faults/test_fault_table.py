@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import threading
 from pathlib import Path
 
 import pytest
 from bench_machines import CARM
 
-from hil.errors import UnusableInputError
+from hil.errors import LoopAbortedError, UnusableInputError
 from hil.faults.check import OUTCOMES, check_faults
 from hil.faults.page import document_of, page_of
 from hil.faults.trials import swept_axis, trials
@@ -71,3 +74,14 @@ def test_outcomes_are_kept_and_told(tmp_path: Path) -> None:
         assert outcome.kind in page
     document = json.loads(json.dumps(document_of(CARM, "roll", outcomes), default=lambda value: vars(value)))
     assert document["verdicts"]["stopped"] >= 2
+
+
+def test_a_user_who_asks_to_stop_ends_the_table_not_one_row(tmp_path: Path) -> None:
+    rows = trials(CARM, "roll", ["homing_never_ends"])
+    asking = threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGINT))
+    asking.start()
+    with pytest.raises((LoopAbortedError, KeyboardInterrupt)):
+        check_faults(CARM, "roll", rows, tmp_path)
+    asking.join()
+    kept = (tmp_path / OUTCOMES).read_text() if (tmp_path / OUTCOMES).exists() else ""
+    assert "SIGINT" not in kept
