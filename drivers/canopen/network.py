@@ -86,7 +86,7 @@ class PolledNetwork(canopen.Network):
         if message is None:
             return False
         if is_data_frame(message):
-            if self._last_request is not None and self._last_request == (message.arbitration_id, message.data):
+            if self._last_request is not None and self._last_request == (message.arbitration_id, bytes(message.data)):
                 self._echoes, self._last_request = self._echoes + 1, None
             self.notify(message.arbitration_id, message.data, message.timestamp)
         return True
