@@ -14,15 +14,13 @@ MOST_BYTES = 2**31
 def check_regular(path: Path, error: type[UnusableInputError] = UnusableInputError) -> None:
     """Raise `error` for a device, pipe or socket, which would be read without end, and for a file that fills the memory.
 
-    A path that cannot be looked at raises nothing: whoever opens it says why.
+    A folder, or a path that cannot be looked at, raises nothing: whoever opens it says why.
     """
     try:
         status = path.stat()
     except (OSError, ValueError):  # ValueError: a path with a null byte
         return
-    if stat.S_ISDIR(status.st_mode):
-        raise error(f"{path}: is a folder; give a file")
-    if not stat.S_ISREG(status.st_mode):
+    if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):
         raise error(f"{path}: is a device, pipe or socket and no regular file; copy what is in it to a file, and give that")
     if status.st_size > MOST_BYTES:
         raise error(f"{path}: {status.st_size} bytes; at most {MOST_BYTES} are read into memory; give a part of it")

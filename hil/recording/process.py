@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
@@ -14,15 +15,21 @@ from typing import Any, Self
 
 import numpy as np
 
-from hil.errors import RecordingError
+from hil.errors import LoopAbortedError, RecordingError
 from hil.files.toml_text import plain
 from hil.recording.formats import check_writable
 from hil.recording.journal import ChannelTable, Journal, part_path
 from hil.recording.recorder import finish_from_ring
-from hil.recording.ring import CONSUMED, LOST, PRODUCED, RECORDER, Ring
+from hil.recording.ring import BEAT, CONSUMED, LOST, PRODUCED, RECORDER, Ring
 
 CAPACITY_ROWS = 32768
 """Rows that the ring holds: two minutes at 256 Hz, half a minute at 1 kHz. For this long the disk may be full or the recorder missing."""
+
+STANDARD_ERROR = 2
+
+STALL_S = 0.9
+"""Longest silence of the recorder, which goes round every 50 ms and does not wait for the disk: beyond, it is stopped or hangs, and a power
+cut or crash would cost more than the second that may be lost."""
 
 CLOSE_TIMEOUT_S = 120.0
 """Longest time for a recorder to finish; the rows of an hour at 256 Hz take less."""
@@ -60,7 +67,8 @@ class RecorderProcess:
         self._rows = self.ring.rows
         self._capacity = capacity_rows
         self._produced = 0
-        self._closed = False
+        self._closed = self._stalled = False
+        self._beat, self._beat_s = -1, 0.0  # the recorder's newest round, and when it was first seen
         self._recorder = self._start()
         self._await_ready()
 
@@ -85,7 +93,13 @@ class RecorderProcess:
         return self._counters[RECORDER]
 
     def put(self, row: np.ndarray) -> None:
-        """Copy one row (width,); if the ring is full the row is lost and counted."""
+        """Copy one row (width,); if the ring is full the row is lost and counted.
+
+        Raises
+        ------
+        LoopAbortedError
+            The recorder stands still; the row is kept.
+        """
         produced = self._produced
         if produced - self._counters[CONSUMED] >= self._capacity:
             self._counters[LOST] += 1
@@ -93,6 +107,15 @@ class RecorderProcess:
             self._rows[produced % self._capacity] = row
             self._produced = produced = produced + 1
             self._counters[PRODUCED] = produced
+        beat, now_s = self._counters[BEAT], time.monotonic()
+        if beat != self._beat:
+            self._beat, self._beat_s = beat, now_s
+        elif now_s - self._beat_s > STALL_S:
+            self._stalled = True
+            raise LoopAbortedError(
+                f"{self.path}: the recorder (process {self.pid}) has stood still for {now_s - self._beat_s:.1f} s; the motors were stopped "
+                f"and {produced} rows are kept"
+            )
 
     def close(self, metadata: Mapping[str, Any] | None = None) -> int:
         """Write the recording, with further metadata tables, and end the recorder.
@@ -130,14 +153,19 @@ class RecorderProcess:
 
     def _start(self) -> subprocess.Popen[bytes]:
         ring = self.ring
-        return subprocess.Popen(
-            [sys.executable, "-m", "hil.recording.recorder", ring.key, str(ring.width), str(ring.capacity), str(self.path)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            pass_fds=ring.inherited,
-            start_new_session=True,  # a Ctrl-C at the terminal is for the loop
-        )
+        terminal = os.dup(STANDARD_ERROR) if ring.inherited else -1  # -1 on Windows, where nothing is inherited
+        try:
+            return subprocess.Popen(
+                [sys.executable, "-m", "hil.recording.recorder", ring.key, *map(str, (ring.width, ring.capacity, self.path, terminal))],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                pass_fds=(*ring.inherited, terminal) if ring.inherited else (),
+                start_new_session=True,  # a Ctrl-C at the terminal is for the loop
+            )
+        finally:
+            if terminal >= 0:
+                os.close(terminal)
 
     def _await_ready(self) -> None:
         assert self._recorder.stdout is not None
@@ -152,7 +180,7 @@ class RecorderProcess:
         """Send the recorder the last metadata and wait for its answer; "" if it was killed."""
         recorder = self._recorder
         try:
-            output, _ = recorder.communicate(words, timeout=CLOSE_TIMEOUT_S)
+            output, _ = recorder.communicate(words, timeout=0.0 if self._stalled else CLOSE_TIMEOUT_S)
         except subprocess.TimeoutExpired:
             os.killpg(recorder.pid, signal.SIGKILL) if hasattr(os, "killpg") else recorder.kill()
             output, _ = recorder.communicate()

@@ -1,8 +1,9 @@
 """The recorder: a separate process that takes rows out of the ring and keeps them even if the loop dies.
 
-`python -m hil.recording.recorder RING WIDTH CAPACITY PATH`, started by `RecorderProcess` with the journal already there. Standard input is
-its lead, held by the loop: on closing the recording the loop writes its last metadata there; if it ends without them, the loop has died,
-and the recorder finishes the recording on its own. Standard output says `ready`, then `done ROWS` or `error MESSAGE`.
+`python -m hil.recording.recorder RING WIDTH CAPACITY PATH TERMINAL`, started by `RecorderProcess` with the journal already there.
+Standard input is its lead, held by the loop: on closing the recording the loop writes its last metadata there; if it ends without them,
+the loop has died, and the recorder finishes the recording on its own. Standard output says `ready`, then `done ROWS` or `error MESSAGE`.
+A disk that fills meanwhile is told at once through the descriptor TERMINAL.
 
 Where processes can be forked, the started process only waits: it forks the one that records, and another if that is killed. So a recorder
 is replaced within a millisecond or two, and not by the loop, whose process would have to be copied in the middle of a tick.
@@ -23,7 +24,7 @@ from typing import Any
 
 from hil.errors import RecordingError
 from hil.recording.journal import Journal, part_path
-from hil.recording.ring import CONSUMED, LOST, RECORDER, Ring
+from hil.recording.ring import BEAT, CONSUMED, LOST, RECORDER, Ring
 from hil.recording.sink import finish
 
 DRAIN_PERIOD_S = 0.05
@@ -134,28 +135,28 @@ class _LoopProcess:
 def main(arguments: list[str]) -> None:
     """Record until the loop closes the recording or dies."""
     be_modest()
-    key, width, capacity, name = arguments
+    key, width, capacity, name, terminal = arguments
     loop = _LoopProcess()
     ring = Ring(int(width), int(capacity), key)
     if not hasattr(os, "fork"):
-        raise SystemExit(_record_to_the_end(ring, Path(name), loop))
+        raise SystemExit(_record_to_the_end(ring, Path(name), loop, int(terminal)))
     for _ in range(1 + MOST_RESTARTS):
         child = os.fork()
         if child == 0:
-            os._exit(_record_to_the_end(ring, Path(name), loop))
+            os._exit(_record_to_the_end(ring, Path(name), loop, int(terminal)))
         status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
         if status >= 0:  # it was not killed; a recorder that gave up would do so again
             raise SystemExit(status)
 
 
-def _record_to_the_end(ring: Ring, path: Path, loop: _LoopProcess) -> int:
+def _record_to_the_end(ring: Ring, path: Path, loop: _LoopProcess, terminal: int) -> int:
     """Record and return the exit status: 0 for a written recording, 1 where it failed or is left to the loop."""
     ring.counters[RECORDER] = os.getpid()
     try:
         lead = _Lead(loop)
         with Journal.resume(part_path(path)) as journal:
             _say("ready")
-            _record(ring, journal, lead)
+            _record(ring, journal, lead, terminal)
         tables = lead.last_metadata()
         if tables is None:
             return 1
@@ -166,23 +167,52 @@ def _record_to_the_end(ring: Ring, path: Path, loop: _LoopProcess) -> int:
     return 0
 
 
-def _record(ring: Ring, journal: Journal, lead: _Lead) -> None:
-    drain = Drain(ring, journal)
+def _record(ring: Ring, journal: Journal, lead: _Lead, terminal: int) -> None:
+    drain, flush = Drain(ring, journal), _Flush(journal)
     next_sync_s = time.monotonic() + SYNC_PERIOD_S
     not_before_s = 0.0
-    ended = False
+    ended = told = False
     while not ended:
         ended = lead.wait(DRAIN_PERIOD_S)
+        ring.counters[BEAT] += 1
         now_s = time.monotonic()
         if now_s < not_before_s:
             continue
         try:
             drain.run()
+            told = False
             if now_s >= next_sync_s:
-                journal.sync()
+                flush.begin()
                 next_sync_s = now_s + SYNC_PERIOD_S
-        except RecordingError:
+        except RecordingError as problem:
             not_before_s = now_s + RETRY_PERIOD_S
+            if not told:
+                told = True
+                _tell(terminal, f"{problem}; {ring.capacity} rows wait in memory for room, later ones are lost: free some")
+
+
+class _Flush:
+    """Flushes the journal to the disk in a thread, because a busy disk may take seconds, and the recorder must not seem to stand still."""
+
+    def __init__(self, journal: Journal) -> None:
+        self._journal = journal
+        self._thread: threading.Thread | None = None
+
+    def begin(self) -> None:
+        """Begin a flush, unless one is still under way."""
+        if self._thread is None or not self._thread.is_alive():
+            self._thread = threading.Thread(target=self._flush, daemon=True)
+            self._thread.start()
+
+    def _flush(self) -> None:
+        with contextlib.suppress(RecordingError):  # a disk that fails says so to the next rows
+            self._journal.sync()
+
+
+def _tell(terminal: int, line: str) -> None:
+    """Write a line where the operator sees it, while the run goes on."""
+    with contextlib.suppress(OSError):
+        os.write(terminal, f"isocenter: {line}\n".encode())
 
 
 def be_modest() -> None:

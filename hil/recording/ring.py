@@ -27,6 +27,8 @@ LOST = 2 * _COUNTER_STRIDE
 """Counter of rows that the loop could not write because the ring was full."""
 RECORDER = 3 * _COUNTER_STRIDE
 """Process id of the recorder."""
+BEAT = 4 * _COUNTER_STRIDE
+"""Counter of the recorder's rounds: it stands still when the recorder does."""
 
 
 class Ring:

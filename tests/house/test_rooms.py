@@ -15,7 +15,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "version": (),
     "processes": (),
     "files": (),
-    "machine": (),
+    "machine": ("files",),
     "recording": ("files", "machine", "version"),
     "simulation": ("machine", "recording"),
     "experiments": ("files", "machine", "simulation"),

@@ -7,8 +7,10 @@ import select
 import signal
 import subprocess
 import sys
+import threading
 import time
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +20,7 @@ from hypothesis import strategies as st
 from places import SUPPORT
 from refusals import answer_or_refusal
 
-from hil.errors import RecordingError
+from hil.errors import LoopAbortedError, RecordingError
 from hil.recording import RecorderProcess, Recording, read_recording
 from hil.recording.journal import recover
 from hil.recording.ring import Ring
@@ -271,6 +273,51 @@ def test_a_full_disk_is_one_line_at_the_end_and_what_fitted_is_read(tmp_path: Pa
     recording = read_whatever_is_there(tmp_path / "run.csv")
     np.testing.assert_array_equal(recording["position_roll"], np.arange(recording.rows))
     assert recording.rows >= 100
+
+
+def put_until(recorder: RecorderProcess, done: Callable[[], bool], first: int = 0) -> int:
+    """Rows at 256 Hz until something has happened; returns their number."""
+    pause, number = threading.Event(), first
+    while not done():
+        fill(recorder, number, number + 1)
+        number += 1
+        pause.wait(1 / 256)
+    return number
+
+
+def test_a_disk_that_fills_is_told_while_the_run_goes_on_and_no_row_is_lost(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    told: list[str] = []
+
+    def said() -> bool:
+        told.append(capfd.readouterr().err)
+        return bool(told[-1])
+
+    with RecorderProcess(tmp_path / "run.csv", CHANNELS, {}) as recorder:
+        unlimited = resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE, (4096, resource.RLIM_INFINITY))
+        rows = put_until(recorder, said)
+        rows = put_until(recorder, lambda: recorder.rows > rows + 300, rows)  # a second on: it is not said again
+        resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE, unlimited)
+        put_until(recorder, lambda: recorder.rows_kept > rows, rows)
+        told.append(capfd.readouterr().err)
+    (line,) = "".join(told).splitlines()
+    assert line.startswith(f"isocenter: {tmp_path}/run.csv.part: cannot be written: File too large; the ")
+    assert line.endswith("rows wait in memory for room, later ones are lost: free some")
+    recording = read_recording(tmp_path / "run.csv")
+    np.testing.assert_array_equal(recording["position_roll"], np.arange(recording.rows))
+
+
+def test_a_recorder_that_stands_still_ends_the_run_within_a_second_and_every_row_is_kept(tmp_path: Path) -> None:
+    recorder = RecorderProcess(tmp_path / "run.csv", CHANNELS, {})
+    first = put_until(recorder, lambda: recorder.rows_kept > 10)
+    stop(recorder)
+    stopped_s = time.monotonic()
+    with pytest.raises(LoopAbortedError, match=rf"the recorder \(process {recorder.pid}\) has stood still for .* rows are kept$"):
+        put_until(recorder, lambda: False, first)
+    assert time.monotonic() - stopped_s < 1.5  # a second, and what a loaded computer adds
+    rows = recorder.rows
+    assert recorder.close() == rows
+    assert time.monotonic() - stopped_s < 10.0
+    np.testing.assert_array_equal(read_recording(tmp_path / "run.csv")["position_roll"], np.arange(rows))
 
 
 def test_a_folder_that_is_not_there_is_one_line_before_anything_starts(tmp_path: Path) -> None:
