@@ -13,6 +13,7 @@ import numpy as np
 from drivers.canopen.network import PolledNetwork
 from drivers.canopen.supervision import refuse_second_bench
 from drivers.errors import BusError, BusUnavailableError
+from drivers.events import Events
 from drivers.interface import Clock, Sample
 from drivers.machine_link import CanMachine
 from drivers.modbus.io import Io, IoDriver
@@ -40,6 +41,7 @@ class HeedingMachine(CanMachine):
     ) -> None:
         super().__init__(settings, bus, clock, imu, io)
         self.troubles: list[str] = []  # errors of all stops since the last start; a repeated stop does not repeat them
+        self.events = Events(clock.now)  # of the present session
         self._stop_request = stop_request
 
     def start(self) -> None:
@@ -55,6 +57,7 @@ class HeedingMachine(CanMachine):
     def exchange(self, command: np.ndarray) -> Sample:
         """Make one tick; after a stop request stop the motors instead and raise LoopAbortedError with its reason."""
         if self._stop_request.reason:
+            self.events.add("operator", "stop asked", reason=self._stop_request.reason)
             self.stop()
             raise LoopAbortedError(f"{self._stop_request.reason}; the motors were stopped")
         return super().exchange(command)

@@ -12,6 +12,7 @@ from pydantic import ValidationError
 from hil.errors import MachineFileError
 from hil.machine.build import build_controllers, build_geometry, build_limits, build_plant, build_units
 from hil.machine.build_bus import build_bus
+from hil.machine.build_judging import build_judging
 from hil.machine.messages import ComplaintError, from_validation, one_line
 from hil.machine.model import Machine
 from hil.machine.schema import MachineTable
@@ -62,6 +63,9 @@ def machine_from_text(text: str, path: Path | None = None, label: str = "") -> M
     try:
         table = MachineTable.model_validate(raw)
         plant = build_plant(table)
+        units, controllers = build_units(table, plant.tree), build_controllers(table)
+        limits, geometry = build_limits(table, plant.tree), build_geometry(table)
+        bus = build_bus(table, plant, None if path is None else path.parent)
         return Machine(
             name=table.name,
             description=table.description,
@@ -73,12 +77,13 @@ def machine_from_text(text: str, path: Path | None = None, label: str = "") -> M
             waits_on_overrun=table.timing.overrun == "wait",
             overrun_ticks=table.timing.overrun_ticks,
             stale_ticks=table.timing.stale_ticks,
-            units=build_units(table, plant.tree),
+            units=units,
             plant=plant,
-            controllers=build_controllers(table),
-            limits=build_limits(table, plant.tree),
-            geometry=build_geometry(table),
-            bus=build_bus(table, plant, None if path is None else path.parent),
+            controllers=controllers,
+            limits=limits,
+            geometry=geometry,
+            bus=bus,
+            judging=build_judging(table, plant, bus),
         )
     except ValidationError as error:
         raise MachineFileError(one_line(file, raw, from_validation(error))) from None

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from controllers.settings import AxisController, AxisLimits
+from drivers.judging.settings import JudgingSettings
 from drivers.settings import BusSettings
 from virtual_bus.effects.places import imu_channel_names
 from virtual_bus.settings import EffectSetting, PlantSettings
@@ -55,6 +56,7 @@ class Machine:
     limits: tuple[AxisLimits, ...]  # infinite where the file says nothing
     geometry: Geometry | None
     bus: BusSettings | None
+    judging: JudgingSettings  # of the sensors on the bus; how fast encoders can move is not in it
 
     def axis_index(self, axis: str) -> int:
         """Return the axis's place in `axes`."""

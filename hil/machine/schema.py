@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from hil.machine.schema_bus import BusTable
+from hil.machine.schema_judging import JudgingTable
 from hil.machine.table import Flag, Name, NotNegative, Number, Positive, Table, Text, Vector, Whole
 from hil.machine.units import CONSTANT_UNITS, EFFORT_DIMENSIONS, Quantity
 
@@ -182,6 +183,8 @@ class ImuTable(Table):
     """Corner of the accelerometer's first-order low pass; 0 is none."""
     accelerometer_resolution: Annotated[NotNegative, Quantity("acceleration")] = 0.0
     """Step of the accelerometer's reading; 0 is none."""
+    accelerometer_range: Annotated[Positive | None, Quantity("acceleration")] = None
+    """Full scale of the accelerometer, either way; a reading there is none. Not emulated."""
     gyro_noise_rms: Annotated[tuple[NotNegative, NotNegative, NotNegative], Quantity("angular_speed")] = (0.0, 0.0, 0.0)
     """Standard deviation of the gyroscope's noise, per axis and sample."""
     gyro_bias: Annotated[Vector, Quantity("angular_speed")] = (0.0, 0.0, 0.0)
@@ -190,6 +193,8 @@ class ImuTable(Table):
     """Corner of the gyroscope's first-order low pass; 0 is none."""
     gyro_resolution: Annotated[NotNegative, Quantity("angular_speed")] = 0.0
     """Step of the gyroscope's reading; 0 is none."""
+    gyro_range: Annotated[Positive | None, Quantity("angular_speed")] = None
+    """Full scale of the gyroscope, either way; a reading there is none. Not emulated."""
 
 
 class TemperatureTable(Table):
@@ -293,3 +298,5 @@ class MachineTable(Table):
     """Source and detector."""
     bus: BusTable | None = None
     """What is on the wires."""
+    judging: JudgingTable | None = None
+    """What is allowed of the sensors in a run."""

@@ -200,6 +200,9 @@ class TestMachineFile:
             "sensors",
             "controller",
             "limits",
+            "encoders",
+            "temperature",
+            "drive",
         }
 
         def undocumented(table: dict[str, Any], by_name: bool = False) -> set[str]:
