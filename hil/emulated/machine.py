@@ -78,7 +78,7 @@ def build_emulated(
             io_map.door_input,
             io_map.temperature_registers,
         )
-        io = EmulatedIo(layout, machine.axes, on_brakes=physics.set_brakes)
+        io = EmulatedIo(layout, machine.axes, on_brakes=physics.set_brakes, brake_delay_s=max(machine.brake_delay_s))
         io.set_hold_to_run(True)
         io.set_door(True)
     geometry = machine.geometry

@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from hil.errors import MachineFileError
 from hil.machine.build import build_controllers, build_geometry, build_limits, build_plant, build_units
+from hil.machine.build_budgets import brake_delays, build_budgets, quick_stops
 from hil.machine.build_bus import build_bus
 from hil.machine.build_judging import build_judging
 from hil.machine.messages import ComplaintError, from_validation, one_line
@@ -83,6 +84,9 @@ def machine_from_text(text: str, path: Path | None = None, label: str = "") -> M
             limits=limits,
             geometry=geometry,
             bus=bus,
+            budgets=build_budgets(table, plant.tree),
+            brake_delay_s=brake_delays(table),
+            quick_stop=quick_stops(table),
             judging=build_judging(table, plant, bus),
         )
     except ValidationError as error:

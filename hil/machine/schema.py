@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from hil.machine.schema_budgets import BudgetsTable
 from hil.machine.schema_bus import BusTable
 from hil.machine.schema_judging import JudgingTable
 from hil.machine.table import Flag, Name, NotNegative, Number, Positive, Table, Text, Vector, Whole
@@ -35,6 +36,8 @@ class JointTable(Table):
     """Joint position at which the spring is unloaded."""
     brake_effort: Annotated[NotNegative, Quantity("torque", "force")] = 0.0
     """Effort that the closed brake of the joint holds; 0 is no brake."""
+    brake_delay: Annotated[NotNegative, Quantity("time")] = 0.04
+    """Time from the brake's command to that effort. Spring-applied brakes take 30 to 60 ms."""
 
 
 class BodyTable(Table):
@@ -246,6 +249,9 @@ class LimitsTable(Table):
     """Highest jerk that a reference may ask for."""
     tracking_error: Annotated[Positive, Quantity("angle", "length")]
     """Difference of reference and position at which the loop stops the motors."""
+    quick_stop: Annotated[Positive | None, Quantity("angular_acceleration", "acceleration")] = None
+    """Deceleration of the drive's own quick stop ramp, for `[budgets]`. Without it, object 6085h in counts/s², as a `write` of its node or
+    the EDS says it."""
 
 
 class GeometryTable(Table):
@@ -298,5 +304,7 @@ class MachineTable(Table):
     """Source and detector."""
     bus: BusTable | None = None
     """What is on the wires."""
+    budgets: Annotated[dict[Name, BudgetsTable], Field(default_factory=dict)]
+    """Time and travel to standstill, by axis."""
     judging: JudgingTable | None = None
     """What is allowed of the sensors in a run."""

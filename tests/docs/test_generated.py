@@ -203,6 +203,7 @@ class TestMachineFile:
             "encoders",
             "temperature",
             "drive",
+            "budgets",
         }
 
         def undocumented(table: dict[str, Any], by_name: bool = False) -> set[str]:
