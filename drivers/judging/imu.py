@@ -76,7 +76,7 @@ class ImuJudge:
         """Return a failed check in words."""
         settings = self._settings
         if check == "fault":
-            return self._words
+            return self._words.partition(": ")[2] or self._words  # the line's name stands before it
         if check == "garbage":
             return f"{self._damaged} damaged messages within {WINDOW_S:g} s, {settings.damaged_per_s} are allowed"
         if check == "age":

@@ -148,7 +148,7 @@ class Bench:
                 self.wiring.start_truth()
                 if rows is not None:
                     rows.begin(self.wiring.link.syncs)
-                events.add("bench", "run begins", rows=plan.rows, recording=path.name)
+                events.add("bench", "run begins", rows=plan.rows)
                 timing = self.loop.run(plan, sink, progress)
                 events.add("bench", "run ends", rows=timing.ticks)
                 if rows is not None:

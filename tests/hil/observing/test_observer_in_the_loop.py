@@ -180,7 +180,7 @@ def test_a_run_goes_on_without_its_imu_and_says_so(machine: Machine, design: Obs
     assert recording.rows == plan.rows
     assert np.flatnonzero(imu_missing(recording)).tolist() == list(range(257, plan.rows))
     (line,) = timing.judged
-    assert line.startswith("imu: imu 'imu': serial port /dev/ttyUSB0 is gone")
+    assert line.startswith("imu: serial port /dev/ttyUSB0 is gone")
     assert np.flatnonzero(recording["sensor_marks"]).tolist() == list(range(257, plan.rows))
     variance = recording["estimate_detector_wy_variance"]
     assert variance[-1] > 2.0 * variance[256]
@@ -192,7 +192,7 @@ def test_an_imu_that_is_gone_ends_the_run_where_the_machine_file_says_so(machine
     machine = machine_from_text(edited(r'(\[judging.imu\]\nfollows = )"mark"', r'\1"stop"', machine.text))
     plan = PLAN.plans(machine)[0]
     with (
-        pytest.raises(LoopAbortedError, match="row 257: imu 'imu': serial port /dev/ttyUSB0 is gone"),
+        pytest.raises(LoopAbortedError, match="row 257: imu: serial port /dev/ttyUSB0 is gone"),
         open_bench(machine, BenchOptions("lockstep:", seed=5), plan.start_pose) as bench,
     ):
         bench.run(plan, tmp_path / "unplugged.mf4", cable.pull_at(256))
