@@ -109,6 +109,14 @@ OTHERS = (
     ),
 )
 
+EVENTS_TEXT = """
+`run.events.jsonl` stands beside `run.mf4`: a JSON object per line, in the order in which things happened. Every one
+has `time_s` since the session began, `who` (`operator`, `bench`, `loop`, `drivers` or a device) and `what`; other keys
+depend on it: `reason` of `stop asked`, `sensor`, `check`, `says` and `row_time_s` of `sensor judged`, `finding` of
+`commissioned`, `error` of `session failed`. On the wall clock `session started` has the time of day, `utc`. At most
+1024 events are kept, the first 256 and the newest; `events dropped` then says how many are missing.
+"""
+
 TRUTH_TEXT = """
 `run --bus lockstep: --truth FILE` writes what only the emulator knows: a CSV file with header cells `name [unit]` and
 a row per recorded row. `emulate --truth FILE` writes every SYNC since power-on. `time` is the emulated machine's own.
@@ -183,6 +191,8 @@ def page() -> str:
     parts += [
         "### Other files that are read as recordings",
         table(("file", "how it is read"), OTHERS),
+        "### EVENTS: the audit trail of a run",
+        EVENTS_TEXT,
         "### Truth and frame logs",
         TRUTH_TEXT,
     ]

@@ -50,6 +50,7 @@ CHANNELS = {
         "work_time, answer_time",
         "Time from SYNC until the loop was ready to wait again, and until all answers were there.",
     ),
+    "sensor_marks": ("sensor_marks", "Bit field: bit k is set while sensor k of the metadata's `judged.sensors` is not to be believed."),
     "exposure_id": ("exposure_id", "X-ray exposure that this row belongs to."),
     "can_id|can_length|can_extended|can_remote|byte_[0-9]+": (
         "can_id, can_length, can_extended, can_remote, byte_0, byte_1, …",
@@ -93,6 +94,14 @@ METADATA = (
         "`standing.deviation` and `standing.speed` of the axes about the start pose.",
     ),
     Entry("observer", "table", "Of a run with an observer: `design`, `filter`, `adapted_modes`, `damping`, `calibration`."),
+    Entry("judged.sensors", "list", "What was judged, in the order of the bits of `sensor_marks`."),
+    Entry(
+        "judged.findings",
+        "list",
+        "Of every check that a sensor failed: `sensor`, `check`, `says` in words, `follows`, `since_s` from which the readings are in "
+        "doubt, `first_s` and `last_s` of the marked rows, and how many `rows` are marked.",
+    ),
+    Entry("events", "list", "The audit trail, as in the EVENTS file."),
     Entry("ended.error", "text", "Only of a run that did not end as planned: why."),
     Entry("rows_lost", "number", "Only if rows found the recorder's buffer full: how many."),
     Entry("recovered", "table", "Only if read from the journal of a recording that was cut short: `rows`, `unread_bytes`."),

@@ -18,7 +18,8 @@ _RUN = (
     Entry(
         "recordings",
         "list",
-        "`recording` (the file), `experiment` (its metadata), `notes`, and `timing`: `ticks`, `missed`, and of `lateness`, "
+        "`recording` and `events` (the files), `experiment` (its metadata), `notes`, `judged` (a line for every check that a sensor "
+        "failed; with any the exit status is 1), and `timing`: `ticks`, `missed`, and of `lateness`, "
         "`work_time`, `answer_time` and `own_work_time` the keys `…_p50_us`, `…_p99_us`, `…_p99.9_us` and `…_max_us`.",
     ),
     Entry(

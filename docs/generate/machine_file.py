@@ -46,7 +46,7 @@ def page() -> str:
     for kind in tables():
         summary, *more = paragraphs(kind)
         title, _, rest = summary.partition(": ")
-        level = "###" if title.partition("`")[2].startswith(("[body.", "[bus.", "[[bus.")) else "##"
+        level = "###" if title.partition("`")[2].startswith(("[body.", "[bus.", "[[bus.", "[judging.", "[budgets.")) else "##"
         heading = "## Top level" if kind is MachineTable else f"{level} {title.removeprefix('Table ').removeprefix('Tables ')}"
         parts += [heading, sentence(rest), *more, table(("key", "unit", "value", "default", "meaning"), _rows(kind))]
     parts += ["## Objects of a PDO", "A PDO names an object by its index, or by one of these names.", _objects()]

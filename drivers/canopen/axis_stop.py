@@ -49,6 +49,7 @@ class AxisRest:
     safe: bool  # stands, without voltage, and held by what was checked
     held: bool  # the drive holds it, because the brake is not proven
     words: str
+    steps: tuple[tuple[str, float], ...] = ()  # of its stop, in order: what was waited for, and how long [s]
 
 
 class AxisStop:
@@ -113,6 +114,8 @@ class AxisStop:
         self._retries, self._watched = False, True
         self._rest: AxisRest | None = None
         self._ticks = self._all_ticks = 0
+        self._steps: list[tuple[str, float]] = []
+        self._phase: Callable[[], None] = self._closing
         self._close()
 
     # ---- from outside ----------------------------------------------------------------------------------
@@ -120,7 +123,7 @@ class AxisStop:
     def rest(self) -> AxisRest | None:
         """How the stop ended; None while it is under way."""
         if self._held_for:
-            return AxisRest(self.name, False, True, f"held by its drive: {self._held_for}")
+            return AxisRest(self.name, False, True, f"held by its drive: {self._held_for}", tuple(self._steps))
         return self._rest
 
     def prove(self, effort: float) -> None:
@@ -220,6 +223,8 @@ class AxisStop:
 
     # ---- the sequence ----------------------------------------------------------------------------------
     def _go(self, phase: Callable[[], None]) -> None:
+        if self._ticks:
+            self._steps.append((self._phase.__name__.strip("_").replace("_", " "), self._ticks * self._period_s))
         self._phase, self._ticks = phase, 0
 
     def _close(self) -> None:
@@ -369,11 +374,11 @@ class AxisStop:
             self._close()
 
     def _end(self, safe: bool, words: str) -> None:
-        self._rest = AxisRest(self.name, safe, False, words)
+        self._go(self._ended)
+        self._rest = AxisRest(self.name, safe, False, words, tuple(self._steps))
         if safe:
             self.controlword = cia402.DISABLE_VOLTAGE
         self.effort = 0.0
-        self._go(self._ended)
 
     def _ended(self) -> None:
         """Change nothing more."""

@@ -160,6 +160,7 @@ class ImuDriver:
         if newest is not None and newest.status is not None and not newest.status & STATUS_SELF_TEST_PASSED:
             self._report("reports a failed self-test")
         sample.imu_fault = self._fault
+        sample.imu_damaged = self._parser.checksum_errors
         if newest is None:
             sample.imu.fill(np.nan)
             sample.imu_time_s = float("nan")

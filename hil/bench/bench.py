@@ -10,13 +10,16 @@ import contextlib
 import dataclasses
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from drivers.errors import MotionRefusedError
+from drivers.errors import DriverError, MotionRefusedError
 from drivers.interface import Sample
+from hil.bench.audit_trail import events_table, write_events
+from hil.bench.judging import judged_table
 from hil.bench.loop import SampleLoop
 from hil.bench.options import BenchOptions
 from hil.bench.start_pose import standing
@@ -106,7 +109,7 @@ class Bench:
         beside: Callable[[RecorderProcess], Beside] | None = None,
         rows: Rows | None = None,
     ) -> LoopTiming:
-        """Go to the plan's start pose, settle, run it and record every row into `path`.
+        """Go to the plan's start pose, settle, run it and record every row into `path`; its events stand beside it.
 
         Parameters
         ----------
@@ -132,6 +135,7 @@ class Bench:
         way, stay = self._way_to(plan.start_pose)
         sink = self._sink(plan, path)
         tables: dict[str, Any] = {}
+        events = self.wiring.link.events
         watched = contextlib.nullcontext() if beside is None or isinstance(sink, JournalSink) else beside(sink)
         try:
             with watched, self._session():
@@ -144,43 +148,63 @@ class Bench:
                 self.wiring.start_truth()
                 if rows is not None:
                     rows.begin(self.wiring.link.syncs)
+                events.add("bench", "run begins", rows=plan.rows)
                 timing = self.loop.run(plan, sink, progress)
+                events.add("bench", "run ends", rows=timing.ticks)
                 if rows is not None:
                     rows.end(self.wiring.link.syncs)
                 self.wiring.pause_truth()
                 self.pose = plan.reference[-1].copy()
                 self.wiring.link.close_brakes(self._holding())
+                events.add("bench", "brakes closed, drives disabled")
                 self._see_pose()
             if not self.wiring.lockstep:
                 tables["timing"] = timing.summary()
             tables["bench"] = self._circumstances()
+            tables |= self._found()
         except BaseException as error:
             self.wiring.pause_truth()
             link = self.wiring.link
             tables["ended"] = {"error": str(error) or type(error).__name__, "outcome": link.outcome, "stopping": link.troubles}
+            tables |= self._found()
             try:
                 sink.close(tables)
+                write_events(events, path)
             except RecordingError as problem:
                 error.add_note(str(problem))
             raise
         sink.close(tables)
+        write_events(events, path)
         dropped = (self.wiring.link.dropped,) if self.wiring.link.dropped else ()
         return dataclasses.replace(timing, notes=notes + timing.notes + dropped)
 
     @contextlib.contextmanager
     def _session(self) -> Iterator[None]:
         """Commission the nodes, drives disabled and brakes closed; stop and reset them on the way out in any case."""
-        link = self.wiring.link
+        link, events = self.wiring.link, self.wiring.link.events
+        events.begin()
+        if self.loop.judge is not None:
+            self.loop.judge.begin()
         with real_time(wanted=self.options.real_time and not self.wiring.lockstep) as granted, contextlib.ExitStack() as stack:
             self.scheduling = Scheduling("lockstep, virtual time", False) if self.wiring.lockstep else granted
+            stack.callback(lambda: events.add("bench", "session ended"))
             stack.callback(link.close)
             try:
+                began = {} if self.wiring.lockstep else {"utc": datetime.now(UTC).isoformat(timespec="milliseconds")}
+                events.add("bench", "session started", bus=self.options.bus_url, **began)
                 link.start()
                 pose, windup = standing(self.machine, self.model, link.exchange(self._still))
                 found = link.home(self.model.holding_effort(pose), windup, check_first_move=not self.commissioning)
                 self.commissioning = self.commissioning or tuple(found)
+                for line in found:
+                    events.add("bench", "commissioned", finding=line)
                 yield
             except Exception as error:
+                events.add(
+                    "drivers" if isinstance(error, DriverError) else "bench", "session failed", error=str(error), outcome=link.outcome
+                )
+                for trouble in link.troubles:
+                    events.add("drivers", "trouble in stopping", trouble=trouble)
                 if link.rests and link.outcome not in str(error):
                     error.add_note(link.outcome)
                 if link.troubles:
@@ -199,7 +223,9 @@ class Bench:
         self.loop.feedback.preload(effort, self.pose, self._feedforward())
         self.loop.command[:] = effort
         link.enable(self._holding())
+        link.events.add("bench", "drives enabled")
         link.release_brakes(self._holding())
+        link.events.add("bench", "brakes open")
 
     def _see_pose(self) -> None:
         """Read the position of the homed machine."""
@@ -286,13 +312,22 @@ class Bench:
     def _sink(self, plan: Plan, path: Path) -> JournalSink | RecorderProcess:
         """Return the sink of the plan's rows, ready to take them."""
         observer = None if self.observer is None else self.observer.metadata
-        metadata = recording_metadata(self.machine, plan.metadata, self._initial(), bench=self._circumstances(), observer=observer)
+        judged = None if self.loop.judge is None else judged_table(self.loop.judge.sensors)
+        metadata = recording_metadata(
+            self.machine, plan.metadata, self._initial(), bench=self._circumstances(), observer=observer, judged=judged
+        )
         return (JournalSink if self.wiring.lockstep else RecorderProcess)(path, self.loop.layout.channels, metadata)
 
     def _initial(self) -> dict[str, Any]:
         link = self.wiring.link
         brakes = {axis: "open" if link.has_brake(index) else "none" for index, axis in enumerate(self.machine.axes)}
         return {"brakes": brakes, "seed": self.options.seed}
+
+    def _found(self) -> dict[str, Any]:
+        """Return what was found of the sensors, and the events of the session."""
+        judge = self.loop.judge
+        found = {} if judge is None else {"judged": judged_table(judge.sensors, judge.findings)}
+        return found | {"events": events_table(self.wiring.link.events)}
 
     def _circumstances(self) -> dict[str, Any]:
         return {"bus": self.options.bus_url, "scheduler": str(self.scheduling), "commissioning": list(self.commissioning)}

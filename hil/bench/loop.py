@@ -16,7 +16,10 @@ import numpy as np
 
 from controllers.feedback import Feedback
 from controllers.settings import AxisLimits
+from drivers.events import Events
 from drivers.interface import MachineLink, Sample
+from drivers.judging.judge import SensorJudge
+from hil.bench.judging import judged_lines
 from hil.bench.row_layout import RowLayout
 from hil.bench.signals import Signals, StopRequest
 from hil.bench.timing import LoopTiming
@@ -98,6 +101,10 @@ class SampleLoop:
         Returns in words what the link's own watch over its encoders finds wrong with a sample; '' when nothing is wrong.
     observer : Observer, optional
         Steps once per recorded row, between the sample and the feedback; runs without a sink are not watched.
+    judge : SensorJudge, optional
+        Judges every sample's sensors; its marks go into the row.
+    events : Events, optional
+        Is told who asked for a stop, and why.
     """
 
     link: MachineLink
@@ -114,6 +121,8 @@ class SampleLoop:
     stop_request: StopRequest = field(default_factory=StopRequest)
     watch: Callable[[Sample], str] | None = None
     observer: Observer | None = None
+    judge: SensorJudge | None = None
+    events: Events | None = None
 
     def __post_init__(self) -> None:
         """Allocate everything that a tick needs."""
@@ -144,7 +153,8 @@ class SampleLoop:
         missed_before = missed_seen = self.clock.missed
         handed_over_s = 0.0
         done = 0
-        notes: tuple[str, ...] = ()
+        if self.judge is not None:
+            self.judge.restart()
         try:
             while k + 1 < rows:
                 sample = self.link.exchange(self.command)
@@ -156,7 +166,7 @@ class SampleLoop:
                     overrun = f"the loop lost {lost} ticks in a row; timing.overrun_ticks bridges {self.overrun_ticks}"
                 if k >= rows:  # the plan ended within the lost ticks; the newest sample is checked regardless
                     self._see(sample)
-                    if reason := self.stop_request.reason or self._violation(sample, plan.reference[-1]) or overrun:
+                    if reason := self.stop_request.reason or self._violation(sample, plan.reference[-1], 1 + lost, rows) or overrun:
                         raise _EndedError(f"after row {done - 1}", reason)
                     break
                 tail_s = self.clock.idle_began_s - handed_over_s if done else 0.0
@@ -164,9 +174,7 @@ class SampleLoop:
                 if observer is not None:
                     observer.step(sample, self.command, k)
                     excitation = np.add(excitation, observer.effort, out=self._added)
-                    if sample.imu_fault and not notes:
-                        notes = (f"row {done}: {sample.imu_fault}; the observer goes on with encoders and model",)
-                reason = self._step(sample, plan, k, excitation) or overrun
+                reason = self._step(sample, plan, k, excitation, 1 + lost) or overrun
                 handed_over_s = time.perf_counter()
                 lateness[done] = sample.lateness_s
                 work[done] = handed_over_s - self.clock.tick_began_s + tail_s
@@ -174,7 +182,7 @@ class SampleLoop:
                 done += 1
                 if sink is not None:
                     timing_s = (lateness[done - 1], work[done - 1], answer[done - 1]) if self.timed else _UNTIMED
-                    self.layout.fill(self._row, k, sample, plan, self.command, timing_s)
+                    self.layout.fill(self._row, k, sample, plan, self.command, timing_s, self.judge.marks if self.judge is not None else 0)
                     if observer is not None:
                         self._row[self.layout.observed] = observer.estimate
                     sink.put(self._row)
@@ -183,6 +191,7 @@ class SampleLoop:
                 if progress is not None and k % PROGRESS_TICKS == 0:
                     progress(k)
         except _EndedError as ended:
+            self._say_stop(ended.reason)
             self.link.stop()
             kept = f"{done} rows are kept" if sink is not None else "nothing was recorded"
             where = f"{ended.where}: " if sink is not None else ""
@@ -190,15 +199,21 @@ class SampleLoop:
         except BaseException:
             self.link.stop()
             raise
-        return LoopTiming(done, self.clock.missed - missed_before, lateness[:done], work[:done], answer[:done], notes)
+        judged = () if self.judge is None else judged_lines(self.judge.findings, done)
+        return LoopTiming(done, self.clock.missed - missed_before, lateness[:done], work[:done], answer[:done], judged=judged)
 
-    def _step(self, sample: Sample, plan: Signals, k: int, excitation: np.ndarray) -> str:
+    def _say_stop(self, reason: str) -> None:
+        """Tell the audit trail who asked for a stop, and why."""
+        if self.events is not None:
+            self.events.add("operator" if reason == self.stop_request.reason else "loop", "stop asked", reason=reason)
+
+    def _step(self, sample: Sample, plan: Signals, k: int, excitation: np.ndarray, ticks: int) -> str:
         """Compute the next command; return why the motors must be stopped, or ''."""
         self._see(sample)
         reference = plan.reference[k]
         feedforward = self._zeros if plan.feedforward is None else plan.feedforward[k]
         self.feedback.step(reference, self._position, excitation, feedforward, self.command)
-        return self.stop_request.reason or self._violation(sample, reference)
+        return self.stop_request.reason or self._violation(sample, reference, ticks, k)
 
     def _see(self, sample: Sample) -> None:
         """Take over the positions that have arrived, count the ticks without one."""
@@ -209,11 +224,10 @@ class SampleLoop:
             else:
                 self._stale[axis] += 1
 
-    def _violation(self, sample: Sample, reference: np.ndarray) -> str:
+    def _violation(self, sample: Sample, reference: np.ndarray, ticks: int, k: int) -> str:
+        judged = self.judge.step(sample, ticks, k * self.layout.period_s) if self.judge is not None else ""
         if sample.fault:
             return sample.fault
-        if sample.imu_fault and self.observer is None:  # an observer continues without the IMU
-            return sample.imu_fault
         for limit, wanted, position, stale in zip(self.limits, reference.tolist(), self._position.tolist(), self._stale, strict=True):
             if stale > self.stale_ticks:
                 return f"{limit.axis}: no position for {stale} ticks, timing.stale_ticks bridges {self.stale_ticks}"
@@ -236,4 +250,4 @@ class SampleLoop:
                 return "the door was opened"
             if not sample.io_age_s <= self.io_stale_s:
                 return f"the I/O has not answered for {sample.io_age_s:.2f} s, {self.io_stale_s:.2f} s are allowed"
-        return ""
+        return judged

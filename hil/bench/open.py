@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from controllers.feedback import Feedback
+from drivers.events import Events
+from drivers.judging.judge import SensorJudge
 from hil.bench.bench import Bench
 from hil.bench.clock import WallClock
+from hil.bench.judging import judging_of
 from hil.bench.loop import SampleLoop
 from hil.bench.options import BenchOptions
 from hil.bench.row_layout import AxisColumns, RowLayout
@@ -70,6 +73,8 @@ def open_bench(
         )
         links.append(wiring.link)
         io = machine.bus.io
+        judging = judging_of(machine, model, noise=options.noise)
+        judge = SensorJudge(judging, 1.0 / machine.sample_rate_Hz, _noticing(wiring.link.events))
         loop = SampleLoop(
             wiring.link,
             wiring.clock,
@@ -85,6 +90,8 @@ def open_bench(
             stop_request=stop_request,
             watch=wiring.link.watch.check,
             observer=observer,
+            judge=judge,
+            events=wiring.link.events,
         )
         pose = _look(machine, model, wiring)
         if observer is not None and isinstance(wiring.clock, WallClock):
@@ -92,6 +99,18 @@ def open_bench(
                 wiring.clock.rehearsals.append(observer.rehearse)
             stack.enter_context(observer.shown(options.bus_url))  # not before a second bench has been refused
         yield Bench(machine, options, wiring, loop, model, Scheduling("default scheduler", False), pose, observer=observer)
+
+
+def _noticing(events: Events) -> Callable[[float, str, str, str], None]:
+    """Return the function that tells the audit trail what was found of a sensor."""
+
+    def notice(row_time_s: float, sensor: str, check: str, says: str) -> None:
+        if says:
+            events.add("loop", "sensor judged", sensor=sensor, check=check, says=says, row_time_s=row_time_s)
+        else:
+            events.add("loop", "sensor recovered", sensor=sensor, check=check, row_time_s=row_time_s)
+
+    return notice
 
 
 def _look(machine: Machine, model: Physics, wiring: Wiring) -> np.ndarray:

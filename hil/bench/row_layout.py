@@ -79,6 +79,7 @@ class RowLayout:
         self._add("sync_lateness", [("sync_lateness", "s")])
         self._add("work_time", [("work_time", "s")])
         self._add("answer_time", [("answer_time", "s")])
+        self._add("sensor_marks", [("sensor_marks", "")])
         self._add("observed", list(observed))
         self.observed = self._groups["observed"]
 
@@ -92,12 +93,19 @@ class RowLayout:
         return len(self.channels)
 
     def fill(
-        self, row: np.ndarray, k: int, sample: Sample, plan: Signals, command: np.ndarray, timing_s: tuple[float, float, float]
+        self,
+        row: np.ndarray,
+        k: int,
+        sample: Sample,
+        plan: Signals,
+        command: np.ndarray,
+        timing_s: tuple[float, float, float],
+        marks: int = 0,
     ) -> None:
         """Write tick k into `row` (width,). Missing values are NaN.
 
         `timing_s`: lateness of the SYNC; work time, from the SYNC until the loop was ready to wait again; and the part of it in which the
-        loop waited for the devices' answers.
+        loop waited for the devices' answers. `marks`: a bit per sensor that is not to be believed.
         """
         groups = self._groups
         row[0] = k * self.period_s
@@ -121,3 +129,4 @@ class RowLayout:
             row[groups["imu_time"]] = sample.imu_time_s
             row[groups["imu_counter"]] = sample.imu_counter if sample.imu_counter >= 0 else np.nan
         row[groups["sync_lateness"]], row[groups["work_time"]], row[groups["answer_time"]] = timing_s
+        row[groups["sensor_marks"]] = marks

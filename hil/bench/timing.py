@@ -16,7 +16,8 @@ class LoopTiming:
     lateness_s: np.ndarray
     work_time_s: np.ndarray
     answer_time_s: np.ndarray
-    notes: tuple[str, ...] = ()  # faults with which the run could go on
+    notes: tuple[str, ...] = ()
+    judged: tuple[str, ...] = ()  # sensors that were not to be believed, with which the run went on; a line each
 
     def summary(self) -> dict[str, float]:
         """Return ticks, missed ticks, and percentiles [us] of lateness, work time, the wait for answers, and the loop's own work."""

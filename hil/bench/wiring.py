@@ -14,6 +14,7 @@ from drivers.canopen.network import PolledNetwork
 from drivers.canopen.stopping import Attendant
 from drivers.canopen.supervision import refuse_second_bench
 from drivers.errors import BusError, BusUnavailableError
+from drivers.events import Events
 from drivers.interface import Clock, Sample
 from drivers.machine_link import CanMachine
 from drivers.modbus.io import Io, IoDriver
@@ -54,6 +55,7 @@ class HeedingMachine(CanMachine):
     ) -> None:
         super().__init__(settings, bus, clock, imu, io, attendant)
         self.troubles: list[str] = []  # errors of all stops since the last start; a repeated stop does not repeat them
+        self.events = Events(clock.now)  # of the present session
         self._stop_request = stop_request
 
     def start(self) -> None:
@@ -62,13 +64,19 @@ class HeedingMachine(CanMachine):
         super().start()
 
     def stop(self) -> None:
-        """Stop as `CanMachine` does; errors are kept in `troubles`."""
+        """Stop as `CanMachine` does; errors are kept in `troubles`, and how each axis ended in `events`."""
+        before = self.rests
         super().stop()
+        for rest in self.rests if self.rests is not before else ():
+            what = "axis stopped" if rest.safe else "axis not proven at rest"
+            took = {step.replace(" ", "_") + "_s": seconds for step, seconds in rest.steps}
+            self.events.add("drivers", what, axis=rest.axis, seen=rest.words, **took)
         self.troubles += [trouble for trouble in self.stop_trouble if trouble not in self.troubles]
 
     def exchange(self, command: np.ndarray) -> Sample:
         """Make one tick; after a stop request stop the motors instead and raise LoopAbortedError with its reason."""
         if self._stop_request.reason:
+            self.events.add("operator", "stop asked", reason=self._stop_request.reason)
             self.stop()
             raise LoopAbortedError(f"{self._stop_request.reason}; {self.outcome}")
         return super().exchange(command)

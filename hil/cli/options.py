@@ -206,6 +206,8 @@ def keep_earlier(path: Path) -> str:
     path.rename(aside)
     if path.with_suffix(".toml").exists() and path.suffix == ".csv":
         path.with_suffix(".toml").rename(aside.with_suffix(".toml"))
+    if (events := path.with_suffix(".events.jsonl")).exists():
+        events.rename(aside.with_suffix(".events.jsonl"))
     return f"{path} was there already; it is now {aside.name}"
 
 

@@ -85,6 +85,7 @@ class RunOptions:
 
 def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, notes: tuple[str, ...] = ()) -> None:
     """Plan an experiment, run it, record it, say how it went."""
+    from hil.bench.audit_trail import events_path
     from hil.bench.open import open_bench, recording_paths
     from hil.bench.options import BenchOptions
     from hil.terminal.bar import drawn_beside
@@ -147,7 +148,16 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
                 said = (*timing.notes, *stepped_over(run, timing.missed))
                 for note in said:
                     answer.say(f"{path}: {note}")
-                records.append({"recording": path, "experiment": plan.metadata, "timing": timing.summary(), "notes": said})
+                records.append(
+                    {
+                        "recording": path,
+                        "experiment": plan.metadata,
+                        "timing": timing.summary(),
+                        "notes": said,
+                        "judged": timing.judged,
+                        "events": events_path(path),
+                    }
+                )
         scheduling = str(bench.scheduling)
     answer.say(f"{machine.name} on {run.bus} ({scheduling})")
     for record in records:
@@ -166,6 +176,9 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
     if faults:
         document["faults"] = told.document()
     answer.write(document)
+    if judged := [f"{record['recording']}: {line}" for record in records for line in record["judged"]]:
+        answer.say("sensors not to be believed: " + "; ".join(judged))
+        raise typer.Exit(1)
 
 
 def stepped_over(run: RunOptions, missed: int) -> tuple[str, ...]:

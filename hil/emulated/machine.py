@@ -97,19 +97,19 @@ def build_emulated(
             board.put(emulated.syncs, time_s, true[f"pose_{geometry.source_body}"], true[f"pose_{geometry.detector_body}"])
 
     devices = emulated_bus(machine, physics)
-    period_s, has_imu = machine.plant.sample_period_s, machine.bus.imu is not None
+    period_s, has_imu, brake_delay_s = machine.plant.sample_period_s, machine.bus.imu is not None, max(machine.brake_delay_s)
     seen = None if truth is None and board is None else witness
     emulated: EmulatedMachine
     if faults or motion is not None:
         brakes = FaultyBrakes(physics)
-        faulty_io = FaultyIo(layout, machine.axes, brakes) if layout is not None else None
+        faulty_io = FaultyIo(layout, machine.axes, brakes, brake_delay_s) if layout is not None else None
         faulty_imu = FaultyImu() if has_imu else None
         emulated = FaultyMachine(
             physics, devices, period_s, brakes=brakes, imu=faulty_imu, io=faulty_io, witness=seen, seed=seed, log=motion
         )
         inject(emulated, faults)
     else:
-        io = EmulatedIo(layout, machine.axes, on_brakes=physics.set_brakes) if layout is not None else None
+        io = EmulatedIo(layout, machine.axes, physics.set_brakes, brake_delay_s) if layout is not None else None
         emulated = EmulatedMachine(physics, devices, period_s, imu=EmulatedImu() if has_imu else None, io=io, witness=seen)
     emulated.place(np.zeros(len(machine.axes)) if pose is None else pose)
     return emulated

@@ -1,6 +1,7 @@
 """Machine files: what a machine is, read once and checked at the door."""
 
-from hil.machine.check import Finding, check_machine
+from hil.machine.check import check_machine
+from hil.machine.finding import Finding
 from hil.machine.load import list_shipped, load_machine, machine_from_text
 from hil.machine.model import AxisUnits, Geometry, Machine
 

@@ -267,7 +267,7 @@ def build_limits(table: MachineTable, tree: Tree) -> tuple[AxisLimits, ...]:
     for axis, limits in table.limits.items():
         where: Where = ("limits", axis)
         require_known(axis, table.drives, where, "axis")
-        for field in ("range", "speed", "acceleration", "jerk", "tracking_error"):
+        for field in ("range", "speed", "acceleration", "jerk", "tracking_error", "quick_stop"):
             require_kind(limits, field, joint_of(axis, table, tree).kind, where)
         if not limits.range[0] < limits.range[1]:
             raise ComplaintError((*where, limits.key("range")), "the lower end must be below the upper end")

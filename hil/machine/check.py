@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hil.machine.bus_load import bus_load
+from hil.machine.check_budgets import budgets
 from hil.machine.closed_loop import LinearLoop, Margins
+from hil.machine.finding import Finding, PoseResult, shown_pose
 from hil.machine.model import Machine
 
 if TYPE_CHECKING:
@@ -34,27 +35,6 @@ MOST_PER_AXIS = 9
 LIGHTLY_DAMPED = 0.2
 
 
-@dataclass(frozen=True)
-class Finding:
-    """One check's answer. `values` holds its numbers in SI, for programs."""
-
-    name: str
-    ok: bool
-    text: str
-    values: dict[str, Any] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class PoseResult:
-    """The machine at one pose."""
-
-    pose: tuple[float, ...]  # rad or m
-    holding: np.ndarray  # (axes,) in the drives' units
-    modes: tuple[tuple[float, float], ...]  # frequency [Hz], damping ratio, rising
-    pole_radius: float  # NaN without controllers
-    margins: tuple[Margins, ...]
-
-
 def check_machine(machine: Machine, poses: int = POSES) -> list[Finding]:
     """Every check, the failed ones marked.
 
@@ -69,7 +49,7 @@ def check_machine(machine: Machine, poses: int = POSES) -> list[Finding]:
     if machine.controllers:
         findings += [_stability(machine, results), *_margins(machine, results), *_reference_filters(machine)]
     if machine.bus is not None:
-        findings += [_bus_load(machine), *_device_files(machine)]
+        findings += [_bus_load(machine), *_device_files(machine), *budgets(machine, results)]
     return findings
 
 
@@ -105,7 +85,18 @@ def _examine_pose(machine: Machine, physics: Physics, pose: tuple[float, ...]) -
     poles = np.linalg.eigvals(a)
     poles = poles[(poles.imag > 0.0) & (np.abs(poles.real) < LIGHTLY_DAMPED * np.abs(poles))]
     modes = sorted((float(abs(pole)) / (2.0 * math.pi), float(-pole.real / abs(pole))) for pole in poles)
-    return PoseResult(pose, physics.holding_effort(np.array(pose)), tuple(modes), radius, margins)
+    return PoseResult(pose, physics.holding_effort(np.array(pose)), _inertia(physics, pose), tuple(modes), radius, margins)
+
+
+def _inertia(physics: Physics, pose: tuple[float, ...]) -> np.ndarray:
+    """Return each axis's inertia (axes,) [kg m^2 or kg] at its joint, all other joints held."""
+    from virtual_bus.plant.linearise import inertia_matrix
+    from virtual_bus.plant.statics import resting_state
+
+    joints = physics.plant.joint_of_axis()
+    positions = resting_state(physics.plant, physics.model, np.array(pose), held_by_brakes=False)[: physics.plant.joints]
+    inertia = inertia_matrix(physics.plant, physics.model, positions)
+    return np.array([inertia[joints[axis], joints[axis]] for axis in physics.axes])
 
 
 def _from_command_to_position(machine: Machine, linear: control.StateSpace, joints: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -113,15 +104,6 @@ def _from_command_to_position(machine: Machine, linear: control.StateSpace, join
     rows = [linear.output_labels.index(f"position_{axis}") for axis in machine.axes if machine.controllers]
     part = slice(0, 2 * joints)
     return np.asarray(linear.A)[part, part], np.asarray(linear.B)[part], np.asarray(linear.C)[rows, part]
-
-
-def shown_pose(machine: Machine, pose: tuple[float, ...]) -> str:
-    """Write a pose in the units people use."""
-    parts = []
-    for units, position in zip(machine.units, pose, strict=True):
-        number = f"{math.degrees(position):.4g} deg" if units.position == "rad" else f"{position:.4g} m"
-        parts.append(f"{units.axis} {number}")
-    return ", ".join(parts)
 
 
 def _modes(machine: Machine, results: list[PoseResult]) -> list[Finding]:

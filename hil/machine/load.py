@@ -12,7 +12,9 @@ from pydantic import ValidationError
 from hil.errors import MachineFileError
 from hil.files.regular import check_regular
 from hil.machine.build import build_controllers, build_geometry, build_limits, build_plant, build_units
+from hil.machine.build_budgets import brake_delays, build_budgets, quick_stops
 from hil.machine.build_bus import build_bus
+from hil.machine.build_judging import build_judging
 from hil.machine.messages import ComplaintError, from_validation, one_line
 from hil.machine.model import Machine
 from hil.machine.schema import MachineTable
@@ -63,6 +65,9 @@ def machine_from_text(text: str, path: Path | None = None, label: str = "") -> M
     try:
         table = MachineTable.model_validate(raw)
         plant = build_plant(table)
+        units, controllers = build_units(table, plant.tree), build_controllers(table)
+        limits, geometry = build_limits(table, plant.tree), build_geometry(table)
+        bus = build_bus(table, plant, None if path is None else path.parent)
         return Machine(
             name=table.name,
             description=table.description,
@@ -74,12 +79,16 @@ def machine_from_text(text: str, path: Path | None = None, label: str = "") -> M
             waits_on_overrun=table.timing.overrun == "wait",
             overrun_ticks=table.timing.overrun_ticks,
             stale_ticks=table.timing.stale_ticks,
-            units=build_units(table, plant.tree),
+            units=units,
             plant=plant,
-            controllers=build_controllers(table),
-            limits=build_limits(table, plant.tree),
-            geometry=build_geometry(table),
-            bus=build_bus(table, plant, None if path is None else path.parent),
+            controllers=controllers,
+            limits=limits,
+            geometry=geometry,
+            bus=bus,
+            budgets=build_budgets(table, plant.tree),
+            brake_delay_s=brake_delays(table),
+            quick_stop=quick_stops(table),
+            judging=build_judging(table, plant, bus),
         )
     except ValidationError as error:
         raise MachineFileError(one_line(file, raw, from_validation(error))) from None

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from controllers.settings import AxisController, AxisLimits
+from drivers.judging.settings import JudgingSettings
 from drivers.settings import BusSettings
+from hil.machine.standstill import Stop
 from virtual_bus.effects.places import imu_channel_names
 from virtual_bus.settings import EffectSetting, PlantSettings
 
@@ -55,6 +58,10 @@ class Machine:
     limits: tuple[AxisLimits, ...]  # infinite where the file says nothing
     geometry: Geometry | None
     bus: BusSettings | None
+    budgets: Mapping[str, Mapping[str, Stop]]  # by axis and class of fault: what may be taken to standstill
+    brake_delay_s: tuple[float, ...]  # per axis: from the command to the full effort of its brake
+    quick_stop: tuple[float | None, ...]  # per axis: deceleration by the drive's own ramp [rad/s^2 or m/s^2], where the file says it
+    judging: JudgingSettings  # of the sensors on the bus; how fast encoders can move is not in it
 
     def axis_index(self, axis: str) -> int:
         """Return the axis's place in `axes`."""

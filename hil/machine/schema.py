@@ -6,7 +6,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from hil.machine.schema_budgets import BudgetsTable
 from hil.machine.schema_bus import BusTable
+from hil.machine.schema_judging import JudgingTable
 from hil.machine.table import Flag, Name, NotNegative, Number, Positive, Table, Text, Vector, Whole
 from hil.machine.units import CONSTANT_UNITS, EFFORT_DIMENSIONS, Quantity
 
@@ -34,6 +36,8 @@ class JointTable(Table):
     """Joint position at which the spring is unloaded."""
     brake_effort: Annotated[NotNegative, Quantity("torque", "force")] = 0.0
     """Effort that the closed brake of the joint holds; 0 is no brake."""
+    brake_delay: Annotated[NotNegative, Quantity("time")] = 0.04
+    """Time from the brake's command to that effort. Spring-applied brakes take 30 to 60 ms."""
 
 
 class BodyTable(Table):
@@ -182,6 +186,8 @@ class ImuTable(Table):
     """Corner of the accelerometer's first-order low pass; 0 is none."""
     accelerometer_resolution: Annotated[NotNegative, Quantity("acceleration")] = 0.0
     """Step of the accelerometer's reading; 0 is none."""
+    accelerometer_range: Annotated[Positive | None, Quantity("acceleration")] = None
+    """Full scale of the accelerometer, either way; a reading there is none. Not emulated."""
     gyro_noise_rms: Annotated[tuple[NotNegative, NotNegative, NotNegative], Quantity("angular_speed")] = (0.0, 0.0, 0.0)
     """Standard deviation of the gyroscope's noise, per axis and sample."""
     gyro_bias: Annotated[Vector, Quantity("angular_speed")] = (0.0, 0.0, 0.0)
@@ -190,6 +196,8 @@ class ImuTable(Table):
     """Corner of the gyroscope's first-order low pass; 0 is none."""
     gyro_resolution: Annotated[NotNegative, Quantity("angular_speed")] = 0.0
     """Step of the gyroscope's reading; 0 is none."""
+    gyro_range: Annotated[Positive | None, Quantity("angular_speed")] = None
+    """Full scale of the gyroscope, either way; a reading there is none. Not emulated."""
 
 
 class TemperatureTable(Table):
@@ -241,6 +249,9 @@ class LimitsTable(Table):
     """Highest jerk that a reference may ask for."""
     tracking_error: Annotated[Positive, Quantity("angle", "length")]
     """Difference of reference and position at which the loop stops the motors."""
+    quick_stop: Annotated[Positive | None, Quantity("angular_acceleration", "acceleration")] = None
+    """Deceleration of the drive's own quick stop ramp, for `[budgets]`. Without it, object 6085h in counts/s², as a `write` of its node or
+    the EDS says it."""
 
 
 class GeometryTable(Table):
@@ -293,3 +304,7 @@ class MachineTable(Table):
     """Source and detector."""
     bus: BusTable | None = None
     """What is on the wires."""
+    budgets: Annotated[dict[Name, BudgetsTable], Field(default_factory=dict)]
+    """Time and travel to standstill, by axis."""
+    judging: JudgingTable | None = None
+    """What is allowed of the sensors in a run."""

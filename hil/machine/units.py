@@ -35,6 +35,7 @@ UNITS: dict[str, dict[str, float]] = {
     "frequency": {"Hz": 1.0, "kHz": 1e3},
     "temperature": {"degC": 1.0},
     "temperature_step": {"K": 1.0},
+    "temperature_rate": {"K_s": 1.0},
     "heating": {"K_per_A2": 1.0, "K_per_V2": 1.0, "K_per_Nm2": 1.0, "K_per_N2": 1.0},
 }
 

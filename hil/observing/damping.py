@@ -17,8 +17,9 @@ from controllers.observers.filter_step import next_and_read
 from controllers.observers.modal_observer import ModalObserver
 from hil.errors import UnusableInputError
 from hil.machine import Machine
-from hil.machine.check import GAIN_MARGIN_dB, PHASE_MARGIN_deg, pose_grid, shown_pose
+from hil.machine.check import GAIN_MARGIN_dB, PHASE_MARGIN_deg, pose_grid
 from hil.machine.closed_loop import Margins, cascade_state_space, frequency_grid, loop_margins
+from hil.machine.finding import shown_pose
 from virtual_bus.physics import Physics
 
 POSES = 25

@@ -62,6 +62,7 @@ KINDS = (
     Kind("data_age_.+", TIME),
     Kind("sync_lateness", TIME),
     Kind("work_time|answer_time", TIME),
+    Kind("sensor_marks", NUMBER, whole=True),
     Kind("exposure_id", NUMBER, whole=True),
     Kind("can_id|can_length|can_extended|can_remote|byte_[0-9]+", NUMBER, whole=True),
 )

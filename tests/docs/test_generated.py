@@ -200,6 +200,10 @@ class TestMachineFile:
             "sensors",
             "controller",
             "limits",
+            "encoders",
+            "temperature",
+            "drive",
+            "budgets",
         }
 
         def undocumented(table: dict[str, Any], by_name: bool = False) -> set[str]:

@@ -27,7 +27,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "observing": ("calibration", "experiments", "files", "identification", "machine", "recording", "simulation"),
     "emulated": ("extras", "imaging", "machine", "processes", "recording"),
     "receiving": ("calibration", "emulated", "extras", "imaging", "machine", "processes", "recording"),
-    "bench": ("emulated", "experiments", "machine", "observing", "processes", "recording"),
+    "bench": ("emulated", "experiments", "files", "machine", "observing", "processes", "recording"),
     "diagnosis": ("experiments", "files", "machine", "processes", "recording", "simulation"),
     "figures": ("calibration", "identification", "imaging", "observing", "reconstruction", "shaping"),
     "terminal": ("recording",),

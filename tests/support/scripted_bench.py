@@ -10,6 +10,8 @@ import numpy as np
 from controllers.feedback import Feedback
 from controllers.settings import AxisController, AxisLimits
 from drivers.interface import Sample
+from drivers.judging.judge import SensorJudge
+from drivers.judging.settings import JudgingSettings, WarningJudging
 from hil.bench.loop import SampleLoop
 from hil.bench.row_layout import AxisColumns, RowLayout
 
@@ -91,7 +93,11 @@ def layout() -> RowLayout:
 
 
 def proportional_loop(link: ScriptedLink, *, guard_io: bool = True) -> SampleLoop:
-    """U = 10 A/rad (r - y), limited to 8 A; range +-1 rad, tracking error 0.5 rad, I/O age 0.5 s, 8 lost and 3 stale ticks bridged."""
+    """U = 10 A/rad (r - y), limited to 8 A; range +-1 rad, tracking error 0.5 rad, I/O age 0.5 s, 8 lost and 3 stale ticks bridged.
+
+    Roll's drive is judged: its warning stops the motors.
+    """
+    drive = WarningJudging("drive_roll", 1, "stop")
     sections = np.array([[GAIN, 0.0, 0.0, 1.0, 0.0, 0.0]])
     return SampleLoop(
         link,
@@ -103,6 +109,7 @@ def proportional_loop(link: ScriptedLink, *, guard_io: bool = True) -> SampleLoo
         io_stale_s=0.5,
         overrun_ticks=8,
         stale_ticks=3,
+        judge=SensorJudge(JudgingSettings(warnings=(drive,)), PERIOD_S),
     )
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from virtual_bus.faults.seam import Seam
-from virtual_bus.modbus.io_device import EmulatedIo, IoLayout
+from virtual_bus.modbus.io_device import BRAKE_DELAY_S, EmulatedIo, IoLayout
 from virtual_bus.serial.xsens_imu import EmulatedImu
 
 if TYPE_CHECKING:
@@ -72,14 +72,14 @@ class FaultyIo(EmulatedIo):
         Whether requests are taken and nothing is done.
     """
 
-    def __init__(self, layout: IoLayout, axes: tuple[str, ...], brakes: FaultyBrakes) -> None:
+    def __init__(self, layout: IoLayout, axes: tuple[str, ...], brakes: FaultyBrakes, brake_delay_s: float = BRAKE_DELAY_S) -> None:
         self.feedbacks: Seam[Callable[[bool], bool]] = Seam()
         self.thermometers: Seam[Callable[[float], float]] = Seam()
         self.refusals: Seam[Callable[[bytes], bytes | None]] = Seam()
         self.answers: Seam[Callable[[bytes], bytes]] = Seam()
         self.hangs_up = self.hangs = False
         self._brakes = brakes
-        super().__init__(layout, axes)
+        super().__init__(layout, axes, brake_delay_s=brake_delay_s)
 
     def advance(self, time_s: float) -> None:
         """Move machine time on: the feedback follows the armature, not the coil."""

@@ -50,8 +50,8 @@ def _fault(link: ScriptedLink) -> None:
     link.sample.fault = "roll_drive (node 2): EMCY 2310h: continuous over current"
 
 
-def _imu_gone(link: ScriptedLink) -> None:
-    link.sample.imu_fault = "imu 'imu': serial port /dev/ttyUSB0 is gone"
+def _warning(link: ScriptedLink) -> None:
+    link.sample.statusword[1] |= 0x80
 
 
 def _overrun(link: ScriptedLink) -> None:
@@ -73,7 +73,7 @@ REASONS = {
     "io_age": (_io_gone, "the I/O has not answered for 0.51 s, 0.50 s are allowed"),
     "io_never": (_io_never_answered, "the I/O has not answered"),
     "fault": (_fault, "EMCY 2310h"),
-    "imu": (_imu_gone, "imu 'imu': serial port /dev/ttyUSB0 is gone"),
+    "sensor": (_warning, "drive_roll: its drive warns (statusword 16B7h)"),
     "overrun": (_overrun, "the loop lost 9 ticks in a row; timing.overrun_ticks bridges 8"),
 }
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bench_machines import edited
 
 from drivers.errors import BusUnavailableError
 from drivers.interface import Sample
@@ -19,7 +20,7 @@ from hil.bench.options import BenchOptions
 from hil.cli import main
 from hil.errors import LoopAbortedError, UnusableInputError
 from hil.experiments import Scan
-from hil.machine import Machine
+from hil.machine import Machine, machine_from_text
 from hil.machine.effects_file import read_effects_file
 from hil.observing import ObserverDesign, observe, write_design
 from hil.observing.board import EstimateBoard, latest_estimate, remove_abandoned
@@ -178,19 +179,20 @@ def test_a_run_goes_on_without_its_imu_and_says_so(machine: Machine, design: Obs
     recording = read_recording(tmp_path / "unplugged.mf4")
     assert recording.rows == plan.rows
     assert np.flatnonzero(imu_missing(recording)).tolist() == list(range(257, plan.rows))
-    (note,) = timing.notes
-    assert note.startswith("row 257: imu 'imu': serial port")
-    assert "goes on with encoders and model" in note
+    (line,) = timing.judged
+    assert line.startswith("imu: serial port /dev/ttyUSB0 is gone")
+    assert np.flatnonzero(recording["sensor_marks"]).tolist() == list(range(257, plan.rows))
     variance = recording["estimate_detector_wy_variance"]
     assert variance[-1] > 2.0 * variance[256]
     assert np.isfinite(recording.matrix([f"estimate_detector_{axis}" for axis in ("x", "y", "z", "vx", "wx")])).all()
     assert_replayed(recording, design)
 
 
-def test_without_an_observer_an_imu_that_is_gone_ends_the_run(machine: Machine, cable: Cable, tmp_path: Path) -> None:
+def test_an_imu_that_is_gone_ends_the_run_where_the_machine_file_says_so(machine: Machine, cable: Cable, tmp_path: Path) -> None:
+    machine = machine_from_text(edited(r'(\[judging.imu\]\nfollows = )"mark"', r'\1"stop"', machine.text))
     plan = PLAN.plans(machine)[0]
     with (
-        pytest.raises(LoopAbortedError, match="row 257: imu 'imu': serial port /dev/ttyUSB0 is gone"),
+        pytest.raises(LoopAbortedError, match="row 257: imu: serial port /dev/ttyUSB0 is gone"),
         open_bench(machine, BenchOptions("lockstep:", seed=5), plan.start_pose) as bench,
     ):
         bench.run(plan, tmp_path / "unplugged.mf4", cable.pull_at(256))

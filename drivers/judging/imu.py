@@ -1,0 +1,133 @@
+"""Is an IMU to be believed: its packets come, at their rate and undamaged, and hold numbers that a living sensor gives."""
+
+from __future__ import annotations
+
+from math import isfinite
+
+from drivers.interface import Sample
+from drivers.judging.settings import ImuJudging
+
+WINDOW_S = 1.0
+"""Time over which packets are counted: long against a pause of the host, short against a run."""
+
+CHANNELS = ("x", "y", "z", "rate x", "rate y", "rate z")
+
+
+class ImuJudge:
+    """Judges the packets of one IMU.
+
+    Parameters
+    ----------
+    settings : ImuJudging
+
+    Attributes
+    ----------
+    lag_ticks : int
+        For how many ticks before the newest one the readings are in doubt too.
+    """
+
+    def __init__(self, settings: ImuJudging) -> None:
+        self.sensor, self.follows = settings.sensor, settings.follows
+        self._settings = settings
+        self._window = max(1, round(WINDOW_S / settings.period_s))
+        self._expected = min(settings.rate_Hz * settings.period_s, 1.0)  # readings a tick: a row holds one
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin anew: no packet is known."""
+        self.lag_ticks = 0
+        self._silent = 0
+        self._ticks = self._came = 0
+        self._wrong_rate = ""
+        self._came_before = 0
+        self._damaged_before = -1
+        self._garbage_ticks = 0
+        self._damaged = 0
+        self._values = [float("nan")] * 6
+        self._equal = [1] * 6
+        self._channel = 0
+        self._words = ""
+
+    def step(self, sample: Sample, ticks: int) -> str:
+        """Return which check the newest sample fails, '' when none; `ticks` passed since the one before."""
+        came = sample.imu_counter >= 0
+        self._silent = 0 if came else self._silent + ticks
+        rate = self._count(came, ticks)
+        garbage = self._count_damaged(sample.imu_damaged, ticks)
+        self.lag_ticks = 0
+        if sample.imu_fault:
+            self._words = sample.imu_fault
+            return "fault"
+        if garbage:
+            self.lag_ticks = self._ticks
+            return "garbage"
+        settings = self._settings
+        if self._silent * settings.period_s > settings.age_s:
+            self.lag_ticks = self._silent - 1
+            return "age"
+        if came and (check := self._value(sample.imu.tolist())):
+            return check
+        if rate:
+            self.lag_ticks = self._window
+            return rate
+        return ""
+
+    def says(self, check: str) -> str:
+        """Return a failed check in words."""
+        settings = self._settings
+        if check == "fault":
+            return self._words.partition(": ")[2] or self._words  # the line's name stands before it
+        if check == "garbage":
+            return f"{self._damaged} damaged messages within {WINDOW_S:g} s, {settings.damaged_per_s} are allowed"
+        if check == "age":
+            return f"no packet for more than {settings.age_s:.3f} s"
+        if check == "rate":
+            packets, wanted = self._came_before, self._expected * self._window
+            return f"{packets} packets within {WINDOW_S:g} s, {wanted:.0f} are its rate and {settings.rate_tolerance:.0%} the tolerance"
+        channel, value = CHANNELS[self._channel], self._values[self._channel]
+        if check == "number":
+            return f"{channel} is {value}, no number"
+        if check == "range":
+            return f"{channel} reads {value:.4g}, its full scale is {settings.full_scale[self._channel]:.4g}"
+        return f"{channel} has not changed for {settings.frozen_packets[self._channel]} packets; noise makes that impossible"
+
+    def _value(self, values: list[float]) -> str:
+        settings, before, equal = self._settings, self._values, self._equal
+        found = ""
+        for channel, value in enumerate(values):
+            equal[channel] = equal[channel] + 1 if value == before[channel] else 1
+            if found:
+                continue
+            if not isfinite(value):
+                found = "number"
+            elif abs(value) >= settings.full_scale[channel]:
+                found = "range"
+            elif 0 < settings.frozen_packets[channel] <= equal[channel]:
+                found = "frozen"
+                self.lag_ticks = settings.frozen_packets[channel] - 1
+            if found:
+                self._channel = channel
+        self._values = values
+        return found
+
+    def _count(self, came: bool, ticks: int) -> str:
+        """Count the readings of a window, and judge the one that is over."""
+        self._came += came
+        self._ticks += ticks
+        if self._ticks >= self._window:
+            wanted = self._expected * self._ticks
+            self._came_before = self._came
+            # one reading more or less is the phase of a sensor that runs on its own clock
+            self._wrong_rate = "rate" if abs(self._came - wanted) > self._settings.rate_tolerance * wanted + 1.0 else ""
+            self._ticks = self._came = 0
+        return self._wrong_rate
+
+    def _count_damaged(self, damaged: int, ticks: int) -> bool:
+        """Tell whether more messages than allowed came damaged within this window or the one before."""
+        if self._damaged_before < 0 or self._ticks == 0 or damaged < self._damaged_before:
+            self._damaged_before = damaged
+        self._garbage_ticks = max(0, self._garbage_ticks - ticks)
+        if damaged - self._damaged_before > self._settings.damaged_per_s:
+            self._damaged = damaged - self._damaged_before
+            self._garbage_ticks = self._window
+        return self._garbage_ticks > 0

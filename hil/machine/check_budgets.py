@@ -1,0 +1,135 @@
+"""Can the budgets of a machine file be met: time and travel to standstill of every class of fault, at every pose."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from drivers.canopen.eds import load_object_dictionary
+from drivers.canopen.supervision import HEARTBEAT_TOLERANCE
+from drivers.canopen.watch import LED_SPEED_MARGIN
+from drivers.errors import ProtocolError
+from drivers.settings import BusSettings, Node
+from hil.machine.finding import Finding, PoseResult, shown_pose
+from hil.machine.model import Machine
+from hil.machine.standstill import CLASSES, AxisFacts, Stop
+
+WIDEST = 1.5
+"""Multiple of what is computed that a budget may be: what the closed forms leave out is less, and a wider one promises nothing."""
+
+QUICK_STOP_DECELERATION = 0x6085
+
+
+def budgets(machine: Machine, results: Sequence[PoseResult]) -> list[Finding]:
+    """Return a finding per axis and class: what is stated, what is computed at the worst pose, and whether both fit."""
+    found = []
+    for number, axis in enumerate(machine.axes):
+        stated = machine.budgets.get(axis, {})
+        facts = axis_facts(machine, number, results)
+        for name, stop_of in CLASSES.items():
+            if name == "io_silent" and (machine.bus is None or machine.bus.io is None):
+                continue
+            stops = [(stop_of(fact), pose) for fact, pose in facts]
+            worst, pose = max(stops, key=lambda entry: (entry[0].travel, entry[0].time_s))
+            longest = max(stop.time_s for stop, _ in stops)
+            found.append(_finding(machine, axis, name, stated.get(name), Stop(longest, worst.travel), pose))
+    return found
+
+
+def axis_facts(machine: Machine, number: int, results: Sequence[PoseResult]) -> list[tuple[AxisFacts, tuple[float, ...]]]:
+    """Return the facts of an axis for every pose of the others, with the greatest load and the extreme inertias that it meets on its way.
+
+    The pose of each is the one with the greatest load.
+    """
+    bus = machine.bus
+    assert bus is not None
+    limit, drive = machine.limits[number], machine.plant.drives[number]
+    joint = machine.plant.tree.joints[machine.plant.tree.joint_index(drive.joint)]
+    node = next(node for node in bus.nodes if node.role == "drive" and node.axis == machine.axes[number])
+    scale = drive.constant * drive.ratio
+    by_others: dict[tuple[float, ...], list[PoseResult]] = {}
+    for result in results:
+        by_others.setdefault((*result.pose[:number], *result.pose[number + 1 :]), []).append(result)
+    found = []
+    for group in by_others.values():
+        heaviest = max(group, key=lambda result: abs(result.holding[number]))
+        inertias = [float(result.inertia[number]) for result in group]
+        facts = AxisFacts(
+            speed=limit.speed,
+            watched_speed=LED_SPEED_MARGIN * limit.speed,
+            acceleration=limit.acceleration,
+            tracking_error=limit.tracking_error,
+            gravity=abs(float(heaviest.holding[number])) * scale,
+            inertia=(min(inertias), max(inertias)),
+            drive_effort=drive.limit * scale,
+            quick_stop=quick_stop(machine, number, node),
+            brake_effort=joint.brake_effort,
+            brake_delay_s=machine.brake_delay_s[number],
+            period_s=bus.sync_period_s,
+            stale_s=machine.stale_ticks * bus.sync_period_s,
+            inputs_s=bus.io.poll_period_s if bus.io is not None else 0.0,
+            io_silent_s=bus.io.stale_after_s if bus.io is not None else math.inf,
+            node_silent_s=_silent_s(node.heartbeat_period_s, bus),
+            bench_silent_s=HEARTBEAT_TOLERANCE * bus.master_heartbeat_period_s or math.inf,
+        )
+        found.append((facts, heaviest.pose))
+    return found
+
+
+def quick_stop(machine: Machine, number: int, node: Node) -> float:
+    """Return the deceleration of a drive's quick stop [rad/s^2 or m/s^2]; 0 where nobody says it.
+
+    It is the limit's own where the machine file has it, else object 6085h in counts/s^2: as a node's `write` says it, or the EDS.
+    """
+    assert machine.bus is not None
+    stated = machine.quick_stop[number]
+    if stated is not None:
+        return stated
+    resolution = machine.bus.scalings[number].position_resolution
+    for index, _, value in node.writes:
+        if index == QUICK_STOP_DECELERATION:
+            return value * resolution
+    try:
+        entry = load_object_dictionary(node.eds, node.node_id).get(QUICK_STOP_DECELERATION)
+    except (OSError, ProtocolError):
+        return 0.0
+    default = getattr(entry, "default", None)
+    return float(default) * resolution if default is not None else 0.0
+
+
+def _silent_s(heartbeat_s: float, bus: BusSettings) -> float:
+    """Return how long a node is silent at most before it is missed: one node's heartbeat is looked at in a tick."""
+    return HEARTBEAT_TOLERANCE * heartbeat_s + len(bus.nodes) * bus.sync_period_s if heartbeat_s > 0.0 else math.inf
+
+
+def _finding(machine: Machine, axis: str, name: str, stated: Stop | None, computed: Stop, pose: tuple[float, ...]) -> Finding:
+    unit, factor = ("deg", math.degrees(1.0)) if machine.units[machine.axis_index(axis)].position == "rad" else ("m", 1.0)
+
+    def shown(stop: Stop) -> str:
+        return f"{stop.time_s:6.3f} s {stop.travel * factor:8.4g} {unit}"
+
+    told = f"{axis:12s} {name:13s} stated {shown(stated) if stated else f'{chr(45):>8s} {chr(45):>12s}'}, computed {shown(computed)}"
+    text = f"{told} at {shown_pose(machine, pose)}"
+    values = {
+        "axis": axis,
+        "class": name,
+        "pose": pose,
+        "time_s": computed.time_s,
+        "travel": computed.travel,
+        "stated_time_s": None if stated is None else stated.time_s,
+        "stated_travel": None if stated is None else stated.travel,
+    }
+    if stated is None:
+        return Finding("budget", True, text, values)
+    problems = []
+    for what, says, takes in (("time", stated.time_s, computed.time_s), ("travel", stated.travel, computed.travel)):
+        if not np.isfinite(takes):
+            problems.append("it does not come to rest")
+            break
+        if says < takes:
+            problems.append(f"its {what} cannot be met")
+        elif says > WIDEST * takes:
+            problems.append(f"its {what} is wider than {WIDEST:g} times what is computed")
+    return Finding("budget", not problems, text + (f": {', '.join(problems)}" if problems else ""), values)

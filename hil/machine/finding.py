@@ -1,0 +1,43 @@
+"""What a check of a machine file found, and the machine at one pose that checks look at."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from hil.machine.closed_loop import Margins
+from hil.machine.model import Machine
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One check's answer. `values` holds its numbers in SI, for programs."""
+
+    name: str
+    ok: bool
+    text: str
+    values: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class PoseResult:
+    """The machine at one pose."""
+
+    pose: tuple[float, ...]  # rad or m
+    holding: np.ndarray  # (axes,) in the drives' units
+    inertia: np.ndarray  # (axes,) kg m^2 or kg at each axis's joint, all others held
+    modes: tuple[tuple[float, float], ...]  # frequency [Hz], damping ratio, rising
+    pole_radius: float  # NaN without controllers
+    margins: tuple[Margins, ...]
+
+
+def shown_pose(machine: Machine, pose: tuple[float, ...]) -> str:
+    """Write a pose in the units people use."""
+    parts = []
+    for units, position in zip(machine.units, pose, strict=True):
+        number = f"{math.degrees(position):.4g} deg" if units.position == "rad" else f"{position:.4g} m"
+        parts.append(f"{units.axis} {number}")
+    return ", ".join(parts)
