@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from virtual_bus.effects.effect import FRICTION, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, one
 from virtual_bus.effects.motion import JointState
 from virtual_bus.effects.residual import Residual, fitted
+
+CREEP = 1e-3
+"""rad/s or m/s: slower, a film is thick against its changes and viscous; a power of speed alone would have no slope at rest."""
 
 EFFECT = Effect(
     name="power_law_friction",
@@ -24,8 +29,11 @@ EFFECT = Effect(
             default=0.5,
         ),
     ),
-    equation="F1 abs(speed)^p sign(speed)",
-    convention="effort on the joint = -F1 abs(speed)^p sign(speed), speed in rad/s (m/s), on the joint's side of the gear",
+    equation="F1 speed (speed^2 + (0.001 rad/s)^2)^((p - 1) / 2)",
+    convention=(
+        "effort on the joint = -F1 abs(speed)^p sign(speed), speed in rad/s (m/s), on the joint's side of the gear; a joint that creeps, "
+        "slower than 1 mrad/s (1 mm/s), has a viscous film, and at rest nothing holds it"
+    ),
     neighbours=("viscous_friction", "coulomb_friction", "stribeck_friction"),
     source="Harris and Kotzalas 2006, ch. 10 (after Palmgren 1959: (viscosity x speed)^(2/3)); square root: an intermediate exponent",
     family="viscous_friction",
@@ -35,8 +43,8 @@ EFFECT = Effect(
 
 def level(state: JointState, F1: float, p: float) -> float:
     """Return the friction level [Nm or N]."""
-    level: float = F1 * state.speed**p
-    return level
+    effort: float = F1 * state.speed * math.hypot(state.speed, CREEP) ** (p - 1.0)
+    return effort
 
 
 def guess(residual: Residual) -> tuple[float, float]:

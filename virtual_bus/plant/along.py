@@ -160,6 +160,13 @@ def mean_sign(start: float, end: float, deviation: float) -> float:
 
 
 @compiled
+def unknown_sign(speed: float, deviation: float) -> float:
+    """Return the variance of the sign of a speed that is known up to `deviation`."""
+    mean = math.erf(speed / (1.4142135623730951 * max(deviation, 1e-12)))
+    return 1.0 - mean * mean
+
+
+@compiled
 def rub(
     equations: Equations, friction_of: FrictionOf, model: np.record, work: np.record, positions: np.ndarray, speeds: np.ndarray,
     deviations: np.ndarray, efforts: np.ndarray, out: np.ndarray, variances: np.ndarray,
@@ -191,7 +198,7 @@ def rub(
             up = friction_level(j, speed, 1.0, friction_of, model, work)
             down = friction_level(j, speed, -1.0, friction_of, model, work)
             out[k, j] = forward * up - (1.0 - forward) * down
-            variances[k, j] = forward * (1.0 - forward) * (up + down) ** 2
+            variances[k, j] = (0.5 * (up + down)) ** 2 * unknown_sign(speeds[k, j], deviations[k, j])
         for row in range(model.shared_count):
             i, j, share = model.shared_joints[row, 0], model.shared_joints[row, 1], model.share[row]
             ahead = min(k + 1, rows - 1)
@@ -201,7 +208,8 @@ def rub(
             speed = 0.5 * (abs(begin) + abs(end))
             up = shared_level(row, speed, 1.0, friction_of, model, work)
             down = shared_level(row, speed, -1.0, friction_of, model, work)
-            effort, variance = forward * up - (1.0 - forward) * down, forward * (1.0 - forward) * (up + down) ** 2
+            effort = forward * up - (1.0 - forward) * down
+            variance = (0.5 * (up + down)) ** 2 * unknown_sign(begin, deviation)
             out[k, i] += effort
             out[k, j] += share * effort
             variances[k, i] += variance

@@ -137,8 +137,8 @@ def settle_shared(row: int, friction_of: FrictionOf, model: np.record, work: np.
     work.friction_change[k] += share * change
     for m in range(len(work.position)):
         work.speed[m] += (by[i, m] + share * by[k, m]) * change
-    shift: float = abs(change * response)
-    return shift
+    moved: float = abs(change * response)
+    return moved
 
 
 @compiled

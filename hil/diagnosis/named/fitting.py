@@ -112,7 +112,7 @@ def fit(
         return None
     columns: tuple[np.ndarray, ...] = ()
     for _ in range(ITERATIONS):
-        columns = tuple(np.hstack([one.numbers, _derivatives(tuned, one, settings, parameters)]) for one in tuned.looked)
+        columns = tuple(_columns(tuned, one, settings, parameters, rest) for one, rest in zip(tuned.looked, left, strict=True))
         step = _step(tuned, settings, offset, parameters, columns, left, 1.0 / dispersion, longest)
         cost = squares / dispersion + float(offset @ offset)
         taken = _shortened(tuned, settings, offset, parameters, step, cost, dispersion)
@@ -151,27 +151,35 @@ def _left(tuned: Tuned, settings: tuple[EffectSetting, ...], offset: np.ndarray)
                 columns += [column(one.signals, _signals(tuned, one, (setting,))) for setting in settings]
             whitened = one.whiten(columns)
             unsure += float(np.sum(whitened[:, min(1, len(columns) - 1) :] ** 2))
-            rest = rest - whitened[:, 0]
-            rest = (rest.reshape(-1, one.beside.left.shape[1]) / _drive_units(tuned, one, settings)).reshape(-1)
+            rest = _times(rest - whitened[:, 0], 1.0 / _weaker(tuned, one, settings))
         left.append(rest)
     squares = ACCURACY**2 * unsure + float(sum(rest @ rest for rest in left))
     return tuple(left), squares
 
 
-def _drive_units(tuned: Tuned, one: Looked, settings: tuple[EffectSetting, ...]) -> np.ndarray:
+def _weaker(tuned: Tuned, one: Looked, settings: tuple[EffectSetting, ...]) -> np.ndarray:
     """Return by how much weaker (m + axes,) than the file's a set of effects makes the drives whose joints each reading shows.
 
-    Noise is known in the drives' units: otherwise every drive would be found weaker than it is, since that makes all efforts smaller.
+    Noise is known in the drives' units: otherwise every drive would be found weaker than it is, and every gear worse, since that makes all
+    efforts smaller.
     """
     along = one.beside.along
-    gains = along.model(tuned.values, settings)[0]["effort_gain"] / one.beside.model[0]["effort_gain"]
+    model = along.model(tuned.values, settings)
+    gains = model[0]["effort_gain"] / one.beside.model[0]["effort_gain"]
+    passed = along.passed_by_friction(one.motion, model) / along.passed_by_friction(one.motion, one.beside.model)
     weaker = np.ones(one.beside.left.shape[1])
     joints = {sensor.channel: sensor.joints for sensor in along.settings.joint_sensors}
     for drive, gain in zip(along.settings.drives, gains, strict=False):
         for c, channel in enumerate(along.observed.channels):
             if drive.joint in joints.get(channel, ()):
-                weaker[c] = min(weaker[c], max(float(gain), 1e-3))
+                weaker[c] = min(weaker[c], max(float(gain * passed[along.joints.index(drive.joint)]), 1e-3))
     return weaker
+
+
+def _times(values: np.ndarray, factors: np.ndarray) -> np.ndarray:
+    """Return innovations (N m,) or columns (N m, C) times a factor (m,) of each reading."""
+    by_reading = values.reshape(-1, len(factors), *values.shape[1:])
+    return (by_reading * factors.reshape(-1, *(1 for _ in values.shape[1:]))).reshape(values.shape)
 
 
 def _signals(tuned: Tuned, one: Looked, settings: tuple[EffectSetting, ...]):  # type: ignore[no-untyped-def]
@@ -179,12 +187,14 @@ def _signals(tuned: Tuned, one: Looked, settings: tuple[EffectSetting, ...]):  #
     return along.signals(one.motion, along.model(tuned.values, settings), settings)
 
 
-def _derivatives(tuned: Tuned, one: Looked, settings: tuple[EffectSetting, ...], parameters: Sequence[tuple[int, Parameter]]) -> np.ndarray:
-    """Return whitened columns (N m, Q) of the effects' parameters, by differences."""
+def _columns(
+    tuned: Tuned, one: Looked, settings: tuple[EffectSetting, ...], parameters: Sequence[tuple[int, Parameter]], rest: np.ndarray
+) -> np.ndarray:
+    """Return what (N m, P + Q) the innovations `rest` (N m,) lose per unit of each nuisance and of each parameter, by differences."""
     if not parameters:
-        return np.zeros((len(one.innovations), 0))
-    here = _signals(tuned, one, settings)
-    columns = []
+        return one.numbers
+    here, weaker = _signals(tuned, one, settings), _weaker(tuned, one, settings)
+    columns, rescaled = [], []
     for k, parameter in parameters:
         value = settings[k].parameters[parameter.name]
         step = difference(parameter, value)
@@ -193,9 +203,15 @@ def _derivatives(tuned: Tuned, one: Looked, settings: tuple[EffectSetting, ...],
         moved = (*settings[:k], changed(settings[k], {parameter.name: value + step}), *settings[k + 1 :])
         try:
             columns.append(column(here, _signals(tuned, one, moved), step))
+            rescaled.append((_weaker(tuned, one, moved) / weaker - 1.0) / step)
         except EffectError:
             columns.append(column(here, here))
-    return one.whiten(columns)
+            rescaled.append(np.zeros_like(weaker))
+    found = _times(np.hstack([one.numbers, one.whiten(columns)]), 1.0 / weaker)
+    for number, change in enumerate(rescaled, one.numbers.shape[1]):
+        if change.any():
+            found[:, number] += _times(rest, change)
+    return found
 
 
 def difference(parameter: Parameter, value: float) -> float:

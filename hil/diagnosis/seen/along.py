@@ -25,6 +25,12 @@ from virtual_bus.settings import EffectSetting
 
 FINE = 2
 """Steps of the base motion in a row: with one, springs that swing at a tenth of the sample rate would give 5 % of their effort wrong."""
+SLIGHTLY = 1e-3
+"""Relative change of efforts, of which a slope is taken."""
+ROWS_OF_A_SHARE = 500
+"""Over which a share of efforts is a mean: to a few per cent, as good as a law."""
+LEAST_PASSED = 0.05
+"""Share of efforts: a gear that loses more is none."""
 PHASE_OF_A_STEP = 0.25
 """Largest product of a Runge-Kutta step and the fastest mode's frequency: the phase error of a step is its fifth power over 120."""
 
@@ -201,6 +207,20 @@ class Along:
     def unknown_friction(self, motion: Motion, model: np.ndarray) -> np.ndarray:
         """Return the variances (N, n) of the efforts of friction, which are unknown where nothing says which way a joint moves."""
         return self._rubbed(motion, model, self._driven(motion, model)[0])[1]
+
+    def passed_by_friction(self, motion: Motion, model: np.ndarray) -> np.ndarray:
+        """Return the share (n,) of a change of the drives' efforts that friction lets pass: 1, unless it grows with them."""
+        rows = slice(None, None, max(1, self.observed.rows // ROWS_OF_A_SHARE))
+        efforts = np.zeros_like(motion.position[rows])
+        for axis, joint in enumerate(self.plant.driven_joints):
+            efforts[:, joint] += model[0]["effort_gain"][axis] * self.observed.targets[rows, axis]
+        parts = (np.ascontiguousarray(each[rows]) for each in (motion.position, motion.speed, motion.speed_deviation))
+        position, speed, deviation = parts
+        less, more, unused = (np.zeros_like(efforts) for _ in range(3))
+        self._module.rub(model, self._work, position, speed, deviation, efforts, less, unused)
+        self._module.rub(model, self._work, position, speed, deviation, (1.0 + SLIGHTLY) * efforts, more, unused)
+        taken = np.sum((more - less) * efforts, axis=0) / SLIGHTLY / np.maximum(np.sum(efforts**2, axis=0), 1e-300)
+        return np.maximum(1.0 - taken, LEAST_PASSED)
 
     def _driven(self, motion: Motion, model: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the drives' mean efforts on the joints (N, n), currents (N, axes), and the plant's state with what drives remember."""

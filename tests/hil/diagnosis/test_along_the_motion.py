@@ -12,6 +12,7 @@ from carriage import MACHINE, MASS_kg, recording, repeats
 from command_line import Isocenter
 from places import DATA, needs_data
 
+from hil.diagnosis.named.fitting import fit
 from hil.diagnosis.named.naming import Named, name
 from hil.diagnosis.named.search import library
 from hil.diagnosis.named.standing import detection_limits
@@ -21,6 +22,7 @@ from hil.diagnosis.seen.see import see
 from hil.machine.effects_file import read_effects_file
 from hil.machine.load import machine_from_text
 from hil.recording import Channel, Recording, write_recording
+from virtual_bus.settings import EffectSetting
 
 COULOMB_N, LOAD_N = 20.0, 6.0
 TRUTH = {"coulomb_N": COULOMB_N, "load_N": LOAD_N, "duration_s": 6.0}
@@ -129,6 +131,21 @@ def test_a_refit_keeps_strengths_and_predicts_no_worse(rubbing: Named) -> None:
     assert errors is not None
     table = errors.channels["position_carriage"]
     assert table["after"] <= 1.05 * table["before"]
+
+
+def test_a_gear_whose_losses_would_hide_what_is_not_explained_is_no_better_explanation(rubbing: Named) -> None:
+    """A motor that hardly does anything but overcome friction gives an effort in proportion to it: a bad gear would explain anything."""
+    tuned = rubbing.tuned
+    (one,) = tuned.looked
+    gear, dry = EffectSetting("motor_load_friction", "carriage", {"Km": 0.6}), EffectSetting("coulomb_friction", "carriage", {"Fc": 1.0})
+    shares = [one.beside.along.passed_by_friction(one.motion, one.beside.along.model(None, (each,)))[0] for each in (gear, dry)]
+    assert shares[1] == 1.0
+    assert 0.4 < shares[0] < 0.95
+    load = EffectSetting("constant_load", "carriage", {"tau0": LOAD_N})
+    fits = [fit(tuned, (each, load), rubbing.best.offset, rubbing.best.dispersion) for each in (gear, dry)]
+    assert fits[0] is not None
+    assert fits[1] is not None
+    assert fits[0].squares > 1.5 * fits[1].squares
 
 
 def test_a_heavier_carriage_is_a_matter_of_numbers(tmp_path: Path, isocenter: Isocenter, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from small_plants import GRAVITY, run
 
+from virtual_bus.plant.along import along_module
+from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.settings import Body, Drive, EffectSetting, Encoder, Joint, PlantSettings, Tree
 
 PERIOD_s = 1.0 / 256.0
@@ -78,6 +80,19 @@ def test_its_viscous_part_damps_the_motors_speed() -> None:
         middle = speeds + 0.5 * PERIOD_s / fine * inverse @ (force - along * (slope * along @ speeds))
         speeds = speeds + PERIOD_s / fine * inverse @ (force - along * (slope * along @ middle))
     np.testing.assert_allclose(pushed(slides(level=0.0, slope=slope), *force)[-1], speeds, rtol=2e-4)
+
+
+def test_along_a_known_motion_it_is_what_both_drives_give_more() -> None:
+    plant = compile_plant(slides(slope=2.0))
+    position, efforts, mean, variance = (np.zeros((3, 2)) for _ in range(4))
+    speed = np.tile([0.4, -0.1], (3, 1))  # the motor turns with -0.1 + 0.5 x 0.4
+    module = along_module(plant)
+    module.rub(plant.model(), plant.new_work(), position, speed, np.full((3, 2), 1e-9), efforts, mean, variance)
+    np.testing.assert_allclose(mean, np.tile((LEVEL + 2.0 * 0.1) * np.array([SHARE, 1.0]), (3, 1)), rtol=1e-9)
+    np.testing.assert_allclose(variance, 0.0, atol=1e-9)
+    module.rub(plant.model(), plant.new_work(), position, 0.0 * speed, np.full((3, 2), 1e-3), efforts, mean, variance)
+    np.testing.assert_allclose(mean, 0.0, atol=1e-9)
+    np.testing.assert_allclose(variance, np.tile(LEVEL**2 * np.array([SHARE**2, 1.0]), (3, 1)), rtol=1e-9)
 
 
 ARM = """
