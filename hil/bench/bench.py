@@ -169,8 +169,11 @@ class Bench:
     def _session(self) -> Iterator[None]:
         """Commission the nodes, drives disabled and brakes closed; stop and reset them on the way out in any case."""
         link = self.wiring.link
-        with real_time(wanted=self.options.real_time and not self.wiring.lockstep) as granted, contextlib.ExitStack() as stack:
-            self.scheduling = Scheduling("lockstep, virtual time", False) if self.wiring.lockstep else granted
+        with contextlib.ExitStack() as stack:
+            if self.wiring.lockstep:
+                self.scheduling = Scheduling("lockstep, virtual time", False)
+            else:
+                self.scheduling = stack.enter_context(real_time(wanted=self.options.real_time))
             stack.callback(link.close)
             try:
                 link.start()
