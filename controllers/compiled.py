@@ -15,7 +15,7 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import CellType, FunctionType, ModuleType
-from typing import Protocol, TypeVar, cast
+from typing import Any, Protocol, TypeVar, cast
 
 from numba import njit
 
@@ -31,10 +31,13 @@ class Decorator(Protocol):
 
 PACKAGES = ("controllers", "drivers", "hil", "virtual_bus")
 
-# These are compiled into whatever calls them. Without an explicit setting they would inherit fast math from the first compiled caller, and
-# estimates must have the same bits live and in replay.
-exactly_called = cast(Decorator, njit(fastmath=False, error_model="numpy"))
-exactly_inlined = cast(Decorator, njit(fastmath=False, error_model="numpy", forceinline=True))
+# The entries for calls from Python and C take a fifth of the compilation; functions that only compiled code calls do without them.
+INNER: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+
+# These are compiled into whatever calls them, and cannot be called from Python. Without an explicit setting they would inherit fast math
+# from the first compiled caller, and estimates must have the same bits live and in replay.
+exactly_called = cast(Decorator, njit(fastmath=False, error_model="numpy", **INNER))
+exactly_inlined = cast(Decorator, njit(fastmath=False, error_model="numpy", forceinline=True, **INNER))
 
 
 def kept_on_disk(signature: object = None, **options: object) -> Decorator:

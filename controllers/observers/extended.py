@@ -7,20 +7,26 @@ import numpy as np
 from controllers.compiled import exactly_called, exactly_compiled
 from controllers.observers.kalman import SLOPE_STEP
 from controllers.observers.linear_part import prepare, signals, transition
-from controllers.observers.modal_equations import MODE_SIGNALS, Constants, Scheduled, adapted_step, first_bias, moving, readings
+from controllers.observers.modal_equations import MODE_SIGNALS, Constants, Scheduled, adapted_step, moving, readings
 
 
 @exactly_called
 def ends(
     constants: Constants, scheduled: Scheduled, here: np.ndarray, line: np.ndarray, distance: float, row: np.ndarray, bend: np.ndarray
 ) -> None:
-    """Step adapted modes from both ends of a deviation `line` about `here`: half the difference into `row`, half the sum into `bend`."""
+    """Step adapted modes from both ends of a deviation `line` about `here`: half the difference into `row`, half the sum into `bend`.
+
+    Loops, because sums of arrays bring the text of numba's error about their shapes, which takes seconds to compile.
+    """
     n, modes, half = constants.sizes[0], constants.sizes[1], 0.5 / distance
+    there = np.empty(MODE_SIGNALS)
     for k in range(constants.sizes[3]):
         mode, place = constants.adapted[k], moving(constants) + MODE_SIGNALS * k
-        there = here[place : place + MODE_SIGNALS] + distance * line[place : place + MODE_SIGNALS]
+        for i in range(MODE_SIGNALS):
+            there[i] = here[place + i] + distance * line[place + i]
         upper = adapted_step(constants, scheduled, mode, there)
-        there -= 2.0 * distance * line[place : place + MODE_SIGNALS]
+        for i in range(MODE_SIGNALS):
+            there[i] -= 2.0 * distance * line[place + i]
         lower = adapted_step(constants, scheduled, mode, there)
         for part in range(2):  # deflection, speed
             row[2 * n + part * modes + mode] = half * (upper[part] - lower[part])
@@ -28,25 +34,31 @@ def ends(
 
 
 @exactly_compiled
+def next_and_read(
+    constants: Constants, scheduled: Scheduled, x: np.ndarray, command: np.ndarray, after: np.ndarray, read: np.ndarray
+) -> None:
+    """Write the state (states,) one sample after x while a command (axes,) acts, and the sensors' readings (measurements,) in x.
+
+    The readings are without biases; the model is the one last prepared.
+    """
+    seen = np.empty(scheduled.sees.shape[1])
+    transition(constants, scheduled, x, command, after)
+    signals(constants, scheduled, x, command, seen)
+    readings(constants, scheduled, seen, read)
+
+
 def linearised(constants: Constants, scheduled: Scheduled, x: np.ndarray, F: np.ndarray, H: np.ndarray) -> None:
     """Write transition matrix F (states, states) and output rows H (measurements, states) at a state, by differences (5.12)."""
-    n, states, measurements = constants.sizes[0], constants.sizes[4], constants.sizes[5]
-    biases = first_bias(constants)
+    u, shifted, measurements = scheduled.command, x.copy(), len(H)
+    n, biases = len(u), len(x) - (measurements - 2 * len(u))  # the last states are the biases of the readings behind the encoders
     prepare(constants, x, scheduled)
-    u = scheduled.command
     u[:] = 0.0
-    shifted, sensed = x.copy(), np.zeros(scheduled.sees.shape[1])
-    after, read = np.zeros((2, states)), np.zeros((2, measurements))
-    for k in range(states):
-        for sign in range(2):
-            shifted[k] = x[k] + (SLOPE_STEP if sign == 0 else -SLOPE_STEP)
-            transition(constants, scheduled, shifted, u, after[sign])
-            signals(constants, scheduled, shifted, u, sensed)
-            readings(constants, scheduled, sensed, read[sign])
-            for j in range(2 * n, measurements):
-                read[sign, j] += shifted[biases + j - 2 * n]
+    after, read = np.zeros((2, len(x))), np.zeros((2, measurements))
+    for k in range(len(x)):
+        for sign, step in enumerate((SLOPE_STEP, -SLOPE_STEP)):
+            shifted[k] = x[k] + step
+            next_and_read(constants, scheduled, shifted, u, after[sign], read[sign])
+            read[sign, 2 * n :] += shifted[biases:]
         shifted[k] = x[k]
-        for i in range(states):
-            F[i, k] = (after[0, i] - after[1, i]) / (2.0 * SLOPE_STEP)
-        for j in range(measurements):
-            H[j, k] = (read[0, j] - read[1, j]) / (2.0 * SLOPE_STEP)
+        F[:, k] = (after[0] - after[1]) / (2.0 * SLOPE_STEP)
+        H[:, k] = (read[0] - read[1]) / (2.0 * SLOPE_STEP)

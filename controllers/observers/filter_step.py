@@ -11,9 +11,9 @@ import numpy as np
 from controllers.compiled import exactly_called, exactly_compiled
 from controllers.observers.extended import ends
 from controllers.observers.kalman import look_at_rigid
-from controllers.observers.linear_part import arrived, carried, heading, others_stepped, prepare, signals, stays, transition
+from controllers.observers.linear_part import arrived, carried, heading, others_stepped, prepare, stays
 from controllers.observers.memory import KALMAN, UNSCENTED, Memory
-from controllers.observers.modal_equations import Constants, Scheduled, moving, readings, rounded
+from controllers.observers.modal_equations import Constants, Scheduled, moving, rounded
 from controllers.observers.square_root import triangularise, update
 from controllers.observers.unscented import bent, look_around
 
@@ -156,17 +156,3 @@ def filter_rows(
         else:
             predict(constants, scheduled, memory, kind)
         summaries[k, 0], summaries[k, 1], summaries[k, 2] = correct(constants, scheduled, memory, kind, measured[k])
-
-
-@exactly_compiled
-def next_and_read(
-    constants: Constants, scheduled: Scheduled, x: np.ndarray, command: np.ndarray, after: np.ndarray, read: np.ndarray
-) -> None:
-    """Write the state (states,) one sample after x while a command (axes,) acts, and the sensors' readings (measurements,) in x.
-
-    The readings are without biases; the model is the one last prepared.
-    """
-    seen = np.empty(scheduled.sees.shape[1])
-    transition(constants, scheduled, x, command, after)
-    signals(constants, scheduled, x, command, seen)
-    readings(constants, scheduled, seen, read)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from controllers.compiled import exactly_called, exactly_inlined
+from controllers.compiled import exactly_compiled, exactly_inlined
 from controllers.models.modal import schedule
 from controllers.models.vectors import cross, plus
 from controllers.observers.modal_equations import (
@@ -25,9 +25,12 @@ from controllers.observers.modal_equations import (
 )
 
 
-@exactly_called
+@exactly_compiled
 def prepare(constants: Constants, x: np.ndarray, scheduled: Scheduled) -> None:
-    """Schedule the model at a state's pose, and the forces of turning axes at its speeds."""
+    """Schedule the model at a state's pose, and the forces of turning axes at its speeds.
+
+    Kept on disk by itself, since a filter and a linearisation both need it.
+    """
     _parameters(constants, x, scheduled)
     _forces(constants, scheduled)
     _sees(constants, scheduled)

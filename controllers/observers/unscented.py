@@ -64,7 +64,8 @@ def look_around(constants: Constants, scheduled: Scheduled, memory: Memory, kind
             for k in range(scheduled.sees.shape[1]):
                 sensed[k] = here[k] + step * moved[k]
             readings(constants, scheduled, sensed, array[2 * i + sign])
-    centre[:] = mean
+    for j in range(measurements):
+        centre[j] = mean[j]
     if kind == UNSCENTED:
         weight = 0.5 / states
         for j in range(measurements):

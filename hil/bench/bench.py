@@ -185,8 +185,11 @@ class Bench:
         events.begin()
         if self.loop.judge is not None:
             self.loop.judge.begin()
-        with real_time(wanted=self.options.real_time and not self.wiring.lockstep) as granted, contextlib.ExitStack() as stack:
-            self.scheduling = Scheduling("lockstep, virtual time", False) if self.wiring.lockstep else granted
+        with contextlib.ExitStack() as stack:
+            if self.wiring.lockstep:
+                self.scheduling = Scheduling("lockstep, virtual time", False)
+            else:
+                self.scheduling = stack.enter_context(real_time(wanted=self.options.real_time))
             stack.callback(lambda: events.add("bench", "session ended"))
             stack.callback(link.close)
             try:

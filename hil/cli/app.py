@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import sys
 import traceback
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import zip_longest
 from typing import TYPE_CHECKING, Annotated, Any, TextIO
@@ -52,15 +53,21 @@ def _options(
     """Take the options that stand before a command."""
 
 
-def main(arguments: list[str] | None = None) -> None:
-    """Run the command line and leave with its exit status: 0 done, 1 a bad answer, 2 unusable input."""
+@functools.cache
+def _command() -> Callable[..., Any]:
+    """Return all commands as Typer runs them; making them takes longer than many a command."""
     from hil.cli import register
 
     register.commands(app)
+    return typer.main.get_command(app)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line and leave with its exit status: 0 done, 1 a bad answer, 2 unusable input."""
     try:
         with _warnings_in_one_line():
             status = (
-                app(
+                _command()(
                     args=_held_out_each(_json_to_standard_output(sys.argv[1:] if arguments is None else arguments)),
                     prog_name=app.info.name,
                     standalone_mode=False,

@@ -13,7 +13,7 @@ import scipy.linalg
 import scipy.signal
 
 from controllers.damping import ModalDamping
-from controllers.observers.filter_step import next_and_read
+from controllers.observers.extended import next_and_read
 from controllers.observers.modal_observer import ModalObserver
 from hil.errors import UnusableInputError
 from hil.machine import Machine

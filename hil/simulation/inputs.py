@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
+
+COMPILED_FOR: Final = ("C_CONTIGUOUS", "WRITEABLE")
+"""Arrays that kernels take. Numba compiles a kernel once more for arrays that are read-only, as those of a recording are."""
 
 
 @dataclass(frozen=True)

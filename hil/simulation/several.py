@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil.simulation.inputs import Inputs
+from hil.simulation.inputs import COMPILED_FOR, Inputs
 from hil.simulation.kernel import Loop
 from hil.simulation.lane_kernel import Acting, Given, lane_kernel, loop_record
 from virtual_bus.plant import side_by_side
@@ -103,7 +103,7 @@ class SideBySide:
 
     def _given(self, inputs: Inputs, loop: Loop) -> Given:
         def filled(rows: np.ndarray | None) -> np.ndarray:
-            return np.zeros(inputs.excitation.shape) if rows is None else np.ascontiguousarray(rows, dtype=float)
+            return np.zeros(inputs.excitation.shape) if rows is None else np.require(rows, float, COMPILED_FOR)
 
         return Given(
             filled(inputs.reference), filled(inputs.excitation), filled(inputs.feedforward), filled(inputs.command),

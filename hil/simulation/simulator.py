@@ -14,7 +14,7 @@ from controllers.errors import ControlError, DesignError
 from controllers.feedback import Feedback
 from hil.errors import BadAnswerError, BenchError, ExperimentError
 from hil.machine import Machine
-from hil.simulation.inputs import Inputs
+from hil.simulation.inputs import COMPILED_FOR, Inputs
 from hil.simulation.kernel import Loop, Rows, closed_loop_kernel, new_scratch
 from hil.simulation.several import Prepared, SideBySide, Taken, can_be_side_by_side
 from virtual_bus.errors import EmulatorError
@@ -169,9 +169,9 @@ class Simulator:
         command = np.zeros(shape) if inputs.command is None else np.array(inputs.command, dtype=float, order="C")
         reference = np.zeros(shape) if inputs.reference is None else inputs.reference
         return Rows(
-            reference=np.ascontiguousarray(reference, dtype=float),
-            excitation=np.ascontiguousarray(inputs.excitation, dtype=float),
-            feedforward=np.ascontiguousarray(inputs.feedforward, dtype=float),
+            reference=np.require(reference, float, COMPILED_FOR),
+            excitation=np.require(inputs.excitation, float, COMPILED_FOR),
+            feedforward=np.require(inputs.feedforward, float, COMPILED_FOR),
             command=command,
             effort=np.zeros(shape),
             position=np.zeros(shape),

@@ -37,6 +37,16 @@ OFF = {
 }
 """A machine that is off its drawing: axes, tube and panel misplaced by tenths and ones of a millimetre and a milliradian, softer mounts."""
 
+LONG = {
+    "position_m = [0.3, 0.0, -1.0]\n": "position_m = [0.3, 0.0, -1.0008]\n",
+    "position_m = [0.9, 0.0, 0.0]\n": "position_m = [0.9007, 0.0, 0.0]\n",
+    "position_m = [0.0, 0.0, -0.81]  ": "position_m = [0.0, 0.0, -0.8115]  ",
+    "position_m = [0.0, 0.0, 0.35]\n": "position_m = [0.0, 0.0, 0.3512]\n",
+    "stiffness_Nm_rad = 1.015e4": "stiffness_Nm_rad = 0.85e4",
+    "stiffness_Nm_rad = 4.0e7": "stiffness_Nm_rad = 4.0e6",
+}
+"""Off its drawing in lengths and stiffnesses alone: the plant's equations are the C-arm's own, and need no compilation."""
+
 
 def machine_file(changes: dict[str, str], name: str = "carm") -> str:
     """The shipped C-arm with pieces of its file replaced."""

@@ -77,9 +77,8 @@ def fit_profile(
     values = np.zeros(SIZE)
     values[:4] = line.at(middle), line.slope * half, width, blur
     reach = 0.5 * width + 4.0 * blur + 1.0
-    seen = (image, filtered) if upright else (image.T, filtered.T)
     try:
-        covariance, misfit, count = _fit(*seen, places, middle, half, reach, values, width)
+        covariance, misfit, count = _fit(image, filtered, upright, places, middle, half, reach, values, width)
     except np.linalg.LinAlgError:
         return None  # the pixels do not determine the profile: no groove's contrast is left in them
     if count < 20 * SIZE or not np.isfinite(values).all() or values[9] <= 0.0:
@@ -102,6 +101,7 @@ def fit_profile(
 def _fit(
     image: np.ndarray,
     filtered: np.ndarray,
+    upright: bool,
     places: np.ndarray,
     middle: float,
     half: float,
@@ -109,7 +109,8 @@ def _fit(
     values: np.ndarray,
     width: float,
 ) -> tuple[np.ndarray, float, int]:
-    across_size = image.shape[1]
+    # told which way the line runs, since transposed arrays would be compiled once more; loops in place of sums of arrays compile faster
+    across_size = image.shape[1] if upright else image.shape[0]
     covariance = np.zeros((SIZE, SIZE))
     misfit, count = 0.0, 0
     slope_row = np.empty(SIZE)
@@ -128,8 +129,9 @@ def _fit(
             across_slope = values[7] + values[8] * s
             contrast = values[9] + values[10] * s + values[11] * s * s
             for across in range(max(0, math.ceil(window - reach)), min(across_size - 1, math.floor(window + reach)) + 1):
-                expected = max(filtered[along, across], 1.0)
-                seen = image[along, across]
+                row, column = (along, across) if upright else (across, along)
+                expected = max(filtered[row, column], 1.0)
+                seen = image[row, column]
                 if (seen - expected) ** 2 > OUTLIER**2 * expected:
                     continue
                 d = across - center
@@ -160,9 +162,12 @@ def _fit(
         for i in range(first):
             normal[i, i] = 1.0
         misfit = total / (count - SIZE)
-        covariance[:] = np.linalg.inv(normal)
-        change = covariance @ slope
-        values += change
+        inverse = np.linalg.inv(normal)
+        change = inverse @ slope
+        for i in range(SIZE):
+            values[i] += change[i]
+            for j in range(SIZE):
+                covariance[i, j] = inverse[i, j]
         values[2] = min(max(values[2], 0.5 * width), 2.0 * width)
         values[3] = min(max(values[3], 0.3), 0.5 * width)
         if step > 1 and abs(change[0]) + abs(change[1]) < SETTLED_PIXELS:

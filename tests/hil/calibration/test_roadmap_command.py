@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import exposed_scan, isocenter
-from flexible_machine import OFF, machine_file
+from flexible_machine import LONG, machine_file
 
 from hil.calibration.kinematic.geometric_model import read_calibration
 from hil.calibration.use.lookup_table import LookUp, write_look_up
@@ -27,7 +27,7 @@ CARM = load_machine("carm")
 @pytest.fixture(scope="module")
 def scanned(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("roadmap")
-    (folder / "off.toml").write_text(machine_file(OFF))
+    (folder / "off.toml").write_text(machine_file(LONG))
     exposed_scan(folder, "--scene", "dodecahedron", "--rate", "4", machine=folder / "off.toml")
     assert (
         isocenter(

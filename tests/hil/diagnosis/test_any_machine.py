@@ -24,6 +24,7 @@ def driven(machine, command, **initial) -> Recording:
     return Recording(channels, recording_metadata(machine, initial=initial))
 
 
+@pytest.mark.nightly
 def test_a_speed_sensor_sees_the_sum_of_its_joints():
     """Two inertias and a spring under a held step: x_{k+1} = expm(A T) x_k + ..., the command of row k acting from row k + 1."""
     motor, pulley, damping, stiffness, belt_damping = 0.152696, 0.101969, 1.300002, 36.14939, 0.158459
@@ -45,6 +46,7 @@ def test_a_speed_sensor_sees_the_sum_of_its_joints():
     assert np.abs(speed - expected).max() < 2e-3 * np.abs(expected).max()
 
 
+@pytest.mark.nightly
 def test_a_speed_sensor_may_lose_its_sign():
     command = np.full(60, -1.0)
     lost = EffectSetting("rectified_sensor", "speed_motors", {"share": 1.0, "sign": 1.0})

@@ -131,6 +131,7 @@ def test_efforts_behind_a_record_have_its_products_with_their_responses(machine,
     assert products == pytest.approx(responses @ record, rel=1e-6, abs=1e-6 * np.linalg.norm(responses, axis=1).max())
 
 
+@pytest.mark.nightly
 def test_a_rotor_that_nothing_holds_has_one_loop_however_far_it_turns(rotor):
     """Its answers last as long as the record: poses may not be mixed under them."""
     runs, tuning = rotor
@@ -155,6 +156,7 @@ def offered(arm, name: str, values: np.ndarray, at: str = "arm", load: float = 0
     return list(found.starts), float(left @ left)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", WAVES)
 def test_a_wave_starts_at_its_order_amplitude_and_phase(arm, name):
     values = WAVES[name]
@@ -164,7 +166,7 @@ def test_a_wave_starts_at_its_order_amplitude_and_phase(arm, name):
     assert np.exp(1j * starts[0][[2, 4]]) == pytest.approx(np.exp(1j * values[[2, 4]]), abs=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", WAVES)
 def test_a_wave_of_ten_deviations_starts_at_its_order_among_all_that_are_asked(arm, name):
     """Chance gains 36 in the best of all orders."""
@@ -177,6 +179,7 @@ def test_a_wave_of_ten_deviations_starts_at_its_order_among_all_that_are_asked(a
     assert starts[0][1] == pytest.approx(weak[1], rel=0.3)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("name", "amplitude", "order", "seed"),
     [
@@ -200,6 +203,7 @@ def test_a_wave_of_one_or_two_cycles_per_travel_is_found_among_thousands_of_quic
     assert min(abs(start[0] - order) for start in found.starts) < 0.25 * 2.0 * np.pi / 0.6
 
 
+@pytest.mark.nightly
 def test_an_order_is_found_though_its_second_harmonic_shows_more(arm):
     values = np.array([0.2, 0.3 * COUNT_rad, 0.4, 0.7 * COUNT_rad, 1.0])
     alone = [offered(arm, "transmission_error", np.where(np.arange(5) == k, 0.0, values))[1] for k in (3, 1)]
@@ -228,6 +232,7 @@ SHAKES = np.array([0.02, 7.37, -2.3])
 LINE_Hz = ARM.sample_rate_Hz / ROWS
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("deviations", [30.0, 10.0])
 @pytest.mark.parametrize("place", ["arm", "boom"])
 def test_a_base_motion_starts_at_its_frequency_amplitude_and_phase(arm, place, deviations):
@@ -243,6 +248,7 @@ def test_a_base_motion_starts_at_its_frequency_amplitude_and_phase(arm, place, d
     assert np.exp(1j * phases[0]) == pytest.approx(np.exp(1j * phases[1]), abs=6.0 / deviations)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("load", [0.05, 0.3])
 def test_a_load_that_is_missing_too_does_not_hide_a_base_motion(arm, load):
     """What the load has done before the record stands in one row of the efforts behind it, in all frequencies alike."""
@@ -252,6 +258,7 @@ def test_a_load_that_is_missing_too_does_not_hide_a_base_motion(arm, load):
     assert abs(starts[0][1] - SHAKES[1]) < 0.3 * LINE_Hz
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("damping", [0.003, 0.03])
 @pytest.mark.parametrize("deviations", [30.0, 10.0])
 def test_a_light_mode_starts_at_its_frequency_and_mass(shaken, deviations, damping):
@@ -265,6 +272,7 @@ def test_a_light_mode_starts_at_its_frequency_and_mass(shaken, deviations, dampi
     assert starts[0][0] == pytest.approx(mass, rel=0.5)
 
 
+@pytest.mark.nightly
 def test_nothing_is_added_to_what_is_no_wave(arm):
     runs, tuning = arm
     friction = Candidate(EffectAt("coulomb_friction", "arm"), (np.array([1.0]),))

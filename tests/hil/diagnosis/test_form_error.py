@@ -357,6 +357,7 @@ def test_an_inertia_between_two_axes_errs_as_another_function_of_their_positions
         assert within(head, (name, [inertia, 0.3]), (name, [inertia, phase]))[2] > 0.95
 
 
+@pytest.mark.nightly
 def test_which_axis_s_position_an_inertia_between_both_depends_on_is_an_error_of_it(head):
     assert within(head, ("axis_coupling", [0.02, 0.3]), ("axis_coupling", [0.02, 0.3]), axis=1)[2] > 0.95
 
@@ -375,6 +376,7 @@ SCALE = ("imu_scale_bias", "imu", [0.01, 0.02, -0.01, 0.0, 0.0, 0.0, 0.0, 0.0])
 LATE = ("clock_offset", "imu_y", [0.004, 0.0])
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("found", "other"),
     [
@@ -394,7 +396,11 @@ def test_another_function_of_the_same_reading_is_an_error_of_a_sensor_s(head, fo
     [([1e-3, 0.3, 0.0, 1.0], [1e-3, 1.9, 0.0, 1.0]), ([0.0, 0.0, 1e-4, 40.0], [0.0, 0.0, 1e-4, 80.0])],
     ids=["a scale off its axis another way", "half a line"],
 )
-@pytest.mark.parametrize(("machine", "at"), [("head", "position_pan"), ("rider", "link_position_cart")], ids=["in the loop", "out of it"])
+@pytest.mark.parametrize(
+    ("machine", "at"),
+    [pytest.param("head", "position_pan", marks=pytest.mark.nightly), ("rider", "link_position_cart")],
+    ids=["in the loop", "out of it"],
+)
 def test_another_error_over_position_is_an_error_of_an_encoder_s(machine, at, found, other, request):
     """As the free run has it: a loop that reads an error follows it."""
     errors, answer = of_a_sensor(request.getfixturevalue(machine), *(("encoder_eccentricity", at, values) for values in (found, other)))
@@ -403,7 +409,11 @@ def test_another_error_over_position_is_an_error_of_an_encoder_s(machine, at, fo
     assert float(left @ left) < 0.15 * float(answer @ answer)
 
 
-@pytest.mark.parametrize(("machine", "axis", "share"), [("head", "pan", 0.1), ("rider", "cart", 1e-6)], ids=["closed loop", "open loop"])
+@pytest.mark.parametrize(
+    ("machine", "axis", "share"),
+    [pytest.param("head", "pan", 0.1, marks=pytest.mark.nightly), ("rider", "cart", 1e-6)],
+    ids=["closed loop", "open loop"],
+)
 def test_the_loop_answers_to_what_an_encoder_reads_too_much_as_the_free_run_does(machine, axis, share, request):
     """A scale a little off its axis, but for the IMU, which turns in gravity. The inertia about pan, and its loop, change with tilt."""
     runs, tuning = request.getfixturevalue(machine)

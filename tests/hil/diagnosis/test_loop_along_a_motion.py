@@ -60,17 +60,19 @@ def likeness(head, axis: str) -> float:
     return float(answer @ shown / np.sqrt((answer @ answer) * (shown @ shown)))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("axis", ["pan", "tilt"])
 def test_the_loop_answers_to_an_effort_as_the_free_run_does_along_a_motion_that_turns_the_imu(head, axis):
     assert likeness(head, axis) > 0.97
 
 
+@pytest.mark.nightly
 def test_the_loop_at_the_mean_pose_alone_does_not(head, monkeypatch):
     monkeypatch.setattr(through_the_loop, "poses_along", lambda position, turns: (position.mean(axis=0)[None], np.ones((1, len(position)))))
     assert likeness(head, "pan") < 0.95
 
 
+@pytest.mark.nightly
 def test_efforts_behind_a_record_have_its_products_with_their_responses_along_a_motion(head):
     runs, tuning = head
     loop, random = ThroughTheLoop(runs, TRAIN, tuning), np.random.default_rng(7)

@@ -44,7 +44,7 @@ def test_a_hidden_friction_comes_first_with_its_strength(tmp_path):
     assert 0.5 < found.fit.held_out.extended < 1.3 < found.fit.held_out.retuned
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_nothing_is_found_where_nothing_is_hidden(tmp_path):
     found = answer(tmp_path, ())
     assert found.verdict == "consistent"

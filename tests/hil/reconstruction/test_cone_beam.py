@@ -1,13 +1,19 @@
-"""FDK gives back what was projected, about either axis, with the geometry of each exposure; wrong geometry shows in a wire."""
+"""FDK gives back what was projected, about either axis, with the geometry of each exposure; wrong geometry shows in a wire.
+
+All that loads the toolkit stands here, since loading it takes longer than all tests with it.
+"""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from scans_to_reconstruct import reconstruct as told_to_reconstruct
+from scans_to_reconstruct import scan_of, table_of
 from scipy.spatial.transform import Rotation
 
 from hil.errors import UnusableInputError
@@ -47,6 +53,33 @@ def test_two_balls_come_back_with_their_attenuation_and_place(axis: str) -> None
     assert inside == pytest.approx(20.0, rel=0.01)
     assert both == pytest.approx(50.0, rel=0.02)
     assert abs(outside) < 1.0
+
+
+@pytest.mark.nightly
+def test_a_table_of_another_version_of_the_machine_s_file_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table, scan = table_of(tmp_path / "t.npz", hash="0"), scan_of(tmp_path / "scan")
+    status, said = told_to_reconstruct(capsys, scan, "--lookup", table, "--size", 16, "-o", tmp_path / "out")
+    assert status == 0
+    assert "t.npz was made with another version of carm's file; its deviations are used as they are" in said.out
+
+
+@pytest.mark.parametrize(
+    ("speed", "told"),
+    [
+        pytest.param([0.0, 3.2 / 23.0], False, marks=pytest.mark.nightly),
+        pytest.param(None, False, marks=pytest.mark.nightly),
+        ([0.0, -3.2 / 23.0], True),
+        pytest.param([0.0, 0.25], True, marks=pytest.mark.nightly),
+    ],
+)
+def test_a_table_made_at_another_speed_or_the_other_way_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], speed: list[float] | None, told: bool
+) -> None:
+    table, scan = table_of(tmp_path / "t.npz", speed=speed), scan_of(tmp_path / "scan")
+    status, said = told_to_reconstruct(capsys, scan, "--lookup", table, "--size", 16, "-o", tmp_path / "out")
+    assert status == 0
+    assert ("roll went at" in said.out) == told
+    assert not told or "what bends with speed is not this scan's" in said.out
 
 
 @pytest.mark.parametrize("hann", [0.0, 0.7])

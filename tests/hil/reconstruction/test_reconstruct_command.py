@@ -6,46 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scans_to_reconstruct import ANGLE, refused, scan_of, table_of
 
-from hil.calibration.use.lookup_table import LookUp, write_look_up
-from hil.cli import main
-from hil.imaging import Detector
-from hil.imaging.scan_folder import read_scan, write_description, write_exposures
-
-pytestmark = pytest.mark.slow  # the toolkit takes a quarter of a minute to load
-
-tifffile = pytest.importorskip("tifffile")
-ANGLE = np.linspace(-1.6, 1.6, 24)
-
-
-def scan_of(folder: Path, axes: tuple[str, str] = ("propeller", "roll"), units: tuple[str, str] = ("rad", "rad")) -> Path:
-    folder.mkdir()
-    write_description(folder, Detector(16, 12, 20e-3), axes, {"machine": "carm"})
-    write_exposures(folder, np.arange(24), np.arange(24.0), np.full(24, 0.01), dict(zip(axes, units, strict=True)), positions_of(axes))
-    tifffile.imwrite(folder / "frames.tif", np.full((24, 12, 16), 2000, dtype=np.uint16))
-    return folder
-
-
-def positions_of(axes: tuple[str, str]) -> np.ndarray:
-    return np.stack([ANGLE if axis == "roll" else 0.0 * ANGLE for axis in axes], axis=1)
-
-
-def table_of(path: Path, axes: tuple[str, str] = ("propeller", "roll"), **notes: list[float] | str | None) -> Path:
-    write_look_up(LookUp(axes, positions_of(axes), np.zeros((24, 9)), np.zeros((24, 9, 9)), {"machine": "carm", **notes}), path)
-    return path
-
-
-def reconstruct(capsys: pytest.CaptureFixture[str], *arguments: Path | int | str) -> tuple[int, pytest.CaptureResult]:
-    with pytest.raises(SystemExit) as ended:
-        main(["reconstruct", "carm", *(str(argument) for argument in arguments)])
-    return ended.value.code, capsys.readouterr()
-
-
-def refused(capsys: pytest.CaptureFixture[str], *arguments: Path | int | str) -> str:
-    status, said = reconstruct(capsys, *arguments)
-    assert status == 2
-    assert said.err.count("\n") == 1
-    return said.err
+from hil.imaging.scan_folder import read_scan
 
 
 @pytest.mark.parametrize(
@@ -60,35 +23,6 @@ def test_a_table_of_another_machine_or_order_of_axes_is_refused(
 ) -> None:
     table = table_of(tmp_path / "t.npz", axes, **notes)
     assert line in refused(capsys, scan_of(tmp_path / "scan"), "--lookup", table, "-o", tmp_path / "out")
-
-
-@pytest.mark.nightly
-def test_a_table_of_another_version_of_the_machine_s_file_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    table, scan = table_of(tmp_path / "t.npz", hash="0"), scan_of(tmp_path / "scan")
-    pytest.importorskip("itk")
-    status, said = reconstruct(capsys, scan, "--lookup", table, "--size", 16, "-o", tmp_path / "out")
-    assert status == 0
-    assert "t.npz was made with another version of carm's file; its deviations are used as they are" in said.out
-
-
-@pytest.mark.parametrize(
-    ("speed", "told"),
-    [
-        pytest.param([0.0, 3.2 / 23.0], False, marks=pytest.mark.nightly),
-        pytest.param(None, False, marks=pytest.mark.nightly),
-        ([0.0, -3.2 / 23.0], True),
-        pytest.param([0.0, 0.25], True, marks=pytest.mark.nightly),
-    ],
-)
-def test_a_table_made_at_another_speed_or_the_other_way_is_said(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], speed: list[float] | None, told: bool
-) -> None:
-    pytest.importorskip("itk")
-    table, scan = table_of(tmp_path / "t.npz", speed=speed), scan_of(tmp_path / "scan")
-    status, said = reconstruct(capsys, scan, "--lookup", table, "--size", 16, "-o", tmp_path / "out")
-    assert status == 0
-    assert ("roll went at" in said.out) == told
-    assert not told or "what bends with speed is not this scan's" in said.out
 
 
 @pytest.mark.parametrize(

@@ -36,7 +36,7 @@ def test_multisine_with_jog_and_a_shaped_scan_run_with_the_observer(
     common = ("--machine", machine, "--bus", bus, "--pose", "roll=30", "--observer", str(design))
 
     excited = tmp_path / "excited.mf4"
-    experiment = ("--experiments", "single", "--axes", "roll", "--amplitude", "0.5", "--period", "2", "--jog", "0.2", "--periods", "1")
+    experiment = ("--experiments", "single", "--axes", "roll", "--amplitude", "0.5", "--period", "1", "--jog", "0.2", "--periods", "1")
     done = run("multisine", *common, *experiment, "-o", str(excited))
     assert done.returncode == 0, done.stderr
     recording = read_recording(excited)
@@ -44,8 +44,8 @@ def test_multisine_with_jog_and_a_shaped_scan_run_with_the_observer(
     ticks = recording["time"] * 256.0  # those that a loaded computer skipped are no rows
     assert ticks == pytest.approx(np.round(ticks), abs=1e-6)
     assert (np.diff(ticks) > 0.5).all()
-    assert recording.rows > 2 * 256
-    assert ticks[-1] < 2 * 2 * 256
+    assert recording.rows > 256
+    assert ticks[-1] < 2 * 256
     for channel in ("position_roll", "imu_z"):
         assert np.isfinite(recording[channel]).mean() > 0.9, f"{channel} did not arrive"
     assert np.nanmax(np.abs(recording["reference_roll"] - recording["position_roll"])) < np.radians(1.0)
