@@ -56,7 +56,7 @@ class Way:
     files : "all", "first"
         Which recordings are spoilt.
     verdict : str
-        The right verdict; "" with status 2.
+        Regular expression of the right verdict; "" with status 2.
     """
 
     base: str
@@ -214,7 +214,7 @@ WAYS: dict[str, Way] = {
     "constant": Way(T, 1, M, r"position_turn.*(constant|same|stays)", change("position_turn", lambda v: 0.0 * v + v[0])),
     "encoder stuck for a while": Way(T, 1, M, r"position_turn.*stuck", change("position_turn", during(0.4, 0.46, lambda v: v[0]))),
     "position clipped": Way(T, 1, M, r"position_turn.*clipped", change("position_turn", clip(0.7))),
-    "the machine hit a stop": Way("stop", 0, "explained", r"end_stop at turn"),
+    "the machine hit a stop": Way("stop", 0, "explained|ambiguous", r"end_stop at turn"),
     "position jumps by a turn": Way(T, 1, M, r"position_turn.*jump", change("position_turn", during(0.6, 1, lambda v: v + 2 * np.pi))),
     "position reset": Way(T, 1, M, r"position_turn.*jump", change("position_turn", during(0.6, 1.0, lambda v: v - v[0]))),
     "spikes": Way(T, 1, M, r"position_turn.*(jump|reading)", change("position_turn", spikes)),
@@ -449,7 +449,7 @@ def diagnosed(name: str, work: Path, limit_s: float) -> dict[str, Any]:
         document = json.loads(answer.read_text())
         verdict, said = document["verdict"], document["reason"]
         said += "".join(f" [{one['effect']} at {one['at']} {one['confidence']:.2f}]" for one in document["findings"])
-    right = done.returncode == way.status and verdict == way.verdict and bool(re.search(way.says, said))
+    right = done.returncode == way.status and bool(re.fullmatch(way.verdict, verdict)) and bool(re.search(way.says, said))
     return {
         "status": done.returncode, "verdict": verdict, "said": said.replace(str(work), ""), "right": right,
         "seconds": round(time.monotonic() - begun, 1),
@@ -488,6 +488,7 @@ def main() -> None:
         arguments.json.write_text(json.dumps(result, indent=1, ensure_ascii=False) + "\n")
     if not arguments.ways:
         result["sound"], result["accused"] = accused(arguments.work, arguments.seeds)
+        result["accusations"] = len(result["accused"])
         for name, said in result["accused"].items():
             print(f"accused {name}: {'; '.join(said)}")
     result["right"], result["of"] = sum(one["right"] for one in result["ways"].values()), len(result["ways"])

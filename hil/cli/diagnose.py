@@ -76,9 +76,10 @@ def diagnose(
     _check_apart(recordings, held_out or [])
     train = _read(recordings, machine)
     held = _read(held_out or [], machine, train)
-    _check_no_copies(train, held)
     begun = time.monotonic()
     wrong = tuple(faults(machine, {**train, **held}))
+    if not wrong:
+        _check_no_copies(train, held)
     audited = Audit(machine, (), (), wrong) if wrong else audit(machine, list(train.values()))
     if stop_after is not None:
         _stopped(stop_after, answer, machine, train, audited)

@@ -230,7 +230,7 @@ def _between(values: np.ndarray) -> str:
         energy = np.diff(values, order) ** 2
         if not energy.sum() > 0.0:
             continue
-        for m in range(2, min(MOST_BETWEEN, len(energy) // FEWEST_PERIODS) + 1):
+        for m in range(min(MOST_BETWEEN, len(energy) // FEWEST_PERIODS), 1, -1):  # of a divisor of m it is true, too
             by_class = np.array([energy[k::m].sum() for k in range(m)]) / energy.sum()
             busy = max(np.count_nonzero(energy[k::m] > 1e-3 * energy.max()) for k in range(m))
             if by_class.max() > IN_ONE_CLASS and busy >= FEWEST_PERIODS:
