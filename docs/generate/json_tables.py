@@ -316,6 +316,11 @@ DIAGNOSIS = (
         "Controller: `gain`, `delay_s`, `saturation`, `offset`, `rate_Hz`, `sign` (each `value`, `ci95`, `file`), `replayed_rms`,"
         " `resolution`, `status`: `as_filed`, `differs` or `unknown`.",
     ),
+    Entry(
+        "audit.recordings",
+        "list",
+        "What is wrong with recordings: `recording`, `channel`, `said`; where there is something, nothing else was audited.",
+    ),
     Entry("audit.sensors", "list", "Two encoders of an axis: `first`, `second`, `gain`, `delay_s`, `gap` (play), `offset`, `status`."),
     Entry("detection_limits", "list", "The least that would have shown: `effect`, `at`, `parameter`, `strength` (or null), `unit`."),
     Entry("baseline", "list", "The engineer's fit: friction and load of every driven joint, each with `parameters`."),

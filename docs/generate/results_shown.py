@@ -101,6 +101,20 @@ DIAGNOSIS = (
         ),
     ),
     Shown(
+        "bad_data.json",
+        "Wrong recordings",
+        "Sound recordings of shipped machines and of a Stäubli TX40, each spoilt in one way and given to `diagnose`. Right is the status, "
+        "the verdict and a reason that names the channel and the fault.",
+        "python benchmarks/bad_data.py",
+        (
+            Figure("told as that", ("right",)),
+            Figure("of", ("of",)),
+            Figure("sound sets of recordings, of these machines and of eight sets by others", ("sound",)),
+            Figure("of which accused", ("accusations",), asked="0"),
+        ),
+        (Rows("spoilt by", ("ways",), (Column("status", ("status",)), Column("verdict", ("verdict",)), Column("right", ("right",)))),),
+    ),
+    Shown(
         "diagnosis_speed.json",
         "Time and memory of a diagnosis",
         "The two-axis C-arm with four repeats and a held-out recording of 60 s each; all effects are tried, in two processes.",

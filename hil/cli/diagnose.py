@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -62,10 +63,12 @@ def diagnose(
     json_to: JsonOption = None,
 ) -> None:
     """Diagnose and write DIR."""
-    from hil.diagnosis.audit.audit import audit
+    from hil.diagnosis.answered.answer import wrong_recordings
+    from hil.diagnosis.audit.audit import Audit, audit
+    from hil.diagnosis.audit.recordings import faults
     from hil.diagnosis.by_motion import diagnose_along, is_along_the_motion, with_second_opinion
     from hil.diagnosis.diagnose import diagnose as run_diagnosis
-    from hil.diagnosis.files import write_answer, write_diagnosis
+    from hil.diagnosis.files import write_answer
     from hil.processes.kept_memory import keep_memory
 
     if stop_after not in (None, *STEPS):
@@ -77,10 +80,16 @@ def diagnose(
     _check_apart(recordings, held_out or [])
     train = _read(recordings, machine)
     held = _read(held_out or [], machine, train)
-    _check_no_copies(train, held)
-    audited = audit(machine, list(train.values()))
+    begun = time.monotonic()
+    wrong = tuple(faults(machine, {**train, **held}))
+    if not wrong:
+        _check_no_copies(train, held)
+    audited = Audit(machine, (), (), wrong) if wrong else audit(machine, list(train.values()))
     if stop_after is not None:
         _stopped(stop_after, answer, machine, train, audited)
+        return
+    if wrong:
+        _finish(answer, wrong_recordings(machine, audited, {**train, **held}, time.monotonic() - begun), machine, out)
         return
     is_along = is_along_the_motion(machine, train, audited)
     with progress(Answer("-").console) as bars:
@@ -101,10 +110,17 @@ def diagnose(
             report("looking along the motion", 0.98)
             diagnosis = with_second_opinion(machine, train, outcome.diagnosis)
             outcome = replace(outcome, diagnosis=replace(diagnosis, audit=audited.document()))
+    _finish(answer, outcome, machine, out)
+
+
+def _finish(answer: Answer, outcome: Outcome | Answered, machine: Machine, out: Path) -> None:
+    """Write and say the answer; leave with status 1 where the recordings do not give one."""
+    from hil.diagnosis.files import write_diagnosis
+
     write_diagnosis(outcome, machine, out)
     _say(answer, outcome, out)
     answer.write(plain(outcome.diagnosis.document()))
-    if outcome.diagnosis.verdict == "misconfigured":
+    if outcome.diagnosis.verdict in ("misconfigured", "inconclusive"):
         raise typer.Exit(1)
 
 
@@ -112,13 +128,17 @@ def _stopped(step: str, answer: Answer, machine: Machine, recordings: Mapping[st
     """Say what the first steps show."""
     from hil.diagnosis.seen.see import see
 
-    for said in [*(axis.said for axis in audited.axes), *(pair.said for pair in audited.sensors)]:
+    for said in [
+        *(fault.said for fault in audited.faults),
+        *(axis.said for axis in audited.axes),
+        *(pair.said for pair in audited.sensors),
+    ]:
         answer.say(said)
-    if not audited.axes:
+    if not audited.axes and not audited.faults:
         rate = f"{machine.sample_rate_Hz:g} Hz"
         answer.say(f"no recording has reference, position and command of an axis at {rate}: no controller is audited")
     document: dict[str, object] = {"audit": audited.document()}
-    if step == "seen":
+    if step == "seen" and not audited.faults:
         units = {drive.joint: "N" if drive.joint in _sliding(machine) else "Nm" for drive in machine.plant.drives}
         missing = see(machine, recordings).missing()
         for each in missing:
@@ -129,7 +149,7 @@ def _stopped(step: str, answer: Answer, machine: Machine, recordings: Mapping[st
             {"recording": each.recording, "joint": each.joint, "unit": units[each.joint], "missing_share": each.share} for each in missing
         ]
     answer.write(plain(document))
-    if audited.wrong:
+    if audited.faults or audited.wrong:
         raise typer.Exit(1)
 
 

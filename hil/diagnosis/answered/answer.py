@@ -51,6 +51,7 @@ from hil.recording import Recording
 from virtual_bus.effects.effect import FRICTION, Parameter
 from virtual_bus.effects.places import drive_unit, is_prismatic
 from virtual_bus.effects.registry import effects
+from virtual_bus.plant.parameters import plant_parameters
 from virtual_bus.settings import EffectSetting, PlantSettings
 
 LARGEST = {"repeats": 0.99, "periods": 0.99, "assumed": 0.9}
@@ -155,6 +156,22 @@ def nothing_seen(machine: Machine, audit: Audit, seen: Seen, seconds: float) -> 
         known=known_effects(machine.plant),
     )  # fmt: skip
     return Answered(machine, diagnosis, _names(seen), None, seen.alongs[0].plant.nominal, ())
+
+
+def wrong_recordings(machine: Machine, audit: Audit, recordings: Mapping[str, Recording], seconds: float) -> Answered:
+    """Return the answer to recordings that are not what they say: nothing is explained by them."""
+    stages = Stages(None, None, None, None, None)
+    lacks = all(fault.is_lack for fault in audit.faults)
+    share = 1.0 / len(audit.faults)
+    diagnosis = Diagnosis(
+        verdict="inconclusive" if lacks else "misconfigured",
+        reason="; ".join(fault.said for fault in audit.faults),
+        findings=(), hypotheses=(), retuned={}, frozen={}, noise="assumed",
+        location=Location(channels={fault.channel: share for fault in audit.faults}),
+        fit=Fit({}, stages, None, None, None), unexplained_share=1.0, seconds=seconds, audit=audit.document(),
+    )  # fmt: skip
+    values = np.array([parameter.value for parameter in plant_parameters(machine.plant)])
+    return Answered(machine, diagnosis, tuple(recordings), None, values, ())
 
 
 def play_seen(machine: Machine, audit: Audit, seen: Seen, seconds: float) -> Answered:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from hil.diagnosis.audit.controller import AxisAudit, Measured, audit_controllers, controllers_of
+from hil.diagnosis.audit.readings import Fault
 from hil.diagnosis.audit.sensors import SensorAudit, audit_sensors
 from hil.machine import Machine
 from hil.recording import Recording
@@ -25,11 +26,14 @@ class Audit:
     axes : tuple of AxisAudit
         Of those axes whose command, reference and position were recorded.
     sensors : tuple of SensorAudit
+    faults : tuple of Fault
+        By which recordings are not what they say; where there are some, nothing else was audited.
     """
 
     machine: Machine
     axes: tuple[AxisAudit, ...]
     sensors: tuple[SensorAudit, ...]
+    faults: tuple[Fault, ...] = ()
 
     @property
     def are_controllers_as_filed(self) -> bool:
@@ -49,6 +53,7 @@ class Audit:
     def document(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         return {
+            "recordings": [{"recording": each.recording, "channel": each.channel, "said": each.said} for each in self.faults],
             "axes": {axis.axis: _axis(axis) for axis in self.axes},
             "sensors": [
                 {key: getattr(each, key) for key in ("first", "second", "gain", "delay_s", "gap", "offset", "status")}

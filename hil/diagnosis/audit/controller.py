@@ -131,7 +131,7 @@ def _audit(machine: Machine, controller: AxisController, parts: Sequence[_Part],
     limit = _limit(parts, resolution)
     free = [_free_rows(part, min(limit or np.inf, controller.limit), resolution) for part in parts]
     held = _rows_held(parts, free, resolution)
-    enough = STEPS * resolution / np.sqrt(12.0) + EXACT * float(np.sqrt(np.mean(commands**2)))
+    enough = _rounding(commands, resolution)
     delays = [_regressed(controller, parts, free, delay) for delay in range(LATEST_ROWS + 1)]
     delay = int(np.argmin([each[2] for each in delays]))
     gain, deviation, rms, offset = delays[delay]
@@ -171,6 +171,21 @@ def _audit(machine: Machine, controller: AxisController, parts: Sequence[_Part],
         resolution,
         said,
     )
+
+
+def law_leaves(
+    controller: AxisController, reference: np.ndarray, position: np.ndarray, added: np.ndarray, command: np.ndarray
+) -> tuple[float, bool]:
+    """Return the gain of a command (N,) over the law, and whether the law leaves nothing of it but rounding."""
+    part, resolution = _Part(reference, position, added, command), command_resolution(command)
+    free = [_free_rows(part, min(_limit([part], resolution) or np.inf, controller.limit), resolution)]
+    gain, _, rms, _ = _regressed(controller, [part], free, 0)
+    return gain, bool(rms <= _rounding(command, resolution))
+
+
+def _rounding(commands: np.ndarray, resolution: float) -> float:
+    """Return the rms that a law may leave of commands."""
+    return STEPS * resolution / float(np.sqrt(12.0)) + EXACT * float(np.sqrt(np.mean(commands**2)))
 
 
 def command_resolution(commands: np.ndarray) -> float:

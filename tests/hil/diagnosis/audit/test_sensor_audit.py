@@ -75,7 +75,9 @@ def test_encoders_that_agree_are_as_filed() -> None:
     assert found.status == "as_filed"
 
 
-@pytest.mark.parametrize(("factor", "said"), [(180.0 / np.pi, "57.2958 times as large"), (-1.0, "-1.0000 times as large")])
+@pytest.mark.parametrize(
+    ("factor", "said"), [(180.0 / np.pi, "link_position_turn is in degrees"), (-1.0, "link_position_turn is of the opposite sign")]
+)
 def test_another_unit_and_the_other_way_round_are_misconfigured(
     tmp_path: Path, isocenter: Isocenter, monkeypatch: pytest.MonkeyPatch, factor: float, said: str
 ) -> None:
