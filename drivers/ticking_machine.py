@@ -5,16 +5,17 @@ This is all that the sample loop needs of a machine that is ready to run. `drive
 
 from __future__ import annotations
 
+import contextlib
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import can
 import canopen
 import numpy as np
 
-from drivers.canopen import cia402, power_and_brakes
-from drivers.canopen.axis_stop import POWERED, AxisRest, AxisStop
+from drivers.canopen import cia402
+from drivers.canopen.axis_stop import POWERED, AxisRest
 from drivers.canopen.cia402 import Mode
 from drivers.canopen.cia406 import check_alarms
 from drivers.canopen.configuration import configure_node
@@ -22,11 +23,12 @@ from drivers.canopen.cyclic import CyclicExchange, drives
 from drivers.canopen.eds import load_object_dictionary
 from drivers.canopen.identity import check_identity
 from drivers.canopen.network import NMT_PRE_OPERATIONAL, NMT_START, PolledNetwork
+from drivers.canopen.resting import Resting
 from drivers.canopen.sdo import SdoNode
-from drivers.canopen.stopping import Attempts, Attendant, Stops, Unattended, in_words
+from drivers.canopen.stopping import Attempts, Attendant, Unattended
 from drivers.canopen.supervision import Supervision, refuse_second_bench
 from drivers.canopen.watch import MotionWatch
-from drivers.errors import BusError, BusTimeoutError, DeviceFaultError, DriverError, MotionRefusedError, SecondMasterError
+from drivers.errors import BusError, BusTimeoutError, DeviceFaultError, DriverError, SecondMasterError
 from drivers.interface import Clock, Sample
 from drivers.settings import BusSettings, Node
 
@@ -89,8 +91,8 @@ class TickingMachine:
         self.stop_trouble: list[str] = []  # what went wrong in the last stop
         self.stopping = False  # from the first step of a stop to its last; a signal handler must not interrupt it
         self.attendant: Attendant = attendant or Unattended()
-        self.rests: tuple[AxisRest, ...] = ()  # how each axis ended in the last stop
         self.modes: list[Mode | None] = [None] * len(self.axes)  # of the drives, as far as the bench has chosen them
+        self._resting = Resting(self, self._tick_at_rest)
         self._imu, self._io = imu, io
         self._imu_triggered = settings.imu is not None and settings.imu.triggered_by_sync
         self._nodes: dict[int, SdoNode] = {}
@@ -127,7 +129,7 @@ class TickingMachine:
             for node in self.settings.nodes:
                 notes += self._configure(node)
             self.notes = tuple(notes)
-            self.rests, self.modes = (), [None] * len(self.axes)
+            self._resting.rests, self.modes = (), [None] * len(self.axes)
             holding = [axis for axis in range(len(self.axes)) if self._is_powered(axis)]
             for axis, output in enumerate(self._cyclic.outputs):
                 output.controlword = cia402.QUICK_STOP if axis in holding else cia402.DISABLE_VOLTAGE
@@ -142,7 +144,7 @@ class TickingMachine:
             self.resume_ticks()
             self._await_first_answers()
             if holding:
-                self._take_over(holding)
+                self._resting.take_over(holding)
 
     def exchange(self, command: np.ndarray) -> Sample:
         """Send `command` (n_axes,), wait for the next tick, return what was latched at its SYNC. See `drivers.interface.MachineLink`.
@@ -224,9 +226,8 @@ class TickingMachine:
             self.stop()
             self.network.stop_heartbeat()
             attempts = Attempts()
-            held = {rest.axis for rest in self.rests if rest.held}
             for node in self.settings.nodes if self._ours else ():
-                if node.axis not in held:
+                if node.axis not in self._resting.held:
                     attempts.make(f"resetting {node.name}", self.supervision.reset, node, RESET_PATIENCE_S)
             self._ours = False  # another bench may take it after this
             self.stop_trouble += attempts.trouble
@@ -301,13 +302,6 @@ class TickingMachine:
         """Return whether a drive has voltage although no bench runs it: it may be all that holds its axis."""
         return cia402.decode_state(self.sdo(axis).read_integer(cia402.STATUSWORD)) in POWERED
 
-    def _take_over(self, axes: Sequence[int]) -> None:
-        """Bring to rest what drives held before this bench came; a brake that is not proven leaves them holding."""
-        stops = self._stops(axes)
-        stops.run()
-        if unproven := [rest for rest in stops.rests if not rest.safe]:
-            raise MotionRefusedError(f"found under voltage at the start, and {in_words(unproven)}")
-
     def _await_first_answers(self) -> None:
         for _ in range(FIRST_ANSWERS_TICKS):
             self.exchange(self.zeros)
@@ -350,9 +344,14 @@ class TickingMachine:
             f"{cia402.describe_statusword(self.inputs[axis].statusword)}; {emergency}"
         )
 
-    def stopping_on_error(self) -> _StopOnError:
-        """Return a context manager that tells the motors to stop before an error leaves its block."""
-        return _StopOnError(self)
+    @contextlib.contextmanager
+    def stopping_on_error(self) -> Iterator[None]:
+        """Tell the motors to stop before an error leaves the block."""
+        try:
+            yield
+        except BaseException:
+            self.stop()
+            raise
 
     def _bring_to_rest(self) -> None:
         self.supervision.stand_down()
@@ -360,75 +359,28 @@ class TickingMachine:
         self._io_lost = ""
         attempts = Attempts()
         if self._ticking:
-            stops = self._stops(range(len(self.axes)))
-            attempts.make("stopping", stops.run)
-            attempts.make("holding", stops.serve_hold, self.attendant)
-            ended = {rest.axis: rest for rest in stops.rests}
-            unknown = "nobody knows whether it stands: the stop broke off"
-            self.rests = tuple(ended.get(axis, AxisRest(axis, False, False, unknown)) for axis in self.axes)
+            self._resting.stop_all(attempts, self.attendant)
         else:
             attempts.make("closing the brakes", self.command_brakes, dict.fromkeys(self.axes, False))
         self._ticking = False
-        held = {rest.axis for rest in self.rests if rest.held}
         for node in self.settings.nodes:
-            if node.axis not in held:
+            if node.axis not in self._resting.held:
                 attempts.make(f"{node.name} to pre-operational", self.network.command_nmt, NMT_PRE_OPERATIONAL, node.node_id)
         self.stop_trouble = attempts.trouble + ([f"I/O: {self._io_lost}"] if self._io_lost else [])
 
     def rest_axes(self, axes: Sequence[int], effort: np.ndarray) -> None:
-        """Prove the closed brakes of enabled axes that stand, and take their voltage; see `drivers.canopen.axis_stop`.
+        """Prove the closed brakes of standing axes and take their voltage; see `drivers.canopen.resting.Resting.rest_axes`."""
+        self._resting.rest_axes(axes, effort)
 
-        Parameters
-        ----------
-        axes : sequence of int
-        effort : (n_axes,) array
-            With which the drives hold them now.
-
-        Raises
-        ------
-        MotionRefusedError
-            A brake is not proven; its drive holds.
-        """
-        stops = self._stops(axes)
-        for axis in stops.axes:
-            self.arm(axis.axis, False)
-            axis.prove(float(effort[axis.axis]))
-        stops.run()
-        if unproven := [rest for rest in stops.rests if not rest.safe]:
-            raise MotionRefusedError(in_words(unproven))
+    @property
+    def rests(self) -> tuple[AxisRest, ...]:
+        """How each axis ended in the last stop."""
+        return self._resting.rests
 
     @property
     def outcome(self) -> str:
         """How the last stop ended, in words, as far as it was seen."""
-        if not self.rests:
-            return "nothing was moved"
-        words = in_words(self.rests)
-        return f"the motors were stopped: {words}" if all(rest.safe for rest in self.rests) else words
-
-    def _stops(self, axes: Sequence[int]) -> Stops:
-        """Return the stops of these axes; all others keep their controlwords."""
-        settings = self.settings
-        stops = [
-            AxisStop(
-                axis,
-                self.scalings[axis],
-                settings.motions[axis],
-                settings.homings[axis],
-                self.period_s,
-                braked=self.has_brake(axis),
-                takes_torque=self.modes[axis] is Mode.CYCLIC_SYNCHRONOUS_TORQUE,
-            )
-            for axis in axes
-        ]
-        efforts = self.zeros.copy()
-
-        def tick() -> None:
-            for stop in stops:
-                self._cyclic.outputs[stop.axis].controlword = stop.controlword
-                efforts[stop.axis] = stop.effort
-            self._tick_at_rest(efforts)
-
-        return Stops(stops, self.clock, self.sample, tick, self._close_brakes, self.io_is_fresh, self._to_torque)
+        return self._resting.outcome
 
     def _tick_at_rest(self, efforts: np.ndarray) -> None:
         """Make one tick during a stop; the drives are stopped even when the I/O is lost."""
@@ -440,28 +392,3 @@ class TickingMachine:
         except DriverError as error:
             self._io_lost = str(error)
         self._io.update(self.sample)
-
-    def _close_brakes(self, axes: Sequence[str]) -> None:
-        self.command_brakes(dict.fromkeys(axes, False))
-
-    def _to_torque(self, axis: int) -> bool:
-        try:
-            power_and_brakes.set_mode(self, axis, Mode.CYCLIC_SYNCHRONOUS_TORQUE)
-        except DriverError:
-            return False
-        return True
-
-
-class _StopOnError:
-    """Context manager that stops the motors before an error leaves its block."""
-
-    def __init__(self, machine: TickingMachine) -> None:
-        self._machine = machine
-
-    def __enter__(self) -> None:
-        """Do nothing: there is nothing to prepare."""
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Stop the machine when the block was left by an error."""
-        if kind is not None:
-            self._machine.stop()

@@ -36,6 +36,8 @@ VOLTAGE_OFF_S = 0.2  # a drive that still has its voltage after this does not ob
 RETAKE_S = 0.5  # three transitions of CiA 402, each with its answer, and lost frames
 STOP_AT_MOST_S = 10.0  # of all steps together: a feedback that flickers must not keep a stop from ending
 
+NOT_PROVEN = "not proven at rest"
+"""How an axis that nobody knows to stand, or that moves, is told."""
 POWERED = frozenset(
     {State.READY_TO_SWITCH_ON, State.SWITCHED_ON, State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE}
 )
@@ -262,7 +264,7 @@ class AxisStop:
             drive = "its drive does not obey the quick stop and may push: take its supply away"
         else:
             drive = f"its drive is {self._state.value} and holds nothing"
-        self._end(False, f"not proven at rest: {drive}; {self._brake_words}; {self._motion_words}")
+        self._end(False, f"{NOT_PROVEN}: {drive}; {self._brake_words}; {self._motion_words}")
 
     def _swinging(self) -> None:
         """See how far the structure swings, then let go: all that it moves beyond that is the brake's slip."""
@@ -336,7 +338,7 @@ class AxisStop:
             self._go(self._taking_back)
         elif self._state in POWERED:
             if self._after(VOLTAGE_OFF_S):
-                self._end(False, f"not proven at rest: its drive keeps its voltage ({self._state.value}); {self._brake_words}")
+                self._end(False, f"{NOT_PROVEN}: its drive keeps its voltage ({self._state.value}); {self._brake_words}")
         elif self._after(WATCH_S):
             proof = self._proof or "it stands without a brake of the bench's"
             self._end(self._stands() or bool(self._closed), f"at rest: {proof}, voltage off")

@@ -16,6 +16,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Literal
 
+from drivers.canopen.axis_stop import NOT_PROVEN
 from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
 from hil.bench.signals import StopRequest
@@ -37,7 +38,7 @@ PROCESSOR_LIMIT_S = 120.0
 PACKAGES = ("controllers", "drivers", "hil/bench", "hil/faults", "hil/recording", "virtual_bus")
 """What a run with a fault goes through."""
 
-Verdict = Literal["stopped", "noted", "unnoticed", "not at rest", "never began", "did not end"]
+Verdict = Literal["stopped", "noted", "unnoticed", "cannot be held", "not at rest", "never began", "did not end"]
 
 
 @dataclass(frozen=True)
@@ -49,8 +50,8 @@ class TrialOutcome:
     name, kind, at, group, during : of the trial
     verdict : str
         "stopped": the run ended with an error and everything is at rest. "noted": it went on and said something of it. "unnoticed": it
-        ended as if nothing had been. "not at rest": something still moves, or has moved without a stop. "never began": the run ended
-        before the fault's time. "did not end".
+        ended as if nothing had been. "cannot be held": brake and drive are both lost, which was said at once. "not at rest": something
+        still moves, or has moved without a stop. "never began": the run ended before the fault's time. "did not end".
     exit_status : int
         Of the command `run`.
     said : str
@@ -168,7 +169,7 @@ def run_trial(machine: Machine, axis: str, trial: FaultTrial, plan: Plan) -> Tri
         trial.at,
         trial.group,
         trial.during,
-        _verdict(status, lines, outcome, complete=complete or status > 0),
+        _verdict(trial, status, lines, outcome, complete=complete or status > 0),
         status,
         "; ".join(lines),
         troubles,
@@ -184,13 +185,13 @@ def run_trial(machine: Machine, axis: str, trial: FaultTrial, plan: Plan) -> Tri
     )
 
 
-def _verdict(status: int, lines: Sequence[str], outcome: FaultOutcome | None, *, complete: bool) -> Verdict:
+def _verdict(trial: FaultTrial, status: int, lines: Sequence[str], outcome: FaultOutcome | None, *, complete: bool) -> Verdict:
     if lines and lines[-1].endswith("was given up"):
         return "did not end"
     if outcome is None or not complete:
         return "never began"
     if not outcome.at_rest:
-        return "not at rest"
+        return "cannot be held" if trial.without_brake and NOT_PROVEN in lines[-1] else "not at rest"
     if status:
         return "stopped"
     return "noted" if lines else "unnoticed"

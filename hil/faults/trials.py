@@ -49,6 +49,8 @@ class FaultTrial:
         Of the run.
     settings : tuple of FaultSetting
         The fault, and behind it what ends the run where its phase asks for a stop.
+    without_brake : bool
+        The axis's brake fails as well: where the drive loses its effort, the axis cannot be held.
     """
 
     name: str
@@ -57,6 +59,7 @@ class FaultTrial:
     group: Group
     during: Phase
     settings: tuple[FaultSetting, ...]
+    without_brake: bool = False
 
 
 def standard_scan(machine: Machine, axis: str) -> tuple[Plan, float]:
@@ -125,7 +128,7 @@ def _at(kind: FaultKind, machine: Machine, axis: str) -> tuple[str, ...]:
 def _rows(kind: FaultKind, places: FaultPlaces, at: tuple[str, ...], axis: str, speed: float) -> Iterator[FaultTrial]:
     for place in at:
         for trial in kind.trials:
-            if trial.during == "stop" and not places.io:
+            if (trial.during == "stop" and not places.io) or (trial.without_brake and axis not in places.of("brake")):
                 continue
             yield _row(kind, place, trial, axis, speed)
 
@@ -136,9 +139,12 @@ def _row(kind: FaultKind, at: str, trial: Trial, axis: str, speed: float) -> Fau
     settings = [FaultSetting(kind.name, at, values, _when(trial.during, axis, speed), 0.0, lasting)]
     if trial.during == "stop":
         settings.append(FaultSetting("hold_to_run_released", "io", {}, _when("sweep", axis, speed)))
+    if trial.without_brake:
+        settings.insert(0, FaultSetting("brake_stays_open", axis, {}, InState("settled", axis)))
     more = [f"{name}={value:g}" for name, value in trial.values.items()] + ([f"for_s={trial.for_s:g}"] if trial.for_s is not None else [])
+    more += ["without_brake"] if trial.without_brake else []
     name = "/".join((kind.name, at, trial.during.replace(" ", "_"), *more))
-    return FaultTrial(name, kind.name, at, kind.group, trial.during, tuple(settings))
+    return FaultTrial(name, kind.name, at, kind.group, trial.during, tuple(settings), trial.without_brake)
 
 
 def _when(during: Phase, axis: str, speed: float) -> Condition | None:

@@ -305,7 +305,7 @@ class TestJson:
             unexplained_share=0.0,
             seconds=1.0,
             separations=(result.PredictedSeparation((effect,), 1.0, 1.0),),
-            audit={"axes": {"AXIS": 1.0}, "sensors": [1.0]},
+            audit={"axes": {"AXIS": 1.0}, "sensors": [1.0], "recordings": [1.0]},
         )
         documented = {entry.name for entry in DIAGNOSIS}
         found = set(paths_of(whole.document(), documented))

@@ -182,7 +182,7 @@ _CODES = (OVERCURRENT, OVERVOLTAGE, UNDERVOLTAGE, OVERTEMPERATURE, ENCODER_ERROR
 
 KINDS = (
     FaultKind("torque_lost", "The power stage applies no effort; the drive says nothing.", "drive", "drive", _stage(_lost),
-              trials=(Trial(), Trial("settled"), Trial("first move"))),
+              trials=(Trial(), Trial("settled"), Trial("first move"), Trial(without_brake=True))),
     FaultKind("torque_share", "The power stage applies a share of the effort.", "drive", "drive", _stage(_share), (SHARE,)),
     FaultKind("torque_inverted", "The power stage applies the effort in the other direction.", "drive", "drive", _stage(_inverted),
               trials=(Trial(), Trial("settled"), Trial("first move"))),
@@ -200,11 +200,12 @@ KINDS = (
               trials=(Trial(), Trial("settled"))),
     FaultKind("drive_hangs", "The drive neither hears nor says anything and goes on with the last effort.", "drive", "drive", hangs),
     FaultKind("drive_loses_power", "The drive is off: no effort, no frames.", "drive", "drive", loses_power,
-              trials=(Trial(), Trial(for_s=0.5))),
+              trials=(Trial(), Trial(for_s=0.5), Trial(without_brake=True))),
     FaultKind("drive_loses_mains", "The drive's power supply is off, its electronics' is not: no effort, bit 4 of the statusword.", "drive",
               "drive", loses_mains),
     FaultKind("drive_reports_fault", "The drive sends an EMCY and goes to fault.", "drive", "drive", reports_fault, (CODE, PERSISTENT),
-              (*(Trial(values={"code": float(code)}) for code in _CODES), Trial(values={"persistent": 1.0}), Trial("settled"))),
+              (*(Trial(values={"code": float(code)}) for code in _CODES), Trial(values={"persistent": 1.0}), Trial("settled"),
+               Trial(without_brake=True))),
     FaultKind("drive_reboots", "The drive boots anew.", "drive", "drive", reboots, trials=(Trial(), Trial("settled"), Trial("homing"))),
     FaultKind("drive_statusword_frozen", "The drive reports the statusword of one instant for ever.", "drive", "drive", statusword_frozen,
               trials=(Trial(), Trial("stop"))),

@@ -62,6 +62,7 @@ class Trial:
     during: Phase = "sweep"
     values: Mapping[str, float] = field(default_factory=dict)
     for_s: float | None = None  # None: for ever
+    without_brake: bool = False  # the axis's brake stays open from standstill on: where the drive's effort is lost, nothing can hold it
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 import scipy.signal
 
+from hil.diagnosis.audit.alike import EARLY_ROWS, LATEST_S, balanced, fastest_Hz, follows, running
 from hil.diagnosis.audit.laws import OF_SPEEDS, of_efforts, of_positions
 from hil.diagnosis.audit.readings import FEWEST_ROWS, Fault
 from hil.machine import Machine
@@ -48,22 +49,14 @@ AGREES = 9.0
 """Against a gain, up to which the file agrees with it: three deviations."""
 SURE = 6.0
 """Standard deviations, over tenths of the recording, that a gain must differ from zero by to have a sign."""
-SPEED_SHARE, ROOM = 0.95, 3.0
-"""Of the speeds' power, and above the frequency that has so much below it: what the low-pass keeps."""
+ROOM = 3.0
+"""Of the frequency that has nearly all of the speed's power below it: what the low-pass keeps."""
 MOST_ROWS, PER_CYCLE = 6000, 10.0
 """Of the low-passed motion, and at least so many a period of its highest frequency."""
-LATEST_S = 0.1
-"""The catalogue has delays of drives and sensors up to here: only beyond is a channel shifted."""
-EARLY_ROWS = 3
-"""No effort comes later than the motion that it causes; rows and filters of recorders make so many."""
 SHIFTS_S = (0.13, 0.17, 0.22, 0.28, 0.36, 0.46)
 """Between motion and efforts that are tried: each is within an eighth of any shift from LATEST_S to half a second."""
-OWN = 0.25
-"""Of an effort's deviation, that the motion must explain beside friction, so that its gain is believed: where it takes no effort to speak
-of, the file's errors decide."""
 MOVES = 50.0
 """Lattice steps that a motion has at least to be one."""
-TENTHS = 10
 FAULTS = 3
 """Of one recording that are said at most."""
 
@@ -259,7 +252,7 @@ class _Weighing:
         """Return what the rigid equation says of each axis's effort."""
         found = {}
         for axis, given, needed, speed in self._efforts(slow):
-            left, gain, deviation = _balanced(given, needed, speed)
+            left, gain, deviation = balanced(given, needed, speed)
             unexplained = slow.samples * float(np.log(np.clip(left, RIGHT, UNEXPLAINED) / UNEXPLAINED))
             drive = next(drive for drive in self.machine.plant.drives if drive.axis == axis)
             joint = self.machine.plant.tree.joints[self._joints.index(drive.joint)]
@@ -279,11 +272,11 @@ class _Weighing:
                     how = f"{1e3 * abs(late):.3g} ms ({abs(round(late / even.period_s))} rows) {'late' if late > 0.0 else 'early'}"
                     yield name, f"{name} is {how} beside command_{axis}"
                 alike = max(alike, follows(current, np.abs(command), even.period_s)[1])
-                if alike < NOTHING and 0.0 < np.std(_running(current)) < MOST_NOISE * np.std(_running(command)):
+                if alike < NOTHING and 0.0 < np.std(running(current)) < MOST_NOISE * np.std(running(command)):
                     yield name, f"{name} does not follow command_{axis} (correlation {alike:.2f}): it is of another axis or recording"
         balances = {} if slow is None else self._dynamics(slow)
         for axis, given, needed, speed in self._efforts(slow):
-            left, gain, _ = _balanced(given, needed, speed)
+            left, gain, _ = balanced(given, needed, speed)
             if left > 1.0 - NOTHING**2 and np.std(needed) > NOTHING * np.std(given) and axis not in self.lawful:
                 name = even.names["command" if ("command", axis) in has else "current", axis]
                 yield name, f"{name} and position_{axis} are not of one recording: the motion explains {1.0 - left:.0%} of the effort"
@@ -309,7 +302,7 @@ class _Weighing:
             for source in ("command", "current"):
                 if (source, drive.axis) in even.values:
                     values[source, drive.axis] = even.values[source, drive.axis]
-        fastest = max((_fastest(values["position", axis], even.period_s) for axis in moving), default=0.0)
+        fastest = max((fastest_Hz(values["position", axis], even.period_s) for axis in moving), default=0.0)
         if fastest <= 0.0:
             return None
         corner = min(ROOM * fastest, 0.1 / even.period_s)
@@ -352,52 +345,3 @@ class _Weighing:
 def _denied(ratio: float, width: float) -> float:
     """Return what a ratio that should be one costs."""
     return float((np.log(max(abs(ratio), 1e-12)) / width) ** 2 + (AGAINST if ratio < 0.0 else 0.0))
-
-
-def follows(one: np.ndarray, other: np.ndarray, period_s: float) -> tuple[float, float, float]:
-    """Return gain, correlation and delay [s] of one channel (N,) over another, at the delay at which they are most alike."""
-    first, second = (_running(each) for each in (one, other))
-    first, second = first - first.mean(), second - second.mean()
-    power, own = float(second @ second), float(first @ first)
-    if not (power > 0.0 and own > 0.0):
-        return 1.0, 0.0, 0.0
-    most = min(round(2.0 * LATEST_S / period_s) + EARLY_ROWS, len(one) // 4)
-    products = scipy.signal.correlate(first, second, mode="full", method="fft")[len(second) - 1 - most : len(second) + most]
-    best = int(np.argmax(np.abs(products)))
-    return float(products[best]) / power, abs(float(products[best])) / np.sqrt(power * own), (best - most) * period_s
-
-
-def _running(values: np.ndarray, rows: int = 5) -> np.ndarray:
-    return np.convolve(values, np.ones(rows) / rows, mode="valid")
-
-
-def _fastest(position: np.ndarray, period_s: float) -> float:
-    """Return the frequency [Hz] below which a motion's speed has nearly all its power; 0 where nothing moves."""
-    frequencies, power = scipy.signal.periodogram(np.diff(position), 1.0 / period_s, window="hann")
-    whole = np.cumsum(power)
-    return float(frequencies[np.searchsorted(whole, SPEED_SHARE * whole[-1])]) if whole[-1] > 0.0 else 0.0
-
-
-def _balanced(given: np.ndarray, needed: np.ndarray, speed: np.ndarray) -> tuple[float, float, float]:
-    """Return the share of the effort's power that motion and friction leave, the gain of what is needed, and its deviation.
-
-    The deviation is infinite where what is needed hardly matters beside friction.
-    """
-    scale = float(np.std(speed)) or 1.0
-    smooth = np.tanh(3.0 * speed / scale)
-    matrix = np.column_stack([needed, speed, smooth, np.ones(len(speed))])
-    norms = np.maximum(np.sqrt(np.mean(matrix**2, axis=0)), 1e-12)
-    matrix = matrix / norms
-    target = given - given.mean()
-    power = float(target @ target)
-    if power <= 0.0:
-        return 1.0, 1.0, np.inf
-    weights = np.linalg.lstsq(matrix, given, rcond=1e-6)[0]
-    own = matrix[:, 0] - matrix[:, 1:] @ np.linalg.lstsq(matrix[:, 1:], matrix[:, 0], rcond=1e-6)[0]
-    left = given - matrix @ weights
-    inverse = np.linalg.pinv(matrix.T @ matrix, rcond=1e-6)
-    scores = matrix * left[:, None]
-    blocks = np.array([part.sum(axis=0) for part in np.array_split(scores, TENTHS)])
-    deviation = float(np.sqrt(max((inverse @ (blocks.T @ blocks) @ inverse)[0, 0], 0.0))) / norms[0]
-    is_said = abs(weights[0]) * np.std(own) > OWN * np.std(given)
-    return float(left @ left) / power, float(weights[0]) / norms[0], deviation if is_said else np.inf

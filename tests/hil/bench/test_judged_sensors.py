@@ -54,6 +54,10 @@ class SpoilingLink:
     def stop(self) -> None:
         self._link.stop()
 
+    @property
+    def outcome(self) -> str:
+        return self._link.outcome
+
 
 def run_spoiled(path: Path, spoil: Spoil, seconds: float = 3.0) -> tuple[LoopTiming, Recording]:
     plan = Static(seconds, {}).plans(CARM)[0]
@@ -168,6 +172,7 @@ def test_the_events_stand_beside_the_recording_as_json_lines_and_inside_it(tmp_p
         "run begins",
         "run ends",
         "brakes closed, drives disabled",
+        "axis stopped",
         "session ended",
     ]
     times = [event["time_s"] for event in events]

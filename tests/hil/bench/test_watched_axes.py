@@ -169,8 +169,8 @@ def home_on_a_switch(machine: Machine, fault: Callable[[Cia402Drive, Bench], Non
         bench.commissioning = ("the first move is checked elsewhere",)
         broken = Broken(bench, "propeller", fault, lambda b: b.brake_open and b.drive._mode_display.value == HOMING)
         drive, resolution = broken.drive, CARM.bus.scalings[0].position_resolution
-        drive._reference = Reference(drive._reference.counts_per_turn, drive._origin + round((switch - START[0]) / resolution), None)
-        drive._homing = Homing(drive._reference)
+        reference = Reference(drive.homing.reference.counts_per_turn, drive._origin + round((switch - START[0]) / resolution), None)
+        drive.homing = Homing(reference)
         with pytest.raises(MotionRefusedError) as refused:
             bench.commission()
         return broken.moved(), str(refused.value)

@@ -18,7 +18,7 @@ from hil.cli import main
 from hil.recording import read_recording
 
 STATIC = ("run", "static", "--seconds", "0.5", "--bus", "lockstep:")
-CAN_ONLY = re.sub(r"(?ms)^\[bus\.(io|imu)\].*?(?=^\[|\Z)", "", CARM.text)
+CAN_ONLY = re.sub(r"(?ms)^\[(bus\.(io|imu)|budgets|judging)\b.*?(?=^\[|\Z)", "", CARM.text)
 
 
 @pytest.fixture

@@ -6,11 +6,13 @@ import json
 from pathlib import Path
 
 import pytest
+from bench_machines import edited
 from command_line import Isocenter, runner
 
 from virtual_bus.faults.registry import fault_kinds
 
 SCAN = ("run", "scan", "-m", "carm", "--axis", "roll", "--from", "10", "--to", "-10", "--speed", "23", "--dwell", "0.1")
+LOSES_POWER = "drive_loses_power/roll_drive/sweep"
 RELEASED = '[[fault]]\nname = "hold_to_run_released"\nwhen = "abs(speed_roll) > 0.3"\n'
 
 
@@ -74,6 +76,15 @@ def test_the_check_writes_a_page_and_goes_on_where_it_was(isocenter: Isocenter, 
 
 
 def test_what_was_left_moving_is_a_bad_answer(isocenter: Isocenter, tmp_path: Path) -> None:
-    outcome = isocenter("faults", "check", "carm", "-o", tmp_path, "--only", "brake_stays_open/roll/start")
+    """Brakes that brake nothing, and a drive without power."""
+    (tmp_path / "weak.toml").write_text(edited("^brake_effort_Nm = 800.0", "brake_effort_Nm = 0.1"))
+    outcome = isocenter("faults", "check", tmp_path / "weak.toml", "-o", tmp_path, "--only", LOSES_POWER)
     assert outcome.status == 1
-    assert "brake_stays_open/roll/start left something moving" in outcome.line
+    assert f"{LOSES_POWER} left something moving" in outcome.line
+
+
+def test_what_nothing_can_hold_is_told_as_that(isocenter: Isocenter, tmp_path: Path) -> None:
+    outcome = isocenter("faults", "check", "carm", "-o", tmp_path, "--only", f"{LOSES_POWER}/without_brake")
+    assert outcome.status == 0
+    assert "1 fault: 1 cannot be held" in outcome.out
+    assert "roll not proven at rest" in outcome.out

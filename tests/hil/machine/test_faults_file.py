@@ -108,7 +108,7 @@ def test_what_there_is_once_needs_no_place() -> None:
 
 
 def test_a_fault_of_a_device_that_is_not_there_is_refused() -> None:
-    machine = machine_from_text(edited(r"\[bus\.imu\]\n(?:.+\n)+", "", edited(r"^triggered_by_sync.*\n", "")))
+    machine = machine_from_text(edited(r"^\[(bus|judging)\.imu\]\n(?:.+\n)+", "", edited(r"^triggered_by_sync.*\n", "")))
     with pytest.raises(MachineFileError, match="this machine has none"):
         faults_from_text('[[fault]]\nname = "imu_nan"\n', machine, "faults.toml")
 

@@ -28,7 +28,7 @@ def patient(tmp_path: Path, *, can_only: bool = False) -> str:
         text, found = re.subn(rf"(?m)^{key} = [0-9.]+", f"{key} = {value}", text)
         assert found, key
     if can_only:
-        text = re.sub(r"(?ms)^\[bus\.(io|imu)\].*?(?=^\[|\Z)", "", text)
+        text = re.sub(r"(?ms)^\[(bus\.(io|imu)|budgets|judging)\b.*?(?=^\[|\Z)", "", text)
     path = tmp_path / "patient.toml"
     path.write_text(text)
     return str(path)
