@@ -36,7 +36,7 @@ def test_multisine_with_jog_and_a_shaped_scan_run_with_the_observer(
     common = ("--machine", machine, "--bus", bus, "--pose", "roll=30", "--observer", str(design))
 
     excited = tmp_path / "excited.mf4"
-    experiment = ("--experiments", "single", "--axes", "roll", "--amplitude", "0.5", "--period", "1", "--jog", "0.2", "--periods", "1")
+    experiment = ("--experiments", "single", "--axes", "roll", "--amplitude", "0.5", "--period", "1", "--jog", "0.05", "--periods", "1")
     done = run("multisine", *common, *experiment, "-o", str(excited))
     assert done.returncode == 0, done.stderr
     recording = read_recording(excited)
