@@ -103,6 +103,14 @@ class ImuPort:
 
 
 @dataclass(frozen=True)
+class IoWatchdog:
+    """The output watchdog of the I/O device: its outputs fall unless the supervisor refreshes it (`drivers.supervisor.refresh`)."""
+
+    register: int  # holding register that shows a word and takes the one that follows
+    timeout_s: float  # from the last refresh to the fall of the outputs
+
+
+@dataclass(frozen=True)
 class IoMap:
     """Modbus addresses of brakes, hold-to-run, door contact and temperatures, zero-based."""
 
@@ -115,6 +123,7 @@ class IoMap:
     hold_to_run_input: int  # discrete input; 1: pressed
     door_input: int  # discrete input; 1: closed
     temperature_registers: dict[str, int]  # axis -> input register, int16 in 0.1 degC
+    watchdog: IoWatchdog | None = None  # None: nothing but the loop and the poller closes the brakes
 
 
 @dataclass(frozen=True)

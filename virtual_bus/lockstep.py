@@ -7,6 +7,7 @@ ever waits.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from typing import TextIO
 
 import can
@@ -53,6 +54,7 @@ class LockstepBus(can.BusABC):
         self._sync_id = machine.bus.sync_cob_id
         self._period_s = machine.period_s
         self._log = log
+        self.tap: Callable[[float, int, bytes], None] | None = None  # hears every frame of both directions, with its time
         super().__init__(channel=CHANNEL)
         machine.power_on()
         machine.connect(self._queue if log is None else self._queue_logged)
@@ -66,6 +68,8 @@ class LockstepBus(can.BusABC):
         """Hand a frame to the machine without a message object around it."""
         if self._log is not None:
             self._write_log(can_id, data)
+        if self.tap is not None:
+            self.tap(self.time_s, can_id, data)
         self.machine.receive(can_id, data)
         if can_id == self._sync_id:
             self.time_s += self._period_s
@@ -108,11 +112,13 @@ class LockstepBus(can.BusABC):
         return message
 
     def _queue(self, can_id: int, data: bytes) -> None:
+        if self.tap is not None and not can_id & FLAGS:
+            self.tap(self.time_s, can_id, data)
         self._frames.append((can_id, data))
 
     def _queue_logged(self, can_id: int, data: bytes) -> None:
         self._write_log(can_id, data)
-        self._frames.append((can_id, data))
+        self._queue(can_id, data)
 
     def _write_log(self, can_id: int, data: bytes) -> None:
         assert self._log is not None

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Protocol
 
 import numpy as np
 from pymodbus.pdu.bit_message import ReadDiscreteInputsRequest, WriteMultipleCoilsRequest
-from pymodbus.pdu.register_message import ReadInputRegistersRequest
+from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadInputRegistersRequest, WriteSingleRegisterRequest
 
 from drivers.errors import ProtocolError
 from drivers.interface import Sample
@@ -39,6 +39,7 @@ class IoState:
         self.hold_to_run = False
         self.door_closed = False
         self.time_s = -math.inf  # when it was read
+        self.word = 0  # of the output watchdog, as the device showed it last
 
     def copy_to(self, sample: Sample, now_s: float, stale_after_s: float) -> None:
         """Fill the sample. A state that is too old reads as the safe one: switch released, door open, no brake reported open."""
@@ -57,7 +58,7 @@ class IoState:
 
 
 class IoDriver:
-    """Polls the device through a transport: two requests per poll, and one more when brakes are commanded.
+    """Polls the device through a transport: two requests per poll, one more when brakes are commanded, and two of an output watchdog.
 
     Parameters
     ----------
@@ -67,14 +68,20 @@ class IoDriver:
         An `InProcessTransport` in lockstep; a `ClientTransport` waits and belongs in another process (`drivers.modbus.io_process`).
     axes : tuple of str
         Order of the axes in arrays.
+    refresh : callable, optional
+        Called with each state that was read; returns the word that refreshes the device's output watchdog, or None. Only the supervisor
+        knows it.
     """
 
-    def __init__(self, io_map: IoMap, transport: Transport, axes: tuple[str, ...]) -> None:
+    def __init__(
+        self, io_map: IoMap, transport: Transport, axes: tuple[str, ...], refresh: Callable[[IoState], int | None] | None = None
+    ) -> None:
         self.state = IoState(len(axes))
         self.malformed = 0  # polls whose answer was none
         self._map = io_map
         self._transport = transport
         self._axes = axes
+        self._refresh = refresh
         self._open = dict.fromkeys(io_map.brake_coils, False)
         self._commanded = False
         self._next_poll_s = -math.inf
@@ -108,6 +115,8 @@ class IoDriver:
         if self._registers is not None:
             self._read_temperatures(*self._registers)
         state.time_s = now_s
+        if io_map.watchdog is not None:
+            self._refresh_outputs(io_map.watchdog.register)
 
     def poll_due(self, now_s: float) -> None:
         """Poll when the period is over or a brake command is pending.
@@ -139,6 +148,16 @@ class IoDriver:
         for address, bits in _runs({self._map.brake_coils[axis]: is_open for axis, is_open in self._open.items()}):
             self._transport.request(WriteMultipleCoilsRequest(address=address, bits=bits, dev_id=self._map.unit_id))
         self._commanded = False
+
+    def _refresh_outputs(self, register: int) -> None:
+        """Read the watchdog's word, and write the one that follows where the supervisor gives it."""
+        unit = self._map.unit_id
+        answer = self._transport.request(ReadHoldingRegistersRequest(address=register, count=1, dev_id=unit))
+        if len(answer.registers) != 1:
+            raise ProtocolError(f"io: {len(answer.registers)} holding registers in the answer where 1 was asked")
+        self.state.word = answer.registers[0]
+        if self._refresh is not None and (word := self._refresh(self.state)) is not None:
+            self._transport.request(WriteSingleRegisterRequest(address=register, registers=[word], dev_id=unit))
 
     def _read_temperatures(self, start: int, count: int) -> None:
         answer = self._transport.request(ReadInputRegistersRequest(address=start, count=count, dev_id=self._map.unit_id))

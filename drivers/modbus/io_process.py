@@ -23,9 +23,11 @@ import drivers.errors
 from drivers.errors import BusTimeoutError, DriverError
 from drivers.interface import Sample
 from drivers.modbus.io import IoDriver, IoState, brake_requests
+from drivers.modbus.published import published_block, state_values, take_state, values_of
 from drivers.modbus.shared_block import Block
 from drivers.modbus.transport import REQUEST_AT_MOST_S, ClientTransport, parse_io_url
 from drivers.settings import IoMap
+from drivers.supervisor.blocks import AnswerReader
 
 SLICE_S = 0.01  # how soon a brake command or the loop's death is noticed
 START_TIMEOUT_S = 10.0  # a new Python process on a loaded machine
@@ -38,10 +40,6 @@ CLOSE_ATTEMPTS = 5  # of closing the brakes on the way out
 CLOSE_PAUSE_S = 0.2  # between attempts: a connection is refused within microseconds, while a device that restarts its server takes longer
 EXIT_S = 1.0  # a Python process that ends, on a loaded machine
 READ_REQUESTS = 2  # of a poll that may be under way
-
-
-def _state_values(axes: int) -> int:
-    return 3 + 2 * axes  # time, hold-to-run, door, temperatures, brakes
 
 
 def _command_values(axes: int) -> int:
@@ -60,6 +58,8 @@ class IoProcess:
         Addresses of the inputs and outputs; its `url` says how to reach the device.
     axes : tuple of str
         Order of the axes in arrays.
+    refresh_from : str, optional
+        Name of the supervisor's shared memory, where the answers to the device's watchdog lie.
 
     Attributes
     ----------
@@ -67,27 +67,28 @@ class IoProcess:
         After `close`: why the brakes may still be open; empty when they were closed, or never opened.
     """
 
-    def __init__(self, io_map: IoMap, axes: tuple[str, ...]) -> None:
+    def __init__(self, io_map: IoMap, axes: tuple[str, ...], refresh_from: str = "") -> None:
         parse_io_url(io_map.url)
+        self._refresh_from = refresh_from
         self.trouble = ""
         self._map = io_map
         self._axes = axes
         self._orders = 0
         self._opened = False
         self._told = np.zeros(_command_values(len(axes)))  # an axis' brake: number of its newest order, negative when it is to close
-        self._values = np.zeros(_state_values(len(axes)))
+        self._values = np.zeros(state_values(len(axes)))
         self._state = IoState(len(axes))
         self._seen = 0
         self._closed = False
         self._memory = SharedMemory(create=True, size=Block.bytes(len(self._values)) + Block.bytes(len(self._told)))
-        self._published, self._command = _blocks(self._memory, len(axes))
+        self._published, self._command = published_block(self._memory, len(axes)), _command_block(self._memory, len(axes))
         self._process = self._new_process()
         self._heard_s = math.inf  # when the polling process last published anything
 
     def _new_process(self) -> SpawnProcess:
         """Return a polling process in a fresh interpreter: a forked one would inherit the loop's locked memory and its threads' locks."""
         context = multiprocessing.get_context("spawn")
-        arguments = (self._map, self._axes, self._memory.name, os.getpid())
+        arguments = (self._map, self._axes, self._memory.name, os.getpid(), self._refresh_from)
         return context.Process(target=_poll_until_told, args=arguments, name="isocenter-io", daemon=True)
 
     def _replace_dead_process(self) -> None:
@@ -184,26 +185,22 @@ class IoProcess:
             self.trouble = self.error
 
     def _take_over(self) -> None:
-        sequence = self._published.read(self._values)
-        if sequence < 0:
-            return
-        self._seen = sequence
-        self._heard_s = time.monotonic()
-        state, values, axes = self._state, self._values, len(self._axes)
-        state.time_s = float(values[0])
-        state.hold_to_run = bool(values[1])
-        state.door_closed = bool(values[2])
-        state.temperature_degC[:] = values[3 : 3 + axes]
-        state.brakes_open[:] = values[3 + axes :]
+        sequence = take_state(self._published, self._values, self._state)
+        if sequence >= 0:
+            self._seen = sequence
+            self._heard_s = time.monotonic()
+
+    @property
+    def memory_name(self) -> str:
+        """Name of the shared memory that begins with the published state."""
+        return self._memory.name
 
 
-def _blocks(memory: SharedMemory, axes: int) -> tuple[Block, Block]:
-    """Return the blocks of the state, written by the polling process, and of the command, written by the loop's process."""
-    values = _state_values(axes)
-    split = Block.bytes(values)
+def _command_block(memory: SharedMemory, axes: int) -> Block:
+    """Return the block of the command, written by the loop's process; it lies behind the state."""
     buffer = memory.buf
     assert buffer is not None, "shared memory was closed"
-    return Block(buffer[:split], values), Block(buffer[split:], _command_values(axes))
+    return Block(buffer[Block.bytes(state_values(axes)) :], _command_values(axes))
 
 
 def close_at_most_s(io_map: IoMap) -> float:
@@ -213,13 +210,14 @@ def close_at_most_s(io_map: IoMap) -> float:
     return requests * REQUEST_AT_MOST_S + (CLOSE_ATTEMPTS - 1) * CLOSE_PAUSE_S + EXIT_S
 
 
-def _poll_until_told(io_map: IoMap, axes: tuple[str, ...], memory_name: str, parent: int) -> None:
+def _poll_until_told(io_map: IoMap, axes: tuple[str, ...], memory_name: str, parent: int, refresh_from: str) -> None:
     """Run the polling process until it is told to end, receives a signal, or the loop's process is gone."""
     _leave_session()
     _leave_real_time()
     memory = SharedMemory(name=memory_name)
-    published, command = _blocks(memory, len(axes))
-    driver = IoDriver(io_map, ClientTransport(io_map.url), axes)
+    published, command = published_block(memory, len(axes)), _command_block(memory, len(axes))
+    answers = AnswerReader(refresh_from) if refresh_from else None
+    driver = IoDriver(io_map, ClientTransport(io_map.url), axes, answers)
     poller = _Poller(io_map, axes, driver, published, command, parent)
     signal.signal(signal.SIGTERM, poller.ask_to_end)  # sets a flag: an exception, the second at the latest, would break the closing off
     try:
@@ -229,6 +227,8 @@ def _poll_until_told(io_map: IoMap, axes: tuple[str, ...], memory_name: str, par
         published.release()
         command.release()
         memory.close()
+        if answers is not None:
+            answers.close()
         if poller.orphaned():
             with contextlib.suppress(OSError):
                 memory.unlink()  # nobody else is left to do it
@@ -301,9 +301,7 @@ class _Poller:
 
     def say(self, text: str) -> None:
         """Publish the state with a line of text."""
-        state = self._driver.state
-        values = np.concatenate(((state.time_s, state.hold_to_run, state.door_closed), state.temperature_degC, state.brakes_open))
-        self._published.write(values, text)
+        self._published.write(values_of(self._driver.state), text)
 
     def orphaned(self, timeout_s: float = 0.0) -> bool:
         """Return whether the loop's process is gone; wait for that at most this long.

@@ -12,12 +12,14 @@ from drivers.errors import ProtocolError
 
 
 class FunctionCode(IntEnum):
-    """The public functions an input/output device without holding registers has."""
+    """The public functions of an input/output device; the holding register is that of its watchdog."""
 
     READ_COILS = 0x01
     READ_DISCRETE_INPUTS = 0x02
+    READ_HOLDING_REGISTERS = 0x03
     READ_INPUT_REGISTERS = 0x04
     WRITE_SINGLE_COIL = 0x05
+    WRITE_SINGLE_REGISTER = 0x06
     WRITE_MULTIPLE_COILS = 0x0F
 
 

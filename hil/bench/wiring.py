@@ -20,6 +20,8 @@ from drivers.machine_link import CanMachine
 from drivers.modbus.io import Io, IoDriver
 from drivers.modbus.io_process import IoProcess
 from drivers.modbus.transport import InProcessTransport
+from drivers.oversight.in_process import Oversight, SupervisorInProcess
+from drivers.oversight.process import SupervisorProcess
 from drivers.serial.imu import ImuDriver
 from drivers.serial.stream import open_stream
 from drivers.settings import BusSettings
@@ -32,8 +34,12 @@ from hil.emulated.machine import build_emulated, opened_bus
 from hil.emulated.truth import TruthLog
 from hil.errors import LoopAbortedError, UnusableInputError
 from hil.machine import Machine
+from hil.processes.real_time import FIFO_PRIORITY
 from virtual_bus.faults.machine import FaultyMachine
 from virtual_bus.lockstep import LockstepBus, imu_line, io_line
+
+ABOVE_THE_LOOP = FIFO_PRIORITY + 1
+"""Priority of the supervisor: a loop that takes all time of a processor must not keep it from judging."""
 
 REST_AT_MOST_S = 20.0
 """Longest time for which a machine with faults is watched after its last SYNC: an arm that swings free on its bearings alone comes to rest
@@ -52,8 +58,10 @@ class HeedingMachine(CanMachine):
         imu: ImuDriver | None,
         io: Io | None,
         attendant: Attendant,
+        oversight: Oversight,
     ) -> None:
         super().__init__(settings, bus, clock, imu, io, attendant)
+        self._oversight = oversight
         self.troubles: list[str] = []  # errors of all stops since the last start; a repeated stop does not repeat them
         self.events = Events(clock.now)  # of the present session
         self._stop_request = stop_request
@@ -61,6 +69,7 @@ class HeedingMachine(CanMachine):
     def start(self) -> None:
         """Start as `CanMachine` does."""
         self.troubles = []
+        self._oversight.begin()
         super().start()
 
     def stop(self) -> None:
@@ -79,7 +88,12 @@ class HeedingMachine(CanMachine):
             self.events.add("operator", "stop asked", reason=self._stop_request.reason)
             self.stop()
             raise LoopAbortedError(f"{self._stop_request.reason}; {self.outcome}")
-        return super().exchange(command)
+        sample = super().exchange(command)
+        if (trouble := self._oversight.trouble()) and not self.stopping:
+            self.events.add("supervisor", "stop asked", reason=trouble)
+            self.stop()
+            raise LoopAbortedError(f"{trouble}; {self.outcome}")
+        return sample
 
 
 @dataclass
@@ -133,6 +147,8 @@ def lockstep_wiring(machine: Machine, options: BenchOptions, start_pose: np.ndar
         if faulty is not None:
             stack.callback(options.events.extend, faulty.schedule.events)
             stack.callback(faulty.let_rest, bus.pass_time, REST_AT_MOST_S)
+        oversight = SupervisorInProcess(settings, lambda: bus.time_s, bus.send_frame)
+        bus.tap = oversight.frame
         imu = ImuDriver(settings.imu, imu_line(emulated)) if settings.imu is not None else None
         io: Io | None = None
         if settings.io is not None:
@@ -142,9 +158,10 @@ def lockstep_wiring(machine: Machine, options: BenchOptions, start_pose: np.ndar
                 line.write(request)
                 return line.read()
 
-            io = IoDriver(settings.io, InProcessTransport(serve), machine.axes)
+            io = IoDriver(settings.io, InProcessTransport(serve), machine.axes, oversight.refresh)
         clock = LockstepClock(bus.pass_time, lambda: bus.time_s)
-        yield Wiring(HeedingMachine(stop_request, settings, bus, clock, imu, io, LockstepAttendant()), clock, True, truth, faulty)
+        link = HeedingMachine(stop_request, settings, bus, clock, imu, io, LockstepAttendant(), oversight)
+        yield Wiring(link, clock, True, truth, faulty)
 
 
 @contextlib.contextmanager
@@ -178,14 +195,18 @@ def wall_wiring(machine: Machine, options: BenchOptions, stop_request: StopReque
         settings = _with_ports(machine, settings, options)
         clock = WallClock(waits=machine.waits_on_overrun, awake_s=ANSWERS_AWAKE_S if options.real_time else 0.0)
         refuse_second_bench(PolledNetwork(bus, clock), settings.master_node_id, settings.master_heartbeat_period_s)
+        supervisor = SupervisorProcess(settings, options.bus_url, ABOVE_THE_LOOP if options.real_time else 0)
+        stack.callback(supervisor.close)
+        bus = supervisor.tapped(bus)
         imu = None
         if settings.imu is not None:
             stream = stack.enter_context(contextlib.closing(open_stream(settings.imu.device, settings.imu.baud)))
             imu = ImuDriver(settings.imu, stream)
         io = None
         if settings.io is not None:
-            io = stack.enter_context(_polling(IoProcess(settings.io, machine.axes)))
-        link = HeedingMachine(stop_request, settings, bus, clock, imu, io, Operator())
+            io = stack.enter_context(_polling(IoProcess(settings.io, machine.axes, supervisor.memory_name)))
+        supervisor.start(io.memory_name if io is not None else "")
+        link = HeedingMachine(stop_request, settings, bus, clock, imu, io, Operator(), supervisor)
         if options.real_time:
             clock.rehearsals.append(link.rehearse)
         yield Wiring(link, clock, False)

@@ -86,6 +86,7 @@ def build_emulated(
             io_map.hold_to_run_input,
             io_map.door_input,
             io_map.temperature_registers,
+            *(() if io_map.watchdog is None else (io_map.watchdog.register, io_map.watchdog.timeout_s)),
         )
     geometry = machine.geometry
 

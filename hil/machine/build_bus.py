@@ -6,11 +6,11 @@ from pathlib import Path
 
 from drivers.canopen.cia402 import HOMING_AT_PRESENT_POSITION
 from drivers.canopen.objects import MAPPABLE
-from drivers.settings import AxisScaling, BusSettings, HomingSettings, Identity, ImuPort, IoMap, MotionLimits, Node, Pdo
+from drivers.settings import AxisScaling, BusSettings, HomingSettings, Identity, ImuPort, IoMap, IoWatchdog, MotionLimits, Node, Pdo
 from hil.machine.build import POSITION_UNITS, joint_of, require_effort_unit, require_kind, require_known
 from hil.machine.messages import ComplaintError
 from hil.machine.schema import MachineTable
-from hil.machine.schema_bus import BusTable, NodeTable, PdoTable
+from hil.machine.schema_bus import BusTable, IoTable, NodeTable, PdoTable
 from virtual_bus.settings import PlantSettings
 
 Where = tuple[str | int, ...]
@@ -263,4 +263,21 @@ def _io(bus: BusTable, table: MachineTable) -> IoMap | None:
         hold_to_run_input=io.hold_to_run_input,
         door_input=io.door_input,
         temperature_registers=io.temperature_registers,
+        watchdog=_watchdog(io),
     )
+
+
+REFRESH_POLLS = 2
+"""Polls that a refresh takes: one brings the device's word, the next the word that follows."""
+WATCHDOG_AT_MOST_S = 1.0
+"""Longest time of an output watchdog: a heavy arm falls by half a turn in it."""
+
+
+def _watchdog(io: IoTable) -> IoWatchdog | None:
+    if io.watchdog is None:
+        return None
+    least_s = 2 * REFRESH_POLLS * io.poll_period
+    if not least_s <= io.watchdog.timeout <= WATCHDOG_AT_MOST_S:
+        words = f"{io.watchdog.timeout:g} s; two refreshes take {least_s:g} s at this poll period, {WATCHDOG_AT_MOST_S:g} s is the most"
+        raise ComplaintError(("bus", "io", "watchdog", "timeout"), words)
+    return IoWatchdog(io.watchdog.holding_register, io.watchdog.timeout)

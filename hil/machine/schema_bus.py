@@ -123,6 +123,15 @@ class ImuPortTable(Table):
     """Sample rate of the sensor."""
 
 
+class WatchdogTable(Table):
+    """Table `[bus.io.watchdog]`: the device's outputs fall unless the supervisor refreshes them."""
+
+    holding_register: Address
+    """Register that shows a word and takes the one that follows."""
+    timeout: Seconds
+    """Time from the last refresh to the fall of the outputs; at least four poll periods, at most a second."""
+
+
 class IoTable(Table):
     """Table `[bus.io]`: Modbus inputs and outputs. Addresses count from zero."""
 
@@ -144,6 +153,8 @@ class IoTable(Table):
     """Discrete input of the door; 1 is closed."""
     temperature_registers: Annotated[dict[Name, Address], Field(default_factory=dict)]
     """Input register of each axis's temperature, int16 in 0.1 °C."""
+    watchdog: WatchdogTable | None = None
+    """Output watchdog of the device. Without one only the loop and the poller close brakes."""
 
 
 class BusTable(Table):

@@ -5,6 +5,7 @@ It answers every request, wrong ones included, as the Modbus Application Protoco
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from drivers.modbus.registers import (
     FunctionCode,
     temperature_to_register,
 )
+from drivers.supervisor.refresh import FIRST_WORD, following_word
 from virtual_bus.modbus.framing import TcpFraming, rtu_frame, rtu_request, tcp_frame
 
 BRAKE_DELAY_S = 0.04  # spring-applied brakes open in 30 to 60 ms
@@ -37,6 +39,8 @@ class IoLayout:
     hold_to_run_input: int
     door_input: int
     temperature_registers: Mapping[str, int]
+    watchdog_register: int | None = None  # holding register of the output watchdog
+    watchdog_timeout_s: float = 0.0
 
 
 class _RefusalError(Exception):
@@ -77,6 +81,9 @@ class EmulatedIo:
         self._brake_delay_s = brake_delay_s
         self._open = np.zeros(len(axes), dtype=bool)
         self._moving: list[tuple[float, bool] | None] = [None] * len(axes)  # (when it arrives, open or closed)
+        self._word = FIRST_WORD
+        self._refreshed = False  # since the last `advance`
+        self._falls_s = -math.inf  # when the outputs fall unless refreshed
         self._tcp = TcpFraming()
         self.malformed = 0  # connections and serial frames dropped because they do not speak Modbus
         self.set_hold_to_run(True)
@@ -109,6 +116,10 @@ class EmulatedIo:
     def advance(self, time_s: float) -> None:
         """Move machine time to `time_s` [s]: brakes follow their coils after the mechanical delay, feedback follows the brakes."""
         changed = False
+        if self._refreshed:
+            self._refreshed, self._falls_s = False, time_s + self.layout.watchdog_timeout_s
+        if self.layout.watchdog_register is not None and time_s >= self._falls_s:
+            self.coils[:] = [False] * len(self.coils)
         for index, axis in enumerate(self.axes):
             coil = self.layout.brake_coils.get(axis)
             if coil is None:
@@ -175,11 +186,27 @@ class EmulatedIo:
             return _read_registers(self.input_registers, data)
         if function == FunctionCode.READ_COILS:
             return _read_bits(self.coils, data)
+        if function == FunctionCode.READ_HOLDING_REGISTERS and self.layout.watchdog_register is not None:
+            return _read_registers([0] * self.layout.watchdog_register + [self._word], data)
+        if function == FunctionCode.WRITE_SINGLE_REGISTER and self.layout.watchdog_register is not None:
+            return self._refresh(data)
         if function == FunctionCode.WRITE_SINGLE_COIL:
             return _write_coil(self.coils, data)
         if function == FunctionCode.WRITE_MULTIPLE_COILS:
             return _write_coils(self.coils, data)
         raise _RefusalError(ExceptionCode.ILLEGAL_FUNCTION)
+
+    def _refresh(self, data: bytes) -> bytes:
+        """Take a word; only the one that follows the word shown keeps the outputs on."""
+        if len(data) != 4:
+            raise _RefusalError(ExceptionCode.ILLEGAL_DATA_VALUE)
+        address, word = struct.unpack(">HH", data)
+        if address != self.layout.watchdog_register:
+            raise _RefusalError(ExceptionCode.ILLEGAL_DATA_ADDRESS)
+        if word != following_word(self._word):
+            raise _RefusalError(ExceptionCode.ILLEGAL_DATA_VALUE)
+        self._word, self._refreshed = word, True
+        return data
 
 
 def _range(data: bytes, size: int, available: int, most: int) -> tuple[int, int]:

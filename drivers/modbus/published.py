@@ -1,0 +1,49 @@
+"""The state of the I/O in shared memory, written by the process that polls it."""
+
+from __future__ import annotations
+
+from multiprocessing.shared_memory import SharedMemory
+
+import numpy as np
+
+from drivers.modbus.io import IoState
+from drivers.modbus.shared_block import Block
+
+_TIME, _HOLD_TO_RUN, _DOOR, _WORD, _FIRST = range(5)
+
+
+def state_values(axes: int) -> int:
+    """Return the number of values of a state: time, hold-to-run, door, word of the watchdog, temperatures, brakes."""
+    return _FIRST + 2 * axes
+
+
+def published_block(memory: SharedMemory, axes: int) -> Block:
+    """Return the block of the state, the first in its memory."""
+    buffer = memory.buf
+    assert buffer is not None, "shared memory was closed"
+    values = state_values(axes)
+    return Block(buffer[: Block.bytes(values)], values)
+
+
+def values_of(state: IoState) -> np.ndarray:
+    """Return a state as the values of its block."""
+    return np.concatenate(((state.time_s, state.hold_to_run, state.door_closed, state.word), state.temperature_degC, state.brakes_open))
+
+
+def take_state(block: Block, values: np.ndarray, state: IoState) -> int:
+    """Copy the newest state out of its block, by way of `values`.
+
+    Returns
+    -------
+    int
+        Its sequence number; -1 where it was changed at every attempt, and the state is as before.
+    """
+    sequence = block.read(values)
+    if sequence >= 0:
+        axes = len(state.brakes_open)
+        state.time_s = float(values[_TIME])
+        state.hold_to_run, state.door_closed = bool(values[_HOLD_TO_RUN]), bool(values[_DOOR])
+        state.word = int(values[_WORD])
+        state.temperature_degC[:] = values[_FIRST : _FIRST + axes]
+        state.brakes_open[:] = values[_FIRST + axes :]
+    return sequence

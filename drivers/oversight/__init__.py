@@ -1,0 +1,1 @@
+"""The loop's side of the supervisor: it is started, asked, and heard."""

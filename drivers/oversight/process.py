@@ -1,0 +1,131 @@
+"""The supervisor in a process of its own, as the loop's process starts and hears it."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import socket
+import time
+from multiprocessing.process import BaseProcess
+from multiprocessing.shared_memory import SharedMemory
+from pathlib import Path
+
+import can
+import numpy as np
+
+from drivers.bus_url import parse_bus_url
+from drivers.errors import BusUnavailableError
+from drivers.modbus.shared_block import Block
+from drivers.oversight.tapped_bus import TappedBus
+from drivers.settings import BusSettings
+from drivers.supervisor.blocks import ASKED, END, ORDERS, OWN, PERMITS, ROUNDS, SESSION, WANTED_SESSION, blocks_of
+from drivers.supervisor.process import supervise
+
+START_TIMEOUT_S = 10.0  # a new Python process on a loaded machine
+SILENT_S = 0.25
+"""Time without a round of the supervisor after which the loop stops: sixty rounds, and half of what the I/O's outputs stay on."""
+SHARED_BY_PROCESSES = ("socketcan", "udp_multicast")
+"""Interfaces that several processes may open at once. Any other has one owner, which passes on its frames."""
+
+
+class SupervisorProcess:
+    """A supervisor beside the loop.
+
+    Parameters
+    ----------
+    settings : BusSettings
+    bus_url : str
+    priority : int
+        Of the real-time scheduler, where the system grants it; 0 for none.
+    stop_socket : Path, optional
+        Unix socket at which others on this host may ask for a stop.
+    """
+
+    def __init__(self, settings: BusSettings, bus_url: str, priority: int = 0, stop_socket: Path | None = None) -> None:
+        self._memory = SharedMemory(create=True, size=Block.bytes(OWN) + Block.bytes(ORDERS))
+        self._own, self._orders = blocks_of(self._memory)
+        self._told = np.zeros(ORDERS)
+        self._seen = np.zeros(OWN)
+        self._rounds, self._round_at_s = -1.0, time.monotonic()
+        self._settings, self._url, self._priority, self._stop_socket = settings, bus_url, priority, stop_socket
+        self._tap: socket.socket | None = None
+        self._process: BaseProcess | None = None
+
+    @property
+    def memory_name(self) -> str:
+        """Name of the shared memory in which it answers."""
+        return self._memory.name
+
+    def tapped(self, bus: can.BusABC) -> can.BusABC:
+        """Return the bus, passing on its frames where no other process can open it."""
+        if parse_bus_url(self._url).interface in SHARED_BY_PROCESSES:
+            return bus
+        self._tap, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+        theirs.setblocking(False)
+        return TappedBus(bus, theirs)
+
+    def start(self, io_memory: str = "") -> None:
+        """Start it, and wait for its first round.
+
+        Parameters
+        ----------
+        io_memory : str, optional
+            Name of the poller's shared memory.
+
+        Raises
+        ------
+        BusUnavailableError
+            It cannot open the bus, or does not start.
+        """
+        context = multiprocessing.get_context("spawn")
+        arguments = (self._settings, self._url, self._memory.name, io_memory, os.getpid(), self._priority, self._stop_socket, self._tap)
+        self._process = context.Process(target=supervise, args=arguments, name="isocenter-supervisor", daemon=True)
+        self._process.start()
+        give_up = time.monotonic() + START_TIMEOUT_S
+        while self._own.sequence < 2:
+            if time.monotonic() > give_up or not self._process.is_alive():
+                self.close()
+                raise BusUnavailableError(f"{self._url}: the supervisor did not start within {START_TIMEOUT_S:g} s")
+            time.sleep(0.01)
+        self._round_at_s = time.monotonic()
+        if (text := self._own.text) and not self._own_rounds():
+            self.close()
+            raise BusUnavailableError(text)
+
+    def _own_rounds(self) -> float:
+        self._own.read(self._seen)
+        return float(self._seen[ROUNDS])
+
+    def begin(self) -> None:
+        """Begin a session: it permits again."""
+        self._told[WANTED_SESSION] += 1.0
+        self._orders.write(self._told)
+        self._round_at_s = time.monotonic()
+
+    def trouble(self) -> str:
+        """Return why nothing may move, in words: its own reason, or that it does not answer; '' where it may move."""
+        seen, now_s = self._seen, time.monotonic()
+        if self._own.read(seen) >= 0 and seen[ROUNDS] != self._rounds and seen[SESSION] == self._told[WANTED_SESSION]:
+            self._rounds, self._round_at_s = seen[ROUNDS], now_s
+        if now_s - self._round_at_s > SILENT_S:
+            return f"the supervisor does not answer for {now_s - self._round_at_s:.2f} s"
+        if seen[SESSION] != self._told[WANTED_SESSION]:
+            return ""  # it has yet to hear of this session
+        if seen[ASKED]:
+            return self._own.text
+        return "" if seen[PERMITS] else f"the supervisor took its permission back: {self._own.text}"
+
+    def close(self) -> None:
+        """End it. Never raises."""
+        self._told[END] = 1.0
+        self._orders.write(self._told)
+        if self._process is not None:
+            self._process.join(1.0)
+            self._process.kill()
+            self._process.join()
+        if self._tap is not None:
+            self._tap.close()
+        self._own.release()
+        self._orders.release()
+        self._memory.close()
+        self._memory.unlink()

@@ -1,0 +1,316 @@
+"""What the supervisor judges: frames of the bus and states of the I/O go in, a permission comes out.
+
+It shares no code with the sample loop, has no model and no clock of its own. The permission, once taken back, stays so until the next
+session. Without it no refresh reaches the I/O device, whose outputs then fall: brakes close, whatever loop, recorder and poller do.
+
+What is watched, while a drive may apply torque:
+
+- SYNC goes on, and no faster than it may;
+- each target torque keeps to the axis's limit;
+- each drive sends its position;
+- no axis is faster than its limit and a half, as measured over some SYNCs;
+- an axis with a link encoder does not move out of its range, and its two encoders move alike;
+- after hold-to-run, door or a user asked for a stop, no axis moves on.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from math import inf, isfinite, nan
+from statistics import median
+
+from drivers.settings import AxisScaling, BusSettings, MotionLimits, Pdo
+from drivers.supervisor.refresh import following_word
+
+SYNC_SILENT_PERIODS = 2.5
+"""Periods of the bench's heartbeat without a SYNC: what the drives allow the heartbeat. A foreign heartbeat does not replace a SYNC."""
+SILENT_AT_LEAST_S = 0.05
+FAST_SHARE = 0.75
+"""Share of its period after which SYNC comes too early."""
+FAST_SYNCS = 64
+"""SYNCs in a row, on average too early, that are a second producer: a supervisor that was held up for 50 ms finds a dozen together."""
+SPEED_MARGIN = 1.5
+"""Multiple of its speed limit that an axis may reach: the reference keeps to the limit, excitation adds to it."""
+SPEED_STEPS = 5
+"""SYNCs over which speed is the median: a drive that sets its counter, and a damaged frame, make one step."""
+JUMP = 4.0
+"""Multiple of the highest speed that is a counter which was set, not a motion."""
+COUNTS = 2.0
+"""Encoder counts by which a position may flicker."""
+ASKED_S = 1.0
+"""From the question for a stop to standstill: a quick stop from the speed limit and a brake take half of it."""
+OBEYED_S = 0.3
+"""From the end of the permission to the command to the drives' communication to stop: a loop that works stops its axes by itself."""
+SLOWER = 0.5
+"""Share of its speed at the end of the permission that an axis which is being stopped has fallen below after `OBEYED_S`."""
+
+NMT, NMT_STOP = 0x000, 0x02
+"""Identifier and command that stop a node's communication (CiA 301)."""
+_TORQUE_ON = 0x04
+"""Bit of the statusword that is set where the drive may apply torque: operation enabled, quick stop and fault reaction active."""
+_STATUSWORD, _POSITION, _LINK_POSITION, _TARGET_TORQUE = 0x6041, 0x6064, 0x6004, 0x6071
+_SIGNED = (_POSITION, _TARGET_TORQUE)
+
+
+class _Field:
+    """Where a mapped object lies in the data of its PDO."""
+
+    def __init__(self, entries: tuple[tuple[int, int, int], ...], index: int) -> None:
+        self.shift = 0
+        self.bits = 0
+        self.signed = index in _SIGNED
+        for mapped, _, bits in entries:
+            if mapped == index:
+                self.bits = bits
+                return
+            self.shift += bits
+
+    def read(self, data: bytes) -> int | None:
+        """Return the value, or None where the PDO lacks it or the frame is too short."""
+        if not self.bits or 8 * len(data) < self.shift + self.bits:
+            return None
+        value = int.from_bytes(data, "little") >> self.shift & (1 << self.bits) - 1
+        return value - (1 << self.bits) if self.signed and value >> self.bits - 1 else value
+
+
+class _Encoder:
+    """The motion of one encoder: its last steps, and how far it went since torque was switched on."""
+
+    def __init__(self, resolution: float, fastest: float) -> None:
+        self.resolution = resolution
+        self.moved = 0.0
+        self.jumped = False
+        self.steps: deque[float] = deque(maxlen=SPEED_STEPS)  # rad or m
+        self._too_fast: deque[bool] = deque(maxlen=SPEED_STEPS)
+        self._times: deque[float] = deque(maxlen=SPEED_STEPS)  # s that they took
+        self._fastest = fastest
+        self._last: int | None = None
+
+    def take(self, counts: int, bits: int, took_s: float) -> None:
+        """Take a reading, `took_s` after the one before."""
+        if self._last is not None:
+            half = 1 << bits - 1
+            step = self.resolution * ((counts - self._last + half) % (2 * half) - half)
+            beyond = abs(step) - COUNTS * self.resolution
+            self.jumped = beyond > JUMP * self._fastest * took_s
+            self._too_fast.append(beyond > self._fastest * took_s)
+            self.moved += 0.0 if self.jumped else step
+            self.steps.append(step)
+            self._times.append(took_s)
+        self._last = counts
+
+    @property
+    def too_fast(self) -> bool:
+        """Whether most of the last steps were faster than the axis may move."""
+        return sum(self._too_fast) > SPEED_STEPS // 2
+
+    @property
+    def speed(self) -> float:
+        """The median over the last steps [rad/s or m/s], 0 before there are so many, and where it is a flicker."""
+        if len(self.steps) < SPEED_STEPS:
+            return 0.0
+        if abs(median(self.steps)) <= COUNTS * self.resolution:
+            return 0.0
+        return median(step / took for step, took in zip(self.steps, self._times, strict=True))
+
+
+class _Axis:
+    """What is known of one axis."""
+
+    def __init__(self, scaling: AxisScaling, limits: MotionLimits, period_s: float) -> None:
+        self.name, self.limits, self.scaling = scaling.axis, limits, scaling
+        fastest = SPEED_MARGIN * limits.speed
+        self.motor = _Encoder(scaling.position_resolution, fastest)
+        self.link = _Encoder(scaling.link_resolution, fastest) if scaling.link_resolution else None
+        self.link_at = nan  # rad or m
+        self.torque_permille = min(32767, round(1000.0 * scaling.limit / scaling.rated))
+        self.powered = False
+        self.unanswered = 0  # SYNCs since the last position
+        self.seen_at_s = nan  # of the last position
+        self.link_seen_at_s = nan
+        self.stood_at = nan  # how far the motor side had moved when it was to stand
+        self.fast = 0.0  # speed at the end of the permission
+        self._period_s = period_s
+
+    def status(self, word: int) -> None:
+        """Take a statusword; from the moment at which torque is on, the encoders count from zero."""
+        powered = bool(word & _TORQUE_ON)
+        if powered and not self.powered:
+            self.rebase()
+        self.powered = powered
+
+    def rebase(self) -> None:
+        """Count both encoders from here."""
+        self.stood_at = nan
+        self.motor.moved = 0.0
+        if self.link is not None:
+            self.link.moved = 0.0
+
+    def position(self, time_s: float, counts: int, bits: int) -> None:
+        """Take a position of the motor side."""
+        self.motor.take(counts, bits, self._took(time_s, self.seen_at_s))
+        self.seen_at_s, self.unanswered = time_s, 0
+        if self.motor.jumped:
+            self.rebase()
+
+    def link_position(self, time_s: float, counts: int, bits: int) -> None:
+        """Take a position of the link encoder."""
+        assert self.link is not None
+        self.link.take(counts, bits, self._took(time_s, self.link_seen_at_s))
+        self.link_seen_at_s = time_s
+        half = 1 << bits - 1
+        self.link_at = self.scaling.link_resolution * ((counts - self.scaling.link_zero_counts + half) % (2 * half) - half)
+
+    def moves_on(self) -> bool:
+        """Whether the axis has moved by more than its tracking error since this was first asked."""
+        if not isfinite(self.stood_at):
+            self.stood_at = self.motor.moved
+        return abs(self.motor.moved - self.stood_at) > self.limits.tracking_error
+
+    def _took(self, now_s: float, before_s: float) -> float:
+        """Return the time between two readings; frames that were held up come together, but were sampled a period apart."""
+        return max(now_s - before_s, self._period_s) if isfinite(before_s) else self._period_s
+
+    def wrong(self) -> str:
+        """Return what is wrong with the motion, in words; '' where nothing is."""
+        limits, unit = self.limits, self.scaling.position_unit
+        for side, encoder in (("motor", self.motor), ("link", self.link)):
+            if encoder is not None and encoder.too_fast:
+                return f"{self.name}: its {side} moves at {encoder.speed:+.2f} {unit}/s, {SPEED_MARGIN * limits.speed:.2f} are allowed"
+        if self.link is None:
+            return ""
+        apart = self.scaling.sign * self.motor.moved - self.link.moved
+        if abs(apart) > limits.tracking_error:
+            return f"{self.name}: its encoders are {apart:+.2e} {unit} apart since its drive has torque"
+        beyond = max(limits.lower - self.link_at, self.link_at - limits.upper)
+        outwards = self.link.speed if self.link_at > limits.upper else -self.link.speed
+        if beyond > limits.tracking_error and outwards > 0.0:
+            return f"{self.name}: at {self.link_at:+.3f} {unit}, out of its range and moving on"
+        return ""
+
+
+class Supervisor:
+    """Judges a machine by what passes on its bus and by the state of its I/O.
+
+    Parameters
+    ----------
+    settings : BusSettings
+
+    Attributes
+    ----------
+    reason : str
+        Why the permission was taken back, in words; '' while it is given.
+    """
+
+    def __init__(self, settings: BusSettings) -> None:
+        self._sync_id, self._period_s = settings.sync_cob_id, settings.sync_period_s
+        self._silent_s = max(SYNC_SILENT_PERIODS * settings.master_heartbeat_period_s, SILENT_AT_LEAST_S)
+        self._axes = [
+            _Axis(scaling, limits, settings.sync_period_s) for scaling, limits in zip(settings.scalings, settings.motions, strict=True)
+        ]
+        names = [axis.name for axis in self._axes]
+        self._drives = tuple(node.node_id for node in settings.nodes if node.role == "drive")
+        self._sent = {pdo.cob_id: self._reader(node.axis, names, pdo) for node in settings.nodes for pdo in node.tpdos}
+        self._asked = {
+            pdo.cob_id: (self._axes[names.index(node.axis)], _Field(pdo.entries, _TARGET_TORQUE))
+            for node in settings.nodes
+            for pdo in node.rpdos
+        }
+        self.begin()
+
+    def _reader(self, axis: str, names: list[str], pdo: Pdo) -> tuple[_Axis, _Field, _Field, _Field]:
+        status, position, link = (_Field(pdo.entries, index) for index in (_STATUSWORD, _POSITION, _LINK_POSITION))
+        return self._axes[names.index(axis)], status, position, link
+
+    def begin(self) -> None:
+        """Begin a session: permit again, and forget what was seen."""
+        self.reason = ""
+        self._sync_s: deque[float] = deque(maxlen=FAST_SYNCS + 1)
+        self._asked_at_s = self._released_at_s = self._refused_at_s = inf
+        self.asked_by = ""
+
+    @property
+    def powered(self) -> bool:
+        """Whether any drive may apply torque."""
+        return any(axis.powered for axis in self._axes)
+
+    def frame(self, time_s: float, can_id: int, data: bytes) -> None:
+        """Take a data frame with an 11-bit identifier, whoever sent it."""
+        if can_id == self._sync_id:
+            self._sync(time_s)
+        elif (asked := self._asked.get(can_id)) is not None:
+            axis, field = asked
+            torque = field.read(data)
+            if torque is not None and abs(torque) > axis.torque_permille:
+                self.refuse(time_s, f"{axis.name}: a torque of {torque} per mille was asked for, {axis.torque_permille} are allowed")
+        elif (sent := self._sent.get(can_id)) is not None:
+            axis, status, position, link = sent
+            if (word := status.read(data)) is not None:
+                axis.status(word)
+            if (counts := position.read(data)) is not None:
+                axis.position(time_s, counts, position.bits)
+            if axis.link is not None and (counts := link.read(data)) is not None:
+                axis.link_position(time_s, counts, link.bits)
+
+    def io(self, time_s: float, hold_to_run: bool, door_closed: bool) -> None:
+        """Take a state of the I/O."""
+        if hold_to_run and door_closed:
+            self._released_at_s = inf
+        elif self._released_at_s == inf:
+            self._released_at_s = time_s
+
+    def ask_to_stop(self, time_s: float, who: str) -> None:
+        """Take note that somebody asked for a stop; the loop has to obey within `ASKED_S`."""
+        if not self.asked_by:
+            self._asked_at_s, self.asked_by = time_s, who
+
+    def refuse(self, time_s: float, reason: str) -> None:
+        """Take the permission back; the first reason stays."""
+        if not self.reason:
+            self.reason, self._refused_at_s = reason, time_s
+            for axis in self._axes:
+                axis.fast = max(abs(axis.motor.speed), SLOWER * axis.limits.speed)
+
+    def check(self, time_s: float) -> bool:
+        """Judge, and return whether motion is permitted; call it at least every period."""
+        if not self.reason and self.powered:
+            self._check(time_s)
+        return not self.reason
+
+    def answer(self, time_s: float, word: int) -> int | None:
+        """Return the word that refreshes a device which shows this one; None without permission."""
+        return following_word(word) if self.check(time_s) else None
+
+    def stops_nodes(self, time_s: float) -> tuple[int, ...]:
+        """Return the nodes whose communication the supervisor now stops itself (NMT), because the loop does not stop their axes."""
+        silent = bool(self._sync_s) and time_s - self._sync_s[-1] > self._silent_s
+        overdue = time_s - self._refused_at_s > OBEYED_S and any(
+            axis.powered and abs(axis.motor.speed) > SLOWER * axis.fast for axis in self._axes
+        )
+        return self._drives if self.reason and self.powered and (silent or overdue) else ()
+
+    def _sync(self, time_s: float) -> None:
+        self._sync_s.append(time_s)
+        for axis in self._axes:
+            axis.unanswered += 1
+
+    def _check(self, time_s: float) -> None:
+        if self._sync_s:
+            silent_s = time_s - self._sync_s[-1]
+            if silent_s > self._silent_s:
+                self.refuse(time_s, f"no SYNC for {silent_s:.2f} s while a drive has torque")
+        if len(self._sync_s) > FAST_SYNCS and (self._sync_s[-1] - self._sync_s[0]) < FAST_SHARE * FAST_SYNCS * self._period_s:
+            self.refuse(time_s, "SYNC comes faster than it may: a second producer")
+        asked = min(self._asked_at_s, self._released_at_s)
+        for axis in self._axes:
+            if not axis.powered:
+                continue
+            if axis.unanswered * self._period_s > self._silent_s:
+                self.refuse(time_s, f"{axis.name}: its drive has torque and sends no position")
+            if wrong := axis.wrong():
+                self.refuse(time_s, wrong)
+            if time_s - asked <= ASKED_S:
+                axis.stood_at = nan
+            elif axis.moves_on():
+                who = self.asked_by or "hold-to-run or the door"
+                self.refuse(time_s, f"{axis.name}: it still moves {time_s - asked:.1f} s after {who} asked for a stop")

@@ -1,0 +1,329 @@
+"""What the supervisor permits, by frames that are put together here: positions, torques, SYNCs and states of the I/O."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+from bench_machines import CARM
+
+from drivers.canopen.pdo import PdoCodec
+from drivers.settings import BusSettings
+from drivers.supervisor import supervisor as rules
+from drivers.supervisor.supervisor import Supervisor
+
+assert CARM.bus is not None
+SETTINGS = CARM.bus
+PERIOD_S = SETTINGS.sync_period_s
+ROLL = CARM.axis_index("roll")
+LIMITS, SCALING = SETTINGS.motions[ROLL], SETTINGS.scalings[ROLL]
+OPERATION_ENABLED, SWITCHED_ON, QUICK_STOP_ACTIVE, FAULT_REACTION = 0x1637, 0x1633, 0x1617, 0x163F
+FASTEST = rules.SPEED_MARGIN * LIMITS.speed
+
+
+class Machine:
+    """Roll as its devices tell it; propeller stands without torque."""
+
+    def __init__(self, settings: BusSettings = SETTINGS) -> None:
+        self.supervisor = Supervisor(settings)
+        self.settings = settings
+        self.time_s = 0.0
+        self.motor = self.link = 0.0  # rad of roll, beside where the counters began
+        self.status = OPERATION_ENABLED
+        self.torque = 0
+        self.silent = False
+        self.encoder_counts = 0  # added to the motor side's counter
+
+    def tick(self, seconds: float = PERIOD_S) -> bool:
+        """Let one SYNC and its answers pass; return whether motion is permitted then."""
+        self.time_s += seconds
+        self.supervisor.frame(self.time_s, self.settings.sync_cob_id, b"")
+        for node in self.settings.nodes:
+            for pdo in node.rpdos if node.axis == "roll" else ():
+                self.supervisor.frame(self.time_s, pdo.cob_id, self._packed(pdo.entries, {0x6040: 15, 0x6071: self.torque}))
+            if self.silent and node.role == "drive":
+                continue
+            for pdo in node.tpdos:
+                self.supervisor.frame(self.time_s, pdo.cob_id, self._packed(pdo.entries, self._values(node.axis)))
+        return self.supervisor.check(self.time_s)
+
+    def ticks(self, number: int) -> bool:
+        """Let so many pass."""
+        return all([self.tick() for _ in range(number)])
+
+    def move(self, speed: float, seconds: float) -> bool:
+        """Let both encoders of roll move."""
+        permitted = True
+        for _ in range(round(seconds / PERIOD_S)):
+            self.motor += speed * PERIOD_S
+            self.link += speed * PERIOD_S
+            permitted = self.tick()
+        return permitted
+
+    def _values(self, axis: str) -> dict[int, int]:
+        if axis != "roll":
+            return {0x6041: SWITCHED_ON, 0x6064: 0, 0x6004: SETTINGS.scalings[0].link_zero_counts}
+        return {
+            0x6041: self.status,
+            0x6064: self.encoder_counts + round(SCALING.sign * self.motor / SCALING.position_resolution),
+            0x6004: round(self.link / SCALING.link_resolution) + SCALING.link_zero_counts,
+        }
+
+    @staticmethod
+    def _packed(entries: tuple[tuple[int, int, int], ...], values: dict[int, int]) -> bytes:
+        codec = PdoCodec.of(entries)
+        wrapped = []
+        for (index, _, bits), signed in zip(entries, codec.signed, strict=True):
+            value = values.get(index, 0) & (1 << bits) - 1
+            wrapped.append(value - (1 << bits) if signed and value >> bits - 1 else value)
+        return codec.pack(*wrapped)
+
+
+@pytest.fixture
+def machine() -> Machine:
+    """One that has had torque for a while, and stands."""
+    machine = Machine()
+    assert machine.ticks(20)
+    return machine
+
+
+def test_a_machine_that_moves_as_it_may_is_permitted(machine: Machine) -> None:
+    assert machine.move(0.99 * FASTEST, 0.2)
+    assert machine.move(-0.99 * FASTEST, 0.4)
+    assert machine.ticks(50)
+    assert machine.supervisor.answer(machine.time_s, 1) is not None
+    assert machine.supervisor.stops_nodes(machine.time_s) == ()
+
+
+def test_an_axis_that_is_too_fast_is_not(machine: Machine) -> None:
+    assert not machine.move(1.05 * FASTEST, 0.1)
+    assert "roll: its motor moves at +" in machine.supervisor.reason
+    assert machine.supervisor.answer(machine.time_s, 1) is None
+
+
+def test_a_link_that_is_too_fast_is_not(machine: Machine) -> None:
+    for _ in range(10):
+        machine.link -= 1.05 * FASTEST * PERIOD_S
+        machine.tick()
+    assert "roll: its link moves at -" in machine.supervisor.reason
+
+
+@pytest.mark.parametrize("steps", [1, 2])
+def test_a_step_or_two_of_a_damaged_reading_are_no_speed(machine: Machine, steps: int) -> None:
+    for _ in range(steps):
+        machine.motor += 1.5 * FASTEST * PERIOD_S
+        assert machine.tick()
+    assert machine.ticks(10)
+
+
+def test_a_counter_that_is_set_is_no_motion(machine: Machine) -> None:
+    machine.encoder_counts += 1_000_000
+    assert machine.ticks(10)
+    machine.encoder_counts = 0
+    assert machine.ticks(10)
+
+
+def test_a_counter_that_wraps_is_no_motion() -> None:
+    machine = Machine()
+    machine.encoder_counts = (1 << 31) - 50
+    assert machine.ticks(10)
+    assert machine.move(SCALING.sign * 0.1, 0.1)
+
+
+def test_held_up_frames_are_a_period_apart(machine: Machine) -> None:
+    for _ in range(20):
+        machine.motor += 0.9 * LIMITS.speed * PERIOD_S
+        machine.link += 0.9 * LIMITS.speed * PERIOD_S
+        machine.tick(1e-5 if machine.supervisor.check(machine.time_s) else PERIOD_S)
+    assert "moves at" not in machine.supervisor.reason
+
+
+def test_frames_that_were_lost_are_no_speed(machine: Machine) -> None:
+    machine.motor += 5.0 * LIMITS.speed * PERIOD_S
+    machine.link += 5.0 * LIMITS.speed * PERIOD_S
+    assert machine.tick(5.0 * PERIOD_S)
+    assert machine.ticks(10)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_encoders_that_part_are_seen(machine: Machine, side: float) -> None:
+    for _ in range(200):
+        machine.motor += side * 0.01 * LIMITS.tracking_error
+        machine.tick()
+        if abs(machine.motor) <= 0.98 * LIMITS.tracking_error:
+            assert not machine.supervisor.reason
+    assert f"roll: its encoders are {'+' if side > 0 else '-'}" in machine.supervisor.reason
+
+
+def test_encoders_are_compared_from_torque_on() -> None:
+    machine = Machine()
+    machine.status = SWITCHED_ON
+    for _ in range(200):
+        machine.motor += 0.01 * LIMITS.tracking_error
+        assert machine.tick()
+    machine.status = OPERATION_ENABLED
+    assert machine.ticks(20)
+
+
+@pytest.mark.parametrize(("edge", "way"), [(LIMITS.upper, 1.0), (LIMITS.lower, -1.0)])
+def test_an_axis_that_leaves_its_range_is_stopped_and_may_come_back(edge: float, way: float) -> None:
+    machine = Machine()
+    machine.link = machine.motor = edge + way * (0.9 * LIMITS.tracking_error)
+    assert machine.ticks(10)
+    machine.link += way * 0.2 * LIMITS.tracking_error
+    machine.motor += way * 0.2 * LIMITS.tracking_error
+    assert machine.ticks(10)  # it stands there
+    assert machine.move(-way * 0.02, 0.1)
+    assert not machine.move(way * 0.05, 1.0)
+    assert "out of its range and moving on" in machine.supervisor.reason
+
+
+def test_too_much_torque_is_refused_at_once(machine: Machine) -> None:
+    most = round(1000.0 * SCALING.limit / SCALING.rated)
+    machine.torque = -most
+    assert machine.tick()
+    machine.torque = -most - 1
+    assert not machine.tick()
+    assert f"a torque of {-most - 1} per mille was asked for, {most} are allowed" in machine.supervisor.reason
+
+
+def test_a_sync_that_stops_while_a_drive_has_torque(machine: Machine) -> None:
+    allowed_s = max(rules.SYNC_SILENT_PERIODS * SETTINGS.master_heartbeat_period_s, rules.SILENT_AT_LEAST_S)
+    assert machine.supervisor.check(machine.time_s + 0.99 * allowed_s)
+    assert not machine.supervisor.check(machine.time_s + 1.01 * allowed_s)
+    assert "no SYNC for" in machine.supervisor.reason
+    assert machine.supervisor.stops_nodes(machine.time_s + 1.01 * allowed_s) == (1, 2)
+
+
+@pytest.mark.parametrize("status", [QUICK_STOP_ACTIVE, FAULT_REACTION])
+def test_a_drive_that_stops_has_torque(machine: Machine, status: int) -> None:
+    machine.status = status
+    machine.tick()
+    assert machine.supervisor.powered
+    assert not machine.supervisor.check(machine.time_s + 10.0)
+
+
+def test_a_machine_without_torque_may_be_silent(machine: Machine) -> None:
+    machine.status = SWITCHED_ON
+    machine.tick()
+    assert not machine.supervisor.powered
+    assert machine.supervisor.check(machine.time_s + 100.0)
+
+
+def test_a_heartbeat_is_no_sync(machine: Machine) -> None:
+    """Whoever sends the bench's heartbeat in its place keeps the drives' own watch content, not the supervisor."""
+    for _ in range(100):
+        machine.time_s += PERIOD_S
+        machine.supervisor.frame(machine.time_s, 0x700 + SETTINGS.master_node_id, b"\x05")
+        machine.supervisor.check(machine.time_s)
+    assert "no SYNC for" in machine.supervisor.reason
+
+
+def test_a_second_sync_producer_is_seen(machine: Machine) -> None:
+    for _ in range(rules.FAST_SYNCS + 1):
+        machine.tick(0.5 * PERIOD_S)
+    assert "second producer" in machine.supervisor.reason
+
+
+def test_syncs_after_a_pause_are_no_second_producer(machine: Machine) -> None:
+    assert machine.ticks(rules.FAST_SYNCS)
+    machine.tick(0.05)
+    for _ in range(12):  # that were held up meanwhile
+        assert machine.tick(0.01 * PERIOD_S)
+    assert machine.ticks(rules.FAST_SYNCS)
+
+
+def test_a_drive_with_torque_that_sends_no_position(machine: Machine) -> None:
+    machine.silent = True
+    silent_s = max(rules.SYNC_SILENT_PERIODS * SETTINGS.master_heartbeat_period_s, rules.SILENT_AT_LEAST_S)
+    assert machine.ticks(int(silent_s / PERIOD_S))
+    assert not machine.ticks(2)
+    assert "sends no position" in machine.supervisor.reason
+
+
+@pytest.mark.parametrize("released", [(False, True), (True, False)])
+def test_an_axis_that_moves_on_after_a_release(machine: Machine, released: tuple[bool, bool]) -> None:
+    machine.supervisor.io(machine.time_s, True, True)
+    assert machine.move(0.1, 0.5)
+    machine.supervisor.io(machine.time_s, *released)
+    assert machine.move(0.1, 0.99 * rules.ASKED_S)
+    assert not machine.move(0.1, 2.0 * LIMITS.tracking_error / 0.1)
+    assert "it still moves" in machine.supervisor.reason
+    assert "hold-to-run or the door" in machine.supervisor.reason
+
+
+def test_an_axis_that_stands_after_a_release_may_be_proven(machine: Machine) -> None:
+    machine.supervisor.io(machine.time_s, False, True)
+    assert machine.ticks(round(1.5 * rules.ASKED_S / PERIOD_S))
+    machine.motor += 0.5 * LIMITS.tracking_error  # the push
+    machine.link += 0.5 * LIMITS.tracking_error
+    assert machine.ticks(300)
+    machine.supervisor.io(machine.time_s, True, True)
+    assert machine.move(0.1, 1.0)
+    machine.supervisor.io(machine.time_s, False, True)
+    assert machine.move(0.1, 0.9 * rules.ASKED_S)
+
+
+def test_a_question_for_a_stop_must_be_obeyed(machine: Machine) -> None:
+    machine.supervisor.ask_to_stop(machine.time_s, "`isocenter stop`")
+    machine.supervisor.ask_to_stop(machine.time_s + 10.0, "somebody later")
+    assert not machine.move(0.1, rules.ASKED_S + 2.0 * LIMITS.tracking_error / 0.1)
+    assert "after `isocenter stop` asked for a stop" in machine.supervisor.reason
+
+
+def test_a_loop_that_does_not_stop_its_axes_is_taken_the_network(machine: Machine) -> None:
+    machine.move(1.2 * FASTEST, 0.1)
+    assert machine.supervisor.reason
+    machine.move(1.2 * FASTEST, 0.9 * rules.OBEYED_S)
+    machine.move(1.2 * FASTEST, 0.2 * rules.OBEYED_S)
+    assert machine.supervisor.stops_nodes(machine.time_s) == (1, 2)
+
+
+def test_a_loop_that_stops_its_axes_keeps_the_network(machine: Machine) -> None:
+    machine.move(1.2 * FASTEST, 0.1)
+    machine.move(0.2 * LIMITS.speed, 0.5)
+    assert machine.supervisor.reason
+    assert machine.supervisor.stops_nodes(machine.time_s) == ()
+
+
+def test_the_first_reason_stays_and_a_session_begins_anew(machine: Machine) -> None:
+    machine.supervisor.refuse(machine.time_s, "the first")
+    machine.supervisor.refuse(machine.time_s, "the second")
+    assert machine.supervisor.reason == "the first"
+    assert not machine.tick()
+    machine.supervisor.begin()
+    assert machine.ticks(10)
+
+
+def test_short_frames_and_those_of_others_say_nothing(machine: Machine) -> None:
+    for node in SETTINGS.nodes:
+        for pdo in (*node.tpdos, *node.rpdos):
+            machine.supervisor.frame(machine.time_s, pdo.cob_id, b"")
+    machine.supervisor.frame(machine.time_s, 0x7E5, b"\x01\x02")
+    assert machine.ticks(10)
+
+
+def test_an_axis_without_a_link_encoder_has_no_range() -> None:
+    without = replace(SETTINGS, scalings=tuple(replace(scaling, link_resolution=0.0) for scaling in SETTINGS.scalings))
+    machine = Machine(without)
+    assert machine.ticks(10)
+    assert machine.move(0.5 * LIMITS.speed, 1.0)
+    assert not machine.move(1.1 * FASTEST, 0.1)
+
+
+def test_without_a_heartbeat_of_the_bench_silence_is_short() -> None:
+    machine = Machine(replace(SETTINGS, master_heartbeat_period_s=0.0))
+    assert machine.ticks(10)
+    assert machine.supervisor.check(machine.time_s + 0.99 * rules.SILENT_AT_LEAST_S)
+    assert not machine.supervisor.check(machine.time_s + 1.01 * rules.SILENT_AT_LEAST_S)
+
+
+def test_before_the_first_sync_nothing_is_silent() -> None:
+    machine = Machine()
+    for node in SETTINGS.nodes:
+        for pdo in node.tpdos:
+            machine.supervisor.frame(0.0, pdo.cob_id, machine._packed(pdo.entries, machine._values(node.axis)))
+    assert machine.supervisor.powered
+    assert machine.supervisor.check(100.0)
+    assert math.isinf(machine.supervisor._released_at_s)
