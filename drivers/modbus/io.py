@@ -82,6 +82,7 @@ class IoDriver:
         self._transport = transport
         self._axes = axes
         self._refresh = refresh
+        self._refreshed: int | None = None  # the word that was answered, since it was read
         self._open = dict.fromkeys(io_map.brake_coils, False)
         self._commanded = False
         self._next_poll_s = -math.inf
@@ -116,7 +117,8 @@ class IoDriver:
             self._read_temperatures(*self._registers)
         state.time_s = now_s
         if io_map.watchdog is not None:
-            self._refresh_outputs(io_map.watchdog.register)
+            self._read_word(io_map.watchdog.register)
+            self.refresh()
 
     def poll_due(self, now_s: float) -> None:
         """Poll when the period is over or a brake command is pending.
@@ -149,15 +151,20 @@ class IoDriver:
             self._transport.request(WriteMultipleCoilsRequest(address=address, bits=bits, dev_id=self._map.unit_id))
         self._commanded = False
 
-    def _refresh_outputs(self, register: int) -> None:
-        """Read the watchdog's word, and write the one that follows where the supervisor gives it."""
-        unit = self._map.unit_id
-        answer = self._transport.request(ReadHoldingRegistersRequest(address=register, count=1, dev_id=unit))
+    def refresh(self) -> None:
+        """Refresh the output watchdog, where the supervisor has answered the word that was read last; once. Errors as in `poll_once`."""
+        watchdog, state = self._map.watchdog, self.state
+        if watchdog is None or self._refresh is None or state.word == self._refreshed:
+            return
+        if (word := self._refresh(state)) is not None:
+            self._transport.request(WriteSingleRegisterRequest(address=watchdog.register, registers=[word], dev_id=self._map.unit_id))
+            self._refreshed = state.word
+
+    def _read_word(self, register: int) -> None:
+        answer = self._transport.request(ReadHoldingRegistersRequest(address=register, count=1, dev_id=self._map.unit_id))
         if len(answer.registers) != 1:
             raise ProtocolError(f"io: {len(answer.registers)} holding registers in the answer where 1 was asked")
-        self.state.word = answer.registers[0]
-        if self._refresh is not None and (word := self._refresh(self.state)) is not None:
-            self._transport.request(WriteSingleRegisterRequest(address=register, registers=[word], dev_id=unit))
+        self.state.word, self._refreshed = answer.registers[0], None
 
     def _read_temperatures(self, start: int, count: int) -> None:
         answer = self._transport.request(ReadInputRegistersRequest(address=start, count=count, dev_id=self._map.unit_id))

@@ -362,3 +362,5 @@ class _Poller:
         while (left := until - time.monotonic()) > 0.0:
             if self._asked_to_end or self._heed() or self._wanted[_END] or self.orphaned(min(left, SLICE_S)):
                 return
+            with contextlib.suppress(DriverError):  # the next poll tells
+                self._driver.refresh()

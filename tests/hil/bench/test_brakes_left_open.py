@@ -23,7 +23,9 @@ class SilentAtTheEnd:
 
     io_map: object
     axes: tuple[str, ...]
+    refresh_from: str
     trouble: str = ""
+    memory_name: str = ""
 
     def start(self) -> None: ...
 
