@@ -111,9 +111,9 @@ class SupervisorProcess:
             return f"the supervisor does not answer for {now_s - self._round_at_s:.2f} s"
         if seen[SESSION] != self._told[WANTED_SESSION]:
             return ""  # it has yet to hear of this session
-        if seen[ASKED]:
-            return self._own.text
-        return "" if seen[PERMITS] else f"the supervisor took its permission back: {self._own.text}"
+        if not seen[PERMITS]:
+            return f"the supervisor took its permission back: {self._own.text}"
+        return f"asked to stop by {self._own.text}" if seen[ASKED] else ""
 
     def close(self) -> None:
         """End it. Never raises."""

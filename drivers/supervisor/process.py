@@ -138,6 +138,7 @@ class _Rounds:
         self._supervisor = Supervisor(settings)
         self._settings, self._line, self._own, self._orders, self._io, self._asks = settings, line, own, orders, io, asks
         self._parent = parent
+        self._who = ""  # asked for a stop, in any session
         self._round_s = 0.5 * settings.sync_period_s
         self._told = np.zeros(ORDERS)
         self._values = np.zeros(OWN)
@@ -172,9 +173,10 @@ class _Rounds:
         self._orders.read(self._told)
         if self._told[WANTED_SESSION] != session:
             self._supervisor.begin()
-            self._values[ASKED] = 0.0
-        if who := self._asks.asked(self._seen):
-            self._supervisor.ask_to_stop(time.monotonic(), who)
+        self._who = self._who or self._asks.asked(self._seen)
+        if self._who:
+            self._asks.asked(self._seen)
+            self._supervisor.ask_to_stop(time.monotonic(), self._who)
             self._values[ASKED] = 1.0
 
     def _seen(self) -> str:

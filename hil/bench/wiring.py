@@ -25,6 +25,7 @@ from drivers.oversight.process import SupervisorProcess
 from drivers.serial.imu import ImuDriver
 from drivers.serial.stream import open_stream
 from drivers.settings import BusSettings
+from hil.bench.asking import stop_socket
 from hil.bench.attendant import LockstepAttendant, Operator
 from hil.bench.clock import ANSWERS_AWAKE_S, LockstepClock, WallClock
 from hil.bench.options import BenchOptions
@@ -195,7 +196,9 @@ def wall_wiring(machine: Machine, options: BenchOptions, stop_request: StopReque
         settings = _with_ports(machine, settings, options)
         clock = WallClock(waits=machine.waits_on_overrun, awake_s=ANSWERS_AWAKE_S if options.real_time else 0.0)
         refuse_second_bench(PolledNetwork(bus, clock), settings.master_node_id, settings.master_heartbeat_period_s)
-        supervisor = SupervisorProcess(settings, options.bus_url, ABOVE_THE_LOOP if options.real_time else 0)
+        supervisor = SupervisorProcess(
+            settings, options.bus_url, ABOVE_THE_LOOP if options.real_time else 0, stop_socket(options.bus_url, make=True)
+        )
         stack.callback(supervisor.close)
         bus = supervisor.tapped(bus)
         imu = None

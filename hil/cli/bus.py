@@ -1,4 +1,4 @@
-"""isocenter scan-bus | home: the nodes on a bus, and the first careful motion."""
+"""isocenter scan-bus | home | stop: the nodes on a bus, the first careful motion, and the end of any."""
 
 from __future__ import annotations
 
@@ -20,6 +20,11 @@ def register(app: typer.Typer) -> None:
         help="Brakes, first-move direction check, homing, encoder agreement; leaves the machine braked."
         "\n\nExample:  isocenter home --machine carm --bus socketcan:vcan0",
     )(home)
+    app.command(
+        short_help="Stop what runs on a bus.",
+        help="Stop the motors of the bench that runs on a bus, from any terminal, and stay until no drive has torque. No substitute for an"
+        " emergency stop.\n\nExample:  isocenter stop --bus socketcan:vcan0",
+    )(stop)
 
 
 def scan_bus(bus: BusOption, bitrate: int = typer.Option(1_000_000, help="Bit rate [bit/s]."), json_to: JsonOption = None) -> None:
@@ -51,3 +56,18 @@ def home(machine_name: MachineOption, bus: BusOption, imu: ImuOption = "", io: I
     for line in report:
         answer.say(line)
     answer.write({"machine": machine.name, "bus": bus, "checks": report})
+
+
+def stop(bus: BusOption, json_to: JsonOption = None) -> None:
+    """Say what the supervisor sees."""
+    from hil.bench.asking import ask_to_stop
+
+    answer = Answer(json_to)
+    said: list[str] = []
+
+    def say(text: str) -> None:
+        said.append(text)
+        answer.say(text)
+
+    ask_to_stop(bus, say)
+    answer.write({"bus": bus, "seen": said})

@@ -13,18 +13,16 @@ import hashlib
 import json
 import os
 import stat
-import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from hil.errors import UnusableInputError
+from hil.processes.private_folder import REMEDY, check_own, made_private_folder, private_folder
 
 MAX_PID = 2**31 - 1
-FOLDER_MODE, CARD_MODE = 0o700, 0o600
+CARD_MODE = 0o600
 MOST_BYTES = 16_384  # some addresses; anything longer is no card
-REMEDY = "set XDG_RUNTIME_DIR to a folder of your own"
-_WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0)
 _OLD = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)  # a pipe in its place must not be waited for
 
@@ -41,13 +39,8 @@ class EmulatorCard:
     panel_scene: str = ""  # the objects in that panel's beam
 
 
-def _folder() -> Path:
-    base = os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()
-    return Path(base) / f"isocenter-{os.getuid() if hasattr(os, 'getuid') else 'user'}"
-
-
 def _card_path(bus_url: str) -> Path:
-    return _folder() / f"{hashlib.sha256(bus_url.encode()).hexdigest()[:16]}.json"
+    return private_folder() / f"{hashlib.sha256(bus_url.encode()).hexdigest()[:16]}.json"
 
 
 @contextlib.contextmanager
@@ -61,8 +54,7 @@ def published(card: EmulatorCard) -> Iterator[None]:
     """
     path = _card_path(card.bus)
     try:
-        path.parent.mkdir(mode=FOLDER_MODE, parents=True, exist_ok=True)
-        _check_own(path.parent, path.parent.lstat(), stat.S_ISDIR)
+        made_private_folder()
         fresh = path.with_suffix(f".{card.pid}")
         fresh.unlink(missing_ok=True)
         with os.fdopen(os.open(fresh, _NEW, CARD_MODE), "w", encoding="utf-8") as file:
@@ -75,21 +67,6 @@ def published(card: EmulatorCard) -> Iterator[None]:
     finally:
         with contextlib.suppress(FileNotFoundError):
             path.unlink()
-
-
-def _check_own(path: Path, status: os.stat_result, is_kind: Callable[[int], bool]) -> None:
-    """Raise UnusableInputError where somebody else may have made this folder or card, or may change it."""
-    if not hasattr(os, "getuid"):
-        return  # Windows: the user's temporary folder is closed to others
-    if stat.S_ISLNK(status.st_mode) or not is_kind(status.st_mode):
-        wrong = "is a link or no folder" if is_kind is stat.S_ISDIR else "is a link or no file"
-    elif status.st_uid != os.getuid():
-        wrong = f"belongs to user {status.st_uid}, not to you ({os.getuid()})"
-    elif status.st_mode & _WRITABLE_BY_OTHERS:
-        wrong = f"can be written by others (mode {stat.S_IMODE(status.st_mode):o})"
-    else:
-        return
-    raise UnusableInputError(f"{path}: {wrong}, so what it says of an emulator's addresses is not believed; remove it, or {REMEDY}")
 
 
 def card_from_text(text: str) -> EmulatorCard | None:
@@ -121,11 +98,11 @@ def find(bus_url: str) -> EmulatorCard | None:
         status = path.lstat()
     except OSError:
         return None
-    _check_own(path.parent, path.parent.lstat(), stat.S_ISDIR)
-    _check_own(path, status, stat.S_ISREG)
+    check_own(path.parent, path.parent.lstat(), stat.S_ISDIR)
+    check_own(path, status, stat.S_ISREG)
     try:
         with os.fdopen(os.open(path, _OLD), "rb") as file:
-            _check_own(path, os.fstat(file.fileno()), stat.S_ISREG)
+            check_own(path, os.fstat(file.fileno()), stat.S_ISREG)
             card = card_from_text(file.read(MOST_BYTES).decode())
         if card is None or card.bus != bus_url:
             return None

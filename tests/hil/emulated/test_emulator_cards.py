@@ -117,7 +117,8 @@ def test_a_link_in_place_of_a_card_or_folder_is_refused(folder: Path, tmp_path: 
 @only_posix
 def test_a_card_or_folder_of_another_user_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with published(CARD):
-        monkeypatch.setattr("hil.emulated.card._folder", lambda: folder)  # its name holds the user's number
+        for module in ("hil.processes.private_folder", "hil.emulated.card"):
+            monkeypatch.setattr(f"{module}.private_folder", lambda: folder)  # its name holds the user's number
         mine = os.getuid()
         monkeypatch.setattr(os, "getuid", lambda: mine + 1)
         refused(rf"belongs to user {mine}, not to you \({mine + 1}\)")

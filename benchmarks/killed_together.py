@@ -1,0 +1,153 @@
+"""What becomes of a moving axis when the bench's processes are killed together, over two processes on UDP.
+
+The emulated C-arm sweeps roll at 0.4 rad/s. Then the loop, the I/O's poller, the recorder or the supervisor are killed (SIGKILL), alone and
+together; in some rows somebody else goes on sending the bench's heartbeat, which keeps the drives from stopping by themselves. The truth
+is the emulator's. Time and travel count from the kill to rest. One command:
+
+    python benchmarks/killed_together.py
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import can
+import numpy as np
+
+from drivers.udp_bus import UdpBus
+from hil.machine import load_machine
+
+GROUP = "239.74.163.201"
+SPEED = 0.4
+RESTING = 1e-3  # rad/s
+WATCHED_S = 12.0
+ROWS = (
+    ("loop",),
+    ("poller",),
+    ("supervisor",),
+    ("loop", "poller"),
+    ("loop", "poller", "recorder"),
+    ("loop", "poller", "recorder", "supervisor"),
+    ("loop", "poller", "recorder", "foreign heartbeat"),
+    ("loop", "supervisor", "foreign heartbeat"),
+)
+NAMES = {"poller": "isocenter-io", "supervisor": "isocenter-supervisor"}
+
+
+def children(pid: int) -> list[int]:
+    """Return the processes that a process has started."""
+    found = subprocess.run(["ps", "-o", "pid=", "--ppid", str(pid)], capture_output=True, text=True, check=False).stdout
+    return [int(word) for word in found.split()]
+
+
+def roles(pid: int) -> dict[str, int]:
+    """Return the bench's processes by what they do: the poller leaves the session, the recorder is a module of its own."""
+    found = {"loop": pid}
+    for child in children(pid):
+        words = Path(f"/proc/{child}/cmdline").read_bytes().decode().replace("\0", " ")
+        if "recorder" in words:
+            found["recorder"] = child
+        elif "spawn_main" in words:
+            found["poller" if os.getsid(child) == child else "supervisor"] = child
+    return found
+
+
+def run(row: tuple[str, ...], folder: Path) -> dict[str, object]:
+    """Kill these processes during a sweep, and return what the truth says."""
+    bus, truth = f"udp:{GROUP}", folder / "truth.csv"
+    emulator = subprocess.Popen(
+        [sys.executable, "-m", "hil", "emulate", "carm", "--bus", bus, "--truth", str(truth), "--json", "-"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert emulator.stdout is not None
+    emulator.stdout.readline()
+    scan = ["scan", "-m", "carm", "--axis", "roll", "--from", "45", "--to", "-45", "--speed", f"{np.degrees(SPEED):.2f}"]
+    bench = subprocess.Popen(
+        [sys.executable, "-m", "hil", "run", *scan, "--bus", bus, "-o", str(folder / "run.mf4")],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    line = UdpBus(GROUP)
+    scaling = load_machine("carm").bus.scalings[1]  # type: ignore[union-attr]
+    positions: list[tuple[float, int]] = []
+    give_up = time.monotonic() + 120.0
+    while time.monotonic() < give_up and bench.poll() is None:
+        message = line.recv(0.1)
+        if message is None or message.arbitration_id != 0x182:
+            continue
+        positions.append((time.monotonic(), int.from_bytes(message.data[2:6], "little", signed=True)))
+        if len(positions) > 32:
+            (before_s, before), (now_s, now) = positions[-32], positions[-1]
+            if abs(now - before) * scaling.position_resolution / (now_s - before_s) > 0.95 * SPEED:
+                break
+    processes = roles(bench.pid)
+    for role in row:
+        if role in processes:
+            os.kill(processes[role], signal.SIGKILL)
+    killed_s = time.monotonic()
+    stamp = os.stat(truth).st_size
+    while time.monotonic() - killed_s < WATCHED_S:
+        if "foreign heartbeat" in row:
+            line.send(can.Message(arbitration_id=0x77F, is_extended_id=False, data=b"\x05"))
+        line.recv(0.02)
+    line.shutdown()
+    said = ""
+    if "loop" not in row:
+        said = bench.communicate(timeout=60.0)[1].strip().splitlines()[-1]
+    else:
+        bench.wait()
+    for left in processes.values():
+        with __import__("contextlib").suppress(ProcessLookupError):
+            os.kill(left, signal.SIGKILL)
+    emulator.send_signal(signal.SIGINT)
+    emulator.communicate(timeout=60.0)
+    return {"killed": row, "found": sorted(processes), **rest_of(truth, stamp), "said": said}
+
+
+def rest_of(truth: Path, size: int) -> dict[str, float | bool]:
+    """Return time and travel to rest of roll from where the truth file had this size."""
+    with truth.open() as file:
+        rows = list(csv.reader(file))
+    head = rows[0]
+    lengths = np.cumsum([sum(len(cell) for cell in row) + len(row) for row in rows])
+    start = max(1, int(np.searchsorted(lengths, size)) - 1)
+    values = np.array([[float(cell) for cell in row] for row in rows[start:]])
+    time_s, roll = values[:, head.index("time_s")], values[:, head.index("q_roll")]
+    speed = np.gradient(roll, time_s)
+    moving = np.flatnonzero(np.abs(speed) > RESTING)
+    last = int(moving[-1]) if len(moving) else 0
+    return {
+        "at_rest": bool(time_s[-1] - time_s[last] > 0.5),
+        "rest_s": float(time_s[last] - time_s[0]),
+        "travel_rad": float(np.abs(np.diff(roll[: last + 1])).sum()),
+    }
+
+
+def main() -> None:
+    """Run every row, and keep each as soon as it is there."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])  # type: ignore[union-attr]
+    parser.add_argument("--results", type=Path, default=Path(__file__).parent / "results" / "killed_together.json")
+    results = parser.parse_args().results
+    rows: list[dict[str, object]] = []
+    for row in ROWS:
+        with tempfile.TemporaryDirectory() as folder:
+            rows.append(run(row, Path(folder)))
+        print(json.dumps(rows[-1]), flush=True)
+        results.write_text(json.dumps({"speed_rad_s": SPEED, "rows": rows}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,83 @@
+"""Asking the bench that runs on a bus to stop, from any process of this user on this host, by way of its supervisor."""
+
+from __future__ import annotations
+
+import contextlib
+import getpass
+import hashlib
+import os
+import socket
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from hil.errors import BadAnswerError, UnusableInputError
+from hil.processes.private_folder import check_own, made_private_folder, private_folder
+
+ANSWER_S = 1.0  # a supervisor answers within a period
+STOP_S = 15.0
+"""Longest time that is waited for the drives' torque to go: a stop with all its proofs takes ten seconds at most."""
+AGAIN_S = 0.2
+
+
+def stop_socket(bus_url: str, *, make: bool = False) -> Path:
+    """Return the socket at which the supervisor on a bus takes questions for a stop; `make` its folder where it is not there.
+
+    Raises
+    ------
+    UnusableInputError
+        The folder is not this user's own.
+    """
+    folder = made_private_folder() if make else private_folder()
+    return folder / f"stop-{hashlib.sha256(bus_url.encode()).hexdigest()[:16]}.socket"
+
+
+def ask_to_stop(bus_url: str, say: Callable[[str], None]) -> None:
+    """Ask for a stop, and stay until no drive has torque.
+
+    Parameters
+    ----------
+    bus_url : str
+    say : callable
+        Takes a line of what is seen.
+
+    Raises
+    ------
+    UnusableInputError
+        No bench of this user runs on the bus.
+    BadAnswerError
+        A drive keeps its torque.
+    """
+    path = stop_socket(bus_url)
+    who = f"`isocenter stop` (user {getpass.getuser()}, process {os.getpid()})"
+    with tempfile.TemporaryDirectory() as own, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as line:
+        line.bind(str(Path(own) / "answers"))
+        line.settimeout(ANSWER_S)
+        seen = _ask(line, path, who)
+        if seen is None:
+            raise UnusableInputError(f"{bus_url}: no bench of yours runs on this bus; stop the machine at its emergency stop")
+        say(f"{bus_url}: the supervisor was told")
+        give_up = time.monotonic() + STOP_S
+        while seen is not None and seen.startswith("torque on"):
+            if time.monotonic() > give_up:
+                raise BadAnswerError(
+                    f"{bus_url}: a drive still has torque after {STOP_S:g} s: it holds an axis whose brake is not proven, or does not "
+                    "obey; the terminal of the run says which"
+                )
+            time.sleep(AGAIN_S)
+            seen = _ask(line, path, who)
+    say(f"{bus_url}: " + ("the bench has ended" if seen is None else "no drive has torque"))
+
+
+def _ask(line: socket.socket, path: Path, who: str) -> str | None:
+    """Return what the supervisor sees; None where there is none."""
+    try:
+        status = path.lstat()
+        check_own(path, status, lambda mode: True)
+        line.sendto(who.encode(), str(path))
+    except OSError:
+        return None
+    with contextlib.suppress(OSError):
+        return line.recv(1000).decode(errors="replace")
+    return None

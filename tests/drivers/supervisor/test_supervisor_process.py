@@ -1,0 +1,226 @@
+"""The supervisor's process, run here: what it reads and writes in shared memory, and what it is asked over its socket."""
+
+from __future__ import annotations
+
+import os
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from multiprocessing.shared_memory import SharedMemory
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+from bench_machines import CARM
+
+from drivers.modbus.io import IoState
+from drivers.modbus.published import published_block, state_values, values_of
+from drivers.modbus.shared_block import Block
+from drivers.supervisor import process
+from drivers.supervisor.blocks import ANSWER, ASKED, END, FRAME, ORDERS, OWN, PERMITS, ROUNDS, SESSION, WORD, AnswerReader, blocks_of
+from drivers.supervisor.refresh import FIRST_WORD, following_word
+
+assert CARM.bus is not None
+SETTINGS = CARM.bus
+AXES = len(CARM.axes)
+SYNC = SETTINGS.sync_cob_id
+ROLL = next(node for node in SETTINGS.nodes if node.name == "roll_drive")
+POWERED = bytes.fromhex("37 16") + bytes(6)
+
+
+class Bench:
+    """Both memories, and the bench's end of the tap; the supervisor's rounds run in this thread."""
+
+    def __init__(self, stop_socket: Path | None = None) -> None:
+        self.memory = SharedMemory(create=True, size=Block.bytes(OWN) + Block.bytes(ORDERS))
+        self.own, self.orders = blocks_of(self.memory)
+        self.io_memory = SharedMemory(create=True, size=Block.bytes(state_values(AXES)))
+        self.io = published_block(self.io_memory, AXES)
+        self.here, self.there = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.stop_socket = stop_socket
+        self.parent = os.getppid()
+        self.priority = 1
+        self.seen = np.zeros(OWN)
+
+    def state(self, *, pressed: bool = True) -> None:
+        state = IoState(AXES)
+        state.hold_to_run, state.door_closed, state.word, state.time_s = pressed, True, FIRST_WORD, 1.0
+        self.io.write(values_of(state))
+
+    def order(self, session: float, *, end: bool) -> None:
+        told = np.zeros(ORDERS)
+        told[0], told[END] = session, end
+        self.orders.write(told)
+
+    def run(self, *, during: Callable[[int], None] = lambda number: None, url: str = "", rounds: int = 3, io: bool = True) -> None:
+        """Let the process make so many rounds; `during` is called with the number of each."""
+        count = 0
+        judge = process._Rounds._judge
+
+        def counted(self_: process._Rounds, now_s: float) -> None:
+            nonlocal count
+            judge(self_, now_s)
+            count += 1
+            during(count)
+            if count >= rounds:
+                told = np.zeros(ORDERS)
+                self.orders.read(told)
+                told[END] = 1.0
+                self.orders.write(told)
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(process._Rounds, "_judge", counted)
+            patch.setattr(process.signal, "signal", lambda *_: None)
+            tap = None if url else self.there
+            memory = self.io_memory.name if io else ""
+            process.supervise(SETTINGS, url, self.memory.name, memory, self.parent, self.priority, self.stop_socket, tap)
+        self.own.read(self.seen)
+
+    def close(self) -> None:
+        for block in (self.own, self.orders, self.io):
+            block.release()
+        for memory in (self.memory, self.io_memory):
+            memory.close()
+            memory.unlink()
+        self.here.close()
+        self.there.close()
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    bench = Bench()
+    yield bench
+    bench.close()
+
+
+def test_it_permits_and_answers_the_word_that_the_poller_has_read(bench: Bench) -> None:
+    bench.state()
+    bench.order(5.0, end=False)
+    bench.run()
+    assert bench.seen[ROUNDS] == 4  # it hears of the end in the round after
+    assert (bench.seen[SESSION], bench.seen[PERMITS], bench.seen[ASKED]) == (5, 1, 0)
+    assert (bench.seen[WORD], bench.seen[ANSWER]) == (FIRST_WORD, following_word(FIRST_WORD))
+    assert bench.own.text == ""
+    reader = AnswerReader(bench.memory.name)
+    state = IoState(AXES)
+    state.word = FIRST_WORD
+    assert reader(state) == following_word(FIRST_WORD)
+    state.word += 1
+    assert reader(state) is None
+    bench.own._sequence[0] += 1  # the supervisor died while it wrote
+    state.word = FIRST_WORD
+    assert reader(state) is None
+    bench.own._sequence[0] += 1
+    reader.close()
+
+
+def test_a_drive_with_torque_whose_sync_stops_ends_the_permission_and_its_network(bench: Bench) -> None:
+    bench.state()
+    tpdo = next(pdo for pdo in ROLL.tpdos if any(index == 0x6041 for index, _, _ in pdo.entries))
+    bench.here.send(FRAME.pack(SYNC, 0, bytes(8)))
+    bench.here.send(FRAME.pack(tpdo.cob_id, 8, POWERED))
+    bench.run(rounds=400)
+    assert bench.seen[PERMITS] == 0
+    assert bench.own.text.startswith("no SYNC for")
+    sent = [FRAME.unpack(bench.here.recv(FRAME.size)) for _ in range(2)]
+    assert [(can_id, data[:length]) for can_id, length, data in sent] == [(0, b"\x02\x01"), (0, b"\x02\x02")]
+    reader = AnswerReader(bench.memory.name)
+    state = IoState(AXES)
+    state.word = FIRST_WORD
+    assert reader(state) is None
+    reader.close()
+
+
+def test_a_bench_that_is_gone_ends_the_permission_and_then_the_process(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(process, "LINGERS_S", 0.01)
+    bench.parent += 1
+    bench.run(rounds=1000)
+    assert bench.own.text == "the bench's process is gone"
+    assert 1 < bench.seen[ROUNDS] < 1000
+
+
+def test_a_bus_that_it_opens_itself(bench: Bench) -> None:
+    other = can.Bus(interface="virtual", channel="supervised")
+    for message in (
+        can.Message(arbitration_id=SYNC, is_extended_id=True),
+        can.Message(arbitration_id=SYNC, is_remote_frame=True, is_extended_id=False),
+        can.Message(arbitration_id=SYNC, is_extended_id=False, data=b""),
+    ):
+        other.send(message)
+    bench.run(url="virtual:supervised", io=False, rounds=2)
+    other.shutdown()
+    assert bench.seen[PERMITS] == 1
+    assert bench.seen[WORD] == 0
+
+
+def test_it_sends_on_a_bus_that_it_opened(bench: Bench) -> None:
+    other = can.Bus(interface="virtual", channel="supervised")
+
+    def say(number: int) -> None:
+        if number == 1:
+            tpdo = next(pdo for pdo in ROLL.tpdos if any(index == 0x6041 for index, _, _ in pdo.entries))
+            for cob_id, data in ((SYNC, b""), (tpdo.cob_id, POWERED)):
+                other.send(can.Message(arbitration_id=cob_id, is_extended_id=False, data=data))
+
+    bench.run(url="virtual:supervised", rounds=400, during=say)
+    heard = other.recv(0.0)
+    other.shutdown()
+    assert heard is not None
+    assert (heard.arbitration_id, bytes(heard.data)) == (0, b"\x02\x01")
+
+
+def test_a_bus_that_cannot_be_opened_is_said(bench: Bench) -> None:
+    bench.run(url="slcan:/dev/none@1000000")
+    assert bench.own.text.startswith("the supervisor cannot open the bus: slcan:/dev/none")
+    assert bench.seen[ROUNDS] == 0
+
+
+def test_a_bus_that_fails_ends_the_permission(bench: Bench) -> None:
+    bench.run(during=lambda number: bench.there.close() if number == 1 else None)
+    assert bench.own.text.startswith("the bus cannot be read: ")
+    assert bench.seen[PERMITS] == 0
+
+
+def test_who_asks_for_a_stop_is_heard_answered_and_remembered_over_sessions(tmp_path: Path) -> None:
+    bench = Bench(tmp_path / "stop.socket")
+    answers: list[bytes] = []
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as line:
+        line.bind(str(tmp_path / "me"))
+        line.settimeout(10.0)
+
+        def ask(number: int) -> None:
+            if number == 1:
+                line.sendto(b"somebody", str(tmp_path / "stop.socket"))
+            if number == 2:
+                answers.append(line.recv(1000))
+                bench.order(2.0, end=False)
+
+        bench.run(during=ask, rounds=5)
+    assert answers == [b"no torque\n"]
+    assert (bench.seen[ASKED], bench.own.text, bench.seen[PERMITS], bench.seen[SESSION]) == (1, "somebody", 1, 2)
+    assert not (tmp_path / "stop.socket").exists()
+    bench.close()
+
+
+def test_nobody_can_ask_without_unix_sockets(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(process.socket, "AF_UNIX")
+    bench.stop_socket, bench.priority = Path("never.socket"), 0
+    bench.run(rounds=1)
+    assert not Path("never.socket").exists()
+
+
+def test_frames_come_from_another_thread(bench: Bench) -> None:
+    """A round takes what has come, for half a period, and no longer."""
+    flood = threading.Event()
+
+    def send() -> None:
+        while not flood.is_set():
+            bench.here.send(FRAME.pack(0x7FF, 1, bytes(8)))
+
+    sender = threading.Thread(target=send)
+    sender.start()
+    bench.run(rounds=3, during=lambda number: flood.set() if number == 3 else None)
+    bench.there.setblocking(False)
+    sender.join()
+    assert bench.seen[ROUNDS] == 4
