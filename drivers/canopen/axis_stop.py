@@ -125,7 +125,8 @@ class AxisStop:
     def rest(self) -> AxisRest | None:
         """How the stop ended; None while it is under way."""
         if self._held_for:
-            return AxisRest(self.name, False, True, f"held by its drive: {self._held_for}", tuple(self._steps))
+            seen = "held by its drive" if self._stands() else f"{NOT_PROVEN}: its drive is told to hold it and {self._motion_words}"
+            return AxisRest(self.name, False, True, f"{seen}: {self._held_for}", tuple(self._steps))
         return self._rest
 
     def prove(self, effort: float) -> None:
@@ -250,8 +251,8 @@ class AxisStop:
         if not self._after(SETTLING_S if settles else CLOSING_S):
             return
         if self._state is State.QUICK_STOP_ACTIVE:
-            told = f"{self._brake_words} {CLOSING_S:g} s after it was told to close, " if not settles else ""
-            self._hold(told + self._motion_words)
+            told = [] if settles else [f"{self._brake_words} {CLOSING_S:g} s after it was told to close"]
+            self._hold(", ".join([*told, "it stands" if self._stands() else "it had not come to stand"]))
             self._retries = True
             return
         self._give_up()

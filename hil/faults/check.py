@@ -143,20 +143,23 @@ def run_trial(machine: Machine, axis: str, trial: FaultTrial, plan: Plan) -> Tri
     motion, events = MotionLog(machine.axes), list[FaultEvent]()
     options = BenchOptions("lockstep:", faults=trial.settings, motion=motion, events=events)
     began_s = time.process_time()
-    status, lines, troubles, request = 0, list[str](), tuple[str, ...](), StopRequest()
+    status, stopped, lines, troubles, request = 0, False, list[str](), tuple[str, ...](), StopRequest()
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "run.mf4"
         try:
             with _limited(PROCESSOR_LIMIT_S), open_bench(machine, options, plan.start_pose, stop_request=request) as bench:
                 try:
-                    lines += bench.run(plan, path).notes
+                    timing = bench.run(plan, path)
+                    lines += (*timing.notes, *timing.judged)
+                    status = 1 if timing.judged else 0
                 finally:
                     troubles = tuple(bench.wiring.link.troubles)
         except _EndlessError:
-            status, lines = 1, [*lines, f"has taken {PROCESSOR_LIMIT_S:g} s of processor time and was given up"]
+            status, stopped, lines = 1, True, [*lines, f"has taken {PROCESSOR_LIMIT_S:g} s of processor time and was given up"]
         except Exception as error:
             if request.reason:
                 raise  # by the user, who wants the table to end
+            stopped = True
             line, status = in_one_line(error)
             lines.append(line)
         rows = _rows_kept(path)
@@ -169,7 +172,7 @@ def run_trial(machine: Machine, axis: str, trial: FaultTrial, plan: Plan) -> Tri
         trial.at,
         trial.group,
         trial.during,
-        _verdict(trial, status, lines, outcome, complete=complete or status > 0),
+        _verdict(trial, lines, outcome, complete=complete or stopped, stopped=stopped),
         status,
         "; ".join(lines),
         troubles,
@@ -185,14 +188,14 @@ def run_trial(machine: Machine, axis: str, trial: FaultTrial, plan: Plan) -> Tri
     )
 
 
-def _verdict(trial: FaultTrial, status: int, lines: Sequence[str], outcome: FaultOutcome | None, *, complete: bool) -> Verdict:
+def _verdict(trial: FaultTrial, lines: Sequence[str], outcome: FaultOutcome | None, *, complete: bool, stopped: bool) -> Verdict:
     if lines and lines[-1].endswith("was given up"):
         return "did not end"
     if outcome is None or not complete:
         return "never began"
     if not outcome.at_rest:
         return "cannot be held" if trial.without_brake and NOT_PROVEN in lines[-1] else "not at rest"
-    if status:
+    if stopped:
         return "stopped"
     return "noted" if lines else "unnoticed"
 
