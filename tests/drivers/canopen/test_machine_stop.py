@@ -109,8 +109,8 @@ def test_an_axis_without_a_brake_that_never_stands_is_not_let_go_and_that_is_sai
     rig.machine.stop()
     assert rig.drives[0].power == "quick stop active"
     assert (
-        rig.machine.outcome
-        == "propeller not proven at rest: its drive is told to hold it and IT MOVES: it had not come to stand; roll at rest: it stands without a brake of the bench's, voltage off"
+        rig.machine.outcome == "propeller not proven at rest: its drive is told to hold it and IT MOVES: it had not come to stand; "
+        "roll at rest: it stands without a brake of the bench's, voltage off"
     )
 
 

@@ -67,7 +67,7 @@ class Machine:
         return {
             0x6041: self.status,
             0x6064: self.encoder_counts + round(SCALING.sign * self.motor / SCALING.position_resolution),
-            0x6004: round(self.link / SCALING.link_resolution) + SCALING.link_zero_counts,
+            0x6004: round(self.link / SCALING.link_resolution) + self.settings.scalings[ROLL].link_zero_counts,
         }
 
     @staticmethod
@@ -256,6 +256,7 @@ def test_an_axis_that_moves_on_after_a_release(machine: Machine, released: tuple
 
 
 def test_an_axis_that_stands_after_a_release_may_be_proven(machine: Machine) -> None:
+    assert machine.move(0.1, 1.0)
     machine.supervisor.io(machine.time_s, False, True)
     assert machine.ticks(round(1.5 * rules.ASKED_S / PERIOD_S))
     machine.motor += 0.5 * LIMITS.tracking_error  # the push
@@ -319,6 +320,17 @@ def test_without_a_heartbeat_of_the_bench_silence_is_short() -> None:
     assert machine.ticks(10)
     assert machine.supervisor.check(machine.time_s + 0.99 * rules.SILENT_AT_LEAST_S)
     assert not machine.supervisor.check(machine.time_s + 1.01 * rules.SILENT_AT_LEAST_S)
+
+
+@pytest.mark.parametrize("zero", [0, 5, -5])
+def test_an_absolute_encoder_that_wraps_within_the_range(zero: int) -> None:
+    wrapping = replace(SETTINGS, scalings=tuple(replace(scaling, link_zero_counts=zero) for scaling in SETTINGS.scalings))
+    for way in (1.0, -1.0):
+        machine = Machine(wrapping)
+        assert machine.ticks(10)
+        assert machine.move(way * LIMITS.speed, 1.5)
+        assert not machine.move(way * LIMITS.speed, 3.0)
+        assert "out of its range" in machine.supervisor.reason
 
 
 def test_before_the_first_sync_nothing_is_silent() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import socket
 import threading
@@ -43,9 +44,9 @@ class Bench:
         self.priority = 1
         self.seen = np.zeros(OWN)
 
-    def state(self, *, pressed: bool = True) -> None:
+    def state(self, *, pressed: bool = True, closed: bool = True) -> None:
         state = IoState(AXES)
-        state.hold_to_run, state.door_closed, state.word, state.time_s = pressed, True, FIRST_WORD, 1.0
+        state.hold_to_run, state.door_closed, state.word, state.time_s = pressed, closed, FIRST_WORD, 1.0
         self.io.write(values_of(state))
 
     def order(self, session: float, *, end: bool) -> None:
@@ -167,7 +168,71 @@ def test_it_sends_on_a_bus_that_it_opened(bench: Bench) -> None:
     heard = other.recv(0.0)
     other.shutdown()
     assert heard is not None
-    assert (heard.arbitration_id, bytes(heard.data)) == (0, b"\x02\x01")
+    assert (heard.arbitration_id, heard.is_extended_id, bytes(heard.data)) == (0, False, b"\x02\x01")
+
+
+def test_what_is_no_data_frame_is_not_heard() -> None:
+    other = can.Bus(interface="virtual", channel="heard")
+    with contextlib.ExitStack() as stack:
+        line = process._Line(stack, "virtual:heard", 1_000_000)
+        others = ({"is_extended_id": True}, {"is_remote_frame": True}, {"is_error_frame": True}, {"is_fd": True}, {})
+        for kind in others:
+            other.send(can.Message(arbitration_id=SYNC, **{"is_extended_id": False, **kind}))  # type: ignore[arg-type]
+        assert [line.receive(0.0) for _ in others] == [None, None, None, None, (SYNC, b"")]
+    other.shutdown()
+
+
+class Told:
+    """A supervisor that keeps what it is told."""
+
+    def __init__(self, settings: object) -> None:
+        self.states: list[tuple[bool, bool]] = []
+        self.asks: list[tuple[bool, str]] = []
+        self.reason, self.asked_by, self.powered = "", "", True
+        Told.newest = self
+
+    newest: Told
+
+    def io(self, time_s: float, hold_to_run: bool, door_closed: bool) -> None:
+        self.states.append((hold_to_run, door_closed))
+
+    def ask_to_stop(self, time_s: float, who: str) -> None:
+        self.asks.append((isinstance(time_s, float), who))
+
+    def answer(self, time_s: float, word: int) -> int | None:
+        return None
+
+    def stops_nodes(self, time_s: float) -> tuple[int, ...]:
+        return ()
+
+
+@pytest.mark.parametrize(("pressed", "closed"), [(True, False), (False, True)])
+def test_the_state_of_the_io_and_who_asks_reach_the_supervisor(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pressed: bool, closed: bool
+) -> None:
+    monkeypatch.setattr(process, "Supervisor", Told)
+    bench = Bench(tmp_path / "stop.socket")
+    answers: list[bytes] = []
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as line:
+        line.bind(str(tmp_path / "me"))
+        line.settimeout(10.0)
+
+        def during(number: int) -> None:
+            if number == 1:
+                bench.state(pressed=pressed, closed=closed)
+                line.sendto(b"\xffsomebody", str(tmp_path / "stop.socket"))
+            if number == 3:
+                answers.append(line.recv(1000))
+                line.sendto(b"again", str(tmp_path / "stop.socket"))
+            if number == 5:
+                answers.append(line.recv(1000))
+
+        bench.run(during=during, rounds=5)
+    assert answers == [b"torque on\n", b"torque on\n"]
+    assert Told.newest.states[-1] == (pressed, closed)
+    assert set(Told.newest.asks) == {(True, "\ufffdsomebody")}
+    assert (bench.seen[PERMITS], bench.seen[ANSWER]) == (0, 0)
+    bench.close()
 
 
 def test_a_bus_that_cannot_be_opened_is_said(bench: Bench) -> None:
