@@ -17,6 +17,7 @@ PDO_INVALID = 1 << 31
 NO_RTR = 1 << 30  # TPDOs: no remote requests; a node without RTR refuses a COB-ID that allows it, so it may set the bit by itself
 RPDO_COMMUNICATION, RPDO_MAPPING, TPDO_COMMUNICATION, TPDO_MAPPING = 0x1400, 0x1600, 0x1800, 0x1A00
 PDO_COUNT = 0x200
+EVENT_TIMER = 5  # subindex of a PDO's communication; of an RPDO its deadline [ms]
 SYNC_COB_ID, CONSUMER_HEARTBEAT, PRODUCER_HEARTBEAT = 0x1005, 0x1016, 0x1017
 MAX_TORQUE, MAX_CURRENT, RATED_CURRENT, RATED_TORQUE = 0x6072, 0x6073, 0x6075, 0x6076
 
@@ -60,6 +61,7 @@ def configure_node(sdo: SdoNode, node: Node, settings: BusSettings, scaling: Axi
     if sdo.read_integer(SYNC_COB_ID) & 0x1FFF_FFFF != settings.sync_cob_id:
         sdo.write_checked(SYNC_COB_ID, 0, settings.sync_cob_id)
     _configure_pdos(sdo, node)
+    _set_command_deadline(sdo, node, settings)
     sdo.write_checked(PRODUCER_HEARTBEAT, 0, round(node.heartbeat_period_s * 1000))
     watches = _watch_bench(sdo, settings)
     if node.role == "drive":
@@ -125,6 +127,15 @@ def _watch_bench(sdo: SdoNode, settings: BusSettings) -> bool:
     milliseconds = round(HEARTBEAT_TOLERANCE * settings.master_heartbeat_period_s * 1000)
     sdo.write_checked(CONSUMER_HEARTBEAT, 1, settings.master_node_id << 16 | milliseconds)
     return True
+
+
+def _set_command_deadline(sdo: SdoNode, node: Node, settings: BusSettings) -> None:
+    """Let a drive miss its commands as it misses the bench's heartbeat, where it can: somebody else may send that."""
+    milliseconds = round(HEARTBEAT_TOLERANCE * settings.master_heartbeat_period_s * 1000)
+    for pdo in node.rpdos:
+        communication = RPDO_COMMUNICATION + pdo.number - 1
+        if milliseconds and sdo.may_write(communication, EVENT_TIMER):
+            sdo.write_checked(communication, EVENT_TIMER, milliseconds)
 
 
 def _stopped_otherwise(sdo: SdoNode, node: Node, lacking: list[str]) -> str:

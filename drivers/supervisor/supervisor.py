@@ -126,10 +126,9 @@ class _Axis:
         self.torque_permille = min(32767, round(1000.0 * scaling.limit / scaling.rated))
         self.powered = False
         self.unanswered = 0  # SYNCs since the last position
-        self.seen_at_s = nan  # of the last position
-        self.link_seen_at_s = nan
+        self.seen_at_s = self.link_seen_at_s = -inf  # when each encoder was read last
         self.stood_at = nan  # how far the motor side had moved when it was to stand
-        self.fast = 0.0  # speed at the end of the permission
+        self.fast = inf  # speed at the end of the permission
         self._period_s = period_s
 
     def status(self, word: int) -> None:
@@ -169,7 +168,7 @@ class _Axis:
 
     def _took(self, now_s: float, before_s: float) -> float:
         """Return the time between two readings; frames that were held up come together, but were sampled a period apart."""
-        return max(now_s - before_s, self._period_s) if isfinite(before_s) else self._period_s
+        return max(now_s - before_s, self._period_s)
 
     def wrong(self) -> str:
         """Return what is wrong with the motion, in words; '' where nothing is."""

@@ -113,6 +113,7 @@ class ScriptedNode:
             for base, valid in ((0x1400, 0x200), (0x1800, 0x180)):
                 self.objects[base + number, 1] = u32((0 if number == 0 else 1 << 31) | valid + 0x100 * number + node_id)
                 self.objects[base + number, 2] = u8(255)
+                self.objects[base + number, 5] = u16(0)
                 self.objects[base + 0x200 + number, 0] = u8(0)
                 for position in range(1, 9):
                     self.objects[base + 0x200 + number, position] = u32(0)

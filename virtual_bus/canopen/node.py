@@ -324,6 +324,10 @@ class Node:
     def application_reset(self) -> None:
         """Apply the parameters, which have their stored or default values at this point."""
 
+    def commands_lost(self) -> None:
+        """React to a receive PDO that is missing: the master is there no more, whoever sends its heartbeat."""
+        self.connection_lost("commands")
+
     def connection_lost(self, reason: str) -> None:
         """React to a lost connection.
 

@@ -152,6 +152,7 @@ class Rpdo:
         if now_s >= self.deadline_s:
             self.deadline_s = math.inf
             self._node.emergency.raise_error(_RPDO_TIMEOUT)
+            self._node.commands_lost()
 
 
 class Tpdo:

@@ -52,5 +52,8 @@ class Port(Protocol):
     def heartbeat_lost(self, node_id: int) -> None:
         """Report that a supervised node is silent."""
 
+    def commands_lost(self) -> None:
+        """React to a receive PDO that is missing."""
+
     def sync(self, data: bytes) -> None:
         """Answer a SYNC that the node sent itself."""

@@ -1,0 +1,239 @@
+"""The supervisor's parts at their bounds, with numbers that floating point holds exactly."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import replace
+
+import pytest
+from bench_machines import CARM
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.canopen.pdo import PdoCodec
+from drivers.settings import BusSettings, Pdo
+from drivers.supervisor import supervisor as rules
+from drivers.supervisor.supervisor import Supervisor, _Axis, _Encoder, _Field
+
+assert CARM.bus is not None
+PERIOD_S, COUNT, SPEED, TRACKING = 2.0**-8, 2.0**-16, 0.25, 2.0**-5
+FASTEST = rules.SPEED_MARGIN * SPEED
+LARGEST_STEP = int(FASTEST * PERIOD_S / COUNT + rules.COUNTS)  # counts: 96 and the flicker
+STATUS, POSITION, LINK, CONTROL, TORQUE = (0x6041, 0, 16), (0x6064, 0, 32), (0x6004, 0, 32), (0x6040, 0, 16), (0x6071, 0, 16)
+ON, OFF = 0x1637, 0x1633
+SYNC, SENT, ASKED = 0x80, 0x181, 0x201
+
+
+def settings(**changes: object) -> BusSettings:
+    """One axis with a link encoder."""
+    assert CARM.bus is not None
+    node = replace(
+        CARM.bus.nodes[0],
+        node_id=1,
+        tpdos=(Pdo(1, SENT, 1, (STATUS, POSITION)), Pdo(2, 0x281, 1, (LINK,))),
+        rpdos=(Pdo(1, ASKED, 1, (CONTROL, TORQUE)),),
+    )
+    scaling = replace(
+        CARM.bus.scalings[0], position_resolution=COUNT, link_resolution=COUNT, link_zero_counts=0, sign=1, rated=4.0, limit=8.0
+    )
+    motion = replace(CARM.bus.motions[0], lower=-1.0, upper=1.0, speed=SPEED, tracking_error=TRACKING)
+    whole = replace(
+        CARM.bus,
+        sync_cob_id=SYNC,
+        sync_period_s=PERIOD_S,
+        nodes=(node,),
+        scalings=(scaling,),
+        motions=(motion,),
+        master_heartbeat_period_s=0.125,
+    )
+    return replace(whole, **changes)  # type: ignore[arg-type]
+
+
+class Line:
+    """A supervisor, and frames to it."""
+
+    def __init__(self, of: BusSettings | None = None) -> None:
+        self.supervisor = Supervisor(of or settings())
+        self.time_s = 1.0
+
+    def sync(self, seconds: float = PERIOD_S) -> None:
+        self.time_s += seconds
+        self.supervisor.frame(self.time_s, SYNC, b"")
+
+    def sent(self, position: int, link: int, status: int = ON) -> None:
+        self.supervisor.frame(self.time_s, SENT, struct.pack("<Hi", status, position))
+        self.supervisor.frame(self.time_s, 0x281, struct.pack("<i", link))
+
+    def tick(self, position: int = 0, link: int | None = None, status: int = ON) -> bool:
+        self.sync()
+        self.sent(position, position if link is None else link, status)
+        return self.supervisor.check(self.time_s)
+
+
+@given(st.lists(st.sampled_from([8, 16, 32]), min_size=1, max_size=4).filter(lambda bits: sum(bits) <= 64), st.data())
+def test_a_field_reads_what_the_codec_packs(bits: list[int], data: st.DataObject) -> None:
+    indices = data.draw(
+        st.lists(st.sampled_from([0x6041, 0x6064, 0x6004, 0x6071, 0x6077]), min_size=len(bits), max_size=len(bits), unique=True)
+    )
+    codec = PdoCodec.of([(index, 0, width) for index, width in zip(indices, bits, strict=True)])
+    values = [
+        data.draw(st.integers(-(1 << width - 1), (1 << width - 1) - 1) if signed else st.integers(0, (1 << width) - 1))
+        for width, signed in zip(codec.bits, codec.signed, strict=True)
+    ]
+    packed = codec.pack(*values)
+    for index, value in zip(indices, values, strict=True):
+        field = _Field(tuple((i, 0, width) for i, width in zip(indices, bits, strict=True)), index)
+        if index != 0x6077:
+            assert field.read(packed) == value
+        cut = packed[: (field.shift + field.bits) // 8 - 1]
+        assert field.read(cut) is None
+    assert _Field(tuple((i, 0, width) for i, width in zip(indices, bits, strict=True)), 0x1234).read(packed) is None
+
+
+@pytest.mark.parametrize("bits", [16, 32])
+@pytest.mark.parametrize("step", [1, -1, 90, -90])
+@pytest.mark.parametrize("where", [0, -1, 0.5])
+def test_an_encoder_counts_over_its_wrap(bits: int, step: int, where: float) -> None:
+    encoder = _Encoder(COUNT, FASTEST)
+    assert (encoder.moved, encoder.speed, encoder.too_fast, encoder.jumped) == (0.0, 0.0, False, False)
+    at = int(where * (1 << bits))
+    for number in range(20):
+        encoder.take((at + number * step) & (1 << bits) - 1, bits, PERIOD_S)
+    assert encoder.moved == 19 * step * COUNT
+    assert encoder.speed == (step * COUNT / PERIOD_S if abs(step) > rules.COUNTS else 0.0)
+    assert not encoder.too_fast
+
+
+def test_three_steps_of_five_beyond_the_largest_are_too_fast() -> None:
+    encoder, at = _Encoder(COUNT, FASTEST), 0
+    encoder.take(at, 32, PERIOD_S)
+    for step, fast in ((98, False), (99, False), (99, False), (98, False), (99, True), (0, True), (0, False), (0, False)):
+        at += step
+        encoder.take(at, 32, PERIOD_S)
+        assert encoder.too_fast is fast, at
+    assert LARGEST_STEP == 98
+
+
+def test_a_step_is_a_jump_beyond_four_times_the_largest() -> None:
+    encoder = _Encoder(COUNT, FASTEST)
+    encoder.take(0, 32, PERIOD_S)
+    most = int(rules.JUMP * FASTEST * PERIOD_S / COUNT + rules.COUNTS)
+    encoder.take(most, 32, PERIOD_S)
+    assert (encoder.jumped, encoder.moved) == (False, most * COUNT)
+    encoder.take(2 * most + 1, 32, PERIOD_S)
+    assert (encoder.jumped, encoder.moved) == (True, most * COUNT)
+
+
+def test_speed_needs_five_steps_and_is_their_median() -> None:
+    encoder, at = _Encoder(COUNT, FASTEST), 0
+    for number, step in enumerate((0, 10, 20, 30, 40, 50)):
+        assert encoder.speed == 0.0
+        at += step
+        encoder.take(at, 32, 2.0 * PERIOD_S)
+        assert number < 5 or encoder.speed == 30.0 * COUNT / (2.0 * PERIOD_S)
+
+
+def test_what_is_beyond_sixteen_bits_of_torque_is_cut() -> None:
+    assert CARM.bus is not None
+    strong = replace(settings().scalings[0], rated=1.0, limit=1000.0)
+    assert _Axis(strong, settings().motions[0], PERIOD_S).torque_permille == 32767
+
+
+def test_readings_are_a_period_apart_at_least() -> None:
+    axis = _Axis(settings().scalings[0], settings().motions[0], PERIOD_S)
+    assert axis._took(5.0, -float("inf")) == float("inf")
+    assert axis._took(5.0, 5.0 - 0.5 * PERIOD_S) == PERIOD_S
+    assert axis._took(5.0, 5.0 - 2.0 * PERIOD_S) == 2.0 * PERIOD_S
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_encoders_may_be_the_tracking_error_apart(way: int) -> None:
+    line, apart = Line(), int(TRACKING / COUNT)
+    for position in range(0, apart + 1, 64):
+        assert line.tick(way * position, 0)
+    assert line.tick(way * apart, 0)
+    assert not line.tick(way * (apart + 1), 0)
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_an_axis_may_be_the_tracking_error_out_of_range(way: int) -> None:
+    line = Line()
+    edge = int((1.0 + TRACKING) / COUNT)
+    for position in range(edge - 64 * 10, edge + 1, 64):
+        assert line.tick(way * position)
+    assert not line.tick(way * (edge + 32))
+
+
+def test_a_link_at_its_limit_moves_inwards() -> None:
+    line = Line()
+    for position in range(int(1.0 / COUNT) + 600, int(1.0 / COUNT) - 1, -50):
+        assert line.tick(position)
+
+
+def test_bounds_of_time_belong_to_what_is_allowed() -> None:
+    line = Line()
+    assert line.tick()
+    silent_s = rules.SYNC_SILENT_PERIODS * 0.125
+    assert line.supervisor.check(line.time_s + silent_s)
+    assert not line.supervisor.check(line.time_s + silent_s + 2.0**-20)
+    assert line.supervisor.stops_nodes(line.time_s + silent_s) == ()
+    assert line.supervisor.stops_nodes(line.time_s + silent_s + 2.0**-20) == (1,)
+
+
+def test_a_second_producer_is_judged_over_all_its_syncs() -> None:
+    line = Line()
+    line.tick()
+    line.sync(1.0)  # before: is not counted
+    for _ in range(rules.FAST_SYNCS - 1):
+        line.sync(rules.FAST_SHARE * PERIOD_S)
+        line.sent(0, 0)
+        assert line.supervisor.check(line.time_s)
+    line.sync(rules.FAST_SHARE * PERIOD_S)
+    assert line.supervisor.check(line.time_s)
+    line.sync(0.5 * PERIOD_S)
+    assert not line.supervisor.check(line.time_s)
+    assert line.supervisor.reason == "SYNC comes faster than it may: a second producer"
+    assert line.supervisor.stops_nodes(line.time_s + rules.OBEYED_S) == ()
+
+
+def moving(line: Line, speed: int, ticks: int, at: int = 0) -> int:
+    """Let the axis move by so many counts a tick, and return where it is."""
+    for _ in range(ticks):
+        at += speed
+        line.tick(at)
+    return at
+
+
+def test_who_asked_is_named_and_when() -> None:
+    line = Line()
+    at = moving(line, 50, 10)
+    line.supervisor.io(line.time_s, False, True)
+    asked_s = line.time_s
+    at = moving(line, 50, int(rules.ASKED_S / PERIOD_S), at)
+    assert line.supervisor.check(asked_s + rules.ASKED_S)
+    moving(line, 50, 60, at)
+    assert line.supervisor.reason == "propeller: it still moves 1.2 s after hold-to-run or the door asked for a stop"
+    assert line.supervisor.stops_nodes(line.time_s) == ()
+
+
+def test_an_axis_that_goes_on_is_stopped_by_its_network_after_its_time() -> None:
+    line = Line()
+    at = moving(line, 50, 10)
+    line.supervisor.refuse(line.time_s, "a reason")
+    refused_s = line.time_s
+    at = moving(line, 50, int(rules.OBEYED_S / PERIOD_S), at)
+    assert line.supervisor.stops_nodes(refused_s + 0.999 * rules.OBEYED_S) == ()
+    at = moving(line, 50, 2, at)
+    assert line.supervisor.stops_nodes(line.time_s) == (1,)
+    moving(line, 24, 10, at)  # slower than half of what it was, and than a quarter of its limit
+    assert line.supervisor.stops_nodes(line.time_s) == ()
+
+
+def test_an_axis_that_was_slow_may_go_on_slowly() -> None:
+    line = Line()
+    at = moving(line, 8, 10)
+    line.supervisor.refuse(line.time_s, "a reason")
+    moving(line, 15, 100, at)
+    assert line.supervisor.stops_nodes(line.time_s) == ()
+    moving(line, 17, 10, at + 1500)
+    assert line.supervisor.stops_nodes(line.time_s) == (1,)
