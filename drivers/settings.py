@@ -104,7 +104,7 @@ class ImuPort:
 
 @dataclass(frozen=True)
 class IoWatchdog:
-    """The output watchdog of the I/O device: its outputs fall unless the supervisor refreshes it (`drivers.supervisor.refresh`)."""
+    """The output watchdog of the I/O device: its outputs fall unless the supervisor refreshes it (`drivers.modbus.refresh`)."""
 
     register: int  # holding register that shows a word and takes the one that follows
     timeout_s: float  # from the last refresh to the fall of the outputs

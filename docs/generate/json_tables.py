@@ -87,6 +87,7 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("bus", "text", "The bus."),
         Entry("nodes", "list", "`node_id`, `device_type`, `description`, `identity`, `nmt_state`, `name`."),
     ),
+    "stop": (Entry("bus", "text", "The bus."), Entry("seen", "list of text", "What the supervisor saw, in order.")),
     "home": (Entry("machine, bus", "text", "Machine and bus."), Entry("checks", "list of text", "What was checked, in order.")),
     "simulate": (
         Entry("simulation, rows", "text, number", "The file that was written, and its rows."),

@@ -111,10 +111,12 @@ class _Asks:
         self._socket = None
         if path is not None and hasattr(socket, "AF_UNIX"):
             path.unlink(missing_ok=True)
-            self._socket = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
-            self._socket.bind(str(path))
-            self._socket.setblocking(False)
-            stack.callback(path.unlink, missing_ok=True)
+            line = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
+            with contextlib.suppress(OSError):  # a path that is too long, a folder that is full: nobody can ask, the rest goes on
+                line.bind(str(path))
+                line.setblocking(False)
+                self._socket = line
+                stack.callback(path.unlink, missing_ok=True)
 
     def asked(self, seen: Callable[[], str]) -> str:
         """Return who asks now, in words; '' where nobody does."""

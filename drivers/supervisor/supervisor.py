@@ -19,8 +19,8 @@ from collections import deque
 from math import inf, isfinite, nan
 from statistics import median
 
+from drivers.modbus.refresh import following_word
 from drivers.settings import AxisScaling, BusSettings, MotionLimits, Pdo
-from drivers.supervisor.refresh import following_word
 
 SYNC_SILENT_PERIODS = 2.5
 """Periods of the bench's heartbeat without a SYNC: what the drives allow the heartbeat. A foreign heartbeat does not replace a SYNC."""

@@ -10,7 +10,13 @@ from places import ROOT
 
 FLOORS = ("hil", "virtual_bus", "controllers", "drivers")
 
-WIRE_AGREEMENTS = ("drivers.canopen.eds", "drivers.canopen.objects", "drivers.serial.xbus", "drivers.modbus.registers")
+WIRE_AGREEMENTS = (
+    "drivers.canopen.eds",
+    "drivers.canopen.objects",
+    "drivers.serial.xbus",
+    "drivers.modbus.registers",
+    "drivers.modbus.refresh",
+)
 """What both ends of a wire must agree on: object dictionaries, frame codecs. The emulated machine knows nothing else of `drivers`."""
 
 MAY_IMPORT = {

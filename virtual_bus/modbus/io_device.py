@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.modbus.refresh import FIRST_WORD, following_word
 from drivers.modbus.registers import (
     MAX_READ_BITS,
     MAX_READ_REGISTERS,
@@ -20,7 +21,6 @@ from drivers.modbus.registers import (
     FunctionCode,
     temperature_to_register,
 )
-from drivers.supervisor.refresh import FIRST_WORD, following_word
 from virtual_bus.modbus.framing import TcpFraming, rtu_frame, rtu_request, tcp_frame
 
 BRAKE_DELAY_S = 0.04  # spring-applied brakes open in 30 to 60 ms

@@ -17,10 +17,10 @@ from bench_machines import CARM
 
 from drivers.modbus.io import IoState
 from drivers.modbus.published import published_block, state_values, values_of
+from drivers.modbus.refresh import FIRST_WORD, following_word
 from drivers.modbus.shared_block import Block
 from drivers.supervisor import process
 from drivers.supervisor.blocks import ANSWER, ASKED, END, FRAME, ORDERS, OWN, PERMITS, ROUNDS, SESSION, WORD, AnswerReader, blocks_of
-from drivers.supervisor.refresh import FIRST_WORD, following_word
 
 assert CARM.bus is not None
 SETTINGS = CARM.bus
@@ -273,6 +273,12 @@ def test_nobody_can_ask_without_unix_sockets(bench: Bench, monkeypatch: pytest.M
     bench.stop_socket, bench.priority = Path("never.socket"), 0
     bench.run(rounds=1)
     assert not Path("never.socket").exists()
+
+
+def test_a_socket_that_cannot_be_made_keeps_nothing_from_running(bench: Bench, tmp_path: Path) -> None:
+    bench.stop_socket = tmp_path / ("long" * 30) / "stop.socket"
+    bench.run(rounds=1)
+    assert bench.seen[PERMITS] == 1
 
 
 def test_frames_come_from_another_thread(bench: Bench) -> None:

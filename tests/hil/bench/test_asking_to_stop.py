@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import socket
+import tempfile
 import threading
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 from command_line import Isocenter, runner
@@ -17,11 +17,12 @@ BUS = "udp:239.74.163.9"
 
 
 @pytest.fixture
-def isocenter(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Isocenter:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    monkeypatch.setattr(asking, "AGAIN_S", 0.0)
-    monkeypatch.setattr(asking, "ANSWER_S", 0.05)
-    return runner(capsys)
+def isocenter(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Iterator[Isocenter]:
+    with tempfile.TemporaryDirectory() as short:  # paths of sockets have 107 characters at most
+        monkeypatch.setenv("XDG_RUNTIME_DIR", short)
+        monkeypatch.setattr(asking, "AGAIN_S", 0.0)
+        monkeypatch.setattr(asking, "ANSWER_S", 0.05)
+        yield runner(capsys)
 
 
 class Supervisor:
@@ -41,10 +42,10 @@ class Supervisor:
             self.heard.append(words.decode())
             self._socket.sendto(text.encode(), sender)
         self._socket.close()
+        asking.stop_socket(BUS).unlink()
 
     def end(self) -> None:
         self._thread.join(10.0)
-        asking.stop_socket(BUS).unlink()
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ import pytest
 from device_wires import DRIVE_EDS
 from pyModbusTCP.client import ModbusClient
 
-from drivers.supervisor.refresh import following_word
+from drivers.modbus.refresh import following_word
 from virtual_bus.canopen.bare import BareMachine
 from virtual_bus.emulator import run_device
 from virtual_bus.errors import BusLostError

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 
-from drivers.supervisor.refresh import FIRST_WORD, WORD_BITS, following_word
+from drivers.modbus.refresh import FIRST_WORD, WORD_BITS, following_word
 from virtual_bus.modbus.io_device import EmulatedIo, IoLayout
 
 LAYOUT = IoLayout(1, {"a": 0}, {"a": 0}, 1, 2, {}, watchdog_register=3, watchdog_timeout_s=0.5)
