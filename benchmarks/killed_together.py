@@ -10,6 +10,7 @@ is the emulator's. Time and travel count from the kill to rest. One command:
 from __future__ import annotations
 
 import argparse
+import contextlib
 import csv
 import json
 import os
@@ -40,7 +41,6 @@ ROWS = (
     ("loop", "poller", "recorder", "foreign heartbeat"),
     ("loop", "supervisor", "foreign heartbeat"),
 )
-NAMES = {"poller": "isocenter-io", "supervisor": "isocenter-supervisor"}
 
 
 def children(pid: int) -> list[int]:
@@ -63,9 +63,10 @@ def roles(pid: int) -> dict[str, int]:
 
 def run(row: tuple[str, ...], folder: Path) -> dict[str, object]:
     """Kill these processes during a sweep, and return what the truth says."""
-    bus, truth = f"udp:{GROUP}", folder / "truth.csv"
+    bus, truth, never = f"udp:{GROUP}", folder / "truth.csv", folder / "never.toml"
+    never.write_text('[[fault]]\nname = "imu_nan"\nat = "imu"\nwhen = "abs(speed_roll) > 100.0"\n')  # the truth goes on after the last SYNC
     emulator = subprocess.Popen(
-        [sys.executable, "-m", "hil", "emulate", "carm", "--bus", bus, "--truth", str(truth), "--json", "-"],
+        [sys.executable, "-m", "hil", "emulate", "carm", "--bus", bus, "--truth", str(truth), "--faults", str(never), "--json", "-"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -73,13 +74,13 @@ def run(row: tuple[str, ...], folder: Path) -> dict[str, object]:
     assert emulator.stdout is not None
     emulator.stdout.readline()
     scan = ["scan", "-m", "carm", "--axis", "roll", "--from", "45", "--to", "-45", "--speed", f"{np.degrees(SPEED):.2f}"]
-    bench = subprocess.Popen(
-        [sys.executable, "-m", "hil", "run", *scan, "--bus", bus, "-o", str(folder / "run.mf4")],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    with (folder / "said.txt").open("w") as errors:
+        bench = subprocess.Popen(
+            [sys.executable, "-m", "hil", "run", *scan, "--bus", bus, "-o", str(folder / "run.mf4")],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=errors,
+        )
     line = UdpBus(GROUP)
     scaling = load_machine("carm").bus.scalings[1]  # type: ignore[union-attr]
     positions: list[tuple[float, int]] = []
@@ -104,17 +105,14 @@ def run(row: tuple[str, ...], folder: Path) -> dict[str, object]:
             line.send(can.Message(arbitration_id=0x77F, is_extended_id=False, data=b"\x05"))
         line.recv(0.02)
     line.shutdown()
-    said = ""
-    if "loop" not in row:
-        said = bench.communicate(timeout=60.0)[1].strip().splitlines()[-1]
-    else:
-        bench.wait()
+    said = [line for line in (folder / "said.txt").read_text().splitlines() if line.startswith("isocenter: ")]
     for left in processes.values():
-        with __import__("contextlib").suppress(ProcessLookupError):
+        with contextlib.suppress(ProcessLookupError):
             os.kill(left, signal.SIGKILL)
+    bench.wait()
     emulator.send_signal(signal.SIGINT)
     emulator.communicate(timeout=60.0)
-    return {"killed": row, "found": sorted(processes), **rest_of(truth, stamp), "said": said}
+    return {**rest_of(truth, stamp), "said": said[-1] if said else ""}
 
 
 def rest_of(truth: Path, size: int) -> dict[str, float | bool]:
@@ -125,7 +123,7 @@ def rest_of(truth: Path, size: int) -> dict[str, float | bool]:
     lengths = np.cumsum([sum(len(cell) for cell in row) + len(row) for row in rows])
     start = max(1, int(np.searchsorted(lengths, size)) - 1)
     values = np.array([[float(cell) for cell in row] for row in rows[start:]])
-    time_s, roll = values[:, head.index("time_s")], values[:, head.index("q_roll")]
+    time_s, roll = values[:, head.index("time [s]")], values[:, head.index("joint_position_roll [rad]")]
     speed = np.gradient(roll, time_s)
     moving = np.flatnonzero(np.abs(speed) > RESTING)
     last = int(moving[-1]) if len(moving) else 0
@@ -141,11 +139,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])  # type: ignore[union-attr]
     parser.add_argument("--results", type=Path, default=Path(__file__).parent / "results" / "killed_together.json")
     results = parser.parse_args().results
-    rows: list[dict[str, object]] = []
+    rows: dict[str, dict[str, object]] = {}
     for row in ROWS:
         with tempfile.TemporaryDirectory() as folder:
-            rows.append(run(row, Path(folder)))
-        print(json.dumps(rows[-1]), flush=True)
+            rows[", ".join(row)] = run(row, Path(folder))
+        print(json.dumps(rows[", ".join(row)]), flush=True)
         results.write_text(json.dumps({"speed_rad_s": SPEED, "rows": rows}, indent=1) + "\n")
 
 

@@ -131,6 +131,35 @@ DIAGNOSIS = (
 SHOWN = (
     *DIAGNOSIS,
     Shown(
+        "killed_together.json",
+        "Processes of the bench killed at speed",
+        "The emulated C-arm sweeps roll at 0.4 rad/s over UDP, then processes of its bench are killed together; in some rows somebody else "
+        "goes on sending the bench's heartbeat. Time and travel count from the kill to rest, by the emulator's truth.",
+        "python benchmarks/killed_together.py",
+        (),
+        (
+            Rows(
+                "killed",
+                ("rows",),
+                (Column("at rest", ("at_rest",)), Column("time to rest [s]", ("rest_s",)), Column("travel [mrad]", ("travel_rad",), 1e3)),
+            ),
+        ),
+    ),
+    Shown(
+        "faults_carm.json",
+        "Faults injected into the emulated C-arm",
+        "Each fault in a short run of its own, in lockstep. The line per fault is on its own [page](fault-table.md).",
+        "isocenter faults check carm -o faults; python benchmarks/fault_table.py faults",
+        (
+            Figure("faults", ("faults",)),
+            Figure("stopped, at rest", ("verdicts", "stopped")),
+            Figure("gone on and said", ("verdicts", "noted")),
+            Figure("brake and drive both lost, which was said at once", ("verdicts", "cannot be held")),
+            Figure("not at rest", ("verdicts", "not at rest"), asked="0"),
+            Figure("ended as if nothing had been", ("verdicts", "unnoticed"), asked="0"),
+        ),
+    ),
+    Shown(
         "wall_clock_udp.json",
         "Timing on the wall clock",
         "Loop and emulated machine in two processes on a UDP bus, ten minutes at 256 Hz, two virtual processors with real-time scheduling. "
