@@ -1,7 +1,7 @@
 """Keep the table of `isocenter faults check` for the pages, without what differs from computer to computer.
 
-    isocenter faults check carm -o faults
-    python benchmarks/fault_table.py faults
+isocenter faults check carm -o faults
+python benchmarks/fault_table.py faults
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from docs.generate import command_line, effects, faults, file_formats, json_answers, machine_file, results, thesis_map
+from docs.generate import command_line, effects, fault_table, faults, file_formats, json_answers, machine_file, results, thesis_map
 
 ROOT = Path(__file__).resolve().parents[2]
 GENERATED = ROOT / "docs" / "generated"
@@ -13,6 +13,7 @@ GENERATED = ROOT / "docs" / "generated"
 GENERATORS = {
     "command-line.md": command_line.page,
     "effects.md": effects.page,
+    "fault-table.md": fault_table.page,
     "faults.md": faults.page,
     "file-formats.md": file_formats.page,
     "json.md": json_answers.page,
