@@ -61,7 +61,7 @@ class Resting:
         attempts.make("holding", stops.serve_hold, attendant)
         ended = {rest.axis: rest for rest in stops.rests}
         unknown = "nobody knows whether it stands: the stop broke off"
-        self.rests = tuple(ended.get(axis, AxisRest(axis, False, False, unknown)) for axis in self._machine.axes)
+        self.rests = tuple(ended.get(axis, AxisRest(axis, False, True, unknown)) for axis in self._machine.axes)
 
     def take_over(self, axes: Sequence[int]) -> None:
         """Bring to rest what drives held before this bench came.

@@ -118,7 +118,7 @@ class IoDriver:
         state.time_s = now_s
         if io_map.watchdog is not None:
             self._read_word(io_map.watchdog.register)
-            self.refresh()
+        self.refresh()
 
     def poll_due(self, now_s: float) -> None:
         """Poll when the period is over or a brake command is pending.
@@ -154,9 +154,9 @@ class IoDriver:
     def refresh(self) -> None:
         """Refresh the output watchdog, where the supervisor has answered the word that was read last; once. Errors as in `poll_once`."""
         watchdog, state = self._map.watchdog, self.state
-        if watchdog is None or self._refresh is None or state.word == self._refreshed:
+        if self._refresh is None or state.word == self._refreshed:
             return
-        if (word := self._refresh(state)) is not None:
+        if (word := self._refresh(state)) is not None and watchdog is not None:
             self._transport.request(WriteSingleRegisterRequest(address=watchdog.register, registers=[word], dev_id=self._map.unit_id))
             self._refreshed = state.word
 

@@ -16,6 +16,9 @@ class Oversight(Protocol):
     def begin(self) -> None:
         """Begin a session."""
 
+    def end(self) -> None:
+        """End the session: nothing is permitted before the next."""
+
     def trouble(self) -> str:
         """Return why nothing may move, in words; '' where it may."""
 
@@ -41,6 +44,10 @@ class SupervisorInProcess:
         """Begin a session."""
         self._supervisor.begin()
 
+    def end(self) -> None:
+        """End the session: nothing is permitted before the next."""
+        self._supervisor.end()
+
     def trouble(self) -> str:
         """Return why nothing may move, in words; '' where it may."""
         return self._supervisor.reason
@@ -56,5 +63,5 @@ class SupervisorInProcess:
     def refresh(self, state: IoState) -> int | None:
         """Take a state of the I/O; return the word that refreshes its outputs, None without permission."""
         now_s = self._now()
-        self._supervisor.io(now_s, state.hold_to_run, state.door_closed)
+        self._supervisor.io(now_s, state.hold_to_run, state.door_closed, state.brakes_open)
         return self._supervisor.answer(now_s, state.word)

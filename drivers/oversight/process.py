@@ -49,6 +49,8 @@ class SupervisorProcess:
         self._rounds, self._round_at_s = -1.0, time.monotonic()
         self._settings, self._url, self._priority, self._stop_socket = settings, bus_url, priority, stop_socket
         self._tap: socket.socket | None = None
+        self._session = 0.0
+        self._closed = False
         self._process: BaseProcess | None = None
 
     @property
@@ -60,6 +62,10 @@ class SupervisorProcess:
         """Return the bus, passing on its frames where no other process can open it."""
         if parse_bus_url(self._url).interface in SHARED_BY_PROCESSES:
             return bus
+        if not hasattr(socket, "AF_UNIX"):
+            raise BusUnavailableError(
+                f"{self._url}: its frames cannot be passed on to the supervisor on this system; use socketcan: or udp:"
+            )
         self._tap, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
         theirs.setblocking(False)
         return TappedBus(bus, theirs)
@@ -75,7 +81,7 @@ class SupervisorProcess:
         Raises
         ------
         BusUnavailableError
-            It cannot open the bus, or does not start.
+            It cannot open the bus, or does not start; `close` is still the caller's to call.
         """
         context = multiprocessing.get_context("spawn")
         arguments = (self._settings, self._url, self._memory.name, io_memory, os.getpid(), self._priority, self._stop_socket, self._tap)
@@ -83,13 +89,13 @@ class SupervisorProcess:
         self._process.start()
         give_up = time.monotonic() + START_TIMEOUT_S
         while self._own.sequence < 2:
-            if time.monotonic() > give_up or not self._process.is_alive():
-                self.close()
+            if not self._process.is_alive():
+                raise BusUnavailableError(f"{self._url}: the supervisor ended at its start with status {self._process.exitcode}")
+            if time.monotonic() > give_up:
                 raise BusUnavailableError(f"{self._url}: the supervisor did not start within {START_TIMEOUT_S:g} s")
             time.sleep(0.01)
         self._round_at_s = time.monotonic()
         if (text := self._own.text) and not self._own_rounds():
-            self.close()
             raise BusUnavailableError(text)
 
     def _own_rounds(self) -> float:
@@ -98,9 +104,15 @@ class SupervisorProcess:
 
     def begin(self) -> None:
         """Begin a session: it permits again."""
-        self._told[WANTED_SESSION] += 1.0
+        self._session += 1.0
+        self._told[WANTED_SESSION] = self._session
         self._orders.write(self._told)
         self._round_at_s = time.monotonic()
+
+    def end(self) -> None:
+        """End the session: nothing is permitted before the next."""
+        self._told[WANTED_SESSION] = -self._session
+        self._orders.write(self._told)
 
     def trouble(self) -> str:
         """Return why nothing may move, in words: its own reason, or that it does not answer; '' where it may move."""
@@ -116,7 +128,10 @@ class SupervisorProcess:
         return f"asked to stop by {self._own.text}" if seen[ASKED] else ""
 
     def close(self) -> None:
-        """End it. Never raises."""
+        """End it. Never raises; any number of times."""
+        if self._closed:
+            return
+        self._closed = True
         self._told[END] = 1.0
         self._orders.write(self._told)
         if self._process is not None:

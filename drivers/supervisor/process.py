@@ -23,6 +23,8 @@ from drivers.settings import BusSettings
 from drivers.supervisor.blocks import ANSWER, ASKED, END, FRAME, ORDERS, OWN, PERMITS, ROUNDS, SESSION, WANTED_SESSION, WORD, blocks_of
 from drivers.supervisor.supervisor import NMT, NMT_STOP, Supervisor
 
+HELD_UP_ROUNDS = 8.0
+"""Multiple of a round's time after which the process was held up: frames have come together meanwhile."""
 LINGERS_S = 2.0
 """Time for which it goes on judging after the loop's process is gone."""
 
@@ -39,8 +41,9 @@ def supervise(
 ) -> None:
     """Run the supervisor's process until it is told to end, or some time after the loop's process is gone."""
     for name in ("SIGINT", "SIGHUP", "SIGQUIT"):
-        signal.signal(getattr(signal, name), signal.SIG_IGN)
-    if priority:
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    if priority and hasattr(os, "sched_setscheduler"):
         with contextlib.suppress(OSError):
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     memory = SharedMemory(name=memory_name)
@@ -110,7 +113,7 @@ class _Asks:
     def __init__(self, stack: contextlib.ExitStack, path: Path | None) -> None:
         self._socket = None
         if path is not None and hasattr(socket, "AF_UNIX"):
-            path.unlink(missing_ok=True)
+            path.unlink(missing_ok=True)  # left by one that was killed
             line = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
             with contextlib.suppress(OSError):  # a path that is too long, a folder that is full: nobody can ask, the rest goes on
                 line.bind(str(path))
@@ -141,6 +144,8 @@ class _Rounds:
         self._settings, self._line, self._own, self._orders, self._io, self._asks = settings, line, own, orders, io, asks
         self._parent = parent
         self._who = ""  # asked for a stop, in any session
+        self._stale_s = settings.io.stale_after_s if settings.io is not None else 0.0
+        self._supervisor.end()  # until the bench begins a session
         self._round_s = 0.5 * settings.sync_period_s
         self._told = np.zeros(ORDERS)
         self._values = np.zeros(OWN)
@@ -152,8 +157,10 @@ class _Rounds:
         gone_s = 0.0
         while not self._told[END] and gone_s < LINGERS_S:
             began_s = time.monotonic()
-            self._take_frames(began_s + self._round_s)
             self._heed()
+            self._take_frames(began_s + self._round_s)
+            if time.monotonic() - began_s > HELD_UP_ROUNDS * self._round_s:
+                self._supervisor.held_up()
             now_s = time.monotonic()
             if os.getppid() != self._parent:
                 gone_s += now_s - began_s
@@ -174,7 +181,10 @@ class _Rounds:
         session = self._told[WANTED_SESSION]
         self._orders.read(self._told)
         if self._told[WANTED_SESSION] != session:
-            self._supervisor.begin()
+            if self._told[WANTED_SESSION] > 0.0:
+                self._supervisor.begin()
+            else:
+                self._supervisor.end()
         self._who = self._who or self._asks.asked(self._seen)
         if self._who:
             self._asks.asked(self._seen)
@@ -183,12 +193,14 @@ class _Rounds:
 
     def _seen(self) -> str:
         supervisor = self._supervisor
-        return f"{'torque on' if supervisor.powered else 'no torque'}\n{supervisor.reason}"
+        torque = "torque on" if supervisor.powered else "no torque" if supervisor.known else "unknown"
+        return f"{torque}\n{supervisor.reason}"
 
     def _judge(self, now_s: float) -> None:
         supervisor, values = self._supervisor, self._values
         if self._io is not None and take_state(self._io, self._read, self._state) >= 0:
-            supervisor.io(now_s, self._state.hold_to_run, self._state.door_closed)
+            fresh = now_s - self._state.time_s <= self._stale_s
+            supervisor.io(now_s, self._state.hold_to_run and fresh, self._state.door_closed and fresh, self._state.brakes_open)
         answer = supervisor.answer(now_s, self._state.word)
         values[ROUNDS] += 1.0
         values[SESSION] = self._told[WANTED_SESSION]

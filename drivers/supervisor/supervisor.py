@@ -3,7 +3,7 @@
 It shares no code with the sample loop, has no model and no clock of its own. The permission, once taken back, stays so until the next
 session. Without it no refresh reaches the I/O device, whose outputs then fall: brakes close, whatever loop, recorder and poller do.
 
-What is watched, while a drive may apply torque:
+What is watched of an axis, while its drive may apply torque or its brake reports open:
 
 - SYNC goes on, and no faster than it may;
 - each target torque keeps to the axis's limit;
@@ -16,8 +16,11 @@ What is watched, while a drive may apply torque:
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from math import inf, isfinite, nan
 from statistics import median
+
+import numpy as np
 
 from drivers.modbus.refresh import following_word
 from drivers.settings import AxisScaling, BusSettings, MotionLimits, Pdo
@@ -34,20 +37,21 @@ SPEED_MARGIN = 1.5
 SPEED_STEPS = 5
 """SYNCs over which speed is the median: a drive that sets its counter, and a damaged frame, make one step."""
 JUMP = 4.0
-"""Multiple of the highest speed that is a counter which was set, not a motion."""
+"""Multiple of the highest speed that is a counter which was set, not a motion; a step by the tracking error is one, too."""
 COUNTS = 2.0
 """Encoder counts by which a position may flicker."""
 ASKED_S = 1.0
 """From the question for a stop to standstill: a quick stop from the speed limit and a brake take half of it."""
 OBEYED_S = 0.3
-"""From the end of the permission to the command to the drives' communication to stop: a loop that works stops its axes by itself."""
-SLOWER = 0.5
-"""Share of its speed at the end of the permission that an axis which is being stopped has fallen below after `OBEYED_S`."""
-
+"""From the end of the permission to the command to a drive's communication to stop: a loop that works stops its axes by itself."""
+NMT_EVERY_S = 0.1
+"""Between two such commands: somebody may go on commanding."""
 NMT, NMT_STOP = 0x000, 0x02
 """Identifier and command that stop a node's communication (CiA 301)."""
 _TORQUE_ON = 0x04
 """Bit of the statusword that is set where the drive may apply torque: operation enabled, quick stop and fault reaction active."""
+_ENABLED_MASK, _ENABLED = 0x6F, 0x27
+"""Of a statusword in operation enabled, in which a drive does what it is told. One in quick stop holds, and is left to hold."""
 _STATUSWORD, _POSITION, _LINK_POSITION, _TARGET_TORQUE = 0x6041, 0x6064, 0x6004, 0x6071
 _SIGNED = (_POSITION, _TARGET_TORQUE)
 
@@ -76,14 +80,14 @@ class _Field:
 class _Encoder:
     """The motion of one encoder: its last steps, and how far it went since torque was switched on."""
 
-    def __init__(self, resolution: float, fastest: float) -> None:
+    def __init__(self, resolution: float, fastest: float, furthest: float) -> None:
         self.resolution = resolution
         self.moved = 0.0
         self.jumped = False
         self.steps: deque[float] = deque(maxlen=SPEED_STEPS)  # rad or m
         self._too_fast: deque[bool] = deque(maxlen=SPEED_STEPS)
         self._times: deque[float] = deque(maxlen=SPEED_STEPS)  # s that they took
-        self._fastest = fastest
+        self._fastest, self._furthest = fastest, furthest
         self._last: int | None = None
 
     def take(self, counts: int, bits: int, took_s: float) -> None:
@@ -92,7 +96,7 @@ class _Encoder:
             half = 1 << bits - 1
             step = self.resolution * ((counts - self._last + half) % (2 * half) - half)
             beyond = abs(step) - COUNTS * self.resolution
-            self.jumped = beyond > JUMP * self._fastest * took_s
+            self.jumped = beyond > min(JUMP * self._fastest * took_s, self._furthest)
             self._too_fast.append(beyond > self._fastest * took_s)
             self.moved += 0.0 if self.jumped else step
             self.steps.append(step)
@@ -107,7 +111,7 @@ class _Encoder:
     @property
     def speed(self) -> float:
         """The median over the last steps [rad/s or m/s], 0 before there are so many, and where it is a flicker."""
-        if len(self.steps) < SPEED_STEPS:
+        if len(self.steps) <= SPEED_STEPS // 2:
             return 0.0
         if abs(median(self.steps)) <= COUNTS * self.resolution:
             return 0.0
@@ -120,15 +124,14 @@ class _Axis:
     def __init__(self, scaling: AxisScaling, limits: MotionLimits, period_s: float) -> None:
         self.name, self.limits, self.scaling = scaling.axis, limits, scaling
         fastest = SPEED_MARGIN * limits.speed
-        self.motor = _Encoder(scaling.position_resolution, fastest)
-        self.link = _Encoder(scaling.link_resolution, fastest) if scaling.link_resolution else None
+        self.motor = _Encoder(scaling.position_resolution, fastest, limits.tracking_error)
+        self.link = _Encoder(scaling.link_resolution, fastest, limits.tracking_error) if scaling.link_resolution else None
         self.link_at = nan  # rad or m
-        self.torque_permille = min(32767, round(1000.0 * scaling.limit / scaling.rated))
-        self.powered = False
+        self.torque_permille = min(32767, round(scaling.limit / scaling.rated * 1000.0))
+        self.powered = self.enabled = self.brake_open = self.known = False
         self.unanswered = 0  # SYNCs since the last position
         self.seen_at_s = self.link_seen_at_s = -inf  # when each encoder was read last
         self.stood_at = nan  # how far the motor side had moved when it was to stand
-        self.fast = inf  # speed at the end of the permission
         self._period_s = period_s
 
     def status(self, word: int) -> None:
@@ -136,7 +139,8 @@ class _Axis:
         powered = bool(word & _TORQUE_ON)
         if powered and not self.powered:
             self.rebase()
-        self.powered = powered
+        self.powered, self.known = powered, True
+        self.enabled = word & _ENABLED_MASK == _ENABLED
 
     def rebase(self) -> None:
         """Count both encoders from here."""
@@ -180,7 +184,7 @@ class _Axis:
             return ""
         apart = self.scaling.sign * self.motor.moved - self.link.moved
         if abs(apart) > limits.tracking_error:
-            return f"{self.name}: its encoders are {apart:+.2e} {unit} apart since its drive has torque"
+            return f"{self.name}: its encoders are {apart:+.2e} {unit} apart since it was released"
         beyond = max(limits.lower - self.link_at, self.link_at - limits.upper)
         outwards = self.link.speed if self.link_at > limits.upper else -self.link.speed
         if beyond > limits.tracking_error and outwards > 0.0:
@@ -204,34 +208,46 @@ class Supervisor:
     def __init__(self, settings: BusSettings) -> None:
         self._sync_id, self._period_s = settings.sync_cob_id, settings.sync_period_s
         self._silent_s = max(SYNC_SILENT_PERIODS * settings.master_heartbeat_period_s, SILENT_AT_LEAST_S)
+        self._settings = settings
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin a session: permit again, and forget what was seen."""
+        settings = self._settings
+        self.reason = ""
+        self._sync_s: deque[float] = deque(maxlen=FAST_SYNCS + 1)
+        self._asked_at_s = self._released_at_s = self._refused_at_s = inf
+        self._nmt_at_s = -inf
+        self.asked_by = ""
         self._axes = [
             _Axis(scaling, limits, settings.sync_period_s) for scaling, limits in zip(settings.scalings, settings.motions, strict=True)
         ]
         names = [axis.name for axis in self._axes]
-        self._drives = tuple(node.node_id for node in settings.nodes if node.role == "drive")
+        self._drives = [(self._axes[names.index(node.axis)], node.node_id) for node in settings.nodes if node.role == "drive"]
         self._sent = {pdo.cob_id: self._reader(node.axis, names, pdo) for node in settings.nodes for pdo in node.tpdos}
         self._asked = {
             pdo.cob_id: (self._axes[names.index(node.axis)], _Field(pdo.entries, _TARGET_TORQUE))
             for node in settings.nodes
             for pdo in node.rpdos
         }
-        self.begin()
 
     def _reader(self, axis: str, names: list[str], pdo: Pdo) -> tuple[_Axis, _Field, _Field, _Field]:
         status, position, link = (_Field(pdo.entries, index) for index in (_STATUSWORD, _POSITION, _LINK_POSITION))
         return self._axes[names.index(axis)], status, position, link
 
-    def begin(self) -> None:
-        """Begin a session: permit again, and forget what was seen."""
-        self.reason = ""
-        self._sync_s: deque[float] = deque(maxlen=FAST_SYNCS + 1)
-        self._asked_at_s = self._released_at_s = self._refused_at_s = inf
-        self.asked_by = ""
+    def end(self) -> None:
+        """End the session: nothing is permitted before the next one."""
+        self.refuse(-inf, "no bench runs")
 
     @property
     def powered(self) -> bool:
         """Whether any drive may apply torque."""
         return any(axis.powered for axis in self._axes)
+
+    @property
+    def known(self) -> bool:
+        """Whether every drive has told its state in this session."""
+        return all(axis.known for axis in self._axes)
 
     def frame(self, time_s: float, can_id: int, data: bytes) -> None:
         """Take a data frame with an 11-bit identifier, whoever sent it."""
@@ -251,8 +267,10 @@ class Supervisor:
             if axis.link is not None and (counts := link.read(data)) is not None:
                 axis.link_position(time_s, counts, link.bits)
 
-    def io(self, time_s: float, hold_to_run: bool, door_closed: bool) -> None:
-        """Take a state of the I/O."""
+    def io(self, time_s: float, hold_to_run: bool, door_closed: bool, brakes_open: Sequence[bool] | np.ndarray = ()) -> None:
+        """Take a state of the I/O; `brakes_open` in the order of the axes, empty where it is not known."""
+        for axis, brake_open in zip(self._axes, brakes_open, strict=False):
+            axis.brake_open = bool(brake_open)
         if hold_to_run and door_closed:
             self._released_at_s = inf
         elif self._released_at_s == inf:
@@ -268,12 +286,18 @@ class Supervisor:
         if not self.reason:
             self.reason, self._refused_at_s = reason, time_s
             for axis in self._axes:
-                axis.fast = max(abs(axis.motor.speed), SLOWER * axis.limits.speed)
+                axis.stood_at = nan
+
+    def held_up(self) -> None:
+        """Take note that frames were not taken for a while: SYNCs that come together now are no second producer."""
+        while len(self._sync_s) > 1:
+            self._sync_s.popleft()
 
     def check(self, time_s: float) -> bool:
         """Judge, and return whether motion is permitted; call it at least every period."""
-        if not self.reason and self.powered:
-            self._check(time_s)
+        watched = [axis for axis in self._axes if axis.powered or axis.brake_open]
+        if not self.reason and watched:
+            self._check(time_s, watched)
         return not self.reason
 
     def answer(self, time_s: float, word: int) -> int | None:
@@ -281,31 +305,35 @@ class Supervisor:
         return following_word(word) if self.check(time_s) else None
 
     def stops_nodes(self, time_s: float) -> tuple[int, ...]:
-        """Return the nodes whose communication the supervisor now stops itself (NMT), because the loop does not stop their axes."""
+        """Return the nodes whose communication the supervisor now stops itself (NMT), because the loop does not stop their axes.
+
+        Those are drives in operation enabled: where SYNC is silent, or the axis moves on. A drive that holds is left to hold.
+        """
+        if not self.reason or time_s - self._nmt_at_s < NMT_EVERY_S:
+            return ()
         silent = bool(self._sync_s) and time_s - self._sync_s[-1] > self._silent_s
-        overdue = time_s - self._refused_at_s > OBEYED_S and any(
-            axis.powered and abs(axis.motor.speed) > SLOWER * axis.fast for axis in self._axes
-        )
-        return self._drives if self.reason and self.powered and (silent or overdue) else ()
+        overdue = time_s - self._refused_at_s > OBEYED_S
+        nodes = tuple(node for axis, node in self._drives if axis.enabled and (silent or (overdue and axis.moves_on())))
+        if nodes:
+            self._nmt_at_s = time_s
+        return nodes
 
     def _sync(self, time_s: float) -> None:
         self._sync_s.append(time_s)
         for axis in self._axes:
             axis.unanswered += 1
 
-    def _check(self, time_s: float) -> None:
+    def _check(self, time_s: float, watched: list[_Axis]) -> None:
         if self._sync_s:
             silent_s = time_s - self._sync_s[-1]
             if silent_s > self._silent_s:
-                self.refuse(time_s, f"no SYNC for {silent_s:.2f} s while a drive has torque")
+                self.refuse(time_s, f"no SYNC for {silent_s:.2f} s while a drive has torque or a brake is open")
         if len(self._sync_s) > FAST_SYNCS and (self._sync_s[-1] - self._sync_s[0]) < FAST_SHARE * FAST_SYNCS * self._period_s:
             self.refuse(time_s, "SYNC comes faster than it may: a second producer")
         asked = min(self._asked_at_s, self._released_at_s)
-        for axis in self._axes:
-            if not axis.powered:
-                continue
+        for axis in watched:
             if axis.unanswered * self._period_s > self._silent_s:
-                self.refuse(time_s, f"{axis.name}: its drive has torque and sends no position")
+                self.refuse(time_s, f"{axis.name}: its drive sends no position while it has torque or the brake is open")
             if wrong := axis.wrong():
                 self.refuse(time_s, wrong)
             if time_s - asked <= ASKED_S:

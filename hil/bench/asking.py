@@ -7,11 +7,13 @@ import getpass
 import hashlib
 import os
 import socket
+import stat
 import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
 
+from drivers.bus_url import parse_bus_url
 from hil.errors import BadAnswerError, UnusableInputError
 from hil.processes.private_folder import check_own, made_private_folder, private_folder
 
@@ -30,7 +32,9 @@ def stop_socket(bus_url: str, *, make: bool = False) -> Path:
         The folder is not this user's own.
     """
     folder = made_private_folder() if make else private_folder()
-    return folder / f"stop-{hashlib.sha256(bus_url.encode()).hexdigest()[:16]}.socket"
+    bus = parse_bus_url(bus_url)
+    name = f"{bus.interface}:{bus.channel}:{bus.options}"
+    return folder / f"stop-{hashlib.sha256(name.encode()).hexdigest()[:16]}.socket"
 
 
 def ask_to_stop(bus_url: str, say: Callable[[str], None]) -> None:
@@ -57,13 +61,17 @@ def ask_to_stop(bus_url: str, say: Callable[[str], None]) -> None:
         seen = _ask(line, path, who)
         if seen is None:
             raise UnusableInputError(f"{bus_url}: no bench of yours runs on this bus; stop the machine at its emergency stop")
+        if not seen:
+            raise BadAnswerError(f"{bus_url}: the supervisor does not answer; stop the machine at its emergency stop")
         say(f"{bus_url}: the supervisor was told")
         give_up = time.monotonic() + STOP_S
-        while seen is not None and seen.startswith("torque on"):
+        while seen is not None and not seen.startswith("no torque"):
+            if not seen:
+                raise BadAnswerError(f"{bus_url}: the supervisor answers no more; nobody knows whether the motors stand")
             if time.monotonic() > give_up:
                 raise BadAnswerError(
-                    f"{bus_url}: a drive still has torque after {STOP_S:g} s: it holds an axis whose brake is not proven, or does not "
-                    "obey; the terminal of the run says which"
+                    f"{bus_url}: a drive has torque or tells nothing after {STOP_S:g} s: it holds an axis whose brake is not proven, "
+                    "or does not obey; the terminal of the run says which"
                 )
             time.sleep(AGAIN_S)
             seen = _ask(line, path, who)
@@ -71,13 +79,14 @@ def ask_to_stop(bus_url: str, say: Callable[[str], None]) -> None:
 
 
 def _ask(line: socket.socket, path: Path, who: str) -> str | None:
-    """Return what the supervisor sees; None where there is none."""
+    """Return what the supervisor sees; None where there is none, '' where it does not answer."""
     try:
-        status = path.lstat()
-        check_own(path, status, lambda mode: True)
+        check_own(path.parent, path.parent.lstat(), stat.S_ISDIR)
         line.sendto(who.encode(), str(path))
-    except OSError:
+    except FileNotFoundError:
         return None
+    except OSError:
+        return ""
     with contextlib.suppress(OSError):
         return line.recv(1000).decode(errors="replace")
-    return None
+    return ""

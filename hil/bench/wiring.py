@@ -73,6 +73,11 @@ class HeedingMachine(CanMachine):
         self._oversight.begin()
         super().start()
 
+    def close(self) -> None:
+        """Close as `CanMachine` does, and end the supervisor's session."""
+        super().close()
+        self._oversight.end()
+
     def stop(self) -> None:
         """Stop as `CanMachine` does; errors are kept in `troubles`, and how each axis ended in `events`."""
         before = self.rests

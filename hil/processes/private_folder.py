@@ -55,4 +55,4 @@ def check_own(path: Path, status: os.stat_result, is_kind: Callable[[int], bool]
         wrong = f"can be written by others (mode {stat.S_IMODE(status.st_mode):o})"
     else:
         return
-    raise UnusableInputError(f"{path}: {wrong}, so what it says of an emulator's addresses is not believed; remove it, or {REMEDY}")
+    raise UnusableInputError(f"{path}: {wrong}, so what it says is not believed; remove it, or {REMEDY}")

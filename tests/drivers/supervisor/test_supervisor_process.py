@@ -6,6 +6,7 @@ import contextlib
 import os
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
 from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
@@ -42,11 +43,12 @@ class Bench:
         self.stop_socket = stop_socket
         self.parent = os.getppid()
         self.priority = 1
+        self.order(1.0, end=False)
         self.seen = np.zeros(OWN)
 
     def state(self, *, pressed: bool = True, closed: bool = True) -> None:
         state = IoState(AXES)
-        state.hold_to_run, state.door_closed, state.word, state.time_s = pressed, closed, FIRST_WORD, 1.0
+        state.hold_to_run, state.door_closed, state.word, state.time_s = pressed, closed, FIRST_WORD, time.monotonic()
         self.io.write(values_of(state))
 
     def order(self, session: float, *, end: bool) -> None:
@@ -124,8 +126,8 @@ def test_a_drive_with_torque_whose_sync_stops_ends_the_permission_and_its_networ
     bench.run(rounds=400)
     assert bench.seen[PERMITS] == 0
     assert bench.own.text.startswith("no SYNC for")
-    sent = [FRAME.unpack(bench.here.recv(FRAME.size)) for _ in range(2)]
-    assert [(can_id, data[:length]) for can_id, length, data in sent] == [(0, b"\x02\x01"), (0, b"\x02\x02")]
+    sent = [FRAME.unpack(bench.here.recv(FRAME.size))]
+    assert [(can_id, data[:length]) for can_id, length, data in sent] == [(0, b"\x02\x02")]
     reader = AnswerReader(bench.memory.name)
     state = IoState(AXES)
     state.word = FIRST_WORD
@@ -168,7 +170,7 @@ def test_it_sends_on_a_bus_that_it_opened(bench: Bench) -> None:
     heard = other.recv(0.0)
     other.shutdown()
     assert heard is not None
-    assert (heard.arbitration_id, heard.is_extended_id, bytes(heard.data)) == (0, False, b"\x02\x01")
+    assert (heard.arbitration_id, heard.is_extended_id, bytes(heard.data)) == (0, False, b"\x02\x02")
 
 
 def test_what_is_no_data_frame_is_not_heard() -> None:
@@ -188,12 +190,18 @@ class Told:
     def __init__(self, settings: object) -> None:
         self.states: list[tuple[bool, bool]] = []
         self.asks: list[tuple[bool, str]] = []
-        self.reason, self.asked_by, self.powered = "", "", True
+        self.reason, self.asked_by, self.powered, self.known = "", "", True, True
         Told.newest = self
 
     newest: Told
 
-    def io(self, time_s: float, hold_to_run: bool, door_closed: bool) -> None:
+    def begin(self) -> None: ...
+
+    def end(self) -> None: ...
+
+    def held_up(self) -> None: ...
+
+    def io(self, time_s: float, hold_to_run: bool, door_closed: bool, brakes_open: np.ndarray) -> None:
         self.states.append((hold_to_run, door_closed))
 
     def ask_to_stop(self, time_s: float, who: str) -> None:
@@ -262,7 +270,7 @@ def test_who_asks_for_a_stop_is_heard_answered_and_remembered_over_sessions(tmp_
                 bench.order(2.0, end=False)
 
         bench.run(during=ask, rounds=5)
-    assert answers == [b"no torque\n"]
+    assert answers == [b"unknown\n"]
     assert (bench.seen[ASKED], bench.own.text, bench.seen[PERMITS], bench.seen[SESSION]) == (1, "somebody", 1, 2)
     assert not (tmp_path / "stop.socket").exists()
     bench.close()
@@ -270,6 +278,8 @@ def test_who_asks_for_a_stop_is_heard_answered_and_remembered_over_sessions(tmp_
 
 def test_nobody_can_ask_without_unix_sockets(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(process.socket, "AF_UNIX")
+    monkeypatch.delattr(process.signal, "SIGHUP")
+    monkeypatch.setattr(process, "HELD_UP_ROUNDS", 0.0)  # each round was held up, and says so
     bench.stop_socket, bench.priority = Path("never.socket"), 0
     bench.run(rounds=1)
     assert not Path("never.socket").exists()
@@ -279,6 +289,22 @@ def test_a_socket_that_cannot_be_made_keeps_nothing_from_running(bench: Bench, t
     bench.stop_socket = tmp_path / ("long" * 30) / "stop.socket"
     bench.run(rounds=1)
     assert bench.seen[PERMITS] == 1
+
+
+def test_a_session_that_has_ended_permits_nothing(bench: Bench) -> None:
+    bench.order(-1.0, end=False)
+    bench.run()
+    assert (bench.seen[PERMITS], bench.own.text) == (0, "no bench runs")
+
+
+def test_a_state_of_the_io_that_is_old_is_none(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(process, "Supervisor", Told)
+    bench.state()
+    assert SETTINGS.io is not None
+    then_s = time.monotonic()
+    monkeypatch.setattr(process.time, "monotonic", lambda: then_s + 1e6 + time.perf_counter())
+    bench.run(rounds=1)
+    assert Told.newest.states[-1] == (False, False)
 
 
 def test_frames_come_from_another_thread(bench: Bench) -> None:
