@@ -3,24 +3,17 @@
 It shares no code with the sample loop, has no model and no clock of its own. The permission, once taken back, stays so until the next
 session. Without it no refresh reaches the I/O device, whose outputs then fall: brakes close, whatever loop, recorder and poller do.
 
-What is watched of an axis, while its drive may apply torque or its brake reports open:
-
-- SYNC goes on, and no faster than it may;
-- each target torque keeps to the axis's limit;
-- each drive sends its position;
-- no axis is faster than its limit and a half, as measured over some SYNCs;
-- an axis with a link encoder does not move out of its range, and its two encoders move alike;
-- after hold-to-run, door or a user asked for a stop, no axis moves on.
+Of an axis whose drive may apply torque, or whose brake reports open, this is watched: SYNC goes on, and no faster than it may; the target
+torque keeps to its limit; the drive sends its position; no encoder is faster than the limit and a half; with a link encoder, both move
+alike and within the range; and after hold-to-run, door or a user asked for a stop the axis does not move on.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable
 from math import inf, isfinite, nan
 from statistics import median
-
-import numpy as np
 
 from drivers.modbus.refresh import following_word
 from drivers.settings import AxisScaling, BusSettings, MotionLimits, Pdo
@@ -236,7 +229,7 @@ class Supervisor:
         return self._axes[names.index(axis)], status, position, link
 
     def end(self) -> None:
-        """End the session: nothing is permitted before the next one."""
+        """End the session: nothing is permitted before the next."""
         self.refuse(-inf, "no bench runs")
 
     @property
@@ -267,7 +260,7 @@ class Supervisor:
             if axis.link is not None and (counts := link.read(data)) is not None:
                 axis.link_position(time_s, counts, link.bits)
 
-    def io(self, time_s: float, hold_to_run: bool, door_closed: bool, brakes_open: Sequence[bool] | np.ndarray = ()) -> None:
+    def io(self, time_s: float, hold_to_run: bool, door_closed: bool, brakes_open: Iterable[bool] = ()) -> None:
         """Take a state of the I/O; `brakes_open` in the order of the axes, empty where it is not known."""
         for axis, brake_open in zip(self._axes, brakes_open, strict=False):
             axis.brake_open = bool(brake_open)
@@ -314,8 +307,7 @@ class Supervisor:
         silent = bool(self._sync_s) and time_s - self._sync_s[-1] > self._silent_s
         overdue = time_s - self._refused_at_s > OBEYED_S
         nodes = tuple(node for axis, node in self._drives if axis.enabled and (silent or (overdue and axis.moves_on())))
-        if nodes:
-            self._nmt_at_s = time_s
+        self._nmt_at_s = time_s if nodes else self._nmt_at_s
         return nodes
 
     def _sync(self, time_s: float) -> None:
