@@ -49,6 +49,7 @@ class SupervisorProcess:
         self._rounds, self._round_at_s = -1.0, time.monotonic()
         self._settings, self._url, self._priority, self._stop_socket = settings, bus_url, priority, stop_socket
         self._tap: socket.socket | None = None
+        self._tapped: TappedBus | None = None
         self._session = 0.0
         self._closed = False
         self._process: BaseProcess | None = None
@@ -68,7 +69,8 @@ class SupervisorProcess:
             )
         self._tap, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
         theirs.setblocking(False)
-        return TappedBus(bus, theirs)
+        self._tapped = TappedBus(bus, theirs)
+        return self._tapped
 
     def start(self, io_memory: str = "") -> None:
         """Start it, and wait for its first round.
@@ -140,6 +142,8 @@ class SupervisorProcess:
             self._process.join()
         if self._tap is not None:
             self._tap.close()
+        if self._tapped is not None:
+            self._tapped.shutdown()
         self._own.release()
         self._orders.release()
         self._memory.close()

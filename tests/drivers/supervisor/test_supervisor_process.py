@@ -75,6 +75,7 @@ class Bench:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(process._Rounds, "_judge", counted)
             patch.setattr(process.signal, "signal", lambda *_: None)
+            patch.setattr(process.os, "sched_setscheduler", lambda *_: None)  # of the tests' own process
             tap = None if url else self.there
             memory = self.io_memory.name if io else ""
             process.supervise(SETTINGS, url, self.memory.name, memory, self.parent, self.priority, self.stop_socket, tap)

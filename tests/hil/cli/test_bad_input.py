@@ -238,7 +238,7 @@ def test_a_bus_that_breaks_in_the_run_is_one_line_that_tells_what_the_stop_ran_i
     recording = read_recording(out)
     assert recording.rows > 256
     assert not part.exists()
-    assert any("to pre-operational" in trouble for trouble in recording.metadata["ended"]["stopping"])
+    assert any("stopping: " in trouble for trouble in recording.metadata["ended"]["stopping"])  # a drive that may hold is left to hold
 
 
 @pytest.mark.slow
