@@ -43,7 +43,7 @@ class Resting:
 
     @property
     def held(self) -> set[str]:
-        """The axes that only their drives held when the last stop ended."""
+        """The axes that only their drives held when the last stop ended, or that they may hold: a stop that broke off does not tell."""
         return {rest.axis for rest in self.rests if rest.held}
 
     @property

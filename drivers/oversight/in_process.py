@@ -10,6 +10,11 @@ from drivers.settings import BusSettings
 from drivers.supervisor.supervisor import NMT, NMT_STOP, Supervisor
 
 
+def took_back(reason: str) -> str:
+    """Return how the end of a permission is told."""
+    return f"the supervisor took its permission back: {reason}"
+
+
 class Oversight(Protocol):
     """What the machine's link knows of its supervisor."""
 
@@ -50,7 +55,7 @@ class SupervisorInProcess:
 
     def trouble(self) -> str:
         """Return why nothing may move, in words; '' where it may."""
-        return self._supervisor.reason
+        return took_back(self._supervisor.reason) if self._supervisor.reason else ""
 
     def frame(self, time_s: float, can_id: int, data: bytes) -> None:
         """Take a frame of the bus; judge with every SYNC."""

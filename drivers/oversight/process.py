@@ -16,6 +16,7 @@ import numpy as np
 from drivers.bus_url import parse_bus_url
 from drivers.errors import BusUnavailableError
 from drivers.modbus.shared_block import Block
+from drivers.oversight.in_process import took_back
 from drivers.oversight.tapped_bus import TappedBus
 from drivers.settings import BusSettings
 from drivers.supervisor.blocks import ASKED, END, ORDERS, OWN, PERMITS, ROUNDS, SESSION, WANTED_SESSION, blocks_of
@@ -126,7 +127,7 @@ class SupervisorProcess:
         if seen[SESSION] != self._told[WANTED_SESSION]:
             return ""  # it has yet to hear of this session
         if not seen[PERMITS]:
-            return f"the supervisor took its permission back: {self._own.text}"
+            return took_back(self._own.text)
         return f"asked to stop by {self._own.text}" if seen[ASKED] else ""
 
     def close(self) -> None:

@@ -1,0 +1,29 @@
+"""A bus that only one process can open: what passes is passed on, and what the supervisor sends is sent."""
+
+from __future__ import annotations
+
+import socket
+
+import can
+
+from drivers.oversight.tapped_bus import TappedBus
+from drivers.supervisor.blocks import FRAME
+
+
+def test_data_frames_of_both_directions_are_passed_on_and_the_supervisors_are_sent() -> None:
+    here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    there.setblocking(False)
+    here.settimeout(10.0)
+    with can.Bus("tapped", interface="virtual") as other, can.Bus("tapped", interface="virtual") as owned:
+        bus = TappedBus(owned, there)
+        other.send(can.Message(arbitration_id=0x181, is_extended_id=False, data=b"\x01\x02"))
+        other.send(can.Message(arbitration_id=0x181, is_extended_id=True, data=b"\x09"))
+        assert [message is not None for message in (bus.recv(0.0), bus.recv(0.0), bus.recv(0.0))] == [True, True, False]
+        here.send(FRAME.pack(0x000, 2, b"\x02\x01"))
+        bus.send(can.Message(arbitration_id=0x080, is_extended_id=False, data=b""))
+        heard = [FRAME.unpack(here.recv(FRAME.size)) for _ in range(2)]
+        assert [(can_id, data[:length]) for can_id, length, data in heard] == [(0x181, b"\x01\x02"), (0x080, b"")]
+        sent = [other.recv(0.0), other.recv(0.0)]
+        assert [(m.arbitration_id, bytes(m.data)) for m in sent if m is not None] == [(0x080, b""), (0x000, b"\x02\x01")]
+        bus.shutdown()
+    here.close()
