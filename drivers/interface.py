@@ -24,6 +24,7 @@ class Sample:
     position: np.ndarray = field(init=False)  # rad or m
     link_position: np.ndarray = field(init=False)  # rad or m; NaN without a link encoder
     effort: np.ndarray = field(init=False)  # in the drive's unit
+    commanded: np.ndarray = field(init=False)  # in the drive's unit: what the drives were sent before this SYNC, as it was on the wire
     statusword: np.ndarray = field(init=False)  # int64, -1 when missing
     age_s: np.ndarray = field(init=False)
     imu: np.ndarray = field(init=False)  # (6,) specific force m/s^2, angular rate rad/s
@@ -45,6 +46,7 @@ class Sample:
         self.position = np.full(self.axes, np.nan)
         self.link_position = np.full(self.axes, np.nan)
         self.effort = np.full(self.axes, np.nan)
+        self.commanded = np.full(self.axes, np.nan)
         self.statusword = np.full(self.axes, -1, dtype=np.int64)
         self.age_s = np.zeros(self.axes)
         self.imu = np.full(6, np.nan)

@@ -124,6 +124,7 @@ class IoMap:
     door_input: int  # discrete input; 1: closed
     temperature_registers: dict[str, int]  # axis -> input register, int16 in 0.1 degC
     watchdog: IoWatchdog | None = None  # None: nothing but the loop and the poller closes the brakes
+    hold_to_run_released_input: int | None = None  # second contact of the switch, on a discrete input; 1: released
 
 
 @dataclass(frozen=True)

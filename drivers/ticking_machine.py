@@ -87,7 +87,7 @@ class TickingMachine:
         self.inputs = tuple(self._cyclic.inputs)
         self.sample = Sample(len(self.axes))
         self.watch = MotionWatch(settings.motions, settings.scalings, clock, self.period_s)
-        self.notes: tuple[str, ...] = ()  # what nodes cannot do, from the last start
+        self.notes: tuple[str, ...] = ()  # what nodes cannot do, and which faults were reset, since the last start
         self.stop_trouble: list[str] = []  # what went wrong in the last stop
         self.stopping = False  # from the first step of a stop to its last; a signal handler must not interrupt it
         self.attendant: Attendant = attendant or Unattended()
@@ -136,6 +136,8 @@ class TickingMachine:
             for node in self.settings.nodes:
                 self.network.command_nmt(NMT_START, node.node_id)
             self._cyclic.syncs = 0
+            self._cyclic.forget_remarks()
+            self.network.passed_over.clear()
             self.supervision.await_operational(self.settings.nodes)
             if self.settings.master_heartbeat_period_s > 0.0:
                 self.network.start_heartbeat(self.settings.master_node_id, self.settings.master_heartbeat_period_s)
@@ -194,6 +196,19 @@ class TickingMachine:
         names = (f"frames{f' (first: {first})' if first else ''}", "datagrams", "messages of the IMU", "answers of the I/O")
         said = ", ".join(f"{count} {name}" for count, name in zip(counts, names, strict=True) if count)
         return f"dropped because malformed: {said}" if said else ""
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What an operator should know of nodes and bus since the last start, a line each: it was borne, bridged or put right."""
+        passed_over = ", ".join(f"{count} {kind}" for kind, count in self.network.passed_over.items())
+        lines = (
+            *self.notes,
+            self.dropped,
+            f"ignored on the bus: {passed_over}" if passed_over else "",
+            *self._cyclic.remarks,
+            *self.supervision.remarks,
+        )
+        return tuple(filter(None, lines))
 
     def _malformed(self) -> tuple[int, int, int, int]:
         imu = 0 if self._imu is None else self._imu.malformed + self._imu.checksum_errors

@@ -101,6 +101,10 @@ class AxisOutput:
         value = round(effort * self._permille)
         return self._limit if value > self._limit else -self._limit if value < -self._limit else value
 
+    def effort(self, permille: int) -> float:
+        """Return the effort [drive's unit] of a target torque (6071h)."""
+        return permille / self._permille
+
     def send(self, bus: can.BusABC, target: int) -> None:
         """Send the drive's RPDOs with the controlword and this target torque."""
         for message, pack_into, has_controlword, controlword_first in self.frames:
@@ -125,7 +129,9 @@ class _Tpdo:
         self.axis = axis
         self.source = source
         self.every_sync = pdo.transmission_type == 1
-        self.unpack = PdoCodec.of(pdo.entries).unpack
+        codec = PdoCodec.of(pdo.entries)
+        self.unpack, self.size = codec.unpack, codec.size
+        self.unanswered = self.longer = 0  # SYNCs without its answer in time; frames longer than what they map
         objects = [index for index, _, _ in pdo.entries]
         self.statusword, self.position, self.link = (
             objects.index(i) if i in objects else -1 for i in (STATUSWORD, POSITION, LINK_POSITION)
@@ -240,6 +246,7 @@ class CyclicExchange:
             if not isfinite(effort):
                 raise MotionRefusedError(f"{self._axis_names[len(targets)]}: the command is {effort}; no number, no motion")
             targets.append(output.permille(effort))
+            sample.commanded[len(targets) - 1] = output.effort(targets[-1])
         bus = self._bus
         for output, target in zip(self.outputs, targets, strict=True):
             output.send(bus, target)
@@ -278,6 +285,22 @@ class CyclicExchange:
             for bit, tpdo in enumerate(self._tpdos)
             if self._outstanding >> bit & 1
         ]
+
+    def forget_remarks(self) -> None:
+        """Begin to count anew."""
+        for tpdo in self._tpdos:
+            tpdo.unanswered = tpdo.longer = 0
+
+    @property
+    def remarks(self) -> list[str]:
+        """What was unusual of the TPDOs, in words: it was bridged, or does no harm."""
+        found = [f"{tpdo.who}: {tpdo.unanswered} SYNCs were not answered in time" for tpdo in self._tpdos if tpdo.unanswered]
+        found += [
+            f"{tpdo.who}: {tpdo.longer} frames were longer than the {tpdo.size} bytes that it maps; the rest was ignored"
+            for tpdo in self._tpdos
+            if tpdo.longer
+        ]
+        return found
 
     def _clear(self, sample: Sample) -> None:
         sample.position.fill(nan)
@@ -346,6 +369,7 @@ class CyclicExchange:
                 self._owed[bit] = 0
             else:
                 self._owed[bit] = self._owed[bit] + 1 if usual_s == usual_s else 0
+                tpdo.unanswered += usual_s == usual_s
                 tpdo.forget(sample)
         return outstanding
 
@@ -373,6 +397,7 @@ class CyclicExchange:
             tpdo.malformed = str(error)
             self._network.drop(f"{tpdo.who}: {error}")
             return False
+        tpdo.longer += len(data) > tpdo.size
         return True
 
     def _other(self, message: can.Message) -> None:
@@ -382,6 +407,7 @@ class CyclicExchange:
         self._others += 1
         self._last_other = identifier
         if not is_data_frame(message):
+            self._network.pass_over(message)
             return
         if (node_id := self._heartbeats.get(identifier)) is not None:
             self._supervision.heartbeat(node_id, message.data)

@@ -15,6 +15,7 @@ RAMP_SHARE = 0.5  # share of the direction check's time-out in which the effort 
 SAMPLE_TIMEOUT_S = 1.0  # for one row in which motor side and link encoder both answered
 AVERAGING_S = 0.5  # a flexible structure swings on after a brake has closed; the mean over some of its periods is its rest position
 
+HOME_OFFSET = 0x607C
 HOMING_METHOD, HOMING_SPEEDS, HOMING_ACCELERATION = 0x6098, 0x6099, 0x609A
 
 
@@ -131,6 +132,7 @@ def home_drive(machine: Machine, axis: int, settings: HomingSettings, holding: n
     moves = settings.method not in HOMING_AT_PRESENT_POSITION
     power_and_brakes.set_mode(machine, axis, Mode.HOMING)
     _write_homing(machine, axis, settings, moves)
+    offset = int.from_bytes(machine.sdo(axis).read_if_present(HOME_OFFSET) or b"", "little", signed=True)
     machine.resume_ticks()
     machine.watch.stand(sets_counter=None if moves else axis)
     power_and_brakes.reach(machine, State.OPERATION_ENABLED, [axis], lambda _: holding)
@@ -149,10 +151,29 @@ def home_drive(machine: Machine, axis: int, settings: HomingSettings, holding: n
     source.offset = 0.0
     machine.watch.stand()
     position, link = _mean_positions(machine, axis, holding)
+    if not moves:
+        _check_counter(machine, axis, settings, position, offset)
     if not moves and np.isfinite(link):
         source.offset = link - windup - position
     machine.watch.homed(axis)
     machine.watch.stand()
+
+
+def _check_counter(machine: Machine, axis: int, settings: HomingSettings, position: float, offset: int) -> None:
+    """Check that homing at the present position has set the drive's counter to the home offset.
+
+    Raises
+    ------
+    MotionRefusedError
+        The counter shows something else than that offset (607Ch), by more than the encoders may disagree.
+    """
+    scaling = machine.scalings[axis]
+    shown = round(scaling.sign * position / scaling.position_resolution)
+    if abs(shown - offset) * scaling.position_resolution > settings.agreement_tolerance:
+        raise MotionRefusedError(
+            f"{machine.axes[axis]}: homing by method {settings.method} has set the counter to {shown} where the home offset (607Ch) is "
+            f"{offset}: the drive takes another position for its home than the present one"
+        )
 
 
 def check_agreement(machine: Machine, axis: int, settings: HomingSettings, command: np.ndarray, windup: float = 0.0) -> str:

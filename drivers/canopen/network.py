@@ -47,6 +47,7 @@ class PolledNetwork(canopen.Network):
         self.clock = clock
         self.malformed = 0  # frames dropped because they are none of their protocol
         self.first_malformed = ""  # the first of them, in words
+        self.passed_over: dict[str, int] = {}  # frames that CANopen gives no meaning here, by what they are
         self.intruder = ""  # who else sends what only the bench or one device may send, in words
         self.heartbeats_sent = 0
         self._requests = self._echoes = 0
@@ -89,6 +90,8 @@ class PolledNetwork(canopen.Network):
             if self._last_request is not None and self._last_request == (message.arbitration_id, bytes(message.data)):
                 self._echoes, self._last_request = self._echoes + 1, None
             self.notify(message.arbitration_id, message.data, message.timestamp)
+        else:
+            self.pass_over(message)
         return True
 
     @property
@@ -104,6 +107,16 @@ class PolledNetwork(canopen.Network):
         """Count a malformed frame that nobody obeys."""
         self.malformed += 1
         self.first_malformed = self.first_malformed or why
+
+    def pass_over(self, message: can.Message) -> None:
+        """Count a frame that is no data frame with an 11-bit identifier."""
+        kind = (
+            "error frames" if message.is_error_frame
+            else "frames with a 29-bit identifier" if message.is_extended_id
+            else "remote frames" if message.is_remote_frame
+            else "CAN FD frames"
+        )  # fmt: skip
+        self.passed_over[kind] = self.passed_over.get(kind, 0) + 1
 
     def pump_for(self, duration_s: float) -> None:
         """Receive for this long."""

@@ -49,6 +49,7 @@ class Machine(Protocol):
     sample: Sample
     watch: MotionWatch
     modes: list[Mode | None]  # of the drives, None where the bench has chosen none
+    notes: tuple[str, ...]  # what an operator should know of the nodes
 
     def exchange(self, command: np.ndarray) -> Sample:
         """Make one tick; raises on faults of armed drives."""
@@ -117,7 +118,7 @@ def reach(machine: Machine, goal: State, axes: Sequence[int], hold: Hold) -> Non
 
 
 def reset_fault(machine: Machine, axis: int) -> None:
-    """Reset a drive's fault by a rising edge and check that it is gone. Never enables the drive.
+    """Reset a drive's fault by a rising edge, check that it is gone, and note which it was. Never enables the drive.
 
     Raises
     ------
@@ -129,6 +130,8 @@ def reset_fault(machine: Machine, axis: int) -> None:
     deadline = machine.clock.now() + FAULT_RESET_TIMEOUT_S
     if not _in_fault(machine, axis):
         return
+    node = machine.drives[axis]
+    was = machine.supervision.last_emergency(node.node_id) or cia402.describe_statusword(machine.inputs[axis].statusword)
     machine.set_controlword(axis, cia402.FAULT_RESET)  # rises: no other controlword sent before has this bit
     for _ in range(SETTLED_TICKS):
         machine.exchange(zero)
@@ -141,6 +144,7 @@ def reset_fault(machine: Machine, axis: int) -> None:
         raise DeviceFaultError(
             f"{fault_words(machine, axis)}; a fault reset did not clear it within {FAULT_RESET_TIMEOUT_S:.1f} s: remove its cause"
         )
+    machine.notes += (f"{node.name} (node {node.node_id}): was in fault, {was}; it was reset",)
 
 
 def fault_words(machine: Machine, axis: int) -> str:

@@ -18,6 +18,9 @@ from drivers.settings import Node
 HEARTBEAT_TOLERANCE = 2.5
 """Periods for which a heartbeat may be missing: one lost frame and half a period of jitter."""
 
+LATE_PERIODS = 1.5
+"""Periods after which a heartbeat that still comes is told: half of what is borne beyond one period, so that a lost one shows."""
+
 RATE_TOLERANCE = 1.25
 """By how much a heartbeat may be faster than its period: no clock errs by so much, and two devices are twice as fast."""
 MOST_AHEAD = 2.5
@@ -45,6 +48,8 @@ class _Watched:
     heard_s: float = float("nan")
     boots: int = 0
     ahead: float = 0.0  # heartbeats that came more than their rate explains
+    late: int = 0  # heartbeats that came late, and were borne
+    longest_s: float = 0.0  # pause before one of them
     emergency: Emergency | None = None  # newest that is not reset
 
     @property
@@ -87,6 +92,9 @@ class Supervision:
         state = data[0] & 0x7F  # bit 7 is reserved
         now_s = self._network.clock.now()
         early = self._running and self._is_early(watched, now_s)
+        if self._running and now_s - watched.heard_s > LATE_PERIODS * watched.period_s > 0.0:
+            watched.late += 1
+            watched.longest_s = max(watched.longest_s, now_s - watched.heard_s)
         watched.heard_s = now_s
         if state == BOOT_UP:
             watched.boots += 1
@@ -128,6 +136,15 @@ class Supervision:
         """Return the first fault noted since the last call, in words; '' when there is none."""
         words, self._fresh_fault = self._fresh_fault, ""
         return words
+
+    @property
+    def remarks(self) -> list[str]:
+        """Heartbeats that were missing for a while, in words."""
+        return [
+            f"{watched.who}: {watched.late} heartbeats came late, one after {watched.longest_s:.3f} s; its period is {watched.period_s:g} s"
+            for watched in self._nodes.values()
+            if watched.late
+        ]
 
     def last_emergency(self, node_id: int) -> str:
         """Return the newest EMCY of a node that was not reset, in words, or ''."""
@@ -232,7 +249,8 @@ class Supervision:
         now = clock.now()
         for watched in self._nodes.values():
             watched.heard_s = watched.heard_s if watched.heard_s == watched.heard_s else now
-            watched.ahead = 0.0
+            watched.ahead = watched.longest_s = 0.0
+            watched.late = 0
         self._fresh_fault = self.left_operational = ""
         self._running = True
 

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-from math import isfinite
+from math import hypot, inf, isfinite
 
 from drivers.interface import Sample
+from drivers.judging.motion_window import WINDOW_S as MOTION_WINDOW_S
+from drivers.judging.motion_window import MotionWindow
 from drivers.judging.settings import ImuJudging
 
 WINDOW_S = 1.0
 """Time over which packets are counted: long against a pause of the host, short against a run."""
+
+LATE_PERIODS = 1.5
+"""Periods, of ticks or of packets, whichever is longer, by which a reading may be older than the youngest one so far: jitter of its line
+and the phase of a sensor that runs on its own clock."""
+CLOCK_DRIFT = 2e-4
+"""By which the IMU's clock and the bench's may differ: twice what quartzes without compensation do."""
 
 CHANNELS = ("x", "y", "z", "rate x", "rate y", "rate z")
 
@@ -19,6 +27,8 @@ class ImuJudge:
     Parameters
     ----------
     settings : ImuJudging
+    window : MotionWindow, optional
+        Of the machine, stepped before this; without one the readings are not compared with the motion.
 
     Attributes
     ----------
@@ -26,10 +36,12 @@ class ImuJudge:
         For how many ticks before the newest one the readings are in doubt too.
     """
 
-    def __init__(self, settings: ImuJudging) -> None:
+    def __init__(self, settings: ImuJudging, window: MotionWindow | None = None) -> None:
         self.sensor, self.follows = settings.sensor, settings.follows
         self._settings = settings
         self._window = max(1, round(WINDOW_S / settings.period_s))
+        self._motion = window
+        self._late_s = LATE_PERIODS * max(settings.period_s, 1.0 / settings.rate_Hz)
         self._expected = min(settings.rate_Hz * settings.period_s, 1.0)  # readings a tick: a row holds one
         self.begin()
 
@@ -47,6 +59,10 @@ class ImuJudge:
         self._equal = [1] * 6
         self._channel = 0
         self._words = ""
+        self._elapsed_s = 0.0
+        self._youngest_s = inf  # age of a reading, up to a constant
+        self._age_s, self._late_ticks = 0.0, 0
+        self._departed = ""
 
     def step(self, sample: Sample, ticks: int) -> str:
         """Return which check the newest sample fails, '' when none; `ticks` passed since the one before."""
@@ -70,7 +86,9 @@ class ImuJudge:
         if rate:
             self.lag_ticks = self._window
             return rate
-        return ""
+        if self._is_late(sample, ticks):
+            return "late"
+        return self._departs()
 
     def says(self, check: str) -> str:
         """Return a failed check in words."""
@@ -85,6 +103,10 @@ class ImuJudge:
             packets, wanted = self._came_before, self._expected * self._window
             return f"{packets} packets within {WINDOW_S:g} s, {wanted:.0f} are its rate and {settings.rate_tolerance:.0%} the tolerance"
         channel, value = CHANNELS[self._channel], self._values[self._channel]
+        if check == "late":
+            return f"its readings are {self._age_s * 1e3:.1f} ms older than at first, {self._late_s * 1e3:.1f} ms are allowed"
+        if check in ("specific force", "angular rate"):
+            return self._words
         if check == "number":
             return f"{channel} is {value}, no number"
         if check == "range":
@@ -109,6 +131,38 @@ class ImuJudge:
                 self._channel = channel
         self._values = values
         return found
+
+    def _is_late(self, sample: Sample, ticks: int) -> bool:
+        """Tell whether readings have come too old for longer than they may be missing. Lost ticks begin the comparison anew."""
+        self._elapsed_s += self._settings.period_s
+        if ticks != 1:
+            self._youngest_s = inf
+        if sample.imu_counter >= 0:
+            age_s = self._elapsed_s + sample.lateness_s - sample.imu_time_s
+            self._youngest_s = min(self._youngest_s + CLOCK_DRIFT * self._settings.period_s, age_s)
+            self._age_s = age_s - self._youngest_s
+            self._late_ticks = self._late_ticks + 1 if self._age_s > self._late_s else 0
+        return self._late_ticks * self._settings.period_s > self._settings.age_s
+
+    def _departs(self) -> str:
+        """Judge the window that is over against the motion; what it found stands to the end of the next one."""
+        window, settings = self._motion, self._settings
+        if window is None or not window.over:
+            return self._departed
+        self._departed = ""
+        for name, part, allowed, unit in (
+            ("specific force", slice(0, 3), settings.force_tolerance, "m/s^2"),
+            ("angular rate", slice(3, 6), settings.turn_tolerance, "rad/s"),
+        ):
+            off = hypot(*window.imu_off[part].tolist())
+            if off > allowed and not self._departed:
+                self._departed = name
+                self.lag_ticks = window.ticks - 1
+                self._words = (
+                    f"its mean {name} over {MOTION_WINDOW_S:g} s is {off:.2g} {unit} from what the motion of the axes makes of it, "
+                    f"{allowed:.2g} {unit} are allowed"
+                )
+        return self._departed
 
     def _count(self, came: bool, ticks: int) -> str:
         """Count the readings of a window, and judge the one that is over."""

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from drivers.interface import Sample
+from drivers.judging.drive import DriveJudge
 from drivers.judging.encoders import EncoderJudge
 from drivers.judging.imu import ImuJudge
+from drivers.judging.motion_window import MotionWindow
 from drivers.judging.settings import Follows, JudgingSettings
 from drivers.judging.temperature import TemperatureJudge
-from drivers.judging.warning import WarningJudge
 
 MOST_FINDINGS = 64
 """Findings kept, a sensor and a check each; there are fewer pairs on a machine of six axes."""
@@ -68,11 +69,13 @@ class SensorJudge:
     """
 
     def __init__(self, settings: JudgingSettings, period_s: float, noticed: Callable[[float, str, str, str], None] | None = None) -> None:
+        axes = len(settings.drives)
+        self._window = None if settings.expects is None else MotionWindow(settings.expects, axes, period_s)
         self._judges: list[Judge] = [
-            *([ImuJudge(settings.imu)] if settings.imu is not None else []),
+            *([ImuJudge(settings.imu, self._window)] if settings.imu is not None else []),
             *(EncoderJudge(each) for each in settings.encoders),
             *(TemperatureJudge(each) for each in settings.temperatures),
-            *(WarningJudge(each) for each in settings.warnings),
+            *(DriveJudge(each, self._window) for each in settings.drives),
         ]
         self.sensors = tuple(judge.sensor for judge in self._judges)
         self._period_s = period_s
@@ -83,6 +86,8 @@ class SensorJudge:
         """Begin a session: nothing is known of any sensor."""
         for judge in self._judges:
             judge.begin()
+        if self._window is not None:
+            self._window.begin()
         self.restart()
 
     def restart(self) -> None:
@@ -113,6 +118,8 @@ class SensorJudge:
             Why the motors must be stopped, in words; '' when they need not.
         """
         marks, reason = 0, ""
+        if self._window is not None:
+            self._window.step(sample, ticks)
         for bit, judge in enumerate(self._judges):
             check = judge.step(sample, ticks)
             if check != self._failed[bit]:

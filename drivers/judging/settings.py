@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from math import inf
 from typing import Literal
 
+from drivers.judging.motion_window import Expects
+
 Follows = Literal["stop", "mark"]
 """What follows a finding: the motors are stopped, or the run goes on and its rows are marked."""
 
@@ -23,6 +25,8 @@ class ImuJudging:
     full_scale: tuple[float, ...]  # (6,) m/s^2 and rad/s; infinite where it is not known
     frozen_packets: tuple[int, ...]  # (6,) packets in a row with one value that noise makes impossible; 0: not judged
     damaged_per_s: int  # damaged messages in a second
+    force_tolerance: float = inf  # m/s^2 between mean specific force and what the machine file says of the motion
+    turn_tolerance: float = inf  # rad/s between mean angular rate and the same
 
 
 @dataclass(frozen=True)
@@ -66,12 +70,17 @@ class TemperatureJudging:
 
 
 @dataclass(frozen=True)
-class WarningJudging:
-    """What follows the warning bit of an axis's drive."""
+class DriveJudging:
+    """What is allowed of an axis's drive, and what follows its warning bit."""
 
     sensor: str
     axis: int
+    unit: str  # of the effort
     follows: Follows
+    tolerance: float  # drive's unit, between the effort that it measures and those that it was sent
+    settling_ticks: int  # within which its effort follows a command
+    bridged_ticks: int  # ticks in a row for which it may be off: a command may be lost on its way
+    load_tolerance: float = inf  # drive's unit, between the effort that a motion takes and what the machine file says of it
 
 
 @dataclass(frozen=True)
@@ -81,4 +90,5 @@ class JudgingSettings:
     imu: ImuJudging | None = None
     encoders: tuple[EncoderJudging, ...] = ()
     temperatures: tuple[TemperatureJudging, ...] = ()
-    warnings: tuple[WarningJudging, ...] = ()
+    drives: tuple[DriveJudging, ...] = ()
+    expects: Expects | None = None  # what the machine file makes of a motion; None: nothing is compared with it

@@ -36,7 +36,7 @@ class IoState:
     def __init__(self, axes: int) -> None:
         self.temperature_degC = np.full(axes, np.nan)
         self.brakes_open = np.zeros(axes, dtype=bool)
-        self.hold_to_run = False
+        self.hold_to_run = False  # pressed, by all of its contacts
         self.door_closed = False
         self.time_s = -math.inf  # when it was read
         self.word = 0  # of the output watchdog, as the device showed it last
@@ -87,7 +87,9 @@ class IoDriver:
         self._commanded = False
         self._next_poll_s = -math.inf
         self._now_s = 0.0
+        released = io_map.hold_to_run_released_input
         inputs = (*io_map.brake_feedback_inputs.values(), io_map.hold_to_run_input, io_map.door_input)
+        inputs += () if released is None else (released,)
         registers = tuple(io_map.temperature_registers.values())
         self._inputs = _block("discrete inputs", inputs, MAX_READ_BITS)
         self._registers = _block("input registers", registers, MAX_READ_REGISTERS) if registers else None
@@ -108,7 +110,9 @@ class IoDriver:
         bits = answer.bits
         if len(bits) < count:
             raise ProtocolError(f"io: {len(bits)} discrete inputs in the answer where {count} were asked")
-        state.hold_to_run = bits[io_map.hold_to_run_input - start]
+        released = io_map.hold_to_run_released_input
+        pressed = bits[io_map.hold_to_run_input - start]
+        state.hold_to_run = pressed and (released is None or not bits[released - start])
         state.door_closed = bits[io_map.door_input - start]
         for index, axis in enumerate(self._axes):
             if axis in io_map.brake_feedback_inputs:

@@ -175,8 +175,7 @@ class Bench:
             raise
         sink.close(tables)
         write_events(events, path)
-        dropped = (self.wiring.link.dropped,) if self.wiring.link.dropped else ()
-        return dataclasses.replace(timing, notes=notes + timing.notes + dropped)
+        return dataclasses.replace(timing, notes=notes + timing.notes + self.wiring.link.remarks)
 
     @contextlib.contextmanager
     def _session(self) -> Iterator[None]:

@@ -247,8 +247,9 @@ def _io(bus: BusTable, table: MachineTable) -> IoMap | None:
         if len(set(addresses.values())) < len(addresses):
             raise ComplaintError(("bus", "io", field), "two axes share an address; addresses must differ")
     inputs = [*io.brake_feedback_inputs.values(), io.hold_to_run_input, io.door_input]
+    inputs += [] if io.hold_to_run_released_input is None else [io.hold_to_run_released_input]
     if len(set(inputs)) < len(inputs):
-        names = "brake_feedback_inputs, hold_to_run_input and door_input"
+        names = "brake_feedback_inputs, hold_to_run_input, hold_to_run_released_input and door_input"
         raise ComplaintError(("bus", "io"), f"two discrete inputs share an address; {names} must differ")
     for axis in io.temperature_registers:
         if f"temperature_{axis}" not in table.sensors:
@@ -264,6 +265,7 @@ def _io(bus: BusTable, table: MachineTable) -> IoMap | None:
         door_input=io.door_input,
         temperature_registers=io.temperature_registers,
         watchdog=_watchdog(io),
+        hold_to_run_released_input=io.hold_to_run_released_input,
     )
 
 

@@ -6,7 +6,7 @@ import math
 
 from drivers.judging.chances import deviations, packets_until_frozen, share_of
 from drivers.judging.encoders import WINDOW_S
-from drivers.judging.settings import EncoderJudging, ImuJudging, JudgingSettings, TemperatureJudging, WarningJudging
+from drivers.judging.settings import DriveJudging, EncoderJudging, ImuJudging, JudgingSettings, TemperatureJudging
 from drivers.modbus.registers import TEMPERATURE_STEP_K
 from drivers.settings import AxisScaling, BusSettings
 from hil.machine.build import joint_of, require_kind, require_known
@@ -37,10 +37,7 @@ def build_judging(table: MachineTable, plant: PlantSettings, bus: BusSettings | 
         imu=_imu(table, rules, bus),
         encoders=tuple(_encoders(number, axis, table, rules, plant, bus) for number, axis in enumerate(table.drives)),
         temperatures=tuple(_temperature(axis, table, rules, bus) for axis in thermometers),
-        warnings=tuple(
-            WarningJudging(f"drive_{axis}", number, rules.drive.get(axis, DriveJudgingTable.model_validate({})).follows)
-            for number, axis in enumerate(table.drives)
-        ),
+        drives=tuple(_drive(number, axis, table, rules, bus) for number, axis in enumerate(table.drives)),
     )
 
 
@@ -66,6 +63,8 @@ def _imu(table: MachineTable, rules: JudgingTable, bus: BusSettings) -> ImuJudgi
         full_scale=(sensor.accelerometer_range or math.inf,) * 3 + (sensor.gyro_range or math.inf,) * 3,
         frozen_packets=tuple(packets_until_frozen(s, q, chance, at_least) for s, q in zip(noise, steps, strict=True)),
         damaged_per_s=rules.imu.damaged_per_s,
+        force_tolerance=math.inf if rules.imu.force_tolerance is None else rules.imu.force_tolerance,
+        turn_tolerance=math.inf if rules.imu.turn_tolerance is None else rules.imu.turn_tolerance,
     )
 
 
@@ -110,11 +109,33 @@ def _compliance(axis: str, plant: PlantSettings) -> float:
 
 def _growth(axis: str, table: MachineTable, rules: JudgingTable, scaling: AxisScaling, per_effort: float, period_s: float) -> float:
     """Return by how much two windows' mean differences of a sound axis differ at most: the effort's noise, and a count of each encoder."""
-    current = next((s for s in table.sensors.values() if isinstance(s, CurrentTable) and s.axis == axis), None)
+    current = _current(axis, table)
     noise = 0.0 if current is None else current.noise_rms
     mean = per_effort * noise * math.sqrt(2.0 * period_s / WINDOW_S)
     away = deviations(share_of(rules.false_alarm_probability, 1.0 / WINDOW_S))
     return away * mean + scaling.position_resolution + scaling.link_resolution
+
+
+def _drive(number: int, axis: str, table: MachineTable, rules: JudgingTable, bus: BusSettings) -> DriveJudging:
+    rule = rules.drive.get(axis, DriveJudgingTable.model_validate({}))
+    current = _current(axis, table)
+    noise, step = (0.0, 0.0) if current is None else (current.noise_rms, current.resolution)
+    rated = bus.scalings[number].rated
+    away = deviations(share_of(rules.false_alarm_probability, 1.0 / bus.sync_period_s))
+    return DriveJudging(
+        sensor=f"drive_{axis}",
+        axis=number,
+        unit=table.drives[axis].effort_unit,
+        follows=rule.follows,
+        tolerance=rule.effort_tolerance * rated + away * noise + step + rated / 1000.0,
+        settling_ticks=math.ceil(rule.settling / bus.sync_period_s),
+        bridged_ticks=table.timing.stale_ticks,
+        load_tolerance=math.inf if rule.load_tolerance is None else rule.load_tolerance * rated,
+    )
+
+
+def _current(axis: str, table: MachineTable) -> CurrentTable | None:
+    return next((sensor for sensor in table.sensors.values() if isinstance(sensor, CurrentTable) and sensor.axis == axis), None)
 
 
 def _temperature(axis: str, table: MachineTable, rules: JudgingTable, bus: BusSettings) -> TemperatureJudging:

@@ -149,6 +149,9 @@ class IoTable(Table):
     """Discrete input of each axis's brake; 1 is open."""
     hold_to_run_input: Address
     """Discrete input of the hold-to-run button; 1 is pressed."""
+    hold_to_run_released_input: Address | None = None
+    """Discrete input of the button's second, opposite contact; 1 is released. Motion needs both to say pressed, so a stuck contact does not
+    keep the machine moving."""
     door_input: Address
     """Discrete input of the door; 1 is closed."""
     temperature_registers: Annotated[dict[Name, Address], Field(default_factory=dict)]

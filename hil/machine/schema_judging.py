@@ -29,6 +29,11 @@ class ImuJudgingTable(Table):
     `false_alarm_probability`. A channel without noise is not judged."""
     damaged_per_s: Annotated[Whole, Field(ge=0, le=1_000_000)] = 2
     """Messages within a second that may fail their checksum. On a sound line one in some thousand seconds does."""
+    force_tolerance: Annotated[Positive | None, Quantity("acceleration")] = None
+    """Difference between the mean specific force of half a second and what the machine file makes of the axes' motion. Not judged without
+    it."""
+    turn_tolerance: Annotated[Positive | None, Quantity("angular_speed")] = None
+    """The same of the angular rate."""
 
 
 class EncodersJudgingTable(Table):
@@ -58,10 +63,20 @@ class TemperatureJudgingTable(Table):
 
 
 class DriveJudgingTable(Table):
-    """Table `[judging.drive.AXIS]`: the warning bit of the drive's statusword."""
+    """Table `[judging.drive.AXIS]`: the warning bit of the drive's statusword, the effort that it measures, and the axis's load.
+
+    The measured effort must lie between the commands of the last `settling`. Noise and resolution of `[sensors.current_AXIS]` are allowed besides.
+    """
 
     follows: FollowsKey = "mark"
-    """As for the IMU."""
+    """As for the IMU. Beyond `tracking_error` the motors are stopped in any case."""
+    effort_tolerance: Annotated[Number, Field(gt=0.0, le=1.0), Quantity("share")] = 0.05
+    """Share of the rated effort by which a drive may be off: what current sensors of drives are off by, and some more."""
+    settling: Annotated[Positive, Quantity("time")] = 0.01
+    """Time within which the drive's effort follows its command."""
+    load_tolerance: Annotated[Number | None, Field(gt=0.0, le=10.0), Quantity("share")] = None
+    """Share of the rated effort by which the effort of half a second may differ from what the machine file makes of the motion: gravity,
+    inertia, friction. Not judged without it."""
 
 
 class JudgingTable(Table):

@@ -11,7 +11,7 @@ from controllers.feedback import Feedback
 from controllers.settings import AxisController, AxisLimits
 from drivers.interface import Sample
 from drivers.judging.judge import SensorJudge
-from drivers.judging.settings import JudgingSettings, WarningJudging
+from drivers.judging.settings import DriveJudging, JudgingSettings
 from hil.bench.loop import SampleLoop
 from hil.bench.row_layout import AxisColumns, RowLayout
 
@@ -97,7 +97,7 @@ def proportional_loop(link: ScriptedLink, *, guard_io: bool = True) -> SampleLoo
 
     Roll's drive is judged: its warning stops the motors.
     """
-    drive = WarningJudging("drive_roll", 1, "stop")
+    drive = DriveJudging("drive_roll", 1, "A", "stop", tolerance=0.5, settling_ticks=2, bridged_ticks=3)
     sections = np.array([[GAIN, 0.0, 0.0, 1.0, 0.0, 0.0]])
     return SampleLoop(
         link,
@@ -109,7 +109,7 @@ def proportional_loop(link: ScriptedLink, *, guard_io: bool = True) -> SampleLoo
         io_stale_s=0.5,
         overrun_ticks=8,
         stale_ticks=3,
-        judge=SensorJudge(JudgingSettings(warnings=(drive,)), PERIOD_S),
+        judge=SensorJudge(JudgingSettings(drives=(drive,)), PERIOD_S),
     )
 
 

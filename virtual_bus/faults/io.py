@@ -75,11 +75,10 @@ def answers_garbled(machine: FaultyMachine, at: str, values: Values) -> Undo:
 def inputs_frozen(machine: FaultyMachine, at: str, values: Values) -> Undo:
     """Go on answering with the inputs of this instant: the bus coupler has lost its terminals."""
     device = _device(machine)
-    then = dict.fromkeys(device.layout.brake_feedback_inputs.values())
     frozen = list(device.discrete_inputs)
 
     def hold() -> None:
-        for number in (*then, device.layout.hold_to_run_input, device.layout.door_input):
+        for number in device.layout.inputs:
             device.discrete_inputs[number] = frozen[number]
 
     return machine.samples.add("", hold)
@@ -119,9 +118,13 @@ def hold_to_run_flickers(machine: FaultyMachine, at: str, values: Values) -> Und
 
 
 def hold_to_run_stuck(machine: FaultyMachine, at: str, values: Values) -> Undo:
-    """Show the switch as pressed whatever the operator does."""
+    """Keep the first contact of the switch as if pressed, whatever the operator does."""
     device = _device(machine)
-    return machine.samples.add("", lambda: device.set_hold_to_run(True))
+
+    def stick() -> None:
+        device.discrete_inputs[device.layout.hold_to_run_input] = True
+
+    return machine.samples.add("", stick)
 
 
 def door_opened(machine: FaultyMachine, at: str, values: Values) -> Undo:
@@ -159,7 +162,7 @@ KINDS = (
               trials=(Trial(), Trial("settled"), Trial("homing"), Trial("first move"))),
     FaultKind("hold_to_run_flickers", "Hold-to-run is released and pressed in turns.", "I/O", "io", hold_to_run_flickers,
               (Parameter("period", "s", 0.1, 0.005, 10.0, "from one release to the next"),), (Trial(for_s=0.5),)),
-    FaultKind("hold_to_run_stuck", "Hold-to-run shows as pressed whatever the operator does.", "I/O", "io", hold_to_run_stuck,
+    FaultKind("hold_to_run_stuck", "The first contact of hold-to-run shows pressed whatever the operator does.", "I/O", "io", hold_to_run_stuck,
               trials=(Trial("stop"),)),
     FaultKind("door_opened", "The door's contact opens.", "I/O", "io", door_opened),
 )  # fmt: skip

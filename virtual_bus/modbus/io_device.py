@@ -41,6 +41,13 @@ class IoLayout:
     temperature_registers: Mapping[str, int]
     watchdog_register: int | None = None  # holding register of the output watchdog
     watchdog_timeout_s: float = 0.0
+    hold_to_run_released_input: int | None = None  # the opposite contact of the same switch
+
+    @property
+    def inputs(self) -> tuple[int, ...]:
+        """Every discrete input that is wired."""
+        second = () if self.hold_to_run_released_input is None else (self.hold_to_run_released_input,)
+        return (*self.brake_feedback_inputs.values(), self.hold_to_run_input, self.door_input, *second)
 
 
 class _RefusalError(Exception):
@@ -75,7 +82,7 @@ class EmulatedIo:
         self.layout = layout
         self.axes = axes
         self.coils = [False] * (1 + max(layout.brake_coils.values(), default=-1))
-        self.discrete_inputs = [False] * (1 + max(*layout.brake_feedback_inputs.values(), layout.hold_to_run_input, layout.door_input))
+        self.discrete_inputs = [False] * (1 + max(layout.inputs))
         self.input_registers = [0] * (1 + max(layout.temperature_registers.values(), default=-1))
         self._on_brakes = on_brakes
         self._brake_delay_s = brake_delay_s
@@ -92,8 +99,10 @@ class EmulatedIo:
     # ---- the machine's side -----------------------------------------------------------------------------
 
     def set_hold_to_run(self, pressed: bool) -> None:
-        """Press or release the operator's switch."""
+        """Press or release the operator's switch: both its contacts, where the second one is wired."""
         self.discrete_inputs[self.layout.hold_to_run_input] = pressed
+        if self.layout.hold_to_run_released_input is not None:
+            self.discrete_inputs[self.layout.hold_to_run_released_input] = not pressed
 
     def set_door(self, closed: bool) -> None:
         """Close or open the door contact."""

@@ -12,6 +12,7 @@ import pytest
 from drivers.interface import Sample
 from drivers.judging.chances import deviations, packets_until_frozen
 from drivers.judging.imu import ImuJudge
+from drivers.judging.motion_window import Expected, MotionWindow
 from drivers.judging.settings import ImuJudging
 
 PERIOD_S = 1 / 256
@@ -117,3 +118,40 @@ def test_the_number_of_equal_packets_keeps_the_stated_chance() -> None:
 def test_deviations_of_a_normal_value_are_those_of_a_table() -> None:
     assert deviations(0.05) == pytest.approx(1.95996, abs=1e-5)
     assert deviations(2.0e-9) == pytest.approx(5.9978, abs=1e-3)
+
+
+def test_readings_that_come_two_ticks_late_are_found_and_a_drifting_clock_is_not() -> None:
+    def stamped(late: int, drift: float) -> Callable[[Sample, int], None]:
+        def change(sample: Sample, k: int) -> None:
+            came = k - (late if k >= 300 else 0)
+            if 300 <= k < 300 + late:
+                lose(sample)
+            sample.imu_time_s = came * PERIOD_S * (1.0 + drift)
+
+        return change
+
+    found = checks_of(stamped(2, 0.0))
+    assert [k for k, check in enumerate(found) if check] == list(range(305, 1024))
+    assert set(found) == {"", "late"}
+    assert not any(checks_of(stamped(1, 1e-4), rows=20_000))
+    assert not any(checks_of(stamped(0, -1e-4), rows=20_000))
+
+
+def test_readings_that_the_motion_of_the_axes_does_not_explain_are_found_window_after_window() -> None:
+    settings = replace(SETTINGS, force_tolerance=0.2, turn_tolerance=0.02)
+    expected = Expected(np.zeros(1), np.zeros(1), GRAVITY)
+
+    def checks(bias: np.ndarray) -> list[str]:
+        window, sample, found = MotionWindow(lambda means: expected, 1, PERIOD_S), Sample(1), []
+        judge = ImuJudge(settings, window)
+        sample.position[0] = sample.link_position[0] = sample.effort[0] = 0.0
+        for k in range(512):
+            sample.imu[:] = GRAVITY + 1e-4 * (k % 2) + (bias if 128 <= k < 256 else 0.0)
+            sample.imu_counter, sample.imu_time_s = k, k * PERIOD_S
+            window.step(sample, 1)
+            found.append(judge.step(sample, 1))
+        return found
+
+    assert checks(np.array([0.0, 0.3, 0.0, 0.0, 0.0, 0.0])) == [""] * 255 + ["specific force"] * 128 + [""] * 129
+    assert checks(np.array([0.0, 0.0, 0.0, 0.0, 0.03, 0.0])) == [""] * 255 + ["angular rate"] * 128 + [""] * 129
+    assert not any(checks(np.array([0.0, 0.15, 0.0, 0.0, 0.015, 0.0])))

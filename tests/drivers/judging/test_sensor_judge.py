@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.interface import Sample
 from drivers.judging.judge import SensorJudge
-from drivers.judging.settings import Follows, JudgingSettings, TemperatureJudging, WarningJudging
+from drivers.judging.settings import DriveJudging, Follows, JudgingSettings, TemperatureJudging
 
 PERIOD_S = 1 / 256
 
@@ -20,7 +20,8 @@ def judged(
     """Marks and reasons by row of an axis with thermometer and drive, and what was noticed."""
     temperature = TemperatureJudging("temperature_roll", 0, follows, PERIOD_S, 120.0, 0.085, 0.1, 0.5)
     noticed: list[tuple[float, str, str, str]] = []
-    settings = JudgingSettings(temperatures=(temperature,), warnings=(WarningJudging("drive_roll", 0, "mark"),))
+    drive = DriveJudging("drive_roll", 0, "A", "mark", tolerance=0.5, settling_ticks=2, bridged_ticks=3)
+    settings = JudgingSettings(temperatures=(temperature,), drives=(drive,))
     judge = SensorJudge(settings, PERIOD_S, lambda *what: noticed.append(what))
     sample, marks, reasons = Sample(1), [], []
     for k in range(rows):
