@@ -78,9 +78,11 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry(
             "faults",
             "list",
-            "`name` of the row, `kind`, `at`, `group`, `during`; `verdict` (stopped, noted, unnoticed, not at rest, never began, did not "
-            "end), `exit_status`, `said`, `stopping`; `rows` kept of `planned`; `onset_s`, `rest_s`, `travel`, `ending`, `watched_s`, and "
-            "`axes` as of `run`; `processor_s`.",
+            "`name` of the row, `kind`, `at`, `group`, `during`; `verdict` (stopped, noted, within tolerance, unnoticed, cannot be "
+            "held, not at rest, never began, did not end), `exit_status`, `said`, `stopping`; `rows` kept of `planned`; `onset_s`, "
+            "`rest_s`, `travel`, `ending`, `watched_s`, and `axes` as of `run`; `budget` of a stop (null: none): its class `name`, what it "
+            "took (`time_s`, `travel`; null: it did not come to stand) and what is allowed (`allowed_s`, `allowed_travel`); "
+            "`contradicted`, claims of `said` that the truth contradicts; `processor_s`.",
         ),
     ),
     "scan-bus": (

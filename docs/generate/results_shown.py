@@ -156,7 +156,10 @@ SHOWN = (
             Figure("gone on and said", ("verdicts", "noted")),
             Figure("brake and drive both lost, which was said at once", ("verdicts", "cannot be held")),
             Figure("not at rest", ("verdicts", "not at rest"), asked="0"),
+            Figure("not noticed, and within the tolerance of the machine file", ("verdicts", "within tolerance")),
             Figure("ended as if nothing had been", ("verdicts", "unnoticed"), asked="0"),
+            Figure("stops over their budget", ("over_budget",), asked="0"),
+            Figure("said what the truth contradicts", ("contradicted",), asked="0"),
         ),
     ),
     Shown(

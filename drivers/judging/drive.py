@@ -1,5 +1,4 @@
-"""Is a drive to be believed: it does not warn (bit 7 of its statusword, CiA 402), measures the effort that it was sent, and takes as much
-as the machine file says."""
+"""Is a drive to be believed: it does not warn, measures the effort that it was sent, and takes as much as the machine file says."""
 
 from __future__ import annotations
 

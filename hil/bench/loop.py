@@ -241,13 +241,13 @@ class SampleLoop:
         if self.watch is not None and (reason := self.watch(sample)):
             return reason
         if self.guard_io:
+            if not sample.io_age_s <= self.io_stale_s:  # first: its other values say nothing then
+                return f"the I/O has not answered for {sample.io_age_s:.2f} s, {self.io_stale_s:.2f} s are allowed"
             if not sample.hold_to_run:
                 return "hold-to-run was released"
             for axis, is_open in enumerate(sample.brakes_open.tolist()):
                 if not is_open and self.braked and self.braked[axis]:
-                    return f"{self.limits[axis].axis}: its brake closed during the run"
+                    return f"{self.limits[axis].axis}: its brake reports closed during the run"
             if not sample.door_closed:
                 return "the door was opened"
-            if not sample.io_age_s <= self.io_stale_s:
-                return f"the I/O has not answered for {sample.io_age_s:.2f} s, {self.io_stale_s:.2f} s are allowed"
         return judged

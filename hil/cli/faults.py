@@ -56,10 +56,10 @@ def check(
     axis: Annotated[str, typer.Option("--axis", help="Axis that sweeps and has the faults; the machine's last unless given.")] = "",
     json_to: JsonOption = None,
 ) -> None:
-    """Run the table; exit status 1 where something was not at rest."""
+    """Run the table; exit status 1 where something moved on, was not noticed, took more than its budget, or was told wrongly."""
     from hil.errors import BadAnswerError
     from hil.faults.check import check_faults
-    from hil.faults.page import BAD, DATA, document_of, summary_of, write_page
+    from hil.faults.page import DATA, document_of, is_failure, summary_of, write_page
     from hil.faults.trials import swept_axis, trials
 
     machine = load(machine_name)
@@ -73,7 +73,7 @@ def check(
 
         def show(done: int, outcome: TrialOutcome) -> None:
             bars.update(task, completed=done, description=outcome.name)
-            if outcome.verdict in BAD or not answer.console.is_terminal:
+            if is_failure(outcome) or not answer.console.is_terminal:
                 answer.say(f"{outcome.verdict:12s} {outcome.name}: {outcome.said or 'nothing was said'}")
 
         outcomes = check_faults(machine, swept, table, out, show)
@@ -83,6 +83,6 @@ def check(
     answer.say(summary_of(outcomes))
     answer.say(f"{page} has them all")
     answer.write(plain(document))
-    if bad := [outcome.name for outcome in outcomes if outcome.verdict in BAD]:
+    if bad := [outcome.name for outcome in outcomes if is_failure(outcome)]:
         more = f" and {len(bad) - 1} more" if len(bad) > 1 else ""
-        raise BadAnswerError(f"{page}: {bad[0]}{more} left something moving")
+        raise BadAnswerError(f"{page}: {bad[0]}{more} moved on, went unnoticed, took more than its budget, or was told wrongly")

@@ -86,7 +86,8 @@ def build_emulated(
             io_map.hold_to_run_input,
             io_map.door_input,
             io_map.temperature_registers,
-            *((None, 0.0) if io_map.watchdog is None else (io_map.watchdog.register, io_map.watchdog.timeout_s)),
+            None if io_map.watchdog is None else io_map.watchdog.register,
+            0.0 if io_map.watchdog is None else io_map.watchdog.timeout_s,
             io_map.hold_to_run_released_input,
         )
     geometry = machine.geometry

@@ -10,11 +10,13 @@ import signal
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from types import FrameType
 from typing import Any, Literal
+
+import numpy as np
 
 from drivers.canopen.axis_stop import NOT_PROVEN
 from hil.bench.open import open_bench
@@ -22,23 +24,27 @@ from hil.bench.options import BenchOptions
 from hil.bench.signals import StopRequest
 from hil.errors import RecordingError, in_one_line
 from hil.experiments import Plan
+from hil.faults.budget import BudgetUse, budget_use, standing
+from hil.faults.claims import Witness, contradictions
 from hil.faults.trials import FaultTrial, standard_scan
 from hil.machine import Machine
 from hil.machine.faults_file import faults_text
-from hil.recording import read_recording
+from hil.recording import Recording, read_recording
 from hil.terminal.output import plain
 from hil.version import software_version
+from virtual_bus.faults.fault import FaultSetting
 from virtual_bus.faults.motion_log import MotionLog
 from virtual_bus.faults.outcome import AxisOutcome, FaultOutcome, outcome_of
 from virtual_bus.faults.schedule import FaultEvent
 
 OUTCOMES = "outcomes.jsonl"
+GIVEN_UP = "was given up"
 PROCESSOR_LIMIT_S = 120.0
 """Processor time after which a run counts as one that does not end: forty times what one takes."""
 PACKAGES = ("controllers", "drivers", "hil/bench", "hil/faults", "hil/recording", "virtual_bus")
 """What a run with a fault goes through."""
 
-Verdict = Literal["stopped", "noted", "unnoticed", "cannot be held", "not at rest", "never began", "did not end"]
+Verdict = Literal["stopped", "noted", "within tolerance", "unnoticed", "cannot be held", "not at rest", "never began", "did not end"]
 
 
 @dataclass(frozen=True)
@@ -49,9 +55,11 @@ class TrialOutcome:
     ----------
     name, kind, at, group, during : of the trial
     verdict : str
-        "stopped": the run ended with an error and everything is at rest. "noted": it went on and said something of it. "unnoticed": it
-        ended as if nothing had been. "cannot be held": brake and drive are both lost, which was said at once. "not at rest": something
-        still moves, or has moved without a stop. "never began": the run ended before the fault's time. "did not end".
+        "stopped": the run ended with an error and everything is at rest. "noted": it went on and said something of it. "within tolerance":
+        it ended as if nothing had been, and every position of its recording is that of a run without the fault, up to the tolerance of
+        `[judging.encoders]`. "unnoticed": it ended as if nothing had been, and is not that. "cannot be held": brake and drive are both
+        lost, which was said at once. "not at rest": something still moves, or has moved without a stop. "never began": the run ended
+        before the fault's time. "did not end".
     exit_status : int
         Of the command `run`.
     said : str
@@ -72,6 +80,10 @@ class TrialOutcome:
     watched_s : float
         How long the truth was watched after the fault.
     axes : tuple of AxisOutcome
+    budget : BudgetUse, optional
+        Of the axis that swept; none where the run was not stopped, or the machine file states none.
+    contradicted : tuple of str
+        Claims of `said` that the truth contradicts.
     processor_s : float
         That the run took.
     """
@@ -93,6 +105,8 @@ class TrialOutcome:
     ending: str
     watched_s: float
     axes: tuple[AxisOutcome, ...]
+    budget: BudgetUse | None
+    contradicted: tuple[str, ...]
     processor_s: float
 
 
@@ -140,43 +154,28 @@ def run_trial(machine: Machine, axis: str, trial: FaultTrial, plan: Plan) -> Tri
     LoopAbortedError
         The user asked to stop; of this trial nothing is kept.
     """
-    motion, events = MotionLog(machine.axes), list[FaultEvent]()
-    options = BenchOptions("lockstep:", faults=trial.settings, motion=motion, events=events)
     began_s = time.process_time()
-    status, stopped, lines, troubles, request = 0, False, list[str](), tuple[str, ...](), StopRequest()
-    with tempfile.TemporaryDirectory() as scratch:
-        path = Path(scratch) / "run.mf4"
-        try:
-            with _limited(PROCESSOR_LIMIT_S), open_bench(machine, options, plan.start_pose, stop_request=request) as bench:
-                try:
-                    timing = bench.run(plan, path)
-                    lines += (*timing.notes, *timing.judged)
-                    status = 1 if timing.judged else 0
-                finally:
-                    troubles = tuple(bench.wiring.link.troubles)
-        except _EndlessError:
-            status, stopped, lines = 1, True, [*lines, f"has taken {PROCESSOR_LIMIT_S:g} s of processor time and was given up"]
-        except Exception as error:
-            if request.reason:
-                raise  # by the user, who wants the table to end
-            stopped = True
-            line, status = in_one_line(error)
-            lines.append(line)
-        rows = _rows_kept(path)
-    onsets = [event.time_s for event in events if event.begins]
-    complete = len(onsets) == len(trial.settings)
-    outcome = outcome_of(motion, min(max(onsets), float(motion.time_s[-1]))) if onsets and len(motion) else None
+    run = _run(machine, trial.settings, plan)
+    onsets = [event.time_s for event in run.events if event.begins]
+    onset_s = min(max(onsets), float(run.motion.time_s[-1])) if onsets and len(run.motion) else math.nan
+    outcome = outcome_of(run.motion, onset_s) if onsets and len(run.motion) else None
+    complete = len(onsets) == len(trial.settings) or run.stopped
+    verdict = _verdict(trial, run, outcome, complete=complete)
+    if verdict == "unnoticed" and _as_sound(machine, axis, plan, run.positions):
+        verdict = "within tolerance"
+    said, begun = "; ".join(run.lines), [event.label.partition(" at ")[0] for event in run.events if event.begins]
+    limits = [standing(machine, each) for each in machine.axes]
     return TrialOutcome(
         trial.name,
         trial.kind,
         trial.at,
         trial.group,
         trial.during,
-        _verdict(trial, lines, outcome, complete=complete or stopped, stopped=stopped),
-        status,
-        "; ".join(lines),
-        troubles,
-        rows,
+        verdict,
+        run.status,
+        said,
+        run.troubles,
+        run.rows,
         plan.rows,
         max(onsets, default=math.nan),
         max((one.rest_s for one in outcome.axes), default=math.nan) if outcome is not None and outcome.at_rest else math.nan,
@@ -184,20 +183,83 @@ def run_trial(machine: Machine, axis: str, trial: FaultTrial, plan: Plan) -> Tri
         outcome.of(axis).ending if outcome is not None else "",
         outcome.watched_s if outcome is not None else 0.0,
         outcome.axes if outcome is not None else (),
+        budget_use(machine, axis, trial, run.motion, onset_s) if verdict == "stopped" else None,
+        tuple(contradictions(said, Witness(run.motion, run.said_row, limits, begun, run.rows))) if run.stopped and len(run.motion) else (),
         round(time.process_time() - began_s, 2),
     )
 
 
-def _verdict(trial: FaultTrial, lines: Sequence[str], outcome: FaultOutcome | None, *, complete: bool, stopped: bool) -> Verdict:
-    if lines and lines[-1].endswith("was given up"):
+@dataclass
+class _Run:
+    """A run in lockstep, and what truly happened in it."""
+
+    motion: MotionLog
+    events: list[FaultEvent]
+    status: int = 0
+    stopped: bool = False
+    lines: list[str] = field(default_factory=list)
+    troubles: tuple[str, ...] = ()
+    said_row: int = 0  # of the truth, when the run had said all
+    rows: int = 0
+    positions: dict[str, np.ndarray] = field(default_factory=dict)  # of the recording, by channel; empty where it was stopped
+
+
+def _run(machine: Machine, faults: tuple[FaultSetting, ...], plan: Plan) -> _Run:
+    run, request = _Run(MotionLog(machine.axes), []), StopRequest()
+    options = BenchOptions("lockstep:", faults=faults, motion=run.motion, events=run.events)
+    with tempfile.TemporaryDirectory() as scratch:
+        path = Path(scratch) / "run.mf4"
+        try:
+            with _limited(PROCESSOR_LIMIT_S), open_bench(machine, options, plan.start_pose, stop_request=request) as bench:
+                try:
+                    timing = bench.run(plan, path)
+                    run.lines += (*timing.notes, *timing.judged)
+                    run.status = 1 if timing.judged else 0
+                finally:
+                    run.troubles, run.said_row = tuple(bench.wiring.link.troubles), len(run.motion) - 1
+        except _EndlessError:
+            run.status, run.stopped = 1, True
+            run.lines.append(f"has taken {PROCESSOR_LIMIT_S:g} s of processor time and {GIVEN_UP}")
+        except Exception as error:
+            if request.reason:
+                raise  # by the user, who wants the table to end
+            run.stopped = True
+            line, run.status = in_one_line(error)
+            run.lines.append(line)
+        recording = _kept_recording(path)
+        if recording is not None:
+            run.rows = len(recording.channels["time"].values)
+            run.positions = {name: each.values for name, each in recording.channels.items() if "position_" in name and not run.stopped}
+    return run
+
+
+def _verdict(trial: FaultTrial, run: _Run, outcome: FaultOutcome | None, *, complete: bool) -> Verdict:
+    if run.lines and run.lines[-1].endswith(GIVEN_UP):
         return "did not end"
     if outcome is None or not complete:
         return "never began"
     if not outcome.at_rest:
-        return "cannot be held" if trial.without_brake and NOT_PROVEN in lines[-1] else "not at rest"
-    if stopped:
+        return "cannot be held" if trial.without_brake and NOT_PROVEN in run.lines[-1] else "not at rest"
+    if run.stopped:
         return "stopped"
-    return "noted" if lines else "unnoticed"
+    return "noted" if run.lines else "unnoticed"
+
+
+def _as_sound(machine: Machine, axis: str, plan: Plan, positions: dict[str, np.ndarray]) -> bool:
+    """Return whether every position is that of a run without faults, up to what the encoders may be off by."""
+    key = (machine.hash, axis)
+    if key not in _sound_positions:
+        _sound_positions[key] = _run(machine, (), plan).positions
+    tolerances = {f"{side}_{judged.sensor.removeprefix('encoders_')}": judged.tolerance
+                  for judged in machine.judging.encoders for side in ("position", "link_position")}  # fmt: skip
+    return all(
+        len(values) == len(positions[name]) and bool((np.abs(values - positions[name]) <= tolerances[name]).all())
+        for name, values in _sound_positions[key].items()
+        if name in tolerances
+    )
+
+
+_sound_positions: dict[tuple[str, str], dict[str, np.ndarray]] = {}
 
 
 @contextlib.contextmanager
@@ -219,14 +281,14 @@ def _limited(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGVTALRM, before)
 
 
-def _rows_kept(path: Path) -> int:
-    """Return how many rows of a recording can be read; 0 where there is none."""
+def _kept_recording(path: Path) -> Recording | None:
+    """Return what can be read of a recording; None where there is none."""
     if not path.is_file():
-        return 0
+        return None
     try:
-        return len(read_recording(path).time)
+        return read_recording(path)
     except RecordingError:
-        return 0
+        return None
 
 
 def _key(machine: Machine, axis: str, trial: FaultTrial) -> str:
@@ -277,4 +339,10 @@ def _from_json(entry: dict[str, Any]) -> TrialOutcome:
         return {key: math.nan if value is None else value for key, value in table.items()}
 
     axes = tuple(AxisOutcome(**numbers(axis)) for axis in entry.pop("axes"))
-    return TrialOutcome(**numbers(entry) | {"axes": axes, "stopping": tuple(entry["stopping"])})
+    used = entry.pop("budget")
+    budget = None
+    if used is not None:
+        name = used.pop("name")
+        budget = BudgetUse(name, **{key: math.inf if value is None else value for key, value in used.items()})
+    lists = {name: tuple(entry.pop(name)) for name in ("stopping", "contradicted")}
+    return TrialOutcome(**numbers(entry) | lists | {"axes": axes, "budget": budget})

@@ -20,7 +20,7 @@ _TEMPLATE = Path(__file__).with_name("page.html")
 PAGE, DATA = "faults.html", "faults.json"
 BAD = ("not at rest", "did not end")
 DOUBTFUL = ("unnoticed", "never began")
-_HEAD = ("fault", "at", "during", "verdict", "rest [s]", "travel [{unit}]", "at the end", "rows", "said")
+_HEAD = ("fault", "at", "during", "verdict", "rest [s]", "travel [{unit}]", "budget", "at the end", "rows", "said")
 
 
 def document_of(machine: Machine, axis: str, outcomes: Sequence[TrialOutcome]) -> dict[str, object]:
@@ -72,21 +72,34 @@ def summary_of(outcomes: Sequence[TrialOutcome]) -> str:
     """Return how many faults ended how, in a line."""
     counts = Counter(outcome.verdict for outcome in outcomes)
     faults = "1 fault" if len(outcomes) == 1 else f"{len(outcomes)} faults"
-    return f"{faults}: " + ", ".join(f"{number} {verdict}" for verdict, number in counts.most_common())
+    over, false = sum(is_over_budget(outcome) for outcome in outcomes), sum(bool(outcome.contradicted) for outcome in outcomes)
+    more = f"; {over} over their budget, {false} said what the truth contradicts"
+    return f"{faults}: " + ", ".join(f"{number} {verdict}" for verdict, number in counts.most_common()) + more
+
+
+def is_over_budget(outcome: TrialOutcome) -> bool:
+    """Return whether a stop took more than the machine file allows."""
+    return outcome.budget is not None and not outcome.budget.kept
+
+
+def is_failure(outcome: TrialOutcome) -> bool:
+    """Return whether an outcome is one that a machine must not have: moving, unnoticed, over its budget, or told wrongly."""
+    return outcome.verdict in BAD + DOUBTFUL or is_over_budget(outcome) or bool(outcome.contradicted)
 
 
 def _section(group: str, outcomes: Sequence[TrialOutcome], unit: str) -> str:
     head = "".join(f"<th>{cell.format(unit=unit)}</th>" for cell in _HEAD)
-    rank = {**dict.fromkeys(BAD, 0), **dict.fromkeys(DOUBTFUL, 1)}
-    rows = "\n".join(_row(outcome) for outcome in sorted(outcomes, key=lambda outcome: rank.get(outcome.verdict, 2)))
+    ranked = sorted(outcomes, key=lambda outcome: 0 if outcome.verdict in BAD else 1 if is_failure(outcome) else 2)
+    rows = "\n".join(_row(outcome) for outcome in ranked)
     return f"<h2>{html.escape(group[0].upper() + group[1:])}</h2>\n<table>\n<tr>{head}</tr>\n{rows}\n</table>"
 
 
 def _row(outcome: TrialOutcome) -> str:
-    look = "bad" if outcome.verdict in BAD else "doubtful" if outcome.verdict in DOUBTFUL else "good"
+    look = "bad" if outcome.verdict in BAD else "doubtful" if is_failure(outcome) else "good"
+    told = [f"NOT TRUE: {claim}" for claim in outcome.contradicted] + [f"stopping: {trouble}" for trouble in outcome.stopping]
     details = outcome.name.split("/")[3:]
     does = fault_kinds()[outcome.kind].does
-    said = "<br>".join(html.escape(text) for text in (outcome.said, *(f"stopping: {trouble}" for trouble in outcome.stopping)) if text)
+    said = "<br>".join(html.escape(text) for text in (outcome.said, *told) if text)
     cells = (
         f"<td>{html.escape(outcome.kind)} {html.escape(' '.join(details))}<br><small>{html.escape(does)}</small></td>",
         f"<td>{html.escape(outcome.at)}</td>",
@@ -94,11 +107,20 @@ def _row(outcome: TrialOutcome) -> str:
         f"<td>{html.escape(outcome.verdict)}<br><small>exit status {outcome.exit_status}</small></td>",
         f'<td class="number">{_number(outcome.rest_s, 2)}</td>',
         f'<td class="number">{_number(outcome.travel, 3)}</td>',
+        f"<td>{html.escape(_budget(outcome))}</td>",
         f"<td>{html.escape(outcome.ending)}</td>",
         f'<td class="number">{outcome.rows} of {outcome.planned}</td>',
         f"<td>{said}</td>",
     )
     return f'<tr class="{look}">' + "".join(cells) + "</tr>"
+
+
+def _budget(outcome: TrialOutcome) -> str:
+    used = outcome.budget
+    if used is None:
+        return "–"
+    kept = "kept" if used.kept else "EXCEEDED"
+    return f"{used.name} {kept}: {used.time_s:.2f} of {used.allowed_s:g} s, {used.travel:.3f} of {used.allowed_travel:.3f}"
 
 
 def _number(value: float, digits: int) -> str:

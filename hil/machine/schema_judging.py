@@ -65,7 +65,8 @@ class TemperatureJudgingTable(Table):
 class DriveJudgingTable(Table):
     """Table `[judging.drive.AXIS]`: the warning bit of the drive's statusword, the effort that it measures, and the axis's load.
 
-    The measured effort must lie between the commands of the last `settling`. Noise and resolution of `[sensors.current_AXIS]` are allowed besides.
+    The measured effort must lie between the commands of the last `settling`. Noise and resolution of `[sensors.current_AXIS]` are allowed
+    besides.
     """
 
     follows: FollowsKey = "mark"

@@ -75,7 +75,7 @@ def _feedback(machine: FaultyMachine, at: str, shown: bool) -> Undo:
 
 KINDS = (
     FaultKind("brake_stays_open", "The brake does not close any more once it is open; its feedback shows it open.", "brake", "brake",
-              stays_open, trials=(*STOPPED, Trial("start"))),
+              stays_open, trials=(*STOPPED, Trial("start")), budget="io_silent"),
     FaultKind("brake_closes_late", "The brake closes later than it should.", "brake", "brake", closes_late, (DELAY,),
               (*STOPPED, Trial("stop", {"delay": 0.3}))),
     FaultKind("brake_weak", "The closed brake holds a share of its torque only.", "brake", "brake", weak,

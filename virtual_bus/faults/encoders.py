@@ -106,7 +106,8 @@ _SHAPES: tuple[tuple[str, str, Make, tuple[Parameter, ...], tuple[Trial, ...]], 
 
 def _kind(side: str, place: Place, begin_of: Callable[[Make], Begin], index: int) -> FaultKind:
     name, does, make, parameters, trials = _SHAPES[index]
-    return FaultKind(f"{side}_encoder_{name}", f"The {side}'s encoder {does}.", "encoder", place, begin_of(make), parameters, trials)
+    does = f"The {side}'s encoder {does}."
+    return FaultKind(f"{side}_encoder_{name}", does, "encoder", place, begin_of(make), parameters, trials, "runaway")
 
 
 KINDS = (

@@ -32,6 +32,9 @@ PLACES: dict[Place, str] = {
 
 Group = Literal["drive", "brake", "I/O", "encoder", "IMU", "temperature", "bus", "process", "homing", "commissioning", "first move"]
 
+Budget = Literal["asked", "position_lost", "drive_fault", "node_silent", "torque_lost", "runaway", "io_silent", "bench_silent"]
+"""Class of the machine file's [budgets] that a stop after the fault must keep to."""
+
 Phase = Literal["start", "operational", "first move", "homing", "settled", "sweep", "stop"]
 """Part of a run in which the table of faults tries a fault; "stop": from the start of a sweep that hold-to-run ends."""
 
@@ -76,6 +79,7 @@ class FaultKind:
     begin: Begin | None  # None: not of the emulated machine but of the bench's processes
     parameters: tuple[Parameter, ...] = ()
     trials: tuple[Trial, ...] = (Trial(),)
+    budget: Budget = "asked"
 
 
 @dataclass(frozen=True)

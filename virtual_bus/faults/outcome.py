@@ -8,9 +8,13 @@ from typing import Literal
 
 import numpy as np
 
+from virtual_bus.canopen.power_state import PowerState
 from virtual_bus.faults.condition import STILL_SPEED
 from virtual_bus.faults.machine import REST_S
 from virtual_bus.faults.motion_log import HOLDING, MotionLog
+
+SWING_S = 0.25
+"""Time that tells standstill from a turning point: two periods of the slowest vibration."""
 
 Ending = Literal["moving", "held by its brake", "held by its drive", "held by both", "at rest, held by nothing"]
 
@@ -72,6 +76,46 @@ class FaultOutcome:
     def of(self, axis: str) -> AxisOutcome:
         """Return what became of an axis."""
         return next(outcome for outcome in self.axes if outcome.axis == axis)
+
+
+@dataclass(frozen=True)
+class Standstill:
+    """When an axis came to stand, and how far it went until then."""
+
+    time_s: float  # infinite where it did not
+    travel: float  # along its path [rad or m]
+
+
+def standstill_of(log: MotionLog, axis: str, onset_s: float, moved: float, *, from_stop: bool) -> Standstill:
+    """Return when an axis came to stand: from there it moves by no more than `moved` for `SWING_S`.
+
+    A brake's proof comes after that, and may move it by a little again.
+
+    Parameters
+    ----------
+    log : MotionLog
+    axis : str
+    onset_s : float
+        Machine time of the fault [s].
+    moved : float
+        What counts as a motion [rad or m].
+    from_stop : bool
+        Count from the first instant after the fault at which some drive is told to stop, instead of from the fault.
+    """
+    position, time_s = log.position[:, log.axes.index(axis)], log.time_s
+    first = int(np.searchsorted(time_s, onset_s - 1e-9))
+    if from_stop:
+        led = log.drive[first:] == PowerState.OPERATION_ENABLED
+        left = np.flatnonzero((led[0] & ~led).any(axis=1)) if len(led) else np.zeros(0)
+        first += int(left[0]) if len(left) else 0
+    rows = int(np.searchsorted(time_s, time_s[0] + SWING_S))
+    if len(position) - first <= rows:
+        return Standstill(math.inf, math.inf)
+    stands = np.flatnonzero(np.ptp(np.lib.stride_tricks.sliding_window_view(position[first:], rows + 1), axis=1) <= moved)
+    if not len(stands):
+        return Standstill(math.inf, math.inf)
+    last = first + int(stands[0])
+    return Standstill(float(time_s[last] - time_s[first]), float(np.abs(np.diff(position[first : last + 1])).sum()))
 
 
 def outcome_of(log: MotionLog, onset_s: float) -> FaultOutcome:

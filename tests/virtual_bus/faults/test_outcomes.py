@@ -9,7 +9,7 @@ import pytest
 
 from virtual_bus.canopen.power_state import PowerState
 from virtual_bus.faults.motion_log import MotionLog
-from virtual_bus.faults.outcome import outcome_of
+from virtual_bus.faults.outcome import SWING_S, outcome_of, standstill_of
 
 PERIOD_S = 1e-3
 OFF, ENABLED = int(PowerState.SWITCH_ON_DISABLED), int(PowerState.OPERATION_ENABLED)
@@ -69,3 +69,31 @@ def test_a_swing_counts_along_its_path() -> None:
 def test_a_time_after_the_log_is_refused() -> None:
     with pytest.raises(ValueError, match="ends before"):
         outcome_of(braking(0.4, 1.6, 1.0, 2.0), 3.0)
+
+
+def test_standstill_is_where_the_rest_of_a_braking_is_no_motion_any_more() -> None:
+    moved, deceleration = 5e-4, 1.6
+    left_s = math.sqrt(2.0 * moved / deceleration)
+    took = standstill_of(braking(0.4, deceleration, 1.0, 4.0), "roll", 1.0, moved, from_stop=False)
+    assert took.time_s == pytest.approx(0.4 / deceleration - left_s, abs=2 * PERIOD_S)
+    assert took.travel == pytest.approx(0.4**2 / (2.0 * deceleration) - moved, abs=1e-4)
+
+
+def test_a_turning_point_is_no_standstill_and_one_that_never_comes_is_endless() -> None:
+    log = MotionLog(("roll",))
+    for time_s in np.arange(0.0, 4.0, PERIOD_S):
+        log.add(float(time_s), [math.sin(2.0 * math.pi * time_s)], [0.0], [0.0], [0.0], [OFF])
+    assert standstill_of(log, "roll", 1.0, 5e-4, from_stop=False).time_s == math.inf
+    assert standstill_of(braking(0.4, 0.1, 1.0, 4.0), "roll", 1.0, 5e-4, from_stop=False).time_s == math.inf
+
+
+def test_time_from_the_stop_begins_where_a_drive_is_told_to() -> None:
+    log = braking(0.4, 1.6, 1.0, 4.0, drive=ENABLED)
+    stopped = MotionLog(("roll",))
+    for k, time_s in enumerate(log.time_s.tolist()):
+        drive = ENABLED if time_s < 1.1 - 1e-9 else int(PowerState.QUICK_STOP_ACTIVE)
+        stopped.add(time_s, [float(log.position[k, 0])], [0.0], [0.0], [1.0], [drive])
+    from_fault = standstill_of(stopped, "roll", 1.0, 5e-4, from_stop=False)
+    from_stop = standstill_of(stopped, "roll", 1.0, 5e-4, from_stop=True)
+    assert from_fault.time_s - from_stop.time_s == pytest.approx(0.1, abs=2 * PERIOD_S)
+    assert SWING_S > 1 / 8

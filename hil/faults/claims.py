@@ -1,0 +1,151 @@
+"""What a run said, held against what truly was: every sentence about the machine's state that the truth contradicts.
+
+Sentences that tell what a device reports, or what was measured, are no claims about the machine. Any other sentence with a word of
+`STATE_WORDS` must be one of those that are checked here, so that no new one goes unchecked.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from virtual_bus.faults.motion_log import HOLDING, MotionLog
+
+STATE_WORDS = re.compile(r"\b(rest|stopped|held|holds|moves?|MOVES|stands?|stand|released|opened|closed|voltage|moved)\b")
+BEFORE_S = 1.5
+"""Time before a sentence within which what it tells of was seen: a second of waiting for a brake, and the proof behind it."""
+SWING_S = 0.125  # a period of the slowest vibration
+
+
+@dataclass(frozen=True)
+class Witness:
+    """What is known of a run for certain.
+
+    Parameters
+    ----------
+    log : MotionLog
+        To the end of the watch.
+    said_row : int
+        Of the log: when the run had said all.
+    standing : sequence of float
+        By axis [rad or m]: how far an axis may swing that stands.
+    faults : collection of str
+        Names of those that had begun by then.
+    rows : int
+        Rows of the recording.
+    """
+
+    log: MotionLog
+    said_row: int
+    standing: Sequence[float]
+    faults: Sequence[str]
+    rows: int
+
+    def swing(self, axis: str, begin_s: float, end_s: float = np.inf) -> float:
+        """Return the range of an axis's position from one time to another, both after the run had said all [rad or m]."""
+        time_s = self.log.time_s
+        said_s = time_s[self.said_row]
+        inside = (time_s >= said_s + begin_s) & (time_s <= said_s + end_s)
+        return float(np.ptp(self.log.position[inside, self.log.axes.index(axis)])) if inside.any() else 0.0
+
+    def stays(self, axis: str) -> bool:
+        """Return whether an axis stood when that was said, and ever after."""
+        return self.swing(axis, -SWING_S) <= self.standing[self.log.axes.index(axis)]
+
+    def moved(self, axis: str) -> bool:
+        """Return whether an axis moved shortly before."""
+        return self.swing(axis, -BEFORE_S, 0.0) > 0.0
+
+    def drives(self, axis: str) -> bool:
+        """Return whether an axis's drive had its power stage on."""
+        return int(self.log.drive[self.said_row, self.log.axes.index(axis)]) in HOLDING
+
+    def brakes(self, axis: str) -> bool:
+        """Return whether an axis's brake was closed, and has been since."""
+        return bool((self.log.brake[self.said_row :, self.log.axes.index(axis)] > 0.0).all())
+
+    def unpowered(self, axis: str) -> bool:
+        """Return whether an axis's drive has applied no effort since."""
+        return not self.drives(axis) and not self.log.effort[self.said_row :, self.log.axes.index(axis)].any()
+
+
+Check = Callable[[Witness, str], bool]
+OF_AN_AXIS: tuple[tuple[str, Check | None], ...] = (
+    (r"at rest: brake proven, voltage off", lambda w, axis: w.stays(axis) and w.brakes(axis) and w.unpowered(axis)),
+    (r"at rest: brake closed by its feedback(, not pushed: .*)?, (voltage off|no voltage)(, its drive in .*)?",
+     lambda w, axis: w.stays(axis) and w.unpowered(axis)),
+    (r"at rest: (.*), (voltage off|no voltage)(, its drive in .*)?", lambda w, axis: w.stays(axis) and w.unpowered(axis)),
+    (r"held by its drive: .*", lambda w, axis: w.stays(axis) and w.drives(axis)),
+    (r"not proven at rest: its drive is told to hold it and IT MOVES.*", lambda w, axis: w.moved(axis)),
+    (r"not proven at rest: its drive .* holds nothing", lambda w, axis: not w.drives(axis)),
+    (r"not proven at rest: its drive .*", None),
+    (r"nobody knows whether it stands: the stop broke off", None),
+)  # fmt: skip
+"""Ends of an axis's stop, and what each says of the truth; None: that nothing is known."""
+OF_THE_SAME_AXIS: tuple[tuple[str, Check | None], ...] = (
+    (r"it stands", lambda w, axis: w.swing(axis, -SWING_S, 0.0) <= w.standing[w.log.axes.index(axis)]),
+    (r"IT MOVES", lambda w, axis: w.moved(axis)),
+    (r"nobody knows whether it moves", None),
+    (r"its brake reports (open|closed).*", None),
+    (r"(the I/O does not say whether its brake is closed|the bench commands no brake of it).*", None),
+)  # fmt: skip
+OF_THE_RUN: tuple[tuple[str, Callable[[Witness, re.Match[str]], bool]], ...] = (
+    (r"(?:row \d+: )?hold-to-run (?:was released|is not pressed)", lambda w, said: any("hold_to_run" in name for name in w.faults)),
+    (r"(?:row \d+: )?the door (?:was opened|is open)", lambda w, said: "door_opened" in w.faults),
+    (r"(\d+) rows are kept", lambda w, said: int(said[1]) == w.rows),
+    (r"nothing was recorded", lambda w, said: w.rows == 0),
+    (r"nothing was moved", lambda w, said: not w.log.speed[: w.said_row].any()),
+)  # fmt: skip
+REPORTED = re.compile(
+    r"brake of .*: not (open|closed) within .* by its feedback"
+    r"|.*: its brake reports closed during the run"
+    r"|.*(motor side|link encoder|counter|tracking error|position|winding|statusword).*"
+    r"|.*left oper.*|.*: moves by .* alone|.* moved .* on a positive effort|.* moved .* where .* expected .*"
+    r"|nobody knows of hold-to-run, door and brakes.*|.*have moved further apart.*|.*keeps its voltage.*|the holding effort is wrong"
+    r"|one of them is frozen.*|.*rows are marked\)|stopping the motors ran into .*|.*supervisor.*|its link moved by .*|press and hold it"
+)
+"""Sentences about what was measured or reported."""
+
+
+def contradictions(said: str, witness: Witness) -> list[str]:
+    """Return every claim in the words of a run that the truth contradicts, and every sentence about its state that nobody checks.
+
+    Parameters
+    ----------
+    said : str
+        The run's last line.
+    witness : Witness
+    """
+    found, axes = [], tuple[str, ...]()
+    names = "|".join(map(re.escape, witness.log.axes))
+    for sentence in said.split("; "):
+        text = sentence.removeprefix("the motors were stopped: ").removeprefix("found under voltage at the start, and ")
+        about = re.fullmatch(rf"((?:{names})(?:, (?:{names}))*) (.*)", text)
+        if about is not None and (checked := _of_axes(OF_AN_AXIS, about[2], tuple(about[1].split(", ")), witness)) is not None:
+            axes = tuple(about[1].split(", "))
+            found += [f"{axis} {about[2]}" for axis in checked]
+        elif axes and (checked := _of_axes(OF_THE_SAME_AXIS, text, axes, witness)) is not None:
+            found += [f"{axis}: {text}" for axis in checked]
+        elif (holds := _of_run(text, witness)) is not None:
+            found += [] if holds else [text]
+        elif STATE_WORDS.search(text) and not REPORTED.fullmatch(text):
+            found.append(f"nobody checks: {text}")
+    return found
+
+
+def _of_axes(table: Sequence[tuple[str, Check | None]], text: str, axes: Sequence[str], witness: Witness) -> list[str] | None:
+    """Return the axes of which a text is not true; None where the table does not know it."""
+    for pattern, check in table:
+        if re.fullmatch(pattern, text):
+            return [axis for axis in axes if check is not None and not check(witness, axis)]
+    return None
+
+
+def _of_run(text: str, witness: Witness) -> bool | None:
+    for pattern, check in OF_THE_RUN:
+        if (said := re.fullmatch(pattern, text)) is not None:
+            return check(witness, said)
+    return None
