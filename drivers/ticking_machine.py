@@ -135,7 +135,7 @@ class TickingMachine:
                 output.controlword = cia402.QUICK_STOP if axis in holding else cia402.DISABLE_VOLTAGE
             for node in self.settings.nodes:
                 self.network.command_nmt(NMT_START, node.node_id)
-            self._cyclic.syncs = 0
+            self._cyclic.syncs = self.sample.unanswered = 0
             self.supervision.await_operational(self.settings.nodes)
             if self.settings.master_heartbeat_period_s > 0.0:
                 self.network.start_heartbeat(self.settings.master_node_id, self.settings.master_heartbeat_period_s)
@@ -153,8 +153,8 @@ class TickingMachine:
         ------
         DeviceFaultError
             An enabled drive left operation enabled, or a node left the NMT state operational.
-        HeartbeatLostError
-            A node fell silent.
+        HeartbeatLostError, BusTimeoutError
+            A node fell silent, or all of them.
         SecondMasterError
             Somebody else sends what only the bench, or one of its devices, may send.
         MotionRefusedError
@@ -174,7 +174,8 @@ class TickingMachine:
                     self._explain_fault(axis)
             if self.supervision.left_operational:
                 raise DeviceFaultError("; ".join(filter(None, (self.supervision.left_operational, sample.fault))))
-            self.supervision.check_one(self.clock.now())
+            self._check_answers(sample)
+            self.supervision.check_one(self.clock.now(), self.clock.missed * self.period_s)
         except BaseException:
             self.stop()
             raise
@@ -310,6 +311,14 @@ class TickingMachine:
         raise BusTimeoutError(
             f"{', '.join(self._cyclic.missing)}: no answer to {FIRST_ANSWERS_TICKS} SYNCs within {self.settings.answer_timeout_s} s each"
         )
+
+    def _check_answers(self, sample: Sample) -> None:
+        """Where no node answers, the bus or its host is late: such ticks are lost, but not for longer than a node may be silent."""
+        if sample.unanswered > self._cyclic.silent_ticks:
+            raise BusTimeoutError(
+                f"{self.network.can_bus.channel_info}: no node has answered for {sample.unanswered * self.period_s:.3f} s, "
+                f"{self._cyclic.silent_ticks * self.period_s:.3f} s allowed, as for a heartbeat"
+            )
 
     def _refuse_intruder(self) -> None:
         if self.network.intruder:

@@ -15,7 +15,7 @@ from drivers.canopen.cia406 import signed_counts
 from drivers.canopen.network import EMERGENCY, HEARTBEAT, PolledNetwork, is_data_frame, receive_frame, send_frame
 from drivers.canopen.one_master import OneMaster
 from drivers.canopen.pdo import PdoCodec
-from drivers.canopen.supervision import Supervision
+from drivers.canopen.supervision import HEARTBEAT_TOLERANCE, Supervision
 from drivers.errors import ConfigurationRefusedError, MotionRefusedError, ProtocolError
 from drivers.interface import Sample
 from drivers.settings import AxisScaling, BusSettings, Node, Pdo
@@ -194,6 +194,7 @@ class CyclicExchange:
         self._by_cob_id = {tpdo.cob_id: (bit, tpdo) for bit, tpdo in enumerate(self._tpdos)}
         self._expected = sum(1 << bit for bit, tpdo in enumerate(self._tpdos) if tpdo.every_sync)
         self._axis_masks = [sum(1 << b for b, t in enumerate(self._tpdos) if t.axis == a and t.every_sync) for a in range(len(self.inputs))]
+        self.silent_ticks = _silent_ticks(settings)
         self._heartbeats = {HEARTBEAT + node.node_id: node.node_id for node in settings.nodes}
         self._emergencies = {EMERGENCY + node.node_id: node.node_id for node in settings.nodes}
         self._outstanding = 0  # TPDOs of the last SYNC that are still to come
@@ -392,10 +393,22 @@ class CyclicExchange:
 
     def _grow_ages(self, sample: Sample, outstanding: int) -> None:
         missed = self._clock.missed
-        elapsed_s = self._period_s * (1 + max(0, missed - self._missed))
+        ticks = 1 + max(0, missed - self._missed)
+        elapsed_s = self._period_s * ticks
         self._missed = missed
+        silent = outstanding == self._expected and self.silent_ticks and any(usual_s == usual_s for usual_s in self._usual_s)
+        sample.unanswered = sample.unanswered + ticks if silent else 0
         for axis, mask in enumerate(self._axis_masks):
             sample.age_s[axis] = sample.age_s[axis] + elapsed_s if outstanding & mask else 0.0
+
+
+def _silent_ticks(settings: BusSettings) -> int:
+    """Return how many SYNCs in a row may stay without any answer: as long as a node's heartbeat may be missing.
+
+    It is 0 where one node alone answers, because then nobody tells a late bus from a silent node.
+    """
+    answering = [node.heartbeat_period_s for node in settings.nodes if any(pdo.transmission_type == 1 for pdo in node.tpdos)]
+    return int(HEARTBEAT_TOLERANCE * min(answering) / settings.sync_period_s) if len(answering) > 1 else 0
 
 
 def drives(settings: BusSettings) -> list[Node]:
