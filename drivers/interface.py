@@ -37,6 +37,7 @@ class Sample:
     io_age_s: float = field(default=0.0, init=False)
     lateness_s: float = field(default=0.0, init=False)  # of this tick's SYNC against its absolute time
     arrived_s: float = field(default=0.0, init=False)  # perf_counter when the sample was complete: the wait for answers ends here
+    unanswered: int = field(default=0, init=False)  # ticks since any node answered in time, where several should; 0: now
     fault: str = field(default="", init=False)  # first device fault since the last tick, in words; "" when none
     imu_damaged: int = field(default=0, init=False)  # messages of the IMU that failed their checksum since it was configured
     imu_fault: str = field(default="", init=False)  # the IMU's first fault since it was configured; motion does not depend on it

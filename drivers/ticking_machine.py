@@ -19,10 +19,11 @@ from drivers.canopen.axis_stop import POWERED, AxisRest
 from drivers.canopen.cia402 import Mode
 from drivers.canopen.cia406 import check_alarms
 from drivers.canopen.configuration import configure_node
-from drivers.canopen.cyclic import CyclicExchange, drives
+from drivers.canopen.cyclic import CyclicExchange
 from drivers.canopen.eds import load_object_dictionary
 from drivers.canopen.identity import check_identity
 from drivers.canopen.network import NMT_PRE_OPERATIONAL, NMT_START, PolledNetwork
+from drivers.canopen.process_data import drives
 from drivers.canopen.resting import Resting
 from drivers.canopen.sdo import SdoNode
 from drivers.canopen.stopping import Attempts, Attendant, Unattended
@@ -135,7 +136,7 @@ class TickingMachine:
                 output.controlword = cia402.QUICK_STOP if axis in holding else cia402.DISABLE_VOLTAGE
             for node in self.settings.nodes:
                 self.network.command_nmt(NMT_START, node.node_id)
-            self._cyclic.syncs = 0
+            self._cyclic.syncs = self.sample.unanswered = 0
             self._cyclic.forget_remarks()
             self.network.passed_over.clear()
             self.supervision.await_operational(self.settings.nodes)
@@ -155,8 +156,8 @@ class TickingMachine:
         ------
         DeviceFaultError
             An enabled drive left operation enabled, or a node left the NMT state operational.
-        HeartbeatLostError
-            A node fell silent.
+        HeartbeatLostError, BusTimeoutError
+            A node fell silent, or all of them.
         SecondMasterError
             Somebody else sends what only the bench, or one of its devices, may send.
         MotionRefusedError
@@ -176,7 +177,8 @@ class TickingMachine:
                     self._explain_fault(axis)
             if self.supervision.left_operational:
                 raise DeviceFaultError("; ".join(filter(None, (self.supervision.left_operational, sample.fault))))
-            self.supervision.check_one(self.clock.now())
+            self._check_answers(sample)
+            self.supervision.check_one(self.clock.now(), self.clock.missed * self.period_s)
         except BaseException:
             self.stop()
             raise
@@ -323,6 +325,14 @@ class TickingMachine:
         raise BusTimeoutError(
             f"{', '.join(self._cyclic.missing)}: no answer to {FIRST_ANSWERS_TICKS} SYNCs within {self.settings.answer_timeout_s} s each"
         )
+
+    def _check_answers(self, sample: Sample) -> None:
+        """Where no node answers, the bus or its host is late: such ticks are lost, but not for longer than a node may be silent."""
+        if sample.unanswered > self._cyclic.silent_ticks:
+            raise BusTimeoutError(
+                f"{self.network.can_bus.channel_info}: no node has answered for {sample.unanswered * self.period_s:.3f} s, "
+                f"{self._cyclic.silent_ticks * self.period_s:.3f} s allowed, as for a heartbeat"
+            )
 
     def _refuse_intruder(self) -> None:
         if self.network.intruder:

@@ -14,8 +14,8 @@ import numpy as np
 
 from drivers.canopen import cia402
 from drivers.canopen.cia402 import Mode, State
-from drivers.canopen.cyclic import AxisInput
 from drivers.canopen.emcy import describe_code
+from drivers.canopen.process_data import AxisInput
 from drivers.canopen.sdo import SdoNode
 from drivers.canopen.supervision import Supervision
 from drivers.canopen.watch import MotionWatch

@@ -46,6 +46,7 @@ class _Watched:
     vendor_id: int | None
     state: int = -1  # NMT state of the last heartbeat, -1 before the first message
     heard_s: float = float("nan")
+    lost_s: float = 0.0  # of the loop's ticks, by then
     boots: int = 0
     ahead: float = 0.0  # heartbeats that came more than their rate explains
     late: int = 0  # heartbeats that came late, and were borne
@@ -76,6 +77,7 @@ class Supervision:
         self._nodes = {node.node_id: _Watched(node.name, node.node_id, node.heartbeat_period_s, node.identity.vendor_id) for node in nodes}
         self._guarded = [watched for watched in self._nodes.values() if watched.timeout_s > 0.0]
         self._turn = 0
+        self._lost_s = 0.0
         self._running = False  # nodes were started, so leaving operational is a fault
         self.left_operational = ""  # which started node has left operational, in words; '' while all run
         for node_id in self._nodes:
@@ -92,10 +94,11 @@ class Supervision:
         state = data[0] & 0x7F  # bit 7 is reserved
         now_s = self._network.clock.now()
         early = self._running and self._is_early(watched, now_s)
-        if self._running and now_s - watched.heard_s > LATE_PERIODS * watched.period_s > 0.0:
+        pause_s = now_s - watched.heard_s - max(0.0, self._lost_s - watched.lost_s)
+        if self._running and pause_s > LATE_PERIODS * watched.period_s > 0.0:
             watched.late += 1
-            watched.longest_s = max(watched.longest_s, now_s - watched.heard_s)
-        watched.heard_s = now_s
+            watched.longest_s = max(watched.longest_s, pause_s)
+        watched.heard_s, watched.lost_s = now_s, self._lost_s
         if state == BOOT_UP:
             watched.boots += 1
         if self._running and state != OPERATIONAL:
@@ -155,8 +158,15 @@ class Supervision:
         """Return the last NMT state received, in words."""
         return NMT_STATES.get(self._nodes[node_id].state, "never heard")
 
-    def check_one(self, now_s: float) -> None:
+    def check_one(self, now_s: float, lost_s: float = 0.0) -> None:
         """Check the next node's heartbeat, one per call: the sample loop calls it every tick and so checks all nodes within a few ticks.
+
+        Parameters
+        ----------
+        now_s : float
+        lost_s : float
+            Time of all ticks that the loop has lost. It is no silence: nobody listened, and an emulated machine, whose time SYNC moves,
+            stood still.
 
         Raises
         ------
@@ -165,8 +175,8 @@ class Supervision:
         if not self._guarded:
             return
         self._turn = (self._turn + 1) % len(self._guarded)
-        watched = self._guarded[self._turn]
-        age_s = now_s - watched.heard_s
+        watched, self._lost_s = self._guarded[self._turn], lost_s
+        age_s = now_s - watched.heard_s - max(0.0, lost_s - watched.lost_s)
         if age_s > watched.timeout_s:
             state = NMT_STATES.get(watched.state, "unknown")
             raise HeartbeatLostError(

@@ -178,6 +178,7 @@ class MotionWatch:
         self._axes = [_AxisWatch(limit, scaling, period_s) for limit, scaling in zip(limits, scalings, strict=True)]
         self._clock = clock
         self._missed = 0
+        self._ticks = 0  # since somebody answered
 
     def forget(self) -> None:
         """Mark every axis as not homed, because the counters start again."""
@@ -214,8 +215,11 @@ class MotionWatch:
     def check(self, sample: Sample) -> str:
         """Return what is wrong with this tick, in words; '' when nothing is."""
         missed = self._clock.missed
-        ticks = 1 + max(0, missed - self._missed)
+        self._ticks += 1 + max(0, missed - self._missed)
         self._missed = missed
+        if sample.unanswered:  # the bus is late, and no axis is silent
+            return ""
+        ticks, self._ticks = self._ticks, 0
         for axis, position, link in zip(self._axes, sample.position.tolist(), sample.link_position.tolist(), strict=True):
             if reason := axis.check(position, link, ticks):
                 return reason

@@ -66,7 +66,8 @@ class ImuJudge:
 
     def step(self, sample: Sample, ticks: int) -> str:
         """Return which check the newest sample fails, '' when none; `ticks` passed since the one before."""
-        came = sample.imu_counter >= 0
+        came, passed = sample.imu_counter >= 0, ticks
+        ticks = 1 if self._settings.triggered else ticks
         self._silent = 0 if came else self._silent + ticks
         rate = self._count(came, ticks)
         garbage = self._count_damaged(sample.imu_damaged, ticks)
@@ -86,7 +87,7 @@ class ImuJudge:
         if rate:
             self.lag_ticks = self._window
             return rate
-        if self._is_late(sample, ticks):
+        if self._is_late(sample, passed):
             return "late"
         return self._departs()
 

@@ -25,6 +25,7 @@ class ImuJudging:
     full_scale: tuple[float, ...]  # (6,) m/s^2 and rad/s; infinite where it is not known
     frozen_packets: tuple[int, ...]  # (6,) packets in a row with one value that noise makes impossible; 0: not judged
     damaged_per_s: int  # damaged messages in a second
+    triggered: bool = False  # by SYNC: lost ticks, which have none, lack no packet
     force_tolerance: float = inf  # m/s^2 between mean specific force and what the machine file says of the motion
     turn_tolerance: float = inf  # rad/s between mean angular rate and the same
 

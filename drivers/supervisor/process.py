@@ -25,6 +25,7 @@ from drivers.supervisor.supervisor import NMT, NMT_STOP, Supervisor
 
 HELD_UP_ROUNDS = 8.0
 """Multiple of a round's time after which the process was held up: frames have come together meanwhile."""
+MOST_FRAMES = 4096  # taken in a round, those of two seconds: who judges with frames unread calls a bus silent
 LINGERS_S = 2.0
 """Time for which it goes on judging after the loop's process is gone."""
 
@@ -97,7 +98,7 @@ class _Tap:
         self._tap.settimeout(timeout_s)
         try:
             can_id, length, data = FRAME.unpack(self._tap.recv(FRAME.size))
-        except TimeoutError:
+        except (TimeoutError, BlockingIOError):
             return None
         return can_id, data[:length]
 
@@ -169,9 +170,11 @@ class _Rounds:
 
     def _take_frames(self, until_s: float) -> None:
         try:
-            while (left_s := until_s - time.monotonic()) > 0.0:
-                if (frame := self._line.receive(left_s)) is not None:
+            for _ in range(MOST_FRAMES):
+                if (frame := self._line.receive(max(0.0, until_s - time.monotonic()))) is not None:
                     self._supervisor.frame(time.monotonic(), *frame)
+                elif time.monotonic() >= until_s:
+                    break
         except (can.CanError, OSError) as error:
             self._supervisor.refuse(time.monotonic(), f"the bus cannot be read: {error}")
             time.sleep(self._round_s)
@@ -181,10 +184,7 @@ class _Rounds:
         session = self._told[WANTED_SESSION]
         self._orders.read(self._told)
         if self._told[WANTED_SESSION] != session:
-            if self._told[WANTED_SESSION] > 0.0:
-                self._supervisor.begin()
-            else:
-                self._supervisor.end()
+            (self._supervisor.begin if self._told[WANTED_SESSION] > 0.0 else self._supervisor.end)()
         self._who = self._who or self._asks.asked(self._seen)
         if self._who:
             self._asks.asked(self._seen)

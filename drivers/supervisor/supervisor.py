@@ -316,10 +316,9 @@ class Supervisor:
             axis.unanswered += 1
 
     def _check(self, time_s: float, watched: list[_Axis]) -> None:
-        if self._sync_s:
-            silent_s = time_s - self._sync_s[-1]
-            if silent_s > self._silent_s:
-                self.refuse(time_s, f"no SYNC for {silent_s:.2f} s while a drive has torque or a brake is open")
+        silent_s = time_s - self._sync_s[-1] if self._sync_s else 0.0
+        if silent_s > self._silent_s:
+            self.refuse(time_s, f"no SYNC for {silent_s:.2f} s while a drive has torque or a brake is open")
         if len(self._sync_s) > FAST_SYNCS and (self._sync_s[-1] - self._sync_s[0]) < FAST_SHARE * FAST_SYNCS * self._period_s:
             self.refuse(time_s, "SYNC comes faster than it may: a second producer")
         asked = min(self._asked_at_s, self._released_at_s)

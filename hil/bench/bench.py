@@ -194,6 +194,8 @@ class Bench:
             try:
                 began = {} if self.wiring.lockstep else {"utc": datetime.now(UTC).isoformat(timespec="milliseconds")}
                 events.add("bench", "session started", bus=self.options.bus_url, **began)
+                if self.options.accepted_margins:
+                    events.add("operator", "margins accepted", failing=list(self.options.accepted_margins))
                 link.start()
                 pose, windup = standing(self.machine, self.model, link.exchange(self._still))
                 found = link.home(self.model.holding_effort(pose), windup, check_first_move=not self.commissioning)
@@ -332,4 +334,6 @@ class Bench:
         return found | {"events": events_table(self.wiring.link.events)}
 
     def _circumstances(self) -> dict[str, Any]:
-        return {"bus": self.options.bus_url, "scheduler": str(self.scheduling), "commissioning": list(self.commissioning)}
+        found = {"bus": self.options.bus_url, "scheduler": str(self.scheduling), "commissioning": list(self.commissioning)}
+        accepted = self.options.accepted_margins
+        return found | ({"accepted_margins": list(accepted)} if accepted else {})

@@ -92,7 +92,8 @@ class SampleLoop:
     io_stale_s : float
         Age of the I/O's state at which the motors are stopped.
     overrun_ticks, stale_ticks : int
-        Ticks lost at once, and ticks in a row without a position, that are tolerated; more stop the motors.
+        Ticks lost at once, and ticks in a row without a position, that are tolerated; more stop the motors. A tick in which no node answers
+        is lost, too: the command stays. How many of those are tolerated is the link's to judge.
     braked : sequence of bool
         Which axes have a brake that the I/O reports; it must be open throughout a run.
     timed : bool
@@ -129,7 +130,8 @@ class SampleLoop:
         axes = len(self.limits)
         self.command = np.zeros(axes)
         self._position = np.full(axes, np.nan)  # the newest of each axis
-        self._stale = [0] * axes  # ticks since then
+        self._stale = [0] * axes  # ticks since then in which somebody answered
+        self._unjudged = 0  # ticks since the sensors were judged
         self._row = np.full(self.layout.width, np.nan)
         self._zeros = np.zeros(axes)
         self._added = np.zeros(axes)  # excitation and what the observer adds
@@ -152,7 +154,8 @@ class SampleLoop:
         lateness, work, answer = np.zeros(rows), np.zeros(rows), np.zeros(rows)
         missed_before = missed_seen = self.clock.missed
         handed_over_s = 0.0
-        done = 0
+        done = unanswered = 0
+        self._unjudged = 0
         if self.judge is not None:
             self.judge.restart()
         try:
@@ -161,6 +164,7 @@ class SampleLoop:
                 lost = self.clock.missed - missed_seen
                 missed_seen += lost
                 k += 1 + (lost if done else 0)  # row 0 is wherever the run begins
+                unanswered += sample.unanswered > 0
                 overrun = ""
                 if lost > self.overrun_ticks:
                     overrun = f"the loop lost {lost} ticks in a row; timing.overrun_ticks bridges {self.overrun_ticks}"
@@ -200,7 +204,8 @@ class SampleLoop:
             self.link.stop()
             raise
         judged = () if self.judge is None else judged_lines(self.judge.findings, done)
-        return LoopTiming(done, self.clock.missed - missed_before, lateness[:done], work[:done], answer[:done], judged=judged)
+        missed = self.clock.missed - missed_before
+        return LoopTiming(done, missed, unanswered, lateness[:done], work[:done], answer[:done], judged=judged)
 
     def _say_stop(self, reason: str) -> None:
         """Tell the audit trail who asked for a stop, and why."""
@@ -212,7 +217,8 @@ class SampleLoop:
         self._see(sample)
         reference = plan.reference[k]
         feedforward = self._zeros if plan.feedforward is None else plan.feedforward[k]
-        self.feedback.step(reference, self._position, excitation, feedforward, self.command)
+        if not sample.unanswered:
+            self.feedback.step(reference, self._position, excitation, feedforward, self.command)
         return self.stop_request.reason or self._violation(sample, reference, ticks, k)
 
     def _see(self, sample: Sample) -> None:
@@ -221,17 +227,25 @@ class SampleLoop:
             if position == position:
                 self._position[axis] = position
                 self._stale[axis] = 0
-            else:
+            elif not sample.unanswered:
                 self._stale[axis] += 1
 
+    def _judged(self, sample: Sample, ticks: int, k: int) -> str:
+        """Return why the sensors stop the motors, or ''; they are judged when they answer, not when the whole bus is late."""
+        self._unjudged += ticks
+        if self.judge is None or sample.unanswered:
+            return ""
+        ticks, self._unjudged = self._unjudged, 0
+        return self.judge.step(sample, ticks, k * self.layout.period_s)
+
     def _violation(self, sample: Sample, reference: np.ndarray, ticks: int, k: int) -> str:
-        judged = self.judge.step(sample, ticks, k * self.layout.period_s) if self.judge is not None else ""
+        judged = self._judged(sample, ticks, k)
         if sample.fault:
             return sample.fault
         for limit, wanted, position, stale in zip(self.limits, reference.tolist(), self._position.tolist(), self._stale, strict=True):
             if stale > self.stale_ticks:
                 return f"{limit.axis}: no position for {stale} ticks, timing.stale_ticks bridges {self.stale_ticks}"
-            if position != position:  # missing from the first tick: the feedback holds its last command
+            if position != position or sample.unanswered:  # missing from the first tick, or not known now: the command stays
                 continue
             if not limit.lower <= position <= limit.upper:
                 return f"{limit.axis}: position {position:.4f} {limit.unit} is outside {limit.lower:.4f} to {limit.upper:.4f} {limit.unit}"
@@ -241,7 +255,7 @@ class SampleLoop:
         if self.watch is not None and (reason := self.watch(sample)):
             return reason
         if self.guard_io:
-            if not sample.io_age_s <= self.io_stale_s:  # first: its other values say nothing then
+            if not sample.io_age_s <= self.io_stale_s:  # the rest of such a state is the safe one, not what was read
                 return f"the I/O has not answered for {sample.io_age_s:.2f} s, {self.io_stale_s:.2f} s are allowed"
             if not sample.hold_to_run:
                 return "hold-to-run was released"

@@ -38,6 +38,8 @@ class BenchOptions:
         In lockstep, takes when each fault began and ended.
     real_time : bool
         On a bus, request real-time scheduling; not where loop and emulator have to share one processor.
+    accepted_margins : tuple of str
+        What `machine check` finds failing of the controllers and the user accepts, in words; goes into every recording.
     """
 
     bus_url: str
@@ -52,3 +54,4 @@ class BenchOptions:
     motion: MotionLog | None = None
     events: list[FaultEvent] = field(default_factory=list)
     real_time: bool = True
+    accepted_margins: tuple[str, ...] = ()

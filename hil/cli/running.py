@@ -51,6 +51,9 @@ TruthOption = Annotated[Path | None, typer.Option("--truth", metavar="FILE", hel
 EmulatedOption = Annotated[
     str, typer.Option("--emulated", metavar="M", help="In lockstep: the machine that is really there, where it was built off its file.")
 ]
+AcceptMarginsOption = Annotated[
+    bool, typer.Option("--accept-margins", help="Run a controller that `isocenter machine check` fails; the recording says so.")
+]
 NoiseOption = Annotated[bool, typer.Option("--noise/--no-noise", help="In lockstep: the emulated sensors' noise.")]
 
 
@@ -70,6 +73,7 @@ class RunOptions:
     frame_log: FrameLogOption = None
     truth: TruthOption = None
     real_time: RealTimeOption = True
+    accept_margins: AcceptMarginsOption = False
     observer: ObserverOption = None
     damping: DampingOption = 0.0
     images: ImagesOption = None
@@ -105,6 +109,9 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
         raise UnusableInputError("--emulated: only a run on lockstep: emulates; give that machine to `isocenter emulate`")
     if run.faults is not None and not lockstep:
         raise UnusableInputError("--faults: only an emulated machine can have them; give them to `isocenter emulate`, or run on lockstep:")
+    accepted = _accepted_margins(machine, run)
+    for failing in accepted:
+        answer.say(f"accepted: {failing}")
     emulated = _emulated(machine, run)
     faults = read_faults(run.faults, emulated or machine, lockstep)
     told = Told.of(faults, machine)
@@ -132,7 +139,9 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
             stack.callback(keep_sightings, data, run.images)
         truth, rows = stack.enter_context(frames)
         options = BenchOptions(
-            run.bus, run.imu, run.io, run.seed, run.noise, run.frame_log, truth, emulated, faults, told.motion, told.events, run.real_time
+            *(run.bus, run.imu, run.io, run.seed, run.noise, run.frame_log, truth, emulated, faults, told.motion, told.events),
+            real_time=run.real_time,
+            accepted_margins=accepted,
         )
         bench = stack.enter_context(open_bench(machine, options, plans[0].start_pose, watching))
         with progress(answer.console, live=lockstep) as bars:
@@ -165,12 +174,13 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
         line = f"{record['recording']}: {timing_table['ticks']} rows"
         if not lockstep:
             line += (
-                f", {timing_table['missed']} ticks missed, lateness p99 {timing_table['lateness_p99_us']:.0f} us, "
+                f", {timing_table['missed']} ticks missed, {timing_table['unanswered']} unanswered, lateness p99 {timing_table['lateness_p99_us']:.0f} us, "
                 f"work time p99 {timing_table['work_time_p99_us']:.0f} us"
             )
         answer.say(line)
     document: dict[str, Any] = {"machine": machine.name, "hash": machine.hash, "bus": run.bus, "scheduler": scheduling}
     document["recordings"] = records
+    document["accepted_margins"] = accepted
     if data is not None and run.images is not None:
         document["calibration"] = leave(data, run.images, answer)
     if faults:
@@ -179,6 +189,25 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
     if judged := [f"{record['recording']}: {line}" for record in records for line in record["judged"]]:
         answer.say("sensors not to be believed: " + "; ".join(judged))
         raise typer.Exit(1)
+
+
+def _accepted_margins(machine: Machine, run: RunOptions) -> tuple[str, ...]:
+    """Return what `machine check` finds failing of the controllers, in words, where the user accepts it.
+
+    Raises
+    ------
+    UnusableInputError
+        Something fails and was not accepted.
+    """
+    from hil.machine.check import failing_controllers
+
+    failing = tuple(finding.text for finding in failing_controllers(machine))
+    if failing and not run.accept_margins:
+        raise UnusableInputError(
+            f"{machine.name}: `isocenter machine check` fails its controller, so it is not run: {'; '.join(failing)}."
+            " Correct [controller], or accept this with --accept-margins"
+        )
+    return failing
 
 
 def stepped_over(run: RunOptions, missed: int) -> tuple[str, ...]:

@@ -63,6 +63,7 @@ def _imu(table: MachineTable, rules: JudgingTable, bus: BusSettings) -> ImuJudgi
         full_scale=(sensor.accelerometer_range or math.inf,) * 3 + (sensor.gyro_range or math.inf,) * 3,
         frozen_packets=tuple(packets_until_frozen(s, q, chance, at_least) for s, q in zip(noise, steps, strict=True)),
         damaged_per_s=rules.imu.damaged_per_s,
+        triggered=bus.imu.triggered_by_sync,
         force_tolerance=math.inf if rules.imu.force_tolerance is None else rules.imu.force_tolerance,
         turn_tolerance=math.inf if rules.imu.turn_tolerance is None else rules.imu.turn_tolerance,
     )

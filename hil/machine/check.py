@@ -46,11 +46,15 @@ def check_machine(machine: Machine, poses: int = POSES) -> list[Finding]:
     """
     results = examine(machine, poses)
     findings = [*_modes(machine, results), *_holding(machine, results)]
-    if machine.controllers:
-        findings += [_stability(machine, results), *_margins(machine, results), *_reference_filters(machine)]
+    findings += _controllers(machine, results)
     if machine.bus is not None:
         findings += [_bus_load(machine), *_device_files(machine), *budgets(machine, results)]
     return findings
+
+
+def failing_controllers(machine: Machine, poses: int = POSES) -> list[Finding]:
+    """Return those of `check_machine`'s findings on the controllers that failed: stability, margins, reference filters."""
+    return [finding for finding in _controllers(machine, examine(machine, poses)) if not finding.ok]
 
 
 def examine(machine: Machine, poses: int = POSES) -> list[PoseResult]:
@@ -136,6 +140,12 @@ def _holding(machine: Machine, results: list[PoseResult]) -> list[Finding]:
         )
         findings.append(Finding("holding", abs(effort) <= allowed, text, {"axis": drive.axis, "effort": effort, "limit": drive.limit}))
     return findings
+
+
+def _controllers(machine: Machine, results: list[PoseResult]) -> list[Finding]:
+    if not machine.controllers:
+        return []
+    return [_stability(machine, results), *_margins(machine, results), *_reference_filters(machine)]
 
 
 def _stability(machine: Machine, results: list[PoseResult]) -> Finding:

@@ -51,7 +51,7 @@ class ScriptedLink:
         sample.link_position[:] = 0.0
         sample.effort[:] = command  # the command put on the wire before this SYNC is what the motors feel
         sample.statusword[:] = 0x1637
-        sample.fault = ""
+        sample.fault, sample.unanswered = "", 0
         if k in self.script:
             self.script[k](self)
         return sample

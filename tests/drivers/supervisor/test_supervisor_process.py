@@ -322,3 +322,49 @@ def test_frames_come_from_another_thread(bench: Bench) -> None:
     bench.there.setblocking(False)
     sender.join()
     assert bench.seen[ROUNDS] == 4
+
+
+class HeldUp:
+    """A clock, and a bus on which everything goes on while the process that reads it is held up for a while."""
+
+    def __init__(self, held_up_s: float) -> None:
+        self.now_s, self._sent_s, self._held_up_s = 0.0, 0.0, held_up_s
+        self.frames: list[tuple[int, bytes]] = []
+        self.tpdo = next(pdo for pdo in ROLL.tpdos if any(index == 0x6041 for index, _, _ in pdo.entries)).cob_id
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def receive(self, timeout_s: float) -> tuple[int, bytes] | None:
+        if timeout_s > 0.0 and not self.frames:
+            self.now_s += timeout_s
+        if self.now_s > 1.0:
+            self.now_s, self._held_up_s = self.now_s + self._held_up_s, 0.0
+        while self._sent_s <= self.now_s:
+            self.frames += [(self.tpdo, POWERED), (SYNC, b"")]
+            self._sent_s += SETTINGS.sync_period_s
+        self.now_s += 1e-5
+        return self.frames.pop(0) if self.frames else None
+
+
+@pytest.mark.parametrize("held_up_s", [0.0, 0.06, 0.1, 0.4, 1.5])
+def test_a_supervisor_that_was_held_up_reads_what_lies_there_before_it_judges(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, held_up_s: float
+) -> None:
+    """Else the SYNCs of a loop that works are missed, or come faster than they may."""
+    line = HeldUp(held_up_s)
+    monkeypatch.setattr(process, "_Tap", lambda tap: line)
+    monkeypatch.setattr(process.time, "monotonic", line.monotonic)
+    bench.run(rounds=1000, io=False)
+    assert line.now_s > 1.9
+    assert bench.own.text == ""
+    assert bench.seen[PERMITS] == 1
+
+
+def test_a_flood_does_not_keep_it_from_judging(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    line = HeldUp(0.0)
+    line.frames = [(0x7FF, b"")] * (3 * process.MOST_FRAMES)
+    monkeypatch.setattr(process, "_Tap", lambda tap: line)
+    monkeypatch.setattr(process.time, "monotonic", line.monotonic)
+    bench.run(rounds=1, io=False)
+    assert len(line.frames) >= process.MOST_FRAMES, "it hears of the end in its second round"

@@ -83,3 +83,41 @@ def test_time_and_plan_go_on_while_ticks_are_lost() -> None:
     assert rows[:, column("reference_propeller")] == pytest.approx(1e-3 * np.array(ticks))
     assert timing.ticks == len(ticks)
     assert timing.missed == 8
+
+
+def _nobody_answers(link: ScriptedLink) -> None:
+    link.sample.unanswered = 1
+    link.sample.position[:] = link.sample.link_position[:] = np.nan
+    link.sample.statusword[:] = -1
+
+
+def _roll_is_silent(link: ScriptedLink) -> None:
+    link.sample.position[1] = np.nan
+
+
+def test_a_tick_that_nobody_answers_is_no_axis_s_silence() -> None:
+    """Eight in a row, twice as many as an axis may be silent: the run goes on, says how many, and its rows have no positions there."""
+    link, sink = ScriptedLink(ScriptedClock(), dict.fromkeys(range(3, 11), _nobody_answers)), Rows()
+    timing = proportional_loop(link).run(still(20), sink)
+    assert link.stops == 0
+    assert timing.ticks == 20
+    assert timing.unanswered == timing.summary()["unanswered"] == 8
+    position = np.array(sink.rows)[:, column("position_roll")]
+    assert np.flatnonzero(np.isnan(position)).tolist() == list(range(3, 11))
+
+
+def test_an_axis_that_is_silent_while_others_answer_is_found_between_ticks_that_nobody_answers() -> None:
+    silent, nobody = dict.fromkeys((4, 6, 7, 9), _roll_is_silent), dict.fromkeys((5, 8), _nobody_answers)
+    link, sink = ScriptedLink(ScriptedClock(), silent | nobody), Rows()
+    with pytest.raises(LoopAbortedError, match="row 9: roll: no position for 4 ticks"):
+        proportional_loop(link).run(still(20), sink)
+    assert link.stops >= 1
+
+
+def test_sensors_are_judged_when_they_answer_and_over_all_the_time_since(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop = proportional_loop(ScriptedLink(ScriptedClock(), dict.fromkeys((3, 4), _nobody_answers)))
+    assert loop.judge is not None
+    judged: list[int] = []
+    monkeypatch.setattr(loop.judge, "step", lambda sample, ticks, time_s: (judged.append(ticks), "")[1])
+    loop.run(still(8))
+    assert judged == [1, 1, 1, 3, 1, 1]

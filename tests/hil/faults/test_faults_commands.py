@@ -80,7 +80,7 @@ def test_what_was_left_moving_is_a_bad_answer(isocenter: Isocenter, tmp_path: Pa
     (tmp_path / "weak.toml").write_text(edited("^brake_effort_Nm = 800.0", "brake_effort_Nm = 0.1"))
     outcome = isocenter("faults", "check", tmp_path / "weak.toml", "-o", tmp_path, "--only", LOSES_POWER)
     assert outcome.status == 1
-    assert f"{LOSES_POWER} left something moving" in outcome.line
+    assert f"{LOSES_POWER} moved on, went unnoticed" in outcome.line
 
 
 def test_what_nothing_can_hold_is_told_as_that(isocenter: Isocenter, tmp_path: Path) -> None:

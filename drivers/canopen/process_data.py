@@ -1,0 +1,177 @@
+"""What the PDOs of a machine carry: the values received and sent of each axis, and their conversion between the wire and SI."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from math import nan
+
+import can
+
+from drivers.canopen.cia402 import DISABLE_VOLTAGE
+from drivers.canopen.cia406 import signed_counts
+from drivers.canopen.network import send_frame
+from drivers.canopen.pdo import PdoCodec
+from drivers.errors import ConfigurationRefusedError
+from drivers.interface import Sample
+from drivers.settings import AxisScaling, BusSettings, Node, Pdo
+
+CONTROLWORD, TARGET_TORQUE = 0x6040, 0x6071
+STATUSWORD, POSITION, TORQUE_ACTUAL, CURRENT_ACTUAL, LINK_POSITION = 0x6041, 0x6064, 0x6077, 0x6078, 0x6004
+_HALF_RANGE, _RANGE = 1 << 31, 1 << 32
+INT16_MAX = 32767
+
+
+class AxisInput:
+    """The values received of one axis, and their conversion from counts and per mille to SI.
+
+    position = sign * counts * resolution + offset, continued over wraps of the 32-bit counter.
+    """
+
+    def __init__(self, scaling: AxisScaling) -> None:
+        self.scaling = scaling
+        self.offset = 0.0
+        self.statusword = -1  # newest ever received
+        self._counts_scale = scaling.sign * scaling.position_resolution
+        self._effort_scale = scaling.sign * scaling.rated / 1000.0
+        self._last_raw: int | None = None
+        self._turns = 0  # whole ranges of the 32-bit counter
+
+    def position(self, raw: int) -> float:
+        """Return the joint position [rad or m] of a position actual value (6064h)."""
+        if self._last_raw is not None:
+            step = raw - self._last_raw
+            if step >= _HALF_RANGE:
+                self._turns -= 1
+            elif step < -_HALF_RANGE:
+                self._turns += 1
+        self._last_raw = raw
+        return self._counts_scale * (raw + self._turns * _RANGE) + self.offset
+
+    def effort(self, permille: int) -> float:
+        """Return the measured effort [drive's unit] of a current or torque actual value (6078h, 6077h)."""
+        return self._effort_scale * permille
+
+    def link_position(self, raw: int) -> float:
+        """Return the position of the absolute link encoder [rad or m]."""
+        return signed_counts(raw, self.scaling.link_zero_counts) * self.scaling.link_resolution
+
+    def counter_was_set(self) -> None:
+        """Forget the counter's last value, because the drive has set its counter (homing)."""
+        self._last_raw = None
+        self._turns = 0
+
+
+class AxisOutput:
+    """Controlword and target of one drive, in the RPDOs that carry them."""
+
+    def __init__(self, node: Node, scaling: AxisScaling) -> None:
+        self.controlword = DISABLE_VOLTAGE
+        self._permille = scaling.sign * 1000.0 / scaling.rated
+        self._limit = min(INT16_MAX, round(scaling.limit / scaling.rated * 1000.0))
+        self.frames: list[tuple[can.Message, Callable[..., None], bool, bool]] = []
+        for pdo in node.rpdos:
+            objects = tuple(index for index, _, _ in pdo.entries)
+            if objects not in ((CONTROLWORD, TARGET_TORQUE), (TARGET_TORQUE, CONTROLWORD), (CONTROLWORD,), (TARGET_TORQUE,)):
+                raise ConfigurationRefusedError(
+                    f"{node.name}: RPDO {pdo.number} maps {', '.join(f'{index:04X}h' for index in objects)}; "
+                    "the loop fills controlword and target_torque and nothing else"
+                )
+            codec = PdoCodec.of(pdo.entries)
+            message = can.Message(arbitration_id=pdo.cob_id, is_extended_id=False, data=bytearray(codec.size))
+            self.frames.append((message, codec.pack_into, CONTROLWORD in objects, objects[0] == CONTROLWORD))
+        carried = {index for pdo in node.rpdos for index, _, _ in pdo.entries}
+        if not {CONTROLWORD, TARGET_TORQUE} <= carried:
+            raise ConfigurationRefusedError(f"{node.name}: its RPDOs must map controlword and target_torque")
+
+    def permille(self, effort: float) -> int:
+        """Return the target torque (6071h) of an effort in the drive's unit, clipped to the axis limit."""
+        value = round(effort * self._permille)
+        return self._limit if value > self._limit else -self._limit if value < -self._limit else value
+
+    def effort(self, permille: int) -> float:
+        """Return the effort [drive's unit] of a target torque (6071h)."""
+        return permille / self._permille
+
+    def send(self, bus: can.BusABC, target: int) -> None:
+        """Send the drive's RPDOs with the controlword and this target torque."""
+        for message, pack_into, has_controlword, controlword_first in self.frames:
+            if not has_controlword:
+                pack_into(message.data, target)
+            elif len(message.data) == 2:
+                pack_into(message.data, self.controlword)
+            elif controlword_first:
+                pack_into(message.data, self.controlword, target)
+            else:
+                pack_into(message.data, target, self.controlword)
+            send_frame(bus, message)
+
+
+class Tpdo:
+    """One TPDO of one node, and the destination of its values."""
+
+    def __init__(self, node: Node, pdo: Pdo, axis: int, source: AxisInput) -> None:
+        self.who = f"{node.name}: TPDO {pdo.number} ({pdo.cob_id:03X}h)"
+        self.cob_id = pdo.cob_id
+        self.malformed = ""  # what was wrong with the last frame that was dropped
+        self.axis = axis
+        self.source = source
+        self.every_sync = pdo.transmission_type == 1
+        codec = PdoCodec.of(pdo.entries)
+        self.unpack, self.size = codec.unpack, codec.size
+        self.unanswered = self.longer = 0  # SYNCs without its answer in time; frames longer than what they map
+        objects = [index for index, _, _ in pdo.entries]
+        self.statusword, self.position, self.link = (
+            objects.index(i) if i in objects else -1 for i in (STATUSWORD, POSITION, LINK_POSITION)
+        )
+        effort = CURRENT_ACTUAL if CURRENT_ACTUAL in objects else TORQUE_ACTUAL
+        self.effort = objects.index(effort) if effort in objects else -1
+
+    def take(self, data: bytearray, sample: Sample) -> None:
+        """Put the values of one frame into the sample."""
+        values = self.unpack(data)
+        axis, source = self.axis, self.source
+        if self.statusword >= 0:
+            source.statusword = values[self.statusword]
+            sample.statusword[axis] = source.statusword
+        if self.position >= 0:
+            sample.position[axis] = source.position(values[self.position])
+        if self.effort >= 0:
+            sample.effort[axis] = source.effort(values[self.effort])
+        if self.link >= 0:
+            sample.link_position[axis] = source.link_position(values[self.link])
+
+    def forget(self, sample: Sample) -> None:
+        """Remove the values of its frames from the sample."""
+        if self.statusword >= 0:
+            sample.statusword[self.axis] = -1
+        for index, values in ((self.position, sample.position), (self.effort, sample.effort), (self.link, sample.link_position)):
+            if index >= 0:
+                values[self.axis] = nan
+
+
+def drives(settings: BusSettings) -> list[Node]:
+    """Return the drive of each axis, in axis order.
+
+    Raises
+    ------
+    ConfigurationRefusedError
+        An axis has no drive, or more than one.
+    """
+    found = []
+    for scaling in settings.scalings:
+        candidates = [node for node in settings.nodes if node.role == "drive" and node.axis == scaling.axis]
+        if len(candidates) != 1:
+            names = ", ".join(node.name for node in candidates) or "none"
+            raise ConfigurationRefusedError(f"axis {scaling.axis} needs exactly one node of role drive, the machine file gives: {names}")
+        found += candidates
+    return found
+
+
+def check_inputs(tpdos: Sequence[Tpdo], axes: Sequence[str]) -> None:
+    for axis, name in enumerate(axes):
+        for what, present in (
+            ("statusword", any(t.statusword >= 0 for t in tpdos if t.axis == axis and t.every_sync)),
+            ("position_actual_value", any(t.position >= 0 for t in tpdos if t.axis == axis and t.every_sync)),
+        ):
+            if not present:
+                raise ConfigurationRefusedError(f"axis {name}: no TPDO with transmission type 1 maps {what}")
