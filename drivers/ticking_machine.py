@@ -41,6 +41,7 @@ FIRST_ANSWERS_TICKS = 16  # ticks in which every TPDO must have come once after 
 RESET_PATIENCE_S = 0.1  # for a node's boot-up when the bench leaves: none is missed if it does not come
 IMU_RETRY_S = 5e-5  # a packet at 921600 baud takes twelve times as long
 PENDING_FRAMES = 64  # looked through for the EMCY that explains a fault
+NO_VOLTAGE = "its power stage has lost its supply (bit 4 of the statusword); check mains, contactor and fuse"
 OPERATION_ENABLED_MASK, OPERATION_ENABLED_VALUE = 0x6F, 0x27
 
 
@@ -99,6 +100,7 @@ class TickingMachine:
         self._nodes: dict[int, SdoNode] = {}
         self._dictionaries: dict[int, canopen.ObjectDictionary] = {}  # of the EDS files, read once
         self._armed = [False] * len(self.axes)
+        self._supplied = [False] * len(self.axes)  # bit 4 of the statusword when a drive was armed
         self._ticking = False
         self._ours = False  # nobody else runs this machine; only then may anything be sent, even to stop it
         self._io_lost = ""
@@ -175,6 +177,8 @@ class TickingMachine:
             for axis, source in enumerate(self.inputs):
                 if self._armed[axis] and source.statusword & OPERATION_ENABLED_MASK != OPERATION_ENABLED_VALUE:
                     self._explain_fault(axis)
+                if self._armed[axis] and self._supplied[axis] and not source.statusword & cia402.VOLTAGE_ENABLED:
+                    raise DeviceFaultError(f"{self.drives[axis].name} (node {self.drives[axis].node_id}): {NO_VOLTAGE}")
             if self.supervision.left_operational:
                 raise DeviceFaultError("; ".join(filter(None, (self.supervision.left_operational, sample.fault))))
             self._check_answers(sample)
@@ -261,6 +265,7 @@ class TickingMachine:
     def arm(self, axis: int, armed: bool) -> None:
         """Arm or disarm a drive: an armed drive that leaves operation enabled is a fault."""
         self._armed[axis] = armed
+        self._supplied[axis] = bool(self.inputs[axis].statusword & cia402.VOLTAGE_ENABLED)  # some drives never set it
 
     def command_brakes(self, open_: dict[str, bool]) -> None:
         """Ask for brakes to open or close; axes without a brake are left out."""

@@ -264,7 +264,8 @@ class AxisStop:
         elif self._state is State.OPERATION_ENABLED:
             drive = "its drive does not obey the quick stop and may push: take its supply away"
         else:
-            drive = f"its drive is {self._state.value} and holds nothing"
+            when = "after" if self._state is State.FAULT_REACTION_ACTIVE else "in"
+            drive = f"its drive reports {self._state.value}, {when} which it holds nothing"
         self._end(False, f"{NOT_PROVEN}: {drive}; {self._brake_words}; {self._motion_words}")
 
     def _swinging(self) -> None:

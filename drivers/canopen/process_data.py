@@ -168,6 +168,13 @@ def drives(settings: BusSettings) -> list[Node]:
 
 
 def check_inputs(tpdos: Sequence[Tpdo], axes: Sequence[str]) -> None:
+    """Check that every axis has what the loop needs of it.
+
+    Raises
+    ------
+    ConfigurationRefusedError
+        No TPDO that answers each SYNC carries its statusword, or its position.
+    """
     for axis, name in enumerate(axes):
         for what, present in (
             ("statusword", any(t.statusword >= 0 for t in tpdos if t.axis == axis and t.every_sync)),

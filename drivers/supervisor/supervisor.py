@@ -172,7 +172,8 @@ class _Axis:
         limits, unit = self.limits, self.scaling.position_unit
         for side, encoder in (("motor", self.motor), ("link", self.link)):
             if encoder is not None and encoder.too_fast:
-                return f"{self.name}: its {side} moves at {encoder.speed:+.2f} {unit}/s, {SPEED_MARGIN * limits.speed:.2f} are allowed"
+                allowed = f"{SPEED_MARGIN * limits.speed:.2f} {unit}/s"
+                return f"{self.name}: its {side} shows more than the {allowed} allowed in most of its last {SPEED_STEPS} readings"
         if self.link is None:
             return ""
         apart = self.scaling.sign * self.motor.moved - self.link.moved

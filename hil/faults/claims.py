@@ -80,7 +80,6 @@ OF_AN_AXIS: tuple[tuple[str, Check | None], ...] = (
     (r"at rest: (.*), (voltage off|no voltage)(, its drive in .*)?", lambda w, axis: w.stays(axis) and w.unpowered(axis)),
     (r"held by its drive: .*", lambda w, axis: w.stays(axis) and w.drives(axis)),
     (r"not proven at rest: its drive is told to hold it and IT MOVES.*", lambda w, axis: w.moved(axis)),
-    (r"not proven at rest: its drive .* holds nothing", lambda w, axis: not w.drives(axis)),
     (r"not proven at rest: its drive .*", None),
     (r"nobody knows whether it stands: the stop broke off", None),
 )  # fmt: skip
@@ -103,7 +102,7 @@ REPORTED = re.compile(
     r"brake of .*: not (open|closed) within .* by its feedback"
     r"|.*: its brake reports closed during the run"
     r"|.*(motor side|link encoder|counter|tracking error|position|winding|statusword).*"
-    r"|.*left oper.*|.*: moves by .* alone|.* moved .* on a positive effort|.* moved .* where .* expected .*"
+    r"|.*left oper.*|EMCY .*|.*: moves by .* alone|.* moved .* on a positive effort|.* moved .* where .* expected .*"
     r"|nobody knows of hold-to-run, door and brakes.*|.*have moved further apart.*|.*keeps its voltage.*|the holding effort is wrong"
     r"|one of them is frozen.*|.*rows are marked\)|stopping the motors ran into .*|.*supervisor.*|its link moved by .*|press and hold it"
 )

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from virtual_bus.canopen.drive import Cia402Drive
 from virtual_bus.faults.fault import FaultKind, Parameter, Trial, Values
 from virtual_bus.faults.machine import FaultyMachine, Frame
+from virtual_bus.faults.motion_log import HOLDING
 from virtual_bus.faults.pdo_ids import rpdo_ids
 from virtual_bus.faults.seam import Undo, both
 
@@ -25,11 +26,12 @@ def drive_of(machine: FaultyMachine, at: str) -> Cia402Drive:
 def _stage(
     change: Callable[[FaultyMachine, Cia402Drive, Values], Callable[[float], float]],
 ) -> Callable[[FaultyMachine, str, Values], Undo]:
-    """Return what begins a fault of the power stage, from a function that makes its change of the effort."""
+    """Return what begins a fault of the power stage, from a function that makes its change of the effort. It acts while the stage is on."""
 
     def begin(machine: FaultyMachine, at: str, values: Values) -> Undo:
         drive = drive_of(machine, at)
-        return machine.efforts.add(drive.settings.axis, change(machine, drive, values))
+        changed = change(machine, drive, values)
+        return machine.efforts.add(drive.settings.axis, lambda effort: changed(effort) if drive.power_state in HOLDING else effort)
 
     return begin
 
