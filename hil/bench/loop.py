@@ -199,7 +199,11 @@ class SampleLoop:
             self.link.stop()
             kept = f"{done} rows are kept" if sink is not None else "nothing was recorded"
             where = f"{ended.where}: " if sink is not None else ""
-            raise LoopAbortedError(f"{where}{ended.reason}; {self.link.outcome}; {kept}") from None
+            error = LoopAbortedError(f"{where}{ended.reason}; {self.link.outcome}; {kept}")
+            for finding in () if self.judge is None else self.judge.findings:
+                if finding.says not in ended.reason:
+                    error.add_note(f"from {finding.since_s:.3f} s on, {finding.sensor}: {finding.says}")
+            raise error from None
         except BaseException:
             self.link.stop()
             raise

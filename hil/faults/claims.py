@@ -102,7 +102,7 @@ REPORTED = re.compile(
     r"brake of .*: not (open|closed) within .* by its feedback"
     r"|.*: its brake reports closed during the run"
     r"|.*(motor side|link encoder|counter|tracking error|position|winding|statusword).*"
-    r"|.*left oper.*|EMCY .*|.*: moves by .* alone|.* moved .* on a positive effort|.* moved .* where .* expected .*"
+    r"|from [\d.]+ s on, .*|.*left oper.*|EMCY .*|.*: moves by .* alone|.* moved .* on a positive effort|.* moved .* where .* expected .*"
     r"|nobody knows of hold-to-run, door and brakes.*|.*have moved further apart.*|.*keeps its voltage.*|the holding effort is wrong"
     r"|one of them is frozen.*|.*rows are marked\)|stopping the motors ran into .*|.*supervisor.*|its link moved by .*|press and hold it"
 )
