@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from bench_machines import CARM
 
+from drivers.bus_url import open_bus
 from drivers.modbus.io import IoState
 from drivers.modbus.published import published_block, state_values, values_of
 from drivers.modbus.refresh import FIRST_WORD, following_word
@@ -322,3 +323,58 @@ def test_frames_come_from_another_thread(bench: Bench) -> None:
     bench.there.setblocking(False)
     sender.join()
     assert bench.seen[ROUNDS] == 4
+
+
+def test_the_bus_is_opened_at_its_bit_rate_and_frames_keep_their_identifiers(monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[tuple[str, int]] = []
+    monkeypatch.setattr(process, "open_bus", lambda url, bitrate: (opened.append((url, bitrate)), open_bus(url, bitrate))[1])
+    other = can.Bus(interface="virtual", channel="told")
+    with contextlib.ExitStack() as stack:
+        process._Line(stack, "virtual:told", 250_000).send(0x123, b"\x01")
+    heard = other.recv(0.0)
+    other.shutdown()
+    assert opened == [("virtual:told", 250_000)]
+    assert heard is not None
+    assert (heard.arbitration_id, heard.is_extended_id, bytes(heard.data)) == (0x123, False, b"\x01")
+
+
+def test_a_tap_that_is_full_is_not_waited_for() -> None:
+    here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    with here, there:
+        tap = process._Tap(there)
+        with contextlib.suppress(BlockingIOError):  # and no time-out
+            while True:
+                tap.send(0, b"\x02\x01")
+        with pytest.raises(BlockingIOError):
+            tap.send(0, b"\x02\x01")
+
+
+@pytest.mark.parametrize(("status", "said"), [(0x1633, "no torque"), (0x1637, "torque on")])
+def test_who_asks_is_told_whether_a_drive_has_torque(tmp_path: Path, status: int, said: str) -> None:
+    bench = Bench(tmp_path / "stop.socket")
+    for node in SETTINGS.nodes:
+        for pdo in node.tpdos:
+            if any(index == 0x6041 for index, _, _ in pdo.entries):
+                bench.here.send(FRAME.pack(pdo.cob_id, 8, status.to_bytes(2, "little") + bytes(6)))
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as line:
+        line.bind(str(tmp_path / "me"))
+        line.settimeout(10.0)
+        bench.run(during=lambda number: line.sendto(b"who", str(tmp_path / "stop.socket")) if number == 2 else None, rounds=4)
+        assert line.recv(1000).decode() == f"{said}\n"
+    bench.close()
+
+
+def test_one_who_has_no_address_is_heard_and_gets_no_answer(tmp_path: Path) -> None:
+    """Of what is asked 200 bytes are kept; the socket's name may be gone by the end."""
+    path = tmp_path / "stop.socket"
+    bench = Bench(path)
+
+    def during(number: int) -> None:
+        if number == 1:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as line:
+                line.sendto(b"x" * 300, str(path))
+            path.unlink()
+
+    bench.run(during=during, rounds=3)
+    assert (bench.seen[ASKED], bench.own.text) == (1, "x" * 200)
+    bench.close()
