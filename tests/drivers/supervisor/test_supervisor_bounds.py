@@ -298,3 +298,42 @@ def test_a_frame_that_lacks_a_byte_says_nothing() -> None:
     field = _Field((STATUS, POSITION), 0x6064)
     assert field.read(bytes(5)) is None
     assert field.read(bytes(6)) == 0
+
+
+def test_a_counter_that_is_half_its_range_away_was_set() -> None:
+    encoder = _Encoder(COUNT, FASTEST, TRACKING)
+    encoder.take(0, 32, PERIOD_S)
+    encoder.take(1 << 31, 32, PERIOD_S)
+    assert (encoder.jumped, encoder.moved) == (True, 0.0)
+
+
+def test_a_drive_that_was_never_heard_has_as_long_as_any() -> None:
+    line = Line()
+    line.supervisor.io(line.time_s, True, True, [True])
+    for _ in range(int(rules.SYNC_SILENT_PERIODS * 0.125 / PERIOD_S)):
+        line.sync()
+        assert line.supervisor.check(line.time_s)
+    line.sync()
+    assert not line.supervisor.check(line.time_s)
+
+
+def test_a_field_whose_last_bits_are_missing_says_nothing() -> None:
+    field = _Field(((0x6041, 0, 48), (0x6064, 0, 12)), 0x6064)
+    assert field.read(bytes(7)) is None
+    assert field.read(bytes(8)) == 0
+
+
+def test_an_axis_that_moves_on_after_the_session_is_stopped_by_its_network() -> None:
+    line = Line()
+    at = moving(line, 50, 10)
+    line.supervisor.end()
+    assert line.supervisor.stops_nodes(line.time_s) == ()  # from here on it should stand
+    moving(line, 50, int(TRACKING / COUNT / 50) + 1, at)
+    assert line.supervisor.stops_nodes(line.time_s) == (1,)
+
+
+def test_a_supervisor_that_was_held_up_knows_the_last_sync() -> None:
+    line = Line()
+    line.tick()
+    line.supervisor.held_up()
+    assert not line.supervisor.check(line.time_s + 1.0)
