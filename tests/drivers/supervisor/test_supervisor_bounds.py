@@ -337,3 +337,31 @@ def test_a_supervisor_that_was_held_up_knows_the_last_sync() -> None:
     line.tick()
     line.supervisor.held_up()
     assert not line.supervisor.check(line.time_s + 1.0)
+
+
+@pytest.mark.parametrize("zero", [0, 0x5000])
+def test_a_link_encoder_counts_to_half_its_range_both_ways(zero: int) -> None:
+    axis = _Axis(replace(settings().scalings[0], link_zero_counts=zero), settings().motions[0], PERIOD_S)
+    for counts in (0x6000, -0x6000, 0x7FFF, -0x8000):
+        axis.link_position(1.0, (zero + counts) & 0xFFFF, 16)
+        assert axis.link_at == counts * COUNT
+
+
+def test_a_loop_has_its_whole_time_to_stop_an_axis() -> None:
+    line = Line()
+    at = moving(line, 50, 10)
+    line.supervisor.refuse(0.0, "a reason")
+    assert line.supervisor.stops_nodes(rules.OBEYED_S) == ()
+    moving(line, 50, int(TRACKING / COUNT / 50) + 1, at)
+    assert line.supervisor.stops_nodes(rules.OBEYED_S + 1e-9) == ()  # from here on it should stand
+
+
+def test_an_axis_has_its_whole_time_to_stand_after_somebody_asked() -> None:
+    line, step = Line(), 64
+    at = moving(line, step, 10)
+    line.supervisor.ask_to_stop(line.time_s, "somebody")
+    allowed = int(rules.ASKED_S / PERIOD_S) + 1 + int(TRACKING / COUNT / step)
+    at = moving(line, step, allowed, at)
+    assert not line.supervisor.reason
+    moving(line, step, 1, at)
+    assert "after somebody asked for a stop" in line.supervisor.reason
