@@ -32,6 +32,12 @@ ROOT = Path(__file__).resolve().parents[1]
 RESULTS = Path(__file__).parent / "results" / "mutation.json"
 EQUIVALENTS = Path(__file__).parent / "mutation_equivalents.toml"
 MUTMUT = (sys.executable, "-c", "from mutmut.__main__ import cli; cli()")
+SHOW_ALL = (
+    sys.executable,
+    "-c",
+    "import sys; from mutmut.__main__ import cli; [cli(['show', name], standalone_mode=False) for name in sys.argv[1:]]",
+)
+"""`mutmut show` of many mutants: to start Python for each takes longer than to try it."""
 NEVER_RUN = "no such mutant"
 AT_ONCE = 500  # names on one command line
 
@@ -149,17 +155,25 @@ def chosen_of(names: list[str], sample: int, seed: str) -> list[str]:
     return sorted(random.Random(seed).sample(names, sample)) if 0 < sample < len(names) else names
 
 
-def changed_lines(shown: str) -> tuple[str, str]:
+def changed_lines(shown: Iterable[str]) -> tuple[str, str]:
     """Return the line that a mutant changes, before and after."""
-    lines = [line for line in shown.splitlines() if line[:1] in "+-" and not line.startswith(("+++", "---"))]
-    was, becomes = ([line[1:].strip() for line in lines if line[0] == sign] for sign in "-+")
+    lines = [line for line in shown if line[:1] in "+-" and not line.startswith(("+++", "---"))]
+    was, becomes = ([line[1:].strip() for line in lines if line[:1] == sign] for sign in "-+")
     return "\n".join(was), "\n".join(becomes)
 
 
-def survivors_of(tree: Tree, module: str, names: Iterable[str], reasons: dict[tuple[str, str, str], str]) -> Iterator[dict[str, str]]:
+def survivors_of(tree: Tree, module: str, names: list[str], reasons: dict[tuple[str, str, str], str]) -> Iterator[dict[str, str]]:
     """Each with its line before and after, and the reason where it is known to do the same."""
-    for name in names:
-        was, becomes = changed_lines(tree.mutmut("show", name, quiet=True))
+    done = subprocess.run([*SHOW_ALL, *names], cwd=tree.folder, capture_output=True, text=True, check=True)
+    shown: dict[str, list[str]] = {name: [] for name in names}
+    name = ""
+    for line in done.stdout.splitlines():
+        if line.startswith("# ") and (named := line[2:].rpartition(": ")[0]) in shown:
+            name = named
+        elif name:
+            shown[name].append(line)
+    for name, lines in shown.items():
+        was, becomes = changed_lines(lines)
         reason = reasons.get((module, was, becomes))
         yield {"mutant": name.rpartition(".")[2], "was": was, "becomes": becomes, **({"equivalent": reason} if reason else {})}
 
