@@ -151,8 +151,10 @@ class Tree:
 
 
 def chosen_of(names: list[str], sample: int, seed: str) -> list[str]:
-    """Return all names, or a sample of them."""
-    return sorted(random.Random(seed).sample(names, sample)) if 0 < sample < len(names) else names
+    """Return all names, or a sample of them; a larger sample holds the smaller one."""
+    drawn = list(names)
+    random.Random(seed).shuffle(drawn)
+    return drawn[:sample] if sample else names
 
 
 def changed_lines(shown: Iterable[str]) -> tuple[str, str]:
