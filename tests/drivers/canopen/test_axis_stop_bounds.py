@@ -440,3 +440,14 @@ def test_a_feedback_that_flickers_does_not_keep_a_stop_from_ending() -> None:
         stopping.tick()
     assert AT_MOST < number <= AT_MOST + SETTLING + 1
     assert stopping.words.startswith("held by its drive: ")
+
+
+def test_an_axis_that_slipped_and_is_released_is_not_taken_back() -> None:
+    stopping = Stopping().to_pushing()
+    stopping.tick(link=MOVED + 1)
+    assert stopping.stop.rest is not None
+    stopping.stop.release()
+    assert stopping.tick() == 0
+    assert stopping.tick(OFF, link=9000) == 0
+    assert stopping.ticks(WATCH - 2) == [0] * (WATCH - 2)
+    assert stopping.words == "at rest: released by the operator, voltage off"

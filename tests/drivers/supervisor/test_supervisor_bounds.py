@@ -365,3 +365,8 @@ def test_an_axis_has_its_whole_time_to_stand_after_somebody_asked() -> None:
     assert not line.supervisor.reason
     moving(line, step, 1, at)
     assert "after somebody asked for a stop" in line.supervisor.reason
+
+
+def test_every_axis_has_limits() -> None:
+    with pytest.raises(ValueError, match="shorter"):
+        Supervisor(settings(motions=()))

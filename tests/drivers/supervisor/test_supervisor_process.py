@@ -474,3 +474,17 @@ def test_a_command_that_cannot_be_sent_ends_nothing(bench: Bench, monkeypatch: p
     bench.run(rounds=3, during=lambda number: setattr(Told.newest, "stops", (2, 5)))
     assert sent[:2] == [(0, b"\x02\x02"), (0, b"\x02\x05")]
     assert bench.seen[ROUNDS] == 4
+
+
+def test_one_who_is_gone_before_the_answer_ends_nothing(tmp_path: Path) -> None:
+    bench = Bench(tmp_path / "stop.socket")
+
+    def during(number: int) -> None:
+        if number == 1:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as line:
+                line.bind(str(tmp_path / "me"))
+                line.sendto(b"somebody", str(tmp_path / "stop.socket"))
+
+    bench.run(during=during, rounds=3)
+    assert (bench.seen[ASKED], bench.own.text) == (1, "somebody")
+    bench.close()
