@@ -125,14 +125,12 @@ def test_the_drive_lets_go_then_pushes_the_way_the_load_pulls(held: float) -> No
 
 
 def test_what_the_drive_held_with_is_a_mean_of_what_it_held_with_in_quick_stop() -> None:
-    stopping = Stopping(effort=3.0)
-    stopping.tick()
-    stopping.sample.effort[1] = NAN
-    stopping.tick()
+    stopping = Stopping(effort=3.0).to_swinging()
+    stopping.ticks(SWING - 1)
     stopping.sample.effort[1] = 3.0 + 13.0
     stopping.tick()
-    stopping.sample.effort[1] = 4.0
-    stopping.until(lambda: stopping.stop.controlword == 15)
+    stopping.sample.effort[1] = NAN
+    assert stopping.tick() == 15
     assert stopping.stop.effort == 4.0, "the first, and of each later one a thirteenth"
     other = Stopping(effort=3.0)
     other.tick(ENABLED)
@@ -209,8 +207,10 @@ def test_an_axis_that_creeps_has_five_seconds_to_stand() -> None:
     assert stopping.words == "not proven at rest: its drive is told to hold it and IT MOVES: it had not come to stand"
     stopping.ticks(SWING)
     assert stopping.words == "held by its drive: it had not come to stand", "then, but now it does"
-    for _ in range(4):
+    for _ in range(3):
         stopping.tick(motor=NAN, link=NAN)
+    assert stopping.words == "held by its drive: it had not come to stand"
+    stopping.tick()
     assert stopping.words.startswith("not proven at rest: its drive is told to hold it and nobody knows whether it moves: ")
 
 
@@ -451,3 +451,79 @@ def test_an_axis_that_slipped_and_is_released_is_not_taken_back() -> None:
     assert stopping.tick(OFF, link=9000) == 0
     assert stopping.ticks(WATCH - 2) == [0] * (WATCH - 2)
     assert stopping.words == "at rest: released by the operator, voltage off"
+
+
+def test_only_the_last_eighth_of_a_second_counts_for_a_single_encoder_too() -> None:
+    stopping = Stopping()
+    stopping.sample.link_position[1] = NAN
+    stopping.tick(motor=5000)
+    stopping.tick(motor=0)
+    assert stopping.until(lambda: len(stopping.stop._steps) == 1) == SWING - 1
+
+
+def test_a_drive_that_is_not_ready_yet_has_no_voltage() -> None:
+    stopping = Stopping()
+    stopping.ticks(STAND + 1 + WATCH, 0)
+    assert stopping.words == "at rest: brake closed by its feedback, no voltage"
+
+
+def test_an_axis_that_is_let_go_is_safe_where_it_stands_or_its_brake_is_closed() -> None:
+    for braked, moves, safe in ((True, True, True), (True, False, True), (False, False, True), (False, True, False)):
+        stopping = Stopping(braked=braked)
+        if braked:
+            stopping.to_letting_go()
+        else:
+            stopping.to_swinging().ticks(SWING + 1)
+        assert stopping.stop.effort == 0.0
+        for k in range(WATCH):
+            stopping.tick(OFF, motor=2 * k if moves else 0)
+        assert stopping.stop.rest is not None
+        assert stopping.stop.rest.safe is safe, (braked, moves)
+
+
+def test_a_drive_that_keeps_its_voltage_is_not_safe() -> None:
+    stopping = Stopping().to_letting_go()
+    stopping.sample.statusword[1] = SWITCHED_ON
+    stopping.until(lambda: stopping.stop.rest is not None)
+    assert stopping.stop.rest is not None
+    assert stopping.stop.rest.safe is False
+
+
+@pytest.mark.parametrize("silent", [3, 4])
+def test_a_link_encoder_that_falls_silent_during_the_proof_leaves_the_drive_holding(silent: int) -> None:
+    """Until then the link was judged; where the motor side stood before nobody has marked."""
+    stopping = Stopping().to_pushing()
+    stopping.ticks(10)
+    for _ in range(silent - 1):
+        assert stopping.tick(link=NAN) == 15
+    stopping.tick(link=NAN, motor=20)
+    assert stopping.stop.controlword == (2 if silent > 3 else 15)
+    if silent > 3:
+        assert stopping.words.endswith(": its position is not known, so its brake cannot be proven")
+        stopping.stop.close_again()
+        stopping.sample.statusword[1] = QUICK
+        assert stopping.until(lambda: stopping.stop.controlword == 15) > SWING, "and then it is proven by the motor side"
+    else:
+        assert [stopping.tick(link=0), stopping.tick(link=NAN), stopping.tick(), stopping.tick()] == [15] * 4, "a packet is enough"
+
+
+def test_a_drive_that_loses_its_hold_in_quick_stop_has_no_torque_told() -> None:
+    stopping = Stopping().to_pushing()
+    stopping.ticks(60)
+    assert stopping.stop.effort != 0.0
+    stopping.sample.brakes_open[1] = True
+    stopping.tick()
+    stopping.tick()
+    assert (stopping.stop.controlword, stopping.stop.effort) == (2, 0.0)
+
+
+def test_a_proof_that_fails_in_its_last_tick_has_failed() -> None:
+    stopping = Stopping().to_swinging()
+    stopping.ticks(SWING - 1)
+    stopping.sample.brakes_open[1] = True
+    stopping.tick()
+    assert stopping.tick() == 2
+    late = Stopping().to_pushing()
+    late.ticks(PUSH - 1)
+    late.tick(link=MOVED + 1)
+    assert late.words.endswith("when the drive let go")

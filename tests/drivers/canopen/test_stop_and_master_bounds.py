@@ -31,6 +31,7 @@ class Axis:
     log: list[object] = field(default_factory=list)
 
     def step(self, sample: Sample, *, io_is_fresh: bool) -> None:
+        assert isinstance(sample, Sample)
         self.log.append(io_is_fresh)
         self.steps -= 1
         if self.steps <= 0:

@@ -243,3 +243,31 @@ def test_all_others_stand_while_one_homes() -> None:
     watched.watch.home(0, HOMING)
     watched.tick(0)
     assert "roll: motor side: moved by +1.01e-03 rad at once while it should stand" in watched.tick(66)
+
+
+def test_before_the_first_position_as_many_ticks_are_bridged() -> None:
+    watched = Watched()
+    watched.watch.stand()
+    assert [watched.tick(NAN, 0) for _ in range(3)] == [""] * 3
+    assert "no position for 4 ticks" in watched.tick(NAN, 0)
+
+
+def test_a_step_at_the_very_speed_is_allowed() -> None:
+    watched = Watched()
+    half = [dataclasses.replace(scaling, position_resolution=2.0 * COUNT, link_resolution=0.0) for scaling in SETTINGS.scalings]
+    limits = [MotionLimits(scaling.axis, -1.0, 1.0, SPEED, TRACKING, 3) for scaling in half]
+    watched.watch = MotionWatch(limits, half, watched.clock, PERIOD_S)
+    watched.watch.lead()
+    assert [watched.tick(0), watched.tick(96 + 3)] == ["", ""]
+    assert "at once" in watched.tick(96 + 3 + 100)
+
+
+def test_every_axis_has_limits_a_scaling_and_readings() -> None:
+    limits = [MotionLimits("roll", -1.0, 1.0, SPEED, TRACKING, 3)]
+    with pytest.raises(ValueError, match="longer"):
+        MotionWatch(limits, SETTINGS.scalings, Clock(), PERIOD_S)
+    watched = Watched()
+    watched.watch.lead()
+    watched.sample = Sample(3)
+    with pytest.raises(ValueError, match="longer"):
+        watched.watch.check(watched.sample)
