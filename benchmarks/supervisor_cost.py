@@ -99,12 +99,13 @@ def run(how: str, machine: Path, seconds: float, folder: Path) -> dict[str, obje
     warnings.simplefilter("ignore", RecordingWarning)  # missed ticks are counted
     emulator = subprocess.Popen([*ISOCENTER, "emulate", str(machine), "--bus", BUS], stdout=subprocess.PIPE, text=True)
     answer, recorded, counted = folder / "answer.json", folder / "run.mf4", folder / "counted.txt"
-    recorded.unlink(missing_ok=True)
+    for left in (recorded, answer):
+        left.unlink(missing_ok=True)
     try:
         assert emulator.stdout is not None and emulator.stdout.readline(), "the emulator did not start"
         words = ["run", "static", "-m", str(machine), "-b", BUS, "--seconds", str(seconds), "-o", str(recorded), "--json", str(answer)]
         environment = {**os.environ, HOW: how, COUNTED: str(counted), "PYTHONPATH": str(Path(__file__).parents[1])}
-        subprocess.run([sys.executable, __file__, *words], env=environment, check=True)
+        subprocess.run([sys.executable, __file__, *words], env=environment, check=False)  # 1: a sensor was late, on a busy computer
     finally:
         emulator.terminate()
         emulator.wait()
@@ -128,8 +129,8 @@ def spread(values: list[float]) -> dict[str, float]:
     return {"median": round(float(np.median(values)), 3), "smallest": round(min(values), 3), "largest": round(max(values), 3)}
 
 
-def measure(pairs: int, seconds: float) -> dict[str, object]:
-    """Run the pairs."""
+def measure(pairs: int, seconds: float, results: Path) -> None:
+    """Run the pairs, and keep what is known after each."""
     from hil.machine import load_machine
 
     rows, ticks = [], {WITH: [], WITHOUT: []}
@@ -146,22 +147,31 @@ def measure(pairs: int, seconds: float) -> dict[str, object]:
                     row["processor_share"] = made["share"]
             rows.append(row)
             print(json.dumps(row), flush=True)
-    return {
-        "seconds": seconds,
-        "scheduler": made["scheduler"],
-        "processors": os.cpu_count(),
-        "together": {
-            how: {
-                "ticks": int(sum(map(len, ticks[how]))),
-                "missed": sum(row[how]["missed"] for row in rows),
-                **percentiles(np.concatenate(ticks[how])),
+            known = {
+                "seconds": seconds,
+                "scheduler": made["scheduler"],
+                "processors": os.cpu_count(),
+                **summary(rows, ticks),
+                "pairs": rows,
             }
-            for how in (WITH, WITHOUT)
-        },
+            results.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
+
+
+def summary(rows: list[dict], ticks: dict[str, list[np.ndarray]]) -> dict[str, object]:
+    """All runs together, and what the pairs differ by."""
+    together = {
+        how: {
+            "ticks": sum(map(len, ticks[how])),
+            "missed": sum(row[how]["missed"] for row in rows),
+            **percentiles(np.concatenate(ticks[how])),
+        }
+        for how in (WITH, WITHOUT)
+    }
+    return {
+        "together": together,
         "ratio": {each: spread([row[WITH][f"{each}_us"] / row[WITHOUT][f"{each}_us"] for row in rows]) for each in SHARES},
         "added_us": {each: spread([row[WITH][f"{each}_us"] - row[WITHOUT][f"{each}_us"] for row in rows]) for each in SHARES},
         "processor_share": spread([row["processor_share"] for row in rows]),
-        "pairs": rows,
     }
 
 
@@ -172,8 +182,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=20.0, help="of each run")
     parser.add_argument("--results", type=Path, default=Path(__file__).parent / "results" / "supervisor_cost.json")
     arguments = parser.parse_args()
-    measured = measure(arguments.pairs, arguments.seconds)
-    arguments.results.write_text(json.dumps(measured, indent=1) + "\n", encoding="utf-8")
+    measure(arguments.pairs, arguments.seconds, arguments.results)
 
 
 if os.environ.get(HOW) == WITHOUT:
