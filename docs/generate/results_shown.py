@@ -146,6 +146,58 @@ SHOWN = (
         ),
     ),
     Shown(
+        "supervisor_cost.json",
+        "What the supervisor costs the sample loop",
+        "The emulated C-arm stands under control at 256 Hz over UDP, on a computer of two processors that has other work, too: short runs "
+        "in pairs, with the supervisor's process and without, their order turned from pair to pair. A whole tick lasts from the SYNC until "
+        "the loop is ready to wait again. Ratios are those of a pair.",
+        "python benchmarks/supervisor_cost.py",
+        (
+            Figure("whole tick, 99.9 %, with over without, median of the pairs", ("ratio", "p99.9", "median")),
+            Figure("smallest", ("ratio", "p99.9", "smallest")),
+            Figure("largest", ("ratio", "p99.9", "largest")),
+            Figure("added to a whole tick, 50 %, median of the pairs", ("added_us", "p50", "median"), "µs"),
+            Figure("of a processor, that the supervisor takes", ("processor_share", "median"), "%", 1e2),
+        ),
+        (
+            Rows(
+                "supervisor",
+                ("together",),
+                (
+                    Column("ticks", ("ticks",)),
+                    Column("missed", ("missed",)),
+                    *(Column(f"whole tick, {share} % [µs]", (f"p{share}_us",)) for share in ("50", "99", "99.9")),
+                ),
+            ),
+        ),
+    ),
+    Shown(
+        "mutation.json",
+        "Do the tests notice what is made wrong",
+        "mutmut makes one small change of the code at a time, and runs the tests that reach it. A change that no test notices has "
+        "survived; some do the same as the code, each with its reason in `benchmarks/mutation_equivalents.toml`. A test that does not end "
+        "in its time has noticed, too. The survivors stand in `benchmarks/results/mutation.json`.",
+        "python benchmarks/mutation.py",
+        rows=(
+            Rows(
+                "code",
+                (),
+                (
+                    Column("mutants", ("mutants",)),
+                    Column("tried", ("tried",)),
+                    Column("killed", ("killed",)),
+                    Column("out of time", ("timed_out",)),
+                    Column("survived", ("survived",)),
+                    Column("not reached", ("not_covered",)),
+                    Column("do the same", ("equivalent",)),
+                    Column("died [%]", ("dead_share",), 1e2),
+                    Column("died of those that do something else [%]", ("dead_share_without_equivalent",), 1e2),
+                    Column("asked [%]", ("asked_share",), 1e2),
+                ),
+            ),
+        ),
+    ),
+    Shown(
         "faults_carm.json",
         "Faults injected into the emulated C-arm",
         "Each fault in a short run of its own, in lockstep. The line per fault is on its own [page](fault-table.md).",

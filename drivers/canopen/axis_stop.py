@@ -106,6 +106,7 @@ class AxisStop:
         self._stale_ticks = limits.stale_ticks
         self._push, self._travel = homing.direction_check_effort, homing.direction_check_travel
         self._motor, self._link = _Path(self._in_ticks(SWING_S)), _Path(self._in_ticks(SWING_S))
+        self._marked: _Path | None = None  # by which the proof of the brake is judged
         self._anchor, self._still_ticks = nan, 0
         self._held_effort = nan
         self._silent = self._lost = 0  # ticks without a statusword, without any position
@@ -274,7 +275,8 @@ class AxisStop:
             return
         if self.asks_for_torque:
             return
-        self._judge.mark()
+        self._marked = self._judge
+        self._marked.mark()
         if not self._braked:
             self._go(self._letting_go)
         elif self._takes_torque:
@@ -320,7 +322,7 @@ class AxisStop:
             self._hold(f"its brake slips: {self._judge_name} moved by {moved:+.1e} {self._unit} when the drive let go")
         elif self._braked and not self._closed:
             self._close()
-        elif self._lost > self._stale_ticks:
+        elif self._lost > self._stale_ticks or (self._phase != self._swinging and self._judge is not self._marked):
             self._hold("its position is not known, so its brake cannot be proven")
             self._retries = True
         else:

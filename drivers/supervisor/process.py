@@ -130,7 +130,7 @@ class _Asks:
             words, sender = self._socket.recvfrom(200)
         except OSError:
             return ""
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError, TypeError):  # one without an address of its own gets no answer
             self._socket.sendto(seen().encode(), sender)
         return words.decode(errors="replace")
 

@@ -225,7 +225,10 @@ def test_a_drive_in_fault_with_a_jammed_brake_moves_and_nothing_else_is_said(loa
     loaded.io.jammed = {"roll"}
     loaded.drives[1].fail(0x3210)
     loaded.machine.stop()
-    assert "roll not proven at rest: its drive reports fault, in which it holds nothing; its brake reports open; IT MOVES" in loaded.machine.outcome
+    assert (
+        "roll not proven at rest: its drive reports fault, in which it holds nothing; its brake reports open; IT MOVES"
+        in loaded.machine.outcome
+    )
     assert "were stopped" not in loaded.machine.outcome
 
 

@@ -116,3 +116,55 @@ def test_an_emergency_is_kept_until_it_is_reset() -> None:
     network.pump_for(0.01)
     assert supervision.last_emergency(1) == ""
     assert supervision.take_fault() == ""
+
+
+def test_a_node_that_was_never_heard_has_no_state() -> None:
+    _, _, supervision = supervised()
+    assert supervision.nmt_state(1) == "never heard"
+
+
+def test_a_reboot_that_was_read_together_with_a_heartbeat_accuses_no_second_device() -> None:
+    bus, network, supervision = operational(ScriptedDrive(1))
+    network.pump_for(0.15)
+    supervision.heartbeat(1, b"\x05")
+    supervision.heartbeat(1, b"\x00")
+    assert supervision.left_operational == "propeller_drive (node 1): rebooted"
+    assert bus.time_s > 0.0
+
+
+def test_what_is_no_heartbeat_or_emergency_is_dropped_and_told() -> None:
+    _, network, supervision = operational(ScriptedDrive(1))
+    dropped: list[str] = []
+    network.drop = dropped.append  # type: ignore[method-assign]
+    for data in (b"", b"\x05\x05", b"\x06"):
+        supervision.heartbeat(1, data)
+    supervision.emergency(1, b"\x10")
+    assert dropped == [
+        "propeller_drive (node 1): a heartbeat of the bytes none, which is no NMT state",
+        "propeller_drive (node 1): a heartbeat of the bytes 05 05, which is no NMT state",
+        "propeller_drive (node 1): a heartbeat of the bytes 06, which is no NMT state",
+        "propeller_drive (node 1): an EMCY of 1 bytes, which has no error code",
+    ]
+    supervision.heartbeat(1, b"\x85")
+    assert supervision.nmt_state(1) == "operational", "bit 7 is reserved"
+    assert supervision.left_operational == ""
+
+
+def test_the_first_fault_is_told_once() -> None:
+    drive = ScriptedDrive(1)
+    _, network, supervision = operational(drive)
+    drive.emergency(0x2310, 3)
+    drive.emergency(0x3210, 3)
+    network.pump_for(0.01)
+    assert "2310h" in supervision.take_fault()
+    assert supervision.take_fault() == ""
+    assert "3210h" in supervision.last_emergency(1)
+
+
+def test_a_node_that_is_stood_down_may_leave_operational() -> None:
+    drive = ScriptedDrive(1)
+    _, network, supervision = operational(drive)
+    supervision.stand_down()
+    drive.receive(0x000, bytes((0x80, 1)))
+    network.pump_for(0.15)
+    assert supervision.left_operational == ""

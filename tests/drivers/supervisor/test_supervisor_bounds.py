@@ -291,10 +291,82 @@ def test_a_reason_has_a_time_whatever_it_is() -> None:
 def test_a_speed_is_told_with_what_is_allowed() -> None:
     line = Line()
     moving(line, 110, 10)
-    assert line.supervisor.reason == "propeller: its motor moves at +0.43 rad/s, 0.38 are allowed"
+    assert line.supervisor.reason == "propeller: its motor shows more than the 0.38 rad/s allowed in most of its last 3 readings"
 
 
 def test_a_frame_that_lacks_a_byte_says_nothing() -> None:
     field = _Field((STATUS, POSITION), 0x6064)
     assert field.read(bytes(5)) is None
     assert field.read(bytes(6)) == 0
+
+
+def test_a_counter_that_is_half_its_range_away_was_set() -> None:
+    encoder = _Encoder(COUNT, FASTEST, TRACKING)
+    encoder.take(0, 32, PERIOD_S)
+    encoder.take(1 << 31, 32, PERIOD_S)
+    assert (encoder.jumped, encoder.moved) == (True, 0.0)
+
+
+def test_a_drive_that_was_never_heard_has_as_long_as_any() -> None:
+    line = Line()
+    line.supervisor.io(line.time_s, True, True, [True])
+    for _ in range(int(rules.SYNC_SILENT_PERIODS * 0.125 / PERIOD_S)):
+        line.sync()
+        assert line.supervisor.check(line.time_s)
+    line.sync()
+    assert not line.supervisor.check(line.time_s)
+
+
+def test_a_field_whose_last_bits_are_missing_says_nothing() -> None:
+    field = _Field(((0x6041, 0, 48), (0x6064, 0, 12)), 0x6064)
+    assert field.read(bytes(7)) is None
+    assert field.read(bytes(8)) == 0
+
+
+def test_an_axis_that_moves_on_after_the_session_is_stopped_by_its_network() -> None:
+    line = Line()
+    at = moving(line, 50, 10)
+    line.supervisor.end()
+    assert line.supervisor.stops_nodes(line.time_s) == ()  # from here on it should stand
+    moving(line, 50, int(TRACKING / COUNT / 50) + 1, at)
+    assert line.supervisor.stops_nodes(line.time_s) == (1,)
+
+
+def test_a_supervisor_that_was_held_up_knows_the_last_sync() -> None:
+    line = Line()
+    line.tick()
+    line.supervisor.held_up()
+    assert not line.supervisor.check(line.time_s + 1.0)
+
+
+@pytest.mark.parametrize("zero", [0, 0x5000])
+def test_a_link_encoder_counts_to_half_its_range_both_ways(zero: int) -> None:
+    axis = _Axis(replace(settings().scalings[0], link_zero_counts=zero), settings().motions[0], PERIOD_S)
+    for counts in (0x6000, -0x6000, 0x7FFF, -0x8000):
+        axis.link_position(1.0, (zero + counts) & 0xFFFF, 16)
+        assert axis.link_at == counts * COUNT
+
+
+def test_a_loop_has_its_whole_time_to_stop_an_axis() -> None:
+    line = Line()
+    at = moving(line, 50, 10)
+    line.supervisor.refuse(0.0, "a reason")
+    assert line.supervisor.stops_nodes(rules.OBEYED_S) == ()
+    moving(line, 50, int(TRACKING / COUNT / 50) + 1, at)
+    assert line.supervisor.stops_nodes(rules.OBEYED_S + 1e-9) == ()  # from here on it should stand
+
+
+def test_an_axis_has_its_whole_time_to_stand_after_somebody_asked() -> None:
+    line, step = Line(), 64
+    at = moving(line, step, 10)
+    line.supervisor.ask_to_stop(line.time_s, "somebody")
+    allowed = int(rules.ASKED_S / PERIOD_S) + 1 + int(TRACKING / COUNT / step)
+    at = moving(line, step, allowed, at)
+    assert not line.supervisor.reason
+    moving(line, step, 1, at)
+    assert "after somebody asked for a stop" in line.supervisor.reason
+
+
+def test_every_axis_has_limits() -> None:
+    with pytest.raises(ValueError, match="shorter"):
+        Supervisor(settings(motions=()))

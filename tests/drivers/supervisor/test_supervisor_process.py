@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
 
@@ -16,6 +18,7 @@ import numpy as np
 import pytest
 from bench_machines import CARM
 
+from drivers.bus_url import open_bus
 from drivers.modbus.io import IoState
 from drivers.modbus.published import published_block, state_values, values_of
 from drivers.modbus.refresh import FIRST_WORD, following_word
@@ -45,6 +48,9 @@ class Bench:
         self.priority = 1
         self.order(1.0, end=False)
         self.seen = np.zeros(OWN)
+        self.settings = SETTINGS
+        self.signals: list[tuple[int, object]] = []
+        self.scheduled: list[tuple[int, int, int]] = []
 
     def state(self, *, pressed: bool = True, closed: bool = True) -> None:
         state = IoState(AXES)
@@ -74,12 +80,15 @@ class Bench:
 
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(process._Rounds, "_judge", counted)
-            patch.setattr(process.signal, "signal", lambda *_: None)
-            patch.setattr(process.os, "sched_setscheduler", lambda *_: None)  # of the tests' own process
+            patch.setattr(process.signal, "signal", lambda *words: self.signals.append(words))
+            patch.setattr(process.os, "sched_setscheduler", self.schedule)  # of the tests' own process
             tap = None if url else self.there
             memory = self.io_memory.name if io else ""
-            process.supervise(SETTINGS, url, self.memory.name, memory, self.parent, self.priority, self.stop_socket, tap)
+            process.supervise(self.settings, url, self.memory.name, memory, self.parent, self.priority, self.stop_socket, tap)
         self.own.read(self.seen)
+
+    def schedule(self, which: int, policy: int, parameters: os.sched_param) -> None:
+        self.scheduled.append((which, policy, parameters.sched_priority))
 
     def close(self) -> None:
         for block in (self.own, self.orders, self.io):
@@ -192,6 +201,8 @@ class Told:
         self.states: list[tuple[bool, bool]] = []
         self.asks: list[tuple[bool, str]] = []
         self.reason, self.asked_by, self.powered, self.known = "", "", True, True
+        self.held = 0
+        self.stops: tuple[int, ...] = ()
         Told.newest = self
 
     newest: Told
@@ -200,7 +211,11 @@ class Told:
 
     def end(self) -> None: ...
 
-    def held_up(self) -> None: ...
+    def frame(self, time_s: float, can_id: int, data: bytes) -> None:
+        time.sleep(1.5 * process.HELD_UP_ROUNDS * 0.5 * SETTINGS.sync_period_s)
+
+    def held_up(self) -> None:
+        self.held += 1
 
     def io(self, time_s: float, hold_to_run: bool, door_closed: bool, brakes_open: np.ndarray) -> None:
         self.states.append((hold_to_run, door_closed))
@@ -212,7 +227,7 @@ class Told:
         return None
 
     def stops_nodes(self, time_s: float) -> tuple[int, ...]:
-        return ()
+        return self.stops
 
 
 @pytest.mark.parametrize(("pressed", "closed"), [(True, False), (False, True)])
@@ -320,7 +335,9 @@ def test_frames_come_from_another_thread(bench: Bench) -> None:
     sender.start()
     bench.run(rounds=3, during=lambda number: flood.set() if number == 3 else None)
     bench.there.setblocking(False)
-    sender.join()
+    while sender.is_alive():  # it may wait for room
+        with contextlib.suppress(BlockingIOError):
+            bench.there.recv(FRAME.size)
     assert bench.seen[ROUNDS] == 4
 
 
@@ -368,3 +385,152 @@ def test_a_flood_does_not_keep_it_from_judging(bench: Bench, monkeypatch: pytest
     monkeypatch.setattr(process.time, "monotonic", line.monotonic)
     bench.run(rounds=1, io=False)
     assert len(line.frames) >= process.MOST_FRAMES, "it hears of the end in its second round"
+
+
+def test_the_bus_is_opened_at_the_machines_bit_rate(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[tuple[str, int]] = []
+    monkeypatch.setattr(process, "open_bus", lambda url, bitrate: (opened.append((url, bitrate)), open_bus(url, bitrate))[1])
+    bench.settings = replace(SETTINGS, bitrate_bit_s=250_000)
+    bench.run(url="virtual:told", rounds=1)
+    assert opened == [("virtual:told", 250_000)]
+
+
+def test_frames_that_it_sends_keep_their_identifiers() -> None:
+    other = can.Bus(interface="virtual", channel="told")
+    with contextlib.ExitStack() as stack:
+        process._Line(stack, "virtual:told", 1_000_000).send(0x123, b"\x01")
+    heard = other.recv(0.0)
+    other.shutdown()
+    assert heard is not None
+    assert (heard.arbitration_id, heard.is_extended_id, bytes(heard.data)) == (0x123, False, b"\x01")
+
+
+def test_memory_that_was_closed_is_told(bench: Bench) -> None:
+    memory = SharedMemory(name=bench.memory.name)
+    memory.close()
+    with pytest.raises(AssertionError, match=r"^shared memory was closed$"):
+        blocks_of(memory)
+
+
+def test_a_tap_that_is_full_is_not_waited_for() -> None:
+    here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    with here, there:
+        tap = process._Tap(there)
+        with contextlib.suppress(BlockingIOError):  # and no time-out
+            while True:
+                tap.send(0, b"\x02\x01")
+        with pytest.raises(BlockingIOError):
+            tap.send(0, b"\x02\x01")
+
+
+@pytest.mark.parametrize(("status", "said"), [(0x1633, "no torque"), (0x1637, "torque on")])
+def test_who_asks_is_told_whether_a_drive_has_torque(tmp_path: Path, status: int, said: str) -> None:
+    bench = Bench(tmp_path / "stop.socket")
+    for node in SETTINGS.nodes:
+        for pdo in node.tpdos:
+            if any(index == 0x6041 for index, _, _ in pdo.entries):
+                bench.here.send(FRAME.pack(pdo.cob_id, 8, status.to_bytes(2, "little") + bytes(6)))
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as line:
+        line.bind(str(tmp_path / "me"))
+        line.settimeout(10.0)
+        bench.run(during=lambda number: line.sendto(b"who", str(tmp_path / "stop.socket")) if number == 2 else None, rounds=4)
+        assert line.recv(1000).decode() == f"{said}\n"
+    bench.close()
+
+
+def test_one_who_has_no_address_is_heard_and_gets_no_answer(tmp_path: Path) -> None:
+    """Of what is asked 200 bytes are kept; the socket's name may be gone by the end."""
+    path = tmp_path / "stop.socket"
+    bench = Bench(path)
+
+    def during(number: int) -> None:
+        if number == 1:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as line:
+                line.sendto(b"x" * 300, str(path))
+            path.unlink()
+
+    bench.run(during=during, rounds=3)
+    assert (bench.seen[ASKED], bench.own.text) == (1, "x" * 200)
+    bench.close()
+
+
+def test_signals_of_the_terminal_end_nothing_and_the_priority_is_asked_for(bench: Bench) -> None:
+    bench.priority = 7
+    bench.run(rounds=1)
+    assert bench.signals == [(number, signal.SIG_IGN) for number in (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT)]
+    assert bench.scheduled == [(0, os.SCHED_FIFO, 7)]
+    bench.priority = 0
+    bench.order(1.0, end=False)
+    bench.run(rounds=1)
+    assert len(bench.scheduled) == 1
+
+
+def test_a_priority_that_is_refused_keeps_nothing_from_running(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError
+
+    monkeypatch.setattr(bench, "schedule", refuse)
+    bench.run(rounds=1)
+    assert bench.seen[PERMITS] == 1
+
+
+def test_a_round_waits_for_frames_for_half_a_period(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    waits: list[float] = []
+    receive = process._Tap.receive
+    monkeypatch.setattr(process._Tap, "receive", lambda tap, timeout_s: (waits.append(timeout_s), receive(tap, timeout_s))[1])
+    bench.run(rounds=20)
+    assert 0.25 * SETTINGS.sync_period_s < max(waits) <= 0.5 * SETTINGS.sync_period_s
+    assert min(waits) > 0.0
+
+
+def test_a_round_that_took_long_was_held_up(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(process, "Supervisor", Told)
+    bench.here.send(FRAME.pack(SYNC, 0, bytes(8)))
+    bench.run(rounds=3)
+    assert Told.newest.held >= 1
+
+
+def test_a_machine_without_io_is_supervised_too(bench: Bench) -> None:
+    bench.settings = replace(SETTINGS, io=None)
+    bench.run(rounds=1, io=False)
+    assert bench.seen[PERMITS] == 1
+
+
+def test_an_io_that_nobody_has_read_yet_permits_nothing_to_move(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(process, "Supervisor", Told)
+    bench.run(rounds=1)
+    assert Told.newest.states[-1] == (False, False)
+
+
+def test_there_is_no_session_of_the_number_zero(bench: Bench) -> None:
+    bench.run(rounds=3, during=lambda number: bench.order(0.0, end=False) if number == 1 else None)
+    assert (bench.seen[PERMITS], bench.own.text) == (0, "no bench runs")
+
+
+@pytest.mark.parametrize("error", [can.CanError("no buffer"), OSError("no buffer")])
+def test_a_command_that_cannot_be_sent_ends_nothing(bench: Bench, monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
+    sent: list[tuple[int, bytes]] = []
+
+    def fail(_: object, can_id: int, data: bytes) -> None:
+        sent.append((can_id, data))
+        raise error
+
+    monkeypatch.setattr(process, "Supervisor", Told)
+    monkeypatch.setattr(process._Tap, "send", fail)
+    bench.run(rounds=3, during=lambda number: setattr(Told.newest, "stops", (2, 5)))
+    assert sent[:2] == [(0, b"\x02\x02"), (0, b"\x02\x05")]
+    assert bench.seen[ROUNDS] == 4
+
+
+def test_one_who_is_gone_before_the_answer_ends_nothing(tmp_path: Path) -> None:
+    bench = Bench(tmp_path / "stop.socket")
+
+    def during(number: int) -> None:
+        if number == 1:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as line:
+                line.bind(str(tmp_path / "me"))
+                line.sendto(b"somebody", str(tmp_path / "stop.socket"))
+
+    bench.run(during=during, rounds=3)
+    assert (bench.seen[ASKED], bench.own.text) == (1, "somebody")
+    bench.close()

@@ -1,0 +1,347 @@
+"""The judges at their bounds, with numbers that floating point holds exactly, and in the words in which they tell."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+
+import pytest
+from drivers.judging.warning import WarningJudge
+
+from drivers.interface import Sample
+from drivers.judging.encoders import EncoderJudge
+from drivers.judging.imu import ImuJudge
+from drivers.judging.judge import MOST_FINDINGS, SensorJudge
+from drivers.judging.settings import EncoderJudging, ImuJudging, JudgingSettings, TemperatureJudging, WarningJudging
+from drivers.judging.temperature import TemperatureJudge
+
+PERIOD_S, COUNT = 2.0**-8, 2.0**-16
+WINDOW = 128  # ticks of half a second
+ENCODERS = EncoderJudging(
+    "encoders_roll", 1, "rad", "mark", PERIOD_S, COUNT, 0.0, COUNT, 0.0, 3, 2.0**-7, 2.0**-9, 2.0**-12
+)  # stale 3, tolerance 512, drift 128, growth 16 counts
+IMU = ImuJudging("imu", "mark", PERIOD_S, 256.0, 0.0137, 0.125, (64.0,) * 3 + (8.0,) * 3, (4, 0, 4, 4, 4, 4), 2)
+TEMPERATURE = TemperatureJudging("temperature_roll", 1, "stop", PERIOD_S, 128.0, 0.5, 0.125, 0.5)
+
+
+class Axis:
+    """Roll, the second of two axes, whose first is nobody's concern."""
+
+    def __init__(self, settings: EncoderJudging = ENCODERS) -> None:
+        self.judge, self.sample = EncoderJudge(settings), Sample(2)
+
+    def step(self, motor: float, link: float | None = None, *, late_s: float = 0.0, ticks: int = 1) -> str:
+        """Both positions in counts; the link as the motor side where it is not given."""
+        self.sample.position[:] = (1e6, motor * COUNT)
+        self.sample.link_position[:] = (-1e6, (motor if link is None else link) * COUNT)
+        self.sample.lateness_s = late_s
+        return self.judge.step(self.sample, ticks)
+
+
+@pytest.mark.parametrize("way", [1, -1])
+@pytest.mark.parametrize(("acceleration", "most"), [(0.0, 4), (3.0, 7)])
+def test_a_second_difference_beyond_the_acceleration_and_four_counts_is_a_jump(way: int, acceleration: float, most: int) -> None:
+    settings = replace(ENCODERS, motor_acceleration=acceleration, link_acceleration=acceleration)
+    sound, motor, link = Axis(settings), Axis(settings), Axis(settings)
+    for axis in (sound, motor, link):
+        assert [axis.step(0), axis.step(0)] == ["", ""]
+    assert sound.step(way * most) == ""
+    assert motor.step(way * (most + 1), 0) == "jump"
+    assert link.step(0, way * (most + 1)) == "jump"
+    words = "its {} jumped by {:+d} counts between two samples; motion makes at most {}"
+    assert motor.judge.says("jump") == words.format("motor side", way * (most + 1), most)
+    assert link.judge.says("jump") == words.format("link encoder", way * (most + 1), most)
+    assert (motor.judge.lag_ticks, motor.step(way * 100, 0)) == (0, "jump")
+    assert motor.judge.says("jump") == words.format("motor side", way * (most + 1), most), "the first stands"
+
+
+@pytest.mark.parametrize("way", [1, -1])
+@pytest.mark.parametrize(("after", "most"), [(0, 5), (1, 6), (2, 5), (3, 4)])
+def test_a_late_sync_latches_a_moving_axis_further_on(way: int, after: int, most: int) -> None:
+    """At 64 counts a tick a sixty-fourth of a tick is a count: once in its tick, twice in the next, once in the one after."""
+    for beyond, found in ((most, ""), (most + 1, "jump")):
+        axis = Axis()
+        for k in range(10):
+            axis.step(way * 64 * k)
+        for k in range(after + 1):
+            at = way * (64 * (10 + k) + beyond * (k == after))
+            check = axis.step(at, late_s=way * PERIOD_S / 64 if k == 0 else 0.0)
+        assert check == found
+
+
+def test_two_late_syncs_add_up() -> None:
+    for beyond, found in ((7, ""), (8, "jump")):
+        axis = Axis()
+        for k in range(10):
+            axis.step(64 * k)
+        assert [axis.step(64 * k, late_s=PERIOD_S / 64) for k in (10,)] == [""]
+        assert axis.step(64 * 11 + beyond, late_s=PERIOD_S / 64) == found
+
+
+@pytest.mark.parametrize("gap", ["lost ticks", "no position"])
+def test_after_a_gap_three_positions_are_needed(gap: str) -> None:
+    axis = Axis()
+    for _ in range(5):
+        axis.step(0)
+    if gap == "lost ticks":
+        assert axis.step(100, ticks=2) == ""
+    else:
+        assert axis.step(math.nan, math.nan) == ""
+        assert axis.step(100) == ""
+    assert [axis.step(300), axis.step(500), axis.step(705)] == ["", "", "jump"]
+
+
+def test_a_link_that_is_silent_is_told_with_how_long() -> None:
+    axis = Axis()
+    axis.step(0)
+    assert [axis.step(0, math.nan) for _ in range(3)] == [""] * 3
+    assert (axis.step(0, math.nan), axis.judge.lag_ticks) == ("silent", 3)
+    assert axis.judge.says("silent") == "its link encoder has sent nothing for more than 3 ticks"
+    assert (axis.step(0), axis.judge.lag_ticks) == ("", 0)
+    assert axis.step(0, math.nan, ticks=4) == "silent"
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_encoders_may_be_the_tolerance_apart(way: int) -> None:
+    sound, wrong = Axis(), Axis()
+    assert [sound.step(0, way * 512) for _ in range(3 * WINDOW)] == [""] * 3 * WINDOW
+    checks = [wrong.step(0, way * 513) for _ in range(WINDOW)]
+    assert checks == [""] * (WINDOW - 1) + ["apart"]
+    assert wrong.judge.lag_ticks == WINDOW
+    assert wrong.judge.says("apart") == (
+        f"its link encoder stands {way * 513 * COUNT:+.2e} rad from where motor side and load put it; 7.81e-03 are allowed"
+    )
+    wrong.judge.begin()
+    assert [wrong.step(0) for _ in range(WINDOW)] == [""] * WINDOW
+
+
+def test_a_window_of_which_half_was_not_heard_judges_nothing() -> None:
+    for heard, found in ((WINDOW // 2, "apart"), (WINDOW // 2 - 1, "")):
+        axis = Axis(replace(ENCODERS, stale_ticks=WINDOW))
+        assert [axis.step(0, 600 if k < heard else math.nan) for k in range(WINDOW)][-1] == found
+
+
+def test_lost_ticks_count_towards_a_window() -> None:
+    axis = Axis(replace(ENCODERS, link_acceleration=1e9))
+    assert [axis.step(0, 600) for _ in range(WINDOW - 40)][-1] == ""
+    assert axis.step(0, 600, ticks=40) == "apart"
+
+
+def windows(axis: Axis, apart: Iterable[float]) -> list[str]:
+    """The check after each window of half a second with these counts between both."""
+    return [[axis.step(0, counts) for _ in range(WINDOW)][-1] for counts in apart]
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_a_drift_grows_over_four_windows_and_beyond_what_is_allowed(way: int) -> None:
+    settings = replace(ENCODERS, link_acceleration=1e9)
+    axis = Axis(settings)
+    assert windows(axis, [way * counts for counts in (10, 43, 76, 109, 142)]) == ["", "", "", "", "drift"]
+    assert axis.judge.lag_ticks == 4 * WINDOW
+    assert axis.judge.says("drift") == (
+        f"its link encoder has departed from the motor side by {way * 132 * COUNT:+.2e} rad and goes on at "
+        f"{way * 33 * COUNT / 0.5:+.1e} rad/s; 1.95e-03 are allowed: one of them drifts"
+    )
+    assert windows(Axis(settings), [way * counts for counts in (0, 32, 64, 96, 128, 144)]) == [""] * 6, "as much as is allowed"
+    assert windows(Axis(settings), [way * counts for counts in (0, 50, 100, 150, 166, 199, 232, 265)]) == [""] * 8, "it stopped growing"
+    assert windows(Axis(settings), [way * counts for counts in (0, 50, 100, 150, 167)]) == [""] * 4 + ["drift"]
+    assert windows(Axis(settings), [way * counts for counts in (300, 260, 220, 180, 140)]) == [""] * 4 + ["drift"]
+    assert windows(Axis(settings), [way * counts for counts in (0, 300, 280, 260, 240, 220)]) == [""] * 6, "it comes back"
+
+
+class Still:
+    """An IMU whose numbers change at every packet."""
+
+    def __init__(self, settings: ImuJudging = IMU) -> None:
+        self.judge, self.sample, self.k = ImuJudge(settings), Sample(1), 0
+
+    def step(self, change: Callable[[Sample], None] = lambda sample: None, ticks: int = 1) -> str:
+        self.k += 1
+        self.sample.imu[:] = self.k % 7
+        self.sample.imu_counter, self.sample.imu_fault = self.k, ""
+        change(self.sample)
+        return self.judge.step(self.sample, ticks)
+
+
+def lost(sample: Sample) -> None:
+    sample.imu_counter = -1
+
+
+def test_an_imu_that_is_silent() -> None:
+    imu = Still()
+    imu.step()
+    assert [imu.step(lost) for _ in range(4)] == ["", "", "", "age"]
+    assert imu.judge.lag_ticks == 3
+    assert imu.judge.says("age") == "no packet for more than 0.014 s"
+    assert (imu.step(), imu.judge.lag_ticks) == ("", 0)
+    exact = Still(replace(IMU, age_s=4.0 * PERIOD_S))
+    assert [exact.step(lost) for _ in range(5)] == ["", "", "", "", "age"]
+    assert [exact.step(), exact.step(lost, ticks=5)] == ["", "age"]
+
+
+def test_an_imu_that_is_slow_is_judged_by_the_second() -> None:
+    patient = replace(IMU, age_s=10.0)
+    for few, found in ((33, ""), (34, "rate")):  # an eighth of 256 packets is 32, and one is the phase
+        imu = Still(patient)
+        checks = [imu.step(lost if k < few else lambda sample: None) for k in range(256)]
+        assert checks == [""] * 255 + [found]
+    assert imu.judge.lag_ticks == 256
+    assert imu.judge.says("rate") == "222 packets within 1 s, 256 are its rate and 12% the tolerance"
+    assert [imu.step() for _ in range(256)] == ["rate"] * 255 + [""]
+    fast = Still(replace(patient, rate_Hz=128.0))
+    assert [fast.step() for _ in range(256)][-1] == "rate"
+    assert fast.judge.says("rate") == "256 packets within 1 s, 128 are its rate and 12% the tolerance"
+
+
+def test_an_imu_whose_line_is_garbled() -> None:
+    imu = Still()
+
+    def damaged(number: int) -> Callable[[Sample], None]:
+        return lambda sample: setattr(sample, "imu_damaged", number)
+
+    assert [imu.step(damaged(5)), imu.step(damaged(7)), imu.step(damaged(8))] == ["", "", "garbage"]
+    assert imu.judge.says("garbage") == "3 damaged messages within 1 s, 2 are allowed"
+    assert imu.judge.lag_ticks == 3
+    assert [imu.step(damaged(8)) for _ in range(508)] == ["garbage"] * 507 + [""], "in this second, and for a second from its end"
+    imu.judge.begin()
+    assert [imu.step(damaged(0)), imu.step(damaged(2)), imu.step(damaged(3))] == ["", "", "garbage"]
+    again = Still()
+    assert [again.step(damaged(9)), again.step(damaged(0)), again.step(damaged(3))] == ["", "", "garbage"], "a line that was opened again"
+
+
+@pytest.mark.parametrize(
+    ("channel", "value", "check", "words"),
+    [
+        (1, math.nan, "number", "y is nan, no number"),
+        (0, -math.inf, "number", "x is -inf, no number"),
+        (2, 64.0, "range", "z reads 64, its full scale is 64"),
+        (5, -8.0, "range", "rate z reads -8, its full scale is 8"),
+        (3, math.nextafter(8.0, 0.0), "", ""),
+    ],
+)
+def test_an_imu_that_gives_no_sound_number(channel: int, value: float, check: str, words: str) -> None:
+    imu = Still()
+    imu.step()
+
+    def spoil(sample: Sample) -> None:
+        sample.imu[channel] = value
+
+    assert (imu.step(spoil), imu.judge.lag_ticks) == (check, 0)
+    if check:
+        assert imu.judge.says(check) == words
+    assert imu.step() == ""
+
+
+def test_an_imu_that_is_frozen() -> None:
+    imu = Still()
+
+    def freeze(*channels: int) -> Callable[[Sample], None]:
+        return lambda sample: [sample.imu.__setitem__(channel, 0.25) for channel in channels] and None
+
+    assert [imu.step(freeze(4)) for _ in range(4)] == ["", "", "", "frozen"]
+    assert imu.judge.says("frozen") == "rate y has not changed for 4 packets; noise makes that impossible"
+    assert imu.judge.lag_ticks == 3
+    assert [imu.step(freeze(1)) for _ in range(20)] == [""] * 20, "a channel that is not judged"
+    assert [imu.step(freeze(0, 4)) for _ in range(4)][-1] == "frozen"
+    assert imu.judge.says("frozen").startswith("x has not"), "the first of them is named"
+    assert [imu.step(freeze(0)), imu.step(lost), imu.step(freeze(0))] == ["frozen", "", "frozen"]
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"), [("imu: reports: a failed self-test", "reports: a failed self-test"), ("it is broken", "it is broken")]
+)
+def test_what_an_imu_says_of_itself_goes_before_all_else(fault: str, words: str) -> None:
+    imu = Still()
+
+    def spoil(sample: Sample) -> None:
+        sample.imu_fault = fault
+        sample.imu[0] = math.nan
+
+    assert (imu.step(spoil), imu.judge.says("fault")) == ("fault", words)
+
+
+def thermometer(judge: TemperatureJudge, degC: float, ticks: int = 1, age_s: float = 0.0) -> str:
+    sample = Sample(2)
+    sample.temperature_degC[:] = (500.0, degC)
+    sample.io_age_s = age_s
+    return judge.step(sample, ticks)
+
+
+def test_a_winding_may_be_as_hot_as_its_limit() -> None:
+    assert thermometer(TemperatureJudge(TEMPERATURE), 128.0) == ""
+    judge = TemperatureJudge(TEMPERATURE)
+    assert thermometer(judge, 128.25) == "limit"
+    assert judge.says("limit") == "128.2 degC, 128.0 are allowed"
+    assert thermometer(judge, math.nan) == "broken"
+    assert judge.says("broken") == "reads no temperature: its wire is broken, or it is not connected"
+    assert [thermometer(judge, 200.0, age_s=0.5), thermometer(judge, 200.0, age_s=0.51)] == ["limit", ""]
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_winding_changes_no_faster_than_it_can(way: float) -> None:
+    """Half a kelvin a second over the time since the reference, and three steps of an eighth."""
+    judge = TemperatureJudge(TEMPERATURE)
+    assert thermometer(judge, 20.0, ticks=7) == ""
+    assert thermometer(judge, 20.0 + way * 0.875, ticks=256) == ""
+    assert thermometer(judge, 20.0 + way * 1.5, ticks=256) == "rate"
+    assert judge.says("rate") == f"{way * 1.5:+.1f} K within 10 s; a winding changes by at most 0.5 K/s"
+    assert thermometer(judge, 20.0 + way * 2.0, ticks=2047) == ""
+    assert thermometer(judge, 20.0 + way * 2.0, ticks=1) == ""  # ten seconds are over: this is the reference
+    assert thermometer(judge, 20.0 + way * 2.375) == ""
+    assert thermometer(judge, 20.0 + way * 2.5) == "rate"
+    judge.begin()
+    assert thermometer(judge, 90.0) == ""
+
+
+def test_a_drive_that_warns() -> None:
+    judge, sample = WarningJudge(WarningJudging("drive_roll", 1, "mark")), Sample(2)
+    sample.statusword[:] = (0x80, 0x1637)
+    assert judge.step(sample, 1) == ""
+    sample.statusword[:] = (0, 0x80)
+    assert (judge.step(sample, 1), judge.says("warning")) == ("warning", "its drive warns (statusword 0080h)")
+    sample.statusword[:] = (0x80, -1)
+    assert judge.step(sample, 1) == ""
+    sample.statusword[:] = 0
+    assert judge.step(sample, 1) == ""
+
+
+def test_all_judges_together_say_what_they_found_and_from_when_on() -> None:
+    noticed: list[tuple[float, str, str, str]] = []
+    whole = JudgingSettings(IMU, (ENCODERS,), (TEMPERATURE, replace(TEMPERATURE, sensor="t2")), (WarningJudging("drive_roll", 1, "stop"),))
+    judge, sample = SensorJudge(whole, PERIOD_S, lambda *what: noticed.append(what)), Sample(2)
+    assert judge.sensors == ("imu", "encoders_roll", "temperature_roll", "t2", "drive_roll")
+    sample.imu_counter, sample.temperature_degC[:], sample.io_age_s = -1, math.nan, 0.0
+    sample.position[:] = sample.link_position[:] = 0.0
+    sample.statusword[:] = 0x80
+    stop = "temperature_roll: reads no temperature: its wire is broken, or it is not connected"
+    assert [judge.step(sample, 1, k) for k in (0.25, 0.5, 0.75, 1.0)] == [stop] * 4
+    assert judge.marks == 0b11101
+    imu = judge.findings[-1]
+    assert (imu.sensor, imu.check, imu.follows, imu.since_s, imu.first_s, imu.last_s, imu.rows) == (
+        *("imu", "age", "mark"),
+        *(1.0 - 3 * PERIOD_S, 1.0, 1.0, 1),
+    )
+    assert [(each.sensor, each.says, each.follows, each.rows) for each in judge.findings[2:3]] == [
+        ("drive_roll", "its drive warns (statusword 0080h)", "stop", 4)
+    ]
+    sample.statusword[:] = 0
+    sample.imu_counter, sample.imu[:] = 1, 0.0
+    noticed.clear()
+    judge.step(sample, 1, 2.0)
+    assert noticed == [(2.0, "imu", "age", ""), (2.0, "drive_roll", "warning", "")]
+    judge.restart()
+    assert (judge.marks, judge.findings) == (0, ())
+    judge.step(sample, 1, 3.0)
+    assert [each.sensor for each in judge.findings] == ["temperature_roll", "t2"], "what is still wrong is found again"
+    early = SensorJudge(JudgingSettings(IMU), PERIOD_S)
+    sample.imu_counter = -1
+    assert [early.step(sample, 4, 0.0), early.findings[0].since_s] == ["", 0.0]
+
+
+def test_no_more_findings_are_kept_than_a_machine_can_have() -> None:
+    many = JudgingSettings(temperatures=tuple(replace(TEMPERATURE, sensor=f"t{k}") for k in range(MOST_FINDINGS + 2)))
+    judge, sample = SensorJudge(many, PERIOD_S), Sample(2)
+    sample.temperature_degC[:], sample.io_age_s = math.nan, 0.0
+    judge.step(sample, 1, 0.0)
+    assert len(judge.findings) == MOST_FINDINGS == 64
