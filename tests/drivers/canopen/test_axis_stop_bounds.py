@@ -218,8 +218,8 @@ def test_an_axis_that_creeps_has_five_seconds_to_stand() -> None:
     ("status", "words"),
     [
         (ENABLED, "its drive does not obey the quick stop and may push: take its supply away"),
-        (READY, "its drive is ready to switch on and holds nothing"),
-        (REACTION, "its drive is fault reaction active and holds nothing"),
+        (READY, "its drive reports ready to switch on, in which it holds nothing"),
+        (REACTION, "its drive reports fault reaction active, after which it holds nothing"),
         (ODD, "its drive does not answer"),
         (-1, "its drive does not answer"),
     ],
@@ -377,11 +377,13 @@ def test_a_link_that_falls_when_the_voltage_goes_is_taken_back_at_once() -> None
     lost = Stopping().to_letting_go()
     lost.tick(OFF, link=1000)
     assert lost.until(lambda: lost.stop.rest is not None) == RETAKE
-    assert lost.words.startswith("not proven at rest: its drive is switch on disabled and holds nothing; its brake reports closed; ")
+    assert lost.words.startswith(
+        "not proven at rest: its drive reports switch on disabled, in which it holds nothing; its brake reports closed; "
+    )
     fault = Stopping().to_letting_go()
     fault.tick(OFF, link=1000)
     fault.tick(FAULT)
-    assert fault.words.startswith("not proven at rest: its drive is fault and holds nothing")
+    assert fault.words.startswith("not proven at rest: its drive reports fault, in which it holds nothing")
 
 
 def test_a_drive_that_keeps_its_voltage_is_told() -> None:

@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 import pytest
-from drivers.judging.warning import WarningJudge
 
 from drivers.interface import Sample
+from drivers.judging.drive import DriveJudge
 from drivers.judging.encoders import EncoderJudge
 from drivers.judging.imu import ImuJudge
 from drivers.judging.judge import MOST_FINDINGS, SensorJudge
-from drivers.judging.settings import EncoderJudging, ImuJudging, JudgingSettings, TemperatureJudging, WarningJudging
+from drivers.judging.settings import DriveJudging, EncoderJudging, ImuJudging, JudgingSettings, TemperatureJudging
 from drivers.judging.temperature import TemperatureJudge
 
 PERIOD_S, COUNT = 2.0**-8, 2.0**-16
@@ -295,7 +295,7 @@ def test_a_winding_changes_no_faster_than_it_can(way: float) -> None:
 
 
 def test_a_drive_that_warns() -> None:
-    judge, sample = WarningJudge(WarningJudging("drive_roll", 1, "mark")), Sample(2)
+    judge, sample = DriveJudge(DriveJudging("drive_roll", 1, "A", "mark", 0.3, 3, 3)), Sample(2)
     sample.statusword[:] = (0x80, 0x1637)
     assert judge.step(sample, 1) == ""
     sample.statusword[:] = (0, 0x80)
@@ -308,7 +308,8 @@ def test_a_drive_that_warns() -> None:
 
 def test_all_judges_together_say_what_they_found_and_from_when_on() -> None:
     noticed: list[tuple[float, str, str, str]] = []
-    whole = JudgingSettings(IMU, (ENCODERS,), (TEMPERATURE, replace(TEMPERATURE, sensor="t2")), (WarningJudging("drive_roll", 1, "stop"),))
+    drive = DriveJudging("drive_roll", 1, "A", "stop", 0.3, 3, 3)
+    whole = JudgingSettings(IMU, (ENCODERS,), (TEMPERATURE, replace(TEMPERATURE, sensor="t2")), (drive,))
     judge, sample = SensorJudge(whole, PERIOD_S, lambda *what: noticed.append(what)), Sample(2)
     assert judge.sensors == ("imu", "encoders_roll", "temperature_roll", "t2", "drive_roll")
     sample.imu_counter, sample.temperature_degC[:], sample.io_age_s = -1, math.nan, 0.0

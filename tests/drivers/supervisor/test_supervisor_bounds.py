@@ -247,7 +247,7 @@ def test_an_axis_whose_brake_is_open_is_watched_without_torque() -> None:
         for _ in range(10):
             at += 110
             line.tick(at, status=OFF)
-        assert line.supervisor.reason.startswith("propeller: its motor moves") is brake_open
+        assert line.supervisor.reason.startswith("propeller: its motor shows") is brake_open
 
 
 def test_nothing_is_permitted_between_sessions_and_each_begins_with_what_it_sees() -> None:
@@ -291,7 +291,7 @@ def test_a_reason_has_a_time_whatever_it_is() -> None:
 def test_a_speed_is_told_with_what_is_allowed() -> None:
     line = Line()
     moving(line, 110, 10)
-    assert line.supervisor.reason == "propeller: its motor shows more than the 0.38 rad/s allowed in most of its last 3 readings"
+    assert line.supervisor.reason == "propeller: its motor shows more than the 0.38 rad/s allowed in most of its last 5 readings"
 
 
 def test_a_frame_that_lacks_a_byte_says_nothing() -> None:
