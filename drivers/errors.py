@@ -17,7 +17,13 @@ DriverError                    base; exit status 1 unless a class says otherwise
 |-- imaging.PanelError             a panel on the network hung up, or sends no frames
 |-- imaging.ClocksDisagreeError    a panel's time stamps and the loop's pulses do not agree
 `-- MotionRefusedError                  a check before motion failed: brakes, direction, encoder agreement, hold-to-run, door
+
+DataSheetWarning               no error: a data sheet was read with repairs
 """
+
+
+class DataSheetWarning(UserWarning):
+    """An EDS or DCF file bends the rules of CiA 306: which lines, and what was read instead."""
 
 
 class DriverError(Exception):

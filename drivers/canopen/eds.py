@@ -2,7 +2,7 @@
 
 The library's reader fails on the contents of real files: empty integers, bytes of a Windows code page, comments behind values, octal
 numbers, negative defaults written as unsigned hex, sections in any case and order. So the text is normalised first and the library reads
-clean text.
+clean text. What the standard does not allow and a reader can still understand is repaired, and told in one warning with its lines.
 """
 
 from __future__ import annotations
@@ -10,23 +10,32 @@ from __future__ import annotations
 import io
 import re
 import stat
+import warnings
 from pathlib import Path
 
 import canopen
 from canopen.objectdictionary import datatypes
 
-from drivers.errors import ProtocolError
+from drivers.canopen.eds_repairs import Repairs, Section, Sections, standard_type
+from drivers.errors import DataSheetWarning, ProtocolError
 
 _OBJECT = re.compile(r"^([0-9A-F]{4})(?:SUB([0-9A-F]{1,2}))?$")
 _COMMENT = re.compile(r"\s;.*$")
+_HASH_COMMENT = re.compile(r"(?<=\S)\s+(#|//).*$")
+_NODE_ID = re.compile(r"\$?\{?NODE[-_ ]?ID\}?")
+_HEX_WITH_H = re.compile(r"([0-9A-Fa-f][0-9A-Fa-f ]*)[hH]")
+_NUMBER = re.compile(r"([+-]?(?:0X[0-9A-F]+|0B[01]+|[0-9]+))([UL]*)")
 _MAX_FILE_BYTES = 4_000_000  # the largest data sheets in the field are some hundred kilobytes
 _MOST_ENTRIES = 16_384
 """Most objects and subindices of a file, compact arrays written out: real devices have some thousands. A line of a compact array stands
 for 254 of them, so that a small file could stand for millions."""
 
 _VARIABLE, _DOMAIN_OBJECT = 0x07, 0x02
+_MANY = (0x08, 0x09)  # array and record: their type is that of their elements
 _TEXT_KEYS = frozenset({"ParameterName", "AccessType", "VendorName", "ProductName", "OrderCode", "StorageLocation", "Denotation"})
+_FREE_TEXT = _TEXT_KEYS - {"AccessType"}
 _VALUE_KEYS = frozenset({"DefaultValue", "ParameterValue", "LowLimit", "HighLimit"})
+_LIMIT_KEYS = frozenset({"LowLimit", "HighLimit"})
 _NUMBER_KEYS = frozenset(
     {"ObjectType", "DataType", "PDOMapping", "SubNumber", "CompactSubObj", "NodeID", "Baudrate", "VendorNumber", "ProductNumber"}
     | {"RevisionNumber", "SimpleBootUpMaster", "SimpleBootUpSlave", "Granularity", "DynamicChannelsSupported", "GroupMessaging"}
@@ -39,6 +48,7 @@ _CANONICAL_SECTIONS = {
     "devicecomissioning": "DeviceComissioning",  # the standard's own spelling
     "devicecommissioning": "DeviceComissioning",
 }
+_WORDS = {"true": 1, "false": 0}
 _ACCESS_TYPES = frozenset({"ro", "wo", "rw", "rwr", "rww", "const"})
 _LAST_BASIC_TYPE = datatypes.UNSIGNED64
 _FIXED_BITS = {
@@ -46,8 +56,6 @@ _FIXED_BITS = {
     **dict(zip((2, 3, 0x10, 4, 0x12, 0x13, 0x14, 0x15), (8, 16, 24, 32, 40, 48, 56, 64), strict=True)),
     **dict(zip((5, 6, 0x16, 7, 0x18, 0x19, 0x1A, 0x1B), (8, 16, 24, 32, 40, 48, 56, 64), strict=True)),
 }
-
-Sections = dict[str, dict[str, str]]
 
 
 def load_object_dictionary(path: str | Path, node_id: int | None = None) -> canopen.ObjectDictionary:
@@ -63,6 +71,11 @@ def load_object_dictionary(path: str | Path, node_id: int | None = None) -> cano
     -------
     canopen.ObjectDictionary
         `default` holds the data sheet's default, `value` the configured value of a DCF; signed integers are signed.
+
+    Warns
+    -----
+    DataSheetWarning
+        The file bends the rules: which lines, and what was read instead.
 
     Raises
     ------
@@ -84,11 +97,12 @@ def load_object_dictionary(path: str | Path, node_id: int | None = None) -> cano
 
 def parse_object_dictionary(text: str, node_id: int | None = None, name: str = "EDS") -> canopen.ObjectDictionary:
     """Read the text of an EDS or DCF file like `load_object_dictionary`; `name` precedes every error message."""
+    repairs = Repairs()
     try:
-        sections = _sections(text)
+        sections = _sections(text, repairs)
         if node_id is None:
             node_id = _own_node_id(sections)
-        clean = _clean(sections, node_id)
+        clean = _Reader(sections, node_id, repairs).clean()
         dictionary: canopen.ObjectDictionary = canopen.objectdictionary.eds.import_eds(  # type: ignore[no-untyped-call]
             io.StringIO(clean), node_id
         )
@@ -99,6 +113,8 @@ def parse_object_dictionary(text: str, node_id: int | None = None, name: str = "
         raise ProtocolError(f"{name}: not a usable EDS or DCF file: {type(error).__name__}: {error}".replace("\n", " ")) from error
     if not any(index >= 0x1000 for index in dictionary):
         raise ProtocolError(f"{name}: no object from 1000h on: not an EDS or DCF file")
+    if repairs:
+        warnings.warn(f"{name}: {repairs}", DataSheetWarning, stacklevel=2)
     return dictionary
 
 
@@ -111,11 +127,11 @@ def _decode(raw: bytes) -> str:
     return raw.decode("latin-1")
 
 
-def _sections(text: str) -> Sections:
+def _sections(text: str, repairs: Repairs) -> Sections:
     """Return every section once, keys in the standard's spelling, without comments; the last of two equal keys counts."""
     sections: Sections = {}
-    current: dict[str, str] | None = None
-    for line in text.replace("\x00", "").splitlines():
+    current: Section | None = None
+    for number, line in enumerate(text.replace("\x00", "").splitlines(), start=1):
         line = line.strip()
         if not line or line[0] in ";#":
             continue
@@ -123,84 +139,200 @@ def _sections(text: str) -> Sections:
             if "]" not in line:
                 raise ProtocolError(f"section head without ]: {line[:60]!r}")
             head = line[1 : line.index("]")].strip()
-            current = sections.setdefault(_CANONICAL_SECTIONS.get(head.lower(), head.upper()), {})
+            current = sections.setdefault(_CANONICAL_SECTIONS.get(head.lower(), head.upper()), Section(number))
         elif current is not None and "=" in line:
             key, value = line.split("=", 1)
-            key = key.strip()
-            current[_CANONICAL_KEYS.get(key.lower(), key)] = _COMMENT.sub("", " " + value).strip()
+            key = _CANONICAL_KEYS.get(key.strip().lower(), key.strip())
+            value = _COMMENT.sub("", " " + value).strip()
+            if ("#" in value or "/" in value) and key not in _FREE_TEXT and _HASH_COMMENT.search(value):
+                value = _HASH_COMMENT.sub("", value)
+                repairs.add("a comment behind a value begins with ;, another was left out", number)
+            current.put(key, value, number)
     return sections
 
 
 def _own_node_id(sections: Sections) -> int | None:
-    text = sections.get("DeviceComissioning", {}).get("NodeID", "")
+    text = sections.get("DeviceComissioning", Section(0)).get("NodeID", "")
     return _integer(text, None, "[DeviceComissioning] NodeID") if text else None
 
 
-def _clean(sections: Sections, node_id: int | None) -> str:
-    """Return text that the library can read: parents before children, plain numbers, nothing that it does not need."""
-    out = io.StringIO()
-    _resolve_own_types(sections)
-    _emit(out, "DeviceInfo", _plain_numbers(sections.get("DeviceInfo", {}), "DeviceInfo"))
-    _emit_dummies(out, sections.get("DUMMYUSAGE", {}))
-    objects = sorted((match.group(1), int(match.group(2) or "-1", 16), head) for head in sections if (match := _OBJECT.match(head)))
-    entries = len(objects) + sum(_compact_count(head, sections) for _, subindex, head in objects if subindex < 0)
-    if entries > _MOST_ENTRIES:
-        raise ProtocolError(f"{entries} objects and subindices, compact arrays written out: a data sheet has at most {_MOST_ENTRIES}")
-    present = {index for index, subindex, _ in objects if subindex < 0}
-    for index, subindex, head in objects:
-        if subindex >= 0 and index not in present:
-            raise ProtocolError(f"[{head}]: its object [{index}] is missing")
-        name = index if subindex < 0 else f"{index}sub{subindex:X}"
-        _emit(out, name, _object_keys(sections[head], name, node_id))
-        if subindex < 0 and sections[head].get("CompactSubObj"):
-            _emit_compact_array(out, index, sections, node_id)
-    return out.getvalue()
+class _Reader:
+    """Makes text that the library can read: parents before children, plain numbers, nothing that it does not need.
+
+    Parameters
+    ----------
+    sections : Sections
+    node_id : int, optional
+    repairs : Repairs
+        Takes what had to be read in another way than it stands there.
+    """
+
+    def __init__(self, sections: Sections, node_id: int | None, repairs: Repairs) -> None:
+        self._sections, self._node_id, self._repairs = sections, node_id, repairs
+        self._out = io.StringIO()
+
+    def clean(self) -> str:
+        """Return the text."""
+        sections = self._sections
+        self._resolve_own_types()
+        self._emit("DeviceInfo", _plain_numbers(sections.get("DeviceInfo", Section(0)), "DeviceInfo"))
+        self._emit_dummies(sections.get("DUMMYUSAGE", Section(0)))
+        self._adopt_orphans()
+        objects = sorted((match.group(1), int(match.group(2) or "-1", 16), head) for head in sections if (match := _OBJECT.match(head)))
+        entries = len(objects) + sum(self._compact_count(head) for _, subindex, head in objects if subindex < 0)
+        if entries > _MOST_ENTRIES:
+            raise ProtocolError(f"{entries} objects and subindices, compact arrays written out: a data sheet has at most {_MOST_ENTRIES}")
+        for index, subindex, head in objects:
+            name = index if subindex < 0 else f"{index}sub{subindex:X}"
+            self._emit(name, self._object_keys(sections[head], name))
+            if subindex < 0 and sections[head].get("CompactSubObj"):
+                self._emit_compact_array(index)
+        return self._out.getvalue()
+
+    def _adopt_orphans(self) -> None:
+        """Give subindices whose object is missing a record of their own."""
+        orphans: dict[str, list[int]] = {}
+        for head, section in self._sections.items():
+            match = _OBJECT.match(head)
+            if match and match.group(2) and match.group(1) not in self._sections:
+                orphans.setdefault(match.group(1), []).append(section.line)
+        for index, lines in orphans.items():
+            for line in lines:
+                self._repairs.add(f"object [{index}] is missing; its subindices are read as a record", line)
+            record = self._sections[index] = Section(lines[0])
+            record.put("ParameterName", f"Object {index}", lines[0])
+            record.put("ObjectType", "9", lines[0])
+
+    def _resolve_own_types(self) -> None:
+        """Replace types beyond the basic ones by a basic type.
+
+        Those defined in the file ([A0sub1], as by CANFestival) have theirs; those of the communication profile have the standard's;
+        all others are bytes.
+        """
+        for head, keys in self._sections.items():
+            match = _OBJECT.match(head)
+            if match is None:
+                continue
+            text = keys.get("DataType", "")
+            standard = standard_type(int(match.group(1), 16), int(match.group(2) or "0", 16)) if match.group(2) or text else None
+            data_type = _integer(text, None, f"[{head}] DataType") if text else None
+            if data_type is not None and data_type > _LAST_BASIC_TYPE:
+                definition = self._sections.get(f"{data_type:X}SUB1", Section(0)).get("DefaultValue", "")
+                keys["DataType"] = definition or str(datatypes.DOMAIN)
+                data_type = _integer(keys["DataType"], None, f"[{head}] DataType")
+            if standard is None or data_type == standard or _integer(keys.get("ObjectType") or "7", None, f"[{head}] ObjectType") in _MANY:
+                continue
+            given = "no DataType" if data_type is None else f"DataType={text}"
+            self._repairs.add(f"{given} of a communication object is read as CiA 301's {standard:04X}h", keys.line_of("DataType"))
+            keys["DataType"] = str(standard)
+
+    def _emit(self, head: str, keys: dict[str, str]) -> None:
+        self._out.write(f"[{head}]\n")
+        for key, value in keys.items():
+            self._out.write(f"{key}={value}\n")
+
+    def _emit_dummies(self, given: dict[str, str]) -> None:
+        lower = {key.lower(): value for key, value in given.items()}
+        self._emit("DummyUsage", {f"Dummy{i:04d}": "1" if lower.get(f"dummy{i:04d}") in ("1", "0x1", "0x01") else "0" for i in range(1, 8)})
+
+    def _emit_compact_array(self, index: str) -> None:
+        """Write out a compact array: every element has the array's type, and its own name and value where the file lists them."""
+        sections = self._sections
+        keys = sections[index]
+        count = self._compact_count(index)
+        names: dict[str, str] = sections.get(f"{index}NAME", Section(0))
+        values: dict[str, str] = sections.get(f"{index}VALUE", Section(0))
+        size = {"ParameterName": "Number of entries", "DataType": "5", "AccessType": "ro", "DefaultValue": str(count)}
+        self._emit(f"{index}sub0", self._object_keys(Section(keys.line, size), f"{index}sub0"))
+        for i in range(1, count + 1):
+            element = Section(keys.line, {key: value for key, value in keys.items() if key not in ("CompactSubObj", "ObjectType")})
+            element["ParameterName"] = names.get(str(i)) or f"{keys.get('ParameterName', index)} {i}"
+            if str(i) in values:
+                element["ParameterValue"] = values[str(i)]
+            self._emit(f"{index}sub{i:X}", self._object_keys(element, f"{index}sub{i:X}"))
+
+    def _compact_count(self, index: str) -> int:
+        """Return the number of elements of a compact array, 0 for another object."""
+        count = _integer(self._sections[index].get("CompactSubObj") or "0", None, f"[{index}] CompactSubObj")
+        if not 0 <= count <= 254:
+            raise ProtocolError(f"[{index}]: CompactSubObj={count}: must be 0 to 254")
+        return count
+
+    def _object_keys(self, keys: Section, head: str) -> dict[str, str]:
+        """Return the keys of one object or subindex, complete and with plain numbers."""
+        clean = {"ParameterName": keys.get("ParameterName") or f"Object {head}"}
+        object_type = self._number(keys, "ObjectType", "7", head)
+        clean["ObjectType"] = str(object_type)
+        if keys.get("StorageLocation"):
+            clean["StorageLocation"] = keys["StorageLocation"]
+        if object_type not in (_VARIABLE, _DOMAIN_OBJECT):
+            return clean
+        return clean | self._variable_keys(keys, head, object_type)
+
+    def _variable_keys(self, keys: Section, head: str, object_type: int) -> dict[str, str]:
+        """Return the keys of a variable: type, access, mapping, and its values in the form of its type."""
+        if not keys.get("DataType") and object_type != _DOMAIN_OBJECT:
+            raise ProtocolError(f"[{head}]: DataType is missing")
+        data_type = self._number(keys, "DataType", "0xF", head)
+        access = (keys.get("AccessType") or "rw").lower()
+        if access not in _ACCESS_TYPES:
+            raise ProtocolError(f"[{head}]: AccessType={access}: must be one of {', '.join(sorted(_ACCESS_TYPES))}")
+        mappable = keys.get("PDOMapping", "0").lower() in ("1", "0x1", "0x01", "true")
+        clean = {"DataType": str(data_type), "AccessType": access, "PDOMapping": str(int(mappable))}
+        for key in _VALUE_KEYS & keys.keys():
+            if (value := keys[key]) != "" or data_type in (datatypes.VISIBLE_STRING, datatypes.UNICODE_STRING):
+                typed = self._typed(keys, key, value, data_type, head)
+                clean |= {} if typed is None else {key: typed}
+        return clean
+
+    def _number(self, keys: Section, key: str, default: str, head: str) -> int:
+        text = keys.get(key) or default
+        self._tell_suffix(keys, key, text)
+        return _integer(text, None, f"[{head}] {key}")
+
+    def _tell_suffix(self, keys: Section, key: str, text: str) -> None:
+        if text[-1:] in "LlUu" and any(len(match[2]) > 1 for match in _NUMBER.finditer(text.upper())):
+            self._repairs.add("a suffix as of C behind a number was left out", keys.line_of(key))
+
+    def _typed(self, keys: Section, key: str, value: str, data_type: int, head: str) -> str | None:
+        """Return a value in the library's form: plain integers in the range of their type, negative where the type is signed.
+
+        None for a default that is no number.
+        """
+        if data_type not in _FIXED_BITS:
+            return value
+        if _NODE_ID.search(value.upper()) and self._node_id is None:
+            return value
+        where = f"[{head}] {key}"
+        try:
+            number = _WORDS.get(value.lower())
+            if number is None:
+                self._tell_suffix(keys, key, value)
+                if hexadecimal := _HEX_WITH_H.fullmatch(value):
+                    self._repairs.add("a hexadecimal number begins with 0x, one that ends in h was read as such", keys.line_of(key))
+                    value = "0x" + hexadecimal[1].replace(" ", "")
+                number = _integer(value, self._node_id, where)
+        except ProtocolError:
+            if key != "DefaultValue":
+                raise
+            self._repairs.add("a default that is no number was left out", keys.line_of(key))
+            return None
+        bits = _FIXED_BITS[data_type]
+        if not -(1 << (bits - 1)) <= number < 1 << bits:
+            if key not in _LIMIT_KEYS:
+                raise ProtocolError(f"{where}={value}: does not fit into {bits} bits")
+            number = _limit_of_type(data_type, bits, upper=key == "HighLimit")
+            self._repairs.add(f"{key}={value} is beyond its type and read as {number}", keys.line_of(key))
+        number &= (1 << bits) - 1
+        if data_type in datatypes.SIGNED_TYPES and number >> (bits - 1):
+            number -= 1 << bits
+        return str(number)
 
 
-def _resolve_own_types(sections: Sections) -> None:
-    """Replace types beyond the basic ones: those defined in the file ([A0sub1], as by CANFestival) by their basic type, others by bytes."""
-    for head, keys in sections.items():
-        text = keys.get("DataType", "")
-        if not text or not _OBJECT.match(head):
-            continue
-        data_type = _integer(text, None, f"[{head}] DataType")
-        if data_type > _LAST_BASIC_TYPE:
-            definition = sections.get(f"{data_type:X}SUB1", {}).get("DefaultValue", "")
-            keys["DataType"] = definition or str(datatypes.DOMAIN)
-
-
-def _emit(out: io.StringIO, head: str, keys: dict[str, str]) -> None:
-    out.write(f"[{head}]\n")
-    for key, value in keys.items():
-        out.write(f"{key}={value}\n")
-
-
-def _emit_dummies(out: io.StringIO, given: dict[str, str]) -> None:
-    lower = {key.lower(): value for key, value in given.items()}
-    _emit(out, "DummyUsage", {f"Dummy{i:04d}": "1" if lower.get(f"dummy{i:04d}") in ("1", "0x1", "0x01") else "0" for i in range(1, 8)})
-
-
-def _emit_compact_array(out: io.StringIO, index: str, sections: Sections, node_id: int | None) -> None:
-    """Write out a compact array: every element has the array's type, and its own name and value where the file lists them."""
-    keys = sections[index]
-    count = _compact_count(index, sections)
-    names, values = sections.get(f"{index}NAME", {}), sections.get(f"{index}VALUE", {})
-    size = {"ParameterName": "Number of entries", "DataType": "5", "AccessType": "ro", "DefaultValue": str(count)}
-    _emit(out, f"{index}sub0", _object_keys(size, f"{index}sub0", node_id))
-    for i in range(1, count + 1):
-        element = {key: value for key, value in keys.items() if key not in ("CompactSubObj", "ObjectType")}
-        element["ParameterName"] = names.get(str(i)) or f"{keys.get('ParameterName', index)} {i}"
-        if str(i) in values:
-            element["ParameterValue"] = values[str(i)]
-        _emit(out, f"{index}sub{i:X}", _object_keys(element, f"{index}sub{i:X}", node_id))
-
-
-def _compact_count(index: str, sections: Sections) -> int:
-    """Return the number of elements of a compact array, 0 for another object."""
-    count = _integer(sections[index].get("CompactSubObj") or "0", None, f"[{index}] CompactSubObj")
-    if not 0 <= count <= 254:
-        raise ProtocolError(f"[{index}]: CompactSubObj={count}: must be 0 to 254")
-    return count
+def _limit_of_type(data_type: int, bits: int, *, upper: bool) -> int:
+    if data_type in datatypes.SIGNED_TYPES:
+        return (1 << (bits - 1)) - 1 if upper else -(1 << (bits - 1))
+    return (1 << bits) - 1 if upper else 0
 
 
 def _plain_numbers(keys: dict[str, str], head: str) -> dict[str, str]:
@@ -217,65 +349,20 @@ def _plain_numbers(keys: dict[str, str], head: str) -> dict[str, str]:
     return plain
 
 
-def _object_keys(keys: dict[str, str], head: str, node_id: int | None) -> dict[str, str]:
-    """Return the keys of one object or subindex, complete and with plain numbers."""
-    clean = {"ParameterName": keys.get("ParameterName") or f"Object {head}"}
-    object_type = _integer(keys.get("ObjectType") or "7", None, f"[{head}] ObjectType")
-    clean["ObjectType"] = str(object_type)
-    if keys.get("StorageLocation"):
-        clean["StorageLocation"] = keys["StorageLocation"]
-    if object_type not in (_VARIABLE, _DOMAIN_OBJECT):
-        return clean
-    return clean | _variable_keys(keys, head, object_type, node_id)
-
-
-def _variable_keys(keys: dict[str, str], head: str, object_type: int, node_id: int | None) -> dict[str, str]:
-    """Return the keys of a variable: type, access, mapping, and its values in the form of its type."""
-    if not keys.get("DataType") and object_type != _DOMAIN_OBJECT:
-        raise ProtocolError(f"[{head}]: DataType is missing")
-    data_type = _integer(keys.get("DataType") or "0xF", None, f"[{head}] DataType")
-    access = (keys.get("AccessType") or "rw").lower()
-    if access not in _ACCESS_TYPES:
-        raise ProtocolError(f"[{head}]: AccessType={access}: must be one of {', '.join(sorted(_ACCESS_TYPES))}")
-    mappable = keys.get("PDOMapping", "0").lower() in ("1", "0x1", "0x01", "true")
-    clean = {"DataType": str(data_type), "AccessType": access, "PDOMapping": str(int(mappable))}
-    for key in _VALUE_KEYS & keys.keys():
-        if (value := keys[key]) != "" or data_type in (datatypes.VISIBLE_STRING, datatypes.UNICODE_STRING):
-            clean[key] = _typed(value, data_type, node_id, f"[{head}] {key}")
-    return clean
-
-
-def _typed(value: str, data_type: int, node_id: int | None, where: str) -> str:
-    """Return a value in the library's form: plain integers in the range of their type, negative where the type is signed."""
-    if data_type not in _FIXED_BITS:
-        return value
-    if "$NODEID" in value.upper() and node_id is None:
-        return value
-    number = {"true": 1, "false": 0}.get(value.lower())
-    if number is None:
-        number = _integer(value, node_id, where)
-    bits = _FIXED_BITS[data_type]
-    if not -(1 << (bits - 1)) <= number < 1 << bits:
-        raise ProtocolError(f"{where}={value}: does not fit into {bits} bits")
-    number &= (1 << bits) - 1
-    if data_type in datatypes.SIGNED_TYPES and number >> (bits - 1):
-        number -= 1 << bits
-    return str(number)
-
-
 def _integer(text: str, node_id: int | None, where: str) -> int:
-    """Read a CiA 306 number: decimal, hex after 0x, octal after a leading 0, and sums with ``$NODEID``."""
+    """Read a CiA 306 number: decimal, hex after 0x, octal after a leading 0, and sums with ``$NODEID``, suffixes as of C left out."""
     total = 0
     for raw in text.replace(" ", "").upper().split("+"):
-        if raw == "$NODEID" and node_id is not None:
+        if _NODE_ID.fullmatch(raw) and node_id is not None:
             total += node_id
             continue
-        try:
-            octal = re.fullmatch(r"(-?)0([0-7]+)", raw)
-            total += int(octal.group(1) + octal.group(2), 8) if octal else int(raw.removesuffix("U").removesuffix("L"), 0)
-        except ValueError:
-            if re.fullmatch(r"0+[89][0-9]*|0[0-9]*[89][0-9]*", raw):  # decimal with leading zeros
-                total += int(raw, 10)
-                continue
-            raise ProtocolError(f"{where}={text[:40]}: must be an integer") from None
+        match = _NUMBER.fullmatch(raw)
+        if match is None:
+            raise ProtocolError(f"{where}={text[:40]}: must be an integer")
+        digits = match[1]
+        octal = re.fullmatch(r"([+-]?)0([0-7]+)", digits)
+        if octal:
+            total += int(octal[1] + octal[2], 8)
+        else:
+            total += int(digits, 10 if digits.lstrip("+-").isdigit() else 0)  # decimals may have leading zeros
     return total

@@ -121,7 +121,7 @@ def _held_out_each(arguments: list[str]) -> list[str]:
 
 @contextmanager
 def _warnings_in_one_line() -> Iterator[None]:
-    """Show the warnings of a reader of recordings in one line; a file and line of this program would not help the user."""
+    """Show the warnings of a reader of recordings or data sheets in one line; a file and line of this program would not help the user."""
     with warnings.catch_warnings():
         shown_by_python = warnings.showwarning
 
@@ -133,7 +133,7 @@ def _warnings_in_one_line() -> Iterator[None]:
             file: TextIO | None = None,
             line: str | None = None,
         ) -> None:
-            if category.__name__ == "RecordingWarning":  # by name: importing it takes longer than --help may
+            if category.__name__ in ("RecordingWarning", "DataSheetWarning"):  # by name: importing them takes longer than --help may
                 _say(str(message), 0)
             else:
                 shown_by_python(message, category, filename, lineno, file, line)

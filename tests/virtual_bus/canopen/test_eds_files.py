@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from refusals import answer_or_refusal
 
 from drivers.canopen.eds import load_object_dictionary, parse_object_dictionary
-from drivers.errors import ProtocolError
+from drivers.errors import DataSheetWarning, ProtocolError
 
 VENDOR_NAMES = (
     "canopennode_DS301_profile.eds",
@@ -130,7 +130,6 @@ def test_a_compact_array_has_all_its_elements() -> None:
         (SMALLEST + "[2000]\nDataType=5\nAccessType=maybe\n", "AccessType=maybe: must be one of"),
         (SMALLEST + "[2000]\nDataType=5\nDefaultValue=300\n", "does not fit into 8 bits"),
         (SMALLEST + "[2000]\nDataType=five\n", "must be an integer"),
-        (SMALLEST + "[2000sub1]\nDataType=5\n", "its object [2000] is missing"),
     ],
 )
 def test_a_broken_file_is_named_in_one_line(tmp_path: Path, text: str, says: str) -> None:
@@ -141,6 +140,63 @@ def test_a_broken_file_is_named_in_one_line(tmp_path: Path, text: str, says: str
     assert str(refused.value).startswith(str(path))
     assert says in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("bent", "index", "subindex", "value", "says"),
+    [
+        ("[2000sub1]\nDataType=5\nDefaultValue=7\n", 0x2000, 1, 7, "line 7: object [2000] is missing; its subindices are read as a record"),
+        ("[2000]\nDataType=0x5 # UNSIGNED8\nDefaultValue=7 # seven\n", 0x2000, 0, 7, "lines 8, 9: a comment behind a value begins with ;"),
+        ("[2000]\nDataType=5\nAccessType=rw // both\nDefaultValue=7\n", 0x2000, 0, 7, "line 9: a comment behind a value"),
+        ("[2000]\nDataType=7\nDefaultValue=0x7UL\n", 0x2000, 0, 7, "line 9: a suffix as of C behind a number was left out"),
+        ("[2000]\nDataType=0x1B\nDefaultValue=7LL\n", 0x2000, 0, 7, "line 9: a suffix as of C"),
+        (
+            "[2000]\nDataType=6\nHighLimit=65536\nDefaultValue=7\n",
+            0x2000,
+            0,
+            7,
+            "line 9: HighLimit=65536 is beyond its type and read as 65535",
+        ),
+        (
+            "[2000]\nDataType=3\nLowLimit=-32769\nDefaultValue=7\n",
+            0x2000,
+            0,
+            7,
+            "line 9: LowLimit=-32769 is beyond its type and read as -32768",
+        ),
+        (
+            "[1017]\nDataType=0xF\nDefaultValue=7\n",
+            0x1017,
+            0,
+            7,
+            "line 8: DataType=0xF of a communication object is read as CiA 301's 0006h",
+        ),
+        ("[2000]\nDataType=7\nDefaultValue=0000 0080h\n", 0x2000, 0, 0x80, "line 9: a hexadecimal number begins with 0x"),
+        ("[2000]\nDataType=5\nDefaultValue=of the profile\n", 0x2000, 0, None, "line 9: a default that is no number was left out"),
+    ],
+)
+def test_a_file_that_bends_the_rules_is_read_and_tells_line_and_repair(
+    bent: str, index: int, subindex: int, value: int | None, says: str
+) -> None:
+    with pytest.warns(DataSheetWarning) as told:
+        found = variable(parse_object_dictionary(SMALLEST + bent, 5, "bent.eds"), index, subindex)
+    assert found.default == value
+    (warning,) = told
+    assert str(warning.message).startswith(f"bent.eds: {says}")
+
+
+@pytest.mark.parametrize("written", ["$NODEID", "$NodeId", "$nodeid", "NODEID", "$NODE_ID", "${NODEID}", "$NodeID "])
+def test_the_node_id_is_found_in_every_spelling(written: str) -> None:
+    for value in (f"{written}+0x180", f"0x180 + {written}"):
+        text = f"{SMALLEST}[2000]\nDataType=7\nDefaultValue={value}\n"
+        assert variable(parse_object_dictionary(text, 5), 0x2000).default == 0x185
+
+
+def test_lines_of_one_kind_of_repair_are_told_together() -> None:
+    objects = "".join(f"[{index:X}]\nDataType=5 # U8\n" for index in range(0x2000, 0x2010))
+    with pytest.warns(DataSheetWarning, match=r"^EDS: lines 8, 10, 12 and 13 more: a comment behind a value begins with ;") as told:
+        parse_object_dictionary(SMALLEST + objects, 5)
+    assert len(told) == 1
 
 
 def test_a_missing_file_is_named() -> None:
