@@ -196,7 +196,7 @@ class Bench:
                 began = {} if self.wiring.lockstep else {"utc": datetime.now(UTC).isoformat(timespec="milliseconds")}
                 events.add("bench", "session started", bus=self.options.bus_url, **began)
                 if self.options.accepted_margins:
-                    events.add("operator", "margins accepted", failing=list(self.options.accepted_margins))
+                    events.add("operator", "margins accepted", failing="; ".join(self.options.accepted_margins))
                 link.start()
                 pose, windup = standing(self.machine, self.model, link.exchange(self._still))
                 found = link.home(self.model.holding_effort(pose), windup, check_first_move=not self.commissioning)

@@ -174,8 +174,8 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
         line = f"{record['recording']}: {timing_table['ticks']} rows"
         if not lockstep:
             line += (
-                f", {timing_table['missed']} ticks missed, {timing_table['unanswered']} unanswered, lateness p99 {timing_table['lateness_p99_us']:.0f} us, "
-                f"work time p99 {timing_table['work_time_p99_us']:.0f} us"
+                f", {timing_table['missed']} ticks missed, {timing_table['unanswered']} unanswered, "
+                f"lateness p99 {timing_table['lateness_p99_us']:.0f} us, work time p99 {timing_table['work_time_p99_us']:.0f} us"
             )
         answer.say(line)
     document: dict[str, Any] = {"machine": machine.name, "hash": machine.hash, "bus": run.bus, "scheduler": scheduling}

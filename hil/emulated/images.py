@@ -12,8 +12,8 @@ from scipy.interpolate import CubicSpline
 
 from hil.emulated.beam import Beam
 from hil.errors import UnusableInputError
-from hil.files.regular import check_regular
 from hil.extras import extra_package
+from hil.files.regular import check_regular
 from hil.imaging.detector import Detector
 from hil.imaging.geometry import ConeBeam
 from hil.imaging.nominal import imaging_geometry
