@@ -195,7 +195,7 @@ class Bench:
                 began = {} if self.wiring.lockstep else {"utc": datetime.now(UTC).isoformat(timespec="milliseconds")}
                 events.add("bench", "session started", bus=self.options.bus_url, **began)
                 if self.options.accepted_margins:
-                    events.add("operator", "margins accepted", failing=list(self.options.accepted_margins))
+                    events.add("operator", "margins accepted", failing="; ".join(self.options.accepted_margins))
                 link.start()
                 pose, windup = standing(self.machine, self.model, link.exchange(self._still))
                 found = link.home(self.model.holding_effort(pose), windup, check_first_move=not self.commissioning)
@@ -320,7 +320,13 @@ class Bench:
         metadata = recording_metadata(
             self.machine, plan.metadata, self._initial(), bench=self._circumstances(), observer=observer, judged=judged
         )
-        return (JournalSink if self.wiring.lockstep else RecorderProcess)(path, self.loop.layout.channels, metadata)
+        channels = self.loop.layout.channels
+        if self.wiring.lockstep:
+            return JournalSink(path, channels, metadata)
+        return RecorderProcess(path, channels, metadata, on_stall=None if self.machine.needs_recorder else self._note_stall)
+
+    def _note_stall(self, said: str) -> None:
+        self.wiring.link.events.add("bench", "recorder stands still", says=said)
 
     def _initial(self) -> dict[str, Any]:
         link = self.wiring.link

@@ -21,7 +21,7 @@ class LoopTiming:
     judged: tuple[str, ...] = ()  # sensors that were not to be believed, with which the run went on; a line each
 
     def summary(self) -> dict[str, float]:
-        """Return ticks, missed ticks, ticks that no node answered in time, and percentiles [us] of lateness, work time, the wait for answers, and the loop's own work."""
+        """Return counts of ticks, and percentiles [us] of lateness, work time, the wait for answers, and the loop's own work."""
         table: dict[str, float] = {"ticks": self.ticks, "missed": self.missed, "unanswered": self.unanswered}
         measured = {"lateness": self.lateness_s, "work_time": self.work_time_s, "answer_time": self.answer_time_s}
         measured["own_work_time"] = self.work_time_s - self.answer_time_s

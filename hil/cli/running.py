@@ -109,9 +109,6 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
         raise UnusableInputError("--emulated: only a run on lockstep: emulates; give that machine to `isocenter emulate`")
     if run.faults is not None and not lockstep:
         raise UnusableInputError("--faults: only an emulated machine can have them; give them to `isocenter emulate`, or run on lockstep:")
-    accepted = _accepted_margins(machine, run)
-    for failing in accepted:
-        answer.say(f"accepted: {failing}")
     emulated = _emulated(machine, run)
     faults = read_faults(run.faults, emulated or machine, lockstep)
     told = Told.of(faults, machine)
@@ -133,6 +130,9 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
         lockstep,
         data,
     )
+    accepted = _accepted_margins(machine, run)
+    for failing in accepted:
+        answer.say(f"accepted: {failing}")
     with contextlib.ExitStack() as stack:
         stack.callback(told.say, answer)
         if data is not None and run.images is not None:
@@ -174,8 +174,8 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
         line = f"{record['recording']}: {timing_table['ticks']} rows"
         if not lockstep:
             line += (
-                f", {timing_table['missed']} ticks missed, {timing_table['unanswered']} unanswered, lateness p99 {timing_table['lateness_p99_us']:.0f} us, "
-                f"work time p99 {timing_table['work_time_p99_us']:.0f} us"
+                f", {timing_table['missed']} ticks missed, {timing_table['unanswered']} unanswered, "
+                f"lateness p99 {timing_table['lateness_p99_us']:.0f} us, work time p99 {timing_table['work_time_p99_us']:.0f} us"
             )
         answer.say(line)
     document: dict[str, Any] = {"machine": machine.name, "hash": machine.hash, "bus": run.bus, "scheduler": scheduling}

@@ -13,6 +13,7 @@ from scipy.interpolate import CubicSpline
 from hil.emulated.beam import Beam
 from hil.errors import UnusableInputError
 from hil.extras import extra_package
+from hil.files.regular import check_regular
 from hil.imaging.detector import Detector
 from hil.imaging.geometry import ConeBeam
 from hil.imaging.nominal import imaging_geometry
@@ -160,6 +161,7 @@ def positions_at(machine: Machine, recording: Recording | None, time_s: np.ndarr
 
 def _truth_columns(path: Path, bodies: tuple[str, ...]) -> dict[str, np.ndarray]:
     """Return time (N, 1) and pose (N, 12) of each body."""
+    check_regular(path)
     try:
         with path.open(newline="", encoding="utf-8") as file:
             header = next(csv.reader(file), [])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import struct
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -91,14 +92,18 @@ class ImageScan:
         """
         tifffile = extra_package("tifffile", "images")
         path = self.folder / FRAMES
+        check_regular(path, most_bytes=math.inf)  # read image by image
         try:
-            image: np.ndarray = tifffile.imread(path, key=k)
+            with tifffile.TiffFile(path) as file:
+                page = file.pages[k]
+                if page.shape == (self.detector.rows, self.detector.columns):  # nothing is read of one that claims terabytes
+                    image: np.ndarray = page.asarray()
+                    return image
+                is_sized = f"{page.imagewidth} x {page.imagelength}"
         except (OSError, LookupError, ValueError, struct.error, tifffile.TiffFileError) as error:
             raise UnusableInputError(f"{path}: image {k} of {len(self)} cannot be read: {error}") from None
-        if image.shape != (self.detector.rows, self.detector.columns):
-            right = f"{self.detector.columns} x {self.detector.rows}"
-            raise UnusableInputError(f"{path}: image {k} is {image.shape[1]} x {image.shape[0]}; {DESCRIPTION} says {right}")
-        return image
+        right = f"{self.detector.columns} x {self.detector.rows}"
+        raise UnusableInputError(f"{path}: image {k} is {is_sized}; {DESCRIPTION} says {right}")
 
 
 def write_description(folder: Path, detector: Detector, axes: Sequence[str], notes: Mapping[str, Any]) -> None:
@@ -186,6 +191,7 @@ def detector_from(path: Path, panel: object) -> Detector:
 
 def _table(path: Path, axes: Sequence[str]) -> tuple[tuple[str, ...], np.ndarray]:
     """Return the unit of every axis, and numbers (N, 3 + axes)."""
+    check_regular(path)
     try:
         with path.open(newline="", encoding="utf-8") as file:
             lines = list(csv.reader(file))

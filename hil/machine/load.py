@@ -79,6 +79,7 @@ def machine_from_text(text: str, path: Path | None = None, label: str = "") -> M
             waits_on_overrun=table.timing.overrun == "wait",
             overrun_ticks=table.timing.overrun_ticks,
             stale_ticks=table.timing.stale_ticks,
+            needs_recorder=table.timing.recorder_stalls == "stop",
             units=units,
             plant=plant,
             controllers=controllers,

@@ -52,6 +52,7 @@ class Machine:
     waits_on_overrun: bool  # a late loop shifts all later ticks and loses none; False: it skips and counts
     overrun_ticks: int  # ticks lost at once that the loop skips and counts; more stop the motors
     stale_ticks: int  # ticks in a row that a missing position is bridged with the last one; more stop the motors
+    needs_recorder: bool  # a recorder that stands still stops the motors; False: it is told, and rows wait in memory
     units: tuple[AxisUnits, ...]
     plant: PlantSettings
     controllers: tuple[AxisController, ...]  # () for an open-loop machine

@@ -82,6 +82,9 @@ class TimingTable(Table):
     """Ticks lost at once that the loop skips and counts; more stop the motors."""
     stale_ticks: Annotated[Whole, Field(ge=0, le=10_000)] = 3
     """Ticks in a row in which a missing position is replaced by the last one; more stop the motors."""
+    recorder_stalls: Literal["stop", "go_on"] = "stop"
+    """What follows when the recorder of a run has stood still for a second: it was halted or hangs, and a crash would now cost more rows
+    than that. `"stop"` stops the motors. `"go_on"` says so at once and goes on: rows wait in memory, two minutes of them at 256 Hz."""
 
 
 class DriveTable(Table):

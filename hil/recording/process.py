@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -19,7 +19,7 @@ from hil.errors import LoopAbortedError, RecordingError
 from hil.files.toml_text import plain
 from hil.recording.formats import check_writable
 from hil.recording.journal import ChannelTable, Journal, part_path
-from hil.recording.recorder import finish_from_ring
+from hil.recording.recorder import finish_from_ring, tell
 from hil.recording.ring import BEAT, CONSUMED, LOST, PRODUCED, RECORDER, Ring
 
 CAPACITY_ROWS = 32768
@@ -51,6 +51,8 @@ class RecorderProcess:
         Columns of a row; `time` is one of them.
     metadata : mapping
         Metadata known beforehand (`hil.recording.recording_metadata`).
+    on_stall : callable, optional
+        Takes in words, once, that the recorder stands still; it is said on standard error, too, and `put` goes on. Without it `put` raises.
 
     Raises
     ------
@@ -58,7 +60,14 @@ class RecorderProcess:
         The file cannot be written, an unfinished recording exists, or the recorder does not start.
     """
 
-    def __init__(self, path: str | Path, channels: ChannelTable, metadata: Mapping[str, Any], capacity_rows: int = CAPACITY_ROWS) -> None:
+    def __init__(
+        self,
+        path: str | Path,
+        channels: ChannelTable,
+        metadata: Mapping[str, Any],
+        capacity_rows: int = CAPACITY_ROWS,
+        on_stall: Callable[[str], None] | None = None,
+    ) -> None:
         self.path = Path(path).absolute()
         check_writable(self.path)
         Journal.create(part_path(self.path), channels, metadata).close()
@@ -68,6 +77,7 @@ class RecorderProcess:
         self._capacity = capacity_rows
         self._produced = 0
         self._closed = self._stalled = False
+        self._on_stall = on_stall
         self._beat, self._beat_s = -1, 0.0  # the recorder's newest round, and when it was first seen
         self._recorder = self._start()
         self._await_ready()
@@ -98,7 +108,7 @@ class RecorderProcess:
         Raises
         ------
         LoopAbortedError
-            The recorder stands still; the row is kept.
+            The recorder stands still, and nobody wants to go on; the row is kept.
         """
         produced = self._produced
         if produced - self._counters[CONSUMED] >= self._capacity:
@@ -109,13 +119,14 @@ class RecorderProcess:
             self._counters[PRODUCED] = produced
         beat, now_s = self._counters[BEAT], time.monotonic()
         if beat != self._beat:
-            self._beat, self._beat_s = beat, now_s
-        elif now_s - self._beat_s > STALL_S:
+            self._beat, self._beat_s, self._stalled = beat, now_s, False
+        elif not self._stalled and now_s - self._beat_s > STALL_S:
             self._stalled = True
-            raise LoopAbortedError(
-                f"{self.path}: the recorder (process {self.pid}) has stood still for {now_s - self._beat_s:.1f} s; the motors were stopped "
-                f"and {produced} rows are kept"
-            )
+            said = f"{self.path}: the recorder (process {self.pid}) has stood still for {now_s - self._beat_s:.1f} s"
+            if self._on_stall is None:
+                raise LoopAbortedError(f"{said}; the motors were stopped and {produced} rows are kept")
+            self._on_stall(said)
+            tell(STANDARD_ERROR, f"{said}; the run goes on, {self._capacity} rows wait in memory, later ones are lost")
 
     def close(self, metadata: Mapping[str, Any] | None = None) -> int:
         """Write the recording, with further metadata tables, and end the recorder.

@@ -188,7 +188,7 @@ def _record(ring: Ring, journal: Journal, lead: _Lead, terminal: int) -> None:
             not_before_s = now_s + RETRY_PERIOD_S
             if not told:
                 told = True
-                _tell(terminal, f"{problem}; {ring.capacity} rows wait in memory for room, later ones are lost: free some")
+                tell(terminal, f"{problem}; {ring.capacity} rows wait in memory for room, later ones are lost: free some")
 
 
 class _Flush:
@@ -209,10 +209,11 @@ class _Flush:
             self._journal.sync()
 
 
-def _tell(terminal: int, line: str) -> None:
-    """Write a line where the operator sees it, while the run goes on."""
-    with contextlib.suppress(OSError):
-        os.write(terminal, f"isocenter: {line}\n".encode())
+def tell(terminal: int, line: str) -> None:
+    """Write a line where the operator sees it, while the run goes on; a terminal that takes nothing now is not waited for."""
+    with contextlib.suppress(OSError, ValueError):
+        if select.select([], [terminal], [], 0.0)[1]:
+            os.write(terminal, f"isocenter: {line}\n".encode())
 
 
 def be_modest() -> None:

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from hil.errors import UnusableInputError
 from hil.extras import extra_package
+from hil.files.regular import check_regular
 from hil.imaging.detector import Detector
 from hil.imaging.geometry import ConeBeam
 
@@ -122,6 +123,7 @@ def read_xa(path: Path) -> Positioner:
         No pydicom, no DICOM file, or an attribute is missing or malformed.
     """
     pydicom = _pydicom()
+    check_regular(path)
     try:
         data = pydicom.dcmread(path, stop_before_pixels=True)
     except OSError as error:

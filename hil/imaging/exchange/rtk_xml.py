@@ -15,6 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hil.errors import UnusableInputError
+from hil.files.regular import check_regular
 from hil.imaging.geometry import ConeBeam
 
 ROOT = "RTKThreeDCircularGeometry"
@@ -79,6 +80,7 @@ def read_rtk(path: Path) -> tuple[ConeBeam, bool]:
     UnusableInputError
         Missing, no such file, a cylindrical panel, or a source in the panel's plane.
     """
+    check_regular(path)
     try:
         root = ElementTree.parse(path).getroot()
     except OSError as error:

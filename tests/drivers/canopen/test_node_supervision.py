@@ -81,7 +81,7 @@ def test_a_silent_node_is_lost_after_two_and_a_half_periods() -> None:
 
 
 def test_ticks_that_the_loop_has_lost_are_no_silence_of_a_node() -> None:
-    """The node is emulated, and its time moves with the SYNCs that a loaded computer leaves out; what was lost before counts for nothing."""
+    """The node is emulated, and its time moves with the SYNCs that a loaded computer leaves out; what was lost before is nothing."""
     drive = ScriptedDrive(1)
     bus, network, supervision = operational(drive)
     supervision.check_one(bus.time_s, 5.0)

@@ -21,11 +21,16 @@ from drivers.imaging.spool import FrameSpool, SpoolError
 from hil.errors import RecordingError, UnusableInputError
 from hil.experiments.file import read_experiment
 from hil.files.arrays import read_arrays
+from hil.imaging.detector import Detector
+from hil.imaging.exchange.dicom_xa import read_xa
+from hil.imaging.exchange.rtk_xml import read_rtk
+from hil.imaging.scan_folder import EXPOSURES, FRAMES, read_scan, write_description
 from hil.machine import load_machine
 from hil.recording import read_recording
 from hil.recording.formats import write_recording
 from hil.recording.model import Channel, Recording
 
+PANEL = Detector(columns=8, rows=6, pitch_m=1e-3)
 SOON_S = 1.0  # of processor time
 MORE_MEMORY_kB = 64_000
 
@@ -59,12 +64,31 @@ def test_a_device_or_pipe_is_no_recording(tmp_path: Path, suffix: str) -> None:
 
 
 def test_a_device_is_no_other_file_either(tmp_path: Path) -> None:
-    for name in ("machine.toml", "device.eds", "frf.npz"):
+    for name in ("machine.toml", "device.eds", "frf.npz", "geometry.xml", "image.dcm", EXPOSURES, FRAMES):
         (tmp_path / name).symlink_to("/dev/zero")
     refused(UnusableInputError, "no regular file", lambda: load_machine(tmp_path / "machine.toml"))
     refused(UnusableInputError, "no regular file", lambda: read_experiment(tmp_path / "machine.toml", load_machine("carm")))
     refused(UnusableInputError, "no regular file", lambda: read_arrays(tmp_path / "frf.npz", "a frequency response"))
     refused(ProtocolError, "an EDS or DCF is a regular file", lambda: load_object_dictionary(tmp_path / "device.eds", 1))
+    refused(UnusableInputError, "no regular file", lambda: read_rtk(tmp_path / "geometry.xml"))
+    refused(UnusableInputError, "no regular file", lambda: read_xa(tmp_path / "image.dcm"))
+    write_description(tmp_path, PANEL, (), {})
+    refused(UnusableInputError, "exposures.csv: is a device", lambda: read_scan(tmp_path))
+    (tmp_path / EXPOSURES).unlink()
+    (tmp_path / EXPOSURES).write_text("exposure_id,start [s],width [s]\n0,0.0,0.008\n")
+    refused(UnusableInputError, "no regular file", lambda: read_scan(tmp_path).frame(0))
+
+
+def test_an_image_that_claims_terabytes(tmp_path: Path) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    write_description(tmp_path, PANEL, (), {})
+    (tmp_path / EXPOSURES).write_text("exposure_id,start [s],width [s]\n0,0.0,0.008\n")
+    tifffile.imwrite(tmp_path / FRAMES, np.zeros((PANEL.rows, PANEL.columns), np.uint16))
+    assert read_scan(tmp_path).frame(0).shape == (PANEL.rows, PANEL.columns)
+    with tifffile.TiffFile(tmp_path / FRAMES, mode="r+b") as file:
+        for name in ("ImageWidth", "ImageLength"):
+            file.pages[0].tags[name].overwrite(2**20)
+    refused(UnusableInputError, "image 0 is 1048576 x 1048576; scan.toml says 8 x 6", lambda: read_scan(tmp_path).frame(0))
 
 
 @pytest.mark.parametrize("suffix", [".mf4", ".csv", ".mat", ".log", ".blf", ".mf4.part"])

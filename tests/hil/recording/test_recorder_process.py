@@ -320,6 +320,23 @@ def test_a_recorder_that_stands_still_ends_the_run_within_a_second_and_every_row
     np.testing.assert_array_equal(read_recording(tmp_path / "run.csv")["position_roll"], np.arange(rows))
 
 
+def test_a_recorder_that_stands_still_is_told_once_where_the_run_is_to_go_on(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    noticed: list[str] = []
+    with RecorderProcess(tmp_path / "run.csv", CHANNELS, {}, on_stall=noticed.append) as recorder:
+        rows = put_until(recorder, lambda: recorder.rows_kept > 10)
+        pid = recorder.pid
+        stop(recorder)
+        rows = put_until(recorder, lambda: bool(noticed), rows)
+        rows = put_until(recorder, lambda: recorder.rows > rows + 300, rows)
+        os.kill(pid, signal.SIGCONT)
+        put_until(recorder, lambda: recorder.rows_kept > rows, rows)
+    (said,) = noticed
+    assert said.startswith(f"{tmp_path / 'run.csv'}: the recorder (process {pid}) has stood still for ")
+    assert capfd.readouterr().err == f"isocenter: {said}; the run goes on, 32768 rows wait in memory, later ones are lost\n"
+    recording = read_recording(tmp_path / "run.csv")
+    np.testing.assert_array_equal(recording["position_roll"], np.arange(recording.rows))
+
+
 def test_a_folder_that_is_not_there_is_one_line_before_anything_starts(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"run\.csv\.part: cannot be written: No such file or directory"):
         RecorderProcess(tmp_path / "absent" / "run.csv", CHANNELS, {})
