@@ -24,7 +24,7 @@ from drivers.supervisor.blocks import ANSWER, ASKED, END, FRAME, ORDERS, OWN, PE
 from drivers.supervisor.supervisor import NMT, NMT_STOP, Supervisor
 
 HELD_UP_ROUNDS = 8.0
-"""Multiple of a round's time after which the process was held up: frames have come together meanwhile."""
+"""Multiple of a round's time after which the process was held up: until none waits, the frames that it finds have come together."""
 LINGERS_S = 2.0
 """Time for which it goes on judging after the loop's process is gone."""
 
@@ -49,9 +49,8 @@ def supervise(
     memory = SharedMemory(name=memory_name)
     own, orders = blocks_of(memory)
     with contextlib.ExitStack() as stack:
-        stack.callback(memory.close)
-        stack.callback(orders.release)
-        stack.callback(own.release)
+        for leave in (memory.close, orders.release, own.release):
+            stack.callback(leave)
         try:
             line = _Tap(tap) if tap is not None else _Line(stack, url, settings.bitrate_bit_s)
         except DriverError as error:
@@ -142,32 +141,32 @@ class _Rounds:
     ) -> None:
         self._supervisor = Supervisor(settings)
         self._settings, self._line, self._own, self._orders, self._io, self._asks = settings, line, own, orders, io, asks
-        self._parent = parent
-        self._who = ""  # asked for a stop, in any session
+        self._parent, self._who = parent, ""  # of the bench; who asked for a stop, in any session
         self._stale_s = settings.io.stale_after_s if settings.io is not None else 0.0
         self._supervisor.end()  # until the bench begins a session
         self._round_s = 0.5 * settings.sync_period_s
-        self._told = np.zeros(ORDERS)
-        self._values = np.zeros(OWN)
-        self._state = IoState(len(settings.scalings))
-        self._read = np.zeros(state_values(len(settings.scalings)))
+        self._told, self._values = np.zeros(ORDERS), np.zeros(OWN)
+        self._state, self._read = IoState(len(settings.scalings)), np.zeros(state_values(len(settings.scalings)))
 
     def run(self) -> None:
         """Go on until told to end, or some time after the loop's process is gone."""
-        gone_s = 0.0
+        gone_s, behind = 0.0, False
         while not self._told[END] and gone_s < LINGERS_S:
             began_s = time.monotonic()
             self._heed()
-            self._take_frames(began_s + self._round_s)
-            if time.monotonic() - began_s > HELD_UP_ROUNDS * self._round_s:
+            none_waits = self._take_frames(began_s + self._round_s)
+            held_up = time.monotonic() - began_s > HELD_UP_ROUNDS * self._round_s
+            if held_up or behind:
                 self._supervisor.held_up()
+            behind = held_up or (behind and not none_waits)
             now_s = time.monotonic()
             if os.getppid() != self._parent:
                 gone_s += now_s - began_s
                 self._supervisor.refuse(now_s, "the bench's process is gone")
             self._judge(now_s)
 
-    def _take_frames(self, until_s: float) -> None:
+    def _take_frames(self, until_s: float) -> bool:
+        frame: tuple[int, bytes] | None = (0, b"")  # none looked for is not none there
         try:
             while (left_s := until_s - time.monotonic()) > 0.0:
                 if (frame := self._line.receive(left_s)) is not None:
@@ -175,6 +174,7 @@ class _Rounds:
         except (can.CanError, OSError) as error:
             self._supervisor.refuse(time.monotonic(), f"the bus cannot be read: {error}")
             time.sleep(self._round_s)
+        return frame is None
 
     def _heed(self) -> None:
         """Take the loop's orders and what others ask for."""

@@ -14,7 +14,7 @@ from prepared import prepare
 from user_mode_kernel import PACKAGES, Outcome, kernel_missing, run_in_user_mode_kernel, vcan_here
 
 INSIDE = Path(__file__).parent / "inside"
-TIMEOUT_S = 1200.0
+TIMEOUT_S = 2400.0
 
 
 @pytest.mark.slow
