@@ -14,19 +14,31 @@ from prepared import prepare
 from user_mode_kernel import PACKAGES, Outcome, kernel_missing, run_in_user_mode_kernel, vcan_here
 
 INSIDE = Path(__file__).parent / "inside"
-TIMEOUT_S = 1200.0
+TIMEOUT_S = 2400.0
 
 
 @pytest.mark.slow
 def test_two_processes_over_vcan0(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Emulator and loop talk over vcan0, candump is the witness, slcan crosses a pty; nothing in there may be skipped."""
     monkeypatch.chdir(ROOT)
+    over_vcan0("vcan and not nightly", tmp_path)
+
+
+@pytest.mark.nightly
+def test_faults_over_vcan0(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The most dangerous faults, one after the other, each with the time that a machine takes: a quarter of an hour."""
+    monkeypatch.chdir(ROOT)
+    over_vcan0("vcan and nightly", tmp_path)
+
+
+def over_vcan0(marked: str, folder: Path) -> None:
+    """Run the tests inside that are marked so, in place or in a user-mode kernel; what they need computed goes to the folder."""
     command = [
         sys.executable,
         "-m",
         "pytest",
         "-m",
-        "vcan",
+        marked,
         "-p",
         "no:cacheprovider",
         "-p",
@@ -37,7 +49,7 @@ def test_two_processes_over_vcan0(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
         str(INSIDE),
     ]
     environment = {"ISOCENTER_VCAN": "vcan0", "PATH": os.environ["PATH"], "HOME": os.environ.get("HOME", "/root"), "LANG": "C.UTF-8"}
-    environment["ISOCENTER_PREPARED"] = str(tmp_path)
+    environment["ISOCENTER_PREPARED"] = str(folder)
     environment |= {name: os.environ[name] for name in ("ISOCENTER_CACHE",) if name in os.environ}  # compiled once, outside
     here, kernel = vcan_here(), ""
     if here:
@@ -50,10 +62,10 @@ def test_two_processes_over_vcan0(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
             if os.environ.get("CI"):
                 pytest.fail(line)
             pytest.skip(line)
-        prepare(tmp_path)
+        prepare(folder)
         outcome = run_in_user_mode_kernel(command, environment, TIMEOUT_S)
     else:
-        prepare(tmp_path)
+        prepare(folder)
         done = subprocess.run(command, env=os.environ | environment, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
         outcome = Outcome(done.returncode, done.stdout + done.stderr, "")
     where = "in a user-mode kernel" if here else "in place"

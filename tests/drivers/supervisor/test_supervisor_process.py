@@ -534,3 +534,42 @@ def test_one_who_is_gone_before_the_answer_ends_nothing(tmp_path: Path) -> None:
     bench.run(during=during, rounds=3)
     assert (bench.seen[ASKED], bench.own.text) == (1, "somebody")
     bench.close()
+
+
+class StalledLine:
+    """A bench that sends SYNC on time, and a supervisor's process that once stands still; both by a clock of this test's."""
+
+    def __init__(self, stalls_s: float, share_of_period: float = 1.0) -> None:
+        self.now_s, self._stall_at_s, self._stalls_s = 100.0, 101.0, stalls_s
+        self._share, self._sent = share_of_period, 0
+
+    def monotonic(self) -> float:
+        self.now_s += 1e-6
+        return self.now_s
+
+    def sleep(self, seconds: float) -> None:
+        self.now_s += seconds
+
+    def receive(self, timeout_s: float) -> tuple[int, bytes] | None:
+        until_s = self.now_s + timeout_s
+        next_s = 100.0 + self._sent // 2 * self._share * SETTINGS.sync_period_s
+        if next_s > until_s:
+            self.now_s = until_s
+            return None
+        self.now_s = max(self.now_s, next_s) + 1e-4
+        if self.now_s > self._stall_at_s:
+            self.now_s, self._stall_at_s = self.now_s + self._stalls_s, np.inf
+        self._sent += 1
+        return (SYNC, b"") if self._sent % 2 else (ROLL.tpdos[0].cob_id, POWERED)
+
+
+@pytest.mark.parametrize(("stalls_s", "share", "permits"), [(0.03, 1.0, 1.0), (0.15, 1.0, 1.0), (0.15, 0.5, 0.0)])
+def test_a_backlog_of_syncs_after_a_stall_is_no_second_producer_and_a_second_producer_is_one(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, stalls_s: float, share: float, permits: float
+) -> None:
+    line = StalledLine(stalls_s, share)
+    monkeypatch.setattr(process, "time", line)
+    monkeypatch.setattr(process._Tap, "receive", lambda self, timeout_s: line.receive(timeout_s))
+    bench.run(rounds=1100, io=False)
+    assert line.now_s > 102.0
+    assert bench.seen[PERMITS] == permits
