@@ -299,3 +299,16 @@ def test_close_resets_communication_so_that_nodes_forget_the_bench(rig: Rig) -> 
     rig.machine.close()
     resets = [data for data in rig.bus.sent(0x000) if data[0] == 0x82]
     assert resets[-4:] == [bytes((0x82, node_id)) for node_id in (1, 2, 11, 12)]
+
+
+def test_a_stop_that_breaks_off_claims_nothing_and_takes_every_axis_for_held(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig.ready()
+
+    def dead(*_: object) -> None:
+        raise OSError("the bus is dead")
+
+    monkeypatch.setattr(rig.bus, "send", dead)
+    rig.machine.stop()
+    assert rig.machine.outcome == "propeller, roll nobody knows whether it stands: the stop broke off"
+    assert [(rest.axis, rest.safe, rest.held) for rest in rig.machine.rests] == [("propeller", False, True), ("roll", False, True)]
+    assert any("the bus is dead" in trouble for trouble in rig.machine.stop_trouble)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from scripted_nodes import BusClock, ScriptedBus, ScriptedDrive, machine_settings
 
@@ -168,3 +170,32 @@ def test_a_node_that_is_stood_down_may_leave_operational() -> None:
     drive.receive(0x000, bytes((0x80, 1)))
     network.pump_for(0.15)
     assert supervision.left_operational == ""
+
+
+def test_a_node_that_was_heard_in_no_state_is_lost_in_an_unknown_one() -> None:
+    _, _, supervision = supervised()
+    supervision._nodes[1].heard_s = 0.0
+    with pytest.raises(HeartbeatLostError, match=r"its last state was unknown$"):
+        supervision.check_one(1.0)
+
+
+def test_a_node_before_its_start_may_be_in_any_state() -> None:
+    _, _, supervision = supervised()
+    supervision.heartbeat(1, b"\x7f")
+    assert supervision.left_operational == ""
+
+
+def test_a_node_without_a_heartbeat_is_not_missed() -> None:
+    bus = ScriptedBus()
+    supervision = Supervision(PolledNetwork(bus, BusClock(bus)), [replace(NODE[0], heartbeat_period_s=0.0)])
+    supervision._nodes[1].heard_s = 0.0
+    supervision.check_one(1e9)
+
+
+def test_a_started_node_has_two_and_a_half_periods_to_say_so() -> None:
+    bus, _, supervision = supervised(ScriptedDrive(1))
+    supervision.boot(NODE)
+    began_s = bus.time_s
+    with pytest.raises(BusTimeoutError):
+        supervision.await_operational(NODE)
+    assert bus.time_s - began_s == pytest.approx(0.25, abs=0.02)
