@@ -114,7 +114,7 @@ class IoWatchdog:
 class IoMap:
     """Modbus addresses of brakes, hold-to-run, door contact and temperatures, zero-based."""
 
-    url: str  # "tcp:HOST:PORT" or "rtu:/dev/ttyUSB1@115200"; "" when the bench names it
+    url: str  # "tcp:HOST:PORT" or "rtu:/dev/ttyUSB1@115200,8E1"; "" when the bench names it
     unit_id: int
     poll_period_s: float
     stale_after_s: float

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import logging
+import os
 import re
 import socket
 import struct
 from collections.abc import Callable
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import serial
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
@@ -23,6 +24,8 @@ ANSWER_TIMEOUT_S = 0.2  # an I/O device answers within some 10 ms
 RETRIES = 1
 REQUEST_AT_MOST_S = ANSWER_TIMEOUT_S * (1 + 2 * (1 + RETRIES))  # connecting; every try, whose time an answer in pieces doubles
 MBAP_UNIT_OFFSET = 6
+PSEUDO_TERMINALS = "/dev/pts/"
+STANDARD_FRAMING = "8E1"  # data bits, parity, stop bits: the default of Modbus over Serial Line V1.02, 2.5.1
 UNREADABLE = (ModbusException, struct.error, ValueError, IndexError, TypeError, AttributeError)
 """What pymodbus raises over bytes that are no message; the last five are its decoder's, on messages that are cut off or too long."""
 
@@ -85,6 +88,9 @@ class InProcessTransport:
 class ClientTransport:
     """Transport to a device on TCP or a serial line, through pymodbus. It waits for answers, so never use it in the loop's process.
 
+    An adapter whose receiver stays on hands back every request. It is recognised by the first request that comes back before an answer,
+    and from then on that is taken away: the answer to some writes equals the request, so an echo must not be mistaken for it.
+
     Parameters
     ----------
     url : str
@@ -93,18 +99,19 @@ class ClientTransport:
 
     def __init__(self, url: str, timeout_s: float = ANSWER_TIMEOUT_S) -> None:
         self.name = f"io on {url}"
-        self._received = b""
+        self._sent = self._received = b""
         self._timeout_s = timeout_s
-        kind, where, number = parse_io_url(url)
+        self._line = line = parse_io_url(url)
         self._client: ModbusTcpClient | ModbusSerialClient
-        if kind == "tcp":
-            self._client = ModbusTcpClient(where, port=number, timeout=timeout_s, retries=RETRIES, trace_packet=self._trace)
-            self._open: Callable[[], object] = lambda: socket.create_connection((where, number), timeout_s).close()
+        if line.kind == "tcp":
+            self._client = ModbusTcpClient(line.place, port=line.number, timeout=timeout_s, retries=RETRIES, trace_packet=self._trace)
+            self._open: Callable[[], object] = lambda: socket.create_connection((line.place, line.number), timeout_s).close()
             self._unit_offset = MBAP_UNIT_OFFSET
         else:
-            self._client = ModbusSerialClient(where, baudrate=number, timeout=timeout_s, retries=RETRIES, trace_packet=self._trace)
-            self._open = lambda: serial.Serial(where, number).close()
+            self._client = self._serial_client(echoes=False)
+            self._open = lambda: serial.Serial(line.place, line.number, 8, line.parity, line.stop_bits).close()
             self._unit_offset = 0
+        self._may_echo = line.kind == "rtu"
 
     def request(self, pdu: ModbusPDU) -> ModbusPDU:
         """Send a request and return its answer; connects when needed."""
@@ -115,6 +122,9 @@ class ClientTransport:
             answer = self._client.execute(False, pdu)
         except (*UNREADABLE, OSError) as error:
             self.close()
+            if self._may_echo and self._sent and self._received.startswith(self._sent):
+                self._may_echo, self._client = False, self._serial_client(echoes=True)
+                return self.request(pdu)
             raise self._explained(pdu.dev_id) from error
         return _without_exception(self.name, pdu, answer)
 
@@ -122,9 +132,18 @@ class ClientTransport:
         """Close the connection; the next request opens it again."""
         self._client.close()  # type: ignore[no-untyped-call]
 
+    def _serial_client(self, *, echoes: bool) -> ModbusSerialClient:
+        line = self._line
+        return ModbusSerialClient(
+            line.place, baudrate=line.number, parity=line.parity, stopbits=line.stop_bits, timeout=self._timeout_s, retries=RETRIES,
+            handle_local_echo=echoes, trace_packet=self._trace,
+        )  # fmt: skip
+
     def _trace(self, sending: bool, data: bytes) -> bytes:
-        """Keep what pymodbus has received, which distinguishes a silent device from one that answers wrongly."""
-        if not sending:
+        """Keep what pymodbus has sent and received, which distinguishes a silent device from one that answers wrongly."""
+        if sending:
+            self._sent = data
+        else:
             self._received = data
         return data
 
@@ -140,11 +159,13 @@ class ClientTransport:
         received = self._received
         if not received:
             return BusTimeoutError(
-                f"{self.name}: no answer from unit {unit_id} in {self._timeout_s:g} s; check unit_id, baud rate and cable"
+                f"{self.name}: no answer from unit {unit_id} in {self._timeout_s:g} s; check unit_id, baud rate, parity and cable"
             )
         if len(received) > self._unit_offset and received[self._unit_offset] != unit_id:
             return ProtocolError(f"{self.name}: unit {received[self._unit_offset]} answers where unit_id = {unit_id} was asked")
-        return ProtocolError(f"{self.name}: a damaged answer ({received[:16].hex(' ')}), its check is wrong; check wiring and baud rate")
+        return ProtocolError(
+            f"{self.name}: a damaged answer ({received[:16].hex(' ')}), its check is wrong; check wiring, baud rate and parity"
+        )
 
 
 def _without_exception(name: str, request: ModbusPDU, answer: ModbusPDU) -> ModbusPDU:
@@ -163,8 +184,27 @@ def _without_exception(name: str, request: ModbusPDU, answer: ModbusPDU) -> Modb
     return answer
 
 
-def parse_io_url(url: str) -> tuple[str, str, int]:
-    """Split `tcp:HOST:PORT` or `rtu:DEVICE@BAUD` into ("tcp", host, port) or ("rtu", device, baud).
+class IoLine(NamedTuple):
+    """Where an I/O device is: host and port, or serial device, baud rate and framing."""
+
+    kind: str  # "tcp" or "rtu"
+    place: str
+    number: int
+    framing: str = ""  # data bits, parity, stop bits; "" on TCP
+
+    @property
+    def parity(self) -> str:
+        """N, E or O; a pseudo terminal, which carries bytes and no bits, has none."""
+        return "N" if os.path.realpath(self.place).startswith(PSEUDO_TERMINALS) else self.framing[1:2]
+
+    @property
+    def stop_bits(self) -> int:
+        """1 or 2."""
+        return int(self.framing[2:])
+
+
+def parse_io_url(url: str) -> IoLine:
+    """Split `tcp:HOST:PORT`, `rtu:DEVICE@BAUD` or `rtu:DEVICE@BAUD,8N1`; without a framing, a serial line has the standard's 8E1.
 
     Raises
     ------
@@ -172,9 +212,10 @@ def parse_io_url(url: str) -> tuple[str, str, int]:
         The URL is neither of them.
     """
     if address := parse_tcp_url(url):
-        return "tcp", *address
-    if (match := re.fullmatch(r"rtu:(.+)@([0-9]{1,8})", url)) and int(match[2]) > 0:
-        return "rtu", match[1], int(match[2])
+        return IoLine("tcp", *address)
+    if (match := re.fullmatch(r"rtu:(.+)@([0-9]{1,8})(?:,(8[NEO][12]))?", url)) and int(match[2]) > 0:
+        return IoLine("rtu", match[1], int(match[2]), match[3] or STANDARD_FRAMING)
     raise BusUnavailableError(
-        f"io url {url!r}: it reads tcp:HOST:PORT or rtu:DEVICE@BAUD, e.g. tcp:192.168.0.5:502 or rtu:/dev/ttyUSB1@115200"
+        f"io url {url!r}: it reads tcp:HOST:PORT or rtu:DEVICE@BAUD, e.g. tcp:192.168.0.5:502, rtu:/dev/ttyUSB1@115200 "
+        "or rtu:/dev/ttyUSB1@19200,8N1"
     )

@@ -50,10 +50,11 @@ class SerialStream:
         The port does not exist, is in use, or refuses the baud rate.
     """
 
-    def __init__(self, device: str, baud: int) -> None:
+    def __init__(self, device: str, baud: int, parity: str = serial.PARITY_NONE, stop_bits: int = serial.STOPBITS_ONE) -> None:
         self.device = device
+        exclusive = True if os.name == "posix" else None
         try:
-            self._port = serial.Serial(device, baud, timeout=0, write_timeout=0, exclusive=True if os.name == "posix" else None)
+            self._port = serial.Serial(device, baud, 8, parity, stop_bits, timeout=0, write_timeout=0, exclusive=exclusive)
         except (OSError, ValueError) as error:
             reason = os.strerror(error.errno) if isinstance(error, OSError) and error.errno else str(error)
             raise BusUnavailableError(

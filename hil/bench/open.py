@@ -11,6 +11,7 @@ import numpy as np
 from controllers.feedback import Feedback
 from drivers.events import Events
 from drivers.judging.judge import SensorJudge
+from drivers.modbus.transport import parse_io_url
 from hil.bench.bench import Bench
 from hil.bench.clock import WallClock
 from hil.bench.judging import judging_of
@@ -61,6 +62,9 @@ def open_bench(
         raise UnusableInputError(f"{machine.name}: its file has no [bus], so it can be simulated, compared and diagnosed, not run")
     if not machine.controllers:
         raise UnusableInputError(f"{machine.name}: its file has no [controller], so its loop cannot be closed")
+    for url in (options.io_url, "" if machine.bus.io is None else machine.bus.io.url):
+        if url:
+            parse_io_url(url)  # a typo is refused in lockstep as on a wire
     model = Physics(machine.plant, noise=False)
     feedback = _warm(Feedback(machine.controllers))
     lockstep = options.bus_url.startswith("lockstep:")

@@ -44,7 +44,10 @@ ImuOption = Annotated[
     str, typer.Option("--imu", metavar="DEVICE", help="Serial device of the IMU, or tcp:HOST:PORT, where the machine file names none.")
 ]
 IoOption = Annotated[
-    str, typer.Option("--io", metavar="URL", help="tcp:HOST:PORT or rtu:DEVICE@BAUD of the I/O, where the file names none.")
+    str,
+    typer.Option(
+        "--io", metavar="URL", help="tcp:HOST:PORT, rtu:DEVICE@BAUD or rtu:DEVICE@BAUD,8N1 of the I/O, where the file names none."
+    ),
 ]
 RealTimeOption = Annotated[
     bool, typer.Option("--real-time/--no-real-time", help="Ask for real-time scheduling; not where loop and emulator share one processor.")

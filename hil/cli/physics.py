@@ -59,7 +59,11 @@ def emulate(
     noise: Annotated[bool, typer.Option("--noise/--no-noise", help="The sensors' noise.")] = True,
     io_rtu: Annotated[
         str,
-        typer.Option("--io-rtu", metavar="PORT", help="Serve the I/O over Modbus RTU too: pty for a new pseudo terminal, or DEVICE@BAUD."),
+        typer.Option(
+            "--io-rtu",
+            metavar="PORT",
+            help="Serve the I/O over Modbus RTU too: pty for a new pseudo terminal, or DEVICE@BAUD, or DEVICE@BAUD,8N1.",
+        ),
     ] = "",
     panel: Annotated[
         str, typer.Option("--panel", metavar="SCENE", help="Serve an X-ray panel too, with this scene or marker plate in the beam.")

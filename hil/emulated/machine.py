@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import multiprocessing
 import os
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
@@ -15,7 +14,8 @@ import can
 import numpy as np
 
 from drivers.bus_url import open_bus
-from drivers.errors import ProtocolError
+from drivers.errors import BusUnavailableError, ProtocolError
+from drivers.modbus.transport import parse_io_url
 from drivers.serial.stream import SerialStream
 from hil.emulated.card import EmulatorCard, published
 from hil.emulated.truth import TruthLog
@@ -253,10 +253,12 @@ def _io_line(text: str, machine: Machine, stack: ExitStack) -> tuple[Pty | _Seri
         raise UnusableInputError(f"--io-rtu {text}: {machine.name} has no [bus.io]; leave it out")
     if text == "pty":
         return stack.enter_context(closing(Pty())), PTY_BAUD
-    match = re.fullmatch(r"(.+)@([1-9][0-9]{1,7})", text)
-    if match is None:
-        raise UnusableInputError(f"--io-rtu {text}: write pty, or DEVICE@BAUD, for example /dev/ttyUSB1@115200")
-    return stack.enter_context(closing(_SerialPort(match[1], int(match[2])))), int(match[2])
+    try:
+        line = parse_io_url(f"rtu:{text}")
+    except BusUnavailableError:
+        words = "write pty, or DEVICE@BAUD, for example /dev/ttyUSB1@115200 or /dev/ttyUSB1@19200,8N1"
+        raise UnusableInputError(f"--io-rtu {text}: {words}") from None
+    return stack.enter_context(closing(_SerialPort(line.place, line.number, line.parity, line.stop_bits))), line.number
 
 
 def emulate_eds(eds: Path, node_id: int, bus_url: str, on_ready: Callable[[dict[str, object]], None]) -> None:

@@ -136,7 +136,8 @@ class IoTable(Table):
     """Table `[bus.io]`: Modbus inputs and outputs. Addresses count from zero."""
 
     url: Text = ""
-    """`tcp:HOST:PORT` or `rtu:DEVICE@BAUD`. Empty where the command line or the emulator says it."""
+    """`tcp:HOST:PORT`, `rtu:DEVICE@BAUD`, or `rtu:DEVICE@BAUD,8N1` with data bits, parity (N, E, O) and stop bits; 8E1 is the standard's
+    default. Empty where the command line or the emulator says it."""
     unit_id: Annotated[Whole, Field(ge=1, le=247)]
     """Modbus unit."""
     poll_period: Seconds

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 from modbus_wiring import AXES, WIRING, ServedRtu, ServedTcp, emulated_io, io_map
 from pymodbus.pdu.bit_message import ReadDiscreteInputsRequest
+from pymodbus.pdu.register_message import WriteSingleRegisterRequest
 from pyModbusTCP.server import ModbusServer
 
 from drivers.errors import BusTimeoutError, BusUnavailableError, ConfigurationRefusedError, ProtocolError
@@ -252,7 +254,7 @@ def test_a_good_serial_answer_is_read() -> None:
 @pytest.mark.parametrize(
     ("answer", "error", "words"),
     [
-        (b"", BusTimeoutError, r"no answer from unit 17 in 0.05 s; check unit_id, baud rate and cable"),
+        (b"", BusTimeoutError, r"no answer from unit 17 in 0.05 s; check unit_id, baud rate, parity and cable"),
         (GOOD[:-1] + bytes((GOOD[-1] ^ 1,)), ProtocolError, r"a damaged answer \(11 02 01 03 .*\), its check is wrong; check wiring"),
         (rtu_frame(5, b"\x02\x01\x03"), ProtocolError, r"unit 5 answers where unit_id = 17 was asked"),
         (rtu_frame(UNIT, b"\x82\x06"), ConfigurationRefusedError, r"refuses function 2 at 8 to 9: server device busy \(6\)"),
@@ -264,6 +266,32 @@ def test_bad_serial_answers_are_told_apart(
 ) -> None:
     with SerialDevice(answer) as transport, pytest.raises(error, match=words):
         transport.request(ReadDiscreteInputsRequest(**REQUEST))
+
+
+class EchoingLine(SerialDevice):
+    """A device behind an adapter that hands back what was sent, before the answer of the device, if that lives."""
+
+    def __init__(self, answer: Callable[[bytes], bytes]) -> None:
+        self.of = answer
+        super().__init__(b"")
+
+    def serve(self) -> None:
+        while not self.stop.is_set():
+            if self.pty.wait(0.01) and (request := self.pty.read()):
+                self.pty.write(request + self.of(request))
+
+
+def test_an_adapter_that_echoes_is_recognised_and_its_echo_is_no_answer() -> None:
+    """The answer to a write of one register equals the request: of a dead device, only the echo comes."""
+    alive = [True]
+    with EchoingLine(lambda request: (GOOD if request[1] == 2 else request) if alive[0] else b"") as transport:
+        read, write = ReadDiscreteInputsRequest(**REQUEST), WriteSingleRegisterRequest(address=1, registers=[7], dev_id=UNIT)
+        assert transport.request(read).bits[:2] == [True, True]
+        assert transport.request(write).registers == [7]
+        alive[0] = False
+        for request in (write, read):
+            with pytest.raises(BusTimeoutError, match="no answer from unit 17"):
+                transport.request(request)
 
 
 def test_a_serial_port_that_does_not_exist_is_named() -> None:
@@ -282,11 +310,12 @@ def test_faults_are_not_also_printed(capfd: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("url", "parsed"),
     [
-        ("tcp:127.0.0.1:502", ("tcp", "127.0.0.1", 502)),
-        ("tcp:io.lab:1502", ("tcp", "io.lab", 1502)),
-        ("tcp:[::1]:502", ("tcp", "::1", 502)),
-        ("rtu:/dev/ttyUSB1@115200", ("rtu", "/dev/ttyUSB1", 115200)),
-        ("rtu:COM4@9600", ("rtu", "COM4", 9600)),
+        ("tcp:127.0.0.1:502", ("tcp", "127.0.0.1", 502, "")),
+        ("tcp:io.lab:1502", ("tcp", "io.lab", 1502, "")),
+        ("tcp:[::1]:502", ("tcp", "::1", 502, "")),
+        ("rtu:/dev/ttyUSB1@115200", ("rtu", "/dev/ttyUSB1", 115200, "8E1")),  # the default of the serial line's standard
+        ("rtu:/dev/ttyUSB1@19200,8N2", ("rtu", "/dev/ttyUSB1", 19200, "8N2")),
+        ("rtu:COM4@9600,8O1", ("rtu", "COM4", 9600, "8O1")),
     ],
 )
 def test_urls(url: str, parsed: tuple[str, str, int]) -> None:
@@ -294,7 +323,20 @@ def test_urls(url: str, parsed: tuple[str, str, int]) -> None:
 
 
 @pytest.mark.parametrize(
-    "url", ["", "tcp:", "tcp:host", "tcp:host:0", "tcp:host:70000", "rtu:/dev/ttyUSB1", "rtu:/dev/x@0", "http://x:1", "udp:x:1"]
+    "url",
+    [
+        "",
+        "tcp:",
+        "tcp:host",
+        "tcp:host:0",
+        "tcp:host:70000",
+        "rtu:/dev/ttyUSB1",
+        "rtu:/dev/x@0",
+        "rtu:/dev/x@9600,7E1",
+        "rtu:/dev/x@9600,8E",
+        "http://x:1",
+        "udp:x:1",
+    ],
 )
 def test_urls_that_are_none_say_how_they_read(url: str) -> None:
     with pytest.raises(BusUnavailableError, match=r"reads tcp:HOST:PORT or rtu:DEVICE@BAUD"):

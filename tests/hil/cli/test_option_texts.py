@@ -92,8 +92,8 @@ def test_any_text_for_where_the_io_is(text: str) -> None:
         assert "tcp:HOST:PORT or rtu:DEVICE@BAUD" in refusal
         assert "\n" not in refusal
         return
-    kind, place, number = parts
+    kind, place, number, framing = parts
     assert place
     assert number > 0
-    again = f"tcp:[{place}]:{number}" if kind == "tcp" else f"rtu:{place}@{number}"
-    assert parse_io_url(again) == (kind, place, number)
+    again = f"tcp:[{place}]:{number}" if kind == "tcp" else f"rtu:{place}@{number},{framing}"
+    assert parse_io_url(again) == parts
