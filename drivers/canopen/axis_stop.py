@@ -208,10 +208,20 @@ class AxisStop:
             return False
         return self._lost <= self._stale_ticks and self._judge.range <= self._apart
 
-    def _slipped(self) -> float:
-        """Return how far the link is outside its swing of before [rad or m]; 0 within the travel that counts as moved."""
-        beyond = self._judge.beyond()
-        return beyond if abs(beyond) > self._travel else 0.0
+    def _slipped(self) -> str:
+        """Return which side is outside its swing of before, and how far, in words; '' where none is.
+
+        The motor side may wind up the gear of a brake behind it; what is more than that, the link's encoder must have shown, or is frozen.
+        """
+        linked = self._link.fresh(self._stale_ticks)
+        for name, path, allowed in (
+            ("its link", self._link, self._travel),
+            ("its motor side", self._motor, max(self._travel, self._apart) if linked else self._travel),
+        ):
+            beyond = path.beyond() if path.fresh(self._stale_ticks) else 0.0
+            if abs(beyond) > allowed:
+                return f"{name} moved by {beyond:+.1e} {self._unit}"
+        return ""
 
     @property
     def _brake_words(self) -> str:
@@ -276,7 +286,8 @@ class AxisStop:
         if self.asks_for_torque:
             return
         self._marked = self._judge
-        self._marked.mark()
+        for path in (self._motor, self._link):
+            path.mark()
         if not self._braked:
             self._go(self._letting_go)
         elif self._takes_torque:
@@ -315,11 +326,11 @@ class AxisStop:
 
     def _lost_hold(self) -> bool:
         """Leave the proof where it fails; return whether it has."""
-        moved = self._slipped() if self._phase != self._swinging else 0.0
+        moved = self._slipped() if self._phase != self._swinging else ""
         if self._state not in (State.QUICK_STOP_ACTIVE, State.OPERATION_ENABLED):
             self._close()
         elif moved:
-            self._hold(f"its brake slips: {self._judge_name} moved by {moved:+.1e} {self._unit} when the drive let go")
+            self._hold(f"its brake slips: {moved} when the drive let go")
         elif self._braked and not self._closed:
             self._close()
         elif self._lost > self._stale_ticks or (self._phase != self._swinging and self._judge is not self._marked):
@@ -329,16 +340,12 @@ class AxisStop:
             return False
         return True
 
-    @property
-    def _judge_name(self) -> str:
-        return "its link" if self._judge is self._link else "its motor side"
-
     def _letting_go(self) -> None:
         """Voltage off, watched, and taken back at once if the link moves."""
         self.controlword, self.effort = cia402.DISABLE_VOLTAGE, 0.0
         moved = self._slipped()
         if moved and self._watched:
-            self._held_because = f"{self._judge_name} moved by {moved:+.1e} {self._unit} when the voltage went; {self._brake_words}"
+            self._held_because = f"{moved} when the voltage went; {self._brake_words}"
             self._go(self._taking_back)
         elif self._state in POWERED:
             if self._after(VOLTAGE_OFF_S):
@@ -416,8 +423,8 @@ class _Path:
         return max(self._positions) - min(self._positions) if self._positions else inf
 
     def mark(self) -> None:
-        """Remember the range of its swing."""
-        self._low, self._high = min(self._positions), max(self._positions)
+        """Remember the range of its swing, where a position has come."""
+        self._low, self._high = min(self._positions, default=nan), max(self._positions, default=nan)
 
     def beyond(self) -> float:
         """Return how far it is outside the marked range; 0 inside, and where nothing was marked."""

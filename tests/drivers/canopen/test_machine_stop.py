@@ -163,6 +163,15 @@ def test_a_brake_that_reports_closed_and_does_not_hold_is_found_before_the_volta
     assert len(loaded.attendant.said) == 1
 
 
+def test_a_link_encoder_that_is_frozen_does_not_prove_a_brake_that_slips(loaded: Rig) -> None:
+    loaded.io.jammed, loaded.io.lies = {"roll"}, {"roll"}
+    loaded.encoders[1].direction = 0  # shows one position for ever
+    loaded.machine.stop()
+    assert loaded.drives[1].power == "quick stop active"
+    assert 0x0000 not in words_to(loaded, 1)
+    assert "roll held by its drive: its brake slips: its motor side moved by" in loaded.machine.outcome
+
+
 @pytest.mark.parametrize("stage", ["jammed", "silent I/O"])
 def test_a_brake_that_nobody_reports_closed_leaves_the_drive_holding(loaded: Rig, stage: str) -> None:
     if stage == "jammed":
