@@ -21,8 +21,8 @@ nothing had been, and every recorded position is that of a run without the fault
 said at once.
 
 *Budget* is the class of the machine file's `[budgets.{axis}]` that the stop must keep, with time and travel to standstill
-and what is allowed. They count from the fault, or from the stop where tracking error or speed show the fault. Travel then
-includes the tracking error. {over} rows exceed their budget.
+and what is allowed. They count from the fault. They count from the stop where tracking error or speed show the fault, travel
+then with the tracking error, and where a fault shows only when the run needs what it took away. {over} rows exceed their budget.
 
 Every sentence that a stopped run said about the machine's state is compared with the emulated machine's true motion.
 {false} rows said what the truth contradicts.

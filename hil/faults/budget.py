@@ -51,14 +51,15 @@ def budget_use(machine: Machine, axis: str, trial: FaultTrial, log: MotionLog, o
     """Return what the stop of a trial took; None where the machine file states no budget for its class.
 
     Time counts from the fault in a sweep and at a settled axis, and from the stop where the fault shows by what the axis then does, or
-    only once a later part of the run needs what it took away.
+    only once the run needs what it took away.
     """
-    name = fault_kinds()[trial.kind].budget
+    kind = fault_kinds()[trial.kind]
+    name = kind.budget
     stated = machine.budgets.get(axis, {}).get(name)
     if stated is None:
         return None
     departs = name in DEPARTING
-    from_stop = departs or trial.during not in ("sweep", "settled", "stop")
+    from_stop = departs or kind.latent or trial.during not in ("sweep", "settled", "stop")
     assert machine.bus is not None  # a machine without one has no faults
     moved = machine.bus.homings[machine.axis_index(axis)].direction_check_travel
     took = standstill_of(log, axis, onset_s, moved, from_stop=from_stop)

@@ -80,6 +80,7 @@ class FaultKind:
     parameters: tuple[Parameter, ...] = ()
     trials: tuple[Trial, ...] = (Trial(),)
     budget: Budget = "asked"
+    latent: bool = False  # it shows only when the run needs what it took away
 
 
 @dataclass(frozen=True)
