@@ -38,6 +38,8 @@ class Sample:
     lateness_s: float = field(default=0.0, init=False)  # of this tick's SYNC against its absolute time
     arrived_s: float = field(default=0.0, init=False)  # perf_counter when the sample was complete: the wait for answers ends here
     unanswered: int = field(default=0, init=False)  # ticks since any node answered in time, where several should; 0: now
+    position_late: np.ndarray = field(init=False)  # bool: only an answer to an earlier SYNC has come, so its node is not silent
+    link_late: np.ndarray = field(init=False)
     fault: str = field(default="", init=False)  # first device fault since the last tick, in words; "" when none
     imu_damaged: int = field(default=0, init=False)  # messages of the IMU that failed their checksum since it was configured
     imu_fault: str = field(default="", init=False)  # the IMU's first fault since it was configured; motion does not depend on it
@@ -50,6 +52,8 @@ class Sample:
         self.commanded = np.full(self.axes, np.nan)
         self.statusword = np.full(self.axes, -1, dtype=np.int64)
         self.age_s = np.zeros(self.axes)
+        self.position_late = np.zeros(self.axes, dtype=bool)
+        self.link_late = np.zeros(self.axes, dtype=bool)
         self.imu = np.full(6, np.nan)
         self.temperature_degC = np.full(self.axes, np.nan)
         self.brakes_open = np.zeros(self.axes, dtype=bool)

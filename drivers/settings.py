@@ -125,6 +125,7 @@ class IoMap:
     temperature_registers: dict[str, int]  # axis -> input register, int16 in 0.1 degC
     watchdog: IoWatchdog | None = None  # None: nothing but the loop and the poller closes the brakes
     hold_to_run_released_input: int | None = None  # second contact of the switch, on a discrete input; 1: released
+    loop_back: tuple[int, int] | None = None  # coil and discrete input that are wired together: both live while the input follows
 
 
 @dataclass(frozen=True)

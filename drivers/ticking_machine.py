@@ -105,6 +105,7 @@ class TickingMachine:
         self._ours = False  # nobody else runs this machine; only then may anything be sent, even to stop it
         self._io_lost = ""
         self._malformed_before = (0, 0, 0, 0)
+        self._late_ticks = np.zeros(len(self.axes), dtype=int)  # in a row in which each position came too late
         self.zeros = np.zeros(len(self.axes))  # no effort on any axis
 
     def start(self) -> None:
@@ -139,6 +140,7 @@ class TickingMachine:
             for node in self.settings.nodes:
                 self.network.command_nmt(NMT_START, node.node_id)
             self._cyclic.syncs = self.sample.unanswered = 0
+            self._late_ticks.fill(0)
             self._cyclic.forget_remarks()
             self.network.passed_over.clear()
             self.supervision.await_operational(self.settings.nodes)
@@ -332,11 +334,16 @@ class TickingMachine:
         )
 
     def _check_answers(self, sample: Sample) -> None:
-        """Where no node answers, the bus or its host is late: such ticks are lost, but not for longer than a node may be silent."""
+        """Where no node answers, or one too late, a bus or host is late: such ticks are lost, for as long as a node may be silent."""
+        bridged_s = self._cyclic.silent_ticks * self.period_s
+        self._late_ticks = (self._late_ticks + 1) * sample.position_late
+        if (late_s := int(self._late_ticks.max()) * self.period_s) > bridged_s:
+            late = ", ".join(axis for axis, ticks in zip(self.axes, self._late_ticks, strict=True) if ticks)
+            raise BusTimeoutError(f"{late}: position too late for {late_s:.3f} s, {bridged_s:.3f} s allowed, as for a heartbeat")
         if sample.unanswered > self._cyclic.silent_ticks:
             raise BusTimeoutError(
                 f"{self.network.can_bus.channel_info}: no node has answered for {sample.unanswered * self.period_s:.3f} s, "
-                f"{self._cyclic.silent_ticks * self.period_s:.3f} s allowed, as for a heartbeat"
+                f"{bridged_s:.3f} s allowed, as for a heartbeat"
             )
 
     def _refuse_intruder(self) -> None:

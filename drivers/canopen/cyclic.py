@@ -76,6 +76,7 @@ class CyclicExchange:
         self._rehearse_bus: Callable[[], None] | None = getattr(self._bus, "rehearse", None)  # only some buses have it
         self._awake_s = network.clock.awake_s
         self._spread_s = ANSWER_SPREAD * settings.sync_period_s
+        self._late = 0  # TPDOs of which this tick brought answers to earlier SYNCs
         self._missed = 0
         self._fault = ""
         self._one_master = OneMaster(network, settings, [tpdo.who if tpdo.every_sync else None for tpdo in self._tpdos])
@@ -121,6 +122,7 @@ class CyclicExchange:
             self._network.send_heartbeat()
         self._tick = self._one_master.tick = self._tick + 1
         sample.lateness_s = self._clock.wait_tick()
+        self._late = 0
         self._drop_stale(sample)
         if before_sync is not None:
             before_sync()
@@ -174,6 +176,8 @@ class CyclicExchange:
         sample.link_position.fill(nan)
         sample.effort.fill(nan)
         sample.statusword.fill(-1)
+        sample.position_late.fill(False)
+        sample.link_late.fill(False)
 
     def _receive(self, sample: Sample, overdue_s: float) -> int:
         """Read until all answers to this SYNC are there or overdue; return a mask of those that are not.
@@ -237,7 +241,7 @@ class CyclicExchange:
             else:
                 self._owed[bit] = self._owed[bit] + 1 if usual_s == usual_s else 0
                 tpdo.unanswered += usual_s == usual_s
-                tpdo.forget(sample)
+                tpdo.forget(sample, late=bool((came | self._late) >> bit & 1))
         return outstanding
 
     def _drop_stale(self, sample: Sample) -> None:
@@ -255,6 +259,7 @@ class CyclicExchange:
                 self._owed[bit] = max(0, self._owed[bit] - 1)
                 if self._took(tpdo, message.data, sample):  # keeps the counter's wraps and newest statusword right; the row is cleared next
                     self._one_master.extra(bit)
+                    self._late |= 1 << bit
 
     def _took(self, tpdo: Tpdo, data: bytearray, sample: Sample) -> bool:
         """Put a frame's values into the sample; drop a malformed frame and return False: its row lacks the values."""

@@ -140,8 +140,12 @@ class Tpdo:
         if self.link >= 0:
             sample.link_position[axis] = source.link_position(values[self.link])
 
-    def forget(self, sample: Sample) -> None:
-        """Remove the values of its frames from the sample."""
+    def forget(self, sample: Sample, *, late: bool) -> None:
+        """Remove the values of its frames from the sample; `late`: there were some, of an earlier SYNC."""
+        if self.position >= 0:
+            sample.position_late[self.axis] = late
+        if self.link >= 0:
+            sample.link_late[self.axis] = late
         if self.statusword >= 0:
             sample.statusword[self.axis] = -1
         for index, values in ((self.position, sample.position), (self.effort, sample.effort), (self.link, sample.link_position)):

@@ -46,10 +46,13 @@ class _Track:
         self._last = nan
         self._ticks = 0
 
-    def update(self, position: float, ticks: int, speed_per_tick: float) -> bool:
-        """Take the newest position, `ticks` after the one before; whether it moved no faster than it may."""
+    def update(self, position: float, ticks: int, speed_per_tick: float, *, late: bool) -> bool:
+        """Take the newest position, `ticks` after the one before; whether it moved no faster than it may.
+
+        `late`: it answers an earlier SYNC, and is not known; its encoder is not silent.
+        """
         self._ticks += ticks
-        self.stale += 1
+        self.stale = 1 if late else self.stale + 1
         if not isfinite(position):
             return True
         self.stale = 0
@@ -104,18 +107,18 @@ class _AxisWatch:
         if self._link is not None:
             self._link.begin()
 
-    def check(self, position: float, link: float, ticks: int) -> str:
+    def check(self, position: float, link: float, ticks: int, *, late: bool, link_late: bool) -> str:
         """Return what is wrong with this tick, in words; '' when nothing is."""
         return (
-            self._bounds(self._motor, position, ticks, self._speed)
-            or (self._bounds(self._link, link, ticks, self._link_speed) if self._link is not None else "")
+            self._bounds(self._motor, position, ticks, self._speed, late=late)
+            or (self._bounds(self._link, link, ticks, self._link_speed, late=link_late) if self._link is not None else "")
             or self._stillness(ticks)
             or self._disagreement()
             or self._range(position, link)
         )
 
-    def _bounds(self, track: _Track, position: float, ticks: int, speed: float) -> str:
-        slow = track.update(position, ticks, speed * self._period_s)
+    def _bounds(self, track: _Track, position: float, ticks: int, speed: float, *, late: bool) -> str:
+        slow = track.update(position, ticks, speed * self._period_s, late=late)
         limits = self.limits
         if track.stale > limits.stale_ticks and not (self._link_may_be_silent and track is self._link):
             what = f"no position for {track.stale} ticks, timing.stale_ticks bridges {limits.stale_ticks}"
@@ -220,7 +223,9 @@ class MotionWatch:
         if sample.unanswered:  # the bus is late, and no axis is silent
             return ""
         ticks, self._ticks = self._ticks, 0
-        for axis, position, link in zip(self._axes, sample.position.tolist(), sample.link_position.tolist(), strict=True):
-            if reason := axis.check(position, link, ticks):
+        positions, links = sample.position.tolist(), sample.link_position.tolist()
+        for number, axis in enumerate(self._axes):
+            late, link_late = bool(sample.position_late[number]), bool(sample.link_late[number])
+            if reason := axis.check(positions[number], links[number], ticks, late=late, link_late=link_late):
                 return reason
         return ""

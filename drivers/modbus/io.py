@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Protocol
 
 import numpy as np
-from pymodbus.pdu.bit_message import ReadDiscreteInputsRequest, WriteMultipleCoilsRequest
+from pymodbus.pdu.bit_message import ReadDiscreteInputsRequest, WriteMultipleCoilsRequest, WriteSingleCoilRequest
 from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadInputRegistersRequest, WriteSingleRegisterRequest
 
 from drivers.errors import ProtocolError
@@ -16,9 +16,27 @@ from drivers.modbus.registers import MAX_READ_BITS, MAX_READ_REGISTERS, register
 from drivers.modbus.transport import Transport
 from drivers.settings import IoMap
 
+LAGS_BORNE = 1  # polls in a row for which a wired input may lag behind its output
+
 
 class Io(Protocol):
     """The interface of the I/O device to the machine link. No method waits."""
+
+    def _is_alive(self, bits: list[bool], start: int) -> bool:
+        """Return whether the wired input has followed its output; the output is switched for the next poll.
+
+        An output that has just been written may take its time to the input, so one poll in a row does not count.
+        """
+        io_map = self._map
+        if io_map.loop_back is None:
+            return True
+        coil, looped = io_map.loop_back
+        follows = bits[looped - start] == self._looped
+        self._lags = 0 if follows else self._lags + 1
+        if follows:
+            self._transport.request(WriteSingleCoilRequest(address=coil, bits=[not self._looped], dev_id=io_map.unit_id))
+            self._looped = not self._looped
+        return self._lags <= LAGS_BORNE
 
     def poll_due(self, now_s: float) -> None:
         """Poll the device when a poll is due at `now_s`; do nothing where another process polls."""
@@ -90,6 +108,9 @@ class IoDriver:
         released = io_map.hold_to_run_released_input
         inputs = (*io_map.brake_feedback_inputs.values(), io_map.hold_to_run_input, io_map.door_input)
         inputs += () if released is None else (released,)
+        inputs += () if io_map.loop_back is None else (io_map.loop_back[1],)
+        self._looped = False  # the output that is wired to an input, as it was written last
+        self._lags = 0  # polls for which that input has not followed
         registers = tuple(io_map.temperature_registers.values())
         self._inputs = _block("discrete inputs", inputs, MAX_READ_BITS)
         self._registers = _block("input registers", registers, MAX_READ_REGISTERS) if registers else None
@@ -110,6 +131,8 @@ class IoDriver:
         bits = answer.bits
         if len(bits) < count:
             raise ProtocolError(f"io: {len(bits)} discrete inputs in the answer where {count} were asked")
+        if not self._is_alive(bits, start):
+            return
         released = io_map.hold_to_run_released_input
         pressed = bits[io_map.hold_to_run_input - start]
         state.hold_to_run = pressed and (released is None or not bits[released - start])

@@ -164,7 +164,7 @@ class SampleLoop:
                 lost = self.clock.missed - missed_seen
                 missed_seen += lost
                 k += 1 + (lost if done else 0)  # row 0 is wherever the run begins
-                unanswered += sample.unanswered > 0
+                unanswered += bool(sample.unanswered or sample.position_late.any())
                 overrun = ""
                 if lost > self.overrun_ticks:
                     overrun = f"the loop lost {lost} ticks in a row; timing.overrun_ticks bridges {self.overrun_ticks}"
@@ -221,7 +221,7 @@ class SampleLoop:
         self._see(sample)
         reference = plan.reference[k]
         feedforward = self._zeros if plan.feedforward is None else plan.feedforward[k]
-        if not sample.unanswered:
+        if not sample.unanswered and not sample.position_late.any():
             self.feedback.step(reference, self._position, excitation, feedforward, self.command)
         return self.stop_request.reason or self._violation(sample, reference, ticks, k)
 
@@ -232,7 +232,7 @@ class SampleLoop:
                 self._position[axis] = position
                 self._stale[axis] = 0
             elif not sample.unanswered:
-                self._stale[axis] += 1
+                self._stale[axis] = 1 if sample.position_late[axis] else self._stale[axis] + 1
 
     def _judged(self, sample: Sample, ticks: int, k: int) -> str:
         """Return why the sensors stop the motors, or ''; they are judged when they answer, not when the whole bus is late."""
@@ -260,7 +260,7 @@ class SampleLoop:
             return reason
         if self.guard_io:
             if not sample.io_age_s <= self.io_stale_s:  # the rest of such a state is the safe one, not what was read
-                return f"the I/O has not answered for {sample.io_age_s:.2f} s, {self.io_stale_s:.2f} s are allowed"
+                return f"the I/O has given no valid state for {sample.io_age_s:.2f} s, {self.io_stale_s:.2f} s are allowed"
             if not sample.hold_to_run:
                 return "hold-to-run was released"
             for axis, is_open in enumerate(sample.brakes_open.tolist()):

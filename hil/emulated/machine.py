@@ -89,6 +89,7 @@ def build_emulated(
             None if io_map.watchdog is None else io_map.watchdog.register,
             0.0 if io_map.watchdog is None else io_map.watchdog.timeout_s,
             io_map.hold_to_run_released_input,
+            io_map.loop_back,
         )
     geometry = machine.geometry
 

@@ -248,8 +248,11 @@ def _io(bus: BusTable, table: MachineTable) -> IoMap | None:
             raise ComplaintError(("bus", "io", field), "two axes share an address; addresses must differ")
     inputs = [*io.brake_feedback_inputs.values(), io.hold_to_run_input, io.door_input]
     inputs += [] if io.hold_to_run_released_input is None else [io.hold_to_run_released_input]
+    inputs += [] if io.loop_back is None else [io.loop_back.input]
+    if io.loop_back is not None and io.loop_back.coil in io.brake_coils.values():
+        raise ComplaintError(("bus", "io", "loop_back", "coil"), "is a brake's; wire an output of its own")
     if len(set(inputs)) < len(inputs):
-        names = "brake_feedback_inputs, hold_to_run_input, hold_to_run_released_input and door_input"
+        names = "brake_feedback_inputs, hold_to_run_input, hold_to_run_released_input, door_input and loop_back.input"
         raise ComplaintError(("bus", "io"), f"two discrete inputs share an address; {names} must differ")
     for axis in io.temperature_registers:
         if f"temperature_{axis}" not in table.sensors:
@@ -266,6 +269,7 @@ def _io(bus: BusTable, table: MachineTable) -> IoMap | None:
         temperature_registers=io.temperature_registers,
         watchdog=_watchdog(io),
         hold_to_run_released_input=io.hold_to_run_released_input,
+        loop_back=None if io.loop_back is None else (io.loop_back.coil, io.loop_back.input),
     )
 
 

@@ -132,6 +132,19 @@ class WatchdogTable(Table):
     """Time from the last refresh to the fall of the outputs; at least four poll periods, at most a second."""
 
 
+class LoopBackTable(Table):
+    """Table `[bus.io.loop_back]`: an output of the I/O device that is wired to an input of it.
+
+    Every poll switches the output, and the input must follow within two polls. Otherwise the state that was read counts for nothing, as if
+    the device had not answered: its inputs are frozen, or its outputs do not work.
+    """
+
+    coil: Address
+    """The output."""
+    input: Address
+    """The discrete input that it is wired to."""
+
+
 class IoTable(Table):
     """Table `[bus.io]`: Modbus inputs and outputs. Addresses count from zero."""
 
@@ -157,6 +170,8 @@ class IoTable(Table):
     """Discrete input of the door; 1 is closed."""
     temperature_registers: Annotated[dict[Name, Address], Field(default_factory=dict)]
     """Input register of each axis's temperature, int16 in 0.1 °C."""
+    loop_back: LoopBackTable | None = None
+    """Output that is wired to an input. Without one, inputs that are frozen show only when a brake should move."""
     watchdog: WatchdogTable | None = None
     """Output watchdog of the device. Without one only the loop and the poller close brakes."""
 

@@ -25,7 +25,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "reconstruction": ("extras", "imaging"),
     "shaping": ("experiments", "files", "identification", "machine"),
     "observing": ("calibration", "experiments", "files", "identification", "machine", "recording", "simulation"),
-    "emulated": ("extras", "imaging", "machine", "processes", "recording"),
+    "emulated": ("extras", "files", "imaging", "machine", "processes", "recording"),
     "receiving": ("calibration", "emulated", "extras", "imaging", "machine", "processes", "recording"),
     "bench": ("emulated", "experiments", "files", "machine", "observing", "processes", "recording"),
     "diagnosis": ("experiments", "files", "machine", "processes", "recording", "simulation"),

@@ -52,6 +52,7 @@ class ScriptedLink:
         sample.effort[:] = command  # the command put on the wire before this SYNC is what the motors feel
         sample.statusword[:] = 0x1637
         sample.fault, sample.unanswered = "", 0
+        sample.position_late[:] = False
         if k in self.script:
             self.script[k](self)
         return sample

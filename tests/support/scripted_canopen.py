@@ -26,6 +26,8 @@ class ScriptedBus(can.BusABC):
         self.queue: deque[can.Message] = deque()
         self.log: list[tuple[float, int, bytes]] = []
         self.broken = False
+        self.late_by_a_tick = 0  # identifier of the frames that come after the answer time of their SYNC
+        self._held: list[tuple[int, bytes]] = []
         for node in nodes:
             node.bus = self
 
@@ -37,9 +39,16 @@ class ScriptedBus(can.BusABC):
             node.receive(msg.arbitration_id, bytes(msg.data))
         if msg.arbitration_id == 0x80:
             self.pass_time(PERIOD_S)
+        elif self._held:  # the loop's next command, before its next SYNC
+            held, self._held = self._held, []
+            for can_id, data in held:
+                self.queue.append(can.Message(arbitration_id=can_id, is_extended_id=False, data=data, timestamp=self.time_s))
 
     def emit(self, can_id: int, data: bytes) -> None:
         self.log.append((self.time_s, can_id, data))
+        if can_id == self.late_by_a_tick:
+            self._held.append((can_id, data))
+            return
         self.queue.append(can.Message(arbitration_id=can_id, is_extended_id=False, data=data, timestamp=self.time_s))
 
     def recv(self, timeout: float | None = None) -> can.Message | None:

@@ -42,12 +42,14 @@ class IoLayout:
     watchdog_register: int | None = None  # holding register of the output watchdog
     watchdog_timeout_s: float = 0.0
     hold_to_run_released_input: int | None = None  # the opposite contact of the same switch
+    loop_back: tuple[int, int] | None = None  # coil and discrete input that are wired together
 
     @property
     def inputs(self) -> tuple[int, ...]:
         """Every discrete input that is wired."""
         second = () if self.hold_to_run_released_input is None else (self.hold_to_run_released_input,)
-        return (*self.brake_feedback_inputs.values(), self.hold_to_run_input, self.door_input, *second)
+        looped = () if self.loop_back is None else (self.loop_back[1],)
+        return (*self.brake_feedback_inputs.values(), self.hold_to_run_input, self.door_input, *second, *looped)
 
 
 class _RefusalError(Exception):
@@ -81,7 +83,8 @@ class EmulatedIo:
     ) -> None:
         self.layout = layout
         self.axes = axes
-        self.coils = [False] * (1 + max(layout.brake_coils.values(), default=-1))
+        coils = (*layout.brake_coils.values(), *(() if layout.loop_back is None else (layout.loop_back[0],)))
+        self.coils = [False] * (1 + max(coils, default=-1))
         self.discrete_inputs = [False] * (1 + max(layout.inputs))
         self.input_registers = [0] * (1 + max(layout.temperature_registers.values(), default=-1))
         self._on_brakes = on_brakes
@@ -145,6 +148,9 @@ class EmulatedIo:
                 feedback = self.layout.brake_feedback_inputs.get(axis)
                 if feedback is not None:
                     self.discrete_inputs[feedback] = wanted
+        if self.layout.loop_back is not None:
+            coil, looped = self.layout.loop_back
+            self.discrete_inputs[looped] = self.coils[coil]
         if changed and self._on_brakes is not None:
             self._on_brakes(self.brakes_closed)
 

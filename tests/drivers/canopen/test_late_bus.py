@@ -60,6 +60,31 @@ def test_nodes_that_are_silent_while_others_answer_are_found_as_ever(who: str) -
     assert "no position for 4 ticks, timing.stale_ticks bridges 3" in found
 
 
+@pytest.mark.parametrize("identifier", [0x182, 0x18C], ids=["drive", "encoder"])
+def test_a_node_whose_answers_come_while_others_are_in_time_is_late_and_not_silent(identifier: int) -> None:
+    rig = Rig().ready()
+    tick(rig, 30)
+    rig.bus.late_by_a_tick = identifier
+    sample, found = tick(rig, 12)
+    assert (sample.unanswered, found) == (0, "")
+    assert (sample.position_late.tolist(), sample.link_late.tolist()) == (
+        [False, identifier == 0x182],
+        [False, identifier == 0x18C],
+    )
+    rig.bus.late_by_a_tick = 0
+    tick(rig)
+    sample, found = tick(rig)
+    assert (found, sample.position_late.any(), sample.link_late.any()) == ("", False, False)
+
+
+def test_a_position_that_is_late_for_longer_than_a_heartbeat_may_be_stops_the_motors() -> None:
+    rig = Rig().ready()
+    tick(rig, 30)
+    rig.bus.late_by_a_tick = 0x182
+    with pytest.raises(BusTimeoutError, match=r"roll: position too late for 0\.254 s, 0\.250 s allowed"):
+        tick(rig, BRIDGED + 3)
+
+
 def test_a_silent_node_is_found_between_ticks_that_nobody_answers() -> None:
     rig = Rig().ready()
     tick(rig)

@@ -85,8 +85,8 @@ def test_nothing_moves_without_permission(rig: Rig, switch: str, words: str, met
 TAKEN_BACK = {
     "hold_to_run": (lambda io: setattr(io, "hold_to_run", False), "hold-to-run is not pressed"),
     "door": (lambda io: setattr(io, "door_closed", False), "the door is open"),
-    "silent io": (lambda io: setattr(io, "age_s", 0.51), r"the I/O has not answered for 0\.51 s, 0\.50 s are allowed"),
-    "io never heard": (lambda io: setattr(io, "age_s", float("nan")), "the I/O has not answered"),
+    "silent io": (lambda io: setattr(io, "age_s", 0.51), r"the I/O has given no valid state for 0\.51 s, 0\.50 s are allowed"),
+    "io never heard": (lambda io: setattr(io, "age_s", float("nan")), "the I/O has given no valid state"),
 }
 
 
@@ -174,7 +174,7 @@ def test_brakes_of_a_silent_io_are_never_taken_for_closed(rig: Rig) -> None:
     rig.machine.enable()
     rig.machine.release_brakes(lambda _: ZERO)
     rig.io.age_s = 10.0
-    with pytest.raises(MotionRefusedError, match=r"the I/O has not answered for 10\.00 s"):
+    with pytest.raises(MotionRefusedError, match=r"the I/O has given no valid state for 10\.00 s"):
         rig.machine.close_brakes(lambda _: ZERO)
 
 

@@ -106,6 +106,34 @@ def test_a_tick_that_nobody_answers_is_no_axis_s_silence() -> None:
     assert np.flatnonzero(np.isnan(position)).tolist() == list(range(3, 11))
 
 
+def _roll_is_late(link: ScriptedLink) -> None:
+    _roll_is_silent(link)
+    link.sample.position_late[1] = True
+
+
+def test_an_axis_whose_answers_come_late_is_not_silent_and_the_command_stays_meanwhile() -> None:
+    def away(link: ScriptedLink) -> None:
+        link.sample.position[0] = 1e-3 * len(link.commands)
+
+    def away_and_late(link: ScriptedLink) -> None:
+        away(link)
+        _roll_is_late(link)
+
+    script = {2: away, 3: away} | dict.fromkeys(range(4, 12), away_and_late) | {12: away}
+    link, sink = ScriptedLink(ScriptedClock(), script), Rows()
+    timing = proportional_loop(link).run(still(20), sink)
+    assert (timing.ticks, timing.unanswered, link.stops) == (20, 8, 0)
+    command = np.array(sink.rows)[:, column("command_propeller")]
+    assert command[4:12] == pytest.approx(command[3])
+    assert command[12] != pytest.approx(command[3])
+
+
+def test_one_that_falls_silent_after_it_was_late_is_found() -> None:
+    script = dict.fromkeys((4, 5), _roll_is_late) | dict.fromkeys((6, 7, 8), _roll_is_silent)
+    with pytest.raises(LoopAbortedError, match="row 8: roll: no position for 4 ticks"):
+        proportional_loop(ScriptedLink(ScriptedClock(), script)).run(still(20), Rows())
+
+
 def test_an_axis_that_is_silent_while_others_answer_is_found_between_ticks_that_nobody_answers() -> None:
     silent, nobody = dict.fromkeys((4, 6, 7, 9), _roll_is_silent), dict.fromkeys((5, 8), _nobody_answers)
     link, sink = ScriptedLink(ScriptedClock(), silent | nobody), Rows()

@@ -18,6 +18,7 @@ import pytest
 from drivers.canopen.eds import load_object_dictionary
 from drivers.errors import ProtocolError
 from drivers.imaging.spool import FrameSpool, SpoolError
+from hil.emulated.images import xray_side
 from hil.errors import RecordingError, UnusableInputError
 from hil.experiments.file import read_experiment
 from hil.files.arrays import read_arrays
@@ -29,7 +30,9 @@ from hil.machine import load_machine
 from hil.recording import read_recording
 from hil.recording.formats import write_recording
 from hil.recording.model import Channel, Recording
+from virtual_bus.xray.motion import FocalSpot
 
+NO_SPOT = FocalSpot(np.zeros(3), 1.0, np.zeros(3), 0.0)
 PANEL = Detector(columns=8, rows=6, pitch_m=1e-3)
 SOON_S = 1.0  # of processor time
 MORE_MEMORY_kB = 64_000
@@ -64,13 +67,14 @@ def test_a_device_or_pipe_is_no_recording(tmp_path: Path, suffix: str) -> None:
 
 
 def test_a_device_is_no_other_file_either(tmp_path: Path) -> None:
-    for name in ("machine.toml", "device.eds", "frf.npz", "geometry.xml", "image.dcm", EXPOSURES, FRAMES):
+    for name in ("machine.toml", "device.eds", "frf.npz", "geometry.xml", "image.dcm", "truth.csv", EXPOSURES, FRAMES):
         (tmp_path / name).symlink_to("/dev/zero")
     refused(UnusableInputError, "no regular file", lambda: load_machine(tmp_path / "machine.toml"))
     refused(UnusableInputError, "no regular file", lambda: read_experiment(tmp_path / "machine.toml", load_machine("carm")))
     refused(UnusableInputError, "no regular file", lambda: read_arrays(tmp_path / "frf.npz", "a frequency response"))
     refused(ProtocolError, "an EDS or DCF is a regular file", lambda: load_object_dictionary(tmp_path / "device.eds", 1))
     refused(UnusableInputError, "no regular file", lambda: read_rtk(tmp_path / "geometry.xml"))
+    refused(UnusableInputError, "no regular file", lambda: xray_side(load_machine("carm"), tmp_path / "truth.csv", NO_SPOT, 0.0))
     refused(UnusableInputError, "no regular file", lambda: read_xa(tmp_path / "image.dcm"))
     write_description(tmp_path, PANEL, (), {})
     refused(UnusableInputError, "exposures.csv: is a device", lambda: read_scan(tmp_path))
