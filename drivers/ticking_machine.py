@@ -292,7 +292,7 @@ class TickingMachine:
             return ""
         if not self.io_is_fresh():
             since = f"for {sample.io_age_s:.2f} s, {io.stale_after_s:.2f} s are allowed" if np.isfinite(sample.io_age_s) else "yet"
-            return f"the I/O has not answered {since}: nobody knows of hold-to-run, door and brakes; check its line and supply"
+            return f"the I/O has given no valid state {since}: nobody knows of hold-to-run, door and brakes; check its line and supply"
         if not sample.hold_to_run:
             return "hold-to-run is not pressed; press and hold it"
         if not sample.door_closed:

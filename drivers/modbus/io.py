@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -21,22 +21,6 @@ LAGS_BORNE = 1  # polls in a row for which a wired input may lag behind its outp
 
 class Io(Protocol):
     """The interface of the I/O device to the machine link. No method waits."""
-
-    def _is_alive(self, bits: list[bool], start: int) -> bool:
-        """Return whether the wired input has followed its output; the output is switched for the next poll.
-
-        An output that has just been written may take its time to the input, so one poll in a row does not count.
-        """
-        io_map = self._map
-        if io_map.loop_back is None:
-            return True
-        coil, looped = io_map.loop_back
-        follows = bits[looped - start] == self._looped
-        self._lags = 0 if follows else self._lags + 1
-        if follows:
-            self._transport.request(WriteSingleCoilRequest(address=coil, bits=[not self._looped], dev_id=io_map.unit_id))
-            self._looped = not self._looped
-        return self._lags <= LAGS_BORNE
 
     def poll_due(self, now_s: float) -> None:
         """Poll the device when a poll is due at `now_s`; do nothing where another process polls."""
@@ -146,6 +130,24 @@ class IoDriver:
         if io_map.watchdog is not None:
             self._read_word(io_map.watchdog.register)
         self.refresh()
+
+    def _is_alive(self, bits: Sequence[bool], start: int) -> bool:
+        """Return whether the wired input has followed its output; the output is switched for the next poll.
+
+        An output that has just been written may take its time to the input, so one poll in a row does not count. Where all brakes are told
+        to close the outputs may have fallen by themselves, which is safe, and the inputs are all that shows it: nothing is judged.
+        """
+        io_map = self._map
+        if io_map.loop_back is None:
+            return True
+        coil, looped = io_map.loop_back
+        follows = bits[looped - start] == self._looped
+        self._lags = 0 if follows else self._lags + 1
+        if follows:
+            self._transport.request(WriteSingleCoilRequest(address=coil, bits=[not self._looped], dev_id=io_map.unit_id))
+            self._looped = not self._looped
+        may_move = any(self._open.values()) or not self._open
+        return self._lags <= LAGS_BORNE or not may_move
 
     def poll_due(self, now_s: float) -> None:
         """Poll when the period is over or a brake command is pending.
