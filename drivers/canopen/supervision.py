@@ -144,7 +144,7 @@ class Supervision:
     def remarks(self) -> list[str]:
         """Heartbeats that were missing for a while, in words."""
         return [
-            f"{watched.who}: {watched.late} heartbeats came late, one after {watched.longest_s:.3f} s; its period is {watched.period_s:g} s"
+            f"{watched.who}: late heartbeats: {watched.late}, one after {watched.longest_s:.3f} s; its period is {watched.period_s:g} s"
             for watched in self._nodes.values()
             if watched.late
         ]
