@@ -223,9 +223,10 @@ class MotionWatch:
         if sample.unanswered:  # the bus is late, and no axis is silent
             return ""
         ticks, self._ticks = self._ticks, 0
-        positions, links = sample.position.tolist(), sample.link_position.tolist()
-        for number, axis in enumerate(self._axes):
-            late, link_late = bool(sample.position_late[number]), bool(sample.link_late[number])
-            if reason := axis.check(positions[number], links[number], ticks, late=late, link_late=link_late):
+        answers = zip(
+            sample.position.tolist(), sample.link_position.tolist(), sample.position_late.tolist(), sample.link_late.tolist(), strict=True
+        )
+        for axis, (position, link, late, link_late) in zip(self._axes, answers, strict=True):
+            if reason := axis.check(position, link, ticks, late=late, link_late=link_late):
                 return reason
         return ""

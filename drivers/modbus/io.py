@@ -115,18 +115,17 @@ class IoDriver:
         bits = answer.bits
         if len(bits) < count:
             raise ProtocolError(f"io: {len(bits)} discrete inputs in the answer where {count} were asked")
-        if not self._is_alive(bits, start):
-            return
-        released = io_map.hold_to_run_released_input
-        pressed = bits[io_map.hold_to_run_input - start]
-        state.hold_to_run = pressed and (released is None or not bits[released - start])
-        state.door_closed = bits[io_map.door_input - start]
-        for index, axis in enumerate(self._axes):
-            if axis in io_map.brake_feedback_inputs:
-                state.brakes_open[index] = bits[io_map.brake_feedback_inputs[axis] - start]
-        if self._registers is not None:
-            self._read_temperatures(*self._registers)
-        state.time_s = now_s
+        if self._is_alive(bits, start):
+            released = io_map.hold_to_run_released_input
+            pressed = bits[io_map.hold_to_run_input - start]
+            state.hold_to_run = pressed and (released is None or not bits[released - start])
+            state.door_closed = bits[io_map.door_input - start]
+            for index, axis in enumerate(self._axes):
+                if axis in io_map.brake_feedback_inputs:
+                    state.brakes_open[index] = bits[io_map.brake_feedback_inputs[axis] - start]
+            if self._registers is not None:
+                self._read_temperatures(*self._registers)
+            state.time_s = now_s
         if io_map.watchdog is not None:
             self._read_word(io_map.watchdog.register)
         self.refresh()
@@ -143,11 +142,11 @@ class IoDriver:
         coil, looped = io_map.loop_back
         follows = bits[looped - start] == self._looped
         self._lags = 0 if follows else self._lags + 1
-        if follows:
-            self._transport.request(WriteSingleCoilRequest(address=coil, bits=[not self._looped], dev_id=io_map.unit_id))
-            self._looped = not self._looped
-        may_move = any(self._open.values()) or not self._open
-        return self._lags <= LAGS_BORNE or not may_move
+        self._looped ^= follows  # outputs that fell are switched on again until they follow
+        self._transport.request(WriteSingleCoilRequest(address=coil, bits=[self._looped], dev_id=io_map.unit_id))
+        if self._open and not any(self._open.values()):
+            self._lags = 0
+        return self._lags <= LAGS_BORNE
 
     def poll_due(self, now_s: float) -> None:
         """Poll when the period is over or a brake command is pending.
