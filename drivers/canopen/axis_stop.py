@@ -233,7 +233,14 @@ class AxisStop:
 
     @property
     def _motion_words(self) -> str:
-        return "it stands" if self._stands() else "IT MOVES" if self._lost <= self._stale_ticks else "nobody knows whether it moves"
+        if self._stands():
+            return "it stands"
+        if self._lost > self._stale_ticks:
+            return "nobody knows whether it moves"
+        both = self._motor.fresh(self._stale_ticks) and self._link.fresh(self._stale_ticks)
+        if both and self._motor.range - self._link.range > self._apart:
+            return "its motor side shows motion, its link none"
+        return "IT MOVES"
 
     # ---- the sequence ----------------------------------------------------------------------------------
     def _go(self, phase: Callable[[], None]) -> None:

@@ -20,10 +20,11 @@ from drivers.canopen.eds_repairs import Repairs, Section, Sections, standard_typ
 from drivers.errors import DataSheetWarning, ProtocolError
 
 _OBJECT = re.compile(r"^([0-9A-F]{4})(?:SUB([0-9A-F]{1,2}))?$")
+_OBJECT_HEAD = re.compile(r"(?mi)^[ \t]*\[[ \t]*[0-9A-F]{4}(?:SUB[0-9A-F]{1,2})?[ \t]*\]")
 _COMMENT = re.compile(r"\s;.*$")
 _HASH_COMMENT = re.compile(r"(?<=\S)\s+(#|//).*$")
 _NODE_ID = re.compile(r"\$?\{?NODE[-_ ]?ID\}?")
-_HEX_WITH_H = re.compile(r"([0-9A-Fa-f][0-9A-Fa-f ]*)[hH]")
+_HEX_WITH_H = re.compile(r"([0-9][0-9A-Fa-f ]*)[hH]")  # begins with a digit, as no word does
 _NUMBER = re.compile(r"([+-]?(?:0X[0-9A-F]+|0B[01]+|[0-9]+))([UL]*)")
 _MAX_FILE_BYTES = 4_000_000  # the largest data sheets in the field are some hundred kilobytes
 _MOST_ENTRIES = 16_384
@@ -129,6 +130,7 @@ def _decode(raw: bytes) -> str:
 
 def _sections(text: str, repairs: Repairs) -> Sections:
     """Return every section once, keys in the standard's spelling, without comments; the last of two equal keys counts."""
+    _refuse_too_many(len(_OBJECT_HEAD.findall(text)))  # before any of them is read
     sections: Sections = {}
     current: Section | None = None
     for number, line in enumerate(text.replace("\x00", "").splitlines(), start=1):
@@ -149,6 +151,11 @@ def _sections(text: str, repairs: Repairs) -> Sections:
                 repairs.add("a comment behind a value begins with ;, another was left out", number)
             current.put(key, value, number)
     return sections
+
+
+def _refuse_too_many(entries: int) -> None:
+    if entries > _MOST_ENTRIES:
+        raise ProtocolError(f"{entries} objects and subindices, compact arrays written out: a data sheet has at most {_MOST_ENTRIES}")
 
 
 def _own_node_id(sections: Sections) -> int | None:
@@ -179,9 +186,7 @@ class _Reader:
         self._emit_dummies(sections.get("DUMMYUSAGE", Section(0)))
         self._adopt_orphans()
         objects = sorted((match.group(1), int(match.group(2) or "-1", 16), head) for head in sections if (match := _OBJECT.match(head)))
-        entries = len(objects) + sum(self._compact_count(head) for _, subindex, head in objects if subindex < 0)
-        if entries > _MOST_ENTRIES:
-            raise ProtocolError(f"{entries} objects and subindices, compact arrays written out: a data sheet has at most {_MOST_ENTRIES}")
+        _refuse_too_many(len(objects) + sum(self._compact_count(head) for _, subindex, head in objects if subindex < 0))
         for index, subindex, head in objects:
             name = index if subindex < 0 else f"{index}sub{subindex:X}"
             self._emit(name, self._object_keys(sections[head], name))

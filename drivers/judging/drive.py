@@ -60,6 +60,7 @@ class DriveJudge:
             self._off_ticks += ticks
             self._measured, self._expected = measured, low if measured < low else high
         self.lag_ticks = 0
+        overloaded = self._is_overloaded(axis)
         if self._off_ticks > settings.bridged_ticks:
             self.lag_ticks = self._off_ticks - 1
             return "effort"
@@ -67,19 +68,17 @@ class DriveJudge:
         if statusword >= 0 and statusword & WARNING:
             self._statusword = statusword
             return "warning"
-        return self._load(axis)
+        self.lag_ticks = self._window.ticks - 1 if overloaded and self._window is not None and self._window.over else 0
+        return "load" if overloaded else ""
 
-    def _load(self, axis: int) -> str:
+    def _is_overloaded(self, axis: int) -> bool:
         """Judge the window that is over; what it found stands to the end of the next one."""
         window = self._window
-        if window is None:
-            return ""
-        if window.over:
+        if window is not None and window.over:
             off = float(window.effort_off[axis])
             allowed = self._settings.load_tolerance + UNSURE * float(window.effort_unsure[axis])
             self._overloaded, self._load_off = abs(off) > allowed, off
-            self.lag_ticks = window.ticks - 1
-        return "load" if self._overloaded else ""
+        return self._overloaded
 
     def says(self, check: str) -> str:
         """Return a failed check in words."""

@@ -62,7 +62,7 @@ class ImuJudge:
         self._elapsed_s = 0.0
         self._youngest_s = inf  # age of a reading, up to a constant
         self._age_s, self._late_ticks = 0.0, 0
-        self._departed = ""
+        self._departed = self._departed_words = ""
 
     def step(self, sample: Sample, ticks: int) -> str:
         """Return which check the newest sample fails, '' when none; `ticks` passed since the one before."""
@@ -72,6 +72,7 @@ class ImuJudge:
         rate = self._count(came, ticks)
         garbage = self._count_damaged(sample.imu_damaged, ticks)
         self.lag_ticks = 0
+        late, departed = self._is_late(sample, passed), self._departs()
         if sample.imu_fault:
             self._words = sample.imu_fault
             return "fault"
@@ -87,9 +88,10 @@ class ImuJudge:
         if rate:
             self.lag_ticks = self._window
             return rate
-        if self._is_late(sample, passed):
+        if late:
             return "late"
-        return self._departs()
+        self.lag_ticks = self._motion.ticks - 1 if departed and self._motion is not None and self._motion.over else 0
+        return departed
 
     def says(self, check: str) -> str:
         """Return a failed check in words."""
@@ -107,7 +109,7 @@ class ImuJudge:
         if check == "late":
             return f"its readings are {self._age_s * 1e3:.1f} ms older than at first, {self._late_s * 1e3:.1f} ms are allowed"
         if check in ("specific force", "angular rate"):
-            return self._words
+            return self._departed_words
         if check == "number":
             return f"{channel} is {value}, no number"
         if check == "range":
@@ -158,8 +160,7 @@ class ImuJudge:
             off = hypot(*window.imu_off[part].tolist())
             if off > allowed and not self._departed:
                 self._departed = name
-                self.lag_ticks = window.ticks - 1
-                self._words = (
+                self._departed_words = (
                     f"its mean {name} over {MOTION_WINDOW_S:g} s is {off:.2g} {unit} from what the motion of the axes makes of it, "
                     f"{allowed:.2g} {unit} are allowed"
                 )

@@ -72,7 +72,9 @@ class MotionWindow:
         phase = turn * (np.arange(self.ticks) + 0.5)
         rate = turn / period_s
         weight = 0.5 * (1.0 - np.cos(phase))
-        self._weights = np.stack((weight, -0.5 * rate * np.sin(phase), 0.5 * rate**2 * np.cos(phase)), axis=1) / weight.sum()
+        self._weights = np.stack((weight, -0.5 * rate * np.sin(phase), 0.5 * rate**2 * np.cos(phase))) / weight.sum()
+        self._position, self._link, self._effort = (np.zeros((self.ticks, axes)) for _ in range(3))
+        self._imu = np.zeros((self.ticks, 6))
         self.begin()
 
     def begin(self) -> None:
@@ -81,45 +83,34 @@ class MotionWindow:
         self.effort_off = np.full(self._axes, nan)
         self.effort_unsure = np.full(self._axes, nan)
         self.imu_off = np.full(6, nan)
-        self._restart()
-
-    def _restart(self) -> None:
         self._tick = 0
-        self._motion = np.zeros((3, 2, self._axes))  # position, speed, acceleration; motor side, link
-        self._squares = np.zeros(self._axes)  # of the motor side's speed
-        self._last = np.full(self._axes, nan)
-        self._effort = np.zeros(self._axes)
-        self._imu, self._imu_weight = np.zeros(6), 0.0
 
     def step(self, sample: Sample, ticks: int) -> None:
-        """Take the newest sample; `ticks` passed since the one before. A gap in the axes' readings begins the window anew."""
-        self.over = False
-        if ticks != 1:
-            self._restart()
-        both = np.stack((sample.position, np.where(np.isnan(sample.link_position), sample.position, sample.link_position)))
-        if not (np.isfinite(both).all() and np.isfinite(sample.effort).all()):
-            self._restart()
-            return
-        weights = self._weights[self._tick]
-        self._motion += weights[:, None, None] * both
-        if self._tick:
-            self._squares += weights[0] * ((sample.position - self._last) / self._period_s) ** 2
-        self._last[:] = sample.position
-        self._effort += weights[0] * sample.effort
-        if np.isfinite(sample.imu).all():
-            self._imu += weights[0] * sample.imu
-            self._imu_weight += weights[0]
+        """Take the newest sample; `ticks` passed since the one before. Lost ticks begin the window anew."""
+        k = self._tick = 0 if ticks != 1 else self._tick
+        self._position[k], self._link[k], self._effort[k] = sample.position, sample.link_position, sample.effort
+        self._imu[k] = sample.imu
         self._tick += 1
+        self.over = self._tick == self.ticks and self._compare()
         if self._tick == self.ticks:
-            self._compare()
-            self._restart()
-            self.over = True
+            self._tick = 0
 
-    def _compare(self) -> None:
-        position, speed, acceleration = self._motion
-        deviation = np.sqrt(np.maximum(self._squares - speed[0] ** 2, 0.0))
-        expected = self._expects(Means(position, speed, acceleration, deviation, self._effort))
-        self.effort_off = self._effort - expected.effort
+    def _compare(self) -> bool:
+        """Compare the window that is full; return False where readings of its axes are missing."""
+        position, effort = self._position, self._weights[0] @ self._effort
+        motor = self._weights @ position  # position, speed, acceleration (3, axes)
+        if not (np.isfinite(motor).all() and np.isfinite(effort).all()):
+            return False
+        link = self._weights @ self._link
+        link = np.where(np.isnan(link), motor, link)
+        squares = self._weights[0, 1:] @ (np.diff(position, axis=0) / self._period_s) ** 2
+        deviation = np.sqrt(np.maximum(squares - motor[1] ** 2, 0.0))
+        both = np.stack((motor, link), axis=1)
+        expected = self._expects(Means(both[0], both[1], both[2], deviation, effort))
+        self.effort_off = effort - expected.effort
         self.effort_unsure = expected.unsure
-        if self._imu_weight > 0.5 and expected.imu.size:  # half of the readings: the mean is still that of the window
-            self.imu_off = self._imu / self._imu_weight - expected.imu
+        came = np.isfinite(self._imu).all(axis=1)
+        weight = self._weights[0] * came
+        if weight.sum() > 0.5 and expected.imu.size:  # half of the readings: the mean is still that of the window
+            self.imu_off = weight[came] @ self._imu[came] / weight.sum() - expected.imu
+        return True

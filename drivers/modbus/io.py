@@ -60,7 +60,9 @@ class IoState:
 
 
 class IoDriver:
-    """Polls the device through a transport: two requests per poll, one more when brakes are commanded, and two of an output watchdog.
+    """Polls the device through a transport.
+
+    A poll is two requests, one more when brakes are commanded, one of a looped-back output, and two of an output watchdog.
 
     Parameters
     ----------

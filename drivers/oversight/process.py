@@ -25,6 +25,8 @@ from drivers.supervisor.process import supervise
 START_TIMEOUT_S = 10.0  # a new Python process on a loaded machine
 SILENT_S = 0.25
 """Time without a round of the supervisor after which the loop stops: sixty rounds, and half of what the I/O's outputs stay on."""
+MOST_PERIODS = 2.0
+"""Periods between two looks that count as its silence: a loop that was halted for longer was not there to hear, and maybe both were."""
 SHARED_BY_PROCESSES = ("socketcan", "udp_multicast")
 """Interfaces that several processes may open at once. Any other has one owner, which passes on its frames."""
 
@@ -47,7 +49,7 @@ class SupervisorProcess:
         self._own, self._orders = blocks_of(self._memory)
         self._told = np.zeros(ORDERS)
         self._seen = np.zeros(OWN)
-        self._rounds, self._round_at_s = -1.0, time.monotonic()
+        self._rounds, self._silent_s, self._looked_at_s = -1.0, 0.0, time.monotonic()
         self._settings, self._url, self._priority, self._stop_socket = settings, bus_url, priority, stop_socket
         self._tap: socket.socket | None = None
         self._tapped: TappedBus | None = None
@@ -97,7 +99,6 @@ class SupervisorProcess:
             if time.monotonic() > give_up:
                 raise BusUnavailableError(f"{self._url}: the supervisor did not start within {START_TIMEOUT_S:g} s")
             time.sleep(0.01)
-        self._round_at_s = time.monotonic()
         if (text := self._own.text) and not self._own_rounds():
             raise BusUnavailableError(text)
 
@@ -110,7 +111,7 @@ class SupervisorProcess:
         self._session += 1.0
         self._told[WANTED_SESSION] = self._session
         self._orders.write(self._told)
-        self._round_at_s = time.monotonic()
+        self._silent_s = 0.0
 
     def end(self) -> None:
         """End the session: nothing is permitted before the next."""
@@ -119,11 +120,12 @@ class SupervisorProcess:
 
     def trouble(self) -> str:
         """Return why nothing may move, in words: its own reason, or that it does not answer; '' where it may move."""
-        seen, now_s = self._seen, time.monotonic()
+        seen, before_s, self._looked_at_s = self._seen, self._looked_at_s, time.monotonic()
+        self._silent_s += min(self._looked_at_s - before_s, MOST_PERIODS * self._settings.sync_period_s)
         if self._own.read(seen) >= 0 and seen[ROUNDS] != self._rounds and seen[SESSION] == self._told[WANTED_SESSION]:
-            self._rounds, self._round_at_s = seen[ROUNDS], now_s
-        if now_s - self._round_at_s > SILENT_S:
-            return f"the supervisor does not answer for {now_s - self._round_at_s:.2f} s"
+            self._rounds, self._silent_s = seen[ROUNDS], 0.0
+        if self._silent_s > SILENT_S:
+            return f"the supervisor does not answer for {self._silent_s:.2f} s"
         if seen[SESSION] != self._told[WANTED_SESSION]:
             return ""  # it has yet to hear of this session
         if not seen[PERMITS]:

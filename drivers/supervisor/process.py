@@ -23,9 +23,8 @@ from drivers.settings import BusSettings
 from drivers.supervisor.blocks import ANSWER, ASKED, END, FRAME, ORDERS, OWN, PERMITS, ROUNDS, SESSION, WANTED_SESSION, WORD, blocks_of
 from drivers.supervisor.supervisor import NMT, NMT_STOP, Supervisor
 
-HELD_UP_ROUNDS = 8.0
-"""Multiple of a round's time after which the process was held up: frames have come together meanwhile."""
-MOST_FRAMES = 4096  # taken in a round, those of two seconds: who judges with frames unread calls a bus silent
+HELD_UP_ROUNDS = 8.0  # of a round's time, after which the process was held up: frames have come together meanwhile
+MOST_FRAMES = 256  # taken in a round, those of 0.1 s: who judges with frames unread calls a bus silent, who never does is silent itself
 LINGERS_S = 2.0
 """Time for which it goes on judging after the loop's process is gone."""
 
@@ -159,8 +158,8 @@ class _Rounds:
         while not self._told[END] and gone_s < LINGERS_S:
             began_s = time.monotonic()
             self._heed()
-            self._take_frames(began_s + self._round_s)
-            if time.monotonic() - began_s > HELD_UP_ROUNDS * self._round_s:
+            all_taken = self._take_frames(began_s + self._round_s)
+            if not all_taken or time.monotonic() - began_s > HELD_UP_ROUNDS * self._round_s:
                 self._supervisor.held_up()
             now_s = time.monotonic()
             if os.getppid() != self._parent:
@@ -168,16 +167,17 @@ class _Rounds:
                 self._supervisor.refuse(now_s, "the bench's process is gone")
             self._judge(now_s)
 
-    def _take_frames(self, until_s: float) -> None:
+    def _take_frames(self, until_s: float) -> bool:
         try:
             for _ in range(MOST_FRAMES):
                 if (frame := self._line.receive(max(0.0, until_s - time.monotonic()))) is not None:
                     self._supervisor.frame(time.monotonic(), *frame)
                 elif time.monotonic() >= until_s:
-                    break
+                    return True
         except (can.CanError, OSError) as error:
             self._supervisor.refuse(time.monotonic(), f"the bus cannot be read: {error}")
             time.sleep(self._round_s)
+        return False
 
     def _heed(self) -> None:
         """Take the loop's orders and what others ask for."""

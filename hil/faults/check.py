@@ -22,7 +22,7 @@ from drivers.canopen.axis_stop import NOT_PROVEN
 from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
 from hil.bench.signals import StopRequest
-from hil.errors import RecordingError, in_one_line
+from hil.errors import RecordingError, UnusableInputError, in_one_line
 from hil.experiments import Plan
 from hil.faults.budget import BudgetUse, budget_use, standing
 from hil.faults.claims import Witness, contradictions
@@ -164,7 +164,9 @@ def run_trial(machine: Machine, axis: str, trial: FaultTrial, plan: Plan) -> Tri
     if verdict == "unnoticed" and _as_sound(machine, axis, plan, run.positions):
         verdict = "within tolerance"
     said, begun = "; ".join(run.lines), [event.label.partition(" at ")[0] for event in run.events if event.begins]
-    limits = [standing(machine, each) for each in machine.axes]
+    assert machine.bus is not None  # a machine without one has no faults
+    counts = [scaling.position_resolution for scaling in machine.bus.scalings]
+    witness = Witness(run.motion, run.said_row, [standing(machine, each) for each in machine.axes], counts, begun, run.rows)
     return TrialOutcome(
         trial.name,
         trial.kind,
@@ -184,7 +186,7 @@ def run_trial(machine: Machine, axis: str, trial: FaultTrial, plan: Plan) -> Tri
         outcome.watched_s if outcome is not None else 0.0,
         outcome.axes if outcome is not None else (),
         budget_use(machine, axis, trial, run.motion, onset_s) if verdict == "stopped" else None,
-        tuple(contradictions(said, Witness(run.motion, run.said_row, limits, begun, run.rows))) if run.stopped and len(run.motion) else (),
+        tuple(contradictions(said, witness)) if run.stopped and len(run.motion) else (),
         round(time.process_time() - began_s, 2),
     )
 
@@ -249,7 +251,10 @@ def _as_sound(machine: Machine, axis: str, plan: Plan, positions: dict[str, np.n
     """Return whether every position is that of a run without faults, up to what the encoders may be off by."""
     key = (machine.hash, axis)
     if key not in _sound_positions:
-        _sound_positions[key] = _run(machine, (), plan).positions
+        sound = _run(machine, (), plan)
+        if sound.stopped or sound.lines:
+            raise UnusableInputError(f"{machine.name}: no fault can be judged, since a run without one says: {'; '.join(sound.lines)}")
+        _sound_positions[key] = sound.positions
     tolerances = {f"{side}_{judged.sensor.removeprefix('encoders_')}": judged.tolerance
                   for judged in machine.judging.encoders for side in ("position", "link_position")}  # fmt: skip
     return all(

@@ -30,8 +30,8 @@ class Witness:
         To the end of the watch.
     said_row : int
         Of the log: when the run had said all.
-    standing : sequence of float
-        By axis [rad or m]: how far an axis may swing that stands.
+    standing, count : sequence of float
+        By axis [rad or m]: how far an axis may swing that stands, and a count of its motor's encoder.
     faults : collection of str
         Names of those that had begun by then.
     rows : int
@@ -41,11 +41,12 @@ class Witness:
     log: MotionLog
     said_row: int
     standing: Sequence[float]
+    count: Sequence[float]
     faults: Sequence[str]
     rows: int
 
     def swing(self, axis: str, begin_s: float, end_s: float = np.inf) -> float:
-        """Return the range of an axis's position from one time to another, both after the run had said all [rad or m]."""
+        """Return the range of an axis's position between two times, counted from when the run had said all [rad or m]."""
         time_s = self.log.time_s
         said_s = time_s[self.said_row]
         inside = (time_s >= said_s + begin_s) & (time_s <= said_s + end_s)
@@ -56,8 +57,8 @@ class Witness:
         return self.swing(axis, -SWING_S) <= self.standing[self.log.axes.index(axis)]
 
     def moved(self, axis: str) -> bool:
-        """Return whether an axis moved shortly before."""
-        return self.swing(axis, -BEFORE_S, 0.0) > 0.0
+        """Return whether an axis moved by a count of its encoder or more shortly before."""
+        return self.swing(axis, -BEFORE_S, 0.0) >= self.count[self.log.axes.index(axis)]
 
     def drives(self, axis: str) -> bool:
         """Return whether an axis's drive had its power stage on."""
@@ -87,7 +88,7 @@ OF_AN_AXIS: tuple[tuple[str, Check | None], ...] = (
 OF_THE_SAME_AXIS: tuple[tuple[str, Check | None], ...] = (
     (r"it stands", lambda w, axis: w.swing(axis, -SWING_S, 0.0) <= w.standing[w.log.axes.index(axis)]),
     (r"IT MOVES", lambda w, axis: w.moved(axis)),
-    (r"nobody knows whether it moves", None),
+    (r"(nobody knows whether it moves|its motor side shows motion, its link none)", None),
     (r"its brake reports (open|closed).*", None),
     (r"(the I/O does not say whether its brake is closed|the bench commands no brake of it).*", None),
 )  # fmt: skip
@@ -99,12 +100,28 @@ OF_THE_RUN: tuple[tuple[str, Callable[[Witness, re.Match[str]], bool]], ...] = (
     (r"nothing was moved", lambda w, said: not w.log.speed[: w.said_row].any()),
 )  # fmt: skip
 REPORTED = re.compile(
-    r"brake of .*: not (open|closed) within .* by its feedback"
-    r"|.*: its brake reports closed during the run"
-    r"|.*(motor side|link encoder|counter|tracking error|position|winding|statusword).*"
-    r"|from [\d.]+ s on, .*|.*left oper.*|EMCY .*|.*: moves by .* alone|.* moved .* on a positive effort|.* moved .* where .* expected .*"
-    r"|nobody knows of hold-to-run, door and brakes.*|.*have moved further apart.*|.*keeps its voltage.*|the holding effort is wrong"
-    r"|one of them is frozen.*|.*rows are marked\)|stopping the motors ran into .*|.*supervisor.*|its link moved by .*|press and hold it"
+    "|".join(
+        (
+            r"brake of [\w, ]+: not (open|closed) within [\d.]+ s by its feedback",
+            r"(row \d+: )?\w+: its brake reports closed during the run",
+            r"(row \d+: )?\w+: (motor side|link encoder): (moved by|no position).*",
+            r"(row \d+: )?\w+: (its motor side moved by|tracking error|no position|position|link position) .*",
+            r"(row \d+: )?\w+: (its motor side|its link encoder|link encoder) .*",
+            r"\w+: (moves by|moved) .* (alone|on a positive effort|when pushed .*|where .* was expected .*)",
+            r"\w+: the motor side moved .*",
+            r"\w+: homing by method \d+.*",
+            r"one of them is frozen, counts the wrong way, or the gear between them slips",
+            r"from [\d.]+ s on, .*",
+            r".*rows are marked\)",
+            r"\w+ \(node \d+\): left oper.*",
+            r"EMCY [0-9A-F]+h: .*",
+            r"nobody knows of hold-to-run, door and brakes.*",
+            r"the supervisor took its permission back: .*",
+            r"stopping the motors ran into .*",
+            r"\w+: at [-+.\d]+ \w+, out of its range and moving on",
+            r"press and hold it|the holding effort is wrong|the position is not known.*",
+        )
+    )
 )
 """Sentences about what was measured or reported."""
 

@@ -32,9 +32,6 @@ _STATE_OF: dict[Phase, str] = {
     "settled": "settled",
     "stop": "settled",
 }
-FRAME_BITS = 64
-_NEEDS_SPARE_BYTES = {"pdos_long"}
-"""Faults that lengthen PDOs, which one of eight bytes cannot show."""
 _NEEDS_METHOD = {"limit_switch_stuck": (17, 18), "index_pulse_missing": (33, 34), "homing_wrong_direction": (17, 18, 33, 34)}
 """Faults that only show where the axis is homed by one of these methods."""
 
@@ -125,9 +122,7 @@ def _at(kind: FaultKind, machine: Machine, axis: str) -> tuple[str, ...]:
     places = places_of(machine)
     assert machine.bus is not None
     here = {node.name for node in machine.bus.nodes if node.axis == axis} | {axis, "imu", "io", "bus"}
-    full = {node.name for node in machine.bus.nodes if all(sum(bits for *_, bits in pdo.entries) == FRAME_BITS for pdo in node.tpdos)}
-    spared = full if kind.name in _NEEDS_SPARE_BYTES else set()
-    return tuple(place for place in places.of(kind.at) if place in here - spared)
+    return tuple(place for place in places.of(kind.at) if place in here)
 
 
 def _rows(kind: FaultKind, places: FaultPlaces, at: tuple[str, ...], axis: str, speed: float) -> Iterator[FaultTrial]:

@@ -20,6 +20,7 @@ from virtual_bus.faults.binding import FaultPlaces, as_entries, bind_faults
 from virtual_bus.faults.fault import FaultSetting
 
 KEYS = ("format", "fault")
+FRAME_BITS = 64  # of data, at most
 
 
 def read_faults_file(path: str | Path, machine: Machine) -> tuple[FaultSetting, ...]:
@@ -85,6 +86,7 @@ def places_of(machine: Machine) -> FaultPlaces:
         linked=tuple(channel.removeprefix("link_position_") for channel in encoders),
         drives=tuple(node.name for node in bus.nodes if node.role == "drive"),
         encoders=tuple(node.name for node in bus.nodes if node.role == "encoder"),
+        short=tuple(node.name for node in bus.nodes if any(sum(bits for *_, bits in pdo.entries) < FRAME_BITS for pdo in node.tpdos)),
         imu=bus.imu is not None,
         io=io is not None,
     )

@@ -29,6 +29,22 @@ def edited(old: str, new: str, text: str = CARM.text, count: int = 0) -> str:
     return result
 
 
+def patient_text(overrun_ticks: str = "5000") -> str:
+    """The C-arm's file with time-outs that a machine busy with other things keeps, for tests of behaviour over two processes."""
+    text = CARM.text
+    for key, value in {
+        "heartbeat_s": "1.0",
+        "master_heartbeat_s": "0.5",
+        "boot_timeout_s": "20.0",
+        "stale_after_s": "20.0",
+        "answer_timeout_s": '2.0\nanswers = "awaited"',
+        "overrun_ticks": overrun_ticks,
+        "stale_ticks": "64",
+    }.items():
+        text = edited(f"^{key} = [0-9.]+", f"{key} = {value}", text)
+    return edited("timeout_s = 0.5", "timeout_s = 1.0", text)  # of the I/O's output watchdog: the most that is allowed
+
+
 def carm_at_1_kHz() -> Machine:
     """The C-arm sampled at 1 kHz: the controllers of docs/explanation/carm.md discretised anew, answers awaited for half a period."""
     rate = 1000.0

@@ -27,8 +27,8 @@ class FaultPlaces:
     ----------
     axes, braked, watched, thermometers, linked : tuple of str
         All axes; those with a brake, with a brake feedback at the I/O, with a temperature sensor there, with a link encoder.
-    drives, encoders : tuple of str
-        Names of nodes.
+    drives, encoders, short : tuple of str
+        Names of nodes; `short` of those that send a PDO of fewer than eight bytes.
     imu, io : bool
         Whether the machine has one.
     """
@@ -40,6 +40,7 @@ class FaultPlaces:
     linked: tuple[str, ...]
     drives: tuple[str, ...]
     encoders: tuple[str, ...]
+    short: tuple[str, ...]
     imu: bool
     io: bool
 
@@ -53,6 +54,7 @@ class FaultPlaces:
             "drive": self.drives,
             "encoder": self.encoders,
             "node": (*self.drives, *self.encoders),
+            "short PDO": self.short,
             "imu": ("imu",) if self.imu else (),
             "io": ("io",) if self.io else (),
             "bus": ("bus",),

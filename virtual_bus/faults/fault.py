@@ -14,7 +14,7 @@ Values = Mapping[str, float]
 Begin = Callable[[FaultyMachine, str, Values], Undo]
 """Begins a fault at a place with its parameters, and returns what takes it back."""
 
-Place = Literal["axis", "brake", "feedback", "thermometer", "drive", "encoder", "node", "imu", "io", "bus", "process"]
+Place = Literal["axis", "brake", "feedback", "thermometer", "drive", "encoder", "node", "short PDO", "imu", "io", "bus", "process"]
 PLACES: dict[Place, str] = {
     "axis": "an axis",
     "brake": "an axis with a brake",
@@ -23,6 +23,7 @@ PLACES: dict[Place, str] = {
     "drive": "a drive's node",
     "encoder": "a link encoder's node",
     "node": "any node",
+    "short PDO": "a node that sends a PDO of fewer than eight bytes",
     "imu": "imu",
     "io": "io",
     "bus": "bus",

@@ -144,7 +144,7 @@ KINDS = (
     FaultKind("pdos_frozen", "The node sends the PDOs of one instant again and again.", "drive", "node", pdos_frozen,
               trials=(Trial(), Trial("settled")), budget="runaway"),
     FaultKind("pdos_short", "The node's PDOs are one byte short.", "bus", "node", pdos_short, budget="position_lost"),
-    FaultKind("pdos_long", "The node's PDOs have eight bytes whatever is mapped.", "bus", "node", pdos_long),
+    FaultKind("pdos_long", "The node's PDOs have eight bytes whatever is mapped.", "bus", "short PDO", pdos_long),
     FaultKind("node_leaves_operational", "The node falls back to pre-operational by itself.", "drive", "node", leaves_operational,
               budget="bench_silent"),
     FaultKind("node_stops", "The node goes to NMT stopped by itself.", "drive", "node", stops, budget="bench_silent"),

@@ -237,6 +237,22 @@ def test_a_drive_that_does_not_hold_is_given_up_after_a_second(status: int, word
     assert bare.words == f"not proven at rest: {words}; the bench commands no brake of it; it stands"
 
 
+@pytest.mark.parametrize(
+    ("motor", "link", "words"),
+    [
+        (True, False, "its motor side shows motion, its link none"),  # another device sends its positions, or its coupling is off
+        (True, True, "IT MOVES"),
+        (False, True, "IT MOVES"),  # behind a gear that slips the motor side stands
+    ],
+)
+def test_which_side_shows_motion_is_told(motor: bool, link: bool, words: str) -> None:
+    stopping = Stopping()
+    stopping.sample.statusword[1] = READY
+    for at in range(CLOSING):
+        stopping.tick(motor=at % 7 * 1000 * motor, link=at % 7 * 1000 * link)
+    assert stopping.words.endswith(f"its brake reports closed; {words}") or stopping.words.endswith(f"its brake reports open; {words}")
+
+
 def test_a_state_is_believed_for_as_long_as_lost_frames_are_bridged() -> None:
     stopping = Stopping().to_swinging()
     stopping.ticks(SWING - 5)

@@ -25,7 +25,7 @@ def witness(
     log = MotionLog(("propeller", "roll"))
     for time_s in np.arange(0.0, 4.0, PERIOD_S).tolist():
         log.add(time_s, [0.3, speed * time_s], [0.0, speed], [0.0, effort], [1.0, brake], [OFF, drive])
-    return Witness(log, 512, (5e-3, 5e-3), faults, 189)
+    return Witness(log, 512, (5e-3, 5e-3), (3e-6, 3e-6), faults, 189)
 
 
 def test_a_true_line_has_no_contradiction() -> None:

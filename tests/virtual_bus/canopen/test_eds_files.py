@@ -172,6 +172,7 @@ def test_a_broken_file_is_named_in_one_line(tmp_path: Path, text: str, says: str
             "line 8: DataType=0xF of a communication object is read as CiA 301's 0006h",
         ),
         ("[2000]\nDataType=7\nDefaultValue=0000 0080h\n", 0x2000, 0, 0x80, "line 9: a hexadecimal number begins with 0x"),
+        ("[2000]\nDataType=7\nDefaultValue=each\n", 0x2000, 0, None, "line 9: a default that is no number was left out"),
         ("[2000]\nDataType=5\nDefaultValue=of the profile\n", 0x2000, 0, None, "line 9: a default that is no number was left out"),
     ],
 )
