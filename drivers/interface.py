@@ -24,7 +24,7 @@ class Sample:
     position: np.ndarray = field(init=False)  # rad or m
     link_position: np.ndarray = field(init=False)  # rad or m; NaN without a link encoder
     effort: np.ndarray = field(init=False)  # in the drive's unit
-    commanded: np.ndarray = field(init=False)  # in the drive's unit: what the drives were sent before this SYNC, as it was on the wire
+    commanded: np.ndarray = field(init=False)  # effort sent before this SYNC, as on the wire; NaN where the drive's own loops add to it
     statusword: np.ndarray = field(init=False)  # int64, -1 when missing
     age_s: np.ndarray = field(init=False)
     imu: np.ndarray = field(init=False)  # (6,) specific force m/s^2, angular rate rad/s

@@ -14,6 +14,12 @@ from drivers.canopen.first_move_and_homing import commission_axis
 from drivers.errors import MotionRefusedError
 from drivers.ticking_machine import TickingMachine
 
+LOOP_MODES = {
+    "torque": Mode.CYCLIC_SYNCHRONOUS_TORQUE,
+    "velocity": Mode.CYCLIC_SYNCHRONOUS_VELOCITY,
+    "position": Mode.CYCLIC_SYNCHRONOUS_POSITION,
+}
+
 
 class CanMachine(TickingMachine):
     """A ticking machine and the phases in which it ticks by itself: homing, enabling, brakes.
@@ -56,7 +62,7 @@ class CanMachine(TickingMachine):
         return tuple(found)
 
     def enable(self, hold: power_and_brakes.Hold | None = None) -> None:
-        """Bring every drive to operation enabled in cyclic synchronous torque mode, brakes closed.
+        """Bring every drive to operation enabled in the loop's mode, brakes closed.
 
         A drive in fault is reset first, and the reset is checked.
 
@@ -76,7 +82,7 @@ class CanMachine(TickingMachine):
             axes = range(len(self.axes))
             for axis in axes:
                 power_and_brakes.reset_fault(self, axis)
-                power_and_brakes.set_mode(self, axis, Mode.CYCLIC_SYNCHRONOUS_TORQUE)
+                power_and_brakes.set_mode(self, axis, LOOP_MODES[self.scalings[axis].mode])
             self.watch.stand()
             power_and_brakes.reach(self, State.OPERATION_ENABLED, axes, hold or (lambda _: self.zeros))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,7 @@ class AxisScaling:
     rated_torque_mNm: int  # object 6076h
     rated_current_mA: int  # object 6075h
     position_unit: str = "rad"  # or "m"; for messages
+    mode: Literal["torque", "velocity", "position"] = "torque"  # cyclic synchronous mode of the loop
 
 
 @dataclass(frozen=True)

@@ -264,6 +264,10 @@ class TickingMachine:
         """Set the controlword of an axis' drive for the next tick and all later ones."""
         self._cyclic.outputs[axis].controlword = controlword
 
+    def lead_to(self, axis: int, target: float) -> None:
+        """Set the position or velocity that a drive's own loops follow from the next tick on [rad or m; rad/s or m/s]."""
+        self._cyclic.outputs[axis].lead_to(target)
+
     def arm(self, axis: int, armed: bool) -> None:
         """Arm or disarm a drive: an armed drive that leaves operation enabled is a fault."""
         self._armed[axis] = armed

@@ -162,7 +162,12 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
             "`name`, `parent`, `mass_kg`, and `joint` with `name`, `type`, `stiffness`, `damping`, `armature`, `brake_effort`.",
         ),
         Entry("sensors", "list", "Channels, and names of IMUs."),
-        Entry("controllers", "list", "`axis`, `position_sections`, `reference_sections`, `gravity_feedforward`."),
+        Entry(
+            "controllers",
+            "list",
+            "`axis`, `position_sections`, `reference_sections`, `gravity_feedforward`: laws in effort.",
+        ),
+        Entry("commands", "object", "Per axis what the loop commands: `mode`, `unit`, and the `excitation_unit`."),
         Entry("nodes", "list", "`name`, `role`, `axis`, `node_id`."),
     ),
     "machine check": (

@@ -133,9 +133,9 @@ class AxisStop:
     def prove(self, effort: float) -> None:
         """Begin where a motion has ended by itself: its drive enabled with this effort, its brake closed.
 
-        An axis whose brake is not the bench's is stopped as from any other state.
+        An axis whose brake is not the bench's, or whose drive has loops of its own, is stopped as from any other state.
         """
-        if not self._braked:
+        if not (self._braked and self._takes_torque):
             return
         self.controlword, self.effort, self._held_effort = cia402.ENABLE_OPERATION, effort, effort
         self.orders_brake = False

@@ -26,6 +26,8 @@ class Mode(IntEnum):
     """Modes of operation, objects 6060h and 6061h."""
 
     HOMING = 6
+    CYCLIC_SYNCHRONOUS_POSITION = 8
+    CYCLIC_SYNCHRONOUS_VELOCITY = 9
     CYCLIC_SYNCHRONOUS_TORQUE = 10
 
 

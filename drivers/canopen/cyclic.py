@@ -55,7 +55,9 @@ class CyclicExchange:
         self._tick = 0
         self._axis_names = [scaling.axis for scaling in settings.scalings]
         self.inputs = [AxisInput(scaling) for scaling in settings.scalings]
-        self.outputs = [AxisOutput(drive, scaling) for drive, scaling in zip(drives(settings), settings.scalings, strict=True)]
+        parts = zip(drives(settings), settings.scalings, self.inputs, strict=True)
+        self.outputs = [AxisOutput(drive, scaling, source) for drive, scaling, source in parts]
+        self._told = [scaling.mode == "torque" for scaling in settings.scalings]  # whether that is all of its effort
         self._tpdos = [
             Tpdo(node, pdo, axis, self.inputs[axis])
             for node in settings.nodes
@@ -114,7 +116,8 @@ class CyclicExchange:
             if not isfinite(effort):
                 raise MotionRefusedError(f"{self._axis_names[len(targets)]}: the command is {effort}; no number, no motion")
             targets.append(output.permille(effort))
-            sample.commanded[len(targets) - 1] = output.effort(targets[-1])
+            axis = len(targets) - 1
+            sample.commanded[axis] = output.effort(targets[-1]) if self._told[axis] else nan
         bus = self._bus
         for output, target in zip(self.outputs, targets, strict=True):
             output.send(bus, target)

@@ -15,7 +15,7 @@ from drivers.errors import ConfigurationRefusedError
 from drivers.interface import Sample
 from drivers.settings import AxisScaling, BusSettings, Node, Pdo
 
-CONTROLWORD, TARGET_TORQUE = 0x6040, 0x6071
+CONTROLWORD, TARGET_TORQUE, TORQUE_OFFSET, TARGET_POSITION, TARGET_VELOCITY = 0x6040, 0x6071, 0x60B2, 0x607A, 0x60FF
 STATUSWORD, POSITION, TORQUE_ACTUAL, CURRENT_ACTUAL, LINK_POSITION = 0x6041, 0x6064, 0x6077, 0x6078, 0x6004
 _HALF_RANGE, _RANGE = 1 << 31, 1 << 32
 INT16_MAX = 32767
@@ -47,6 +47,10 @@ class AxisInput:
         self._last_raw = raw
         return self._counts_scale * (raw + self._turns * _RANGE) + self.offset
 
+    def counts(self, position: float) -> int:
+        """Return the drive's count of a joint position: the reverse of `position`, as a signed number of 32 bits."""
+        return signed_32(round((position - self.offset) / self._counts_scale))
+
     def effort(self, permille: int) -> float:
         """Return the measured effort [drive's unit] of a current or torque actual value (6078h, 6077h)."""
         return self._effort_scale * permille
@@ -62,26 +66,33 @@ class AxisInput:
 
 
 class AxisOutput:
-    """Controlword and target of one drive, in the RPDOs that carry them."""
+    """Controlword, effort and target of one drive, in the RPDOs that carry them.
 
-    def __init__(self, node: Node, scaling: AxisScaling) -> None:
+    The effort is a torque target (6071h) or, where it is mapped, a torque offset (60B2h): in torque mode it then is all of the torque, in
+    velocity and position mode it is beside what the drive's loops give. The target is a position (607Ah) or a velocity (60FFh).
+    """
+
+    def __init__(self, node: Node, scaling: AxisScaling, source: AxisInput) -> None:
         self.controlword = DISABLE_VOLTAGE
+        self.target = 0  # counts or counts/s
+        self._source = source
+        self._speed_scale = scaling.sign / scaling.position_resolution
         self._permille = scaling.sign * 1000.0 / scaling.rated
         self._limit = min(INT16_MAX, round(scaling.limit / scaling.rated * 1000.0))
-        self.frames: list[tuple[can.Message, Callable[..., None], bool, bool]] = []
+        carried = [index for pdo in node.rpdos for index, _, _ in pdo.entries]
+        target = {"position": TARGET_POSITION, "velocity": TARGET_VELOCITY}.get(scaling.mode)
+        effort = TARGET_TORQUE if target is None and TORQUE_OFFSET not in carried else TORQUE_OFFSET
+        filled = [CONTROLWORD, effort, *([] if target is None else [target])]
+        if sorted(carried) != sorted(filled):
+            raise ConfigurationRefusedError(
+                f"{node.name}: its RPDOs map {', '.join(f'{index:04X}h' for index in carried) or 'nothing'}; in {scaling.mode} mode the "
+                f"loop fills {', '.join(f'{index:04X}h' for index in filled)} and nothing else"
+            )
+        self.frames: list[tuple[can.Message, Callable[..., None], tuple[int, ...]]] = []
         for pdo in node.rpdos:
-            objects = tuple(index for index, _, _ in pdo.entries)
-            if objects not in ((CONTROLWORD, TARGET_TORQUE), (TARGET_TORQUE, CONTROLWORD), (CONTROLWORD,), (TARGET_TORQUE,)):
-                raise ConfigurationRefusedError(
-                    f"{node.name}: RPDO {pdo.number} maps {', '.join(f'{index:04X}h' for index in objects)}; "
-                    "the loop fills controlword and target_torque and nothing else"
-                )
             codec = PdoCodec.of(pdo.entries)
             message = can.Message(arbitration_id=pdo.cob_id, is_extended_id=False, data=bytearray(codec.size))
-            self.frames.append((message, codec.pack_into, CONTROLWORD in objects, objects[0] == CONTROLWORD))
-        carried = {index for pdo in node.rpdos for index, _, _ in pdo.entries}
-        if not {CONTROLWORD, TARGET_TORQUE} <= carried:
-            raise ConfigurationRefusedError(f"{node.name}: its RPDOs must map controlword and target_torque")
+            self.frames.append((message, codec.pack_into, tuple(filled.index(index) for index, _, _ in pdo.entries)))
 
     def permille(self, effort: float) -> int:
         """Return the target torque (6071h) of an effort in the drive's unit, clipped to the axis limit."""
@@ -92,17 +103,18 @@ class AxisOutput:
         """Return the effort [drive's unit] of a target torque (6071h)."""
         return permille / self._permille
 
-    def send(self, bus: can.BusABC, target: int) -> None:
-        """Send the drive's RPDOs with the controlword and this target torque."""
-        for message, pack_into, has_controlword, controlword_first in self.frames:
-            if not has_controlword:
-                pack_into(message.data, target)
-            elif len(message.data) == 2:
-                pack_into(message.data, self.controlword)
-            elif controlword_first:
-                pack_into(message.data, self.controlword, target)
-            else:
-                pack_into(message.data, target, self.controlword)
+    def lead_to(self, target: float) -> None:
+        """Set the position [rad or m] or velocity [rad/s or m/s] that the drive's own loops follow from the next tick on."""
+        if self._source.scaling.mode == "position":
+            self.target = self._source.counts(target)
+        else:
+            self.target = round(target * self._speed_scale)
+
+    def send(self, bus: can.BusABC, permille: int) -> None:
+        """Send the drive's RPDOs with the controlword, this effort and the target."""
+        values = self.controlword, permille, self.target
+        for message, pack_into, places in self.frames:
+            pack_into(message.data, *[values[place] for place in places])
             send_frame(bus, message)
 
 
@@ -151,6 +163,11 @@ class Tpdo:
         for index, values in ((self.position, sample.position), (self.effort, sample.effort), (self.link, sample.link_position)):
             if index >= 0:
                 values[self.axis] = nan
+
+
+def signed_32(value: int) -> int:
+    """Return the value of a signed counter of 32 bits."""
+    return (value + _HALF_RANGE) % _RANGE - _HALF_RANGE
 
 
 def drives(settings: BusSettings) -> list[Node]:

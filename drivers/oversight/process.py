@@ -24,7 +24,9 @@ from drivers.supervisor.process import supervise
 
 START_TIMEOUT_S = 10.0  # a new Python process on a loaded machine
 SILENT_S = 0.25
-"""Time without a round of the supervisor after which the loop stops: sixty rounds, and half of what the I/O's outputs stay on."""
+"""Time without a round of the supervisor after which the loop stops, where no output watchdog says another: sixty rounds at 256 Hz."""
+WATCHDOG_SHARE = 0.5
+"""Share of the output watchdog's time that it is otherwise: the loop stops before the brakes fall."""
 MOST_PERIODS = 2.0
 """Periods between two looks that count as its silence: a loop that was halted for longer was not there to hear, and maybe both were."""
 SHARED_BY_PROCESSES = ("socketcan", "udp_multicast")
@@ -50,6 +52,8 @@ class SupervisorProcess:
         self._told = np.zeros(ORDERS)
         self._seen = np.zeros(OWN)
         self._rounds, self._silent_s, self._looked_at_s = -1.0, 0.0, time.monotonic()
+        watchdog = None if settings.io is None else settings.io.watchdog
+        self._silent_most_s = SILENT_S if watchdog is None else WATCHDOG_SHARE * watchdog.timeout_s
         self._settings, self._url, self._priority, self._stop_socket = settings, bus_url, priority, stop_socket
         self._tap: socket.socket | None = None
         self._tapped: TappedBus | None = None
@@ -124,7 +128,7 @@ class SupervisorProcess:
         self._silent_s += min(self._looked_at_s - before_s, MOST_PERIODS * self._settings.sync_period_s)
         if self._own.read(seen) >= 0 and seen[ROUNDS] != self._rounds and seen[SESSION] == self._told[WANTED_SESSION]:
             self._rounds, self._silent_s = seen[ROUNDS], 0.0
-        if self._silent_s > SILENT_S:
+        if self._silent_s > self._silent_most_s:
             return f"the supervisor does not answer for {self._silent_s:.2f} s"
         if seen[SESSION] != self._told[WANTED_SESSION]:
             return ""  # it has yet to hear of this session

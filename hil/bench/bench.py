@@ -144,7 +144,7 @@ class Bench:
                 for leg in (self._bridge_to(way[0] if way else stay), *way):
                     self.loop.run(leg)
                 residual, notes = self._settle(stay)
-                tables["initial"] = self._initial() | {"controller_states": self.loop.feedback.states, "standing": residual}
+                tables["initial"] = self._initial() | {"controller_states": self.loop.control.law.states, "standing": residual}
                 self.wiring.start_truth()
                 if rows is not None:
                     rows.begin(self.wiring.link.syncs)
@@ -224,8 +224,7 @@ class Bench:
         link = self.wiring.link
         self._see_pose()
         effort = self.model.holding_effort(self.pose)
-        self.loop.feedback.preload(effort, self.pose, self._feedforward())
-        self.loop.command[:] = effort
+        self.loop.control.preload(effort, self.pose, self._feedforward())
         link.enable(self._holding())
         link.events.add("bench", "drives enabled")
         link.release_brakes(self._holding())
@@ -260,14 +259,14 @@ class Bench:
 
     def _holding(self) -> Callable[[Sample], np.ndarray]:
         """Return the function from a sample to the command that holds the present pose, for phases in which the link ticks by itself."""
-        loop, pose, feedforward = self.loop, self.pose.copy(), self._feedforward()
+        control, pose, feedforward = self.loop.control, self.pose.copy(), self._feedforward()
         position = pose.copy()
 
         def hold(sample: Sample) -> np.ndarray:
             known = np.isfinite(sample.position)
             position[known] = sample.position[known]
-            loop.feedback.step(pose, position, self._still, feedforward, loop.command)
-            return loop.command
+            control.step(pose, position, self._still, feedforward)
+            return control.effort
 
         return hold
 
@@ -318,7 +317,13 @@ class Bench:
         observer = None if self.observer is None else self.observer.metadata
         judged = None if self.loop.judge is None else judged_table(self.loop.judge.sensors)
         metadata = recording_metadata(
-            self.machine, plan.metadata, self._initial(), bench=self._circumstances(), observer=observer, judged=judged
+            self.machine,
+            plan.metadata,
+            self._initial(),
+            bench=self._circumstances(),
+            commands=self.machine.commanded,
+            observer=observer,
+            judged=judged,
         )
         channels = self.loop.layout.channels
         if self.wiring.lockstep:

@@ -14,11 +14,11 @@ from typing import Protocol
 
 import numpy as np
 
-from controllers.feedback import Feedback
 from controllers.settings import AxisLimits
 from drivers.events import Events
 from drivers.interface import MachineLink, Sample
 from drivers.judging.judge import SensorJudge
+from hil.bench.control import Control
 from hil.bench.judging import judged_lines
 from hil.bench.row_layout import RowLayout
 from hil.bench.signals import Signals, StopRequest
@@ -57,7 +57,7 @@ class Observer(Protocol):
         """Restart before row 0 of a plan of this many ticks."""
 
     def step(self, sample: Sample, command: np.ndarray, tick: int) -> None:
-        """Take one row: the latched sample, the command (n_axes,) of the row before, which is on the wire, and the tick of the plan."""
+        """Take one row: the latched sample, the effort (n_axes,) that the row before has asked for, and the tick of the plan."""
 
 
 class _EndedError(Exception):
@@ -73,7 +73,7 @@ _UNTIMED = (0.0, math.nan, math.nan)
 
 @dataclass
 class SampleLoop:
-    """One machine, one feedback, one row layout.
+    """One machine, one control, one row layout.
 
     Parameters
     ----------
@@ -81,8 +81,8 @@ class SampleLoop:
         The machine, real or emulated.
     clock : TickClock
         The clock the link ticks by.
-    feedback : Feedback
-        All axes' controllers.
+    control : Control
+        All axes' feedback.
     limits : sequence of AxisLimits
         Every sample is checked against these.
     layout : RowLayout
@@ -110,7 +110,7 @@ class SampleLoop:
 
     link: MachineLink
     clock: TickClock
-    feedback: Feedback
+    control: Control
     limits: Sequence[AxisLimits]
     layout: RowLayout
     guard_io: bool
@@ -128,7 +128,6 @@ class SampleLoop:
     def __post_init__(self) -> None:
         """Allocate everything that a tick needs."""
         axes = len(self.limits)
-        self.command = np.zeros(axes)
         self._position = np.full(axes, np.nan)  # the newest of each axis
         self._stale = [0] * axes  # ticks since then in which somebody answered
         self._unjudged = 0  # ticks since the sensors were judged
@@ -160,7 +159,7 @@ class SampleLoop:
             self.judge.restart()
         try:
             while k + 1 < rows:
-                sample = self.link.exchange(self.command)
+                sample = self.link.exchange(self.control.effort)
                 lost = self.clock.missed - missed_seen
                 missed_seen += lost
                 k += 1 + (lost if done else 0)  # row 0 is wherever the run begins
@@ -176,7 +175,7 @@ class SampleLoop:
                 tail_s = self.clock.idle_began_s - handed_over_s if done else 0.0
                 excitation = plan.excitation[k]
                 if observer is not None:
-                    observer.step(sample, self.command, k)
+                    observer.step(sample, self.control.demand, k)
                     excitation = np.add(excitation, observer.effort, out=self._added)
                 reason = self._step(sample, plan, k, excitation, 1 + lost) or overrun
                 handed_over_s = time.perf_counter()
@@ -186,7 +185,9 @@ class SampleLoop:
                 done += 1
                 if sink is not None:
                     timing_s = (lateness[done - 1], work[done - 1], answer[done - 1]) if self.timed else _UNTIMED
-                    self.layout.fill(self._row, k, sample, plan, self.command, timing_s, self.judge.marks if self.judge is not None else 0)
+                    self.layout.fill(
+                        self._row, k, sample, plan, self.control.command, timing_s, self.judge.marks if self.judge is not None else 0
+                    )
                     if observer is not None:
                         self._row[self.layout.observed] = observer.estimate
                     sink.put(self._row)
@@ -222,7 +223,7 @@ class SampleLoop:
         reference = plan.reference[k]
         feedforward = self._zeros if plan.feedforward is None else plan.feedforward[k]
         if not sample.unanswered and not sample.position_late.any():
-            self.feedback.step(reference, self._position, excitation, feedforward, self.command)
+            self.control.step(reference, self._position, excitation, feedforward)
         return self.stop_request.reason or self._violation(sample, reference, ticks, k)
 
     def _see(self, sample: Sample) -> None:

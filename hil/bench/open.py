@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from controllers.feedback import Feedback
 from drivers.events import Events
 from drivers.judging.judge import SensorJudge
 from drivers.modbus.transport import parse_io_url
 from hil.bench.bench import Bench
 from hil.bench.clock import WallClock
+from hil.bench.control import Control
 from hil.bench.judging import judging_of
 from hil.bench.loop import SampleLoop
 from hil.bench.options import BenchOptions
@@ -66,7 +66,6 @@ def open_bench(
         if url:
             parse_io_url(url)  # a typo is refused in lockstep as on a wire
     model = Physics(machine.plant, noise=False)
-    feedback = _warm(Feedback(machine.controllers))
     lockstep = options.bus_url.startswith("lockstep:")
     stop_request = StopRequest() if stop_request is None else stop_request
     links: list[HeedingMachine] = []
@@ -82,7 +81,7 @@ def open_bench(
         loop = SampleLoop(
             wiring.link,
             wiring.clock,
-            feedback,
+            Control(machine.controllers, machine.commands, wiring.link.lead_to),
             machine.limits,
             row_layout(machine, () if observer is None else observer.channels),
             guard_io=io is not None,
@@ -126,19 +125,11 @@ def _look(machine: Machine, model: Physics, wiring: Wiring) -> np.ndarray:
         wiring.link.close()
 
 
-def _warm(feedback: Feedback) -> Feedback:
-    """Compile the feedback by a first step, so that a machine's first tick does not wait for it."""
-    nothing = np.zeros(len(feedback.controllers))
-    feedback.step(nothing, nothing, nothing, nothing, nothing.copy())
-    feedback.reset()
-    return feedback
-
-
 def row_layout(machine: Machine, observed: Sequence[tuple[str, str]] = ()) -> RowLayout:
     """Return the columns of this machine's recordings, with those of an observer."""
     plant = machine.plant
     return RowLayout(
-        [AxisColumns(units.axis, units.position, units.effort) for units in machine.units],
+        [AxisColumns(units.axis, units.position, units.effort, machine.command_unit(axis)) for axis, units in enumerate(machine.units)],
         1.0 / machine.sample_rate_Hz,
         imu=machine.bus.imu.name if machine.bus is not None and machine.bus.imu is not None else "",
         link=any(encoder.channel.startswith("link_") for encoder in plant.encoders),

@@ -19,6 +19,7 @@ class AxisColumns:
     name: str
     position_unit: str  # "rad" or "m"
     effort_unit: str  # "A", "V", "Nm" or "N"
+    command_unit: str  # of the effort, or of a velocity or position
 
     @property
     def effort_channel(self) -> str:
@@ -61,7 +62,7 @@ class RowLayout:
             ("reference_raw", lambda a: f"reference_raw_{a.name}", lambda a: a.position_unit),
             ("excitation", lambda a: f"excitation_{a.name}", lambda a: a.effort_unit),
             ("feedforward", lambda a: f"feedforward_{a.name}", lambda a: a.effort_unit),
-            ("command", lambda a: f"command_{a.name}", lambda a: a.effort_unit),
+            ("command", lambda a: f"command_{a.name}", lambda a: a.command_unit),
             ("effort", lambda a: a.effort_channel, lambda a: a.effort_unit),
             ("position", lambda a: f"position_{a.name}", lambda a: a.position_unit),
             ("link_position", lambda a: f"link_position_{a.name}", lambda a: a.position_unit),

@@ -179,11 +179,12 @@ def _check_apart(fitted_to: list[Path], held_out: list[Path]) -> None:
 def _read(paths: list[Path], machine: Machine, taken: Collection[str] = ()) -> dict[str, Recording]:
     """Read recordings by their file's name without its suffix; by their path where another one has that name."""
     from hil.recording import read_recording
+    from hil.simulation import in_effort
 
     found: dict[str, Recording] = {}
     for path in paths:
         name = path.stem if path.stem not in found and path.stem not in taken else str(path)
-        found[name] = read_recording(path, machine)
+        found[name] = in_effort(read_recording(path, machine), machine)
         _check_axes(path, found[name], machine)
     return found
 

@@ -66,13 +66,14 @@ def identify(
     from hil.identification import identify_poses, write_frf
     from hil.identification.report import response_document, response_lines
     from hil.recording import read_recording
+    from hil.simulation import in_effort
 
     machine = None if machine_name is None else load(machine_name)
     answer = Answer(json_to)
     can_be_written(out, figure)
     not_an_input(out, *recordings)
     responses = identify_poses(
-        [read_recording(path, machine) for path in recordings],
+        [in_effort(read_recording(path, machine), machine) for path in recordings],
         method,
         model=_model(orders),
         over_poses=_over_poses(over_poses or []),

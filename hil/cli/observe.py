@@ -127,6 +127,7 @@ def observe(
     from hil.observing import observability, read_design, write_design, write_estimate
     from hil.observing import observe as replay
     from hil.recording import read_recording
+    from hil.simulation import in_effort
 
     if filter_name not in KINDS:
         raise typer.BadParameter(f"--filter {filter_name}: must be {', '.join(KINDS)}")
@@ -143,7 +144,7 @@ def observe(
     for written in (out, save_design, figure):
         if written is not None:
             not_an_input(written, *inputs)
-    recording = read_recording(recording_path, machine)
+    recording = in_effort(read_recording(recording_path, machine), machine)
     design = (
         read_design(design_path)
         if design_path is not None
@@ -212,9 +213,10 @@ def _designed(
     from hil.observing import design_observer, emulated_design
     from hil.observing.over_poses import observed_channels
     from hil.recording import read_recording
+    from hil.simulation import in_effort
 
     (frf, multisine), (standing, sweep) = measured, moved
-    tuned_on = [read_recording(path, machine) for path in tune] or [recording]
+    tuned_on = [in_effort(read_recording(path, machine), machine) for path in tune] or [recording]
     if not tune:
         answer.say("tuned on the recording itself; --tune gives another")
     if not frf and not multisine:
@@ -226,9 +228,9 @@ def _designed(
         return emulated_design(machine, tuned_on, modes)
     responses = [read_frf(path) for path in frf]
     if multisine:
-        recordings = [read_recording(path, machine) for path in multisine]
+        recordings = [in_effort(read_recording(path, machine), machine) for path in multisine]
         responses += identify_poses(recordings, "robust_bla", outputs=observed_channels(machine))
-    still, sweeps = ([read_recording(path, machine) for path in paths] for paths in (standing, sweep))
+    still, sweeps = ([in_effort(read_recording(path, machine), machine) for path in paths] for paths in (standing, sweep))
     return design_observer(machine, responses, still, tuned_on, modes, sweeps)
 
 

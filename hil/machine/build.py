@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from controllers.settings import AxisController, AxisLimits
+from controllers.settings import AxisLimits
 from hil.machine.build_bodies import build_tree
 from hil.machine.messages import ComplaintError
 from hil.machine.model import AxisUnits, Geometry
@@ -232,33 +232,6 @@ def build_units(table: MachineTable, tree: Tree) -> tuple[AxisUnits, ...]:
     """Units every axis is recorded in."""
     return tuple(
         AxisUnits(axis, POSITION_UNITS[joint_of(axis, table, tree).kind], drive.effort_unit) for axis, drive in table.drives.items()
-    )
-
-
-def build_controllers(table: MachineTable) -> tuple[AxisController, ...]:
-    """Feedback per axis, in axis order; () when the file has no [controller]."""
-    for axis, controller in table.controller.items():
-        require_known(axis, table.drives, ("controller", axis), "axis")
-        for field in ("position_sections", "reference_sections"):
-            for number, section in enumerate(getattr(controller, field) or ()):
-                if section[3] != 1.0:
-                    raise ComplaintError(
-                        ("controller", axis, field, number), "a section is b0, b1, b2, 1, a1, a2: the fourth number must be 1"
-                    )
-    missing = [axis for axis in table.drives if axis not in table.controller]
-    if table.controller and missing:
-        raise ComplaintError(("controller", missing[0]), "is missing; every axis has a controller, or none has")
-    if not table.controller:
-        return ()
-    return tuple(
-        AxisController(
-            axis=axis,
-            position_sections=np.array(table.controller[axis].position_sections),
-            reference_sections=None if (rows := table.controller[axis].reference_sections) is None else np.array(rows),
-            limit=table.drives[axis].limit,
-            gravity_feedforward=table.controller[axis].gravity_feedforward,
-        )
-        for axis in table.drives
     )
 
 

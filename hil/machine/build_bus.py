@@ -33,9 +33,12 @@ _RESERVED_COB_IDS: tuple[tuple[int, int, str], ...] = (
 
 # what the loop cannot do without: role -> direction -> objects
 _NEEDED: dict[str, dict[str, tuple[str, ...]]] = {
-    "drive": {"tpdo": ("statusword", "position_actual_value"), "rpdo": ("controlword", "target_torque")},
+    "drive": {"tpdo": ("statusword", "position_actual_value"), "rpdo": ("controlword",)},
     "encoder": {"tpdo": ("position_value",)},
 }
+# and what a drive needs in its RPDOs for what the loop commands; the effort has either object
+_COMMANDED = {"torque": (), "velocity": ("target_velocity", "torque_offset"), "position": ("target_position", "torque_offset")}
+_EFFORT = ("target_torque", "torque_offset")
 
 
 def build_bus(table: MachineTable, plant: PlantSettings, folder: Path | None) -> BusSettings | None:
@@ -52,7 +55,7 @@ def build_bus(table: MachineTable, plant: PlantSettings, folder: Path | None) ->
     for axis in table.drives:
         if not table.limits.get(axis):
             raise ComplaintError(("limits", axis), "is missing; a machine on a bus needs limits for every axis")
-        if axis not in table.controller:
+        if axis not in table.controller and table.drives[axis].mode != "position":
             raise ComplaintError(("controller", axis), "is missing; a machine on a bus needs a controller for every axis")
     return BusSettings(
         bitrate_bit_s=bus.bitrate_bit_s,
@@ -85,15 +88,26 @@ def _check_nodes(bus: BusTable, table: MachineTable) -> None:
         if node.role == "encoder" and f"link_position_{node.axis}" not in table.sensors:
             raise ComplaintError((*where, "axis"), f"has no link encoder; add [sensors.link_position_{node.axis}]")
         for direction, objects in _NEEDED[node.role].items():
-            mapped = [entry for pdo in getattr(node, direction) for entry in pdo.map]
             for needed in objects:
-                if needed not in mapped and not any(_numbers(entry) == MAPPABLE[needed] for entry in mapped):
+                if not _maps(node, direction, needed):
                     raise ComplaintError(
                         (*where, direction), f"{needed} is mapped nowhere; a {node.role} needs it in a {direction.upper()}"
                     )
+        if node.role == "drive":
+            mode = table.drives[node.axis].mode
+            for needed in _COMMANDED[mode]:
+                if not _maps(node, "rpdo", needed):
+                    raise ComplaintError((*where, "rpdo"), f"{needed} is mapped nowhere; a drive in {mode} mode needs it in an RPDO")
+            if sum(_maps(node, "rpdo", effort) for effort in _EFFORT) != 1:
+                raise ComplaintError((*where, "rpdo"), f"a drive needs one of {' and '.join(_EFFORT)} in an RPDO, for the effort")
     for axis in table.drives:
         if ("drive", axis) not in served:
             raise ComplaintError(("bus", "nodes"), f'no drive for axis {axis}; add a node with role = "drive", axis = "{axis}"')
+
+
+def _maps(node: NodeTable, direction: str, name: str) -> bool:
+    entries = [entry for pdo in getattr(node, direction) for entry in pdo.map]
+    return name in entries or any(_numbers(entry) == MAPPABLE[name] for entry in entries)
 
 
 def _check_cob_ids(bus: BusTable) -> None:
@@ -185,6 +199,7 @@ def _scaling(axis: str, table: MachineTable, plant: PlantSettings) -> AxisScalin
         link_resolution=resolution.get(f"link_position_{axis}", 0.0) if zero else 0.0,
         link_zero_counts=zero[0] if zero else 0,
         sign=table_drive.direction,
+        mode=table_drive.mode,
         rated=drive.rated,
         limit=drive.limit,
         rated_torque_mNm=max(1, round(drive.rated * drive.constant * 1000.0)),

@@ -11,9 +11,10 @@ from pydantic import ValidationError
 
 from hil.errors import MachineFileError
 from hil.files.regular import check_regular
-from hil.machine.build import build_controllers, build_geometry, build_limits, build_plant, build_units
+from hil.machine.build import build_geometry, build_limits, build_plant, build_units
 from hil.machine.build_budgets import brake_delays, build_budgets, quick_stops
 from hil.machine.build_bus import build_bus
+from hil.machine.build_control import build_commands, build_controllers, build_drive_loops
 from hil.machine.build_judging import build_judging
 from hil.machine.messages import ComplaintError, from_validation, one_line
 from hil.machine.model import Machine
@@ -65,8 +66,9 @@ def machine_from_text(text: str, path: Path | None = None, label: str = "") -> M
     try:
         table = MachineTable.model_validate(raw)
         plant = build_plant(table)
-        units, controllers = build_units(table, plant.tree), build_controllers(table)
-        limits, geometry = build_limits(table, plant.tree), build_geometry(table)
+        units, limits, geometry = build_units(table, plant.tree), build_limits(table, plant.tree), build_geometry(table)
+        commands = build_commands(table, limits)
+        controllers = build_controllers(table, commands)
         bus = build_bus(table, plant, None if path is None else path.parent)
         return Machine(
             name=table.name,
@@ -83,6 +85,8 @@ def machine_from_text(text: str, path: Path | None = None, label: str = "") -> M
             units=units,
             plant=plant,
             controllers=controllers,
+            commands=commands,
+            drive_loops=build_drive_loops(table),
             limits=limits,
             geometry=geometry,
             bus=bus,

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from controllers.cascade import AxisCommand, DriveLoops
 from controllers.settings import AxisController, AxisLimits
 from drivers.judging.settings import JudgingSettings
 from drivers.settings import BusSettings
@@ -55,7 +56,9 @@ class Machine:
     needs_recorder: bool  # a recorder that stands still stops the motors; False: it is told, and rows wait in memory
     units: tuple[AxisUnits, ...]
     plant: PlantSettings
-    controllers: tuple[AxisController, ...]  # () for an open-loop machine
+    controllers: tuple[AxisController, ...]  # laws in effort, of bench and drive together; () for an open-loop machine
+    commands: tuple[AxisCommand | None, ...]  # what the bench commands of a drive that closes loops of its own; None: the effort
+    drive_loops: tuple[DriveLoops | None, ...]  # the drives' own, where the file says them
     limits: tuple[AxisLimits, ...]  # infinite where the file says nothing
     geometry: Geometry | None
     bus: BusSettings | None
@@ -67,6 +70,22 @@ class Machine:
     def axis_index(self, axis: str) -> int:
         """Return the axis's place in `axes`."""
         return self.axes.index(axis)
+
+    def command_unit(self, axis: int) -> str:
+        """Return the unit of what the bench commands of an axis: of an effort, a velocity or a position."""
+        units, command = self.units[axis], self.commands[axis]
+        if command is None:
+            return units.effort
+        return units.position if command.mode == "position" else f"{units.position}/s"
+
+    @property
+    def commanded(self) -> dict[str, dict[str, str]]:
+        """What the loop commands of each axis, and the units in which command and excitation are recorded."""
+        modes = ("torque" if command is None else command.mode for command in self.commands)
+        return {
+            units.axis: {"mode": mode, "unit": self.command_unit(axis), "excitation_unit": units.effort}
+            for axis, (mode, units) in enumerate(zip(modes, self.units, strict=True))
+        }
 
     def axis_of_channel(self, name: str) -> str | None:
         """Return the axis that a channel belongs to; None for channels of no axis.

@@ -87,6 +87,25 @@ class TimingTable(Table):
     than that. `"stop"` stops the motors. `"go_on"` says so at once and goes on: rows wait in memory, two minutes of them at 256 Hz."""
 
 
+class LoopsTable(Table):
+    """Table `[drives.AXIS.loops]`: the drive's own position and velocity loops, as they are set in the drive, seen at the joint.
+
+    Effort is the velocity loop's gain times demanded less measured speed, and the integral of it times its gain; the position loop demands
+    its gain times target less position. They run at the sample rate here, and in a real drive faster.
+    """
+
+    position_gain: NotNegative
+    """Gain of the position loop [1/s]."""
+    velocity_gain: Positive
+    """Gain of the velocity loop: `effort_unit` per rad/s or m/s at the joint."""
+    velocity_integral_gain: NotNegative
+    """Its integral gain: `effort_unit` per rad or m at the joint."""
+    speed_filter: Annotated[Number, Field(gt=0, le=1)] = 0.25
+    """Share of the newest difference of positions in the measured speed, a first-order filter at the sample rate; 1 is no filter."""
+    torque_sections: Annotated[tuple[Section, ...], Field(min_length=1)] | None = None
+    """Filter of the velocity loop's effort, a notch say, as second-order sections at the sample rate with a static gain of 1."""
+
+
 class DriveTable(Table):
     """Table `[drives.AXIS]`: motor, gear, and what the command means.
 
@@ -117,6 +136,11 @@ class DriveTable(Table):
     """Smallest step of the target, in per mille or per cent of the rated effort or in units of effort; 0 is none."""
     encoder_counts_per_motor_turn: Count | None = None
     """Counts of the motor's incremental encoder per turn."""
+    mode: Literal["torque", "velocity", "position"] = "torque"
+    """What the loop commands: cyclic synchronous torque, velocity or position of CiA 402. In velocity and position mode the drive's own
+    `loops` are part of the feedback; excitation and feedforward are efforts and go into `torque_offset`."""
+    loops: LoopsTable | None = None
+    """The drive's own loops. Required in velocity and position mode."""
     direction: Literal[1, -1] = 1
     """-1 for a drive whose positive direction is the joint's negative one. It is applied between the wire and SI values only."""
 
@@ -229,10 +253,13 @@ class ControllerTable(Table):
     The command is u = C_r r - C_y y + w + feedforward, with reference r, position y and excitation w. Every axis has this table, or none
     has; a machine without `[controller]` is open loop, and its simulation takes the recorded command as input. A section is a row
     b0, b1, b2, 1, a1, a2; a cascade goes from rad or m to the drive's unit.
+
+    Where the drive is commanded in velocity, C_r r - C_y y is a speed, and in position a correction of the reference [rad or m]. An axis
+    that is commanded in position needs no such table.
     """
 
-    position_sections: Annotated[tuple[Section, ...], Field(min_length=1)]
-    """C_y, from the measured position."""
+    position_sections: Annotated[tuple[Section, ...], Field(min_length=1)] | None = None
+    """C_y, from the measured position. Required, but for an axis that is commanded in position."""
     reference_sections: Annotated[tuple[Section, ...], Field(min_length=1)] | None = None
     """C_r, from the reference. Without it C_r = C_y, run as one filter on r - y."""
     gravity_feedforward: Flag = False

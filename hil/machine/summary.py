@@ -68,6 +68,7 @@ def machine_document(machine: Machine) -> dict[str, Any]:
             }
             for controller in machine.controllers
         ],
+        "commands": machine.commanded if machine.controllers else {},
         "nodes": []
         if machine.bus is None
         else [{"name": node.name, "role": node.role, "axis": node.axis, "node_id": node.node_id} for node in machine.bus.nodes],
@@ -92,6 +93,8 @@ def machine_lines(machine: Machine) -> list[str]:
         line = f"  {units.axis:14s} {drive.constant * drive.ratio:g} {effort}/{drive.unit}, limit {drive.limit:g} {drive.unit}"
         if math.isfinite(limit.lower):
             line += f", {scale * limit.lower:g} to {scale * limit.upper:g} {unit}, {scale * limit.speed:g} {unit}/s"
+        if (mode := machine.commanded[units.axis]["mode"]) != "torque":
+            line += f", commanded in {mode}"
         lines.append(line)
     lines += ["", "bodies"]
     for body in plant.tree.bodies:

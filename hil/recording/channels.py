@@ -47,7 +47,7 @@ KINDS = (
     Kind("excitation_.+", EFFORT),
     Kind("feedforward_.+", EFFORT),
     Kind("damping_(?!share$).+", EFFORT),
-    Kind("command_.+", EFFORT),
+    Kind("command_.+", EFFORT | POSITION | SPEED),
     Kind("current_.+", CURRENT),
     Kind("effort_.+", EFFORT),
     Kind("position_.+", POSITION),

@@ -12,6 +12,7 @@ from hil.errors import RecordingError
 from hil.machine import AxisUnits, Machine
 from hil.recording import Channel, Recording, recording_metadata
 from hil.recording.ticks import on_every_tick
+from hil.simulation.commands import commanded
 from hil.simulation.inputs import Inputs
 from hil.simulation.simulator import Outputs, Simulator
 from virtual_bus.settings import EffectSetting
@@ -102,7 +103,8 @@ def as_recording(machine: Machine, recording: Recording, inputs: Inputs, outputs
         add("reference", inputs.reference, _position_unit)
         add("excitation", inputs.excitation, _effort_unit)
         add("feedforward", inputs.feedforward, _effort_unit)
-    add("command", outputs.command, _effort_unit)
+    for i, units in enumerate(machine.units):
+        channels[f"command_{units.axis}"] = Channel(machine.command_unit(i), _command(machine, i, inputs, outputs))
     add("effort", outputs.effort, _effort_unit)
     add("position", outputs.position, _position_unit)
     add("link_position", outputs.link_position, _position_unit)
@@ -112,6 +114,14 @@ def as_recording(machine: Machine, recording: Recording, inputs: Inputs, outputs
     made = {"noise": False, "effects": _in_words(machine)}
     metadata = recording_metadata(machine, experiment=recording.experiment or None, simulation=made)
     return Recording(channels, metadata)
+
+
+def _command(machine: Machine, axis: int, inputs: Inputs, outputs: Outputs) -> np.ndarray:
+    """Return the command of an axis: an effort, or what a drive with loops of its own is asked for."""
+    command = machine.commands[axis]
+    if command is None or inputs.reference is None:
+        return outputs.command[:, axis]
+    return commanded(command, inputs.reference[:, axis], outputs.position[:, axis])
 
 
 def _position_unit(units: AxisUnits) -> str:

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from controllers.feedback import Feedback
 from controllers.settings import AxisController, AxisLimits
 from drivers.interface import Sample
 from drivers.judging.judge import SensorJudge
 from drivers.judging.settings import DriveJudging, JudgingSettings
+from hil.bench.control import Control
 from hil.bench.loop import SampleLoop
 from hil.bench.row_layout import AxisColumns, RowLayout
 
@@ -90,7 +90,7 @@ def still(rows: int) -> Signals:
 
 
 def layout() -> RowLayout:
-    return RowLayout([AxisColumns(axis, "rad", "A") for axis in AXES], PERIOD_S, imu="imu", link=True, temperature=True)
+    return RowLayout([AxisColumns(axis, "rad", "A", "A") for axis in AXES], PERIOD_S, imu="imu", link=True, temperature=True)
 
 
 def proportional_loop(link: ScriptedLink, *, guard_io: bool = True) -> SampleLoop:
@@ -103,7 +103,7 @@ def proportional_loop(link: ScriptedLink, *, guard_io: bool = True) -> SampleLoo
     return SampleLoop(
         link,
         link.clock,
-        Feedback([AxisController(axis, sections, None, 8.0, False) for axis in AXES]),
+        Control([AxisController(axis, sections, None, 8.0, False) for axis in AXES]),
         [AxisLimits(axis, -1.0, 1.0, 1.0, 1.0, 1.0, 0.5) for axis in AXES],
         layout(),
         guard_io=guard_io,

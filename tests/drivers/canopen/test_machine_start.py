@@ -101,8 +101,12 @@ def test_ticks_before_the_start_and_after_a_stop_are_refused(rig: Rig) -> None:
 @pytest.mark.parametrize(
     ("rpdos", "tpdos", "words"),
     [
-        ((Pdo(1, 0x201, 1, ((0x6040, 0, 16),)),), None, "must map controlword and target_torque"),
-        ((Pdo(1, 0x201, 1, ((0x6040, 0, 16), (0x6060, 0, 8))),), None, "fills controlword and target_torque and nothing else"),
+        ((Pdo(1, 0x201, 1, ((0x6040, 0, 16),)),), None, "map 6040h; in torque mode the loop fills 6040h, 6071h and nothing else"),
+        (
+            (Pdo(1, 0x201, 1, ((0x6040, 0, 16), (0x6060, 0, 8))),),
+            None,
+            "map 6040h, 6060h; in torque mode the loop fills 6040h, 6071h and",
+        ),
         (None, (Pdo(1, 0x181, 1, ((0x6041, 0, 16),)),), "no TPDO with transmission type 1 maps position_actual_value"),
         (None, (Pdo(1, 0x181, 255, ((0x6041, 0, 16), (0x6064, 0, 32))),), "no TPDO with transmission type 1 maps statusword"),
     ],

@@ -1,0 +1,97 @@
+"""The feedback of a bench: efforts for every tick, and targets for drives that close loops of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from controllers.cascade import AxisCommand
+from controllers.feedback import Feedback
+from controllers.settings import AxisController
+
+LeadTo = Callable[[int, float], None]
+"""Sets the position or velocity that the drive of an axis follows from the next tick on."""
+
+
+class Control:
+    """Computes what is sent in each tick.
+
+    Parameters
+    ----------
+    controllers : sequence of AxisController
+        Laws in effort, of bench and drives together, in axis order.
+    commands : sequence of AxisCommand or None
+        What the bench commands of drives that close loops of their own; None, or no sequence: the effort.
+    lead_to : LeadTo, optional
+        Takes the targets of such drives.
+
+    Attributes
+    ----------
+    law : Feedback
+        The whole law in effort, with its states; beside a drive's own loops it runs along.
+    effort : (n_axes,) array
+        Sent in the next tick: all of the effort, or what a drive adds to that of its own loops. Overwritten by every step.
+    demand : (n_axes,) array
+        The effort that the drives will give.
+    command : (n_axes,) array
+        What is recorded as the command: an effort, a velocity or a position.
+    """
+
+    def __init__(
+        self, controllers: Sequence[AxisController], commands: Sequence[AxisCommand | None] = (), lead_to: LeadTo | None = None
+    ) -> None:
+        axes = len(controllers)
+        self.law = Feedback(controllers)
+        self.effort = self.demand = self.command = np.zeros(axes)
+        self._led = [(axis, command.mode == "position") for axis, command in enumerate(commands) if command is not None]
+        self._lead_to: LeadTo = lead_to or (lambda axis, target: None)
+        self._holding = np.zeros(axes)  # beside the drive's own integrator, which begins with nothing
+        if self._led:
+            own = [law if command is None else command.controller for law, command in zip(controllers, commands, strict=True)]
+            self._own = Feedback(own)
+            self.demand, self.command = np.zeros(axes), np.zeros(axes)
+            self._added, self._ahead = np.zeros(axes), np.zeros(axes)
+        self._compile()
+
+    def step(self, reference: np.ndarray, position: np.ndarray, excitation: np.ndarray, feedforward: np.ndarray) -> None:
+        """Compute the next tick from this sample; all arrays are (n_axes,) float64."""
+        self.law.step(reference, position, excitation, feedforward, self.demand)
+        if not self._led:
+            return
+        added, ahead = self._added, self._ahead
+        added[:], ahead[:] = excitation, feedforward
+        for axis, is_position in self._led:
+            added[axis], ahead[axis] = 0.0, reference[axis] if is_position else 0.0
+        self._own.step(reference, position, added, ahead, self.command)
+        self.effort[:] = self.demand
+        for axis, _ in self._led:
+            self.effort[axis] = self._holding[axis] + excitation[axis] + feedforward[axis]
+            self._lead_to(axis, self.command[axis])
+
+    def preload(self, holding_effort: np.ndarray, position: np.ndarray, feedforward: np.ndarray) -> None:
+        """Begin with a lasting standstill at `position`, held by `holding_effort`, part of it from `feedforward`; (n_axes,) each.
+
+        Raises
+        ------
+        DesignError
+            See `controllers.feedback.Feedback.preload`.
+        """
+        self.law.preload(holding_effort, position, feedforward)
+        self.effort[:] = self.demand[:] = holding_effort
+        if not self._led:
+            return
+        output, ahead = holding_effort.copy(), feedforward.copy()
+        for axis, is_position in self._led:
+            output[axis] = ahead[axis] = position[axis] if is_position else 0.0
+            self._holding[axis] = holding_effort[axis] - feedforward[axis]
+        self._own.preload(output, position, ahead)
+        self.command[:] = output
+        for axis, _ in self._led:
+            self._lead_to(axis, output[axis])
+
+    def _compile(self) -> None:
+        """Compile the feedback by a first step, so that a machine's first tick does not wait for it."""
+        nothing = np.zeros(len(self.effort))
+        self.law.step(nothing, nothing, nothing, nothing, nothing.copy())
+        self.law.reset()
