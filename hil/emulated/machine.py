@@ -42,7 +42,9 @@ if TYPE_CHECKING:
     from hil.emulated.pose_board import PoseBoard
 
 OWN_LOOP_BANDWIDTH_Hz = 2.0
-"""Bandwidth of the drives' own velocity loop for homing and stopping: a quarter of the slowest mode of such a structure, 8 Hz."""
+"""Bandwidth of the drives' own velocity loop: a quarter of the slowest mode of such a structure, 8 Hz."""
+INTEGRAL_CORNER_SHARE = 1.0 / 4.0
+"""Corner of the velocity loop's integral action over its bandwidth: it costs 14 degrees of phase where the loop crosses over."""
 
 LONGEST_SILENCE_S = 0.5
 """Where heartbeats are slow, longest pause of a bench before the machine's time continues without it; each real wait takes this much
@@ -123,7 +125,7 @@ def emulated_bus(machine: Machine, physics: Physics) -> EmulatedBus:
     """Return the CANopen devices that the machine file describes."""
     bus = machine.bus
     assert bus is not None
-    gains = _velocity_gains(machine, physics)
+    gains = _own_loops(machine, physics)
     drives, encoders = [], []
     for node in bus.nodes:
         scaling = bus.scalings[machine.axis_index(node.axis)]
@@ -140,9 +142,8 @@ def emulated_bus(machine: Machine, physics: Physics) -> EmulatedBus:
                     scaling.limit,
                     scaling.position_resolution,
                     counts_per_turn=_counts_per_motor_turn(machine, node.axis, scaling.position_resolution),
-                    velocity_gain=gains[node.axis],
-                    velocity_integral_gain=gains[node.axis] * 2.0 * math.pi * OWN_LOOP_BANDWIDTH_Hz / 4.0,
                     sign=scaling.sign,
+                    **gains[node.axis],
                 )
             )
         else:
@@ -167,15 +168,21 @@ def _counts_per_motor_turn(machine: Machine, axis: str, resolution: float) -> in
     return max(1, round(turn / (resolution * drive.ratio)))
 
 
-def _velocity_gains(machine: Machine, physics: Physics) -> dict[str, float]:
-    """Return gains [drive's unit per rad/s or m/s]: the joint's inertia at pose zero times the bandwidth, over the effort of one unit."""
-    model = physics.model
-    inertia = inertia_matrix(physics.plant, model, np.zeros(physics.plant.joints))
+def _own_loops(machine: Machine, physics: Physics) -> dict[str, dict[str, float]]:
+    """Return the gains of each axis's own loops, by their names in `EmulatedDrive`.
+
+    The velocity gain [drive's unit per rad/s or m/s] is the joint's inertia at pose zero times the bandwidth, over the effort of one unit.
+    The position gain is left out: `EmulatedDrive` derives it from the other two, and says why.
+    """
+    inertia = inertia_matrix(physics.plant, physics.model, np.zeros(physics.plant.joints))
     joints = physics.plant.joint_of_axis()
-    return {
-        drive.axis: 2.0 * math.pi * OWN_LOOP_BANDWIDTH_Hz * inertia[joints[drive.axis], joints[drive.axis]] / (drive.constant * drive.ratio)
-        for drive in machine.plant.drives
-    }
+    bandwidth_rad_s = 2.0 * math.pi * OWN_LOOP_BANDWIDTH_Hz
+    gains = {}
+    for drive in machine.plant.drives:
+        joint = joints[drive.axis]
+        gain = bandwidth_rad_s * inertia[joint, joint] / (drive.constant * drive.ratio)
+        gains[drive.axis] = {"velocity_gain": gain, "velocity_integral_gain": gain * bandwidth_rad_s * INTEGRAL_CORNER_SHARE}
+    return gains
 
 
 def emulate_machine(

@@ -1,4 +1,4 @@
-"""CiA 402 servo drive: finite state automaton, cyclic synchronous torque, homing, stops and faults.
+"""CiA 402 servo drive: finite state automaton, modes of operation, stops and faults.
 
 The machine calls `command` and `latch` once per sample: `command` returns the effort the motor feels from that instant on, then `latch`
 takes the sensors' readings.
@@ -7,29 +7,26 @@ takes the sensors' readings.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Container
+from functools import partial
 from pathlib import Path
 
 from drivers.canopen.eds import load_object_dictionary
 from virtual_bus.canopen import abort
 from virtual_bus.canopen.abort import SdoAbortError
-from virtual_bus.canopen.homing import SUPPORTED_METHODS, Homing, HomingState, Reference
-from virtual_bus.canopen.motion import SpeedMeter, VelocityGains, VelocityLoop
+from virtual_bus.canopen.homing import SUPPORTED_METHODS, Homing, Reference
+from virtual_bus.canopen.modes import modes_of
+from virtual_bus.canopen.modes.mode import TARGET_REACHED, Mode
 from virtual_bus.canopen.node import Emit, Node
 from virtual_bus.canopen.objects import Value, key_of
 from virtual_bus.canopen.power_state import HALT, PowerState, next_state
+from virtual_bus.canopen.servo import Servo, wrap_32
 from virtual_bus.settings import EmulatedDrive
 
-NO_MODE, HOMING_MODE, TORQUE_MODE = 0, 6, 10
-MODES = frozenset({NO_MODE, HOMING_MODE, TORQUE_MODE})
-HOMING_START = 1 << 4
-VOLTAGE_ENABLED, WARNING, REMOTE = 1 << 4, 1 << 7, 1 << 9
-TARGET_REACHED, INTERNAL_LIMIT, HOMING_ATTAINED, HOMING_ERROR = 1 << 10, 1 << 11, 1 << 12, 1 << 13
-FOLLOWS_COMMAND = 1 << 12  # in cyclic synchronous torque mode
-
+VOLTAGE_ENABLED, WARNING, REMOTE, INTERNAL_LIMIT = 1 << 4, 1 << 7, 1 << 9, 1 << 11
+TRAPEZOIDAL = 0  # the one type of 6086h
 OVERCURRENT, OVERTEMPERATURE, HEARTBEAT_LOST, CONNECTION_LOST = 0x2310, 0x4310, 0x8130, 0x8100  # EMCY codes
 STOP_TIMEOUT_S = 5.0  # a motor that has not come to rest by then is switched off
-STANDSTILL_SHARE = 0.5  # of the slowest homing speed; a slower motor counts as standing
 _POWERED = (PowerState.SWITCHED_ON, PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE)
 _MOVING = (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE, PowerState.FAULT_REACTION_ACTIVE)
 _INT16 = 32767
@@ -49,7 +46,7 @@ class Cia402Drive(Node):
         File of the stored parameters.
     """
 
-    volatile = frozenset({0x603F, 0x6040, 0x6060, 0x6071})
+    volatile = frozenset({0x603F, 0x6040, 0x6060, 0x6071, 0x607A, 0x60B0, 0x60B1, 0x60B2, 0x60FF})
 
     def __init__(self, settings: EmulatedDrive, period_s: float, emit: Emit, memory: Path | None = None) -> None:
         super().__init__(load_object_dictionary(settings.eds, settings.node_id), settings.node_id, emit, memory)
@@ -64,33 +61,21 @@ class Cia402Drive(Node):
         entry = self.objects.find
         self._controlword, self._statusword, self._error_code = entry(0x6040), entry(0x6041), entry(0x603F)
         self._mode, self._mode_display = entry(0x6060), entry(0x6061)
-        self._position, self._velocity = entry(0x6064), entry(0x606C)
-        self._target, self._demand, self._torque, self._current = entry(0x6071), entry(0x6074), entry(0x6077), entry(0x6078)
+        self._velocity, self._demand, self._torque, self._current = entry(0x606C), entry(0x6074), entry(0x6077), entry(0x6078)
         self._inputs, self._temperature = entry(0x60FD), entry(0x2000)
-        self._max_torque, self._max_current = entry(0x6072), entry(0x6073)
-        self._install_checks()
         negative, positive = self._counts(settings.negative_switch), self._counts(settings.positive_switch)
-        reference = Reference(settings.counts_per_turn, negative, positive)
-        per_count = settings.position_resolution * 1000.0 / settings.rated
-        gains = VelocityGains(settings.velocity_gain * per_count, settings.velocity_integral_gain * per_count)
-        self._speed = SpeedMeter(period_s)
-        self._loop = VelocityLoop(gains, period_s, STANDSTILL_SHARE * self.objects.number(0x6099, 2))
-        self.homing = Homing(reference)
-        self._origin = self._absolute = self._offset = 0
+        self.homing = Homing(Reference(settings.counts_per_turn, negative, positive))
+        self.servo = Servo(self.objects, settings, period_s)
+        self._modes = modes_of(self.servo, lambda: self.homing)
+        self.factory_setting(0x6502, 0, sum(1 << mode.supported_bit for mode in self._modes.values() if mode.supported_bit >= 0))
+        self._install_checks()
         self.power_state = PowerState.NOT_READY_TO_SWITCH_ON
         self._causes: set[int] = set()  # of persistent faults: no reset while one is there
         self._clear()
 
     def _install_checks(self) -> None:
-        def one_of(allowed: frozenset[int]) -> Callable[[Value], None]:
-            def check(value: Value) -> None:
-                if value not in allowed:
-                    raise SdoAbortError(abort.INVALID_VALUE)
-
-            return check
-
-        self.objects.checks[key_of(0x6060)] = one_of(MODES)
-        self.objects.checks[key_of(0x6098)] = one_of(SUPPORTED_METHODS)
+        for index, allowed in ((0x6060, self._modes), (0x6086, {TRAPEZOIDAL}), (0x6098, SUPPORTED_METHODS)):
+            self.objects.checks[key_of(index)] = partial(_one_of, allowed)
         self.objects.effects[key_of(0x6040)] = lambda value: self._obey()
         self.objects.effects[key_of(0x6060)] = lambda value: self._choose_mode()
 
@@ -103,15 +88,12 @@ class Cia402Drive(Node):
 
         Index pulse and switches stand where they are; the counter does not know the position.
         """
-        self._origin = self._absolute = self._counts(position) or 0
-        self._offset = -self._absolute
-        self._speed.restart()
+        self.servo.place(self._counts(position) or 0)
 
     def application_reset(self) -> None:
         """Switch the power stage off, set the position counter to zero, and forget the home position."""
-        self._offset = -self._absolute
+        self.servo.restart()
         self.homing.reset()
-        self._speed.restart()
         self._clear()
         self._set_state(PowerState.SWITCH_ON_DISABLED)  # transitions 0 and 1
 
@@ -119,10 +101,11 @@ class Cia402Drive(Node):
         self._settled: tuple[int, PowerState] | None = None  # controlword and state from which no transition follows
         self._last_controlword = 0
         self._after_stop: PowerState | None = None
-        self._stopping = self._halted = self._limited = self._warm = False
-        self._deceleration = math.inf
+        self._stopping = self._halted = self._warm = False
         self._stop_began_s = 0.0
-        self._permille = 0
+        self.servo.permille, self.servo.limited = 0, False
+        self._active = self._modes[0]
+        self._in_charge: Mode | None = None  # who gave the last torque; None: a stop, a halt, nobody
         self._last_temperature_degC = math.nan
         self._faults: list[int] = []
 
@@ -187,8 +170,10 @@ class Cia402Drive(Node):
             if not self._transition(state):
                 break
         self._settled = (word, self.power_state)
-        self._halt(bool(word & HALT))
-        self._start_or_end_homing(word, previous)
+        enabled = self.power_state is PowerState.OPERATION_ENABLED
+        self._halt(enabled and bool(word & HALT))
+        if enabled:
+            self._active.obey(word, previous, halted=self._halted)
         self._refresh()
 
     def _transition(self, state: PowerState) -> bool:
@@ -209,15 +194,16 @@ class Cia402Drive(Node):
             self._faults = []
             self._error_code.value = 0
         if state is not PowerState.OPERATION_ENABLED:
-            self.homing.interrupt()
+            self._active.leave()
         self._set_state(state)
         return True
 
     def _set_state(self, state: PowerState) -> None:
         self.power_state = state
         self._stopping = False
+        self._in_charge = None
         if state not in _MOVING:
-            self._permille = 0
+            self.servo.permille = 0
         self._refresh()
 
     def _stop(self, option: int, after: PowerState | None) -> None:
@@ -228,100 +214,69 @@ class Cia402Drive(Node):
         if option == 0:
             self._set_state(after if after is not None else PowerState.SWITCH_ON_DISABLED)
             return
-        self.homing.interrupt()
+        self._active.leave()
         self._after_stop = after
         self._stopping = True
         self._stop_began_s = self.now_s
-        self._deceleration = self._ramp(option)
-        self._loop.start(self._speed.counts_s if math.isfinite(self._deceleration) else 0.0, self._permille)
-
-    def _ramp(self, option: int) -> float:
-        return {1: self.objects.number(0x6084), 2: self.objects.number(0x6085)}.get(option, math.inf)
+        self._start_braking(option)
 
     def _halt(self, asked: bool) -> None:
-        if asked and not self._halted and self.power_state is PowerState.OPERATION_ENABLED:
-            self.homing.interrupt()
-            self._deceleration = self._ramp(self.objects.number(0x605D))
-            self._loop.start(self._speed.counts_s if math.isfinite(self._deceleration) else 0.0, self._permille)
+        if asked and not self._halted:
+            self._active.halt()
+            self._start_braking(self.objects.number(0x605D))
         self._halted = asked
+
+    def _start_braking(self, option: int) -> None:
+        self._in_charge = None
+        self.servo.start_braking(option)
 
     # ---- modes ----------------------------------------------------------------------------------------
     def _choose_mode(self) -> None:
-        if self._mode.value in MODES and self._mode_display.value != self._mode.value:
-            self._mode_display.value = self._mode.value
-            self.homing.interrupt()
-            self._loop.start(0.0, self._permille)
-            self._refresh()
-
-    def _start_or_end_homing(self, word: int, previous: int) -> None:
-        if self._mode_display.value != HOMING_MODE or self.power_state is not PowerState.OPERATION_ENABLED:
+        """Change to the mode of 6060h; one that the drive does not have leaves it in its mode."""
+        mode = self._modes.get(int(self._mode.value))
+        if mode is None or mode is self._active:
             return
-        if not word & HOMING_START:
-            self.homing.interrupt()
-        elif not previous & HOMING_START and not self._halted:
-            self.homing.start(self.objects.number(0x6098), self._absolute)
-            self._loop.start(self._speed.counts_s, self._permille)
-            self._take_home()
-
-    def _take_home(self) -> None:
-        if self.homing.state is HomingState.ATTAINED and self._offset != self.objects.number(0x607C) - self.homing.home_counts:
-            self._offset = self.objects.number(0x607C) - self.homing.home_counts
-            self._position.value = wrap_32(self._absolute + self._offset)
+        self._active.leave()
+        self._active, self._in_charge = mode, None
+        self._mode_display.value = mode.number
+        self.servo.show_no_demand()
+        self._refresh()
 
     # ---- one sample -----------------------------------------------------------------------------------
     def command(self) -> float:
         """Return the effort on the motor from this sample on, in the drive's unit, in steps of 1/1000 of the rated value."""
         self._obey()
-        if self._mode.value != self._mode_display.value:
+        mode, servo = self._active, self.servo
+        if self._mode.value != mode.number:
             self._choose_mode()
-        self._limited = False
-        state = self.power_state
-        if self._stopping:
-            self._permille = self._regulate(0.0, self._deceleration)
+            mode = self._active
+        servo.limited = False
+        if self._stopping or self._halted:
+            servo.permille = servo.brake()
             self._finish_stop()
-        elif state is not PowerState.OPERATION_ENABLED:
-            self._permille = 0
-        elif self._halted:
-            self._permille = self._regulate(0.0, self._deceleration)
-        elif self._mode_display.value == TORQUE_MODE:
-            limit = min(int(self._max_torque.value), int(self._max_current.value))
-            target = int(self._target.value)
-            self._permille = min(max(target, -limit), limit)
-            self._limited = self._permille != target
-        elif self._mode_display.value == HOMING_MODE:
-            self._permille = self._home()
+        elif self.power_state is PowerState.OPERATION_ENABLED:
+            if self._in_charge is not mode:
+                mode.start()
+                self._in_charge = mode
+            servo.permille = mode.torque()
         else:
-            self._permille = 0
-        self._demand.value = self._permille
-        return self._permille * self._effort_per_permille
+            servo.permille = 0
+        self._demand.value = servo.permille
+        return servo.permille * self._effort_per_permille
 
     def foreseen(self) -> float:
         """Return what `command` will return at the next SYNC unless something happens until then.
 
         It is a prediction and changes nothing.
         """
-        if self.power_state is not PowerState.OPERATION_ENABLED or self._mode_display.value != TORQUE_MODE:
-            return self._permille * self._effort_per_permille
-        limit = min(int(self._max_torque.value), int(self._max_current.value))
-        return min(max(int(self.after_sync(self._target)), -limit), limit) * self._effort_per_permille
-
-    def _home(self) -> int:
-        speed = 0.0
-        if self.homing.running:
-            search, zero = self.objects.number(0x6099, 1), self.objects.number(0x6099, 2)
-            speed = self.homing.update(self._absolute, search, zero, self._loop.standing)
-            self._take_home()
-        return self._regulate(speed, self.objects.number(0x609A))
-
-    def _regulate(self, speed: float, ramp: float) -> int:
-        limit = min(int(self._max_torque.value), int(self._max_current.value))
-        torque = round(self._loop.torque(speed, min(ramp, 1e12), self._speed.counts_s, limit))
-        self._limited = abs(torque) >= limit
-        return torque
+        if self.power_state is not PowerState.OPERATION_ENABLED or self._stopping or self._halted:
+            return self.servo.permille * self._effort_per_permille
+        mode = self._active
+        return mode.foreseen(self.after_sync, takes_over=self._in_charge is not mode) * self._effort_per_permille
 
     def _finish_stop(self) -> None:
         after = self._after_stop
-        if after is not None and (self._loop.standing or self.now_s - self._stop_began_s >= STOP_TIMEOUT_S):
+        if self._stopping and after is not None and (self.servo.loop.standing or self.now_s - self._stop_began_s >= STOP_TIMEOUT_S):
             self._after_stop = None
             self._set_state(after)  # 5, 8, 12 or 14
             self._obey()
@@ -331,15 +286,18 @@ class Cia402Drive(Node):
 
         They are the motor-side counter, the measured current in the drive's unit and the winding temperature (NaN: none).
         """
-        self._absolute = absolute = self._origin + counts * self.settings.sign
-        self._speed.update(absolute)
-        self._position.value = wrap_32(absolute + self._offset)
-        self._velocity.value = wrap_32(round(self._speed.counts_s))
+        servo = self.servo
+        servo.latch(counts * self.settings.sign)
+        self._velocity.value = wrap_32(round(servo.speed.counts_s))
         permille = round(effort * self._permille_per_effort)
         self._torque.value = self._current.value = min(max(permille, -_INT16), _INT16)
         self._check_temperature(temperature_degC)
-        reference = self.homing.reference
+        reference, absolute = self.homing.reference, servo.absolute
         self._inputs.value = reference.at_negative_switch(absolute) | reference.at_positive_switch(absolute) << 1
+        if self.power_state is PowerState.OPERATION_ENABLED and not self._stopping:
+            fault = self._active.observe(in_charge=self._in_charge is self._active)
+            if fault:
+                self._fault(fault)
         self._refresh()
 
     def _check_temperature(self, temperature_degC: float) -> None:
@@ -359,27 +317,16 @@ class Cia402Drive(Node):
         word = int(self.power_state) | VOLTAGE_ENABLED | REMOTE
         if self._warm:
             word |= WARNING
-        if self._limited:
+        if self.servo.limited:
             word |= INTERNAL_LIMIT
-        mode = self._mode_display.value
-        if self._halted or self._stopping:
-            word |= TARGET_REACHED if self._loop.standing else 0
-        elif mode == TORQUE_MODE and self.power_state is PowerState.OPERATION_ENABLED:
-            word |= FOLLOWS_COMMAND
-        if mode == HOMING_MODE:
-            word |= self._homing_bits()
-        self._statusword.value = word
-
-    def _homing_bits(self) -> int:
-        """Return bits 10, 12 and 13 of the homing mode (IEC 61800-7-201, table 105)."""
-        state = self.homing.state
-        if state is HomingState.ATTAINED:
-            return HOMING_ATTAINED | TARGET_REACHED
-        if state is HomingState.FAILED:
-            return HOMING_ERROR | TARGET_REACHED
-        return 0 if self.homing.running else TARGET_REACHED
+        braking = self._halted or self._stopping
+        if braking and self.servo.loop.standing:
+            word |= TARGET_REACHED
+        in_charge = not braking and self.power_state is PowerState.OPERATION_ENABLED
+        self._statusword.value = word | self._active.status(in_charge=in_charge)
 
 
-def wrap_32(value: int) -> int:
-    """Return the value of a signed counter of 32 bits."""
-    return (value + 0x8000_0000 & 0xFFFF_FFFF) - 0x8000_0000
+def _one_of(allowed: Container[int], value: Value) -> None:
+    """Refuse a value that is none of these."""
+    if value not in allowed:
+        raise SdoAbortError(abort.INVALID_VALUE)

@@ -21,7 +21,7 @@ HEARTBEAT_ERROR = 0x8130
 
 def register_bit(code: int) -> int:
     """Return the error register's bit that goes with an EMCY code."""
-    if 0xFF00 <= code <= 0xFFFF:
+    if 0xFF00 <= code <= 0xFFFF or 0x8300 <= code <= 0x8FFF:  # device specific, or of a drive's controllers: 8611h is a following error
         return PROFILE
     return _REGISTER_OF_CLASS.get(code >> 12, 0)
 

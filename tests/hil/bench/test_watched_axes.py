@@ -31,13 +31,13 @@ SWITCH_HOMING = machine_from_text(edited(r"(\[bus.homing.propeller\]\nmethod = )
 
 def frozen(drive: Cia402Drive, bench: Bench) -> None:
     """The motor-side encoder says what it said last."""
-    last, latch = drive._absolute - drive._origin, drive.latch
+    last, latch = drive.servo.absolute - drive.servo.origin, drive.latch
     drive.latch = lambda counts, *more: latch(last, *more)
 
 
 def flipped(drive: Cia402Drive, bench: Bench) -> None:
     """The motor-side encoder counts the wrong way."""
-    turned, latch = drive._absolute - drive._origin, drive.latch
+    turned, latch = drive.servo.absolute - drive.servo.origin, drive.latch
     drive.latch = lambda counts, *more: latch(2 * turned - counts, *more)
 
 
@@ -169,7 +169,7 @@ def home_on_a_switch(machine: Machine, fault: Callable[[Cia402Drive, Bench], Non
         bench.commissioning = ("the first move is checked elsewhere",)
         broken = Broken(bench, "propeller", fault, lambda b: b.brake_open and b.drive._mode_display.value == HOMING)
         drive, resolution = broken.drive, CARM.bus.scalings[0].position_resolution
-        reference = Reference(drive.homing.reference.counts_per_turn, drive._origin + round((switch - START[0]) / resolution), None)
+        reference = Reference(drive.homing.reference.counts_per_turn, drive.servo.origin + round((switch - START[0]) / resolution), None)
         drive.homing = Homing(reference)
         with pytest.raises(MotionRefusedError) as refused:
             bench.commission()

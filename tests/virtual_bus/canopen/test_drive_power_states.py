@@ -224,7 +224,9 @@ def test_statusword_bits_beside_the_state() -> None:
     assert bench.state == "switch on disabled"
 
 
-@pytest.mark.parametrize(("index", "value"), [(0x6060, 3), (0x6060, -1), (0x6098, 1), (0x605B, 2), (0x605D, 0), (0x6007, 4)])
+@pytest.mark.parametrize(
+    ("index", "value"), [(0x6060, 2), (0x6060, 7), (0x6060, -1), (0x6086, 3), (0x6098, 1), (0x605B, 2), (0x605D, 0), (0x6007, 4)]
+)
 def test_what_the_drive_cannot_do_is_refused(index: int, value: int) -> None:
     bench = Bench()
     with pytest.raises(canopen.SdoAbortedError) as refused:

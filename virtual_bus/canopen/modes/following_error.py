@@ -1,0 +1,40 @@
+"""Following error of the modes with a position loop: 60F4h, and a fault where it stays beyond its window (6065h) for a time (6066h)."""
+
+from __future__ import annotations
+
+from virtual_bus.canopen.modes.mode import MODE_BIT_13
+from virtual_bus.canopen.motion import Dwell
+from virtual_bus.canopen.servo import Servo
+
+FOLLOWING_ERROR = 0x8611  # EMCY code
+SWITCHED_OFF = 0xFFFF_FFFF  # a window of this width watches nothing
+
+
+class FollowingError:
+    """Watches how far the position demand and the position actual value are apart."""
+
+    def __init__(self, servo: Servo) -> None:
+        self._servo = servo
+        self._window, self._timeout_ms = servo.entry(0x6065), servo.entry(0x6066)
+        self._beyond = Dwell(servo.period_s)
+        self.status = 0  # bit 13 of the statusword
+
+    def restart(self) -> None:
+        """Begin anew."""
+        self._beyond.restart()
+        self.status = 0
+
+    def observe(self, *, in_charge: bool) -> int:
+        """Show the error of this sample and return the code of the fault once it has been too large for too long."""
+        if not in_charge:
+            self.restart()
+            return 0
+        servo = self._servo
+        error = servo.way_to(int(servo.position_demand.value))
+        servo.following_error.value = int(error)
+        window = int(self._window.value)
+        beyond = window != SWITCHED_OFF and abs(error) > window
+        if not self._beyond.held(beyond, int(self._timeout_ms.value) * 1e-3):
+            return 0
+        self.status = MODE_BIT_13
+        return FOLLOWING_ERROR

@@ -1,0 +1,58 @@
+"""Profile velocity mode (IEC 61800-7-201): the drive ramps its speed to a target by itself."""
+
+from __future__ import annotations
+
+from virtual_bus.canopen.modes.mode import MODE_BIT_12, TARGET_REACHED, Following, Read, present
+from virtual_bus.canopen.modes.profile import Limits, ramped
+from virtual_bus.canopen.motion import Dwell
+from virtual_bus.canopen.servo import Demand, Servo
+
+
+class ProfileVelocity(Following):
+    """Target velocity within 607Fh, approached with 6083h and 6084h."""
+
+    number = 3
+    supported_bit = 2
+    needs = (0x606D, 0x606F, 0x607F, 0x6083, 0x6084, 0x60FF)
+
+    def __init__(self, servo: Servo) -> None:
+        super().__init__(servo)
+        entry = servo.entry
+        self._target, self._fastest = entry(0x60FF), entry(0x607F)
+        self._acceleration, self._deceleration = entry(0x6083), entry(0x6084)
+        self._window, self._window_ms, self._threshold, self._threshold_ms = entry(0x606D), entry(0x606E), entry(0x606F), entry(0x6070)
+        self._speed = 0.0  # of the ramp
+        self._reached, self._moving = Dwell(servo.period_s), Dwell(servo.period_s)
+        self._status = 0
+
+    def start(self) -> None:
+        """Ramp from the present speed on."""
+        self.servo.take_over()
+        self._speed = self.servo.speed.counts_s
+        self._reached.restart()
+
+    def demand(self, read: Read) -> Demand:
+        """Return the ramp's next speed."""
+        asked, fastest = int(read(self._target)), int(read(self._fastest))
+        target = min(max(asked, -fastest), fastest)
+        limits = Limits(fastest, max(1, int(read(self._acceleration))), max(1, int(read(self._deceleration))))
+        return Demand(ramped(self._speed, target, limits, self.servo.period_s), limited=target != asked)
+
+    def torque(self) -> int:
+        """Return the torque that follows the ramp."""
+        demand = self.demand(present)
+        self._speed = demand.speed
+        return self.servo.follow(demand)
+
+    def observe(self, *, in_charge: bool) -> int:
+        """Compare the speed with its target and with standstill."""
+        speed = self.servo.speed.counts_s
+        near = abs(int(self._target.value) - speed) <= int(self._window.value)
+        reached = self._reached.held(near, int(self._window_ms.value) * 1e-3)
+        moving = self._moving.held(abs(speed) > int(self._threshold.value), int(self._threshold_ms.value) * 1e-3)
+        self._status = (TARGET_REACHED if reached else 0) | (0 if moving else MODE_BIT_12)
+        return 0
+
+    def status(self, *, in_charge: bool) -> int:
+        """Return bit 10, target reached, and bit 12, speed zero."""
+        return self._status if in_charge else self._status & MODE_BIT_12

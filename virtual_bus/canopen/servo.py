@@ -1,0 +1,154 @@
+"""Motor, counter and own control loops of a drive: what all its modes of operation work with."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from virtual_bus.canopen.motion import SpeedMeter, VelocityGains, VelocityLoop
+from virtual_bus.canopen.objects import Entry, Objects
+from virtual_bus.canopen.pdo import dummy_entry
+from virtual_bus.settings import EmulatedDrive
+
+STANDSTILL_SHARE = 0.5  # of the slowest homing speed; a slower motor counts as standing
+_INTEGER32 = 0x04
+_HALF_TURN, _TURN = 0x8000_0000, 0x1_0000_0000  # of a counter of 32 bits
+
+
+class Demand(NamedTuple):
+    """What a mode of operation asks of the servo for one sample, in the drive's counts."""
+
+    speed: float  # counts/s: what the velocity loop follows
+    torque: int = 0  # per mille of rated: added behind the velocity loop
+    position: float | None = None  # counts: what the position loop follows, in a mode that has one
+    limited: bool = False  # whether a limit has cut the demand
+
+
+class Servo:
+    """The cascade of a drive: a position's demand gives a speed, the lag behind it a torque, within the limits of torque and current.
+
+    Attributes
+    ----------
+    permille : int
+        Torque of the present sample, per mille of the rated value.
+    limited : bool
+        Whether a limit acts in this sample (statusword, bit 11).
+    origin, absolute, offset : int
+        Motor counts: where the counter began, where it is, and what is added to show the position actual value.
+    """
+
+    def __init__(self, objects: Objects, settings: EmulatedDrive, period_s: float) -> None:
+        self.objects, self.period_s = objects, period_s
+        self.position_gain = settings.position_gain
+        per_count = settings.position_resolution * 1000.0 / settings.rated
+        gains = VelocityGains(settings.velocity_gain * per_count, settings.velocity_integral_gain * per_count)
+        self.speed = SpeedMeter(period_s)
+        self.loop = VelocityLoop(gains, period_s, STANDSTILL_SHARE * objects.number(0x6099, 2))
+        self.position = objects.find(0x6064)
+        self.position_demand, self.velocity_demand, self.following_error = self.entry(0x6062), self.entry(0x606B), self.entry(0x60F4)
+        self._max_torque, self._max_current = objects.find(0x6072), objects.find(0x6073)
+        self._lowest, self._highest = objects.get(0x607D, 1), objects.get(0x607D, 2)
+        self.permille = 0
+        self.limited = False
+        self.origin = self.absolute = self.offset = 0
+        self._deceleration = math.inf
+
+    def entry(self, index: int) -> Entry:
+        """Return an object, or one that nobody sees where the device's data sheet has none."""
+        return self.objects.get(index) or dummy_entry(_INTEGER32)
+
+    # ---- the counter ----------------------------------------------------------------------------------
+    def place(self, counts: int) -> None:
+        """Stand at this absolute count, which the counter calls zero."""
+        self.origin = self.absolute = counts
+        self.restart()
+
+    def restart(self) -> None:
+        """Call the present position zero."""
+        self.offset = -self.absolute
+        self.speed.restart()
+
+    def latch(self, counts: int) -> None:
+        """Take the counter's reading at this sample, from where it began."""
+        self.absolute = absolute = self.origin + counts
+        self.speed.update(absolute)
+        self.position.value = wrap_32(absolute + self.offset)
+
+    def take_home(self, home_counts: int) -> None:
+        """Show the home offset (607Ch) at this absolute count."""
+        self.offset = self.objects.number(0x607C) - home_counts
+        self.position.value = wrap_32(self.absolute + self.offset)
+
+    # ---- torque ---------------------------------------------------------------------------------------
+    @property
+    def limit(self) -> int:
+        """Greatest torque, per mille of rated: 6072h or 6073h, the smaller one."""
+        return min(int(self._max_torque.value), int(self._max_current.value))
+
+    def cut(self, target: int) -> int:
+        """Return the torque nearest to `target` within the limits."""
+        limit = min(int(self._max_torque.value), int(self._max_current.value))
+        torque = min(max(target, -limit), limit)
+        self.limited = torque != target
+        return torque
+
+    def take_over(self, feedforward_permille: int = 0) -> None:
+        """Let the velocity loop begin at the present speed, its integral at the present torque less what is fed forward."""
+        self.loop.start(self.speed.counts_s, self.permille - feedforward_permille)
+
+    def follow(self, demand: Demand) -> int:
+        """Return the torque that follows a demand, which is shown in 6062h and 606Bh."""
+        limit = self.limit
+        torque = round(self.loop.follow(demand.speed, self.speed.counts_s, demand.torque, limit))
+        self._show(demand.speed, demand.position)
+        self.limited = demand.limited or abs(torque) >= limit
+        return torque
+
+    def foreseen(self, demand: Demand, *, takes_over: bool) -> int:
+        """Return what `follow` would return for this demand, after `take_over` if the mode has yet to; nothing changes."""
+        start = float(self.permille - demand.torque) if takes_over else None
+        return round(self.loop.foreseen(demand.speed, self.speed.counts_s, demand.torque, self.limit, start_permille=start))
+
+    def move(self, speed: float, ramp: float) -> int:
+        """Return the torque that brings the motor to a speed [counts/s] along a ramp [counts/s^2]."""
+        limit = self.limit
+        torque = round(self.loop.torque(speed, min(ramp, 1e12), self.speed.counts_s, limit))
+        self._show(self.loop.set_counts_s)
+        self.limited = abs(torque) >= limit
+        return torque
+
+    def start_braking(self, option: int) -> None:
+        """Begin a stop of 605Ah to 605Eh: 1 along 6084h, 2 along 6085h, 3 and 4 as hard as the limits allow."""
+        self._deceleration = {1: self.objects.number(0x6084), 2: self.objects.number(0x6085)}.get(option, math.inf)
+        self.loop.start(self.speed.counts_s if math.isfinite(self._deceleration) else 0.0, self.permille)
+
+    def brake(self) -> int:
+        """Return the torque of the stop that has begun, and at its end of standing still."""
+        return self.move(0.0, self._deceleration)
+
+    def _show(self, speed: float, position: float | None = None) -> None:
+        self.velocity_demand.value = wrap_32(round(speed))
+        self.position_demand.value = self.position.value if position is None else wrap_32(round(position))
+        if position is None:
+            self.following_error.value = 0
+
+    def show_no_demand(self) -> None:
+        """Show, where neither loop acts, speed zero and the position where the motor is."""
+        self._show(0.0)
+
+    def way_to(self, position: float) -> float:
+        """Return the way [counts] from the position actual value, over the end of the counter of 32 bits where it is shorter."""
+        way = position - int(self.position.value)
+        return way if -_HALF_TURN <= way < _HALF_TURN else (way + _HALF_TURN) % _TURN - _HALF_TURN
+
+    def within_software_limits(self, position: int) -> int:
+        """Return the position nearest to this one within 607Dh, which limits nothing unless its minimum is below its maximum."""
+        if self._lowest is None or self._highest is None:
+            return position
+        lowest, highest = int(self._lowest.value), int(self._highest.value)
+        return min(max(position, lowest), highest) if lowest < highest else position
+
+
+def wrap_32(value: int) -> int:
+    """Return the value of a signed counter of 32 bits."""
+    return (value + _HALF_TURN & 0xFFFF_FFFF) - _HALF_TURN
