@@ -190,6 +190,11 @@ class EmulatedDrive:
     and, with damping 0.69, at 0.60 w; a step of the target does not overshoot. At w/2 the damping would fall to 0.51.
     """
 
+    speed_filter: float = 0.25
+    """Share of the newest difference of positions in the measured speed: the encoder's counts are coarse at slow speed."""
+    torque_sections: tuple[tuple[float, ...], ...] = ()
+    """Filter of the velocity loop's torque: second-order sections (b0, b1, b2, 1, a1, a2) at the sample rate, static gain 1."""
+
     def __post_init__(self) -> None:
         """Derive the position gain where none is given."""
         if not self.position_gain and self.velocity_gain:

@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import can
 import numpy as np
@@ -168,21 +168,25 @@ def _counts_per_motor_turn(machine: Machine, axis: str, resolution: float) -> in
     return max(1, round(turn / (resolution * drive.ratio)))
 
 
-def _own_loops(machine: Machine, physics: Physics) -> dict[str, dict[str, float]]:
-    """Return the gains of each axis's own loops, by their names in `EmulatedDrive`.
+def _own_loops(machine: Machine, physics: Physics) -> dict[str, dict[str, Any]]:
+    """Return each axis's own loops as the machine file has them, by their names in `EmulatedDrive`, else loops that suit the joint.
 
-    The velocity gain [drive's unit per rad/s or m/s] is the joint's inertia at pose zero times the bandwidth, over the effort of one unit.
-    The position gain is left out: `EmulatedDrive` derives it from the other two, and says why.
+    Then the velocity gain [drive's unit per rad/s or m/s] is the joint's inertia at pose zero times the bandwidth, over the effort of one
+    unit. The position gain is left out: `EmulatedDrive` derives it from the other two, and says why.
     """
     inertia = inertia_matrix(physics.plant, physics.model, np.zeros(physics.plant.joints))
     joints = physics.plant.joint_of_axis()
     bandwidth_rad_s = 2.0 * math.pi * OWN_LOOP_BANDWIDTH_Hz
-    gains = {}
-    for drive in machine.plant.drives:
+    found: dict[str, dict[str, Any]] = {}
+    for drive, loops in zip(machine.plant.drives, machine.drive_loops, strict=True):
+        if loops is not None:
+            sections = () if loops.torque_sections is None else tuple(map(tuple, loops.torque_sections.tolist()))
+            found[drive.axis] = {**vars(loops), "torque_sections": sections}
+            continue
         joint = joints[drive.axis]
         gain = bandwidth_rad_s * inertia[joint, joint] / (drive.constant * drive.ratio)
-        gains[drive.axis] = {"velocity_gain": gain, "velocity_integral_gain": gain * bandwidth_rad_s * INTEGRAL_CORNER_SHARE}
-    return gains
+        found[drive.axis] = {"velocity_gain": gain, "velocity_integral_gain": gain * bandwidth_rad_s * INTEGRAL_CORNER_SHARE}
+    return found
 
 
 def emulate_machine(

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import scipy.signal
+
 STANDSTILL_S = 0.078  # below the standstill speed for so long: the motor stands
-_SPEED_FILTER = 0.25  # share of the newest difference: the encoder's counts are coarse at slow speed
 _ROUNDING_S = 1e-9  # a time that is a whole number of samples is over at that sample
 
 
 class SpeedMeter:
-    """Speed from encoder counts: differences, smoothed by a first-order filter."""
+    """Speed from encoder counts: differences, smoothed by a first-order filter that takes this share of the newest one."""
 
-    def __init__(self, period_s: float) -> None:
-        self._period_s = period_s
+    def __init__(self, period_s: float, share: float) -> None:
+        self._period_s, self._share = period_s, share
         self._last: int | None = None
         self.counts_s = 0.0
 
@@ -26,7 +28,7 @@ class SpeedMeter:
     def update(self, counts: int) -> None:
         """Take the count of one sample."""
         if self._last is not None:
-            self.counts_s += _SPEED_FILTER * ((counts - self._last) / self._period_s - self.counts_s)
+            self.counts_s += self._share * ((counts - self._last) / self._period_s - self.counts_s)
         self._last = counts
 
 
@@ -55,11 +57,46 @@ class VelocityGains:
     integral: float
 
 
+class TorqueFilter:
+    """Filter of the velocity loop's torque: second-order sections (b0, b1, b2, 1, a1, a2) with a static gain of 1."""
+
+    def __init__(self, sections: Sequence[Sequence[float]]) -> None:
+        self._sections = [tuple(section) for section in sections]
+        self._standing = scipy.signal.sosfilt_zi(sections).tolist() if self._sections else []
+        self._state: list[list[float]] = [[0.0, 0.0] for _ in self._sections]
+
+    def start(self, torque: float) -> None:
+        """Begin where this torque has been passed on for long."""
+        self._state = [[torque * first, torque * second] for first, second in self._standing]
+
+    def step(self, torque: float) -> float:
+        """Return the filtered torque of this sample."""
+        for (b0, b1, b2, _, a1, a2), state in zip(self._sections, self._state, strict=True):
+            passed = b0 * torque + state[0]
+            state[0], state[1] = b1 * torque - a1 * passed + state[1], b2 * torque - a2 * passed
+            torque = passed
+        return torque
+
+    @property
+    def passed_at_once(self) -> float:
+        """Share of a step that is passed on in the same sample."""
+        return math.prod(section[0] for section in self._sections)
+
+    def foreseen(self, torque: float) -> float:
+        """Return what `step` would return; nothing changes."""
+        for section, state in zip(self._sections, self._state, strict=True):
+            torque = section[0] * torque + state[0]
+        return torque
+
+
 class VelocityLoop:
     """Proportional-integral speed control, bumpless from the torque that acted before, with or without a ramp of the set point."""
 
-    def __init__(self, gains: VelocityGains, period_s: float, standstill_counts_s: float) -> None:
+    def __init__(
+        self, gains: VelocityGains, period_s: float, standstill_counts_s: float, torque_sections: Sequence[Sequence[float]] = ()
+    ) -> None:
         self._gains = gains
+        self._filter = TorqueFilter(torque_sections)
         self._period_s = period_s
         self._standstill_counts_s = standstill_counts_s
         self.set_counts_s = 0.0  # the ramp's present speed
@@ -71,6 +108,7 @@ class VelocityLoop:
         """Take over at the present speed and torque."""
         self.set_counts_s = speed_counts_s
         self._integral = torque_permille
+        self._filter.start(torque_permille)
         self._still = 0
 
     @property
@@ -91,9 +129,9 @@ class VelocityLoop:
         return torque
 
     def follow(self, demand_counts_s: float, speed_counts_s: float, feedforward_permille: float, limit_permille: float) -> float:
-        """Return the torque [per mille of rated] for this sample: integral + proportional * lag + feedforward, within the limit."""
+        """Return the torque [per mille of rated] for this sample: filtered integral + proportional * lag, + feedforward, in limits."""
         lag = demand_counts_s - speed_counts_s
-        wanted = self._integral + self._gains.proportional * lag + feedforward_permille
+        wanted = self._filter.step(self._integral + self._gains.proportional * lag) + feedforward_permille
         torque = min(max(wanted, -limit_permille), limit_permille)
         if torque == wanted:  # no wind-up against the limit
             self._integral += self._gains.integral * lag * self._period_s
@@ -109,6 +147,9 @@ class VelocityLoop:
         start_permille: float | None = None,
     ) -> float:
         """Return what `follow` would return, after a `start` at that torque where one is given; nothing changes."""
-        integral = self._integral if start_permille is None else start_permille
-        wanted = integral + self._gains.proportional * (demand_counts_s - speed_counts_s) + feedforward_permille
+        proportional = self._gains.proportional * (demand_counts_s - speed_counts_s)
+        if start_permille is None:
+            wanted = self._filter.foreseen(self._integral + proportional) + feedforward_permille
+        else:
+            wanted = start_permille + self._filter.passed_at_once * proportional + feedforward_permille
         return min(max(wanted, -limit_permille), limit_permille)

@@ -42,8 +42,9 @@ class Servo:
         self.position_gain = settings.position_gain
         per_count = settings.position_resolution * 1000.0 / settings.rated
         gains = VelocityGains(settings.velocity_gain * per_count, settings.velocity_integral_gain * per_count)
-        self.speed = SpeedMeter(period_s)
-        self.loop = VelocityLoop(gains, period_s, STANDSTILL_SHARE * objects.number(0x6099, 2))
+        self.speed = SpeedMeter(period_s, settings.speed_filter)
+        standstill_counts_s = STANDSTILL_SHARE * objects.number(0x6099, 2)
+        self.loop = VelocityLoop(gains, period_s, standstill_counts_s, settings.torque_sections)
         self.position = objects.find(0x6064)
         self.position_demand, self.velocity_demand, self.following_error = self.entry(0x6062), self.entry(0x606B), self.entry(0x60F4)
         self._max_torque, self._max_current = objects.find(0x6072), objects.find(0x6073)
