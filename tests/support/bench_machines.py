@@ -115,7 +115,7 @@ LOOPS = {"propeller": (4.0, 60.0, 60.0, 0.5), "roll": (6.0, 130.0, 130.0, 1.0)}
 
 
 def carm_text_in(mode: str) -> str:
-    """Return the C-arm's file with drives that are commanded in "velocity" or "position", with loops and notches of their own."""
+    """Return the C-arm's file with drives that are commanded in "velocity" or "position": their own loops and notches, the speed ahead."""
     text = CARM.text
     target = {"velocity": "target_velocity", "position": "target_position"}[mode]
     text = edited(r'^map = \["controlword", "target_torque"\]', f'map = ["controlword", "{target}", "torque_offset"]', text)
@@ -123,6 +123,9 @@ def carm_text_in(mode: str) -> str:
         loops = f"position_gain = {position_gain}, velocity_gain = {velocity_gain}, velocity_integral_gain = {integral_gain}"
         loops += f", speed_filter = {share}, torque_sections = {NOTCHES[axis].tolist()}"
         text = edited(rf"(\[drives.{axis}\]\n)", rf'\g<1>mode = "{mode}"\nloops = {{ {loops} }}\n', text)
-        law = f"position_sections = [[{position_gain}, 0.0, 0.0, 1.0, 0.0, 0.0]]\n" if mode == "velocity" else ""
+        per_s = position_gain if mode == "velocity" else 0.0
+        ahead = CARM.sample_rate_Hz / (1.0 if mode == "velocity" else position_gain)  # the reference's speed, as a speed or as a target
+        law = f"position_sections = [[{per_s}, 0.0, 0.0, 1.0, 0.0, 0.0]]\n"
+        law += f"reference_sections = [[{per_s + ahead}, {-ahead}, 0.0, 1.0, 0.0, 0.0]]\n"
         text = edited(rf"(\[controller.{axis}\]\n)position_sections = \[(?:.|\n)*?\n\]\n", rf"\g<1>{law}", text)
     return text

@@ -203,7 +203,7 @@ class Cia402Drive(Node):
         self._stopping = False
         self._in_charge = None
         if state not in _MOVING:
-            self.servo.permille = 0
+            self.servo.release()
         self._refresh()
 
     def _stop(self, option: int, after: PowerState | None) -> None:
@@ -260,7 +260,7 @@ class Cia402Drive(Node):
                 self._in_charge = mode
             servo.permille = mode.torque()
         else:
-            servo.permille = 0
+            servo.release()
         self._demand.value = servo.permille
         return servo.permille * self._effort_per_permille
 

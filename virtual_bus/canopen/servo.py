@@ -49,7 +49,7 @@ class Servo:
         self.position_demand, self.velocity_demand, self.following_error = self.entry(0x6062), self.entry(0x606B), self.entry(0x60F4)
         self._max_torque, self._max_current = objects.find(0x6072), objects.find(0x6073)
         self._lowest, self._highest = objects.get(0x607D, 1), objects.get(0x607D, 2)
-        self.permille = 0
+        self.release()
         self.limited = False
         self.origin = self.absolute = self.offset = 0
         self._deceleration = math.inf
@@ -93,9 +93,21 @@ class Servo:
         self.limited = torque != target
         return torque
 
+    def release(self) -> None:
+        """Give no torque: the motor is free, or held by its brake."""
+        self.permille = 0
+        self._released = True
+
     def take_over(self, feedforward_permille: int = 0) -> None:
-        """Let the velocity loop begin at the present speed, its integral at the present torque less what is fed forward."""
-        self.loop.start(self.speed.counts_s, self.permille - feedforward_permille)
+        """Let the velocity loop begin at the present speed, its integral at the present torque less what is fed forward.
+
+        Of a released motor it begins at zero: what is fed forward acts at once.
+        """
+        self.loop.start(self.speed.counts_s, self._left_by(feedforward_permille))
+        self._released = False
+
+    def _left_by(self, feedforward_permille: int) -> int:
+        return 0 if self._released else self.permille - feedforward_permille
 
     def follow(self, demand: Demand) -> int:
         """Return the torque that follows a demand, which is shown in 6062h and 606Bh."""
@@ -107,7 +119,7 @@ class Servo:
 
     def foreseen(self, demand: Demand, *, takes_over: bool) -> int:
         """Return what `follow` would return for this demand, after `take_over` if the mode has yet to; nothing changes."""
-        start = float(self.permille - demand.torque) if takes_over else None
+        start = float(self._left_by(demand.torque)) if takes_over else None
         return round(self.loop.foreseen(demand.speed, self.speed.counts_s, demand.torque, self.limit, start_permille=start))
 
     def move(self, speed: float, ramp: float) -> int:
