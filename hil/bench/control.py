@@ -9,6 +9,7 @@ import numpy as np
 from controllers.cascade import AxisCommand
 from controllers.feedback import Feedback
 from controllers.settings import AxisController
+from drivers.interface import Sample
 
 LeadTo = Callable[[int, float], None]
 """Sets the position or velocity that the drive of an axis follows from the next tick on."""
@@ -68,6 +69,11 @@ class Control:
         for axis, _ in self._led:
             self.effort[axis] = self._holding[axis] + excitation[axis] + feedforward[axis]
             self._lead_to(axis, self.command[axis])
+
+    def expect(self, sample: Sample) -> None:
+        """Complete what a sample says was commanded: the effort that a drive's own loops should give."""
+        for axis, _ in self._led:
+            sample.commanded[axis] = self.demand[axis]
 
     def preload(self, holding_effort: np.ndarray, position: np.ndarray, feedforward: np.ndarray) -> None:
         """Begin with a lasting standstill at `position`, held by `holding_effort`, part of it from `feedforward`; (n_axes,) each.

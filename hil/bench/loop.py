@@ -241,6 +241,7 @@ class SampleLoop:
         if self.judge is None or sample.unanswered:
             return ""
         ticks, self._unjudged = self._unjudged, 0
+        self.control.expect(sample)
         return self.judge.step(sample, ticks, k * self.layout.period_s)
 
     def _violation(self, sample: Sample, reference: np.ndarray, ticks: int, k: int) -> str:

@@ -1,0 +1,138 @@
+"""Drives that close loops of their own: the loop commands them in velocity or position, over the same frames as ever."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+from bench_machines import CARM, carm_text_in, edited, run_in_lockstep
+
+from hil.bench.bench import Bench
+from hil.errors import LoopAbortedError, MachineFileError
+from hil.experiments import Plan, Scan, Static
+from hil.machine import Machine, check_machine, machine_from_text
+from hil.recording import Recording
+from hil.simulation import in_effort, simulate
+
+MODES = ("velocity", "position")
+COUNT_rad = 2.0 * np.pi / (4096 * 500)
+SENSOR_NOISE_A = 0.01  # of the shipped current sensors, the quantisation of the target beside it
+
+
+def machine_in(mode: str) -> Machine:
+    return machine_from_text(carm_text_in(mode))
+
+
+def swept_plan(machine: Machine) -> Plan:
+    (plan,) = Scan("roll", 0.0, 0.15, 0.2, dwell_s=0.5).plans(machine)
+    return plan
+
+
+@pytest.fixture(scope="module", params=MODES)
+def swept(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Machine, Recording, Path]:
+    folder = tmp_path_factory.mktemp(request.param)
+    machine = machine_in(request.param)
+    (recording,) = run_in_lockstep(folder, [swept_plan(machine)], machine)
+    return machine, recording, folder / "run.log"
+
+
+def test_its_simulation_is_the_run_within_counts(swept: tuple[Machine, Recording, Path]) -> None:
+    machine, recording, _ = swept
+    simulated = simulate(machine, recording)
+    for axis in machine.axes:
+        off = recording[f"position_{axis}"] - simulated[f"position_{axis}"]
+        assert np.abs(off).max() < 4.0 * COUNT_rad
+        command, same = recording.channel(f"command_{axis}"), simulated.channel(f"command_{axis}")
+        assert command.unit == same.unit
+        assert np.abs(command.values - same.values).max() < 4.0 * COUNT_rad * 256.0  # of a speed
+    assert np.abs(recording["reference_roll"] - recording["position_roll"]).max() < 0.01
+
+
+def test_the_effort_that_follows_from_the_positions_is_what_the_drive_measures_a_row_later(swept: tuple[Machine, Recording, Path]) -> None:
+    machine, recording, _ = swept
+    effort = in_effort(recording)
+    for axis in machine.axes:
+        assert effort.channel(f"command_{axis}").unit == "A"
+        off = recording[f"current_{axis}"][1:] - effort[f"command_{axis}"][:-1]
+        assert np.std(off) < 1.3 * SENSOR_NOISE_A
+        assert abs(np.mean(off)) < SENSOR_NOISE_A
+    assert in_effort(effort, CARM) is not recording
+
+
+def test_recordings_say_mode_and_unit(swept: tuple[Machine, Recording, Path]) -> None:
+    machine, recording, _ = swept
+    mode = machine.commanded["roll"]["mode"]
+    unit = {"velocity": "rad/s", "position": "rad"}[mode]
+    assert recording.metadata["commands"]["roll"] == {"mode": mode, "unit": unit, "excitation_unit": "A"}
+    assert recording.channel("command_roll").unit == unit
+    assert recording.channel("excitation_roll").unit == "A"
+
+
+def test_frames_carry_the_recorded_target_in_counts(swept: tuple[Machine, Recording, Path]) -> None:
+    machine, recording, log = swept
+    targets = [int.from_bytes(m.data[2:6], "little", signed=True) for m in can.LogReader(str(log)) if m.arbitration_id == 0x202]
+    asked = np.round(recording["command_roll"] / COUNT_rad).astype(int)
+    offset = 0  # a position's counts begin where the drive was switched on
+    if machine.commanded["roll"]["mode"] == "position":
+        offset = targets[-1] - asked[-1]
+    wanted = (asked[:400] + offset).tolist()
+    found = any(np.abs(np.subtract(targets[k : k + 400], wanted)).max() <= 1 for k in range(len(targets) - 400))
+    assert found
+
+
+def test_one_axis_may_be_led_and_the_other_be_commanded_in_effort(tmp_path: Path) -> None:
+    text = carm_text_in("position")
+    head, rest = CARM.text.split("[drives.roll]", 1)[0], text.split("[drives.roll]", 1)[1]
+    propeller = re.search(r"\[controller\.propeller\]\n(?:.|\n)*?(?=\n\[)", CARM.text)
+    assert propeller is not None
+    mixed = edited(r"\[controller\.propeller\]\n(?:.|\n)*?(?=\n\[)", propeller.group().replace("\\", "\\\\"), f"{head}[drives.roll]{rest}")
+    mixed = edited(r'map = \["controlword", "target_position", "torque_offset"\]', 'map = ["controlword", "target_torque"]', mixed, count=1)
+    machine = machine_from_text(mixed)
+    (recording,) = run_in_lockstep(tmp_path, [swept_plan(machine)], machine)
+    assert recording.channel("command_propeller").unit == "A"
+    assert recording.channel("command_roll").unit == "rad"
+    assert np.abs(recording["reference_roll"] - recording["position_roll"]).max() < 0.01
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_led_axis_that_is_asked_to_stop_ends_with_its_brake_proven(mode: str, tmp_path: Path) -> None:
+    machine = machine_in(mode)
+    (plan,) = Static(2.0, {"roll": 0.5}).plans(machine)
+
+    def ask(bench: Bench, row: int) -> None:
+        bench.loop.stop_request.ask("somebody asked")
+
+    with pytest.raises(
+        LoopAbortedError, match="somebody asked; the motors were stopped: propeller, roll at rest: brake proven, voltage off"
+    ):
+        run_in_lockstep(tmp_path, [plan], machine, progress=ask)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_check_judges_the_whole_cascade(mode: str) -> None:
+    found = {finding.name: finding for finding in check_machine(machine_in(mode), poses=9)}
+    assert found["stability"].ok
+    assert all(finding.ok for finding in check_machine(machine_in(mode), poses=9) if "margin" in finding.name)
+    hard = edited(r"velocity_gain = 130.0", "velocity_gain = 1300.0", carm_text_in(mode))
+    assert not all(finding.ok for finding in check_machine(machine_from_text(hard), poses=9) if "margin" in finding.name)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (r"^loops = .*$", "", "drives.propeller.loops: is missing; in position mode they are part of the feedback"),
+        (r'"torque_offset"\]', '"target_torque"]', "torque_offset is mapped nowhere; a drive in position mode needs it in an RPDO"),
+        (r'"target_position"', '"target_velocity"', "target_position is mapped nowhere; a drive in position mode needs it in an RPDO"),
+        (r"^mode = .*$", 'mode = "profile"', "drives.propeller.mode"),
+        (r"torque_sections = \[\[", "torque_sections = [[1", "has a static gain of"),
+        (r"position_gain = 4.0", "position_gain = -4.0", "drives.propeller.loops.position_gain"),
+        (r"(?<=\[controller.roll\]\n)position_sections = .*$", "position_sections = [[1.0, 0.0, 0.0, 1.0, -1.0, 0.0]]", "controller.roll"),
+    ],
+)
+def test_a_file_that_cannot_be_led_is_refused_in_one_line(old: str, new: str, words: str) -> None:
+    with pytest.raises(MachineFileError, match=re.escape(words)) as caught:
+        machine_from_text(edited(old, new, carm_text_in("position"), count=1))
+    assert "\n" not in str(caught.value)
