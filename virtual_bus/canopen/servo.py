@@ -12,7 +12,7 @@ from virtual_bus.settings import EmulatedDrive
 
 STANDSTILL_SHARE = 0.5  # of the slowest homing speed; a slower motor counts as standing
 _INTEGER32 = 0x04
-_HALF_TURN, _TURN = 0x8000_0000, 0x1_0000_0000  # of a counter of 32 bits
+_HALF_TURN, _TURN, _MASK = 0x8000_0000, 0x1_0000_0000, 0xFFFF_FFFF  # of a counter of 32 bits
 
 
 class Demand(NamedTuple):
@@ -44,7 +44,7 @@ class Servo:
         gains = VelocityGains(settings.velocity_gain * per_count, settings.velocity_integral_gain * per_count)
         self.speed = SpeedMeter(period_s)
         self.loop = VelocityLoop(gains, period_s, STANDSTILL_SHARE * objects.number(0x6099, 2))
-        self.position = objects.find(0x6064)
+        self.position, self._velocity = objects.find(0x6064), objects.find(0x606C)
         self.position_demand, self.velocity_demand, self.following_error = self.entry(0x6062), self.entry(0x606B), self.entry(0x60F4)
         self._max_torque, self._max_current = objects.find(0x6072), objects.find(0x6073)
         self._lowest, self._highest = objects.get(0x607D, 1), objects.get(0x607D, 2)
@@ -72,7 +72,8 @@ class Servo:
         """Take the counter's reading at this sample, from where it began."""
         self.absolute = absolute = self.origin + counts
         self.speed.update(absolute)
-        self.position.value = wrap_32(absolute + self.offset)
+        self.position.value = (absolute + self.offset + _HALF_TURN & _MASK) - _HALF_TURN  # `wrap_32` written out: every drive, every sample
+        self._velocity.value = (round(self.speed.counts_s) + _HALF_TURN & _MASK) - _HALF_TURN
 
     def take_home(self, home_counts: int) -> None:
         """Show the home offset (607Ch) at this absolute count."""
@@ -84,13 +85,6 @@ class Servo:
     def limit(self) -> int:
         """Greatest torque, per mille of rated: 6072h or 6073h, the smaller one."""
         return min(int(self._max_torque.value), int(self._max_current.value))
-
-    def cut(self, target: int) -> int:
-        """Return the torque nearest to `target` within the limits."""
-        limit = min(int(self._max_torque.value), int(self._max_current.value))
-        torque = min(max(target, -limit), limit)
-        self.limited = torque != target
-        return torque
 
     def take_over(self, feedforward_permille: int = 0) -> None:
         """Let the velocity loop begin at the present speed, its integral at the present torque less what is fed forward."""
@@ -151,4 +145,4 @@ class Servo:
 
 def wrap_32(value: int) -> int:
     """Return the value of a signed counter of 32 bits."""
-    return (value + _HALF_TURN & 0xFFFF_FFFF) - _HALF_TURN
+    return (value + _HALF_TURN & _MASK) - _HALF_TURN
