@@ -1,4 +1,4 @@
-"""What all modes of operation share: their numbers, changes between them, stops, halts, faults, and limits under any sequence of commands."""
+"""What all modes of operation share: numbers, changes, stops, halts, faults, and promises that no sequence of commands breaks."""
 
 from __future__ import annotations
 

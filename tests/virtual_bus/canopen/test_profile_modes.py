@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import pytest
@@ -108,8 +109,8 @@ def test_a_set_point_that_changes_at_once_drops_what_waits() -> None:
     while not answers[-1].statusword & TARGET_REACHED:
         answers.append(master.step())
     demands = [answer.position_demand for answer in answers]
-    steps = [(b - a) / PERIOD_S for a, b in zip(demands[:-1], demands[1:], strict=True)]
-    changes = [abs(b - a) / PERIOD_S for a, b in zip(steps[:-1], steps[1:], strict=True)]
+    steps = [(b - a) / PERIOD_S for a, b in itertools.pairwise(demands)]
+    changes = [abs(b - a) / PERIOD_S for a, b in itertools.pairwise(steps)]
     rounding = 2.0 / PERIOD_S**2
     assert max(demands) < 30_000
     assert demands[-1] == -3000
@@ -161,7 +162,7 @@ def test_the_speed_is_the_smaller_of_6081h_and_607fh() -> None:
     master.set(0x607F, 5000)
     go(master, 20_000)
     demands = [master.step().position_demand for _ in range(400)]
-    steps = [b - a for a, b in zip(demands[:-1], demands[1:], strict=True)]
+    steps = [b - a for a, b in itertools.pairwise(demands)]
     assert max(steps) * PERIOD_S**-1 == pytest.approx(5000, abs=1.0 / PERIOD_S)
 
 

@@ -41,16 +41,14 @@ def agree(profile: Profile, trajectory: ruckig.Trajectory) -> None:
 
 @settings(max_examples=300, deadline=None, derandomize=True)
 @given(start=near, target=near, speed=few, acceleration=some, deceleration=some)
-def test_from_rest_to_rest_a_profile_is_ruckigs(
-    start: float, target: float, speed: float, acceleration: float, deceleration: float
-) -> None:
+def test_from_rest_it_is_ruckigs(start: float, target: float, speed: float, acceleration: float, deceleration: float) -> None:
     limits = Limits(speed, acceleration, deceleration)
     agree(to_target(start, 0.0, target, limits), by_ruckig(start, 0.0, target, limits))
 
 
 @settings(max_examples=300, deadline=None, derandomize=True)
 @given(start=near, target=near, initial=st.floats(-8.0, 8.0), speed=few, acceleration=some)
-def test_from_any_speed_a_profile_is_ruckigs(start: float, target: float, initial: float, speed: float, acceleration: float) -> None:
+def test_from_any_speed_it_is_ruckigs(start: float, target: float, initial: float, speed: float, acceleration: float) -> None:
     limits = Limits(speed, acceleration, acceleration)
     agree(to_target(start, initial, target, limits), by_ruckig(start, initial, target, limits))
 
