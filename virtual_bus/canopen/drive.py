@@ -93,6 +93,7 @@ class Cia402Drive(Node):
 
     def application_reset(self) -> None:
         """Switch the power stage off, set the position counter to zero, and forget the home position."""
+        self._active.leave()
         self.servo.restart()
         self.homing.reset()
         self._clear()
@@ -212,10 +213,10 @@ class Cia402Drive(Node):
 
         0 switch off, 1 slow-down ramp, 2 quick-stop ramp, 3 and 4 as hard as the limits allow.
         """
+        self._active.leave()
         if option == 0:
             self._set_state(after if after is not None else PowerState.SWITCH_ON_DISABLED)
             return
-        self._active.leave()
         self._after_stop = after
         self._stopping = True
         self._stop_began_s = self.now_s

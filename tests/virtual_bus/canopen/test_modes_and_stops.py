@@ -68,6 +68,45 @@ def test_a_device_whose_data_sheet_lacks_a_modes_objects_does_not_offer_it(tmp_p
     assert abort_code(lambda: remote.sdo.download(0x6060, 0, b"\x03")) == 0x06090030
 
 
+@pytest.mark.parametrize("before", MOVING_MODES)
+@pytest.mark.parametrize("after", [*MOVING_MODES, HOMING])
+def test_a_change_of_mode_in_motion_takes_over_at_the_present_torque(before: int, after: int) -> None:
+    """Targets match the motion, so what is left is the ramp of a mode that slows down: 1.25 rad/s^2 * 20 A s/rad / 256 Hz = 20 per mille."""
+    master, _ = moving(CSV)
+    master.physics.load[0] = 0.75
+    now = master.steps(400, torque_offset=50)
+    for mode in (before, after):
+        speed = master.get(0x606C, signed=True)
+        ahead = speed if mode == CSP else 0
+        taken = master.step(mode=mode, torque=now.torque - 50, velocity=speed, position=now.position, velocity_offset=ahead)
+        assert taken.mode == mode
+        assert taken.torque == pytest.approx(now.torque, abs=2 if mode in (CSP, CSV, CST) else 25)
+        now = taken
+    assert abs(now.torque) > 100, "there was something to keep"
+
+
+@pytest.mark.parametrize("how", ["fault", "quick stop", "disable", "node reset", "mode"])
+@pytest.mark.parametrize("option", [0, 1])
+def test_what_has_ended_a_set_point_has_forgotten_it(how: str, option: int) -> None:
+    master, _ = moving(PP)
+    for index in (0x605A, 0x605B, 0x605C, 0x605E):
+        master.set(index, option, "<h")
+    if how == "fault":
+        master.machine.drives["roll_drive"].inject_fault(0x2310)
+    elif how == "node reset":
+        master.send(0x000, b"\x81\x02")
+        master.wait(2.0)
+        master = master.again()
+    elif how == "mode":
+        master.step(mode=CSV, velocity=0)
+    else:
+        master.step(word=0x02 if how == "quick stop" else 0x07)
+    master.steps(600, **({} if how == "mode" else {"word": {"disable": 0x07}.get(how, 0x00)}))
+    master.step(word=0x80 if how == "fault" else master.asked.word)
+    at = master.switch_on(mode=PP).position
+    assert abs(master.steps(100).position - at) < 50
+
+
 # ---- stops in every mode -------------------------------------------------------------------------------
 
 
