@@ -180,7 +180,7 @@ def _own_loops(machine: Machine, physics: Physics) -> dict[str, dict[str, float]
     gains = {}
     for drive in machine.plant.drives:
         joint = joints[drive.axis]
-        gain = bandwidth_rad_s * inertia[joint, joint] / (drive.constant * drive.ratio)
+        gain = bandwidth_rad_s * float(inertia[joint, joint]) / (drive.constant * drive.ratio)
         gains[drive.axis] = {"velocity_gain": gain, "velocity_integral_gain": gain * bandwidth_rad_s * INTEGRAL_CORNER_SHARE}
     return gains
 

@@ -71,7 +71,7 @@ def test_a_device_whose_data_sheet_lacks_a_modes_objects_does_not_offer_it(tmp_p
 @pytest.mark.parametrize("before", MOVING_MODES)
 @pytest.mark.parametrize("after", [*MOVING_MODES, HOMING])
 def test_a_change_of_mode_in_motion_takes_over_at_the_present_torque(before: int, after: int) -> None:
-    """Targets match the motion, so what is left is the ramp of a mode that slows down: 1.25 rad/s^2 * 20 A s/rad / 256 Hz = 20 per mille."""
+    """Targets match the motion, so what is left is the ramp of a mode that slows: 1.25 rad/s^2 * 20 A s/rad / 256 Hz = 20 per mille."""
     master, _ = moving(CSV)
     master.physics.load[0] = 0.75
     now = master.steps(400, torque_offset=50)
