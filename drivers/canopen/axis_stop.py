@@ -133,11 +133,13 @@ class AxisStop:
     def prove(self, effort: float) -> None:
         """Begin where a motion has ended by itself: its drive enabled with this effort, its brake closed.
 
-        An axis whose brake is not the bench's, or whose drive has loops of its own, is stopped as from any other state.
+        An axis whose brake is not the bench's is stopped as from any other state. Where the drive's own loops add to the effort, what it
+        measures is taken for what holds.
         """
-        if not (self._braked and self._takes_torque):
+        if not self._braked:
             return
-        self.controlword, self.effort, self._held_effort = cia402.ENABLE_OPERATION, effort, effort
+        self.controlword, self.effort = cia402.ENABLE_OPERATION, effort
+        self._held_effort = effort if self._takes_torque else nan
         self.orders_brake = False
         self._go(self._swinging)
 
@@ -186,7 +188,8 @@ class AxisStop:
                 self._still_ticks += 1
             else:
                 self._anchor, self._still_ticks = position, 0
-        if isfinite(effort) and self._state is State.QUICK_STOP_ACTIVE:
+        by_itself = self._state is State.QUICK_STOP_ACTIVE or (self._phase == self._swinging and not self._takes_torque)
+        if isfinite(effort) and by_itself:
             before = self._held_effort if isfinite(self._held_effort) else effort
             self._held_effort = before + (effort - before) / self._in_ticks(STANDSTILL_S)
         self._closed = (not bool(sample.brakes_open[axis]) if io_is_fresh else None) if self._braked else None
@@ -238,7 +241,8 @@ class AxisStop:
         if self._lost > self._stale_ticks:
             return "nobody knows whether it moves"
         both = self._motor.fresh(self._stale_ticks) and self._link.fresh(self._stale_ticks)
-        if both and self._motor.range - self._link.range > self._apart:
+        stands_still = self._link.range <= self._flicker < self._motor.range
+        if both and (stands_still or self._motor.range - self._link.range > self._apart):
             return "its motor side shows motion, its link none"
         return "IT MOVES"
 

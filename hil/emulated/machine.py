@@ -184,7 +184,7 @@ def _own_loops(machine: Machine, physics: Physics) -> dict[str, dict[str, Any]]:
             found[drive.axis] = {**vars(loops), "torque_sections": sections}
             continue
         joint = joints[drive.axis]
-        gain = bandwidth_rad_s * inertia[joint, joint] / (drive.constant * drive.ratio)
+        gain = bandwidth_rad_s * float(inertia[joint, joint]) / (drive.constant * drive.ratio)
         found[drive.axis] = {"velocity_gain": gain, "velocity_integral_gain": gain * bandwidth_rad_s * INTEGRAL_CORNER_SHARE}
     return found
 

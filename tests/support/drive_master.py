@@ -59,11 +59,16 @@ class DriveMaster(Master):
     def __init__(self, position: float = 0.0, mode: int = 0, **changes: object) -> None:
         super().__init__(one_axis_bus(**changes), (position,))
         self.asked = Asked(mode=mode)
+        self.again()
+
+    def again(self) -> DriveMaster:
+        """Configure and start the node, also after a reset; itself."""
         for cob_id, communication, mapped, _ in RPDOS:
             self.map_pdo(NODE, communication, cob_id, mapped)
         for cob_id, communication, mapped, _ in TPDOS:
             self.map_pdo(NODE, communication, cob_id, mapped)
         self.send(0x000, bytes((1, NODE)))
+        return self
 
     @property
     def drive(self) -> object:

@@ -20,7 +20,7 @@ from virtual_bus.canopen.modes.mode import TARGET_REACHED, Mode
 from virtual_bus.canopen.node import Emit, Node
 from virtual_bus.canopen.objects import Value, key_of
 from virtual_bus.canopen.power_state import HALT, PowerState, next_state
-from virtual_bus.canopen.servo import Servo, wrap_32
+from virtual_bus.canopen.servo import Servo
 from virtual_bus.settings import EmulatedDrive
 
 VOLTAGE_ENABLED, WARNING, REMOTE, INTERNAL_LIMIT = 1 << 4, 1 << 7, 1 << 9, 1 << 11
@@ -61,7 +61,7 @@ class Cia402Drive(Node):
         entry = self.objects.find
         self._controlword, self._statusword, self._error_code = entry(0x6040), entry(0x6041), entry(0x603F)
         self._mode, self._mode_display = entry(0x6060), entry(0x6061)
-        self._velocity, self._demand, self._torque, self._current = entry(0x606C), entry(0x6074), entry(0x6077), entry(0x6078)
+        self._demand, self._torque, self._current = entry(0x6074), entry(0x6077), entry(0x6078)
         self._inputs, self._temperature = entry(0x60FD), entry(0x2000)
         negative, positive = self._counts(settings.negative_switch), self._counts(settings.positive_switch)
         self.homing = Homing(Reference(settings.counts_per_turn, negative, positive))
@@ -70,6 +70,7 @@ class Cia402Drive(Node):
         self.factory_setting(0x6502, 0, sum(1 << mode.supported_bit for mode in self._modes.values() if mode.supported_bit >= 0))
         self._install_checks()
         self.power_state = PowerState.NOT_READY_TO_SWITCH_ON
+        self._state_word, self._enabled = int(self.power_state), False
         self._causes: set[int] = set()  # of persistent faults: no reset while one is there
         self._clear()
 
@@ -92,13 +93,14 @@ class Cia402Drive(Node):
 
     def application_reset(self) -> None:
         """Switch the power stage off, set the position counter to zero, and forget the home position."""
+        self._active.leave()
         self.servo.restart()
         self.homing.reset()
         self._clear()
         self._set_state(PowerState.SWITCH_ON_DISABLED)  # transitions 0 and 1
 
     def _clear(self) -> None:
-        self._settled: tuple[int, PowerState] | None = None  # controlword and state from which no transition follows
+        self._settled: PowerState | None = None  # state from which no transition follows with this controlword:
         self._last_controlword = 0
         self._after_stop: PowerState | None = None
         self._stopping = self._halted = self._warm = False
@@ -152,7 +154,7 @@ class Cia402Drive(Node):
     def _obey(self) -> None:
         """Follow the controlword as far as it leads."""
         word = int(self._controlword.value)
-        if self._settled == (word, self.power_state):
+        if self._last_controlword == word and self._settled is self.power_state:
             return
         previous, self._last_controlword = self._last_controlword, word
         while True:
@@ -160,7 +162,7 @@ class Cia402Drive(Node):
             state = next_state(self.power_state, word, previous, resume_from_quick_stop=option >= 5)
             if self.power_state is PowerState.FAULT and self._causes:
                 state = PowerState.FAULT
-            if self._stopping and self.power_state is PowerState.OPERATION_ENABLED:
+            if self._stopping and self._enabled:
                 if state is self._after_stop:
                     break  # the stop that leads there is under way
                 if state is PowerState.OPERATION_ENABLED:
@@ -169,17 +171,15 @@ class Cia402Drive(Node):
                 break
             if not self._transition(state):
                 break
-        self._settled = (word, self.power_state)
-        enabled = self.power_state is PowerState.OPERATION_ENABLED
-        self._halt(enabled and bool(word & HALT))
-        if enabled:
+        self._settled = self.power_state
+        self._halt(self._enabled and bool(word & HALT))
+        if self._enabled:
             self._active.obey(word, previous, halted=self._halted)
         self._refresh()
 
     def _transition(self, state: PowerState) -> bool:
         """Change to a state, or begin the stop that must come first (False)."""
-        enabled = self.power_state is PowerState.OPERATION_ENABLED
-        if enabled and state in (PowerState.SWITCHED_ON, PowerState.READY_TO_SWITCH_ON):
+        if self._enabled and state in (PowerState.SWITCHED_ON, PowerState.READY_TO_SWITCH_ON):
             option = self.objects.number(0x605C if state is PowerState.SWITCHED_ON else 0x605B)
             self._stop(option, state)
             return self.power_state is state
@@ -200,6 +200,8 @@ class Cia402Drive(Node):
 
     def _set_state(self, state: PowerState) -> None:
         self.power_state = state
+        self._state_word = int(state) | VOLTAGE_ENABLED | REMOTE
+        self._enabled = state is PowerState.OPERATION_ENABLED
         self._stopping = False
         self._in_charge = None
         if state not in _MOVING:
@@ -211,10 +213,10 @@ class Cia402Drive(Node):
 
         0 switch off, 1 slow-down ramp, 2 quick-stop ramp, 3 and 4 as hard as the limits allow.
         """
+        self._active.leave()
         if option == 0:
             self._set_state(after if after is not None else PowerState.SWITCH_ON_DISABLED)
             return
-        self._active.leave()
         self._after_stop = after
         self._stopping = True
         self._stop_began_s = self.now_s
@@ -245,7 +247,8 @@ class Cia402Drive(Node):
     # ---- one sample -----------------------------------------------------------------------------------
     def command(self) -> float:
         """Return the effort on the motor from this sample on, in the drive's unit, in steps of 1/1000 of the rated value."""
-        self._obey()
+        if self._controlword.value != self._last_controlword or self.power_state is not self._settled:
+            self._obey()
         mode, servo = self._active, self.servo
         if self._mode.value != mode.number:
             self._choose_mode()
@@ -254,10 +257,10 @@ class Cia402Drive(Node):
         if self._stopping or self._halted:
             servo.permille = servo.brake()
             self._finish_stop()
-        elif self.power_state is PowerState.OPERATION_ENABLED:
+        elif self._enabled:
             if self._in_charge is not mode:
                 mode.start()
-                self._in_charge = mode
+                self._in_charge, servo.released = mode, False
             servo.permille = mode.torque()
         else:
             servo.release()
@@ -269,7 +272,7 @@ class Cia402Drive(Node):
 
         It is a prediction and changes nothing.
         """
-        if self.power_state is not PowerState.OPERATION_ENABLED or self._stopping or self._halted:
+        if not self._enabled or self._stopping or self._halted:
             return self.servo.permille * self._effort_per_permille
         mode = self._active
         return mode.foreseen(self.after_sync, takes_over=self._in_charge is not mode) * self._effort_per_permille
@@ -288,20 +291,20 @@ class Cia402Drive(Node):
         """
         servo = self.servo
         servo.latch(counts * self.settings.sign)
-        self._velocity.value = wrap_32(round(servo.speed.counts_s))
         permille = round(effort * self._permille_per_effort)
         self._torque.value = self._current.value = min(max(permille, -_INT16), _INT16)
-        self._check_temperature(temperature_degC)
+        if temperature_degC != self._last_temperature_degC:
+            self._check_temperature(temperature_degC)
         reference, absolute = self.homing.reference, servo.absolute
         self._inputs.value = reference.at_negative_switch(absolute) | reference.at_positive_switch(absolute) << 1
-        if self.power_state is PowerState.OPERATION_ENABLED and not self._stopping:
+        if self._active.observes and self._enabled and not self._stopping:
             fault = self._active.observe(in_charge=self._in_charge is self._active)
             if fault:
                 self._fault(fault)
         self._refresh()
 
     def _check_temperature(self, temperature_degC: float) -> None:
-        if temperature_degC == self._last_temperature_degC or temperature_degC != temperature_degC:
+        if math.isnan(temperature_degC):
             return
         self._last_temperature_degC = temperature_degC
         tenths = min(max(round(temperature_degC * 10.0), -_INT16), _INT16)
@@ -314,15 +317,16 @@ class Cia402Drive(Node):
 
     def _refresh(self) -> None:
         """Update the statusword."""
-        word = int(self.power_state) | VOLTAGE_ENABLED | REMOTE
+        word = self._state_word
         if self._warm:
             word |= WARNING
         if self.servo.limited:
             word |= INTERNAL_LIMIT
-        braking = self._halted or self._stopping
-        if braking and self.servo.loop.standing:
-            word |= TARGET_REACHED
-        in_charge = not braking and self.power_state is PowerState.OPERATION_ENABLED
+        in_charge = self._enabled
+        if self._halted or self._stopping:
+            in_charge = False
+            if self.servo.loop.standing:
+                word |= TARGET_REACHED
         self._statusword.value = word | self._active.status(in_charge=in_charge)
 
 

@@ -12,7 +12,7 @@ from virtual_bus.settings import EmulatedDrive
 
 STANDSTILL_SHARE = 0.5  # of the slowest homing speed; a slower motor counts as standing
 _INTEGER32 = 0x04
-_HALF_TURN, _TURN = 0x8000_0000, 0x1_0000_0000  # of a counter of 32 bits
+_HALF_TURN, _TURN, _MASK = 0x8000_0000, 0x1_0000_0000, 0xFFFF_FFFF  # of a counter of 32 bits
 
 
 class Demand(NamedTuple):
@@ -33,6 +33,8 @@ class Servo:
         Torque of the present sample, per mille of the rated value.
     limited : bool
         Whether a limit acts in this sample (statusword, bit 11).
+    released : bool
+        Whether the motor has been free, or held by its brake, until now.
     origin, absolute, offset : int
         Motor counts: where the counter began, where it is, and what is added to show the position actual value.
     """
@@ -45,11 +47,11 @@ class Servo:
         self.speed = SpeedMeter(period_s, settings.speed_filter)
         standstill_counts_s = STANDSTILL_SHARE * objects.number(0x6099, 2)
         self.loop = VelocityLoop(gains, period_s, standstill_counts_s, settings.torque_sections)
-        self.position = objects.find(0x6064)
+        self.position, self._velocity = objects.find(0x6064), objects.find(0x606C)
         self.position_demand, self.velocity_demand, self.following_error = self.entry(0x6062), self.entry(0x606B), self.entry(0x60F4)
         self._max_torque, self._max_current = objects.find(0x6072), objects.find(0x6073)
         self._lowest, self._highest = objects.get(0x607D, 1), objects.get(0x607D, 2)
-        self.release()
+        self.permille, self.released = 0, True
         self.limited = False
         self.origin = self.absolute = self.offset = 0
         self._deceleration = math.inf
@@ -73,7 +75,8 @@ class Servo:
         """Take the counter's reading at this sample, from where it began."""
         self.absolute = absolute = self.origin + counts
         self.speed.update(absolute)
-        self.position.value = wrap_32(absolute + self.offset)
+        self.position.value = (absolute + self.offset + _HALF_TURN & _MASK) - _HALF_TURN  # `wrap_32` written out: every drive, every sample
+        self._velocity.value = (round(self.speed.counts_s) + _HALF_TURN & _MASK) - _HALF_TURN
 
     def take_home(self, home_counts: int) -> None:
         """Show the home offset (607Ch) at this absolute count."""
@@ -86,17 +89,10 @@ class Servo:
         """Greatest torque, per mille of rated: 6072h or 6073h, the smaller one."""
         return min(int(self._max_torque.value), int(self._max_current.value))
 
-    def cut(self, target: int) -> int:
-        """Return the torque nearest to `target` within the limits."""
-        limit = min(int(self._max_torque.value), int(self._max_current.value))
-        torque = min(max(target, -limit), limit)
-        self.limited = torque != target
-        return torque
-
     def release(self) -> None:
         """Give no torque: the motor is free, or held by its brake."""
         self.permille = 0
-        self._released = True
+        self.released = True
 
     def take_over(self, feedforward_permille: int = 0) -> None:
         """Let the velocity loop begin at the present speed, its integral at the present torque less what is fed forward.
@@ -104,10 +100,9 @@ class Servo:
         Of a released motor it begins at zero: what is fed forward acts at once.
         """
         self.loop.start(self.speed.counts_s, self._left_by(feedforward_permille))
-        self._released = False
 
     def _left_by(self, feedforward_permille: int) -> int:
-        return 0 if self._released else self.permille - feedforward_permille
+        return 0 if self.released else self.permille - feedforward_permille
 
     def follow(self, demand: Demand) -> int:
         """Return the torque that follows a demand, which is shown in 6062h and 606Bh."""
@@ -164,4 +159,4 @@ class Servo:
 
 def wrap_32(value: int) -> int:
     """Return the value of a signed counter of 32 bits."""
-    return (value + _HALF_TURN & 0xFFFF_FFFF) - _HALF_TURN
+    return (value + _HALF_TURN & _MASK) - _HALF_TURN

@@ -20,11 +20,15 @@ class CyclicTorque(Mode):
 
     def torque(self) -> int:
         """Return the sum, within the limits."""
-        return self.servo.cut(int(self._target.value) + int(self._offset.value))
+        servo = self.servo
+        target, limit = int(self._target.value) + int(self._offset.value), servo.limit
+        torque = min(max(target, -limit), limit)
+        servo.limited = torque != target
+        return torque
 
     def foreseen(self, read: Read, *, takes_over: bool) -> int:
         """Return the sum that will be, within the limits."""
-        target, limit = int(read(self._target)) + int(read(self._offset)), self.servo.limit
+        limit, target = self.servo.limit, int(read(self._target)) + int(read(self._offset))
         return min(max(target, -limit), limit)
 
     def status(self, *, in_charge: bool) -> int:
@@ -66,6 +70,7 @@ class CyclicPosition(Following):
     number = 8
     supported_bit = 7
     needs = (0x6062, 0x6065, 0x607A)
+    observes = True
 
     def __init__(self, servo: Servo) -> None:
         super().__init__(servo)

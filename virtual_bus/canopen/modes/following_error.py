@@ -16,13 +16,17 @@ class FollowingError:
     def __init__(self, servo: Servo) -> None:
         self._servo = servo
         self._window, self._timeout_ms = servo.entry(0x6065), servo.entry(0x6066)
+        self._error_code = servo.entry(0x603F)
         self._beyond = Dwell(servo.period_s)
-        self.status = 0  # bit 13 of the statusword
 
     def restart(self) -> None:
         """Begin anew."""
         self._beyond.restart()
-        self.status = 0
+
+    @property
+    def status(self) -> int:
+        """Bit 13 of the statusword, from the fault until it is reset."""
+        return MODE_BIT_13 if self._error_code.value == FOLLOWING_ERROR else 0
 
     def observe(self, *, in_charge: bool) -> int:
         """Show the error of this sample and return the code of the fault once it has been too large for too long."""
@@ -34,7 +38,4 @@ class FollowingError:
         servo.following_error.value = int(error)
         window = int(self._window.value)
         beyond = window != SWITCHED_OFF and abs(error) > window
-        if not self._beyond.held(beyond, int(self._timeout_ms.value) * 1e-3):
-            return 0
-        self.status = MODE_BIT_13
-        return FOLLOWING_ERROR
+        return FOLLOWING_ERROR if self._beyond.held(beyond, int(self._timeout_ms.value) * 1e-3) else 0

@@ -27,11 +27,14 @@ class Mode:
         Bit of 6502h; -1 for none.
     needs : tuple of int
         Objects without which the device does not have the mode.
+    observes : bool
+        Whether the mode judges every sample by `observe`.
     """
 
     number: ClassVar[int] = 0
     supported_bit: ClassVar[int] = -1
     needs: ClassVar[tuple[int, ...]] = ()
+    observes: ClassVar[bool] = False
 
     def __init__(self, servo: Servo) -> None:
         self.servo = servo

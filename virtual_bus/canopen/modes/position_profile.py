@@ -29,6 +29,7 @@ class ProfilePosition(Following):
     number = 1
     supported_bit = 0
     needs = (0x6062, 0x6065, 0x6067, 0x607A, 0x607F, 0x6081, 0x6083, 0x6084)
+    observes = True
 
     def __init__(self, servo: Servo) -> None:
         super().__init__(servo)

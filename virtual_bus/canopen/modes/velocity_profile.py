@@ -14,6 +14,7 @@ class ProfileVelocity(Following):
     number = 3
     supported_bit = 2
     needs = (0x606D, 0x606F, 0x607F, 0x6083, 0x6084, 0x60FF)
+    observes = True
 
     def __init__(self, servo: Servo) -> None:
         super().__init__(servo)
