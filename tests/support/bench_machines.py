@@ -110,7 +110,7 @@ class LosingBus(LockstepBus):
 
 
 NOTCHES = {"propeller": loop_shaping.notch(9.0, 0.375, 0.8, 256.0), "roll": loop_shaping.notch(22.0, 0.2, 1.0, 256.0)}
-LOOPS = {"propeller": (4.0, 60.0, 60.0, 0.5), "roll": (6.0, 130.0, 130.0, 1.0)}
+LOOPS = {"propeller": (4.0, 60.0, 60.0, 0.5), "roll": (4.0, 160.0, 320.0, 1.0)}
 """Gains of position, velocity and integral, and the share of the speed filter: 44 degrees and 13 dB of margin or more at twelve poses."""
 
 

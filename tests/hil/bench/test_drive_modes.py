@@ -116,7 +116,7 @@ def test_check_judges_the_whole_cascade(mode: str) -> None:
     found = {finding.name: finding for finding in check_machine(machine_in(mode), poses=9)}
     assert found["stability"].ok
     assert all(finding.ok for finding in check_machine(machine_in(mode), poses=9) if "margin" in finding.name)
-    hard = edited(r"velocity_gain = 130.0", "velocity_gain = 1300.0", carm_text_in(mode))
+    hard = edited(r"velocity_gain = 160.0", "velocity_gain = 1600.0", carm_text_in(mode))
     assert not all(finding.ok for finding in check_machine(machine_from_text(hard), poses=9) if "margin" in finding.name)
 
 
