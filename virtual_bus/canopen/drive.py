@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 
 from drivers.canopen.eds import load_object_dictionary
+from drivers.errors import ProtocolError
 from virtual_bus.canopen import abort
 from virtual_bus.canopen.abort import SdoAbortError
 from virtual_bus.canopen.homing import SUPPORTED_METHODS, Homing, Reference
@@ -25,6 +26,9 @@ from virtual_bus.settings import EmulatedDrive
 
 VOLTAGE_ENABLED, WARNING, REMOTE, INTERNAL_LIMIT = 1 << 4, 1 << 7, 1 << 9, 1 << 11
 TRAPEZOIDAL = 0  # the one type of 6086h
+SLOW_DOWN_RAMP, QUICK_STOP_RAMP = 1, 2  # option codes of 605Ah to 605Eh, the standard's where a device has no such object
+NEEDED = (0x6040, 0x6041, 0x6060, 0x6061, 0x6064)
+OWN_PRODUCT = 0x49534F01  # whose data sheet has the winding's temperature at 2000h
 OVERCURRENT, OVERTEMPERATURE, HEARTBEAT_LOST, CONNECTION_LOST = 0x2310, 0x4310, 0x8130, 0x8100  # EMCY codes
 STOP_TIMEOUT_S = 5.0  # a motor that has not come to rest by then is switched off
 _POWERED = (PowerState.SWITCHED_ON, PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE)
@@ -58,14 +62,15 @@ class Cia402Drive(Node):
         self.factory_setting(0x6073, 0, int(1000.0 * settings.limit / settings.rated))
         self.factory_setting(0x6075, 0, settings.rated_current_mA)
         self.factory_setting(0x6076, 0, settings.rated_torque_mNm)
-        entry = self.objects.find
-        self._controlword, self._statusword, self._error_code = entry(0x6040), entry(0x6041), entry(0x603F)
-        self._mode, self._mode_display = entry(0x6060), entry(0x6061)
-        self._demand, self._torque, self._current = entry(0x6074), entry(0x6077), entry(0x6078)
-        self._inputs, self._temperature = entry(0x60FD), entry(0x2000)
         negative, positive = self._counts(settings.negative_switch), self._counts(settings.positive_switch)
         self.homing = Homing(Reference(settings.counts_per_turn, negative, positive))
+        self._check_objects()
         self.servo = Servo(self.objects, settings, period_s)
+        entry = self.servo.entry
+        self._controlword, self._statusword, self._error_code = entry(0x6040), entry(0x6041), entry(0x603F)
+        self._mode, self._mode_display = entry(0x6060), entry(0x6061)
+        self._demand, self._torque, self._current, self._inputs = entry(0x6074), entry(0x6077), entry(0x6078), entry(0x60FD)
+        self._temperature = self.objects.get(0x2000) if self.objects.number(0x1018, 2) == OWN_PRODUCT else None
         self._modes = modes_of(self.servo, lambda: self.homing)
         self.factory_setting(0x6502, 0, sum(1 << mode.supported_bit for mode in self._modes.values() if mode.supported_bit >= 0))
         self._install_checks()
@@ -73,6 +78,11 @@ class Cia402Drive(Node):
         self._state_word, self._enabled = int(self.power_state), False
         self._causes: set[int] = set()  # of persistent faults: no reset while one is there
         self._clear()
+
+    def _check_objects(self) -> None:
+        lacking = [f"{index:04X}h" for index in NEEDED if index not in self.objects]
+        if lacking:
+            raise ProtocolError(f"{self.settings.eds}: no data sheet of a CiA 402 drive: it lacks {', '.join(lacking)}")
 
     def _install_checks(self) -> None:
         for index, allowed in ((0x6060, self._modes), (0x6086, {TRAPEZOIDAL}), (0x6098, SUPPORTED_METHODS)):
@@ -148,7 +158,7 @@ class Cia402Drive(Node):
             return
         moving = self.power_state in (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE)
         self._set_state(PowerState.FAULT_REACTION_ACTIVE)  # 13
-        self._stop(self.objects.number(0x605E) if moving else 0, PowerState.FAULT)
+        self._stop(self.objects.number(0x605E, 0, QUICK_STOP_RAMP) if moving else 0, PowerState.FAULT)
 
     # ---- the automaton --------------------------------------------------------------------------------
     def _obey(self) -> None:
@@ -158,7 +168,7 @@ class Cia402Drive(Node):
             return
         previous, self._last_controlword = self._last_controlword, word
         while True:
-            option = self.objects.number(0x605A)
+            option = self.objects.number(0x605A, 0, QUICK_STOP_RAMP)
             state = next_state(self.power_state, word, previous, resume_from_quick_stop=option >= 5)
             if self.power_state is PowerState.FAULT and self._causes:
                 state = PowerState.FAULT
@@ -180,12 +190,13 @@ class Cia402Drive(Node):
     def _transition(self, state: PowerState) -> bool:
         """Change to a state, or begin the stop that must come first (False)."""
         if self._enabled and state in (PowerState.SWITCHED_ON, PowerState.READY_TO_SWITCH_ON):
-            option = self.objects.number(0x605C if state is PowerState.SWITCHED_ON else 0x605B)
+            disables = state is PowerState.SWITCHED_ON
+            option = self.objects.number(0x605C, 0, SLOW_DOWN_RAMP) if disables else self.objects.number(0x605B)
             self._stop(option, state)
             return self.power_state is state
         if state is PowerState.QUICK_STOP_ACTIVE:
             self._set_state(state)
-            option = self.objects.number(0x605A)
+            option = self.objects.number(0x605A, 0, QUICK_STOP_RAMP)
             self._stop(option - 4 if option >= 5 else option, None if option >= 5 else PowerState.SWITCH_ON_DISABLED)
             return True
         if self.power_state is PowerState.FAULT:
@@ -225,7 +236,7 @@ class Cia402Drive(Node):
     def _halt(self, asked: bool) -> None:
         if asked and not self._halted:
             self._active.halt()
-            self._start_braking(self.objects.number(0x605D))
+            self._start_braking(self.objects.number(0x605D, 0, SLOW_DOWN_RAMP))
         self._halted = asked
 
     def _start_braking(self, option: int) -> None:
@@ -304,7 +315,7 @@ class Cia402Drive(Node):
         self._refresh()
 
     def _check_temperature(self, temperature_degC: float) -> None:
-        if math.isnan(temperature_degC):
+        if math.isnan(temperature_degC) or self._temperature is None:
             return
         self._last_temperature_degC = temperature_degC
         tenths = min(max(round(temperature_degC * 10.0), -_INT16), _INT16)

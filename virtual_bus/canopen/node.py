@@ -104,9 +104,9 @@ class Node:
 
     # ---- life -----------------------------------------------------------------------------------------
     def factory_setting(self, index: int, subindex: int, value: Value) -> None:
-        """Set what this very device left the factory with, in place of the data sheet's default."""
-        entry = self.objects.find(index, subindex)
-        entry.default = entry.value = value
+        """Set what this very device left the factory with, in place of the data sheet's default, where it has the object."""
+        if (entry := self.objects.get(index, subindex)) is not None:
+            entry.default = entry.value = value
 
     def connect(self, emit: Emit) -> None:
         """Set where frames go."""

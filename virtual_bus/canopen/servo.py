@@ -11,7 +11,10 @@ from virtual_bus.canopen.pdo import dummy_entry
 from virtual_bus.settings import EmulatedDrive
 
 STANDSTILL_SHARE = 0.5  # of the slowest homing speed; a slower motor counts as standing
+TURNS_OF_A_SLOW_SEARCH = 4  # of the motor in a second, the speed of homing where a data sheet has none (6099h)
+NO_LIMIT = 0xFFFF_FFFF  # a window of this width watches nothing, a greatest speed of this size limits nothing
 _INTEGER32 = 0x04
+_MOST_PERMILLE = 0xFFFF  # of 6072h
 _HALF_TURN, _TURN, _MASK = 0x8000_0000, 0x1_0000_0000, 0xFFFF_FFFF  # of a counter of 32 bits
 
 
@@ -45,20 +48,24 @@ class Servo:
         per_count = settings.position_resolution * 1000.0 / settings.rated
         gains = VelocityGains(settings.velocity_gain * per_count, settings.velocity_integral_gain * per_count)
         self.speed = SpeedMeter(period_s, settings.speed_filter)
-        standstill_counts_s = STANDSTILL_SHARE * objects.number(0x6099, 2)
-        self.loop = VelocityLoop(gains, period_s, standstill_counts_s, settings.torque_sections)
-        self.position, self._velocity = objects.find(0x6064), objects.find(0x606C)
+        self.standstill_counts_s = STANDSTILL_SHARE * objects.number(0x6099, 2, settings.counts_per_turn // TURNS_OF_A_SLOW_SEARCH)
+        self.loop = VelocityLoop(gains, period_s, self.standstill_counts_s, settings.torque_sections)
+        self.position, self._velocity = objects.find(0x6064), self.entry(0x606C)
         self.position_demand, self.velocity_demand, self.following_error = self.entry(0x6062), self.entry(0x606B), self.entry(0x60F4)
-        self._max_torque, self._max_current = objects.find(0x6072), objects.find(0x6073)
+        limit = min(int(1000.0 * settings.limit / settings.rated), _MOST_PERMILLE)
+        self._max_torque, self._max_current = self.entry(0x6072, limit), self.entry(0x6073, limit)
         self._lowest, self._highest = objects.get(0x607D, 1), objects.get(0x607D, 2)
         self.permille, self.released = 0, True
         self.limited = False
         self.origin = self.absolute = self.offset = 0
         self._deceleration = math.inf
 
-    def entry(self, index: int) -> Entry:
-        """Return an object, or one that nobody sees where the device's data sheet has none."""
-        return self.objects.get(index) or dummy_entry(_INTEGER32)
+    def entry(self, index: int, value: int = 0) -> Entry:
+        """Return an object, or one of this value that nobody sees where the device's data sheet has none."""
+        if (entry := self.objects.get(index)) is None:
+            entry = dummy_entry(_INTEGER32)
+            entry.value = value
+        return entry
 
     # ---- the counter ----------------------------------------------------------------------------------
     def place(self, counts: int) -> None:
@@ -127,7 +134,7 @@ class Servo:
 
     def start_braking(self, option: int) -> None:
         """Begin a stop of 605Ah to 605Eh: 1 along 6084h, 2 along 6085h, 3 and 4 as hard as the limits allow."""
-        self._deceleration = {1: self.objects.number(0x6084), 2: self.objects.number(0x6085)}.get(option, math.inf)
+        self._deceleration = {1: self.objects.number(0x6084), 2: self.objects.number(0x6085)}.get(option, 0) or math.inf
         self.loop.start(self.speed.counts_s if math.isfinite(self._deceleration) else 0.0, self.permille)
 
     def brake(self) -> int:

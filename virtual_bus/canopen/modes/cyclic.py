@@ -69,7 +69,7 @@ class CyclicPosition(Following):
 
     number = 8
     supported_bit = 7
-    needs = (0x6062, 0x6065, 0x607A)
+    needs = (0x607A,)
     observes = True
 
     def __init__(self, servo: Servo) -> None:

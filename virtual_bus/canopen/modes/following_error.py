@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from virtual_bus.canopen.modes.mode import MODE_BIT_13
 from virtual_bus.canopen.motion import Dwell
-from virtual_bus.canopen.servo import Servo
+from virtual_bus.canopen.servo import NO_LIMIT, Servo
 
 FOLLOWING_ERROR = 0x8611  # EMCY code
-SWITCHED_OFF = 0xFFFF_FFFF  # a window of this width watches nothing
 
 
 class FollowingError:
@@ -15,7 +14,7 @@ class FollowingError:
 
     def __init__(self, servo: Servo) -> None:
         self._servo = servo
-        self._window, self._timeout_ms = servo.entry(0x6065), servo.entry(0x6066)
+        self._window, self._timeout_ms = servo.entry(0x6065, NO_LIMIT), servo.entry(0x6066)
         self._error_code = servo.entry(0x603F)
         self._beyond = Dwell(servo.period_s)
 
@@ -37,5 +36,5 @@ class FollowingError:
         error = servo.way_to(int(servo.position_demand.value))
         servo.following_error.value = int(error)
         window = int(self._window.value)
-        beyond = window != SWITCHED_OFF and abs(error) > window
+        beyond = window != NO_LIMIT and abs(error) > window
         return FOLLOWING_ERROR if self._beyond.held(beyond, int(self._timeout_ms.value) * 1e-3) else 0

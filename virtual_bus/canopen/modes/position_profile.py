@@ -8,7 +8,7 @@ from virtual_bus.canopen.modes.following_error import FollowingError
 from virtual_bus.canopen.modes.mode import MODE_BIT_12, TARGET_REACHED, Following, Read
 from virtual_bus.canopen.modes.profile import Limits, Profile, to_rest, to_target
 from virtual_bus.canopen.motion import Dwell
-from virtual_bus.canopen.servo import Demand, Servo
+from virtual_bus.canopen.servo import NO_LIMIT, Demand, Servo
 
 NEW_SET_POINT, CHANGE_AT_ONCE, RELATIVE = 1 << 4, 1 << 5, 1 << 6  # of the controlword
 SET_POINT_ACKNOWLEDGED = MODE_BIT_12
@@ -28,15 +28,15 @@ class ProfilePosition(Following):
 
     number = 1
     supported_bit = 0
-    needs = (0x6062, 0x6065, 0x6067, 0x607A, 0x607F, 0x6081, 0x6083, 0x6084)
+    needs = (0x607A, 0x6081, 0x6083)
     observes = True
 
     def __init__(self, servo: Servo) -> None:
         super().__init__(servo)
         entry = servo.entry
-        self._target, self._velocity, self._fastest = entry(0x607A), entry(0x6081), entry(0x607F)
-        self._acceleration, self._deceleration = entry(0x6083), entry(0x6084)
-        self._window, self._window_ms = entry(0x6067), entry(0x6068)
+        self._target, self._velocity, self._fastest = entry(0x607A), entry(0x6081), entry(0x607F, NO_LIMIT)
+        self._acceleration, self._deceleration = entry(0x6083), servo.objects.get(0x6084) or entry(0x6083)
+        self._window, self._window_ms = entry(0x6067, NO_LIMIT), entry(0x6068)
         self._following_error = FollowingError(servo)
         self._reached = Dwell(servo.period_s)
         self._profile = Profile(0.0, 0.0, [])

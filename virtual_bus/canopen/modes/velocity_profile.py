@@ -5,7 +5,7 @@ from __future__ import annotations
 from virtual_bus.canopen.modes.mode import MODE_BIT_12, TARGET_REACHED, Following, Read, present
 from virtual_bus.canopen.modes.profile import Limits, ramped
 from virtual_bus.canopen.motion import Dwell
-from virtual_bus.canopen.servo import Demand, Servo
+from virtual_bus.canopen.servo import NO_LIMIT, Demand, Servo
 
 
 class ProfileVelocity(Following):
@@ -13,15 +13,21 @@ class ProfileVelocity(Following):
 
     number = 3
     supported_bit = 2
-    needs = (0x606D, 0x606F, 0x607F, 0x6083, 0x6084, 0x60FF)
+    needs = (0x6083, 0x60FF)
     observes = True
 
     def __init__(self, servo: Servo) -> None:
         super().__init__(servo)
         entry = servo.entry
-        self._target, self._fastest = entry(0x60FF), entry(0x607F)
-        self._acceleration, self._deceleration = entry(0x6083), entry(0x6084)
-        self._window, self._window_ms, self._threshold, self._threshold_ms = entry(0x606D), entry(0x606E), entry(0x606F), entry(0x6070)
+        self._target, self._fastest = entry(0x60FF), entry(0x607F, NO_LIMIT)
+        self._acceleration, self._deceleration = entry(0x6083), servo.objects.get(0x6084) or entry(0x6083)
+        slow = round(servo.standstill_counts_s)
+        self._window, self._window_ms, self._threshold, self._threshold_ms = (
+            entry(0x606D, slow),
+            entry(0x606E),
+            entry(0x606F, slow),
+            entry(0x6070),
+        )
         self._speed = 0.0  # of the ramp
         self._reached, self._moving = Dwell(servo.period_s), Dwell(servo.period_s)
         self._status = 0
