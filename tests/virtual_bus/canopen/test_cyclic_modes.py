@@ -65,7 +65,7 @@ def test_the_torque_from_a_sync_on_is_the_cascades_answer_to_its_targets_and_the
 
 @pytest.mark.parametrize("mode", [CSP, CSV, CST])
 def test_what_is_foreseen_is_what_is_commanded(mode: int) -> None:
-    """Before every SYNC, also the first of the mode, one in which the torque is limited, and those in which the mode changes back."""
+    """Before every SYNC, also where the torque is limited and where a mode takes over from another."""
     rng = np.random.default_rng(3)
     master = DriveMaster(mode=mode)
     drive = master.machine.drives["roll_drive"]
@@ -74,6 +74,9 @@ def test_what_is_foreseen_is_what_is_commanded(mode: int) -> None:
     command = drive.command
     drive.command = lambda: commanded.append(command()) or commanded[-1]
     for k in range(300):
+        if 200 < k < 220:
+            master.asked.mode = CST if k % 2 else mode
+            master.set(0x6060, master.asked.mode, "<b")
         size = 200_000 if 100 < k < 140 else 2000
         changes = {name: int(rng.integers(-size, size + 1)) for name in ("position", "velocity", "position_offset", "velocity_offset")}
         master.announce(torque=int(rng.integers(-2000, 2001)), torque_offset=int(rng.integers(-99, 100)), **changes)
