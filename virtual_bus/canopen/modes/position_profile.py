@@ -119,10 +119,8 @@ class ProfilePosition(Following):
 
     def observe(self, *, in_charge: bool) -> int:
         """Take a set-point that has come, and judge the target and the following error."""
-        near = self._done and self._next is None and self._within_window()
-        reached = self._reached.held(near, int(self._window_ms.value) * 1e-3)
         self._take_set_point()
-        reached = reached and self._done and self._next is None
+        reached = self._reached.held(self._done and self._within_window(), int(self._window_ms.value) * 1e-3)
         self._status = TARGET_REACHED if reached and in_charge else 0
         return self._following_error.observe(in_charge=in_charge)
 
