@@ -57,7 +57,7 @@ class ProfilePosition(Following):
     def _take_set_point(self) -> None:
         at_once = bool(self._word & CHANGE_AT_ONCE)
         if self._asked and (at_once or self._next is None):
-            set_point = self._asked_for(at_once=at_once)
+            set_point = self._asked_for()
             self._acknowledged = True
             if at_once or self._last is None or self._done:
                 self._go_to(set_point)
@@ -69,11 +69,10 @@ class ProfilePosition(Following):
         if not self._word & NEW_SET_POINT and self._next is None:
             self._acknowledged = False
 
-    def _asked_for(self, *, at_once: bool) -> SetPoint:
+    def _asked_for(self) -> SetPoint:
         asked = int(self._target.value)
         if self._word & RELATIVE:
-            before = self._last if at_once or self._next is None else self._next
-            asked += before.target if before is not None else round(self._profile.end)
+            asked += round(self._profile.end)
         target = self.servo.within_software_limits(asked)
         speed = min(int(self._velocity.value), int(self._fastest.value))
         limits = Limits(max(1, speed), max(1, int(self._acceleration.value)), max(1, int(self._deceleration.value)))
