@@ -214,6 +214,14 @@ def test_a_halt_from_before_the_enabling_begins_at_no_torque(mode: int) -> None:
     assert abs(answer.torque) < 20
 
 
+def test_a_homing_does_not_start_in_a_halt() -> None:
+    attained = 1 << 12
+    master = DriveMaster(mode=HOMING)  # method 37: home is where it stands
+    master.switch_on()
+    for word, home in ((ENABLED | HALT, False), (ENABLED | HALT | 1 << 4, False), (ENABLED, False), (ENABLED | 1 << 4, True)):
+        assert bool(master.steps(3, word=word).statusword & attained) is home
+
+
 # ---- any sequence --------------------------------------------------------------------------------------
 
 WORDS = (0x00, 0x02, 0x06, 0x07, 0x0F, 0x0F, 0x0F, 0x0F, 0x1F, 0x2F, 0x3F, 0x5F, 0x7F, 0x80, 0x10F, 0x11F)

@@ -7,7 +7,6 @@ from virtual_bus.canopen.motion import Dwell
 from virtual_bus.canopen.servo import Servo
 
 FOLLOWING_ERROR = 0x8611  # EMCY code
-SWITCHED_OFF = 0xFFFF_FFFF  # a window of this width watches nothing
 
 
 class FollowingError:
@@ -36,6 +35,5 @@ class FollowingError:
         servo = self._servo
         error = servo.way_to(int(servo.position_demand.value))
         servo.following_error.value = int(error)
-        window = int(self._window.value)
-        beyond = window != SWITCHED_OFF and abs(error) > window
+        beyond = abs(error) > int(self._window.value)  # never where the window is FFFF FFFFh: switched off
         return FOLLOWING_ERROR if self._beyond.held(beyond, int(self._timeout_ms.value) * 1e-3) else 0

@@ -12,7 +12,6 @@ from virtual_bus.canopen.servo import Demand, Servo
 
 NEW_SET_POINT, CHANGE_AT_ONCE, RELATIVE = 1 << 4, 1 << 5, 1 << 6  # of the controlword
 SET_POINT_ACKNOWLEDGED = MODE_BIT_12
-ALWAYS_REACHED = 0xFFFF_FFFF  # a position window of this width
 
 
 class SetPoint(NamedTuple):
@@ -124,8 +123,7 @@ class ProfilePosition(Following):
         return self._following_error.observe(in_charge=in_charge)
 
     def _within_window(self) -> bool:
-        window = int(self._window.value)
-        return window == ALWAYS_REACHED or abs(self.servo.way_to(self._profile.end)) <= window
+        return abs(self.servo.way_to(self._profile.end)) <= int(self._window.value)
 
     def leave(self) -> None:
         """Forget all set-points."""
