@@ -222,6 +222,16 @@ def test_a_homing_does_not_start_in_a_halt() -> None:
         assert bool(master.steps(3, word=word).statusword & attained) is home
 
 
+def test_a_homing_that_a_halt_has_ended_does_not_go_on_after_it() -> None:
+    master = DriveMaster(position=0.3, mode=HOMING, negative_switch=-5.0)
+    master.set(0x6098, 17, "<b")
+    master.switch_on()
+    master.steps(200, word=ENABLED | 1 << 4)
+    at = master.steps(400, word=ENABLED | HALT | 1 << 4).position
+    assert at < -500, "it was on its way"
+    assert master.steps(300, word=ENABLED | 1 << 4).position == pytest.approx(at, abs=50)
+
+
 # ---- any sequence --------------------------------------------------------------------------------------
 
 WORDS = (0x00, 0x02, 0x06, 0x07, 0x0F, 0x0F, 0x0F, 0x0F, 0x1F, 0x2F, 0x3F, 0x5F, 0x7F, 0x80, 0x10F, 0x11F)
