@@ -163,3 +163,14 @@ def test_the_interpolation_time_period_is_stored_and_read_back() -> None:
     master.set(0x60C2, 39, "<B", 1)
     master.set(0x60C2, -4, "<b", 2)
     assert (master.get(0x60C2, 1), master.get(0x60C2, 2, signed=True)) == (39, -4)
+
+
+def test_where_no_position_loop_acts_the_demand_is_where_the_motor_is() -> None:
+    master = DriveMaster(mode=CSP)
+    master.switch_on()
+    assert master.steps(20, position=50_000).following_error > 10_000
+    answer = master.steps(5, word=0x010F)  # halt
+    assert answer.following_error == 0
+    assert answer.position_demand == pytest.approx(answer.position, abs=500), "one sample apart"
+    assert master.steps(5, word=0x0F).following_error > 10_000
+    assert master.steps(5, mode=CSV).following_error == 0
