@@ -6,11 +6,14 @@ Life of a machine: `start` (boot, identity, configuration, operational), `home`,
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from drivers.canopen import power_and_brakes
 from drivers.canopen.cia402 import Mode, State
 from drivers.canopen.first_move_and_homing import commission_axis
+from drivers.canopen.profile_moves import Profile, go_to, write_profile
 from drivers.errors import MotionRefusedError
 from drivers.ticking_machine import TickingMachine
 
@@ -18,6 +21,8 @@ LOOP_MODES = {
     "torque": Mode.CYCLIC_SYNCHRONOUS_TORQUE,
     "velocity": Mode.CYCLIC_SYNCHRONOUS_VELOCITY,
     "position": Mode.CYCLIC_SYNCHRONOUS_POSITION,
+    "profile_velocity": Mode.PROFILE_VELOCITY,
+    "profile_position": Mode.PROFILE_POSITION,
 }
 
 
@@ -103,6 +108,27 @@ class CanMachine(TickingMachine):
         with self.stopping_on_error():
             self.watch.stand()
             power_and_brakes.open_brakes(self, range(len(self.axes)), hold)
+
+    def set_profiles(self, profiles: Sequence[Profile]) -> None:
+        """Write how each drive, disabled as yet, is to move by itself."""
+        with self.stopping_on_error():
+            for axis, profile in enumerate(profiles):
+                write_profile(self, axis, profile)
+
+    def go_to(self, targets: Sequence[float], profiles: Sequence[Profile], hold: power_and_brakes.Hold) -> None:
+        """Let all drives, in profile position mode and released by `release_brakes`, go to their targets; errors as in `go_to`.
+
+        Parameters
+        ----------
+        targets : (n_axes,) sequence
+            [rad or m]
+        profiles : sequence of Profile
+        hold : callable
+            As in `release_brakes`.
+        """
+        with self.stopping_on_error():
+            self.watch.lead()
+            go_to(self, range(len(self.axes)), targets, profiles, hold)
 
     def close_brakes(self, hold: power_and_brakes.Hold) -> None:
         """Close all brakes while the drives still hold, prove them, disable the drives: the reverse of `release_brakes` and `enable`."""

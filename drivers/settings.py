@@ -6,6 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+LoopMode = Literal["torque", "velocity", "position", "profile_velocity", "profile_position"]
+"""Mode in which a drive is commanded: cyclic synchronous torque, velocity and position, and profile velocity and position, of CiA 402."""
+
 
 @dataclass(frozen=True)
 class Pdo:
@@ -62,7 +65,7 @@ class AxisScaling:
     rated_torque_mNm: int  # object 6076h
     rated_current_mA: int  # object 6075h
     position_unit: str = "rad"  # or "m"; for messages
-    mode: Literal["torque", "velocity", "position"] = "torque"  # cyclic synchronous mode of the loop
+    mode: LoopMode = "torque"
 
 
 @dataclass(frozen=True)

@@ -90,6 +90,11 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("nodes", "list", "`node_id`, `device_type`, `description`, `identity`, `nmt_state`, `name`."),
     ),
     "stop": (Entry("bus", "text", "The bus."), Entry("seen", "list of text", "What the supervisor saw, in order.")),
+    "move": (
+        Entry("machine, bus", "text", "Machine and bus."),
+        Entry("position", "object", "Where each axis stands [rad or m]."),
+        Entry("checks", "list of text", "What homing checked, in order."),
+    ),
     "home": (Entry("machine, bus", "text", "Machine and bus."), Entry("checks", "list of text", "What was checked, in order.")),
     "simulate": (
         Entry("simulation, rows", "text, number", "The file that was written, and its rows."),

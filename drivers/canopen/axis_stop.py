@@ -70,7 +70,9 @@ class AxisStop:
     braked : bool
         Whether the I/O commands a brake of this axis and reports it.
     takes_torque : bool
-        Whether the drive is in cyclic synchronous torque mode; otherwise nothing can push against the brake.
+        Whether the drive is in cyclic synchronous torque mode; otherwise it must be brought there to push against the brake.
+    pushes : bool
+        Whether the drive takes an effort at all; one that does not lets go of its brake without a push, watched.
 
     Attributes
     ----------
@@ -93,6 +95,7 @@ class AxisStop:
         *,
         braked: bool,
         takes_torque: bool,
+        pushes: bool = True,
     ) -> None:
         self.axis, self.name = axis, scaling.axis
         self.controlword = cia402.QUICK_STOP
@@ -100,7 +103,7 @@ class AxisStop:
         self.orders_brake = self.asks_for_torque = False
         self._unit = scaling.position_unit
         self._period_s = period_s
-        self._braked, self._takes_torque = braked, takes_torque
+        self._braked, self._takes_torque, self._pushes = braked, takes_torque, pushes
         self._flicker = STANDSTILL_COUNTS * scaling.position_resolution
         self._apart = STANDING_SHARE * limits.tracking_error
         self._stale_ticks = limits.stale_ticks
@@ -299,7 +302,8 @@ class AxisStop:
         self._marked = self._judge
         for path in (self._motor, self._link):
             path.mark()
-        if not self._braked:
+        if not (self._braked and self._pushes):
+            self._proof = "brake closed by its feedback, not pushed: its drive takes no effort" if self._braked else ""
             self._go(self._letting_go)
         elif self._takes_torque:
             self._go(self._taking_over)

@@ -25,6 +25,8 @@ class State(Enum):
 class Mode(IntEnum):
     """Modes of operation, objects 6060h and 6061h."""
 
+    PROFILE_POSITION = 1
+    PROFILE_VELOCITY = 3
     HOMING = 6
     CYCLIC_SYNCHRONOUS_POSITION = 8
     CYCLIC_SYNCHRONOUS_VELOCITY = 9
@@ -62,6 +64,7 @@ ENABLE_OPERATION = 0x000F
 FAULT_RESET = 0x0080
 STATUSWORD = 0x6041
 HOMING_START = 1 << 4
+NO_HOMING = 0  # the counter is right as it is
 HOMING_AT_PRESENT_POSITION = frozenset({35, 37})  # methods that take the present position as zero
 
 # goal -> state -> controlword that leads one transition on (or holds). States that are absent are left only by time or a fault reset.

@@ -58,7 +58,9 @@ def configure_node(sdo: SdoNode, node: Node, settings: BusSettings, scaling: Axi
     """
     own_writes = {(index, subindex) for index, subindex, _ in node.writes}
     notes = []
-    if sdo.read_integer(SYNC_COB_ID) & 0x1FFF_FFFF != settings.sync_cob_id:
+    if not sdo.knows(SYNC_COB_ID):
+        notes.append(f"{sdo.who}: it has no SYNC COB-ID (1005h); it must take {settings.sync_cob_id:03X}h for SYNC")
+    elif sdo.read_integer(SYNC_COB_ID) & 0x1FFF_FFFF != settings.sync_cob_id:
         sdo.write_checked(SYNC_COB_ID, 0, settings.sync_cob_id)
     _configure_pdos(sdo, node)
     _set_command_deadline(sdo, node, settings)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from drivers.canopen import cia402, power_and_brakes
-from drivers.canopen.cia402 import HOMING_AT_PRESENT_POSITION, Homing, Mode, State
+from drivers.canopen.cia402 import HOMING_AT_PRESENT_POSITION, NO_HOMING, Homing, Mode, State
 from drivers.canopen.power_and_brakes import SETTLED_TICKS, Machine
 from drivers.errors import BusTimeoutError, MotionRefusedError
 from drivers.settings import HomingSettings
@@ -46,7 +46,9 @@ def commission_axis(machine: Machine, axis: int, settings: HomingSettings, holdi
     """
     found = []
     power_and_brakes.reset_fault(machine, axis)
-    if push:
+    if push and not machine.takes_effort(axis):
+        found.append(f"{machine.axes[axis]}: its first move was not checked, because its drive takes no effort: look at its first motion")
+    elif push:
         power_and_brakes.set_mode(machine, axis, Mode.CYCLIC_SYNCHRONOUS_TORQUE)
         machine.watch.stand()
         power_and_brakes.reach(machine, State.OPERATION_ENABLED, [axis], lambda _: holding)
@@ -120,7 +122,8 @@ def _push_until_moved(machine: Machine, axis: int, settings: HomingSettings, hol
 def home_drive(machine: Machine, axis: int, settings: HomingSettings, holding: np.ndarray, windup: float = 0.0) -> None:
     """Run the drive's own homing and take its counter's zero, or that of the absolute link encoder, as the joint's.
 
-    The axis' drive is disabled before and after. Methods 35 and 37 (the present position is home) move nothing: the link encoder, less the
+    The axis' drive is disabled before and after. Method 0 asks nothing of it: its counter is taken as it is. Methods 35 and
+    37 (the present position is home) move nothing: the link encoder, less the
     gear's windup, then gives the motor side's position. Methods that move open the brake while they run; their home offset (607Ch) is set
     in the machine file.
 
@@ -129,6 +132,9 @@ def home_drive(machine: Machine, axis: int, settings: HomingSettings, holding: n
     MotionRefusedError
         The drive reports a homing error, or homing took too long.
     """
+    if settings.method == NO_HOMING:
+        _take_link_position(machine, axis, holding, windup)
+        return
     moves = settings.method not in HOMING_AT_PRESENT_POSITION
     power_and_brakes.set_mode(machine, axis, Mode.HOMING)
     _write_homing(machine, axis, settings, moves)
@@ -145,7 +151,8 @@ def home_drive(machine: Machine, axis: int, settings: HomingSettings, holding: n
         power_and_brakes.come_to_rest(machine, [axis], lambda _: holding)
     else:  # its brake has not been opened since the axis stood without voltage
         power_and_brakes.reach(machine, State.SWITCH_ON_DISABLED, [axis], lambda _: holding)
-    power_and_brakes.set_mode(machine, axis, Mode.CYCLIC_SYNCHRONOUS_TORQUE)
+    if machine.takes_effort(axis):
+        power_and_brakes.set_mode(machine, axis, Mode.CYCLIC_SYNCHRONOUS_TORQUE)
     source = machine.inputs[axis]
     source.counter_was_set()
     source.offset = 0.0
@@ -155,6 +162,17 @@ def home_drive(machine: Machine, axis: int, settings: HomingSettings, holding: n
         _check_counter(machine, axis, settings, position, offset)
     if not moves and np.isfinite(link):
         source.offset = link - windup - position
+    machine.watch.homed(axis)
+    machine.watch.stand()
+
+
+def _take_link_position(machine: Machine, axis: int, holding: np.ndarray, windup: float) -> None:
+    """Take the position of the absolute link encoder, less the gear's windup, for that of the drive's counter as it is."""
+    source = machine.inputs[axis]
+    source.offset = 0.0
+    machine.watch.stand()
+    position, link = _mean_positions(machine, axis, holding)
+    source.offset = link - windup - position
     machine.watch.homed(axis)
     machine.watch.stand()
 

@@ -57,6 +57,12 @@ class Machine(Protocol):
     def set_controlword(self, axis: int, controlword: int) -> None:
         """Set the controlword of the next tick and all later ones."""
 
+    def lead_to(self, axis: int, target: float) -> None:
+        """Set the position or velocity that a drive's own loops follow from the next tick on."""
+
+    def takes_effort(self, axis: int) -> bool:
+        """Return whether the drive takes an effort: all of it in torque mode, a part of it in others."""
+
     def arm(self, axis: int, armed: bool) -> None:
         """Arm or disarm a drive: an armed drive that leaves operation enabled is a fault."""
 

@@ -17,6 +17,8 @@ from drivers.settings import AxisScaling, BusSettings, Node, Pdo
 
 CONTROLWORD, TARGET_TORQUE, TORQUE_OFFSET, TARGET_POSITION, TARGET_VELOCITY = 0x6040, 0x6071, 0x60B2, 0x607A, 0x60FF
 STATUSWORD, POSITION, TORQUE_ACTUAL, CURRENT_ACTUAL, LINK_POSITION = 0x6041, 0x6064, 0x6077, 0x6078, 0x6004
+CYCLIC_TARGETS = {"position": TARGET_POSITION, "velocity": TARGET_VELOCITY}
+PROFILE_TARGETS = {"profile_position": TARGET_POSITION, "profile_velocity": TARGET_VELOCITY}
 _HALF_RANGE, _RANGE = 1 << 31, 1 << 32
 INT16_MAX = 32767
 
@@ -70,6 +72,11 @@ class AxisOutput:
 
     The effort is a torque target (6071h) or, where it is mapped, a torque offset (60B2h): in torque mode it then is all of the torque, in
     velocity and position mode it is beside what the drive's loops give. The target is a position (607Ah) or a velocity (60FFh).
+
+    Attributes
+    ----------
+    takes_effort : bool
+        Whether an RPDO carries an effort. A drive without one cannot be pushed, not even against its brake.
     """
 
     def __init__(self, node: Node, scaling: AxisScaling, source: AxisInput) -> None:
@@ -80,9 +87,10 @@ class AxisOutput:
         self._permille = scaling.sign * 1000.0 / scaling.rated
         self._limit = min(INT16_MAX, round(scaling.limit / scaling.rated * 1000.0))
         carried = [index for pdo in node.rpdos for index, _, _ in pdo.entries]
-        target = {"position": TARGET_POSITION, "velocity": TARGET_VELOCITY}.get(scaling.mode)
-        effort = TARGET_TORQUE if target is None and TORQUE_OFFSET not in carried else TORQUE_OFFSET
-        filled = [CONTROLWORD, effort, *([] if target is None else [target])]
+        effort = TARGET_TORQUE if scaling.mode not in CYCLIC_TARGETS and TORQUE_OFFSET not in carried else TORQUE_OFFSET
+        target = CYCLIC_TARGETS.get(scaling.mode) or PROFILE_TARGETS.get(scaling.mode)
+        self.takes_effort = effort in carried or scaling.mode not in PROFILE_TARGETS
+        filled = [CONTROLWORD, *([effort] if self.takes_effort else []), *([] if target is None else [target])]
         if sorted(carried) != sorted(filled):
             raise ConfigurationRefusedError(
                 f"{node.name}: its RPDOs map {', '.join(f'{index:04X}h' for index in carried) or 'nothing'}; in {scaling.mode} mode the "
@@ -92,7 +100,8 @@ class AxisOutput:
         for pdo in node.rpdos:
             codec = PdoCodec.of(pdo.entries)
             message = can.Message(arbitration_id=pdo.cob_id, is_extended_id=False, data=bytearray(codec.size))
-            self.frames.append((message, codec.pack_into, tuple(filled.index(index) for index, _, _ in pdo.entries)))
+            places = {CONTROLWORD: 0, effort: 1, target: 2}
+            self.frames.append((message, codec.pack_into, tuple(places[index] for index, _, _ in pdo.entries)))
 
     def permille(self, effort: float) -> int:
         """Return the target torque (6071h) of an effort in the drive's unit, clipped to the axis limit."""
@@ -105,7 +114,7 @@ class AxisOutput:
 
     def lead_to(self, target: float) -> None:
         """Set the position [rad or m] or velocity [rad/s or m/s] that the drive's own loops follow from the next tick on."""
-        if self._source.scaling.mode == "position":
+        if self._source.scaling.mode.endswith("position"):
             self.target = self._source.counts(target)
         else:
             self.target = round(target * self._speed_scale)

@@ -113,6 +113,7 @@ class Resting:
                 machine.period_s,
                 braked=machine.has_brake(axis),
                 takes_torque=machine.modes[axis] is Mode.CYCLIC_SYNCHRONOUS_TORQUE,
+                pushes=machine.takes_effort(axis),
             )
             for axis in axes
         ]

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from drivers.canopen.profile_moves import Profile
 from drivers.errors import DriverError, MotionRefusedError
 from drivers.interface import Sample
 from hil.bench.audit_trail import events_table, write_events
@@ -101,6 +102,71 @@ class Bench:
             self._see_pose()
             return self.commissioning
 
+    def move(self, pose: np.ndarray) -> np.ndarray:
+        """Go to a pose and close the brakes there; nothing is recorded.
+
+        Drives in profile position mode go by themselves, at the axes' limits of speed and acceleration; others are led along a planned way.
+
+        Parameters
+        ----------
+        pose : (n_axes,) array
+            [rad or m]
+
+        Returns
+        -------
+        (n_axes,) array
+            Where the axes stand then [rad or m].
+
+        Raises
+        ------
+        MotionRefusedError
+            Some drives are in profile position mode and others are not.
+        LoopAbortedError, DriverError
+        """
+        link = self.wiring.link
+        by_itself = self._by_itself()
+        if by_itself and len(by_itself) < len(link.scalings):
+            raise MotionRefusedError(f"{', '.join(by_itself)}: in profile position mode beside axes that are not; use one way for all")
+        if by_itself:
+            with self._session():
+                profiles = [Profile(limit.speed, limit.acceleration, limit.tracking_error) for limit in self.machine.limits]
+                link.set_profiles(profiles)
+                link.enable()
+                link.release_brakes(self._rest_still)
+                link.go_to(pose.tolist(), profiles, self._rest_still)
+                link.close_brakes(self._rest_still)
+                self._see_pose()
+            return self.pose
+        way, stay = self._way_to(pose)
+        with self._session():
+            self._take_hold()
+            link.watch.lead()
+            for leg in (self._bridge_to(way[0] if way else stay), *way):
+                self.loop.run(leg)
+            self._settle(stay)
+            self.pose = pose.copy()
+            link.close_brakes(self._holding())
+            self._see_pose()
+        return self.pose
+
+    def _rest_still(self, sample: Sample) -> np.ndarray:
+        return self._still
+
+    def _by_itself(self) -> list[str]:
+        """Return the axes whose drives go to poses by themselves."""
+        return [scaling.axis for scaling in self.wiring.link.scalings if scaling.mode == "profile_position"]
+
+    def _check_modes(self, plan: Plan) -> None:
+        """Refuse a plan that the drives cannot be led along."""
+        if by_itself := self._by_itself():
+            raise MotionRefusedError(
+                f"{', '.join(by_itself)}: in profile position mode a drive goes to poses by itself: `isocenter move`; a run needs another"
+            )
+        for axis, name in enumerate(self.machine.axes):
+            added = plan.excitation[:, axis].any() or (plan.feedforward is not None and plan.feedforward[:, axis].any())
+            if added and not self.wiring.link.takes_effort(axis):
+                raise MotionRefusedError(f"{name}: its drive takes no effort, so nothing can be excited; map torque_offset in an RPDO")
+
     def run(
         self,
         plan: Plan,
@@ -132,6 +198,7 @@ class Bench:
         The way is planned from the machine's position before the session. The first-move check pushes each axis a little, and a smooth
         bridge of one second leads from there to the way. So nothing is planned while the machine waits, and frames repeat on every bus.
         """
+        self._check_modes(plan)
         way, stay = self._way_to(plan.start_pose)
         sink = self._sink(plan, path)
         tables: dict[str, Any] = {}

@@ -26,6 +26,8 @@ class Control:
         What the bench commands of drives that close loops of their own; None, or no sequence: the effort.
     lead_to : LeadTo, optional
         Takes the targets of such drives.
+    takes_effort : callable, optional
+        Whether the drive of an axis takes an effort beside its own; one that does not begins to hold with nothing.
 
     Attributes
     ----------
@@ -40,13 +42,18 @@ class Control:
     """
 
     def __init__(
-        self, controllers: Sequence[AxisController], commands: Sequence[AxisCommand | None] = (), lead_to: LeadTo | None = None
+        self,
+        controllers: Sequence[AxisController],
+        commands: Sequence[AxisCommand | None] = (),
+        lead_to: LeadTo | None = None,
+        takes_effort: Callable[[int], bool] = lambda axis: True,
     ) -> None:
         axes = len(controllers)
         self.law = Feedback(controllers)
         self.effort = self.demand = self.command = np.zeros(axes)
         self._led = [(axis, command.mode == "position") for axis, command in enumerate(commands) if command is not None]
         self._lead_to: LeadTo = lead_to or (lambda axis, target: None)
+        self._pushed = [takes_effort(axis) for axis in range(axes)]
         self._holding = np.zeros(axes)  # beside the drive's own integrator, which begins with nothing
         if self._led:
             own = [law if command is None else command.controller for law, command in zip(controllers, commands, strict=True)]
@@ -73,7 +80,8 @@ class Control:
     def expect(self, sample: Sample) -> None:
         """Complete what a sample says was commanded: the effort that a drive's own loops should give."""
         for axis, _ in self._led:
-            sample.commanded[axis] = self.demand[axis]
+            if self._pushed[axis]:
+                sample.commanded[axis] = self.demand[axis]
 
     def preload(self, holding_effort: np.ndarray, position: np.ndarray, feedforward: np.ndarray) -> None:
         """Begin with a lasting standstill at `position`, held by `holding_effort`, part of it from `feedforward`; (n_axes,) each.

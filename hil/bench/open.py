@@ -81,7 +81,7 @@ def open_bench(
         loop = SampleLoop(
             wiring.link,
             wiring.clock,
-            Control(machine.controllers, machine.commands, wiring.link.lead_to),
+            Control(machine.controllers, machine.commands, wiring.link.lead_to, wiring.link.takes_effort),
             machine.limits,
             row_layout(machine, () if observer is None else observer.channels),
             guard_io=io is not None,

@@ -1,10 +1,12 @@
-"""isocenter scan-bus | home | stop: the nodes on a bus, the first careful motion, and the end of any."""
+"""isocenter scan-bus | home | move | stop: the nodes on a bus, the first careful motion, a way to a pose, and the end of any."""
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import typer
 
-from hil.cli.options import BusOption, ImuOption, IoOption, MachineOption, load
+from hil.cli.options import BusOption, ImuOption, IoOption, MachineOption, load, parse_pose
 from hil.terminal.output import Answer, JsonOption
 
 
@@ -20,6 +22,11 @@ def register(app: typer.Typer) -> None:
         help="Brakes, first-move direction check, homing, encoder agreement; leaves the machine braked."
         "\n\nExample:  isocenter home --machine carm --bus socketcan:vcan0",
     )(home)
+    app.command(
+        short_help="Go to a pose.",
+        help="Home, go to a pose, and close the brakes there; nothing is recorded. Drives in profile position mode go by themselves, others"
+        " are led along a planned way.\n\nExample:  isocenter move --machine carm --bus socketcan:vcan0 --to roll=30",
+    )(move)
     app.command(
         short_help="Stop what runs on a bus.",
         help="Stop the motors of the bench that runs on a bus, from any terminal, and stay until no drive has torque. No substitute for an"
@@ -56,6 +63,34 @@ def home(machine_name: MachineOption, bus: BusOption, imu: ImuOption = "", io: I
     for line in report:
         answer.say(line)
     answer.write({"machine": machine.name, "bus": bus, "checks": report})
+
+
+def move(
+    machine_name: MachineOption,
+    bus: BusOption,
+    to: Annotated[
+        str,
+        typer.Option("--to", metavar="AXIS=VALUE,...", help="The pose, in degrees (mm on a prismatic axis); axes left out stay."),
+    ],
+    imu: ImuOption = "",
+    io: IoOption = "",
+    json_to: JsonOption = None,
+) -> None:
+    """Say where each axis stands."""
+    from hil.bench.open import open_bench
+    from hil.bench.options import BenchOptions
+
+    machine = load(machine_name)
+    goal = parse_pose(to, machine)
+    answer = Answer(json_to)
+    with open_bench(machine, BenchOptions(bus, imu, io)) as bench:
+        pose = bench.pose.copy()
+        for axis, value in goal.items():
+            pose[machine.axis_index(axis)] = value
+        reached = dict(zip(machine.axes, bench.move(pose).tolist(), strict=True))
+    for units in machine.units:
+        answer.say(f"{units.axis}: at {reached[units.axis]:+.5f} {units.position}, brakes closed")
+    answer.write({"machine": machine.name, "bus": bus, "position": reached, "checks": bench.commissioning})
 
 
 def stop(bus: BusOption, json_to: JsonOption = None) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from drivers.canopen.cia402 import HOMING_AT_PRESENT_POSITION
+from drivers.canopen.cia402 import HOMING_AT_PRESENT_POSITION, NO_HOMING
 from drivers.canopen.objects import MAPPABLE
 from drivers.settings import AxisScaling, BusSettings, HomingSettings, Identity, ImuPort, IoMap, IoWatchdog, MotionLimits, Node, Pdo
 from hil.machine.build import POSITION_UNITS, joint_of, require_effort_unit, require_kind, require_known
@@ -37,7 +37,13 @@ _NEEDED: dict[str, dict[str, tuple[str, ...]]] = {
     "encoder": {"tpdo": ("position_value",)},
 }
 # and what a drive needs in its RPDOs for what the loop commands; the effort has either object
-_COMMANDED = {"torque": (), "velocity": ("target_velocity", "torque_offset"), "position": ("target_position", "torque_offset")}
+_COMMANDED = {
+    "torque": (),
+    "velocity": ("target_velocity", "torque_offset"),
+    "position": ("target_position", "torque_offset"),
+    "profile_velocity": ("target_velocity",),
+    "profile_position": ("target_position",),
+}
 _EFFORT = ("target_torque", "torque_offset")
 
 
@@ -55,7 +61,7 @@ def build_bus(table: MachineTable, plant: PlantSettings, folder: Path | None) ->
     for axis in table.drives:
         if not table.limits.get(axis):
             raise ComplaintError(("limits", axis), "is missing; a machine on a bus needs limits for every axis")
-        if axis not in table.controller and table.drives[axis].mode != "position":
+        if axis not in table.controller and not table.drives[axis].mode.endswith("position"):
             raise ComplaintError(("controller", axis), "is missing; a machine on a bus needs a controller for every axis")
     return BusSettings(
         bitrate_bit_s=bus.bitrate_bit_s,
@@ -98,7 +104,8 @@ def _check_nodes(bus: BusTable, table: MachineTable) -> None:
             for needed in _COMMANDED[mode]:
                 if not _maps(node, "rpdo", needed):
                     raise ComplaintError((*where, "rpdo"), f"{needed} is mapped nowhere; a drive in {mode} mode needs it in an RPDO")
-            if sum(_maps(node, "rpdo", effort) for effort in _EFFORT) != 1:
+            efforts = sum(_maps(node, "rpdo", effort) for effort in _EFFORT)
+            if efforts > 1 or (not efforts and not mode.startswith("profile")):
                 raise ComplaintError((*where, "rpdo"), f"a drive needs one of {' and '.join(_EFFORT)} in an RPDO, for the effort")
     for axis in table.drives:
         if ("drive", axis) not in served:
@@ -221,7 +228,7 @@ def _homing(axis: str, table: MachineTable, plant: PlantSettings) -> HomingSetti
     require_effort_unit(homing, "direction_check_effort", table.drives[axis].effort_unit, where)
     if homing.direction_check_effort > table.drives[axis].limit:
         raise ComplaintError((*where, homing.key("direction_check_effort")), "is more than the drive's limit")
-    if homing.method in HOMING_AT_PRESENT_POSITION and _scaling(axis, table, plant).link_resolution == 0.0:
+    if homing.method in (*HOMING_AT_PRESENT_POSITION, NO_HOMING) and _scaling(axis, table, plant).link_resolution == 0.0:
         right = "takes the present position as zero; add a link encoder or choose a method that finds a reference"
         raise ComplaintError((*where, "method"), right)
     return HomingSettings(

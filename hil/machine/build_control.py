@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from controllers.cascade import NO_SECTIONS, AxisCommand, DriveLoops, in_effort
+from controllers.cascade import NO_SECTIONS, AxisCommand, CommandMode, DriveLoops, in_effort
 from controllers.errors import DesignError
 from controllers.settings import AxisController, AxisLimits
 from hil.machine.build import require_known
@@ -28,9 +28,9 @@ def build_commands(table: MachineTable, limits: Sequence[AxisLimits]) -> tuple[A
             continue
         if loops is None:
             raise ComplaintError(("drives", axis, "loops"), f"is missing; in {drive.mode} mode they are part of the feedback")
-        most = limit.speed if drive.mode == "velocity" else max(abs(limit.lower), abs(limit.upper))
-        own = _own_controller(axis, table, most, needed=drive.mode == "velocity")
-        commands.append(AxisCommand(drive.mode, own, loops))
+        mode: CommandMode = "velocity" if drive.mode.endswith("velocity") else "position"
+        most = limit.speed if mode == "velocity" else max(abs(limit.lower), abs(limit.upper))
+        commands.append(AxisCommand(mode, _own_controller(axis, table, most, needed=mode == "velocity"), loops))
     return tuple(commands)
 
 

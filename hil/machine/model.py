@@ -81,7 +81,8 @@ class Machine:
     @property
     def commanded(self) -> dict[str, dict[str, str]]:
         """What the loop commands of each axis, and the units in which command and excitation are recorded."""
-        modes = ("torque" if command is None else command.mode for command in self.commands)
+        found = ("torque" if command is None else command.mode for command in self.commands)
+        modes = found if self.bus is None else (scaling.mode for scaling in self.bus.scalings)
         return {
             units.axis: {"mode": mode, "unit": self.command_unit(axis), "excitation_unit": units.effort}
             for axis, (mode, units) in enumerate(zip(modes, self.units, strict=True))

@@ -136,11 +136,12 @@ class DriveTable(Table):
     """Smallest step of the target, in per mille or per cent of the rated effort or in units of effort; 0 is none."""
     encoder_counts_per_motor_turn: Count | None = None
     """Counts of the motor's incremental encoder per turn."""
-    mode: Literal["torque", "velocity", "position"] = "torque"
-    """What the loop commands: cyclic synchronous torque, velocity or position of CiA 402. In velocity and position mode the drive's own
-    `loops` are part of the feedback; excitation and feedforward are efforts and go into `torque_offset`."""
+    mode: Literal["torque", "velocity", "position", "profile_velocity", "profile_position"] = "torque"
+    """What is commanded: cyclic synchronous torque, velocity or position of CiA 402. In velocity and position mode the drive's own `loops`
+    are part of the feedback; excitation and feedforward are efforts and go into `torque_offset`. The profile modes are for drives that have
+    no cyclic ones: the drive ramps its velocity, or goes to a pose by itself (`isocenter move`)."""
     loops: LoopsTable | None = None
-    """The drive's own loops. Required in velocity and position mode."""
+    """The drive's own loops. Required in every mode but torque."""
     direction: Literal[1, -1] = 1
     """-1 for a drive whose positive direction is the joint's negative one. It is applied between the wire and SI values only."""
 

@@ -88,8 +88,8 @@ class HomingTable(Table):
     """
 
     method: Annotated[Whole, Field(ge=-128, le=37)]
-    """Homing method of CiA 402. With 35 and 37 the present position is home. They are for axes with a link encoder on the bus,
-    which then says where that is."""
+    """Homing method of CiA 402. With 35 and 37 the present position is home, and with 0 the drive is not homed. They are for axes with a
+    link encoder on the bus, which then says where the axis is."""
     speed: Annotated[Positive, Quantity("angular_speed", "speed")]
     """Speed of methods that move."""
     acceleration: Annotated[Positive, Quantity("angular_acceleration", "acceleration")]

@@ -9,6 +9,7 @@ INVALID = 1 << 31  # bit 31: the object or PDO does not exist
 NO_RTR = 1 << 30  # TPDO: no RTR allowed; SYNC: the device generates SYNC
 EXTENDED = 1 << 29
 CAN_ID = 0x7FF
+SYNC = 0x080  # where a device has no object that says another
 
 _RESTRICTED = (
     (0x000, 0x07F),  # NMT, global fail-safe, reserved

@@ -14,7 +14,7 @@ from typing import Protocol
 import canopen
 
 from virtual_bus.canopen import communication, pdo_rules
-from virtual_bus.canopen.cob_id import CAN_ID
+from virtual_bus.canopen.cob_id import CAN_ID, SYNC
 from virtual_bus.canopen.emergency import HEARTBEAT_ERROR, Emergency
 from virtual_bus.canopen.heartbeat import HeartbeatConsumer, HeartbeatProducer
 from virtual_bus.canopen.nmt import NMT_COMMANDS, STATE_AFTER, NmtCommand, NmtState
@@ -302,8 +302,8 @@ class Node:
         self.routes = {0x000: self._on_nmt}
         if self.may_tell:
             self.routes[0x600 + self.node_id] = self._on_sdo
-            if 0x1005 in self.objects:
-                self.routes[self.objects.number(0x1005) & CAN_ID] = self.sync
+            if self._rpdos or self._tpdos:
+                self.routes[self.objects.number(0x1005, 0, SYNC) & CAN_ID] = self.sync
         for rpdo in self._rpdos:
             if rpdo.alive:
                 self.routes[rpdo.cob_id] = both(self.routes[rpdo.cob_id], rpdo.receive) if rpdo.cob_id in self.routes else rpdo.receive

@@ -65,7 +65,7 @@ def test_the_torque_from_a_sync_on_is_the_cascades_answer_to_its_targets_and_the
 
 @pytest.mark.parametrize("mode", [CSP, CSV, CST])
 def test_what_is_foreseen_is_what_is_commanded(mode: int) -> None:
-    """Before every SYNC, also the first of the mode, one in which the torque is limited, and those in which the mode changes back."""
+    """Before every SYNC, also where the torque is limited and where a mode takes over from another."""
     rng = np.random.default_rng(3)
     master = DriveMaster(mode=mode)
     drive = master.machine.drives["roll_drive"]
@@ -74,6 +74,9 @@ def test_what_is_foreseen_is_what_is_commanded(mode: int) -> None:
     command = drive.command
     drive.command = lambda: commanded.append(command()) or commanded[-1]
     for k in range(300):
+        if 200 < k < 220:
+            master.asked.mode = CST if k % 2 else mode
+            master.set(0x6060, master.asked.mode, "<b")
         size = 200_000 if 100 < k < 140 else 2000
         changes = {name: int(rng.integers(-size, size + 1)) for name in ("position", "velocity", "position_offset", "velocity_offset")}
         master.announce(torque=int(rng.integers(-2000, 2001)), torque_offset=int(rng.integers(-99, 100)), **changes)
@@ -160,3 +163,14 @@ def test_the_interpolation_time_period_is_stored_and_read_back() -> None:
     master.set(0x60C2, 39, "<B", 1)
     master.set(0x60C2, -4, "<b", 2)
     assert (master.get(0x60C2, 1), master.get(0x60C2, 2, signed=True)) == (39, -4)
+
+
+def test_where_no_position_loop_acts_the_demand_is_where_the_motor_is() -> None:
+    master = DriveMaster(mode=CSP)
+    master.switch_on()
+    assert master.steps(20, position=50_000).following_error > 10_000
+    answer = master.steps(5, word=0x010F)  # halt
+    assert answer.following_error == 0
+    assert answer.position_demand == pytest.approx(answer.position, abs=500), "one sample apart"
+    assert master.steps(5, word=0x0F).following_error > 10_000
+    assert master.steps(5, mode=CSV).following_error == 0

@@ -85,26 +85,29 @@ def test_a_change_of_mode_in_motion_takes_over_at_the_present_torque(before: int
     assert abs(now.torque) > 100, "there was something to keep"
 
 
-@pytest.mark.parametrize("how", ["fault", "quick stop", "disable", "node reset", "mode"])
 @pytest.mark.parametrize("option", [0, 1])
+@pytest.mark.parametrize("how", ["fault", "quick stop", "disable", "reboot", "mode"])
 def test_what_has_ended_a_set_point_has_forgotten_it(how: str, option: int) -> None:
     master, _ = moving(PP)
+    drive = master.machine.drives["roll_drive"]
     for index in (0x605A, 0x605B, 0x605C, 0x605E):
         master.set(index, option, "<h")
     if how == "fault":
-        master.machine.drives["roll_drive"].inject_fault(0x2310)
-    elif how == "node reset":
-        master.send(0x000, b"\x81\x02")
-        master.wait(2.0)
-        master = master.again()
-    elif how == "mode":
-        master.step(mode=CSV, velocity=0)
-    else:
-        master.step(word=0x02 if how == "quick stop" else 0x07)
-    master.steps(600, **({} if how == "mode" else {"word": {"disable": 0x07}.get(how, 0x00)}))
-    master.step(word=0x80 if how == "fault" else master.asked.word)
-    at = master.switch_on(mode=PP).position
-    assert abs(master.steps(100).position - at) < 50
+        drive.inject_fault(0x2310)
+        master.steps(600, word=0x00)
+        master.step(word=0x80)
+    elif how == "quick stop":
+        master.steps(600, word=0x02)
+    elif how == "disable":
+        master.steps(600, word=0x07)
+        master.step(word=ENABLED)
+    elif how == "reboot":
+        drive.power_on(master.machine.time_s)
+        master.again().asked.mode = CST
+    if how != "disable":
+        master.switch_on(velocity=0, mode=PP if how in ("fault", "quick stop") else CSV)
+    at = master.steps(800, mode=PP).position
+    assert abs(master.steps(100).position - at) < 500, "a set-point would lead it on by 15 000 counts"
 
 
 # ---- stops in every mode -------------------------------------------------------------------------------
@@ -209,6 +212,24 @@ def test_a_halt_from_before_the_enabling_begins_at_no_torque(mode: int) -> None:
         answer = master.step(word=word)
     assert answer.state == OPERATION_ENABLED
     assert abs(answer.torque) < 20
+
+
+def test_a_homing_does_not_start_in_a_halt() -> None:
+    attained = 1 << 12
+    master = DriveMaster(mode=HOMING)  # method 37: home is where it stands
+    master.switch_on()
+    for word, home in ((ENABLED | HALT, False), (ENABLED | HALT | 1 << 4, False), (ENABLED, False), (ENABLED | 1 << 4, True)):
+        assert bool(master.steps(3, word=word).statusword & attained) is home
+
+
+def test_a_homing_that_a_halt_has_ended_does_not_go_on_after_it() -> None:
+    master = DriveMaster(position=0.3, mode=HOMING, negative_switch=-5.0)
+    master.set(0x6098, 17, "<b")
+    master.switch_on()
+    master.steps(200, word=ENABLED | 1 << 4)
+    at = master.steps(400, word=ENABLED | HALT | 1 << 4).position
+    assert at < -500, "it was on its way"
+    assert master.steps(300, word=ENABLED | 1 << 4).position == pytest.approx(at, abs=50)
 
 
 # ---- any sequence --------------------------------------------------------------------------------------

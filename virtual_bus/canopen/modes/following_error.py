@@ -35,6 +35,5 @@ class FollowingError:
         servo = self._servo
         error = servo.way_to(int(servo.position_demand.value))
         servo.following_error.value = int(error)
-        window = int(self._window.value)
-        beyond = window != NO_LIMIT and abs(error) > window
+        beyond = abs(error) > int(self._window.value)  # never where the window is FFFF FFFFh: switched off
         return FOLLOWING_ERROR if self._beyond.held(beyond, int(self._timeout_ms.value) * 1e-3) else 0

@@ -75,10 +75,6 @@ class Following(Mode, ABC):
     def demand(self, read: Read) -> Demand:
         """Return what the servo is to follow in this sample; nothing changes."""
 
-    def start(self) -> None:
-        """Let the velocity loop take over."""
-        self.servo.take_over()
-
     def torque(self) -> int:
         """Return the torque that follows the demand."""
         return self.servo.follow(self.demand(present))

@@ -12,7 +12,6 @@ from virtual_bus.canopen.servo import NO_LIMIT, Demand, Servo
 
 NEW_SET_POINT, CHANGE_AT_ONCE, RELATIVE = 1 << 4, 1 << 5, 1 << 6  # of the controlword
 SET_POINT_ACKNOWLEDGED = MODE_BIT_12
-ALWAYS_REACHED = 0xFFFF_FFFF  # a position window of this width
 
 
 class SetPoint(NamedTuple):
@@ -57,7 +56,7 @@ class ProfilePosition(Following):
     def _take_set_point(self) -> None:
         at_once = bool(self._word & CHANGE_AT_ONCE)
         if self._asked and (at_once or self._next is None):
-            set_point = self._asked_for(at_once=at_once)
+            set_point = self._asked_for()
             self._acknowledged = True
             if at_once or self._last is None or self._done:
                 self._go_to(set_point)
@@ -69,11 +68,10 @@ class ProfilePosition(Following):
         if not self._word & NEW_SET_POINT and self._next is None:
             self._acknowledged = False
 
-    def _asked_for(self, *, at_once: bool) -> SetPoint:
+    def _asked_for(self) -> SetPoint:
         asked = int(self._target.value)
         if self._word & RELATIVE:
-            before = self._last if at_once or self._next is None else self._next
-            asked += before.target if before is not None else round(self._profile.end)
+            asked += round(self._profile.end)
         target = self.servo.within_software_limits(asked)
         speed = min(int(self._velocity.value), int(self._fastest.value))
         limits = Limits(max(1, speed), max(1, int(self._acceleration.value)), max(1, int(self._deceleration.value)))
@@ -119,16 +117,13 @@ class ProfilePosition(Following):
 
     def observe(self, *, in_charge: bool) -> int:
         """Take a set-point that has come, and judge the target and the following error."""
-        near = self._done and self._next is None and self._within_window()
-        reached = self._reached.held(near, int(self._window_ms.value) * 1e-3)
         self._take_set_point()
-        reached = reached and self._done and self._next is None
+        reached = self._reached.held(self._done and self._within_window(), int(self._window_ms.value) * 1e-3)
         self._status = TARGET_REACHED if reached and in_charge else 0
         return self._following_error.observe(in_charge=in_charge)
 
     def _within_window(self) -> bool:
-        window = int(self._window.value)
-        return window == ALWAYS_REACHED or abs(self.servo.way_to(self._profile.end)) <= window
+        return abs(self.servo.way_to(self._profile.end)) <= int(self._window.value)
 
     def leave(self) -> None:
         """Forget all set-points."""
