@@ -321,12 +321,12 @@ class TickingMachine:
         if node.node_id not in self._dictionaries:
             self._dictionaries[node.node_id] = load_object_dictionary(node.eds, node.node_id)
         sdo = self._nodes[node.node_id] = SdoNode(self.network, node.node_id, node.name, self._dictionaries[node.node_id])
-        check_identity(sdo, node)
+        unnamed = check_identity(sdo, node)
         scaling = self.scalings[self.axes.index(node.axis)] if node.role == "drive" else None
         notes = configure_node(sdo, node, self.settings, scaling)
         if node.role == "encoder":
             check_alarms(sdo)
-        return notes
+        return unnamed + notes
 
     def _is_powered(self, axis: int) -> bool:
         """Return whether a drive has voltage although no bench runs it: it may be all that holds its axis."""

@@ -36,6 +36,7 @@ _MANY = (0x08, 0x09)  # array and record: their type is that of their elements
 _TEXT_KEYS = frozenset({"ParameterName", "AccessType", "VendorName", "ProductName", "OrderCode", "StorageLocation", "Denotation"})
 _FREE_TEXT = _TEXT_KEYS - {"AccessType"}
 _VALUE_KEYS = frozenset({"DefaultValue", "ParameterValue", "LowLimit", "HighLimit"})
+HEARTBEAT_CONSUMER, MOST_HEARTBEAT_MS = "1016SUB", 1 << 16  # node id above 16 bits of milliseconds
 _LIMIT_KEYS = frozenset({"LowLimit", "HighLimit"})
 _NUMBER_KEYS = frozenset(
     {"ObjectType", "DataType", "PDOMapping", "SubNumber", "CompactSubObj", "NodeID", "Baudrate", "VendorNumber", "ProductNumber"}
@@ -328,6 +329,9 @@ class _Reader:
                 raise ProtocolError(f"{where}={value}: does not fit into {bits} bits")
             number = _limit_of_type(data_type, bits, upper=key == "HighLimit")
             self._repairs.add(f"{key}={value} is beyond its type and read as {number}", keys.line_of(key))
+        if key == "HighLimit" and number < MOST_HEARTBEAT_MS and head.upper().startswith(HEARTBEAT_CONSUMER):
+            number = _limit_of_type(data_type, bits, upper=True)
+            self._repairs.add(f"{key}={value} leaves a heartbeat consumer no room for a node id, and was left out", keys.line_of(key))
         number &= (1 << bits) - 1
         if data_type in datatypes.SIGNED_TYPES and number >> (bits - 1):
             number -= 1 << bits

@@ -18,6 +18,7 @@ PROFILES = {
     418: "battery (CiA 418)",
     419: "battery charger (CiA 419)",
 }
+NO_PROFILE = 0
 ROLE_PROFILES = {"drive": 402, "encoder": 406}
 
 # bits 16 to 23 of a CiA 402 device type
@@ -43,8 +44,13 @@ def read_identity(node: SdoNode) -> Identity:
     return Identity(**values)
 
 
-def check_identity(node: SdoNode, expected: Node) -> None:
+def check_identity(node: SdoNode, expected: Node) -> tuple[str, ...]:
     """Compare device profile and identity with the machine file; identity fields of None are not compared.
+
+    Returns
+    -------
+    tuple of str
+        What an operator should know: a device that names no profile is taken for what the machine file says.
 
     Raises
     ------
@@ -53,7 +59,7 @@ def check_identity(node: SdoNode, expected: Node) -> None:
     """
     profile = node.read_integer(0x1000) & 0xFFFF
     wanted = ROLE_PROFILES[expected.role]
-    if profile != wanted:
+    if profile not in (wanted, NO_PROFILE):
         found = describe_device_type(node.read_integer(0x1000))
         raise WrongIdentityError(f"{node.who}: found {found}, the machine file expects {PROFILES[wanted]}; are node ids exchanged?")
     identity = read_identity(node)
@@ -64,3 +70,6 @@ def check_identity(node: SdoNode, expected: Node) -> None:
             differences.append(f"{name} is {'absent' if have is None else f'{have:08X}h'}, the machine file says {want:08X}h")
     if differences:
         raise WrongIdentityError(f"{node.who}: {'; '.join(differences)}")
+    if profile == NO_PROFILE:
+        return (f"{node.who}: its device type (1000h) names no profile; it is taken for a {PROFILES[wanted]}, as the machine file says",)
+    return ()

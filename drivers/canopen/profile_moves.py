@@ -6,6 +6,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from drivers.canopen import cia402, power_and_brakes
 from drivers.canopen.power_and_brakes import SETTLED_TICKS, Hold, Machine
 from drivers.errors import BusTimeoutError, MotionRefusedError
@@ -15,6 +17,7 @@ TARGET_REACHED, SET_POINT_ACKNOWLEDGED, FOLLOWING_ERROR = 1 << 10, 1 << 12, 1 <<
 MAX_PROFILE_VELOCITY, PROFILE_VELOCITY, PROFILE_ACCELERATION, PROFILE_DECELERATION = 0x607F, 0x6081, 0x6083, 0x6084
 FOLLOWING_ERROR_WINDOW = 0x6065
 ACKNOWLEDGED_S = 0.5  # a drive takes a set-point within ticks
+STANDS_S, STANDING_COUNTS = 0.25, 4.0  # without more motion than this for so long, it stands
 SETTLES_S = 5.0  # beyond the profile's own time, until the drive says that its target is reached
 
 
@@ -40,7 +43,10 @@ def write_profile(machine: Machine, axis: int, profile: Profile) -> None:
     )
     for index, value in values:
         if sdo.may_write(index):
-            sdo.write_checked(index, 0, value)
+            most = sdo.greatest(index)
+            sdo.write_checked(index, 0, value if most is None else min(value, most))
+            if most is not None and value > most:
+                machine.notes += (f"{sdo.who}: {index:04X}h takes at most {most}, {value} was asked for: it moves or watches accordingly",)
     machine.resume_ticks()
 
 
@@ -68,6 +74,18 @@ def go_to(machine: Machine, axes: Sequence[int], targets: Sequence[float], profi
     for axis in axes:
         machine.set_controlword(axis, cia402.ENABLE_OPERATION)
     _tick_until(machine, axes, hold, TARGET_REACHED, TARGET_REACHED, longest_s + SETTLES_S, "has not reached its target")
+    _await_standstill(machine, axes, hold)
+
+
+def _await_standstill(machine: Machine, axes: Sequence[int], hold: Hold) -> None:
+    """Tick until no motor side has moved by more than a flicker for a while; a drive may report its target while it still settles."""
+    deadline = machine.clock.now() + SETTLES_S
+    while machine.clock.now() <= deadline:
+        before = machine.sample.position.copy()
+        power_and_brakes.run_for(machine, STANDS_S, hold)
+        moved = np.abs(machine.sample.position - before)
+        if all(moved[axis] <= STANDING_COUNTS * machine.scalings[axis].position_resolution for axis in axes):
+            return
 
 
 def _tick_until(machine: Machine, axes: Sequence[int], hold: Hold, value: int, mask: int, patience_s: float, words: str) -> None:

@@ -130,6 +130,11 @@ class SdoNode:
         variable = self.dictionary.get_variable(index, subindex)
         return variable is not None and variable.writable
 
+    def greatest(self, index: int, subindex: int = 0) -> int | None:
+        """Return the greatest value that the data sheet allows an object; None where it says none."""
+        variable = self.dictionary.get_variable(index, subindex)
+        return None if variable is None else variable.max
+
     def read(self, index: int, subindex: int = 0) -> bytes:
         """Read the raw value of an object.
 

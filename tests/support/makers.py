@@ -27,6 +27,8 @@ NEEDS = {
 }
 """Mode: its bit of 6502h, the objects that it takes, and what the RPDO carries beside the controlword."""
 HOMING_BIT = 5
+QUICK_STOP = 3_500_000  # counts/s^2, of the shipped file
+NO_WINDOW = 0xFFFF_FFFF  # the drive does not watch its following error: the loop watches the tracking error
 FAST_RAMP = 50_000_000  # counts/s^2: the loop's own velocities are not ramped any more
 
 
@@ -63,11 +65,21 @@ def carm_text_with(file: Path, mode: str) -> str:
         text = edited(r"^\[\[bus\.nodes\.\w+_drive\.write\]\]\nindex = 0x6085.*\nvalue = .*\n", "", text)
         for axis in CARM.axes:
             text = edited(rf"^(\[limits\.{axis}\])$", r"\g<1>\nquick_stop_deg_s2 = 600.0", text)
+    elif (most := dictionary[0x6085].max) is not None and most < QUICK_STOP:
+        text = edited(rf"^value = {QUICK_STOP}$", f"value = {most}", text)
     if supported and not supported >> HOMING_BIT & 1:
         text = edited(r"^method = 37$", "method = 0", text)
+    elif (last := dictionary[0x6098].max) is not None and last < 37:
+        text = edited(r"^method = 37$", "method = 35", text)
     if mode == "profile_velocity":
-        writes = "".join(f"[[bus.nodes.\\1_drive.write]]\nindex = {index}\nvalue = {FAST_RAMP}\n" for index in (0x6083, 0x6084))
+        ramps = {index: min(FAST_RAMP, dictionary[index].max or FAST_RAMP) for index in (0x6083, 0x6084)}
+        writes = "".join(f"[[bus.nodes.\\1_drive.write]]\nindex = {index}\nvalue = {ramp}\n" for index, ramp in ramps.items())
         text = edited(r"^\[\[bus\.nodes\.(\w+)_drive\.tpdo\]\]$", f"{writes}\\g<0>", text)
+        if ramps[0x6083] < FAST_RAMP:  # its own unit is another; here the way must be as slow as its numbers
+            text = edited(r"^acceleration_deg_s2 = 60.0\njerk_deg_s3 = 300.0", "acceleration_deg_s2 = 1.5\njerk_deg_s3 = 5.0", text)
+    if mode == "position":
+        write = f"[[bus.nodes.\\1_drive.write]]\nindex = 0x6065\nvalue = {NO_WINDOW}\n"
+        text = edited(r"^\[\[bus\.nodes\.(\w+)_drive\.tpdo\]\]$", f"{write}\\g<0>", text)
     if mode == "torque":
         return text
     for axis, (position_gain, velocity_gain, integral_gain, share) in LOOPS.items():
@@ -75,6 +87,8 @@ def carm_text_with(file: Path, mode: str) -> str:
         loops += f", speed_filter = {share}, torque_sections = {NOTCHES[axis].tolist()}"
         text = edited(rf"^(\[drives\.{axis}\])$", rf'\g<1>\nmode = "{mode}"\nloops = {{ {loops} }}', text)
         per_s = position_gain if mode.endswith("velocity") else 0.0
+        ahead = CARM.sample_rate_Hz / (1.0 if mode.endswith("velocity") else position_gain)
         law = f"position_sections = [[{per_s}, 0.0, 0.0, 1.0, 0.0, 0.0]]\n"
+        law += f"reference_sections = [[{per_s + ahead}, {-ahead}, 0.0, 1.0, 0.0, 0.0]]\n"
         text = re.sub(rf"(\[controller.{axis}\]\n)position_sections = \[(?:.|\n)*?\n\]\n", rf"\g<1>{law}", text)
     return text
