@@ -67,7 +67,7 @@ class Machine:
         self.supervision = SimpleNamespace(last_emergency=lambda node_id: self.emergencies.get(node_id, ""))
         self.sample = Sample(3)
         self.forbidden = self.seen = ""
-        self.watch = SimpleNamespace(check=lambda sample: self.seen)
+        self.watch = SimpleNamespace(check=lambda sample: self.seen if sample is self.sample else "another sample")
         self.modes: list[Mode | None] = [Mode.HOMING] * 3
         self.notes: tuple[str, ...] = ("before",)
         self.commands: list[list[float]] = []

@@ -143,6 +143,13 @@ def test_an_effort_may_be_the_tolerance_beyond_what_was_sent_in_the_settling_tim
     assert [roll.step(way, 0.0) for _ in range(4)] == ["", "", "", "effort"], "it is counted anew"
 
 
+@pytest.mark.parametrize(("measured", "nearest"), [(2.0, "+1"), (-2.0, "-0.5")])
+def test_an_effort_that_is_off_is_told_with_the_nearest_that_was_sent(measured: float, nearest: str) -> None:
+    roll = Roll(expects=None)
+    assert [roll.step(measured, k % 2 * 1.5 - 0.5) for k in range(5)][-1] == "effort"
+    assert roll.judge.says("effort").startswith(f"its drive measures {measured:+.3g} Nm where it was sent {nearest} Nm")
+
+
 def test_lost_ticks_count_towards_an_effort_that_is_off_and_a_new_session_forgets_it() -> None:
     roll = Roll(expects=None)
     assert [roll.step(9.0, 0.0), roll.step(9.0, 0.0, ticks=3)] == ["", "effort"]

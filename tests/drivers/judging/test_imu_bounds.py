@@ -71,11 +71,26 @@ def test_an_imu_whose_line_is_garbled() -> None:
     assert [imu.step(damaged(5)), imu.step(damaged(7)), imu.step(damaged(8))] == ["", "", "garbage"]
     assert imu.judge.says("garbage") == "3 damaged messages within 1 s, 2 are allowed"
     assert imu.judge.lag_ticks == 3
-    assert [imu.step(damaged(8)) for _ in range(508)] == ["garbage"] * 507 + [""], "in this second, and for a second from its end"
+    assert [imu.step(damaged(8)) for _ in range(509)] == ["garbage"] * 508 + [""], "in this second, and for a second from its end"
     imu.judge.begin()
     assert [imu.step(damaged(0)), imu.step(damaged(2)), imu.step(damaged(3))] == ["", "", "garbage"]
     again = Still()
     assert [again.step(damaged(9)), again.step(damaged(0)), again.step(damaged(3))] == ["", "", "garbage"], "a line that was opened again"
+
+
+@pytest.mark.parametrize("at", [1, 127, 255, 256, 257])
+def test_messages_that_are_damaged_at_once_are_counted_whenever_in_a_second_they_come(at: int) -> None:
+    imu = Still()
+    checks = [imu.step(lambda sample, k=k: setattr(sample, "imu_damaged", 3 * (k >= at))) for k in range(300)]
+    assert checks[:at] == [""] * at
+    assert checks[at] == "garbage"
+
+
+def test_at_a_sample_each_two_seconds_every_sample_is_a_window() -> None:
+    imu = Still(replace(IMU, period_s=2.0, rate_Hz=0.5, age_s=10.0))
+    checks = [imu.step(lambda sample, number=number: setattr(sample, "imu_damaged", number)) for number in (0, 3, 3, 5, 8)]
+    assert checks == ["", "garbage", "", "", "garbage"]
+    assert imu.judge.lag_ticks == 1
 
 
 @pytest.mark.parametrize(
@@ -201,7 +216,7 @@ class Stamped:
         return self.imu.step(stamp, ticks)
 
 
-@pytest.mark.parametrize(("rate_Hz", "sound", "late"), [(256.0, 1.49, 1.52), (64.0, 5.99, 6.02), (1000.0, 1.49, 1.52)])
+@pytest.mark.parametrize(("rate_Hz", "sound", "late"), [(256.0, 1.49, 1.52), (64.0, 5.99, 6.02), (1000.0, 1.49, 1.52), (256.0, 1.0, 150.0)])
 def test_readings_may_be_a_period_and_a_half_late_of_ticks_or_of_packets_and_longer_for_as_long_as_they_may_be_missing(
     rate_Hz: float, sound: float, late: float
 ) -> None:
@@ -240,14 +255,14 @@ def test_lost_ticks_and_a_new_session_begin_the_comparison_of_times_anew() -> No
 
 
 class Moving:
-    """An IMU that reads nothing where a force of 5 m/s^2 and a turn of 2.5 rad/s are expected."""
+    """An IMU that reads nothing where a force of 7 m/s^2 and a turn of 2.5 rad/s are expected."""
 
-    EXPECTED = np.array([0.0, -3.0, 4.0, 1.5, 0.0, 2.0])
-    EXACT = replace(IMU, frozen_packets=(0,) * 6, force_tolerance=5.0, turn_tolerance=2.5)
+    EXPECTED = np.array([2.0, -3.0, 6.0, 1.5, 0.0, 2.0])
+    EXACT = replace(IMU, frozen_packets=(0,) * 6, force_tolerance=7.0, turn_tolerance=2.5)
 
     def __init__(self, *, force: bool = True, turn: bool = True) -> None:
         below = math.nextafter(1.0, 0.0)
-        settings = replace(self.EXACT, force_tolerance=5.0 * (1.0 if force else below), turn_tolerance=2.5 * (1.0 if turn else below))
+        settings = replace(self.EXACT, force_tolerance=7.0 * (1.0 if force else below), turn_tolerance=2.5 * (1.0 if turn else below))
         expected = Expected(np.zeros(1), np.zeros(1), self.EXPECTED)
         self.window = MotionWindow(lambda means: expected, 1, PERIOD_S)
         self.judge, self.sample, self.k = ImuJudge(settings, self.window), Sample(1), 0
@@ -267,9 +282,9 @@ class Moving:
 @pytest.mark.parametrize(
     ("force", "turn", "check", "words"),
     [
-        (False, True, "specific force", "specific force over 0.5 s is 5 m/s^2 from what the motion of the axes makes of it, 5 m/s^2 are"),
+        (False, True, "specific force", "specific force over 0.5 s is 7 m/s^2 from what the motion of the axes makes of it, 7 m/s^2 are"),
         (True, False, "angular rate", "angular rate over 0.5 s is 2.5 rad/s from what the motion of the axes makes of it, 2.5 rad/s are"),
-        (False, False, "specific force", "specific force over 0.5 s is 5 m/s^2 from what the motion of the axes makes of it, 5 m/s^2 are"),
+        (False, False, "specific force", "specific force over 0.5 s is 7 m/s^2 from what the motion of the axes makes of it, 7 m/s^2 are"),
     ],
 )
 def test_a_mean_that_the_motion_does_not_make_is_told_until_the_next_window_is_over(

@@ -6,12 +6,14 @@ import math
 from collections.abc import Iterable
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from drivers.interface import Sample
 from drivers.judging.drive import DriveJudge
 from drivers.judging.encoders import EncoderJudge
 from drivers.judging.judge import MOST_FINDINGS, SensorJudge
+from drivers.judging.motion_window import Expected
 from drivers.judging.settings import DriveJudging, EncoderJudging, ImuJudging, JudgingSettings, TemperatureJudging
 from drivers.judging.temperature import TemperatureJudge
 
@@ -253,6 +255,18 @@ def test_all_judges_together_say_what_they_found_and_from_when_on() -> None:
     early = SensorJudge(JudgingSettings(IMU), PERIOD_S)
     sample.imu_counter = -1
     assert [early.step(sample, 4, 0.0), early.findings[0].since_s] == ["", 0.0]
+
+
+def test_the_imu_is_judged_against_the_motion_that_the_machine_file_makes() -> None:
+    expected = Expected(np.zeros(0), np.zeros(0), np.array([0.0, 0.0, 9.81, 0.0, 0.0, 0.0]))
+    imu = replace(IMU, frozen_packets=(0,) * 6, force_tolerance=0.2)
+    judge, sample = SensorJudge(JudgingSettings(imu, expects=lambda means: expected), PERIOD_S), Sample(0)
+    sample.imu[:] = (0.0, 0.0, 9.0, 0.0, 0.0, 0.0)
+    for k in range(WINDOW):
+        sample.imu_counter, sample.imu_time_s = k, k * PERIOD_S
+        assert not judge.marks
+        judge.step(sample, 1, k * PERIOD_S)
+    assert [(finding.check, finding.since_s, finding.first_s) for finding in judge.findings] == [("specific force", 0.0, 127 * PERIOD_S)]
 
 
 def test_no_more_findings_are_kept_than_a_machine_can_have() -> None:

@@ -132,6 +132,7 @@ def test_lost_ticks_and_a_new_session_begin_the_window_anew() -> None:
     for known in (watched.window.effort_off, watched.window.effort_unsure, watched.window.imu_off):
         assert np.isnan(known).all()
     assert watched.window.effort_off.shape == watched.window.effort_unsure.shape == (2,)
+    assert watched.window.imu_off.shape == (6,)
     assert watched.run(rows=127) == []
     assert len(watched.run(rows=1)) == 1
 
