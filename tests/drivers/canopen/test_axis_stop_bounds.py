@@ -25,10 +25,10 @@ SETTINGS = machine_settings()
 class Stopping:
     """The stop of roll, the second of two axes, whose drive obeys in the next tick."""
 
-    def __init__(self, *, braked: bool = True, takes_torque: bool = True, effort: float = 2.0) -> None:
+    def __init__(self, *, braked: bool = True, takes_torque: bool = True, effort: float = 2.0, stale_ticks: int = 3) -> None:
         scaling = dataclasses.replace(SETTINGS.scalings[1], position_resolution=COUNT)
         homing = dataclasses.replace(SETTINGS.homings[1], direction_check_effort=PUSHES, direction_check_travel=MOVED * COUNT)
-        limits = MotionLimits("roll", -1.0, 1.0, 0.25, TRACKING, 3)
+        limits = MotionLimits("roll", -1.0, 1.0, 0.25, TRACKING, stale_ticks)
         self.stop = AxisStop(1, scaling, limits, homing, T, braked=braked, takes_torque=takes_torque)
         self.sample = Sample(2)
         self.sample.brakes_open[:] = (True, False)
@@ -263,6 +263,20 @@ def test_a_state_is_believed_for_as_long_as_lost_frames_are_bridged() -> None:
     assert stopping.stop.orders_brake, "begun anew"
 
 
+def test_a_drive_that_has_never_answered_is_not_taken_for_one_without_voltage() -> None:
+    """Though frames may be lost for longer than the axis has stood."""
+    stopping = Stopping(stale_ticks=40)
+    assert stopping.ticks(30, -1) == [2] * 30
+
+
+def test_frames_are_lost_from_the_last_that_came_whatever_it_said() -> None:
+    stopping = Stopping()
+    stopping.sample.brakes_open[1] = True
+    stopping.ticks(CLOSING - 1, 0)
+    stopping.tick(-1)
+    assert stopping.words.startswith("not proven at rest: its drive reports not ready to switch on, in which it holds nothing; ")
+
+
 @pytest.mark.parametrize("status", [OFF, FAULT])
 def test_an_axis_that_is_found_without_voltage_is_watched_and_needs_no_proof(status: int) -> None:
     stopping = Stopping()
@@ -339,6 +353,23 @@ def test_a_brake_that_slips_under_the_push_is_told_and_not_tried_again(way: int,
     stopping.stop.orders_brake = False
     stopping.stop.close_again()
     assert not stopping.stop.orders_brake
+
+
+def test_a_brake_that_slips_in_the_tick_in_which_its_drive_takes_over_is_not_pushed() -> None:
+    stopping = Stopping().to_swinging()
+    stopping.ticks(SWING + 1)
+    assert stopping.tick(ENABLED, link=MOVED + 1) == 2
+    assert stopping.ticks(3, QUICK) == [2] * 3
+    assert stopping.stop.effort == 0.0
+    assert stopping.steps == [("closing", STAND + 1), ("swinging", SWING), ("taking over", 2)]
+
+
+def test_a_proof_that_begins_anew_elsewhere_does_not_compare_with_where_it_was() -> None:
+    stopping = Stopping().to_pushing()
+    stopping.tick(OFF, link=10 * MOVED, motor=10 * MOVED)
+    stopping.sample.statusword[1] = QUICK
+    stopping.until(lambda: stopping.stop.controlword == 15)
+    assert stopping.stop.rest is None
 
 
 def test_how_far_a_link_swung_before_is_no_slip() -> None:
@@ -458,6 +489,14 @@ def test_a_feedback_that_flickers_does_not_keep_a_stop_from_ending() -> None:
         stopping.tick()
     assert AT_MOST < number <= AT_MOST + SETTLING + 1
     assert stopping.words.startswith("held by its drive: ")
+
+
+def test_a_proof_for_which_nobody_answers_is_given_up_after_ten_seconds() -> None:
+    stopping = Stopping(takes_torque=False).to_swinging()
+    stopping.stop.orders_brake = False
+    assert stopping.until(lambda: stopping.stop.orders_brake) == AT_MOST + 1 - (STAND + 1)
+    assert stopping.until(lambda: stopping.stop.rest is not None) == SETTLING
+    assert stopping.words == "held by its drive: it stands"
 
 
 def test_an_axis_that_slipped_and_is_released_is_not_taken_back() -> None:

@@ -107,6 +107,23 @@ def test_the_last_position_is_not_judged_while_nobody_answers() -> None:
     assert len(link.commands) == 9
 
 
+def test_a_position_that_is_missing_from_the_first_row_on_is_bridged_as_long_as_any_other() -> None:
+    gone = sets(position=(0, np.nan))
+    assert ended_by(dict.fromkeys(range(3), gone)) == ""
+    assert ended_by(dict.fromkeys(range(4), gone)) == "row 3: propeller: no position for 4 ticks, timing.stale_ticks bridges 3"
+
+
+def test_an_axis_whose_position_is_not_known_yet_hides_none_behind_it() -> None:
+    assert ended_by({0: both(sets(position=(0, np.nan)), sets(position=(1, 1.01)))}).startswith("row 0: roll: position 1.0100")
+
+
+def test_a_plan_of_other_axes_is_refused() -> None:
+    plan = still(4)
+    plan.reference = np.zeros((4, 3))
+    with pytest.raises(ValueError, match="longer"):
+        proportional_loop(ScriptedLink(ScriptedClock())).run(plan)
+
+
 # ---- order
 
 
@@ -226,6 +243,9 @@ def test_sensors_are_judged_at_the_time_of_their_row_over_all_ticks_since_they_a
     loop.link.script, loop.link.commands = {}, []
     loop.run(still(2))
     assert judged[-2:] == [(1, 0.0), (1, 1.0)], "ticks of a run before do not count"
+    loop.link.script, loop.link.commands = {8: lost(4)}, []
+    loop.run(still(10))
+    assert judged[-1] == (5, 10.0), "nor does the end of a plan within lost ticks hide any"
 
 
 def test_in_lockstep_the_hosts_times_stay_out_of_the_rows_and_in_the_summary() -> None:
