@@ -3,7 +3,7 @@
 mutmut makes one small change at a time (a `<` becomes `<=`, a number grows by one, an argument is left out) and runs the tests that reach
 the function. A mutant that a test notices is killed; one that no test notices has survived. Tried are the supervisor, the stop of an axis,
 the watch over its motion and its bus, what these are in a whole machine, the judges of the sensors, the limits that the sample loop
-checks, and what gives drives their power and opens brakes. One command, which goes on where it was stopped:
+checks, the frames of its tick, and what gives drives their power and opens brakes. One command, which goes on where it was stopped:
 
     python benchmarks/mutation.py
     python benchmarks/mutation.py supervisor --sample 50
@@ -90,6 +90,11 @@ PARTS = {
     "limits": Part(
         ("hil/bench/loop.py",),
         tuple(f"tests/hil/bench/test_{name}.py" for name in ("loop_bounds", "lost_ticks_in_the_loop", "sample_loop")),
+        0.90,
+    ),
+    "tick": Part(
+        (f"{CANOPEN}/cyclic.py",),
+        tuple(f"{TESTS}/test_{name}.py" for name in ("tick_bounds", "late_answers", "late_bus", "machine_tick")),
         0.90,
     ),
     "start": Part((f"{CANOPEN}/power_and_brakes.py",), (f"{TESTS}/test_power_and_brakes_bounds.py",), 0.90),

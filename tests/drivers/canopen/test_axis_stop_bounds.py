@@ -564,6 +564,14 @@ def test_a_link_encoder_that_falls_silent_during_the_proof_leaves_the_drive_hold
         assert [stopping.tick(link=0), stopping.tick(link=NAN), stopping.tick(), stopping.tick()] == [15] * 4, "a packet is enough"
 
 
+def test_a_link_encoder_that_speaks_first_during_the_proof_was_not_seen_before_it() -> None:
+    stopping = Stopping()
+    stopping.sample.link_position[1] = NAN
+    stopping.to_pushing()
+    assert stopping.tick(link=5000) == 2
+    assert stopping.words.endswith(": its position is not known, so its brake cannot be proven")
+
+
 def test_a_drive_that_loses_its_hold_in_quick_stop_has_no_torque_told() -> None:
     stopping = Stopping().to_pushing()
     stopping.ticks(60)

@@ -1,0 +1,416 @@
+"""The frames of one tick at their bounds: what is sent when, what is taken for an answer, and what is told of the rest."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import struct
+from collections import deque
+from collections.abc import Callable, Sequence
+
+import can
+import numpy as np
+import pytest
+from scripted_nodes import machine_settings
+
+from drivers.canopen.cyclic import STALE_FRAMES_MAX, CyclicExchange
+from drivers.canopen.network import PolledNetwork
+from drivers.canopen.supervision import Supervision
+from drivers.errors import MotionRefusedError
+from drivers.interface import Sample
+
+PERIOD_S, PATIENCE_S = 2.0**-8, 2.0**-9
+SYNC = 0x080
+IDS = (0x181, 0x182, 0x18B, 0x18C)  # of the answers: two drives, two encoders
+Frame = tuple[float, int, bytes]
+"""When it comes after its SYNC [s], identifier, data."""
+
+
+def answer(can_id: int, counts: int = 0, delay_s: float = 0.0) -> Frame:
+    data = struct.pack("<Hih", 0x0637, counts, 0) if can_id < 0x18B else struct.pack("<I", 4194304 + counts)
+    return delay_s, can_id, data
+
+
+ALL = [answer(can_id) for can_id in IDS]
+
+
+class Wire(can.BusABC):
+    """Virtual time; after SYNC k it brings what the script says, and of what comes too late the rest before the next."""
+
+    def __init__(self) -> None:
+        super().__init__(channel="wire")
+        self.channel_info, self._is_shutdown = "wire", True
+        self.time_s = 0.0
+        self.script: deque[Sequence[Frame | can.Message]] = deque()
+        self.usual: Sequence[Frame | can.Message] = ALL
+        self.log: list[tuple[int, bytes]] = []
+        self._due: list[tuple[float, can.Message]] = []
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        self.log.append((msg.arbitration_id, bytes(msg.data)))
+        if msg.arbitration_id == SYNC:
+            for frame in self.script.popleft() if self.script else self.usual:
+                self.bring(frame)
+
+    def bring(self, frame: Frame | can.Message) -> None:
+        if isinstance(frame, can.Message):
+            self._due.append((self.time_s, frame))
+        else:
+            delay_s, can_id, data = frame
+            message = can.Message(arbitration_id=can_id, is_extended_id=False, data=data, timestamp=7.0)
+            self._due.append((self.time_s + delay_s, message))
+        self._due.sort(key=lambda due: due[0])
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        end = self.time_s + (timeout or 0.0)
+        if self._due and self._due[0][0] <= end:
+            due_s, message = self._due.pop(0)
+            self.time_s = max(self.time_s, due_s)
+            return message
+        self.time_s = end
+        return None
+
+
+class Ticks:
+    """The clock of that wire: a tick begins a period after the one before."""
+
+    def __init__(self, wire: Wire) -> None:
+        self.wire, self.awake_s, self.missed, self.lateness_s = wire, 0.0, 0, 0.0
+        self._next_s = 0.0
+
+    def now(self) -> float:
+        return self.wire.time_s
+
+    def wait_tick(self) -> float:
+        self._next_s += PERIOD_S
+        self.wire.time_s = self._next_s
+        return self.lateness_s
+
+
+class Machine:
+    """Two axes on that wire."""
+
+    def __init__(self, nodes: int = 4, **changes: object) -> None:
+        self.wire = Wire()
+        self.clock = Ticks(self.wire)
+        self.network = PolledNetwork(self.wire, self.clock)
+        base = machine_settings()
+        settings = dataclasses.replace(base, nodes=base.nodes[:nodes], sync_period_s=PERIOD_S, answer_timeout_s=PATIENCE_S)
+        settings = dataclasses.replace(settings, **changes)
+        self.supervision = Supervision(self.network, settings.nodes)
+        self.cyclic = CyclicExchange(self.network, settings, self.supervision)
+        self.sample = Sample(2)
+
+    def tick(self, *frames: Frame | can.Message, efforts: Sequence[float] = (0.0, 0.0)) -> Sample:
+        """Make one tick, after whose SYNC these frames come: all answers where none are given."""
+        if frames:
+            self.wire.script.append(frames)
+        self.cyclic.run(efforts, self.sample)
+        return self.sample
+
+    def ticks(self, number: int) -> Machine:
+        for _ in range(number):
+            self.tick()
+        return self
+
+
+def but(can_id: int) -> list[Frame]:
+    return [frame for frame in ALL if frame[1] != can_id]
+
+
+# ---- what is sent
+
+
+def test_commands_go_out_rounded_to_what_the_wire_carries_and_the_sample_says_so() -> None:
+    machine = Machine()
+    sample = machine.tick(efforts=(1.0012, -99.0))
+    assert machine.wire.log == [(0x201, b"\0\0" + struct.pack("<h", 200)), (0x202, b"\0\0" + struct.pack("<h", -1600)), (SYNC, b"")]
+    assert sample.commanded == pytest.approx([1.0, -8.0])
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_command_that_is_no_number_is_named_by_its_axis_and_nothing_is_sent(axis: int, value: float) -> None:
+    machine = Machine()
+    with pytest.raises(MotionRefusedError, match=rf"^{('propeller', 'roll')[axis]}: the command is {value}; no number, no motion$"):
+        machine.tick(efforts=(value, 0.0) if axis == 0 else (0.0, value))
+    assert machine.wire.log == []
+
+
+def test_every_axis_has_a_command() -> None:
+    with pytest.raises(ValueError, match="shorter"):
+        Machine().tick(efforts=(0.0,))
+
+
+@pytest.mark.parametrize(
+    ("period_s", "ticks"), [(0.02, [0, 5, 10]), (PERIOD_S, list(range(12))), (PERIOD_S / 3, list(range(12))), (0.0, [])]
+)
+def test_the_heartbeat_goes_out_no_later_than_its_period_from_the_first_tick_on(period_s: float, ticks: list[int]) -> None:
+    machine = Machine(master_heartbeat_period_s=period_s)
+    machine.network.start_heartbeat(127, 1.0)
+    machine.ticks(12)
+    syncs = np.cumsum([can_id == SYNC for can_id, _ in machine.wire.log])
+    assert [int(syncs[k]) for k, (can_id, _) in enumerate(machine.wire.log) if can_id == 0x77F] == ticks
+
+
+def test_a_tick_waits_then_lets_others_do_their_part_then_sends_sync_and_says_when_answers_are_overdue() -> None:
+    machine, seen = Machine(), []
+    machine.clock.lateness_s = 1e-4
+
+    def others() -> None:
+        seen.append((machine.clock.now(), len(machine.wire.log)))
+
+    overdue_s = machine.cyclic.run((0.0, 0.0), machine.sample, others)
+    assert seen == [(PERIOD_S, 2)]
+    assert overdue_s == PERIOD_S + PATIENCE_S
+    assert machine.sample.lateness_s == 1e-4
+    machine.ticks(2)
+    assert machine.cyclic.syncs == 3
+
+
+# ---- what is taken
+
+
+def test_answers_fill_the_sample_and_end_the_wait() -> None:
+    machine = Machine()
+    sample = machine.tick(answer(0x181, 100), answer(0x182, 200), answer(0x18B, 300), answer(0x18C, 400, 1e-4))
+    resolution, link = 2 * math.pi / (4096 * 150), 2 * math.pi / 2**23
+    assert sample.position == pytest.approx([100 * resolution, 200 * resolution])
+    assert sample.link_position == pytest.approx([300 * link, 400 * link])
+    assert sample.statusword.tolist() == [0x0637, 0x0637]
+    assert machine.clock.now() == PERIOD_S + 1e-4
+    assert machine.cyclic.missing == []
+
+
+@pytest.mark.parametrize("awake_s", [0.0, 2.0**-10, 1.0])
+def test_an_answer_may_take_its_time_and_no_longer(awake_s: float) -> None:
+    for delay_s, came in ((PATIENCE_S, True), (PATIENCE_S + 1e-6, False)):
+        machine = Machine()
+        recv = machine.wire.recv
+
+        def look(timeout: float | None = None, machine: Machine = machine, recv: Callable[..., can.Message | None] = recv) -> object:
+            message = recv(timeout)
+            if message is None and not timeout:
+                machine.wire.time_s += PATIENCE_S / 64  # to look takes time
+            return message
+
+        machine.wire.recv = look
+        machine.clock.awake_s = awake_s
+        sample = machine.tick(*but(0x182), answer(0x182, 0, delay_s))
+        assert np.isfinite(sample.position[1]) == came
+        assert machine.cyclic.missing == ([] if came else ["roll_drive: TPDO 1 (182h)"])
+
+
+def test_a_row_holds_nothing_of_the_row_before() -> None:
+    machine = Machine().ticks(2)
+    sample = machine.tick((0.0, 0x700, b""))
+    for values in (sample.position, sample.link_position, sample.effort):
+        assert np.isnan(values).all()
+    assert sample.statusword.tolist() == [-1, -1]
+    assert not sample.position_late.any()
+
+
+def test_a_malformed_answer_is_none_and_a_longer_one_is_remarked() -> None:
+    machine = Machine().ticks(2)
+    sample = machine.tick(*but(0x181), (0.0, 0x181, b"\x37\x06"))
+    assert np.isnan(sample.position[0])
+    says = "propeller_drive: TPDO 1 (181h)"
+    assert machine.cyclic.missing == [f"{says} (PDO of 2 bytes where 8 are mapped)"]
+    assert machine.network.first_malformed == f"{says}: PDO of 2 bytes where 8 are mapped"
+    machine.cyclic.forget_remarks()
+    machine.ticks(1)
+    assert machine.cyclic.remarks == []
+    delay_s, can_id, data = answer(0x18B)
+    machine.tick(*but(0x18B), (delay_s, can_id, data + b"\0"))
+    assert machine.cyclic.remarks == [
+        "propeller_encoder: TPDO 1 (18Bh): 1 frames were longer than the 4 bytes that it maps; the rest was ignored"
+    ]
+    machine.cyclic.forget_remarks()
+    assert machine.cyclic.remarks == []
+
+
+def test_unanswered_syncs_are_remarked_once_a_node_has_answered_at_all() -> None:
+    machine = Machine()
+    machine.tick(*but(0x18C))
+    assert machine.cyclic.remarks == [], "it may not be running yet"
+    machine.ticks(2)
+    for _ in range(3):
+        machine.tick(*but(0x18C))
+    assert machine.cyclic.remarks == ["roll_encoder: TPDO 1 (18Ch): 3 SYNCs were not answered in time"]
+
+
+@pytest.mark.parametrize("lost", [1, 2, 5])
+def test_after_answers_were_lost_the_one_at_its_usual_time_is_the_newest(lost: int) -> None:
+    machine = Machine()
+    machine.wire.usual = [*but(0x182), answer(0x182, 0, 1e-3)]
+    machine.ticks(40)
+    for _ in range(lost):
+        machine.tick(*but(0x182))
+    sample = machine.tick(*but(0x182), answer(0x182, 5, 1e-3))
+    assert np.isfinite(sample.position[1])
+    machine.tick(*but(0x182))
+    spread_s = 0.1 * PERIOD_S
+    assert np.isfinite(machine.tick(*but(0x182), answer(0x182, 5, 1e-3 + 0.9 * spread_s)).position[1])
+    machine.tick(*but(0x182))
+    sample = machine.tick(*but(0x182), answer(0x182, 5, 1e-3 - 1.1 * spread_s))
+    assert np.isnan(sample.position[1]), "it may answer an earlier SYNC"
+    assert sample.position_late.tolist() == [False, True]
+
+
+def test_the_usual_time_of_an_answer_is_that_of_the_last_sixteen() -> None:
+    """It moves by a sixteenth of each difference: after one answer a spread later, by a sixteenth of the spread."""
+    spread_s = 0.1 * PERIOD_S
+    for late, known in ((1.03, True), (1.10, False)):
+        machine = Machine()
+        machine.wire.usual = [*but(0x182), answer(0x182, 0, 0.5e-3)]
+        machine.ticks(200)
+        machine.tick(*but(0x182), answer(0x182, 0, 0.5e-3 + spread_s))
+        machine.tick(*but(0x182))
+        sample = machine.tick(*but(0x182), answer(0x182, 0, 0.5e-3 + late * spread_s))
+        assert np.isfinite(sample.position[1]) == known
+
+
+def test_two_answers_are_owed_one_and_this_syncs() -> None:
+    machine = Machine().ticks(3)
+    machine.tick(*but(0x182))
+    sample = machine.tick(*but(0x182), answer(0x182, 1, 1e-4), answer(0x182, 2, 2e-4))
+    assert sample.position[1] == pytest.approx(2 * 2 * math.pi / (4096 * 150))
+    assert machine.network.intruder == ""
+    machine.tick(answer(0x182), *but(0x182))
+    assert machine.cyclic.missing == []
+
+
+def test_answers_between_two_ticks_are_counted_and_are_none_of_the_next() -> None:
+    machine = Machine().ticks(3)
+    machine.tick(*but(0x182))
+    machine.wire.bring(answer(0x182, 77))
+    sample = machine.tick(*but(0x182))
+    assert machine.cyclic.late_frames == 1
+    assert np.isnan(sample.position[1])
+    assert sample.position_late.tolist() == [False, True], "it answers, and late"
+    assert machine.tick(*but(0x182)).position_late.tolist() == [False, False]
+
+
+def test_a_second_sender_of_answers_is_named() -> None:
+    for between in (False, True):
+        machine = Machine().ticks(3)
+        for _ in range(4):
+            assert machine.network.intruder == ""
+            if between:
+                machine.wire.bring(answer(0x181))
+            machine.tick(*([] if between else [answer(0x181)]), *ALL)
+        assert machine.network.intruder.startswith("propeller_drive: TPDO 1 (181h) comes more than once per SYNC")
+
+
+# ---- all other frames
+
+
+def test_frames_that_are_no_process_data_reach_whoever_they_are_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    machine = Machine()
+    heard: list[object] = []
+    monkeypatch.setattr(machine.supervision, "heartbeat", lambda node, data: heard.append(("beat", node, bytes(data))))
+    monkeypatch.setattr(machine.supervision, "emergency", lambda node, data: heard.append(("emergency", node, bytes(data))))
+    machine.network.subscribe(0x582, lambda can_id, data, stamp: heard.append((can_id, bytes(data), stamp)))
+    others: list[Frame] = [(0.0, 0x70C, b"\x05"), (0.0, 0x081, b"12345678"), (0.0, 0x582, b"abc")]
+    machine.tick(*others, *ALL)
+    for frame in others:
+        machine.wire.bring(frame)
+    machine.tick()
+    assert heard == [("beat", 12, b"\x05"), ("emergency", 1, b"12345678"), (0x582, b"abc", 7.0)] * 2
+
+
+def test_frames_of_other_kinds_are_counted_and_are_no_answers() -> None:
+    machine = Machine().ticks(2)
+    remote = can.Message(arbitration_id=0x181, is_extended_id=False, is_remote_frame=True, dlc=8)
+    long = can.Message(arbitration_id=0x181, is_extended_id=True, data=bytes(8))
+    sample = machine.tick(remote, long, *but(0x181))
+    assert np.isnan(sample.position[0])
+    machine.wire.bring(remote)
+    machine.tick()
+    assert machine.network.passed_over == {"remote frames": 2, "frames with a 29-bit identifier": 1}
+    assert machine.cyclic.late_frames == 0
+
+
+def test_bus_off_is_a_fault_of_one_sample_and_other_error_frames_are_none() -> None:
+    machine = Machine()
+    error = can.Message(arbitration_id=0x40, is_extended_id=False, is_error_frame=True)
+    assert machine.tick(can.Message(arbitration_id=0x04, is_extended_id=False, is_error_frame=True), *ALL).fault == ""
+    assert machine.tick(can.Message(arbitration_id=0x40, is_extended_id=False, data=b""), *ALL).fault == ""
+    says = "wire: the CAN controller is bus off; check wiring, termination and bit rate"
+    assert machine.tick(error, error, *ALL).fault == says
+    assert machine.tick().fault == ""
+    assert machine.tick(error, (0.0, 0x081, struct.pack("<HB5x", 0x2310, 1)), *ALL).fault == says, "the first stands"
+    assert "2310h" in machine.tick((0.0, 0x081, struct.pack("<HB5x", 0x2310, 1)), *ALL).fault
+
+
+def test_a_flood_is_named_with_its_last_frame_when_it_lasts_and_counts_by_tick() -> None:
+    machine = Machine()
+    bearable = [(0.0, 0x3A5, b"")] * 17
+    for _ in range(10):
+        machine.tick(*bearable, *ALL)
+    assert machine.network.intruder == ""
+    for k in range(4):
+        assert machine.network.intruder == ""
+        machine.wire.bring((0.0, 0x3A6, b""))  # those between ticks count, too
+        machine.tick(*bearable, *ALL)
+        assert bool(machine.network.intruder) == (k == 3)
+    assert machine.network.intruder.startswith("18 frames in one period that nobody here asked for, the last with the identifier 3A5h, 17 ")
+
+
+def test_a_flood_does_not_keep_the_loop_from_its_tick() -> None:
+    """Frames without end, of 10 us each: as many as are read before SYNC, until answers are overdue, and as many again."""
+    machine, read = Machine(), []
+
+    def flood(timeout: float | None = None) -> can.Message:
+        machine.wire.time_s += 1e-5
+        read.append(machine.wire.time_s)
+        return can.Message(arbitration_id=0x3A5, is_extended_id=False)
+
+    machine.wire.recv = flood
+    machine.tick()
+    assert len(read) == STALE_FRAMES_MAX + math.floor(PATIENCE_S / 1e-5) + STALE_FRAMES_MAX + 1
+    assert len(machine.cyclic.missing) == 4
+
+
+# ---- silence
+
+
+def test_ages_grow_from_the_last_answer_over_lost_ticks_too() -> None:
+    machine = Machine().ticks(2)
+    assert machine.tick(*but(0x18C)).age_s.tolist() == [0.0, PERIOD_S]
+    machine.clock.missed += 2
+    assert machine.tick(*but(0x18C)).age_s.tolist() == [0.0, 4 * PERIOD_S]
+    machine.clock.missed = 0
+    assert machine.tick(*but(0x18C)).age_s.tolist() == [0.0, 5 * PERIOD_S], "a clock that starts again"
+    assert machine.tick().age_s.tolist() == [0.0, 0.0]
+
+
+def test_syncs_that_nobody_answers_are_counted_where_several_nodes_should() -> None:
+    nobody = (0.0, 0x700, b"")
+    machine = Machine()
+    assert machine.tick(nobody).unanswered == 0, "before the first answer nobody is late"
+    machine.ticks(2)
+    assert machine.tick(nobody).unanswered == 1
+    machine.clock.missed += 3
+    assert machine.tick(nobody).unanswered == 5
+    assert machine.tick(answer(0x18C)).unanswered == 0
+    assert machine.cyclic.silent_ticks == 64  # two and a half heartbeats of 0.1 s
+    alone = Machine(1, scalings=machine_settings().scalings[:1])
+    alone.sample = Sample(1)
+    assert alone.cyclic.silent_ticks == 0, "nobody tells a late bus from a node that is silent"
+    for frames in (ALL[:1], [nobody]):
+        alone.wire.script.append(frames)
+        alone.cyclic.run((0.0,), alone.sample)
+    assert alone.sample.unanswered == 0
+
+
+def test_a_rehearsal_changes_nothing_and_rehearses_the_bus() -> None:
+    machine = Machine()
+    machine.cyclic.rehearse()
+    rehearsed: list[bool] = []
+    machine.wire.rehearse = lambda: rehearsed.append(True)
+    machine.cyclic = CyclicExchange(machine.network, machine_settings(), machine.supervision)
+    machine.cyclic.rehearse()
+    assert rehearsed == [True]
+    assert machine.wire.log == []
+    assert machine.tick().position.tolist() == [0.0, 0.0]
