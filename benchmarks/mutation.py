@@ -69,7 +69,7 @@ PARTS = {
     ),
     "stop": Part(
         (f"{CANOPEN}/axis_stop.py", f"{CANOPEN}/stopping.py"),
-        (f"{TESTS}/test_axis_stop_bounds.py", f"{TESTS}/test_stop_and_master_bounds.py"),
+        tuple(f"{TESTS}/test_{name}.py" for name in ("axis_stop_bounds", "axis_stop_proof", "stop_and_master_bounds")),
         0.90,
     ),
     "watch": Part(
