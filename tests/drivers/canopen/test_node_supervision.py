@@ -120,6 +120,17 @@ def test_an_emergency_is_kept_until_it_is_reset() -> None:
     assert supervision.take_fault() == ""
 
 
+def test_an_emergency_is_told_in_its_vendors_words() -> None:
+    drive = ScriptedDrive(1)
+    bus = ScriptedBus(drive)
+    network = PolledNetwork(bus, BusClock(bus))
+    nodes = tuple(replace(node, identity=replace(node.identity, vendor_id=0xFB)) for node in NODE)
+    supervision = Supervision(network, nodes)
+    supervision.emergency(1, b"\x90\x10\x01\0\0\0\0\0")
+    assert "firmware incompatibility" in supervision.take_fault()
+    assert "firmware incompatibility" in supervision.last_emergency(1)
+
+
 def test_a_node_that_was_never_heard_has_no_state() -> None:
     _, _, supervision = supervised()
     assert supervision.nmt_state(1) == "never heard"
