@@ -124,6 +124,7 @@ def test_encoders_may_be_the_tolerance_apart(way: int) -> None:
         f"its link encoder stands {way * 513 * COUNT:+.2e} rad from where motor side and load put it; 7.81e-03 are allowed"
     )
     wrong.judge.begin()
+    assert wrong.judge.lag_ticks == 0, "nothing is in doubt"
     assert [wrong.step(0) for _ in range(WINDOW)] == [""] * WINDOW
 
 
