@@ -30,12 +30,13 @@ class Objects:
         self._due: list[tuple[float, int]] = []
 
     def _pump(self, seconds: float) -> None:
-        self.now_s += seconds
+        assert seconds == 0.01
+        self.now_s += 2.0**-7  # exact, and near enough
         self.log.append("waits")
 
     def read_integer(self, index: int) -> int:
         for due_s, mode in self._due:
-            if self.now_s >= due_s - 1e-9:
+            if self.now_s >= due_s:
                 self.objects[0x6061] = mode
         return self.objects[index]
 
@@ -250,17 +251,17 @@ def test_a_mode_that_is_shown_already_is_not_asked_for(machine: Machine) -> None
     assert machine.log == [], "no time has passed"
 
 
-@pytest.mark.parametrize("after_s", [0.0, 0.03, 1.0])
+@pytest.mark.parametrize("after_s", [0.0, 2.0**-5, 1.0 + 2.0**-7])
 def test_a_mode_is_awaited_and_the_ticks_go_on_after_it(machine: Machine, after_s: float) -> None:
     machine.objects[1].shown_after_s = after_s
     power_and_brakes.set_mode(machine, 1, Mode.CYCLIC_SYNCHRONOUS_TORQUE)
-    assert machine.objects[1].log == [(0x6060, 0, 10), *["waits"] * round(after_s / 0.01)]
+    assert machine.objects[1].log == [(0x6060, 0, 10), *["waits"] * round(after_s * 128)]
     assert machine.modes == [Mode.HOMING, Mode.CYCLIC_SYNCHRONOUS_TORQUE, Mode.HOMING]
     assert machine.log == ["ticks again"]
 
 
 def test_a_mode_that_is_not_shown_within_a_second_is_refused_and_no_mode_is_known(machine: Machine) -> None:
-    machine.objects[1].objects[0x6061], machine.objects[1].shown_after_s = 6, 1.05
+    machine.objects[1].objects[0x6061], machine.objects[1].shown_after_s = 6, 1.0 + 2.0**-6
     with pytest.raises(
         MotionRefusedError, match=r"^roll_drive \(node 2\): stays in mode 6, mode 10 \(cyclic synchronous torque\) was asked for$"
     ):
