@@ -62,7 +62,8 @@ class Wire(can.BusABC):
         self._due.sort(key=lambda due: due[0])
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        end = self.time_s + (timeout or 0.0)
+        assert timeout is not None, "a tick waits for nothing without end"
+        end = self.time_s + timeout
         if self._due and self._due[0][0] <= end:
             due_s, message = self._due.pop(0)
             self.time_s = max(self.time_s, due_s)
@@ -76,23 +77,24 @@ class Ticks:
 
     def __init__(self, wire: Wire) -> None:
         self.wire, self.awake_s, self.missed, self.lateness_s = wire, 0.0, 0, 0.0
-        self._next_s = 0.0
+        self.tick_s = 0.0
 
     def now(self) -> float:
         return self.wire.time_s
 
     def wait_tick(self) -> float:
-        self._next_s += PERIOD_S
-        self.wire.time_s = self._next_s
+        self.tick_s += PERIOD_S
+        self.wire.time_s = self.tick_s
         return self.lateness_s
 
 
 class Machine:
     """Two axes on that wire."""
 
-    def __init__(self, nodes: int = 4, **changes: object) -> None:
+    def __init__(self, nodes: int = 4, awake_s: float = 0.0, **changes: object) -> None:
         self.wire = Wire()
         self.clock = Ticks(self.wire)
+        self.clock.awake_s = awake_s
         self.network = PolledNetwork(self.wire, self.clock)
         base = machine_settings()
         settings = dataclasses.replace(base, nodes=base.nodes[:nodes], sync_period_s=PERIOD_S, answer_timeout_s=PATIENCE_S)
@@ -185,7 +187,7 @@ def test_answers_fill_the_sample_and_end_the_wait() -> None:
 @pytest.mark.parametrize("awake_s", [0.0, 2.0**-10, 1.0])
 def test_an_answer_may_take_its_time_and_no_longer(awake_s: float) -> None:
     for delay_s, came in ((PATIENCE_S, True), (PATIENCE_S + 1e-6, False)):
-        machine = Machine()
+        machine = Machine(awake_s=awake_s)
         recv = machine.wire.recv
 
         def look(timeout: float | None = None, machine: Machine = machine, recv: Callable[..., can.Message | None] = recv) -> object:
@@ -195,10 +197,28 @@ def test_an_answer_may_take_its_time_and_no_longer(awake_s: float) -> None:
             return message
 
         machine.wire.recv = look
-        machine.clock.awake_s = awake_s
         sample = machine.tick(*but(0x182), answer(0x182, 0, delay_s))
         assert np.isfinite(sample.position[1]) == came
         assert machine.cyclic.missing == ([] if came else ["roll_drive: TPDO 1 (182h)"])
+
+
+def test_answers_are_polled_awake_for_a_while_and_then_awaited_asleep() -> None:
+    machine, timeouts = Machine(awake_s=PATIENCE_S / 2), []
+    recv = machine.wire.recv
+
+    def look(timeout: float | None = None) -> can.Message | None:
+        message = recv(timeout)
+        if machine.wire.log[-1:] == [(SYNC, b"")]:
+            timeouts.append(timeout)
+        if message is None and timeout == 0.0:
+            machine.wire.time_s += PATIENCE_S / 8  # to look takes time
+        return message
+
+    machine.tick()
+    machine.wire.recv = look
+    machine.wire.script.append(but(0x182))
+    machine.cyclic.run((0.0, 0.0), machine.sample, lambda: timeouts.clear())
+    assert timeouts == [0.0] * 3 + [0.0] * 4 + [PATIENCE_S / 2]
 
 
 def test_a_row_holds_nothing_of_the_row_before() -> None:
@@ -248,6 +268,8 @@ def test_after_answers_were_lost_the_one_at_its_usual_time_is_the_newest(lost: i
         machine.tick(*but(0x182))
     sample = machine.tick(*but(0x182), answer(0x182, 5, 1e-3))
     assert np.isfinite(sample.position[1])
+    machine.tick()
+    assert machine.clock.now() == machine.clock.tick_s + 1e-3, "nothing is owed any more, and the tick ends with its last answer"
     machine.tick(*but(0x182))
     spread_s = 0.1 * PERIOD_S
     assert np.isfinite(machine.tick(*but(0x182), answer(0x182, 5, 1e-3 + 0.9 * spread_s)).position[1])
@@ -289,17 +311,58 @@ def test_answers_between_two_ticks_are_counted_and_are_none_of_the_next() -> Non
     assert np.isnan(sample.position[1])
     assert sample.position_late.tolist() == [False, True], "it answers, and late"
     assert machine.tick(*but(0x182)).position_late.tolist() == [False, False]
+    machine.wire.bring(answer(0x182))
+    machine.tick()
+    assert machine.cyclic.late_frames == 2
 
 
-def test_a_second_sender_of_answers_is_named() -> None:
+def test_each_late_answer_pays_one_that_is_owed() -> None:
+    machine = Machine().ticks(3)
+    machine.tick(*but(0x182))
+    machine.wire.bring(answer(0x182))
+    machine.tick()
+    assert machine.clock.now() == machine.clock.tick_s, "nothing is owed, and the tick ends with its last answer"
+    machine.tick(*but(0x182))
+    machine.tick(*but(0x182))
+    machine.wire.bring(answer(0x182))
+    resolution = 2 * math.pi / (4096 * 150)
+    assert machine.tick(*but(0x182), answer(0x182, 1), answer(0x182, 2)).position[1] == pytest.approx(2 * resolution)
+
+
+def test_while_one_node_owes_answers_the_usual_time_of_others_stays() -> None:
+    spread_s = 0.1 * PERIOD_S
+    machine = Machine().ticks(50)
+    for _ in range(50):
+        machine.tick(*[frame for frame in ALL if frame[1] not in (0x181, 0x182)], answer(0x182, 0, 2.0 * spread_s))
+    machine.ticks(2)
+    machine.tick(*but(0x182))
+    assert np.isfinite(machine.tick().position[1])
+
+
+def test_a_second_sender_of_a_node_that_was_late_for_long_is_named_as_soon_as_any_other() -> None:
+    machine = Machine().ticks(3)
+    machine.tick(*but(0x182))
+    for _ in range(6):
+        machine.tick(*but(0x182), answer(0x182, 0, 1.5e-3))
+    machine.tick(*but(0x182), answer(0x182, 0, 1e-4), answer(0x182, 0, 2e-4))  # what it owed, and what it owes
+    for k in range(4):
+        assert machine.network.intruder == "", k
+        machine.tick(*ALL, answer(0x182))
+        machine.wire.bring(answer(0x182))
+    machine.tick()
+    assert machine.network.intruder.startswith("roll_drive: TPDO 1 (182h) comes more than once per SYNC")
+
+
+@pytest.mark.parametrize("can_id", [0x181, 0x182])
+def test_a_second_sender_of_answers_is_named(can_id: int) -> None:
     for between in (False, True):
         machine = Machine().ticks(3)
         for _ in range(4):
             assert machine.network.intruder == ""
             if between:
-                machine.wire.bring(answer(0x181))
-            machine.tick(*([] if between else [answer(0x181)]), *ALL)
-        assert machine.network.intruder.startswith("propeller_drive: TPDO 1 (181h) comes more than once per SYNC")
+                machine.wire.bring(answer(can_id))
+            machine.tick(*([] if between else [answer(can_id)]), *ALL)
+        assert f"_drive: TPDO 1 ({can_id:03X}h) comes more than once per SYNC" in machine.network.intruder
 
 
 # ---- all other frames
@@ -363,13 +426,14 @@ def test_a_flood_does_not_keep_the_loop_from_its_tick() -> None:
 
     def flood(timeout: float | None = None) -> can.Message:
         machine.wire.time_s += 1e-5
-        read.append(machine.wire.time_s)
+        read.append(timeout)
         return can.Message(arbitration_id=0x3A5, is_extended_id=False)
 
     machine.wire.recv = flood
     machine.tick()
     assert len(read) == STALE_FRAMES_MAX + math.floor(PATIENCE_S / 1e-5) + STALE_FRAMES_MAX + 1
     assert len(machine.cyclic.missing) == 4
+    assert read[-STALE_FRAMES_MAX:] == [0.0] * STALE_FRAMES_MAX, "who is late waits no more"
 
 
 # ---- silence
