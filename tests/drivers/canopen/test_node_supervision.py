@@ -299,3 +299,14 @@ def test_an_absent_node_is_told_with_those_that_are_there() -> None:
     nodes = machine_settings().nodes[:3]
     with pytest.raises(NodeAbsentError, match=r"^propeller_encoder .* nodes that booted: propeller_drive \(1\), roll_drive \(2\)$"):
         Supervision(PolledNetwork(bus, BusClock(bus)), nodes).boot(nodes)
+
+
+def test_a_node_that_boots_by_itself_before_its_turn_is_no_second_device() -> None:
+    slow, early = ScriptedDrive(1), ScriptedDrive(2)
+    slow.boot_delay_s = 1.0
+    bus = ScriptedBus(slow, early)
+    early.boot_delay_s = 0.3
+    early.receive(0x000, bytes((0x82, 2)))  # somebody resets it
+    nodes = machine_settings().nodes[:2]
+    Supervision(PolledNetwork(bus, BusClock(bus)), nodes).boot(nodes)
+    assert 1.0 < bus.time_s < 1.5
