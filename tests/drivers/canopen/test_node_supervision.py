@@ -310,3 +310,11 @@ def test_a_node_that_boots_by_itself_before_its_turn_is_no_second_device() -> No
     nodes = machine_settings().nodes[:2]
     Supervision(PolledNetwork(bus, BusClock(bus)), nodes).boot(nodes)
     assert 1.0 < bus.time_s < 1.5
+
+
+def test_what_the_loop_has_lost_since_the_start_is_no_silence_either() -> None:
+    bus, _, supervision = operational(ScriptedDrive(1))
+    bus.time_s += 1.0
+    supervision.check_one(bus.time_s, 0.9)
+    with pytest.raises(HeartbeatLostError):
+        supervision.check_one(bus.time_s, 0.6)
