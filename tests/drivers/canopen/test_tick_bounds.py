@@ -5,120 +5,17 @@ from __future__ import annotations
 import dataclasses
 import math
 import struct
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import can
 import numpy as np
 import pytest
+from one_tick import ALL, NODES, PATIENCE_S, PERIOD_S, SYNC, Frame, Machine, answer, but
 from scripted_nodes import machine_settings
 
 from drivers.canopen.cyclic import STALE_FRAMES_MAX, CyclicExchange
-from drivers.canopen.network import PolledNetwork
-from drivers.canopen.supervision import Supervision
 from drivers.errors import MotionRefusedError
 from drivers.interface import Sample
-
-PERIOD_S, PATIENCE_S = 2.0**-8, 2.0**-9
-SYNC = 0x080
-IDS = (0x181, 0x182, 0x18B, 0x18C)  # of the answers: two drives, two encoders
-Frame = tuple[float, int, bytes]
-"""When it comes after its SYNC [s], identifier, data."""
-
-
-def answer(can_id: int, counts: int = 0, delay_s: float = 0.0) -> Frame:
-    data = struct.pack("<Hih", 0x0637, counts, 0) if can_id < 0x18B else struct.pack("<I", 4194304 + counts)
-    return delay_s, can_id, data
-
-
-ALL = [answer(can_id) for can_id in IDS]
-
-
-class Wire(can.BusABC):
-    """Virtual time; after SYNC k it brings what the script says, and of what comes too late the rest before the next."""
-
-    def __init__(self) -> None:
-        super().__init__(channel="wire")
-        self.channel_info, self._is_shutdown = "wire", True
-        self.time_s = 0.0
-        self.script: deque[Sequence[Frame | can.Message]] = deque()
-        self.usual: Sequence[Frame | can.Message] = ALL
-        self.log: list[tuple[int, bytes]] = []
-        self._due: list[tuple[float, can.Message]] = []
-
-    def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        self.log.append((msg.arbitration_id, bytes(msg.data)))
-        if msg.arbitration_id == SYNC:
-            for frame in self.script.popleft() if self.script else self.usual:
-                self.bring(frame)
-
-    def bring(self, frame: Frame | can.Message) -> None:
-        if isinstance(frame, can.Message):
-            self._due.append((self.time_s, frame))
-        else:
-            delay_s, can_id, data = frame
-            message = can.Message(arbitration_id=can_id, is_extended_id=False, data=data, timestamp=7.0)
-            self._due.append((self.time_s + delay_s, message))
-        self._due.sort(key=lambda due: due[0])
-
-    def recv(self, timeout: float | None = None) -> can.Message | None:
-        assert timeout is not None, "a tick waits for nothing without end"
-        end = self.time_s + timeout
-        if self._due and self._due[0][0] <= end:
-            due_s, message = self._due.pop(0)
-            self.time_s = max(self.time_s, due_s)
-            return message
-        self.time_s = end
-        return None
-
-
-class Ticks:
-    """The clock of that wire: a tick begins a period after the one before."""
-
-    def __init__(self, wire: Wire) -> None:
-        self.wire, self.awake_s, self.missed, self.lateness_s = wire, 0.0, 0, 0.0
-        self.tick_s = 0.0
-
-    def now(self) -> float:
-        return self.wire.time_s
-
-    def wait_tick(self) -> float:
-        self.tick_s += PERIOD_S
-        self.wire.time_s = self.tick_s
-        return self.lateness_s
-
-
-class Machine:
-    """Two axes on that wire."""
-
-    def __init__(self, nodes: int = 4, awake_s: float = 0.0, **changes: object) -> None:
-        self.wire = Wire()
-        self.clock = Ticks(self.wire)
-        self.clock.awake_s = awake_s
-        self.network = PolledNetwork(self.wire, self.clock)
-        base = machine_settings()
-        settings = dataclasses.replace(base, nodes=base.nodes[:nodes], sync_period_s=PERIOD_S, answer_timeout_s=PATIENCE_S)
-        settings = dataclasses.replace(settings, **changes)
-        self.supervision = Supervision(self.network, settings.nodes)
-        self.cyclic = CyclicExchange(self.network, settings, self.supervision)
-        self.sample = Sample(2)
-
-    def tick(self, *frames: Frame | can.Message, efforts: Sequence[float] = (0.0, 0.0)) -> Sample:
-        """Make one tick, after whose SYNC these frames come: all answers where none are given."""
-        if frames:
-            self.wire.script.append(frames)
-        self.cyclic.run(efforts, self.sample)
-        return self.sample
-
-    def ticks(self, number: int) -> Machine:
-        for _ in range(number):
-            self.tick()
-        return self
-
-
-def but(can_id: int) -> list[Frame]:
-    return [frame for frame in ALL if frame[1] != can_id]
-
 
 # ---- what is sent
 
@@ -140,8 +37,9 @@ def test_a_command_that_is_no_number_is_named_by_its_axis_and_nothing_is_sent(ax
 
 
 def test_every_axis_has_a_command() -> None:
-    with pytest.raises(ValueError, match="shorter"):
-        Machine().tick(efforts=(0.0,))
+    for efforts, is_what in (((0.0,), "shorter"), ((0.0, 0.0, 0.0), "longer")):
+        with pytest.raises(ValueError, match=is_what):
+            Machine().tick(efforts=efforts)
 
 
 @pytest.mark.parametrize(
@@ -166,6 +64,7 @@ def test_a_tick_waits_then_lets_others_do_their_part_then_sends_sync_and_says_wh
     assert seen == [(PERIOD_S, 2)]
     assert overdue_s == PERIOD_S + PATIENCE_S
     assert machine.sample.lateness_s == 1e-4
+    assert Machine().cyclic.missing == [], "nobody was asked yet"
     machine.ticks(2)
     assert machine.cyclic.syncs == 3
 
@@ -316,6 +215,14 @@ def test_answers_between_two_ticks_are_counted_and_are_none_of_the_next() -> Non
     assert machine.cyclic.late_frames == 2
 
 
+def test_all_nodes_that_answer_late_are_said_to() -> None:
+    machine = Machine().ticks(3)
+    machine.tick(*ALL[2:])
+    for can_id in (0x181, 0x182):
+        machine.wire.bring(answer(can_id))
+    assert machine.tick(*ALL[2:]).position_late.tolist() == [True, True]
+
+
 def test_each_late_answer_pays_one_that_is_owed() -> None:
     machine = Machine().ticks(3)
     machine.tick(*but(0x182))
@@ -363,6 +270,15 @@ def test_a_second_sender_of_answers_is_named(can_id: int) -> None:
                 machine.wire.bring(answer(can_id))
             machine.tick(*([] if between else [answer(can_id)]), *ALL)
         assert f"_drive: TPDO 1 ({can_id:03X}h) comes more than once per SYNC" in machine.network.intruder
+
+
+def test_what_is_not_sent_with_every_sync_may_come_as_often_as_it_likes() -> None:
+    nodes = list(NODES)
+    nodes[3] = dataclasses.replace(nodes[3], tpdos=(dataclasses.replace(nodes[3].tpdos[0], transmission_type=255),))
+    machine = Machine(all_nodes=nodes)
+    for _ in range(10):
+        machine.tick(answer(0x18C), answer(0x18C), *ALL)
+    assert machine.network.intruder == ""
 
 
 # ---- all other frames
@@ -420,6 +336,13 @@ def test_a_flood_is_named_with_its_last_frame_when_it_lasts_and_counts_by_tick()
     assert machine.network.intruder.startswith("18 frames in one period that nobody here asked for, the last with the identifier 3A5h, 17 ")
 
 
+def test_a_flood_of_three_ticks_at_the_very_beginning_is_none() -> None:
+    machine = Machine()
+    for frames in (17, 18, 18, 18):
+        machine.tick(*[(0.0, 0x3A5, b"")] * frames, *ALL)
+    assert machine.network.intruder == ""
+
+
 def test_a_flood_does_not_keep_the_loop_from_its_tick() -> None:
     """Frames without end, of 10 us each: as many as are read before SYNC, until answers are overdue, and as many again."""
     machine, read = Machine(), []
@@ -447,6 +370,9 @@ def test_ages_grow_from_the_last_answer_over_lost_ticks_too() -> None:
     machine.clock.missed = 0
     assert machine.tick(*but(0x18C)).age_s.tolist() == [0.0, 5 * PERIOD_S], "a clock that starts again"
     assert machine.tick().age_s.tolist() == [0.0, 0.0]
+    first = Machine()
+    first.clock.missed = 1
+    assert first.tick(*but(0x18C)).age_s.tolist() == [0.0, 2 * PERIOD_S]
 
 
 def test_syncs_that_nobody_answers_are_counted_where_several_nodes_should() -> None:
@@ -459,6 +385,7 @@ def test_syncs_that_nobody_answers_are_counted_where_several_nodes_should() -> N
     assert machine.tick(nobody).unanswered == 5
     assert machine.tick(answer(0x18C)).unanswered == 0
     assert machine.cyclic.silent_ticks == 64  # two and a half heartbeats of 0.1 s
+    assert Machine(2).cyclic.silent_ticks == 64
     alone = Machine(1, scalings=machine_settings().scalings[:1])
     alone.sample = Sample(1)
     assert alone.cyclic.silent_ticks == 0, "nobody tells a late bus from a node that is silent"
