@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Iterator
 from multiprocessing.shared_memory import SharedMemory
+from types import SimpleNamespace
 
 import can
 import numpy as np
 import pytest
 from bench_machines import CARM
 
+from drivers.errors import BusUnavailableError
 from drivers.modbus.io import IoState
 from drivers.modbus.refresh import FIRST_WORD, following_word
 from drivers.modbus.shared_block import Block
@@ -151,6 +154,68 @@ def test_both_blocks_fit_into_its_memory() -> None:
         memory.close()
 
 
+class Started:
+    """A process that was started; it lives until a test says, and writes what a test says."""
+
+    def __init__(self, **told: object) -> None:
+        self.told, self.exitcode, self.log = told, None, []
+
+    def start(self) -> None:
+        self.log.append("start")
+
+    def is_alive(self) -> bool:
+        return self.exitcode is None
+
+    def join(self, timeout: float | None = None) -> None:
+        self.log.append("join")
+
+    def kill(self) -> None:
+        self.log.append("kill")
+
+
+@pytest.mark.parametrize(
+    ("happens", "says"),
+    [
+        ("rounds", ""),
+        ("ends", "udp:: the supervisor ended at its start with status 3"),
+        ("nothing", "udp:: the supervisor did not start within 10 s"),
+        ("cannot", "udp:: there is no such interface"),
+        ("rounds and words", ""),
+    ],
+)
+def test_a_supervisor_is_started_in_a_new_process_and_waited_for(monkeypatch: pytest.MonkeyPatch, happens: str, says: str) -> None:
+    both = Both(monkeypatch)
+    made: list[Started] = []
+
+    def context(method: str) -> SimpleNamespace:
+        assert method == "spawn"
+        return SimpleNamespace(Process=lambda **told: (made.append(Started(**told)), made[0])[1])
+
+    def sleep(seconds: float) -> None:
+        both.now_s += seconds
+        if both.now_s > 105.0:
+            made[0].exitcode = 3 if happens == "ends" else None
+            if happens in ("cannot", "rounds", "rounds and words"):
+                words = "" if happens == "rounds" else "udp:: there is no such interface"
+                both.writes(session=0.0, text=words, is_round=happens != "cannot")
+
+    monkeypatch.setattr(process.multiprocessing, "get_context", context)
+    monkeypatch.setattr(process.time, "sleep", sleep)
+    if says:
+        with pytest.raises(BusUnavailableError) as refused:
+            both.supervisor.start("io memory")
+        assert str(refused.value) == says
+    else:
+        both.supervisor.start("io memory")
+    waited_s = both.now_s - 100.0
+    assert waited_s == pytest.approx(10.0 if happens == "nothing" else 5.0, abs=0.03)
+    told = made[0].told
+    assert (told["target"], told["daemon"], told["name"]) == (process.supervise, True, "isocenter-supervisor")
+    assert told["args"] == (SETTINGS, "udp:", both.supervisor.memory_name, "io memory", os.getpid(), 0, None, None)
+    both.close()
+    assert made[0].log == ["start", "join", "kill", "join"]
+
+
 # ---- in lockstep
 
 
@@ -204,12 +269,13 @@ def test_in_lockstep_it_answers_the_io_until_it_takes_its_permission_back_and_th
 
 
 def test_in_lockstep_what_the_io_reports_counts() -> None:
-    machine = InProcess()
-    machine.state.door_closed = False
-    for k in range(round(3.0 / PERIOD_S)):
-        machine.refresh()
-        trouble = machine.tick(counts=100 * k)
-    assert "after hold-to-run or the door asked for a stop" in trouble
+    for pressed, closed in ((True, True), (True, False), (False, True)):
+        machine = InProcess()
+        machine.state.hold_to_run, machine.state.door_closed = pressed, closed
+        for k in range(round(3.0 / PERIOD_S)):
+            machine.refresh()
+            trouble = machine.tick(counts=100 * k)
+        assert ("after hold-to-run or the door asked for a stop" in trouble) is not (pressed and closed)
 
 
 def test_in_lockstep_nothing_is_permitted_between_two_sessions_and_a_new_one_forgets() -> None:
