@@ -2,8 +2,9 @@
 
 mutmut makes one small change at a time (a `<` becomes `<=`, a number grows by one, an argument is left out) and runs the tests that reach
 the function. A mutant that a test notices is killed; one that no test notices has survived. Tried are the supervisor, the stop of an axis,
-the watch over its motion and its bus, what these are in a whole machine, and the judges of the sensors. One command, which goes on where
-it was stopped:
+the watch over its motion and its bus, what these are in a whole machine, the judges of the sensors, the loop's side of the supervisor,
+the limits that the sample loop checks, the frames of its tick, and what gives drives their power and opens brakes. One command, which goes
+on where it was stopped:
 
     python benchmarks/mutation.py
     python benchmarks/mutation.py supervisor --sample 50
@@ -68,7 +69,7 @@ PARTS = {
     ),
     "stop": Part(
         (f"{CANOPEN}/axis_stop.py", f"{CANOPEN}/stopping.py"),
-        (f"{TESTS}/test_axis_stop_bounds.py", f"{TESTS}/test_stop_and_master_bounds.py"),
+        tuple(f"{TESTS}/test_{name}.py" for name in ("axis_stop_bounds", "axis_stop_proof", "stop_and_master_bounds")),
         0.90,
     ),
     "watch": Part(
@@ -87,6 +88,18 @@ PARTS = {
         f"{TESTS}/test_machine_stop.py::test_no_voltage_is_taken_from_an_axis_that_a_brake_does_not_hold",
     ),
     "judges": Part(("drivers/judging",), ("tests/drivers/judging",), 0.90),
+    "oversight": Part(("drivers/oversight",), ("tests/drivers/oversight",), 0.90),
+    "limits": Part(
+        ("hil/bench/loop.py",),
+        tuple(f"tests/hil/bench/test_{name}.py" for name in ("loop_bounds", "lost_ticks_in_the_loop", "sample_loop")),
+        0.90,
+    ),
+    "tick": Part(
+        (f"{CANOPEN}/cyclic.py",),
+        tuple(f"{TESTS}/test_{name}.py" for name in ("tick_bounds", "late_answers", "late_bus", "machine_tick")),
+        0.90,
+    ),
+    "start": Part((f"{CANOPEN}/power_and_brakes.py",), (f"{TESTS}/test_power_and_brakes_bounds.py",), 0.90),
 }
 """The fewest tests that say what a module is to do: each mutant runs all of them that reach it, until one fails."""
 

@@ -169,7 +169,7 @@ class AxisStop:
         self._ticks += 1
         if self.rest is None:
             self._all_ticks += 1
-            if self._all_ticks > self._in_ticks(STOP_AT_MOST_S) and self._phase != self._closing:
+            if self._flickers() and self._phase != self._closing:
                 self._close()
         self._phase()
 
@@ -198,10 +198,14 @@ class AxisStop:
         self._closed = (not bool(sample.brakes_open[axis]) if io_is_fresh else None) if self._braked else None
 
     def _in_ticks(self, seconds: float) -> int:
-        return max(1, math.ceil(seconds / self._period_s))
+        return math.ceil(seconds / self._period_s)
 
     def _after(self, seconds: float) -> bool:
         return self._ticks >= self._in_ticks(seconds)
+
+    def _flickers(self) -> bool:
+        """Return whether the steps have begun anew for too long."""
+        return self._all_ticks > self._in_ticks(STOP_AT_MOST_S)
 
     @property
     def _judge(self) -> _Path:
@@ -263,8 +267,7 @@ class AxisStop:
     def _closing(self) -> None:
         """Wait for brake and standstill; the drive holds meanwhile, if it can."""
         self.controlword, self.effort = cia402.QUICK_STOP, 0.0
-        flickers = self._all_ticks > self._in_ticks(STOP_AT_MOST_S)
-        if not flickers and (self._closed or not self._braked) and self._stands():
+        if not self._flickers() and (self._closed or not self._braked) and self._stands():
             if self._state is State.QUICK_STOP_ACTIVE:
                 self._go(self._swinging)
                 return
@@ -442,6 +445,6 @@ class _Path:
         self._low, self._high = min(self._positions, default=nan), max(self._positions, default=nan)
 
     def beyond(self) -> float:
-        """Return how far it is outside the marked range; 0 inside, and where nothing was marked."""
-        position = self._positions[-1] if self._positions else nan
+        """Return how far its newest position is outside the marked range; 0 inside, and where nothing was marked."""
+        position = self._positions[-1]
         return position - self._high if position > self._high else position - self._low if position < self._low else 0.0

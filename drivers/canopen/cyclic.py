@@ -1,6 +1,7 @@
 """The frames of one tick: RPDOs out, heartbeat when due, SYNC, TPDOs in. It runs hundreds of times a second.
 
-All look-ups are made beforehand: a tick handles raw frames and one dictionary by COB-ID, and touches no object of the `canopen` library.
+All look-ups are made beforehand: a tick handles raw frames and one dictionary by COB-ID. What is no process data, heartbeats among it, goes
+to the network's subscribers.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from math import isfinite, nan
 
 import can
 
-from drivers.canopen.network import EMERGENCY, HEARTBEAT, PolledNetwork, is_data_frame, receive_frame, send_frame
+from drivers.canopen.network import PolledNetwork, is_data_frame, receive_frame, send_frame
 from drivers.canopen.one_master import OneMaster
 from drivers.canopen.process_data import AxisInput, AxisOutput, Tpdo, check_inputs, drives
 from drivers.canopen.supervision import HEARTBEAT_TOLERANCE, Supervision
@@ -69,8 +70,6 @@ class CyclicExchange:
         self._expected = sum(1 << bit for bit, tpdo in enumerate(self._tpdos) if tpdo.every_sync)
         self._axis_masks = [sum(1 << b for b, t in enumerate(self._tpdos) if t.axis == a and t.every_sync) for a in range(len(self.inputs))]
         self.silent_ticks = _silent_ticks(settings)
-        self._heartbeats = {HEARTBEAT + node.node_id: node.node_id for node in settings.nodes}
-        self._emergencies = {EMERGENCY + node.node_id: node.node_id for node in settings.nodes}
         self._outstanding = 0  # TPDOs of the last SYNC that are still to come
         self._owed = [0] * len(self._tpdos)  # how many SYNCs each has left unanswered
         self._usual_s = [nan] * len(self._tpdos)  # when after SYNC each answers; none has yet
@@ -284,12 +283,7 @@ class CyclicExchange:
         if not is_data_frame(message):
             self._network.pass_over(message)
             return
-        if (node_id := self._heartbeats.get(identifier)) is not None:
-            self._supervision.heartbeat(node_id, message.data)
-        elif (node_id := self._emergencies.get(identifier)) is not None:
-            self._supervision.emergency(node_id, message.data)
-        else:
-            self._network.notify(identifier, message.data, message.timestamp)
+        self._network.notify(identifier, message.data, message.timestamp)
 
     def _grow_ages(self, sample: Sample, outstanding: int) -> None:
         missed = self._clock.missed

@@ -68,7 +68,7 @@ class Supervision:
     Parameters
     ----------
     network : PolledNetwork
-        Subscribed to; the sample loop calls `heartbeat` and `emergency` itself.
+        Subscribed to.
     nodes : sequence of Node
     """
 

@@ -38,7 +38,7 @@ class _Jump:
         self.second = position - 2.0 * self._last + self._before
         late = abs(lateness_s) + 2.0 * abs(self._late) + abs(self._late_before)  # a late SYNC latches a moving axis further on
         speed = max(abs(position - self._last), abs(self._last - self._before)) / self._period_s
-        self.allowed = self._allowed + speed * late if late else self._allowed
+        self.allowed = self._allowed + speed * late
         self._before, self._last = self._last, position
         self._late_before, self._late = self._late, lateness_s
         return abs(self.second) > self.allowed  # False while there are no three positions

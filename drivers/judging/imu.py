@@ -69,15 +69,15 @@ class ImuJudge:
         came, passed = sample.imu_counter >= 0, ticks
         ticks = 1 if self._settings.triggered else ticks
         self._silent = 0 if came else self._silent + ticks
-        rate = self._count(came, ticks)
-        garbage = self._count_damaged(sample.imu_damaged, ticks)
+        garbage, counted = self._count_damaged(sample.imu_damaged, ticks), self._ticks + ticks
+        rate = self._count(came, sample.imu_damaged, ticks)
         self.lag_ticks = 0
-        late, departed = self._is_late(sample, passed), self._departs()
+        late, departed = self._is_late(sample, came, passed), self._departs()
         if sample.imu_fault:
             self._words = sample.imu_fault
             return "fault"
         if garbage:
-            self.lag_ticks = self._ticks
+            self.lag_ticks = counted
             return "garbage"
         settings = self._settings
         if self._silent * settings.period_s > settings.age_s:
@@ -135,12 +135,12 @@ class ImuJudge:
         self._values = values
         return found
 
-    def _is_late(self, sample: Sample, ticks: int) -> bool:
+    def _is_late(self, sample: Sample, came: bool, ticks: int) -> bool:
         """Tell whether readings have come too old for longer than they may be missing. Lost ticks begin the comparison anew."""
         self._elapsed_s += self._settings.period_s
         if ticks != 1:
             self._youngest_s = inf
-        if sample.imu_counter >= 0:
+        if came:
             age_s = self._elapsed_s + sample.lateness_s - sample.imu_time_s
             self._youngest_s = min(self._youngest_s + CLOCK_DRIFT * self._settings.period_s, age_s)
             self._age_s = age_s - self._youngest_s
@@ -153,11 +153,11 @@ class ImuJudge:
         if window is None or not window.over:
             return self._departed
         self._departed = ""
-        for name, part, allowed, unit in (
-            ("specific force", slice(0, 3), settings.force_tolerance, "m/s^2"),
-            ("angular rate", slice(3, 6), settings.turn_tolerance, "rad/s"),
+        for name, channels, allowed, unit in (
+            ("specific force", window.imu_off[:3], settings.force_tolerance, "m/s^2"),
+            ("angular rate", window.imu_off[3:], settings.turn_tolerance, "rad/s"),
         ):
-            off = hypot(*window.imu_off[part].tolist())
+            off = hypot(*channels.tolist())
             if off > allowed and not self._departed:
                 self._departed = name
                 self._departed_words = (
@@ -166,8 +166,8 @@ class ImuJudge:
                 )
         return self._departed
 
-    def _count(self, came: bool, ticks: int) -> str:
-        """Count the readings of a window, and judge the one that is over."""
+    def _count(self, came: bool, damaged: int, ticks: int) -> str:
+        """Count the readings of a window, and judge the one that is over; damaged messages are counted from its end on."""
         self._came += came
         self._ticks += ticks
         if self._ticks >= self._window:
@@ -176,11 +176,12 @@ class ImuJudge:
             # one reading more or less is the phase of a sensor that runs on its own clock
             self._wrong_rate = "rate" if abs(self._came - wanted) > self._settings.rate_tolerance * wanted + 1.0 else ""
             self._ticks = self._came = 0
+            self._damaged_before = damaged
         return self._wrong_rate
 
     def _count_damaged(self, damaged: int, ticks: int) -> bool:
         """Tell whether more messages than allowed came damaged within this window or the one before."""
-        if self._damaged_before < 0 or self._ticks == 0 or damaged < self._damaged_before:
+        if self._damaged_before < 0 or damaged < self._damaged_before:  # the first, or of a line that was opened again
             self._damaged_before = damaged
         self._garbage_ticks = max(0, self._garbage_ticks - ticks)
         if damaged - self._damaged_before > self._settings.damaged_per_s:

@@ -103,8 +103,8 @@ class MotionWindow:
             return False
         link = self._weights @ self._link
         link = np.where(np.isnan(link), motor, link)
-        squares = self._weights[0, 1:] @ (np.diff(position, axis=0) / self._period_s) ** 2
-        deviation = np.sqrt(np.maximum(squares - motor[1] ** 2, 0.0))
+        between, speed = self._weights[0, 1:], np.diff(position, axis=0) / self._period_s
+        deviation = np.sqrt(between @ (speed - between @ speed) ** 2)
         both = np.stack((motor, link), axis=1)
         expected = self._expects(Means(both[0], both[1], both[2], deviation, effort))
         self.effort_off = effort - expected.effort

@@ -32,7 +32,7 @@ class TemperatureJudge:
     def __init__(self, settings: TemperatureJudging) -> None:
         self.sensor, self.follows = settings.sensor, settings.follows
         self._settings = settings
-        self._window = max(1, round(WINDOW_S / settings.period_s))
+        self._window = round(WINDOW_S / settings.period_s)
         self.begin()
 
     def begin(self) -> None:

@@ -61,11 +61,7 @@ class Observer(Protocol):
 
 
 class _EndedError(Exception):
-    """The run must end, and why; what became of the machine is known only after the stop."""
-
-    def __init__(self, where: str, reason: str) -> None:
-        super().__init__(reason)
-        self.where, self.reason = where, reason
+    """The run must end: where, and why; what became of the machine is known only after the stop."""
 
 
 _UNTIMED = (0.0, math.nan, math.nan)
@@ -196,13 +192,14 @@ class SampleLoop:
                 if progress is not None and k % PROGRESS_TICKS == 0:
                     progress(k)
         except _EndedError as ended:
-            self._say_stop(ended.reason)
+            where, reason = ended.args
+            self._say_stop(reason)
             self.link.stop()
             kept = f"{done} rows are kept" if sink is not None else "nothing was recorded"
-            where = f"{ended.where}: " if sink is not None else ""
-            error = LoopAbortedError(f"{where}{ended.reason}; {self.link.outcome}; {kept}")
+            prefix = f"{where}: " if sink is not None else ""
+            error = LoopAbortedError(f"{prefix}{reason}; {self.link.outcome}; {kept}")
             for finding in () if self.judge is None else self.judge.findings:
-                if finding.says not in ended.reason:
+                if finding.says not in reason:
                     error.add_note(f"from {finding.since_s:.3f} s on, {finding.sensor}: {finding.says}")
             raise error from None
         except BaseException:

@@ -148,13 +148,23 @@ def fallen(rig: Rig, drive: int = 1) -> float:
     return abs(rig.drives[drive].counts - 1000.0) * rig.settings.scalings[drive].position_resolution
 
 
+def test_a_terminal_that_is_gone_does_not_keep_a_stop_from_its_end(loaded: Rig) -> None:
+    def fail() -> None:
+        raise OSError("the terminal is gone")
+
+    loaded.io.jammed, loaded.attendant.on_say = {"roll"}, fail
+    loaded.machine.stop()
+    assert "holding: the terminal is gone" in loaded.machine.stop_trouble
+    assert "roll held by its drive" in loaded.machine.outcome
+
+
 @pytest.mark.parametrize("how", ["stop", "end of a motion"])
 def test_a_brake_that_reports_closed_and_does_not_hold_is_found_before_the_voltage_goes(loaded: Rig, how: str) -> None:
     loaded.io.jammed, loaded.io.lies = {"roll"}, {"roll"}
     if how == "stop":
         loaded.machine.stop()
     else:
-        with pytest.raises(MotionRefusedError, match="roll held by its drive: its brake slips: its link moved by"):
+        with pytest.raises(MotionRefusedError, match=r"^roll held by its drive: its brake slips: its link moved by"):
             loaded.machine.close_brakes(lambda _: np.full(2, 0.5))
     assert [drive.power for drive in loaded.drives] == ["switch on disabled", "quick stop active"]
     assert 0x0000 not in words_to(loaded, 1)

@@ -9,7 +9,7 @@ from scripted_nodes import BusClock, ScriptedBus, ScriptedDrive, machine_setting
 
 from drivers.canopen.network import PolledNetwork
 from drivers.canopen.supervision import Supervision
-from drivers.errors import BusTimeoutError, DuplicateNodeError, HeartbeatLostError, NodeAbsentError
+from drivers.errors import BusTimeoutError, ConfigurationRefusedError, DuplicateNodeError, HeartbeatLostError, NodeAbsentError
 
 NODE = machine_settings().nodes[:1]
 START_REMOTE_NODE = 1  # CiA 301, 7.2.8.3.1: the command specifier of the NMT service
@@ -120,6 +120,17 @@ def test_an_emergency_is_kept_until_it_is_reset() -> None:
     assert supervision.take_fault() == ""
 
 
+def test_an_emergency_is_told_in_its_vendors_words() -> None:
+    drive = ScriptedDrive(1)
+    bus = ScriptedBus(drive)
+    network = PolledNetwork(bus, BusClock(bus))
+    nodes = tuple(replace(node, identity=replace(node.identity, vendor_id=0xFB)) for node in NODE)
+    supervision = Supervision(network, nodes)
+    supervision.emergency(1, b"\x90\x10\x01\0\0\0\0\0")
+    assert "firmware incompatibility" in supervision.take_fault()
+    assert "firmware incompatibility" in supervision.last_emergency(1)
+
+
 def test_a_node_that_was_never_heard_has_no_state() -> None:
     _, _, supervision = supervised()
     assert supervision.nmt_state(1) == "never heard"
@@ -199,3 +210,111 @@ def test_a_started_node_has_two_and_a_half_periods_to_say_so() -> None:
     with pytest.raises(BusTimeoutError):
         supervision.await_operational(NODE)
     assert bus.time_s - began_s == pytest.approx(0.25, abs=0.02)
+
+
+def test_late_heartbeats_are_told_with_the_longest_and_ticks_that_the_loop_lost_are_none() -> None:
+    bus, _, supervision = operational(ScriptedDrive(1))
+    assert supervision.remarks == []
+    for pause_s, late in ((0.1, 0), (0.14, 0), (0.16, 1), (0.24, 2), (0.18, 3), (0.1, 3)):
+        bus.time_s += pause_s
+        supervision.heartbeat(1, b"\x05")
+        assert bool(supervision.remarks) == bool(late)
+    assert supervision.remarks == ["propeller_drive (node 1): late heartbeats: 3, one after 0.240 s; its period is 0.1 s"]
+    bus.time_s += 0.24
+    supervision.check_one(bus.time_s, 0.1)
+    supervision.heartbeat(1, b"\x05")
+    assert "late heartbeats: 3" in supervision.remarks[0]
+    supervision.await_operational(NODE)
+    assert supervision.remarks == [], "a start begins to count anew"
+
+
+def test_a_second_device_is_named_by_the_sixth_heartbeat_that_comes_twice_as_often() -> None:
+    bus, network, supervision = operational(ScriptedDrive(1))
+    for _ in range(5):
+        bus.time_s += 0.055
+        supervision.heartbeat(1, b"\x05")
+        assert network.intruder == ""
+    bus.time_s += 0.055
+    supervision.heartbeat(1, b"\x05")
+    assert network.intruder.startswith("propeller_drive (node 1): its heartbeat comes more often than every 0.1 s")
+
+
+@pytest.mark.parametrize("silent", [1, 2])
+def test_every_node_is_checked_within_as_many_ticks(silent: int) -> None:
+    bus = ScriptedBus()
+    supervision = Supervision(PolledNetwork(bus, BusClock(bus)), machine_settings().nodes[:2])
+    for node in (1, 2):
+        supervision.heartbeat(node, b"\x05")
+    bus.time_s += 0.26
+    supervision.heartbeat(3 - silent, b"\x05")
+
+    def two_ticks() -> None:
+        for _ in range(2):
+            supervision.check_one(bus.time_s)
+
+    with pytest.raises(HeartbeatLostError, match=rf"\(node {silent}\)"):
+        two_ticks()
+
+
+def test_a_heartbeat_of_before_the_start_is_as_old_as_it_is() -> None:
+    bus, _, supervision = operational(ScriptedDrive(1))
+    bus.time_s += 0.1
+    supervision.await_operational(NODE)
+    bus.time_s += 0.16
+    with pytest.raises(HeartbeatLostError):
+        supervision.check_one(bus.time_s)
+
+
+def test_a_node_that_was_not_asked_for_a_heartbeat_may_send_one_after_the_start() -> None:
+    bus = ScriptedBus()
+    nodes = [replace(NODE[0], heartbeat_period_s=0.0)]
+    supervision = Supervision(PolledNetwork(bus, BusClock(bus)), nodes)
+    supervision.await_operational(nodes)
+    bus.time_s += 5.0
+    supervision.heartbeat(1, b"\x05")
+    assert (supervision.left_operational, supervision.remarks) == ("", [])
+
+
+def test_a_node_that_boots_late_is_waited_for_though_others_talk() -> None:
+    drive, other = ScriptedDrive(1), ScriptedDrive(9)
+    drive.boot_delay_s = 1.9
+    drive.answers_sdo = False
+    bus, _, supervision = supervised(drive, other)
+    other.set(0x1017, 0, 100)
+    supervision.boot(NODE)
+    assert 1.9 <= bus.time_s < 2.0
+
+
+def test_a_node_that_refuses_to_say_what_it_is_is_named() -> None:
+    drive = ScriptedDrive(1)
+    drive.silent = True
+    del drive.objects[0x1000, 0]
+    _, _, supervision = supervised(drive)
+    with pytest.raises(ConfigurationRefusedError, match="propeller_drive"):
+        supervision.boot(NODE)
+
+
+def test_an_absent_node_is_told_with_those_that_are_there() -> None:
+    bus = ScriptedBus(ScriptedDrive(1), ScriptedDrive(2))
+    nodes = machine_settings().nodes[:3]
+    with pytest.raises(NodeAbsentError, match=r"^propeller_encoder .* nodes that booted: propeller_drive \(1\), roll_drive \(2\)$"):
+        Supervision(PolledNetwork(bus, BusClock(bus)), nodes).boot(nodes)
+
+
+def test_a_node_that_boots_by_itself_before_its_turn_is_no_second_device() -> None:
+    slow, early = ScriptedDrive(1), ScriptedDrive(2)
+    slow.boot_delay_s = 1.0
+    bus = ScriptedBus(slow, early)
+    early.boot_delay_s = 0.3
+    early.receive(0x000, bytes((0x82, 2)))  # somebody resets it
+    nodes = machine_settings().nodes[:2]
+    Supervision(PolledNetwork(bus, BusClock(bus)), nodes).boot(nodes)
+    assert 1.0 < bus.time_s < 1.5
+
+
+def test_what_the_loop_has_lost_since_the_start_is_no_silence_either() -> None:
+    bus, _, supervision = operational(ScriptedDrive(1))
+    bus.time_s += 1.0
+    supervision.check_one(bus.time_s, 0.9)
+    with pytest.raises(HeartbeatLostError):
+        supervision.check_one(bus.time_s, 0.6)

@@ -202,6 +202,12 @@ def test_with_an_echo_as_many_are_heard_as_were_sent(network: Network) -> None:
     assert [network.hear(0x77F) for _ in range(2)] == [1, 2]
 
 
+def test_with_an_echo_what_is_heard_before_anything_was_sent_is_somebody_elses(network: Network) -> None:
+    master_of(network)
+    network.echoes = True
+    assert [network.hear(0x080), network.hear(0x77F)] == [1, 2]
+
+
 def extras(master: OneMaster, network: Network, ticks: list[int], bit: int = 0) -> list[int]:
     """How many were accused after a frame too many in each of these ticks."""
     found = []
@@ -223,6 +229,7 @@ def test_frames_of_one_tick_count_once_and_far_apart_not_together() -> None:
         ([5, 5, 5, 5, 6, 7], 0),
         ([5, 5, 6, 7, 8], 1),
         ([0, LATE_TICKS, 2 * LATE_TICKS, 3 * LATE_TICKS], 1),
+        ([LATE_TICKS, LATE_TICKS + 1, LATE_TICKS + 2, LATE_TICKS + 3], 1),
         ([5, 6, 7, 8 + LATE_TICKS], 0),
         ([5, 6, 7, 8 + LATE_TICKS, 9 + LATE_TICKS, 10 + LATE_TICKS], 0),
         ([5, 6, 7, 8 + LATE_TICKS, 9 + LATE_TICKS, 10 + LATE_TICKS, 11 + LATE_TICKS], 1),
@@ -259,6 +266,11 @@ def test_a_flood_is_one_of_four_ticks_in_a_row(network: Network) -> None:
     for master.tick in (10, 11):
         master.flooded(30, 0x3A5)
     assert network.accused == []
+    begins = Network()
+    early = master_of(begins)
+    for early.tick in (2, 3, 4):
+        early.flooded(30, 0x3A5)
+    assert begins.accused == [], "nor is one at the very beginning taken for longer than it is"
     master.tick = 12
     master.flooded(31, 0x3A6)
     assert network.accused == [

@@ -112,6 +112,34 @@ def test_positions_that_do_not_come_are_bridged_as_long_as_the_file_says() -> No
     ]
 
 
+@pytest.mark.parametrize("encoder", ["motor side", "link encoder"])
+def test_an_encoder_that_answers_late_is_silent_from_its_last_late_answer_on(encoder: str) -> None:
+    motor, link = (NAN, 0.0) if encoder == "motor side" else (0.0, NAN)
+    watched = Watched()
+    watched.watch.stand()
+    watched.tick(0)
+    late = watched.sample.position_late if encoder == "motor side" else watched.sample.link_late
+    late[1] = True
+    assert [watched.tick(motor, link) for _ in range(50)] == [""] * 50
+    late[1] = False
+    assert [watched.tick(motor, link) for _ in range(3)] == [
+        "",
+        "",
+        f"roll: {encoder}: no position for 4 ticks, timing.stale_ticks bridges 3",
+    ]
+
+
+def test_over_ticks_that_nobody_answers_no_axis_is_silent_and_each_may_move_on() -> None:
+    for beyond in (0, 1):
+        watched = Watched()
+        watched.watch.lead()
+        watched.tick(0)
+        watched.sample.unanswered = 1
+        assert [watched.tick(NAN, NAN) for _ in range(9)] == [""] * 9
+        watched.sample.unanswered = 0
+        assert (watched.tick(96 * 10 + 1 + beyond) == "") is not bool(beyond)
+
+
 @pytest.mark.parametrize("way", [1, -1])
 def test_a_led_axis_whose_encoders_part(way: int) -> None:
     watched = Watched()
@@ -159,6 +187,10 @@ def test_an_axis_that_settles_may_swing_as_far_as_in_a_run() -> None:
     for at in range(0, 2049, 64):
         assert watched.tick(at) == ""
     assert "3.12e-02 rad is allowed" in watched.tick(2049)
+    jumps = Watched()
+    jumps.watch.settle()
+    jumps.tick(0)
+    assert jumps.tick(98).startswith("roll: motor side: moved by +1.50e-03 rad at once"), "its counter is nobody's to set"
 
 
 @pytest.mark.parametrize("way", [1, -1])
@@ -230,6 +262,10 @@ def test_an_axis_that_homes_and_does_not_move_is_told_after_half_a_second(lost: 
     assert watched.tick(2, lost=lost) == (
         "roll: its motor side shows no motion for 0.5 s while it homed by method 17; brake, motor or encoder"
     )
+    never = Watched()
+    never.watch.home(1, HOMING)
+    assert [never.tick(0, lost=lost) for _ in range(ticks)] == [""] * ticks
+    assert never.tick(0, lost=lost).startswith("roll: its motor side shows no motion for 0.5 s")
     moving = Watched()
     moving.watch.home(1, HOMING)
     assert [moving.tick(k // 64) for k in range(640)] == [""] * 640, "a count from time to time"

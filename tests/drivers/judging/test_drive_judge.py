@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from drivers.interface import Sample
+from drivers.judging.drive import DriveJudge
 from drivers.judging.judge import SensorJudge
 from drivers.judging.motion_window import Expected, Means, MotionWindow
 from drivers.judging.settings import DriveJudging, JudgingSettings
@@ -103,3 +105,118 @@ def test_a_lost_tick_begins_the_window_anew() -> None:
         window.step(sample, 2 if k == 100 else 1)
         overs.append(window.over)
     assert [k for k, over in enumerate(overs) if over] == [227]
+
+
+class Roll:
+    """The drive of the second of two axes; its machine file expects 1 Nm of standstill, 0.25 Nm unsure, of the other axis 100 Nm."""
+
+    ROLL = DriveJudging("drive_roll", 1, "Nm", "stop", 0.25, settling_ticks=2, bridged_ticks=3, load_tolerance=0.25)
+
+    def __init__(self, settings: DriveJudging = ROLL, *, expects: float | None = 1.0) -> None:
+        expected = Expected(np.array([100.0, expects or 0.0]), np.array([0.0, 0.25]), np.empty(0))
+        self.window = MotionWindow(lambda means: expected, 2, PERIOD_S) if expects is not None else None
+        self.judge, self.sample = DriveJudge(settings, self.window), Sample(2)
+        self.sample.position[:] = self.sample.link_position[:] = 0.0
+        self.sample.statusword[:] = 0x1637
+
+    def step(self, measured: float, commanded: float | None = None, ticks: int = 1) -> str:
+        """Take an effort, and the command before it, the same where it is not given."""
+        self.sample.effort[:] = (0.0, measured)
+        self.sample.commanded[:] = (50.0, measured if commanded is None else commanded)
+        if self.window is not None:
+            self.window.step(self.sample, ticks)
+        return self.judge.step(self.sample, ticks)
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_an_effort_may_be_the_tolerance_beyond_what_was_sent_in_the_settling_time(way: float) -> None:
+    roll = Roll(expects=None)
+    roll.step(way * 4.0)
+    roll.step(0.0)
+    assert [roll.step(measured, 0.0) for measured in (way * 4.25, way * -0.25)] == ["", ""], "all that is needed to settle"
+    for _ in range(10):
+        assert roll.step(way * 0.25, 0.0) == ""
+    assert [roll.step(way * 0.5, 0.0) for _ in range(6)] == ["", "", "", "effort", "effort", "effort"]
+    assert roll.judge.lag_ticks == 5, "since the first of them"
+    assert roll.judge.says("effort") == (f"its drive measures {way * 0.5:+.3g} Nm where it was sent +0 Nm; they may differ by 0.25 Nm")
+    assert (roll.step(0.0), roll.judge.lag_ticks) == ("", 0)
+    assert [roll.step(way, 0.0) for _ in range(4)] == ["", "", "", "effort"], "it is counted anew"
+
+
+@pytest.mark.parametrize(("measured", "nearest"), [(2.0, "+1"), (-2.0, "-0.5")])
+def test_an_effort_that_is_off_is_told_with_the_nearest_that_was_sent(measured: float, nearest: str) -> None:
+    roll = Roll(expects=None)
+    assert [roll.step(measured, k % 2 * 1.5 - 0.5) for k in range(5)][-1] == "effort"
+    assert roll.judge.says("effort").startswith(f"its drive measures {measured:+.3g} Nm where it was sent {nearest} Nm")
+
+
+def test_lost_ticks_count_towards_an_effort_that_is_off_and_a_new_session_forgets_it() -> None:
+    roll = Roll(expects=None)
+    assert [roll.step(9.0, 0.0), roll.step(9.0, 0.0, ticks=3)] == ["", "effort"]
+    assert roll.judge.lag_ticks == 3
+    roll.judge.begin()
+    assert roll.judge.lag_ticks == 0
+    assert [roll.step(9.0, 0.0) for _ in range(4)] == ["", "", "", "effort"]
+    roll.judge.begin()
+    assert [roll.step(0.0, 9.0) for _ in range(4)] == ["", "", "", "effort"], "what was sent in the session before is not known"
+
+
+def test_an_effort_that_did_not_arrive_neither_ends_nor_adds_to_one_that_is_off() -> None:
+    roll, nan = Roll(expects=None), float("nan")
+    assert [roll.step(measured, 0.0) for measured in (9.0, 9.0, nan, nan, nan, 9.0, 9.0)] == [""] * 6 + ["effort"]
+    unknown = Roll(expects=None)
+    assert [unknown.step(9.0, nan) for _ in range(9)] == [""] * 9, "nobody knows what was sent"
+
+
+def half_a_second(roll: Roll, effort: float) -> list[str]:
+    return [roll.step(effort) for _ in range(128)]
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_load_may_be_off_by_the_tolerance_and_three_deviations_of_an_unsure_friction(way: float) -> None:
+    """None is measured where 1 Nm are expected: off by 0.25 Nm and three times 0.25 Nm."""
+    assert not any(half_a_second(Roll(expects=way), 0.0))
+    roll = Roll(replace(Roll.ROLL, load_tolerance=0.2499), expects=way)
+    assert half_a_second(roll, 0.0) == [""] * 127 + ["load"]
+    assert roll.judge.lag_ticks == 127, "over the whole window"
+    assert roll.judge.says("load") == (
+        f"its mean effort over 0.5 s is {-way:+.3g} Nm from what the machine file says of this motion, 0.25 Nm are allowed: "
+        "brake, friction, load or motor differ from it"
+    )
+    assert half_a_second(roll, way) == ["load"] * 127 + [""], "until a window without it is over"
+    assert roll.judge.lag_ticks == 0
+
+
+def test_a_load_is_forgotten_by_a_new_session_and_not_judged_without_a_window() -> None:
+    roll = Roll()
+    assert half_a_second(roll, 9.0)[-1] == "load"
+    roll.judge.begin()
+    assert half_a_second(roll, 9.0) == [""] * 127 + ["load"]
+    assert not any(half_a_second(Roll(expects=None), 9.0))
+
+
+def test_a_false_effort_goes_before_a_warning_and_a_warning_before_a_load() -> None:
+    roll = Roll()
+    half_a_second(roll, 9.0)
+    roll.sample.statusword[1] |= 0x80
+    assert [roll.step(9.0, 5.0) for _ in range(6)] == ["warning"] * 5 + ["effort"]
+    assert (roll.step(9.0), roll.judge.lag_ticks) == ("warning", 0)
+    roll.sample.statusword[1] = 0x1637
+    assert (roll.step(9.0), roll.judge.lag_ticks) == ("load", 0), "what something else had hidden is in doubt from now on"
+
+
+def test_the_load_of_each_axis_is_judged_in_one_window_of_the_machine() -> None:
+    expected = Expected(np.array([0.0, 1.0]), np.zeros(2), np.empty(0))
+    drives = tuple(replace(Roll.ROLL, sensor=f"drive_{k}", axis=k, load_tolerance=0.5, follows="mark") for k in range(2))
+    judge, sample = SensorJudge(JudgingSettings(drives=drives, expects=lambda means: expected), PERIOD_S), Sample(2)
+    sample.position[:] = sample.link_position[:] = sample.commanded[:] = sample.effort[:] = 0.0
+    marks = []
+    for k in range(200):
+        judge.step(sample, 1, k * PERIOD_S)
+        marks.append(judge.marks)
+    assert marks == [0] * 127 + [0b10] * 73
+    (finding,) = judge.findings
+    assert (finding.check, finding.since_s, finding.first_s, finding.rows) == ("load", 0.0, 127 * PERIOD_S, 73)
+    judge.begin()
+    judge.step(sample, 1, 0.0)
+    assert judge.marks == 0

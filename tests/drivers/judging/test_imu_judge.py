@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from drivers.interface import Sample
-from drivers.judging.chances import deviations, packets_until_frozen
 from drivers.judging.imu import ImuJudge
 from drivers.judging.motion_window import Expected, MotionWindow
 from drivers.judging.settings import ImuJudging
@@ -102,22 +101,6 @@ def test_damaged_messages_are_found_once_there_are_more_than_allowed_in_a_second
 
 def test_what_the_device_reports_of_itself_is_found() -> None:
     assert checks_of(lambda sample, k: setattr(sample, "imu_fault", "imu: reports a failed self-test")) == ["fault"] * 1024
-
-
-def test_the_number_of_equal_packets_keeps_the_stated_chance() -> None:
-    """Coarse readings repeat often: simulated, the share of runs as long as the threshold is below the chance it was made for."""
-    chance, resolution, sigma = 1e-3, 0.01, 0.01
-    packets = packets_until_frozen(sigma, resolution, chance, 2)
-    values = np.round(np.random.default_rng(0).normal(size=2_000_000) * sigma / resolution)
-    equal = np.concatenate([[False], values[1:] == values[:-1]])
-    runs = np.lib.stride_tricks.sliding_window_view(equal, packets - 1).all(axis=1).mean()
-    assert 0.0 < runs < chance
-    assert packets_until_frozen(0.0, resolution, chance, 8) == 0  # without noise a still sensor repeats itself
-
-
-def test_deviations_of_a_normal_value_are_those_of_a_table() -> None:
-    assert deviations(0.05) == pytest.approx(1.95996, abs=1e-5)
-    assert deviations(2.0e-9) == pytest.approx(5.9978, abs=1e-3)
 
 
 def test_readings_that_come_two_ticks_late_are_found_and_a_drifting_clock_is_not() -> None:

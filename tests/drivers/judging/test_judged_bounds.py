@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from drivers.interface import Sample
 from drivers.judging.drive import DriveJudge
 from drivers.judging.encoders import EncoderJudge
-from drivers.judging.imu import ImuJudge
 from drivers.judging.judge import MOST_FINDINGS, SensorJudge
+from drivers.judging.motion_window import Expected
 from drivers.judging.settings import DriveJudging, EncoderJudging, ImuJudging, JudgingSettings, TemperatureJudging
 from drivers.judging.temperature import TemperatureJudge
 
@@ -102,6 +103,16 @@ def test_a_link_that_is_silent_is_told_with_how_long() -> None:
     assert axis.step(0, math.nan, ticks=4) == "silent"
 
 
+def test_a_link_that_is_silent_from_the_first_sample_on_is_told_as_soon_as_any_other() -> None:
+    axis = Axis()
+    assert [axis.step(0, math.nan) for _ in range(4)] == ["", "", "", "silent"]
+
+
+def test_an_axis_without_a_link_encoder_is_not_silent() -> None:
+    axis = Axis(replace(ENCODERS, link_resolution=0.0))
+    assert not any(axis.step(0, math.nan) for _ in range(2 * WINDOW))
+
+
 @pytest.mark.parametrize("way", [1, -1])
 def test_encoders_may_be_the_tolerance_apart(way: int) -> None:
     sound, wrong = Axis(), Axis()
@@ -113,6 +124,7 @@ def test_encoders_may_be_the_tolerance_apart(way: int) -> None:
         f"its link encoder stands {way * 513 * COUNT:+.2e} rad from where motor side and load put it; 7.81e-03 are allowed"
     )
     wrong.judge.begin()
+    assert wrong.judge.lag_ticks == 0, "nothing is in doubt"
     assert [wrong.step(0) for _ in range(WINDOW)] == [""] * WINDOW
 
 
@@ -126,6 +138,12 @@ def test_lost_ticks_count_towards_a_window() -> None:
     axis = Axis(replace(ENCODERS, link_acceleration=1e9))
     assert [axis.step(0, 600) for _ in range(WINDOW - 40)][-1] == ""
     assert axis.step(0, 600, ticks=40) == "apart"
+
+
+def test_at_a_sample_each_two_seconds_every_sample_is_a_window() -> None:
+    axis = Axis(replace(ENCODERS, period_s=2.0))
+    assert axis.step(0, 600) == "apart"
+    assert Axis(replace(ENCODERS, period_s=2.0)).step(0, math.nan) == ""
 
 
 def windows(axis: Axis, apart: Iterable[float]) -> list[str]:
@@ -148,117 +166,8 @@ def test_a_drift_grows_over_four_windows_and_beyond_what_is_allowed(way: int) ->
     assert windows(Axis(settings), [way * counts for counts in (0, 50, 100, 150, 167)]) == [""] * 4 + ["drift"]
     assert windows(Axis(settings), [way * counts for counts in (300, 260, 220, 180, 140)]) == [""] * 4 + ["drift"]
     assert windows(Axis(settings), [way * counts for counts in (0, 300, 280, 260, 240, 220)]) == [""] * 6, "it comes back"
-
-
-class Still:
-    """An IMU whose numbers change at every packet."""
-
-    def __init__(self, settings: ImuJudging = IMU) -> None:
-        self.judge, self.sample, self.k = ImuJudge(settings), Sample(1), 0
-
-    def step(self, change: Callable[[Sample], None] = lambda sample: None, ticks: int = 1) -> str:
-        self.k += 1
-        self.sample.imu[:] = self.k % 7
-        self.sample.imu_counter, self.sample.imu_fault = self.k, ""
-        change(self.sample)
-        return self.judge.step(self.sample, ticks)
-
-
-def lost(sample: Sample) -> None:
-    sample.imu_counter = -1
-
-
-def test_an_imu_that_is_silent() -> None:
-    imu = Still()
-    imu.step()
-    assert [imu.step(lost) for _ in range(4)] == ["", "", "", "age"]
-    assert imu.judge.lag_ticks == 3
-    assert imu.judge.says("age") == "no packet for more than 0.014 s"
-    assert (imu.step(), imu.judge.lag_ticks) == ("", 0)
-    exact = Still(replace(IMU, age_s=4.0 * PERIOD_S))
-    assert [exact.step(lost) for _ in range(5)] == ["", "", "", "", "age"]
-    assert [exact.step(), exact.step(lost, ticks=5)] == ["", "age"]
-
-
-def test_an_imu_that_is_slow_is_judged_by_the_second() -> None:
-    patient = replace(IMU, age_s=10.0)
-    for few, found in ((33, ""), (34, "rate")):  # an eighth of 256 packets is 32, and one is the phase
-        imu = Still(patient)
-        checks = [imu.step(lost if k < few else lambda sample: None) for k in range(256)]
-        assert checks == [""] * 255 + [found]
-    assert imu.judge.lag_ticks == 256
-    assert imu.judge.says("rate") == "222 packets within 1 s, 256 are its rate and 12% the tolerance"
-    assert [imu.step() for _ in range(256)] == ["rate"] * 255 + [""]
-    fast = Still(replace(patient, rate_Hz=128.0))
-    assert [fast.step() for _ in range(256)][-1] == "rate"
-    assert fast.judge.says("rate") == "256 packets within 1 s, 128 are its rate and 12% the tolerance"
-
-
-def test_an_imu_whose_line_is_garbled() -> None:
-    imu = Still()
-
-    def damaged(number: int) -> Callable[[Sample], None]:
-        return lambda sample: setattr(sample, "imu_damaged", number)
-
-    assert [imu.step(damaged(5)), imu.step(damaged(7)), imu.step(damaged(8))] == ["", "", "garbage"]
-    assert imu.judge.says("garbage") == "3 damaged messages within 1 s, 2 are allowed"
-    assert imu.judge.lag_ticks == 3
-    assert [imu.step(damaged(8)) for _ in range(508)] == ["garbage"] * 507 + [""], "in this second, and for a second from its end"
-    imu.judge.begin()
-    assert [imu.step(damaged(0)), imu.step(damaged(2)), imu.step(damaged(3))] == ["", "", "garbage"]
-    again = Still()
-    assert [again.step(damaged(9)), again.step(damaged(0)), again.step(damaged(3))] == ["", "", "garbage"], "a line that was opened again"
-
-
-@pytest.mark.parametrize(
-    ("channel", "value", "check", "words"),
-    [
-        (1, math.nan, "number", "y is nan, no number"),
-        (0, -math.inf, "number", "x is -inf, no number"),
-        (2, 64.0, "range", "z reads 64, its full scale is 64"),
-        (5, -8.0, "range", "rate z reads -8, its full scale is 8"),
-        (3, math.nextafter(8.0, 0.0), "", ""),
-    ],
-)
-def test_an_imu_that_gives_no_sound_number(channel: int, value: float, check: str, words: str) -> None:
-    imu = Still()
-    imu.step()
-
-    def spoil(sample: Sample) -> None:
-        sample.imu[channel] = value
-
-    assert (imu.step(spoil), imu.judge.lag_ticks) == (check, 0)
-    if check:
-        assert imu.judge.says(check) == words
-    assert imu.step() == ""
-
-
-def test_an_imu_that_is_frozen() -> None:
-    imu = Still()
-
-    def freeze(*channels: int) -> Callable[[Sample], None]:
-        return lambda sample: [sample.imu.__setitem__(channel, 0.25) for channel in channels] and None
-
-    assert [imu.step(freeze(4)) for _ in range(4)] == ["", "", "", "frozen"]
-    assert imu.judge.says("frozen") == "rate y has not changed for 4 packets; noise makes that impossible"
-    assert imu.judge.lag_ticks == 3
-    assert [imu.step(freeze(1)) for _ in range(20)] == [""] * 20, "a channel that is not judged"
-    assert [imu.step(freeze(0, 4)) for _ in range(4)][-1] == "frozen"
-    assert imu.judge.says("frozen").startswith("x has not"), "the first of them is named"
-    assert [imu.step(freeze(0)), imu.step(lost), imu.step(freeze(0))] == ["frozen", "", "frozen"]
-
-
-@pytest.mark.parametrize(
-    ("fault", "words"), [("imu: reports: a failed self-test", "reports: a failed self-test"), ("it is broken", "it is broken")]
-)
-def test_what_an_imu_says_of_itself_goes_before_all_else(fault: str, words: str) -> None:
-    imu = Still()
-
-    def spoil(sample: Sample) -> None:
-        sample.imu_fault = fault
-        sample.imu[0] = math.nan
-
-    assert (imu.step(spoil), imu.judge.says("fault")) == ("fault", words)
+    through = [way * counts for counts in (0, 200, 0, -50, -100, -150)]
+    assert windows(Axis(settings), through) == [""] * 6, "three windows since it was where it began"
 
 
 def thermometer(judge: TemperatureJudge, degC: float, ticks: int = 1, age_s: float = 0.0) -> str:
@@ -290,6 +199,9 @@ def test_a_winding_changes_no_faster_than_it_can(way: float) -> None:
     assert thermometer(judge, 20.0 + way * 2.0, ticks=1) == ""  # ten seconds are over: this is the reference
     assert thermometer(judge, 20.0 + way * 2.375) == ""
     assert thermometer(judge, 20.0 + way * 2.5) == "rate"
+    next_one = TemperatureJudge(TEMPERATURE)
+    thermometer(next_one, 20.0)
+    assert thermometer(next_one, 20.0 + way * (0.375 + 1.5 / 512)) == "rate", "half a kelvin a second for one tick, and three steps"
     judge.begin()
     assert thermometer(judge, 90.0) == ""
 
@@ -326,6 +238,12 @@ def test_all_judges_together_say_what_they_found_and_from_when_on() -> None:
     assert [(each.sensor, each.says, each.follows, each.rows) for each in judge.findings[2:3]] == [
         ("drive_roll", "its drive warns (statusword 0080h)", "stop", 4)
     ]
+    assert noticed == [
+        (0.25, "temperature_roll", "broken", stop.partition(": ")[2]),
+        (0.25, "t2", "broken", stop.partition(": ")[2]),
+        (0.25, "drive_roll", "warning", "its drive warns (statusword 0080h)"),
+        (1.0, "imu", "age", "no packet for more than 0.014 s"),
+    ]
     sample.statusword[:] = 0
     sample.imu_counter, sample.imu[:] = 1, 0.0
     noticed.clear()
@@ -338,6 +256,18 @@ def test_all_judges_together_say_what_they_found_and_from_when_on() -> None:
     early = SensorJudge(JudgingSettings(IMU), PERIOD_S)
     sample.imu_counter = -1
     assert [early.step(sample, 4, 0.0), early.findings[0].since_s] == ["", 0.0]
+
+
+def test_the_imu_is_judged_against_the_motion_that_the_machine_file_makes() -> None:
+    expected = Expected(np.zeros(0), np.zeros(0), np.array([0.0, 0.0, 9.81, 0.0, 0.0, 0.0]))
+    imu = replace(IMU, frozen_packets=(0,) * 6, force_tolerance=0.2)
+    judge, sample = SensorJudge(JudgingSettings(imu, expects=lambda means: expected), PERIOD_S), Sample(0)
+    sample.imu[:] = (0.0, 0.0, 9.0, 0.0, 0.0, 0.0)
+    for k in range(WINDOW):
+        sample.imu_counter, sample.imu_time_s = k, k * PERIOD_S
+        assert not judge.marks
+        judge.step(sample, 1, k * PERIOD_S)
+    assert [(finding.check, finding.since_s, finding.first_s) for finding in judge.findings] == [("specific force", 0.0, 127 * PERIOD_S)]
 
 
 def test_no_more_findings_are_kept_than_a_machine_can_have() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 
 import can
+import pytest
 
 from drivers.oversight.tapped_bus import TappedBus
 from drivers.supervisor.blocks import FRAME
@@ -18,12 +19,19 @@ def test_data_frames_of_both_directions_are_passed_on_and_the_supervisors_are_se
         bus = TappedBus(owned, there)
         other.send(can.Message(arbitration_id=0x181, is_extended_id=False, data=b"\x01\x02"))
         other.send(can.Message(arbitration_id=0x181, is_extended_id=True, data=b"\x09"))
-        assert [message is not None for message in (bus.recv(0.0), bus.recv(0.0), bus.recv(0.0))] == [True, True, False]
-        here.send(FRAME.pack(0x000, 2, b"\x02\x01"))
+        other.send(can.Message(arbitration_id=0x181, is_extended_id=False, is_remote_frame=True))
+        other.send(can.Message(arbitration_id=0x181, is_extended_id=False, is_error_frame=True))
+        assert [bus.recv(0.0) is not None for _ in range(5)] == [True] * 4 + [False]
+        here.send(FRAME.pack(0x601, 2, b"\x02\x01"))
         bus.send(can.Message(arbitration_id=0x080, is_extended_id=False, data=b""))
         heard = [FRAME.unpack(here.recv(FRAME.size)) for _ in range(2)]
         assert [(can_id, data[:length]) for can_id, length, data in heard] == [(0x181, b"\x01\x02"), (0x080, b"")]
         sent = [other.recv(0.0), other.recv(0.0)]
-        assert [(m.arbitration_id, bytes(m.data)) for m in sent if m is not None] == [(0x080, b""), (0x000, b"\x02\x01")]
+        assert [(m.arbitration_id, bytes(m.data)) for m in sent if m is not None] == [(0x080, b""), (0x601, b"\x02\x01")]
+        assert not any(message.is_extended_id for message in sent if message is not None)
+        assert bus.recv(0.0) is None
+        here.settimeout(0.0)
+        with pytest.raises(BlockingIOError):
+            here.recv(FRAME.size)
         bus.shutdown()
     here.close()

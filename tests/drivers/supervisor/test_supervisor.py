@@ -344,3 +344,16 @@ def test_before_the_first_sync_nothing_is_silent() -> None:
     assert machine.supervisor.powered
     assert machine.supervisor.check(100.0)
     assert math.isinf(machine.supervisor._released_at_s)
+
+
+@pytest.mark.parametrize("role", ["drive", "encoder"])
+def test_what_comes_behind_the_objects_that_a_frame_maps_tells_nothing(machine: Machine, role: str) -> None:
+    assert machine.supervisor.powered
+    for node in SETTINGS.nodes:
+        for pdo in node.tpdos if node.role == role and node.axis == "roll" else ():
+            data = machine._packed(pdo.entries, machine._values("roll"))
+            for behind in (b"\0", b"\xff\xff"):
+                machine.supervisor.frame(machine.time_s, pdo.cob_id, data + behind)
+    assert machine.supervisor.powered
+    assert machine.supervisor.check(machine.time_s)
+    assert machine.move(0.2, 1.0)

@@ -56,9 +56,17 @@ def test_what_happens_while_the_last_ticks_of_a_plan_are_lost_stops_the_motors(e
     assert link.stops >= 1
 
 
-def test_the_last_ticks_of_a_plan_may_be_lost() -> None:
-    link, sink = ScriptedLink(ScriptedClock(), {18: _stall(3)}), Rows()
-    timing = proportional_loop(link).run(still(20), sink)
+@pytest.mark.parametrize("ticks", [2, 3])
+def test_the_last_ticks_of_a_plan_may_be_lost(ticks: int) -> None:
+    """The machine stands where the plan ends, far from where it was a tick before."""
+    plan = still(20)
+    plan.reference[-1] = 0.9
+
+    def arrive(link: ScriptedLink) -> None:
+        link.sample.position[:] = 0.9
+
+    link, sink = ScriptedLink(ScriptedClock(), {18: _stall(ticks, arrive)}), Rows()
+    timing = proportional_loop(link).run(plan, sink)
     assert timing.ticks == len(sink.rows) == 18
     assert link.stops == 0
 

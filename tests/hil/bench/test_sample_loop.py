@@ -255,6 +255,7 @@ def test_lateness_work_time_and_answer_time_of_every_tick_are_recorded(monkeypat
     table = np.array(sink.rows)
     assert table[:, column("sync_lateness")] == pytest.approx(30e-6)
     assert table[:, column("answer_time")] == pytest.approx(1e-3)
+    assert table[0, column("work_time")] == pytest.approx(2e-3)  # nothing came before
     assert table[1:, column("work_time")] == pytest.approx(2.5e-3)  # hand-over and what came after it in the tick before
     assert timing.summary()["work_time_p99_us"] == pytest.approx(2500.0)
     assert timing.summary()["lateness_max_us"] == pytest.approx(30.0)

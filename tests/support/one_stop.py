@@ -1,0 +1,88 @@
+"""The stop of one axis for tests that step it by hand, with numbers that are exact."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+
+from scripted_nodes import machine_settings
+
+from drivers.canopen.axis_stop import AxisStop
+from drivers.interface import Sample
+from drivers.settings import MotionLimits
+
+T, COUNT, TRACKING = 2.0**-8, 2.0**-16, 2.0**-5
+NAN = math.nan
+QUICK, ENABLED, OFF, READY, SWITCHED_ON, REACTION, FAULT, ODD = 0x17, 0x37, 0x40, 0x31, 0x33, 0x1F, 0x18, 0x25
+STAND, SWING, CLOSING, SETTLING, ANSWER, TORQUE, PUSH, WATCH, VOLTAGE, RETAKE, AT_MOST = 13, 32, 256, 1280, 8, 16, 77, 26, 52, 128, 2560
+"""Ticks of each wait: its time in whole ticks, rounded up."""
+PUSHES, MOVED = 0.25, 32  # A, and counts that are more than a brake may slip
+SETTINGS = machine_settings()
+
+
+class Stopping:
+    """The stop of roll, the second of two axes, whose drive obeys in the next tick."""
+
+    def __init__(self, *, braked: bool = True, takes_torque: bool = True, effort: float = 2.0, stale_ticks: int = 3) -> None:
+        scaling = dataclasses.replace(SETTINGS.scalings[1], position_resolution=COUNT)
+        homing = dataclasses.replace(SETTINGS.homings[1], direction_check_effort=PUSHES, direction_check_travel=MOVED * COUNT)
+        limits = MotionLimits("roll", -1.0, 1.0, 0.25, TRACKING, stale_ticks)
+        self.stop = AxisStop(1, scaling, limits, homing, T, braked=braked, takes_torque=takes_torque)
+        self.sample = Sample(2)
+        self.sample.brakes_open[:] = (True, False)
+        self.sample.position[:] = self.sample.link_position[:] = 0.0
+        self.sample.statusword[:] = (OFF, QUICK)
+        self.sample.effort[:] = (9.0, effort)
+        self.fresh = True
+
+    def tick(self, status: int | None = None, *, motor: float | None = None, link: float | None = None) -> int:
+        """Let one tick pass; positions in counts stay. Return the controlword that follows."""
+        if status is not None:
+            self.sample.statusword[1] = status
+        if motor is not None:
+            self.sample.position[1] = motor * COUNT
+        if link is not None:
+            self.sample.link_position[1] = link * COUNT
+        self.stop.step(self.sample, io_is_fresh=self.fresh)
+        return self.stop.controlword
+
+    def ticks(self, number: int, status: int | None = None) -> list[int]:
+        return [self.tick(status) for _ in range(number)]
+
+    def to_swinging(self) -> Stopping:
+        """Its drive holds it in quick stop, its brake is closed, and it stands."""
+        assert self.ticks(STAND + 1, QUICK) == [2] * (STAND + 1)
+        return self
+
+    def to_pushing(self) -> Stopping:
+        self.to_swinging()
+        assert self.ticks(SWING) == [2] * SWING
+        assert self.tick() == 15
+        assert self.tick(ENABLED) == 15
+        return self
+
+    def to_letting_go(self) -> Stopping:
+        self.to_pushing()
+        assert self.ticks(PUSH) == [15] * PUSH
+        assert self.tick() == 0
+        return self
+
+    @property
+    def words(self) -> str:
+        assert self.stop.rest is not None
+        return self.stop.rest.words
+
+    @property
+    def steps(self) -> list[tuple[str, float]]:
+        """In ticks."""
+        assert self.stop.rest is not None
+        return [(name, seconds / T) for name, seconds in self.stop.rest.steps]
+
+    def until(self, ends: Callable[[], bool], at_most: int = 4000) -> int:
+        """Tick until something is so, and return how many it took."""
+        for number in range(1, at_most):
+            self.tick()
+            if ends():
+                return number
+        raise AssertionError("it never was")
