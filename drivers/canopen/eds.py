@@ -329,7 +329,7 @@ class _Reader:
                 raise ProtocolError(f"{where}={value}: does not fit into {bits} bits")
             number = _limit_of_type(data_type, bits, upper=key == "HighLimit")
             self._repairs.add(f"{key}={value} is beyond its type and read as {number}", keys.line_of(key))
-        if key == "HighLimit" and number < MOST_HEARTBEAT_MS and head.upper().startswith(HEARTBEAT_CONSUMER):
+        if key == "HighLimit" and number < MOST_HEARTBEAT_MS and head.upper().startswith(HEARTBEAT_CONSUMER) and head[7:] != "0":
             number = _limit_of_type(data_type, bits, upper=True)
             self._repairs.add(f"{key}={value} leaves a heartbeat consumer no room for a node id, and was left out", keys.line_of(key))
         number &= (1 << bits) - 1
