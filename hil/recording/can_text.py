@@ -22,6 +22,7 @@ _ASC_HEAD = re.compile(
     r"|\d+\.\d+\s+start\s+of\s+measurement|previous\s+log\s+file).*",
     re.IGNORECASE,
 )
+_ASC_BASE = re.compile(r"\s*base\s", re.IGNORECASE)
 _ASC_FRAME = re.compile(r"\d+\.\d+\s+(?:CANFD\s+)?\d+\s+\S+\s+(?:Rx|Tx)\b.*|\d+\.\d+\s+CANFD\s+\d+\s+(?:Rx|Tx)\b.*", re.IGNORECASE)
 _ASC_REQUEST = re.compile(r"\d+\.\d+\s+\d+\s+\S+\s+TxRq\b.*", re.IGNORECASE)
 _ASC_DIFFERENCES = re.compile(r"base\s+\w+\s+timestamps\s+relative\b", re.IGNORECASE | re.MULTILINE)
@@ -62,7 +63,7 @@ class _WatchedText(io.StringIO):
 
 def read_asc(path: Path) -> CanLog:
     """Return the frames of an ASC log, in seconds by its own time stamps; RecordingError names a line that should have been a frame."""
-    lines = _text(path).splitlines()
+    lines = [line.lower() if _ASC_BASE.match(line) else line for line in _text(path).splitlines()]  # python-can knows `hex`, not `HEX`
     first = next((k for k, line in enumerate(lines) if not _ASC_HEAD.fullmatch(line.strip())), len(lines))
     header = "\n".join(lines[:first])
     lines.insert(first, "")  # python-can takes the line after the header for a part of it

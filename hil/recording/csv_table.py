@@ -230,7 +230,7 @@ def _targets(path: Path, cells: list[str], names: Mapping[str, Target], machine:
                 said = str(problem)
                 raise RecordingError(said if said.startswith(str(path)) else f"{path}: line 1: {said}") from None
             targets.append(None)
-            not_taken.append(f"{name or cell!r}: {problem}")
+            not_taken.append(f"{name or 'column without a name'}: {problem}")
     if "time" not in {one.channel for one in targets if one is not None}:
         raise RecordingError(f"{path}: line 1: no column `time [s]`")
     return targets, not_taken

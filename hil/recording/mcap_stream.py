@@ -33,6 +33,7 @@ def mcap_records(path: Path) -> Iterator[Any]:
         mcap is not installed.
     """
     reading, opcodes = mcap_package("mcap.stream_reader"), mcap_package("mcap.records")
+    failures = mcap_package("mcap.exceptions")
     lz4, zstandard = reading.lz4, reading.zstandard
     check_regular(path, RecordingError)
     try:
@@ -55,7 +56,7 @@ def mcap_records(path: Path) -> Iterator[Any]:
         raise
     except OSError as problem:
         raise RecordingError(f"{path}: cannot be read: {problem.strerror or problem}") from None
-    except mcap_package("mcap.exceptions").EndOfFile:
+    except (failures.EndOfFile, failures.RecordLengthLimitExceeded):
         raise RecordingError(f"{path}: damaged: it was cut off; `mcap recover` makes a whole file of what is there") from None
     except Exception as problem:  # mcap raises any error of its parser
         raise RecordingError(f"{path}: no MCAP file, or damaged: {str(problem).partition(chr(10))[0] or type(problem).__name__}") from None
