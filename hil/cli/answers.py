@@ -13,7 +13,7 @@ from hil.terminal.output import Answer, JsonOption
 if TYPE_CHECKING:
     from hil.recording.naming import Target as NameTarget
 
-RecordingArgument = Annotated[Path, typer.Argument(metavar="REC", help="Recording (.mf4, .csv, .mat).")]
+RecordingArgument = Annotated[Path, typer.Argument(metavar="REC", help="Recording (.mf4, .csv, .parquet, .mcap, .mat).")]
 OptionalMachine = Annotated[
     str | None, typer.Option("--machine", "-m", metavar="M", help="Machine file, for a recording that carries none.")
 ]

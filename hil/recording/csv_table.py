@@ -84,8 +84,7 @@ def read_csv(path: Path, machine: Machine | None = None, names: Mapping[str, Tar
     if rows is not None and rows != len(values):
         beside = metadata_path(path).name
         raise RecordingError(f"{path}: {len(values)} rows, but {beside} says rows = {rows}; the file was cut off or edited")
-    targets = [one for one in table.targets if one is not None]
-    channels = {one.channel: Channel(one.unit or "", values[:, column]) for column, one in enumerate(targets)}
+    channels = {one.channel: Channel(one.unit or "", values[:, column]) for column, one in enumerate(table.targets)}
     _check_time(path, channels["time"].values, lines, may_repeat=metadata.get("kind") == CAN_FRAMES)
     if names or table.not_taken:
         renamed = {name: one.channel for name, one in (names or {}).items()}
@@ -135,7 +134,7 @@ def _read_metadata(beside: Path, reason: str) -> dict[str, Any]:
 class _Table:
     """What a file holds."""
 
-    targets: Sequence[Target | None]  # of every column; None for one that is not taken
+    targets: Sequence[Target]  # of every column that is taken
     values: np.ndarray  # (rows, columns taken)
     lines: list[int]  # of the file, of each row
     not_taken: Sequence[str]
@@ -151,11 +150,12 @@ def _parse(path: Path, text: str, names: Mapping[str, Target], machine: Machine 
     if len(header) > 1 and delimiter != "," and not header[-1].strip():  # a delimiter behind each row, as spreadsheets write it
         header.pop()
     targets, not_taken = _targets(path, header, names, machine)
+    named = {one.channel for one in names.values()}
     places = [place for place, one in enumerate(targets) if one is not None]
     rows: list[list[float]] = []
     lines: list[int] = []
-    decimal = "."
-    pointed = 0  # line of the first decimal point
+    decimals: set[str] = set()
+    no_numbers: dict[int, str] = {}  # place of a column that may be left out -> its first cell that is no number
     for cells in records:
         line = reader.line_num + skipped
         if not cells:
@@ -164,23 +164,41 @@ def _parse(path: Path, text: str, names: Mapping[str, Target], machine: Machine 
             cells.pop()
         if len(cells) != len(header):
             raise RecordingError(f"{path}: line {line}: {len(cells)} cells, the header has {len(header)}")
-        taken = [cells[place] for place in places]
-        if delimiter != ",":
-            decimal = "," if decimal == "," or any("," in cell for cell in taken) else "."
-            pointed = pointed or (line if any("." in cell for cell in taken) else 0)
-            if decimal == "," and pointed:
-                raise RecordingError(f"{path}: line {line}: decimal commas and points in one file; one of them would be right")
-            taken = [cell.replace(",", ".") for cell in taken]
-        try:
-            rows.append([float(cell) if cell else np.nan for cell in taken])
-        except ValueError:
-            rows.append([_number(path, line, header[place], cell) for place, cell in zip(places, taken, strict=True)])
+        row = []
+        for place in places:
+            cell = cells[place]
+            try:
+                row.append((float(cell) if cell else np.nan) if delimiter == "," else _local_number(cell, decimals))
+            except ValueError:
+                one = targets[place]
+                if cell.strip() and (one is None or not named or one.channel in {"time", *named}):
+                    raise RecordingError(f"{path}: line {line}: {header[place]} = {cell.strip()!r} is no number") from None
+                row.append(np.nan)
+                if cell.strip():
+                    no_numbers.setdefault(place, f"{header[place]}: line {line}: {cell.strip()[:40]!r} is no number")
+        if len(decimals) > 1:
+            raise RecordingError(f"{path}: line {line}: decimal commas and points in one file; one of them would be right")
+        rows.append(row)
         lines.append(line)
     if not rows:
         raise RecordingError(f"{path}: line 1: a header and no rows")
-    scaled = [one for one in targets if one is not None]
-    values = np.array(rows) * [one.scale for one in scaled] + [one.offset for one in scaled]
-    return _Table(targets, values, lines, not_taken)
+    kept = [one for place, one in enumerate(targets) if one is not None and place not in no_numbers]
+    values = np.array(rows)[:, [place not in no_numbers for place in places]]
+    values = values * [one.scale for one in kept] + [one.offset for one in kept]
+    return _Table(kept, values, lines, [*not_taken, *no_numbers.values()])
+
+
+def _local_number(cell: str, decimals: set[str]) -> float:
+    """Return the number of a cell that may have a decimal comma, and add what marks its decimals; ValueError if it is none."""
+    cell = cell.strip()
+    if not cell:
+        return np.nan
+    marks = [mark for mark in cell if mark in ",."]
+    if len(marks) > 1:
+        raise ValueError(cell)
+    value = float(cell.replace(",", "."))
+    decimals.update(marks)
+    return value
 
 
 def _delimiter(text: str) -> tuple[str, str, int]:
@@ -244,14 +262,6 @@ def _own(cell: str, name: str, unit: str | None, taken: set[str], *, named: bool
     if name in taken:
         raise RecordingError(f"another column is to be {name}" if named else f"channel {name} stands there twice")
     return Target(name, unit or "")
-
-
-def _number(path: Path, line: int, name: str, cell: str) -> float:
-    cell = cell.strip()
-    try:
-        return float(cell) if cell else np.nan
-    except ValueError:
-        raise RecordingError(f"{path}: line {line}: {name} = {cell!r} is no number") from None
 
 
 def _check_time(path: Path, time: np.ndarray, lines: list[int], *, may_repeat: bool) -> None:

@@ -159,11 +159,7 @@ def _entry(entry: object, where: str) -> Target:
 
 def picked(found: Columns, names: Mapping[str, Target], path: Path) -> None:
     """Check that each name is that of one column, and each channel named once; RecordingError lists the names that would be right."""
-    channels: dict[str, str] = {}
-    for name, wanted in names.items():
-        if wanted.channel in channels:
-            raise RecordingError(f"{path}: both {channels[wanted.channel]} and {name} are to be {wanted.channel}; a channel has one source")
-        channels[wanted.channel] = name
+    for name in names:
         if name in found.columns:
             continue
         if name in found.several:
@@ -171,6 +167,11 @@ def picked(found: Columns, names: Mapping[str, Target], path: Path) -> None:
         if name in found.others:
             raise RecordingError(f"{path}: variable {name} is no vector of numbers but {found.others[name]}")
         raise RecordingError(f"{path}: no variable {name}; {_instead(name, [*found.columns, *found.others])}")
+    channels: dict[str, str] = {}
+    for name, wanted in names.items():
+        if wanted.channel in channels:
+            raise RecordingError(f"{path}: both {channels[wanted.channel]} and {name} are to be {wanted.channel}; a channel has one source")
+        channels[wanted.channel] = name
 
 
 def named_channels(

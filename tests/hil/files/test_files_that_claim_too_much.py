@@ -203,7 +203,7 @@ def test_a_parquet_of_hundreds_of_millions_of_holes(tmp_path: Path) -> None:
     path = tmp_path / "holes.parquet"
     block = arrow.table({f"c{k}": arrow.nulls(2**20) for k in range(300)})
     parquet.write_table(block, path)
-    assert path.stat().st_size < 200_000
+    assert path.stat().st_size < 1_000_000
     refused(RecordingError, "claims 1048576 rows of 300 columns", lambda: read_recording(path, load_machine("carm")))
 
 

@@ -172,7 +172,7 @@ def test_an_mf4_of_another_tool_needs_the_machine_and_is_read_with_it(tmp_path: 
         ("time [s],x,x\n0,1,2\n", "line 1: channel x stands there twice"),
         ("t [s],x\n0,1\n", "line 1: no column `time"),
         ("time [s];x\n0;1,5\n1;1.5\n", "line 3: decimal commas and points"),
-        ("time [s];x\n0;1.234,5\n", "line 2: decimal commas and points"),
+        ("time [s];x\n0;1.234,5\n", r"line 2: x = '1\.234,5' is no number"),
         ("time [s];x\n0,0;1;2\n", "line 2: 3 cells, the header has 2"),
         ("time [s],x\n", "line 1: a header and no rows"),
         ("", "line 1: empty"),

@@ -355,3 +355,9 @@ def test_a_can_log_has_no_names_to_give(carm: Machine, tmp_path: Path) -> None:
     (tmp_path / "bus.log").write_text("(0.0) can0 080#\n")
     with pytest.raises(RecordingError, match="leave --map out"):
         read_recording(tmp_path / "bus.log", carm, {"x": "time"})
+
+
+def test_a_time_that_is_no_number_is_refused_whatever_is_named(carm: Machine, tmp_path: Path) -> None:
+    (tmp_path / "lab.csv").write_text("time [s],q\n0,1\nlate,2\n")
+    with pytest.raises(RecordingError, match=r"line 3: time \[s\] = 'late' is no number"):
+        read_recording(tmp_path / "lab.csv", carm, {"q": "position_roll"})
