@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hil.errors import RecordingError
+from hil.extras import extra_package
 from hil.files.regular import check_regular
 from hil.recording.csv_table import read_csv, write_csv
 from hil.recording.journal import part_path, recover
@@ -23,6 +24,9 @@ WRITABLE = (".mf4", ".csv", ".parquet", ".mcap")
 READABLE = (*WRITABLE, ".mat", ".db3", ".log", ".blf", ".asc", ".trc")
 BAG_MARK = "metadata.yaml"
 """File by which a folder is a bag of ROS 2."""
+
+_WRITTEN_BY = {".parquet": ("pyarrow", "Parquet files"), ".mcap": ("mcap", "MCAP files")}
+"""Package of an extra that writes a format, and what the message calls it."""
 
 Names = Mapping[str, str | Target]
 """Name in another tool's file -> channel."""
@@ -139,8 +143,10 @@ def convert(source: str | Path, target: str | Path, machine: Machine | None = No
 
 
 def check_writable(path: Path) -> None:
-    """Raise RecordingError if a recording cannot be written under that name."""
+    """Raise RecordingError if a recording cannot be written under that name, UnusableInputError if what writes it is not installed."""
     _check_suffix(path, WRITABLE, "written")
+    if needed := _WRITTEN_BY.get(path.suffix.lower()):
+        extra_package(*needed)
 
 
 def _check_suffix(path: Path, suffixes: tuple[str, ...], verb: str) -> None:
