@@ -12,6 +12,10 @@ EXTRAS = {
     "skimage": ("imaging", "scikit-image"),
     "itk": ("imaging", "itk-rtk"),
     "pydicom": ("imaging", "pydicom"),
+    "h5py": ("logs", "h5py"),
+    "pyarrow": ("logs", "pyarrow"),
+    "mcap": ("logs", "mcap"),
+    "mcap_ros2": ("logs", "mcap-ros2-support"),
 }
 """The extra that brings each package, and the distribution that contains it."""
 

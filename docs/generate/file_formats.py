@@ -38,8 +38,8 @@ and JSON is one string.
 """
 
 RECORDINGS_TEXT = """
-A recording has one row per SYNC. It is written as MDF 4 (`.mf4`) or as CSV (`.csv`, with a `.toml` beside it). Both
-hold the same, and `isocenter convert A B` goes between them without loss. `A` in a channel's name is an axis of the
+A recording has one row per SYNC. It is written as MDF 4 (`.mf4`), CSV (`.csv`, with a `.toml` beside it), Parquet or
+MCAP. All hold the same, and `isocenter convert A B` goes between them without loss. `A` in a channel's name is an axis of the
 machine. A sample that did not arrive is missing: an empty cell, an invalidation bit, NaN once it is read. Other
 channels are kept as they are, with their unit. Values are kept in the first unit given; other units are converted
 when the file is read, and a unit that is not listed is refused.
@@ -66,8 +66,9 @@ Version 4.10 with one channel group, whose master channel is `time`. Values are 
 statuswords 64-bit integers. A missing sample has its invalidation bit set. The metadata are the attachment
 `recording.toml`. Data blocks are compressed (deflate). The last 16 bytes are outside every block: `isocrc32`, the
 CRC-32 of everything before as u32, and the number of bytes before as u32 modulo 2³², little endian. They are checked
-where they are there; a tool that saves the file anew drops them. A file of another tool is read if all its signals
-share one time base.
+where they are there; a tool that saves the file anew drops them. Of another tool's file,
+signals of several rasters are put onto the raster with the machine's rate, without one onto that with most samples:
+interpolated linearly, whole numbers held, and missing outside a signal's own time and where it lost samples.
 """
 
 MDF_EXAMPLE = """
@@ -98,14 +99,41 @@ that is incomplete or does not fit.
 
 OTHERS = (
     (
-        "MATLAB `.mat`, up to version 7",
-        "With `--machine` for axes and units. Variables bear the names of channels, or `--map NAME=CHANNEL` says which is which; the "
-        "variables of the EMPS benchmark are known. Scalars are kept in the metadata under `source.constants`.",
+        "Parquet `.parquet`",
+        "A column per channel, whose metadata have the `unit`; missing samples are null. The table's metadata `isocenter` are the "
+        "recording's as TOML text. Tables of other tools need `--machine`; times of day count from the first row.",
     ),
     (
-        "CAN log, `candump -l` (`.log`) or Vector `.blf`",
+        "MCAP `.mcap`",
+        "A JSON message per row on the topic `/isocenter/recording`, null for a missing sample; its JSON schema has a `unit` for each "
+        "channel. The metadata are the attachment `recording.toml`.",
+    ),
+    (
+        "Bag of ROS 2: `.mcap`, `.db3`, or the folder",
+        "With `--machine`. Of sensor_msgs/JointState, joints with the axes' names become `position_A`, `speed_A`, and `current_A` or "
+        "`effort_A` in the drive's unit. Others are named by `--map '/joint_states.position[joint]=position_A'`. Times are the headers' "
+        "stamps, without them those of logging. MCAP files with JSON messages are read likewise, `/topic.field`.",
+    ),
+    (
+        "MATLAB `.mat`",
+        "With `--machine` for axes and units. Variables bear the names of channels, or `--map` says which is which: `q`, `log.time`, "
+        "`log.signals(2).values`, `runs{3}`, `data(:,2)`, `data(2,:)`. Simulink's structures with time whose labels are channels, and the "
+        "variables of the EMPS benchmark, are known. Scalars are kept in the metadata under `source.constants`.",
+    ),
+    (
+        "CAN log: candump (`.log`), Vector `.blf` and `.asc`, PEAK `.trc`",
         "With `--machine` the PDOs are decoded by the machine file's maps: SYNC k opens row k, TPDOs up to the next SYNC are its samples, "
-        "RPDOs its commands. `time` counts periods. Without a machine every frame is a row of raw CAN frames.",
+        "RPDOs its commands. `time` counts periods. Without a machine every frame is a row of raw CAN frames. What candump prints is "
+        "read with any time stamp or none.",
+    ),
+    (
+        "CSV of other tools",
+        "Cells may be separated by semicolons or tabs, and then have decimal commas.",
+    ),
+    (
+        "File of names, `--map FILE`",
+        'TOML, a table `[channels]`: name in the file to `"CHANNEL [unit]"`, or to a table of `channel`, `unit`, `scale` and `offset`: '
+        "channel = scale × signal + offset, in that unit. Without a unit it is the file's, else the machine's.",
     ),
 )
 

@@ -52,9 +52,9 @@ CHANNELS = {
     ),
     "sensor_marks": ("sensor_marks", "Bit field: bit k is set while sensor k of the metadata's `judged.sensors` is not to be believed."),
     "exposure_id": ("exposure_id", "X-ray exposure that this row belongs to."),
-    "can_id|can_length|can_extended|can_remote|byte_[0-9]+": (
-        "can_id, can_length, can_extended, can_remote, byte_0, byte_1, …",
-        "Of a table of raw CAN frames: a row per frame.",
+    "can_id|can_length|can_extended|can_remote|can_fd|byte_[0-9]+": (
+        "can_id, can_length, can_extended, can_remote, can_fd, byte_0, byte_1, …",
+        "Of a table of raw CAN frames: a row per frame; `can_fd` where one is of CAN FD.",
     ),
 }
 """Pattern of a kind of channel in `hil.recording.channels` to its names and meaning; `A` is an axis."""

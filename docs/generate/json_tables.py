@@ -112,6 +112,9 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
     "convert": (
         Entry("target, rows", "text, number", "The file that was written, and its rows."),
         Entry("channels", "object", "Channel to unit."),
+        Entry("names", "object", "Signal of another tool's file to channel."),
+        Entry("not_taken", "list", "What is in the file and not in the recording, a text each."),
+        Entry("notes", "list", "How the rest was taken where that was not plain: resampled, summed, in another unit."),
     ),
     "identify": _IDENTIFY,
     "shape": (

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hil.cli.options import EffectsOption, MachineArgument, can_be_written, load, not_an_input
 from hil.terminal.output import Answer, JsonOption
 
-RecordingArgument = Annotated[Path, typer.Argument(metavar="REC", help="Recording (.mf4, .csv, .mat).")]
+if TYPE_CHECKING:
+    from hil.recording.naming import Target as NameTarget
+
+RecordingArgument = Annotated[Path, typer.Argument(metavar="REC", help="Recording (.mf4, .csv, .parquet, .mcap, .mat).")]
 OptionalMachine = Annotated[
     str | None, typer.Option("--machine", "-m", metavar="M", help="Machine file, for a recording that carries none.")
 ]
@@ -30,9 +33,9 @@ def register(app: typer.Typer) -> None:
     )(compare)
     app.command(
         short_help="Convert between recording formats.",
-        help="Convert between .mf4, .csv and (reading) .mat, .blf, .log."
+        help="Convert between .mf4, .csv, .parquet, .mcap and (reading) .mat, CAN logs (.log, .blf, .asc, .trc) and ROS 2 bags."
         "\n\nExample:  isocenter convert run.mf4 run.csv"
-        "\n\nExample:  isocenter convert lab.mat lab.mf4 --machine carm --map t=time --map q=position_roll",
+        "\n\nExample:  isocenter convert lab.mat lab.mf4 --machine carm --map t=time --map 'q=position_roll [deg]'",
     )(convert)
 
 
@@ -79,10 +82,15 @@ def compare(
 
 
 def convert(
-    source: Annotated[Path, typer.Argument(metavar="A", help="What to read: .mf4, .csv, .mat, .blf or candump .log.")],
-    target: Annotated[Path, typer.Argument(metavar="B", help="What to write: .mf4 or .csv.")],
+    source: Annotated[Path, typer.Argument(metavar="A", help="What to read: a recording, log or bag.")],
+    target: Annotated[Path, typer.Argument(metavar="B", help="What to write: .mf4, .csv, .parquet or .mcap.")],
     mapping: Annotated[
-        list[str] | None, typer.Option("--map", metavar="NAME=CHANNEL", help="Of a .mat: which variable is which channel; once for each.")
+        list[str] | None,
+        typer.Option(
+            "--map",
+            metavar="NAME=CHANNEL|FILE",
+            help="Which signal of another tool's file is which channel, `q=position_roll [deg]`, once for each; or a TOML file of names.",
+        ),
     ] = None,
     machine_name: OptionalMachine = None,
     json_to: JsonOption = None,
@@ -93,19 +101,38 @@ def convert(
     not_an_input(target, source)
     machine = None if machine_name is None else load(machine_name)
     answer = Answer(json_to)
-    recording = convert_recording(source, target, machine, _channel_names(mapping, source))
+    recording = convert_recording(source, target, machine, _channel_names(mapping or []))
     answer.say(f"{target}: {len(recording.time)} rows, {len(recording.channels)} channels")
-    answer.write({"target": target, "rows": len(recording.time), "channels": {name: c.unit for name, c in recording.channels.items()}})
+    said = recording.metadata.get("source", {})
+    said = said if said.get("file") == source.name else {}  # of this file, not of the one that it was made from
+    answer.write(
+        {
+            "target": target,
+            "rows": len(recording.time),
+            "channels": {name: c.unit for name, c in recording.channels.items()},
+            "names": said.get("names", {}),
+            "not_taken": said.get("not_taken", []),
+            "notes": said.get("notes", []),
+        }
+    )
 
 
-def _channel_names(mapping: list[str] | None, source: Path) -> dict[str, str] | None:
-    """Read `["t=time", "q=position_roll"]` as a table."""
-    if not mapping:
-        return None
-    if source.suffix.lower() != ".mat":
-        raise typer.BadParameter(f"--map {mapping[0]}: {source.name} names its channels itself; --map is for .mat")
-    pairs = [entry.partition("=") for entry in mapping]
-    for entry, (name, _, channel) in zip(mapping, pairs, strict=True):
-        if not name or not channel:
+def _channel_names(mapping: list[str]) -> dict[str, NameTarget]:
+    """Read `["t=time", "q=position_roll [deg]", "names.toml"]` as a table."""
+    from hil.recording.naming import read_names, target
+
+    names: dict[str, NameTarget] = {}
+    for entry in mapping:
+        name, _, channel = entry.rpartition("=")
+        if "=" not in entry:
+            if not Path(entry).exists():
+                raise typer.BadParameter(f"--map {entry}: neither NAME=CHANNEL, such as t=time, nor a file")
+            added = read_names(Path(entry))
+        elif not name or not channel:
             raise typer.BadParameter(f"--map {entry}: must be NAME=CHANNEL, such as t=time")
-    return {name: channel for name, _, channel in pairs}
+        else:
+            added = {name: target(channel, f"--map {entry}")}
+        if twice := [name for name in added if name in names]:
+            raise typer.BadParameter(f"--map {entry}: {twice[0]} is named already")
+        names |= added
+    return names

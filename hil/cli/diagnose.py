@@ -43,7 +43,7 @@ def register(app: typer.Typer) -> None:
 
 def diagnose(
     machine_name: MachineArgument,
-    recordings: Annotated[list[Path], typer.Argument(metavar="REC...", help="Recordings (.mf4, .csv, .mat) to explain.")],
+    recordings: Annotated[list[Path], typer.Argument(metavar="REC...", help="Recordings (.mf4, .csv, .parquet, .mcap, .mat) to explain.")],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder for the answer; made if it is not there.")],
     held_out: Annotated[
         list[Path] | None, typer.Option("--held-out", metavar="REC...", help="Recordings to judge by; nothing is fitted to them.")

@@ -91,7 +91,7 @@ def _check_machine(design: ObserverDesign, path: Path, machine: Machine, answer:
 
 def observe(
     machine_name: MachineArgument,
-    recording_path: Annotated[Path, typer.Argument(metavar="REC", help="Recording (.mf4, .csv, .mat).")],
+    recording_path: Annotated[Path, typer.Argument(metavar="REC", help="Recording (.mf4, .csv, .parquet, .mcap, .mat).")],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="EST", help="Estimates (.npz), or the recording with them (.mf4, .csv).")],
     design_path: Annotated[Path | None, typer.Option("--design", metavar="FILE", help="Observer design to use.")] = None,
     frf: Annotated[

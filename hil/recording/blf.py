@@ -17,7 +17,7 @@ from pathlib import Path
 import can
 
 from hil.errors import RecordingError
-from hil.recording.can_frames import CanFrame
+from hil.recording.can_frames import CanFrame, CanLog, counted
 
 _WRAP_S = 2.0**64 * 1e-9
 """Times are unsigned counts of nanoseconds: one before the start appears this much later than it was."""
@@ -30,21 +30,24 @@ class _DamagedError(Exception):
     """A fault in the file that python-can would have skipped."""
 
 
-def read_blf(path: Path) -> list[CanFrame]:
-    """Return all frames of a BLF in order of time, in seconds since the log's start; RecordingError if it is no BLF or damaged."""
+def read_blf(path: Path) -> CanLog:
+    """Return the frames of a BLF in order of time, in seconds since the log's start; RecordingError if it is no BLF or damaged."""
     try:
         with _warnings_are_errors(), can.BLFReader(path) as reader:
             if path.stat().st_size < reader.file_size:
                 raise _DamagedError(f"{path.stat().st_size} bytes of {reader.file_size}; it was cut off")
-            frames = list(_frames(reader))
+            found = list(_frames(reader))
     except OSError as problem:
         raise RecordingError(f"{path}: cannot be read: {problem.strerror or problem}") from None
     except Exception as problem:  # on a damaged file python-can raises any error of its parser
         raise RecordingError(f"{path}: no BLF, or damaged: {str(problem).partition(chr(10))[0] or type(problem).__name__}") from None
-    return sorted(frames, key=lambda frame: frame.time_s)
+    frames = [frame for frame in found if frame is not None]
+    errors = len(found) - len(frames)
+    return CanLog(sorted(frames, key=lambda frame: frame.time_s), [counted(errors, "error frame")] if errors else [])
 
 
-def _frames(reader: can.BLFReader) -> Iterator[CanFrame]:
+def _frames(reader: can.BLFReader) -> Iterator[CanFrame | None]:
+    """Yield frames, None for an error frame."""
     start_s = reader.start_timestamp
     last: CanFrame | None = None
     repeated = 0
@@ -53,13 +56,13 @@ def _frames(reader: can.BLFReader) -> Iterator[CanFrame]:
         if time_s > _WRAP_S / 2.0:
             time_s -= _WRAP_S
         data = bytes(message.data)
-        frame = CanFrame(time_s, f"can{message.channel}", message.arbitration_id, message.is_extended_id, message.is_remote_frame, data)
+        extended, remote = message.is_extended_id, message.is_remote_frame
+        frame = CanFrame(time_s, f"can{message.channel}", message.arbitration_id, extended, remote, data, message.is_fd)
         repeated = repeated + 1 if frame == last else 0
         if repeated > _MOST_AT_ONCE:
             raise _DamagedError("an object of length 0")
         last = frame
-        if not message.is_error_frame:
-            yield frame
+        yield None if message.is_error_frame else frame
 
 
 @contextlib.contextmanager

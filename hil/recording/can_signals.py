@@ -6,6 +6,7 @@ SYNC k latches; the drives' and encoders' TPDOs that follow it are row k, and so
 from __future__ import annotations
 
 import warnings
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,10 +18,12 @@ from drivers.errors import ProtocolError
 from drivers.settings import AxisScaling, BusSettings
 from hil.errors import RecordingError
 from hil.recording.blf import read_blf
-from hil.recording.can_frames import CanFrame
+from hil.recording.can_frames import CanFrame, CanLog, counted
+from hil.recording.can_text import read_asc, read_trc
 from hil.recording.candump import read_candump
 from hil.recording.metadata import machine_table
 from hil.recording.model import CAN_FRAMES, Channel, Recording
+from hil.recording.said import source_table
 from hil.recording.warning import RecordingWarning
 
 if TYPE_CHECKING:
@@ -44,35 +47,46 @@ QUANTITIES = ("command", "effort", "position", "link_position", "statusword")
 BELIEVABLE_PERIOD = 0.2
 """Largest deviation of the median time between SYNCs from the machine's period, as a share of it; beyond, the log's times are wrong."""
 
+_MOST_IDENTIFIERS = 8
+"""Identifiers in one message."""
+
 PHASE_GAIN = 0.1
 """Gain with which the estimate of a SYNC's due time follows each SYNC: it averages jitter and follows a drift of the adapter's clock."""
 
 
 def read_can(path: Path, machine: Machine | None) -> Recording:
-    """Read a candump `.log` or a `.blf`.
+    """Read a candump `.log`, a `.blf`, `.asc` or `.trc`.
 
     Parameters
     ----------
     path : Path
     machine : Machine, optional
         Machine whose PDO maps and scalings turn frames into signals. None gives the frames: `can_id`, `can_length`, `can_extended`,
-        `can_remote`, `byte_0`, ...
+        `can_remote`, `byte_0`, ... and `can_fd` where there is a frame of CAN FD.
 
     Raises
     ------
     RecordingError
         The log does not exist, or holds no data of the machine.
     """
-    frames = read_blf(path) if path.suffix.lower() == ".blf" else read_candump(path)
-    if not frames:
+    log = _READERS[path.suffix.lower()](path)
+    if not log.frames:
         raise RecordingError(f"{path}: holds no frames")
     try:
-        return _frame_table(frames) if machine is None else _signals(frames, machine, path)
+        return _frame_table(log, path) if machine is None else _signals(log, machine, path)
     except RecordingError as problem:
         raise RecordingError(str(problem) if str(problem).startswith(str(path)) else f"{path}: {problem}") from None
 
 
-def _frame_table(frames: Sequence[CanFrame]) -> Recording:
+_READERS = {".log": read_candump, ".blf": read_blf, ".asc": read_asc, ".trc": read_trc}
+
+CAN_SUFFIXES = tuple(_READERS)
+
+
+def _frame_table(log: CanLog, path: Path) -> Recording:
+    frames = log.frames
+    if any(np.isnan(frame.time_s) for frame in frames):
+        raise RecordingError("has no time stamps: let `candump -t a` print them, or name a machine, whose SYNCs are counted")
     widest = max(len(frame.data) for frame in frames)
     bytes_ = np.full((len(frames), widest), np.nan)
     for row, frame in enumerate(frames):
@@ -84,17 +98,20 @@ def _frame_table(frames: Sequence[CanFrame]) -> Recording:
         "can_extended": [frame.extended for frame in frames],
         "can_remote": [frame.remote for frame in frames],
     }
+    if any(frame.fd for frame in frames):
+        columns["can_fd"] = [frame.fd for frame in frames]
     columns |= {f"byte_{place}": bytes_[:, place] for place in range(widest)}
     channels = {"time": Channel("s", np.array([frame.time_s - start_s for frame in frames]))}
     channels |= {name: Channel("", np.asarray(values, dtype=np.float64)) for name, values in columns.items()}
-    return Recording(channels, {"kind": CAN_FRAMES, "buses": sorted({frame.channel for frame in frames})})
+    source = source_table(path, log.not_taken, log.notes)
+    return Recording(channels, {"kind": CAN_FRAMES, "buses": sorted({frame.channel for frame in frames}), "source": source})
 
 
-def _signals(frames: Sequence[CanFrame], machine: Machine, path: Path) -> Recording:
+def _signals(log: CanLog, machine: Machine, path: Path) -> Recording:
     if machine.bus is None:
         raise RecordingError(f"machine {machine.name} has no bus, so its file does not say what the frames mean")
-    frames = _of_one_bus(frames, machine.bus)
-    syncs, raw = _rows(frames, machine.bus)
+    frames, others = _of_one_bus(log.frames, machine.bus)
+    syncs, raw, unknown = _rows(frames, machine.bus)
     ticks, lateness = _ticks(np.array(syncs), machine.bus.sync_period_s, path)
     channels = {"time": Channel("s", ticks * machine.bus.sync_period_s)}
     offsets: dict[str, float] = {}
@@ -111,22 +128,40 @@ def _signals(frames: Sequence[CanFrame], machine: Machine, path: Path) -> Record
             if (quantity, units.axis) in columns:
                 channels[_channel_name(quantity, units)] = columns[quantity, units.axis]
     channels["sync_lateness"] = Channel("s", lateness)
-    return Recording(channels, {"machine": machine_table(machine), "can_log": {"position_offsets": offsets}})
+    source = source_table(path, [*log.not_taken, *others, *unknown], log.notes)
+    return Recording(channels, {"machine": machine_table(machine), "can_log": {"position_offsets": offsets}, "source": source})
 
 
-def _of_one_bus(frames: Sequence[CanFrame], bus: BusSettings) -> list[CanFrame]:
-    """Return the frames of the one bus in the log that has SYNCs."""
+def _of_one_bus(frames: Sequence[CanFrame], bus: BusSettings) -> tuple[list[CanFrame], list[str]]:
+    """Return the frames of the one bus in the log that has SYNCs, and what other frames there were."""
     sync = bus.sync_cob_id & 0x7FF
-    buses = sorted({frame.channel for frame in frames if frame.can_id == sync and not frame.extended})
+    buses = sorted({frame.channel for frame in frames if frame.can_id == sync and _is_plain(frame)})
     if not buses:
         raise RecordingError(f"no SYNC (COB-ID {sync:03X}) in the log, so it has no rows")
     if len(buses) > 1:
         raise RecordingError(f"SYNCs on {' and '.join(buses)}: keep the lines of one of them")
-    return [frame for frame in frames if frame.channel == buses[0] and not frame.extended and not frame.remote]
+    kept: list[CanFrame] = []
+    others: Counter[str] = Counter()
+    for frame in frames:
+        if frame.fd:
+            others["CAN FD frame"] += 1
+        elif frame.remote:
+            others["remote frame"] += 1
+        elif frame.extended:
+            others["frame with 29-bit identifiers"] += 1
+        elif frame.channel != buses[0]:
+            others[f"frame of {frame.channel}"] += 1
+        else:
+            kept.append(frame)
+    return kept, [counted(number, what) for what, number in others.items()]
 
 
-def _rows(frames: Sequence[CanFrame], bus: BusSettings) -> tuple[list[float], dict[tuple[str, str], np.ndarray]]:
-    """Return times of the SYNCs, and raw integers (N,) per (axis, quantity), NaN where none came."""
+def _is_plain(frame: CanFrame) -> bool:
+    return not (frame.extended or frame.remote or frame.fd)
+
+
+def _rows(frames: Sequence[CanFrame], bus: BusSettings) -> tuple[list[float], dict[tuple[str, str], np.ndarray], list[str]]:
+    """Return times of the SYNCs, raw integers (N,) per (axis, quantity), NaN where none came, and what else there was."""
     sync = bus.sync_cob_id & 0x7FF
     codecs: dict[int, tuple[PdoCodec, list[tuple[int, tuple[str, str]]]]] = {}
     for node in bus.nodes:
@@ -136,10 +171,16 @@ def _rows(frames: Sequence[CanFrame], bus: BusSettings) -> tuple[list[float], di
     count = sum(frame.can_id == sync for frame in frames)
     raw = {key: np.full(count, np.nan) for _, wanted in codecs.values() for _, key in wanted}
     syncs: list[float] = []
+    early = 0
+    unknown: Counter[int] = Counter()
     for frame in frames:
         if frame.can_id == sync:
             syncs.append(frame.time_s)
-        elif syncs and frame.can_id in codecs:
+        elif frame.can_id not in codecs:
+            unknown[frame.can_id] += 1
+        elif not syncs:
+            early += 1
+        else:
             codec, wanted = codecs[frame.can_id]
             try:
                 values = codec.unpack(frame.data)
@@ -150,7 +191,14 @@ def _rows(frames: Sequence[CanFrame], bus: BusSettings) -> tuple[list[float], di
                 raw[key][len(syncs) - 1] = values[place]
     if all(np.isnan(values).all() for values in raw.values()):
         raise RecordingError(f"none of the machine's PDOs in the log ({', '.join(f'{cob_id:03X}' for cob_id in sorted(codecs))})")
-    return syncs, raw
+    indices = {index for node in bus.nodes for pdo in (*node.tpdos, *node.rpdos) for index, _, _ in pdo.entries} - QUANTITY_OF.keys()
+    others = [f"the PDOs' {', '.join(f'{index:04X}' for index in sorted(indices))}, which no channel has"] if indices else []
+    others += [f"{counted(early, 'PDO')} before the first SYNC"] if early else []
+    if unknown:
+        identifiers = ", ".join(f"{can_id:03X}" for can_id in sorted(unknown)[:_MOST_IDENTIFIERS])
+        identifiers += ", ..." if len(unknown) > _MOST_IDENTIFIERS else ""
+        others.append(f"{counted(unknown.total(), 'frame')} that the machine's PDO maps do not name ({identifiers})")
+    return syncs, raw, others
 
 
 def _ticks(syncs_s: np.ndarray, period_s: float, path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -158,6 +206,9 @@ def _ticks(syncs_s: np.ndarray, period_s: float, path: Path) -> tuple[np.ndarray
     if syncs_s.size < 2:
         return np.zeros(syncs_s.size), np.zeros(syncs_s.size)
     steps = np.diff(syncs_s)
+    if np.isnan(steps).any():
+        warnings.warn(f"{path}: has no time stamps; SYNCs are counted", RecordingWarning, stacklevel=2)
+        return np.arange(syncs_s.size, dtype=np.float64), np.full(syncs_s.size, np.nan)
     if np.any(steps < 0.0) or abs(np.median(steps) - period_s) > BELIEVABLE_PERIOD * period_s:
         found_ms, wanted_ms = float(np.median(steps)) * 1e3, period_s * 1e3
         warnings.warn(

@@ -1,39 +1,100 @@
-"""Logs of `candump -l` (`.log`), one frame a line."""
+"""Logs of `candump`, one frame a line: those of `candump -l` and what it prints, with any of its time stamps or none.
+
+`-t a` and `-t A` are times of day, `-t z` counts from the first frame, `-t d` from the frame before. The last two look alike; differences
+fall again and again where a count never does.
+"""
 
 from __future__ import annotations
 
+import itertools
+import math
 import re
+from collections.abc import Sequence
+from datetime import datetime
 from pathlib import Path
 
 from hil.errors import RecordingError
-from hil.recording.can_frames import CanFrame
+from hil.recording.can_frames import CanFrame, CanLog, counted
 
-_LINE = re.compile(
+_FILED = re.compile(
     r"\((?P<time>\d+(?:\.\d+)?)\)\s+(?P<channel>\S+)\s+(?P<id>[0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#"
     r"(?:(?P<remote>R[0-8]?)|#[0-9A-Fa-f](?P<fd>(?:[0-9A-Fa-f]{2}){0,64})|(?P<data>(?:[0-9A-Fa-f]{2}){0,8}))(?:\s+[RT])?"
 )
+_PRINTED = re.compile(
+    r"(?:\((?:(?P<time>\d+\.\d+)|(?P<date>\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d+))\)\s+)?(?P<channel>\S+)\s+"
+    r"(?:[RT]X\s+[-B]\s+[-E]\s+)?"  # -x
+    r"(?P<id>[0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})\s+\[(?P<length>\d{1,2})\](?:\s*\{\d+\})?"
+    r"(?:\s+(?P<remote>remote request)|(?P<data>(?:\s+[0-9A-Fa-f]{2}){0,64})(?:\s+(?:ERRORFRAME|'.*'))*)"
+)
+_COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 _ERROR_FRAME = 0x20000000
+_FALLEN = 0.5
+"""A time stamp below this share of the largest before it is a difference: frames out of order are apart by milliseconds."""
 
 
-def read_candump(path: Path) -> list[CanFrame]:
-    """Return all frames of a candump log in file order; RecordingError names the first line that is no frame."""
+def read_candump(path: Path) -> CanLog:
+    """Return the frames of a candump log in file order; RecordingError names the first line that is no frame."""
     try:
         lines = path.read_bytes().decode("ascii").splitlines()
     except OSError as problem:
         raise RecordingError(f"{path}: cannot be read: {problem.strerror}") from None
     except UnicodeDecodeError as problem:
         number = problem.object[: problem.start].count(b"\n") + 1
-        raise RecordingError(f"{path}: line {number}: no ASCII text, so no log of `candump -l`") from None
-    frames = []
+        raise RecordingError(f"{path}: line {number}: no ASCII text, so no log of candump") from None
+    frames: list[CanFrame] = []
+    errors = 0
+    stamps: set[str] = set()
     for number, line in enumerate(lines, 1):
-        if not line.strip():
+        if not line.strip() or (errors and line.startswith("\t")):  # after an error frame `-e` explains it
             continue
-        match = _LINE.fullmatch(line.strip())
-        if match is None:
-            raise RecordingError(f"{path}: line {number}: {line[:60]!r} is no line of `candump -l`, such as `(12.003906) can0 181#3902`")
-        can_id = int(match["id"], 16)
-        extended = len(match["id"]) == 8
-        if not (extended and can_id & _ERROR_FRAME):
-            data = bytes.fromhex(match["data"] or match["fd"] or "")
-            frames.append(CanFrame(float(match["time"]), match["channel"], can_id, extended, match["remote"] is not None, data))
-    return frames
+        frame, stamp = _frame(_COLOURS.sub("", line).strip(), path, number)
+        stamps.add(stamp)
+        if len(stamps) > 1:
+            raise RecordingError(f"{path}: line {number}: another kind of time stamp than in the lines before; keep the lines of one run")
+        if frame.extended and frame.can_id & _ERROR_FRAME:
+            errors += 1
+        frames.append(frame)
+    notes = []
+    if stamps == {"count"} and _are_differences([frame.time_s for frame in frames]):
+        times = itertools.accumulate(frame.time_s for frame in frames)
+        frames = [frame._replace(time_s=time_s) for frame, time_s in zip(frames, times, strict=True)]
+        notes.append("its time stamps are differences (candump -t d), which were summed")
+    kept = [frame for frame in frames if not (frame.extended and frame.can_id & _ERROR_FRAME)]
+    return CanLog(kept, [counted(errors, "error frame")] if errors else [], notes)
+
+
+def _frame(line: str, path: Path, number: int) -> tuple[CanFrame, str]:
+    """Return the frame of a line, and the kind of its time stamp."""
+    if match := _FILED.fullmatch(line):
+        can_id, fd = int(match["id"], 16), match["fd"] is not None
+        data = bytes.fromhex(match["data"] or match["fd"] or "")
+        remote = match["remote"] is not None
+        return CanFrame(float(match["time"]), match["channel"], can_id, len(match["id"]) == 8, remote, data, fd), "filed"
+    match = _PRINTED.fullmatch(line)
+    if match is None and line.startswith("***BUSMASTER"):
+        raise RecordingError(f"{path}: a log of BUSMASTER; let it convert the log to .asc (Tools, Format Converters), and give that")
+    if match is None:
+        raise RecordingError(f"{path}: line {number}: {line[:60]!r} is no line of candump, such as `(12.003906) can0 181#3902`")
+    data = bytes.fromhex(match["data"] or "")
+    if match["remote"] is None and len(data) != int(match["length"]):
+        raise RecordingError(f"{path}: line {number}: [{match['length']}] and {len(data)} bytes; they are as many, in the order of the bus")
+    time_s, stamp = math.nan, "none"
+    if match["time"] is not None:
+        time_s, stamp = float(match["time"]), "count"
+    elif match["date"] is not None:
+        try:
+            time_s, stamp = (datetime.fromisoformat(match["date"]) - datetime(1970, 1, 1)).total_seconds(), "date"
+        except ValueError:
+            raise RecordingError(f"{path}: line {number}: {match['date']} is no time") from None
+    fd = len(match["length"]) == 2  # candump writes the length of CAN FD frames in two digits
+    frame = CanFrame(time_s, match["channel"], int(match["id"], 16), len(match["id"]) == 8, match["remote"] is not None, data, fd)
+    return frame, stamp
+
+
+def _are_differences(times_s: Sequence[float]) -> bool:
+    largest = 0.0
+    for time_s in times_s:
+        if time_s < _FALLEN * largest:
+            return True
+        largest = max(largest, time_s)
+    return False

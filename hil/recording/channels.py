@@ -64,7 +64,7 @@ KINDS = (
     Kind("work_time|answer_time", TIME),
     Kind("sensor_marks", NUMBER, whole=True),
     Kind("exposure_id", NUMBER, whole=True),
-    Kind("can_id|can_length|can_extended|can_remote|byte_[0-9]+", NUMBER, whole=True),
+    Kind("can_id|can_length|can_extended|can_remote|can_fd|byte_[0-9]+", NUMBER, whole=True),
 )
 _COMPILED = tuple((re.compile(kind.pattern), kind) for kind in KINDS)
 

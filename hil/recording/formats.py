@@ -3,36 +3,47 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hil.errors import RecordingError
+from hil.extras import extra_package
 from hil.files.regular import check_regular
 from hil.recording.csv_table import read_csv, write_csv
 from hil.recording.journal import part_path, recover
 from hil.recording.model import Recording
+from hil.recording.naming import Target, target
 from hil.recording.ticks import gap_words
 from hil.recording.warning import RecordingWarning
 
 if TYPE_CHECKING:
     from hil.machine.model import Machine
 
-READABLE = (".mf4", ".csv", ".mat", ".log", ".blf")
-WRITABLE = (".mf4", ".csv")
+WRITABLE = (".mf4", ".csv", ".parquet", ".mcap")
+READABLE = (*WRITABLE, ".mat", ".db3", ".log", ".blf", ".asc", ".trc")
+BAG_MARK = "metadata.yaml"
+"""File by which a folder is a bag of ROS 2."""
+
+_WRITTEN_BY = {".parquet": ("pyarrow", "Parquet files"), ".mcap": ("mcap", "MCAP files")}
+"""Package of an extra that writes a format, and what the message calls it."""
+
+Names = Mapping[str, str | Target]
+"""Name in another tool's file -> channel."""
 
 
-def read_recording(path: str | Path, machine: Machine | None = None, names: dict[str, str] | None = None) -> Recording:
+def read_recording(path: str | Path, machine: Machine | None = None, names: Names | None = None) -> Recording:
     """Read a recording of any readable format.
 
     Parameters
     ----------
     path : str or Path
-        `.mf4`, `.csv`, `.mat`, candump `.log`, `.blf`, or the `.part` of a recording that was cut short. Where the file is missing and its
+        Any of `READABLE`, the folder of a ROS 2 bag, or the `.part` of a recording that was cut short. Where the file is missing and its
         `.part` is there, that is read instead, with a warning; metadata then hold a table `recovered`.
     machine : Machine, optional
         A loaded machine, for files that do not name their machine.
-    names : dict, optional
-        For `.mat`: variable of the file -> channel.
+    names : mapping, optional
+        Name in another tool's file -> channel, as `"position_roll"`, `"position_roll [deg]"` or a `Target`.
 
     Raises
     ------
@@ -40,7 +51,10 @@ def read_recording(path: str | Path, machine: Machine | None = None, names: dict
         The file cannot be read; one line says what is wrong, where, and what would be right.
     """
     path = Path(path)
+    targets = {name: target(one, f"{path}: {name}") if isinstance(one, str) else one for name, one in (names or {}).items()}
     part = part_path(path)
+    if path.is_dir() and (path / BAG_MARK).exists():
+        return _read(path, machine, targets)
     if path.is_dir():
         raise RecordingError(f"{path}: is a folder; give the recordings in it")
     check_regular(path, RecordingError)
@@ -55,32 +69,46 @@ def read_recording(path: str | Path, machine: Machine | None = None, names: dict
         return recording
     if part.exists():
         warnings.warn(f"{path}: an unfinished recording of the same name is beside it: {part.name}", RecordingWarning, stacklevel=2)
-    recording = _read(path, machine, names)
+    recording = _read(path, machine, targets)
     if words := gap_words(recording):
         warnings.warn(f"{path}: {words}", RecordingWarning, stacklevel=2)
     return recording
 
 
-def _read(path: Path, machine: Machine | None, names: dict[str, str] | None) -> Recording:
-    match path.suffix.lower():
+def _read(path: Path, machine: Machine | None, names: Mapping[str, Target]) -> Recording:
+    match path.suffix.lower() if path.is_file() else "":
         case ".csv":
-            return read_csv(path, machine)
+            return read_csv(path, machine, names)
         case ".mf4":
             from hil.recording.mdf4 import read_mdf4  # asammdf takes half a second to import
 
-            return read_mdf4(path, machine)
+            return read_mdf4(path, machine, names)
         case ".mat":
             from hil.recording.mat import read_mat
 
-            return read_mat(path, machine, names)
+            return read_mat(path, machine, names or None)
+        case ".parquet":
+            from hil.recording.parquet import read_parquet
+
+            return read_parquet(path, machine, names)
+        case ".mcap":
+            from hil.recording.mcap_file import read_mcap
+
+            return read_mcap(path, machine, names)
+        case ".db3" | "":
+            from hil.recording.bag import read_bag
+
+            return read_bag(path, machine, names)
         case _:
             from hil.recording.can_signals import read_can
 
+            if names:
+                raise RecordingError(f"{path}: a CAN log has no names but those that the machine file's PDO maps give; leave --map out")
             return read_can(path, machine)
 
 
 def write_recording(recording: Recording, path: str | Path) -> None:
-    """Write a recording as `.mf4` or `.csv` (with its `.toml`); an incomplete file is never left.
+    """Write a recording as `.mf4`, `.csv` (with its `.toml`), `.parquet` or `.mcap`; an incomplete file is never left.
 
     Raises
     ------
@@ -89,15 +117,24 @@ def write_recording(recording: Recording, path: str | Path) -> None:
     """
     path = Path(path)
     check_writable(path)
-    if path.suffix.lower() == ".csv":
-        write_csv(recording, path)
-    else:
-        from hil.recording.mdf4 import write_mdf4
+    match path.suffix.lower():
+        case ".csv":
+            write_csv(recording, path)
+        case ".parquet":
+            from hil.recording.parquet import write_parquet
 
-        write_mdf4(recording, path)
+            write_parquet(recording, path)
+        case ".mcap":
+            from hil.recording.mcap_file import write_mcap
+
+            write_mcap(recording, path)
+        case _:
+            from hil.recording.mdf4 import write_mdf4
+
+            write_mdf4(recording, path)
 
 
-def convert(source: str | Path, target: str | Path, machine: Machine | None = None, names: dict[str, str] | None = None) -> Recording:
+def convert(source: str | Path, target: str | Path, machine: Machine | None = None, names: Names | None = None) -> Recording:
     """Read `source`, write `target`, return what was read."""
     check_writable(Path(target))
     recording = read_recording(source, machine, names)
@@ -106,8 +143,10 @@ def convert(source: str | Path, target: str | Path, machine: Machine | None = No
 
 
 def check_writable(path: Path) -> None:
-    """Raise RecordingError if a recording cannot be written under that name."""
+    """Raise RecordingError if a recording cannot be written under that name, UnusableInputError if what writes it is not installed."""
     _check_suffix(path, WRITABLE, "written")
+    if needed := _WRITTEN_BY.get(path.suffix.lower()):
+        extra_package(*needed)
 
 
 def _check_suffix(path: Path, suffixes: tuple[str, ...], verb: str) -> None:

@@ -22,10 +22,10 @@ import sys
 import tempfile
 import warnings
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
 from asammdf import MDF, Signal
@@ -36,8 +36,15 @@ from hil.errors import RecordingError
 from hil.files.atomic import write_atomically
 from hil.files.regular import MOST_BYTES
 from hil.recording.channels import is_whole
-from hil.recording.metadata import MachineFile, machine_table, metadata_text, parse_metadata
-from hil.recording.model import UNEQUAL_STEP, Channel, Recording
+from hil.recording.mdf4_columns import mdf4_columns
+from hil.recording.metadata import machine_table, metadata_text, parse_metadata
+from hil.recording.model import Channel, Recording
+from hil.recording.naming import Columns, Target, named_or_own
+from hil.recording.rasters import channels_on_one_raster
+from hil.recording.said import source_table
+
+if TYPE_CHECKING:
+    from hil.machine.model import Machine
 
 ATTACHMENT = "recording.toml"
 """Name of the attached metadata."""
@@ -55,8 +62,6 @@ _SEAL = struct.Struct("<8sII")
 _SEAL_MARK = b"isocrc32"
 _IN_MEMORY = re.compile(r"""['"]?<_io\.BytesIO[^>]*>['"]?""")
 """Name that asammdf gives to a file in memory."""
-_UNFIT = re.compile(r'[,"\[\]\x00-\x1f\x7f]')
-
 
 DEFLATE_AT_MOST = 1032
 """Most bytes that a byte of a compressed block can stand for (zlib's technical details)."""
@@ -81,19 +86,21 @@ def write_mdf4(recording: Recording, path: Path) -> None:
     write_atomically({path: _sealed(content)})
 
 
-def read_mdf4(path: Path, machine: MachineFile | None = None) -> Recording:
-    """Read a recording of this project, or any MDF 4 file whose signals share one time base.
+def read_mdf4(path: Path, machine: Machine | None = None, names: Mapping[str, Target] | None = None) -> Recording:
+    """Read a recording of this project, or any MDF 4 file; signals of several rasters are put onto one.
 
     Parameters
     ----------
     path : Path
-    machine : MachineFile, optional
-        Replaces the metadata where none are attached.
+    machine : Machine, optional
+        Replaces the metadata where none are attached; its rate chooses the raster.
+    names : mapping, optional
+        Name in the file -> channel. Signals that it does not name keep theirs.
 
     Raises
     ------
     RecordingError
-        The file is no MDF file or damaged, has several time bases, or there are neither metadata nor a machine.
+        The file is no MDF file or damaged, a name stands for several signals, or there are neither metadata nor a machine.
     """
     try:
         content = path.read_bytes()
@@ -106,7 +113,7 @@ def read_mdf4(path: Path, machine: MachineFile | None = None) -> Recording:
             with MDF(io.BytesIO(content)) as mdf:
                 _check_claims(mdf, len(content), path)
                 metadata = _metadata(mdf, path, machine)
-                channels = _channels(mdf, path)
+                found = mdf4_columns(mdf)
         except RecordingError:
             raise
         except Exception as problem:
@@ -116,9 +123,22 @@ def read_mdf4(path: Path, machine: MachineFile | None = None) -> Recording:
     if reason:
         raise RecordingError(f"{path}: no MDF 4 file, or damaged: {reason}")
     try:
-        return Recording(channels, metadata)
+        return _recording(found, names, metadata, machine, path)
     except RecordingError as problem:
-        raise RecordingError(f"{path}: {problem}") from None
+        raise RecordingError(str(problem) if str(problem).startswith(str(path)) else f"{path}: {problem}") from None
+
+
+def _recording(
+    found: Columns, names: Mapping[str, Target] | None, metadata: dict[str, Any], machine: Machine | None, path: Path
+) -> Recording:
+    """Return the signals as channels: under the given names, others under their own."""
+    wanted, not_taken = named_or_own(found, names or {}, path)
+    channels, notes = channels_on_one_raster(found, wanted, machine, path)
+    not_taken += [f"{name}: {what}" for name, what in found.others.items()]
+    if not_taken or notes or names:
+        renamed = {name: wanted_as.channel for name, wanted_as in (names or {}).items()}
+        metadata = metadata | {"source": source_table(path, not_taken, notes, renamed)}
+    return Recording(channels, metadata)
 
 
 def _check_claims(mdf: MDF, file_bytes: int, path: Path) -> None:
@@ -177,51 +197,13 @@ def _mdf_bytes(recording: Recording, signals: list[Signal], started: datetime) -
     return content.getvalue()
 
 
-def _metadata(mdf: MDF, path: Path, machine: MachineFile | None) -> dict[str, Any]:
+def _metadata(mdf: MDF, path: Path, machine: Machine | None) -> dict[str, Any]:
     for attachment in mdf.attachments:
         if attachment.file_name == ATTACHMENT:
             return parse_metadata(bytes(attachment.extract()).decode(), f"{path}: {ATTACHMENT}")
     if machine is None:
         raise RecordingError(f"{path}: no {ATTACHMENT} is attached, so it is no recording of ours; name the machine with --machine")
     return {"machine": machine_table(machine)}
-
-
-def _channels(mdf: MDF, path: Path) -> dict[str, Channel]:
-    channels: dict[str, Channel] = {}
-    time: np.ndarray | None = None
-    for signal in _signals(mdf):
-        if time is None:
-            time = signal.timestamps
-            channels["time"] = Channel("s", time)
-        elif time.shape != signal.timestamps.shape or np.any(np.abs(time - signal.timestamps) > _tolerance(time)):
-            raise RecordingError(f"{path}: {signal.name} has a time base of its own; resample the file to one raster first, a row per SYNC")
-        name = _UNFIT.sub("_", signal.name).strip()
-        if name in channels:
-            raise RecordingError(f"{path}: channel {name} is in it twice")
-        values = np.asarray(signal.samples, dtype=np.float64)
-        if signal.invalidation_bits is not None:
-            values = np.where(signal.invalidation_bits, np.nan, values)
-        channels[name] = Channel(signal.unit, values)
-    if time is None:
-        raise RecordingError(f"{path}: holds no numeric signals")
-    return channels
-
-
-def _signals(mdf: MDF) -> Iterator[Signal]:
-    """Yield every numeric channel that is no time base, with its invalidation bits, in one pass over the file."""
-    wanted = [
-        (None, number, index)
-        for number, group in enumerate(cast(Sequence[_Group], mdf.groups))
-        for index in range(len(group.channels))
-        if index != mdf.masters_db.get(number)
-    ]
-    for signal in mdf.select(wanted, validate=False, copy_master=False) if wanted else ():
-        if signal.samples.ndim == 1 and signal.samples.dtype.kind in "fiub":
-            yield signal
-
-
-def _tolerance(time: np.ndarray) -> float:
-    return UNEQUAL_STEP * float(np.median(np.diff(time))) if time.size > 1 else 0.0
 
 
 def _sealed(content: bytes) -> bytes:

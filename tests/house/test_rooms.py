@@ -16,7 +16,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "processes": (),
     "files": (),
     "machine": ("files",),
-    "recording": ("files", "machine", "version"),
+    "recording": ("extras", "files", "machine", "version"),
     "simulation": ("machine", "recording"),
     "experiments": ("files", "machine", "simulation"),
     "identification": ("files", "recording"),

@@ -324,7 +324,25 @@ def test_convert_reads_a_mat_whose_variables_are_named_otherwise(isocenter: Isoc
         assert says in refused.line, refused.line
     refused = isocenter("convert", tmp_path / "lab.csv", tmp_path / "lab.mf4", "--map", "t=time")
     assert refused.status == 2
-    assert "--map is for .mat" in refused.line
+    assert "no variable t; it has time, position_roll" in refused.line
+
+
+def test_convert_takes_a_file_of_names_and_lists_what_it_could_not_take(isocenter: Isocenter, tmp_path: Path) -> None:
+    (tmp_path / "lab.csv").write_text("Zeit;Winkel;Strom [mA];Notiz\n0;1,5;3;gut\n5;2,5;4;gut\n")
+    (tmp_path / "names.toml").write_text(
+        '[channels]\nZeit = "time [ms]"\nWinkel = { channel = "position_roll", unit = "deg", scale = -1 }\n'
+    )
+    named = ("--map", tmp_path / "names.toml", "--map", "Strom=current_roll", "--machine", "carm")
+    done = isocenter("convert", tmp_path / "lab.csv", tmp_path / "lab.mcap", *named, "--json", "-")
+    assert done.status == 0, done.err
+    answer = json.loads(done.out)
+    assert answer["channels"] == {"time": "s", "position_roll": "rad", "current_roll": "A"}
+    assert answer["names"] == {"Zeit": "time", "Winkel": "position_roll", "Strom": "current_roll"}
+    assert answer["not_taken"] == ["Notiz: line 2: 'gut' is no number"]
+    assert "not taken: Notiz: " in done.err
+    recording = read_recording(tmp_path / "lab.mcap")
+    np.testing.assert_allclose(recording["position_roll"], -np.radians([1.5, 2.5]))
+    np.testing.assert_allclose(recording["current_roll"], [3e-3, 4e-3])
 
 
 def test_a_shipped_machine_file_is_printed_to_begin_one_of_your_own(isocenter: Isocenter, tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ from hil.imaging.exchange.rtk_xml import read_rtk
 from hil.imaging.scan_folder import EXPOSURES, FRAMES, read_scan, write_description
 from hil.machine import load_machine
 from hil.recording import read_recording
-from hil.recording.formats import write_recording
+from hil.recording.formats import READABLE, write_recording
 from hil.recording.model import Channel, Recording
 from virtual_bus.xray.motion import FocalSpot
 
@@ -57,7 +57,7 @@ def mf4(tmp_path: Path) -> bytes:
     return path.read_bytes()[:-16]  # without the seal, as another tool writes it
 
 
-@pytest.mark.parametrize("suffix", [".mf4", ".csv", ".mat", ".log", ".blf", ".mf4.part"])
+@pytest.mark.parametrize("suffix", [*READABLE, ".mf4.part"])
 def test_a_device_or_pipe_is_no_recording(tmp_path: Path, suffix: str) -> None:
     zero, pipe = tmp_path / f"zero{suffix}", tmp_path / f"pipe{suffix}"
     zero.symlink_to("/dev/zero")
@@ -95,7 +95,7 @@ def test_an_image_that_claims_terabytes(tmp_path: Path) -> None:
     refused(UnusableInputError, "image 0 is 1048576 x 1048576; scan.toml says 8 x 6", lambda: read_scan(tmp_path).frame(0))
 
 
-@pytest.mark.parametrize("suffix", [".mf4", ".csv", ".mat", ".log", ".blf", ".mf4.part"])
+@pytest.mark.parametrize("suffix", [*READABLE, ".mf4.part"])
 def test_a_sparse_file_of_8_terabytes_is_not_read(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"sparse{suffix}"
     path.touch()
@@ -158,6 +158,73 @@ def test_a_mat_that_claims_terabytes_or_unpacks_to_more_than_fits(tmp_path: Path
     bombed.write_bytes(head + struct.pack("<II", 15, len(packed)) + packed)
     with pytest.raises(RecordingError, match="a variable of more than 268435456 bytes"):
         read_recording(bombed, carm)
+
+
+def nested(levels: int) -> bytes:
+    """Structures in structures, each with the one field `a`."""
+    inner = b""
+    for _ in range(levels):
+        parts = struct.pack("<IIII", 6, 8, 2, 0) + struct.pack("<IIii", 5, 8, 1, 1) + struct.pack("<II", 1, 0)
+        parts += struct.pack("<III", 5 | 4 << 16, 2, 1) + struct.pack("<I", 2) + b"a".ljust(8, b"\0")
+        inner = struct.pack("<II", 14, len(parts) + len(inner)) + parts + inner
+    return inner
+
+
+def test_structures_of_a_mat_in_great_number_or_depth(tmp_path: Path) -> None:
+    head = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM"
+    carm = load_machine("carm")
+    deep = tmp_path / "deep.mat"
+    deep.write_bytes(head + nested(2000))
+    refused(RecordingError, "deep", lambda: read_recording(deep, carm))
+    cells = struct.pack("<IIII", 6, 8, 1, 0) + struct.pack("<IIii", 5, 8, 1, 2**20) + struct.pack("<IIQ", 1, 1, 0x63)
+    many = tmp_path / "many.mat"
+    many.write_bytes(head + struct.pack("<II", 14, len(cells) + 8 * 2**20) + cells + struct.pack("<II", 14, 0) * 2**20)
+    refused(RecordingError, "more than 100000 arrays", lambda: read_recording(many, carm))
+
+
+def test_a_matlab_7_3_file_that_claims_terabytes_or_goes_round_in_circles(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    carm = load_machine("carm")
+    for name, shape in (("claims", (1, 2**40)), ("round", (1, 4))):
+        with h5py.File(tmp_path / f"{name}.mat", "w", userblock_size=512) as file:
+            file.create_dataset("time", shape=shape, dtype="f8", chunks=(1, 4))
+            if name == "round":
+                group = file.create_group("again")
+                group["again"] = group
+        content = bytearray((tmp_path / f"{name}.mat").read_bytes())
+        content[:128] = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM"
+        (tmp_path / f"{name}.mat").write_bytes(content)
+    refused(RecordingError, r"variable time claims 8796093022208 bytes", lambda: read_recording(tmp_path / "claims.mat", carm))
+    refused(RecordingError, "structures more than 32 deep", lambda: read_recording(tmp_path / "round.mat", carm))
+
+
+def test_a_parquet_of_hundreds_of_millions_of_holes(tmp_path: Path) -> None:
+    arrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    path = tmp_path / "holes.parquet"
+    block = arrow.table({f"c{k}": arrow.nulls(2**20) for k in range(300)})
+    parquet.write_table(block, path)
+    assert path.stat().st_size < 1_000_000
+    refused(RecordingError, "claims 1048576 rows of 300 columns", lambda: read_recording(path, load_machine("carm")))
+
+
+@pytest.mark.parametrize("compression", ["ZSTD", "LZ4"])
+def test_an_mcap_whose_chunk_unpacks_to_gigabytes(tmp_path: Path, compression: str) -> None:
+    writing = pytest.importorskip("mcap.writer")
+    path = tmp_path / "bomb.mcap"
+    with path.open("wb") as file:
+        writer = writing.Writer(file, chunk_size=2**30, compression=writing.CompressionType[compression])
+        writer.start()
+        channel = writer.register_channel("/x", "json", 0)
+        writer.add_message(channel, 0, bytes(2**28 + 1), 0)
+        writer.finish()
+    refused(
+        RecordingError, "a chunk of .* claims 268435.*; a chunk has at most 268435456", lambda: read_recording(path, load_machine("carm"))
+    )
+    content = bytearray(path.read_bytes())
+    place = content.find(b"\x06", 20) + 9 + 16
+    struct.pack_into("<Q", content, place, 100)  # the chunk's own size; the packed data say theirs
+    path.write_bytes(content)
+    refused(RecordingError, "damaged|claims 268435", lambda: read_recording(path, load_machine("carm")))
 
 
 def plain(count: int) -> str:

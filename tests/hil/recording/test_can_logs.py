@@ -165,7 +165,11 @@ def test_without_a_machine_the_frames_themselves_are_the_rows(tmp_path: Path) ->
     np.testing.assert_array_equal(recording["can_extended"], [0, 1, 0])
     np.testing.assert_array_equal(recording["can_remote"], [0, 1, 0])
     np.testing.assert_array_equal(recording["byte_1"], [2, np.nan, np.nan])
-    assert recording.metadata == {"kind": "can_frames", "buses": ["can0", "can1"]}
+    assert recording.metadata == {
+        "kind": "can_frames",
+        "buses": ["can0", "can1"],
+        "source": {"file": "bus.log", "not_taken": ["1 error frame"]},
+    }
 
 
 @needs_data("canopen", "the conformance trace is")
@@ -194,8 +198,11 @@ def test_the_frame_log_is_what_candump_writes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("(0.0) can0 080#\n(0.1) can0 18#00\n", r"line 2: '\(0\.1\) can0 18#00' is no line of `candump -l`"),
-        ("vcan0  080   [0]\n", "line 1: .*no line of `candump -l`"),
+        ("(0.0) can0 080#\n(0.1) can0 18#00\n", r"line 2: '\(0\.1\) can0 18#00' is no line of candump"),
+        ("vcan0  080   [0] 00\n", "line 1: \\[0\\] and 1 bytes"),
+        ("vcan0  080\n", "line 1: .*no line of candump"),
+        ("(0.0) can0 080#\n (000.1)  can0  080   [0]\n", "line 2: another kind of time stamp"),
+        (" (2025-02-30 09:12:40.000000)  can0  080   [0]\n", "line 1: 2025-02-30 09:12:40.000000 is no time"),
         ("(0.0) can0 181#0\n", "line 1"),
         ("(0.0) can0 080#\n\n(0.1) can0 080#\xe9\n", "line 3: no ASCII"),
         ("", "holds no frames"),

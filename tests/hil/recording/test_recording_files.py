@@ -171,7 +171,9 @@ def test_an_mf4_of_another_tool_needs_the_machine_and_is_read_with_it(tmp_path: 
         ("time [s],position_roll [ell]\n0,1\n", r"line 1: channel position_roll: unknown unit \[ell\]"),
         ("time [s],x,x\n0,1,2\n", "line 1: channel x stands there twice"),
         ("t [s],x\n0,1\n", "line 1: no column `time"),
-        ("time [s];x\n0;1\n", "semicolons"),
+        ("time [s];x\n0;1,5\n1;1.5\n", "line 3: decimal commas and points"),
+        ("time [s];x\n0;1.234,5\n", r"line 2: x = '1\.234,5' is no number"),
+        ("time [s];x\n0,0;1;2\n", "line 2: 3 cells, the header has 2"),
         ("time [s],x\n", "line 1: a header and no rows"),
         ("", "line 1: empty"),
         ("time [s],\n0,1\n", "line 1: header cell ''"),
@@ -276,7 +278,7 @@ def test_convert_goes_both_ways_without_loss(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("target", ["b.mat", "b.log", "b"])
 def test_a_format_that_cannot_be_written_is_refused_before_reading(tmp_path: Path, target: str) -> None:
-    with pytest.raises(RecordingError, match=r"cannot be written as .*\.mf4, \.csv can"):
+    with pytest.raises(RecordingError, match=r"cannot be written as .*\.mf4, \.csv, \.parquet, \.mcap can"):
         convert(tmp_path / "absent.csv", tmp_path / target)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.io
+import scipy.sparse
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from places import DATA, needs_data
@@ -106,20 +107,23 @@ def test_a_mat_without_machine_is_one_line(tmp_path: Path) -> None:
         read_recording(save(tmp_path / "x.mat", time=[0.0]))
 
 
-def test_a_matlab_7_3_file_is_told_apart(carm: Machine, tmp_path: Path) -> None:
+def test_a_matlab_7_3_file_that_is_none_is_one_line(carm: Machine, tmp_path: Path) -> None:
     (tmp_path / "x.mat").write_bytes(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM" + bytes(512))
-    with pytest.raises(RecordingError, match="save it with -v7"):
+    with pytest.raises(RecordingError, match=r"no MATLAB 7\.3 file, or damaged"):
         read_recording(tmp_path / "x.mat", carm)
 
 
 def test_whatever_numeric_type_scipy_saves_is_read_as_it_is(tmp_path: Path) -> None:
     kinds = ["i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8"]
     wanted = {f"v_{kind}": np.array([[1, 2, 3], [4, 5, 6]], dtype=kind) for kind in kinds}
-    others = {"text": "abc", "complex": np.array([1j]), "structure": {"a": 1.0}, "cell": np.array([1, "a"], dtype=object)}
+    others = {"complex": np.array([1j]), "lines": np.array(["ab", "cd"]), "sparse": scipy.sparse.eye(2).tocsc()}
+    inside = {"text": "abc", "structure": {"a": 1.0, "b": {"c": "d"}}, "cell": np.array([1, "a"], dtype=object)}
     for compressed in (False, True):
-        scipy.io.savemat(tmp_path / "x.mat", wanted | others, do_compression=compressed)
+        scipy.io.savemat(tmp_path / "x.mat", wanted | others | inside, do_compression=compressed)
         found = numeric_arrays((tmp_path / "x.mat").read_bytes())
         assert all(found[name] is None for name in others)
+        assert (found["text"], found["structure.a"], found["structure.b.c"]) == ("abc", 1.0, "d")
+        assert (found["cell{1}"], found["cell{2}"]) == (1, "a")
         for name, values in wanted.items():
             assert found[name].dtype == values.dtype
             np.testing.assert_array_equal(found[name], values)

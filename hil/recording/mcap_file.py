@@ -1,0 +1,110 @@
+"""MCAP recordings (`.mcap`): a JSON message per row on one topic, whose schema has the units, and the metadata as an attached TOML text.
+
+Any MCAP tool can show them. A file of another tool is a bag: see `bag`.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Mapping
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hil.errors import RecordingError
+from hil.files.atomic import write_atomically
+from hil.recording.bag import bag_of_mcap, recording_of_bag
+from hil.recording.mcap_stream import mcap_package
+from hil.recording.metadata import metadata_text, parse_metadata
+from hil.recording.model import Recording
+from hil.recording.naming import Column, Columns, Target, named_channels
+
+if TYPE_CHECKING:
+    from hil.machine.model import Machine
+
+TOPIC = "/isocenter/recording"
+ATTACHMENT = "recording.toml"
+
+
+def write_mcap(recording: Recording, path: Path) -> None:
+    """Write a recording; numbers read back bit for bit.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be written.
+    UnusableInputError
+        mcap is not installed.
+    """
+    started_ns = _started_ns(recording)
+    properties = {name: {"type": ["number", "null"], "unit": channel.unit} for name, channel in recording.channels.items()}
+    schema = {"title": "isocenter.recording", "type": "object", "properties": properties}
+    metadata = metadata_text({**recording.metadata, "rows": recording.rows})
+    content = io.BytesIO()
+    writer = mcap_package("mcap.writer").Writer(content)
+    writer.start(library="isocenter")
+    schema_id = writer.register_schema("isocenter.recording", "jsonschema", json.dumps(schema).encode())
+    channel_id = writer.register_channel(TOPIC, "json", schema_id)
+    writer.add_attachment(started_ns, started_ns, ATTACHMENT, "application/toml", metadata.encode())
+    names = list(recording.channels)
+    for row, values in enumerate(recording.matrix(names).tolist()):
+        message = {name: None if value != value else value for name, value in zip(names, values, strict=True)}
+        time_ns = max(0, started_ns + round(float(recording.time[row]) * 1e9))
+        writer.add_message(channel_id, time_ns, json.dumps(message).encode(), time_ns, row)
+    writer.finish()
+    write_atomically({path: content.getvalue()})
+
+
+def read_mcap(path: Path, machine: Machine | None = None, names: Mapping[str, Target] | None = None) -> Recording:
+    """Read a recording of this project, or a bag.
+
+    Raises
+    ------
+    RecordingError
+        The file is damaged, or as in `recording_of_bag`.
+    UnusableInputError
+        mcap is not installed.
+    """
+    bag = bag_of_mcap([path])
+    text = bag.attachments.get(ATTACHMENT)
+    if text is None or TOPIC not in bag.rows:
+        return recording_of_bag(bag, path, machine, names)
+    metadata = parse_metadata(text.decode(errors="replace"), f"{path}: {ATTACHMENT}")
+    rows = metadata.pop("rows", None)
+    messages = [message for _, message in bag.rows[TOPIC]]
+    if rows != len(messages):
+        raise RecordingError(f"{path}: {len(messages)} rows, but its {ATTACHMENT} says rows = {rows}; the file was cut off or edited")
+    columns = {name: Column(_values(messages, name, path), unit) for name, unit in _units(bag.schemas.get(TOPIC, b""), path).items()}
+    wanted = {name: Target(name) for name in columns if name not in (names or {})} | dict(names or {})
+    channels, _ = named_channels(Columns(columns), wanted, machine, path)
+    try:
+        return Recording({one.channel: channels[one.channel] for one in wanted.values()}, metadata)
+    except RecordingError as problem:
+        raise RecordingError(f"{path}: {problem}") from None
+
+
+def _started_ns(recording: Recording) -> int:
+    """Return when the recording began, since 1970; 0 where it does not say."""
+    try:
+        started = datetime.fromisoformat(str(recording.metadata.get("started", "")))
+    except ValueError:
+        return 0
+    return max(0, round(started.timestamp() * 1e6) * 1000)
+
+
+def _units(schema: bytes, path: Path) -> dict[str, str]:
+    try:
+        properties = json.loads(schema)["properties"]
+        return {str(name): str(entry["unit"]) for name, entry in properties.items()}
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        raise RecordingError(f"{path}: damaged: topic {TOPIC} without a schema that has units") from None
+
+
+def _values(messages: list[dict[str, Any]], name: str, path: Path) -> np.ndarray:
+    values = [message.get(name) for message in messages]
+    if not all(value is None or isinstance(value, int | float) for value in values):
+        raise RecordingError(f"{path}: damaged: {name} is no number in a row")
+    return np.array([np.nan if value is None else value for value in values], dtype=np.float64)

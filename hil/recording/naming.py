@@ -1,0 +1,265 @@
+"""Names of other tools' files: which of their columns is which channel, in which unit and with which factor."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from hil.errors import RecordingError
+from hil.files.regular import check_regular
+from hil.recording.channels import check_name, kind_of, unit_and_factor
+from hil.recording.model import Channel
+from hil.recording.said import listed
+
+if TYPE_CHECKING:
+    from hil.machine.model import Machine
+
+MOST_MAP_BYTES = 2**20
+"""Of a file of names: ten thousand names have fewer."""
+
+FIXED_UNITS = {
+    "time": "s",
+    **dict.fromkeys(("imu_x", "imu_y", "imu_z"), "m/s^2"),
+    **dict.fromkeys(("gyro_x", "gyro_y", "gyro_z"), "rad/s"),
+    "imu_time": "s",
+    "imu_counter": "",
+    "sync_lateness": "s",
+    "work_time": "s",
+    "exposure_id": "",
+}
+"""Units of channels that belong to no axis."""
+
+_AXIS_UNITS = {"statusword": "", "temperature": "degC", "data_age": "s"}
+_POSITIONS = ("reference", "reference_raw", "position", "link_position")
+_TARGET = re.compile(r"\s*(?P<channel>[^\[\]]*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?\s*")
+_KEYS = ("channel", "unit", "scale", "offset")
+
+
+class Target(NamedTuple):
+    """What a column of a file becomes: `channel = scale * column + offset`, in `unit`; None is the file's own unit, or the machine's."""
+
+    channel: str
+    unit: str | None = None
+    scale: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True)
+class Column:
+    """One signal of another tool's file.
+
+    Parameters
+    ----------
+    values : ndarray, shape (N,)
+        NaN where a sample is missing.
+    unit : str, optional
+        None where the file gives none.
+    time_s : ndarray, shape (N,), optional
+        Times of its samples, where signals have times of their own.
+    whole : bool
+        A counter or a bit field, between whose values there is nothing.
+    """
+
+    values: np.ndarray
+    unit: str | None = None
+    time_s: np.ndarray | None = None
+    whole: bool = False
+
+
+@dataclass(frozen=True)
+class Columns:
+    """What a file holds.
+
+    Parameters
+    ----------
+    columns : mapping
+        Name -> column, each name of one column only.
+    several : mapping
+        A name that stands for several columns -> their names.
+    others : mapping
+        Name of what is no column of numbers -> what it is.
+    """
+
+    columns: Mapping[str, Column]
+    several: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    others: Mapping[str, str] = field(default_factory=dict)
+
+
+def target(text: str, where: str) -> Target:
+    """Read `CHANNEL` or `CHANNEL [unit]`; `where` begins the error."""
+    if not is_header_cell(text):
+        raise RecordingError(f"{where}: {text!r} is not `CHANNEL` or `CHANNEL [unit]`, such as `position_roll [deg]`")
+    name, unit = header_name(text)
+    return Target(check_name(name), unit)
+
+
+def is_header_cell(text: str) -> bool:
+    """Return whether a text is `name` or `name [unit]`."""
+    match = _TARGET.fullmatch(text)
+    return match is not None and bool(match["channel"])
+
+
+def header_name(cell: str) -> tuple[str, str | None]:
+    """Return name and unit of `name [unit]`; the whole text and no unit where it is something else."""
+    match = _TARGET.fullmatch(cell)
+    if match is None or not match["channel"]:
+        return cell.strip(), None
+    return match["channel"], None if match["unit"] is None else match["unit"].strip()
+
+
+def read_names(path: Path) -> dict[str, Target]:
+    """Read a file of names: TOML with a table `channels`, name in the file -> `"CHANNEL [unit]"` or a table.
+
+    Such a table has `channel` and, if need be, `unit`, `scale` and `offset`.
+
+    Raises
+    ------
+    RecordingError
+        The file is no such table; the message names the entry.
+    """
+    check_regular(path, RecordingError, MOST_MAP_BYTES)
+    try:
+        document = tomllib.loads(path.read_bytes().decode())
+    except OSError as problem:
+        raise RecordingError(f"{path}: cannot be read: {problem.strerror}") from None
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as problem:
+        raise RecordingError(f"{path}: no TOML: {str(problem).partition(chr(10))[0]}") from None
+    entries = document.pop("channels", None)
+    if not isinstance(entries, dict) or not entries or document:
+        what = f"key {next(iter(document))}" if document else "no table [channels]"
+        raise RecordingError(f'{path}: {what}; a file of names is a table [channels] of lines such as "qd" = "position_roll [deg]"')
+    return {name: _entry(entry, f"{path}: channels.{name}") for name, entry in entries.items()}
+
+
+def _entry(entry: object, where: str) -> Target:
+    if isinstance(entry, str):
+        return target(entry, where)
+    if not isinstance(entry, dict) or not isinstance(entry.get("channel"), str):
+        raise RecordingError(f'{where}: must be "CHANNEL [unit]" or a table with channel = "CHANNEL", and unit, scale, offset if need be')
+    if unknown := [key for key in entry if key not in _KEYS]:
+        raise RecordingError(f"{where}: unknown key {unknown[0]}; {', '.join(_KEYS)} are known")
+    named = target(entry["channel"], where)
+    unit = entry.get("unit", named.unit)
+    if unit is not None and not isinstance(unit, str):
+        raise RecordingError(f'{where}: unit = {unit!r}: must be a text such as "deg"')
+    scale, offset = entry.get("scale", 1.0), entry.get("offset", 0.0)
+    for key, value in (("scale", scale), ("offset", offset)):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or (key == "scale" and value == 0):
+            raise RecordingError(f"{where}: {key} = {value!r}: must be a finite number{' other than 0' if key == 'scale' else ''}")
+    return Target(named.channel, unit, float(scale), float(offset))
+
+
+def picked(found: Columns, names: Mapping[str, Target], path: Path) -> None:
+    """Check that each name is that of one column, and each channel named once; RecordingError lists the names that would be right."""
+    for name in names:
+        if name in found.columns:
+            continue
+        if name in found.several:
+            raise RecordingError(f"{path}: {name} is no vector of numbers but stands for several; name one: {listed(found.several[name])}")
+        if name in found.others:
+            raise RecordingError(f"{path}: variable {name} is no vector of numbers but {found.others[name]}")
+        raise RecordingError(f"{path}: no variable {name}; {_instead(name, [*found.columns, *found.others])}")
+    channels: dict[str, str] = {}
+    for name, wanted in names.items():
+        if wanted.channel in channels:
+            raise RecordingError(f"{path}: both {channels[wanted.channel]} and {name} are to be {wanted.channel}; a channel has one source")
+        channels[wanted.channel] = name
+
+
+def named_channels(
+    found: Columns, names: Mapping[str, Target], machine: Machine | None, path: Path
+) -> tuple[dict[str, Channel], dict[str, Column]]:
+    """Return the channels that `names` makes of a file's columns, and the column of each.
+
+    A unit comes from the name, else from the file, else from the machine.
+
+    Raises
+    ------
+    RecordingError
+        As in `picked`; or a channel has a wrong unit, or none is known.
+    """
+    picked(found, names, path)
+    channels: dict[str, Channel] = {}
+    sources: dict[str, Column] = {}
+    for name, wanted in names.items():
+        column = found.columns[name]
+        unit = wanted.unit if wanted.unit is not None else column.unit
+        unit = machine_unit(wanted.channel, machine, path) if unit is None and machine is not None else unit or ""
+        values = column.values.astype(np.float64)
+        if (wanted.scale, wanted.offset) != (1.0, 0.0):
+            values = wanted.scale * values + wanted.offset
+        channels[wanted.channel] = Channel(unit, values)
+        sources[wanted.channel] = column
+    return channels, sources
+
+
+def named_or_own(found: Columns, names: Mapping[str, Target], path: Path) -> tuple[dict[str, Target], list[str]]:
+    """Return `names` and, under their own names, the columns that they leave out; and which of these are no channel.
+
+    For files whose columns have units.
+
+    Raises
+    ------
+    RecordingError
+        As in `picked`; a name stands for several columns and `names` tells none of them apart; or, where there are no `names` that could
+        mend it, a column has a channel's name and not its unit.
+    """
+    picked(found, names, path)
+    for name, meant in found.several.items():
+        if not any(one in names for one in meant):
+            raise RecordingError(f"{path}: channel {name} is in it twice; say with --map which is which: {listed(meant)}")
+    wanted = dict(names)
+    taken = {one.channel for one in names.values()}
+    not_taken = []
+    for name, column in found.columns.items():
+        if name in names:
+            continue
+        try:
+            if name in taken:
+                raise RecordingError(f"another one is to be {name}")
+            unit_and_factor(check_name(name), column.unit or "")
+            wanted[name] = Target(name, column.unit or "")
+        except RecordingError as problem:
+            if not names:
+                raise RecordingError(f"{path}: {problem}") from None
+            not_taken.append(f"{name}: {problem}")
+    if not wanted:
+        raise RecordingError(f"{path}: holds no numeric signals")
+    return wanted, not_taken
+
+
+def machine_unit(channel: str, machine: Machine, path: Path) -> str:
+    """Return the unit of a channel of this machine."""
+    if channel in FIXED_UNITS:
+        return FIXED_UNITS[channel]
+    axis = machine.axis_of_channel(channel)
+    if axis is None:
+        raise RecordingError(f"{path}: {channel} is no channel of machine {machine.name} with axes {', '.join(machine.axes)}")
+    units, quantity = machine.units[machine.axis_index(axis)], channel.removesuffix(f"_{axis}")
+    if quantity in _AXIS_UNITS:
+        return _AXIS_UNITS[quantity]
+    if quantity == "speed":
+        return f"{units.position}/s"
+    return units.position if quantity in _POSITIONS else units.effort
+
+
+def is_channel(name: str, machine: Machine) -> bool:
+    """Return whether a name is that of a channel of this machine, or of no axis."""
+    if name in FIXED_UNITS:
+        return True
+    axis = machine.axis_of_channel(name)
+    return axis is not None and kind_of(name) is not None and kind_of(name.removesuffix(axis) + "x") is not None
+
+
+def _instead(name: str, known: Iterable[str]) -> str:
+    known = list(known)
+    close = difflib.get_close_matches(name, known, n=3)
+    return f"did you mean {' or '.join(close)}?" if close else f"it has {', '.join(known[:20])}{', ...' if len(known) > 20 else ''}"
