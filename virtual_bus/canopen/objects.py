@@ -154,6 +154,13 @@ class Objects:
         entry = Entry(variable)
         self.entries[entry.key] = entry
 
+    def take_defaults(self, before: canopen.ObjectDictionary, dictionary: canopen.ObjectDictionary) -> None:
+        """Take the defaults that differ between two readings of the data sheet, which are those that hold the node id."""
+        old, new = Objects(before), Objects(dictionary)
+        for key, entry in new.entries.items():
+            if key in self.entries and entry.default != old.entries[key].default:
+                self.entries[key].default = entry.default
+
     def __contains__(self, index: int) -> bool:
         """Return whether the device has an object of this index."""
         return index in self._indices
