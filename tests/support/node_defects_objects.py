@@ -257,7 +257,12 @@ def error_behaviour_ignored() -> Variants:
 
 def error_history() -> Variants:
     def not_cleared(machine: MutantMachine) -> None:
-        machine.node.objects.effects[key_of(0x1003)] = lambda value: None
+        entry = machine.node.objects.find(0x1003)
+
+        def keep(value: Value) -> None:
+            entry.value = sum(1 for e in machine.node.objects if e.index == 0x1003 and e.subindex and e.value)
+
+        machine.node.objects.effects[key_of(0x1003)] = keep
 
     def lax(machine: MutantMachine) -> None:
         machine.node.objects.checks.pop(key_of(0x1003), None)
