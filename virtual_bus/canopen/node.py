@@ -138,6 +138,8 @@ class Node:
             self.application_reset()
         self._consumer.reset()
         self._guarding.reset()
+        for rpdo in self._rpdos:
+            rpdo.forget()
         if self.node_id == UNCONFIGURED:
             self._configure()
             return
