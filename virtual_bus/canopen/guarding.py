@@ -1,4 +1,4 @@
-"""Node guarding and life guarding (CiA 301, 7.2.8.2.2.1 and 7.2.8.3.2.1), of a device that has 100Ch and 100Dh."""
+"""Node guarding and life guarding (CiA 301, 7.2.8.2.2.2 and 7.2.8.3.2.1), of a device that has 100Ch and 100Dh."""
 
 from __future__ import annotations
 
