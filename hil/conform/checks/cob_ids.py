@@ -13,6 +13,7 @@ CHECKS = Checks("COB-IDs")
 check = CHECKS.check
 RESTRICTED = (0x000, 0x001, 0x07F, 0x101, 0x180, 0x581, 0x5FF, 0x601, 0x67F, 0x6E0, 0x6FF, 0x701, 0x77F, 0x780, 0x7FF)
 """The ends of the ranges of table 41."""
+ALLOWED = (0x181, 0x57F, 0x680, 0x6DF)
 _EXTENDED, _GENERATES, _FREE, _OTHER_FREE = 1 << 29, 1 << 30, 0x0A5, 0x0A6
 _NAMES = {"1005h": 0x1005, "1012h": 0x1012, "1014h": 0x1014}
 
@@ -33,6 +34,15 @@ def pdo_restricted(device: Device, pdo: Pdo) -> None:
     flags = turn_off(device, pdo) & _GENERATES
     for can_id in RESTRICTED:
         _restore_if_taken(device, pdo.communication, 1, can_id | flags, f"identifier {can_id:03X}h is refused")
+
+
+@check("{}:01 takes the identifiers next to the restricted ones", "7.3.5", of=first_pdos)
+def pdo_allowed(device: Device, pdo: Pdo) -> None:
+    """Switch a PDO on with identifiers at the ends of the allowed ranges; the node is in pre-operational and sends none."""
+    for can_id in ALLOWED:
+        flags = turn_off(device, pdo) & _GENERATES
+        device.expect_code(device.try_number(pdo.communication, 1, can_id | INVALID | flags), (0,), f"{can_id:03X}h is taken, off")
+        device.expect_code(device.try_number(pdo.communication, 1, can_id | flags), (0,), f"{can_id:03X}h is taken, on")
 
 
 @check("{}:01 does not change its identifier while the PDO is on", "7.5.2.35 and 7.5.2.37", of=first_pdos)

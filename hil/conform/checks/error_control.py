@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from statistics import mean
 
-from drivers.canopen.network import HEARTBEAT, NMT_START
+from drivers.canopen.network import HEARTBEAT, NMT_START, NMT_STOP
 from hil.conform.aborts import BAD_VALUE, INCOMPATIBLE, NOT_NOW
 from hil.conform.check import Checks, CheckSkippedError
 from hil.conform.device import OPERATIONAL, PRE_OPERATIONAL, STOPPED, Device
@@ -84,6 +84,11 @@ def guarding(device: Device) -> None:
     for toggle in (0, 1, 0, 1):
         frame = _guard(device)
         device.expect(frame is not None and frame.data == bytes((PRE_OPERATIONAL | toggle << 7,)), f"{PRE_OPERATIONAL | toggle << 7:02X}")
+    device.must_reset()
+    for toggle, (command, state) in enumerate(((NMT_STOP, STOPPED), (NMT_START, OPERATIONAL))):
+        device.nmt(command)
+        frame = _guard(device)
+        device.expect(frame is not None and frame.data == bytes((state | toggle << 7,)), f"{state | toggle << 7:02X}")
 
 
 @check("a reset of the communication clears guarding's toggle bit", "7.2.8.3.2.1")

@@ -6,7 +6,17 @@ from collections.abc import Iterable, Sequence
 
 from canopen.objectdictionary import ODVariable
 
-from hil.conform.aborts import BAD_VALUE, CANNOT_MAP, MAPPED_LENGTH, NOT_NOW, NOT_STORED, PDO_LENGTH, READ_ONLY, UNSUPPORTED
+from hil.conform.aborts import (
+    BAD_VALUE,
+    CANNOT_MAP,
+    MAPPED_LENGTH,
+    NOT_MAPPABLE,
+    NOT_NOW,
+    NOT_STORED,
+    PDO_LENGTH,
+    READ_ONLY,
+    UNSUPPORTED,
+)
 from hil.conform.check import Checks, CheckSkippedError
 from hil.conform.device import INVALID, Device, Pdo
 from hil.conform.pdo_setup import CAN_ID, DUMMY_BYTE, first_pdos, free_id, mapped_of, mapping_of, turn_off
@@ -144,6 +154,31 @@ def too_many_bits(device: Device, pdo: Pdo) -> None:
     entry = candidates[0]
     count = _MOST_BITS // len(entry) + 1
     _refused(device, pdo, [mapping_of(entry)] * count, (PDO_LENGTH, *NOT_NOW), f"{count * len(entry)} bits are refused")
+
+
+@check("{}: 64 bits are mapped", "7.5.2.36 and 7.5.2.38", of=first_pdos)
+def all_bits(device: Device, pdo: Pdo) -> None:
+    """Map an object as often as fits."""
+    places = sum(1 for e in device.entries if e.index == pdo.mapping and e.subindex)
+    fitting = [entry for entry in _candidates(device, pdo) if len(entry) * places >= _MOST_BITS]
+    if not fitting:
+        raise CheckSkippedError("there are not enough entries for 64 bits")
+    _clear(device, pdo)
+    count = _MOST_BITS // len(fitting[0])
+    for place in range(count):
+        device.write(pdo.mapping, place + 1, mapping_of(fitting[0]))
+    code = device.try_number(pdo.mapping, 0, count)
+    if code in (PDO_LENGTH, NOT_MAPPABLE) and count > 1 and _many_refused(device, pdo, mapping_of(fitting[0])):
+        raise CheckSkippedError("the device maps no object twice, which it need not")
+    device.expect_code(code, (0,), f"a count of {count}, {_MOST_BITS} bits, is taken")
+
+
+def _many_refused(device: Device, pdo: Pdo, value: int) -> bool:
+    """Return whether an object is not even mapped twice."""
+    _clear(device, pdo)
+    for place in (1, 2):
+        device.write(pdo.mapping, place, value)
+    return device.try_number(pdo.mapping, 0, 2) != 0
 
 
 @check("{}: a count beyond its entries is refused", "7.5.2.36 and 7.5.2.38", of=first_pdos)

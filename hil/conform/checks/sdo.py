@@ -63,11 +63,10 @@ def abort_multiplexer(device: Device) -> None:
     device.expect(answer == struct.pack("<BHBI", 0x80, 0x1FFF, 0x12, NO_OBJECT), "80 FF 1F 12 00 00 02 06")
 
 
-@check(
-    "command {}, which is none, is refused",
-    "7.2.4.3.17",
-    of=lambda device: ["E0h", "FFh", "60h without a transfer", "00h without a transfer"],
-)
+_NO_COMMANDS = ("E0h", "FFh", *(f"{command:02X}h without a transfer" for command in (0x60, 0x00, 0xA1, 0xA2, 0xA3, 0xC1)))
+
+
+@check("command {}, which is none, is refused", "7.2.4.3.17", of=lambda device: _NO_COMMANDS)
 def unknown_command(device: Device, which: str) -> None:
     """Send a command specifier that does not exist or fits nothing."""
     answer = device.wire.sdo(head(int(which[:2], 16), 0x1000, 0))

@@ -138,10 +138,11 @@ def _end(device: Device, data: bytes, checksum: int) -> bytes | None:
 @check("a block download is confirmed, and the value is read back", "7.2.4.3.11")
 def download(device: Device) -> None:
     """Write 1017h in a block of one segment."""
-    _begin_download(device)
-    answer = _end(device, _TEST_MS, binascii.crc_hqx(_TEST_MS, 0))
-    device.expect(answer is not None and answer[0] == 0xA1, "A1h: the end")
-    device.expect(device.read(0x1017) == _TEST_MS, "the value of the segment")
+    for value in (_TEST_MS, _TEST_MS[::-1]):
+        _begin_download(device)
+        answer = _end(device, value, binascii.crc_hqx(value, 0))
+        device.expect(answer is not None and answer[0] == 0xA1, "A1h: the end")
+        device.expect(device.read(0x1017) == value, "the value of the segment")
 
 
 @check("a block download with a wrong checksum is refused, and nothing is written", "7.2.4.3.11")

@@ -79,6 +79,30 @@ def _run(device: Device) -> None:
             device.expect(device.read(*key) in defaults, f"{key[0]:04X}h:{key[1]:02X} holds its default {words}")
 
 
+@check("1010h:02 stores the communication's parameters and no others", "7.5.2.13", writes=True)
+def store_communication(device: Device) -> None:
+    """Write one parameter of each kind, store the communication's, and reset."""
+    device.need(0x1010, 2)
+    device.need(0x1011, 1)
+    device.need(0x1017)
+    entry = device.spare_object()
+    device.reset(NMT_RESET_NODE)
+    before = values_of(device, device.parameters())
+    own = before[entry.index, entry.subindex]
+    try:
+        device.write(0x1017, 0, _STORED_MS)
+        device.expect(
+            device.try_write(entry.index, entry.subindex, bytes((own[0] ^ 1,)) + own[1:]) == 0, f"{entry.index:04X}h takes a value"
+        )
+        device.expect(download(device.wire, 0x1010, 2, _SAVE) == 0, f"1010h:02 takes {_SAVE!r}")
+        device.reset(NMT_RESET_NODE)
+        device.expect(device.number(0x1017) == _STORED_MS, f"1017h holds {_STORED_MS:04X}h after the reset")
+        device.expect(device.read(entry.index, entry.subindex) == own, f"{entry.index:04X}h holds {own.hex(' ').upper()} as before")
+    finally:
+        download(device.wire, 0x1011, 1, _LOAD)
+        _put_back(device, before)
+
+
 def _put_back(device: Device, before: Values) -> None:
     """Write what was there before, and store it where it is not the default."""
     device.reset(NMT_RESET_NODE)

@@ -77,9 +77,9 @@ def other_identifier(device: Device) -> None:
     """Move SYNC."""
     can_id = need_sync(device)
     device.need(0x1005)
-    device.write(0x1005, 0, 0x0A5)
     pdo_id = tpdo(device, 1)
     device.go_operational()
+    device.write(0x1005, 0, 0x0A5)
     device.expect(syncs(device, 0x0A5, pdo_id, 2) == [1, 1], "a PDO at every SYNC of A5h")
     device.expect(can_id == 0x0A5 or syncs(device, can_id, pdo_id, 2) == [0, 0], f"no PDO at {can_id:03X}h")
 
