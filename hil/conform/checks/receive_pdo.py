@@ -121,14 +121,17 @@ def pre_operational(device: Device) -> None:
     device.expect(device.read(entry.index, entry.subindex) == old, f"{old.hex(' ').upper()}, as before")
 
 
-@check("a PDO that is too short is not applied", "7.2.7.1", writes=True)
+@check("a PDO that is too short is not applied, and the next that is right is", "7.2.7.1", writes=True)
 def short_not_applied(device: Device) -> None:
-    """Send a byte too few."""
+    """Send a byte too few, then all."""
     entry, can_id, old, new = _spare(device, 255)
     device.go_operational()
     device.wire.send(can_id, new[:-1])
     device.wire.listen(0.02)
     device.expect(device.read(entry.index, entry.subindex) == old, f"{old.hex(' ').upper()}, as before")
+    device.wire.send(can_id, new)
+    device.wire.listen(0.02)
+    device.expect(device.read(entry.index, entry.subindex) == new, f"{new.hex(' ').upper()} when all bytes come")
 
 
 @check("an RPDO that is off is not applied", "7.5.2.35", writes=True)

@@ -114,11 +114,11 @@ def absent(device: Device) -> None:
     device.expect_code(abort_code(_request(device, 0x1FFF, 0, 4)), (NO_OBJECT,), "the request is refused")
 
 
-def _begin_download(device: Device, told: int = 2) -> None:
-    """Begin a block download of 1017h."""
+def _begin_download(device: Device, told: int = 2, command: int = 0xC6) -> None:
+    """Begin a block download of 1017h, with checksum and size unless the command says otherwise."""
     device.need(0x1017)
     device.write(0x1017, 0, 0)
-    answer = device.wire.sdo(head(0xC6, 0x1017, 0, told))
+    answer = device.wire.sdo(head(command, 0x1017, 0, told))
     if abort_code(answer) == UNKNOWN_COMMAND:
         raise CheckSkippedError("the device has no block download (abort 0504 0001h), which it need not have")
     if told == len(_TEST_MS):
@@ -143,6 +143,24 @@ def download(device: Device) -> None:
         answer = _end(device, value, binascii.crc_hqx(value, 0))
         device.expect(answer is not None and answer[0] == 0xA1, "A1h: the end")
         device.expect(device.read(0x1017) == value, "the value of the segment")
+
+
+@check("a block download by a client without checksums is taken", "7.2.4.3.9")
+def download_without_checksum(device: Device) -> None:
+    """Begin with the bit cc clear, and end without a checksum."""
+    _begin_download(device, command=0xC2)
+    answer = _end(device, _TEST_MS, 0)
+    device.expect(answer is not None and answer[0] == 0xA1, "A1h: the end")
+    device.expect(device.read(0x1017) == _TEST_MS, "the value of the segment")
+
+
+@check("a block download that does not tell its size is taken", "7.2.4.3.9")
+def download_without_size(device: Device) -> None:
+    """Begin with the bit s clear."""
+    _begin_download(device, command=0xC4)
+    answer = _end(device, _TEST_MS, binascii.crc_hqx(_TEST_MS, 0))
+    device.expect(answer is not None and answer[0] == 0xA1, "A1h: the end")
+    device.expect(device.read(0x1017) == _TEST_MS, "the value of the segment")
 
 
 @check("a block download with a wrong checksum is refused, and nothing is written", "7.2.4.3.11")
