@@ -12,6 +12,7 @@ CHECKS = Checks("layer settings")
 check = CHECKS.check
 _REQUEST, _ANSWER = 0x7E5, 0x7E4
 _ANSWER_S = 0.5
+_ALL_ONES = 0xFFFF_FFFF
 _FIELDS = {"vendor id": 1, "product code": 2, "revision number": 3, "serial number": 4}
 
 
@@ -126,16 +127,21 @@ def wrong_timing(device: Device) -> None:
 
 @check("the node is identified by ranges that hold it, and by no others", "CiA 305, identify remote slave")
 def identify(device: Device) -> None:
-    """Ask for ranges of revision and serial number."""
+    """Ask for the identity, and for ranges of which one does not hold it."""
     vendor, product, revision, serial = _need(device)
-    for low, high, found in ((serial, serial, True), (serial + 1 if serial < 0xFFFFFFFF else serial - 2, 0xFFFFFFFF, False)):
+    own = [vendor, product, revision, revision, serial, serial]
+    cases = [own, [vendor, product, 0, _ALL_ONES, 0, _ALL_ONES]]
+    for place, by in ((0, 1), (1, 1), (2, 1), (3, -1), (4, 1), (5, -1)):
+        other = [*own]
+        other[place] = own[place] + by
+        cases += [other] if 0 <= other[place] <= _ALL_ONES else []
+    for case in cases:
+        found = case[0] == vendor and case[1] == product and case[2] <= revision <= case[3] and case[4] <= serial <= case[5]
         answer = None
-        for place, number in enumerate((vendor, product, 0, 0xFFFFFFFF, low, high)):
-            answer = _ask(
-                device, struct.pack("<BI", 0x46 + place, number & 0xFFFFFFFF), 0.01 if place < 5 else _ANSWER_S if found else QUIET_S
-            )
+        for place, number in enumerate(case):
+            last_s = _ANSWER_S if found else QUIET_S
+            answer = _ask(device, struct.pack("<BI", 0x46 + place, number), last_s if place == len(case) - 1 else 0.01)
         device.expect((answer is not None and answer[0] == 0x4F) == found, "4F" if found else "silence")
-    device.expect(revision >= 0, "a revision")
 
 
 @check("a node that has a node id does not answer to {}", "CiA 305, fastscan", of=lambda device: ["51h", "4Ch"])

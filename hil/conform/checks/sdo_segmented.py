@@ -15,15 +15,24 @@ CHECKS = Checks("SDO, segmented")
 check = CHECKS.check
 _TEXTS = (datatypes.VISIBLE_STRING, datatypes.OCTET_STRING, datatypes.DOMAIN, datatypes.UNICODE_STRING)
 _TEST_MS = b"\x21\x03"  # of 1017h
+_SEGMENT = 7  # bytes
 
 
 def long_object(device: Device, least: int) -> ODVariable:
-    """Return an object of so many bytes that is read in segments; skip the check where there is none."""
+    """Return an object of so many bytes that is read in segments, one that leaves the last of them partly unused where there is such a one.
+
+    The check is skipped where no object is that long.
+    """
+    fitting: ODVariable | None = None
     for entry in device.entries:
         if entry.readable and entry.data_type in _TEXTS:
             value = device.try_read(entry.index, entry.subindex)
             if isinstance(value, bytes) and len(value) >= least:
-                return entry
+                if len(value) % _SEGMENT:
+                    return entry
+                fitting = fitting or entry
+    if fitting is not None:
+        return fitting
     raise CheckSkippedError(f"no object has {least} bytes or more")
 
 
