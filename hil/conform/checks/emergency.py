@@ -7,11 +7,12 @@ from hil.conform.aborts import BAD_VALUE, NO_DATA
 from hil.conform.check import Checks, CheckSkippedError
 from hil.conform.checks.error_control import LATE_S, LOST, beat, consume, emergency_id, lose, producer_id
 from hil.conform.device import INVALID, Device
+from hil.conform.pdo_setup import dummy_rpdo
 from hil.conform.wire import QUIET_S, Frame
 
 CHECKS = Checks("emergency")
 check = CHECKS.check
-_NO_ERROR = b"\0\0"
+_NO_ERROR, _TOO_SHORT = b"\0\0", b"\x10\x82"
 _INHIBIT_MS = 400
 _MOVED = 0x0A5
 
@@ -64,6 +65,21 @@ def history(device: Device) -> None:
     _lost(device)
     device.expect(device.number(0x1003) >= 1, "a count of 1 or more")
     device.expect(device.read(0x1003, 1)[:2] == LOST, "30 81")
+
+
+@check("a newer error comes before an older one in the history 1003h", "7.5.2.4")
+def history_order(device: Device) -> None:
+    """Send a PDO that is too short, then fall silent."""
+    device.need(0x1003, 2, writable=False)
+    can_id = dummy_rpdo(device, 255)
+    since = device.go_operational()
+    device.wire.send(can_id, b"\0")
+    device.wire.listen(LATE_S)
+    if not any(frame.data[:2] == _TOO_SHORT for frame in device.wire.heard(emergency_id(device), since)):
+        raise CheckSkippedError("a PDO that is too short raises no error")
+    _lost(device)
+    device.expect(device.read(0x1003, 1)[:2] == LOST, "30 81 in 1003h:01")
+    device.expect(device.read(0x1003, 2)[:2] == _TOO_SHORT, "10 82 in 1003h:02")
 
 
 @check("0 to 1003h:00 clears the history", "7.5.2.4")

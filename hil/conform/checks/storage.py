@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from canopen.objectdictionary import datatypes
 
-from drivers.canopen.network import NMT_RESET_NODE
+from drivers.canopen.network import HEARTBEAT, NMT_RESET_NODE
 from hil.conform.aborts import DEVICE_STATE, LOCAL_CONTROL, NOT_STORED
 from hil.conform.check import Checks
 from hil.conform.device import Device
@@ -70,6 +70,8 @@ def _run(device: Device) -> None:
     _command(device, 0x1010, _SAVE)
     device.expect(device.reset(NMT_RESET_NODE) is not None, "a boot-up message")
     device.expect(device.number(0x1017) == _STORED_MS, f"1017h holds {_STORED_MS:04X}h after the reset")
+    beat = device.wire.wait(HEARTBEAT + device.node_id, 2e-3 * _STORED_MS)
+    device.expect(beat is not None, f"and a heartbeat comes within {2 * _STORED_MS} ms")
     _command(device, 0x1011, _LOAD)
     device.expect(device.number(0x1017) == _STORED_MS, "1017h holds it until the next reset")
     device.expect(device.reset(NMT_RESET_NODE) is not None, "a boot-up message")
