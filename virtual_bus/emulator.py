@@ -58,6 +58,9 @@ class Emulated(Protocol):
     def receive(self, can_id: int, data: bytes) -> None:
         """Take one data frame from the bus."""
 
+    def receive_remote(self, can_id: int) -> None:
+        """Take one remote frame from the bus."""
+
     def idle(self, seconds: float) -> None:
         """Let that much time pass."""
 
@@ -222,7 +225,11 @@ def _serve(bus: can.BusABC, device: Emulated, on_ready: Callable[[], None], poll
             now_s = time.perf_counter()
             device.idle(min(now_s - last_s, LOOK_S))
             last_s = now_s
-            if message is not None and not (message.is_remote_frame or message.is_error_frame or message.is_extended_id or message.is_fd):
+            if message is None or message.is_error_frame or message.is_extended_id or message.is_fd:
+                pass
+            elif message.is_remote_frame:
+                device.receive_remote(message.arbitration_id)
+            else:
                 device.receive(message.arbitration_id, bytes(message.data))
                 if tick is not None:
                     tick.heard(message.arbitration_id, now_s)

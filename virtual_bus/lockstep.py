@@ -60,8 +60,12 @@ class LockstepBus(can.BusABC):
         machine.connect(self._queue if log is None else self._queue_logged)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Hand a frame to the machine. Nobody listens to remote, error, 29-bit and CAN FD frames."""
-        if not (msg.is_remote_frame or msg.is_error_frame or msg.is_extended_id or msg.is_fd):
+        """Hand a frame to the machine. Nobody listens to error, 29-bit and CAN FD frames."""
+        if msg.is_error_frame or msg.is_extended_id or msg.is_fd:
+            return
+        if msg.is_remote_frame:
+            self.machine.receive_remote(msg.arbitration_id)
+        else:
             self.send_frame(msg.arbitration_id, bytes(msg.data))
 
     def send_frame(self, can_id: int, data: bytes) -> None:

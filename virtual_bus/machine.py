@@ -132,6 +132,11 @@ class EmulatedMachine:
         for handler in self._routes.get(can_id, ()):
             handler(data)
 
+    def receive_remote(self, can_id: int) -> None:
+        """Take one remote frame from the bus."""
+        for node in self._nodes:
+            node.receive_remote(can_id, self.time_s)
+
     def idle(self, seconds: float) -> None:
         """Add silence of the bus, in slices of any length."""
         idle = self._idle

@@ -89,6 +89,20 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("bus", "text", "The bus."),
         Entry("nodes", "list", "`node_id`, `device_type`, `description`, `identity`, `nmt_state`, `name`."),
     ),
+    "conform": (
+        Entry("eds, bus, writes", "text, text, true or false", "What was asked."),
+        Entry("node", "number", "The node id."),
+        Entry("passed, failed, skipped", "number", "How many checks ended how."),
+        Entry("seconds", "number", "How long it took."),
+        Entry("other_nodes", "list", "Other node ids on the bus; what would reach them, too, was skipped."),
+        Entry("not_restored", "list of text", "What the node held before and could not be put back."),
+        Entry(
+            "checks",
+            "list",
+            "`group`, `check` in words, `clause` of the standard, `result` (pass, fail, skip), what was `expected`, `reason` of a skip, "
+            "and the `frames` of a failure: `time_s`, `id`, `data` in hexadecimal, `sent` (by the tester), `remote`.",
+        ),
+    ),
     "stop": (Entry("bus", "text", "The bus."), Entry("seen", "list of text", "What the supervisor saw, in order.")),
     "move": (
         Entry("machine, bus", "text", "Machine and bus."),

@@ -215,6 +215,28 @@ SHOWN = (
         ),
     ),
     Shown(
+        "conform_mutants.json",
+        "Defects of CANopen nodes, and what `conform` finds",
+        "Defects that implementers make, put into an emulated device that has every service, one at a time, and written before the checks. "
+        "A PDO that is too long need not be reported, and is not asked for. Below, devices without a defect: the shipped data sheets, and "
+        "bare devices of makers' data sheets.",
+        "python benchmarks/conform_mutants.py --json benchmarks/results/conform_mutants.json",
+        (
+            Figure("defects drawn by a fixed seed", ("drawn", "tried")),
+            Figure("of them found", ("drawn", "found"), asked="all"),
+            Figure("all defects", ("all", "tried")),
+            Figure("of them found", ("all", "found")),
+            Figure("of them found without `--writes`", ("all_without_writes", "found")),
+        ),
+        (
+            Rows(
+                "device without a defect",
+                ("sound",),
+                (Column("passed", ("pass",)), Column("failed", ("fail",)), Column("skipped", ("skip",))),
+            ),
+        ),
+    ),
+    Shown(
         "wall_clock_udp.json",
         "Timing on the wall clock",
         "Loop and emulated machine in two processes on a UDP bus, ten minutes at 256 Hz, two virtual processors with real-time scheduling. "

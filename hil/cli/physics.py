@@ -51,7 +51,10 @@ def emulate(
     machine_name: Annotated[str | None, typer.Argument(metavar="[M]", help="Machine file, or the name of a shipped one.")] = None,
     bus: BusOption = "socketcan:vcan0",
     eds: Annotated[Path | None, typer.Option("--eds", metavar="FILE", help="Emulate one bare CiA 301 device of this EDS instead.")] = None,
-    node: Annotated[int, typer.Option("--node", metavar="N", help="Its node id.")] = 1,
+    node: Annotated[int, typer.Option("--node", metavar="N", help="Its node id; 255: it waits for one over LSS.")] = 1,
+    memory: Annotated[
+        Path | None, typer.Option("--memory", metavar="FILE", help="Keep in FILE what that device is told to store (1010h, LSS).")
+    ] = None,
     effects_file: EffectsOption = None,
     pose: PoseOption = "",
     truth: Annotated[Path | None, typer.Option("--truth", metavar="FILE", help="Write what only the emulator knows (.csv).")] = None,
@@ -79,6 +82,8 @@ def emulate(
         raise typer.BadParameter("give either a machine M or --eds FILE")
     if eds is not None and (io_rtu or panel or faults):
         raise typer.BadParameter(f"{'--panel' if panel else '--io-rtu' if io_rtu else '--faults'}: is a machine's; leave it out with --eds")
+    if eds is None and memory is not None:
+        raise typer.BadParameter("--memory: is for a device of --eds FILE")
     answer = Answer(json_to)
 
     def ready(found: dict[str, object]) -> None:
@@ -87,7 +92,7 @@ def emulate(
         answer.write_at_once(found)
 
     if eds is not None:
-        emulate_eds(eds, node, bus, ready)
+        emulate_eds(eds, node, bus, ready, memory)
         return
     assert machine_name is not None
     machine = load(machine_name, effects_file)

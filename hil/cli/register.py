@@ -11,6 +11,7 @@ from hil.cli import (
     calibrate_data,
     calibrate_model,
     calibrate_spot,
+    conformance,
     diagnose,
     faults,
     geometry,
@@ -34,6 +35,7 @@ def commands(app: typer.Typer) -> None:
     app.add_typer(machine.app, name="machine")
     physics.register(app)
     bus.register(app)
+    conformance.register(app)
     app.add_typer(run.app, name="run")
     answers.register(app)
     identify.register(app)

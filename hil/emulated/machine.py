@@ -23,6 +23,7 @@ from hil.errors import UnusableInputError
 from hil.machine import Machine
 from hil.processes.real_time import real_time
 from virtual_bus.canopen.bare import BareMachine
+from virtual_bus.canopen.lss import UNCONFIGURED
 from virtual_bus.emulator import Ports, run_device, run_emulator
 from virtual_bus.faults.binding import inject
 from virtual_bus.faults.devices import FaultyBrakes, FaultyImu, FaultyIo
@@ -273,14 +274,28 @@ def _io_line(text: str, machine: Machine, stack: ExitStack) -> tuple[Pty | _Seri
     return stack.enter_context(closing(_SerialPort(line.place, line.number, line.parity, line.stop_bits))), line.number
 
 
-def emulate_eds(eds: Path, node_id: int, bus_url: str, on_ready: Callable[[dict[str, object]], None]) -> None:
-    """Emulate one bare CiA 301 device of an EDS on a bus until SIGTERM or SIGINT."""
-    if not 1 <= node_id <= 127:
-        raise UnusableInputError(f"--node {node_id}: must be 1 to 127")
+def emulate_eds(eds: Path, node_id: int, bus_url: str, on_ready: Callable[[dict[str, object]], None], memory: Path | None = None) -> None:
+    """Emulate one bare CiA 301 device of an EDS on a bus until SIGTERM or SIGINT.
+
+    The file of its `memory` keeps what 1010h and LSS store. Node id 255 waits for another over LSS.
+
+    Raises
+    ------
+    UnusableInputError
+        The node id or the EDS cannot be used.
+    DriverError
+        The bus cannot be opened.
+    EmulatorError
+        The memory is none of a device, or the bus was lost.
+    """
+    if not (1 <= node_id <= 127 or node_id == UNCONFIGURED):
+        raise UnusableInputError(f"--node {node_id}: must be 1 to 127, or 255 for a device that waits for its node id over LSS")
     try:
-        device = BareMachine(eds, node_id)
+        device = BareMachine(eds, node_id, memory)
     except ProtocolError as error:
         raise UnusableInputError(str(error)) from None
+    if node_id == UNCONFIGURED and not device.node.has_lss:
+        raise UnusableInputError(f"--node {node_id}: {eds} says LSS_Supported=0, so its node id is fixed: must be 1 to 127")
     with opened_bus(bus_url, STANDARD_BITRATE) as bus:
         run_device(bus, device, lambda: on_ready({"ready": str(eds), "bus": bus_url, "node": node_id}))
 

@@ -32,10 +32,12 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "figures": ("calibration", "identification", "imaging", "observing", "reconstruction", "shaping"),
     "terminal": ("recording",),
     "faults": ("bench", "experiments", "machine", "recording", "terminal", "version"),
+    "conform": (),
     "demo": ("bench", "experiments", "figures", "identification", "machine", "recording", "simulation", "terminal"),
     "cli": (
         "bench",
         "calibration",
+        "conform",
         "demo",
         "diagnosis",
         "emulated",

@@ -43,7 +43,9 @@ class Wire(canopen.Network):
         self.notify(can_id, bytearray(data), self.now_s)
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
-        if not remote:
+        if remote:
+            self.device.receive_remote(can_id, self.now_s)
+        else:
             self.device.receive(can_id, bytes(data), self.now_s)
 
     def pass_time(self, seconds: float, step_s: float = 0.001) -> None:

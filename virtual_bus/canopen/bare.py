@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 from drivers.canopen.eds import load_object_dictionary
@@ -18,7 +19,9 @@ def bare_device(eds: str | Path, node_id: int, emit: Emit, memory: Path | None =
     drivers.errors.ProtocolError
         The file is no usable EDS or DCF.
     """
-    return Node(load_object_dictionary(eds, node_id), node_id, emit, memory)
+    node = Node(load_object_dictionary(eds, node_id), node_id, emit, memory)
+    node.dictionary_of = partial(load_object_dictionary, eds)
+    return node
 
 
 class BareMachine:
@@ -39,6 +42,10 @@ class BareMachine:
     def receive(self, can_id: int, data: bytes) -> None:
         """Take one data frame from the bus."""
         self.node.receive(can_id, data, self.time_s)
+
+    def receive_remote(self, can_id: int) -> None:
+        """Take one remote frame from the bus."""
+        self.node.receive_remote(can_id, self.time_s)
 
     def idle(self, seconds: float) -> None:
         """Let that much time pass."""

@@ -17,6 +17,7 @@ _REGISTER_OF_CLASS = {0x2: CURRENT, 0x3: VOLTAGE, 0x4: TEMPERATURE, 0x8: COMMUNI
 _FRAME = struct.Struct("<HB5s")
 _NO_ERROR = 0x0000
 HEARTBEAT_ERROR = 0x8130
+_PROTOCOL_ERRORS = range(0x8200, 0x8300)  # PDO and SYNC
 
 
 def register_bit(code: int) -> int:
@@ -43,9 +44,8 @@ class Emergency:
 
     def reset(self, *, application: bool) -> None:
         """Clear the history and the queue. Errors of the application outlive a reset of communication alone."""
-        if application:
-            self._active.clear()
-        self._active.pop(HEARTBEAT_ERROR, None)
+        over = (HEARTBEAT_ERROR, *_PROTOCOL_ERRORS)
+        self._active = {} if application else {code: bits for code, bits in self._active.items() if code not in over}
         self._queue.clear()
         self._not_before_s, self.deadline_s = -math.inf, math.inf
         self._update_register()

@@ -7,7 +7,6 @@ from functools import partial
 
 from virtual_bus.canopen import abort
 from virtual_bus.canopen.abort import SdoAbortError
-from virtual_bus.canopen.emergency import HEARTBEAT_ERROR
 from virtual_bus.canopen.objects import Value, key_of
 from virtual_bus.canopen.port import Port
 
@@ -99,14 +98,18 @@ class HeartbeatConsumer:
         """Node ids that are supervised."""
         return tuple(self._watches)
 
+    @property
+    def lost(self) -> bool:
+        """Whether one of them is silent."""
+        return any(watch.lost for watch in self._watches.values())
+
     def heard(self, node_id: int) -> None:
         """Take a heartbeat or boot-up of a node."""
         watch = self._watches[node_id]
         watch.deadline_s = self._node.after(watch.timeout_s)
         if watch.lost:
             watch.lost = False
-            if not any(other.lost for other in self._watches.values()):
-                self._node.emergency.clear_error(HEARTBEAT_ERROR)
+            self._node.heartbeat_found()
         if watch.deadline_s < self.deadline_s or self.deadline_s == math.inf:
             self.deadline_s = watch.deadline_s
             self._node.schedule(self.deadline_s)

@@ -1,4 +1,4 @@
-"""One CANopen device (CiA 301): NMT, SDO, PDO, SYNC, heartbeat, emergency, stored parameters.
+"""One CANopen device (CiA 301, CiA 305): NMT, SDO, PDO, SYNC, TIME, heartbeat, guarding, emergency, stored parameters, LSS.
 
 A node owns no bus and no clock. Frames and time go in by `receive` and `tick`, frames come out through `emit`. Profile devices derive from
 it and fill in the hooks at the end of the class.
@@ -6,6 +6,7 @@ it and fill in the hooks at the end of the class.
 
 from __future__ import annotations
 
+import datetime
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -16,13 +17,16 @@ import canopen
 from virtual_bus.canopen import communication, pdo_rules
 from virtual_bus.canopen.cob_id import CAN_ID, SYNC
 from virtual_bus.canopen.emergency import HEARTBEAT_ERROR, Emergency
+from virtual_bus.canopen.guarding import Guarding
 from virtual_bus.canopen.heartbeat import HeartbeatConsumer, HeartbeatProducer
+from virtual_bus.canopen.lss import REQUEST, UNCONFIGURED, LssSlave
 from virtual_bus.canopen.nmt import NMT_COMMANDS, STATE_AFTER, NmtCommand, NmtState
 from virtual_bus.canopen.objects import Entry, Objects, Value, key_of
 from virtual_bus.canopen.pdo import Rpdo, Tpdo
 from virtual_bus.canopen.sdo_server import SdoServer
 from virtual_bus.canopen.storage import COMMUNICATION, Storage
 from virtual_bus.canopen.sync_producer import SyncProducer
+from virtual_bus.canopen.time_stamp import CONSUMES, TIME_BYTES, time_of_day
 
 Emit = Callable[[int, bytes], None]
 Handler = Callable[[bytes], None]
@@ -52,7 +56,7 @@ class Node:
     dictionary : canopen.ObjectDictionary
         From `drivers.canopen.eds.load_object_dictionary`.
     node_id : int
-        1 to 127.
+        1 to 127; 255 is a device that waits for one over LSS.
     emit : callable
         Takes (CAN identifier, data) of every frame the device sends.
     memory : path, optional
@@ -76,6 +80,11 @@ class Node:
         self.emergency = Emergency(self)
         self._producer = HeartbeatProducer(self)
         self._consumer = HeartbeatConsumer(self)
+        self._guarding = Guarding(self)
+        self._lss = LssSlave(self, self._memory, dictionary.device_information)
+        self._dictionary = dictionary
+        self.dictionary_of: Callable[[int], canopen.ObjectDictionary] | None = None  # the data sheet read for another node id
+        self.time_stamp: datetime.datetime | None = None  # the last that has come
         self._sync_producer = SyncProducer(self)
         self._sdo = SdoServer(self, self._send_sdo)
         self._rpdos = [Rpdo(self, number) for number in self._pdo_numbers(0x1400, 0x1600)]
@@ -97,6 +106,7 @@ class Node:
             pdo_rules.install(self.objects, tpdo.communication, tpdo.mapping, receive=False, changed=self._configure)
         for index in (0x1005, 0x1019):
             self.objects.effects[key_of(index)] = lambda value: self._sync_settings_changed()
+        self.objects.effects[key_of(0x1012)] = lambda value: self.routes_changed()
 
     def _sync_settings_changed(self) -> None:
         self._sync_producer.start()
@@ -119,6 +129,7 @@ class Node:
 
     def _reset(self, indices: range) -> None:
         self.state = NmtState.INITIALISING
+        self._take_node_id(self._lss.node_id)
         self._memory.reset(indices)
         self._sdo.reset()
         self.emergency.reset(application=indices is _ALL_OBJECTS)
@@ -126,10 +137,28 @@ class Node:
         if indices is _ALL_OBJECTS:
             self.application_reset()
         self._consumer.reset()
+        self._guarding.reset()
+        for rpdo in self._rpdos:
+            rpdo.forget()
+        if self.node_id == UNCONFIGURED:
+            self._configure()
+            return
         self.emit(0x700 + self.node_id, bytes((NmtState.INITIALISING,)))
         self._enter(NmtState.PRE_OPERATIONAL)
         self._producer.start(at_once=False)
         self._sync_producer.start()
+
+    def _take_node_id(self, node_id: int) -> None:
+        if node_id == self.node_id:
+            return
+        self.node_id = node_id
+        if self.dictionary_of is not None:
+            before, self._dictionary = self._dictionary, self.dictionary_of(node_id)
+            self.objects.take_defaults(before, self._dictionary)
+
+    def leave_unconfigured(self) -> None:
+        """Boot with the node id that has been given over LSS."""
+        self._reset(_ALL_OBJECTS)
 
     def bus_off(self) -> None:
         """Take the CAN controller off the bus: nothing goes in or out until `bus_on`."""
@@ -149,6 +178,11 @@ class Node:
     def event_driven(self) -> bool:
         """Whether a TPDO waits for a value to change: such a device needs a `tick` every sample."""
         return bool(self._event_tpdos)
+
+    @property
+    def has_lss(self) -> bool:
+        """Whether the device takes a node id over LSS."""
+        return self._lss.supported
 
     @property
     def may_tell(self) -> bool:
@@ -171,6 +205,7 @@ class Node:
         if now_s >= self.deadline_s:
             timed: tuple[Timed, ...] = (
                 self._consumer,
+                self._guarding,
                 self._producer,
                 self._sync_producer,
                 self.emergency,
@@ -194,11 +229,17 @@ class Node:
 
     # ---- frames ---------------------------------------------------------------------------------------
     def receive(self, can_id: int, data: bytes, now_s: float) -> None:
-        """Take one data frame from the bus; remote frames must not come here."""
+        """Take one data frame from the bus."""
         self.now_s = now_s
         handler = self.routes.get(can_id)
         if handler is not None:
             handler(data)
+
+    def receive_remote(self, can_id: int, now_s: float) -> None:
+        """Take one remote frame from the bus: that of a guarding master is answered, others are not."""
+        self.now_s = now_s
+        if can_id == 0x700 + self.node_id and self.routes and self.state is not NmtState.INITIALISING:
+            self._guarding.asked()
 
     def sync(self, data: bytes) -> None:
         """Answer a SYNC, for a device that stands alone: apply what has come, then send what is mapped."""
@@ -261,15 +302,26 @@ class Node:
     def _send_sdo(self, data: bytes) -> None:
         self.emit(0x580 + self.node_id, data)
 
-    def send_heartbeat(self) -> None:
-        """Send the NMT state."""
-        self.emit(0x700 + self.node_id, bytes((self.state,)))
+    def _on_time(self, data: bytes) -> None:
+        if len(data) == TIME_BYTES:
+            self.time_stamp = time_of_day(data)
+        else:
+            self.malformed += 1
+
+    def send_heartbeat(self, toggle: int = 0) -> None:
+        """Send the NMT state, with a toggle bit where a guarding master asks."""
+        self.emit(0x700 + self.node_id, bytes((self.state | toggle,)))
 
     # ---- errors ---------------------------------------------------------------------------------------
     def heartbeat_lost(self, node_id: int) -> None:
-        """Report that a supervised node is silent."""
+        """Report that a supervised node, or the guarding master (0), is silent."""
         self.emergency.raise_error(HEARTBEAT_ERROR, bytes((node_id,)))
         self._communication_error("heartbeat")
+
+    def heartbeat_found(self) -> None:
+        """Report that one of those is heard again."""
+        if not (self._consumer.lost or self._guarding.lost):
+            self.emergency.clear_error(HEARTBEAT_ERROR)
 
     def _communication_error(self, reason: str) -> None:
         self.connection_lost(reason)
@@ -299,9 +351,15 @@ class Node:
 
     def routes_changed(self) -> None:
         """Rebuild the table of identifiers this device listens to."""
-        self.routes = {0x000: self._on_nmt}
+        self.routes = {REQUEST: self._lss.receive} if self._lss.supported else {}
+        if self.node_id == UNCONFIGURED:
+            self.on_routes()
+            return
+        self.routes[0x000] = self._on_nmt
         if self.may_tell:
             self.routes[0x600 + self.node_id] = self._on_sdo
+            if (time := self.objects.number(0x1012)) & CONSUMES:
+                self.routes[time & CAN_ID] = self._on_time
             if self._rpdos or self._tpdos:
                 self.routes[self.objects.number(0x1005, 0, SYNC) & CAN_ID] = self.sync
         for rpdo in self._rpdos:

@@ -77,12 +77,18 @@ class Entry:
 
     def _initial(self, given: object) -> Value:
         if self.is_integer:
-            return int(given) if isinstance(given, int) else 0
+            return int(given) if isinstance(given, int) else self._within_limits(0)
         if self.data_type in datatypes.FLOAT_TYPES:
             return float(given) if isinstance(given, int | float) else 0.0
         if isinstance(given, str):
             return given.encode("utf-16-le" if self.data_type == datatypes.UNICODE_STRING else "latin-1", errors="replace")
         return bytes(given) if isinstance(given, bytes | bytearray) else b""
+
+    def _within_limits(self, value: int) -> int:
+        """Return the value, or the limit next to it where the data sheet gives no default and does not allow the value."""
+        if self.low is not None and self.high is not None and self.low <= self.high:
+            return min(max(value, self.low), self.high)
+        return value
 
     def encode(self, value: Value) -> bytes:
         """Return the value as it goes over the wire."""
@@ -153,6 +159,13 @@ class Objects:
     def _add(self, variable: ODVariable) -> None:
         entry = Entry(variable)
         self.entries[entry.key] = entry
+
+    def take_defaults(self, before: canopen.ObjectDictionary, dictionary: canopen.ObjectDictionary) -> None:
+        """Take the defaults that differ between two readings of the data sheet, which are those that hold the node id."""
+        old, new = Objects(before), Objects(dictionary)
+        for key, entry in new.entries.items():
+            if key in self.entries and entry.default != old.entries[key].default:
+                self.entries[key].default = entry.default
 
     def __contains__(self, index: int) -> bool:
         """Return whether the device has an object of this index."""

@@ -89,6 +89,10 @@ class Rpdo:
         self._layout = Layout([])
         self._effects: list[Callable[[Value], None] | None] = []
 
+    def forget(self) -> None:
+        """Forget what was wrong with the last frame: the communication is reset."""
+        self._length_error = 0
+
     def configure(self, operational: bool) -> None:
         """Take over the dictionary's present settings."""
         objects = self._node.objects
@@ -241,7 +245,7 @@ class Tpdo:
         self._last = data
         self._not_before_s = self._node.after(self._inhibit_s)
         if self._event_s and not self.synchronous:
-            self._next_event_s = self._node.after(self._event_s)
+            self._next_event_s = self._node.after(max(self._event_s, self._inhibit_s))
         self._set_deadline()
         self._node.emit(self.cob_id, data)
 

@@ -46,11 +46,14 @@ class Port(Protocol):
     def routes_changed(self) -> None:
         """Report that the identifiers listened to have changed."""
 
-    def send_heartbeat(self) -> None:
-        """Send the NMT state."""
+    def send_heartbeat(self, toggle: int = 0) -> None:
+        """Send the NMT state, with a toggle bit where a guarding master asks."""
 
     def heartbeat_lost(self, node_id: int) -> None:
-        """Report that a supervised node is silent."""
+        """Report that a supervised node, or the guarding master (0), is silent."""
+
+    def heartbeat_found(self) -> None:
+        """Report that one of those is heard again."""
 
     def commands_lost(self) -> None:
         """React to a receive PDO that is missing."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 from virtual_bus.canopen import abort
@@ -20,7 +21,16 @@ _PROFILE = range(0x6000, 0xA000)
 _ALL = range(0x1000, 0x10000)
 _GROUPS = {1: _ALL, 2: COMMUNICATION, 3: _PROFILE, 4: _MANUFACTURER}
 _NEVER_STORED = frozenset({0x1003, 0x1010, 0x1011})
+_LAYER_SETTINGS = "LSS"  # their name in the file, where objects are INDEX:SUBINDEX
 _STORES_ON_COMMAND = 1  # bit 0 of 1010h: saved on command only; of 1011h: can be restored
+
+
+@dataclass(frozen=True)
+class LayerSettings:
+    """What CiA 305 lets a master store: the node id, 255 for none, and the index of the bit timing."""
+
+    node_id: int
+    bit_timing: int
 
 
 class Storage:
@@ -48,6 +58,7 @@ class Storage:
         self._kept_read_only = kept
         self._path = path
         self._restore_requested: list[range] = []
+        self.layer_settings: LayerSettings | None = None
         self._kept: dict[int, bytes] = self._read_file()
         for index, signature, action in ((0x1010, SAVE, self._save), (0x1011, LOAD, self._request_restore)):
             for entry in [entry for entry in objects if entry.index == index and entry.subindex]:
@@ -75,6 +86,17 @@ class Storage:
                 kept = self._kept.get(entry.key)
                 entry.value = entry.decode(kept) if kept is not None else entry.default
 
+    def keep_layer_settings(self, settings: LayerSettings) -> None:
+        """Keep what the layer setting services store.
+
+        Raises
+        ------
+        SdoAbortError
+            The file cannot be written.
+        """
+        self.layer_settings = settings
+        self._write_file()
+
     def _save(self, group: range) -> None:
         for entry in self._objects:
             parameter = (entry.writable and entry.index not in self._volatile) or entry.index in self._kept_read_only
@@ -90,6 +112,8 @@ class Storage:
             return {}
         try:
             text = json.loads(self._path.read_text(encoding="utf-8"))
+            layer = bytes.fromhex(text.pop(_LAYER_SETTINGS, ""))
+            self.layer_settings = LayerSettings(*layer) if layer else None
             kept = {key_of(int(name[:4], 16), int(name[5:], 16)): bytes.fromhex(data) for name, data in text.items()}
             for key, data in kept.items():
                 if key in self._objects.entries:
@@ -103,6 +127,8 @@ class Storage:
         if self._path is None:
             return
         text = {f"{key >> 8:04X}:{key & 0xFF:02X}": data.hex() for key, data in sorted(self._kept.items())}
+        if self.layer_settings is not None:
+            text[_LAYER_SETTINGS] = bytes((self.layer_settings.node_id, self.layer_settings.bit_timing)).hex()
         part = self._path.with_suffix(self._path.suffix + ".part")
         try:
             part.write_text(json.dumps(text, indent=1), encoding="utf-8")
