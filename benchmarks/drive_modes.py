@@ -3,7 +3,7 @@
 For each of torque, velocity and position mode the C-arm runs multisines in each of four poses. The frequency responses from effort to
 encoders and IMU are compared with the linearisation of its equations: how many lines are within their own 95 % bounds. The bounds are
 those of the F distribution, because the covariances have few degrees of freedom. A shaped scan with the observer is compared with its
-simulation, and the encoders of an axis with each other after homing.
+simulation, and the encoders of an axis with each other after homing. The fault table is run with the drives in each mode.
 
     python benchmarks/drive_modes.py
 """
@@ -16,6 +16,7 @@ import re
 import subprocess
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -122,13 +123,26 @@ def homing(mode: str, file: Path, folder: Path) -> dict[str, float]:
     return {"encoders_differ_rad": max(float(number) for number in re.findall(r"differ by (\S+) rad", said))}
 
 
+def faults(mode: str, file: Path, folder: Path) -> dict[str, int]:
+    """Run the whole fault table; return how many rows ended how."""
+    subprocess.run([*ISOCENTER, "faults", "check", file, "-o", folder / "faults"], check=False, stdout=subprocess.DEVNULL)
+    rows = json.loads((folder / "faults" / "faults.json").read_text())["faults"]
+    budgets = [row["budget"] for row in rows if row["budget"]]
+    return {
+        "rows": len(rows),
+        **Counter(row["verdict"].replace(" ", "_") for row in rows),
+        "over_budget": sum(use["time_s"] > use["allowed_s"] or use["travel"] > use["allowed_travel"] for use in budgets),
+        "contradicted": sum(bool(row["contradicted"]) for row in rows),
+    }
+
+
 def main() -> None:
     """Measure what the file lacks, and write it after every part."""
     argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     results = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
     for mode in MODES:
         own = results.setdefault(mode, {})
-        for measure in (multisine, scan, homing):
+        for measure in (multisine, scan, homing, faults):
             if measure.__name__ in own:
                 continue
             with tempfile.TemporaryDirectory() as name:
