@@ -12,7 +12,6 @@ from functools import partial
 from pathlib import Path
 
 from drivers.canopen.eds import load_object_dictionary
-from drivers.errors import ProtocolError
 from virtual_bus.canopen import abort
 from virtual_bus.canopen.abort import SdoAbortError
 from virtual_bus.canopen.homing import SUPPORTED_METHODS, Homing, Reference
@@ -22,6 +21,7 @@ from virtual_bus.canopen.node import Emit, Node
 from virtual_bus.canopen.objects import Value, key_of
 from virtual_bus.canopen.power_state import HALT, PowerState, next_state
 from virtual_bus.canopen.servo import Servo
+from virtual_bus.errors import EmulatorError
 from virtual_bus.settings import EmulatedDrive
 
 VOLTAGE_ENABLED, WARNING, REMOTE, INTERNAL_LIMIT = 1 << 4, 1 << 7, 1 << 9, 1 << 11
@@ -82,7 +82,7 @@ class Cia402Drive(Node):
     def _check_objects(self) -> None:
         lacking = [f"{index:04X}h" for index in NEEDED if index not in self.objects]
         if lacking:
-            raise ProtocolError(f"{self.settings.eds}: no data sheet of a CiA 402 drive: it lacks {', '.join(lacking)}")
+            raise EmulatorError(f"{self.settings.eds}: no data sheet of a CiA 402 drive: it lacks {', '.join(lacking)}")
 
     def _install_checks(self) -> None:
         for index, allowed in ((0x6060, self._modes), (0x6086, {TRAPEZOIDAL}), (0x6098, SUPPORTED_METHODS)):

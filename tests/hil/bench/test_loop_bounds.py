@@ -283,7 +283,12 @@ class ScriptedObserver:
 def observed_loop(link: ScriptedLink, observer: ScriptedObserver) -> SampleLoop:
     loop = proportional_loop(link)
     loop.layout = RowLayout(
-        [AxisColumns(axis, "rad", "A") for axis in AXES], PERIOD_S, imu="imu", link=True, temperature=True, observed=[("estimate_x", "m")]
+        [AxisColumns(axis, "rad", "A", "A") for axis in AXES],
+        PERIOD_S,
+        imu="imu",
+        link=True,
+        temperature=True,
+        observed=[("estimate_x", "m")],
     )
     loop.observer = observer
     loop.__post_init__()
@@ -329,7 +334,7 @@ def test_a_run_that_is_not_recorded_is_not_observed() -> None:
 def test_a_run_goes_on_from_the_command_before_it() -> None:
     link = ScriptedLink(ScriptedClock())
     loop = proportional_loop(link)
-    assert loop.command.tolist() == [0.0, 0.0]
+    assert loop.control.effort.tolist() == [0.0, 0.0]
     plan = still(3)
     plan.excitation[:] = 0.5
     loop.run(plan)
