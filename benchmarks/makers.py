@@ -44,7 +44,7 @@ def main() -> None:
     """Try every maker in every mode."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="with the data sheets")
-    folder = parser.parse_args().folder
+    folder = parser.parse_args().folder.resolve()
     warnings.simplefilter("ignore")  # of repairs
     results = {}
     for maker, name in FILES.items():

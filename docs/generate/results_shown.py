@@ -146,6 +146,49 @@ SHOWN = (
         ),
     ),
     Shown(
+        "drive_modes.json",
+        "Drive modes and experiments",
+        "The C-arm with its drives in cyclic synchronous torque, velocity and position mode, over the bus in lockstep. Multisines with jog in "
+        "four poses: share of the lines of the frequency responses, from effort to encoders and IMU, within their own 95 % bounds of the "
+        "equations' linearisation. A shaped scan with the observer, beside its simulation. The fault table of each mode.",
+        "python benchmarks/drive_modes.py",
+        (),
+        (
+            Rows(
+                "mode",
+                (),
+                (
+                    Column("lines inside [%], asked 93 to 97", ("multisine", "inside"), 1e2),
+                    Column("lines", ("multisine", "lines")),
+                    Column("scan: tracking error, largest [mrad]", ("scan", "tracking_rad"), 1e3),
+                    Column("off its simulation, largest [mrad]", ("scan", "simulation_rad"), 1e3),
+                    Column("observer: NIS per measurement", ("scan", "mean_nis")),
+                    Column("homing: encoders differ by [mrad]", ("homing", "encoders_differ_rad"), 1e3),
+                    Column("faults", ("faults", "rows")),
+                    Column("over their budget", ("faults", "over_budget")),
+                    Column("told what the truth contradicts", ("faults", "contradicted")),
+                ),
+            ),
+        ),
+    ),
+    Shown(
+        "makers.json",
+        "Drives of other makers",
+        "Makers' own data sheets, unchanged, on emulated drives: did the arm go to a commanded pose, in every mode that the sheet supports.",
+        "python benchmarks/makers.py FOLDER",
+        (),
+        (
+            Rows(
+                "maker",
+                (),
+                tuple(
+                    Column(mode.replace("_", " "), (mode, "moved"))
+                    for mode in ("torque", "velocity", "position", "profile_velocity", "profile_position")
+                ),
+            ),
+        ),
+    ),
+    Shown(
         "supervisor_cost.json",
         "What the supervisor costs the sample loop",
         "The emulated C-arm stands under control at 256 Hz over UDP, on a computer of two processors that has other work, too: short runs "
