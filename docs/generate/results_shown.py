@@ -148,8 +148,8 @@ SHOWN = (
     Shown(
         "drive_modes.json",
         "Drive modes and experiments",
-        "The C-arm with its drives in cyclic synchronous torque, velocity and position mode, over the bus in lockstep. Multisines with jog in "
-        "four poses: share of the lines of the frequency responses, from effort to encoders and IMU, within their own 95 % bounds of the "
+        "The C-arm with its drives in cyclic synchronous torque, velocity and position mode, over the bus in lockstep. Multisines with jog "
+        "in four poses: share of the lines of the frequency responses, from effort to encoders and IMU, within their own 95 % bounds of the "
         "equations' linearisation. A shaped scan with the observer, beside its simulation. The fault table of each mode.",
         "python benchmarks/drive_modes.py",
         (),
@@ -174,7 +174,7 @@ SHOWN = (
     Shown(
         "makers.json",
         "Drives of other makers",
-        "Makers' own data sheets, unchanged, on emulated drives: did the arm go to a commanded pose, in every mode that the sheet supports.",
+        "Makers' own data sheets, unchanged, on emulated drives: did the arm go to a pose, in every mode that the sheet supports.",
         "python benchmarks/makers.py FOLDER",
         (),
         (

@@ -45,19 +45,19 @@ _TORQUE_ON = 0x04
 """Bit of the statusword that is set where the drive may apply torque: operation enabled, quick stop and fault reaction active."""
 _ENABLED_MASK, _ENABLED = 0x6F, 0x27
 """Of a statusword in operation enabled, in which a drive does what it is told. One in quick stop holds, and is left to hold."""
-_STATUSWORD, _POSITION, _LINK_POSITION, _TARGET_TORQUE = 0x6041, 0x6064, 0x6004, 0x6071
+_STATUSWORD, _POSITION, _LINK_POSITION, _TARGET_TORQUE, _TORQUE_OFFSET = 0x6041, 0x6064, 0x6004, 0x6071, 0x60B2
 _SIGNED = (_POSITION, _TARGET_TORQUE)
 
 
 class _Field:
-    """Where a mapped object lies in the data of its PDO."""
+    """Where the first mapped of some objects lies in the data of its PDO."""
 
-    def __init__(self, entries: tuple[tuple[int, int, int], ...], index: int) -> None:
+    def __init__(self, entries: tuple[tuple[int, int, int], ...], *indices: int) -> None:
         self.shift = 0
         self.bits = 0
-        self.signed = index in _SIGNED
+        self.signed = indices[0] in _SIGNED
         for mapped, _, bits in entries:
-            if mapped == index:
+            if mapped in indices:
                 self.bits = bits
                 return
             self.shift += bits
@@ -220,7 +220,7 @@ class Supervisor:
         self._drives = [(self._axes[names.index(node.axis)], node.node_id) for node in settings.nodes if node.role == "drive"]
         self._sent = {pdo.cob_id: self._reader(node.axis, names, pdo) for node in settings.nodes for pdo in node.tpdos}
         self._asked = {
-            pdo.cob_id: (self._axes[names.index(node.axis)], _Field(pdo.entries, _TARGET_TORQUE))
+            pdo.cob_id: (self._axes[names.index(node.axis)], _Field(pdo.entries, _TARGET_TORQUE, _TORQUE_OFFSET))
             for node in settings.nodes
             for pdo in node.rpdos
         }

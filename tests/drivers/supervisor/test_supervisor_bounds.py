@@ -273,6 +273,17 @@ def test_syncs_that_came_while_it_was_held_up_are_no_second_producer() -> None:
     line.supervisor.held_up()
 
 
+def test_an_effort_beside_a_target_position_is_limited_too() -> None:
+    node = settings().nodes[0]
+    target, offset = (0x607A, 0, 32), (0x60B2, 0, 16)
+    line = Line(settings(nodes=(replace(node, rpdos=(Pdo(1, ASKED, 1, (CONTROL, target, offset)),)),)))
+    line.tick()
+    line.supervisor.frame(line.time_s, ASKED, struct.pack("<Hih", 15, 1_000_000, -2000))
+    assert line.supervisor.reason == ""
+    line.supervisor.frame(line.time_s, ASKED, struct.pack("<Hih", 15, 0, -2001))
+    assert line.supervisor.reason == "propeller: a torque of -2001 per mille was asked for, 2000 are allowed"
+
+
 def test_a_reason_has_a_time_whatever_it_is() -> None:
     line = Line()
     line.tick()
