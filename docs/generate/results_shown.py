@@ -149,7 +149,7 @@ SHOWN = (
         "drive_modes.json",
         "Drive modes and experiments",
         "The C-arm with its drives in cyclic synchronous torque, velocity and position mode, over the bus in lockstep. Multisines with jog "
-        "in four poses: share of the lines of the frequency responses, from effort to encoders and IMU, within their own 95 % bounds of the "
+        "in four poses: share of the lines of the frequency responses, from effort to encoders and IMU, within their 95 % bounds of the "
         "equations' linearisation. A shaped scan with the observer, beside its simulation. The fault table of each mode.",
         "python benchmarks/drive_modes.py",
         (),

@@ -88,6 +88,17 @@ def test_a_configured_drive_has_pdos_heartbeats_option_codes_and_limits() -> Non
     assert notes == ()
 
 
+def test_targets_and_offsets_that_no_pdo_carries_are_zero() -> None:
+    drive = ScriptedDrive(1)
+    drive.objects |= {(0x60B0, 0): bytes(4), (0x60B1, 0): bytes(4), (0x60B2, 0): bytes(2)}
+    for index in (0x60B1, 0x60B2, 0x6071):
+        drive.set(index, 0, 300)  # of somebody before
+    bus, _ = configured(drive)
+    assert [drive.value(index) for index in (0x60B0, 0x60B1, 0x60B2)] == [0, 0, 0]
+    assert drive.value(0x6071) == 300  # comes with every SYNC
+    assert [w for w in writes(bus) if w[0] == 0x60B2] == [(0x60B2, 0, 0)]
+
+
 def test_the_sync_identifier_is_set_where_it_differs() -> None:
     drive = ScriptedDrive(1)
     _, _ = configured(drive, settings=dataclasses.replace(machine_settings(), sync_cob_id=0x0A0))
