@@ -81,7 +81,7 @@ def move(
     from hil.bench.options import BenchOptions
 
     machine = load(machine_name)
-    goal = parse_pose(to, machine)
+    goal = parse_pose(to, machine, "--to")
     answer = Answer(json_to)
     with open_bench(machine, BenchOptions(bus, imu, io)) as bench:
         pose = bench.pose.copy()

@@ -94,7 +94,7 @@ def edge_scale(machine: Machine, axis: str) -> float:
     return math.pi / 180.0 if machine.units[machine.axis_index(axis)].position == "rad" else 1e-3
 
 
-def parse_pose(text: str, machine: Machine) -> dict[str, float]:
+def parse_pose(text: str, machine: Machine, option: str = "--pose") -> dict[str, float]:
     """Read `roll=30,propeller=-10` in rad (or m).
 
     Raises
@@ -112,11 +112,11 @@ def parse_pose(text: str, machine: Machine) -> dict[str, float]:
             equals = ""
             value = math.nan
         if not equals or not math.isfinite(value):
-            raise ExperimentError(f"--pose {text}: {part!r} is not AXIS=NUMBER, such as roll=30")
+            raise ExperimentError(f"{option} {text}: {part!r} is not AXIS=NUMBER, such as roll=30")
         if axis not in machine.axes:
-            raise ExperimentError(f"--pose {text}: {machine.name} has no axis {axis!r}; it has {', '.join(machine.axes)}")
+            raise ExperimentError(f"{option} {text}: {machine.name} has no axis {axis!r}; it has {', '.join(machine.axes)}")
         if axis in pose:
-            raise ExperimentError(f"--pose {text}: {axis} stands in it twice; say where it is once")
+            raise ExperimentError(f"{option} {text}: {axis} stands in it twice; say where it is once")
         pose[axis] = value * edge_scale(machine, axis)
     return pose
 

@@ -441,3 +441,12 @@ def test_a_fault_of_the_program_itself_is_one_line_and_says_how_to_see_more(
     assert error.count("\n") == 1
     assert "ISOCENTER_TRACEBACK=1" in error
     assert "ZeroDivisionError" in error
+
+
+def test_a_pose_to_go_to_that_is_none(isocenter: Isocenter) -> None:
+    move = ("move", "--machine", "carm", "--bus", "lockstep:", "--to")
+    refused = isocenter(*move, "rol=10")
+    assert (refused.status, refused.line) == (2, "isocenter: --to rol=10: carm has no axis 'rol'; it has propeller, roll")
+    refused = isocenter(*move, "roll=200")
+    assert refused.status == 2
+    assert "roll = 3.4907 rad is outside" in refused.line

@@ -99,6 +99,7 @@ ANSWERS = {
     "machine export": ("machine", "export", "emps", "--mjcf", "emps.xml"),
     "effects": ("effects",),
     "home": ("home", "-m", "carm", "-b", "lockstep:"),
+    "move": ("move", "-m", "carm", "-b", "lockstep:", "--to", "roll=2"),
     "run": ("run", "static", "-m", "carm", "-b", "lockstep:", "--seconds", "0.2", "-o", "still.mf4"),
     "simulate": ("simulate", "carm", "RECORDED", "-o", "simulated.csv"),
     "compare": ("compare", "RECORDED", "RECORDED"),
