@@ -198,6 +198,12 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("findings", "list", "`name` of the check, `ok`, `text` for a person, and its numbers in `values`."),
     ),
     "machine export": (Entry("mjcf, machine, hash", "text", "The file that was written, and what it is of."),),
+    "machine convert": (
+        Entry("machine_file, hash", "text", "The file that was written, and its hash."),
+        Entry("changes", "list", "`key`, `old` and `new`; `old` is null where the file had left a default out."),
+        Entry("ok", "true or false", "Whether the new file passes every check."),
+        Entry("before, findings", "list", "Findings of the old file and of the new one, as of `machine check`."),
+    ),
     **dict.fromkeys(("run multisine", "run scan", "run jog", "run static", "run file"), _RUN),
     "calibrate phantom": (
         Entry("exposures, used", "number", "Images, and those that were used."),

@@ -1,17 +1,21 @@
-"""isocenter machine list | show | check | export."""
+"""isocenter machine list | show | check | export | convert."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.cli.options import MachineArgument, can_be_written, load
+from hil.cli.options import MachineArgument, can_be_written, load, not_an_input
 from hil.terminal.output import Answer, JsonOption
 
+if TYPE_CHECKING:
+    from hil.machine import Finding
+
 app = typer.Typer(
-    help="Machine files: list the shipped ones, show, check, export.\n\nExample:  isocenter machine check carm", no_args_is_help=True
+    help="Machine files: list the shipped ones, show, check, export, convert.\n\nExample:  isocenter machine check carm",
+    no_args_is_help=True,
 )
 
 
@@ -83,3 +87,74 @@ def export(
     mjcf.write_text(to_mjcf(machine.plant, machine.name), encoding="utf-8")
     answer.say(f"{mjcf}: MuJoCo model of {machine.name}")
     answer.write({"mjcf": mjcf, "machine": machine.name, "hash": machine.hash})
+
+
+@app.command(
+    help="The same machine file for another sample rate, comments and order kept; margins are checked and shown beside the old ones. "
+    "Status 1 when a check fails; the file is written all the same."
+    "\n\nExample:  isocenter machine convert carm --rate 512 -o carm_512.toml"
+)
+def convert(
+    machine_name: MachineArgument,
+    rate_Hz: Annotated[float, typer.Option("--rate", metavar="HZ", help="The new sample rate.")],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="FILE", help="Where to write the new machine file (.toml).")],
+    json_to: JsonOption = None,
+) -> None:
+    """Write the file, then print what hangs on the rate, before and after."""
+    from hil.machine import check_machine, machine_from_text
+    from hil.machine.convert import converted_text
+
+    answer = Answer(json_to)
+    can_be_written(out, suffixes=(".toml",))
+    machine = load(machine_name)
+    if machine.path is not None:
+        not_an_input(out, machine.path)
+    text, changes = converted_text(machine, rate_Hz)
+    converted = machine_from_text(text, out)
+    out.write_bytes(text.encode())
+    answer.say(f"{out}: {machine.name} at {rate_Hz:g} Hz instead of {machine.sample_rate_Hz:g} Hz; comments are the old file's")
+    for change in changes:
+        if not isinstance(change.new, list):
+            answer.say(f"     {change.key} = {change.new:.6g}, was {'not written' if change.old is None else format(change.old, '.6g')}")
+    before, after = check_machine(machine), check_machine(converted)
+    for line in _beside(before, after, (f"{machine.sample_rate_Hz:g} Hz", f"{rate_Hz:g} Hz")):
+        answer.say(line)
+    failed = [finding for finding in after if not finding.ok]
+    for finding in failed:
+        answer.say(f"FAIL {finding.text}")
+    answer.write(
+        {
+            "machine_file": out,
+            "hash": converted.hash,
+            "changes": [vars(change) for change in changes],
+            "ok": not failed,
+            "before": [vars(finding) for finding in before],
+            "findings": [vars(finding) for finding in after],
+        }
+    )
+    if failed:
+        raise typer.Exit(1)
+
+
+SHOWN = {
+    "stability": ("largest pole radius", "pole_radius", ".6f", ""),
+    "phase_margin": ("phase margin", "phase_deg", ".1f", "deg"),
+    "gain_margin": ("gain margin", "gain_dB", ".1f", "dB"),
+    "crossover": ("crossover", "crossover_Hz", ".2f", "Hz"),
+    "bus_load": ("bus load", "share", ".1%", ""),
+}
+"""What of a check hangs on the sample rate: words, key of its value, format and unit."""
+
+
+def _beside(before: list[Finding], after: list[Finding], rates: tuple[str, str]) -> list[str]:
+    """Return a table of two checks of one machine, worst pose each."""
+    lines = []
+    for old, new in zip(*([finding for finding in check if finding.name in SHOWN] for check in (before, after)), strict=True):
+        words, key, form, unit = SHOWN[old.name]
+        cells = []
+        for value in (old.values[key], new.values[key]):
+            numbers = value if isinstance(value, list) else [value]
+            cells.append(f"{' to '.join(format(number, form) for number in numbers)} {unit}".rstrip())
+        named = f"{old.values.get('axis', '')} {words}".lstrip()
+        lines.append(f"{'ok  ' if new.ok else 'FAIL'} {named:32s}{cells[0]:>20s}{cells[1]:>20s}")
+    return [f"     {'':32s}{rates[0]:>20s}{rates[1]:>20s}", *lines] if lines else []

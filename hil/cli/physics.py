@@ -27,7 +27,8 @@ def register(app: typer.Typer) -> None:
         "\n\nExample:  isocenter emulate carm --bus socketcan:vcan0"
         "\n\nExample:  isocenter emulate carm --bus udp: --io-rtu pty --json -"
         "\n\nExample:  isocenter emulate carm --bus udp: --panel dodecahedron"
-        "\n\nExample:  isocenter emulate --eds device.eds --node 5 --bus socketcan:vcan0",
+        "\n\nExample:  isocenter emulate --eds device.eds --node 5 --bus socketcan:vcan0"
+        "\n\nExample:  isocenter emulate carm --eds maker.eds --as drive:roll --bus udp:",
     )(emulate)
 
 
@@ -51,6 +52,10 @@ def emulate(
     machine_name: Annotated[str | None, typer.Argument(metavar="[M]", help="Machine file, or the name of a shipped one.")] = None,
     bus: BusOption = "socketcan:vcan0",
     eds: Annotated[Path | None, typer.Option("--eds", metavar="FILE", help="Emulate one bare CiA 301 device of this EDS instead.")] = None,
+    as_device: Annotated[
+        str,
+        typer.Option("--as", metavar="ROLE:AXIS", help="The machine instead (carm without M), its drive or encoder of AXIS with that EDS."),
+    ] = "",
     node: Annotated[int, typer.Option("--node", metavar="N", help="Its node id; 255: it waits for one over LSS.")] = 1,
     memory: Annotated[
         Path | None, typer.Option("--memory", metavar="FILE", help="Keep in FILE what that device is told to store (1010h, LSS).")
@@ -76,8 +81,13 @@ def emulate(
     json_to: JsonOption = None,
 ) -> None:
     """Run until interrupted."""
-    from hil.emulated.machine import emulate_eds, emulate_machine
+    from hil.emulated.machine import emulate_eds, emulate_machine, with_data_sheet
 
+    as_eds = None
+    if as_device:
+        if eds is None:
+            raise typer.BadParameter(f"--as {as_device}: needs --eds FILE, the data sheet of that device")
+        machine_name, as_eds, eds = machine_name or "carm", eds, None
     if (eds is None) == (machine_name is None):
         raise typer.BadParameter("give either a machine M or --eds FILE")
     if eds is not None and (io_rtu or panel or faults):
@@ -96,6 +106,8 @@ def emulate(
         return
     assert machine_name is not None
     machine = load(machine_name, effects_file)
+    if as_eds is not None:
+        machine = with_data_sheet(machine, as_device, as_eds)
     start = parse_pose(pose, machine)
     wires = {"io_rtu": io_rtu, "panel": panel}
     wrong = read_faults(faults, machine, lockstep=False)

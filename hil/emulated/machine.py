@@ -7,6 +7,7 @@ import multiprocessing
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -122,6 +123,25 @@ def build_emulated(
     return emulated
 
 
+def with_data_sheet(machine: Machine, device: str, eds: Path) -> Machine:
+    """Return the machine whose drive or encoder of an axis, `device` = "drive:AXIS" or "encoder:AXIS", has this data sheet.
+
+    Raises
+    ------
+    UnusableInputError
+        The machine has no such device, or there is no such file.
+    """
+    nodes = machine.bus.nodes if machine.bus is not None else ()
+    there = [f"{node.role}:{node.axis}" for node in nodes]
+    if machine.bus is None or device not in there:
+        right = f"it has {', '.join(there)}" if there else "its file has no [bus]"
+        raise UnusableInputError(f"--as {device}: {machine.name} has no such device; {right}")
+    if not eds.is_file():
+        raise UnusableInputError(f"{eds}: no such EDS file")
+    changed = tuple(replace(node, eds=eds) if device == name else node for name, node in zip(there, nodes, strict=True))
+    return replace(machine, bus=replace(machine.bus, nodes=changed))
+
+
 def emulated_bus(machine: Machine, physics: Physics) -> EmulatedBus:
     """Return the CANopen devices that the machine file describes."""
     bus = machine.bus
@@ -219,6 +239,8 @@ def emulate_machine(
 
     Raises
     ------
+    UnusableInputError
+        The machine file has no bus, or a data sheet in it does not fit its device.
     DriverError
         The bus or the serial port cannot be opened.
     EmulatorError
@@ -236,7 +258,10 @@ def emulate_machine(
 
             board = PoseBoard(multiprocessing.get_context("spawn"))
             panel_url = stack.enter_context(panel_beside(machine, board, panel))
-        emulated = build_emulated(machine, start, seed=seed, noise=noise, truth=log, board=board, faults=faults)
+        try:
+            emulated = build_emulated(machine, start, seed=seed, noise=noise, truth=log, board=board, faults=faults)
+        except ProtocolError as error:
+            raise UnusableInputError(str(error)) from None  # a data sheet that does not fit its device
 
         def ready(ports: Ports) -> None:
             # The bench takes the TCP port: the kernel passes data of a pseudo terminal on in a worker of ordinary priority, for which a

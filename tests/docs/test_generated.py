@@ -262,6 +262,7 @@ class TestJson:
             ("machine list", []),
             ("machine show", ["carm"]),
             ("machine export", ["carm", "--mjcf", "{folder}/carm.xml"]),
+            ("machine convert", ["turntable", "--rate", "400", "-o", "{folder}/turntable.toml"]),
             ("effects", []),
         ],
     )

@@ -15,6 +15,7 @@ from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
 from hil.experiments import Plan
 from hil.machine import Machine, load_machine, machine_from_text
+from hil.machine.convert import converted_text
 from hil.recording import Recording, read_recording
 from virtual_bus.lockstep import LockstepBus
 
@@ -46,28 +47,8 @@ def patient_text(overrun_ticks: str = "5000") -> str:
 
 
 def carm_at_1_kHz() -> Machine:
-    """The C-arm sampled at 1 kHz: the controllers of docs/explanation/carm.md discretised anew, answers awaited for half a period."""
-    rate = 1000.0
-    controllers = {
-        "propeller": loop_shaping.cascade(
-            loop_shaping.gain(1140.0),
-            loop_shaping.lag(0.0, 0.1, rate),
-            loop_shaping.lead(3.7, 76.0, rate),
-            loop_shaping.notch(9.0, 0.375, 0.8, rate),
-        ),
-        "roll": loop_shaping.cascade(
-            loop_shaping.gain(820.0),
-            loop_shaping.lag(0.0, 0.12, rate),
-            loop_shaping.lead(2.2, 70.0, rate),
-            loop_shaping.notch(22.0, 0.2, 1.0, rate),
-        ),
-    }
-    text = edited(r"^sample_rate_Hz = 256.0", "sample_rate_Hz = 1000.0")
-    text = edited(r"^answer_timeout_s = [0-9.]+", "answer_timeout_s = 0.0005", text)
-    text = edited(r"^rate_Hz = 256.0", "rate_Hz = 1000.0", text)
-    for axis, sections in controllers.items():
-        text = edited(rf"(\[controller.{axis}\]\nposition_sections = )\[(?:.|\n)*?\n\]", rf"\g<1>{sections.tolist()}", text)
-    return machine_from_text(text)
+    """The C-arm sampled at 1 kHz."""
+    return machine_from_text(converted_text(CARM, 1000.0)[0])
 
 
 def run_in_lockstep(

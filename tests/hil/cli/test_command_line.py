@@ -47,7 +47,7 @@ def test_every_command_of_the_contract_is_there() -> None:
     wanted = (
         "demo, effects, emulate, scan-bus, home, simulate, compare, identify, shape, convert, machine list, machine show, machine check"
     )
-    wanted += ", machine export, run multisine, run scan, run jog, run static, run file"
+    wanted += ", machine export, machine convert, run multisine, run scan, run jog, run static, run file"
     assert set(wanted.split(", ")) <= names
 
 
@@ -97,6 +97,7 @@ ANSWERS = {
     "machine show": ("machine", "show", "carm"),
     "machine check": ("machine", "check", "carm"),
     "machine export": ("machine", "export", "emps", "--mjcf", "emps.xml"),
+    "machine convert": ("machine", "convert", "turntable", "--rate", "400", "-o", "turntable.toml"),
     "effects": ("effects",),
     "home": ("home", "-m", "carm", "-b", "lockstep:"),
     "move": ("move", "-m", "carm", "-b", "lockstep:", "--to", "roll=2"),
