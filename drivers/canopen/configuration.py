@@ -20,6 +20,8 @@ PDO_COUNT = 0x200
 EVENT_TIMER = 5  # subindex of a PDO's communication; of an RPDO its deadline [ms]
 SYNC_COB_ID, CONSUMER_HEARTBEAT, PRODUCER_HEARTBEAT = 0x1005, 0x1016, 0x1017
 MAX_TORQUE, MAX_CURRENT, RATED_CURRENT, RATED_TORQUE = 0x6072, 0x6073, 0x6075, 0x6076
+ADDED_COMMANDS = (0x6071, 0x60B0, 0x60B1, 0x60B2)
+"""Target torque and the offsets of position, velocity and torque: a drive adds them to what the loop commands, from any earlier master."""
 
 OPTION_CODES = (
     (0x6007, 3),  # abort connection (heartbeat of the bench lost, bus off): quick stop, so the drive holds; after a fault it holds nothing
@@ -71,6 +73,7 @@ def configure_node(sdo: SdoNode, node: Node, settings: BusSettings, scaling: Axi
         lacking += [f"option code {index:04X}h" for index in _write_option_codes(sdo, own_writes)]
         if lacking:
             notes.append(_stopped_otherwise(sdo, node, lacking))
+        _clear_commands(sdo, node)
     if scaling is not None:
         _configure_scaling(sdo, scaling, own_writes)
     for index, subindex, value in node.writes:
@@ -156,6 +159,14 @@ def _write_option_codes(sdo: SdoNode, own_writes: set[tuple[int, int]]) -> list[
         if sdo.may_write(index) and (index, 0) not in own_writes:
             sdo.write_checked(index, 0, code)
     return [index for index in (0x6007, 0x605E) if not sdo.knows(index)]
+
+
+def _clear_commands(sdo: SdoNode, node: Node) -> None:
+    """Set to zero what a drive would add to the loop's commands; a reset of its communication leaves it."""
+    mapped = {index for pdo in node.rpdos for index, _, _ in pdo.entries}
+    for index in ADDED_COMMANDS:
+        if index not in mapped and sdo.may_write(index) and any(sdo.read_if_present(index) or b""):
+            sdo.write_checked(index, 0, 0)
 
 
 def _configure_scaling(sdo: SdoNode, scaling: AxisScaling, own_writes: set[tuple[int, int]]) -> None:

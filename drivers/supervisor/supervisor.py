@@ -3,9 +3,10 @@
 It shares no code with the sample loop, has no model and no clock of its own. The permission, once taken back, stays so until the next
 session. Without it no refresh reaches the I/O device, whose outputs then fall: brakes close, whatever loop, recorder and poller do.
 
-Of an axis whose drive may apply torque, or whose brake reports open, this is watched: SYNC goes on, and no faster than it may; the target
-torque keeps to its limit; the drive sends its position; no encoder is faster than the limit and a half; with a link encoder, both move
-alike and within the range; and after hold-to-run, door or a user asked for a stop the axis does not move on.
+Of an axis whose drive may apply torque, or whose brake reports open, this is watched: SYNC goes on, and no faster than it may; target
+torque, torque offset and target velocity keep to their limits; the drive sends its position; no encoder is faster than the limit and a
+half; with a link encoder, both move alike and within the range; and after hold-to-run, door or a user asked for a stop the axis does not
+move on.
 """
 
 from __future__ import annotations
@@ -45,8 +46,9 @@ _TORQUE_ON = 0x04
 """Bit of the statusword that is set where the drive may apply torque: operation enabled, quick stop and fault reaction active."""
 _ENABLED_MASK, _ENABLED = 0x6F, 0x27
 """Of a statusword in operation enabled, in which a drive does what it is told. One in quick stop holds, and is left to hold."""
-_STATUSWORD, _POSITION, _LINK_POSITION, _TARGET_TORQUE = 0x6041, 0x6064, 0x6004, 0x6071
-_SIGNED = (_POSITION, _TARGET_TORQUE)
+_STATUSWORD, _POSITION, _LINK_POSITION = 0x6041, 0x6064, 0x6004
+_TARGET_TORQUE, _TORQUE_OFFSET, _TARGET_VELOCITY = 0x6071, 0x60B2, 0x60FF
+_SIGNED = (_POSITION, _TARGET_TORQUE, _TORQUE_OFFSET, _TARGET_VELOCITY)
 
 
 class _Field:
@@ -121,6 +123,7 @@ class _Axis:
         self.link = _Encoder(scaling.link_resolution, fastest, limits.tracking_error) if scaling.link_resolution else None
         self.link_at = nan  # rad or m
         self.torque_permille = min(32767, round(scaling.limit / scaling.rated * 1000.0))
+        self.fastest_counts_s = fastest / scaling.position_resolution
         self.powered = self.enabled = self.brake_open = self.known = False
         self.unanswered = 0  # SYNCs since the last position
         self.seen_at_s = self.link_seen_at_s = -inf  # when each encoder was read last
@@ -220,7 +223,11 @@ class Supervisor:
         self._drives = [(self._axes[names.index(node.axis)], node.node_id) for node in settings.nodes if node.role == "drive"]
         self._sent = {pdo.cob_id: self._reader(node.axis, names, pdo) for node in settings.nodes for pdo in node.tpdos}
         self._asked = {
-            pdo.cob_id: (self._axes[names.index(node.axis)], _Field(pdo.entries, _TARGET_TORQUE))
+            pdo.cob_id: (
+                self._axes[names.index(node.axis)],
+                [_Field(pdo.entries, index) for index in (_TARGET_TORQUE, _TORQUE_OFFSET)],
+                _Field(pdo.entries, _TARGET_VELOCITY),
+            )
             for node in settings.nodes
             for pdo in node.rpdos
         }
@@ -248,10 +255,14 @@ class Supervisor:
         if can_id == self._sync_id:
             self._sync(time_s)
         elif (asked := self._asked.get(can_id)) is not None:
-            axis, field = asked
-            torque = field.read(data)
-            if torque is not None and abs(torque) > axis.torque_permille:
-                self.refuse(time_s, f"{axis.name}: a torque of {torque} per mille was asked for, {axis.torque_permille} are allowed")
+            axis, torques, velocity = asked
+            for field in torques:
+                torque = field.read(data)
+                if torque is not None and abs(torque) > axis.torque_permille:
+                    self.refuse(time_s, f"{axis.name}: a torque of {torque} per mille was asked for, {axis.torque_permille} are allowed")
+            speed = velocity.read(data)
+            if speed is not None and abs(speed) > axis.fastest_counts_s:
+                self.refuse(time_s, f"{axis.name}: a velocity of {speed} counts/s was asked for, {axis.fastest_counts_s:.0f} are allowed")
         elif (sent := self._sent.get(can_id)) is not None:
             axis, status, position, link = sent
             if (word := status.read(data)) is not None:
