@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from math import nan
+from math import isfinite, nan
 
 import can
 
@@ -11,7 +11,7 @@ from drivers.canopen.cia402 import DISABLE_VOLTAGE
 from drivers.canopen.cia406 import signed_counts
 from drivers.canopen.network import send_frame
 from drivers.canopen.pdo import PdoCodec
-from drivers.errors import ConfigurationRefusedError
+from drivers.errors import ConfigurationRefusedError, MotionRefusedError
 from drivers.interface import Sample
 from drivers.settings import AxisScaling, BusSettings, Node, Pdo
 
@@ -20,7 +20,7 @@ STATUSWORD, POSITION, TORQUE_ACTUAL, CURRENT_ACTUAL, LINK_POSITION = 0x6041, 0x6
 CYCLIC_TARGETS = {"position": TARGET_POSITION, "velocity": TARGET_VELOCITY}
 PROFILE_TARGETS = {"profile_position": TARGET_POSITION, "profile_velocity": TARGET_VELOCITY}
 _HALF_RANGE, _RANGE = 1 << 31, 1 << 32
-INT16_MAX = 32767
+INT16_MAX, _INT32_MAX = 32767, 0x7FFF_FFFF
 
 
 class AxisInput:
@@ -49,9 +49,9 @@ class AxisInput:
         self._last_raw = raw
         return self._counts_scale * (raw + self._turns * _RANGE) + self.offset
 
-    def counts(self, position: float) -> int:
-        """Return the drive's count of a joint position: the reverse of `position`, as a signed number of 32 bits."""
-        return signed_32(round((position - self.offset) / self._counts_scale))
+    def counts(self, position: float) -> float:
+        """Return the drive's count of a joint position: the reverse of `position`, not in whole counts."""
+        return (position - self.offset) / self._counts_scale
 
     def effort(self, permille: int) -> float:
         """Return the measured effort [drive's unit] of a current or torque actual value (6078h, 6077h)."""
@@ -82,6 +82,7 @@ class AxisOutput:
     def __init__(self, node: Node, scaling: AxisScaling, source: AxisInput) -> None:
         self.controlword = DISABLE_VOLTAGE
         self.target = 0  # counts or counts/s
+        self._left = 0.0  # what the last target lacks by rounding
         self._source = source
         self._speed_scale = scaling.sign / scaling.position_resolution
         self._permille = scaling.sign * 1000.0 / scaling.rated
@@ -113,11 +114,18 @@ class AxisOutput:
         return permille / self._permille
 
     def lead_to(self, target: float) -> None:
-        """Set the position [rad or m] or velocity [rad/s or m/s] that the drive's own loops follow from the next tick on."""
-        if self._source.scaling.mode.endswith("position"):
-            self.target = self._source.counts(target)
-        else:
-            self.target = round(target * self._speed_scale)
+        """Set the position [rad or m] or velocity [rad/s or m/s] that the drive's own loops follow from the next tick on.
+
+        A cyclic target makes up for what the one before has lost by rounding: the drive's integrator would add that up.
+        """
+        if not isfinite(target):
+            raise MotionRefusedError(f"{self._source.scaling.axis}: the target is {target}; no number, no motion")
+        mode = self._source.scaling.mode
+        is_position = mode.endswith("position")
+        wanted = self._left + (self._source.counts(target) if is_position else target * self._speed_scale)
+        whole = round(wanted)
+        self._left = wanted - whole if mode in CYCLIC_TARGETS else 0.0
+        self.target = signed_32(whole) if is_position else min(max(whole, -_INT32_MAX), _INT32_MAX)
 
     def send(self, bus: can.BusABC, permille: int) -> None:
         """Send the drive's RPDOs with the controlword, this effort and the target."""
