@@ -7,7 +7,7 @@ from math import isfinite, nan
 
 import can
 
-from drivers.canopen.cia402 import DISABLE_VOLTAGE
+from drivers.canopen.cia402 import DISABLE_VOLTAGE, State, decode_state
 from drivers.canopen.cia406 import signed_counts
 from drivers.canopen.network import send_frame
 from drivers.canopen.pdo import PdoCodec
@@ -35,18 +35,18 @@ class AxisInput:
         self.statusword = -1  # newest ever received
         self._counts_scale = scaling.sign * scaling.position_resolution
         self._effort_scale = scaling.sign * scaling.rated / 1000.0
-        self._last_raw: int | None = None
+        self.last_raw: int | None = None  # newest position actual value
         self._turns = 0  # whole ranges of the 32-bit counter
 
     def position(self, raw: int) -> float:
         """Return the joint position [rad or m] of a position actual value (6064h)."""
-        if self._last_raw is not None:
-            step = raw - self._last_raw
+        if self.last_raw is not None:
+            step = raw - self.last_raw
             if step >= _HALF_RANGE:
                 self._turns -= 1
             elif step < -_HALF_RANGE:
                 self._turns += 1
-        self._last_raw = raw
+        self.last_raw = raw
         return self._counts_scale * (raw + self._turns * _RANGE) + self.offset
 
     def counts(self, position: float) -> float:
@@ -63,7 +63,7 @@ class AxisInput:
 
     def counter_was_set(self) -> None:
         """Forget the counter's last value, because the drive has set its counter (homing)."""
-        self._last_raw = None
+        self.last_raw = None
         self._turns = 0
 
 
@@ -126,6 +126,14 @@ class AxisOutput:
         whole = round(wanted)
         self._left = wanted - whole if mode in CYCLIC_TARGETS else 0.0
         self.target = signed_32(whole) if is_position else min(max(whole, -_INT32_MAX), _INT32_MAX)
+
+    def stand(self) -> None:
+        """Let the drive's own loops stand from the next tick on: without speed, or, unless it is enabled, at the position where it is."""
+        source = self._source
+        if source.scaling.mode.endswith("velocity"):
+            self.target = 0
+        elif source.last_raw is not None and decode_state(source.statusword) is not State.OPERATION_ENABLED:
+            self.target = source.last_raw
 
     def send(self, bus: can.BusABC, permille: int) -> None:
         """Send the drive's RPDOs with the controlword, this effort and the target."""

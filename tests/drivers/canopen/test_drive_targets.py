@@ -74,3 +74,19 @@ def test_no_number_is_no_target(mode: LoopMode, target: float) -> None:
     _, output = drive(mode)
     with pytest.raises(MotionRefusedError, match=f"{SETTINGS.scalings[0].axis}: the target is {target}; no number, no motion"):
         output.lead_to(target)
+
+
+def test_a_drive_that_is_to_stand_keeps_its_target_only_while_it_is_enabled() -> None:
+    source, output = drive("position")
+    output.lead_to(100 * COUNT)
+    source.statusword = 0x0027
+    source.position(90)
+    output.stand()
+    assert output.target == 100
+    source.statusword = 0x0007  # quick stop active
+    output.stand()
+    assert output.target == 90
+    _, output = drive("velocity")
+    output.lead_to(100 * COUNT)
+    output.stand()
+    assert output.target == 0

@@ -73,7 +73,8 @@ def test_recordings_say_mode_and_unit(swept: tuple[Machine, Recording, Path]) ->
 
 def test_frames_carry_the_recorded_target_in_counts(swept: tuple[Machine, Recording, Path]) -> None:
     machine, recording, log = swept
-    targets = [int.from_bytes(m.data[2:6], "little", signed=True) for m in can.LogReader(str(log)) if m.arbitration_id == 0x202]
+    sent = [m.data for m in can.LogReader(str(log)) if m.arbitration_id == 0x202]
+    targets = [int.from_bytes(data[2:6], "little", signed=True) for data in sent if data[0] == 15]  # operation enabled
     asked = np.round(recording["command_roll"] / COUNT_rad).astype(int)
     offset = 0  # a position's counts begin where the drive was switched on
     if machine.commanded["roll"]["mode"] == "position":
@@ -109,6 +110,25 @@ def test_a_led_axis_that_is_asked_to_stop_ends_with_its_brake_proven(mode: str, 
         LoopAbortedError, match="somebody asked; the motors were stopped: propeller, roll at rest: brake proven, voltage off"
     ):
         run_in_lockstep(tmp_path, [plan], machine, progress=ask)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_stop_on_the_way_leaves_no_target_of_the_motion(mode: str, tmp_path: Path) -> None:
+    machine = machine_in(mode)
+
+    def ask(bench: Bench, row: int) -> None:
+        if row >= 256:
+            bench.loop.stop_request.ask("somebody asked")
+
+    with pytest.raises(LoopAbortedError, match="roll at rest: brake proven"):
+        run_in_lockstep(tmp_path, [swept_plan(machine)], machine, progress=ask)
+    frames = [message for message in can.LogReader(str(tmp_path / "run.log")) if message.arbitration_id in (0x182, 0x202)]
+    targets = [(m.data[0], int.from_bytes(m.data[2:6], "little", signed=True)) for m in frames if m.arbitration_id == 0x202]
+    positions = [int.from_bytes(m.data[2:6], "little", signed=True) for m in frames if m.arbitration_id == 0x182]
+    led = max(k for k, (controlword, _) in enumerate(targets) if controlword == 2)  # the end of the quick stop
+    assert max(abs(target) for _, target in targets) > 1000
+    for _, target in targets[led:]:
+        assert abs(target - (positions[-1] if mode == "position" else 0)) <= 4
 
 
 @pytest.mark.parametrize("mode", MODES)
