@@ -10,15 +10,19 @@ import numpy as np
 import pytest
 from bench_machines import CARM, carm_text_in, edited, run_in_lockstep
 
+from drivers.interface import Sample
 from hil.bench.bench import Bench
+from hil.bench.open import open_bench
+from hil.bench.options import BenchOptions
 from hil.errors import LoopAbortedError, MachineFileError
-from hil.experiments import Plan, Scan, Static
+from hil.experiments import Multisine, Plan, Scan, Static
 from hil.machine import Machine, check_machine, machine_from_text
 from hil.recording import Recording
 from hil.simulation import in_effort, simulate
 
 MODES = ("velocity", "position")
 COUNT_rad = 2.0 * np.pi / (4096 * 500)
+STEP_A = 0.005  # of the torque on the wire, and of what is measured
 SENSOR_NOISE_A = 0.01  # of the shipped current sensors, the quantisation of the target beside it
 
 
@@ -129,6 +133,25 @@ def test_a_stop_on_the_way_leaves_no_target_of_the_motion(mode: str, tmp_path: P
     assert max(abs(target) for _, target in targets) > 1000
     for _, target in targets[led:]:
         assert abs(target - (positions[-1] if mode == "position" else 0)) <= 4
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_drive_is_judged_by_the_effort_that_was_asked_for_in_the_same_tick(mode: str, tmp_path: Path) -> None:
+    machine = machine_in(mode)
+    plan = Multisine(period_s=2.0, periods=1, settle_periods=0, amplitude_A=0.5, jog=None).plans(machine)[0]
+    efforts = []
+    with open_bench(machine, BenchOptions("lockstep:", noise=False)) as bench:
+        judge = bench.loop.judge
+        assert judge is not None
+        judged = judge.step
+
+        def seen(sample: Sample, ticks: int, row_s: float) -> str:
+            efforts.append((sample.effort - sample.commanded).tolist())
+            return judged(sample, ticks, row_s)
+
+        judge.step = seen  # type: ignore[method-assign]
+        bench.run(plan, tmp_path / "run.mf4")
+    assert np.abs(efforts[-plan.rows :]).max() < 2.5 * STEP_A
 
 
 @pytest.mark.parametrize("mode", MODES)
