@@ -36,18 +36,18 @@ class AxisInput:
         self._counts_scale = scaling.sign * scaling.position_resolution
         self._effort_scale = scaling.sign * scaling.rated / 1000.0
         self.last_raw: int | None = None  # newest position actual value
-        self._turns = 0  # whole ranges of the 32-bit counter
+        self.turns = 0  # whole ranges of the 32-bit counter
 
     def position(self, raw: int) -> float:
         """Return the joint position [rad or m] of a position actual value (6064h)."""
         if self.last_raw is not None:
             step = raw - self.last_raw
             if step >= _HALF_RANGE:
-                self._turns -= 1
+                self.turns -= 1
             elif step < -_HALF_RANGE:
-                self._turns += 1
+                self.turns += 1
         self.last_raw = raw
-        return self._counts_scale * (raw + self._turns * _RANGE) + self.offset
+        return self._counts_scale * (raw + self.turns * _RANGE) + self.offset
 
     def counts(self, position: float) -> float:
         """Return the drive's count of a joint position: the reverse of `position`, not in whole counts."""
@@ -64,7 +64,7 @@ class AxisInput:
     def counter_was_set(self) -> None:
         """Forget the counter's last value, because the drive has set its counter (homing)."""
         self.last_raw = None
-        self._turns = 0
+        self.turns = 0
 
 
 class AxisOutput:
@@ -125,6 +125,12 @@ class AxisOutput:
         wanted = self._left + (self._source.counts(target) if is_position else target * self._speed_scale)
         whole = round(wanted)
         self._left = wanted - whole if mode in CYCLIC_TARGETS else 0.0
+        if mode == "profile_position" and not -_HALF_RANGE <= whole - self._source.turns * _RANGE < _HALF_RANGE:
+            scaling = self._source.scaling
+            raise MotionRefusedError(
+                f"{scaling.axis}: between it and {target:.4f} {scaling.position_unit} its drive's counter of 32 bits ends, and the drive "
+                f"would go the other way round; set its counter: bus.homing.{scaling.axis}.method = 35 or 37"
+            )
         self.target = signed_32(whole) if is_position else min(max(whole, -_INT32_MAX), _INT32_MAX)
 
     def stand(self) -> None:

@@ -90,3 +90,16 @@ def test_a_drive_that_is_to_stand_keeps_its_target_only_while_it_is_enabled() ->
     output.lead_to(100 * COUNT)
     output.stand()
     assert output.target == 0
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_drive_that_goes_by_itself_is_not_sent_over_the_end_of_its_counter(sign: int) -> None:
+    source, output = drive("profile_position", sign)
+    end = source.position(2**31 - 10)
+    output.lead_to(end + sign * 9 * COUNT)
+    assert output.target == 2**31 - 1
+    with pytest.raises(MotionRefusedError, match="would go the other way round"):
+        output.lead_to(end + sign * 10 * COUNT)
+    source.position(-(2**31))  # pushed over the end
+    output.lead_to(end + sign * 15 * COUNT)
+    assert output.target == -(2**31) + 5
