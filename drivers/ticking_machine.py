@@ -268,6 +268,10 @@ class TickingMachine:
         """Set the position or velocity that a drive's own loops follow from the next tick on [rad or m; rad/s or m/s]."""
         self._cyclic.outputs[axis].lead_to(target)
 
+    def stand(self, axis: int) -> None:
+        """Let a drive's own loops stand: without speed, or, unless it is enabled, at the position where it is."""
+        self._cyclic.outputs[axis].stand()
+
     def takes_effort(self, axis: int) -> bool:
         """Return whether the drive takes an effort: all of it in torque mode, a part of it in others."""
         return self._cyclic.outputs[axis].takes_effort

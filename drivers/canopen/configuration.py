@@ -20,9 +20,8 @@ PDO_COUNT = 0x200
 EVENT_TIMER = 5  # subindex of a PDO's communication; of an RPDO its deadline [ms]
 SYNC_COB_ID, CONSUMER_HEARTBEAT, PRODUCER_HEARTBEAT = 0x1005, 0x1016, 0x1017
 MAX_TORQUE, MAX_CURRENT, RATED_CURRENT, RATED_TORQUE = 0x6072, 0x6073, 0x6075, 0x6076
-
-ADDED = (0x6071, 0x60B0, 0x60B1, 0x60B2)
-"""Target torque and the offsets of position, velocity and torque, which a drive sums up."""
+ADDED_COMMANDS = (0x6071, 0x60B0, 0x60B1, 0x60B2)
+"""Target torque and the offsets of position, velocity and torque: a drive adds them to what the loop commands, from any earlier master."""
 
 OPTION_CODES = (
     (0x6007, 3),  # abort connection (heartbeat of the bench lost, bus off): quick stop, so the drive holds; after a fault it holds nothing
@@ -70,11 +69,11 @@ def configure_node(sdo: SdoNode, node: Node, settings: BusSettings, scaling: Axi
     sdo.write_checked(PRODUCER_HEARTBEAT, 0, round(node.heartbeat_period_s * 1000))
     watches = _watch_bench(sdo, settings)
     if node.role == "drive":
-        _zero_what_is_not_sent(sdo, node, own_writes)
         lacking = [] if watches else ["heartbeat consumer (1016h) that watches a heartbeat of the bench"]
         lacking += [f"option code {index:04X}h" for index in _write_option_codes(sdo, own_writes)]
         if lacking:
             notes.append(_stopped_otherwise(sdo, node, lacking))
+        _clear_commands(sdo, node)
     if scaling is not None:
         _configure_scaling(sdo, scaling, own_writes)
     for index, subindex, value in node.writes:
@@ -162,11 +161,11 @@ def _write_option_codes(sdo: SdoNode, own_writes: set[tuple[int, int]]) -> list[
     return [index for index in (0x6007, 0x605E) if not sdo.knows(index)]
 
 
-def _zero_what_is_not_sent(sdo: SdoNode, node: Node, own_writes: set[tuple[int, int]]) -> None:
-    """Set to zero the targets and offsets that no RPDO carries: the drive adds them to those that come."""
-    sent = {(index, subindex) for pdo in node.rpdos for index, subindex, _ in pdo.entries}
-    for index in ADDED:
-        if (index, 0) not in sent | own_writes and sdo.may_write(index) and any(sdo.read_if_present(index) or b""):
+def _clear_commands(sdo: SdoNode, node: Node) -> None:
+    """Set to zero what a drive would add to the loop's commands; a reset of its communication leaves it."""
+    mapped = {index for pdo in node.rpdos for index, _, _ in pdo.entries}
+    for index in ADDED_COMMANDS:
+        if index not in mapped and sdo.may_write(index) and any(sdo.read_if_present(index) or b""):
             sdo.write_checked(index, 0, 0)
 
 

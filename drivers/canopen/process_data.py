@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from math import nan
+from math import isfinite, nan
 
 import can
 
-from drivers.canopen.cia402 import DISABLE_VOLTAGE
+from drivers.canopen.cia402 import DISABLE_VOLTAGE, State, decode_state
 from drivers.canopen.cia406 import signed_counts
 from drivers.canopen.network import send_frame
 from drivers.canopen.pdo import PdoCodec
-from drivers.errors import ConfigurationRefusedError
+from drivers.errors import ConfigurationRefusedError, MotionRefusedError
 from drivers.interface import Sample
 from drivers.settings import AxisScaling, BusSettings, Node, Pdo
 
@@ -20,7 +20,7 @@ STATUSWORD, POSITION, TORQUE_ACTUAL, CURRENT_ACTUAL, LINK_POSITION = 0x6041, 0x6
 CYCLIC_TARGETS = {"position": TARGET_POSITION, "velocity": TARGET_VELOCITY}
 PROFILE_TARGETS = {"profile_position": TARGET_POSITION, "profile_velocity": TARGET_VELOCITY}
 _HALF_RANGE, _RANGE = 1 << 31, 1 << 32
-INT16_MAX = 32767
+INT16_MAX, _INT32_MAX = 32767, 0x7FFF_FFFF
 
 
 class AxisInput:
@@ -35,23 +35,23 @@ class AxisInput:
         self.statusword = -1  # newest ever received
         self._counts_scale = scaling.sign * scaling.position_resolution
         self._effort_scale = scaling.sign * scaling.rated / 1000.0
-        self._last_raw: int | None = None
-        self._turns = 0  # whole ranges of the 32-bit counter
+        self.last_raw: int | None = None  # newest position actual value
+        self.turns = 0  # whole ranges of the 32-bit counter
 
     def position(self, raw: int) -> float:
         """Return the joint position [rad or m] of a position actual value (6064h)."""
-        if self._last_raw is not None:
-            step = raw - self._last_raw
+        if self.last_raw is not None:
+            step = raw - self.last_raw
             if step >= _HALF_RANGE:
-                self._turns -= 1
+                self.turns -= 1
             elif step < -_HALF_RANGE:
-                self._turns += 1
-        self._last_raw = raw
-        return self._counts_scale * (raw + self._turns * _RANGE) + self.offset
+                self.turns += 1
+        self.last_raw = raw
+        return self._counts_scale * (raw + self.turns * _RANGE) + self.offset
 
-    def counts(self, position: float) -> int:
-        """Return the drive's count of a joint position: the reverse of `position`, as a signed number of 32 bits."""
-        return signed_32(round((position - self.offset) / self._counts_scale))
+    def counts(self, position: float) -> float:
+        """Return the drive's count of a joint position: the reverse of `position`, not in whole counts."""
+        return (position - self.offset) / self._counts_scale
 
     def effort(self, permille: int) -> float:
         """Return the measured effort [drive's unit] of a current or torque actual value (6078h, 6077h)."""
@@ -63,8 +63,8 @@ class AxisInput:
 
     def counter_was_set(self) -> None:
         """Forget the counter's last value, because the drive has set its counter (homing)."""
-        self._last_raw = None
-        self._turns = 0
+        self.last_raw = None
+        self.turns = 0
 
 
 class AxisOutput:
@@ -82,6 +82,7 @@ class AxisOutput:
     def __init__(self, node: Node, scaling: AxisScaling, source: AxisInput) -> None:
         self.controlword = DISABLE_VOLTAGE
         self.target = 0  # counts or counts/s
+        self._left = 0.0  # what the last target lacks by rounding
         self._source = source
         self._speed_scale = scaling.sign / scaling.position_resolution
         self._permille = scaling.sign * 1000.0 / scaling.rated
@@ -113,11 +114,32 @@ class AxisOutput:
         return permille / self._permille
 
     def lead_to(self, target: float) -> None:
-        """Set the position [rad or m] or velocity [rad/s or m/s] that the drive's own loops follow from the next tick on."""
-        if self._source.scaling.mode.endswith("position"):
-            self.target = self._source.counts(target)
-        else:
-            self.target = round(target * self._speed_scale)
+        """Set the position [rad or m] or velocity [rad/s or m/s] that the drive's own loops follow from the next tick on.
+
+        A cyclic target makes up for what the one before has lost by rounding: the drive's integrator would add that up.
+        """
+        if not isfinite(target):
+            raise MotionRefusedError(f"{self._source.scaling.axis}: the target is {target}; no number, no motion")
+        mode = self._source.scaling.mode
+        is_position = mode.endswith("position")
+        wanted = self._left + (self._source.counts(target) if is_position else target * self._speed_scale)
+        whole = round(wanted)
+        self._left = wanted - whole if mode in CYCLIC_TARGETS else 0.0
+        if mode == "profile_position" and not -_HALF_RANGE <= whole - self._source.turns * _RANGE < _HALF_RANGE:
+            scaling = self._source.scaling
+            raise MotionRefusedError(
+                f"{scaling.axis}: between it and {target:.4f} {scaling.position_unit} its drive's counter of 32 bits ends, and the drive "
+                f"would go the other way round; set its counter: bus.homing.{scaling.axis}.method = 35 or 37"
+            )
+        self.target = signed_32(whole) if is_position else min(max(whole, -_INT32_MAX), _INT32_MAX)
+
+    def stand(self) -> None:
+        """Let the drive's own loops stand from the next tick on: without speed, or, unless it is enabled, at the position where it is."""
+        source = self._source
+        if source.scaling.mode.endswith("velocity"):
+            self.target = 0
+        elif source.last_raw is not None and decode_state(source.statusword) is not State.OPERATION_ENABLED:
+            self.target = source.last_raw
 
     def send(self, bus: can.BusABC, permille: int) -> None:
         """Send the drive's RPDOs with the controlword, this effort and the target."""

@@ -26,6 +26,9 @@ class Machine(power_and_brakes.Machine, Protocol):
     def io_is_fresh(self) -> bool:
         """Return whether the I/O's newest state is recent enough."""
 
+    def stand(self, axis: int) -> None:
+        """Let a drive's own loops stand, where it does not obey or is enabled anew."""
+
 
 class Resting:
     """Brings the axes of a machine to rest.
@@ -122,6 +125,7 @@ class Resting:
         def tick() -> None:
             for stop in stops:
                 machine.set_controlword(stop.axis, stop.controlword)
+                machine.stand(stop.axis)
                 efforts[stop.axis] = stop.effort
             self._tick(efforts)
 

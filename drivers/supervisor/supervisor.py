@@ -3,9 +3,9 @@
 It shares no code with the sample loop, has no model and no clock of its own. The permission, once taken back, stays so until the next
 session. Without it no refresh reaches the I/O device, whose outputs then fall: brakes close, whatever loop, recorder and poller do.
 
-Of an axis whose drive may apply torque, or whose brake reports open, this is watched: SYNC goes on, and no faster than it may; the target
-torque keeps to its limit; the drive sends its position; no encoder is faster than the limit and a half; with a link encoder, both move
-alike and within the range; and after hold-to-run, door or a user asked for a stop the axis does not move on.
+Of an axis whose drive may apply torque, or whose brake reports open, this is watched: SYNC goes on, and no faster than it may; torques
+and velocities asked for keep to their limits; the drive sends its position; no encoder is faster than the limit and a half; with a link
+encoder, both move alike and within the range; and after hold-to-run, door or a user asked for a stop the axis does not move on.
 """
 
 from __future__ import annotations
@@ -39,25 +39,23 @@ OBEYED_S = 0.3
 """From the end of the permission to the command to a drive's communication to stop: a loop that works stops its axes by itself."""
 NMT_EVERY_S = 0.1
 """Between two such commands: somebody may go on commanding."""
-NMT, NMT_STOP = 0x000, 0x02
-"""Identifier and command that stop a node's communication (CiA 301)."""
-_TORQUE_ON = 0x04
-"""Bit of the statusword that is set where the drive may apply torque: operation enabled, quick stop and fault reaction active."""
-_ENABLED_MASK, _ENABLED = 0x6F, 0x27
-"""Of a statusword in operation enabled, in which a drive does what it is told. One in quick stop holds, and is left to hold."""
-_STATUSWORD, _POSITION, _LINK_POSITION, _TARGET_TORQUE, _TORQUE_OFFSET = 0x6041, 0x6064, 0x6004, 0x6071, 0x60B2
-_SIGNED = (_POSITION, _TARGET_TORQUE)
+NMT, NMT_STOP = 0x000, 0x02  # identifier and command that stop a node's communication (CiA 301)
+_TORQUE_ON = 0x04  # of the statusword: the drive may apply torque, in operation enabled, quick stop and fault reaction active
+_ENABLED_MASK, _ENABLED = 0x6F, 0x27  # of a statusword in operation enabled; a drive in quick stop holds, and is left to hold
+_STATUSWORD, _POSITION, _LINK_POSITION = 0x6041, 0x6064, 0x6004
+_ASKED = ((0x6071, ("torque", "per mille")), (0x60B2, ("torque", "per mille")), (0x60FF, ("velocity", "counts/s")))
+_SIGNED = (_POSITION, *(index for index, _ in _ASKED))
 
 
 class _Field:
-    """Where the first mapped of some objects lies in the data of its PDO."""
+    """Where a mapped object lies in the data of its PDO."""
 
-    def __init__(self, entries: tuple[tuple[int, int, int], ...], *indices: int) -> None:
+    def __init__(self, entries: tuple[tuple[int, int, int], ...], index: int) -> None:
         self.shift = 0
         self.bits = 0
-        self.signed = indices[0] in _SIGNED
+        self.signed = index in _SIGNED
         for mapped, _, bits in entries:
-            if mapped in indices:
+            if mapped == index:
                 self.bits = bits
                 return
             self.shift += bits
@@ -121,6 +119,7 @@ class _Axis:
         self.link = _Encoder(scaling.link_resolution, fastest, limits.tracking_error) if scaling.link_resolution else None
         self.link_at = nan  # rad or m
         self.torque_permille = min(32767, round(scaling.limit / scaling.rated * 1000.0))
+        self.fastest_counts_s = fastest / scaling.position_resolution
         self.powered = self.enabled = self.brake_open = self.known = False
         self.unanswered = 0  # SYNCs since the last position
         self.seen_at_s = self.link_seen_at_s = -inf  # when each encoder was read last
@@ -220,7 +219,7 @@ class Supervisor:
         self._drives = [(self._axes[names.index(node.axis)], node.node_id) for node in settings.nodes if node.role == "drive"]
         self._sent = {pdo.cob_id: self._reader(node.axis, names, pdo) for node in settings.nodes for pdo in node.tpdos}
         self._asked = {
-            pdo.cob_id: (self._axes[names.index(node.axis)], _Field(pdo.entries, _TARGET_TORQUE, _TORQUE_OFFSET))
+            pdo.cob_id: (self._axes[names.index(node.axis)], [(_Field(pdo.entries, index), what) for index, what in _ASKED])
             for node in settings.nodes
             for pdo in node.rpdos
         }
@@ -248,10 +247,11 @@ class Supervisor:
         if can_id == self._sync_id:
             self._sync(time_s)
         elif (asked := self._asked.get(can_id)) is not None:
-            axis, field = asked
-            torque = field.read(data)
-            if torque is not None and abs(torque) > axis.torque_permille:
-                self.refuse(time_s, f"{axis.name}: a torque of {torque} per mille was asked for, {axis.torque_permille} are allowed")
+            axis, fields = asked
+            for field, (kind, unit) in fields:
+                value, most = field.read(data), axis.torque_permille if kind == "torque" else axis.fastest_counts_s
+                if value is not None and abs(value) > most:
+                    self.refuse(time_s, f"{axis.name}: a {kind} of {value} {unit} was asked for, {most:.0f} are allowed")
         elif (sent := self._sent.get(can_id)) is not None:
             axis, status, position, link = sent
             if (word := status.read(data)) is not None:

@@ -127,6 +127,7 @@ class Bench:
         by_itself = self._by_itself()
         if by_itself and len(by_itself) < len(link.scalings):
             raise MotionRefusedError(f"{', '.join(by_itself)}: in profile position mode beside axes that are not; use one way for all")
+        way, stay = self._way_to(pose)  # refuses a pose that is out of range
         if by_itself:
             with self._session():
                 profiles = [Profile(limit.speed, limit.acceleration, limit.tracking_error) for limit in self.machine.limits]
@@ -137,7 +138,6 @@ class Bench:
                 link.close_brakes(self._rest_still)
                 self._see_pose()
             return self.pose
-        way, stay = self._way_to(pose)
         with self._session():
             self._take_hold()
             link.watch.lead()

@@ -224,7 +224,8 @@ class SampleLoop:
         return self.stop_request.reason or self._violation(sample, reference, ticks, k)
 
     def _see(self, sample: Sample) -> None:
-        """Take over the positions that have arrived, count the ticks without one."""
+        """Take over the positions that have arrived, count the ticks without one; what was commanded is as it was before the next step."""
+        self.control.expect(sample)
         for axis, position in enumerate(sample.position.tolist()):
             if position == position:
                 self._position[axis] = position
@@ -238,7 +239,6 @@ class SampleLoop:
         if self.judge is None or sample.unanswered:
             return ""
         ticks, self._unjudged = self._unjudged, 0
-        self.control.expect(sample)
         return self.judge.step(sample, ticks, k * self.layout.period_s)
 
     def _violation(self, sample: Sample, reference: np.ndarray, ticks: int, k: int) -> str:

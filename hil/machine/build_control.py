@@ -66,7 +66,8 @@ def _loops(axis: str, loops: LoopsTable) -> DriveLoops:
     if sections is not None:
         for number, section in enumerate(sections):
             _check_section((*where, number), tuple(section))
-        gain = float(np.prod(sections[:, :3].sum(axis=1) / sections[:, 3:].sum(axis=1)))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            gain = float(np.prod(sections[:, :3].sum(axis=1) / sections[:, 3:].sum(axis=1)))
         if not abs(gain - 1.0) <= UNITY:
             raise ComplaintError(where, f"has a static gain of {gain:.4g}; 1 would be right: the gain is the velocity loop's")
     return DriveLoops(loops.position_gain, loops.velocity_gain, loops.velocity_integral_gain, loops.speed_filter, sections)

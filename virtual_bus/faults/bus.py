@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable
 
 from virtual_bus.canopen.nmt import NmtCommand, NmtState
 from virtual_bus.faults.fault import FaultKind, Parameter, Trial, Values
 from virtual_bus.faults.machine import FaultyMachine, Frame
 from virtual_bus.faults.nodes import node_of
-from virtual_bus.faults.pdo_ids import rpdo_ids, tpdo_ids
+from virtual_bus.faults.pdo_ids import rpdos, tpdo_ids
 from virtual_bus.faults.seam import Undo, both
 from virtual_bus.special_frames import ERROR, ERROR_BUS_ERROR, ERROR_BUS_OFF, ERROR_BYTES, EXTENDED, REMOTE
 
@@ -55,14 +54,13 @@ def foreign_master(machine: FaultyMachine, at: str, values: Values) -> Undo:
 
 
 def foreign_torque(machine: FaultyMachine, at: str, values: Values) -> Undo:
-    """Let somebody else command a drive too: operation enabled and a target torque, after each frame of the master."""
-    node = machine.drives[at]
-    ids = sorted(rpdo_ids(node))
-    command = struct.pack("<Hh", 0x000F, round(values["torque"]))
+    """Let somebody else command a drive too: operation enabled and a torque, after each frame of the master; other targets stay."""
+    node, torque = machine.drives[at], round(values["torque"])
+    asked = {0x6040: 0x000F, 0x6071: torque, 0x60B2: torque}
 
     def send() -> None:
-        for can_id in ids:
-            machine.intrude(can_id, command)
+        for can_id, entries in rpdos(node):
+            machine.intrude(can_id, b"".join(entry.encode(asked.get(entry.index, entry.value)) for entry in entries))
 
     return _every(machine, values, send)
 

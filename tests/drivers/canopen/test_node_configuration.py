@@ -112,6 +112,20 @@ def test_the_machine_files_own_writes_come_last_and_win() -> None:
     assert [w for w in writes(bus) if w[0] in (0x6007, 0x6072)] == [(0x6007, 0, 3), (0x6072, 0, 900)]
 
 
+def test_what_an_earlier_master_has_left_to_be_added_to_the_commands_is_set_to_zero() -> None:
+    drive = ScriptedDrive(1)
+    drive.objects |= {(index, 0): bytes(4 if index < 0x60B2 else 2) for index in (0x60B0, 0x60B1, 0x60B2)}
+    for index in (0x60B0, 0x60B1, 0x60B2):
+        drive.set(index, 0, 300)
+    drive.set(0x6071, 0, 200)  # the RPDO overwrites it with every SYNC
+    configured(drive)
+    assert [drive.value(index) for index in (0x60B0, 0x60B1, 0x60B2, 0x6071)] == [0, 0, 0, 200]
+    wanted = machine_settings().nodes[0].rpdos[0]
+    offset_mapped = dataclasses.replace(wanted, entries=((0x6040, 0, 16), (0x60B2, 0, 16)))
+    configured(drive, rpdos=(offset_mapped,))
+    assert drive.value(0x6071) == 0
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("place", "what"),

@@ -6,12 +6,13 @@ import math
 from dataclasses import replace
 
 import pytest
-from bench_machines import CARM
+from bench_machines import CARM, carm_text_in
 
 from drivers.canopen.pdo import PdoCodec
 from drivers.settings import BusSettings
 from drivers.supervisor import supervisor as rules
 from drivers.supervisor.supervisor import Supervisor
+from hil.machine import machine_from_text
 
 assert CARM.bus is not None
 SETTINGS = CARM.bus
@@ -31,7 +32,7 @@ class Machine:
         self.time_s = 0.0
         self.motor = self.link = 0.0  # rad of roll, beside where the counters began
         self.status = OPERATION_ENABLED
-        self.torque = 0
+        self.torque = self.torque_offset = self.velocity = 0
         self.silent = False
         self.encoder_counts = 0  # added to the motor side's counter
 
@@ -41,7 +42,8 @@ class Machine:
         self.supervisor.frame(self.time_s, self.settings.sync_cob_id, b"")
         for node in self.settings.nodes:
             for pdo in node.rpdos if node.axis == "roll" else ():
-                self.supervisor.frame(self.time_s, pdo.cob_id, self._packed(pdo.entries, {0x6040: 15, 0x6071: self.torque}))
+                asked = {0x6040: 15, 0x6071: self.torque, 0x60B2: self.torque_offset, 0x60FF: self.velocity}
+                self.supervisor.frame(self.time_s, pdo.cob_id, self._packed(pdo.entries, asked))
             if self.silent and node.role == "drive":
                 continue
             for pdo in node.tpdos:
@@ -186,6 +188,26 @@ def test_too_much_torque_is_refused_at_once(machine: Machine) -> None:
     machine.torque = -most - 1
     assert not machine.tick()
     assert f"a torque of {-most - 1} per mille was asked for, {most} are allowed" in machine.supervisor.reason
+
+
+@pytest.mark.parametrize("mode", ["velocity", "position"])
+@pytest.mark.parametrize("way", [1, -1])
+def test_a_drive_with_loops_of_its_own_is_asked_for_no_more_either(mode: str, way: int) -> None:
+    settings = machine_from_text(carm_text_in(mode)).bus
+    assert settings is not None
+    machine = Machine(settings)
+    most = round(1000.0 * SCALING.limit / SCALING.rated)
+    machine.torque_offset = way * most
+    machine.velocity = way * math.floor(FASTEST / SCALING.position_resolution)
+    assert machine.ticks(20)
+    machine.torque_offset += way
+    assert not machine.tick()
+    assert f"a torque of {way * (most + 1)} per mille was asked for" in machine.supervisor.reason
+    machine.supervisor.begin()
+    machine.torque_offset = 0
+    machine.velocity += way
+    assert machine.tick() is (mode == "position")
+    assert mode == "position" or f"roll: a velocity of {machine.velocity} counts/s was asked for" in machine.supervisor.reason
 
 
 def test_a_sync_that_stops_while_a_drive_has_torque(machine: Machine) -> None:

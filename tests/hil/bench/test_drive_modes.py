@@ -10,15 +10,19 @@ import numpy as np
 import pytest
 from bench_machines import CARM, carm_text_in, edited, run_in_lockstep
 
+from drivers.interface import Sample
 from hil.bench.bench import Bench
+from hil.bench.open import open_bench
+from hil.bench.options import BenchOptions
 from hil.errors import LoopAbortedError, MachineFileError
-from hil.experiments import Plan, Scan, Static
+from hil.experiments import Multisine, Plan, Scan, Static
 from hil.machine import Machine, check_machine, machine_from_text
 from hil.recording import Recording
 from hil.simulation import in_effort, simulate
 
 MODES = ("velocity", "position")
 COUNT_rad = 2.0 * np.pi / (4096 * 500)
+STEP_A = 0.005  # of the torque on the wire, and of what is measured
 SENSOR_NOISE_A = 0.01  # of the shipped current sensors, the quantisation of the target beside it
 
 
@@ -73,7 +77,8 @@ def test_recordings_say_mode_and_unit(swept: tuple[Machine, Recording, Path]) ->
 
 def test_frames_carry_the_recorded_target_in_counts(swept: tuple[Machine, Recording, Path]) -> None:
     machine, recording, log = swept
-    targets = [int.from_bytes(m.data[2:6], "little", signed=True) for m in can.LogReader(str(log)) if m.arbitration_id == 0x202]
+    sent = [m.data for m in can.LogReader(str(log)) if m.arbitration_id == 0x202]
+    targets = [int.from_bytes(data[2:6], "little", signed=True) for data in sent if data[0] == 15]  # operation enabled
     asked = np.round(recording["command_roll"] / COUNT_rad).astype(int)
     offset = 0  # a position's counts begin where the drive was switched on
     if machine.commanded["roll"]["mode"] == "position":
@@ -109,6 +114,44 @@ def test_a_led_axis_that_is_asked_to_stop_ends_with_its_brake_proven(mode: str, 
         LoopAbortedError, match="somebody asked; the motors were stopped: propeller, roll at rest: brake proven, voltage off"
     ):
         run_in_lockstep(tmp_path, [plan], machine, progress=ask)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_stop_on_the_way_leaves_no_target_of_the_motion(mode: str, tmp_path: Path) -> None:
+    machine = machine_in(mode)
+
+    def ask(bench: Bench, row: int) -> None:
+        if row >= 256:
+            bench.loop.stop_request.ask("somebody asked")
+
+    with pytest.raises(LoopAbortedError, match="roll at rest: brake proven"):
+        run_in_lockstep(tmp_path, [swept_plan(machine)], machine, progress=ask)
+    frames = [message for message in can.LogReader(str(tmp_path / "run.log")) if message.arbitration_id in (0x182, 0x202)]
+    targets = [(m.data[0], int.from_bytes(m.data[2:6], "little", signed=True)) for m in frames if m.arbitration_id == 0x202]
+    positions = [int.from_bytes(m.data[2:6], "little", signed=True) for m in frames if m.arbitration_id == 0x182]
+    led = max(k for k, (controlword, _) in enumerate(targets) if controlword == 2)  # the end of the quick stop
+    assert max(abs(target) for _, target in targets) > 1000
+    for _, target in targets[led:]:
+        assert abs(target - (positions[-1] if mode == "position" else 0)) <= 4
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_drive_is_judged_by_the_effort_that_was_asked_for_in_the_same_tick(mode: str, tmp_path: Path) -> None:
+    machine = machine_in(mode)
+    plan = Multisine(period_s=2.0, periods=1, settle_periods=0, amplitude_A=0.5, jog=None).plans(machine)[0]
+    efforts = []
+    with open_bench(machine, BenchOptions("lockstep:", noise=False)) as bench:
+        judge = bench.loop.judge
+        assert judge is not None
+        judged = judge.step
+
+        def seen(sample: Sample, ticks: int, row_s: float) -> str:
+            efforts.append((sample.effort - sample.commanded).tolist())
+            return judged(sample, ticks, row_s)
+
+        judge.step = seen  # type: ignore[method-assign]
+        bench.run(plan, tmp_path / "run.mf4")
+    assert np.abs(efforts[-plan.rows :]).max() < 2.5 * STEP_A
 
 
 @pytest.mark.parametrize("mode", MODES)

@@ -13,6 +13,7 @@ from makers import FILES, carm_text_with, modes_of
 from drivers.errors import MotionRefusedError
 from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
+from hil.errors import ExperimentError
 from hil.experiments import Multisine, Static
 from hil.machine import Machine, machine_from_text
 
@@ -61,6 +62,14 @@ def test_a_drive_that_goes_by_itself_is_not_run_and_one_without_effort_not_excit
     excited = Multisine(period_s=2.0, periods=1, settle_periods=0, amplitude_A=0.05, jog=None).plans(machine)[0]
     with open_bench(machine, BenchOptions("lockstep:")) as bench, pytest.raises(MotionRefusedError, match="takes no effort"):
         bench.run(excited, tmp_path / "run.mf4")
+
+
+def test_a_drive_that_goes_by_itself_is_not_sent_out_of_range() -> None:
+    with open_bench(by_itself("profile_position"), BenchOptions("lockstep:")) as bench:
+        before = bench.pose.copy()
+        with pytest.raises(ExperimentError, match="roll"):
+            bench.move(np.radians([0.0, 95.5]))
+        assert bench.pose == pytest.approx(before)
 
 
 def test_what_cannot_be_checked_of_a_drive_without_effort_is_said() -> None:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import can
 import numpy as np
 import pytest
-from bench_machines import CARM
+from bench_machines import CARM, carm_text_in
 
+from drivers.errors import SecondMasterError
 from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
 from hil.errors import LoopAbortedError
 from hil.experiments import Scan
+from hil.machine import machine_from_text
 from hil.machine.faults_file import faults_from_text
 from hil.recording import read_recording
 from virtual_bus.faults.motion_log import MotionLog
@@ -112,3 +115,17 @@ def test_lost_torque_is_not_the_automatons_to_know(tmp_path: Path) -> None:
 def test_an_aborted_run_is_told_apart(tmp_path: Path) -> None:
     with pytest.raises(LoopAbortedError):
         run(tmp_path, fault("door_opened", "io"))
+
+
+@pytest.mark.parametrize("mode", ["velocity", "position"])
+def test_somebody_elses_torque_reaches_a_drive_with_loops_of_its_own(mode: str, tmp_path: Path) -> None:
+    machine = machine_from_text(carm_text_in(mode))
+    faults = faults_from_text(fault("foreign_torque", "roll_drive", more="torque = 300"), machine, "faults")
+    (plan,) = Scan("roll", 0.2, -0.3, 0.4, dwell_s=0.1).plans(machine)
+    options = BenchOptions("lockstep:", faults=faults, frame_log=tmp_path / "run.log")
+    with open_bench(machine, options, plan.start_pose) as bench, pytest.raises(SecondMasterError, match="somebody else sends 202h"):
+        bench.run(plan, tmp_path / "run.mf4")
+    sent = [bytes(message.data) for message in can.LogReader(str(tmp_path / "run.log")) if message.arbitration_id == 0x202]
+    foreign = [data for data in sent if data[6:] == (300).to_bytes(2, "little")]
+    assert foreign
+    assert all(data[2:6] in {own[2:6] for own in sent if own not in foreign} for data in foreign)
