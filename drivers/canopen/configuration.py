@@ -7,6 +7,7 @@ off.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from math import inf
 
 from drivers.canopen.sdo import SdoNode
 from drivers.canopen.supervision import HEARTBEAT_TOLERANCE
@@ -20,6 +21,8 @@ PDO_COUNT = 0x200
 EVENT_TIMER = 5  # subindex of a PDO's communication; of an RPDO its deadline [ms]
 SYNC_COB_ID, CONSUMER_HEARTBEAT, PRODUCER_HEARTBEAT = 0x1005, 0x1016, 0x1017
 MAX_TORQUE, MAX_CURRENT, RATED_CURRENT, RATED_TORQUE = 0x6072, 0x6073, 0x6075, 0x6076
+INTERPOLATION_TIME = 0x60C2
+INTERPOLATION_TOLERANCE = 1e-2  # two digits say a period to half a per cent; what is further off is told
 ADDED_COMMANDS = (0x6071, 0x60B0, 0x60B1, 0x60B2)
 """Target torque and the offsets of position, velocity and torque: a drive adds them to what the loop commands, from any earlier master."""
 
@@ -74,6 +77,8 @@ def configure_node(sdo: SdoNode, node: Node, settings: BusSettings, scaling: Axi
         if lacking:
             notes.append(_stopped_otherwise(sdo, node, lacking))
         _clear_commands(sdo, node)
+        if scaling is not None and scaling.mode in ("velocity", "position"):
+            notes += _set_interpolation_time(sdo, settings)
     if scaling is not None:
         _configure_scaling(sdo, scaling, own_writes)
     for index, subindex, value in node.writes:
@@ -159,6 +164,27 @@ def _write_option_codes(sdo: SdoNode, own_writes: set[tuple[int, int]]) -> list[
         if sdo.may_write(index) and (index, 0) not in own_writes:
             sdo.write_checked(index, 0, code)
     return [index for index in (0x6007, 0x605E) if not sdo.knows(index)]
+
+
+def _set_interpolation_time(sdo: SdoNode, settings: BusSettings) -> tuple[str, ...]:
+    """Write the time between targets (60C2h) where a drive has it: whole units of a power of ten, as near as they come."""
+    if not sdo.may_write(INTERPOLATION_TIME, 1):
+        return ()
+    exponent = min(range(-6, 1), key=lambda power: (_interpolation_error(settings.sync_period_s, power), -power))
+    units = round(settings.sync_period_s / 10.0**exponent)
+    sdo.write_checked(INTERPOLATION_TIME, 1, units)
+    if sdo.may_write(INTERPOLATION_TIME, 2):
+        sdo.write_checked(INTERPOLATION_TIME, 2, exponent)
+    error = units * 10.0**exponent / settings.sync_period_s - 1.0
+    if abs(error) <= INTERPOLATION_TOLERANCE:
+        return ()
+    return (f"{sdo.who}: its interpolation time (60C2h) is {units}e{exponent} s, {error:+.1%} off the period of SYNC: targets may jerk",)
+
+
+def _interpolation_error(period_s: float, power: int) -> float:
+    """Return the relative error of a period in whole units of a power of ten that fit into eight bits; endless where none does."""
+    units = round(period_s / 10.0**power)
+    return abs(units * 10.0**power / period_s - 1.0) if 1 <= units <= 255 else inf
 
 
 def _clear_commands(sdo: SdoNode, node: Node) -> None:

@@ -163,7 +163,8 @@ class Bench:
                 f"{', '.join(by_itself)}: in profile position mode a drive goes to poses by itself: `isocenter move`; a run needs another"
             )
         for axis, name in enumerate(self.machine.axes):
-            added = plan.excitation[:, axis].any() or (plan.feedforward is not None and plan.feedforward[:, axis].any())
+            damps = self.observer is not None and self.observer.damping is not None
+            added = damps or plan.excitation[:, axis].any() or (plan.feedforward is not None and plan.feedforward[:, axis].any())
             if added and not self.wiring.link.takes_effort(axis):
                 raise MotionRefusedError(f"{name}: its drive takes no effort, so nothing can be excited; map torque_offset in an RPDO")
 

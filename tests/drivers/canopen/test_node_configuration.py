@@ -99,6 +99,19 @@ def test_targets_and_offsets_that_no_pdo_carries_are_zero() -> None:
     assert [w for w in writes(bus) if w[0] == 0x60B2] == [(0x60B2, 0, 0)]
 
 
+@pytest.mark.parametrize(
+    ("rate_Hz", "wanted", "told"), [(256.0, (39, -4), False), (250.0, (4, -3), False), (7.9, (127, -3), False), (3.45, (29, -2), False)]
+)
+def test_the_interpolation_time_is_as_near_to_the_period_as_it_comes(rate_Hz: float, wanted: tuple[int, int], told: bool) -> None:
+    drive = ScriptedDrive(1)
+    drive.objects |= {(0x60C2, 0): b"\x02", (0x60C2, 1): bytes(1), (0x60C2, 2): bytes(1)}
+    settings = machine_settings()
+    scalings = tuple(dataclasses.replace(scaling, mode="position") for scaling in settings.scalings)
+    _, notes = configured(drive, settings=dataclasses.replace(settings, sync_period_s=1.0 / rate_Hz, scalings=scalings))
+    assert (drive.value(0x60C2, 1), drive.value(0x60C2, 2) - 256) == wanted
+    assert any("60C2h" in note for note in notes) == told
+
+
 def test_the_sync_identifier_is_set_where_it_differs() -> None:
     drive = ScriptedDrive(1)
     _, _ = configured(drive, settings=dataclasses.replace(machine_settings(), sync_cob_id=0x0A0))
