@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +29,7 @@ GOOD_SHARE = 0.25
 """Share of the period within which 99.9 % of the ticks should be done: 1 ms at 256 Hz."""
 GOOD_WAKE_UP_SHARE = 0.1
 BUSY = "nothing was measured, so as not to disturb it; end it and ask again"
-WITHOUT_BIT_RATE = ("udp_multicast", "virtual")
+WITHOUT_BIT_RATE = ("udp_multicast",)
 MICROSECONDS = 1e6
 SUSPECTS = ("kernel", "scheduler", "locked memory", "processors", "frequency governor", "clock source", "load", "swap", "stolen time")
 """Checks whose findings can explain late ticks."""
@@ -76,9 +77,11 @@ def examine(machine: Machine, bus_url: str, seconds: float, folder: Path, say: S
         raise UnusableInputError(f"{bus_url}: nothing is late on a bus in one process; give the machine's bus, or udp:")
     if machine.bus is None or not machine.controllers:
         raise UnusableInputError(f"{machine.name}: its file has no [bus] or no [controller], so its loop cannot be run")
-    real_bus = bus.interface not in WITHOUT_BIT_RATE
-    findings = [*_settings(machine, real_bus, folder, root), *_wires(machine, bus, root)]
-    if busy := _busy(bus, root):
+    details = wire.link_details(str(bus.channel)) if bus.interface == "socketcan" else None
+    real_bus = bus.interface not in WITHOUT_BIT_RATE and not wire.is_virtual(details)
+    busy = _busy(bus, root)
+    findings = [*_settings(machine, real_bus, folder, root, idle=not busy), *_wires(machine, bus, details, root)]
+    if busy:
         return Examination((*findings, Finding("look", "in use", busy, BUSY)), None, None, None, "")
     times = computer.processor_times(root)
     say(f"wake-ups for {seconds:g} s")
@@ -90,7 +93,7 @@ def examine(machine: Machine, bus_url: str, seconds: float, folder: Path, say: S
     except UnusableInputError:
         raise
     except (BenchError, DriverError) as error:
-        findings.append(Finding("bad", "trial", f"the loop did not run to its end: {error}", "end other work on this computer; see above"))
+        findings.append(Finding("bad", "trial", f"the loop did not run to its end: {error}", "mend that, then what is said above"))
         findings.append(computer.stolen(times, computer.processor_times(root)))
         return Examination(tuple(findings), None, wake_up_us, None, "")
     findings.append(computer.stolen(times, computer.processor_times(root)))
@@ -98,7 +101,12 @@ def examine(machine: Machine, bus_url: str, seconds: float, folder: Path, say: S
     if answer_s is not None:
         findings.append(_answers(answer_s, machine))
     tick_s = tick_times(timing, answer_s)
-    prediction = predict(tick_s, 1.0 / machine.sample_rate_Hz)
+    try:
+        prediction = predict(tick_s, 1.0 / machine.sample_rate_Hz)
+    except ValueError:
+        found = f"{timing.missed} of {timing.missed + timing.ticks} ticks were missed, too many to foretell anything"
+        findings.append(Finding("bad", "trial", found, "end other work on this computer, and mend what is said above"))
+        return Examination(tuple(findings), None, wake_up_us, timing.summary(), "")
     suspects = [finding.check for finding in findings if finding.level in ("look", "bad") and finding.check in SUSPECTS]
     findings += predicted(prediction, int(missed_ticks(tick_s, prediction.period_s).max()), machine.overrun_ticks, suspects)
     if timing.unanswered:
@@ -109,8 +117,8 @@ def examine(machine: Machine, bus_url: str, seconds: float, folder: Path, say: S
 
 
 def least_seconds(machine: Machine) -> float:
-    """Return the shortest measurement [s] from which anything can be predicted."""
-    return LEAST_BLOCKS * BLOCK_S + 2.0 / machine.sample_rate_Hz
+    """Return the shortest measurement [s]: half of its ticks suffice for a prediction."""
+    return 2.0 * LEAST_BLOCKS * max(BLOCK_S, 1.0 / machine.sample_rate_Hz)
 
 
 def predicted(prediction: Prediction, most_at_once: int, overrun_ticks: int, suspects: Sequence[str] = ()) -> Iterator[Finding]:
@@ -136,8 +144,8 @@ def predicted(prediction: Prediction, most_at_once: int, overrun_ticks: int, sus
         yield Finding("ok", "missed ticks", found)
 
 
-def _settings(machine: Machine, real_bus: bool, folder: Path, root: Path) -> Iterator[Finding]:
-    """Check the computer's settings, disk and software."""
+def _settings(machine: Machine, real_bus: bool, folder: Path, root: Path, idle: bool) -> Iterator[Finding]:
+    """Check the computer's settings and software, and its disk where nothing else runs."""
     with real_time() as granted:
         pass
     yield software.python()
@@ -155,6 +163,9 @@ def _settings(machine: Machine, real_bus: bool, folder: Path, root: Path) -> Ite
         yield computer.shared_memory(root / "dev/shm", storage.free_bytes)
     else:
         yield unknown("shared memory", "this system keeps it in no folder")
+    if not idle:
+        yield unknown("disk", "not tried beside a bench that records")
+        return
     needed = row_layout(machine).width * np.dtype(float).itemsize * machine.sample_rate_Hz
     try:
         speed: float | None = storage.written_bytes_s(folder)
@@ -163,7 +174,7 @@ def _settings(machine: Machine, real_bus: bool, folder: Path, root: Path) -> Ite
     yield storage.disk(folder, needed, speed, storage.free_bytes(folder))
 
 
-def _wires(machine: Machine, bus: BusUrl, root: Path) -> Iterator[Finding]:
+def _wires(machine: Machine, bus: BusUrl, details: dict[str, Any] | None, root: Path) -> Iterator[Finding]:
     """Check what leads to the machine."""
     settings = machine.bus
     assert settings is not None
@@ -171,7 +182,7 @@ def _wires(machine: Machine, bus: BusUrl, root: Path) -> Iterator[Finding]:
         yield wire.loopback(root)
         return
     if bus.interface == "socketcan":
-        yield from wire.can_interface(root, str(bus.channel), settings, wire.link_details(str(bus.channel)))
+        yield from wire.can_interface(root, str(bus.channel), settings, details)
     elif bus.interface == "slcan":
         yield from wire.serial_line(root, str(bus.channel))
     else:

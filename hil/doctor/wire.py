@@ -49,6 +49,11 @@ def link_details(interface: str) -> dict[str, Any] | None:
     return found if isinstance(found, dict) else None
 
 
+def is_virtual(details: dict[str, Any] | None) -> bool:
+    """Return whether these are the details of a virtual CAN interface, which has no bit rate."""
+    return details is not None and details.get("linkinfo", {}).get("info_kind") == "vcan"
+
+
 def can_interface(root: Path, interface: str, bus: BusSettings, details: dict[str, Any] | None) -> Iterator[Finding]:
     """Check a SocketCAN interface against the machine file's bus.
 
@@ -96,7 +101,7 @@ def can_interface(root: Path, interface: str, bus: BusSettings, details: dict[st
 def _controller(check: str, interface: str, bus: BusSettings, details: dict[str, Any] | None) -> Iterator[Finding]:
     """Check what only netlink knows: bit rate, state, error counters, restart."""
     link = (details or {}).get("linkinfo", {})
-    if link.get("info_kind") == "vcan":
+    if is_virtual(details):
         yield Finding("ok", f"{check} bit rate", "virtual: has neither bit rate nor errors")
         return
     data = link.get("info_data")

@@ -67,6 +67,14 @@ def test_what_is_wrong_with_a_controller_is_found(tmp_path: Path, changed: dict[
     assert [name for name, finding in findings.items() if finding.level != "ok"] == [check]
 
 
+def test_a_virtual_interface_has_no_bit_rate(tmp_path: Path) -> None:
+    said = {"linkinfo": {"info_kind": "vcan"}}
+    assert wire.is_virtual(said)
+    assert not wire.is_virtual(GOOD)
+    assert not wire.is_virtual(None)
+    assert found_on(interface(tmp_path), said)["bit rate"].level == "ok"
+
+
 def test_a_bus_off_of_the_past_is_told(tmp_path: Path) -> None:
     said = {"linkinfo": GOOD["linkinfo"] | {"info_xstats": {"bus_off": 2}}}
     assert "2 times bus off" in found_on(interface(tmp_path), said)["state"].found
