@@ -85,6 +85,21 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
             "`contradicted`, claims of `said` that the truth contradicts; `processor_s`.",
         ),
     ),
+    "doctor": (
+        Entry("machine, bus", "text", "Machine and bus."),
+        Entry("ok", "true or false", "Nothing is bad."),
+        Entry("findings", "list", "`level` (ok, look, bad, not known), `check`, what was `found`, and `advice`, which may be empty."),
+        Entry(
+            "prediction",
+            "object or null",
+            "Of whole ticks, from due to ready to wait again; null where nothing was measured. `ticks`, `period_s`, `p50_s`, `p99_s`, "
+            "`p999_s`, `max_s`; `missed_in_trial`; per ten minutes `expected_missed`, extrapolated from block maxima, and `least_missed` "
+            "and `most_missed`, the binomial interval of 95 %.",
+        ),
+        Entry("wake_up_us", "object or null", "Lateness of a loop without a bus: `p50`, `p99`, `p99.9`, `max`."),
+        Entry("trial", "object or null", "Timing of the run against the emulated machine, as in a recording."),
+        Entry("answer_from", "text", "Where the time of the devices' answers in the prediction is from."),
+    ),
     "scan-bus": (
         Entry("bus", "text", "The bus."),
         Entry("nodes", "list", "`node_id`, `device_type`, `description`, `identity`, `nmt_state`, `name`."),

@@ -13,6 +13,7 @@ from hil.cli import (
     calibrate_spot,
     conformance,
     diagnose,
+    doctor,
     faults,
     geometry,
     identify,
@@ -34,6 +35,7 @@ def commands(app: typer.Typer) -> None:
     story.register(app)
     app.add_typer(machine.app, name="machine")
     physics.register(app)
+    doctor.register(app)
     bus.register(app)
     conformance.register(app)
     app.add_typer(run.app, name="run")

@@ -33,6 +33,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "terminal": ("recording",),
     "faults": ("bench", "experiments", "machine", "recording", "terminal", "version"),
     "conform": (),
+    "doctor": ("bench", "emulated", "experiments", "extras", "machine", "processes"),
     "demo": ("bench", "experiments", "figures", "identification", "machine", "recording", "simulation", "terminal"),
     "cli": (
         "bench",
@@ -40,6 +41,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "conform",
         "demo",
         "diagnosis",
+        "doctor",
         "emulated",
         "experiments",
         "extras",
