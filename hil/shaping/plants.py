@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+import scipy.linalg
 import scipy.signal
 
 from controllers.errors import DesignError
+from controllers.settings import AxisController
 from controllers.shapers.dynamics import Dynamics
 from hil.machine import Machine
 from virtual_bus.physics import Physics
@@ -121,29 +123,61 @@ def _loops(machine: Machine, a: np.ndarray, b: np.ndarray, measured: np.ndarray,
     period_s = 1.0 / machine.sample_rate_Hz
     n, axes = b.shape
     a, b, _, _, _ = scipy.signal.cont2discrete((a, b, np.zeros((1, n)), np.zeros((1, axes))), period_s)
-    filters = []  # (axis fed, from reference, from position, a, b, c, d)
-    for number, controller in enumerate(machine.controllers):
-        shared = controller.reference_sections is None
-        filters.append((number, 1.0 if shared else 0.0, -1.0, *_state_space(controller.position_sections)))
-        if controller.reference_sections is not None:
-            filters.append((number, 1.0, 0.0, *_state_space(controller.reference_sections)))
-    plant, sizes = slice(0, n + axes), [len(entry[3]) for entry in filters]
-    total = n + axes + sum(sizes)
+    laws = [_law(controller) for controller in machine.controllers]
+    plant = slice(0, n + axes)
+    total = n + axes + sum(len(law.a) for law in laws)
     loop, entering = np.zeros((total, total)), np.zeros(total)
     loop[:n, :n], loop[:n, n : n + axes] = a, b
     start = n + axes
-    for (number, from_reference, from_position, f, g, h, d), size in zip(filters, sizes, strict=True):
-        own = slice(start, start + size)
-        loop[own, own] = f
-        loop[own, plant] = from_position * np.outer(g, measured[number])
-        loop[n + number, own] += h
-        loop[n + number, plant] += from_position * d * measured[number]
+    for number, law in enumerate(laws):
+        own = slice(start, start + len(law.a))
+        loop[own, own] = law.a
+        loop[own, plant] = np.outer(law.from_position, measured[number])
+        loop[n + number, own] += law.c
+        loop[n + number, plant] += law.position_through * measured[number]
         if number == axis:
-            entering[own] = from_reference * g
-            entering[n + number] += from_reference * d
-        start += size
+            entering[own] = law.from_reference
+            entering[n + number] += law.reference_through
+        start += len(law.a)
     seen = np.hstack([rows, np.zeros((len(rows), total - n - axes))])
     return [Dynamics(loop, entering, row, 0.0, period_s) for row in seen]
+
+
+class _Law(NamedTuple):
+    """A controller from reference and position to its command, in state space."""
+
+    a: np.ndarray
+    from_reference: np.ndarray
+    from_position: np.ndarray
+    c: np.ndarray
+    reference_through: float
+    position_through: float
+
+
+def _law(controller: AxisController) -> _Law:
+    """Return C_r r - C_y y with the last sections that both have in common once: two integrators beside each other are not stable."""
+    of_position, of_reference = controller.position_sections, controller.reference_sections
+    if of_reference is None:
+        a, b, c, d = _state_space(of_position)
+        return _Law(a, b, -b, c, d, -d)
+    common = 0
+    while common < min(len(of_position), len(of_reference)) and (of_position[-1 - common] == of_reference[-1 - common]).all():
+        common += 1
+    fr, gr, hr, dr = _state_space(of_reference[: len(of_reference) - common])
+    fy, gy, hy, dy = _state_space(of_position[: len(of_position) - common])
+    f, g, h, d = _state_space(of_position[len(of_position) - common :])
+    difference = np.concatenate([hr, -hy])
+    a = scipy.linalg.block_diag(fr, fy, f)
+    before = len(fr) + len(fy)
+    a[before:, :before] = np.outer(g, difference)
+    return _Law(
+        a,
+        np.concatenate([gr, np.zeros(len(fy)), dr * g]),
+        np.concatenate([np.zeros(len(fr)), gy, -dy * g]),
+        np.concatenate([d * difference, h]),
+        d * dr,
+        -d * dy,
+    )
 
 
 def _detector_jacobian(machine: Machine, physics: Physics, pose: np.ndarray) -> np.ndarray:
@@ -165,7 +199,13 @@ def _detector_jacobian(machine: Machine, physics: Physics, pose: np.ndarray) -> 
 
 
 def _state_space(sections: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    a, b, c, d = scipy.signal.zpk2ss(*scipy.signal.sos2zpk(sections))
+    """Return a cascade in state space; of no sections, what passes everything on."""
+    if not len(sections):
+        return np.zeros((0, 0)), np.zeros(0), np.zeros(0), 1.0
+    zeros, poles, gain = scipy.signal.sos2zpk(sections)
+    both = min(int(np.count_nonzero(zeros == 0.0)), int(np.count_nonzero(poles == 0.0)))  # sections of first order bring one of each
+    zeros, poles = (np.concatenate([roots[roots != 0.0], np.zeros(np.count_nonzero(roots == 0.0) - both)]) for roots in (zeros, poles))
+    a, b, c, d = scipy.signal.zpk2ss(zeros, poles, gain)
     return a, np.asarray(b).reshape(-1), np.asarray(c).reshape(-1), float(np.asarray(d).reshape(-1)[0])
 
 

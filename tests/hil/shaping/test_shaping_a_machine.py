@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.signal
+from bench_machines import CARM, carm_text_in
 
 from controllers.errors import DesignError
+from controllers.sections import response
 from controllers.shapers.delays import DelayFilter
 from controllers.shapers.filter import ReferenceShaper
 from hil.bench.open import open_bench
@@ -20,7 +22,7 @@ from hil.errors import ExperimentError, UnusableInputError
 from hil.experiments import Scan
 from hil.identification import write_frf
 from hil.identification.result import FrequencyResponse
-from hil.machine import Machine, load_machine
+from hil.machine import Machine, load_machine, machine_from_text
 from hil.recording import read_recording
 from hil.shaping.aim import periodic, sweep
 from hil.shaping.identified import subject_from_frf, subject_from_model
@@ -355,3 +357,21 @@ def test_bad_input_is_one_line_and_status_2(tmp_path: Path, capsys: pytest.Captu
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("mode", ["velocity", "position"])
+def test_drives_with_loops_of_their_own_have_a_path_that_is_settled(mode: str) -> None:
+    machine = machine_from_text(carm_text_in(mode))
+    path = closed_loop(machine, np.zeros(2), "roll", "motor")
+    lines = np.array([0.5, 2.0, 5.0, 9.0])
+    plant = Physics(machine.plant, noise=False).linearise(np.zeros(2))
+    period_s = 1.0 / CARM.sample_rate_Hz
+    a, b, c, d, _ = scipy.signal.cont2discrete((plant.A, plant.B, plant.C, plant.D), period_s)
+    rows = [plant.output_labels.index(f"position_{axis}") for axis in machine.axes]
+    for line in lines:
+        z = np.exp(2j * np.pi * line * period_s)
+        g = ((c @ np.linalg.solve(z * np.eye(len(a)) - a, b) + d) / z)[rows][:, :2]
+        c_y = np.diag([response(each.position_sections, [line], 256.0)[0] for each in machine.controllers])
+        c_r = response(machine.controllers[1].reference_sections, [line], 256.0)[0]
+        wanted = np.linalg.solve(np.eye(2) + g @ c_y, g)[1, 1] * c_r
+        assert complex(path.response(2j * np.pi * line)) == pytest.approx(wanted, rel=2e-3)  # scaled to a static gain of 1
