@@ -18,7 +18,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 
-from makers import FILES, NEEDS, carm_text_with, modes_of
+from other_makers import FILES, NEEDS, carm_text_with, modes_of
 
 from drivers.errors import DriverError
 from hil.bench.open import open_bench

@@ -24,7 +24,7 @@ from drivers.supervisor.blocks import ANSWER, ASKED, END, FRAME, ORDERS, OWN, PE
 from drivers.supervisor.supervisor import NMT, NMT_STOP, Supervisor
 
 HELD_UP_ROUNDS = 8.0  # of a round's time, after which the process was held up: frames have come together meanwhile
-MOST_FRAMES = 256  # taken in a round, those of 0.1 s: who judges with frames unread calls a bus silent, who never does is silent itself
+MOST_FRAMES = 64  # taken in a round, those of 9 ticks: who judges with frames unread calls a bus silent, who never does is silent itself
 LINGERS_S = 2.0
 """Time for which it goes on judging after the loop's process is gone."""
 

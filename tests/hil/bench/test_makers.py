@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bench_machines import carm_text_in
-from makers import FILES, carm_text_with, modes_of
+from other_makers import FILES, carm_text_with, modes_of
 
 from drivers.errors import MotionRefusedError
 from hil.bench.open import open_bench

@@ -12,7 +12,7 @@ import can
 import pytest
 from command_line import Isocenter
 from device_wires import DRIVE_EDS, VENDOR_FILES
-from makers import dictionary_of
+from other_makers import dictionary_of
 
 from drivers.bus_url import open_bus
 from hil.emulated.machine import emulate_machine, with_data_sheet
