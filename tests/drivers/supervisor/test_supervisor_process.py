@@ -378,6 +378,22 @@ def test_a_supervisor_that_was_held_up_reads_what_lies_there_before_it_judges(
     assert bench.seen[PERMITS] == 1
 
 
+class WakesEarly(HeldUp):
+    """A bus whose waits end before their time, without a frame."""
+
+    def receive(self, timeout_s: float) -> tuple[int, bytes] | None:
+        return super().receive(0.4 * timeout_s)
+
+
+def test_a_wait_that_ends_early_without_a_frame_is_gone_on_with(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    line = WakesEarly(0.0)
+    monkeypatch.setattr(process, "_Tap", lambda tap: line)
+    monkeypatch.setattr(process.time, "monotonic", line.monotonic)
+    bench.run(rounds=100, io=False)
+    assert line.now_s > 0.9 * 100 * 0.5 * SETTINGS.sync_period_s, "a round lasts half a period, as ever"
+    assert bench.own.text == ""
+
+
 def test_a_flood_does_not_keep_it_from_judging(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     line = HeldUp(0.0)
     line.frames = [(0x7FF, b"")] * (3 * process.MOST_FRAMES)
