@@ -122,6 +122,7 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
     "move": (
         Entry("machine, bus", "text", "Machine and bus."),
         Entry("position", "object", "Where each axis stands [rad or m]."),
+        Entry("notes", "list of text", "What an operator should know of nodes and bus."),
         Entry("checks", "list of text", "What homing checked, in order."),
     ),
     "home": (Entry("machine, bus", "text", "Machine and bus."), Entry("checks", "list of text", "What was checked, in order.")),

@@ -84,8 +84,11 @@ def _await_standstill(machine: Machine, axes: Sequence[int], hold: Hold) -> None
         before = machine.sample.position.copy()
         power_and_brakes.run_for(machine, STANDS_S, hold)
         moved = np.abs(machine.sample.position - before)
-        if all(moved[axis] <= STANDING_COUNTS * machine.scalings[axis].position_resolution for axis in axes):
+        waiting = [axis for axis in axes if not moved[axis] <= STANDING_COUNTS * machine.scalings[axis].position_resolution]
+        if not waiting:
             return
+    names = ", ".join(machine.axes[axis] for axis in waiting)
+    machine.notes += (f"{names}: not seen to stand within {SETTLES_S:g} s of reaching its target",)
 
 
 def _tick_until(machine: Machine, axes: Sequence[int], hold: Hold, value: int, mask: int, patience_s: float, words: str) -> None:

@@ -88,9 +88,12 @@ def move(
         for axis, value in goal.items():
             pose[machine.axis_index(axis)] = value
         reached = dict(zip(machine.axes, bench.move(pose).tolist(), strict=True))
+        notes = bench.wiring.link.remarks
+    for note in notes:
+        answer.say(note)
     for units in machine.units:
         answer.say(f"{units.axis}: at {reached[units.axis]:+.5f} {units.position}, brakes closed")
-    answer.write({"machine": machine.name, "bus": bus, "position": reached, "checks": bench.commissioning})
+    answer.write({"machine": machine.name, "bus": bus, "position": reached, "checks": bench.commissioning, "notes": notes})
 
 
 def stop(bus: BusOption, json_to: JsonOption = None) -> None:

@@ -72,14 +72,16 @@ def identify(
     answer = Answer(json_to)
     can_be_written(out, figure)
     not_an_input(out, *recordings)
+    taken = _plant_input(plant_input)
+    read = [read_recording(path, machine) for path in recordings]
     responses = identify_poses(
-        [in_effort(read_recording(path, machine), machine) for path in recordings],
+        [in_effort(each, machine) for each in read] if taken == "command" else read,
         method,
         model=_model(orders),
         over_poses=_over_poses(over_poses or []),
         select=select,
         band_Hz=parse_band("--band", band) if band else None,
-        plant_input=_plant_input(plant_input),
+        plant_input=taken,
     )
     documents = []
     for path, response in zip(response_paths(out, len(responses)), responses, strict=True):

@@ -78,7 +78,7 @@ def _efforts(machine: Machine, recording: Recording) -> np.ndarray:
     if not isinstance(states, Mapping):
         raise RecordingError(
             "the metadata have no initial.controller_states, from which the efforts of drives in velocity or position mode follow; "
-            "record with `isocenter run`, or give --input measured"
+            "recordings of `isocenter run` have them"
         )
     try:
         feedback.load_states(states)

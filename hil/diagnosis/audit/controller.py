@@ -92,11 +92,19 @@ class _Part:
 def audit_controllers(machine: Machine, recordings: Sequence[Recording]) -> list[AxisAudit]:
     """Audit every axis whose command, reference and position were recorded at the machine's own sample rate."""
     found = []
-    for i, controller in enumerate(machine.controllers):
+    for controller in recorded_laws(machine):
         parts = [part for recording in recordings if (part := _part(machine, recording, controller.axis)) is not None]
         if parts:
-            found.append(_audit(machine, controller, parts, machine.units[i].effort))
+            found.append(_audit(machine, controller, parts, machine.units[machine.axis_index(controller.axis)].effort))
     return found
+
+
+def recorded_laws(machine: Machine) -> list[AxisController]:
+    """Return the laws whose commands are recorded as efforts.
+
+    Those of drives with loops of their own are made from the law (`hil.simulation.in_effort`), and show nothing of it.
+    """
+    return [law for law, command in zip(machine.controllers, machine.commands, strict=False) if command is None]
 
 
 def controllers_of(machine: Machine, recording: Recording) -> Machine:
@@ -108,7 +116,7 @@ def controllers_of(machine: Machine, recording: Recording) -> Machine:
     if not isinstance(text, str) or text == machine.text:
         return machine
     own = machine_from_text(text, label="the recording's own machine file")
-    return replace(machine, controllers=own.controllers) if own.axes == machine.axes else machine
+    return replace(machine, controllers=own.controllers, commands=own.commands) if own.axes == machine.axes else machine
 
 
 def _part(machine: Machine, recording: Recording, axis: str) -> _Part | None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from controllers.settings import AxisController
-from hil.diagnosis.audit.controller import LATEST_ROWS, TOLERANCE, controllers_of, law_leaves
+from hil.diagnosis.audit.controller import LATEST_ROWS, TOLERANCE, controllers_of, law_leaves, recorded_laws
 from hil.diagnosis.audit.readings import Fault
 from hil.machine import Machine
 from hil.recording import Recording
@@ -63,10 +63,11 @@ def law_faults(machine: Machine, label: str, recording: Recording) -> tuple[list
     if len(gaps) < 2 or gaps.max() > LOST * np.median(gaps):
         return [], set()
     own = controllers_of(machine, recording)
-    signals = {c.axis: each for c in own.controllers if (each := _signals(recording, c.axis)) is not None}
+    laws = recorded_laws(own)
+    signals = {c.axis: each for c in laws if (each := _signals(recording, c.axis)) is not None}
     found: list[Fault] = []
     lawful = set()
-    for controller in own.controllers:
+    for controller in laws:
         axis = controller.axis
         if axis not in signals:
             continue

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import can
@@ -14,7 +15,8 @@ from drivers.interface import Sample
 from hil.bench.bench import Bench
 from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
-from hil.errors import LoopAbortedError, MachineFileError
+from hil.diagnosis.audit.controller import audit_controllers
+from hil.errors import LoopAbortedError, MachineFileError, RecordingError
 from hil.experiments import Multisine, Plan, Scan, Static
 from hil.machine import Machine, check_machine, machine_from_text
 from hil.recording import Recording
@@ -179,3 +181,19 @@ def test_a_file_that_cannot_be_led_is_refused_in_one_line(old: str, new: str, wo
     with pytest.raises(MachineFileError, match=re.escape(words)) as caught:
         machine_from_text(edited(old, new, carm_text_in("position"), count=1))
     assert "\n" not in str(caught.value)
+
+
+def test_efforts_that_were_made_from_the_law_are_no_witness_of_it(swept: tuple[Machine, Recording, Path]) -> None:
+    machine, recording, _ = swept
+    assert audit_controllers(machine, [in_effort(recording)]) == []
+    torque = Recording({**recording.channels, "command_roll": in_effort(recording).channel("command_roll")}, recording.metadata)
+    assert [one.axis for one in audit_controllers(replace(machine, commands=(machine.commands[0], None)), [torque])] == ["roll"]
+
+
+def test_without_controller_states_no_effort_follows(
+    swept: tuple[Machine, Recording, Path],
+) -> None:
+    _, recording, _ = swept
+    bare = Recording(recording.channels, {**recording.metadata, "initial": {}})
+    with pytest.raises(RecordingError, match=r"no initial\.controller_states, .*; recordings of `isocenter run` have them"):
+        in_effort(bare)
