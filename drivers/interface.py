@@ -6,6 +6,7 @@ k+1 and returns sample k+1. The drives apply command k at SYNC k+1, so the effor
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -81,6 +82,15 @@ class Clock(Protocol):
 
     def wait_tick(self) -> float:
         """Wait for the next tick and return its lateness [s]. Overrun ticks are skipped entirely, see `missed`."""
+
+    def await_tick(self, comes: Callable[[float], bool], due_s: float, patience_s: float) -> bool:
+        """Wait for a tick that somebody else gives, expected at `due_s` and no later than `patience_s` after it.
+
+        `comes` waits for it for so many seconds at most and returns whether it came; so does this.
+        """
+
+    def lose(self, ticks: int) -> None:
+        """Count ticks that were lost while others gave them."""
 
     @property
     def missed(self) -> int:

@@ -149,3 +149,5 @@ class BusSettings:
     motions: tuple[MotionLimits, ...]  # in axis order
     imu: ImuPort | None
     io: IoMap | None
+    sync_producer: str = ""  # who sends SYNC; "": the bench
+    overrun_ticks: int = 0  # ticks without that SYNC that are bridged

@@ -125,6 +125,7 @@ class TickingMachine:
             self.network.stop_heartbeat()
             refuse_second_bench(self.network, self.settings.master_node_id, self.settings.master_heartbeat_period_s)
             self._refuse_intruder()
+            self._cyclic.check_sync()
             self._ours = True
             if self._imu is not None:
                 self._imu.configure(self.clock.wait)
@@ -193,7 +194,10 @@ class TickingMachine:
 
     @property
     def syncs(self) -> int:
-        """SYNCs sent since the nodes were started; a device that counts them from its NMT start has the same number."""
+        """SYNCs sent since the nodes were started; a device that counts them from its NMT start has the same number.
+
+        Where another device sends them this is the number of ticks.
+        """
         return self._cyclic.syncs
 
     @property
@@ -317,7 +321,7 @@ class TickingMachine:
 
     def resume_ticks(self) -> None:
         """Start the ticks again, e.g. after SDO traffic took longer than a period."""
-        self.clock.start_ticks(self.settings.sync_period_s)
+        self._cyclic.start_ticks()
 
     def _configure(self, node: Node) -> tuple[str, ...]:
         if node.node_id in self._nodes:

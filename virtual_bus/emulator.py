@@ -141,7 +141,11 @@ def run_emulator(
             machine.prepare()
             rehearse()
 
-        tick = Tick(machine.bus.sync_cob_id, machine.period_s, prepare) if punctual else None
+        tick: Tick | ProducedTick | None = None
+        if machine.bus.produces_sync:
+            tick = ProducedTick(machine, prepare)
+        elif punctual:
+            tick = Tick(machine.bus.sync_cob_id, machine.period_s, prepare)
         _serve(bus, machine, lambda: on_ready(ports), polls, tick)
 
 
@@ -210,7 +214,40 @@ class Tick:
         return min(ahead_s, POLL_S) if ahead_s > 0.0 else POLL_S
 
 
-def _serve(bus: can.BusABC, device: Emulated, on_ready: Callable[[], None], polls: list[Callable[[], None]], tick: Tick | None) -> None:
+@dataclass
+class ProducedTick:
+    """The time at which the machine's own producer sends the next SYNC, and the work to do shortly before it."""
+
+    machine: EmulatedMachine
+    prepare: Callable[[], None]
+    _prepared: bool = False
+
+    def heard(self, can_id: int, now_s: float) -> None:
+        """Do nothing: frames do not move this tick."""
+
+    def is_near(self, now_s: float) -> bool:
+        """Return whether a SYNC is due: nothing else may take time then."""
+        return self.machine.until_sync_s < PREPARE_S
+
+    def patience(self, now_s: float) -> float:
+        """Return how long to sleep for a frame at most; 0 shortly before a SYNC."""
+        ahead_s = self.machine.until_sync_s - PREPARE_S
+        if ahead_s > 0.0:
+            self._prepared = False
+            return min(ahead_s, POLL_S)
+        if not self._prepared:
+            self._prepared = True
+            self.prepare()
+        return 0.0
+
+
+def _serve(
+    bus: can.BusABC,
+    device: Emulated,
+    on_ready: Callable[[], None],
+    polls: list[Callable[[], None]],
+    tick: Tick | ProducedTick | None,
+) -> None:
     device.connect(_sender(bus))
     with _stop_on_signals() as stopped, _long_lived_objects_frozen():
         device.power_on()

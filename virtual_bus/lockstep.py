@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from math import inf
 from typing import TextIO
 
 import can
@@ -75,7 +76,7 @@ class LockstepBus(can.BusABC):
         if self.tap is not None:
             self.tap(self.time_s, can_id, data)
         self.machine.receive(can_id, data)
-        if can_id == self._sync_id:
+        if can_id == self._sync_id and self.machine.until_sync_s == inf:
             self.time_s += self._period_s
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
@@ -98,14 +99,14 @@ class LockstepBus(can.BusABC):
     def pass_time(self, seconds: float) -> None:
         """Let virtual time pass without a SYNC; frames that come meanwhile wait for `recv`."""
         while seconds > 0.0:
-            step_s = min(seconds, self._period_s)
+            step_s = min(seconds, self._period_s, self.machine.until_sync_s)
             self.time_s += step_s
             self.machine.idle(step_s)
             seconds -= step_s
 
     def _wait_for_frame(self, timeout_s: float) -> bool:
         while timeout_s > 0.0 and not self._frames:
-            step_s = min(timeout_s, self._period_s)
+            step_s = min(timeout_s, self._period_s, self.machine.until_sync_s)
             self.pass_time(step_s)
             timeout_s -= step_s
         return bool(self._frames)

@@ -1,11 +1,12 @@
 """The emulated machine: physics, drives, link encoders, IMU and brakes on one time of its own.
 
 Time moves by exactly one sample period per SYNC. While no SYNC comes it follows the clock of the caller of `idle` (see idle_time.py), so
-heartbeats run, time-outs expire, and the arm falls if nobody holds it.
+heartbeats run, time-outs expire, and the arm falls if nobody holds it. Where a device of its own sends SYNC, the caller's clock times that.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from virtual_bus.physics import Latched, Physics
 
 NMT = 0x000
+SYNC_NOW_S = 1e-9  # a SYNC that is nearer than this is due: sums of floats miss the instant by less
 TEMPERATURE_EVERY = 16  # samples between updates of the temperature registers: windings are slow
 
 _BRAKE_OUTPUT_ON = {PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE, PowerState.FAULT_REACTION_ACTIVE}
@@ -84,12 +86,15 @@ class EmulatedMachine:
         self._samples = 0
         self.syncs = 0
         self._idle = IdleTime(period_s, bus.silence_s)
+        self.until_sync_s = period_s if bus.produces_sync else math.inf  # until the machine's own producer sends the next
+        self._put: Emit = nowhere
         for node in self._nodes:
             node.on_routes = self._collect_routes
 
     # ---- life -----------------------------------------------------------------------------------------
     def connect(self, emit: Emit) -> None:
         """Set where frames go."""
+        self._put = emit
         for node in self._nodes:
             node.connect(emit)
 
@@ -124,7 +129,10 @@ class EmulatedMachine:
     def receive(self, can_id: int, data: bytes) -> None:
         """Take one data frame from the bus."""
         if can_id == self.bus.sync_cob_id:
-            self._sync(data)
+            if self.bus.produces_sync:
+                self.answer_foreign_sync(data)
+            else:
+                self._sync(data)
             return
         self._idle.frame()
         if can_id == NMT and data and data[0] == NmtCommand.START:
@@ -138,7 +146,15 @@ class EmulatedMachine:
             node.receive_remote(can_id, self.time_s)
 
     def idle(self, seconds: float) -> None:
-        """Add silence of the bus, in slices of any length."""
+        """Let time pass, in slices of any length: silence of the bus, or the time to the next SYNC of the machine's own producer."""
+        if self.bus.produces_sync:
+            self.until_sync_s -= seconds
+            if self.until_sync_s <= SYNC_NOW_S:
+                self.until_sync_s += self.period_s
+                if self.until_sync_s <= 0.0:
+                    self.until_sync_s = self.period_s  # after a pause of this process one SYNC, not a burst
+                self.produce_sync()
+            return
         idle = self._idle
         idle.add(seconds)
         while idle.step():
@@ -149,6 +165,11 @@ class EmulatedMachine:
             if self.imu is not None and (said := self.imu.advance(self.time_s)):
                 self.imu_out(said)
             self._advance()
+
+    def produce_sync(self) -> None:
+        """Send the SYNC of the machine's own producer, and answer it."""
+        self._put(self.bus.sync_cob_id, b"")
+        self._sync(b"")
 
     def prepare(self) -> None:
         """Prepare the answer to a SYNC that is near, so that its values, code and data are at hand.
@@ -187,6 +208,19 @@ class EmulatedMachine:
         if self._witness is not None:
             self._witness(self.time_s)  # after the answers, which the recording must not delay
         self._advance()
+
+    def answer_foreign_sync(self, data: bytes) -> None:
+        """Answer a SYNC that is not that which moves this machine's time: the devices act and answer."""
+        counter = None
+        for node in self._sync_nodes:
+            counter = node.begin_sync(data)
+        self._act()
+        latched = self.physics.latch_exactly()
+        self._read(latched)
+        for node in self._sync_nodes:
+            node.end_sync(counter)
+        if self.imu is not None and (said := self.imu.on_sync(latched.imu, self.time_s)):
+            self.imu_out(said)
 
     def _tick_nodes(self) -> bool:
         """Send what is due by the present time, node by node, and return whether there was anything."""

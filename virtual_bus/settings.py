@@ -221,4 +221,5 @@ class EmulatedBus:
     sync_cob_id: int
     drives: tuple[EmulatedDrive, ...]
     encoders: tuple[EmulatedEncoder, ...]
+    produces_sync: bool = False  # a device beside these sends SYNC at the sample rate, and the master none
     silence_s: float = SILENCE_S  # after this much waiting since the last SYNC the machine's time goes on without one

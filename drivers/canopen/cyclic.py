@@ -7,10 +7,12 @@ to the network's subscribers.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from math import isfinite, nan
 
 import can
 
+from drivers.canopen.foreign_sync import ForeignSync
 from drivers.canopen.network import PolledNetwork, is_data_frame, receive_frame, send_frame
 from drivers.canopen.one_master import OneMaster
 from drivers.canopen.process_data import AxisInput, AxisOutput, Tpdo, check_inputs, drives
@@ -81,10 +83,12 @@ class CyclicExchange:
         self._missed = 0
         self._fault = ""
         self._one_master = OneMaster(network, settings, [tpdo.who if tpdo.every_sync else None for tpdo in self._tpdos])
+        self._foreign = ForeignSync(network, settings, self._one_master) if settings.sync_producer else None
+        self._take: Callable[[float], can.Message | None] = self._foreign.take if self._foreign else partial(receive_frame, self._bus)
         self._flood_frames = self._one_master.flood_frames
         self._others = self._last_other = 0  # frames of others in this tick, and the last one's identifier
         self.late_frames = 0  # process data that came after the end of its tick
-        self.syncs = 0  # SYNCs sent since the owner set this to 0
+        self.syncs = 0  # ticks since the owner set this to 0: SYNCs, where the bench sends them
 
     def run(self, efforts: Sequence[float], sample: Sample, before_sync: Callable[[], object] | None = None) -> float:
         """Make one tick: send, wait for the tick, SYNC, receive.
@@ -123,13 +127,20 @@ class CyclicExchange:
         if self._heartbeat_ticks and self._tick % self._heartbeat_ticks == 0:
             self._network.send_heartbeat()
         self._tick = self._one_master.tick = self._tick + 1
-        sample.lateness_s = self._clock.wait_tick()
-        self._late = 0
-        self._drop_stale(sample)
-        if before_sync is not None:
-            before_sync()
-        self._clear(sample)
-        send_frame(bus, self._sync)
+        if self._foreign is not None:
+            self._late = 0
+            if before_sync is not None:
+                before_sync()
+            sample.lateness_s = self._foreign.wait(partial(self._drop, sample))
+            self._clear(sample)
+        else:
+            sample.lateness_s = self._clock.wait_tick()
+            self._late = 0
+            self._drop_stale(sample)
+            if before_sync is not None:
+                before_sync()
+            self._clear(sample)
+            send_frame(bus, self._sync)
         self.syncs += 1
         overdue_s = self._clock.now() + self._answer_timeout_s
         self._outstanding = outstanding = self._receive(sample, overdue_s)
@@ -140,6 +151,17 @@ class CyclicExchange:
         self._fault = self._fault or self._supervision.take_fault()
         sample.fault, self._fault = self._fault, ""
         return overdue_s
+
+    def check_sync(self) -> None:
+        """Refuse a bus on which a foreign producer of SYNC is silent, or has another rate; see `ForeignSync.check_rate`."""
+        if self._foreign is not None:
+            self._foreign.check_rate()
+
+    def start_ticks(self) -> None:
+        """Begin the ticks anew, after other traffic."""
+        self._clock.start_ticks(self._period_s)
+        if self._foreign is not None:
+            self._foreign.restart()
 
     def rehearse(self) -> None:
         """Execute those parts of a tick that change nothing, shortly before it; see `drivers.udp_bus.UdpBus.rehearse`."""
@@ -193,12 +215,12 @@ class CyclicExchange:
         outstanding = self._expected
         remaining = timeout_s = self._answer_timeout_s
         overtime = came = 0
-        bus, by_cob_id, now, owed = self._bus, self._by_cob_id, self._clock.now, self._owed
+        take, by_cob_id, now, owed = self._take, self._by_cob_id, self._clock.now, self._owed
         in_debt = any(owed)
         awake = self._awake_s > 0.0
         asleep_at = max(0.0, timeout_s - self._awake_s)  # remaining time at which polling without sleep ends
         while outstanding:
-            message = receive_frame(bus, 0.0 if awake else remaining)
+            message = take(0.0 if awake else remaining)
             if message is None and not awake:
                 break
             remaining = overdue_s - now()
@@ -252,16 +274,19 @@ class CyclicExchange:
             message = receive_frame(self._bus, 0.0)
             if message is None:
                 return
-            entry = self._by_cob_id.get(message.arbitration_id)
-            if entry is None or not is_data_frame(message):
-                self._other(message)
-            else:
-                bit, tpdo = entry
-                self.late_frames += 1
-                self._owed[bit] = max(0, self._owed[bit] - 1)
-                if self._took(tpdo, message.data, sample):  # keeps the counter's wraps and newest statusword right; the row is cleared next
-                    self._one_master.extra(bit)
-                    self._late |= 1 << bit
+            self._drop(sample, message)
+
+    def _drop(self, sample: Sample, message: can.Message) -> None:
+        entry = self._by_cob_id.get(message.arbitration_id)
+        if entry is None or not is_data_frame(message):
+            self._other(message)
+            return
+        bit, tpdo = entry
+        self.late_frames += 1
+        self._owed[bit] = max(0, self._owed[bit] - 1)
+        if self._took(tpdo, message.data, sample):  # keeps the counter's wraps and newest statusword right; the row is cleared next
+            self._one_master.extra(bit)
+            self._late |= 1 << bit
 
     def _took(self, tpdo: Tpdo, data: bytearray, sample: Sample) -> bool:
         """Put a frame's values into the sample; drop a malformed frame and return False: its row lacks the values."""

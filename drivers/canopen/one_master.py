@@ -52,7 +52,8 @@ class OneMaster:
             for node in settings.nodes
             for pdo in node.rpdos
         }
-        self._own[settings.sync_cob_id] = f"a second SYNC producer sends {settings.sync_cob_id:03X}h"
+        if not settings.sync_producer:
+            self._own[settings.sync_cob_id] = f"a second SYNC producer sends {settings.sync_cob_id:03X}h"
         self._own[self._heartbeat] = f"a second master sends the bench's own heartbeat, {self._heartbeat:03X}h,"
         self.flood_frames = max(FEWEST_OF_A_FLOOD, int(FLOOD_SHARE * settings.bitrate_bit_s * settings.sync_period_s / FRAME_BITS))
         self._heard = dict.fromkeys(self._own, 0)
@@ -61,6 +62,7 @@ class OneMaster:
         self._extra_at = [-LATE_TICKS] * len(tpdos)
         self._extra_ticks = [0] * len(tpdos)
         self._flooded_at = self._flooded_ticks = 0
+        self._early_at, self._early_ticks = -LATE_TICKS, 0
         for identifier in self._own:
             network.subscribe(identifier, self._hear_own)
 
@@ -90,6 +92,13 @@ class OneMaster:
             self._extra_ticks[bit] = self._extra_ticks[bit] + 1 if since <= LATE_TICKS else 1
         if self._extra_ticks[bit] >= PERSISTENT_TICKS and self._tpdos[bit] is not None:
             self._network.accuse(f"{self._tpdos[bit]} comes more than once per SYNC: a second device sends it {self._where}")
+
+    def early_sync(self, producer: str) -> None:
+        """Take note of a SYNC that came between two of its producer."""
+        since, self._early_at = self.tick - self._early_at, self.tick
+        self._early_ticks = self._early_ticks + 1 if since <= LATE_TICKS else 1
+        if self._early_ticks >= PERSISTENT_TICKS:
+            self._network.accuse(f"SYNC comes between those of {producer}: a second producer sends it {self._where}")
 
     def flooded(self, frames: int, identifier: int) -> None:
         """Take note of more than `flood_frames` frames of others in one tick, the last with this identifier."""

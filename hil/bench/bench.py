@@ -26,7 +26,7 @@ from hil.bench.options import BenchOptions
 from hil.bench.start_pose import standing
 from hil.bench.timing import LoopTiming
 from hil.bench.wiring import Wiring
-from hil.errors import RecordingError
+from hil.errors import RecordingError, UnusableInputError
 from hil.experiments import Move, Plan, Static
 from hil.experiments.safety import gravity_feedforward
 from hil.machine import Machine
@@ -200,6 +200,8 @@ class Bench:
         bridge of one second leads from there to the way. So nothing is planned while the machine waits, and frames repeat on every bus.
         """
         self._check_modes(plan)
+        if rows is not None and (producer := self.wiring.link.settings.sync_producer):
+            raise UnusableInputError(f"images find their rows by the number of SYNCs, which {producer} sends; expose without sync_producer")
         way, stay = self._way_to(plan.start_pose)
         sink = self._sink(plan, path)
         tables: dict[str, Any] = {}

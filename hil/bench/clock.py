@@ -84,6 +84,24 @@ class WallClock:
         self.tick_began_s = now
         return now - due
 
+    def await_tick(self, comes: Callable[[float], bool], due_s: float, patience_s: float) -> bool:
+        """Wait for a tick that somebody else gives: asleep until shortly before it is due, then awake for as long as answers are."""
+        self.idle_began_s = time.perf_counter()
+        asleep = due_s - self.now() - self._spin_s
+        came = comes(asleep) if asleep > 0.0 else False
+        if asleep > 0.0 and not came:
+            for rehearse in self.rehearsals:
+                rehearse()
+        while not came and self.now() < due_s + self.awake_s:
+            came = comes(0.0)
+        came = came or comes(max(0.0, due_s + patience_s - self.now()))
+        self.tick_began_s = time.perf_counter()
+        return came
+
+    def lose(self, ticks: int) -> None:
+        """Count ticks that were lost while others gave them."""
+        self._missed += ticks
+
     @property
     def missed(self) -> int:
         """Ticks skipped since `start_ticks`."""
@@ -125,3 +143,13 @@ class LockstepClock:
         self.idle_began_s = time.perf_counter()
         self.tick_began_s = self.idle_began_s
         return 0.0
+
+    def await_tick(self, comes: Callable[[float], bool], due_s: float, patience_s: float) -> bool:
+        """Let virtual time pass until the tick comes that somebody else gives."""
+        came = comes(max(0.0, due_s + patience_s - self.now()))
+        self.wait_tick()
+        return came
+
+    def lose(self, ticks: int) -> None:
+        """Count ticks that were lost while others gave them."""
+        self.missed += ticks

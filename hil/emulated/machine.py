@@ -180,7 +180,7 @@ def emulated_bus(machine: Machine, physics: Physics) -> EmulatedBus:
                 )
             )
     silence_s = min(LONGEST_SILENCE_S, bus.master_heartbeat_period_s, *(node.heartbeat_period_s for node in bus.nodes))
-    return EmulatedBus(bus.sync_cob_id, tuple(drives), tuple(encoders), max(silence_s, SILENCE_S))
+    return EmulatedBus(bus.sync_cob_id, tuple(drives), tuple(encoders), bool(bus.sync_producer), max(silence_s, SILENCE_S))
 
 
 def _counts_per_motor_turn(machine: Machine, axis: str, resolution: float) -> int:

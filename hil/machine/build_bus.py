@@ -56,6 +56,11 @@ def build_bus(table: MachineTable, plant: PlantSettings, folder: Path | None) ->
     if bus.answers == "punctual" and bus.answer_timeout >= plant.sample_period_s:
         right = f'must be shorter than the sample period of {plant.sample_period_s:.6g} s (unless answers = "awaited", for emulators)'
         raise ComplaintError((*where, bus.key("answer_timeout")), right)
+    if bus.sync_producer in bus.nodes:
+        right = f"{bus.sync_producer} is one of the nodes, which the bench configures; name a device that sends SYNC by itself"
+        raise ComplaintError((*where, "sync_producer"), right)
+    if bus.sync_producer and table.timing.overrun == "wait":
+        raise ComplaintError((*where, "sync_producer"), 'another device\'s ticks do not wait: timing.overrun must be "skip"')
     _check_cob_ids(bus)
     _check_nodes(bus, table)
     for axis in table.drives:
@@ -76,6 +81,8 @@ def build_bus(table: MachineTable, plant: PlantSettings, folder: Path | None) ->
         motions=tuple(_motion(axis, table) for axis in table.drives),
         imu=_imu_port(bus, table),
         io=_io(bus, table),
+        sync_producer=bus.sync_producer or "",
+        overrun_ticks=table.timing.overrun_ticks,
     )
 
 

@@ -89,4 +89,5 @@ def places_of(machine: Machine) -> FaultPlaces:
         short=tuple(node.name for node in bus.nodes if any(sum(bits for *_, bits in pdo.entries) < FRAME_BITS for pdo in node.tpdos)),
         imu=bus.imu is not None,
         io=io is not None,
+        producer=(bus.sync_producer,) if bus.sync_producer else (),
     )

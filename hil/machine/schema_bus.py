@@ -183,6 +183,10 @@ class BusTable(Table):
     """A bit rate of CiA 301 [bit/s]."""
     sync_cob_id: CobId = 0x080
     """Identifier of SYNC."""
+    sync_producer: Name | None = None
+    """The device that sends SYNC at the sample rate, a motion controller say, by any name; it is none of `nodes`. The bench then sends none
+    and follows. It refuses a wrong rate, and stops the run when SYNC stays away for more than `overrun_ticks` or a second producer sends
+    it. Without this the bench sends SYNC."""
     master_node_id: NodeId
     """Node number of the bench itself."""
     master_heartbeat: Seconds

@@ -31,6 +31,8 @@ class FaultPlaces:
         Names of nodes; `short` of those that send a PDO of fewer than eight bytes.
     imu, io : bool
         Whether the machine has one.
+    producer : tuple of str
+        The device that sends SYNC; empty where the bench does.
     """
 
     axes: tuple[str, ...]
@@ -43,6 +45,7 @@ class FaultPlaces:
     short: tuple[str, ...]
     imu: bool
     io: bool
+    producer: tuple[str, ...] = ()
 
     def of(self, place: Place) -> tuple[str, ...]:
         """Return what `at` may be for a kind of place."""
@@ -58,6 +61,7 @@ class FaultPlaces:
             "imu": ("imu",) if self.imu else (),
             "io": ("io",) if self.io else (),
             "bus": ("bus",),
+            "producer": self.producer,
             "process": (),
         }[place]
 

@@ -25,6 +25,11 @@ def foreign_sync(machine: FaultyMachine, at: str, values: Values) -> Undo:
     return _every(machine, values, lambda: machine.intrude(machine.bus.sync_cob_id, b""))
 
 
+def sync_stops(machine: FaultyMachine, at: str, values: Values) -> Undo:
+    """Let the device that sends SYNC fall silent."""
+    return machine.produced.add("", lambda: False)
+
+
 def foreign_tpdo(machine: FaultyMachine, at: str, values: Values) -> Undo:
     """Let somebody else send a node's PDOs, with zeros, just before or behind each of the node."""
     node = node_of(machine, at)
@@ -158,6 +163,8 @@ def _special(machine: FaultyMachine, values: Values, frames: list[Frame]) -> Und
 KINDS = (
     FaultKind("foreign_sync", "Somebody else sends SYNCs too; the devices answer each.", "bus", "bus", foreign_sync, (EVERY,),
               (Trial(), Trial(values={"every": 10.0}), Trial("start"))),
+    FaultKind("sync_stops", "The device that sends SYNC, where the bench does not, falls silent.", "bus", "producer", sync_stops,
+              trials=(Trial(), Trial("settled"), Trial("start"), Trial(for_s=0.02)), budget="bench_silent"),
     FaultKind("foreign_tpdo", "Somebody else sends the node's PDOs, with zeros.", "bus", "node", foreign_tpdo,
               (EVERY, Parameter("behind", "", 1.0, 0.0, 1.0, "1: behind the node's own PDO, 0: before it", whole=True)),
               (Trial(), Trial(values={"behind": 0.0}), Trial(values={"every": 50.0})), budget="runaway"),

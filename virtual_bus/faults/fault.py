@@ -14,7 +14,9 @@ Values = Mapping[str, float]
 Begin = Callable[[FaultyMachine, str, Values], Undo]
 """Begins a fault at a place with its parameters, and returns what takes it back."""
 
-Place = Literal["axis", "brake", "feedback", "thermometer", "drive", "encoder", "node", "short PDO", "imu", "io", "bus", "process"]
+Place = Literal[
+    "axis", "brake", "feedback", "thermometer", "drive", "encoder", "node", "short PDO", "imu", "io", "bus", "producer", "process"
+]
 PLACES: dict[Place, str] = {
     "axis": "an axis",
     "brake": "an axis with a brake",
@@ -27,6 +29,7 @@ PLACES: dict[Place, str] = {
     "imu": "imu",
     "io": "io",
     "bus": "bus",
+    "producer": "the device that sends SYNC, where the bench does not",
     "process": "a process of the bench",
 }
 """Kinds of places, and what a faults file writes as `at`."""

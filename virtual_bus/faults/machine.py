@@ -60,6 +60,8 @@ class FaultyMachine(EmulatedMachine):
         Key "in" (towards the devices) and "out": from a frame to those that pass.
     intruders : Seam
         Key "": called once per SYNC before the devices answer, for a foreign participant.
+    produced : Seam
+        Key "": whether the machine's own producer sends the SYNC that is due.
     samples : Seam
         Key "": called once per sample.
     recording : bool
@@ -90,6 +92,7 @@ class FaultyMachine(EmulatedMachine):
         self.said: Seam[Callable[[int, bytes], list[Frame]]] = Seam()
         self.wire: Seam[Callable[[int, bytes], list[Frame]]] = Seam()
         self.intruders: Seam[Callable[[], None]] = Seam()
+        self.produced: Seam[Callable[[], bool]] = Seam()
         self.samples: Seam[Callable[[], None]] = Seam()
         self.recording = False
         self.log = log
@@ -180,7 +183,7 @@ class FaultyMachine(EmulatedMachine):
     # ---- life -----------------------------------------------------------------------------------------
     def connect(self, emit: Emit) -> None:
         """Set where frames go."""
-        self._emit = emit
+        self._emit, self._put = emit, self.put
         for node in self._nodes:
             node.connect(partial(self._say, node.node_id))
 
@@ -246,7 +249,22 @@ class FaultyMachine(EmulatedMachine):
             frames = [passed for frame in frames for passed in change(*frame)]
         for frame in frames:
             super().receive(*frame)
-        if can_id == self.bus.sync_cob_id and can_id not in [frame[0] for frame in frames]:
+        if can_id == self.bus.sync_cob_id and not self.bus.produces_sync and can_id not in [frame[0] for frame in frames]:
+            self._pass_unheard()
+
+    def produce_sync(self) -> None:
+        """Send the SYNC of the machine's own producer, if it still sends any; the period passes regardless."""
+        sync = self.bus.sync_cob_id
+        if not all(sends() for sends in self.produced.at("")):
+            self._pass_unheard()
+            return
+        self.put(sync, b"")
+        frames: list[Frame] = [(sync, b"")]
+        for change in self.wire.at("in"):
+            frames = [passed for frame in frames for passed in change(*frame)]
+        if frames:
+            self._sync(b"")
+        else:
             self._pass_unheard()
 
     def _pass_unheard(self) -> None:
@@ -256,19 +274,6 @@ class FaultyMachine(EmulatedMachine):
         self._act()
         self._read(self.physics.latch_exactly())
         self._advance()
-
-    def answer_foreign_sync(self, data: bytes) -> None:
-        """Answer a SYNC that is not the master's: the devices act and answer, the machine's time does not move by it."""
-        counter = None
-        for node in self._sync_nodes:
-            counter = node.begin_sync(data)
-        self._act()
-        latched = self.physics.latch_exactly()
-        self._read(latched)
-        for node in self._sync_nodes:
-            node.end_sync(counter)
-        if self.imu is not None and (said := self.imu.on_sync(latched.imu, self.time_s)):
-            self.imu_out(said)
 
     # ---- one sample -----------------------------------------------------------------------------------
     def _sync(self, data: bytes) -> None:

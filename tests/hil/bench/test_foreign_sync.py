@@ -1,0 +1,106 @@
+"""A loop that follows the SYNC of another device: the same motion, nothing sent, and what ends a run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bench_machines import CARM, edited, read_truth, run_in_lockstep
+
+from drivers.errors import BusTimeoutError, SecondMasterError
+from hil.errors import MachineFileError
+from hil.experiments import Move
+from hil.machine import machine_from_text
+from hil.machine.faults_file import faults_from_text
+from virtual_bus.lockstep import LockstepBus
+from virtual_bus.machine import EmulatedMachine
+
+FOLLOWING_TEXT = edited("^master_node_id", 'sync_producer = "plc"\nmaster_node_id')
+FOLLOWING = machine_from_text(FOLLOWING_TEXT)
+WAY = Move({"propeller": 0.0, "roll": -0.3}, {"propeller": 0.0, "roll": 0.3})
+MOVING = 'when = "abs(speed_roll) > 0.2"'
+TRAVEL = 0.11  # rad: ten ticks at 0.4 rad/s, and what Ctrl-C takes with a margin of 1.5
+
+
+def test_the_arm_moves_as_under_the_benchs_own_sync(tmp_path: Path) -> None:
+    plan = WAY.plans(CARM)
+    (own,) = run_in_lockstep(tmp_path, plan, CARM, name="own", noise=False)
+    (following,) = run_in_lockstep(tmp_path, plan, FOLLOWING, name="following", noise=False)
+    for name in ("position_roll", "position_propeller", "command_roll", "link_position_roll", "imu_x"):
+        np.testing.assert_allclose(following.channel(name).values, own.channel(name).values, rtol=0.0, atol=1e-12, err_msg=name)
+    assert following.rows == own.rows
+    assert np.array_equal(np.diff(following.ticks), np.ones(following.rows - 1))
+
+
+def test_the_bench_sends_no_sync(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sent: list[int] = []
+
+    class Listening(LockstepBus):
+        def send_frame(self, can_id: int, data: bytes) -> None:
+            sent.append(can_id)
+            super().send_frame(can_id, data)
+
+    monkeypatch.setattr("hil.bench.wiring.LockstepBus", Listening)
+    run_in_lockstep(tmp_path, WAY.plans(FOLLOWING), FOLLOWING)
+    assert sent.count(0x201) > 1000
+    assert 0x080 not in sent
+
+
+@pytest.mark.parametrize(
+    ("fault", "error", "words"),
+    [
+        ('name = "sync_stops"', BusTimeoutError, r"plc \(bus.sync_producer\): no SYNC for 0.03\d s; timing.overrun_ticks bridges 8 ticks"),
+        ('name = "foreign_sync"', SecondMasterError, "SYNC comes between those of plc: a second producer sends it on lockstep"),
+        ('name = "foreign_sync"\nevery = 10', SecondMasterError, "SYNC comes between those of plc: a second producer sends it on lockstep"),
+    ],
+    ids=["silent", "a second one", "a second one, now and then"],
+)
+def test_a_producer_that_falls_silent_or_is_not_alone_ends_the_run_and_the_arm_rests(
+    fault: str, error: type[Exception], words: str, tmp_path: Path
+) -> None:
+    faults = faults_from_text(f"[[fault]]\n{fault}\n{MOVING}\n", FOLLOWING, "test")
+    with pytest.raises(error, match=words):
+        run_in_lockstep(tmp_path, WAY.plans(FOLLOWING), FOLLOWING, faults=faults)
+    truth = read_truth(tmp_path / "run.csv")
+    roll = truth["joint_position_roll"]
+    began = np.flatnonzero(np.abs(np.gradient(roll, truth["time"])) > 0.2)[0]
+    assert np.ptp(roll[began:]) < TRAVEL
+    assert np.ptp(roll[-50:]) < 1e-4
+
+
+def test_a_pause_that_is_bridged_is_counted_as_lost_ticks(tmp_path: Path) -> None:
+    faults = faults_from_text(f'[[fault]]\nname = "sync_stops"\n{MOVING}\nfor_s = 0.0156\n', FOLLOWING, "test")
+    (recording,) = run_in_lockstep(tmp_path, WAY.plans(FOLLOWING), FOLLOWING, faults=faults)
+    steps = np.diff(recording.ticks)
+    assert sorted(set(steps.tolist())) == [1, 5]
+    assert np.count_nonzero(steps == 5) == 1
+
+
+def test_nothing_is_started_while_nobody_sends_sync(tmp_path: Path) -> None:
+    faults = faults_from_text('[[fault]]\nname = "sync_stops"\n', FOLLOWING, "test")
+    with pytest.raises(BusTimeoutError, match=r"plc \(bus.sync_producer\): on lockstep.* nobody sends SYNC \(080h\)"):
+        run_in_lockstep(tmp_path, WAY.plans(FOLLOWING), FOLLOWING, faults=faults)
+
+
+def test_a_producer_of_another_rate_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class At250Hz(EmulatedMachine):
+        def __init__(self, *arguments: object, **options: object) -> None:
+            super().__init__(*arguments, **options)
+            self.period_s = 0.004
+
+    monkeypatch.setattr("hil.emulated.machine.EmulatedMachine", At250Hz)
+    with pytest.raises(BusTimeoutError, match=r"SYNC comes every 4.000 ms, timing.sample_rate makes it 3.906 ms"):
+        run_in_lockstep(tmp_path, WAY.plans(FOLLOWING), FOLLOWING)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (edited('"plc"', '"roll_drive"', FOLLOWING_TEXT), "roll_drive is one of the nodes"),
+        (edited("^overrun_ticks", 'overrun = "wait"\noverrun_ticks', FOLLOWING_TEXT), "another device's ticks do not wait"),
+    ],
+)
+def test_a_producer_that_cannot_be_is_refused(text: str, words: str) -> None:
+    with pytest.raises(MachineFileError, match=words):
+        machine_from_text(text)
