@@ -183,6 +183,8 @@ class CyclicExchange:
         """Begin to count anew."""
         for tpdo in self._tpdos:
             tpdo.unanswered = tpdo.longer = 0
+        if self._foreign is not None:
+            self._foreign.left_out = 0
 
     @property
     def remarks(self) -> list[str]:
@@ -193,6 +195,8 @@ class CyclicExchange:
             for tpdo in self._tpdos
             if tpdo.longer
         ]
+        if self._foreign is not None and self._foreign.left_out:
+            found.append(f"{self._foreign.who}: {self._foreign.left_out} SYNCs did not come")
         return found
 
     def _clear(self, sample: Sample) -> None:

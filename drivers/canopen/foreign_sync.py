@@ -46,12 +46,13 @@ class ForeignSync:
         self._network, self._bus, self._clock = network, network.can_bus, network.clock
         self._one_master = one_master
         self._producer, self._can_id = settings.sync_producer, settings.sync_cob_id
-        self._who = f"{settings.sync_producer} (bus.sync_producer)"
+        self.who = f"{settings.sync_producer} (bus.sync_producer)"
         self._period_s = settings.sync_period_s
         self._most_ticks = settings.overrun_ticks
         self._due_s = math.nan  # of the next SYNC; unknown until one has come
         self._lost = False  # the producer is silent: the bench sends SYNC
         self._behind: deque[can.Message] = deque()  # frames that came behind the newest SYNC
+        self.left_out = 0  # SYNCs that did not come, and were bridged
         self._heard = 0  # SYNCs since the last tick
         self._first_s = self._last_s = math.nan
         self._listened = 0
@@ -72,7 +73,7 @@ class ForeignSync:
         """
         self._listened, self._lost = 0, False
         self._network.pump_for(LISTENING_TICKS * self._period_s)
-        where = f"{self._who}: on {self._bus.channel_info}"
+        where = f"{self.who}: on {self._bus.channel_info}"
         if self._listened < 2:
             raise BusTimeoutError(f"{where} nobody sends SYNC ({self._can_id:03X}h), and with a sync_producer the bench does not; start it")
         period_s = (self._last_s - self._first_s) / (self._listened - 1)
@@ -99,10 +100,7 @@ class ForeignSync:
                 self._lost = True
                 self._due_s = math.nan
                 silent_s = clock.now() - due_s + self._period_s
-                raise BusTimeoutError(
-                    f"{self._who}: no SYNC for {silent_s:.3f} s; timing.overrun_ticks bridges {self._most_ticks} ticks; "
-                    "the bench sends SYNC itself until the machine is at rest"
-                )
+                raise BusTimeoutError(f"{self.who}: no SYNC for {silent_s:.3f} s; timing.overrun_ticks bridges {self._most_ticks} ticks")
             send_frame(self._bus, can.Message(arbitration_id=self._can_id, is_extended_id=False, data=b""))
             self._due_s = due_s + self._period_s if due_s > clock.now() - self._period_s else math.nan
             return max(0.0, clock.now() - due_s)
@@ -134,6 +132,7 @@ class ForeignSync:
             self._due_s = due_s + (heard - 1) * period_s
             return 0.0
         self._clock.lose(heard - 1 + silent)
+        self.left_out += silent
         drift_s = (EARLIER_WEIGHT if phase_s < 0.0 else LATER_WEIGHT) * phase_s
         self._due_s = due_s + (heard + silent) * period_s + drift_s
         return max(0.0, phase_s)

@@ -121,7 +121,7 @@ def _at(kind: FaultKind, machine: Machine, axis: str) -> tuple[str, ...]:
     """Return the places of an axis for a fault: its drive, its encoder, itself, or what there is once."""
     places = places_of(machine)
     assert machine.bus is not None
-    here = {node.name for node in machine.bus.nodes if node.axis == axis} | {axis, "imu", "io", "bus"}
+    here = {node.name for node in machine.bus.nodes if node.axis == axis} | {axis, "imu", "io", "bus", machine.bus.sync_producer}
     return tuple(place for place in places.of(kind.at) if place in here)
 
 

@@ -9,10 +9,13 @@ import pytest
 from bench_machines import CARM, edited, read_truth, run_in_lockstep
 
 from drivers.errors import BusTimeoutError, SecondMasterError
+from hil.bench.open import open_bench
+from hil.bench.options import BenchOptions
 from hil.errors import MachineFileError
 from hil.experiments import Move
 from hil.machine import machine_from_text
 from hil.machine.faults_file import faults_from_text
+from hil.recording import RecordingWarning, read_recording
 from virtual_bus.lockstep import LockstepBus
 from virtual_bus.machine import EmulatedMachine
 
@@ -69,12 +72,16 @@ def test_a_producer_that_falls_silent_or_is_not_alone_ends_the_run_and_the_arm_r
     assert np.ptp(roll[-50:]) < 1e-4
 
 
-def test_a_pause_that_is_bridged_is_counted_as_lost_ticks(tmp_path: Path) -> None:
+def test_a_pause_that_is_bridged_is_counted_and_said(tmp_path: Path) -> None:
     faults = faults_from_text(f'[[fault]]\nname = "sync_stops"\n{MOVING}\nfor_s = 0.0156\n', FOLLOWING, "test")
-    (recording,) = run_in_lockstep(tmp_path, WAY.plans(FOLLOWING), FOLLOWING, faults=faults)
-    steps = np.diff(recording.ticks)
-    assert sorted(set(steps.tolist())) == [1, 5]
-    assert np.count_nonzero(steps == 5) == 1
+    (plan,) = WAY.plans(FOLLOWING)
+    with open_bench(FOLLOWING, BenchOptions("lockstep:", faults=faults), plan.start_pose) as bench:
+        timing = bench.run(plan, tmp_path / "run.mf4")
+    with pytest.warns(RecordingWarning, match="4 ticks are missing in 1 place"):
+        steps = np.diff(read_recording(tmp_path / "run.mf4").ticks)
+    assert sorted(steps.tolist())[-2:] == [1, 5]
+    assert timing.missed == 4
+    assert "plc (bus.sync_producer): 4 SYNCs did not come" in timing.notes
 
 
 def test_nothing_is_started_while_nobody_sends_sync(tmp_path: Path) -> None:
