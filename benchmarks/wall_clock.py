@@ -1,121 +1,180 @@
-"""Ten minutes of the C-arm at 256 Hz on the wall clock, emulator and loop in two processes: ticks missed, lateness, work time.
+"""Ticks on the wall clock beside those of a bare python-can loop: emulator and loop in two processes, shaper, observer and damping on.
 
-    python benchmarks/wall_clock.py --bus udp: --json wall_clock.json
-    python benchmarks/wall_clock.py --bus socketcan:vcan0 --json -
+In each case the doctor predicts first. Then a bare loop, the bench, and a bare loop again exchange frames with the same emulator, the bench
+for as long as both bare loops together, so that what else the computer does meets both alike. The bare loop sends SYNC at absolute times,
+the same commands and heartbeats, and waits for the same answers; it computes nothing, records nothing and knows neither IMU nor I/O. A
+whole tick lasts from when it is due until the loop is ready to wait again. Bench and bare loop have the same scheduler. The machine file's
+limits of lost ticks and stale positions are lifted, so that a stall of the host is counted instead of ending the run.
 
-The scheduler that was granted stands in the result: figures without SCHED_FIFO say more about the machine's other work than about the loop.
-The machine file's limits of lost ticks and stale positions are lifted, so that a stall of the host is counted instead of ending the run.
-`work_time` runs from the SYNC until the loop is ready to wait again; `answer_time` is the part of it spent waiting for the devices'
-answers, `own_work_time` the rest. `host` is what the computer does to processes that do nothing else, under the same scheduler, before
-the run: `lateness` of a loop without a bus, `computing`, how long 300 us of computing take at each tick, and `echo`, how long one UDP
-datagram takes at each tick to a process that awaits it awake and back; `stolen_share` is the processor time that the hypervisor gave to
-others during the run.
+    python benchmarks/wall_clock.py --case quiet
+    python benchmarks/wall_clock.py --case loaded
+    python benchmarks/wall_clock.py --case fast
+
+`quiet` and `loaded` run for ten minutes at 256 Hz, `loaded` beside eight processes that only compute, `fast` for a minute at 1 kHz. A case
+replaces its own figures in the results only. `stolen_share` is the processor time that the hypervisor gave to others meanwhile.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import multiprocessing
 import os
 import platform
 import re
-import select
-import socket
 import subprocess
 import sys
 import tempfile
 import time
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
+import can
 import numpy as np
 
+from drivers.bus_url import open_bus
+from drivers.settings import BusSettings
+from drivers.ticking_machine import TickingMachine
 from hil.bench.clock import WallClock
-from hil.machine import load_machine
+from hil.experiments import Scan, Static
+from hil.machine import Machine, load_machine, machine_from_text
+from hil.machine.convert import converted_text
+from hil.observing import emulated_design, observe, write_design
+from hil.observing.simulated_recordings import emulated_recording
 from hil.processes.real_time import real_time
-from hil.terminal.output import Answer
-from virtual_bus.emulator import AWAKE_SHARE
+from hil.recording import RecordingWarning, read_recording
 
 ISOCENTER = [sys.executable, "-m", "hil"]
-COMPUTING_S = 300e-6
-RATE_Hz = 256.0
-FLOOR_S = 20.0
-ECHO_LOST_S = 10.0  # a loop at real-time priority does not look for one datagram for ever
-GAP_S = 1e-6  # between two looks at the clock of a loop that nobody interrupts
+RESULTS = Path(__file__).parent / "results" / "wall_clock_udp.json"
+BUS = "udp:239.74.163.95"
+SPIN_S = 400e-6  # as the bench: before a tick a loop does not sleep
+SWEEP = ("--axis", "roll", "--from", "20", "--to", "40", "--speed", "10", "--dwell", "0.5")
+SWEEP_S = 3.6  # how long such a sweep takes, roughly
+DAMPING = "0.05"
+DOCTOR_S = 60.0
 
 
-def host_floor(seconds: float) -> dict[str, float]:
-    """Percentiles [us] of `lateness`, `computing` and `echo`: see the head of this file."""
-    clock = WallClock()
-    lateness, computing = np.zeros(round(seconds * RATE_Hz)), np.zeros(round(seconds * RATE_Hz))
+@dataclass(frozen=True)
+class Case:
+    """One comparison."""
+
+    rate_Hz: float
+    seconds: float
+    load: int = 0  # processes that compute all the time
+
+
+CASES = {"quiet": Case(256.0, 600.0), "loaded": Case(256.0, 600.0, 8), "fast": Case(1000.0, 60.0)}
+
+
+def prepared(rate_Hz: float, folder: Path) -> Path:
+    """Return the machine file; beside it stand the observer and the shaper of its roll axis."""
+    machine = load_machine("carm")
+    if rate_Hz != machine.sample_rate_Hz:
+        machine = machine_from_text(converted_text(machine, rate_Hz)[0])
+    scan = emulated_recording(machine, Scan("roll", -0.5, 0.5, 0.5).plans(machine)[0], 60)
+    design = emulated_design(machine, [scan])
+    write_design(design, folder / "observer.npz")
+    still = emulated_recording(machine, Static(2.0).plans(machine)[0], 1)
+    observe(still, design.observer())  # compiled before anything is timed
+    text = re.sub(r"(?m)^(overrun|stale)_ticks = \d+", r"\1_ticks = 10000", machine.text)
+    file = folder / "carm.toml"
+    file.write_text(text, encoding="utf-8")
+    subprocess.run(
+        [*ISOCENTER, "shape", str(file), "--axis", "roll", "-o", str(folder / "roll.shaper.npz")], check=True, capture_output=True
+    )
+    return file
+
+
+def bare_loop(settings: BusSettings, seconds: float) -> dict[str, object]:
+    """Exchange the frames of a bench that holds nothing, for so long; return whole ticks [s] and how many were missed."""
+    bus = open_bus(BUS, settings.bitrate_bit_s)
+    machine = TickingMachine(settings, bus, WallClock())
+    machine.start()
+    syncs = can.Message(arbitration_id=settings.sync_cob_id, is_extended_id=False)
+    beat = can.Message(arbitration_id=0x700 + settings.master_node_id, is_extended_id=False, data=[5])
+    commands = [
+        can.Message(arbitration_id=pdo.cob_id, is_extended_id=False, data=bytes(sum(bits for *_, bits in pdo.entries) // 8))
+        for node in settings.nodes
+        for pdo in node.rpdos
+    ]
+    expected = {pdo.cob_id for node in settings.nodes for pdo in node.tpdos if pdo.transmission_type == 1}
+    every = max(1, int(settings.master_heartbeat_period_s / settings.sync_period_s))
+    period_s, timeout_s = settings.sync_period_s, settings.answer_timeout_s
+    ticks, missed = round(seconds / period_s), 0
+    whole = []
+    now = time.perf_counter
     with real_time():
-        clock.start_ticks(1.0 / RATE_Hz)
-        for k in range(len(lateness)):
-            lateness[k] = clock.wait_tick()
-            now_s = last_s = clock.tick_began_s
-            computed_s = 0.0
-            while computed_s < COMPUTING_S:  # a gap between two looks at the clock is time in which something else ran
-                now_s, before_s = time.perf_counter(), now_s
-                computed_s += min(now_s - before_s, GAP_S)
-            computing[k] = now_s - last_s
-    return percentiles({"lateness": lateness, "computing": computing, "echo": echoes(seconds)})
+        began_s, k = now(), 0
+        while k < ticks:
+            k += 1
+            behind = int((now() - began_s) / period_s) - k
+            if behind > 0:
+                missed += behind
+                k += behind
+            due_s = began_s + k * period_s
+            if (asleep_s := due_s - now() - SPIN_S) > 0.0:
+                time.sleep(asleep_s)
+            while now() < due_s:
+                pass
+            while bus.recv(0.0) is not None:
+                pass
+            bus.send(syncs)
+            overdue_s, awaited = now() + timeout_s, set(expected)
+            while awaited and (message := bus.recv(max(0.0, overdue_s - now()))) is not None:
+                awaited.discard(message.arbitration_id)
+            for command in commands:
+                bus.send(command)
+            if k % every == 0:
+                bus.send(beat)
+            whole.append(now() - due_s)
+    machine.close()
+    bus.shutdown()
+    return {"whole_s": np.array(whole), "missed": missed}
 
 
-def percentiles(measured: dict[str, np.ndarray]) -> dict[str, float]:
-    """Of each row of seconds, in microseconds."""
-    table: dict[str, float] = {}
-    for name, values in measured.items():
-        p50, p99, p999 = np.percentile(values, [50.0, 99.0, 99.9]) * 1e6
-        table |= {f"{name}_p50_us": p50, f"{name}_p99_us": p99, f"{name}_p99.9_us": p999, f"{name}_max_us": values.max() * 1e6}
-    return table
+def bench(file: Path, folder: Path, seconds: float) -> dict[str, object]:
+    """Sweep under shaper, observer and damping for so long; return the same of the bench, and its scheduler."""
+    recorded, answer = folder / "run.mf4", folder / "answer.json"
+    words = ["run", "scan", "-m", str(file), "-b", BUS, "--pose", "roll=20", *SWEEP, "--sweeps", str(max(1, round(seconds / SWEEP_S)))]
+    words += ["--shaper", str(folder / "roll.shaper.npz"), "--observer", str(folder / "observer.npz"), "--damping", DAMPING]
+    done = subprocess.run([*ISOCENTER, *words, "-o", str(recorded), "--json", str(answer)], check=False, capture_output=True, text=True)
+    if not recorded.exists() or not answer.exists():
+        raise SystemExit(done.stderr)
+    said = json.loads(answer.read_text())
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RecordingWarning)  # missed ticks are counted
+        recording = read_recording(recorded)
+    whole = recording["sync_lateness"] + recording["work_time"]
+    timing = said["recordings"][0]["timing"]
+    return {"whole_s": whole[np.isfinite(whole)], "missed": timing["missed"], "scheduler": said["scheduler"]}
 
 
-def echoes(seconds: float) -> np.ndarray:
-    """Seconds from each tick until a datagram has come back from a process that looks for it, like the emulator, before the tick is due."""
-    line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    line.bind(("127.0.0.1", 0))
-    other = multiprocessing.get_context("spawn").Process(target=_echo, args=(line.getsockname(),), daemon=True)
-    other.start()
-    line.settimeout(ECHO_LOST_S)
-    _, address = line.recvfrom(16)
-    line.setblocking(False)
-    clock, took = WallClock(), np.zeros(round(seconds * RATE_Hz))
-    with real_time():
-        clock.start_ticks(1.0 / RATE_Hz)
-        for k in range(len(took)):
-            clock.wait_tick()
-            line.sendto(b"x", address)
-            while not _came(line):
-                if time.perf_counter() - clock.tick_began_s > ECHO_LOST_S:
-                    raise TimeoutError(f"no echo of a datagram on this host within {ECHO_LOST_S:g} s")
-            took[k] = time.perf_counter() - clock.tick_began_s
-    line.sendto(b"", address)
-    other.join()
-    line.close()
-    return took
+def doctor(file: Path, seconds: float) -> dict[str, float] | None:
+    """Return what the doctor predicts for this machine, None where it says nothing."""
+    words = [*ISOCENTER, "doctor", "-m", str(file), "--seconds", str(seconds), "--json", "-"]
+    answer = subprocess.run(words, capture_output=True, text=True, check=False).stdout
+    return json.loads(answer)["prediction"] if answer else None
 
 
-def _came(line: socket.socket) -> bool:
+def _compute() -> None:
+    while True:
+        sum(range(10_000))
+
+
+@contextlib.contextmanager
+def load(processes: int) -> Iterator[None]:
+    """Run so many processes that only compute."""
+    burning = [multiprocessing.get_context("spawn").Process(target=_compute, daemon=True) for _ in range(processes)]
+    for process in burning:
+        process.start()
     try:
-        return bool(line.recv(16))
-    except BlockingIOError:
-        return False
-
-
-def _echo(address: tuple[str, int]) -> None:
-    """Until an empty datagram comes."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line, real_time():
-        line.connect(address)
-        line.send(b"ready")
-        line.setblocking(False)
-        while True:
-            try:
-                if not line.recv(16):
-                    return
-            except BlockingIOError:
-                continue
-            line.send(b"x")
-            select.select([line], [], [], (1.0 - AWAKE_SHARE) / RATE_Hz)  # after a late tick the next datagram comes early, and wakes it
+        yield
+    finally:
+        for process in burning:
+            process.kill()
 
 
 def processor_times() -> tuple[int, int]:
@@ -127,45 +186,64 @@ def processor_times() -> tuple[int, int]:
     return times[7], sum(times)
 
 
-def measure(bus: str, seconds: float) -> dict[str, object]:
-    """One run of `seconds` on `bus`."""
-    with tempfile.TemporaryDirectory() as folder:
-        machine = Path(folder) / "carm.toml"
-        machine.write_text(re.sub(r"(?m)^(overrun|stale)_ticks = \d+", r"\1_ticks = 10000", load_machine("carm").text), encoding="utf-8")
-        floor = host_floor(FLOOR_S)
-        stolen, all_of_it = processor_times()
-        emulator = subprocess.Popen([*ISOCENTER, "emulate", str(machine), "--bus", bus], stdout=subprocess.PIPE, text=True)
+def figures(whole_s: np.ndarray, missed: int) -> dict[str, float]:
+    """Percentiles [us] of whole ticks, and the ticks missed."""
+    p50, p99, p999 = np.percentile(whole_s, [50.0, 99.0, 99.9]) * 1e6
+    return {"ticks": len(whole_s), "missed": missed, "p50_us": p50, "p99_us": p99, "p99.9_us": p999, "max_us": whole_s.max() * 1e6}
+
+
+def measure(case: Case, folder: Path) -> dict[str, object]:
+    """Run one case."""
+    file = prepared(case.rate_Hz, folder)
+    machine: Machine = load_machine(file)
+    assert machine.bus is not None
+    load_before, (stolen, all_of_it) = os.getloadavg(), processor_times()
+    with load(case.load):
+        predicted = doctor(file, min(DOCTOR_S, case.seconds))
+        emulator = subprocess.Popen([*ISOCENTER, "emulate", str(file), "--bus", BUS], stdout=subprocess.PIPE, text=True)
         try:
             assert emulator.stdout is not None and emulator.stdout.readline(), "the emulator did not start"
-            answer = Path(folder) / "answer.json"
-            run_static = ["run", "static", "-m", str(machine), "-b", bus, "--seconds", str(seconds), "-o", f"{folder}/run.mf4"]
-            subprocess.run([*ISOCENTER, *run_static, "--json", str(answer)], check=True)
-            run = json.loads(answer.read_text())
+            before = bare_loop(machine.bus, case.seconds / 2.0)
+            ours = bench(file, folder, case.seconds)
+            after = bare_loop(machine.bus, case.seconds / 2.0)
         finally:
             emulator.terminate()
             emulator.wait()
-        stolen, all_of_it = (after - before for after, before in zip(processor_times(), (stolen, all_of_it), strict=True))
+    stolen, all_of_it = (now - then for now, then in zip(processor_times(), (stolen, all_of_it), strict=True))
+    bare = figures(np.concatenate([before["whole_s"], after["whole_s"]]), before["missed"] + after["missed"])
+    own = figures(ours["whole_s"], ours["missed"])
     return {
-        "bus": bus,
-        "seconds": seconds,
-        "scheduler": run["scheduler"],
+        "rate_Hz": case.rate_Hz,
+        "seconds": case.seconds,
+        "load_processes": case.load,
+        "scheduler": ours["scheduler"],
         "processors": os.cpu_count(),
-        "load_average": os.getloadavg(),
+        "load_average_before": load_before[0],
         "kernel": platform.release(),
-        "host": floor | {"stolen_share": stolen / max(all_of_it, 1)},
-        "timing": run["recordings"][0]["timing"],
+        "stolen_share": stolen / max(all_of_it, 1),
+        "bench": own,
+        "bare": bare,
+        "bare_before_p99.9_us": figures(before["whole_s"], 0)["p99.9_us"],
+        "bare_after_p99.9_us": figures(after["whole_s"], 0)["p99.9_us"],
+        "ratio_p99.9": own["p99.9_us"] / bare["p99.9_us"],
+        "predicted": predicted,
     }
 
 
 def main() -> None:
-    """Print or write the JSON."""
+    """Run cases and write the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--bus", default="udp:", help="bus URL")
-    parser.add_argument("--seconds", type=float, default=600.0)
-    parser.add_argument("--json", default="-", metavar="FILE", help="- for standard output")
+    parser.add_argument("--case", choices=CASES, action="append", help="this one; once for each")
+    parser.add_argument("--seconds", type=float, help="instead of the case's own")
+    parser.add_argument("--json", type=Path, default=RESULTS, metavar="FILE")
     arguments = parser.parse_args()
-    to = Answer(arguments.json)
-    to.write(measure(arguments.bus, arguments.seconds))
+    results = json.loads(arguments.json.read_text()) if arguments.json.exists() else {}
+    for name in arguments.case or CASES:
+        case = CASES[name]
+        with tempfile.TemporaryDirectory() as folder:
+            results[name] = measure(Case(case.rate_Hz, arguments.seconds or case.seconds, case.load), Path(folder))
+        arguments.json.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+        print(name, json.dumps(results[name], indent=2))
 
 
 if __name__ == "__main__":

@@ -109,6 +109,10 @@ def open_bus(url: str, bitrate: int) -> can.BusABC:
             from drivers.udp_bus import UdpBus
 
             return UdpBus(str(parsed.channel), **arguments)
+        if parsed.interface == "socketcan":
+            from drivers.socketcan_bus import SocketcanBus
+
+            return SocketcanBus(str(parsed.channel))
         return can.Bus(interface=parsed.interface, channel=parsed.channel, ignore_config=True, **arguments)
     except Exception as error:  # back ends raise whatever their vendor's library does, NameError of a missing library included
         reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
