@@ -55,6 +55,7 @@ SWEEP = ("--axis", "roll", "--from", "20", "--to", "40", "--speed", "10", "--dwe
 SWEEP_S = 3.6  # how long such a sweep takes, roughly
 DAMPING = "0.05"
 DOCTOR_S = 60.0
+ANSWERED_SHARE = 0.95  # least share of ticks of the bare loop in which every node answers
 
 
 @dataclass(frozen=True)
@@ -71,28 +72,29 @@ CASES = {"quiet": Case(256.0, 600.0), "loaded": Case(256.0, 600.0, 8), "fast": C
 
 def prepared(rate_Hz: float, folder: Path) -> Path:
     """Return the machine file; beside it stand the observer and the shaper of its roll axis."""
+    file = folder / f"carm_{rate_Hz:g}_Hz.toml"
+    if file.exists():
+        return file
     machine = load_machine("carm")
     if rate_Hz != machine.sample_rate_Hz:
         machine = machine_from_text(converted_text(machine, rate_Hz)[0])
     scan = emulated_recording(machine, Scan("roll", -0.5, 0.5, 0.5).plans(machine)[0], 60)
     design = emulated_design(machine, [scan])
-    write_design(design, folder / "observer.npz")
+    write_design(design, folder / f"observer_{rate_Hz:g}_Hz.npz")
     still = emulated_recording(machine, Static(2.0).plans(machine)[0], 1)
     observe(still, design.observer())  # compiled before anything is timed
     text = re.sub(r"(?m)^(overrun|stale)_ticks = \d+", r"\1_ticks = 10000", machine.text)
-    file = folder / "carm.toml"
-    file.write_text(text, encoding="utf-8")
-    subprocess.run(
-        [*ISOCENTER, "shape", str(file), "--axis", "roll", "-o", str(folder / "roll.shaper.npz")], check=True, capture_output=True
-    )
-    return file
+    made = folder / "carm.toml"
+    made.write_text(text, encoding="utf-8")
+    shaper = folder / f"roll_{rate_Hz:g}_Hz.npz"
+    subprocess.run([*ISOCENTER, "shape", str(made), "--axis", "roll", "-o", str(shaper)], check=True, capture_output=True)
+    return made.rename(file)
 
 
 def bare_loop(settings: BusSettings, seconds: float) -> dict[str, object]:
     """Exchange the frames of a bench that holds nothing, for so long; return whole ticks [s] and how many were missed."""
     bus = open_bus(BUS, settings.bitrate_bit_s)
     machine = TickingMachine(settings, bus, WallClock())
-    machine.start()
     syncs = can.Message(arbitration_id=settings.sync_cob_id, is_extended_id=False)
     beat = can.Message(arbitration_id=0x700 + settings.master_node_id, is_extended_id=False, data=[5])
     commands = [
@@ -106,7 +108,9 @@ def bare_loop(settings: BusSettings, seconds: float) -> dict[str, object]:
     ticks, missed = round(seconds / period_s), 0
     whole = []
     now = time.perf_counter
+    answered = 0
     with real_time():
+        machine.start()
         began_s, k = now(), 0
         while k < ticks:
             k += 1
@@ -125,6 +129,7 @@ def bare_loop(settings: BusSettings, seconds: float) -> dict[str, object]:
             overdue_s, awaited = now() + timeout_s, set(expected)
             while awaited and (message := bus.recv(max(0.0, overdue_s - now()))) is not None:
                 awaited.discard(message.arbitration_id)
+            answered += not awaited
             for command in commands:
                 bus.send(command)
             if k % every == 0:
@@ -132,6 +137,8 @@ def bare_loop(settings: BusSettings, seconds: float) -> dict[str, object]:
             whole.append(now() - due_s)
     machine.close()
     bus.shutdown()
+    if answered < ANSWERED_SHARE * len(whole):
+        raise SystemExit(f"only {answered} of {len(whole)} SYNCs of the bare loop were answered in time: no comparison")
     return {"whole_s": np.array(whole), "missed": missed}
 
 
@@ -139,7 +146,9 @@ def bench(file: Path, folder: Path, seconds: float) -> dict[str, object]:
     """Sweep under shaper, observer and damping for so long; return the same of the bench, and its scheduler."""
     recorded, answer = folder / "run.mf4", folder / "answer.json"
     words = ["run", "scan", "-m", str(file), "-b", BUS, "--pose", "roll=20", *SWEEP, "--sweeps", str(max(1, round(seconds / SWEEP_S)))]
-    words += ["--shaper", str(folder / "roll.shaper.npz"), "--observer", str(folder / "observer.npz"), "--damping", DAMPING]
+    rate = file.stem.removeprefix("carm_")
+    words += ["--shaper", str(file.with_name(f"roll_{rate}.npz")), "--observer", str(file.with_name(f"observer_{rate}.npz"))]
+    words += ["--damping", DAMPING]
     done = subprocess.run([*ISOCENTER, *words, "-o", str(recorded), "--json", str(answer)], check=False, capture_output=True, text=True)
     if not recorded.exists() or not answer.exists():
         raise SystemExit(done.stderr)
@@ -192,9 +201,9 @@ def figures(whole_s: np.ndarray, missed: int) -> dict[str, float]:
     return {"ticks": len(whole_s), "missed": missed, "p50_us": p50, "p99_us": p99, "p99.9_us": p999, "max_us": whole_s.max() * 1e6}
 
 
-def measure(case: Case, folder: Path) -> dict[str, object]:
-    """Run one case."""
-    file = prepared(case.rate_Hz, folder)
+def measure(case: Case, folder: Path, kept: Path) -> dict[str, object]:
+    """Run one case, with machine file, observer and shaper from a folder where they are kept."""
+    file = prepared(case.rate_Hz, kept)
     machine: Machine = load_machine(file)
     assert machine.bus is not None
     load_before, (stolen, all_of_it) = os.getloadavg(), processor_times()
@@ -235,13 +244,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--case", choices=CASES, action="append", help="this one; once for each")
     parser.add_argument("--seconds", type=float, help="instead of the case's own")
+    parser.add_argument("--prepared", type=Path, metavar="DIR", help="keep machine files, observers and shapers there for the next time")
     parser.add_argument("--json", type=Path, default=RESULTS, metavar="FILE")
     arguments = parser.parse_args()
     results = json.loads(arguments.json.read_text()) if arguments.json.exists() else {}
     for name in arguments.case or CASES:
         case = CASES[name]
         with tempfile.TemporaryDirectory() as folder:
-            results[name] = measure(Case(case.rate_Hz, arguments.seconds or case.seconds, case.load), Path(folder))
+            kept = arguments.prepared or Path(folder)
+            kept.mkdir(parents=True, exist_ok=True)
+            results[name] = measure(Case(case.rate_Hz, arguments.seconds or case.seconds, case.load), Path(folder), kept)
         arguments.json.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
         print(name, json.dumps(results[name], indent=2))
 

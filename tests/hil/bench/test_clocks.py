@@ -153,3 +153,38 @@ def test_a_clock_that_waits_loses_no_tick_and_shifts_the_later_ones(watch: Watch
     clock.wait_tick()
     assert watch.now_s == pytest.approx(start_s + 5 * PERIOD_S, abs=1e-5)
     assert clock.missed == 0
+
+
+class Sender:
+    """Gives a tick at its time; waiting for it takes until then, or the whole time-out."""
+
+    def __init__(self, watch: Watch, at_s: float) -> None:
+        self.watch, self.at_s, self.asleep_s = watch, at_s, 0.0
+
+    def comes(self, timeout_s: float) -> bool:
+        waits_s = min(timeout_s, max(0.0, self.at_s - self.watch.now_s))
+        self.watch.now_s += waits_s
+        self.asleep_s += waits_s
+        return self.watch.now_s >= self.at_s
+
+
+def test_a_tick_of_others_is_awaited_asleep_until_shortly_before_it_is_due_and_then_awake(watch: Watch) -> None:
+    clock, start_s = ticking(watch)
+    clock.awake_s = 1e-3
+    held: list[float] = []
+    clock.rehearsals.append(lambda: held.append(watch.now_s - start_s))
+    sender = Sender(watch, start_s + PERIOD_S + 1e-4)
+    assert clock.await_tick(sender.comes, start_s + PERIOD_S, 8 * PERIOD_S)
+    assert clock.tick_began_s == pytest.approx(start_s + PERIOD_S + 1e-4, abs=5e-6)
+    assert sender.asleep_s == pytest.approx(PERIOD_S - SPUN_s, abs=5e-6)
+    assert held == [pytest.approx(PERIOD_S - SPUN_s, abs=5e-6)]
+
+
+def test_a_tick_of_others_that_is_late_is_awaited_asleep_and_one_that_stays_away_is_told(watch: Watch) -> None:
+    clock, start_s = ticking(watch)
+    late = Sender(watch, start_s + 5 * PERIOD_S)
+    assert clock.await_tick(late.comes, start_s + PERIOD_S, 8 * PERIOD_S)
+    assert not clock.await_tick(Sender(watch, float("inf")).comes, watch.now_s + PERIOD_S, 8 * PERIOD_S)
+    assert watch.now_s == pytest.approx(start_s + 14 * PERIOD_S, abs=5e-5)
+    clock.lose(3)
+    assert clock.missed == 3
