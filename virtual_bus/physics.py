@@ -13,7 +13,7 @@ from virtual_bus.plant.drives import DRIVE_STATES
 from virtual_bus.plant.linearise import linearised
 from virtual_bus.plant.statics import holding_effort, resting_state
 from virtual_bus.sensors.effects import ANY, new_memory
-from virtual_bus.sensors.measure import compiled_sensors, new_readings, noise_rms, sensor_model
+from virtual_bus.sensors.measure import PlainSensors, Readings, compiled_sensors, new_readings, noise_rms, sensor_model
 from virtual_bus.settings import PlantSettings
 
 if TYPE_CHECKING:
@@ -56,14 +56,15 @@ class Physics:
         self._work = self.plant.new_work()
         self._sensors = compiled_sensors()
         self._sensor_model = sensor_model(settings)
+        plain = PlainSensors(*(getattr(self._sensor_model, name) for name in PlainSensors._fields))
+        self._plain_sensors = None if self._sensor_model.switches[ANY] else plain
         self._memory = new_memory(settings)
-        self._readings = new_readings(settings)
         self._imu = np.zeros(6 * len(settings.imus))
         self._noise = _Noise(settings, seed) if noise else None
         self._no_noise = np.zeros(len(self.axes) + 6 * len(settings.imus))
         self._drawn: np.ndarray | None = None  # the noise of this sample, once something has been measured with it
         self._prepared: tuple[bytes, bytes] | None = None  # effort and brakes under which `_latched` holds this sample already
-        self._latched = _new_latched(settings)
+        self._latched, self._readings = _latched_readings(settings)
         self._effort = np.zeros(len(self.axes))
         self._currents = np.zeros(len(self.axes))
         self._brakes = np.zeros(len(self.axes))
@@ -171,17 +172,14 @@ class Physics:
         self.plant.imu_reading(self._state, self._effort, self._brakes, self.model, self._work, self._imu)
         self.plant.drive_currents(self._state, self._effort, self.model, self._currents)
         readings, latched = self._readings, self._latched
-        self._sensors.measure(
-            self._state, self._currents, self._temperature_rise, self._imu, noise, self._sensor_model, self._memory, readings
-        )
+        true = self._state, self._currents, self._temperature_rise, self._imu, noise
+        if self._plain_sensors is not None:
+            self._sensors.measure_plain(*true, *self._plain_sensors, *readings)
+        else:
+            self._sensors.measure(*true, self._sensor_model, self._memory, readings)
         sensors, count = self._sensor_model, self._sensors.count
         count(readings.position, sensors.position_resolution, self._zero_counts, latched.position_counts)
         count(readings.link_position, sensors.link_resolution, self._no_counts, latched.link_counts)
-        latched.position[:] = readings.position
-        latched.link_position[:] = readings.link_position
-        latched.effort[:] = readings.effort
-        latched.imu[:] = readings.imu if len(readings.imu) else np.nan
-        latched.temperature_degC[:] = readings.temperature_degC
         return latched
 
     def advance(self) -> None:
@@ -243,11 +241,11 @@ class _Noise:
         return drawn
 
 
-def _new_latched(settings: PlantSettings) -> Latched:
-    axes = len(settings.drives)
-
-    def counts() -> np.ndarray:
-        return np.zeros(axes, dtype=np.int64)
-
-    imu = np.zeros(max(6 * len(settings.imus), 6))
-    return Latched(counts(), counts(), np.zeros(axes), np.zeros(axes), np.zeros(axes), imu, np.zeros(axes))
+def _latched_readings(settings: PlantSettings) -> tuple[Latched, Readings]:
+    """Return what a latch hands out, and the same arrays as `measure` fills them."""
+    readings = new_readings(settings)
+    counts = np.zeros((2, len(settings.drives)), dtype=np.int64)
+    imu = readings.imu if settings.imus else np.full(6, np.nan)
+    return Latched(
+        counts[0], counts[1], readings.position, readings.link_position, readings.effort, imu, readings.temperature_degC
+    ), readings

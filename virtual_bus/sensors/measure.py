@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import inspect
 import sys
+from collections import namedtuple
 from collections.abc import Sequence
 from types import ModuleType
 from typing import NamedTuple
@@ -56,6 +57,10 @@ class SensorModel(NamedTuple):
     temperature_resolution: np.ndarray  # (axes,) K
     switches: np.ndarray  # (6,) which kinds of effects there are, see ANY to DROPOUTS of effects.py
     effects: SensorEffects
+
+
+PlainSensors = namedtuple("PlainSensors", SensorModel._fields[: SensorModel._fields.index("switches")])  # type: ignore[misc]
+"""The same without effects, for `measure_plain`."""
 
 
 class Readings(NamedTuple):
@@ -238,6 +243,13 @@ def measure(state, effort, temperature_rise, imu_reading, noise, sensors, memory
 
 
 @compiled_and_cached
+def measure_plain(state, effort, temperature_rise, imu_reading, noise, OWN, READ):
+    # without effects and with every array by itself: a tuple of arrays costs twice as much to hand over as its arrays
+    sensors, readings = _sensors.PlainSensors(OWN), _sensors.Readings(READ)
+    _sensors.measure(state, effort, temperature_rise, imu_reading, noise, sensors, readings)
+
+
+@compiled_and_cached
 def remember(sensors, memory):
     if sensors.switches[0]:
         _effects.remember(sensors.effects, memory)
@@ -264,5 +276,7 @@ def sensor_sources() -> str:
 
 
 def compiled_sensors() -> ModuleType:
-    """Return the module with `start`, `measure`, `count`, `remember` and `warm_up`, compiled once and cached."""
-    return load_generated("sensors", ENTRY_POINTS.replace("EFFECTS", compiled_effects().__name__), sensor_sources())
+    """Return the module with `start`, `measure`, `measure_plain`, `count`, `remember` and `warm_up`, compiled once and cached."""
+    text = ENTRY_POINTS.replace("EFFECTS", compiled_effects().__name__)
+    text = text.replace("OWN", ", ".join(PlainSensors._fields)).replace("READ", ", ".join(f"read_{name}" for name in Readings._fields))
+    return load_generated("sensors", text, sensor_sources())
