@@ -13,7 +13,7 @@ from virtual_bus.plant.drives import DRIVE_STATES
 from virtual_bus.plant.linearise import linearised
 from virtual_bus.plant.statics import holding_effort, resting_state
 from virtual_bus.sensors.effects import ANY, new_memory
-from virtual_bus.sensors.measure import PlainSensors, Readings, compiled_sensors, new_readings, noise_rms, sensor_model
+from virtual_bus.sensors.measure import Readings, compiled_sensors, new_readings, noise_rms, plain_sensors, sensor_model
 from virtual_bus.settings import PlantSettings
 
 if TYPE_CHECKING:
@@ -56,8 +56,7 @@ class Physics:
         self._work = self.plant.new_work()
         self._sensors = compiled_sensors()
         self._sensor_model = sensor_model(settings)
-        plain = PlainSensors(*(getattr(self._sensor_model, name) for name in PlainSensors._fields))
-        self._plain_sensors = None if self._sensor_model.switches[ANY] else plain
+        self._plain_sensors = plain_sensors(self._sensor_model)
         self._memory = new_memory(settings)
         self._imu = np.zeros(6 * len(settings.imus))
         self._noise = _Noise(settings, seed) if noise else None

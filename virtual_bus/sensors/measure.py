@@ -59,7 +59,8 @@ class SensorModel(NamedTuple):
     effects: SensorEffects
 
 
-PlainSensors = namedtuple("PlainSensors", SensorModel._fields[: SensorModel._fields.index("switches")])  # type: ignore[misc]
+PLAIN = SensorModel._fields[: SensorModel._fields.index("switches")]
+PlainSensors = namedtuple("PlainSensors", PLAIN)  # type: ignore[misc]
 """The same without effects, for `measure_plain`."""
 
 
@@ -97,6 +98,11 @@ def with_effects(own: SensorModel, settings: PlantSettings, effects: Sequence[Ef
         return own
     added = sensor_effects(settings, effects)
     return own._replace(switches=added.switches, effects=added)
+
+
+def plain_sensors(model: SensorModel) -> tuple[np.ndarray, ...] | None:
+    """Return the arrays that `measure_plain` takes; None where the sensors have effects."""
+    return None if model.switches[effects.ANY] else tuple(getattr(model, name) for name in PLAIN)
 
 
 def new_readings(settings: PlantSettings) -> Readings:
@@ -278,5 +284,5 @@ def sensor_sources() -> str:
 def compiled_sensors() -> ModuleType:
     """Return the module with `start`, `measure`, `measure_plain`, `count`, `remember` and `warm_up`, compiled once and cached."""
     text = ENTRY_POINTS.replace("EFFECTS", compiled_effects().__name__)
-    text = text.replace("OWN", ", ".join(PlainSensors._fields)).replace("READ", ", ".join(f"read_{name}" for name in Readings._fields))
+    text = text.replace("OWN", ", ".join(PLAIN)).replace("READ", ", ".join(f"read_{name}" for name in Readings._fields))
     return load_generated("sensors", text, sensor_sources())
