@@ -84,6 +84,7 @@ class Bench:
     scheduling: Scheduling
     pose: np.ndarray  # (n_axes,) where the machine stands
     commissioning: tuple[str, ...] = ()
+    judged: tuple[str, ...] = ()  # what was found of the sensors on the last way that was not recorded, a line each
     observer: LiveObserver | None = None
 
     def __post_init__(self) -> None:
@@ -134,7 +135,8 @@ class Bench:
                 link.set_profiles(profiles)
                 link.enable()
                 link.release_brakes(self._rest_still)
-                link.go_to(pose.tolist(), profiles, self._rest_still)
+                link.go_to(pose.tolist(), profiles, self._judging())
+                self._tell_of_sensors()
                 link.close_brakes(self._rest_still)
                 self._see_pose()
             return self.pose
@@ -143,6 +145,7 @@ class Bench:
             link.watch.lead()
             for leg in (self._bridge_to(way[0] if way else stay), *way):
                 self.loop.run(leg)
+                self._tell_of_sensors()
             self._settle(stay)
             self.pose = pose.copy()
             link.close_brakes(self._holding())
@@ -151,6 +154,32 @@ class Bench:
 
     def _rest_still(self, sample: Sample) -> np.ndarray:
         return self._still
+
+    def _tell_of_sensors(self) -> None:
+        """Add to `judged` what the phase that has ended, of which no row is recorded, has found of the sensors."""
+        findings = () if self.loop.judge is None else self.loop.judge.findings
+        lines = (f"{finding.sensor}: {finding.says}" for finding in findings)
+        self.judged = tuple(dict.fromkeys((*self.judged, *lines)))
+
+    def _judging(self) -> Callable[[Sample], np.ndarray]:
+        """Return the function that judges the sensors by a sample, in a phase in which drives go by themselves; no effort is commanded.
+
+        It raises MotionRefusedError where they stop the motors.
+        """
+        judge, clock, period_s = self.loop.judge, self.wiring.clock, self.wiring.link.period_s
+        ticks = seen = 0
+        missed = clock.missed
+
+        def hold(sample: Sample) -> np.ndarray:
+            nonlocal ticks, seen, missed
+            ticks, missed = ticks + 1 + clock.missed - missed, clock.missed
+            if judge is not None and not sample.unanswered:
+                seen, passed, ticks = seen + ticks, ticks, 0
+                if reason := judge.step(sample, passed, seen * period_s):
+                    raise MotionRefusedError(reason)
+            return self._still
+
+        return hold
 
     def _by_itself(self) -> list[str]:
         """Return the axes whose drives go to poses by themselves."""
@@ -250,6 +279,7 @@ class Bench:
         """Commission the nodes, drives disabled and brakes closed; stop and reset them on the way out in any case."""
         link, events = self.wiring.link, self.wiring.link.events
         events.begin()
+        self.judged = ()
         if self.loop.judge is not None:
             self.loop.judge.begin()
         with contextlib.ExitStack() as stack:

@@ -88,12 +88,16 @@ def move(
         for axis, value in goal.items():
             pose[machine.axis_index(axis)] = value
         reached = dict(zip(machine.axes, bench.move(pose).tolist(), strict=True))
-        notes = bench.wiring.link.remarks
+        notes, judged = bench.wiring.link.remarks, bench.judged
     for note in notes:
         answer.say(note)
     for units in machine.units:
         answer.say(f"{units.axis}: at {reached[units.axis]:+.5f} {units.position}, brakes closed")
-    answer.write({"machine": machine.name, "bus": bus, "position": reached, "checks": bench.commissioning, "notes": notes})
+    found = {"checks": bench.commissioning, "notes": notes, "judged": judged}
+    answer.write({"machine": machine.name, "bus": bus, "position": reached, **found})
+    if judged:
+        answer.say(f"sensors not to be believed: {'; '.join(judged)}")
+        raise typer.Exit(1)
 
 
 def stop(bus: BusOption, json_to: JsonOption = None) -> None:
