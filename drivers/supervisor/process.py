@@ -25,8 +25,7 @@ from drivers.supervisor.supervisor import NMT, NMT_STOP, Supervisor
 
 HELD_UP_ROUNDS = 8.0  # of a round's time, after which the process was held up: frames have come together meanwhile
 MOST_FRAMES = 64  # taken in a round, those of 9 ticks: who judges with frames unread calls a bus silent, who never does is silent itself
-LINGERS_S = 2.0
-"""Time for which it goes on judging after the loop's process is gone."""
+LINGERS_S = 2.0  # for which it goes on judging after the loop's process is gone
 
 
 def supervise(
@@ -185,9 +184,8 @@ class _Rounds:
         self._orders.read(self._told)
         if self._told[WANTED_SESSION] != session:
             (self._supervisor.begin if self._told[WANTED_SESSION] > 0.0 else self._supervisor.end)()
-        self._who = self._who or self._asks.asked(self._seen)
+        self._who = self._asks.asked(self._seen) or self._who
         if self._who:
-            self._asks.asked(self._seen)
             self._supervisor.ask_to_stop(time.monotonic(), self._who)
             self._values[ASKED] = 1.0
 

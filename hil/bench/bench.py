@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from drivers.canopen.profile_moves import Profile
 from drivers.errors import DriverError, MotionRefusedError
 from drivers.interface import Sample
 from hil.bench.audit_trail import events_table, write_events
@@ -131,11 +130,9 @@ class Bench:
         way, stay = self._way_to(pose)  # refuses a pose that is out of range
         if by_itself:
             with self._session():
-                profiles = [Profile(limit.speed, limit.acceleration, limit.tracking_error) for limit in self.machine.limits]
-                link.set_profiles(profiles)
                 link.enable()
                 link.release_brakes(self._rest_still)
-                link.go_to(pose.tolist(), profiles, self._judging())
+                link.go_to(pose.tolist(), self._judging())
                 self._tell_of_sensors()
                 link.close_brakes(self._rest_still)
                 self._see_pose()

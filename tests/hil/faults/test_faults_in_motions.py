@@ -37,9 +37,7 @@ def test_a_homing_run_that_moves_nothing_is_refused() -> None:
         motion_of(CARM, "roll", "homing")
 
 
-@pytest.mark.parametrize(
-    ("machine", "motion", "fastest"), [(BY_ITSELF, "move", np.radians(60.0)), (AT_SWITCH, "homing", np.radians(5.0))]
-)
+@pytest.mark.parametrize(("machine", "motion", "fastest"), [(BY_ITSELF, "move", np.radians(60.0)), (AT_SWITCH, "homing", np.radians(5.0))])
 def test_faults_come_near_the_motions_greatest_speed_and_are_stopped(
     machine: Machine, motion: MotionName, fastest: float, tmp_path: Path
 ) -> None:
