@@ -126,7 +126,11 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("judged", "list of text", "What was found of the sensors on the way."),
         Entry("checks", "list of text", "What homing checked, in order."),
     ),
-    "home": (Entry("machine, bus", "text", "Machine and bus."), Entry("checks", "list of text", "What was checked, in order.")),
+    "home": (
+        Entry("machine, bus", "text", "Machine and bus."),
+        Entry("checks", "list of text", "What was checked, in order."),
+        Entry("judged", "list of text", "What was found of the thermometers."),
+    ),
     "simulate": (
         Entry("simulation, rows", "text, number", "The file that was written, and its rows."),
         Entry("effects", "list", "Physics that was added: `name`, `at`, `parameters`."),

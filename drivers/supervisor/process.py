@@ -184,8 +184,9 @@ class _Rounds:
         self._orders.read(self._told)
         if self._told[WANTED_SESSION] != session:
             (self._supervisor.begin if self._told[WANTED_SESSION] > 0.0 else self._supervisor.end)()
-        self._who = self._asks.asked(self._seen) or self._who
+        self._who = self._who or self._asks.asked(self._seen)
         if self._who:
+            self._asks.asked(self._seen)
             self._supervisor.ask_to_stop(time.monotonic(), self._who)
             self._values[ASKED] = 1.0
 

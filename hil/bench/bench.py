@@ -89,6 +89,9 @@ class Bench:
     def __post_init__(self) -> None:
         """Prepare the command of zero effort."""
         self._still = np.zeros(len(self.machine.axes))
+        self.wiring.link.judged = self._judges
+        self._led = False  # whether drives go by themselves
+        self._unjudged = self._missed = 0  # ticks since the sensors were judged, and the clock's lost ones by then
 
     def commission(self) -> tuple[str, ...]:
         """Boot, then check the first move, home and check encoder agreement of every axis; return the findings, a line each.
@@ -100,6 +103,7 @@ class Bench:
         """
         with self._session():
             self._see_pose()
+            self._tell_of_sensors()
             return self.commissioning
 
     def move(self, pose: np.ndarray) -> np.ndarray:
@@ -132,7 +136,9 @@ class Bench:
             with self._session():
                 link.enable()
                 link.release_brakes(self._rest_still)
-                link.go_to(pose.tolist(), self._judging())
+                self._led = True
+                link.go_to(pose.tolist(), self._rest_still)
+                self._led = False
                 self._tell_of_sensors()
                 link.close_brakes(self._rest_still)
                 self._see_pose()
@@ -158,25 +164,14 @@ class Bench:
         lines = (f"{finding.sensor}: {finding.says}" for finding in findings)
         self.judged = tuple(dict.fromkeys((*self.judged, *lines)))
 
-    def _judging(self) -> Callable[[Sample], np.ndarray]:
-        """Return the function that judges the sensors by a sample, in a phase in which drives go by themselves; no effort is commanded.
-
-        It raises MotionRefusedError where they stop the motors.
-        """
-        judge, clock, period_s = self.loop.judge, self.wiring.clock, self.wiring.link.period_s
-        ticks = seen = 0
-        missed = clock.missed
-
-        def hold(sample: Sample) -> np.ndarray:
-            nonlocal ticks, seen, missed
-            ticks, missed = ticks + 1 + clock.missed - missed, clock.missed
-            if judge is not None and not sample.unanswered:
-                seen, passed, ticks = seen + ticks, ticks, 0
-                if reason := judge.step(sample, passed, seen * period_s):
-                    raise MotionRefusedError(reason)
-            return self._still
-
-        return hold
+    def _judges(self, sample: Sample) -> str:
+        """Judge the sensors in a tick that the link makes by itself; return why they stop the motors, or ''."""
+        judge, link, missed = self.loop.judge, self.wiring.link, self.wiring.clock.missed
+        self._unjudged, self._missed = self._unjudged + 1 + missed - self._missed, missed
+        if judge is None or sample.unanswered:
+            return ""
+        ticks, self._unjudged = self._unjudged, 0
+        return judge.step(sample, ticks, link.syncs * link.period_s, led=self._led)
 
     def _by_itself(self) -> list[str]:
         """Return the axes whose drives go to poses by themselves."""
@@ -276,7 +271,7 @@ class Bench:
         """Commission the nodes, drives disabled and brakes closed; stop and reset them on the way out in any case."""
         link, events = self.wiring.link, self.wiring.link.events
         events.begin()
-        self.judged = ()
+        self.judged, self._led = (), False
         if self.loop.judge is not None:
             self.loop.judge.begin()
         with contextlib.ExitStack() as stack:

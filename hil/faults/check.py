@@ -56,8 +56,9 @@ class TrialOutcome:
     name, kind, at, group, during : of the trial
     verdict : str
         "stopped": the run ended with an error and everything is at rest. "noted": it went on and said something of it. "within tolerance":
-        it ended as if nothing had been, and every position of its recording, or the true one where nothing is recorded, is that of a run
-        without the fault, up to the tolerance of `[judging.encoders]`. "unnoticed": it ended as if nothing had been, and is not that.
+        it ended as if nothing had been, and every position of its recording is that of a run without the fault, up to the tolerance of
+        `[judging.encoders]`; where nothing is recorded: it ended where such a run ends, had gone no further, and knows where it stands.
+        "unnoticed": it ended as if nothing had been, and is not that.
         "cannot be held": brake and drive are both lost, which was said at once. "not at rest": something still moves, or has moved without
         a stop. "never began": the run ended before the fault's time. "did not end".
     exit_status : int
@@ -210,6 +211,7 @@ class _Run:
     troubles: tuple[str, ...] = ()
     said_row: int = 0  # of the truth, when the run had said all
     rows: int = 0
+    pose: np.ndarray = field(default_factory=lambda: np.zeros(0))  # where the bench believes it to stand at the end
     positions: dict[str, np.ndarray] = field(default_factory=dict)  # by channel, of the recording or the truth; empty where it was stopped
 
 
@@ -223,7 +225,7 @@ def _run(machine: Machine, faults: tuple[FaultSetting, ...], motion: Motion) -> 
                 try:
                     notes, judged = motion.make(bench, path)
                     run.lines += (*notes, *judged)
-                    run.status = 1 if judged else 0
+                    run.status, run.pose = 1 if judged else 0, bench.pose
                 finally:
                     run.troubles, run.said_row = tuple(bench.wiring.link.troubles), len(run.motion) - 1
         except _EndlessError:
@@ -240,8 +242,14 @@ def _run(machine: Machine, faults: tuple[FaultSetting, ...], motion: Motion) -> 
             run.rows = len(recording.channels["time"].values)
             run.positions = {name: each.values for name, each in recording.channels.items() if "position_" in name and not run.stopped}
         elif not run.stopped:
-            run.positions = {f"position_{axis}": values for axis, values in zip(machine.axes, run.motion.position.T, strict=True)}
+            ended = zip(machine.axes, run.motion.position.T, run.pose, strict=True)
+            run.positions = {f"position_{axis}": _ends(position, believed) for axis, position, believed in ended}
     return run
+
+
+def _ends(position: np.ndarray, believed: float) -> np.ndarray:
+    """Return how far an axis went either way, where it ended, and how far off the bench believes it to be."""
+    return np.array([position.min(), position.max(), position[-1], position[-1] - believed])
 
 
 def _verdict(trial: FaultTrial, run: _Run, outcome: FaultOutcome | None, *, complete: bool) -> Verdict:

@@ -62,7 +62,30 @@ def test_what_is_found_of_the_sensors_on_a_way_is_told(tmp_path: Path) -> None:
         assert sound.exit_status == 0
 
 
-def test_a_winding_that_is_too_hot_stops_a_drive_that_goes_by_itself(tmp_path: Path) -> None:
-    (hot,) = tried(BY_ITSELF, "move", tmp_path, "thermometer_high/roll/sweep")
-    assert hot.verdict == "stopped"
-    assert "temperature_roll" in hot.said
+@pytest.mark.parametrize(("machine", "motion"), [(BY_ITSELF, "move"), (AT_SWITCH, "homing")])
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("thermometer_high/roll/sweep", "temperature_roll: 150.0 degC, 120.0 are allowed"),
+        ("brake_feedback_stuck_closed/roll/sweep", "roll: its brake reports closed during the motion"),
+    ],
+)
+def test_what_stops_a_run_stops_a_motion_that_nobody_records(
+    machine: Machine, motion: MotionName, name: str, words: str, tmp_path: Path
+) -> None:
+    (outcome,) = tried(machine, motion, tmp_path, name)
+    assert outcome.verdict == "stopped"
+    assert not is_failure(outcome)
+    assert words in outcome.said
+
+
+def test_a_drive_that_hears_no_sync_is_stopped_by_the_end_of_its_communication(tmp_path: Path) -> None:
+    (deaf,) = tried(BY_ITSELF, "move", tmp_path, "node_deaf_to_sync/roll_drive/sweep")
+    assert deaf.budget is not None
+    assert deaf.budget.kept
+
+
+def test_a_reference_that_is_off_does_not_agree_with_the_link(tmp_path: Path) -> None:
+    (shifted,) = tried(AT_SWITCH, "homing", tmp_path, "homing_shifted/roll_drive/start")
+    assert shifted.verdict == "stopped"
+    assert "they differ by" in shifted.said
