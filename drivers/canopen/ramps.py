@@ -41,7 +41,7 @@ def write_ramps(sdo: SdoNode, scaling: AxisScaling, limits: MotionLimits, own: C
     ConfigurationRefusedError
     """
     per_count = scaling.position_resolution
-    wanted = {index: max(1, round(value / per_count)) for index, value in _profile(scaling.mode, limits).items() if isfinite(value)}
+    wanted = {index: max(1, round(value / per_count)) for index, value in speeds_and_ramps(scaling.mode, limits).items() if isfinite(value)}
     if scaling.mode == "profile_position":
         wanted[FOLLOWING_ERROR_TIME] = 0  # ms: at once, as the loop judges the tracking error
     stop = sdo.default(QUICK_STOP) if limits.quick_stop is None else round(limits.quick_stop / per_count)
@@ -58,7 +58,7 @@ def write_ramps(sdo: SdoNode, scaling: AxisScaling, limits: MotionLimits, own: C
     return tuple(notes)
 
 
-def _profile(mode: LoopMode, limits: MotionLimits) -> dict[int, float]:
+def speeds_and_ramps(mode: LoopMode, limits: MotionLimits) -> dict[int, float]:
     """Return speeds and ramps at the joint [rad or m, and per s], by object."""
     if mode == "profile_velocity":
         ramp = RAMP_MARGIN * limits.acceleration

@@ -11,7 +11,7 @@ from bench_machines import CARM, carm_text_in, edited
 
 from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
-from hil.machine import machine_from_text
+from hil.machine import check_machine, machine_from_text
 
 PER_RAD = 4096 * 500 / (2.0 * np.pi)
 SPEED, ACCELERATION, TRACKING = np.radians(60.0) * PER_RAD, np.radians(60.0) * PER_RAD, np.radians(3.0) * PER_RAD
@@ -61,3 +61,11 @@ def test_what_the_machine_file_writes_is_its_own(tmp_path: Path) -> None:
     found = written(edited(r"^\[\[bus\.nodes\.roll_drive\.tpdo\]\]$", f"{own}\\g<0>", carm_text_in("profile_velocity")), tmp_path)
     assert found[0x6083] == 1234
     assert found[0x6084] == pytest.approx(10.0 * ACCELERATION, abs=1.0)
+
+
+@pytest.mark.parametrize(("written", "ok"), [("", True), ("341334", True), ("341333", False)])
+def test_a_ramp_that_is_slower_than_the_reference_fails_the_check(written: str, ok: bool) -> None:
+    own = f"[[bus.nodes.roll_drive.write]]\nindex = 0x6084\nvalue = {written}\n" if written else ""
+    text = edited(r"^\[\[bus\.nodes\.roll_drive\.tpdo\]\]$", f"{own}\\g<0>", carm_text_in("profile_velocity"))
+    found = {finding.values["axis"]: finding.ok for finding in check_machine(machine_from_text(text), poses=9) if finding.name == "ramp"}
+    assert found == {"propeller": True, "roll": ok}
