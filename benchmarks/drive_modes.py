@@ -3,7 +3,10 @@
 For each of torque, velocity and position mode the C-arm runs multisines in each of four poses. The frequency responses from effort to
 encoders and IMU are compared with the linearisation of its equations: how many lines are within their own 95 % bounds. The bounds are
 those of the F distribution, because the covariances have few degrees of freedom. A shaped scan with the observer is compared with its
-simulation, and the encoders of an axis with each other after homing. The fault table is run with the drives in each mode.
+simulation, and the encoders of an axis with each other after homing.
+
+The fault table is run with the drives in each cyclic mode while roll scans; in the profile modes while it is moved to a pose, at its speed
+limit, or at half of it where the loop leads; and while its drive searches a limit switch. Drives in profile modes take no effort here.
 
     python benchmarks/drive_modes.py
 """
@@ -17,8 +20,9 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy.signal
@@ -26,7 +30,7 @@ import scipy.stats
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 
-from bench_machines import CARM, carm_text_in
+from bench_machines import CARM, carm_text_in, homing_at_switch_text
 
 from hil.identification import FrequencyResponse, read_frf
 from hil.machine import Machine, machine_from_text
@@ -35,7 +39,7 @@ from virtual_bus.physics import Physics
 
 RESULTS = Path(__file__).parent / "results" / "drive_modes.json"
 ISOCENTER = [sys.executable, "-m", "hil"]
-MODES = ("torque", "velocity", "position")
+FAILURES = ("not at rest", "did not end", "unnoticed", "never began")
 POSES_deg = ((0.0, 0.0), (0.0, 60.0), (40.0, -30.0), (-60.0, 30.0))
 PROBABILITY = 0.95
 SCAN = ("--axis", "roll", "--from", "-60", "--to", "60", "--speed", "30", "--dwell", "1")
@@ -123,26 +127,74 @@ def homing(mode: str, file: Path, folder: Path) -> dict[str, float]:
     return {"encoders_differ_rad": max(float(number) for number in re.findall(r"differ by (\S+) rad", said))}
 
 
-def faults(mode: str, file: Path, folder: Path) -> dict[str, int]:
-    """Run the whole fault table; return how many rows ended how."""
-    subprocess.run([*ISOCENTER, "faults", "check", file, "-o", folder / "faults"], check=False, stdout=subprocess.DEVNULL)
-    rows = json.loads((folder / "faults" / "faults.json").read_text())["faults"]
-    budgets = [row["budget"] for row in rows if row["budget"]]
+def faults(mode: str, file: Path, folder: Path) -> dict[str, object]:
+    """Run the whole fault table while roll scans."""
+    return tried(file, folder, "scan")
+
+
+def faults_moved(mode: str, file: Path, folder: Path) -> dict[str, object]:
+    """Run the fault table while roll is moved to a pose."""
+    return tried(file, folder, "move")
+
+
+def faults_homing(mode: str, file: Path, folder: Path) -> dict[str, object]:
+    """Run the fault table while roll's drive searches a limit switch."""
+    file.write_text(homing_at_switch_text(file.read_text()))
+    return tried(file, folder, "homing")
+
+
+def tried(file: Path, folder: Path, motion: str) -> dict[str, object]:
+    """Run a fault table; return how many rows ended how."""
+    command = [*ISOCENTER, "faults", "check", file, "-o", folder / "faults", "--while", motion]
+    subprocess.run(command, check=False, stdout=subprocess.DEVNULL)
+    return told(json.loads((folder / "faults" / "faults.json").read_text())["faults"])
+
+
+def told(rows: Sequence[dict[str, Any]]) -> dict[str, object]:
+    """Return how many rows of a fault table ended how, and what is wrong with each that fails."""
+    over = {row["name"]: words for row in rows if (words := over_budget(row["budget"]))}
+    bad = {row["name"]: row["verdict"] for row in rows if row["verdict"] in FAILURES}
+    contradicted = {row["name"]: f"said: {'; '.join(row['contradicted'])}" for row in rows if row["contradicted"]}
     return {
         "rows": len(rows),
         **Counter(row["verdict"].replace(" ", "_") for row in rows),
-        "over_budget": sum(use["time_s"] > use["allowed_s"] or use["travel"] > use["allowed_travel"] for use in budgets),
-        "contradicted": sum(bool(row["contradicted"]) for row in rows),
+        "over_budget": len(over),
+        "contradicted": len(contradicted),
+        "failing": {name: {"what": words} for name, words in (over | contradicted | bad).items()},
     }
+
+
+def over_budget(use: dict[str, Any] | None) -> str:
+    """Return in words what a stop took beyond its budget; '' where it kept it or has none."""
+    if use is None:
+        return ""
+    took = (("time_s", "allowed_s", "s"), ("travel", "allowed_travel", "rad"))
+    over = [
+        f"{'no end' if use[key] is None else f'{use[key]:.2f}'} of {use[allowed]:.2f} {unit}"
+        for key, allowed, unit in took
+        if use[key] is None or use[key] > use[allowed]
+    ]
+    return f"{use['name']}: {', '.join(over)}" if over else ""
+
+
+EXPERIMENTS = multisine, scan, homing, faults
+MEASURES: dict[str, tuple[Callable[[str, Path, Path], dict[str, Any]], ...]] = {
+    "torque": (*EXPERIMENTS, faults_homing),
+    "velocity": EXPERIMENTS,
+    "position": EXPERIMENTS,
+    "profile_velocity": (faults_moved,),
+    "profile_position": (faults_moved,),
+}
+"""By mode. A homing run is the drive's own motion, the same in every mode."""
 
 
 def main() -> None:
     """Measure what the file lacks, and write it after every part."""
     argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     results = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
-    for mode in MODES:
+    for mode, measures in MEASURES.items():
         own = results.setdefault(mode, {})
-        for measure in (multisine, scan, homing, faults):
+        for measure in measures:
             if measure.__name__ in own:
                 continue
             with tempfile.TemporaryDirectory() as name:

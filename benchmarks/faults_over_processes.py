@@ -28,7 +28,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 from most_dangerous import MOST_DANGEROUS
 
-from hil.faults.trials import FAST_SHARE, FaultTrial, standard_scan, trials
+from hil.faults.motion import standard_scan
+from hil.faults.trials import FAST_SHARE, FaultTrial, trials
 from hil.machine import Machine, load_machine
 from hil.machine.faults_file import faults_text
 

@@ -13,7 +13,7 @@ import numpy as np
 from drivers.canopen import power_and_brakes
 from drivers.canopen.cia402 import Mode, State
 from drivers.canopen.first_move_and_homing import commission_axis
-from drivers.canopen.profile_moves import Profile, go_to, write_profile
+from drivers.canopen.profile_moves import go_to
 from drivers.errors import MotionRefusedError
 from drivers.ticking_machine import TickingMachine
 
@@ -109,26 +109,19 @@ class CanMachine(TickingMachine):
             self.watch.stand()
             power_and_brakes.open_brakes(self, range(len(self.axes)), hold)
 
-    def set_profiles(self, profiles: Sequence[Profile]) -> None:
-        """Write how each drive, disabled as yet, is to move by itself."""
-        with self.stopping_on_error():
-            for axis, profile in enumerate(profiles):
-                write_profile(self, axis, profile)
-
-    def go_to(self, targets: Sequence[float], profiles: Sequence[Profile], hold: power_and_brakes.Hold) -> None:
+    def go_to(self, targets: Sequence[float], hold: power_and_brakes.Hold) -> None:
         """Let all drives, in profile position mode and released by `release_brakes`, go to their targets; errors as in `go_to`.
 
         Parameters
         ----------
         targets : (n_axes,) sequence
             [rad or m]
-        profiles : sequence of Profile
         hold : callable
             As in `release_brakes`.
         """
         with self.stopping_on_error():
             self.watch.lead()
-            go_to(self, range(len(self.axes)), targets, profiles, hold)
+            go_to(self, range(len(self.axes)), targets, self.settings.motions, hold)
 
     def close_brakes(self, hold: power_and_brakes.Hold) -> None:
         """Close all brakes while the drives still hold, prove them, disable the drives: the reverse of `release_brakes` and `enable`."""

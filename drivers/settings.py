@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import Literal
 
@@ -94,6 +95,8 @@ class MotionLimits:
     speed: float  # rad/s or m/s
     tracking_error: float  # rad or m: |reference - position|
     stale_ticks: int  # ticks in a row without a position that are bridged
+    acceleration: float = inf  # rad/s^2 or m/s^2 of the reference, and of a drive that goes by itself
+    quick_stop: float | None = None  # rad/s^2 or m/s^2 of the drive's own ramp; None: that of its data sheet, or of the node's writes
 
 
 @dataclass(frozen=True)

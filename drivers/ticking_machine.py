@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import can
@@ -22,7 +22,7 @@ from drivers.canopen.configuration import configure_node
 from drivers.canopen.cyclic import CyclicExchange
 from drivers.canopen.eds import load_object_dictionary
 from drivers.canopen.identity import check_identity
-from drivers.canopen.network import NMT_PRE_OPERATIONAL, NMT_START, PolledNetwork
+from drivers.canopen.network import NMT_PRE_OPERATIONAL, NMT_START, NMT_STOP, PolledNetwork
 from drivers.canopen.process_data import drives
 from drivers.canopen.resting import Resting
 from drivers.canopen.sdo import SdoNode
@@ -104,6 +104,8 @@ class TickingMachine:
         self._ticking = False
         self._ours = False  # nobody else runs this machine; only then may anything be sent, even to stop it
         self._io_lost = ""
+        self.open_brakes: set[str] = set()  # of these axes: they have reported open, and were not told to close since
+        self.judged: Callable[[Sample], str] = lambda sample: ""  # why sensors stop the motors, in ticks that the machine makes by itself
         self._malformed_before = (0, 0, 0, 0)
         self._late_ticks = np.zeros(len(self.axes), dtype=int)  # in a row in which each position came too late
         self.zeros = np.zeros(len(self.axes))  # no effort on any axis
@@ -272,6 +274,10 @@ class TickingMachine:
         """Set the position or velocity that a drive's own loops follow from the next tick on [rad or m; rad/s or m/s]."""
         self._cyclic.outputs[axis].lead_to(target)
 
+    def stop_node(self, axis: int) -> None:
+        """Stop the communication of an axis's drive (NMT), on which it stops by itself as its abort connection option says (6007h)."""
+        self.network.command_nmt(NMT_STOP, self.drives[axis].node_id)
+
     def stand(self, axis: int) -> None:
         """Let a drive's own loops stand: without speed, or, unless it is enabled, at the position where it is."""
         self._cyclic.outputs[axis].stand()
@@ -288,6 +294,7 @@ class TickingMachine:
     def command_brakes(self, open_: dict[str, bool]) -> None:
         """Ask for brakes to open or close; axes without a brake are left out."""
         known = {axis: value for axis, value in open_.items() if self.settings.io is not None and axis in self.settings.io.brake_coils}
+        self.open_brakes.difference_update(known)
         if self._io is not None and known:
             self._io.command_brakes(known)
 
@@ -313,7 +320,8 @@ class TickingMachine:
             return "hold-to-run is not pressed; press and hold it"
         if not sample.door_closed:
             return "the door is open; close it"
-        return ""
+        closed = [axis for axis, is_open in zip(self.axes, sample.brakes_open, strict=True) if axis in self.open_brakes and not is_open]
+        return f"{', '.join(closed)}: its brake reports closed during the motion" if closed else ""
 
     def sdo(self, axis: int) -> SdoNode:
         """Return the object dictionary of an axis' drive."""

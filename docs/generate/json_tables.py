@@ -72,7 +72,7 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
     ),
     "faults check": (
         Entry("machine, hash, software", "text", "What was tried, and with which version."),
-        Entry("axis, speed, unit, rows", "text, number, text, number", "The sweep of every run."),
+        Entry("axis, motion, speed, unit, rows", "text, text, number, text, number", "What moved in every run, and its greatest speed."),
         Entry("verdicts", "object", "How many faults ended how."),
         Entry("processor_s", "number", "Processor time of all runs."),
         Entry(
@@ -123,9 +123,14 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("machine, bus", "text", "Machine and bus."),
         Entry("position", "object", "Where each axis stands [rad or m]."),
         Entry("notes", "list of text", "What an operator should know of nodes and bus."),
+        Entry("judged", "list of text", "What was found of the sensors on the way."),
         Entry("checks", "list of text", "What homing checked, in order."),
     ),
-    "home": (Entry("machine, bus", "text", "Machine and bus."), Entry("checks", "list of text", "What was checked, in order.")),
+    "home": (
+        Entry("machine, bus", "text", "Machine and bus."),
+        Entry("checks", "list of text", "What was checked, in order."),
+        Entry("judged", "list of text", "What was found of the thermometers."),
+    ),
     "simulate": (
         Entry("simulation, rows", "text, number", "The file that was written, and its rows."),
         Entry("effects", "list", "Physics that was added: `name`, `at`, `parameters`."),

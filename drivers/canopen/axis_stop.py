@@ -81,6 +81,8 @@ class AxisStop:
         Both for the next tick, in the drive's unit.
     orders_brake : bool
         Whether the brake is to be told to close; whoever tells it clears this.
+    orders_node : bool
+        Whether the communication of a drive that answers no SYNC is to be stopped, on which it stops itself (6007h); cleared likewise.
     asks_for_torque : bool
         Whether the drive must be brought into cyclic synchronous torque mode for the proof; answered by `torque_mode`.
     """
@@ -100,9 +102,8 @@ class AxisStop:
         self.axis, self.name = axis, scaling.axis
         self.controlword = cia402.QUICK_STOP
         self.effort = 0.0
-        self.orders_brake = self.asks_for_torque = False
-        self._unit = scaling.position_unit
-        self._period_s = period_s
+        self.orders_brake = self.orders_node = self.asks_for_torque = False
+        self._unit, self._period_s = scaling.position_unit, period_s
         self._braked, self._takes_torque, self._pushes = braked, takes_torque, pushes
         self._flicker = STANDSTILL_COUNTS * scaling.position_resolution
         self._apart = STANDING_SHARE * limits.tracking_error
@@ -110,13 +111,11 @@ class AxisStop:
         self._push, self._travel = homing.direction_check_effort, homing.direction_check_travel
         self._motor, self._link = _Path(self._in_ticks(SWING_S)), _Path(self._in_ticks(SWING_S))
         self._marked: _Path | None = None  # by which the proof of the brake is judged
-        self._anchor, self._still_ticks = nan, 0
-        self._held_effort = nan
+        self._anchor, self._held_effort, self._still_ticks = nan, nan, 0
         self._silent = self._lost = 0  # ticks without a statusword, without any position
         self._state = State.UNDEFINED
         self._closed: bool | None = None  # what the brake's feedback says; None: nobody knows
-        self._proof = ""
-        self._held_for = self._held_because = ""
+        self._proof = self._held_for = self._held_because = ""
         self._retries, self._watched = False, True
         self._rest: AxisRest | None = None
         self._ticks = self._all_ticks = 0
@@ -267,6 +266,7 @@ class AxisStop:
     def _closing(self) -> None:
         """Wait for brake and standstill; the drive holds meanwhile, if it can."""
         self.controlword, self.effort = cia402.QUICK_STOP, 0.0
+        self.orders_node |= self._silent == self._in_ticks(ANSWER_S)
         if not self._flickers() and (self._closed or not self._braked) and self._stands():
             if self._state is State.QUICK_STOP_ACTIVE:
                 self._go(self._swinging)

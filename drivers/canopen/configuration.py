@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from math import inf
 
+from drivers.canopen.ramps import write_ramps
 from drivers.canopen.sdo import SdoNode
 from drivers.canopen.supervision import HEARTBEAT_TOLERANCE
 from drivers.errors import ConfigurationRefusedError
@@ -81,6 +82,7 @@ def configure_node(sdo: SdoNode, node: Node, settings: BusSettings, scaling: Axi
             notes += _set_interpolation_time(sdo, settings)
     if scaling is not None:
         _configure_scaling(sdo, scaling, own_writes)
+        notes += write_ramps(sdo, scaling, next(each for each in settings.motions if each.axis == scaling.axis), own_writes)
     for index, subindex, value in node.writes:
         sdo.write_checked(index, subindex, value)
     return tuple(notes)

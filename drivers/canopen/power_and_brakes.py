@@ -49,6 +49,8 @@ class Machine(Protocol):
     sample: Sample
     watch: MotionWatch
     modes: list[Mode | None]  # of the drives, None where the bench has chosen none
+    open_brakes: set[str]  # of these axes: one that reports closed before it is told to is refused
+    judged: Callable[[Sample], str]  # why sensors stop the motors, in words; '' where they do not
     notes: tuple[str, ...]  # what an operator should know of the nodes
 
     def exchange(self, command: np.ndarray) -> Sample:
@@ -239,13 +241,13 @@ def tick(machine: Machine, command: np.ndarray) -> Sample:
     DeviceFaultError
         A node reported a fault; the message gives it in words.
     MotionRefusedError
-        Hold-to-run was released, the door was opened, or the I/O has gone silent; an axis moves beyond its bounds, or its position is
-        unknown.
+        Hold-to-run was released, the door was opened, or the I/O has gone silent; an open brake reports closed; an axis moves beyond its
+        bounds, or its position is unknown; a sensor stops the motors.
     """
     sample = machine.exchange(command)
     if sample.fault:
         raise DeviceFaultError(sample.fault)
-    refusal = machine.refusal() or machine.watch.check(sample)
+    refusal = machine.refusal() or machine.watch.check(sample) or machine.judged(sample)
     if refusal:
         raise MotionRefusedError(refusal)
     return sample
@@ -265,6 +267,8 @@ def _move_brakes(machine: Machine, axes: Sequence[int], hold: Hold, *, wanted: b
         sample = tick(machine, hold(machine.sample))
         waiting = [machine.axes[axis] for axis in braked if bool(sample.brakes_open[axis]) != wanted]
         if not waiting:
+            if wanted:
+                machine.open_brakes.update(machine.axes[axis] for axis in braked)
             return
         if machine.clock.now() > deadline:
             word = "open" if wanted else "closed"

@@ -4,54 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from drivers.canopen import cia402, power_and_brakes
 from drivers.canopen.power_and_brakes import SETTLED_TICKS, Hold, Machine
 from drivers.errors import BusTimeoutError, MotionRefusedError
+from drivers.settings import MotionLimits
 
 NEW_SET_POINT, CHANGE_AT_ONCE = 1 << 4, 1 << 5  # of the controlword
 TARGET_REACHED, SET_POINT_ACKNOWLEDGED, FOLLOWING_ERROR = 1 << 10, 1 << 12, 1 << 13  # of the statusword
-MAX_PROFILE_VELOCITY, PROFILE_VELOCITY, PROFILE_ACCELERATION, PROFILE_DECELERATION = 0x607F, 0x6081, 0x6083, 0x6084
-FOLLOWING_ERROR_WINDOW = 0x6065
 ACKNOWLEDGED_S = 0.5  # a drive takes a set-point within ticks
 STANDS_S, STANDING_COUNTS = 0.25, 4.0  # without more motion than this for so long, it stands
 SETTLES_S = 5.0  # beyond the profile's own time, until the drive says that its target is reached
 
 
-@dataclass(frozen=True)
-class Profile:
-    """How a drive moves by itself, at the joint."""
-
-    speed: float  # rad/s or m/s
-    acceleration: float  # rad/s^2 or m/s^2
-    following_error: float  # rad or m, at which the drive stops
-
-
-def write_profile(machine: Machine, axis: int, profile: Profile) -> None:
-    """Write speed, ramps and following error to the objects that the drive has, in the standard's default units, counts and seconds."""
-    sdo, per_count = machine.sdo(axis), machine.scalings[axis].position_resolution
-    speed, ramp = (max(1, round(value / per_count)) for value in (profile.speed, profile.acceleration))
-    values = (
-        (MAX_PROFILE_VELOCITY, speed),
-        (PROFILE_VELOCITY, speed),
-        (PROFILE_ACCELERATION, ramp),
-        (PROFILE_DECELERATION, ramp),
-        (FOLLOWING_ERROR_WINDOW, max(1, round(profile.following_error / per_count))),
-    )
-    for index, value in values:
-        if sdo.may_write(index):
-            most = sdo.greatest(index)
-            sdo.write_checked(index, 0, value if most is None else min(value, most))
-            if most is not None and value > most:
-                machine.notes += (f"{sdo.who}: {index:04X}h takes at most {most}, {value} was asked for: it moves or watches accordingly",)
-    machine.resume_ticks()
-
-
-def go_to(machine: Machine, axes: Sequence[int], targets: Sequence[float], profiles: Sequence[Profile], hold: Hold) -> None:
+def go_to(machine: Machine, axes: Sequence[int], targets: Sequence[float], limits: Sequence[MotionLimits], hold: Hold) -> None:
     """Let enabled drives in profile position mode, brakes open, go to their targets [rad or m] together, and wait until they say so.
+
+    Speeds and ramps are those of `drivers.canopen.ramps`.
 
     Raises
     ------
@@ -62,9 +33,9 @@ def go_to(machine: Machine, axes: Sequence[int], targets: Sequence[float], profi
     DeviceFaultError
     """
     longest_s = 0.0
-    for axis, target, profile in zip(axes, targets, profiles, strict=True):
+    for axis, target, limit in zip(axes, targets, limits, strict=True):
         way = abs(target - float(machine.sample.position[axis]))
-        longest_s = max(longest_s, way / profile.speed + profile.speed / profile.acceleration + math.sqrt(way / profile.acceleration))
+        longest_s = max(longest_s, way / limit.speed + limit.speed / limit.acceleration + math.sqrt(way / limit.acceleration))
         machine.lead_to(axis, target)
         machine.set_controlword(axis, cia402.ENABLE_OPERATION)
     _tick_until(machine, axes, hold, 0, SET_POINT_ACKNOWLEDGED, ACKNOWLEDGED_S, "is not ready for a set-point")

@@ -26,6 +26,9 @@ class Machine(power_and_brakes.Machine, Protocol):
     def io_is_fresh(self) -> bool:
         """Return whether the I/O's newest state is recent enough."""
 
+    def stop_node(self, axis: int) -> None:
+        """Stop the communication of an axis's drive (NMT)."""
+
     def stand(self, axis: int) -> None:
         """Let a drive's own loops stand, where it does not obey or is enabled anew."""
 
@@ -129,7 +132,8 @@ class Resting:
                 efforts[stop.axis] = stop.effort
             self._tick(efforts)
 
-        return Stops(stops, machine.clock, machine.sample, tick, self._close_brakes, machine.io_is_fresh, self._to_torque)
+        from_machine = machine.io_is_fresh, self._to_torque, machine.stop_node
+        return Stops(stops, machine.clock, machine.sample, tick, self._close_brakes, *from_machine)
 
     def _close_brakes(self, axes: Sequence[str]) -> None:
         self._machine.command_brakes(dict.fromkeys(axes, False))

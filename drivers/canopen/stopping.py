@@ -70,6 +70,8 @@ class Stops:
     io_is_fresh : callable
     to_torque : callable
         Brings the drive of an axis into cyclic synchronous torque mode; returns whether it did.
+    stop_node : callable
+        Stops the communication of an axis's drive.
     """
 
     def __init__(
@@ -81,10 +83,12 @@ class Stops:
         close_brakes: Callable[[Sequence[str]], object],
         io_is_fresh: Callable[[], bool],
         to_torque: Callable[[int], bool],
+        stop_node: Callable[[int], object],
     ) -> None:
         self.axes = axes
         self._clock, self._sample, self._tick = clock, sample, tick
         self._close_brakes, self._io_is_fresh, self._to_torque = close_brakes, io_is_fresh, to_torque
+        self._stop_node = stop_node
 
     def run(self) -> None:
         """Step, tick by tick, until every axis is at rest, held, or given up. The brakes are told first: a bus may be dead."""
@@ -101,6 +105,9 @@ class Stops:
             axis.step(self._sample, io_is_fresh=fresh)
         self._order_brakes()
         for axis in self.axes:
+            if axis.orders_node:
+                self._stop_node(axis.axis)
+                axis.orders_node = False
             if axis.asks_for_torque:
                 axis.torque_mode(self._to_torque(axis.axis))
 

@@ -101,7 +101,7 @@ class SensorJudge:
         """What was found since the last restart, in the order in which it was."""
         return tuple(self._findings.values())
 
-    def step(self, sample: Sample, ticks: int, time_s: float) -> str:
+    def step(self, sample: Sample, ticks: int, time_s: float, *, led: bool = True) -> str:
         """Judge one sample.
 
         Parameters
@@ -111,6 +111,8 @@ class SensorJudge:
             Since the sample before: 1, and more after lost ticks.
         time_s : float
             Of its row.
+        led : bool
+            Whether all axes are homed, their brakes open; otherwise only thermometers are judged, which need no motion.
 
         Returns
         -------
@@ -118,9 +120,11 @@ class SensorJudge:
             Why the motors must be stopped, in words; '' when they need not.
         """
         marks, reason = 0, ""
-        if self._window is not None:
+        if self._window is not None and led:
             self._window.step(sample, ticks)
         for bit, judge in enumerate(self._judges):
+            if not led and not isinstance(judge, TemperatureJudge):
+                continue
             check = judge.step(sample, ticks)
             if check != self._failed[bit]:
                 self._change(bit, judge, check, time_s)

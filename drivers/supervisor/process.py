@@ -25,8 +25,7 @@ from drivers.supervisor.supervisor import NMT, NMT_STOP, Supervisor
 
 HELD_UP_ROUNDS = 8.0  # of a round's time, after which the process was held up: frames have come together meanwhile
 MOST_FRAMES = 64  # taken in a round, those of 9 ticks: who judges with frames unread calls a bus silent, who never does is silent itself
-LINGERS_S = 2.0
-"""Time for which it goes on judging after the loop's process is gone."""
+LINGERS_S = 2.0  # for which it goes on judging after the loop's process is gone
 
 
 def supervise(

@@ -3,15 +3,15 @@
 It shares no code with the sample loop, has no model and no clock of its own. The permission, once taken back, stays so until the next
 session. Without it no refresh reaches the I/O device, whose outputs then fall: brakes close, whatever loop, recorder and poller do.
 
-Of an axis whose drive may apply torque, or whose brake reports open, this is watched: SYNC goes on, and no faster than it may; torques
-and velocities asked for keep to their limits; the drive sends its position; no encoder is faster than the limit and a half; with a link
-encoder, both move alike and within the range; and after hold-to-run, door or a user asked for a stop the axis does not move on.
+Of an axis whose drive may apply torque, or whose brake reports open, this is watched: SYNC goes on, and no faster than it may; torques,
+velocities and ways asked for keep to their limits; the drive sends its position; no encoder is faster than the limit and a half; with a
+link encoder, both move alike and within the range; and after hold-to-run, door or a user asked for a stop the axis does not move on.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from math import inf, isfinite, nan
 from statistics import median
 
@@ -21,38 +21,33 @@ from drivers.settings import AxisScaling, BusSettings, MotionLimits, Pdo
 SYNC_SILENT_PERIODS = 2.5
 """Periods of the bench's heartbeat without a SYNC: what the drives allow the heartbeat. A foreign heartbeat does not replace a SYNC."""
 SILENT_AT_LEAST_S = 0.05
-FAST_SHARE = 0.75
-"""Share of its period after which SYNC comes too early."""
+FAST_SHARE = 0.75  # of its period, after which SYNC comes too early
 FAST_SYNCS = 64
 """SYNCs in a row, on average too early, that are a second producer: a supervisor that was held up for 50 ms finds a dozen together."""
 SPEED_MARGIN = 1.5
 """Multiple of its speed limit that an axis may reach: the reference keeps to the limit, excitation adds to it."""
-SPEED_STEPS = 5
-"""SYNCs over which speed is the median: a drive that sets its counter, and a damaged frame, make one step."""
+SPEED_STEPS = 5  # SYNCs over which speed is the median: a drive that sets its counter, and a damaged frame, make one step
 JUMP = 4.0
 """Multiple of the highest speed that is a counter which was set, not a motion; a step by the tracking error is one, too."""
-COUNTS = 2.0
-"""Encoder counts by which a position may flicker."""
-ASKED_S = 1.0
-"""From the question for a stop to standstill: a quick stop from the speed limit and a brake take half of it."""
-OBEYED_S = 0.3
-"""From the end of the permission to the command to a drive's communication to stop: a loop that works stops its axes by itself."""
-NMT_EVERY_S = 0.1
-"""Between two such commands: somebody may go on commanding."""
+COUNTS = 2.0  # of an encoder, by which a position may flicker
+LEAD_S = 1.0
+"""Time at the speed limit by which a cyclic target position may lead: a position loop follows by the reciprocal of its gain."""
+ASKED_S = 1.0  # from the question for a stop to standstill: a quick stop from the speed limit and a brake take half of it
+OBEYED_S = 0.3  # from the end of the permission to the command to a drive's communication to stop: a loop that works stops its axes
+NMT_EVERY_S = 0.1  # between two such commands: somebody may go on commanding
 NMT, NMT_STOP = 0x000, 0x02  # identifier and command that stop a node's communication (CiA 301)
 _TORQUE_ON = 0x04  # of the statusword: the drive may apply torque, in operation enabled, quick stop and fault reaction active
 _ENABLED_MASK, _ENABLED = 0x6F, 0x27  # of a statusword in operation enabled; a drive in quick stop holds, and is left to hold
-_STATUSWORD, _POSITION, _LINK_POSITION = 0x6041, 0x6064, 0x6004
-_ASKED = ((0x6071, ("torque", "per mille")), (0x60B2, ("torque", "per mille")), (0x60FF, ("velocity", "counts/s")))
-_SIGNED = (_POSITION, *(index for index, _ in _ASKED))
+_SEEN = _STATUSWORD, _POSITION, _LINK_POSITION = 0x6041, 0x6064, 0x6004
+_ASKED = {0x6071: ("torque", "per mille"), 0x60B2: ("torque", "per mille"), 0x60FF: ("velocity", "counts/s"), 0x607A: ("way", "counts")}
+_SIGNED = (_POSITION, *_ASKED)
 
 
 class _Field:
     """Where a mapped object lies in the data of its PDO."""
 
     def __init__(self, entries: tuple[tuple[int, int, int], ...], index: int) -> None:
-        self.shift = 0
-        self.bits = 0
+        self.shift = self.bits = 0
         self.signed = index in _SIGNED
         for mapped, _, bits in entries:
             if mapped == index:
@@ -84,8 +79,7 @@ class _Encoder:
     def take(self, counts: int, bits: int, took_s: float) -> None:
         """Take a reading, `took_s` after the one before."""
         if self._last is not None:
-            half = 1 << bits - 1
-            step = self.resolution * ((counts - self._last + half) % (2 * half) - half)
+            step = self.resolution * self.way_to(counts, bits)
             beyond = abs(step) - COUNTS * self.resolution
             self.jumped = beyond > min(JUMP * self._fastest * took_s, self._furthest)
             self._too_fast.append(beyond > self._fastest * took_s)
@@ -93,6 +87,11 @@ class _Encoder:
             self.steps.append(step)
             self._times.append(took_s)
         self._last = counts
+
+    def way_to(self, counts: int, bits: int) -> float:
+        """Return how many counts the last reading is away, the shorter way round; NaN before there is one."""
+        half = 1 << bits - 1
+        return nan if self._last is None else (counts - self._last + half) % (2 * half) - half
 
     @property
     def too_fast(self) -> bool:
@@ -124,7 +123,18 @@ class _Axis:
         self.unanswered = 0  # SYNCs since the last position
         self.seen_at_s = self.link_seen_at_s = -inf  # when each encoder was read last
         self.stood_at = nan  # how far the motor side had moved when it was to stand
+        self._target: int | None = None  # position asked for last
         self._period_s = period_s
+
+    def asks(self, kind: str, value: int, bits: int) -> tuple[float, float]:
+        """Return how much is asked for, and how much is allowed; of a new position, that is the way there of an enabled drive."""
+        if kind != "way":
+            return value, self.torque_permille if kind == "torque" else self.fastest_counts_s
+        new, self._target = value != self._target, value
+        way, limits, most = self.motor.way_to(value, bits), self.limits, LEAD_S * self.limits.speed
+        if self.scaling.mode == "profile_position":
+            most = limits.upper - self.link_at if self.scaling.sign * way > 0.0 else self.link_at - limits.lower
+        return way, (most + limits.tracking_error) / self.motor.resolution if new and self.enabled else inf
 
     def status(self, word: int) -> None:
         """Take a statusword; from the moment at which torque is on, the encoders count from zero."""
@@ -142,14 +152,12 @@ class _Axis:
             self.link.moved = 0.0
 
     def position(self, time_s: float, counts: int, bits: int) -> None:
-        """Take a position of the motor side."""
         self.motor.take(counts, bits, self._took(time_s, self.seen_at_s))
         self.seen_at_s, self.unanswered = time_s, 0
         if self.motor.jumped:
             self.rebase()
 
     def link_position(self, time_s: float, counts: int, bits: int) -> None:
-        """Take a position of the link encoder."""
         assert self.link is not None
         self.link.take(counts, bits, self._took(time_s, self.link_seen_at_s))
         self.link_seen_at_s = time_s
@@ -215,18 +223,13 @@ class Supervisor:
         self._axes = [
             _Axis(scaling, limits, settings.sync_period_s) for scaling, limits in zip(settings.scalings, settings.motions, strict=True)
         ]
-        names = [axis.name for axis in self._axes]
-        self._drives = [(self._axes[names.index(node.axis)], node.node_id) for node in settings.nodes if node.role == "drive"]
-        self._sent = {pdo.cob_id: self._reader(node.axis, names, pdo) for node in settings.nodes for pdo in node.tpdos}
-        self._asked = {
-            pdo.cob_id: (self._axes[names.index(node.axis)], [(_Field(pdo.entries, index), what) for index, what in _ASKED])
-            for node in settings.nodes
-            for pdo in node.rpdos
-        }
+        self._axis_of = {axis.name: axis for axis in self._axes}
+        self._drives = [(self._axis_of[node.axis], node.node_id) for node in settings.nodes if node.role == "drive"]
+        self._sent = self._fields(((node.axis, pdo) for node in settings.nodes for pdo in node.tpdos), _SEEN)
+        self._asked = self._fields(((node.axis, pdo) for node in settings.nodes for pdo in node.rpdos), _ASKED)
 
-    def _reader(self, axis: str, names: list[str], pdo: Pdo) -> tuple[_Axis, _Field, _Field, _Field]:
-        status, position, link = (_Field(pdo.entries, index) for index in (_STATUSWORD, _POSITION, _LINK_POSITION))
-        return self._axes[names.index(axis)], status, position, link
+    def _fields(self, pdos: Iterable[tuple[str, Pdo]], indices: Collection[int]) -> dict[int, tuple[_Axis, list[_Field]]]:
+        return {pdo.cob_id: (self._axis_of[axis], [_Field(pdo.entries, index) for index in indices]) for axis, pdo in pdos}
 
     def end(self) -> None:
         """End the session: nothing is permitted before the next."""
@@ -248,12 +251,13 @@ class Supervisor:
             self._sync(time_s)
         elif (asked := self._asked.get(can_id)) is not None:
             axis, fields = asked
-            for field, (kind, unit) in fields:
-                value, most = field.read(data), axis.torque_permille if kind == "torque" else axis.fastest_counts_s
-                if value is not None and abs(value) > most:
-                    self.refuse(time_s, f"{axis.name}: a {kind} of {value} {unit} was asked for, {most:.0f} are allowed")
+            for field, (kind, unit) in zip(fields, _ASKED.values(), strict=True):
+                value = field.read(data)
+                much, most = (0, 0) if value is None else axis.asks(kind, value, field.bits)
+                if abs(much) > most:
+                    self.refuse(time_s, f"{axis.name}: a {kind} of {much:.0f} {unit} was asked for, {most:.0f} are allowed")
         elif (sent := self._sent.get(can_id)) is not None:
-            axis, status, position, link = sent
+            axis, (status, position, link) = sent
             if (word := status.read(data)) is not None:
                 axis.status(word)
             if (counts := position.read(data)) is not None:
@@ -265,10 +269,7 @@ class Supervisor:
         """Take a state of the I/O; `brakes_open` in the order of the axes, empty where it is not known."""
         for axis, brake_open in zip(self._axes, brakes_open, strict=False):
             axis.brake_open = bool(brake_open)
-        if hold_to_run and door_closed:
-            self._released_at_s = inf
-        elif self._released_at_s == inf:
-            self._released_at_s = time_s
+        self._released_at_s = inf if hold_to_run and door_closed else min(self._released_at_s, time_s)
 
     def ask_to_stop(self, time_s: float, who: str) -> None:
         """Take note that somebody asked for a stop; the loop has to obey within `ASKED_S`."""

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from drivers.canopen.profile_moves import Profile
 from drivers.errors import DriverError, MotionRefusedError
 from drivers.interface import Sample
 from hil.bench.audit_trail import events_table, write_events
@@ -84,11 +83,15 @@ class Bench:
     scheduling: Scheduling
     pose: np.ndarray  # (n_axes,) where the machine stands
     commissioning: tuple[str, ...] = ()
+    judged: tuple[str, ...] = ()  # what was found of the sensors on the last way that was not recorded, a line each
     observer: LiveObserver | None = None
 
     def __post_init__(self) -> None:
         """Prepare the command of zero effort."""
         self._still = np.zeros(len(self.machine.axes))
+        self.wiring.link.judged = self._judges
+        self._led = False  # whether drives go by themselves
+        self._unjudged = self._missed = 0  # ticks since the sensors were judged, and the clock's lost ones by then
 
     def commission(self) -> tuple[str, ...]:
         """Boot, then check the first move, home and check encoder agreement of every axis; return the findings, a line each.
@@ -100,6 +103,7 @@ class Bench:
         """
         with self._session():
             self._see_pose()
+            self._tell_of_sensors()
             return self.commissioning
 
     def move(self, pose: np.ndarray) -> np.ndarray:
@@ -130,11 +134,12 @@ class Bench:
         way, stay = self._way_to(pose)  # refuses a pose that is out of range
         if by_itself:
             with self._session():
-                profiles = [Profile(limit.speed, limit.acceleration, limit.tracking_error) for limit in self.machine.limits]
-                link.set_profiles(profiles)
                 link.enable()
                 link.release_brakes(self._rest_still)
-                link.go_to(pose.tolist(), profiles, self._rest_still)
+                self._led = True
+                link.go_to(pose.tolist(), self._rest_still)
+                self._led = False
+                self._tell_of_sensors()
                 link.close_brakes(self._rest_still)
                 self._see_pose()
             return self.pose
@@ -143,6 +148,7 @@ class Bench:
             link.watch.lead()
             for leg in (self._bridge_to(way[0] if way else stay), *way):
                 self.loop.run(leg)
+                self._tell_of_sensors()
             self._settle(stay)
             self.pose = pose.copy()
             link.close_brakes(self._holding())
@@ -151,6 +157,21 @@ class Bench:
 
     def _rest_still(self, sample: Sample) -> np.ndarray:
         return self._still
+
+    def _tell_of_sensors(self) -> None:
+        """Add to `judged` what the phase that has ended, of which no row is recorded, has found of the sensors."""
+        findings = () if self.loop.judge is None else self.loop.judge.findings
+        lines = (f"{finding.sensor}: {finding.says}" for finding in findings)
+        self.judged = tuple(dict.fromkeys((*self.judged, *lines)))
+
+    def _judges(self, sample: Sample) -> str:
+        """Judge the sensors in a tick that the link makes by itself; return why they stop the motors, or ''."""
+        judge, link, missed = self.loop.judge, self.wiring.link, self.wiring.clock.missed
+        self._unjudged, self._missed = self._unjudged + 1 + missed - self._missed, missed
+        if judge is None or sample.unanswered:
+            return ""
+        ticks, self._unjudged = self._unjudged, 0
+        return judge.step(sample, ticks, link.syncs * link.period_s, led=self._led)
 
     def _by_itself(self) -> list[str]:
         """Return the axes whose drives go to poses by themselves."""
@@ -252,6 +273,7 @@ class Bench:
         """Commission the nodes, drives disabled and brakes closed; stop and reset them on the way out in any case."""
         link, events = self.wiring.link, self.wiring.link.events
         events.begin()
+        self.judged, self._led = (), False
         if self.loop.judge is not None:
             self.loop.judge.begin()
         with contextlib.ExitStack() as stack:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated
 
 import typer
@@ -59,10 +60,11 @@ def home(machine_name: MachineOption, bus: BusOption, imu: ImuOption = "", io: I
     machine = load(machine_name)
     answer = Answer(json_to)
     with open_bench(machine, BenchOptions(bus, imu, io)) as bench:
-        report = bench.commission()
+        report, judged = bench.commission(), bench.judged
     for line in report:
         answer.say(line)
-    answer.write({"machine": machine.name, "bus": bus, "checks": report})
+    answer.write({"machine": machine.name, "bus": bus, "checks": report, "judged": judged})
+    _refuse_judged(judged, answer)
 
 
 def move(
@@ -88,12 +90,21 @@ def move(
         for axis, value in goal.items():
             pose[machine.axis_index(axis)] = value
         reached = dict(zip(machine.axes, bench.move(pose).tolist(), strict=True))
-        notes = bench.wiring.link.remarks
+        notes, judged = bench.wiring.link.remarks, bench.judged
     for note in notes:
         answer.say(note)
     for units in machine.units:
         answer.say(f"{units.axis}: at {reached[units.axis]:+.5f} {units.position}, brakes closed")
-    answer.write({"machine": machine.name, "bus": bus, "position": reached, "checks": bench.commissioning, "notes": notes})
+    found = {"checks": bench.commissioning, "notes": notes, "judged": judged}
+    answer.write({"machine": machine.name, "bus": bus, "position": reached, **found})
+    _refuse_judged(judged, answer)
+
+
+def _refuse_judged(judged: Sequence[str], answer: Answer) -> None:
+    """Say which sensors are not to be believed, and leave with exit status 1 where there are any."""
+    if judged:
+        answer.say(f"sensors not to be believed: {'; '.join(judged)}")
+        raise typer.Exit(1)
 
 
 def stop(bus: BusOption, json_to: JsonOption = None) -> None:

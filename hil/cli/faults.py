@@ -45,7 +45,8 @@ def list_faults(json_to: JsonOption = None) -> None:
     help="Run every fault on the emulated machine in lockstep, each in a short run of its own, and write a page of what was said, what"
     " moved and what is kept. Started again, it goes on where it was ended."
     "\n\nExample:  isocenter faults check carm -o faults"
-    "\n\nExample:  isocenter faults check carm -o faults --only torque_lost --only brake_stays_open",
+    "\n\nExample:  isocenter faults check carm -o faults --only torque_lost --only brake_stays_open"
+    "\n\nExample:  isocenter faults check carm -o faults --while move",
 )
 def check(
     machine_name: MachineArgument,
@@ -53,19 +54,27 @@ def check(
     only: Annotated[
         list[str] | None, typer.Option("--only", metavar="NAME", help="This fault, or this row of an earlier table; once for each.")
     ] = None,
-    axis: Annotated[str, typer.Option("--axis", help="Axis that sweeps and has the faults; the machine's last unless given.")] = "",
+    axis: Annotated[str, typer.Option("--axis", help="Axis that moves and has the faults; the machine's last unless given.")] = "",
+    moved_by: Annotated[
+        str, typer.Option("--while", metavar="MOTION", help="What moves the axis: scan (recorded), move (to a pose), homing.")
+    ] = "scan",
     json_to: JsonOption = None,
 ) -> None:
     """Run the table; exit status 1 where something moved on, was not noticed, took more than its budget, or was told wrongly."""
-    from hil.errors import BadAnswerError
+    from hil.errors import BadAnswerError, UnusableInputError
     from hil.faults.check import check_faults
+    from hil.faults.motion import MOTIONS, motion_of
     from hil.faults.page import DATA, document_of, is_failure, summary_of, write_page
     from hil.faults.trials import swept_axis, trials
+
+    if moved_by not in MOTIONS:
+        raise UnusableInputError(f"--while {moved_by}: there is {', '.join(MOTIONS)}")
 
     machine = load(machine_name)
     answer = Answer(json_to)
     swept = swept_axis(machine, axis)
-    table = trials(machine, swept, only or ())
+    table = trials(machine, swept, only or (), moved_by)
+    motion = motion_of(machine, swept, moved_by)
     folder_can_be_written(out)
     out.mkdir(parents=True, exist_ok=True)
     with progress(answer.console) as bars:
@@ -76,10 +85,10 @@ def check(
             if is_failure(outcome) or not answer.console.is_terminal:
                 answer.say(f"{outcome.verdict:12s} {outcome.name}: {outcome.said or 'nothing was said'}")
 
-        outcomes = check_faults(machine, swept, table, out, show)
-    document = document_of(machine, swept, outcomes)
+        outcomes = check_faults(machine, swept, table, out, show, moved_by)
+    document = document_of(machine, swept, outcomes, motion)
     Answer(str(out / DATA)).write(document)
-    page = write_page(machine, swept, outcomes, out)
+    page = write_page(machine, swept, outcomes, out, motion)
     answer.say(summary_of(outcomes))
     answer.say(f"{page} has them all")
     answer.write(plain(document))

@@ -151,6 +151,8 @@ def emulated_bus(machine: Machine, physics: Physics) -> EmulatedBus:
     for node in bus.nodes:
         scaling = bus.scalings[machine.axis_index(node.axis)]
         if node.role == "drive":
+            limit = machine.limits[machine.axis_index(node.axis)]
+            ends = (limit.lower, limit.upper)[:: scaling.sign]  # limit switches, in the drive's own direction
             drives.append(
                 EmulatedDrive(
                     node.name,
@@ -164,6 +166,8 @@ def emulated_bus(machine: Machine, physics: Physics) -> EmulatedBus:
                     scaling.position_resolution,
                     counts_per_turn=_counts_per_motor_turn(machine, node.axis, scaling.position_resolution),
                     sign=scaling.sign,
+                    negative_switch=ends[0],
+                    positive_switch=ends[1],
                     **gains[node.axis],
                 )
             )

@@ -23,10 +23,10 @@ from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
 from hil.bench.signals import StopRequest
 from hil.errors import RecordingError, UnusableInputError, in_one_line
-from hil.experiments import Plan
 from hil.faults.budget import BudgetUse, budget_use, standing
 from hil.faults.claims import Witness, contradictions
-from hil.faults.trials import FaultTrial, standard_scan
+from hil.faults.motion import Motion, MotionName, motion_of
+from hil.faults.trials import FaultTrial
 from hil.machine import Machine
 from hil.machine.faults_file import faults_text
 from hil.recording import Recording, read_recording
@@ -57,9 +57,10 @@ class TrialOutcome:
     verdict : str
         "stopped": the run ended with an error and everything is at rest. "noted": it went on and said something of it. "within tolerance":
         it ended as if nothing had been, and every position of its recording is that of a run without the fault, up to the tolerance of
-        `[judging.encoders]`. "unnoticed": it ended as if nothing had been, and is not that. "cannot be held": brake and drive are both
-        lost, which was said at once. "not at rest": something still moves, or has moved without a stop. "never began": the run ended
-        before the fault's time. "did not end".
+        `[judging.encoders]`; where nothing is recorded: it ended where such a run ends, had gone no further, and knows where it stands.
+        "unnoticed": it ended as if nothing had been, and is not that.
+        "cannot be held": brake and drive are both lost, which was said at once. "not at rest": something still moves, or has moved without
+        a stop. "never began": the run ended before the fault's time. "did not end".
     exit_status : int
         Of the command `run`.
     said : str
@@ -115,7 +116,12 @@ class _EndlessError(BaseException):
 
 
 def check_faults(
-    machine: Machine, axis: str, table: Sequence[FaultTrial], folder: Path, progress: Callable[[int, TrialOutcome], None] | None = None
+    machine: Machine,
+    axis: str,
+    table: Sequence[FaultTrial],
+    folder: Path,
+    progress: Callable[[int, TrialOutcome], None] | None = None,
+    motion: MotionName = "scan",
 ) -> list[TrialOutcome]:
     """Run every trial, and keep each outcome in the folder as soon as it is there; those that are there already are not run again.
 
@@ -123,22 +129,24 @@ def check_faults(
     ----------
     machine : Machine
     axis : str
-        That sweeps.
+        That moves.
     table : sequence of FaultTrial
     folder : Path
         Exists; `outcomes.jsonl` grows in it.
     progress : callable, optional
         Called with the number of rows done and the newest.
+    motion : str
+        What moves the axis, as `trials` was told.
     """
     kept_path = folder / OUTCOMES
     kept = _kept(kept_path)
-    plan, _ = standard_scan(machine, axis)
+    made = motion_of(machine, axis, motion)
     outcomes = []
     for number, trial in enumerate(table, start=1):
-        key = _key(machine, axis, trial)
+        key = _key(machine, axis, trial, motion)
         outcome = kept.get(key)
         if outcome is None:
-            outcome = run_trial(machine, axis, trial, plan)
+            outcome = run_trial(machine, axis, trial, made)
             _keep(kept_path, json.dumps({"key": key, **_as_json(outcome)}, ensure_ascii=False))
         outcomes.append(outcome)
         if progress is not None:
@@ -146,7 +154,7 @@ def check_faults(
     return outcomes
 
 
-def run_trial(machine: Machine, axis: str, trial: FaultTrial, plan: Plan) -> TrialOutcome:
+def run_trial(machine: Machine, axis: str, trial: FaultTrial, motion: Motion) -> TrialOutcome:
     """Run one trial.
 
     Raises
@@ -155,13 +163,13 @@ def run_trial(machine: Machine, axis: str, trial: FaultTrial, plan: Plan) -> Tri
         The user asked to stop; of this trial nothing is kept.
     """
     began_s = time.process_time()
-    run = _run(machine, trial.settings, plan)
+    run = _run(machine, trial.settings, motion)
     onsets = [event.time_s for event in run.events if event.begins]
     onset_s = min(max(onsets), float(run.motion.time_s[-1])) if onsets and len(run.motion) else math.nan
     outcome = outcome_of(run.motion, onset_s) if onsets and len(run.motion) else None
     complete = len(onsets) == len(trial.settings) or run.stopped
     verdict = _verdict(trial, run, outcome, complete=complete)
-    if verdict == "unnoticed" and _as_sound(machine, axis, plan, run.positions):
+    if verdict == "unnoticed" and _as_sound(machine, axis, motion, run.positions):
         verdict = "within tolerance"
     said, begun = "; ".join(run.lines), [event.label.partition(" at ")[0] for event in run.events if event.begins]
     assert machine.bus is not None  # a machine without one has no faults
@@ -178,7 +186,7 @@ def run_trial(machine: Machine, axis: str, trial: FaultTrial, plan: Plan) -> Tri
         said,
         run.troubles,
         run.rows,
-        plan.rows,
+        motion.rows,
         max(onsets, default=math.nan),
         max((one.rest_s for one in outcome.axes), default=math.nan) if outcome is not None and outcome.at_rest else math.nan,
         outcome.of(axis).travel if outcome is not None else math.nan,
@@ -203,20 +211,21 @@ class _Run:
     troubles: tuple[str, ...] = ()
     said_row: int = 0  # of the truth, when the run had said all
     rows: int = 0
-    positions: dict[str, np.ndarray] = field(default_factory=dict)  # of the recording, by channel; empty where it was stopped
+    pose: np.ndarray = field(default_factory=lambda: np.zeros(0))  # where the bench believes it to stand at the end
+    positions: dict[str, np.ndarray] = field(default_factory=dict)  # by channel, of the recording or the truth; empty where it was stopped
 
 
-def _run(machine: Machine, faults: tuple[FaultSetting, ...], plan: Plan) -> _Run:
+def _run(machine: Machine, faults: tuple[FaultSetting, ...], motion: Motion) -> _Run:
     run, request = _Run(MotionLog(machine.axes), []), StopRequest()
     options = BenchOptions("lockstep:", faults=faults, motion=run.motion, events=run.events)
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "run.mf4"
         try:
-            with _limited(PROCESSOR_LIMIT_S), open_bench(machine, options, plan.start_pose, stop_request=request) as bench:
+            with _limited(PROCESSOR_LIMIT_S), open_bench(machine, options, motion.start_pose, stop_request=request) as bench:
                 try:
-                    timing = bench.run(plan, path)
-                    run.lines += (*timing.notes, *timing.judged)
-                    run.status = 1 if timing.judged else 0
+                    notes, judged = motion.make(bench, path)
+                    run.lines += (*notes, *judged)
+                    run.status, run.pose = 1 if judged else 0, bench.pose
                 finally:
                     run.troubles, run.said_row = tuple(bench.wiring.link.troubles), len(run.motion) - 1
         except _EndlessError:
@@ -232,7 +241,15 @@ def _run(machine: Machine, faults: tuple[FaultSetting, ...], plan: Plan) -> _Run
         if recording is not None:
             run.rows = len(recording.channels["time"].values)
             run.positions = {name: each.values for name, each in recording.channels.items() if "position_" in name and not run.stopped}
+        elif not run.stopped:
+            ended = zip(machine.axes, run.motion.position.T, run.pose, strict=True)
+            run.positions = {f"position_{axis}": _ends(position, believed) for axis, position, believed in ended}
     return run
+
+
+def _ends(position: np.ndarray, believed: float) -> np.ndarray:
+    """Return how far an axis went either way, where it ended, and how far off the bench believes it to be."""
+    return np.array([position.min(), position.max(), position[-1], position[-1] - believed])
 
 
 def _verdict(trial: FaultTrial, run: _Run, outcome: FaultOutcome | None, *, complete: bool) -> Verdict:
@@ -247,11 +264,11 @@ def _verdict(trial: FaultTrial, run: _Run, outcome: FaultOutcome | None, *, comp
     return "noted" if run.lines else "unnoticed"
 
 
-def _as_sound(machine: Machine, axis: str, plan: Plan, positions: dict[str, np.ndarray]) -> bool:
+def _as_sound(machine: Machine, axis: str, motion: Motion, positions: dict[str, np.ndarray]) -> bool:
     """Return whether every position is that of a run without faults, up to what the encoders may be off by."""
-    key = (machine.hash, axis)
+    key = (machine.hash, axis, motion.name)
     if key not in _sound_positions:
-        sound = _run(machine, (), plan)
+        sound = _run(machine, (), motion)
         if sound.stopped or sound.lines:
             raise UnusableInputError(f"{machine.name}: no fault can be judged, since a run without one says: {'; '.join(sound.lines)}")
         _sound_positions[key] = sound.positions
@@ -264,7 +281,7 @@ def _as_sound(machine: Machine, axis: str, plan: Plan, positions: dict[str, np.n
     )
 
 
-_sound_positions: dict[tuple[str, str], dict[str, np.ndarray]] = {}
+_sound_positions: dict[tuple[str, str, str], dict[str, np.ndarray]] = {}
 
 
 @contextlib.contextmanager
@@ -296,9 +313,9 @@ def _kept_recording(path: Path) -> Recording | None:
         return None
 
 
-def _key(machine: Machine, axis: str, trial: FaultTrial) -> str:
-    """Return what an outcome depends on, as a digest: the machine, the software, the faults and the sweep."""
-    text = "\n".join((machine.hash, _software(), axis, trial.name, faults_text(trial.settings)))
+def _key(machine: Machine, axis: str, trial: FaultTrial, motion: MotionName) -> str:
+    """Return what an outcome depends on, as a digest: the machine, the software, the faults and the motion."""
+    text = "\n".join((machine.hash, _software(), axis, motion, trial.name, faults_text(trial.settings)))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 

@@ -103,7 +103,7 @@ REPORTED = re.compile(
     "|".join(
         (
             r"brake of [\w, ]+: not (open|closed) within [\d.]+ s by its feedback",
-            r"(row \d+: )?\w+: its brake reports closed during the run",
+            r"(row \d+: )?[\w, ]+: its brake reports closed during the (run|motion)",
             r"(row \d+: )?\w+: (motor side|link encoder): (moved by|no position).*",
             r"(row \d+: )?\w+: (its motor side moved by|tracking error|no position|position|link position) .*",
             r"(row \d+: )?\w+: (its motor side|its link encoder|link encoder) .*",

@@ -11,7 +11,7 @@ from string import Template
 
 from hil.bench.wiring import REST_AT_MOST_S
 from hil.faults.check import TrialOutcome
-from hil.faults.trials import standard_scan
+from hil.faults.motion import MOTIONS, Motion
 from hil.machine import Machine
 from hil.version import software_version
 from virtual_bus.faults.registry import fault_kinds
@@ -23,41 +23,38 @@ DOUBTFUL = ("unnoticed", "never began")
 _HEAD = ("fault", "at", "during", "verdict", "rest [s]", "travel [{unit}]", "budget", "at the end", "rows", "said")
 
 
-def document_of(machine: Machine, axis: str, outcomes: Sequence[TrialOutcome]) -> dict[str, object]:
+def document_of(machine: Machine, axis: str, outcomes: Sequence[TrialOutcome], motion: Motion) -> dict[str, object]:
     """Return the table as data."""
-    plan, speed = standard_scan(machine, axis)
     return {
         "machine": machine.name,
         "hash": machine.hash,
         "software": software_version(),
         "axis": axis,
-        "speed": speed,
+        "motion": motion.name,
+        "speed": motion.speed,
         "unit": machine.units[machine.axis_index(axis)].position,
-        "rows": plan.rows,
+        "rows": motion.rows,
         "verdicts": Counter(outcome.verdict for outcome in outcomes),
         "processor_s": sum(outcome.processor_s for outcome in outcomes),
         "faults": outcomes,
     }
 
 
-def write_page(machine: Machine, axis: str, outcomes: Sequence[TrialOutcome], folder: Path) -> Path:
+def write_page(machine: Machine, axis: str, outcomes: Sequence[TrialOutcome], folder: Path, motion: Motion) -> Path:
     """Write the page into a folder and return its path."""
     path = folder / PAGE
-    path.write_text(page_of(machine, axis, outcomes), encoding="utf-8")
+    path.write_text(page_of(machine, axis, outcomes, motion), encoding="utf-8")
     return path
 
 
-def page_of(machine: Machine, axis: str, outcomes: Sequence[TrialOutcome]) -> str:
+def page_of(machine: Machine, axis: str, outcomes: Sequence[TrialOutcome], motion: Motion) -> str:
     """Return the page's text, the classes of faults in their own order and the worst of each first."""
     unit = machine.units[machine.axis_index(axis)].position
     groups = list(dict.fromkeys(outcome.group for outcome in outcomes))
-    _, speed = standard_scan(machine, axis)
     return Template(_TEMPLATE.read_text(encoding="utf-8")).substitute(
         machine=html.escape(machine.name),
         description=html.escape(machine.description),
-        axis=html.escape(axis),
-        speed=f"{speed:.2f}",
-        unit=unit,
+        motion=html.escape(MOTIONS[motion.name].format(axis=axis, speed=motion.speed, unit=unit)),
         count=len(outcomes),
         seconds=f"{sum(outcome.processor_s for outcome in outcomes):.0f}",
         software=html.escape(software_version()),

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
-from hil.errors import ExperimentError, UnusableInputError
-from hil.experiments import Plan, Scan
+from hil.errors import UnusableInputError
+from hil.faults.motion import MotionName, motion_of
 from hil.machine import Machine
 from hil.machine.faults_file import places_of
 from virtual_bus.faults.binding import FaultPlaces
@@ -14,16 +14,10 @@ from virtual_bus.faults.condition import Comparison, Condition, InState
 from virtual_bus.faults.fault import FaultKind, FaultSetting, Group, Phase, Trial
 from virtual_bus.faults.registry import fault_kinds
 
-SPEED = 0.4
-"""rad/s or m/s of the sweep: a scan of a C-arm; half the axis's limit where that is less."""
-SPEED_SHARE = 0.5
-SWEEP_S = 1.25
-"""The sweep is this long at its speed: the fault comes when it has accelerated, and most are seen within tenths of a second."""
-FORTH_SHARE = 0.4
-"""Share of the sweep before the middle of the axis's range: an arm is not balanced at its end."""
 FAST_SHARE = 0.9
-"""Share of the sweep's speed from which on a fault of the sweep begins."""
-DWELL_S = 0.25
+"""Share of the motion's greatest speed from which on a fault of the sweep begins."""
+SLOW_SHARE = 0.5
+"""The same for what a stop finds already broken, in a motion without a standstill before it."""
 
 _STATE_OF: dict[Phase, str] = {
     "operational": "operational",
@@ -62,27 +56,8 @@ class FaultTrial:
     without_brake: bool = False
 
 
-def standard_scan(machine: Machine, axis: str) -> tuple[Plan, float]:
-    """Return the plan of a short sweep of an axis about the middle of its range, and its speed [rad/s or m/s].
-
-    Raises
-    ------
-    UnusableInputError
-        The machine cannot make it.
-    """
-    limit = machine.limits[machine.axis_index(axis)]
-    speed = min(SPEED, SPEED_SHARE * limit.speed)
-    middle, way = 0.5 * (limit.lower + limit.upper), min(speed * SWEEP_S, 0.5 * (limit.upper - limit.lower))
-    begin = middle + FORTH_SHARE * way
-    try:
-        (plan,) = Scan(axis, begin, begin - way, speed, dwell_s=DWELL_S).plans(machine)
-    except ExperimentError as error:
-        raise UnusableInputError(f"{machine.name}: the sweep of {axis} that the table of faults runs: {error}") from None
-    return plan, speed
-
-
-def trials(machine: Machine, axis: str, only: Collection[str] = ()) -> tuple[FaultTrial, ...]:
-    """Return the rows of the table for a machine whose `axis` sweeps.
+def trials(machine: Machine, axis: str, only: Collection[str] = (), motion: MotionName = "scan") -> tuple[FaultTrial, ...]:
+    """Return the rows of the table for a machine whose `axis` moves.
 
     Parameters
     ----------
@@ -90,6 +65,8 @@ def trials(machine: Machine, axis: str, only: Collection[str] = ()) -> tuple[Fau
     axis : str
     only : collection of str
         Names of faults or of rows; all unless given.
+    motion : str
+        What moves the axis. A move and a homing run have no standstill under control before them: faults that come in one are left out.
 
     Raises
     ------
@@ -97,12 +74,12 @@ def trials(machine: Machine, axis: str, only: Collection[str] = ()) -> tuple[Fau
         One of `only` is neither, or no row is left.
     """
     places = places_of(machine)
-    _, speed = standard_scan(machine, axis)
+    speed = motion_of(machine, axis, motion).speed
     rows = [
         row
         for kind in fault_kinds().values()
         if _shows(kind, machine, axis)
-        for row in _rows(kind, places, _at(kind, machine, axis), axis, speed)
+        for row in _rows(kind, places, _at(kind, machine, axis), axis, speed, motion)
     ]
     unknown = [name for name in only if not any(name in (row.name, row.kind) for row in rows)]
     if unknown:
@@ -125,33 +102,34 @@ def _at(kind: FaultKind, machine: Machine, axis: str) -> tuple[str, ...]:
     return tuple(place for place in places.of(kind.at) if place in here)
 
 
-def _rows(kind: FaultKind, places: FaultPlaces, at: tuple[str, ...], axis: str, speed: float) -> Iterator[FaultTrial]:
+def _rows(kind: FaultKind, places: FaultPlaces, at: tuple[str, ...], axis: str, speed: float, motion: MotionName) -> Iterator[FaultTrial]:
     for place in at:
         for trial in kind.trials:
             if (trial.during == "stop" and not places.io) or (trial.without_brake and axis not in places.of("brake")):
                 continue
-            yield _row(kind, place, trial, axis, speed)
+            if motion == "scan" or trial.during != "settled":
+                yield _row(kind, place, trial, axis, speed, stands=motion == "scan")
 
 
-def _row(kind: FaultKind, at: str, trial: Trial, axis: str, speed: float) -> FaultTrial:
+def _row(kind: FaultKind, at: str, trial: Trial, axis: str, speed: float, *, stands: bool) -> FaultTrial:
     values = {parameter.name: trial.values.get(parameter.name, parameter.default) for parameter in kind.parameters}
     lasting = float("inf") if trial.for_s is None else trial.for_s
-    settings = [FaultSetting(kind.name, at, values, _when(trial.during, axis, speed), 0.0, lasting)]
+    settings = [FaultSetting(kind.name, at, values, _when(trial.during, axis, speed, stands=stands), 0.0, lasting)]
     if trial.during == "stop":
-        settings.append(FaultSetting("hold_to_run_released", "io", {}, _when("sweep", axis, speed)))
+        settings.append(FaultSetting("hold_to_run_released", "io", {}, _when("sweep", axis, speed, stands=stands)))
     if trial.without_brake:
-        settings.insert(0, FaultSetting("brake_stays_open", axis, {}, InState("settled", axis)))
+        settings.insert(0, FaultSetting("brake_stays_open", axis, {}, _when("stop", axis, speed, stands=stands)))
     more = [f"{name}={value:g}" for name, value in trial.values.items()] + ([f"for_s={trial.for_s:g}"] if trial.for_s is not None else [])
     more += ["without_brake"] if trial.without_brake else []
     name = "/".join((kind.name, at, trial.during.replace(" ", "_"), *more))
     return FaultTrial(name, kind.name, at, kind.group, trial.during, tuple(settings), trial.without_brake)
 
 
-def _when(during: Phase, axis: str, speed: float) -> Condition | None:
+def _when(during: Phase, axis: str, speed: float, *, stands: bool) -> Condition | None:
     if during == "start":
         return None
-    if during == "sweep":
-        return Comparison(f"speed_{axis}", True, ">", FAST_SHARE * speed)
+    if during == "sweep" or (during == "stop" and not stands):
+        return Comparison(f"speed_{axis}", True, ">", (FAST_SHARE if during == "sweep" else SLOW_SHARE) * speed)
     return InState(_STATE_OF[during], axis)
 
 

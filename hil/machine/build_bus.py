@@ -254,7 +254,8 @@ def _homing(axis: str, table: MachineTable, plant: PlantSettings) -> HomingSetti
 
 def _motion(axis: str, table: MachineTable) -> MotionLimits:
     limits = table.limits[axis]
-    return MotionLimits(axis, *limits.range, limits.speed, limits.tracking_error, table.timing.stale_ticks)
+    ticks = table.timing.stale_ticks
+    return MotionLimits(axis, *limits.range, limits.speed, limits.tracking_error, ticks, limits.acceleration, limits.quick_stop)
 
 
 def _imu_port(bus: BusTable, table: MachineTable) -> ImuPort | None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from hil.machine.bus_load import bus_load
 from hil.machine.check_budgets import budgets
+from hil.machine.check_ramps import ramps
 from hil.machine.closed_loop import LinearLoop, Margins
 from hil.machine.finding import Finding, PoseResult, shown_pose
 from hil.machine.model import Machine
@@ -48,7 +49,7 @@ def check_machine(machine: Machine, poses: int = POSES) -> list[Finding]:
     findings = [*_modes(machine, results), *_holding(machine, results)]
     findings += _controllers(machine, results)
     if machine.bus is not None:
-        findings += [_bus_load(machine), *_device_files(machine), *budgets(machine, results)]
+        findings += [_bus_load(machine), *_device_files(machine), *ramps(machine), *budgets(machine, results)]
     return findings
 
 

@@ -281,8 +281,8 @@ class LimitsTable(Table):
     tracking_error: Annotated[Positive, Quantity("angle", "length")]
     """Difference of reference and position at which the loop stops the motors."""
     quick_stop: Annotated[Positive | None, Quantity("angular_acceleration", "acceleration")] = None
-    """Deceleration of the drive's own quick stop ramp, for `[budgets]`. Without it, object 6085h in counts/s², as a `write` of its node or
-    the EDS says it."""
+    """Deceleration of the drive's own quick stop ramp, for `[budgets]`; it is written to object 6085h in counts/s², where the drive has it
+    and no `write` of its node names it. Without it, the value of such a `write`, else the default of the EDS, which is written, too."""
 
 
 class GeometryTable(Table):

@@ -96,7 +96,14 @@ LOOPS = {"propeller": (4.0, 60.0, 60.0, 0.5), "roll": (4.0, 160.0, 320.0, 1.0)}
 
 
 def carm_text_in(mode: str) -> str:
-    """Return the C-arm's file with drives that are commanded in "velocity" or "position": their own loops and notches, the speed ahead."""
+    """Return the C-arm's file with drives that are commanded in "velocity" or "position": their own loops and notches, the speed ahead.
+
+    In "profile_velocity" and "profile_position" nothing else is mapped: such a drive takes no effort.
+    """
+    if mode.startswith("profile_"):
+        cyclic = mode.removeprefix("profile_")
+        text = carm_text_in(cyclic).replace(f'mode = "{cyclic}"', f'mode = "{mode}"')
+        return text.replace(', "torque_offset"]', "]")
     text = CARM.text
     target = {"velocity": "target_velocity", "position": "target_position"}[mode]
     text = edited(r'^map = \["controlword", "target_torque"\]', f'map = ["controlword", "{target}", "torque_offset"]', text)
@@ -110,3 +117,11 @@ def carm_text_in(mode: str) -> str:
         law += f"reference_sections = [[{per_s + ahead}, {-ahead}, 0.0, 1.0, 0.0, 0.0]]\n"
         text = edited(rf"(\[controller.{axis}\]\n)position_sections = \[(?:.|\n)*?\n\]\n", rf"\g<1>{law}", text)
     return text
+
+
+def homing_at_switch_text(text: str = CARM.text) -> str:
+    """Return a file in which roll's drive homes by the limit switch at the negative end of its range, at 5 degrees per second."""
+    lower = round(np.radians(-95.0) / CARM.bus.scalings[1].position_resolution)
+    text = edited(r"(\[bus.homing.roll\]\nmethod = )37\nspeed_deg_s = 2.0", r"\g<1>17\ntravel_limit_deg = 20.0\nspeed_deg_s = 5.0", text)
+    offset = f"[[bus.nodes.roll_drive.write]]\nindex = 0x607C\nvalue = {lower}\n"
+    return edited(r"^\[\[bus.nodes.roll_drive.tpdo\]\]$", f"{offset}\\g<0>", text)

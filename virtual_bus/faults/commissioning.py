@@ -63,6 +63,10 @@ class ShiftedHoming(Homing):
         super().start(method, counts)
         self.home_counts += self.shift
 
+    def _found(self, home: int) -> float:
+        """Take a reference that was searched for one that is off."""
+        return super()._found(home + self.shift)
+
 
 @dataclass(frozen=True)
 class SwitchStuck(Reference):

@@ -6,6 +6,7 @@ import math
 
 import pytest
 from one_stop import (
+    ANSWER,
     CLOSING,
     ENABLED,
     FAULT,
@@ -261,3 +262,20 @@ def test_a_drive_in_another_mode_is_asked_for_torque_before_it_pushes() -> None:
     refused.stop.orders_brake = False
     refused.stop.close_again()
     assert not refused.stop.orders_brake, "what cannot be proven is not tried again"
+
+
+def test_the_communication_of_a_drive_that_answers_no_sync_is_stopped_once() -> None:
+    stopping = Stopping()
+    ordered = []
+    for _ in range(4 * ANSWER):
+        stopping.tick(-1)
+        ordered.append(stopping.stop.orders_node)
+        stopping.stop.orders_node = False
+    assert ordered == [False] * (ANSWER - 1) + [True] + [False] * (3 * ANSWER)
+
+
+def test_a_drive_that_answers_in_time_is_left_to_talk() -> None:
+    stopping = Stopping()
+    stopping.ticks(ANSWER - 1, -1)
+    stopping.ticks(ANSWER, QUICK)
+    assert not stopping.stop.orders_node

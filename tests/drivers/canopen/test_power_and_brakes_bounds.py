@@ -67,6 +67,8 @@ class Machine:
         self.emergencies: dict[int, str] = {}
         self.supervision = SimpleNamespace(last_emergency=lambda node_id: self.emergencies.get(node_id, ""))
         self.sample = Sample(3)
+        self.open_brakes: set[str] = set()
+        self.judged = lambda sample: ""
         self.forbidden = self.seen = ""
         self.watch = SimpleNamespace(check=lambda sample: self.seen if sample is self.sample else "another sample")
         self.modes: list[Mode | None] = [Mode.HOMING] * 3

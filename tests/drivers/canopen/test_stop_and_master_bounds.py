@@ -26,6 +26,7 @@ class Axis:
     steps: int = 3
     end: AxisRest = SAFE
     orders_brake: bool = True
+    orders_node: bool = False
     asks_for_torque: bool = False
     rest: AxisRest | None = None
     log: list[object] = field(default_factory=list)
@@ -57,7 +58,9 @@ class Served:
         self.now_s, self.told, self.said, self.held_s = 100.0, [], [], []
         self.leaves_after_s, self.confirms_after_s = 1e9, 1e9
         self.fresh = True
-        self.stops = Stops(axes, self, Sample(2), self.tick, self.told.append, lambda: self.fresh, lambda axis: axis == 1)  # type: ignore[arg-type]
+        self.cut_off: list[int] = []
+        drives = lambda: self.fresh, lambda axis: axis == 1, self.cut_off.append
+        self.stops = Stops(axes, self, Sample(2), self.tick, self.told.append, *drives)  # type: ignore[arg-type]
 
     def now(self) -> float:
         return self.now_s
@@ -100,6 +103,14 @@ def test_a_brake_that_is_ordered_again_is_told_again_and_torque_is_asked_for() -
     assert served.told == [["roll"]]
     assert (axis.log[-1], other.log[-1]) == (("torque", True), ("torque", False))
     assert served.stops.rests == []
+
+
+def test_the_communication_of_a_drive_is_stopped_once_where_its_stop_orders_it() -> None:
+    axis, other = Axis(orders_node=True), Axis(axis=0, name="propeller")
+    served = Served(axis, other)
+    served.stops.run()
+    assert served.cut_off == [1]
+    assert not axis.orders_node
 
 
 def test_a_hold_is_reported_and_tried_again_every_five_seconds() -> None:

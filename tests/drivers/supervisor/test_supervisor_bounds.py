@@ -278,10 +278,59 @@ def test_an_effort_beside_a_target_position_is_limited_too() -> None:
     target, offset = (0x607A, 0, 32), (0x60B2, 0, 16)
     line = Line(settings(nodes=(replace(node, rpdos=(Pdo(1, ASKED, 1, (CONTROL, target, offset)),)),)))
     line.tick()
-    line.supervisor.frame(line.time_s, ASKED, struct.pack("<Hih", 15, 1_000_000, -2000))
+    line.supervisor.frame(line.time_s, ASKED, struct.pack("<Hih", 15, 1000, -2000))
     assert line.supervisor.reason == ""
     line.supervisor.frame(line.time_s, ASKED, struct.pack("<Hih", 15, 0, -2001))
     assert line.supervisor.reason == "propeller: a torque of -2001 per mille was asked for, 2000 are allowed"
+
+
+def led(mode: str, sign: int = 1) -> Line:
+    """A supervisor of a drive that is led to positions, at count 1000 with its link at 1/8 rad."""
+    node, scaling = settings().nodes[0], settings().scalings[0]
+    pdo = Pdo(1, ASKED, 1, (CONTROL, (0x607A, 0, 32)))
+    line = Line(settings(nodes=(replace(node, rpdos=(pdo,)),), scalings=(replace(scaling, mode=mode, sign=sign),)))
+    line.sync()
+    line.sent(1000, int(0.125 / COUNT))
+    return line
+
+
+def asked(line: Line, target: int) -> str:
+    line.supervisor.frame(line.time_s, ASKED, struct.pack("<Hi", 15, (target + 2**31) % 2**32 - 2**31))
+    return line.supervisor.reason
+
+
+LEAD = int((SPEED * rules.LEAD_S + TRACKING) / COUNT)
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_a_cyclic_target_position_leads_by_a_second_at_the_speed_limit_at_most(way: int) -> None:
+    assert asked(led("position"), 1000 + way * LEAD) == ""
+    words = f"propeller: a way of {way * (LEAD + 1)} counts was asked for, {LEAD} are allowed"
+    assert asked(led("position"), 1000 + way * (LEAD + 1)) == words
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(("way", "room"), [(1, 1.0 - 0.125 + TRACKING), (-1, 1.0 + 0.125 + TRACKING)])
+def test_a_set_point_of_a_profile_is_within_the_range_by_the_link(sign: int, way: int, room: float) -> None:
+    there = int(room / COUNT)
+    assert asked(led("profile_position", sign), 1000 + sign * way * there) == ""
+    assert "a way of" in asked(led("profile_position", sign), 1000 + sign * way * (there + 1))
+
+
+def test_a_target_that_an_enabled_drive_was_not_newly_asked_for_is_none() -> None:
+    line = led("position")
+    line.sent(1000, int(0.125 / COUNT), OFF)
+    assert asked(line, 1000 + 2 * LEAD) == ""
+    line.sent(1000, int(0.125 / COUNT), ON)
+    assert asked(line, 1000 + 2 * LEAD) == "", "a drive that homes is enabled, and keeps the target of before"
+    assert asked(line, 1001 + 2 * LEAD) != ""
+
+
+def test_the_way_to_a_target_is_the_shorter_one_over_the_end_of_the_counter() -> None:
+    line = led("position")
+    for step in (0x7FFF_FFF0, 0x7FFF_FFF0):
+        line.sent(step, int(0.125 / COUNT))
+    assert asked(line, 0x7FFF_FFF0 + LEAD) == ""
 
 
 def test_a_reason_has_a_time_whatever_it_is() -> None:

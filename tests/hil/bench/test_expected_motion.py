@@ -11,7 +11,8 @@ from bench_machines import CARM
 from drivers.judging.motion_window import Means
 from hil.bench.expected_motion import expectation_of
 from hil.faults.check import run_trial
-from hil.faults.trials import standard_scan, trials
+from hil.faults.motion import motion_of
+from hil.faults.trials import trials
 from virtual_bus.physics import Physics
 from virtual_bus.plant.linearise import inertia_matrix
 
@@ -66,6 +67,6 @@ def test_nothing_is_compared_where_no_tolerance_is_stated() -> None:
 )
 def test_what_the_file_does_not_know_is_told_on_the_emulated_arm(name: str, verdict: str, says: str) -> None:
     (row,) = trials(CARM, "roll", [name])
-    outcome = run_trial(CARM, "roll", row, standard_scan(CARM, "roll")[0])
+    outcome = run_trial(CARM, "roll", row, motion_of(CARM, "roll"))
     assert outcome.verdict == verdict
     assert says in outcome.said

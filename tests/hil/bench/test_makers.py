@@ -49,9 +49,7 @@ def test_the_loop_leads_drives_that_have_the_objects(mode: str) -> None:
 
 def by_itself(mode: str) -> Machine:
     """The C-arm with our own drives in a profile mode, which take no effort."""
-    cyclic = mode.removeprefix("profile_")
-    text = carm_text_in(cyclic).replace(f'mode = "{cyclic}"', f'mode = "{mode}"')
-    return machine_from_text(text.replace(', "torque_offset"]', "]"))
+    return machine_from_text(carm_text_in(mode))
 
 
 def test_a_drive_that_goes_by_itself_is_not_run_and_one_without_effort_not_excited(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from bench_machines import CARM
 
 from hil.errors import LoopAbortedError, UnusableInputError
 from hil.faults.check import OUTCOMES, check_faults
+from hil.faults.motion import motion_of
 from hil.faults.page import document_of, page_of
 from hil.faults.trials import swept_axis, trials
 from hil.machine import load_machine
@@ -69,10 +70,10 @@ def test_outcomes_are_kept_and_told(tmp_path: Path) -> None:
     assert harmless.rows == harmless.planned
     assert silent.exit_status == 2
     assert silent.rows == 0
-    page = page_of(CARM, "roll", outcomes)
+    page = page_of(CARM, "roll", outcomes, motion_of(CARM, "roll"))
     for outcome in outcomes:
         assert outcome.kind in page
-    document = json.loads(json.dumps(document_of(CARM, "roll", outcomes), default=lambda value: vars(value)))
+    document = json.loads(json.dumps(document_of(CARM, "roll", outcomes, motion_of(CARM, "roll")), default=lambda value: vars(value)))
     assert document["verdicts"]["stopped"] >= 2
 
 

@@ -13,7 +13,8 @@ from places import BENCHMARKS
 from processes import start, start_until_ready
 
 from hil.faults.check import run_trial
-from hil.faults.trials import standard_scan, trials
+from hil.faults.motion import motion_of
+from hil.faults.trials import trials
 from hil.machine import load_machine
 
 sys.path.insert(0, str(BENCHMARKS))
@@ -32,10 +33,10 @@ SLOWER = {"heartbeat_lost/roll_drive/sweep"}
 @pytest.mark.usefixtures("lockstep_frames")
 def test_they_end_as_in_lockstep(interface: str, tmp_path: Path) -> None:
     machine = load_machine(patient(tmp_path))
-    plan, _ = standard_scan(machine, "roll")
+    motion = motion_of(machine, "roll")
     seen, in_lockstep = {}, {}
     for (row,) in (trials(machine, "roll", [name]) for name in MOST_DANGEROUS if name not in SLOWER):
-        in_lockstep[row.name] = run_trial(machine, "roll", row, plan).verdict
+        in_lockstep[row.name] = run_trial(machine, "roll", row, motion).verdict
         for attempt in range(ATTEMPTS):
             folder = tmp_path / f"{len(in_lockstep)}_{attempt}"
             folder.mkdir()

@@ -1,0 +1,74 @@
+"""Speeds and ramps by which a drive moves and stops by itself, written at the start of each session where the drive has the objects.
+
+Positions are in counts, velocities and accelerations in counts and seconds, the standard's default units. What a node's `write` in the
+machine file names is the file's own. Values that an earlier master has stored do not count: the budgets of `machine check` hold for these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from math import isfinite
+
+from drivers.canopen.sdo import SdoNode
+from drivers.canopen.watch import LED_SPEED_MARGIN
+from drivers.settings import AxisScaling, LoopMode, MotionLimits
+
+MAX_PROFILE_VELOCITY, PROFILE_VELOCITY, PROFILE_ACCELERATION, PROFILE_DECELERATION, QUICK_STOP = 0x607F, 0x6081, 0x6083, 0x6084, 0x6085
+FOLLOWING_ERROR_WINDOW, FOLLOWING_ERROR_TIME = 0x6065, 0x6066
+RAMP_MARGIN = 10.0
+"""Multiple of its limit of acceleration at which a drive in profile velocity mode may ramp: the reference keeps to the limit, and what the
+feedback adds must reach the motor unramped, as the margins of `machine check` take it."""
+
+
+def write_ramps(sdo: SdoNode, scaling: AxisScaling, limits: MotionLimits, own: Collection[tuple[int, int]]) -> tuple[str, ...]:
+    """Write how a drive moves and stops by itself.
+
+    Parameters
+    ----------
+    sdo : SdoNode
+    scaling : AxisScaling
+    limits : MotionLimits
+    own : collection of (int, int)
+        Objects that the machine file writes.
+
+    Returns
+    -------
+    tuple of str
+        Where a drive takes less than was asked for, one line each.
+
+    Raises
+    ------
+    ConfigurationRefusedError
+    """
+    per_count = scaling.position_resolution
+    wanted = {index: max(1, round(value / per_count)) for index, value in speeds_and_ramps(scaling.mode, limits).items() if isfinite(value)}
+    if scaling.mode == "profile_position":
+        wanted[FOLLOWING_ERROR_TIME] = 0  # ms: at once, as the loop judges the tracking error
+    stop = sdo.default(QUICK_STOP) if limits.quick_stop is None else round(limits.quick_stop / per_count)
+    if stop:
+        wanted[QUICK_STOP] = stop
+    notes = []
+    for index, value in wanted.items():
+        if (index, 0) in own or not sdo.may_write(index) or sdo.read_if_present(index) is None:
+            continue
+        most = sdo.greatest(index)
+        sdo.write_checked(index, 0, value if most is None else min(value, most))
+        if most is not None and value > most:
+            notes.append(f"{sdo.who}: {index:04X}h takes at most {most}, {value} was asked for: it moves or watches accordingly")
+    return tuple(notes)
+
+
+def speeds_and_ramps(mode: LoopMode, limits: MotionLimits) -> dict[int, float]:
+    """Return speeds and ramps at the joint [rad or m, and per s], by object."""
+    if mode == "profile_velocity":
+        ramp = RAMP_MARGIN * limits.acceleration
+        return {MAX_PROFILE_VELOCITY: LED_SPEED_MARGIN * limits.speed, PROFILE_ACCELERATION: ramp, PROFILE_DECELERATION: ramp}
+    if mode == "profile_position":
+        return {
+            MAX_PROFILE_VELOCITY: limits.speed,
+            PROFILE_VELOCITY: limits.speed,
+            PROFILE_ACCELERATION: limits.acceleration,
+            PROFILE_DECELERATION: limits.acceleration,
+            FOLLOWING_ERROR_WINDOW: limits.tracking_error,
+        }
+    return {}

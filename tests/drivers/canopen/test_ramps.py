@@ -1,0 +1,71 @@
+"""Speeds and ramps that a drive moves and stops by, as they go over the wire at the start of a session."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+from bench_machines import CARM, carm_text_in, edited
+
+from hil.bench.open import open_bench
+from hil.bench.options import BenchOptions
+from hil.machine import check_machine, machine_from_text
+
+PER_RAD = 4096 * 500 / (2.0 * np.pi)
+SPEED, ACCELERATION, TRACKING = np.radians(60.0) * PER_RAD, np.radians(60.0) * PER_RAD, np.radians(3.0) * PER_RAD
+SDO_OF_ROLL = 0x602
+
+
+def written(text: str, folder: Path) -> dict[int, int]:
+    """Value by object of what roll's drive is sent over SDO in a session without motion."""
+    log = folder / "frames.log"
+    with open_bench(machine_from_text(text), BenchOptions("lockstep:", frame_log=log)):
+        pass
+    found = {}
+    for message in can.LogReader(str(log)):
+        if message.arbitration_id == SDO_OF_ROLL and message.data[0] & 0xE0 == 0x20:
+            found[int.from_bytes(message.data[1:3], "little")] = int.from_bytes(message.data[4:], "little")
+    return found
+
+
+def test_a_drive_that_goes_by_itself_keeps_to_the_limits(tmp_path: Path) -> None:
+    found = written(carm_text_in("profile_position"), tmp_path)
+    for index, value in {0x607F: SPEED, 0x6081: SPEED, 0x6083: ACCELERATION, 0x6084: ACCELERATION, 0x6065: TRACKING}.items():
+        assert found[index] == pytest.approx(value, abs=1.0)
+    assert found[0x6066] == 0
+
+
+def test_a_drive_whose_velocities_are_led_ramps_faster_than_its_reference_and_not_beyond_the_watch_over_its_speed(tmp_path: Path) -> None:
+    found = written(carm_text_in("profile_velocity"), tmp_path)
+    assert found[0x607F] == pytest.approx(1.5 * SPEED, abs=1.0)
+    for index in (0x6083, 0x6084):
+        assert found[index] == pytest.approx(10.0 * ACCELERATION, abs=1.0)
+
+
+def test_a_cyclic_drive_has_no_profile(tmp_path: Path) -> None:
+    assert not {0x607F, 0x6081, 0x6083, 0x6084} & set(written(CARM.text, tmp_path))
+
+
+def test_the_quick_stop_is_the_one_that_the_budgets_are_computed_from(tmp_path: Path) -> None:
+    bare = edited(r"^\[\[bus\.nodes\.\w+_drive\.write\]\]\nindex = 0x6085.*\nvalue = .*\n", "")
+    assert written(CARM.text, tmp_path)[0x6085] == 3_500_000
+    assert written(bare, tmp_path)[0x6085] == 200_000  # the data sheet's
+    stated = edited(r"^(\[limits\.\w+\])$", r"\g<1>\nquick_stop_deg_s2 = 600.0", bare)
+    assert written(stated, tmp_path)[0x6085] == pytest.approx(np.radians(600.0) * PER_RAD, abs=1.0)
+
+
+def test_what_the_machine_file_writes_is_its_own(tmp_path: Path) -> None:
+    own = "[[bus.nodes.roll_drive.write]]\nindex = 0x6083\nvalue = 1234\n"
+    found = written(edited(r"^\[\[bus\.nodes\.roll_drive\.tpdo\]\]$", f"{own}\\g<0>", carm_text_in("profile_velocity")), tmp_path)
+    assert found[0x6083] == 1234
+    assert found[0x6084] == pytest.approx(10.0 * ACCELERATION, abs=1.0)
+
+
+@pytest.mark.parametrize(("written", "ok"), [("", True), ("341334", True), ("341333", False)])
+def test_a_ramp_that_is_slower_than_the_reference_fails_the_check(written: str, ok: bool) -> None:
+    own = f"[[bus.nodes.roll_drive.write]]\nindex = 0x6084\nvalue = {written}\n" if written else ""
+    text = edited(r"^\[\[bus\.nodes\.roll_drive\.tpdo\]\]$", f"{own}\\g<0>", carm_text_in("profile_velocity"))
+    found = {finding.values["axis"]: finding.ok for finding in check_machine(machine_from_text(text), poses=9) if finding.name == "ramp"}
+    assert found == {"propeller": True, "roll": ok}
