@@ -66,6 +66,9 @@ class AxisScaling:
     rated_current_mA: int  # object 6075h
     position_unit: str = "rad"  # or "m"; for messages
     mode: LoopMode = "torque"
+    counts_per_motor_turn: float = 0.0
+    velocity_unit: str = ""  # of the drive's velocities, a key of `drivers.canopen.units.DECLARED`; "": what its objects say
+    acceleration_unit: str = ""
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,12 @@ off.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from math import inf
+from math import ceil, inf
 
+from drivers.canopen.cia402 import HOMING_AT_PRESENT_POSITION, NO_HOMING
 from drivers.canopen.sdo import SdoNode
 from drivers.canopen.supervision import HEARTBEAT_TOLERANCE
+from drivers.canopen.units import check_units, in_data_sheet, units_of
 from drivers.errors import ConfigurationRefusedError
 from drivers.settings import AxisScaling, BusSettings, Node, Pdo
 
@@ -22,6 +24,7 @@ EVENT_TIMER = 5  # subindex of a PDO's communication; of an RPDO its deadline [m
 SYNC_COB_ID, CONSUMER_HEARTBEAT, PRODUCER_HEARTBEAT = 0x1005, 0x1016, 0x1017
 MAX_TORQUE, MAX_CURRENT, RATED_CURRENT, RATED_TORQUE = 0x6072, 0x6073, 0x6075, 0x6076
 INTERPOLATION_TIME = 0x60C2
+MAX_PROFILE_VELOCITY = 0x607F
 INTERPOLATION_TOLERANCE = 1e-2  # two digits say a period to half a per cent; what is further off is told
 ADDED_COMMANDS = (0x6071, 0x60B0, 0x60B1, 0x60B2)
 """Target torque and the offsets of position, velocity and torque: a drive adds them to what the loop commands, from any earlier master."""
@@ -77,6 +80,10 @@ def configure_node(sdo: SdoNode, node: Node, settings: BusSettings, scaling: Axi
         if lacking:
             notes.append(_stopped_otherwise(sdo, node, lacking))
         _clear_commands(sdo, node)
+        if scaling is not None and _moves_by_itself(node, settings, scaling):
+            _check_units(sdo, scaling)
+        if scaling is not None and scaling.mode == "profile_velocity" and (MAX_PROFILE_VELOCITY, 0) not in own_writes:
+            notes += _limit_profile(sdo, settings, scaling)
         if scaling is not None and scaling.mode in ("velocity", "position"):
             notes += _set_interpolation_time(sdo, settings)
     if scaling is not None:
@@ -84,6 +91,19 @@ def configure_node(sdo: SdoNode, node: Node, settings: BusSettings, scaling: Axi
     for index, subindex, value in node.writes:
         sdo.write_checked(index, subindex, value)
     return tuple(notes)
+
+
+def _moves_by_itself(node: Node, settings: BusSettings, scaling: AxisScaling) -> bool:
+    """Return whether a drive is told velocities or accelerations: by the loop, or for homing."""
+    finds = any(homing.axis == node.axis and homing.method not in (*HOMING_AT_PRESENT_POSITION, NO_HOMING) for homing in settings.homings)
+    return scaling.mode != "torque" or finds
+
+
+def _check_units(sdo: SdoNode, scaling: AxisScaling) -> None:
+    def on_the_drive(index: int, subindex: int) -> int | None:
+        return sdo.read_integer(index, subindex) if sdo.knows(index, subindex) else None
+
+    check_units(on_the_drive, units_of(in_data_sheet(sdo.dictionary), scaling, sdo.who), scaling, sdo.who)
 
 
 def configure_pdo(sdo: SdoNode, pdo: Pdo, *, transmit: bool) -> None:
@@ -164,6 +184,19 @@ def _write_option_codes(sdo: SdoNode, own_writes: set[tuple[int, int]]) -> list[
         if sdo.may_write(index) and (index, 0) not in own_writes:
             sdo.write_checked(index, 0, code)
     return [index for index in (0x6007, 0x605E) if not sdo.knows(index)]
+
+
+def _limit_profile(sdo: SdoNode, settings: BusSettings, scaling: AxisScaling) -> tuple[str, ...]:
+    """Let a drive that ramps to the loop's velocities reach the axis' speed limit, and no more, where it has such a limit (607Fh)."""
+    speeds = [motion.speed for motion in settings.motions if motion.axis == scaling.axis]
+    if not speeds or not sdo.may_write(MAX_PROFILE_VELOCITY):
+        return ()
+    units = units_of(in_data_sheet(sdo.dictionary), scaling, sdo.who)
+    value, most = ceil(speeds[0] / scaling.position_resolution * units.velocity), sdo.greatest(MAX_PROFILE_VELOCITY)
+    sdo.write_checked(MAX_PROFILE_VELOCITY, 0, value if most is None else min(value, most))
+    if most is None or value <= most:
+        return ()
+    return (f"{sdo.who}: its velocity limit (607Fh) takes at most {most}, the speed limit of {scaling.axis} is {value}: it is slower",)
 
 
 def _set_interpolation_time(sdo: SdoNode, settings: BusSettings) -> tuple[str, ...]:

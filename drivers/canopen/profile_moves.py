@@ -9,12 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.canopen import cia402, power_and_brakes
+from drivers.canopen.configuration import MAX_PROFILE_VELOCITY
 from drivers.canopen.power_and_brakes import SETTLED_TICKS, Hold, Machine
+from drivers.canopen.units import in_data_sheet, units_of
 from drivers.errors import BusTimeoutError, MotionRefusedError
 
 NEW_SET_POINT, CHANGE_AT_ONCE = 1 << 4, 1 << 5  # of the controlword
 TARGET_REACHED, SET_POINT_ACKNOWLEDGED, FOLLOWING_ERROR = 1 << 10, 1 << 12, 1 << 13  # of the statusword
-MAX_PROFILE_VELOCITY, PROFILE_VELOCITY, PROFILE_ACCELERATION, PROFILE_DECELERATION = 0x607F, 0x6081, 0x6083, 0x6084
+PROFILE_VELOCITY, PROFILE_ACCELERATION, PROFILE_DECELERATION = 0x6081, 0x6083, 0x6084
 FOLLOWING_ERROR_WINDOW = 0x6065
 ACKNOWLEDGED_S = 0.5  # a drive takes a set-point within ticks
 STANDS_S, STANDING_COUNTS = 0.25, 4.0  # without more motion than this for so long, it stands
@@ -31,9 +33,11 @@ class Profile:
 
 
 def write_profile(machine: Machine, axis: int, profile: Profile) -> None:
-    """Write speed, ramps and following error to the objects that the drive has, in the standard's default units, counts and seconds."""
+    """Write speed, ramps and following error to the objects that the drive has, in its units."""
     sdo, per_count = machine.sdo(axis), machine.scalings[axis].position_resolution
-    speed, ramp = (max(1, round(value / per_count)) for value in (profile.speed, profile.acceleration))
+    units = units_of(in_data_sheet(sdo.dictionary), machine.scalings[axis], sdo.who)
+    speed = max(1, round(profile.speed / per_count * units.velocity))
+    ramp = max(1, round(profile.acceleration / per_count * units.acceleration))
     values = (
         (MAX_PROFILE_VELOCITY, speed),
         (PROFILE_VELOCITY, speed),

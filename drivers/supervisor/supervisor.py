@@ -112,14 +112,14 @@ class _Encoder:
 class _Axis:
     """What is known of one axis."""
 
-    def __init__(self, scaling: AxisScaling, limits: MotionLimits, period_s: float) -> None:
+    def __init__(self, scaling: AxisScaling, limits: MotionLimits, period_s: float, units_per_count: float) -> None:
         self.name, self.limits, self.scaling = scaling.axis, limits, scaling
         fastest = SPEED_MARGIN * limits.speed
         self.motor = _Encoder(scaling.position_resolution, fastest, limits.tracking_error)
         self.link = _Encoder(scaling.link_resolution, fastest, limits.tracking_error) if scaling.link_resolution else None
         self.link_at = nan  # rad or m
         self.torque_permille = min(32767, round(scaling.limit / scaling.rated * 1000.0))
-        self.fastest_counts_s = fastest / scaling.position_resolution
+        self.fastest_counts_s, self.counts_per_unit = fastest / scaling.position_resolution, 1.0 / units_per_count
         self.powered = self.enabled = self.brake_open = self.known = False
         self.unanswered = 0  # SYNCs since the last position
         self.seen_at_s = self.link_seen_at_s = -inf  # when each encoder was read last
@@ -185,6 +185,16 @@ class _Axis:
         return ""
 
 
+def _units_per_count(scaling: AxisScaling, settings: BusSettings) -> float:
+    """Return how many of its units of velocity a count per second is, of a drive that is commanded velocities."""
+    drives = [node for node in settings.nodes if node.role == "drive" and node.axis == scaling.axis]
+    if not drives or not scaling.mode.endswith("velocity"):
+        return 1.0
+    from drivers.canopen.units import units_in_data_sheet  # a supervisor that needs no data sheet starts without what reads them
+
+    return units_in_data_sheet(drives[0], scaling).velocity
+
+
 class Supervisor:
     """Judges a machine by what passes on its bus and by the state of its I/O.
 
@@ -202,6 +212,7 @@ class Supervisor:
         self._sync_id, self._period_s = settings.sync_cob_id, settings.sync_period_s
         self._silent_s = max(SYNC_SILENT_PERIODS * settings.master_heartbeat_period_s, SILENT_AT_LEAST_S)
         self._settings = settings
+        self._units = [_units_per_count(scaling, settings) for scaling in settings.scalings]
         self.begin()
 
     def begin(self) -> None:
@@ -213,7 +224,8 @@ class Supervisor:
         self._nmt_at_s = -inf
         self.asked_by = ""
         self._axes = [
-            _Axis(scaling, limits, settings.sync_period_s) for scaling, limits in zip(settings.scalings, settings.motions, strict=True)
+            _Axis(scaling, limits, settings.sync_period_s, units)
+            for scaling, limits, units in zip(settings.scalings, settings.motions, self._units, strict=True)
         ]
         names = [axis.name for axis in self._axes]
         self._drives = [(self._axes[names.index(node.axis)], node.node_id) for node in settings.nodes if node.role == "drive"]
@@ -249,9 +261,10 @@ class Supervisor:
         elif (asked := self._asked.get(can_id)) is not None:
             axis, fields = asked
             for field, (kind, unit) in fields:
-                value, most = field.read(data), axis.torque_permille if kind == "torque" else axis.fastest_counts_s
-                if value is not None and abs(value) > most:
-                    self.refuse(time_s, f"{axis.name}: a {kind} of {value} {unit} was asked for, {most:.0f} are allowed")
+                value = field.read(data)
+                most, factor = (axis.torque_permille, 1.0) if kind == "torque" else (axis.fastest_counts_s, axis.counts_per_unit)
+                if value is not None and abs(value * factor) > most:
+                    self.refuse(time_s, f"{axis.name}: a {kind} of {value * factor:.0f} {unit} was asked for, {most:.0f} are allowed")
         elif (sent := self._sent.get(can_id)) is not None:
             axis, status, position, link = sent
             if (word := status.read(data)) is not None:

@@ -164,6 +164,8 @@ def emulated_bus(machine: Machine, physics: Physics) -> EmulatedBus:
                     scaling.position_resolution,
                     counts_per_turn=_counts_per_motor_turn(machine, node.axis, scaling.position_resolution),
                     sign=scaling.sign,
+                    velocity_unit=scaling.velocity_unit,
+                    acceleration_unit=scaling.acceleration_unit,
                     **gains[node.axis],
                 )
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 from drivers.canopen.cia402 import HOMING_AT_PRESENT_POSITION, NO_HOMING
@@ -212,6 +213,9 @@ def _scaling(axis: str, table: MachineTable, plant: PlantSettings) -> AxisScalin
         rated_torque_mNm=max(1, round(drive.rated * drive.constant * 1000.0)),
         rated_current_mA=max(1, round(drive.rated * 1000.0)),
         position_unit=POSITION_UNITS[joint_of(axis, table, plant.tree).kind],
+        counts_per_motor_turn=2.0 * math.pi / (resolution[f"position_{axis}"] * table_drive.ratio),
+        velocity_unit=table_drive.velocity_unit or "",
+        acceleration_unit=table_drive.acceleration_unit or "",
     )
 
 
