@@ -97,6 +97,7 @@ class MotionLimits:
     speed: float  # rad/s or m/s
     tracking_error: float  # rad or m: |reference - position|
     stale_ticks: int  # ticks in a row without a position that are bridged
+    following_error: float = 0.0  # rad or m: |target - position| in position mode, in which the target leads at speed
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from drivers.canopen.cyclic import CyclicExchange
 from drivers.canopen.eds import load_object_dictionary
 from drivers.canopen.identity import check_identity
 from drivers.canopen.network import NMT_PRE_OPERATIONAL, NMT_START, PolledNetwork
+from drivers.canopen.own_limits import SET_SO
 from drivers.canopen.process_data import drives
 from drivers.canopen.resting import Resting
 from drivers.canopen.sdo import SdoNode
@@ -129,7 +130,7 @@ class TickingMachine:
             if self._imu is not None:
                 self._imu.configure(self.clock.wait)
             self.supervision.boot(self.settings.nodes)
-            notes: list[str] = []
+            notes = [note for note in self.notes if note.endswith(SET_SO)]
             for node in self.settings.nodes:
                 notes += self._configure(node)
             self.notes = tuple(notes)

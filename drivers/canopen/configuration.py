@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from math import ceil, inf
 
 from drivers.canopen.cia402 import HOMING_AT_PRESENT_POSITION, NO_HOMING
+from drivers.canopen.own_limits import allow_following_error
 from drivers.canopen.sdo import SdoNode
 from drivers.canopen.supervision import HEARTBEAT_TOLERANCE
 from drivers.canopen.units import check_units, in_data_sheet, units_of
@@ -84,6 +85,9 @@ def configure_node(sdo: SdoNode, node: Node, settings: BusSettings, scaling: Axi
             _check_units(sdo, scaling)
         if scaling is not None and scaling.mode == "profile_velocity" and (MAX_PROFILE_VELOCITY, 0) not in own_writes:
             notes += _limit_profile(sdo, settings, scaling)
+        if scaling is not None and scaling.mode == "position":
+            limits = next(motion for motion in settings.motions if motion.axis == scaling.axis)
+            notes += allow_following_error(sdo, node, limits, scaling.position_resolution)
         if scaling is not None and scaling.mode in ("velocity", "position"):
             notes += _set_interpolation_time(sdo, settings)
     if scaling is not None:
@@ -100,10 +104,7 @@ def _moves_by_itself(node: Node, settings: BusSettings, scaling: AxisScaling) ->
 
 
 def _check_units(sdo: SdoNode, scaling: AxisScaling) -> None:
-    def on_the_drive(index: int, subindex: int) -> int | None:
-        return sdo.read_integer(index, subindex) if sdo.knows(index, subindex) else None
-
-    check_units(on_the_drive, units_of(in_data_sheet(sdo.dictionary), scaling, sdo.who), scaling, sdo.who)
+    check_units(sdo.integer_if_present, units_of(in_data_sheet(sdo.dictionary), scaling, sdo.who), scaling, sdo.who)
 
 
 def configure_pdo(sdo: SdoNode, pdo: Pdo, *, transmit: bool) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from drivers.canopen import cia402, power_and_brakes
 from drivers.canopen.configuration import MAX_PROFILE_VELOCITY
+from drivers.canopen.own_limits import FOLLOWING_ERROR_WINDOW
 from drivers.canopen.power_and_brakes import SETTLED_TICKS, Hold, Machine
 from drivers.canopen.units import in_data_sheet, units_of
 from drivers.errors import BusTimeoutError, MotionRefusedError
@@ -17,7 +18,6 @@ from drivers.errors import BusTimeoutError, MotionRefusedError
 NEW_SET_POINT, CHANGE_AT_ONCE = 1 << 4, 1 << 5  # of the controlword
 TARGET_REACHED, SET_POINT_ACKNOWLEDGED, FOLLOWING_ERROR = 1 << 10, 1 << 12, 1 << 13  # of the statusword
 PROFILE_VELOCITY, PROFILE_ACCELERATION, PROFILE_DECELERATION = 0x6081, 0x6083, 0x6084
-FOLLOWING_ERROR_WINDOW = 0x6065
 ACKNOWLEDGED_S = 0.5  # a drive takes a set-point within ticks
 STANDS_S, STANDING_COUNTS = 0.25, 4.0  # without more motion than this for so long, it stands
 SETTLES_S = 5.0  # beyond the profile's own time, until the drive says that its target is reached

@@ -250,8 +250,9 @@ def _homing(axis: str, table: MachineTable, plant: PlantSettings) -> HomingSetti
 
 
 def _motion(axis: str, table: MachineTable) -> MotionLimits:
-    limits = table.limits[axis]
-    return MotionLimits(axis, *limits.range, limits.speed, limits.tracking_error, table.timing.stale_ticks)
+    limits, loops = table.limits[axis], table.drives[axis].loops
+    lead = limits.speed / loops.position_gain if loops is not None and loops.position_gain else 0.0
+    return MotionLimits(axis, *limits.range, limits.speed, limits.tracking_error, table.timing.stale_ticks, limits.tracking_error + lead)
 
 
 def _imu_port(bus: BusTable, table: MachineTable) -> ImuPort | None:

@@ -28,7 +28,6 @@ NEEDS = {
 """Mode: its bit of 6502h, the objects that it takes, and what the RPDO carries beside the controlword."""
 HOMING_BIT = 5
 QUICK_STOP = 3_500_000  # counts/s^2, of the shipped file
-NO_WINDOW = 0xFFFF_FFFF  # the drive does not watch its following error: the loop watches the tracking error
 FAST_RAMP = 50_000_000  # counts/s^2: the loop's own velocities are not ramped any more
 
 
@@ -79,9 +78,6 @@ def carm_text_with(file: Path, mode: str) -> str:
         ramps = {index: min(FAST_RAMP, dictionary[index].max or FAST_RAMP) for index in (0x6083, 0x6084)}
         writes = "".join(f"[[bus.nodes.\\1_drive.write]]\nindex = {index}\nvalue = {ramp}\n" for index, ramp in ramps.items())
         text = edited(r"^\[\[bus\.nodes\.(\w+)_drive\.tpdo\]\]$", f"{writes}\\g<0>", text)
-    if mode == "position":
-        write = f"[[bus.nodes.\\1_drive.write]]\nindex = 0x6065\nvalue = {NO_WINDOW}\n"
-        text = edited(r"^\[\[bus\.nodes\.(\w+)_drive\.tpdo\]\]$", f"{write}\\g<0>", text)
     if units := UNITS.get(file.name):
         said = f'velocity_unit = "{units[0]}"\nacceleration_unit = "{units[1]}"'
         counts = dictionary[0x608F][1].default
