@@ -9,6 +9,7 @@ from drivers.canopen.cia402 import HOMING_AT_PRESENT_POSITION, NO_HOMING
 from drivers.canopen.objects import MAPPABLE
 from drivers.settings import AxisScaling, BusSettings, HomingSettings, Identity, ImuPort, IoMap, IoWatchdog, MotionLimits, Node, Pdo
 from hil.machine.build import POSITION_UNITS, joint_of, require_effort_unit, require_kind, require_known
+from hil.machine.build_control import furthest_target
 from hil.machine.messages import ComplaintError
 from hil.machine.schema import MachineTable
 from hil.machine.schema_bus import BusTable, IoTable, NodeTable, PdoTable
@@ -251,8 +252,8 @@ def _homing(axis: str, table: MachineTable, plant: PlantSettings) -> HomingSetti
 
 def _motion(axis: str, table: MachineTable) -> MotionLimits:
     limits, loops = table.limits[axis], table.drives[axis].loops
-    lead = limits.speed / loops.position_gain if loops is not None and loops.position_gain else 0.0
-    return MotionLimits(axis, *limits.range, limits.speed, limits.tracking_error, table.timing.stale_ticks, limits.tracking_error + lead)
+    furthest = limits.tracking_error if loops is None else furthest_target(limits.speed, limits.tracking_error, loops.position_gain)
+    return MotionLimits(axis, *limits.range, limits.speed, limits.tracking_error, table.timing.stale_ticks, furthest)
 
 
 def _imu_port(bus: BusTable, table: MachineTable) -> ImuPort | None:
