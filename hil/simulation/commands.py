@@ -38,8 +38,8 @@ def commanded(command: AxisCommand, reference: np.ndarray, position: np.ndarray)
 def in_effort(recording: Recording, machine: Machine | None = None) -> Recording:
     """Return a recording whose `command_A` are efforts, for axes whose drives close loops of their own: what these loops asked for.
 
-    The efforts follow from the recorded positions by the law of bench and drive together. A recording of efforts is returned as it is, one
-    without references, as of a foreign master's bus, without the commands, which are no efforts.
+    The efforts follow from the recorded positions by the law of bench and drive together; what the bench commanded becomes `target_A`. A
+    recording of efforts is returned as it is, one without references, as of a foreign master's bus, without the efforts.
 
     Parameters
     ----------
@@ -60,10 +60,11 @@ def in_effort(recording: Recording, machine: Machine | None = None) -> Recording
     led = [axis for axis, command in zip(machine.axes, machine.commands, strict=True) if command is not None]
     if not any(f"command_{axis}" in recording for axis in led):
         return recording
+    targets = {f"command_{axis}": f"target_{axis}" for axis in led}
+    channels = {targets.get(name, name): channel for name, channel in recording.channels.items()}
     if not any(f"reference_{axis}" in recording for axis in machine.axes):
-        return replace(recording, channels={n: c for n, c in recording.channels.items() if n not in {f"command_{axis}" for axis in led}})
+        return replace(recording, channels=channels)
     efforts = _efforts(machine, recording)
-    channels = dict(recording.channels)
     for axis in led:
         column = machine.axis_index(axis)
         channels[f"command_{axis}"] = Channel(machine.units[column].effort, efforts[:, column])
