@@ -53,7 +53,7 @@ class AxisCommand:
     """
 
     mode: CommandMode
-    controller: AxisController  # Y and R, from rad or m to the unit of the command
+    controller: AxisController  # Y and R, from rad or m to the unit of the command; its limit is theirs, not the reference's
     loops: DriveLoops
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from drivers.canopen import power_and_brakes
 from drivers.canopen.cia402 import Mode, State
 from drivers.canopen.first_move_and_homing import commission_axis
+from drivers.canopen.own_limits import allow_range
 from drivers.canopen.profile_moves import go_to
 from drivers.errors import MotionRefusedError
 from drivers.ticking_machine import TickingMachine
@@ -88,6 +89,8 @@ class CanMachine(TickingMachine):
             for axis in axes:
                 power_and_brakes.reset_fault(self, axis)
                 power_and_brakes.set_mode(self, axis, LOOP_MODES[self.scalings[axis].mode])
+                if self.scalings[axis].mode.endswith("position"):
+                    allow_range(self, axis, self.settings.motions[axis])
             self.watch.stand()
             power_and_brakes.reach(self, State.OPERATION_ENABLED, axes, hold or (lambda _: self.zeros))
 

@@ -67,6 +67,9 @@ class AxisScaling:
     rated_current_mA: int  # object 6075h
     position_unit: str = "rad"  # or "m"; for messages
     mode: LoopMode = "torque"
+    counts_per_motor_turn: float = 0.0
+    velocity_unit: str = ""  # of the drive's velocities, a key of `drivers.canopen.units.DECLARED`; "": what its objects say
+    acceleration_unit: str = ""
 
 
 @dataclass(frozen=True)
@@ -97,6 +100,7 @@ class MotionLimits:
     stale_ticks: int  # ticks in a row without a position that are bridged
     acceleration: float = inf  # rad/s^2 or m/s^2 of the reference, and of a drive that goes by itself
     quick_stop: float | None = None  # rad/s^2 or m/s^2 of the drive's own ramp; None: that of its data sheet, or of the node's writes
+    following_error: float = 0.0  # rad or m: |target - position| in position mode, in which the target leads at speed
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from drivers.canopen.cyclic import CyclicExchange
 from drivers.canopen.eds import load_object_dictionary
 from drivers.canopen.identity import check_identity
 from drivers.canopen.network import NMT_PRE_OPERATIONAL, NMT_START, NMT_STOP, PolledNetwork
+from drivers.canopen.own_limits import SET_SO
 from drivers.canopen.process_data import drives
 from drivers.canopen.resting import Resting
 from drivers.canopen.sdo import SdoNode
@@ -101,8 +102,7 @@ class TickingMachine:
         self._dictionaries: dict[int, canopen.ObjectDictionary] = {}  # of the EDS files, read once
         self._armed = [False] * len(self.axes)
         self._supplied = [False] * len(self.axes)  # bit 4 of the statusword when a drive was armed
-        self._ticking = False
-        self._ours = False  # nobody else runs this machine; only then may anything be sent, even to stop it
+        self._ticking = self._ours = False  # ours: nobody else runs this machine; only then may anything be sent, even to stop it
         self._io_lost = ""
         self.open_brakes: set[str] = set()  # of these axes: they have reported open, and were not told to close since
         self.judged: Callable[[Sample], str] = lambda sample: ""  # why sensors stop the motors, in ticks that the machine makes by itself
@@ -132,7 +132,7 @@ class TickingMachine:
             if self._imu is not None:
                 self._imu.configure(self.clock.wait)
             self.supervision.boot(self.settings.nodes)
-            notes: list[str] = []
+            notes = [note for note in self.notes if note.endswith(SET_SO)]
             for node in self.settings.nodes:
                 notes += self._configure(node)
             self.notes = tuple(notes)
@@ -196,10 +196,7 @@ class TickingMachine:
 
     @property
     def syncs(self) -> int:
-        """SYNCs sent since the nodes were started; a device that counts them from its NMT start has the same number.
-
-        Where another device sends them this is the number of ticks.
-        """
+        """Ticks since the nodes were started: SYNCs as a device counts them from its NMT start, where the bench sends them."""
         return self._cyclic.syncs
 
     @property

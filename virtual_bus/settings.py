@@ -194,6 +194,14 @@ class EmulatedDrive:
     """Share of the newest difference of positions in the measured speed: the encoder's counts are coarse at slow speed."""
     torque_sections: tuple[tuple[float, ...], ...] = ()
     """Filter of the velocity loop's torque: second-order sections (b0, b1, b2, 1, a1, a2) at the sample rate, static gain 1."""
+    velocity_unit: str = ""
+    """Unit of a device whose objects say none, as in `drivers.canopen.units.DECLARED`; so is `acceleration_unit`."""
+    acceleration_unit: str = ""
+
+    @property
+    def counts_per_motor_turn(self) -> float:
+        """Counts of the position actual value per turn of the motor."""
+        return float(self.counts_per_turn)
 
     def __post_init__(self) -> None:
         """Derive the position gain where none is given."""

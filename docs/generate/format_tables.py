@@ -33,6 +33,7 @@ CHANNELS = {
     "feedforward_.+": ("feedforward_A", "Feedforward."),
     "damping_(?!share$).+": ("damping_A", "What the observer's damping added to the command, before saturation."),
     "command_.+": ("command_A", "What the loop computed from this row, saturated; it acts from the next row on."),
+    "velocity_offset_.+": ("velocity_offset_A", "Of a CAN log: velocity that a master added behind the position loop (60B1h)."),
     "current_.+": ("current_A", "What a drive measured that is commanded in ampere."),
     "effort_.+": ("effort_A", "What a drive measured that is commanded in V, Nm or N."),
     "position_.+": ("position_A", "Position on the motor side, at the joint."),

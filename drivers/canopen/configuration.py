@@ -9,9 +9,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from math import inf
 
+from drivers.canopen.cia402 import HOMING_AT_PRESENT_POSITION, NO_HOMING
+from drivers.canopen.own_limits import allow_following_error
 from drivers.canopen.ramps import write_ramps
 from drivers.canopen.sdo import SdoNode
 from drivers.canopen.supervision import HEARTBEAT_TOLERANCE
+from drivers.canopen.units import check_units, in_data_sheet, units_of
 from drivers.errors import ConfigurationRefusedError
 from drivers.settings import AxisScaling, BusSettings, Node, Pdo
 
@@ -78,6 +81,11 @@ def configure_node(sdo: SdoNode, node: Node, settings: BusSettings, scaling: Axi
         if lacking:
             notes.append(_stopped_otherwise(sdo, node, lacking))
         _clear_commands(sdo, node)
+        if scaling is not None and _moves_by_itself(node, settings, scaling):
+            _check_units(sdo, scaling)
+        if scaling is not None and scaling.mode == "position":
+            limits = next(motion for motion in settings.motions if motion.axis == scaling.axis)
+            notes += allow_following_error(sdo, node, limits, scaling.position_resolution)
         if scaling is not None and scaling.mode in ("velocity", "position"):
             notes += _set_interpolation_time(sdo, settings)
     if scaling is not None:
@@ -86,6 +94,16 @@ def configure_node(sdo: SdoNode, node: Node, settings: BusSettings, scaling: Axi
     for index, subindex, value in node.writes:
         sdo.write_checked(index, subindex, value)
     return tuple(notes)
+
+
+def _moves_by_itself(node: Node, settings: BusSettings, scaling: AxisScaling) -> bool:
+    """Return whether a drive is told velocities or accelerations: by the loop, or for homing."""
+    finds = any(homing.axis == node.axis and homing.method not in (*HOMING_AT_PRESENT_POSITION, NO_HOMING) for homing in settings.homings)
+    return scaling.mode != "torque" or finds
+
+
+def _check_units(sdo: SdoNode, scaling: AxisScaling) -> None:
+    check_units(sdo.integer_if_present, units_of(in_data_sheet(sdo.dictionary), scaling, sdo.who), scaling, sdo.who)
 
 
 def configure_pdo(sdo: SdoNode, pdo: Pdo, *, transmit: bool) -> None:

@@ -17,6 +17,7 @@ from drivers.canopen.network import PolledNetwork, is_data_frame, receive_frame,
 from drivers.canopen.one_master import OneMaster
 from drivers.canopen.process_data import AxisInput, AxisOutput, Tpdo, check_inputs, drives
 from drivers.canopen.supervision import HEARTBEAT_TOLERANCE, Supervision
+from drivers.canopen.units import MotionUnits, units_in_data_sheet
 from drivers.errors import MotionRefusedError, ProtocolError
 from drivers.interface import Sample
 from drivers.settings import BusSettings
@@ -59,7 +60,10 @@ class CyclicExchange:
         self._axis_names = [scaling.axis for scaling in settings.scalings]
         self.inputs = [AxisInput(scaling) for scaling in settings.scalings]
         parts = zip(drives(settings), settings.scalings, self.inputs, strict=True)
-        self.outputs = [AxisOutput(drive, scaling, source) for drive, scaling, source in parts]
+        self.outputs = [
+            AxisOutput(drive, scaling, source, units_in_data_sheet(drive, scaling) if scaling.mode.endswith("velocity") else MotionUnits())
+            for drive, scaling, source in parts
+        ]
         self._told = [scaling.mode == "torque" for scaling in settings.scalings]  # whether that is all of its effort
         self._tpdos = [
             Tpdo(node, pdo, axis, self.inputs[axis])

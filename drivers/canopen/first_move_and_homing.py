@@ -7,6 +7,7 @@ import numpy as np
 from drivers.canopen import cia402, power_and_brakes
 from drivers.canopen.cia402 import HOMING_AT_PRESENT_POSITION, NO_HOMING, Homing, Mode, State
 from drivers.canopen.power_and_brakes import SETTLED_TICKS, Machine
+from drivers.canopen.units import in_data_sheet, units_of
 from drivers.errors import BusTimeoutError, MotionRefusedError
 from drivers.settings import HomingSettings
 
@@ -243,16 +244,17 @@ def _mean_positions(machine: Machine, axis: int, command: np.ndarray) -> tuple[f
 
 
 def _write_homing(machine: Machine, axis: int, settings: HomingSettings, moves: bool) -> None:
-    """Write the homing method, and for methods that move, speeds and acceleration in the standard's default units, counts per second."""
+    """Write the homing method, and for methods that move, speeds and acceleration in the drive's units."""
     sdo = machine.sdo(axis)
     sdo.write_checked(HOMING_METHOD, 0, settings.method)
     if not moves:
         return
     per_count = machine.scalings[axis].position_resolution
+    units = units_of(in_data_sheet(sdo.dictionary), machine.scalings[axis], sdo.who)
     for subindex in (1, 2):
-        sdo.write_checked(HOMING_SPEEDS, subindex, max(1, round(settings.speed / per_count)))
+        sdo.write_checked(HOMING_SPEEDS, subindex, max(1, round(settings.speed / per_count * units.velocity)))
     if sdo.may_write(HOMING_ACCELERATION):
-        sdo.write_checked(HOMING_ACCELERATION, 0, max(1, round(settings.acceleration / per_count)))
+        sdo.write_checked(HOMING_ACCELERATION, 0, max(1, round(settings.acceleration / per_count * units.acceleration)))
 
 
 def _run_homing(machine: Machine, axis: int, settings: HomingSettings, command: np.ndarray) -> None:

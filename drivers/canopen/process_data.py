@@ -11,6 +11,7 @@ from drivers.canopen.cia402 import DISABLE_VOLTAGE, State, decode_state
 from drivers.canopen.cia406 import signed_counts
 from drivers.canopen.network import send_frame
 from drivers.canopen.pdo import PdoCodec
+from drivers.canopen.units import MotionUnits
 from drivers.errors import ConfigurationRefusedError, MotionRefusedError
 from drivers.interface import Sample
 from drivers.settings import AxisScaling, BusSettings, Node, Pdo
@@ -79,12 +80,12 @@ class AxisOutput:
         Whether an RPDO carries an effort. A drive without one cannot be pushed, not even against its brake.
     """
 
-    def __init__(self, node: Node, scaling: AxisScaling, source: AxisInput) -> None:
+    def __init__(self, node: Node, scaling: AxisScaling, source: AxisInput, units: MotionUnits = MotionUnits()) -> None:  # noqa: B008 - frozen
         self.controlword = DISABLE_VOLTAGE
-        self.target = 0  # counts or counts/s
+        self.target = 0  # counts, or the drive's unit of velocity
         self._left = 0.0  # what the last target lacks by rounding
         self._source = source
-        self._speed_scale = scaling.sign / scaling.position_resolution
+        self._speed_scale = scaling.sign / scaling.position_resolution * units.velocity
         self._permille = scaling.sign * 1000.0 / scaling.rated
         self._limit = min(INT16_MAX, round(scaling.limit / scaling.rated * 1000.0))
         carried = [index for pdo in node.rpdos for index, _, _ in pdo.entries]

@@ -1,7 +1,7 @@
 """Speeds and ramps by which a drive moves and stops by itself, written at the start of each session where the drive has the objects.
 
-Positions are in counts, velocities and accelerations in counts and seconds, the standard's default units. What a node's `write` in the
-machine file names is the file's own. Values that an earlier master has stored do not count: the budgets of `machine check` hold for these.
+They are in the drive's own units (`drivers.canopen.units`). What a node's `write` in the machine file names is the file's own. Values that
+an earlier master has stored do not count: the budgets of `machine check` hold for these.
 """
 
 from __future__ import annotations
@@ -10,7 +10,9 @@ from collections.abc import Collection
 from math import isfinite
 
 from drivers.canopen.sdo import SdoNode
+from drivers.canopen.units import in_data_sheet, units_of
 from drivers.canopen.watch import LED_SPEED_MARGIN
+from drivers.errors import ConfigurationRefusedError
 from drivers.settings import AxisScaling, LoopMode, MotionLimits
 
 MAX_PROFILE_VELOCITY, PROFILE_VELOCITY, PROFILE_ACCELERATION, PROFILE_DECELERATION, QUICK_STOP = 0x607F, 0x6081, 0x6083, 0x6084, 0x6085
@@ -40,11 +42,22 @@ def write_ramps(sdo: SdoNode, scaling: AxisScaling, limits: MotionLimits, own: C
     ------
     ConfigurationRefusedError
     """
+    try:
+        units = units_of(in_data_sheet(sdo.dictionary), scaling, sdo.who)
+    except ConfigurationRefusedError as unknown:
+        if scaling.mode != "torque":
+            raise
+        return (f"{unknown}; its quick stop ramp stays as it is",) if sdo.may_write(QUICK_STOP) else ()
     per_count = scaling.position_resolution
-    wanted = {index: max(1, round(value / per_count)) for index, value in speeds_and_ramps(scaling.mode, limits).items() if isfinite(value)}
+    of = {MAX_PROFILE_VELOCITY: units.velocity, PROFILE_VELOCITY: units.velocity, FOLLOWING_ERROR_WINDOW: 1.0}
+    wanted = {
+        index: max(1, round(value / per_count * of.get(index, units.acceleration)))
+        for index, value in speeds_and_ramps(scaling.mode, limits).items()
+        if isfinite(value)
+    }
     if scaling.mode == "profile_position":
         wanted[FOLLOWING_ERROR_TIME] = 0  # ms: at once, as the loop judges the tracking error
-    stop = sdo.default(QUICK_STOP) if limits.quick_stop is None else round(limits.quick_stop / per_count)
+    stop = sdo.default(QUICK_STOP) if limits.quick_stop is None else round(limits.quick_stop / per_count * units.acceleration)
     if stop:
         wanted[QUICK_STOP] = stop
     notes = []

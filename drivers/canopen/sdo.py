@@ -172,6 +172,11 @@ class SdoNode:
         """Read the value of an integer object, signed where the data sheet says so."""
         return self._to_integer(index, subindex, self.read(index, subindex))
 
+    def integer_if_present(self, index: int, subindex: int = 0) -> int | None:
+        """Read the same, or return None where data sheet or node have no such object."""
+        data = self.read_if_present(index, subindex) if self.knows(index, subindex) else None
+        return None if data is None else self._to_integer(index, subindex, data)
+
     def read_text(self, index: int, subindex: int = 0) -> str:
         """Read the text of a visible string; '' when the node has none."""
         return (self.read_if_present(index, subindex) or b"").decode("ascii", "replace").strip("\0 ")

@@ -15,6 +15,7 @@ from collections.abc import Collection, Iterable
 from math import inf, isfinite, nan
 from statistics import median
 
+from drivers.canopen.units import velocity_units
 from drivers.modbus.refresh import following_word
 from drivers.settings import AxisScaling, BusSettings, MotionLimits, Pdo
 
@@ -111,14 +112,14 @@ class _Encoder:
 class _Axis:
     """What is known of one axis."""
 
-    def __init__(self, scaling: AxisScaling, limits: MotionLimits, period_s: float) -> None:
+    def __init__(self, scaling: AxisScaling, limits: MotionLimits, units_per_count: float, period_s: float) -> None:
         self.name, self.limits, self.scaling = scaling.axis, limits, scaling
         fastest = SPEED_MARGIN * limits.speed
         self.motor = _Encoder(scaling.position_resolution, fastest, limits.tracking_error)
         self.link = _Encoder(scaling.link_resolution, fastest, limits.tracking_error) if scaling.link_resolution else None
         self.link_at = nan  # rad or m
         self.torque_permille = min(32767, round(scaling.limit / scaling.rated * 1000.0))
-        self.fastest_counts_s = fastest / scaling.position_resolution
+        self.fastest_counts_s, self.counts_per_unit = fastest / scaling.position_resolution, 1.0 / units_per_count
         self.powered = self.enabled = self.brake_open = self.known = False
         self.unanswered = 0  # SYNCs since the last position
         self.seen_at_s = self.link_seen_at_s = -inf  # when each encoder was read last
@@ -129,7 +130,7 @@ class _Axis:
     def asks(self, kind: str, value: int, bits: int) -> tuple[float, float]:
         """Return how much is asked for, and how much is allowed; of a new position, that is the way there of an enabled drive."""
         if kind != "way":
-            return value, self.torque_permille if kind == "torque" else self.fastest_counts_s
+            return (value, self.torque_permille) if kind == "torque" else (value * self.counts_per_unit, self.fastest_counts_s)
         new, self._target = value != self._target, value
         way, limits, most = self.motor.way_to(value, bits), self.limits, LEAD_S * self.limits.speed
         if self.scaling.mode == "profile_position":
@@ -210,6 +211,7 @@ class Supervisor:
         self._sync_id, self._period_s = settings.sync_cob_id, settings.sync_period_s
         self._silent_s = max(SYNC_SILENT_PERIODS * settings.master_heartbeat_period_s, SILENT_AT_LEAST_S)
         self._settings = settings
+        self._units = [velocity_units(scaling, settings) for scaling in settings.scalings]
         self.begin()
 
     def begin(self) -> None:
@@ -220,9 +222,7 @@ class Supervisor:
         self._asked_at_s = self._released_at_s = self._refused_at_s = inf
         self._nmt_at_s = -inf
         self.asked_by = ""
-        self._axes = [
-            _Axis(scaling, limits, settings.sync_period_s) for scaling, limits in zip(settings.scalings, settings.motions, strict=True)
-        ]
+        self._axes = [_Axis(*each, settings.sync_period_s) for each in zip(settings.scalings, settings.motions, self._units, strict=True)]
         self._axis_of = {axis.name: axis for axis in self._axes}
         self._drives = [(self._axis_of[node.axis], node.node_id) for node in settings.nodes if node.role == "drive"]
         self._sent = self._fields(((node.axis, pdo) for node in settings.nodes for pdo in node.tpdos), _SEEN)
@@ -253,7 +253,7 @@ class Supervisor:
             axis, fields = asked
             for field, (kind, unit) in zip(fields, _ASKED.values(), strict=True):
                 value = field.read(data)
-                much, most = (0, 0) if value is None else axis.asks(kind, value, field.bits)
+                much, most = (0.0, 0.0) if value is None else axis.asks(kind, value, field.bits)
                 if abs(much) > most:
                     self.refuse(time_s, f"{axis.name}: a {kind} of {much:.0f} {unit} was asked for, {most:.0f} are allowed")
         elif (sent := self._sent.get(can_id)) is not None:

@@ -59,7 +59,7 @@ class Control:
             own = [law if command is None else command.controller for law, command in zip(controllers, commands, strict=True)]
             self._own = Feedback(own)
             self.demand, self.command = np.zeros(axes), np.zeros(axes)
-            self._added, self._ahead = np.zeros(axes), np.zeros(axes)
+            self._added, self._ahead = np.zeros(axes), np.zeros(axes)  # of axes that are commanded efforts
         self._compile()
 
     def step(self, reference: np.ndarray, position: np.ndarray, excitation: np.ndarray, feedforward: np.ndarray) -> None:
@@ -69,11 +69,13 @@ class Control:
             return
         added, ahead = self._added, self._ahead
         added[:], ahead[:] = excitation, feedforward
-        for axis, is_position in self._led:
-            added[axis], ahead[axis] = 0.0, reference[axis] if is_position else 0.0
+        for axis, _ in self._led:
+            added[axis] = ahead[axis] = 0.0
         self._own.step(reference, position, added, ahead, self.command)
         self.effort[:] = self.demand
-        for axis, _ in self._led:
+        for axis, is_position in self._led:
+            if is_position:
+                self.command[axis] += reference[axis]  # which the correction, within its own limit, is beside
             self.effort[axis] = self._holding[axis] + excitation[axis] + feedforward[axis]
             self._lead_to(axis, self.command[axis])
 
@@ -96,13 +98,14 @@ class Control:
         if not self._led:
             return
         output, ahead = holding_effort.copy(), feedforward.copy()
-        for axis, is_position in self._led:
-            output[axis] = ahead[axis] = position[axis] if is_position else 0.0
+        for axis, _ in self._led:
+            output[axis] = ahead[axis] = 0.0
             self._holding[axis] = holding_effort[axis] - feedforward[axis]
         self._own.preload(output, position, ahead)
         self.command[:] = output
-        for axis, _ in self._led:
-            self._lead_to(axis, output[axis])
+        for axis, is_position in self._led:
+            self.command[axis] = position[axis] if is_position else 0.0
+            self._lead_to(axis, self.command[axis])
 
     def _compile(self) -> None:
         """Compile the feedback by a first step, so that a machine's first tick does not wait for it."""

@@ -56,7 +56,9 @@ def emulate(
         str,
         typer.Option("--as", metavar="ROLE:AXIS", help="The machine instead (carm without M), its drive or encoder of AXIS with that EDS."),
     ] = "",
-    node: Annotated[int, typer.Option("--node", metavar="N", help="Its node id; 255: it waits for one over LSS.")] = 1,
+    node: Annotated[
+        int | None, typer.Option("--node", metavar="N", help="Its node id, 1 without it; 255: it waits for one over LSS. Not with --as.")
+    ] = None,
     memory: Annotated[
         Path | None, typer.Option("--memory", metavar="FILE", help="Keep in FILE what that device is told to store (1010h, LSS).")
     ] = None,
@@ -87,13 +89,15 @@ def emulate(
     if as_device:
         if eds is None:
             raise typer.BadParameter(f"--as {as_device}: needs --eds FILE, the data sheet of that device")
+        if node is not None:
+            raise typer.BadParameter(f"--node {node}: with --as {as_device} the machine file says the node id; leave --node out")
         machine_name, as_eds, eds = machine_name or "carm", eds, None
     if (eds is None) == (machine_name is None):
         raise typer.BadParameter("give either a machine M or --eds FILE")
     if eds is not None and (io_rtu or panel or faults):
         raise typer.BadParameter(f"{'--panel' if panel else '--io-rtu' if io_rtu else '--faults'}: is a machine's; leave it out with --eds")
-    if eds is None and memory is not None:
-        raise typer.BadParameter("--memory: is for a device of --eds FILE")
+    if eds is None and (memory is not None or node is not None):
+        raise typer.BadParameter(f"{'--node' if memory is None else '--memory'}: is for a device of --eds FILE")
     answer = Answer(json_to)
 
     def ready(found: dict[str, object]) -> None:
@@ -102,7 +106,7 @@ def emulate(
         answer.write_at_once(found)
 
     if eds is not None:
-        emulate_eds(eds, node, bus, ready, memory)
+        emulate_eds(eds, 1 if node is None else node, bus, ready, memory)
         return
     assert machine_name is not None
     machine = load(machine_name, effects_file)

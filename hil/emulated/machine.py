@@ -168,6 +168,8 @@ def emulated_bus(machine: Machine, physics: Physics) -> EmulatedBus:
                     sign=scaling.sign,
                     negative_switch=ends[0],
                     positive_switch=ends[1],
+                    velocity_unit=scaling.velocity_unit,
+                    acceleration_unit=scaling.acceleration_unit,
                     **gains[node.axis],
                 )
             )

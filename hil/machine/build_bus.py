@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 from drivers.canopen.cia402 import HOMING_AT_PRESENT_POSITION, NO_HOMING
 from drivers.canopen.objects import MAPPABLE
 from drivers.settings import AxisScaling, BusSettings, HomingSettings, Identity, ImuPort, IoMap, IoWatchdog, MotionLimits, Node, Pdo
 from hil.machine.build import POSITION_UNITS, joint_of, require_effort_unit, require_kind, require_known
+from hil.machine.build_control import furthest_target
 from hil.machine.messages import ComplaintError
 from hil.machine.schema import MachineTable
 from hil.machine.schema_bus import BusTable, IoTable, NodeTable, PdoTable
@@ -219,6 +221,9 @@ def _scaling(axis: str, table: MachineTable, plant: PlantSettings) -> AxisScalin
         rated_torque_mNm=max(1, round(drive.rated * drive.constant * 1000.0)),
         rated_current_mA=max(1, round(drive.rated * 1000.0)),
         position_unit=POSITION_UNITS[joint_of(axis, table, plant.tree).kind],
+        counts_per_motor_turn=2.0 * math.pi / (resolution[f"position_{axis}"] * table_drive.ratio),
+        velocity_unit=table_drive.velocity_unit or "",
+        acceleration_unit=table_drive.acceleration_unit or "",
     )
 
 
@@ -253,9 +258,18 @@ def _homing(axis: str, table: MachineTable, plant: PlantSettings) -> HomingSetti
 
 
 def _motion(axis: str, table: MachineTable) -> MotionLimits:
-    limits = table.limits[axis]
-    ticks = table.timing.stale_ticks
-    return MotionLimits(axis, *limits.range, limits.speed, limits.tracking_error, ticks, limits.acceleration, limits.quick_stop)
+    limits, loops = table.limits[axis], table.drives[axis].loops
+    furthest = limits.tracking_error if loops is None else furthest_target(limits.speed, limits.tracking_error, loops.position_gain)
+    return MotionLimits(
+        axis,
+        *limits.range,
+        limits.speed,
+        limits.tracking_error,
+        table.timing.stale_ticks,
+        limits.acceleration,
+        limits.quick_stop,
+        furthest,
+    )
 
 
 def _imu_port(bus: BusTable, table: MachineTable) -> ImuPort | None:

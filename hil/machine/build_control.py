@@ -29,9 +29,18 @@ def build_commands(table: MachineTable, limits: Sequence[AxisLimits]) -> tuple[A
         if loops is None:
             raise ComplaintError(("drives", axis, "loops"), f"is missing; in {drive.mode} mode they are part of the feedback")
         mode: CommandMode = "velocity" if drive.mode.endswith("velocity") else "position"
-        most = limit.speed if mode == "velocity" else max(abs(limit.lower), abs(limit.upper))
+        most = limit.speed if mode == "velocity" else furthest_target(limit.speed, limit.tracking_error, loops.position_gain)
         commands.append(AxisCommand(mode, _own_controller(axis, table, most, needed=mode == "velocity"), loops))
     return tuple(commands)
+
+
+def furthest_target(speed: float, tracking_error: float, position_gain: float) -> float:
+    """Return how far a target may be from the reference, or the position from the target.
+
+    It is how far the drive's position loop needs its target ahead at the axis' highest speed, and the tracking error at which the axis is
+    stopped anyway.
+    """
+    return tracking_error + (speed / position_gain if position_gain else 0.0)
 
 
 def build_controllers(table: MachineTable, commands: Sequence[AxisCommand | None]) -> tuple[AxisController, ...]:

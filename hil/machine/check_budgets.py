@@ -9,8 +9,9 @@ import numpy as np
 
 from drivers.canopen.eds import load_object_dictionary
 from drivers.canopen.supervision import HEARTBEAT_TOLERANCE
+from drivers.canopen.units import in_data_sheet, units_of
 from drivers.canopen.watch import LED_SPEED_MARGIN
-from drivers.errors import ProtocolError
+from drivers.errors import ConfigurationRefusedError, ProtocolError
 from drivers.settings import BusSettings, Node
 from hil.machine.finding import Finding, PoseResult, shown_pose
 from hil.machine.model import Machine
@@ -81,22 +82,22 @@ def axis_facts(machine: Machine, number: int, results: Sequence[PoseResult]) -> 
 def quick_stop(machine: Machine, number: int, node: Node) -> float:
     """Return the deceleration of a drive's quick stop [rad/s^2 or m/s^2]; 0 where nobody says it.
 
-    It is the limit's own where the machine file has it, else object 6085h in counts/s^2: as a node's `write` says it, or the EDS.
+    It is the limit's own where the machine file has it, else object 6085h in the drive's unit: as a node's `write` says it, or the EDS.
     """
     assert machine.bus is not None
     stated = machine.quick_stop[number]
     if stated is not None:
         return stated
-    resolution = machine.bus.scalings[number].position_resolution
-    for index, _, value in node.writes:
-        if index == QUICK_STOP_DECELERATION:
-            return value * resolution
+    scaling = machine.bus.scalings[number]
     try:
-        entry = load_object_dictionary(node.eds, node.node_id).get(QUICK_STOP_DECELERATION)
-    except (OSError, ProtocolError):
-        return 0.0
-    default = getattr(entry, "default", None)
-    return float(default) * resolution if default is not None else 0.0
+        read = in_data_sheet(load_object_dictionary(node.eds, node.node_id))
+        ramp = read(QUICK_STOP_DECELERATION, 0) or 0.0
+        unit = scaling.position_resolution / units_of(read, scaling, node.name).acceleration
+    except (OSError, ProtocolError, ConfigurationRefusedError):
+        ramp, unit = 0.0, scaling.position_resolution
+    for index, _, value in node.writes:
+        ramp = value if index == QUICK_STOP_DECELERATION else ramp
+    return ramp * unit
 
 
 def _silent_s(heartbeat_s: float, bus: BusSettings) -> float:

@@ -15,11 +15,19 @@ from controllers.rediscretise import rediscretised, rediscretised_share
 from hil.errors import MachineFileError, UnusableInputError
 from hil.machine.model import Machine
 from hil.machine.schema import MachineTable
+from hil.machine.schema_judging import ImuJudgingTable
 
 WHOLE = 1e-9
 """Rounding up to which a scaled count is the whole number that it means."""
 
-Where = tuple[str, ...]
+Where = tuple[str | int, ...]
+
+EVERY_SYNC, SELDOM = 1, 240
+"""Transmission types of PDOs that are sent every so many SYNCs (CiA 301, table 72)."""
+FEWEST_FROZEN = 2
+"""Packets of one value that can be a frozen channel."""
+LEAST_AGE = 1.5
+"""Packets, of the age at which one is missed: a packet that is in time is no older than one."""
 
 
 @dataclass(frozen=True)
@@ -34,8 +42,9 @@ class Change:
 def converted_text(machine: Machine, sample_rate_Hz: float) -> tuple[str, list[Change]]:
     """Return the machine's file for another sample rate, and what was changed.
 
-    Steps of the plant become no longer. Counts of ticks keep their time, rounded down and at least 1. `answer_timeout` stays where the
-    period grows, and keeps its share of it where it shrinks. Filters are carried by `controllers.rediscretise`.
+    Steps of the plant become no longer. Counts of ticks, of SYNCs between two PDOs and of packets keep their time, rounded down and at
+    least 1. Times stay, but the age of the IMU's packets grows where it would be less than a packet and a half. `answer_timeout` stays
+    where the period grows, and keeps its share of it where it shrinks. Filters are carried by `controllers.rediscretise`.
 
     Raises
     ------
@@ -47,7 +56,7 @@ def converted_text(machine: Machine, sample_rate_Hz: float) -> tuple[str, list[C
     if not (math.isfinite(sample_rate_Hz) and sample_rate_Hz > 0.0):
         raise UnusableInputError(f"--rate {sample_rate_Hz:g}: must be a positive number of Hz, such as 512")
     file = _File(machine, sample_rate_Hz)
-    for edit in (_timing, _drives, _controllers, _bus):
+    for edit in (_timing, _drives, _controllers, _bus, _imu):
         edit(file)
     return tomlkit.dumps(file.document), file.changes
 
@@ -71,7 +80,15 @@ class _File:
         old = holder.get(where[-1])
         if old != value:
             holder[where[-1]] = value
-            self.changes.append(Change(".".join(where), old, value))
+            self.changes.append(Change(".".join(map(str, where)), old, value))
+
+    def table_of(self, *where: str) -> None:
+        """Add tables that are not there yet."""
+        holder: Any = self.document
+        for part in where:
+            if part not in holder:
+                holder[part] = tomlkit.table()
+            holder = holder[part]
 
     def scale(self, where: Where, factor: float) -> None:
         """Multiply a number, whatever its unit."""
@@ -100,11 +117,11 @@ class _File:
                 if float(row[place]) != number:
                     row[place] = float(number)
         if not np.array_equal(carried, np.array(sections)):
-            self.changes.append(Change(".".join(where), [list(row) for row in sections], carried.tolist()))
+            self.changes.append(Change(".".join(map(str, where)), [list(row) for row in sections], carried.tolist()))
 
     def refusal(self, where: Where, error: DesignError) -> MachineFileError:
         """Return the one line of a filter that cannot be carried over."""
-        return MachineFileError(f"{self.name}: {'.'.join(where)}: {error}")
+        return MachineFileError(f"{self.name}: {'.'.join(map(str, where))}: {error}")
 
 
 def _timing(file: _File) -> None:
@@ -143,5 +160,26 @@ def _bus(file: _File) -> None:
         return
     if bus.answers == "punctual" and file.ratio > 1.0:
         file.scale(("bus", bus.key("answer_timeout")), 1.0 / file.ratio)
-    if bus.imu is not None and bus.imu.triggered_by_sync:
-        file.scale(("bus", "imu", bus.imu.key("rate")), file.ratio)
+    for name, node in bus.nodes.items():
+        for kind in ("tpdo", "rpdo"):
+            for number, pdo in enumerate(getattr(node, kind)):
+                if EVERY_SYNC < pdo.transmission_type <= SELDOM:
+                    file.put(("bus", "nodes", name, kind, number, "transmission_type"), min(file.ticks(pdo.transmission_type), SELDOM))
+
+
+def _imu(file: _File) -> None:
+    """Edit the IMU on the bus: its rate where SYNC triggers it, and what is judged of its packets, of which a row holds one at most."""
+    imu, judging = None if file.table.bus is None else file.table.bus.imu, file.table.judging
+    if imu is None:
+        return
+    before_s = max(1.0 / imu.rate, 1.0 / file.old_Hz)
+    after_s = max(1.0 / (imu.rate * (file.ratio if imu.triggered_by_sync else 1.0)), 1.0 / file.rate_Hz)
+    if imu.triggered_by_sync:
+        file.scale(("bus", "imu", imu.key("rate")), file.ratio)
+    rules = ImuJudgingTable.model_validate({}) if judging is None else judging.imu
+    frozen = max(math.floor(rules.frozen_packets * before_s / after_s + WHOLE), FEWEST_FROZEN)
+    if frozen != rules.frozen_packets:
+        file.table_of("judging", "imu")
+        file.put(("judging", "imu", "frozen_packets"), frozen)
+    if rules.age is not None and rules.age < LEAST_AGE * after_s:
+        file.scale(("judging", "imu", rules.key("age")), LEAST_AGE * after_s / rules.age)

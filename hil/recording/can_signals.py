@@ -15,8 +15,9 @@ import numpy as np
 
 from drivers.canopen.pdo import PdoCodec
 from drivers.errors import ProtocolError
-from drivers.settings import AxisScaling, BusSettings
+from drivers.settings import AxisScaling, BusSettings, LoopMode
 from hil.errors import RecordingError
+from hil.recording import can_commands
 from hil.recording.blf import read_blf
 from hil.recording.can_frames import CanFrame, CanLog, counted
 from hil.recording.can_text import read_asc, read_trc
@@ -29,19 +30,18 @@ from hil.recording.warning import RecordingWarning
 if TYPE_CHECKING:
     from hil.machine.model import AxisUnits, Machine
 
-STATUSWORD, POSITION_ACTUAL, TARGET_TORQUE, TORQUE_ACTUAL, CURRENT_ACTUAL, ENCODER_POSITION = 0x6041, 0x6064, 0x6071, 0x6077, 0x6078, 0x6004
+STATUSWORD, POSITION_ACTUAL, TORQUE_ACTUAL, CURRENT_ACTUAL, ENCODER_POSITION = 0x6041, 0x6064, 0x6077, 0x6078, 0x6004
 
 QUANTITY_OF = {
     STATUSWORD: "statusword",
     POSITION_ACTUAL: "position",
-    TARGET_TORQUE: "command",
     TORQUE_ACTUAL: "effort",
     CURRENT_ACTUAL: "effort",
     ENCODER_POSITION: "link_position",
 }
-"""The recorded quantity of each object of the dictionary."""
+"""The recorded quantity of each object that a device sends."""
 
-QUANTITIES = ("command", "effort", "position", "link_position", "statusword")
+QUANTITIES = ("excitation", "command", "velocity_offset", "effort", "position", "link_position", "statusword")
 """Their order in the recording."""
 
 BELIEVABLE_PERIOD = 0.2
@@ -117,19 +117,32 @@ def _signals(log: CanLog, machine: Machine, path: Path) -> Recording:
     offsets: dict[str, float] = {}
     columns: dict[tuple[str, str], Channel] = {}
     for units, scaling in zip(machine.units, machine.bus.scalings, strict=True):
-        scaled = {quantity: _scaled(raw[key], quantity, scaling) for quantity in QUANTITIES if (key := (scaling.axis, quantity)) in raw}
+        scaled = {
+            quantity: _scaled(raw[key], quantity, scaling) for quantity in QUANTITY_OF.values() if (key := (scaling.axis, quantity)) in raw
+        }
         if "position" in scaled:
             offsets[scaling.axis] = _home_offset(scaled)
             scaled["position"] = scaled["position"] + offsets[scaling.axis]
         for quantity, values in scaled.items():
             columns[quantity, scaling.axis] = Channel(_unit(quantity, units), values)
+        asked = {name: raw[scaling.axis, name] for name in can_commands.asked_in(scaling.mode).values() if (scaling.axis, name) in raw}
+        drive = next(node for node in machine.bus.nodes if (node.role, node.axis) == ("drive", scaling.axis))
+        counts = _unwrapped(raw[scaling.axis, "position"]) if (scaling.axis, "position") in raw else None
+        sent = can_commands.commands(asked, scaling, drive, counts, offsets.get(scaling.axis, 0.0), units.effort)
+        columns |= {(quantity, scaling.axis): channel for quantity, channel in sent.items()}
     for quantity in QUANTITIES:
         for units in machine.units:
             if (quantity, units.axis) in columns:
                 channels[_channel_name(quantity, units)] = columns[quantity, units.axis]
     channels["sync_lateness"] = Channel("s", lateness)
     source = source_table(path, [*log.not_taken, *others, *unknown], log.notes)
-    return Recording(channels, {"machine": machine_table(machine), "can_log": {"position_offsets": offsets}, "source": source})
+    metadata = {"machine": machine_table(machine), "can_log": {"position_offsets": offsets}, "source": source}
+    if any(scaling.mode != "torque" for scaling in machine.bus.scalings):
+        metadata["commands"] = {
+            axis: table | {"excitation_unit": channels[f"excitation_{axis}"].unit} if f"excitation_{axis}" in channels else table
+            for axis, table in machine.commanded.items()
+        }
+    return Recording(channels, metadata)
 
 
 def _of_one_bus(frames: Sequence[CanFrame], bus: BusSettings) -> tuple[list[CanFrame], list[str]]:
@@ -164,10 +177,14 @@ def _rows(frames: Sequence[CanFrame], bus: BusSettings) -> tuple[list[float], di
     """Return times of the SYNCs, raw integers (N,) per (axis, quantity), NaN where none came, and what else there was."""
     sync = bus.sync_cob_id & 0x7FF
     codecs: dict[int, tuple[PdoCodec, list[tuple[int, tuple[str, str]]]]] = {}
+    modes: dict[str, LoopMode] = {scaling.axis: scaling.mode for scaling in bus.scalings}
+    nameless: set[int] = set()
     for node in bus.nodes:
+        quantity_of = QUANTITY_OF | (can_commands.asked_in(modes[node.axis]) if node.role == "drive" else {})
         for pdo in (*node.tpdos, *node.rpdos):
-            wanted = [(place, (node.axis, QUANTITY_OF[index])) for place, (index, _, _) in enumerate(pdo.entries) if index in QUANTITY_OF]
+            wanted = [(place, (node.axis, quantity_of[index])) for place, (index, _, _) in enumerate(pdo.entries) if index in quantity_of]
             codecs[pdo.cob_id & 0x7FF] = PdoCodec.of(pdo.entries), wanted
+            nameless |= {index for index, _, _ in pdo.entries} - quantity_of.keys()
     count = sum(frame.can_id == sync for frame in frames)
     raw = {key: np.full(count, np.nan) for _, wanted in codecs.values() for _, key in wanted}
     syncs: list[float] = []
@@ -191,8 +208,7 @@ def _rows(frames: Sequence[CanFrame], bus: BusSettings) -> tuple[list[float], di
                 raw[key][len(syncs) - 1] = values[place]
     if all(np.isnan(values).all() for values in raw.values()):
         raise RecordingError(f"none of the machine's PDOs in the log ({', '.join(f'{cob_id:03X}' for cob_id in sorted(codecs))})")
-    indices = {index for node in bus.nodes for pdo in (*node.tpdos, *node.rpdos) for index, _, _ in pdo.entries} - QUANTITY_OF.keys()
-    others = [f"the PDOs' {', '.join(f'{index:04X}' for index in sorted(indices))}, which no channel has"] if indices else []
+    others = [f"the PDOs' {', '.join(f'{index:04X}' for index in sorted(nameless))}, which no channel has"] if nameless else []
     others += [f"{counted(early, 'PDO')} before the first SYNC"] if early else []
     if unknown:
         identifiers = ", ".join(f"{can_id:03X}" for can_id in sorted(unknown)[:_MOST_IDENTIFIERS])
@@ -234,7 +250,7 @@ def _scaled(raw: np.ndarray, quantity: str, scaling: AxisScaling) -> np.ndarray:
             return scaling.sign * scaling.position_resolution * _unwrapped(raw)
         case "link_position":
             return scaling.sign * scaling.link_resolution * (_unwrapped(raw) - scaling.link_zero_counts)
-        case "command" | "effort":
+        case "effort":
             return scaling.sign * scaling.rated * raw / 1000.0
         case _:
             return raw
@@ -261,4 +277,4 @@ def _channel_name(quantity: str, units: AxisUnits) -> str:
 
 
 def _unit(quantity: str, units: AxisUnits) -> str:
-    return {"command": units.effort, "effort": units.effort, "statusword": ""}.get(quantity, units.position)
+    return {"effort": units.effort, "statusword": ""}.get(quantity, units.position)

@@ -44,10 +44,11 @@ class Kind:
 KINDS = (
     Kind("time", TIME),
     Kind("reference_.+", POSITION),
-    Kind("excitation_.+", EFFORT),
+    Kind("excitation_.+", EFFORT | POSITION | SPEED),
     Kind("feedforward_.+", EFFORT),
     Kind("damping_(?!share$).+", EFFORT),
     Kind("command_.+", EFFORT | POSITION | SPEED),
+    Kind("velocity_offset_.+", SPEED),
     Kind("current_.+", CURRENT),
     Kind("effort_.+", EFFORT),
     Kind("position_.+", POSITION),

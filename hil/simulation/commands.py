@@ -29,16 +29,17 @@ def commanded(command: AxisCommand, reference: np.ndarray, position: np.ndarray)
     (N,) array
         Velocities [rad/s or m/s] or positions [rad or m].
     """
-    feedback = Feedback([command.controller])
-    ahead = reference if command.mode == "position" else np.zeros(len(reference))
-    feedback.preload(ahead[:1], reference[:1], ahead[:1])
-    return _stepped(feedback, reference[:, None], position[:, None], np.zeros((len(reference), 1)), ahead[:, None])[:, 0]
+    feedback, nothing = Feedback([command.controller]), np.zeros((len(reference), 1))
+    feedback.preload(nothing[0], reference[:1])
+    own = _stepped(feedback, reference[:, None], position[:, None], nothing, nothing)[:, 0]
+    return reference + own if command.mode == "position" else own
 
 
 def in_effort(recording: Recording, machine: Machine | None = None) -> Recording:
     """Return a recording whose `command_A` are efforts, for axes whose drives close loops of their own: what these loops asked for.
 
-    The efforts follow from the recorded positions by the law of bench and drive together. A recording of efforts is returned as it is.
+    The efforts follow from the recorded positions by the law of bench and drive together; what the bench commanded becomes `target_A`. A
+    recording of efforts is returned as it is, one without references, as of a foreign master's bus, without the efforts.
 
     Parameters
     ----------
@@ -59,8 +60,11 @@ def in_effort(recording: Recording, machine: Machine | None = None) -> Recording
     led = [axis for axis, command in zip(machine.axes, machine.commands, strict=True) if command is not None]
     if not any(f"command_{axis}" in recording for axis in led):
         return recording
+    targets = {f"command_{axis}": f"target_{axis}" for axis in led}
+    channels = {targets.get(name, name): channel for name, channel in recording.channels.items()}
+    if not any(f"reference_{axis}" in recording for axis in machine.axes):
+        return replace(recording, channels=channels)
     efforts = _efforts(machine, recording)
-    channels = dict(recording.channels)
     for axis in led:
         column = machine.axis_index(axis)
         channels[f"command_{axis}"] = Channel(machine.units[column].effort, efforts[:, column])

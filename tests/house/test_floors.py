@@ -13,11 +13,12 @@ FLOORS = ("hil", "virtual_bus", "controllers", "drivers")
 WIRE_AGREEMENTS = (
     "drivers.canopen.eds",
     "drivers.canopen.objects",
+    "drivers.canopen.units",
     "drivers.serial.xbus",
     "drivers.modbus.registers",
     "drivers.modbus.refresh",
 )
-"""What both ends of a wire must agree on: object dictionaries, frame codecs. The emulated machine knows nothing else of `drivers`."""
+"""What both ends of a wire must agree on: dictionaries, units, frame codecs. The emulated machine knows nothing else of `drivers`."""
 
 MAY_IMPORT = {
     "hil": FLOORS,

@@ -28,8 +28,11 @@ NEEDS = {
 """Mode: its bit of 6502h, the objects that it takes, and what the RPDO carries beside the controlword."""
 HOMING_BIT = 5
 QUICK_STOP = 3_500_000  # counts/s^2, of the shipped file
-NO_WINDOW = 0xFFFF_FFFF  # the drive does not watch its following error: the loop watches the tracking error
 FAST_RAMP = 50_000_000  # counts/s^2: the loop's own velocities are not ramped any more
+
+
+UNITS = {"faulhaber_mcbl300.eds": ("rpm", "rev/s^2")}
+"""Units of velocity and acceleration of drives whose objects say none, by their makers' manuals."""
 
 
 def dictionary_of(file: Path) -> canopen.ObjectDictionary:
@@ -75,11 +78,10 @@ def carm_text_with(file: Path, mode: str) -> str:
         ramps = {index: min(FAST_RAMP, dictionary[index].max or FAST_RAMP) for index in (0x6083, 0x6084)}
         writes = "".join(f"[[bus.nodes.\\1_drive.write]]\nindex = {index}\nvalue = {ramp}\n" for index, ramp in ramps.items())
         text = edited(r"^\[\[bus\.nodes\.(\w+)_drive\.tpdo\]\]$", f"{writes}\\g<0>", text)
-        if ramps[0x6083] < FAST_RAMP:  # its own unit is another; here the way must be as slow as its numbers
-            text = edited(r"^acceleration_deg_s2 = 60.0\njerk_deg_s3 = 300.0", "acceleration_deg_s2 = 1.5\njerk_deg_s3 = 5.0", text)
-    if mode == "position":
-        write = f"[[bus.nodes.\\1_drive.write]]\nindex = 0x6065\nvalue = {NO_WINDOW}\n"
-        text = edited(r"^\[\[bus\.nodes\.(\w+)_drive\.tpdo\]\]$", f"{write}\\g<0>", text)
+    if units := UNITS.get(file.name):
+        said = f'velocity_unit = "{units[0]}"\nacceleration_unit = "{units[1]}"'
+        counts = dictionary[0x608F][1].default
+        text = edited(r"^encoder_counts_per_motor_turn = .*$", f"encoder_counts_per_motor_turn = {counts}\n{said}", text)
     if mode == "torque":
         return text
     for axis, (position_gain, velocity_gain, integral_gain, share) in LOOPS.items():

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from drivers.canopen import units
 from virtual_bus.canopen.motion import SpeedMeter, VelocityGains, VelocityLoop
-from virtual_bus.canopen.objects import Entry, Objects
+from virtual_bus.canopen.objects import Entry, Objects, Value, key_of
 from virtual_bus.canopen.pdo import dummy_entry
 from virtual_bus.settings import EmulatedDrive
 
@@ -48,7 +49,15 @@ class Servo:
         per_count = settings.position_resolution * 1000.0 / settings.rated
         gains = VelocityGains(settings.velocity_gain * per_count, settings.velocity_integral_gain * per_count)
         self.speed = SpeedMeter(period_s, settings.speed_filter)
-        self.standstill_counts_s = STANDSTILL_SHARE * objects.number(0x6099, 2, settings.counts_per_turn // TURNS_OF_A_SLOW_SEARCH)
+        self._settings = settings
+        self.units = units.MotionUnits()
+        self._read_units()
+        for index in units.OBJECTS:
+            for subindex in range(3):
+                objects.effects[key_of(index, subindex)] = lambda value: self._read_units()
+        slow = objects.get(0x6099, 2)
+        slowest = settings.counts_per_turn // TURNS_OF_A_SLOW_SEARCH if slow is None else self.counts_s(slow.value)
+        self.standstill_counts_s = STANDSTILL_SHARE * slowest
         self.loop = VelocityLoop(gains, period_s, self.standstill_counts_s, settings.torque_sections)
         self.position, self._velocity = objects.find(0x6064), self.entry(0x606C)
         self.position_demand, self.velocity_demand, self.following_error = self.entry(0x6062), self.entry(0x606B), self.entry(0x60F4)
@@ -67,6 +76,24 @@ class Servo:
             entry.value = value
         return entry
 
+    # ---- units ----------------------------------------------------------------------------------------
+    def _read_units(self) -> None:
+        """Take the units of the device's own objects; those that say nothing of its counts are counts and seconds here."""
+
+        def read(index: int, subindex: int) -> int | None:
+            entry = self.objects.get(index, subindex)
+            return entry.value if entry is not None and isinstance(entry.value, int) else None
+
+        self.units = units.units_or_counts(read, self._settings)
+
+    def counts_s(self, velocity: Value) -> float:
+        """Return the speed [counts/s] that an object in the device's unit of velocity holds."""
+        return int(velocity) / self.units.velocity
+
+    def counts_s2(self, acceleration: Value) -> float:
+        """Return the acceleration [counts/s^2] that an object holds, one unit at least."""
+        return max(1, int(acceleration)) / self.units.acceleration
+
     # ---- the counter ----------------------------------------------------------------------------------
     def place(self, counts: int) -> None:
         """Stand at this absolute count, which the counter calls zero."""
@@ -77,13 +104,14 @@ class Servo:
         """Call the present position zero."""
         self.offset = -self.absolute
         self.speed.restart()
+        self._read_units()
 
     def latch(self, counts: int) -> None:
         """Take the counter's reading at this sample, from where it began."""
         self.absolute = absolute = self.origin + counts
         self.speed.update(absolute)
         self.position.value = (absolute + self.offset + _HALF_TURN & _MASK) - _HALF_TURN  # `wrap_32` written out: every drive, every sample
-        self._velocity.value = (round(self.speed.counts_s) + _HALF_TURN & _MASK) - _HALF_TURN
+        self._velocity.value = (round(self.speed.counts_s * self.units.velocity) + _HALF_TURN & _MASK) - _HALF_TURN
 
     def take_home(self, home_counts: int) -> None:
         """Show the home offset (607Ch) at this absolute count."""
@@ -134,7 +162,8 @@ class Servo:
 
     def start_braking(self, option: int) -> None:
         """Begin a stop of 605Ah to 605Eh: 1 along 6084h, 2 along 6085h, 3 and 4 as hard as the limits allow."""
-        self._deceleration = {1: self.objects.number(0x6084), 2: self.objects.number(0x6085)}.get(option, 0) or math.inf
+        ramp = {1: self.objects.number(0x6084), 2: self.objects.number(0x6085)}.get(option, 0)
+        self._deceleration = self.counts_s2(ramp) if ramp else math.inf
         self.loop.start(self.speed.counts_s if math.isfinite(self._deceleration) else 0.0, self.permille)
 
     def brake(self) -> int:
@@ -142,7 +171,7 @@ class Servo:
         return self.move(0.0, self._deceleration)
 
     def _show(self, speed: float, position: float | None = None) -> None:
-        self.velocity_demand.value = wrap_32(round(speed))
+        self.velocity_demand.value = wrap_32(round(speed * self.units.velocity))
         self.position_demand.value = self.position.value if position is None else wrap_32(round(position))
         if position is None:
             self.following_error.value = 0

@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 import scipy.signal
 
+from controllers.cascade import AxisCommand
 from controllers.settings import AxisController
 from hil.machine import Machine
 from hil.machine.load import machine_from_text
@@ -31,6 +32,8 @@ FEWEST_ROWS_AT_LIMIT = 3
 """One after the other: a peak has one row."""
 DIGITS = 1e-9
 """Share of the largest command below which two commands are the same."""
+BESIDE = 1e-6
+"""Share of the largest reference by which a target may be beside it and be it: text files have nine digits, and no bench adds so little."""
 MOST_STEPS = 1e7
 """Steps of a lattice that a command's range may have, so that it is one: finer are the digits of a number."""
 
@@ -90,17 +93,22 @@ class _Part:
 
 
 def audit_controllers(machine: Machine, recordings: Sequence[Recording]) -> list[AxisAudit]:
-    """Audit every axis whose command, reference and position were recorded at the machine's own sample rate."""
+    """Audit every axis whose command, reference and position were recorded at the machine's own sample rate.
+
+    Of a drive with loops of its own the bench's law is audited: the velocities, or the corrections of the position, that it asked for.
+    """
     found = []
-    for controller in recorded_laws(machine):
-        parts = [part for recording in recordings if (part := _part(machine, recording, controller.axis)) is not None]
+    for number, controller in enumerate(machine.controllers):
+        command = machine.commands[number] if machine.commands else None
+        parts = [part for recording in recordings if (part := _part(machine, recording, controller.axis, command)) is not None]
         if parts:
-            found.append(_audit(machine, controller, parts, machine.units[machine.axis_index(controller.axis)].effort))
+            law = controller if command is None else command.controller
+            found.append(_audit(machine, law, parts, machine.command_unit(number)))
     return found
 
 
 def recorded_laws(machine: Machine) -> list[AxisController]:
-    """Return the laws whose commands are recorded as efforts.
+    """Return the laws in effort whose commands were recorded.
 
     Those of drives with loops of their own are made from the law (`hil.simulation.in_effort`), and show nothing of it.
     """
@@ -119,14 +127,19 @@ def controllers_of(machine: Machine, recording: Recording) -> Machine:
     return replace(machine, controllers=own.controllers, commands=own.commands) if own.axes == machine.axes else machine
 
 
-def _part(machine: Machine, recording: Recording, axis: str) -> _Part | None:
-    names = (f"reference_{axis}", f"position_{axis}", f"command_{axis}")
+def _part(machine: Machine, recording: Recording, axis: str, own: AxisCommand | None) -> _Part | None:
+    asked = "command" if own is None or f"target_{axis}" not in recording else "target"  # as `hil.simulation.in_effort` names it
+    names = (f"reference_{axis}", f"position_{axis}", f"{asked}_{axis}")
     period = 1.0 / machine.sample_rate_Hz
     if any(name not in recording for name in names) or np.any(np.abs(np.diff(recording.time) - period) > UNEQUAL_STEP * period):
         return None
     reference, position, command = (recording[name] for name in names)
     further = [name for name in (f"excitation_{axis}", f"feedforward_{axis}", f"damping_{axis}") if name in recording]
     added = sum((recording[name] for name in further), np.zeros(len(command)))
+    if own is not None and recording.channel(names[2]).unit != machine.command_unit(machine.axis_index(axis)):
+        return None
+    if own is not None:  # efforts are added behind the drive's loops
+        command, added = command - reference if own.mode == "position" else command, np.zeros(len(command))
     if not all(np.isfinite(each).all() for each in (reference, position, command, added)):
         return None
     return _Part(reference, position, added, command)
@@ -135,6 +148,8 @@ def _part(machine: Machine, recording: Recording, axis: str) -> _Part | None:
 def _audit(machine: Machine, controller: AxisController, parts: Sequence[_Part], unit: str) -> AxisAudit:
     period = 1.0 / machine.sample_rate_Hz
     commands = np.concatenate([part.command for part in parts])
+    if not _asks(controller):
+        return _audit_of_none(machine, controller, commands, parts, unit)
     resolution = command_resolution(commands)
     limit = _limit(parts, resolution)
     free = [_free_rows(part, min(limit or np.inf, controller.limit), resolution) for part in parts]
@@ -143,7 +158,11 @@ def _audit(machine: Machine, controller: AxisController, parts: Sequence[_Part],
     delays = [_regressed(controller, parts, free, delay) for delay in range(LATEST_ROWS + 1)]
     delay = int(np.argmin([each[2] for each in delays]))
     gain, deviation, rms, offset = delays[delay]
+    if limit is not None and _regressed(controller, parts, [np.ones(len(part.command), dtype=bool) for part in parts], delay)[2] <= enough:
+        limit = None  # the law itself stays there
     saturates = limit is not None and limit < controller.limit * (1.0 - TOLERANCE)
+    if not _is_moved(controller, parts, free, delay):
+        gain = deviation = float("nan")
     status: Status = "unknown"
     said = f"{controller.axis}: no law of the file's order gives the recorded command; {rms:.2g} {unit} rms are left of it"
     if not np.isfinite(rms):
@@ -170,7 +189,7 @@ def _audit(machine: Machine, controller: AxisController, parts: Sequence[_Part],
     return AxisAudit(
         controller.axis,
         status,
-        Measured(gain, (gain - 1.96 * deviation, gain + 1.96 * deviation), 1.0) if np.isfinite(rms) else Measured(None, None, 1.0),
+        Measured(gain, (gain - 1.96 * deviation, gain + 1.96 * deviation), 1.0) if np.isfinite(gain) else Measured(None, None, 1.0),
         Measured(delay * period, None, 0.0),
         Measured(limit, None, controller.limit),
         Measured(machine.sample_rate_Hz / held, None, machine.sample_rate_Hz),
@@ -179,6 +198,24 @@ def _audit(machine: Machine, controller: AxisController, parts: Sequence[_Part],
         resolution,
         said,
     )
+
+
+def _asks(controller: AxisController) -> bool:
+    """Return whether a law ever gives anything; in position mode a file may have none beside the reference."""
+    sections = (controller.position_sections, controller.reference_sections)
+    return any(each is not None and each[:, :3].any(axis=1).all() for each in sections)
+
+
+def _audit_of_none(machine: Machine, controller: AxisController, commands: np.ndarray, parts: Sequence[_Part], unit: str) -> AxisAudit:
+    """Audit a command that is to be nothing, beside the rounding of a reference that was subtracted."""
+    largest, rms = max(float(np.abs(part.reference).max()) for part in parts), float(np.sqrt(np.mean(commands**2)))
+    status: Status = "as_filed" if rms <= BESIDE * largest else "differs"
+    said = (
+        f"{controller.axis}: the target is {'' if status == 'as_filed' else 'not '}the reference, as the file says ({rms:.1g} {unit} rms)"
+    )
+    nothing, rate = Measured(None, None, None), machine.sample_rate_Hz
+    every = Measured(rate, None, rate)
+    return AxisAudit(controller.axis, status, nothing, nothing, Measured(None, None, controller.limit), every, nothing, rms, 0.0, said)
 
 
 def law_leaves(
@@ -240,18 +277,9 @@ def _regressed(
     controller: AxisController, parts: Sequence[_Part], free: Sequence[np.ndarray], delay: int
 ) -> tuple[float, float, float, float]:
     """Return gain, its standard deviation, the rms that is left, and the start's part of the command, for a law so many rows late."""
-    columns, targets, starts = [], [], []
     states = _zero_input(controller, max(len(part.command) for part in parts))
     width = states.shape[1]
-    for number, (part, rows) in enumerate(zip(parts, free, strict=True)):
-        law = _late(_law(controller, part), delay)
-        own = np.zeros((len(law), width * len(parts)))
-        own[delay:, width * number : width * (number + 1)] = states[: len(law) - delay]
-        used = rows & (np.arange(len(law)) >= delay)
-        columns.append(np.column_stack([law, own])[used])
-        targets.append((part.command - part.added)[used])
-        starts.append(states[: len(law)])
-    matrix, target = np.vstack(columns), np.concatenate(targets)
+    matrix, target = _equations(controller, parts, free, delay)
     if len(target) < 2 * matrix.shape[1]:
         return float("nan"), float("nan"), np.inf, float("nan")
     scale = np.sqrt(np.sum(matrix**2, axis=0))
@@ -262,8 +290,31 @@ def _regressed(
     left = target - matrix @ weights
     rms = float(np.sqrt(np.mean(left**2)))
     variance = float(np.sum((vt[kept][:, 0] / s[kept]) ** 2)) / scale[0] ** 2
-    offset = float(starts[0][0] @ weights[1 : 1 + width])
+    offset = float(states[0] @ weights[1 : 1 + width])
     return float(weights[0]), rms * float(np.sqrt(variance)), rms, offset
+
+
+def _equations(controller: AxisController, parts: Sequence[_Part], free: Sequence[np.ndarray], delay: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the law from rest and every state's part of the command (rows, 1 + states), and the command (rows,) that they are to give."""
+    columns, targets = [], []
+    states = _zero_input(controller, max(len(part.command) for part in parts))
+    width = states.shape[1]
+    for number, (part, rows) in enumerate(zip(parts, free, strict=True)):
+        law = _late(_law(controller, part), delay)
+        own = np.zeros((len(law), width * len(parts)))
+        own[delay:, width * number : width * (number + 1)] = states[: len(law) - delay]
+        used = rows & (np.arange(len(law)) >= delay)
+        columns.append(np.column_stack([law, own])[used])
+        targets.append((part.command - part.added)[used])
+    return np.vstack(columns), np.concatenate(targets)
+
+
+def _is_moved(controller: AxisController, parts: Sequence[_Part], free: Sequence[np.ndarray], delay: int) -> bool:
+    """Return whether the law gives more than its states at row 0 do: of a lead on a reference that rests nobody sees the gain."""
+    matrix, _ = _equations(controller, parts, free, delay)
+    law, states = matrix[:, 0], matrix[:, 1:]
+    left = law - states @ np.linalg.lstsq(states, law, rcond=None)[0]
+    return bool(np.sqrt(np.sum(left**2)) > DIGITS * np.sqrt(np.sum(law**2)))
 
 
 def _law(controller: AxisController, part: _Part) -> np.ndarray:

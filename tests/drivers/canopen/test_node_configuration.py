@@ -275,7 +275,8 @@ def test_a_real_vendors_drive_is_configured_from_its_own_data_sheet(name: str) -
     drive = VendorDrive(dictionary, 1)
     bus = ScriptedBus(drive)
     sdo = SdoNode(PolledNetwork(bus, BusClock(bus)), 1, "vendor", dictionary)
-    notes = configure_node(sdo, node, machine_settings(), AxisScaling("roll", 1e-5, 0.0, 0, 1, 5.0, 8.0, 0, 0))
+    scaling = AxisScaling("roll", 1e-5, 0.0, 0, 1, 5.0, 8.0, 0, 0, counts_per_motor_turn=4096.0)
+    notes = configure_node(sdo, node, machine_settings(), scaling)
     assert [drive.value(0x1A00, s) for s in range(len(entries) + 1)] == [len(entries), *(i << 16 | s << 8 | b for i, s, b in entries)]
     assert drive.value(0x1800, 1) == 0x4000_0181
     assert drive.value(0x1017) == 100

@@ -138,11 +138,11 @@ def test_speed_needs_three_steps_and_is_the_median_of_the_last_five() -> None:
 def test_what_is_beyond_sixteen_bits_of_torque_is_cut() -> None:
     assert CARM.bus is not None
     strong = replace(settings().scalings[0], rated=1.0, limit=1000.0)
-    assert _Axis(strong, settings().motions[0], PERIOD_S).torque_permille == 32767
+    assert _Axis(strong, settings().motions[0], 1.0, PERIOD_S).torque_permille == 32767
 
 
 def test_readings_are_a_period_apart_at_least() -> None:
-    axis = _Axis(settings().scalings[0], settings().motions[0], PERIOD_S)
+    axis = _Axis(settings().scalings[0], settings().motions[0], 1.0, PERIOD_S)
     assert axis._took(5.0, -float("inf")) == float("inf")
     assert axis._took(5.0, 5.0 - 0.5 * PERIOD_S) == PERIOD_S
     assert axis._took(5.0, 5.0 - 2.0 * PERIOD_S) == 2.0 * PERIOD_S
@@ -401,7 +401,7 @@ def test_a_supervisor_that_was_held_up_knows_the_last_sync() -> None:
 
 @pytest.mark.parametrize("zero", [0, 0x5000])
 def test_a_link_encoder_counts_to_half_its_range_both_ways(zero: int) -> None:
-    axis = _Axis(replace(settings().scalings[0], link_zero_counts=zero), settings().motions[0], PERIOD_S)
+    axis = _Axis(replace(settings().scalings[0], link_zero_counts=zero), settings().motions[0], 1.0, PERIOD_S)
     for counts in (0x6000, -0x6000, 0x7FFF, -0x8000):
         axis.link_position(1.0, (zero + counts) & 0xFFFF, 16)
         assert axis.link_at == counts * COUNT

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from hil.diagnosis.audit.controller import audit_controllers
 from hil.errors import LoopAbortedError, MachineFileError, RecordingError
 from hil.experiments import Multisine, Plan, Scan, Static
 from hil.machine import Machine, check_machine, machine_from_text
-from hil.recording import Recording
+from hil.recording import Channel, Recording
 from hil.simulation import in_effort, simulate
 
 MODES = ("velocity", "position")
@@ -185,9 +186,52 @@ def test_a_file_that_cannot_be_led_is_refused_in_one_line(old: str, new: str, wo
 
 def test_efforts_that_were_made_from_the_law_are_no_witness_of_it(swept: tuple[Machine, Recording, Path]) -> None:
     machine, recording, _ = swept
-    assert audit_controllers(machine, [in_effort(recording)]) == []
+    made = in_effort(recording)
+    assert made["target_roll"] is recording["command_roll"]
+    without = Recording({name: channel for name, channel in made.channels.items() if not name.startswith("target_")}, made.metadata)
+    assert audit_controllers(machine, [without]) == []
     torque = Recording({**recording.channels, "command_roll": in_effort(recording).channel("command_roll")}, recording.metadata)
-    assert [one.axis for one in audit_controllers(replace(machine, commands=(machine.commands[0], None)), [torque])] == ["roll"]
+    assert "roll" in [one.axis for one in audit_controllers(replace(machine, commands=(machine.commands[0], None)), [torque])]
+
+
+def with_gains(machine: Machine, of_reference: float, of_position: float) -> Machine:
+    """The machine with another law of its own for roll's targets."""
+    command = machine.commands[1]
+    own = command.controller
+    sections = [sections.copy() for sections in (own.reference_sections, own.position_sections)]
+    for each, gain in zip(sections, (of_reference, of_position), strict=True):
+        each[0, :3] *= gain
+    law = replace(own, reference_sections=sections[0], position_sections=sections[1])
+    return replace(machine, commands=(machine.commands[0], replace(command, controller=law)))
+
+
+@pytest.mark.parametrize("read", [lambda recording: recording, in_effort])
+def test_targets_are_the_bench_s_own_law_or_are_told(swept: tuple[Machine, Recording, Path], read: Callable) -> None:
+    machine, recording, _ = swept
+    sound = audit_controllers(machine, [read(recording)])
+    assert [(one.axis, one.status) for one in sound] == [("propeller", "as_filed"), ("roll", "as_filed")]
+    assert sound[1].gain.value == pytest.approx(1.0, abs=1e-4)
+    wrong = audit_controllers(with_gains(machine, 1.0 / 1.05, 1.0 / 1.05), [read(recording)])[1]
+    assert wrong.status == "differs"
+    assert wrong.gain.value == pytest.approx(1.05, abs=1e-3)
+    assert machine.command_unit(1) in wrong.said
+
+
+def test_a_wrong_gain_on_the_position_alone_is_another_law(swept: tuple[Machine, Recording, Path]) -> None:
+    machine, recording, _ = swept
+    if machine.commands[1].mode == "position":
+        pytest.skip("its bench has no gain on the position here")
+    assert audit_controllers(with_gains(machine, 1.0, 1.05), [recording])[1].status == "differs"
+
+
+def test_a_target_beside_the_reference_is_told_where_the_file_has_no_law(swept: tuple[Machine, Recording, Path]) -> None:
+    machine, recording, _ = swept
+    if machine.commands[1].mode == "velocity":
+        pytest.skip("velocity mode needs a law")
+    bare = with_gains(machine, 0.0, 0.0)
+    assert audit_controllers(bare, [recording])[1].status == "differs"
+    channels = {**recording.channels, "command_roll": Channel("rad", recording["reference_roll"])}
+    assert audit_controllers(bare, [Recording(channels, recording.metadata)])[1].status == "as_filed"
 
 
 def test_without_controller_states_no_effort_follows(

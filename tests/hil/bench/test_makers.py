@@ -10,6 +10,7 @@ import pytest
 from bench_machines import carm_text_in
 from other_makers import FILES, carm_text_with, modes_of
 
+from drivers.canopen.process_data import AxisOutput
 from drivers.errors import MotionRefusedError
 from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
@@ -37,6 +38,28 @@ def test_its_drive_goes_to_a_pose_by_its_own_profile(maker: str) -> None:
     assert "profile_position" in modes_of(file)
     reached = moved(machine_from_text(carm_text_with(file, "profile_position")))
     assert reached == pytest.approx(GOAL, abs=NEAR_rad)
+
+
+@pytest.mark.parametrize("maker", ["maxon EPOS4", "Elmo Gold", "Faulhaber MCBL 300"])
+def test_the_loop_leads_a_drive_that_ramps_its_velocity_in_its_own_unit(maker: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = DATA / FILES[maker]
+    if not file.is_file():
+        pytest.skip(f"{file} is not here: makers' data sheets are not part of the project")
+    machine = machine_from_text(carm_text_with(file, "profile_velocity"))
+    joint, wire = [], []
+    lead_to = AxisOutput.lead_to
+
+    def noted(output: AxisOutput, target: float) -> None:
+        lead_to(output, target)
+        joint.append(target)
+        wire.append(output.target)
+
+    monkeypatch.setattr(AxisOutput, "lead_to", noted)
+    assert moved(machine) == pytest.approx(GOAL, abs=NEAR_rad)
+    turns_s = 500.0 / (2.0 * np.pi)
+    unit = {"maxon EPOS4": 60.0, "Elmo Gold": 4096.0, "Faulhaber MCBL 300": 60.0}[maker] * turns_s  # rpm, counts/s, rpm by their manuals
+    assert np.max(np.abs(joint)) * unit > 10.0
+    assert wire == pytest.approx(np.array(joint) * unit, abs=0.51)
 
 
 @pytest.mark.parametrize("mode", ["velocity", "position"])

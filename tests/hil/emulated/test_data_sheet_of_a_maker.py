@@ -97,6 +97,8 @@ def test_no_other_device_of_the_machine_changes(device: str) -> None:
         (("--eds", DRIVE_EDS, "--as", "pump:roll"), "--as pump:roll: carm has no such device"),
         (("emps", "--eds", DRIVE_EDS, "--as", "drive:roll"), "emps has no such device; its file has no [bus]"),
         (("carm", "--as", "drive:roll"), "--as drive:roll: needs --eds FILE"),
+        (("--eds", DRIVE_EDS, "--as", "drive:roll", "--node", 9), "--node 9: with --as drive:roll the machine file says the node id"),
+        (("carm", "--node", 9), "--node: is for a device of --eds FILE"),
         (("--eds", "absent.eds", "--as", "drive:roll"), "absent.eds: no such EDS file"),
         (("--eds", DRIVE_EDS.with_name("isocenter_encoder.eds"), "--as", "drive:roll"), "no data sheet of a CiA 402 drive"),
     ],

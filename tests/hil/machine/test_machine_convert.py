@@ -27,13 +27,13 @@ def test_only_numbers_that_hang_on_the_rate_change_and_comments_stay() -> None:
     assert len(old) == len(new)
     changed = [(before, after) for before, after in zip(old, new, strict=True) if before != after]
     assert [line.split(" = ")[0].strip() for line, _ in changed if " = " in line] == [
-        "sample_rate_Hz", "substeps", "overrun_ticks", "stale_ticks", "answer_timeout_s", "rate_Hz",
+        "sample_rate_Hz", "substeps", "overrun_ticks", "stale_ticks", "answer_timeout_s", "rate_Hz", "frozen_packets",
     ]  # fmt: skip
-    assert len(changed) == 12  # and three sections of each axis
+    assert len(changed) == 13  # and three sections of each axis
     assert [before.partition("#")[2] for before, _ in changed] == [after.partition("#")[2] for _, after in changed]
     assert {change.key for change in changes} == {
         "timing.sample_rate_Hz", "timing.substeps", "timing.overrun_ticks", "timing.stale_ticks", "bus.answer_timeout_s",
-        "bus.imu.rate_Hz", "controller.propeller.position_sections", "controller.roll.position_sections",
+        "bus.imu.rate_Hz", "judging.imu.frozen_packets", "controller.propeller.position_sections", "controller.roll.position_sections",
     }  # fmt: skip
 
 
@@ -50,6 +50,30 @@ def test_times_stay(rate_Hz: float, substeps: int, overrun: int, stale: int) -> 
     assert machine.bus.imu is not None
     assert machine.bus.imu.rate_Hz == pytest.approx(rate_Hz)
     assert machine.bus.answer_timeout_s == pytest.approx(min(0.0025, 0.0025 * 256.0 / rate_Hz))
+
+
+@pytest.mark.parametrize(("rate_Hz", "every", "packets"), [(512.0, 8, 16), (128.0, 2, 4), (64.0, 1, 2), (2000.0, 31, 62)])
+def test_what_is_counted_in_syncs_and_packets_keeps_its_time(rate_Hz: float, every: int, packets: int) -> None:
+    tpdo = '[[bus.nodes.roll_drive.tpdo]]\nnumber = 2\ncob_id = 0x282\ntransmission_type = 4\nmap = ["velocity_actual_value"]\n'
+    acyclic = tpdo.replace("number = 2", "number = 3").replace("0x282", "0x382").replace("type = 4", "type = 255")
+    text = edited(r"^(\[\[bus\.nodes\.roll_drive\.rpdo\]\])", rf"{tpdo}{acyclic}\g<1>")
+    text = edited(r"^frozen_packets = .*$", "frozen_packets = 8", text)
+    new = converted(machine_from_text(text), rate_Hz)
+    assert new.bus is not None
+    drive = next(node for node in new.bus.nodes if node.name == "roll_drive")
+    assert [pdo.transmission_type for pdo in drive.tpdos] == [1, every, 255]
+    assert min(new.judging.imu.frozen_packets) >= packets
+    assert f"frozen_packets = {packets}" in new.text
+
+
+def test_an_imu_that_runs_by_itself_keeps_its_packets_and_an_age_of_none_is_stretched() -> None:
+    alone = edited(r"^triggered_by_sync = true", "triggered_by_sync = false")
+    slow = edited(r"^rate_Hz = 256.0", "rate_Hz = 100.0", alone)
+    _, changes = converted_text(machine_from_text(slow), 512.0)
+    assert "judging.imu.frozen_packets" not in {change.key for change in changes}
+    aged = edited(r"^age_s = 0.015", "age_ms = 10.0")
+    assert "age_ms = 10.0" in converted_text(machine_from_text(aged), 200.0)[0]
+    assert "age_ms = 15.0" in converted_text(machine_from_text(aged), 100.0)[0]
 
 
 def test_ticks_that_the_file_leaves_to_their_defaults_are_written_and_units_are_kept() -> None:

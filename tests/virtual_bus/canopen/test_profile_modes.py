@@ -252,3 +252,17 @@ def test_halt_stops_and_its_end_ramps_up_again() -> None:
     assert abs(master.get(0x606C, signed=True)) < 200
     assert abs(master.step(word=ENABLED).velocity_demand) < 500, "from standstill"
     assert master.steps(300).velocity_demand == SPEED
+
+
+def test_a_drive_whose_unit_is_rpm_turns_its_motor_so_often_in_a_minute() -> None:
+    counts_per_turn, rpm, samples = 4096, 300, 400
+    master = DriveMaster(mode=PV, velocity_unit="rpm", acceleration_unit="rev/s^2")
+    for index in (0x6083, 0x6084):
+        master.set(index, 10)
+    master.switch_on()
+    ramping = master.steps(round(0.25 / PERIOD_S), velocity=-rpm)
+    assert ramping.velocity_demand == pytest.approx(-10 * 0.25 * 60, abs=3.0)
+    before = master.steps(samples).position
+    turned = (master.steps(samples).position - before) / counts_per_turn
+    assert turned == pytest.approx(-rpm / 60 * samples * PERIOD_S, rel=2e-3)
+    assert master.get(0x606C, signed=True) == pytest.approx(-rpm, abs=3)

@@ -54,7 +54,7 @@ class CyclicVelocity(Following):
 
     def demand(self, read: Read) -> Demand:
         """Return the sum of target and offset; it is not ramped."""
-        return Demand(int(read(self._target)) + int(read(self._velocity_offset)), int(read(self._torque_offset)))
+        return Demand(self.servo.counts_s(int(read(self._target)) + int(read(self._velocity_offset))), int(read(self._torque_offset)))
 
     def status(self, *, in_charge: bool) -> int:
         """Return bit 12: the drive follows its target."""
@@ -87,7 +87,7 @@ class CyclicPosition(Following):
         """Return the sum of target and offset within the software limits, and the speed that leads there."""
         asked = int(read(self._target)) + int(read(self._position_offset))
         position = self.servo.within_software_limits(asked)
-        ahead = int(read(self._velocity_offset)) if position == asked else 0
+        ahead = self.servo.counts_s(read(self._velocity_offset)) if position == asked else 0.0
         speed = self.servo.position_gain * self.servo.way_to(position) + ahead
         return Demand(speed, int(read(self._torque_offset)), position, limited=position != asked)
 

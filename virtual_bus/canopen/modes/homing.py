@@ -48,10 +48,10 @@ class HomingMode(Mode):
         """Return the torque that moves as the run wants it."""
         homing, servo, speed = self._homing(), self.servo, 0.0
         if homing.running:
-            search, zero = servo.objects.number(0x6099, 1), servo.objects.number(0x6099, 2)
+            search, zero = servo.counts_s(servo.objects.number(0x6099, 1)), servo.counts_s(servo.objects.number(0x6099, 2))
             speed = homing.update(servo.absolute, search, zero, servo.loop.standing)
             self._take_home()
-        return servo.move(speed, servo.objects.number(0x609A))
+        return servo.move(speed, servo.objects.number(0x609A) / servo.units.acceleration)
 
     def _take_home(self) -> None:
         homing, servo = self._homing(), self.servo

@@ -73,8 +73,8 @@ class ProfilePosition(Following):
         if self._word & RELATIVE:
             asked += round(self._profile.end)
         target = self.servo.within_software_limits(asked)
-        speed = min(int(self._velocity.value), int(self._fastest.value))
-        limits = Limits(max(1, speed), max(1, int(self._acceleration.value)), max(1, int(self._deceleration.value)))
+        servo, speed = self.servo, max(1, min(int(self._velocity.value), int(self._fastest.value)))
+        limits = Limits(servo.counts_s(speed), servo.counts_s2(self._acceleration.value), servo.counts_s2(self._deceleration.value))
         return SetPoint(target, limits, target != asked)
 
     def _go_to(self, set_point: SetPoint) -> None:
@@ -101,7 +101,7 @@ class ProfilePosition(Following):
         if self._last is not None:
             self._begin(to_target(position, speed, self._last.target, self._last.limits))
         else:
-            self._begin(to_rest(position, speed, max(1, int(self._deceleration.value))))
+            self._begin(to_rest(position, speed, servo.counts_s2(self._deceleration.value)))
 
     def demand(self, read: Read) -> Demand:
         """Return the profile's position, and the speed that keeps to it."""

@@ -21,7 +21,7 @@ class ProfileVelocity(Following):
         entry = servo.entry
         self._target, self._fastest = entry(0x60FF), entry(0x607F, NO_LIMIT)
         self._acceleration, self._deceleration = entry(0x6083), servo.objects.get(0x6084) or entry(0x6083)
-        slow = round(servo.standstill_counts_s)
+        slow = round(servo.standstill_counts_s * servo.units.velocity)
         self._window, self._window_ms, self._threshold, self._threshold_ms = (
             entry(0x606D, slow),
             entry(0x606E),
@@ -40,10 +40,10 @@ class ProfileVelocity(Following):
 
     def demand(self, read: Read) -> Demand:
         """Return the ramp's next speed."""
-        asked, fastest = int(read(self._target)), int(read(self._fastest))
+        servo, asked, fastest = self.servo, int(read(self._target)), int(read(self._fastest))
         target = min(max(asked, -fastest), fastest)
-        limits = Limits(fastest, max(1, int(read(self._acceleration))), max(1, int(read(self._deceleration))))
-        return Demand(ramped(self._speed, target, limits, self.servo.period_s), limited=target != asked)
+        limits = Limits(servo.counts_s(fastest), servo.counts_s2(read(self._acceleration)), servo.counts_s2(read(self._deceleration)))
+        return Demand(ramped(self._speed, servo.counts_s(target), limits, servo.period_s), limited=target != asked)
 
     def torque(self) -> int:
         """Return the torque that follows the ramp."""
@@ -53,7 +53,7 @@ class ProfileVelocity(Following):
 
     def observe(self, *, in_charge: bool) -> int:
         """Compare the speed with its target and with standstill."""
-        speed = self.servo.speed.counts_s
+        speed = self.servo.speed.counts_s * self.servo.units.velocity
         near = abs(int(self._target.value) - speed) <= int(self._window.value)
         reached = self._reached.held(near, int(self._window_ms.value) * 1e-3)
         moving = self._moving.held(abs(speed) > int(self._threshold.value), int(self._threshold_ms.value) * 1e-3)

@@ -1,0 +1,241 @@
+"""Units of a drive's velocities and accelerations, by its own objects (IEC 61800-7-201, factor group) or by the machine file.
+
+Positions on the wire are counts, whatever they are in the drive: the machine file has their resolution. With p in counts, the standard's
+
+    position = increments F / (R G),    velocity = increments/s F / (V G) K,    acceleration = velocity/s A
+
+have R = 608Fh and V = 6090h increments per turn of the motor, G = 6091h turns of the motor per turn of the shaft, F = 6092h position units
+per turn of the shaft, K = 6096h, A = 6097h. So R, V and G drop out: velocity = K dp/dt. A unit of its own (60A9h, 60AAh) says instead what
+a velocity is in. A turn is then F counts or, of a drive without F, the machine file's counts per turn of the motor times G.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+from drivers.errors import ConfigurationRefusedError
+from drivers.settings import AxisScaling, BusSettings, Node
+
+if TYPE_CHECKING:
+    import canopen
+
+POSITION_UNIT, VELOCITY_UNIT, ACCELERATION_UNIT = 0x60A8, 0x60A9, 0x60AA
+GEAR_RATIO, FEED_CONSTANT, VELOCITY_FACTOR, ACCELERATION_FACTOR = 0x6091, 0x6092, 0x6096, 0x6097
+OLD_VELOCITY_NOTATION, OLD_VELOCITY_DIMENSION = 0x608B, 0x608C  # of DSP 402 before version 3
+OBJECTS = (0x608B, 0x608C, 0x6091, 0x6092, 0x6094, 0x6096, 0x6097, 0x60A8, 0x60A9, 0x60AA)
+"""All of them."""
+OLD_RPM, OLD_INCREMENTS = 0xA4, 0xAC
+OLD_VELOCITY_ENCODER_FACTOR = 0x6094
+AGREES = 1e-6
+"""Relative difference of factors that are the same: both come from whole numbers."""
+
+TURNS = {0xB4: 1.0, 0x10: 0.5 / math.pi, 0x40: 1.0 / 400.0, 0x41: 1.0 / 360.0, 0x42: 1.0 / 21_600.0, 0x43: 1.0 / 1_296_000.0}
+"""Turns in a revolution, radian, gon, degree, minute and second of arc, by their codes (CiA 303-2)."""
+METRES = {0x01: 1.0, 0xC1: 0.0254, 0xC2: 0.3048}
+INCREMENTS, RPM = 0xB5, 0xC0
+SECONDS = {0x03: 1.0, 0x47: 60.0, 0x48: 3600.0, 0x57: 1.0}  # s, min, h, and s^2 of accelerations
+
+DECLARED = {"counts/s": 0.0, "rpm": 1.0 / 60.0, "0.1 rpm": 1e-1 / 60.0, "0.01 rpm": 1e-2 / 60.0, "0.001 rpm": 1e-3 / 60.0, "rev/s": 1.0}
+"""Turns per second of the units that a machine file may say; 0: none, counts."""
+DECLARED_ACCELERATION = {"counts/s^2": 0.0, "rpm/s": 1.0 / 60.0, "rev/s^2": 1.0}
+
+Read = Callable[[int, int], int | None]
+"""Returns the value of an object, None where there is none."""
+
+
+class Scaling(Protocol):
+    """What the machine file says of an axis: `drivers.settings.AxisScaling`, or the like."""
+
+    @property
+    def axis(self) -> str: ...  # noqa: D102
+    @property
+    def counts_per_motor_turn(self) -> float: ...  # noqa: D102
+    @property
+    def velocity_unit(self) -> str: ...  # noqa: D102
+    @property
+    def acceleration_unit(self) -> str: ...  # noqa: D102
+
+
+@dataclass(frozen=True)
+class MotionUnits:
+    """How many of a drive's units a count per second is, and a count per second squared."""
+
+    velocity: float = 1.0
+    acceleration: float = 1.0
+
+
+def in_data_sheet(dictionary: canopen.ObjectDictionary) -> Read:
+    """Return a reading of the values that a data sheet has."""
+
+    def read(index: int, subindex: int) -> int | None:
+        variable = dictionary.get_variable(index, subindex)
+        value = None if variable is None else variable.default if getattr(variable, "value", None) is None else variable.value
+        return value if isinstance(value, int) else None
+
+    return read
+
+
+def units_in_data_sheet(node: Node, scaling: AxisScaling) -> MotionUnits:
+    """Return the units of a node by the machine file and its data sheet; errors as in `units_of`, and those of the data sheet."""
+    from drivers.canopen.eds import load_object_dictionary  # the supervisor starts without what reads data sheets, unless it needs them
+
+    return units_of(in_data_sheet(load_object_dictionary(node.eds, node.node_id)), scaling, node.name)
+
+
+def velocity_units(scaling: AxisScaling, settings: BusSettings) -> float:
+    """Return how many of its units of velocity a count per second is, of an axis whose drive is commanded velocities; 1 of others.
+
+    Raises
+    ------
+    ConfigurationRefusedError
+        As in `units_of`.
+    """
+    drive = next((node for node in settings.nodes if node.role == "drive" and node.axis == scaling.axis), None)
+    return units_in_data_sheet(drive, scaling).velocity if drive is not None and scaling.mode.endswith("velocity") else 1.0
+
+
+def units_of(read: Read, scaling: Scaling, who: str) -> MotionUnits:
+    """Return a drive's units: those that the machine file says, else those of its objects, else counts and seconds.
+
+    Parameters
+    ----------
+    read : Read
+    scaling : Scaling
+    who : str
+        The drive, for messages.
+
+    Raises
+    ------
+    ConfigurationRefusedError
+        A unit that has nothing to do with the counts, or turns of which drive and machine file have different counts.
+    """
+    velocity = _declared(DECLARED, scaling.velocity_unit, read, scaling, who) or _velocity_by_objects(read, scaling, who) or 1.0
+    acceleration = _declared(DECLARED_ACCELERATION, scaling.acceleration_unit, read, scaling, who)
+    return MotionUnits(velocity, acceleration or _acceleration_by_objects(read, scaling, who) or velocity)
+
+
+def units_or_counts(read: Read, scaling: Scaling) -> MotionUnits:
+    """Return the same of an emulated device: counts and seconds where its objects say nothing of the counts."""
+    try:
+        return units_of(read, scaling, scaling.axis)
+    except ConfigurationRefusedError:
+        return MotionUnits()
+
+
+def check_units(read: Read, used: MotionUnits, scaling: Scaling, who: str) -> None:
+    """Check that a drive has the units that machine file and data sheet say of it.
+
+    Parameters
+    ----------
+    read : Read
+        From the drive.
+    used : MotionUnits
+    scaling : Scaling
+    who : str
+
+    Raises
+    ------
+    ConfigurationRefusedError
+        It says other ones, or any that nobody knows and the machine file does not declare.
+    """
+    for what, by_objects, declared, have in (
+        ("velocity", _velocity_by_objects, scaling.velocity_unit, used.velocity),
+        ("acceleration", _acceleration_by_objects, scaling.acceleration_unit, used.acceleration),
+    ):
+        try:
+            found = by_objects(read, scaling, who)
+        except ConfigurationRefusedError:
+            if declared:
+                continue
+            raise
+        if found is not None and not math.isclose(found, have, rel_tol=AGREES):
+            by = "machine file" if declared else "data sheet"
+            raise ConfigurationRefusedError(
+                f"{who}: by its own objects its unit of {what} is 1/{found:.6g} of a count/s, by {by} "
+                f"1/{have:.6g}; every {what} would be off by {found / have:.6g}; correct the drive, or drives.{scaling.axis}.{what}_unit"
+            )
+
+
+def _velocity_by_objects(read: Read, scaling: Scaling, who: str) -> float | None:
+    """Return the velocity unit that a drive's own objects say; None where they say nothing."""
+    if word := read(VELOCITY_UNIT, 0):
+        return _by_word(word, read, scaling, f"{who}: its velocity unit (60A9h)")
+    dimension = read(OLD_VELOCITY_DIMENSION, 0)
+    if dimension == OLD_RPM:
+        return _per_turn(read, scaling, who) * 60.0 / 10.0 ** (read(OLD_VELOCITY_NOTATION, 0) or 0)
+    factor = _ratio(read, OLD_VELOCITY_ENCODER_FACTOR)
+    for index, value, standard in ((OLD_VELOCITY_DIMENSION, dimension, 0), (OLD_VELOCITY_ENCODER_FACTOR, factor, 1)):
+        if value not in (None, standard, OLD_INCREMENTS):
+            raise ConfigurationRefusedError(
+                f"{who}: {index:04X}h is {value:g}, a unit of velocity that is not known here; say drives.{scaling.axis}.velocity_unit"
+            )
+    return _ratio(read, VELOCITY_FACTOR)
+
+
+def _acceleration_by_objects(read: Read, scaling: Scaling, who: str) -> float | None:
+    if word := read(ACCELERATION_UNIT, 0):
+        return _by_word(word, read, scaling, f"{who}: its acceleration unit (60AAh)")
+    factor, velocity = _ratio(read, ACCELERATION_FACTOR), _velocity_by_objects(read, scaling, who)
+    return None if factor is None or velocity is None else factor * velocity
+
+
+def _ratio(read: Read, index: int) -> float | None:
+    """Return the first entry over the second."""
+    first, second = read(index, 1), read(index, 2)
+    return first / second if first and second else None
+
+
+def _by_word(word: int, read: Read, scaling: Scaling, what: str) -> float:
+    """Return how many units are a count per second, by a unit of four bytes: power of ten, numerator, denominator, nothing."""
+    prefix, numerator, denominator = _power(word), word >> 16 & 0xFF, word >> 8 & 0xFF
+    position = read(POSITION_UNIT, 0) or INCREMENTS << 16
+    counts, count = position >> 16 & 0xFF, _power(position)
+    per = SECONDS.get(denominator, math.nan)
+    if numerator == RPM:
+        numerator, per = 0xB4, 60.0 * per
+    for sizes in (TURNS, METRES):
+        if numerator in sizes and counts in sizes:
+            return sizes[counts] * count * per / (sizes[numerator] * prefix)
+    if numerator == counts == INCREMENTS and math.isfinite(per):
+        return count * per / prefix
+    if numerator in TURNS and counts == INCREMENTS and math.isfinite(per):
+        return _per_turn(read, scaling, what) * count * per / (TURNS[numerator] * prefix)
+    raise ConfigurationRefusedError(
+        f"{what} is {word:08X}h, which says nothing of the counts; set it to turns, or say drives.{scaling.axis}.velocity_unit"
+    )
+
+
+def _power(word: int) -> float:
+    """Return the power of ten in the highest byte of a unit."""
+    exponent = word >> 24 & 0xFF
+    return 10.0 ** (exponent - 256 if exponent > 127 else exponent)
+
+
+def _declared(units: dict[str, float], unit: str, read: Read, scaling: Scaling, who: str) -> float:
+    """Return how many of a unit a count per second is; 0 where the machine file says none."""
+    if not unit:
+        return 0.0
+    return _per_turn(read, scaling, who) / units[unit] if units[unit] else 1.0
+
+
+def _per_turn(read: Read, scaling: Scaling, what: str) -> float:
+    """Return the turns in a count.
+
+    Raises
+    ------
+    ConfigurationRefusedError
+        Drive and machine file have different counts in a turn: positions would be as wrong as velocities.
+    """
+    filed = scaling.counts_per_motor_turn * (_ratio(read, GEAR_RATIO) or 1.0)
+    fed = _ratio(read, FEED_CONSTANT) or filed
+    if not filed:
+        raise ConfigurationRefusedError(f"{what} is in turns, of which the machine file says no counts")
+    if not math.isclose(fed, filed, rel_tol=AGREES):
+        raise ConfigurationRefusedError(
+            f"{what} is in turns, of {fed:g} counts by its feed constant (6092h), of {filed:g} by the machine file (drives.{scaling.axis}: "
+            "encoder_counts_per_motor_turn); correct either"
+        )
+    return 1.0 / fed
