@@ -34,8 +34,8 @@ class Change:
 def converted_text(machine: Machine, sample_rate_Hz: float) -> tuple[str, list[Change]]:
     """Return the machine's file for another sample rate, and what was changed.
 
-    Steps of the plant become no longer. Counts of ticks keep their time, rounded down and at least 1. `answer_timeout` stays where the
-    period grows, and keeps its share of it where it shrinks. Filters are carried by `controllers.rediscretise`.
+    Steps of the plant become no longer. Counts of ticks keep their time, rounded down and at least 1. `answer_timeout` keeps
+    its share of the period. Filters are carried by `controllers.rediscretise`.
 
     Raises
     ------
@@ -141,7 +141,7 @@ def _bus(file: _File) -> None:
     bus = file.table.bus
     if bus is None:
         return
-    if bus.answers == "punctual" and file.ratio > 1.0:
+    if bus.answers == "punctual":
         file.scale(("bus", bus.key("answer_timeout")), 1.0 / file.ratio)
     if bus.imu is not None and bus.imu.triggered_by_sync:
         file.scale(("bus", "imu", bus.imu.key("rate")), file.ratio)
