@@ -6,6 +6,7 @@ This is all that the sample loop needs of a machine that is ready to run. `drive
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
     from drivers.modbus.io import Io
     from drivers.serial.imu import ImuDriver
 
-FIRST_ANSWERS_TICKS = 16  # ticks in which every TPDO must have come once after start: transmission may begin at the second SYNC
 RESET_PATIENCE_S = 0.1  # for a node's boot-up when the bench leaves: none is missed if it does not come
 IMU_RETRY_S = 5e-5  # a packet at 921600 baud takes twelve times as long
 PENDING_FRAMES = 64  # looked through for the EMCY that explains a fault
@@ -346,12 +346,14 @@ class TickingMachine:
         return cia402.decode_state(self.sdo(axis).read_integer(cia402.STATUSWORD)) in POWERED
 
     def _await_first_answers(self) -> None:
-        for _ in range(FIRST_ANSWERS_TICKS):
+        """Make ticks until every TPDO has come; a node may take as long as to boot, for its host may be late."""
+        ticks = math.ceil(max(node.boot_timeout_s for node in self.settings.nodes) / self.period_s)
+        for _ in range(ticks):
             self.exchange(self.zeros)
             if not self._cyclic.missing:
                 return
         raise BusTimeoutError(
-            f"{', '.join(self._cyclic.missing)}: no answer to {FIRST_ANSWERS_TICKS} SYNCs within {self.settings.answer_timeout_s} s each"
+            f"{', '.join(self._cyclic.missing)}: no answer to {ticks} SYNCs within {self.settings.answer_timeout_s} s each"
         )
 
     def _check_answers(self, sample: Sample) -> None:

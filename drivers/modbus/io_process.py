@@ -30,7 +30,7 @@ from drivers.settings import IoMap
 from drivers.supervisor.blocks import AnswerReader
 
 SLICE_S = 0.01  # how soon a brake command or the loop's death is noticed
-START_TIMEOUT_S = 10.0  # a new Python process on a loaded machine
+START_TIMEOUT_S = 60.0  # a new Python process on a loaded machine; one that fails is noticed at once
 LOOP_STILL_S = 0.5
 """Longest pause of the loop with a brake open: over a hundred ticks, more than a busy processor explains. A loop that is stopped, swapped
 out or in a debugger does not close its brakes, and without its SYNC and heartbeat the drives hold nothing."""

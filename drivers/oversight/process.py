@@ -22,7 +22,7 @@ from drivers.settings import BusSettings
 from drivers.supervisor.blocks import ASKED, END, ORDERS, OWN, PERMITS, ROUNDS, SESSION, WANTED_SESSION, blocks_of
 from drivers.supervisor.process import supervise
 
-START_TIMEOUT_S = 10.0  # a new Python process on a loaded machine
+START_TIMEOUT_S = 60.0  # a new Python process on a loaded machine; one that fails is noticed at once
 SILENT_S = 0.25
 """Time without a round of the supervisor after which the loop stops, where no output watchdog says another: sixty rounds at 256 Hz."""
 WATCHDOG_SHARE = 0.5

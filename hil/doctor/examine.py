@@ -25,6 +25,8 @@ from hil.machine.bus_load import sync_answer_s
 from hil.processes.real_time import real_time
 
 LISTENED_S = 1.0
+WAKE_UP_SHARE = 0.25
+"""Length of the measurement without a bus, of the trial's: nothing is foretold from it."""
 GOOD_SHARE = 0.25
 """Share of the period within which 99.9 % of the ticks should be done: 1 ms at 256 Hz."""
 GOOD_WAKE_UP_SHARE = 0.1
@@ -57,7 +59,7 @@ def examine(machine: Machine, bus_url: str, seconds: float, folder: Path, say: S
     bus_url : str
         It is not opened, and nothing is sent on it.
     seconds : float
-        Of each of the two measurements.
+        Of the loop's trial; wake-ups take `WAKE_UP_SHARE` of it.
     folder : Path
         Where recordings would go.
     say : callable
@@ -84,8 +86,8 @@ def examine(machine: Machine, bus_url: str, seconds: float, folder: Path, say: S
     if busy:
         return Examination((*findings, Finding("look", "in use", busy, BUSY)), None, None, None, "")
     times = computer.processor_times(root)
-    say(f"wake-ups for {seconds:g} s")
-    late = wake_ups(1.0 / machine.sample_rate_Hz, seconds)
+    say(f"wake-ups for {WAKE_UP_SHARE * seconds:g} s")
+    late = wake_ups(1.0 / machine.sample_rate_Hz, WAKE_UP_SHARE * seconds)
     findings.append(_wake_up_finding(late, 1.0 / machine.sample_rate_Hz))
     wake_up_us = _percentiles_us(late)
     try:
@@ -117,7 +119,7 @@ def examine(machine: Machine, bus_url: str, seconds: float, folder: Path, say: S
 
 
 def least_seconds(machine: Machine) -> float:
-    """Return the shortest measurement [s]: half of its ticks suffice for a prediction."""
+    """Return the shortest trial [s]: half of its ticks suffice for a prediction."""
     return 2.0 * LEAST_BLOCKS * max(BLOCK_S, 1.0 / machine.sample_rate_Hz)
 
 
@@ -126,7 +128,9 @@ def predicted(prediction: Prediction, most_at_once: int, overrun_ticks: int, sus
     mend = f"begin with {', '.join(suspects)}" if suspects else "end other work, try a PREEMPT_RT kernel or a faster computer"
     period_us = MICROSECONDS * prediction.period_s
     times = [MICROSECONDS * value for value in (prediction.p50_s, prediction.p99_s, prediction.p999_s, prediction.max_s)]
-    found = "p50 {:.0f}, p99 {:.0f}, p99.9 {:.0f}, max {:.0f} us".format(*times) + f" of {period_us:.0f} us, {prediction.ticks} ticks"
+    least, most = (MICROSECONDS * value for value in (prediction.p999_least_s, prediction.p999_most_s))
+    found = "p50 {:.0f}, p99 {:.0f}, p99.9 {:.0f} ({:.0f} to {:.0f}), max {:.0f} us".format(*times[:3], least, most, times[3])
+    found += f" of {period_us:.0f} us, {prediction.ticks} ticks"
     if prediction.p999_s <= GOOD_SHARE * prediction.period_s:
         yield Finding("ok", "whole tick", found)
     else:
@@ -139,7 +143,7 @@ def predicted(prediction: Prediction, most_at_once: int, overrun_ticks: int, sus
         advice = f"{most_at_once} at once stop the motors, timing.overrun_ticks bridges {overrun_ticks}: {mend}"
         yield Finding("bad", "missed ticks", found, advice)
     elif prediction.missed_in_trial or prediction.expected_missed >= 1.0:
-        yield Finding("look", "missed ticks", found, f"{mend}; --seconds 60 narrows the interval")
+        yield Finding("look", "missed ticks", found, f"{mend}; a longer trial (--seconds) narrows the interval")
     else:
         yield Finding("ok", "missed ticks", found)
 

@@ -43,8 +43,8 @@ def converted_text(machine: Machine, sample_rate_Hz: float) -> tuple[str, list[C
     """Return the machine's file for another sample rate, and what was changed.
 
     Steps of the plant become no longer. Counts of ticks, of SYNCs between two PDOs and of packets keep their time, rounded down and at
-    least 1. Times stay, but the age of the IMU's packets grows where it would be less than a packet and a half. `answer_timeout` stays
-    where the period grows, and keeps its share of it where it shrinks. Filters are carried by `controllers.rediscretise`.
+    least 1. Times stay, but the age of the IMU's packets grows where it would be less than a packet and a half. `answer_timeout` keeps
+    its share of the period. Filters are carried by `controllers.rediscretise`.
 
     Raises
     ------
@@ -158,7 +158,7 @@ def _bus(file: _File) -> None:
     bus = file.table.bus
     if bus is None:
         return
-    if bus.answers == "punctual" and file.ratio > 1.0:
+    if bus.answers == "punctual":
         file.scale(("bus", bus.key("answer_timeout")), 1.0 / file.ratio)
     for name, node in bus.nodes.items():
         for kind in ("tpdo", "rpdo"):

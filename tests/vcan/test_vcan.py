@@ -6,33 +6,40 @@ import os
 import re
 import subprocess
 import sys
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 from places import ROOT
-from prepared import prepare
+from prepared import convert, prepare_when_asked
 from user_mode_kernel import PACKAGES, Outcome, kernel_missing, run_in_user_mode_kernel, vcan_here
 
+TOLD = "told.txt"
 INSIDE = Path(__file__).parent / "inside"
 TIMEOUT_S = 2400.0
 
 
 @pytest.mark.slow
-def test_two_processes_over_vcan0(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_two_processes_over_vcan0(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, record_property: Callable[[str, object], None]) -> None:
     """Emulator and loop talk over vcan0, candump is the witness, slcan crosses a pty; nothing in there may be skipped."""
     monkeypatch.chdir(ROOT)
-    over_vcan0("vcan and not nightly", tmp_path)
+    over_vcan0("vcan and not nightly", tmp_path, record_property)
 
 
 @pytest.mark.nightly
-def test_faults_over_vcan0(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_faults_over_vcan0(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, record_property: Callable[[str, object], None]) -> None:
     """The most dangerous faults, one after the other, each with the time that a machine takes: a quarter of an hour."""
     monkeypatch.chdir(ROOT)
-    over_vcan0("vcan and nightly", tmp_path)
+    over_vcan0("vcan and nightly", tmp_path, record_property)
 
 
-def over_vcan0(marked: str, folder: Path) -> None:
-    """Run the tests inside that are marked so, in place or in a user-mode kernel; what they need computed goes to the folder."""
+def over_vcan0(marked: str, folder: Path, record_property: Callable[[str, object], None]) -> None:
+    """Run the tests inside that are marked so, in place or in a user-mode kernel.
+
+    What they need computed goes to the folder, at the rate for which they ask.
+    """
     command = [
         sys.executable,
         "-m",
@@ -62,12 +69,19 @@ def over_vcan0(marked: str, folder: Path) -> None:
             if os.environ.get("CI"):
                 pytest.fail(line)
             pytest.skip(line)
-        prepare(folder)
-        outcome = run_in_user_mode_kernel(command, environment, TIMEOUT_S)
-    else:
-        prepare(folder)
-        done = subprocess.run(command, env=os.environ | environment, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
-        outcome = Outcome(done.returncode, done.stdout + done.stderr, "")
+    convert(folder)
+    stop = threading.Event()
+    with ThreadPoolExecutor(1) as beside:
+        preparing = beside.submit(prepare_when_asked, folder, stop)
+        try:
+            if here:
+                outcome = run_in_user_mode_kernel(command, environment, TIMEOUT_S)
+            else:
+                done = subprocess.run(command, env=os.environ | environment, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+                outcome = Outcome(done.returncode, done.stdout + done.stderr, "")
+        finally:
+            stop.set()
+        preparing.result()
     where = "in a user-mode kernel" if here else "in place"
     assert outcome.status is not None, f"the user-mode kernel did not finish:\n{outcome.console}\n{outcome.output}"
     assert outcome.status == 0, f"bus tests over vcan0 ({where}):\n{outcome.output}"
@@ -75,4 +89,5 @@ def over_vcan0(marked: str, folder: Path) -> None:
     assert passed, f"no bus test ran:\n{outcome.output}"
     assert int(passed[1]) > 0, f"no bus test ran:\n{outcome.output}"
     assert "skipped" not in outcome.output.splitlines()[-1], f"a bus test was skipped:\n{outcome.output}"
-    print(f"over vcan0 {where}: {outcome.output.splitlines()[-1]}")
+    for line in (folder / TOLD).read_text().splitlines():
+        record_property("over vcan0", f"{where}: {line}")

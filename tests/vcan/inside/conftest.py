@@ -8,16 +8,19 @@ import os
 import select
 import subprocess
 import threading
+import time
 import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from patient import AT_REST, patient, since_the_bench_came
+from carried import SHIPPED, Carried, carried
+from in_lockstep import lockstep_frames
 from processes import Done, Started, start, start_until_ready
-from witnesses import DEADLINE_S, START, Candump, SlcanAdapter
+from witnesses import DEADLINE_S, POLL_S, START, Candump, SlcanAdapter
 
-from hil.cli import main
+PREPARED_S = 600.0
+ON_ONE_PROCESSOR = ("--no-real-time",)
 
 
 @pytest.fixture
@@ -26,10 +29,22 @@ def interface() -> str:
     return os.environ["ISOCENTER_VCAN"]
 
 
-@pytest.fixture
-def prepared() -> Path:
-    """Where `tests/vcan/prepared.py` has put its files, on the host."""
+@pytest.fixture(scope="session")
+def folder() -> Path:
+    """Where `tests/vcan/prepared.py` puts its files, on the host."""
     return Path(os.environ["ISOCENTER_PREPARED"])
+
+
+@pytest.fixture
+def prepared(folder: Path, carried_machine: Carried) -> Path:
+    """The folder, when the files for the rate that is carried are there."""
+    ready = folder / "ready"
+    deadline = time.monotonic() + PREPARED_S
+    while not ready.exists():
+        assert time.monotonic() < deadline, f"{ready} did not come"
+        time.sleep(POLL_S)
+    assert not ready.read_text(), ready.read_text()
+    return folder
 
 
 @pytest.fixture
@@ -116,16 +131,21 @@ def emulate(tmp_path: Path) -> Iterator[Callable[..., dict[str, str]]]:
 @pytest.fixture
 def run(tmp_path: Path) -> Callable[..., Done]:
     """`isocenter run ...` to its end."""
-    return lambda *arguments: start(tmp_path, "run", *arguments, "--no-real-time").wait()
+    return lambda *arguments: start(tmp_path, "run", *arguments, *ON_ONE_PROCESSOR).wait()
 
 
 @pytest.fixture(scope="session")
-def lockstep_frames(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    """The frames of a second at rest in lockstep; run in this process, which has then loaded all that the others are forked with."""
-    folder = tmp_path_factory.mktemp("lockstep")
-    log = folder / "frames.log"
-    machine = patient(folder, can_only=True)
-    with pytest.raises(SystemExit) as left:
-        main(["run", *AT_REST, "--machine", machine, "--bus", "lockstep:", "--frame-log", str(log), "-o", str(folder / "lockstep.mf4")])
-    assert left.value.code == 0
-    return since_the_bench_came([line.split()[2] for line in log.read_text().splitlines()])
+def lockstep_as_shipped(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """The frames of the shipped machine, at rest for a second in lockstep, at its own rate."""
+    return lockstep_frames(tmp_path_factory.mktemp("lockstep"), SHIPPED)
+
+
+@pytest.fixture(scope="session")
+def carried_machine(folder: Path, tmp_path_factory: pytest.TempPathFactory, lockstep_as_shipped: list[str]) -> Carried:
+    """The shipped machine at the rate that this kernel carries; the lockstep run has loaded all that processes are forked with."""
+    place, bus = tmp_path_factory.mktemp("carried"), f"socketcan:{os.environ['ISOCENTER_VCAN']}"
+    emulator, _ = start_until_ready(place, "emulate", SHIPPED, "--bus", bus, "--no-real-time", "--json", "-")
+    try:
+        return carried(folder, lambda *words: start(place, "run", *words, "--bus", bus, *ON_ONE_PROCESSOR).wait(), place / "answer.json")
+    finally:
+        emulator.end()

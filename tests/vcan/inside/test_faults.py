@@ -7,15 +7,14 @@ import time
 from pathlib import Path
 
 import pytest
+from carried import Carried
 from most_dangerous import MOST_DANGEROUS
-from patient import patient
 from places import BENCHMARKS
 from processes import start, start_until_ready
 
 from hil.faults.check import run_trial
 from hil.faults.motion import motion_of
 from hil.faults.trials import trials
-from hil.machine import load_machine
 
 sys.path.insert(0, str(BENCHMARKS))
 from faults_over_processes import TRUTH, WATCHED_S, commands, ended, judged
@@ -24,25 +23,20 @@ ATTEMPTS = 3
 """A user-mode kernel stalls now and then for so long that a run ends by that."""
 
 
-SLOWER = {"heartbeat_lost/roll_drive/sweep"}
-"""With time-outs that a user-mode kernel keeps, the sweep is over before a heartbeat is missed."""
-
-
 @pytest.mark.vcan
 @pytest.mark.nightly
-@pytest.mark.usefixtures("lockstep_frames")
-def test_they_end_as_in_lockstep(interface: str, tmp_path: Path) -> None:
-    machine = load_machine(patient(tmp_path))
+def test_they_end_as_in_lockstep(interface: str, carried_machine: Carried, tmp_path: Path) -> None:
+    machine = carried_machine.machine
     motion = motion_of(machine, "roll")
     seen, in_lockstep = {}, {}
-    for (row,) in (trials(machine, "roll", [name]) for name in MOST_DANGEROUS if name not in SLOWER):
+    for (row,) in (trials(machine, "roll", [name]) for name in MOST_DANGEROUS):
         in_lockstep[row.name] = run_trial(machine, "roll", row, motion).verdict
         for attempt in range(ATTEMPTS):
             folder = tmp_path / f"{len(in_lockstep)}_{attempt}"
             folder.mkdir()
             emulate, run = commands(row, machine, f"socketcan:{interface}", folder, "roll")
             emulator, _ = start_until_ready(folder, *emulate, "--no-real-time")
-            bench = start(folder, *run, "--no-real-time")
+            bench = start(folder, *run, "--no-real-time", *carried_machine.options)
             status = ended(bench.process.pid, lambda process=bench.process: process.exitcode, bench.errors)
             bench.process.join()
             time.sleep(WATCHED_S)

@@ -29,12 +29,16 @@ class Candump:
 
     def frames(self) -> list[str]:
         """Stop listening; every frame since the start as `ID#DATA`, in order."""
+        return [frame for _, frame in self.stamped_frames()]
+
+    def stamped_frames(self) -> list[tuple[float, str]]:
+        """The same, each with its time [s]."""
         _send_probe(self.interface, END)
         self.wait_for(END)
         self.process.terminate()
         self.process.wait(DEADLINE_S)
-        seen = [line.split()[2] for line in self.log.read_text().splitlines()]
-        return [frame for frame in seen if not frame.startswith(f"{PROBE:03X}#")]
+        seen = [line.split() for line in self.log.read_text().splitlines()]
+        return [(float(time_s.strip("()")), frame) for time_s, _, frame in seen if not frame.startswith(f"{PROBE:03X}#")]
 
     def wait_for(self, mark: bytes) -> None:
         """Wait until a probe with this mark stands in the log."""

@@ -7,45 +7,50 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from patient import patient
+from carried import Carried
 from processes import Done
 
 from hil.observing import observe, read_design
 from hil.recording import Recording, read_recording
 
-pytestmark = [pytest.mark.vcan, pytest.mark.usefixtures("lockstep_frames")]
+pytestmark = pytest.mark.vcan
 
 
-def assert_observed(recording: Recording, design: Path) -> None:
+def assert_observed(recording: Recording, design: Path, rate_Hz: int) -> None:
     """Estimates in every row, those of a replay to the bit, and about where the link encoders are."""
     replayed = observe(recording, read_design(design).observer())
     assert np.array_equal(recording.matrix(replayed.names), replayed.values, equal_nan=True)
     assert np.isfinite(replayed.values[1:, : replayed.names.index("estimate_nis_window")]).all()
     for axis in ("propeller", "roll"):
         off = recording[f"link_position_{axis}"] - recording[f"estimate_link_position_{axis}"]
-        assert np.nanmax(np.abs(off[256:])) < 1e-4
+        assert np.nanmax(np.abs(off[rate_Hz:])) < 1e-4
     assert (recording["estimate_measured"] == 10).mean() > 0.9
 
 
 def test_multisine_with_jog_and_a_shaped_scan_run_with_the_observer(
-    interface: str, prepared: Path, emulate: Callable[..., dict[str, str]], run: Callable[..., Done], tmp_path: Path
+    interface: str,
+    carried_machine: Carried,
+    prepared: Path,
+    emulate: Callable[..., dict[str, str]],
+    run: Callable[..., Done],
+    tmp_path: Path,
 ) -> None:
-    machine, bus = patient(tmp_path), f"socketcan:{interface}"
+    machine, bus, rate_Hz = carried_machine.file, f"socketcan:{interface}", round(carried_machine.machine.sample_rate_Hz)
     design, shaper = prepared / "carm.observer.npz", prepared / "roll.shaper.npz"
     emulate(machine, "--bus", bus, "--pose", "roll=30")
-    common = ("--machine", machine, "--bus", bus, "--pose", "roll=30", "--observer", str(design))
+    common = ("--machine", machine, "--bus", bus, "--pose", "roll=30", "--observer", str(design), *carried_machine.options)
 
     excited = tmp_path / "excited.mf4"
     experiment = ("--experiments", "single", "--axes", "roll", "--amplitude", "0.5", "--period", "1", "--jog", "0.05", "--periods", "1")
     done = run("multisine", *common, *experiment, "-o", str(excited))
     assert done.returncode == 0, done.stderr
     recording = read_recording(excited)
-    assert_observed(recording, design)
-    ticks = recording["time"] * 256.0  # those that a loaded computer skipped are no rows
+    assert_observed(recording, design, rate_Hz)
+    ticks = recording["time"] * rate_Hz  # those that a loaded computer skipped are no rows
     assert ticks == pytest.approx(np.round(ticks), abs=1e-6)
     assert (np.diff(ticks) > 0.5).all()
-    assert recording.rows > 256
-    assert ticks[-1] < 2 * 256
+    assert recording.rows > rate_Hz
+    assert ticks[-1] < 2 * rate_Hz
     for channel in ("position_roll", "imu_z"):
         assert np.isfinite(recording[channel]).mean() > 0.9, f"{channel} did not arrive"
     assert np.nanmax(np.abs(recording["reference_roll"] - recording["position_roll"])) < np.radians(1.0)
@@ -55,6 +60,6 @@ def test_multisine_with_jog_and_a_shaped_scan_run_with_the_observer(
     done = run("scan", *common, *sweep, "--shaper", str(shaper), "-o", str(scanned))
     assert done.returncode == 0, done.stderr
     recording = read_recording(scanned)
-    assert_observed(recording, design)
+    assert_observed(recording, design, rate_Hz)
     assert np.abs(recording["reference_roll"] - recording["reference_raw_roll"]).max() > 1e-4  # the shaper had its say
     assert np.nanmax(np.abs(recording["reference_roll"] - recording["position_roll"])) < np.radians(1.0)

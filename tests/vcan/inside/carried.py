@@ -1,0 +1,105 @@
+"""At which rate this kernel carries the shipped machine: measured, and told outside."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from processes import Done
+
+from hil.doctor.trial import wake_ups
+from hil.machine import Machine, load_machine
+
+SHIPPED, SLOWER_Hz = "carm", 128
+AT_REST = ("static", "--seconds", "1", "--seed", "3")
+WATCHED_S = 4.0
+TOLD, RATE = "told.txt", "rate"
+"""Files in the folder of `tests/vcan/prepared.py`: lines for the summary of the tests; the rate to prepare for."""
+
+LIMITS = (
+    r"the loop lost \d+ ticks in a row; timing.overrun_ticks bridges 8",
+    r"no position for \d+ ticks, timing.stale_ticks bridges 3",
+    r"no answer to 512 SYNCs within 0.0025 s each",
+    r"position too late for 0.\d+ s, 0.250 s allowed, as for a heartbeat",
+    r"no node has answered for 0.\d+ s, 0.250 s allowed, as for a heartbeat",
+    r"no heartbeat for 0.\d+ s, 0.250 s allowed",
+    r"the supervisor does not answer for 0.\d+ s",
+    r"the I/O has given no valid state for \d+.\d+ s, 0.50 s are allowed",
+    r"\w+ held by its drive: its position is not known, so its brake cannot be proven",
+)
+"""What stops the machine on a late computer by the shipped file: overrun_ticks, stale_ticks, boot_timeout_s and answer_timeout_s,
+heartbeat_s, the I/O's watchdog, and stale_after_s; then the stop itself, where answers come too late to prove anything."""
+
+
+@dataclass(frozen=True)
+class Carried:
+    """The shipped machine, or the same at a lower rate, as this kernel carries it."""
+
+    file: str
+    options: tuple[str, ...]  # of `isocenter run`
+    at_256_Hz: Done
+
+    @property
+    def machine(self) -> Machine:
+        """The machine."""
+        return load_machine(self.file)
+
+
+def carried(folder: Path, run: Callable[..., Done], answer: Path) -> Carried:
+    """Measure, decide, and tell.
+
+    Parameters
+    ----------
+    folder : Path
+        Of what is prepared.
+    run : callable
+        `isocenter run` of the shipped machine at rest, with more options.
+    answer : Path
+        File for its JSON.
+    """
+    told = [_told_wake_ups(rate) for rate in (256, SLOWER_Hz)]
+    done = run(*AT_REST, "--machine", SHIPPED, "--json", str(answer), "-o", str(answer.with_suffix(".mf4")))
+    if answer.exists():
+        told.append(f"shipped machine at 256 Hz: {timing_told(answer)}")
+        found = Carried(SHIPPED, (), done)
+    else:
+        told.append(f"shipped machine at 256 Hz: {stopped(done)}")
+        told.append(f"so it runs at {SLOWER_Hz} Hz (isocenter machine convert), its margins accepted: {_failing(folder)}")
+        found = Carried(str(folder / f"{SHIPPED}_{SLOWER_Hz}.toml"), ("--accept-margins",), done)
+    (folder / TOLD).write_text("".join(f"{line}\n" for line in told))
+    (folder / RATE).write_text(f"{found.machine.sample_rate_Hz:g}")
+    return found
+
+
+def stopped(done: Done) -> str:
+    """The line in which a run says why it ended."""
+    lines = [line for line in done.stderr.splitlines() if line.startswith("isocenter: ")]
+    return lines[-1].removeprefix("isocenter: ") if lines else f"status {done.returncode}"
+
+
+def timing_told(answer: Path) -> str:
+    """Timing of the one recording in the JSON of a run, in words."""
+    timing = json.loads(answer.read_text())["recordings"][0]["timing"]
+    whole = " ".join(f"{name} {timing[f'work_time_{name}_us'] / 1e3:.2f}" for name in ("p50", "p99", "max"))
+    return f"{timing['ticks']:g} rows, {timing['missed']:g} ticks missed, {timing['unanswered']:g} unanswered, a tick's work {whole} ms"
+
+
+def late_answers(answer: Path) -> dict[str, int]:
+    """SYNCs that were not answered in time, by node, as the run has noted."""
+    notes = json.loads(answer.read_text())["recordings"][0]["notes"]
+    found = (re.match(r"(\w+): TPDO .*?: (\d+) SYNCs were not answered in time", note) for note in notes)
+    return {match[1]: int(match[2]) for match in found if match}
+
+
+def _told_wake_ups(rate_Hz: int) -> str:
+    late = np.percentile(wake_ups(1.0 / rate_Hz, WATCHED_S), [50.0, 99.9, 100.0]) * 1e3
+    return "a bare loop at {} Hz is late by p50 {:.3f}, p99.9 {:.3f}, max {:.3f} ms".format(rate_Hz, *late)
+
+
+def _failing(folder: Path) -> str:
+    lines = (folder / "converted.txt").read_text().splitlines()
+    return "; ".join(line.removeprefix("FAIL ") for line in lines if line.startswith("FAIL") and ": " in line) or "none fails"
