@@ -128,10 +128,11 @@ def main() -> None:
     parser.add_argument("--json", type=Path, default=RESULTS, metavar="OUT", help="results, read first")
     parser.add_argument("--only", default="", metavar="WORD", help="files with this in their name")
     parser.add_argument("--keep", type=Path, metavar="FOLDER", help="where the files stay")
+    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="conversions at a time")
     arguments = parser.parse_args()
     found = json.loads(arguments.json.read_text())["files"] if arguments.json.exists() else {}
     waiting = [one for name, one in FILES.items() if arguments.only in name and not found.get(name, {}).get("right")]
-    with ThreadPoolExecutor(2) as pool:
+    with ThreadPoolExecutor(arguments.jobs) as pool:
         for foreign, answer in zip(waiting, pool.map(lambda one: judged(one, arguments.keep), waiting), strict=True):
             found[foreign.name] = answer
             print(f"{foreign.name}: {'right' if answer['right'] else answer['why']}", flush=True)
