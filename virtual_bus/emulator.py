@@ -142,7 +142,7 @@ def run_emulator(
             rehearse()
 
         tick = Tick(machine.bus.sync_cob_id, machine.period_s, prepare) if punctual else None
-        _serve(bus, machine, lambda: on_ready(ports), polls, tick)
+        _serve(bus, machine, lambda: on_ready(ports), polls, tick, math.inf if machine.bus.by_the_wall else LOOK_S)
 
 
 def run_device(bus: can.BusABC, device: Emulated, on_ready: Callable[[], None]) -> None:
@@ -210,7 +210,14 @@ class Tick:
         return min(ahead_s, POLL_S) if ahead_s > 0.0 else POLL_S
 
 
-def _serve(bus: can.BusABC, device: Emulated, on_ready: Callable[[], None], polls: list[Callable[[], None]], tick: Tick | None) -> None:
+def _serve(
+    bus: can.BusABC,
+    device: Emulated,
+    on_ready: Callable[[], None],
+    polls: list[Callable[[], None]],
+    tick: Tick | None,
+    look_s: float = LOOK_S,
+) -> None:
     device.connect(_sender(bus))
     with _stop_on_signals() as stopped, _long_lived_objects_frozen():
         device.power_on()
@@ -223,7 +230,7 @@ def _serve(bus: can.BusABC, device: Emulated, on_ready: Callable[[], None], poll
             except (can.CanError, OSError) as error:
                 raise BusLostError(f"{bus.channel_info}: the bus is gone: {error}; the emulated devices are off") from error
             now_s = time.perf_counter()
-            device.idle(min(now_s - last_s, LOOK_S))
+            device.idle(min(now_s - last_s, look_s))
             last_s = now_s
             if message is None or message.is_error_frame or message.is_extended_id or message.is_fd:
                 pass

@@ -83,7 +83,7 @@ class EmulatedMachine:
         self._brakes_closed = [True] * len(physics.axes)
         self._samples = 0
         self.syncs = 0
-        self._idle = IdleTime(period_s, bus.silence_s)
+        self._idle = IdleTime(period_s, bus.silence_s, by_the_wall=bus.by_the_wall)
         for node in self._nodes:
             node.on_routes = self._collect_routes
 

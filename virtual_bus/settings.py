@@ -222,3 +222,4 @@ class EmulatedBus:
     drives: tuple[EmulatedDrive, ...]
     encoders: tuple[EmulatedEncoder, ...]
     silence_s: float = SILENCE_S  # after this much waiting since the last SYNC the machine's time goes on without one
+    by_the_wall: bool = False  # then all of it, also while somebody speaks
