@@ -1,7 +1,7 @@
 """Whether `isocenter conform` finds what implementers of a CANopen node get wrong, and passes nodes that are sound.
 
 Each defect of tests/support/node_mutants.py is put into an emulated bare device that has every service, in virtual time: the thirty that a
-fixed seed draws, and all there are. The defects were written before the checks.
+fixed seed draws, and all there are. All but one of the defects were written before the checks.
 
     python benchmarks/conform_mutants.py --json benchmarks/results/conform_mutants.json
 """

@@ -146,7 +146,7 @@ def run_emulator(
             tick = ProducedTick(machine, prepare)
         elif punctual:
             tick = Tick(machine.bus.sync_cob_id, machine.period_s, prepare)
-        _serve(bus, machine, lambda: on_ready(ports), polls, tick)
+        _serve(bus, machine, lambda: on_ready(ports), polls, tick, math.inf if machine.bus.by_the_wall else LOOK_S)
 
 
 def run_device(bus: can.BusABC, device: Emulated, on_ready: Callable[[], None]) -> None:
@@ -247,6 +247,7 @@ def _serve(
     on_ready: Callable[[], None],
     polls: list[Callable[[], None]],
     tick: Tick | ProducedTick | None,
+    look_s: float = LOOK_S,
 ) -> None:
     device.connect(_sender(bus))
     with _stop_on_signals() as stopped, _long_lived_objects_frozen():
@@ -260,7 +261,7 @@ def _serve(
             except (can.CanError, OSError) as error:
                 raise BusLostError(f"{bus.channel_info}: the bus is gone: {error}; the emulated devices are off") from error
             now_s = time.perf_counter()
-            device.idle(min(now_s - last_s, LOOK_S))
+            device.idle(min(now_s - last_s, look_s))
             last_s = now_s
             if message is None or message.is_error_frame or message.is_extended_id or message.is_fd:
                 pass

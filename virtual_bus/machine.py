@@ -85,7 +85,7 @@ class EmulatedMachine:
         self._brakes_closed = [True] * len(physics.axes)
         self._samples = 0
         self.syncs = 0
-        self._idle = IdleTime(period_s, bus.silence_s)
+        self._idle = IdleTime(period_s, bus.silence_s, by_the_wall=bus.by_the_wall)
         self.until_sync_s = period_s if bus.produces_sync else math.inf  # until the machine's own producer sends the next
         self._put: Emit = nowhere
         for node in self._nodes:

@@ -231,3 +231,4 @@ class EmulatedBus:
     encoders: tuple[EmulatedEncoder, ...]
     produces_sync: bool = False  # a device beside these sends SYNC at the sample rate, and the master none
     silence_s: float = SILENCE_S  # after this much waiting since the last SYNC the machine's time goes on without one
+    by_the_wall: bool = False  # then all of it, also while somebody speaks

@@ -112,23 +112,31 @@ OTHERS = (
         "Bag of ROS 2: `.mcap`, `.db3`, or the folder",
         "With `--machine`. Of sensor_msgs/JointState, joints with the axes' names become `position_A`, `speed_A`, and `current_A` or "
         "`effort_A` in the drive's unit. Others are named by `--map '/joint_states.position[joint]=position_A'`. Times are the headers' "
-        "stamps, without them those of logging. MCAP files with JSON messages are read likewise, `/topic.field`.",
+        "stamps, without them those of logging. MCAP files with JSON messages are read likewise, `/topic.field`. Files or messages may be "
+        "compressed by zstd.",
     ),
     (
         "MATLAB `.mat`",
         "With `--machine` for axes and units. Variables bear the names of channels, or `--map` says which is which: `q`, `log.time`, "
         "`log.signals(2).values`, `runs{3}`, `data(:,2)`, `data(2,:)`. Simulink's structures with time whose labels are channels, and the "
-        "variables of the EMPS benchmark, are known. Scalars are kept in the metadata under `source.constants`.",
+        "variables of the EMPS benchmark, are known. Scalars are kept in the metadata under `source.constants`. Versions 4 to 7.3, and "
+        "the text that Octave saves.",
     ),
     (
-        "CAN log: candump (`.log`), Vector `.blf` and `.asc`, PEAK `.trc`",
+        "CAN log: candump (`.log`), Vector `.blf` and `.asc`, PEAK `.trc`, python-can's `.csv` and `.db`, MDF 4 with nothing but frames",
         "With `--machine` the PDOs are decoded by the machine file's maps: SYNC k opens row k, TPDOs up to the next SYNC are its samples, "
         "RPDOs its commands. `time` counts periods. Without a machine every frame is a row of raw CAN frames. What candump prints is "
-        "read with any time stamp or none.",
+        "read with any time stamp or none. In an MDF 4 with signals beside them, frames are not taken.",
     ),
     (
-        "CSV of other tools",
-        "Cells may be separated by semicolons or tabs, and then have decimal commas.",
+        "CSV of other tools, without a `.toml` beside it",
+        "Separated by commas, semicolons, tabs or bars; decimal commas or points, with marks between thousands; UTF-8, UTF-16 or Windows' "
+        "code page 1252. Comments above the header begin with `#` or `%`. A row of units below the header, names of rows, times of day "
+        "(ISO 8601) and words for missing numbers (`NA`, `NULL`) are known. One mark alone, as in `1,234`, is of decimals.",
+    ),
+    (
+        "MDF 3 and 4 of other tools, `.mf4`, `.mdf`, `.dat`",
+        "With `--machine`. Signals of several rates go onto the rows of the machine's rate; the notes say how.",
     ),
     (
         "File of names, `--map FILE`",

@@ -273,11 +273,31 @@ SHOWN = (
         ),
     ),
     Shown(
+        "foreign_logs.json",
+        "Logs and recordings of other tools",
+        "Files that other tools write, made with known signals, converted by `isocenter convert`, and compared with what was put in: "
+        "times, values, missing samples, and whether all that could not be taken is listed. A file that cannot be read is right where one "
+        "line says so and what would be.",
+        "python benchmarks/foreign_logs",
+        (
+            Figure("files", ("total", "made")),
+            Figure("of them right", ("total", "right"), asked="all"),
+            Figure("of these refused, with what would be right", ("total", "refused")),
+        ),
+        (
+            Rows(
+                "kind",
+                ("kinds",),
+                (Column("files", ("files",)), Column("right", ("right",)), Column("made by", ("tools",))),
+            ),
+        ),
+    ),
+    Shown(
         "conform_mutants.json",
         "Defects of CANopen nodes, and what `conform` finds",
-        "Defects that implementers make, put into an emulated device that has every service, one at a time, and written before the checks. "
-        "A PDO that is too long need not be reported, and is not asked for. Below, devices without a defect: the shipped data sheets, and "
-        "bare devices of makers' data sheets.",
+        "Defects that implementers make, put into an emulated device that has every service, one at a time, all but one written before the "
+        "checks. That one drops PDOs that are too long, whose first bytes are to be used; to report them is not asked for. Below, "
+        "devices without a defect: the shipped data sheets, and bare devices of makers' data sheets.",
         "python benchmarks/conform_mutants.py --json benchmarks/results/conform_mutants.json",
         (
             Figure("defects drawn by a fixed seed", ("drawn", "tried")),

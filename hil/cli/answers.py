@@ -33,7 +33,8 @@ def register(app: typer.Typer) -> None:
     )(compare)
     app.command(
         short_help="Convert between recording formats.",
-        help="Convert between .mf4, .csv, .parquet, .mcap and (reading) .mat, CAN logs (.log, .blf, .asc, .trc) and ROS 2 bags."
+        help="Convert between .mf4, .csv, .parquet, .mcap and (reading) MDF 3 (.mdf, .dat), .mat, CAN logs (.log, .blf, .asc, .trc, and"
+        " python-can's .csv, .db, .mf4) and ROS 2 bags."
         "\n\nExample:  isocenter convert run.mf4 run.csv"
         "\n\nExample:  isocenter convert lab.mat lab.mf4 --machine carm --map t=time --map 'q=position_roll [deg]'",
     )(convert)

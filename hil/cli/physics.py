@@ -80,6 +80,9 @@ def emulate(
     ] = "",
     faults: FaultsOption = None,
     real_time: RealTimeOption = True,
+    by_the_wall: Annotated[
+        bool, typer.Option("--by-the-wall", help="Without SYNCs its devices' timers go by the wall, for `conform` and tools of others.")
+    ] = False,
     json_to: JsonOption = None,
 ) -> None:
     """Run until interrupted."""
@@ -94,6 +97,8 @@ def emulate(
         machine_name, as_eds, eds = machine_name or "carm", eds, None
     if (eds is None) == (machine_name is None):
         raise typer.BadParameter("give either a machine M or --eds FILE")
+    if eds is not None and by_the_wall:
+        raise typer.BadParameter("--by-the-wall: a device of --eds FILE goes by the wall in any case; leave it out")
     if eds is not None and (io_rtu or panel or faults):
         raise typer.BadParameter(f"{'--panel' if panel else '--io-rtu' if io_rtu else '--faults'}: is a machine's; leave it out with --eds")
     if eds is None and (memory is not None or node is not None):
@@ -113,6 +118,18 @@ def emulate(
     if as_eds is not None:
         machine = with_data_sheet(machine, as_device, as_eds)
     start = parse_pose(pose, machine)
-    wires = {"io_rtu": io_rtu, "panel": panel}
     wrong = read_faults(faults, machine, lockstep=False)
-    emulate_machine(machine, bus, start, seed=seed, noise=noise, truth=truth, punctual=real_time, **wires, faults=wrong, on_ready=ready)
+    emulate_machine(
+        machine,
+        bus,
+        start,
+        seed=seed,
+        noise=noise,
+        truth=truth,
+        punctual=real_time,
+        io_rtu=io_rtu,
+        panel=panel,
+        faults=wrong,
+        by_the_wall=by_the_wall,
+        on_ready=ready,
+    )

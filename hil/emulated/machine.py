@@ -66,10 +66,11 @@ def build_emulated(
     board: PoseBoard | None = None,
     faults: Sequence[FaultSetting] = (),
     motion: MotionLog | None = None,
+    by_the_wall: bool = False,
 ) -> EmulatedMachine:
     """Build the whole machine, placed at `pose` (n_axes,), not yet powered on; the panel's process reads the `board`.
 
-    With `faults`, or a log for its true `motion`, it is a `FaultyMachine`.
+    `by_the_wall`: without SYNCs its time is that of the wall. With `faults`, or a log for its true `motion`, it is a `FaultyMachine`.
 
     Raises
     ------
@@ -104,7 +105,7 @@ def build_emulated(
         if board is not None and geometry is not None:
             board.put(emulated.syncs, time_s, true[f"pose_{geometry.source_body}"], true[f"pose_{geometry.detector_body}"])
 
-    devices = emulated_bus(machine, physics)
+    devices = replace(emulated_bus(machine, physics), by_the_wall=by_the_wall)
     period_s, has_imu, brake_delay_s = machine.plant.sample_period_s, machine.bus.imu is not None, max(machine.brake_delay_s)
     seen = None if truth is None and board is None else witness
     emulated: EmulatedMachine
@@ -228,6 +229,7 @@ def emulate_machine(
     io_rtu: str = "",
     panel: str = "",
     faults: Sequence[FaultSetting] = (),
+    by_the_wall: bool = False,
     on_ready: Callable[[dict[str, object]], None],
 ) -> None:
     """Emulate a machine on a bus, wall clock, until SIGTERM or SIGINT.
@@ -240,6 +242,8 @@ def emulate_machine(
         Serve an X-ray panel too, with this scene or marker plate in the beam.
     faults : sequence of FaultSetting
         What goes wrong, and when.
+    by_the_wall : bool
+        While no SYNC comes, its devices' time is that of the wall; else it waits for who may be about to speak.
     on_ready : callable
         Called once, when all ports are open, with a description of the machine and the ports of IMU and I/O.
 
@@ -265,7 +269,9 @@ def emulate_machine(
             board = PoseBoard(multiprocessing.get_context("spawn"))
             panel_url = stack.enter_context(panel_beside(machine, board, panel))
         try:
-            emulated = build_emulated(machine, start, seed=seed, noise=noise, truth=log, board=board, faults=faults)
+            emulated = build_emulated(
+                machine, start, seed=seed, noise=noise, truth=log, board=board, faults=faults, by_the_wall=by_the_wall
+            )
         except ProtocolError as error:
             raise UnusableInputError(str(error)) from None  # a data sheet that does not fit its device
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import re
 import sqlite3
+import tempfile
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
@@ -29,11 +30,11 @@ from hil.recording.model import Recording
 from hil.recording.naming import Column, Columns, Target, is_channel
 from hil.recording.rasters import channels_on_one_raster
 from hil.recording.said import listed, source_table
+from hil.recording.zstd import PACKED, ZSTD_MARK, unpacked_file, unpacked_message
 
 if TYPE_CHECKING:
     from hil.machine.model import Machine
 
-_ZSTD_MARK = b"\x28\xb5\x2f\xfd"
 _MOST_FIELDS = 1000
 """Of one message in JSON."""
 
@@ -67,16 +68,20 @@ def read_bag(path: Path, machine: Machine | None = None, names: Mapping[str, Tar
     Raises
     ------
     RecordingError
-        As in `recording_of_bag`; or the bag is compressed as a whole, or holds no file.
+        As in `recording_of_bag`; or the bag holds no file, or one that is damaged or unpacks to too much.
     UnusableInputError
         mcap or mcap-ros2-support is not installed.
     """
-    files = [path] if path.is_file() else sorted((one for one in path.iterdir() if one.suffix in (".mcap", ".db3", ".zstd")), key=_number)
-    if packed := [one.name for one in files if one.suffix == ".zstd"]:
-        raise RecordingError(f"{path}: {packed[0]} is compressed as a whole; `ros2 bag convert` or `zstd -d` unpacks it")
-    if not files or len({one.suffix for one in files}) > 1:
+    files = [path] if path.is_file() else sorted((one for one in path.iterdir() if _kind(one) in (".mcap", ".db3")), key=_number)
+    kinds = {_kind(one) for one in files}
+    if len(kinds) != 1:
         raise RecordingError(f"{path}: holds no .mcap or .db3, or both; a bag has files of one kind")
-    bag = bag_of_mcap(files) if files[0].suffix == ".mcap" else _bag_of_sqlite(files)
+    with tempfile.TemporaryDirectory(prefix="isocenter-bag-") as folder:
+        plain = [unpacked_file(one, Path(folder)) if one.suffix == PACKED else one for one in files]
+        try:
+            bag = bag_of_mcap(plain) if kinds == {".mcap"} else _bag_of_sqlite(plain)
+        except RecordingError as problem:
+            raise RecordingError(str(problem).replace(folder, str(path))) from None
     return recording_of_bag(bag, path, machine, names)
 
 
@@ -114,7 +119,7 @@ def _bag_of_sqlite(paths: Sequence[Path]) -> Bag:
             with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)) as base:
                 for topic, kind, encoding, time_ns, data in _messages(base, path):
                     _sort(bag, path, topic, encoding, kind, time_ns, data)
-        except (sqlite3.Error, OverflowError) as problem:
+        except (sqlite3.Error, OverflowError, UnicodeDecodeError) as problem:
             raise RecordingError(f"{path}: no bag of ROS 2, or damaged: {problem}") from None
     return bag
 
@@ -134,8 +139,7 @@ def _messages(base: sqlite3.Connection, path: Path) -> Iterator[tuple[str, str, 
 def _sort(bag: Bag, path: Path, topic: str, encoding: str, kind: str, time_ns: int, data: bytes) -> None:
     """Put a message where it belongs."""
     if encoding == "cdr" and kind in JOINT_STATE_TYPES:
-        if data.startswith(_ZSTD_MARK):
-            raise RecordingError(f"{path}: its messages are compressed one by one; `ros2 bag convert` unpacks them")
+        data = unpacked_message(data, path) if data.startswith(ZSTD_MARK) else data
         bag.cdr[topic].append((time_ns, data))
     elif encoding == "json":
         try:
@@ -247,6 +251,11 @@ def _column(samples: Sequence[tuple[int, float]], first_ns: int) -> tuple[Column
     times_ns, places = np.unique(times_ns, return_index=True)
     values = np.array([value for _, value in samples])[places]
     return Column(values, None, (times_ns - first_ns) * 1e-9), len(samples) - len(times_ns)
+
+
+def _kind(path: Path) -> str:
+    """Return the suffix of a file of a bag, which may be compressed."""
+    return Path(path.stem).suffix if path.suffix == PACKED else path.suffix
 
 
 def _number(path: Path) -> tuple[int, str]:

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
+
+CSV_HEADER = b"timestamp,arbitration_id,extended,remote,error,dlc,data"
+"""First line of python-can's table of frames."""
 
 
 class CanFrame(NamedTuple):
@@ -40,3 +44,12 @@ class CanLog:
 def counted(number: int, what: str) -> str:
     """Return `1 error frame` or `3 error frames`."""
     return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def is_frames_csv(path: Path) -> bool:
+    """Return whether a CSV is python-can's table of CAN frames."""
+    try:
+        with path.open("rb") as file:
+            return file.read(len(CSV_HEADER) + 3).removeprefix(b"\xef\xbb\xbf").startswith(CSV_HEADER)
+    except OSError:
+        return False  # whoever reads it says why

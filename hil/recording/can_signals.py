@@ -20,6 +20,7 @@ from hil.errors import RecordingError
 from hil.recording import can_commands
 from hil.recording.blf import read_blf
 from hil.recording.can_frames import CanFrame, CanLog, counted
+from hil.recording.can_tables import read_frames_csv, read_frames_sqlite
 from hil.recording.can_text import read_asc, read_trc
 from hil.recording.candump import read_candump
 from hil.recording.metadata import machine_table
@@ -55,7 +56,7 @@ PHASE_GAIN = 0.1
 
 
 def read_can(path: Path, machine: Machine | None) -> Recording:
-    """Read a candump `.log`, a `.blf`, `.asc` or `.trc`.
+    """Read a candump `.log`, a `.blf`, `.asc` or `.trc`, or python-can's `.csv` or `.db`.
 
     Parameters
     ----------
@@ -69,7 +70,11 @@ def read_can(path: Path, machine: Machine | None) -> Recording:
     RecordingError
         The log does not exist, or holds no data of the machine.
     """
-    log = _READERS[path.suffix.lower()](path)
+    return recording_of_log(_READERS[path.suffix.lower()](path), path, machine)
+
+
+def recording_of_log(log: CanLog, path: Path, machine: Machine | None) -> Recording:
+    """Return the frames of a log as a recording; parameters and errors as in `read_can`."""
     if not log.frames:
         raise RecordingError(f"{path}: holds no frames")
     try:
@@ -78,9 +83,14 @@ def read_can(path: Path, machine: Machine | None) -> Recording:
         raise RecordingError(str(problem) if str(problem).startswith(str(path)) else f"{path}: {problem}") from None
 
 
-_READERS = {".log": read_candump, ".blf": read_blf, ".asc": read_asc, ".trc": read_trc}
-
-CAN_SUFFIXES = tuple(_READERS)
+_READERS = {
+    ".log": read_candump,
+    ".blf": read_blf,
+    ".asc": read_asc,
+    ".trc": read_trc,
+    ".csv": read_frames_csv,
+    ".db": read_frames_sqlite,
+}
 
 
 def _frame_table(log: CanLog, path: Path) -> Recording:

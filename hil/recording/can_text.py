@@ -38,7 +38,7 @@ _TRC_OTHERS |= {"WARNG": "warning", "ERROR": "error row", "FFFFFFFF": "status ro
 """Types of rows that are no frames."""
 
 
-class _WatchedText(io.StringIO):
+class WatchedText(io.StringIO):
     """A text that knows which of its lines were passed over."""
 
     def __init__(self, text: str) -> None:
@@ -48,6 +48,7 @@ class _WatchedText(io.StringIO):
         self.passed: list[tuple[int, str]] = []
 
     def __next__(self) -> str:  # type: ignore[override]  # as StringIO's own
+        """Return the next line without its end; the one before, if it became no frame, was passed over."""
         if self.line:
             self.passed.append((self.number, self.line))
         self.line = ""
@@ -63,16 +64,16 @@ class _WatchedText(io.StringIO):
 
 def read_asc(path: Path) -> CanLog:
     """Return the frames of an ASC log, in seconds by its own time stamps; RecordingError names a line that should have been a frame."""
-    lines = [line.lower() if _ASC_BASE.match(line) else line for line in _text(path).splitlines()]  # python-can knows `hex`, not `HEX`
+    lines = [line.lower() if _ASC_BASE.match(line) else line for line in text_of(path).splitlines()]  # python-can knows `hex`, not `HEX`
     first = next((k for k, line in enumerate(lines) if not _ASC_HEAD.fullmatch(line.strip())), len(lines))
     header = "\n".join(lines[:first])
     lines.insert(first, "")  # python-can takes the line after the header for a part of it
-    watched = _WatchedText("\n".join(lines))
+    watched = WatchedText("\n".join(lines))
     differences = _ASC_DIFFERENCES.search(header) is not None
     frames: list[CanFrame] = []
     counts: Counter[str] = Counter()
     unknown: list[str] = []
-    for message, line in _messages(can.ASCReader, watched, path, inserted=first + 1):
+    for message, line in messages_of_text(can.ASCReader, watched, path, inserted=first + 1):
         if message.is_error_frame:
             counts["error frame"] += 1
         elif _ASC_REQUEST.fullmatch(line):
@@ -95,15 +96,15 @@ def read_asc(path: Path) -> CanLog:
 
 def read_trc(path: Path) -> CanLog:
     """Return the frames of a TRC log of any version, in seconds since its start; RecordingError names a line that is no row of it."""
-    text = _TRC_START.sub(";", _text(path))  # times since the start keep their microseconds; times of day would lose them
+    text = _TRC_START.sub(";", text_of(path))  # times since the start keep their microseconds; times of day would lose them
     found = _TRC_VERSION.search(text)
     version = found[1] if found else "1.0"
     if version not in _TRC_VERSIONS:
         raise RecordingError(f"{path}: version {version[:20]} of TRC; {', '.join(_TRC_VERSIONS)} can be read")
     if version == "1.2":  # as 1.3, without its reserved column
         text = _TRC_WITHOUT_RESERVED.sub(r"\1 -\2", text.replace(found[0] if found else "", ";$FILEVERSION=1.3", 1))
-    watched = _WatchedText(text)
-    frames = [_frame(message) for message, _ in _messages(can.TRCReader, watched, path)]
+    watched = WatchedText(text)
+    frames = [_frame(message) for message, _ in messages_of_text(can.TRCReader, watched, path)]
     counts: Counter[str] = Counter()
     for number, line in watched.passed:
         if line.startswith(";"):
@@ -115,15 +116,16 @@ def read_trc(path: Path) -> CanLog:
     return CanLog(frames, [counted(number, what) for what, number in counts.items()])
 
 
-def _text(path: Path) -> str:
+def text_of(path: Path) -> str:
+    """Return the text of a log; RecordingError if it cannot be read."""
     try:
         return path.read_bytes().decode("utf-8-sig", errors="replace")  # names and comments may be of any code page
     except OSError as problem:
         raise RecordingError(f"{path}: cannot be read: {problem.strerror}") from None
 
 
-def _messages(
-    reader: Callable[[io.StringIO], can.io.generic.MessageReader], watched: _WatchedText, path: Path, inserted: int = 0
+def messages_of_text(
+    reader: Callable[[io.StringIO], can.io.generic.MessageReader], watched: WatchedText, path: Path, inserted: int = 0
 ) -> Iterator[tuple[can.Message, str]]:
     """Yield python-can's messages and their lines; what it raises becomes a RecordingError that names the line."""
     try:

@@ -24,8 +24,14 @@ _PRINTED = re.compile(
     r"(?:\((?:(?P<time>\d+\.\d+)|(?P<date>\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d+))\)\s+)?(?P<channel>\S+)\s+"
     r"(?:[RT]X\s+[-B]\s+[-E]\s+)?"  # -x
     r"(?P<id>[0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})\s+\[(?P<length>\d{1,2})\](?:\s*\{\d+\})?"
-    r"(?:\s+(?P<remote>remote request)|(?P<data>(?:\s+[0-9A-Fa-f]{2}){0,64})(?:\s+(?:ERRORFRAME|'.*'))*)"
+    r"(?:\s+(?P<remote>remote request)|(?P<data>(?:(?:\s+|`)(?:[01]{8}|[0-9A-Fa-f]{2})){0,64})(?:\s+(?:ERRORFRAME|'.*'))*)"
 )
+_SWAPPED = "`"
+"""Between bytes that -S turned round."""
+
+_BITS = 8
+"""Letters of a byte that -i printed."""
+
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 _ERROR_FRAME = 0x20000000
 _FALLEN = 0.5
@@ -75,7 +81,9 @@ def _frame(line: str, path: Path, number: int) -> tuple[CanFrame, str]:
         raise RecordingError(f"{path}: a log of BUSMASTER; let it convert the log to .asc (Tools, Format Converters), and give that")
     if match is None:
         raise RecordingError(f"{path}: line {number}: {line[:60]!r} is no line of candump, such as `(12.003906) can0 181#3902`")
-    data = bytes.fromhex(match["data"] or "")
+    printed = match["data"] or ""
+    data = bytes(int(word, 2 if len(word) == _BITS else 16) for word in printed.replace(_SWAPPED, " ").split())
+    data = data[::-1] if _SWAPPED in printed else data
     if match["remote"] is None and len(data) != int(match["length"]):
         raise RecordingError(f"{path}: line {number}: [{match['length']}] and {len(data)} bytes; they are as many, in the order of the bus")
     time_s, stamp = math.nan, "none"

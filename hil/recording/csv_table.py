@@ -1,13 +1,13 @@
 """CSV recordings: a header of `name [unit]` cells, a row per SYNC, empty cells for missing samples, metadata in a `.toml` beside it.
 
-Files of other tools may separate their cells by semicolons or tabs, and then have decimal commas.
+Files of other tools, which have no `.toml` beside them or other separators than commas, are read as `csv_dialect` finds them.
 """
 
 from __future__ import annotations
 
 import csv
 import io
-import re
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +19,7 @@ from hil.errors import RecordingError
 from hil.files.atomic import write_atomically
 from hil.files.regular import check_regular
 from hil.recording.channels import check_name, is_whole, unit_and_factor
+from hil.recording.csv_dialect import Clock, Numbers, decoded, is_number, laid_out, row_of_units
 from hil.recording.metadata import machine_table, metadata_text, parse_metadata
 from hil.recording.model import CAN_FRAMES, Channel, Recording
 from hil.recording.naming import Column, Columns, Target, header_name, is_header_cell, machine_unit, picked
@@ -74,8 +75,8 @@ def read_csv(path: Path, machine: Machine | None = None, names: Mapping[str, Tar
         A ragged row, a cell that is no number, a hole in time, time that does not increase, a unit that the channel cannot have, a channel
         twice, fewer rows than the metadata say, or neither metadata nor machine; the message names the line.
     """
-    text = _read_text(path)
     metadata = _metadata_of(path, machine)
+    text, notes = _read_text(path, strict=metadata_path(path).exists())
     rows = metadata.pop("rows", None)
     if rows is not None and not text.endswith("\n"):
         raise RecordingError(f"{path}: line {text.count(chr(10)) + 1}: the last line is not complete; the file was cut off")
@@ -86,9 +87,9 @@ def read_csv(path: Path, machine: Machine | None = None, names: Mapping[str, Tar
         raise RecordingError(f"{path}: {len(values)} rows, but {beside} says rows = {rows}; the file was cut off or edited")
     channels = {one.channel: Channel(one.unit or "", values[:, column]) for column, one in enumerate(table.targets)}
     _check_time(path, channels["time"].values, lines, may_repeat=metadata.get("kind") == CAN_FRAMES)
-    if names or table.not_taken:
+    if names or table.not_taken or notes:
         renamed = {name: one.channel for name, one in (names or {}).items()}
-        metadata["source"] = source_table(path, table.not_taken, (), renamed)
+        metadata["source"] = source_table(path, table.not_taken, notes, renamed)
     try:
         return Recording(channels, metadata)
     except RecordingError as problem:
@@ -101,10 +102,10 @@ def _cells(name: str, values: np.ndarray) -> list[str]:
     return ["" if value != value else repr(value) for value in values.tolist()]
 
 
-def _read_text(path: Path) -> str:
+def _read_text(path: Path, *, strict: bool = True) -> tuple[str, list[str]]:
     check_regular(path, RecordingError)
     try:
-        return path.read_bytes().decode("utf-8-sig")
+        return decoded(path.read_bytes(), strict=strict)
     except OSError as problem:
         raise RecordingError(f"{path}: cannot be read: {problem.strerror or problem}") from None
     except UnicodeDecodeError as problem:
@@ -125,7 +126,7 @@ def _metadata_of(path: Path, machine: Machine | None) -> dict[str, Any]:
 
 def _read_metadata(beside: Path, reason: str) -> dict[str, Any]:
     try:
-        return parse_metadata(_read_text(beside), str(beside))
+        return parse_metadata(_read_text(beside)[0], str(beside))
     except RecordingError as problem:
         raise RecordingError(f"{problem}; {reason}" if reason else str(problem)) from None
 
@@ -141,75 +142,93 @@ class _Table:
 
 
 def _parse(path: Path, text: str, names: Mapping[str, Target], machine: Machine | None) -> _Table:
-    delimiter, text, skipped = _delimiter(text)
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True, delimiter=delimiter)
+    layout = laid_out(text, strict=metadata_path(path).exists())
+    strict = layout.delimiter == "," and metadata_path(path).exists()
+    reader = csv.reader(io.StringIO(layout.text, newline=""), strict=True, delimiter=layout.delimiter)
     records = _records(path, reader)
     header = next(records, None)
     if header is None:
         raise RecordingError(f"{path}: line 1: empty; a header of `name [unit]` cells is first")
-    if len(header) > 1 and delimiter != "," and not header[-1].strip():  # a delimiter behind each row, as spreadsheets write it
-        header.pop()
-    targets, not_taken = _targets(path, header, names, machine)
+    first = next(records, None)
+    units: list[str] | None = None
+    if not strict and first is not None:
+        header, first, units = _foreign_head(header, first)
+    targets, not_taken = _targets(path, header, units, names, machine)
     named = {one.channel for one in names.values()}
+    cells_of = _Cells(strict, next((place for place, one in enumerate(targets) if one is not None and one.channel == "time"), None))
     places = [place for place, one in enumerate(targets) if one is not None]
     rows: list[list[float]] = []
     lines: list[int] = []
-    decimals: set[str] = set()
     no_numbers: dict[int, str] = {}  # place of a column that may be left out -> its first cell that is no number
-    for cells in records:
-        line = reader.line_num + skipped
+    for cells in itertools.chain([] if first is None else [first], records):
+        line = reader.line_num + layout.skipped if rows or first is None else 2 + layout.skipped + (units is not None)
         if not cells:
             continue
-        if len(cells) == len(header) + 1 and delimiter != "," and not cells[-1].strip():
+        if len(cells) == len(header) + 1 and not strict and not cells[-1].strip():  # a delimiter behind each row, as spreadsheets write it
             cells.pop()
         if len(cells) != len(header):
             raise RecordingError(f"{path}: line {line}: {len(cells)} cells, the header has {len(header)}")
         row = []
         for place in places:
-            cell = cells[place]
             try:
-                row.append((float(cell) if cell else np.nan) if delimiter == "," else _local_number(cell, decimals))
+                row.append(cells_of.number(cells[place], place))
             except ValueError:
-                one = targets[place]
-                if cell.strip() and (one is None or not named or one.channel in {"time", *named}):
-                    raise RecordingError(f"{path}: line {line}: {header[place]} = {cell.strip()!r} is no number") from None
+                one, cell = targets[place], cells[place].strip()
+                if one is None or not named or one.channel in {"time", *named}:
+                    raise RecordingError(f"{path}: line {line}: {header[place]} = {cell!r} is no number") from None
                 row.append(np.nan)
-                if cell.strip():
-                    no_numbers.setdefault(place, f"{header[place]}: line {line}: {cell.strip()[:40]!r} is no number")
-        if len(decimals) > 1:
-            raise RecordingError(f"{path}: line {line}: decimal commas and points in one file; one of them would be right")
+                no_numbers.setdefault(place, f"{header[place]}: line {line}: {cell[:40]!r} is no number")
+        try:
+            cells_of.numbers.check()
+        except RecordingError as problem:
+            raise RecordingError(f"{path}: line {line}: {problem}") from None
         rows.append(row)
         lines.append(line)
     if not rows:
         raise RecordingError(f"{path}: line 1: a header and no rows")
     kept = [one for place, one in enumerate(targets) if one is not None and place not in no_numbers]
     values = np.array(rows)[:, [place not in no_numbers for place in places]]
-    values = values * [one.scale for one in kept] + [one.offset for one in kept]
+    for column, one in enumerate(kept):
+        if (one.scale, one.offset) != (1.0, 0.0):
+            values[:, column] = one.scale * values[:, column] + one.offset
     return _Table(kept, values, lines, [*not_taken, *no_numbers.values()])
 
 
-def _local_number(cell: str, decimals: set[str]) -> float:
-    """Return the number of a cell that may have a decimal comma, and add what marks its decimals; ValueError if it is none."""
-    cell = cell.strip()
-    if not cell:
-        return np.nan
-    marks = [mark for mark in cell if mark in ",."]
-    if len(marks) > 1:
-        raise ValueError(cell)
-    value = float(cell.replace(",", "."))
-    decimals.update(marks)
-    return value
+class _Cells:
+    """Reads the cells of a table; a column of times of day is known by its first cell."""
+
+    def __init__(self, strict: bool, time_place: int | None) -> None:
+        self.numbers = Numbers()
+        self._strict = strict
+        self._time_place = time_place
+        self._clock: Clock | None = None
+
+    def number(self, cell: str, place: int) -> float:
+        """Return a cell's number, NaN where it is missing; ValueError if it is none."""
+        if self._strict:
+            return float(cell) if cell else np.nan
+        if place == self._time_place and self._clock is not None:
+            return self._clock.seconds(cell)
+        try:
+            return self.numbers.number(cell)
+        except ValueError:
+            if place != self._time_place:
+                raise
+        clock = Clock()
+        seconds = clock.seconds(cell)
+        self._clock = clock
+        return seconds
 
 
-def _delimiter(text: str) -> tuple[str, str, int]:
-    """Return what separates cells, the text without a spreadsheet's line `sep=;`, and the lines left out.
-
-    No channel's name has a comma in it, so a header with semicolons or tabs is separated by them.
-    """
-    first, _, rest = text.partition("\n")
-    if re.fullmatch(r"sep=[;,\t]", first.strip("\r")):
-        return first.strip("\r")[-1], rest, 1
-    return next((mark for mark in ";\t" if mark in re.sub(r'"[^"]*"', "", first)), ","), text, 0
+def _foreign_head(header: list[str], first: list[str]) -> tuple[list[str], list[str] | None, list[str] | None]:
+    """Return the header without and with what tools add to it, the first row of numbers, and the units of a row of units."""
+    if len(header) > 1 and not header[-1].strip() and len(first) != len(header) + 1:
+        header = header[:-1]  # a delimiter behind each row
+        first = first[:-1] if len(first) == len(header) + 1 and not first[-1].strip() else first
+    if len(first) == len(header) + 1 and first[-1].strip() and (first[0].strip() == "1" or not is_number(first[0])):
+        header = ["", *header]  # rows have names, of which the header says nothing
+    units = row_of_units(first) if len(first) == len(header) else None
+    return header, first if units is None else None, units
 
 
 def _records(path: Path, reader: Reader) -> Iterator[list[str]]:
@@ -220,9 +239,13 @@ def _records(path: Path, reader: Reader) -> Iterator[list[str]]:
         raise RecordingError(f"{path}: line {reader.line_num}: {problem}") from None
 
 
-def _targets(path: Path, cells: list[str], names: Mapping[str, Target], machine: Machine | None) -> tuple[list[Target | None], list[str]]:
+def _targets(
+    path: Path, cells: list[str], units: Sequence[str] | None, names: Mapping[str, Target], machine: Machine | None
+) -> tuple[list[Target | None], list[str]]:
     """Return what each column becomes, and which columns are not taken."""
     foreign = [header_name(cell) for cell in cells]
+    if units is not None:
+        foreign = [(name, below if unit is None else unit) for (name, unit), below in zip(foreign, units, strict=True)]
     columns: dict[str, Column] = {}
     several: dict[str, list[str]] = {}
     for place, (cell, (name, unit)) in enumerate(zip(cells, foreign, strict=True)):
@@ -234,6 +257,10 @@ def _targets(path: Path, cells: list[str], names: Mapping[str, Target], machine:
     not_taken: list[str] = []
     taken = {one.channel for one in names.values()}
     for cell, (name, unit) in zip(cells, foreign, strict=True):
+        if not cell.strip() and len(cells) > 1 and not metadata_path(path).exists():
+            targets.append(None)
+            not_taken.append("column without a name")
+            continue
         try:
             if one := names.get(cell.strip(), names.get(name)):
                 unit = one.unit if one.unit is not None else unit

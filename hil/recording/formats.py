@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from hil.errors import RecordingError
 from hil.extras import extra_package
 from hil.files.regular import check_regular
+from hil.recording.can_frames import is_frames_csv
 from hil.recording.csv_table import read_csv, write_csv
 from hil.recording.journal import part_path, recover
 from hil.recording.model import Recording
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from hil.machine.model import Machine
 
 WRITABLE = (".mf4", ".csv", ".parquet", ".mcap")
-READABLE = (*WRITABLE, ".mat", ".db3", ".log", ".blf", ".asc", ".trc")
+READABLE = (*WRITABLE, ".mdf", ".dat", ".mat", ".db3", ".log", ".blf", ".asc", ".trc", ".db")
 BAG_MARK = "metadata.yaml"
 """File by which a folder is a bag of ROS 2."""
 
@@ -77,9 +78,9 @@ def read_recording(path: str | Path, machine: Machine | None = None, names: Name
 
 def _read(path: Path, machine: Machine | None, names: Mapping[str, Target]) -> Recording:
     match path.suffix.lower() if path.is_file() else "":
-        case ".csv":
+        case ".csv" if not is_frames_csv(path):
             return read_csv(path, machine, names)
-        case ".mf4":
+        case ".mf4" | ".mdf" | ".dat":
             from hil.recording.mdf4 import read_mdf4  # asammdf takes half a second to import
 
             return read_mdf4(path, machine, names)

@@ -1,4 +1,4 @@
-"""MATLAB files (`.mat`): vectors of equal length as channels of a machine whose file gives the units.
+"""MATLAB files (`.mat`) of every version, and those of Octave: vectors of equal length as channels of a machine whose file gives the units.
 
 Vectors may be variables, fields of structures, cells, and columns or rows of matrices.
 """
@@ -14,7 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hil.errors import RecordingError
-from hil.recording.mat5 import Mat5Error, Value, numeric_arrays
+from hil.recording import octave_text
+from hil.recording.mat4 import is_level_4, level_4_arrays
+from hil.recording.mat5 import MatError, Value, numeric_arrays
 from hil.recording.mat73 import MARK, hdf5_arrays
 from hil.recording.metadata import machine_table
 from hil.recording.model import Recording
@@ -73,6 +75,8 @@ def read_mat(path: Path, machine: Machine | None, names: Mapping[str, Target] | 
 
 
 _TEXT, _NUMBER = "a text", "a single number"
+_HDF5 = b"\x89HDF"
+"""First bytes of an HDF5 file; MATLAB's have its own text before them."""
 
 
 def _load(path: Path) -> dict[str, Value]:
@@ -80,10 +84,17 @@ def _load(path: Path) -> dict[str, Value]:
         with path.open("rb") as file:
             if file.read(len(MARK)) == MARK:
                 return hdf5_arrays(path)
-        return numeric_arrays(path.read_bytes())
+        content = path.read_bytes()
+        if content.startswith(_HDF5):
+            raise RecordingError(
+                f"{path}: an HDF5 file that MATLAB did not write, such as of Octave's `save -hdf5`; `save -v7` would be right"
+            )
+        if content.startswith(octave_text.MARK):
+            return octave_text.octave_arrays(content)
+        return level_4_arrays(content) if is_level_4(content) else numeric_arrays(content)
     except OSError as problem:
         raise RecordingError(f"{path}: cannot be read: {problem.strerror}") from None
-    except Mat5Error as problem:
+    except MatError as problem:
         raise RecordingError(f"{path}: {problem}") from None
 
 

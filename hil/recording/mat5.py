@@ -32,8 +32,8 @@ Value = np.ndarray | str | None
 """A real numeric array with its shape, a text of one line, or None for anything else."""
 
 
-class Mat5Error(ValueError):
-    """Bytes that are no MAT-file of level 5."""
+class MatError(ValueError):
+    """Bytes that are no MAT-file."""
 
 
 def numeric_arrays(content: bytes) -> dict[str, Value]:
@@ -43,18 +43,18 @@ def numeric_arrays(content: bytes) -> dict[str, Value]:
 
     Raises
     ------
-    Mat5Error
+    MatError
         What is wrong with the bytes.
     """
     order = {b"IM": "<", b"MI": ">"}.get(content[126:_HEADER_BYTES])
     if order is None or not content.startswith(b"MATLAB 5"):
-        raise Mat5Error("no MATLAB file of version 5 to 7.3")
+        raise MatError("no MATLAB file of version 4 to 7.3, nor Octave's text")
     variables: dict[str, Value] = {}
     for kind, data in _elements(content, _HEADER_BYTES, order):
         if kind == _COMPRESSED:
             inner = next(_elements(_inflated(data), 0, order), None)
             if inner is None:
-                raise Mat5Error("damaged: an empty compressed element")
+                raise MatError("damaged: an empty compressed element")
             kind, data = inner
         if kind == _MATRIX:
             _array(data, order, None, variables, 0)
@@ -65,16 +65,16 @@ def _elements(content: bytes, start: int, order: str) -> Iterator[tuple[int, byt
     """(type, data) of the elements one after the other."""
     while start < len(content):
         if start + 8 > len(content):
-            raise Mat5Error(f"damaged: cut off at byte {start}")
+            raise MatError(f"damaged: cut off at byte {start}")
         kind, length = struct.unpack_from(order + "II", content, start)
         begin = start + 8
         if kind >> 16:  # the small form: length and type share a word, the data the next
             kind, length, begin = kind & 0xFFFF, kind >> 16, start + 4
             if length > 4:
-                raise Mat5Error(f"damaged: a small element of {length} bytes")
+                raise MatError(f"damaged: a small element of {length} bytes")
         end = begin + length
         if end > len(content):
-            raise Mat5Error(f"damaged: cut off, or an element at byte {start} that is too long")
+            raise MatError(f"damaged: cut off, or an element at byte {start} that is too long")
         yield kind, content[begin:end]
         start = start + 8 if begin == start + 4 else end if kind == _COMPRESSED else end + -end % 8
 
@@ -84,29 +84,29 @@ def _inflated(data: bytes) -> bytes:
     try:
         content = inflate.decompress(data, _MOST_INFLATED)
         if inflate.unconsumed_tail:
-            raise Mat5Error(f"a variable of more than {_MOST_INFLATED} bytes, compressed to {len(data)}")
+            raise MatError(f"a variable of more than {_MOST_INFLATED} bytes, compressed to {len(data)}")
         return content + inflate.flush()
     except zlib.error as problem:
-        raise Mat5Error(f"damaged: {problem}") from None
+        raise MatError(f"damaged: {problem}") from None
 
 
 def _array(data: bytes, order: str, name: str | None, variables: dict[str, Value], depth: int) -> None:
     """Add the values of an array, or of all that is in it, under `name` (its own where that is None)."""
     if len(variables) >= _MOST_ARRAYS:
-        raise Mat5Error(f"more than {_MOST_ARRAYS} arrays; save the variables that matter alone")
+        raise MatError(f"more than {_MOST_ARRAYS} arrays; save the variables that matter alone")
     if depth > _DEEPEST:
-        raise Mat5Error(f"structures more than {_DEEPEST} deep")
+        raise MatError(f"structures more than {_DEEPEST} deep")
     if not data and name is not None:  # an empty field
         variables[name] = None
         return
     parts = list(itertools.islice(_elements(data, 0, order), 3))
     if len(parts) < 3 or [kind for kind, _ in parts] != [_UINT32, _INT32, _INT8] or len(parts[0][1]) != 8 or len(parts[1][1]) % 4:
-        raise Mat5Error("damaged: an array without flags, dimensions and name")
+        raise MatError("damaged: an array without flags, dimensions and name")
     flags = struct.unpack_from(order + "I", parts[0][1])[0]
     shape = struct.unpack(f"{order}{len(parts[1][1]) // 4}i", parts[1][1])
     name = parts[2][1].decode("latin-1") if name is None else name
     if min(shape, default=-1) < 0:
-        raise Mat5Error(f"damaged: variable {name} of shape {shape}")
+        raise MatError(f"damaged: variable {name} of shape {shape}")
     count = int(np.prod(np.array(shape, dtype=object)))
     rest = itertools.islice(_elements(data, 0, order), 3, None)
     match flags & 0xFF:
@@ -127,7 +127,7 @@ def _structure(rest: Iterator[tuple[int, bytes]], order: str, name: str, count: 
     length, names = next(rest, (0, b"")), next(rest, (0, b""))
     width = struct.unpack(order + "i", length[1])[0] if len(length[1]) == 4 else 0
     if length[0] != _INT32 or names[0] != _INT8 or width <= 0 or len(names[1]) % width:
-        raise Mat5Error(f"damaged: structure {name} without names of its fields")
+        raise MatError(f"damaged: structure {name} without names of its fields")
     fields = [names[1][k : k + width].split(b"\0")[0].decode("latin-1") for k in range(0, len(names[1]), width)]
     found = 0
     for place, (_, data) in enumerate(rest):
@@ -135,16 +135,16 @@ def _structure(rest: Iterator[tuple[int, bytes]], order: str, name: str, count: 
         found += 1
         _array(data, order, f"{name}.{fields[field]}" if count == 1 else f"{name}({element + 1}).{fields[field]}", variables, depth + 1)
     if found != count * len(fields):
-        raise Mat5Error(f"damaged: structure {name} has {found} values for {count} elements of {len(fields)} fields")
+        raise MatError(f"damaged: structure {name} has {found} values for {count} elements of {len(fields)} fields")
 
 
 def _numbers(parts: list[tuple[int, bytes]], order: str, name: str, shape: tuple[int, ...], count: int) -> np.ndarray:
     kind, values = parts[0] if len(parts) == 1 else (0, b"")
     if kind not in _TYPES:
-        raise Mat5Error(f"damaged: variable {name} has values of no known type")
+        raise MatError(f"damaged: variable {name} has values of no known type")
     numbers = np.frombuffer(values[: len(values) - len(values) % np.dtype(_TYPES[kind]).itemsize], dtype=order + _TYPES[kind])
     if count != numbers.size:
-        raise Mat5Error(f"damaged: variable {name} of shape {shape} has {numbers.size} values")
+        raise MatError(f"damaged: variable {name} of shape {shape} has {numbers.size} values")
     return numbers.reshape(shape, order="F")
 
 
@@ -155,4 +155,4 @@ def _text(parts: list[tuple[int, bytes]], name: str) -> str | None:
     try:
         return letters.decode(_TEXT_TYPES[kind])
     except UnicodeDecodeError:
-        raise Mat5Error(f"damaged: text {name}") from None
+        raise MatError(f"damaged: text {name}") from None

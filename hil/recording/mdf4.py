@@ -25,16 +25,17 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from asammdf import MDF, Signal
-from asammdf.blocks.v4_blocks import ChannelGroup, HeaderBlock
+from asammdf.blocks.v4_blocks import HeaderBlock
 from asammdf.blocks.v4_constants import CompressionAlgorithm
 
 from hil.errors import RecordingError
 from hil.files.atomic import write_atomically
 from hil.files.regular import MOST_BYTES
+from hil.recording.can_tables import Group, frames_of_mdf, has_only_frames
 from hil.recording.channels import is_whole
 from hil.recording.mdf4_columns import mdf4_columns
 from hil.recording.metadata import machine_table, metadata_text, parse_metadata
@@ -63,15 +64,11 @@ _SEAL_MARK = b"isocrc32"
 _IN_MEMORY = re.compile(r"""['"]?<_io\.BytesIO[^>]*>['"]?""")
 """Name that asammdf gives to a file in memory."""
 
+_VIRTUAL = (3, 6)
+"""Types of channels of MDF 4 whose values are the numbers of their rows."""
+
 DEFLATE_AT_MOST = 1032
 """Most bytes that a byte of a compressed block can stand for (zlib's technical details)."""
-
-
-class _Group(Protocol):
-    """A channel group of a file."""
-
-    channels: Sequence[object]
-    channel_group: ChannelGroup
 
 
 def write_mdf4(recording: Recording, path: Path) -> None:
@@ -87,7 +84,7 @@ def write_mdf4(recording: Recording, path: Path) -> None:
 
 
 def read_mdf4(path: Path, machine: Machine | None = None, names: Mapping[str, Target] | None = None) -> Recording:
-    """Read a recording of this project, or any MDF 4 file; signals of several rasters are put onto one.
+    """Read a recording of this project, or any MDF 3 or 4 file; signals of several rasters are put onto one, CAN frames are decoded.
 
     Parameters
     ----------
@@ -107,13 +104,14 @@ def read_mdf4(path: Path, machine: Machine | None = None, names: Mapping[str, Ta
     except OSError as problem:
         raise RecordingError(f"{path}: cannot be read: {problem.strerror}") from None
     _check_seal(content, path)
-    reason = ""
+    reason, log = "", None
     with _hushed():
         try:
             with MDF(io.BytesIO(content)) as mdf:
                 _check_claims(mdf, len(content), path)
-                metadata = _metadata(mdf, path, machine)
-                found = mdf4_columns(mdf)
+                log = frames_of_mdf(content, path) if has_only_frames(mdf) and not names else None
+                metadata = {} if log is not None else _metadata(mdf, path, machine)
+                found = Columns({}) if log is not None else mdf4_columns(mdf)
         except RecordingError:
             raise
         except Exception as problem:
@@ -121,7 +119,11 @@ def read_mdf4(path: Path, machine: Machine | None = None, names: Mapping[str, Ta
         if reason:
             gc.collect()  # asammdf's half-built objects raise in their destructors: collect them here
     if reason:
-        raise RecordingError(f"{path}: no MDF 4 file, or damaged: {reason}")
+        raise RecordingError(f"{path}: no MDF file, or damaged: {reason}")
+    if log is not None:
+        from hil.recording.can_signals import recording_of_log
+
+        return recording_of_log(log, path, machine)
     try:
         return _recording(found, names, metadata, machine, path)
     except RecordingError as problem:
@@ -142,11 +144,18 @@ def _recording(
 
 
 def _check_claims(mdf: MDF, file_bytes: int, path: Path) -> None:
-    """Refuse a file whose headers claim more samples than it can hold, before memory is taken for them."""
+    """Refuse a file whose headers claim more than it can hold, before memory is taken for that or read behind its end."""
     claimed = 0
-    for group in cast(Sequence[_Group], mdf.groups):
+    for group in cast(Sequence[Group], mdf.groups):
         head = group.channel_group
-        claimed += head.cycles_nr * (head.samples_byte_nr + head.invalidation_bytes_nr)
+        row_bytes = head.samples_byte_nr + getattr(head, "invalidation_bytes_nr", 0)  # version 3 has none
+        claimed += head.cycles_nr * row_bytes
+        for channel in group.channels:
+            if getattr(channel, "channel_type", 0) in _VIRTUAL:
+                continue
+            first_bit = 8 * getattr(channel, "byte_offset", 0) + getattr(channel, "bit_offset", 0) + getattr(channel, "start_offset", 0)
+            if first_bit + channel.bit_count > 8 * row_bytes:  # asammdf would read behind the row
+                raise RecordingError(f"{path}: damaged: channel {channel.name!r} reaches beyond the {row_bytes} bytes of a row")
     most = min(MOST_BYTES, DEFLATE_AT_MOST * file_bytes)
     if claimed > most:
         raise RecordingError(
@@ -198,7 +207,7 @@ def _mdf_bytes(recording: Recording, signals: list[Signal], started: datetime) -
 
 
 def _metadata(mdf: MDF, path: Path, machine: Machine | None) -> dict[str, Any]:
-    for attachment in mdf.attachments:
+    for attachment in mdf.attachments if mdf.version >= "4" else ():
         if attachment.file_name == ATTACHMENT:
             return parse_metadata(bytes(attachment.extract()).decode(), f"{path}: {ATTACHMENT}")
     if machine is None:

@@ -7,7 +7,7 @@ is that of its metadata (`unit`) or of a name `name [unit]`, and else the machin
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -116,7 +116,7 @@ def _foreign(arrow: ModuleType, table: Any, path: Path, machine: Machine | None,
             others[name] = "twice in the table"
         elif arrow.types.is_temporal(field.type) and not arrow.types.is_date(field.type):
             columns[name] = _times(arrow, table[place])
-        elif arrow.types.is_integer(field.type) or arrow.types.is_floating(field.type) or arrow.types.is_boolean(field.type):
+        elif any(fits(field.type) for fits in _numbers(arrow)):
             columns[name] = _column(table[place], _unit(field) or unit)
         else:
             others[name] = f"of type {field.type}"
@@ -132,6 +132,10 @@ def _foreign(arrow: ModuleType, table: Any, path: Path, machine: Machine | None,
         return Recording(channels, {"machine": machine_table(machine), "source": source_table(path, not_taken, (), renamed)})
     except RecordingError as problem:
         raise RecordingError(f"{path}: {problem}") from None
+
+
+def _numbers(arrow: ModuleType) -> tuple[Callable[[Any], bool], ...]:
+    return arrow.types.is_integer, arrow.types.is_floating, arrow.types.is_boolean, arrow.types.is_decimal
 
 
 def _column(values: Any, unit: str | None) -> Column:  # noqa: ANN401

@@ -40,6 +40,7 @@ def source_table(
 
 
 def listed(names: Sequence[str]) -> str:
-    """Return names in one line; of very many the first."""
+    """Return names in one line, `?` for what cannot be printed; of very many the first."""
     more = len(names) - MOST_NAMED
-    return "; ".join(names[:MOST_NAMED]) + (f"; and {more} more" if more > 0 else "")
+    line = "; ".join(names[:MOST_NAMED]) + (f"; and {more} more" if more > 0 else "")
+    return "".join(letter if letter.isprintable() else "?" for letter in line)

@@ -372,11 +372,14 @@ def short_rpdo_taken() -> Variants:
     def apply(machine: MutantMachine, *, longer: bool) -> None:
         def incoming(can_id: int, data: bytes) -> list[Frame]:
             for rpdo in machine.node._rpdos:
-                if rpdo.alive and rpdo.cob_id == can_id and (len(data) > rpdo._layout.length) == longer:
-                    data = data[: rpdo._layout.length].ljust(rpdo._layout.length, b"\0")
+                wrong = len(data) - rpdo._layout.length
+                if rpdo.alive and rpdo.cob_id == can_id and longer and wrong > 0:
+                    return []
+                if rpdo.alive and rpdo.cob_id == can_id and not longer and wrong < 0:
+                    data = data.ljust(rpdo._layout.length, b"\0")
             return [(can_id, data)]
 
         machine.incoming.append(incoming)
 
     yield "short", lambda machine: apply(machine, longer=False)
-    yield "long, without a word", lambda machine: apply(machine, longer=True)
+    yield "long, dropped", lambda machine: apply(machine, longer=True)

@@ -134,6 +134,16 @@ def short_not_applied(device: Device) -> None:
     device.expect(device.read(entry.index, entry.subindex) == new, f"{new.hex(' ').upper()} when all bytes come")
 
 
+@check("the first bytes of a PDO that is too long are applied", "7.2.2.5.1", writes=True)
+def long_applied(device: Device) -> None:
+    """Send a byte too many: the consumer uses those that are mapped."""
+    entry, can_id, _, new = _spare(device, 255)
+    device.go_operational()
+    device.wire.send(can_id, new + b"\xff")
+    device.wire.listen(0.02)
+    device.expect(device.read(entry.index, entry.subindex) == new, f"{new.hex(' ').upper()}")
+
+
 @check("an RPDO that is off is not applied", "7.5.2.35", writes=True)
 def off(device: Device) -> None:
     """Switch it off and send a value."""

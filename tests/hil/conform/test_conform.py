@@ -17,7 +17,9 @@ from node_mutants import Mutant, all_mutants, drawn_mutants
 from drivers.canopen.eds import load_object_dictionary
 from hil.conform.report import document, lines
 from hil.conform.run import Conformance, conform
+from hil.emulated.machine import build_emulated
 from hil.errors import UnusableInputError
+from hil.machine import load_machine
 from virtual_bus.canopen.bare import BareMachine
 from virtual_bus.canopen.device_bus import DeviceBus
 
@@ -25,6 +27,7 @@ FILES = sorted(path for path in VENDOR_FILES.glob("*") if path.suffix in (".eds"
 LEAST_CHECKS = 150
 FOUND_HERE = 12  # of the drawn mutants; the benchmark tries all
 CONTROLWORD = 0x6040
+SLICE_S = 0.001
 UPLOADS_AND_ABORTS = (2, 3, 4, 5)  # SDO command specifiers of a client that write nothing
 
 pytestmark = pytest.mark.filterwarnings("ignore::drivers.errors.DataSheetWarning")
@@ -40,6 +43,22 @@ class TappedBus(DeviceBus):
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         self.sent.append((msg.arbitration_id, bytes(msg.data)))
         super().send(msg, timeout)
+
+
+class WallBus(DeviceBus):
+    """A bus whose tester goes by a clock of its own, whatever the time of the devices is."""
+
+    passed_s = 0.0
+
+    def now(self) -> float:
+        return self.passed_s
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        end_s = self.passed_s + (timeout or 0.0)
+        while not self._frames and self.passed_s < end_s:
+            self._machine.idle(SLICE_S)
+            self.passed_s += SLICE_S
+        return super().recv(0.0)
 
 
 def checked(machine: BareMachine, eds: Path, *, writes: bool = True, until_failed: bool = False) -> Conformance:
@@ -255,3 +274,15 @@ def test_the_command_passes_fails_and_refuses(
     absent = isocenter("conform", "--node", 5, "--eds", full_eds, "--bus", "virtual:nobody-there")
     assert absent.status == 2
     assert "node 5 does not answer" in absent.line
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("by_the_wall", [True, False])
+def test_timers_of_an_emulated_machine_are_right_only_where_its_time_is_the_walls(by_the_wall: bool) -> None:
+    machine = load_machine("carm")
+    bus = WallBus(build_emulated(machine, by_the_wall=by_the_wall))  # type: ignore[arg-type]  # receives and idles as a bare device does
+    try:
+        found = conform(bus, bus.now, 1, load_object_dictionary(DRIVE_EDS, 1), writes=False, until_failed=False)
+    finally:
+        bus.shutdown()
+    assert bool(failures(found)) != by_the_wall

@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.writer import Writer as McapWriter
 from refusals import answer_or_refusal
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from hil.errors import RecordingError
@@ -44,9 +44,17 @@ def joint_state(
     return TYPES["sensor_msgs/msg/JointState"](TYPES["std_msgs/msg/Header"](stamp, ""), names, *values)
 
 
-def bag(folder: Path, messages: list[tuple[str, int, Any]], plugin: StoragePlugin = StoragePlugin.MCAP) -> Path:
+def bag(
+    folder: Path,
+    messages: list[tuple[str, int, Any]],
+    plugin: StoragePlugin = StoragePlugin.MCAP,
+    packed: CompressionMode = CompressionMode.NONE,
+) -> Path:
     """Write (topic, time of logging [ns], message) and return the folder."""
-    with Writer(folder, version=9, storage_plugin=plugin) as writer:
+    made = Writer(folder, version=9, storage_plugin=plugin)
+    if packed is not CompressionMode.NONE:
+        made.set_compression(packed, CompressionFormat.ZSTD)
+    with made as writer:
         connections = {}
         for topic, logged_ns, message in messages:
             if topic not in connections:
@@ -198,7 +206,7 @@ def test_bags_that_are_none_are_one_line(carm: Machine, tmp_path: Path) -> None:
         "no.mcap": "no MCAP file, or damaged",
         "no.db3": "no bag of ROS 2, or damaged",
         "cut.mcap": "it was cut off; `mcap recover`",
-        "packed": r"packed_0\.db3\.zstd is compressed as a whole",
+        "packed": r"packed_0\.db3\.zstd: damaged: there is nothing in it",
         "view.db3": "lacks the tables topics and messages",
     }.items():
         with pytest.raises(RecordingError, match=message) as refusal:
@@ -206,6 +214,25 @@ def test_bags_that_are_none_are_one_line(carm: Machine, tmp_path: Path) -> None:
         assert "\n" not in str(refusal.value)
     with pytest.raises(RecordingError, match="a bag says neither machine nor units; name the machine with --machine"):
         read_recording(folder)
+
+
+@pytest.mark.parametrize("packed", [CompressionMode.FILE, CompressionMode.MESSAGE])
+def test_a_compressed_bag_is_what_the_plain_one_is(carm: Machine, tmp_path: Path, packed: CompressionMode) -> None:
+    plain, _ = quietly(bag(tmp_path / "plain", run(["roll", "propeller"]), StoragePlugin.SQLITE3), carm)
+    recording, _ = quietly(bag(tmp_path / "packed", run(["roll", "propeller"]), StoragePlugin.SQLITE3, packed), carm)
+    for name in plain.channels:
+        np.testing.assert_array_equal(recording[name], plain[name])
+
+
+def test_a_compressed_bag_that_is_damaged_is_told_by_its_own_name(carm: Machine, tmp_path: Path) -> None:
+    folder = bag(tmp_path / "bag", run(["roll"]), StoragePlugin.SQLITE3, CompressionMode.FILE)
+    packed = folder / "bag.db3.zstd"
+    content = bytearray(packed.read_bytes())
+    content[-9:] = bytes(9)
+    packed.write_bytes(content)
+    with pytest.raises(RecordingError, match=r"bag\.db3") as refusal:
+        read_recording(folder, carm)
+    assert str(refusal.value).startswith(str(folder))
 
 
 @pytest.fixture(scope="module")

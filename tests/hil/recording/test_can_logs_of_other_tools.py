@@ -87,11 +87,23 @@ def with_letters(frames: list[Frame]) -> list[str]:
     return [f"{line}   '{'.' * len(frame[2])}'" for line, frame in zip(from_zero(frames), frames, strict=True)]
 
 
+def turned_round(frames: list[Frame]) -> list[str]:
+    heads = [line.partition("]")[0] for line in from_zero(frames)]
+    return [f"{head}]  {frame[2][::-1].hex('`').upper()}" for head, frame in zip(heads, frames, strict=True)]
+
+
+def in_bits(frames: list[Frame]) -> list[str]:
+    heads = [line.partition("]")[0] for line in from_zero(frames)]
+    return [f"{head}]  {' '.join(f'{byte:08b}' for byte in frame[2])}" for head, frame in zip(heads, frames, strict=True)]
+
+
 def in_colours(frames: list[Frame]) -> list[str]:
     return [f"\x1b[32m{line}\x1b[0m" for line in from_zero(frames)]
 
 
-@pytest.mark.parametrize("printed", [absolute, dated, from_zero, differences, with_directions, with_letters, in_colours])
+@pytest.mark.parametrize(
+    "printed", [absolute, dated, from_zero, differences, with_directions, with_letters, in_colours, turned_round, in_bits]
+)
 def test_what_candump_prints_is_read_with_any_time_stamp(
     carm: Machine, tmp_path: Path, printed: Callable[[list[Frame]], list[str]]
 ) -> None:

@@ -172,11 +172,12 @@ def test_an_mf4_of_another_tool_needs_the_machine_and_is_read_with_it(tmp_path: 
         ("time [s],x,x\n0,1,2\n", "line 1: channel x stands there twice"),
         ("t [s],x\n0,1\n", "line 1: no column `time"),
         ("time [s];x\n0;1,5\n1;1.5\n", "line 3: decimal commas and points"),
-        ("time [s];x\n0;1.234,5\n", r"line 2: x = '1\.234,5' is no number"),
+        ("time [s];x\n0;1.23,5\n", r"line 2: x = '1\.23,5' is no number"),
+        ("time [s];x\n0;1,5\n1;1,234.5\n", "line 3: decimal commas and points"),
+        ("time [s];x\n0;1,5\n1;1,234,567\n", "line 3: commas mark decimals and thousands"),
         ("time [s];x\n0,0;1;2\n", "line 2: 3 cells, the header has 2"),
         ("time [s],x\n", "line 1: a header and no rows"),
         ("", "line 1: empty"),
-        ("time [s],\n0,1\n", "line 1: header cell ''"),
         ('time [s],"x\n0,1\n', "line 2: unexpected end of data"),
     ],
 )
@@ -230,7 +231,7 @@ def test_a_flipped_bit_anywhere_in_an_mf4_is_refused_or_harmless(tmp_path: Path,
 
 def test_a_file_that_is_no_mf4_is_refused_by_what_it_is_not(tmp_path: Path) -> None:
     (tmp_path / "run.mf4").write_bytes(b"something else altogether")
-    with pytest.raises(RecordingError, match=r"run\.mf4: no MDF 4 file, or damaged: it is not a valid"):
+    with pytest.raises(RecordingError, match=r"run\.mf4: no MDF file, or damaged: it is not a valid"):
         read_recording(tmp_path / "run.mf4")
 
 

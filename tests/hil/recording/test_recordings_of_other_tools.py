@@ -112,6 +112,18 @@ def read_recording_rows(path: Path, machine: Machine) -> int:
     return quietly(path, machine)[0].rows
 
 
+@pytest.mark.parametrize("suffix", [".mdf", ".dat", ".mf4"])
+def test_mdf_3_is_read_as_mdf_4_is(carm: Machine, tmp_path: Path, suffix: str) -> None:
+    rows = np.arange(256) / RATE_Hz
+    with MDF(version="3.30") as mdf:
+        mdf.append([Signal(rows**2, rows, unit="A", name="current_roll")])
+        mdf.append([Signal(np.degrees(rows), rows, unit="deg", name="position_roll")])
+        mdf.save(tmp_path / "old.mdf")
+    recording, _ = quietly((tmp_path / "old.mdf").rename(tmp_path / f"log{suffix}"), carm)
+    np.testing.assert_array_equal(recording["current_roll"], rows**2)
+    np.testing.assert_allclose(recording["position_roll"], rows, atol=1e-12)
+
+
 def test_a_name_in_two_groups_is_refused_with_the_names_that_tell_them_apart(carm: Machine, tmp_path: Path) -> None:
     rows = np.arange(256) / RATE_Hz
     path = mf4(
@@ -206,7 +218,7 @@ def test_a_table_of_another_tool_is_named_and_the_rest_is_listed(carm: Machine, 
     table = pa.table(
         {
             "t": stamps,
-            "q [deg]": pa.array(np.arange(5.0)),
+            "q [deg]": pa.array(np.arange(5.0)).cast(pa.decimal128(9, 3)),
             "i": pa.array([1, 2, None, 4, 5]),
             "note": pa.array(list("abcde")),
             "v": pa.array(range(5)),

@@ -20,8 +20,8 @@ ANSWER_S = 0.02  # so much more silence is left for an answer to a device that h
 class Silence:
     """Silence in slices of a millisecond, as an emulator on the wall clock sees it; counts the periods that pass."""
 
-    def __init__(self, silence_s: float | None = None) -> None:
-        self.idle = IdleTime(PERIOD_S) if silence_s is None else IdleTime(PERIOD_S, silence_s)
+    def __init__(self, silence_s: float = SILENCE_S, *, by_the_wall: bool = False) -> None:
+        self.idle = IdleTime(PERIOD_S, silence_s, by_the_wall=by_the_wall)
         self.periods = 0
         self.talkative = False  # the devices send something in every period
 
@@ -45,6 +45,21 @@ def test_long_silence_passes_in_full_once_it_has_been_long_enough(slice_s: float
     assert silence.periods == 0
     silence.wait(3.0, slice_s)
     assert silence.passed_s == pytest.approx(3.0 + SILENCE_S - slice_s, abs=PERIOD_S)
+
+
+def test_by_the_wall_time_passes_whoever_speaks_and_with_syncs_they_alone_move_it() -> None:
+    silence = Silence(by_the_wall=True)
+    silence.talkative = True
+    for _ in range(1000):
+        silence.wait(0.001)
+        silence.idle.frame()
+    assert silence.passed_s == pytest.approx(1.0, abs=PERIOD_S)
+    silence.idle.sync()
+    before = silence.periods
+    for _ in range(100):
+        silence.wait(0.004)
+        silence.idle.sync()
+    assert silence.periods == before
 
 
 def test_a_bench_may_stand_still_for_as_long_as_it_was_said() -> None:
