@@ -216,12 +216,22 @@ class SampleLoop:
 
     def _step(self, sample: Sample, plan: Signals, k: int, excitation: np.ndarray, ticks: int) -> str:
         """Compute the next command; return why the motors must be stopped, or ''."""
+        self._follow_drives(sample, plan, k)
         self._see(sample)
         reference = plan.reference[k]
         feedforward = self._zeros if plan.feedforward is None else plan.feedforward[k]
         if not sample.unanswered and not sample.position_late.any():
             self.control.step(reference, self._position, excitation, feedforward)
         return self.stop_request.reason or self._violation(sample, reference, ticks, k)
+
+    def _follow_drives(self, sample: Sample, plan: Signals, k: int) -> None:
+        """Let the filters of axes whose drives close loops of their own make up for ticks whose positions did not come."""
+        for axis in self.control.led:
+            position = float(sample.position[axis])
+            if sample.unanswered or sample.position_late.any() or position != position:
+                self.control.fall_behind(axis)
+            elif self._position[axis] == self._position[axis]:
+                self.control.catch_up(axis, plan.reference[: max(k, 1), axis], float(self._position[axis]), position)
 
     def _see(self, sample: Sample) -> None:
         """Take over the positions that have arrived, count the ticks without one; what was commanded is as it was before the next step."""

@@ -74,6 +74,11 @@ def in_effort(recording: Recording, machine: Machine | None = None) -> Recording
 def _efforts(machine: Machine, recording: Recording) -> np.ndarray:
     names = machine.axes
     reference, position = (recording.matrix([f"{group}_{axis}" for axis in names]) for group in ("reference", "position"))
+    for column, command in enumerate(machine.commands):
+        missing = np.isnan(position[:, column])
+        if command is not None and missing.any() and not missing.all():  # its drive closed its loops all the same: `Control.catch_up`
+            rows = np.arange(len(missing))
+            position[missing, column] = np.interp(rows[missing], rows[~missing], position[~missing, column])
     excitation, damping, feedforward = (
         np.column_stack([_or_zero(recording, f"{group}_{axis}") for axis in names]) for group in ("excitation", "damping", "feedforward")
     )
