@@ -159,9 +159,9 @@ SHOWN = (
         "The C-arm with its drives in cyclic synchronous torque, velocity and position mode, over the bus in lockstep. Multisines with jog "
         "in four poses: share of the lines of the frequency responses, from effort to encoders and IMU, within their 95 % bounds of the "
         "equations' linearisation. A shaped scan with the observer, beside its simulation. The fault table of each mode, while roll scans."
-        "\n\nThe fault table while roll is moved to a pose, in profile velocity mode led at half the limits, in profile position mode by "
-        "the drive itself at the limits, both without a torque offset; and while the drive searches a limit switch. Rows that fail stand "
-        "below.",
+        "\n\nThe fault table while roll is moved to a pose: in profile velocity mode the loop leads it, at half the limits; in profile "
+        "position mode its drive goes at the limits; neither takes an effort. And while the drive searches a limit switch. Failing rows "
+        "stand below.",
         "python benchmarks/drive_modes.py",
         (),
         (

@@ -9,13 +9,13 @@ The brake does not wait for the standstill: it shortens the travel, and it is al
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import inf, isfinite, nan
+from math import isfinite, nan
 
 from drivers.canopen import cia402
 from drivers.canopen.cia402 import State
+from drivers.canopen.encoder_path import EncoderPath
 from drivers.interface import Sample
 from drivers.settings import AxisScaling, HomingSettings, MotionLimits
 
@@ -109,14 +109,14 @@ class AxisStop:
         self._apart = STANDING_SHARE * limits.tracking_error
         self._stale_ticks = limits.stale_ticks
         self._push, self._travel = homing.direction_check_effort, homing.direction_check_travel
-        self._motor, self._link = _Path(self._in_ticks(SWING_S)), _Path(self._in_ticks(SWING_S))
-        self._marked: _Path | None = None  # by which the proof of the brake is judged
+        self._motor, self._link = EncoderPath(self._in_ticks(SWING_S)), EncoderPath(self._in_ticks(SWING_S))
+        self._marked: EncoderPath | None = None  # by which the proof of the brake is judged
         self._anchor, self._held_effort, self._still_ticks = nan, nan, 0
         self._silent = self._lost = 0  # ticks without a statusword, without any position
         self._state = State.UNDEFINED
         self._closed: bool | None = None  # what the brake's feedback says; None: nobody knows
         self._proof = self._held_for = self._held_because = ""
-        self._retries, self._watched = False, True
+        self._retries, self._watched, self._let_go_again = False, True, braked and not pushes
         self._rest: AxisRest | None = None
         self._ticks = self._all_ticks = 0
         self._steps: list[tuple[str, float]] = []
@@ -207,7 +207,7 @@ class AxisStop:
         return self._all_ticks > self._in_ticks(STOP_AT_MOST_S)
 
     @property
-    def _judge(self) -> _Path:
+    def _judge(self) -> EncoderPath:
         """The link's path, which carries the load, where it is seen; else the motor side's."""
         return self._link if self._link.fresh(self._stale_ticks) else self._motor
 
@@ -373,10 +373,17 @@ class AxisStop:
             self._end(self._stands() or bool(self._closed), f"at rest: {proof}, voltage off")
 
     def _taking_back(self) -> None:
-        """Enable the drive again, with no torque: what it held with may have been wound up against the brake."""
+        """Enable the drive again, with no torque: what it held with may have been wound up against the brake.
+
+        One that cannot be let go slowly has so released what it had wound up; a brake that slips moves the link a second time.
+        """
         self.effort = 0.0
         if self._state in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE):
-            self._hold(self._held_because)
+            first, self._let_go_again = self._let_go_again, False
+            if first:
+                self._close()
+            else:
+                self._hold(self._held_because)
             return
         word = cia402.next_controlword(self._state, State.OPERATION_ENABLED)
         if word is None or self._after(RETAKE_S):
@@ -413,38 +420,3 @@ class AxisStop:
 
     def _ended(self) -> None:
         """Change nothing more."""
-
-
-class _Path:
-    """The newest positions of one encoder."""
-
-    def __init__(self, window: int) -> None:
-        self._positions: deque[float] = deque(maxlen=window)
-        self._stale = 0
-        self._low = self._high = nan
-
-    def take(self, position: float) -> None:
-        """Take a position; NaN when none has come."""
-        if isfinite(position):
-            self._positions.append(position)
-            self._stale = 0
-        else:
-            self._stale += 1
-
-    def fresh(self, stale_ticks: int) -> bool:
-        """Return whether a position has come, and lately."""
-        return bool(self._positions) and self._stale <= stale_ticks
-
-    @property
-    def range(self) -> float:
-        """Width of the newest positions; endless where there are none."""
-        return max(self._positions) - min(self._positions) if self._positions else inf
-
-    def mark(self) -> None:
-        """Remember the range of its swing, where a position has come."""
-        self._low, self._high = min(self._positions, default=nan), max(self._positions, default=nan)
-
-    def beyond(self) -> float:
-        """Return how far its newest position is outside the marked range; 0 inside, and where nothing was marked."""
-        position = self._positions[-1]
-        return position - self._high if position > self._high else position - self._low if position < self._low else 0.0

@@ -8,6 +8,7 @@ import pytest
 from one_stop import (
     ANSWER,
     CLOSING,
+    COUNT,
     ENABLED,
     FAULT,
     NAN,
@@ -21,6 +22,7 @@ from one_stop import (
     SETTLING,
     STAND,
     SWING,
+    SWITCHED_ON,
     WATCH,
     Stopping,
     T,
@@ -279,3 +281,39 @@ def test_a_drive_that_answers_in_time_is_left_to_talk() -> None:
     stopping.ticks(ANSWER - 1, -1)
     stopping.ticks(ANSWER, QUICK)
     assert not stopping.stop.orders_node
+
+
+def let_go() -> Stopping:
+    """A drive that takes no effort has lost its voltage over a closed brake."""
+    stopping = Stopping(pushes=False).to_swinging()
+    assert stopping.ticks(SWING) == [2] * SWING
+    assert stopping.tick() == 0
+    stopping.tick(OFF)
+    return stopping
+
+
+def take_back(stopping: Stopping) -> None:
+    """The link moves when the voltage goes, and the drive takes it back."""
+    stopping.tick(OFF, link=100.0 + stopping.sample.link_position[1] / COUNT)
+    for status in (OFF, READY, SWITCHED_ON, ENABLED):
+        stopping.tick(status)
+
+
+def test_what_a_drive_without_effort_has_wound_up_against_its_brake_is_let_go_once() -> None:
+    stopping = let_go()
+    take_back(stopping)
+    assert stopping.stop.rest is None
+    stopping.to_swinging()
+    stopping.ticks(SWING + 1, QUICK)
+    stopping.ticks(WATCH + 1, OFF)
+    assert stopping.words == "at rest: brake closed by its feedback, not pushed: its drive takes no effort, voltage off"
+
+
+def test_a_brake_that_slips_twice_is_held_by_its_drive() -> None:
+    stopping = let_go()
+    take_back(stopping)
+    stopping.to_swinging()
+    stopping.ticks(SWING + 1, QUICK)
+    stopping.tick(OFF)
+    take_back(stopping)
+    assert "held by its drive: its link moved by" in stopping.words
