@@ -52,7 +52,7 @@ def identity_field(device: Device, which: str) -> None:
         device.expect(int.from_bytes(value, "little") == entry.default, f"{_FIELDS[subindex]} {entry.default:08X}h")
 
 
-@check("{}, a name of the device, is a text", "7.5.2.8", of=lambda device: ["1008h", "1009h", "100Ah"])
+@check("{}, a name of the device, is a text", "7.5.2.8 to 7.5.2.10", of=lambda device: ["1008h", "1009h", "100Ah"])
 def names(device: Device, which: str) -> None:
     """Read 1008h to 100Ah."""
     index = int(which[:4], 16)

@@ -22,7 +22,7 @@ def _emergencies(device: Device, code: bytes, since: int) -> bool:
     return any(frame.data[:2] == code for frame in device.wire.heard(emergency_id(device), since))
 
 
-@check("a PDO that is too short is reported: EMCY 8210h", "7.2.7.1")
+@check("a PDO that is too short is reported: EMCY 8210h", "7.2.2.5.1")
 def short(device: Device) -> None:
     """Send one byte of two."""
     emergency_id(device)
@@ -32,7 +32,7 @@ def short(device: Device) -> None:
     device.expect(_emergencies(device, _TOO_SHORT, since), "EMCY with 10 82")
 
 
-@check("a PDO that is too long is taken or reported (EMCY 8220h), never as too short", "7.2.7.1")
+@check("a PDO that is too long is taken or reported (EMCY 8220h), never as too short", "7.2.2.5.1")
 def long(device: Device) -> None:
     """Send three bytes of two."""
     emergency_id(device)
@@ -43,7 +43,7 @@ def long(device: Device) -> None:
     device.expect(device.is_alive(), "the SDO server answers")
 
 
-@check("a PDO of the right length is not reported", "7.2.7.1")
+@check("a PDO of the right length is not reported", "7.2.2.5.1")
 def right(device: Device) -> None:
     """Send two bytes of two."""
     can_id = dummy_rpdo(device, 255)
@@ -121,7 +121,7 @@ def pre_operational(device: Device) -> None:
     device.expect(device.read(entry.index, entry.subindex) == old, f"{old.hex(' ').upper()}, as before")
 
 
-@check("a PDO that is too short is not applied, and the next that is right is", "7.2.7.1", writes=True)
+@check("a PDO that is too short is not applied, and the next that is right is", "7.2.2.5.1", writes=True)
 def short_not_applied(device: Device) -> None:
     """Send a byte too few, then all."""
     entry, can_id, old, new = _spare(device, 255)

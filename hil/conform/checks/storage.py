@@ -19,7 +19,7 @@ _STORED_MS = 0x0155
 _OBJECTS = {"1010h": (0x1010, _SAVE), "1011h": (0x1011, _LOAD)}
 
 
-@check("{}:01 without its signature is refused", "7.5.2.13", of=lambda device: list(_OBJECTS), writes=True)
+@check("{}:01 without its signature is refused", "7.5.2.13 and 7.5.2.14", of=lambda device: list(_OBJECTS), writes=True)
 def signature(device: Device, which: str) -> None:
     """Write words that are not the signature."""
     index, right = _OBJECTS[which]
@@ -28,7 +28,7 @@ def signature(device: Device, which: str) -> None:
         device.expect_code(device.try_write(index, 1, wrong), _REFUSED, f"{wrong!r} is refused")
 
 
-@check("{}:01 tells what the device can do", "7.5.2.13", of=lambda device: list(_OBJECTS))
+@check("{}:01 tells what the device can do", "7.5.2.13 and 7.5.2.14", of=lambda device: list(_OBJECTS))
 def capability(device: Device, which: str) -> None:
     """Read the capability."""
     index, _ = _OBJECTS[which]
