@@ -4,7 +4,7 @@
 
 Doctor and run share the computer with whatever else it does, which differs from one minute to the next. So each run is compared with
 itself, too: the 99.9th percentiles of its halves (`halves`), of which no prediction can be closer to each other. Ten comparisons take
-24 minutes.
+25 minutes.
 """
 
 from __future__ import annotations

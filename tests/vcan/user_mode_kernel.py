@@ -6,6 +6,7 @@ Python environment serves. It has one processor, and a system call takes ten mic
 
 from __future__ import annotations
 
+import fcntl
 import os
 import shlex
 import shutil
@@ -33,6 +34,8 @@ PRIORITY = 60
 
 NICENESS = -15
 """Where real-time scheduling is refused."""
+
+LOCK = Path("/var/tmp/isocenter-vcan.lock")
 
 _INIT = """#!/bin/sh
 mount -t proc proc /proc
@@ -139,7 +142,8 @@ def run_in_user_mode_kernel(command: Sequence[str], environment: Mapping[str, st
     -------
     Outcome
     """
-    with tempfile.TemporaryDirectory(prefix="isocenter-vcan-", dir="/var/tmp") as folder:
+    with LOCK.open("w") as lock, tempfile.TemporaryDirectory(prefix="isocenter-vcan-", dir="/var/tmp") as folder:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # two kernels would share the one processor
         script = Path(folder) / "init"
         script.write_text(
             _INIT.format(

@@ -15,24 +15,29 @@ from hil.doctor.trial import wake_ups
 from hil.machine import Machine, load_machine
 
 SHIPPED, SLOWER_Hz = "carm", 128
+ATTEMPTS = 3
+"""A user-mode kernel stalls now and then for so long that a limit of the machine file stops a run."""
+
 AT_REST = ("static", "--seconds", "1", "--seed", "3")
 WATCHED_S = 4.0
 TOLD, RATE = "told.txt", "rate"
 """Files in the folder of `tests/vcan/prepared.py`: lines for the summary of the tests; the rate to prepare for."""
 
 LIMITS = (
-    r"the loop lost \d+ ticks in a row; timing.overrun_ticks bridges 8",
-    r"no position for \d+ ticks, timing.stale_ticks bridges 3",
-    r"no answer to 512 SYNCs within 0.0025 s each",
+    r"the loop lost \d+ ticks in a row; timing.overrun_ticks bridges [84]",
+    r"no position for \d+ ticks, timing.stale_ticks bridges [31]",
+    r"no answer to (512|256) SYNCs within 0.00\d+ s each",
     r"position too late for 0.\d+ s, 0.250 s allowed, as for a heartbeat",
     r"no node has answered for 0.\d+ s, 0.250 s allowed, as for a heartbeat",
     r"no heartbeat for 0.\d+ s, 0.250 s allowed",
     r"the supervisor does not answer for 0.\d+ s",
     r"the I/O has given no valid state for \d+.\d+ s, 0.50 s are allowed",
     r"\w+ held by its drive: its position is not known, so its brake cannot be proven",
+    r"sensors not to be believed: imu: ",
 )
-"""What stops the machine on a late computer by the shipped file: overrun_ticks, stale_ticks, boot_timeout_s and answer_timeout_s,
-heartbeat_s, the I/O's watchdog, and stale_after_s; then the stop itself, where answers come too late to prove anything."""
+"""What stops the machine on a late computer by the shipped file or the converted one: overrun_ticks, stale_ticks, boot_timeout_s and
+answer_timeout_s, heartbeat_s, the I/O's watchdog, and stale_after_s; then the stop itself, where answers come too late to prove anything.
+The IMU's age and rate are marked, and told at the end."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +47,7 @@ class Carried:
     file: str
     options: tuple[str, ...]  # of `isocenter run`
     at_256_Hz: Done
+    said: str  # why it ended there
 
     @property
     def machine(self) -> Machine:
@@ -63,22 +69,44 @@ def carried(folder: Path, run: Callable[..., Done], answer: Path) -> Carried:
     """
     told = [_told_wake_ups(rate) for rate in (256, SLOWER_Hz)]
     done = run(*AT_REST, "--machine", SHIPPED, "--json", str(answer), "-o", str(answer.with_suffix(".mf4")))
-    if answer.exists():
+    said = why_it_ended(done, answer)
+    if done.returncode == 0:
         told.append(f"shipped machine at 256 Hz: {timing_told(answer)}")
-        found = Carried(SHIPPED, (), done)
+        found = Carried(SHIPPED, (), done, said)
     else:
-        told.append(f"shipped machine at 256 Hz: {stopped(done)}")
+        told.append(f"shipped machine at 256 Hz: {said}")
         told.append(f"so it runs at {SLOWER_Hz} Hz (isocenter machine convert), its margins accepted: {_failing(folder)}")
-        found = Carried(str(folder / f"{SHIPPED}_{SLOWER_Hz}.toml"), ("--accept-margins",), done)
+        found = Carried(str(folder / f"{SHIPPED}_{SLOWER_Hz}.toml"), ("--accept-margins",), done, said)
     (folder / TOLD).write_text("".join(f"{line}\n" for line in told))
     (folder / RATE).write_text(f"{found.machine.sample_rate_Hz:g}")
     return found
 
 
-def stopped(done: Done) -> str:
-    """The line in which a run says why it ended."""
+def why_it_ended(done: Done, answer: Path) -> str:
+    """Why a run did not end with status 0, in its words; '' where it did."""
+    if done.returncode == 0:
+        return ""
+    if answer.exists():
+        return "sensors not to be believed: " + "; ".join(json.loads(answer.read_text())["recordings"][0]["judged"])
     lines = [line for line in done.stderr.splitlines() if line.startswith("isocenter: ")]
-    return lines[-1].removeprefix("isocenter: ") if lines else f"status {done.returncode}"
+    return lines[-1].removeprefix("isocenter: ") if lines else f"status {done.returncode}: {done.stderr}"
+
+
+def by_a_limit(said: str) -> bool:
+    """Whether a limit of the machine file ended a run."""
+    return any(re.search(limit, said) for limit in LIMITS)
+
+
+def run_to_its_end(run: Callable[..., Done], folder: Path) -> Path:
+    """Run, again where a limit stopped it; the recording, which may have marks of the IMU, on which no motion depends."""
+    for attempt in range(ATTEMPTS):
+        out, answer = folder / f"run_{attempt}.mf4", folder / f"run_{attempt}.json"
+        done = run("-o", str(out), "--json", str(answer))
+        if done.returncode == 0 or answer.exists():
+            return out
+        said = why_it_ended(done, answer)
+        assert by_a_limit(said), said
+    raise AssertionError(f"no run came to its end: {said}")
 
 
 def timing_told(answer: Path) -> str:

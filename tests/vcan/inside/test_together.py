@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from carried import Carried
+from carried import Carried, run_to_its_end
 from processes import Done
 
 from hil.observing import observe, read_design
@@ -40,11 +40,8 @@ def test_multisine_with_jog_and_a_shaped_scan_run_with_the_observer(
     emulate(machine, "--bus", bus, "--pose", "roll=30")
     common = ("--machine", machine, "--bus", bus, "--pose", "roll=30", "--observer", str(design), *carried_machine.options)
 
-    excited = tmp_path / "excited.mf4"
     experiment = ("--experiments", "single", "--axes", "roll", "--amplitude", "0.5", "--period", "1", "--jog", "0.05", "--periods", "1")
-    done = run("multisine", *common, *experiment, "-o", str(excited))
-    assert done.returncode == 0, done.stderr
-    recording = read_recording(excited)
+    recording = read_recording(run_to_its_end(lambda *out: run("multisine", *common, *experiment, *out), tmp_path))
     assert_observed(recording, design, rate_Hz)
     ticks = recording["time"] * rate_Hz  # those that a loaded computer skipped are no rows
     assert ticks == pytest.approx(np.round(ticks), abs=1e-6)
@@ -55,11 +52,10 @@ def test_multisine_with_jog_and_a_shaped_scan_run_with_the_observer(
         assert np.isfinite(recording[channel]).mean() > 0.9, f"{channel} did not arrive"
     assert np.nanmax(np.abs(recording["reference_roll"] - recording["position_roll"])) < np.radians(1.0)
 
-    scanned = tmp_path / "scanned.mf4"
     sweep = ("--axis", "roll", "--from", "30", "--to", "34", "--speed", "4", "--dwell", "0.5")
-    done = run("scan", *common, *sweep, "--shaper", str(shaper), "-o", str(scanned))
-    assert done.returncode == 0, done.stderr
-    recording = read_recording(scanned)
+    place = tmp_path / "scan"
+    place.mkdir()
+    recording = read_recording(run_to_its_end(lambda *out: run("scan", *common, *sweep, "--shaper", str(shaper), *out), place))
     assert_observed(recording, design, rate_Hz)
     assert np.abs(recording["reference_roll"] - recording["reference_raw_roll"]).max() > 1e-4  # the shaper had its say
     assert np.nanmax(np.abs(recording["reference_roll"] - recording["position_roll"])) < np.radians(1.0)
