@@ -161,7 +161,13 @@ SHOWN = (
         "equations' linearisation. A shaped scan with the observer, beside its simulation. The fault table of each mode, while roll scans."
         "\n\nThe fault table while roll is moved to a pose: in profile velocity mode the loop leads it, at half the limits; in profile "
         "position mode its drive goes at the limits; neither takes an effort. And while the drive searches a limit switch. Failing rows "
-        "stand below.",
+        "stand below."
+        "\n\nWhat stays, and why. At the speed limit a drive that stops by itself over an open brake creeps to rest by its own integrator, "
+        "half a second of time constant with these loops, which the budgets' closed forms leave out (`brake_stays_open`, `brake_weak`, "
+        "`io_ignores_writes`). A second sender of a heartbeat is certain after three of its periods (`foreign_heartbeat`); of lost frames "
+        "those that matter come some time after the first (`bus_loses_frames`): both count from their beginning. A drive whose RPDO "
+        "carries no effort does not tell what its loops ask for, so a power stage that is late by less than they bear is not seen "
+        "(`torque_late`).",
         "python benchmarks/drive_modes.py",
         (),
         (

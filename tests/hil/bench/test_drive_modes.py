@@ -148,9 +148,10 @@ def test_a_drive_is_judged_by_the_effort_that_was_asked_for_in_the_same_tick(mod
         assert judge is not None
         judged = judge.step
 
-        def seen(sample: Sample, ticks: int, row_s: float) -> str:
-            efforts.append((sample.effort - sample.commanded).tolist())
-            return judged(sample, ticks, row_s)
+        def seen(sample: Sample, ticks: int, row_s: float, *, led: bool = True) -> str:
+            if led:
+                efforts.append((sample.effort - sample.commanded).tolist())
+            return judged(sample, ticks, row_s, led=led)
 
         judge.step = seen  # type: ignore[method-assign]
         bench.run(plan, tmp_path / "run.mf4")
