@@ -112,7 +112,7 @@ class _Encoder:
 class _Axis:
     """What is known of one axis."""
 
-    def __init__(self, scaling: AxisScaling, limits: MotionLimits, period_s: float, units_per_count: float) -> None:
+    def __init__(self, scaling: AxisScaling, limits: MotionLimits, period_s: float, units_per_count: float = 1.0) -> None:
         self.name, self.limits, self.scaling = scaling.axis, limits, scaling
         fastest = SPEED_MARGIN * limits.speed
         self.motor = _Encoder(scaling.position_resolution, fastest, limits.tracking_error)
