@@ -210,6 +210,16 @@ def test_a_drive_with_loops_of_its_own_is_asked_for_no_more_either(mode: str, wa
     assert mode == "position" or f"roll: a velocity of {machine.velocity} counts/s was asked for" in machine.supervisor.reason
 
 
+def test_a_velocity_in_rpm_of_the_motor_is_held_against_the_same_limit() -> None:
+    settings = machine_from_text(carm_text_in("velocity").replace('mode = "velocity"', 'mode = "velocity"\nvelocity_unit = "rpm"')).bus
+    assert settings is not None
+    machine = Machine(settings)
+    machine.velocity = math.floor(FASTEST * 500 / (2.0 * math.pi) * 60)
+    assert machine.ticks(20)
+    machine.velocity += 1
+    assert not machine.tick()
+
+
 def test_a_sync_that_stops_while_a_drive_has_torque(machine: Machine) -> None:
     allowed_s = max(rules.SYNC_SILENT_PERIODS * SETTINGS.master_heartbeat_period_s, rules.SILENT_AT_LEAST_S)
     assert machine.supervisor.check(machine.time_s + 0.99 * allowed_s)
