@@ -326,6 +326,16 @@ def test_a_target_that_an_enabled_drive_was_not_newly_asked_for_is_none() -> Non
     assert asked(line, 1001 + 2 * LEAD) != ""
 
 
+def test_before_a_position_has_come_no_way_is_known() -> None:
+    node, status = settings().nodes[0], Pdo(1, SENT, 1, (STATUS,))
+    asks = Pdo(1, ASKED, 1, (CONTROL, (0x607A, 0, 32)))
+    line = Line(
+        settings(nodes=(replace(node, tpdos=(status,), rpdos=(asks,)),), scalings=(replace(settings().scalings[0], mode="position"),))
+    )
+    line.supervisor.frame(line.time_s, SENT, struct.pack("<H", ON))
+    assert asked(line, 2**30) == ""
+
+
 def test_the_way_to_a_target_is_the_shorter_one_over_the_end_of_the_counter() -> None:
     line = led("position")
     for step in (0x7FFF_FFF0, 0x7FFF_FFF0):
