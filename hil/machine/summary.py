@@ -108,6 +108,7 @@ def machine_lines(machine: Machine) -> list[str]:
         lines.append(f"  {body.name:16s} {body.mass_kg:7.1f} kg on {body.parent}: {held}")
     lines += ["", "sensors", "  " + ", ".join(machine_document(machine)["sensors"])]
     if machine.bus is not None:
-        lines += ["", f"bus, {machine.bus.bitrate_bit_s // 1000} kbit/s"]
+        sender = machine.bus.sync_producer or "the bench"
+        lines += ["", f"bus, {machine.bus.bitrate_bit_s // 1000} kbit/s, SYNC from {sender} at {machine.sample_rate_Hz:g} Hz"]
         lines += [f"  {node.node_id:3d} {node.name} ({node.role} of {node.axis}, {node.eds.name})" for node in machine.bus.nodes]
     return lines

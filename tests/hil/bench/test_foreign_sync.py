@@ -13,8 +13,9 @@ from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
 from hil.errors import MachineFileError
 from hil.experiments import Move
-from hil.machine import machine_from_text
+from hil.machine import Machine, machine_from_text
 from hil.machine.faults_file import faults_from_text
+from hil.machine.summary import machine_lines
 from hil.recording import RecordingWarning, read_recording
 from virtual_bus.lockstep import LockstepBus
 from virtual_bus.machine import EmulatedMachine
@@ -34,6 +35,11 @@ def test_the_arm_moves_as_under_the_benchs_own_sync(tmp_path: Path) -> None:
         np.testing.assert_allclose(following.channel(name).values, own.channel(name).values, rtol=0.0, atol=1e-12, err_msg=name)
     assert following.rows == own.rows
     assert np.array_equal(np.diff(following.ticks), np.ones(following.rows - 1))
+
+
+@pytest.mark.parametrize(("machine", "who"), [(FOLLOWING, "plc"), (CARM, "the bench")])
+def test_the_summary_of_a_machine_says_who_sends_sync(machine: Machine, who: str) -> None:
+    assert f"bus, 1000 kbit/s, SYNC from {who} at 256 Hz" in machine_lines(machine)
 
 
 def test_the_bench_sends_no_sync(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
