@@ -15,6 +15,7 @@ from hil.doctor.trial import wake_ups
 from hil.machine import Machine, load_machine
 
 SHIPPED, SLOWER_Hz = "carm", 128
+SPARE_SHARE = 0.5
 ATTEMPTS = 3
 """A user-mode kernel stalls now and then for so long that a limit of the machine file stops a run."""
 
@@ -70,16 +71,22 @@ def carried(folder: Path, run: Callable[..., Done], answer: Path) -> Carried:
     told = [_told_wake_ups(rate) for rate in (256, SLOWER_Hz)]
     done = run(*AT_REST, "--machine", SHIPPED, "--json", str(answer), "-o", str(answer.with_suffix(".mf4")))
     said = why_it_ended(done, answer)
-    if done.returncode == 0:
+    if done.returncode == 0 and carries(answer):
         told.append(f"shipped machine at 256 Hz: {timing_told(answer)}")
         found = Carried(SHIPPED, (), done, said)
     else:
-        told.append(f"shipped machine at 256 Hz: {said}")
+        told.append(f"shipped machine at 256 Hz: {said or timing_told(answer)}")
         told.append(f"so it runs at {SLOWER_Hz} Hz (isocenter machine convert), its margins accepted: {_failing(folder)}")
         found = Carried(str(folder / f"{SHIPPED}_{SLOWER_Hz}.toml"), ("--accept-margins",), done, said)
     (folder / TOLD).write_text("".join(f"{line}\n" for line in told))
     (folder / RATE).write_text(f"{found.machine.sample_rate_Hz:g}")
     return found
+
+
+def carries(answer: Path) -> bool:
+    """Whether a run at 256 Hz has left time to spare: the observer's, and that of a busier minute."""
+    timing = json.loads(answer.read_text())["recordings"][0]["timing"]
+    return bool(timing["missed"] == 0 and timing["work_time_p99_us"] <= SPARE_SHARE * 1e6 / 256.0)
 
 
 def why_it_ended(done: Done, answer: Path) -> str:

@@ -29,9 +29,9 @@ DRIVES, EMERGENCY, MASTER_IS_GONE, NMT_STOP = (1, 2), 0x080, b"\x30\x81", 2
 
 def test_the_shipped_machine_runs_or_is_stopped_by_a_limit_of_its_file(carried_machine: Carried) -> None:
     done = carried_machine.at_256_Hz
-    if carried_machine.file == SHIPPED:
-        assert done.returncode == 0, done.stderr
+    if done.returncode == 0:
         return
+    assert carried_machine.file != SHIPPED
     assert done.returncode == 1
     assert "Traceback" not in done.stderr
     said = carried_machine.said
