@@ -100,8 +100,7 @@ class TickingMachine:
         self._imu_triggered = settings.imu is not None and settings.imu.triggered_by_sync
         self._nodes: dict[int, SdoNode] = {}
         self._dictionaries: dict[int, canopen.ObjectDictionary] = {}  # of the EDS files, read once
-        self._armed = [False] * len(self.axes)
-        self._supplied = [False] * len(self.axes)  # bit 4 of the statusword when a drive was armed
+        self._armed, self._supplied = [False] * len(self.axes), [False] * len(self.axes)  # and bit 4 of the statusword when it was armed
         self._ticking = self._ours = False  # ours: nobody else runs this machine; only then may anything be sent, even to stop it
         self._io_lost = ""
         self.open_brakes: set[str] = set()  # of these axes: they have reported open, and were not told to close since
@@ -352,9 +351,8 @@ class TickingMachine:
             self.exchange(self.zeros)
             if not self._cyclic.missing:
                 return
-        raise BusTimeoutError(
-            f"{', '.join(self._cyclic.missing)}: no answer to {ticks} SYNCs within {self.settings.answer_timeout_s} s each"
-        )
+        who = ", ".join(self._cyclic.missing)
+        raise BusTimeoutError(f"{who}: no answer to {ticks} SYNCs within {self.settings.answer_timeout_s} s each")
 
     def _check_answers(self, sample: Sample) -> None:
         """Where no node answers, or one too late, a bus or host is late: such ticks are lost, for as long as a node may be silent."""

@@ -178,7 +178,7 @@ class Started:
     [
         ("rounds", ""),
         ("ends", "udp:: the supervisor ended at its start with status 3"),
-        ("nothing", "udp:: the supervisor did not start within 10 s"),
+        ("nothing", "udp:: the supervisor did not start within 60 s"),
         ("cannot", "udp:: there is no such interface"),
         ("rounds and words", ""),
     ],

@@ -44,9 +44,9 @@ def lossy(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.Mo
         assert judge is not None
         judged, exchange = judge.step, link.exchange
 
-        def seen(sample: Sample, ticks: int, row_s: float) -> str:
+        def seen(sample: Sample, ticks: int, row_s: float, *, led: bool = True) -> str:
             off.append(float(sample.effort[1] - sample.commanded[1]))
-            return judged(sample, ticks, row_s)
+            return judged(sample, ticks, row_s, led=led)
 
         def counted(command: np.ndarray) -> Sample:
             LosingBus.lost_ids = lost if len(off) >= LOST_AT and counted.lost < 3 else ()

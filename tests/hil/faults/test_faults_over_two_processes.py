@@ -10,7 +10,8 @@ from bench_machines import patient_text
 from places import BENCHMARKS
 
 from hil.faults.check import run_trial
-from hil.faults.trials import standard_scan, trials
+from hil.faults.motion import motion_of
+from hil.faults.trials import trials
 from hil.machine import machine_from_text
 
 sys.path.insert(0, str(BENCHMARKS))
@@ -28,7 +29,7 @@ LATE = 0.1
 def test_it_ends_as_in_lockstep(name: str, tmp_path: Path) -> None:
     machine = machine_from_text(patient_text('5000\noverrun = "wait"'))  # none of these faults is found by a time-out
     (row,) = trials(machine, "roll", [name])
-    in_lockstep = run_trial(machine, "roll", row, standard_scan(machine, "roll")[0])
+    in_lockstep = run_trial(machine, "roll", row, motion_of(machine, "roll"))
     outcome = over_processes(row, machine, BUS, tmp_path, "--no-real-time")
     assert outcome.verdict == in_lockstep.verdict == "stopped", outcome.said
     assert outcome.travel < in_lockstep.travel + LATE

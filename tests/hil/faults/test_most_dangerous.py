@@ -12,8 +12,9 @@ from most_dangerous import MOST_DANGEROUS
 from places import ROOT
 
 from hil.faults.check import check_faults, run_trial
+from hil.faults.motion import motion_of
 from hil.faults.page import is_failure
-from hil.faults.trials import standard_scan, trials
+from hil.faults.trials import trials
 
 TABLE = json.loads((ROOT / "benchmarks" / "results" / "faults_carm.json").read_text(encoding="utf-8"))
 KEPT = {row["name"]: row for row in TABLE["rows"]}
@@ -27,8 +28,7 @@ def test_they_are_twelve_at_least() -> None:
 @pytest.mark.parametrize("name", MOST_DANGEROUS)
 def test_it_is_stopped_and_everything_is_at_rest_and_held(name: str) -> None:
     (row,) = trials(CARM, "roll", [name])
-    plan, _ = standard_scan(CARM, "roll")
-    outcome = run_trial(CARM, "roll", row, plan)
+    outcome = run_trial(CARM, "roll", row, motion_of(CARM, "roll"))
     assert outcome.verdict == KEPT[name]["verdict"] == "stopped"
     assert outcome.exit_status == 1
     assert not is_failure(outcome), (outcome.budget, outcome.contradicted)

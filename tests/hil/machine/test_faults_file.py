@@ -34,7 +34,7 @@ CONDITIONS = st.one_of(
 @st.composite
 def faults(draw: st.DrawFn) -> FaultSetting:
     """Any fault that this machine can have."""
-    kind = draw(st.sampled_from([kind for kind in fault_kinds().values() if kind.begin is not None]))
+    kind = draw(st.sampled_from([kind for kind in fault_kinds().values() if kind.begin is not None and PLACES.of(kind.at)]))
     values = {
         parameter.name: float(draw(st.integers(math.ceil(parameter.low), math.floor(parameter.high))))
         if parameter.whole
