@@ -83,10 +83,13 @@ class Clock(Protocol):
     def wait_tick(self) -> float:
         """Wait for the next tick and return its lateness [s]. Overrun ticks are skipped entirely, see `missed`."""
 
-    def await_tick(self, comes: Callable[[float], bool], due_s: float, patience_s: float) -> bool:
+    def await_tick(
+        self, comes: Callable[[float], bool], due_s: float, patience_s: float, shortly_before: Callable[[], object] | None = None
+    ) -> bool:
         """Wait for a tick that somebody else gives, expected at `due_s` and no later than `patience_s` after it.
 
-        `comes` waits for it for so many seconds at most and returns whether it came; so does this.
+        `comes` waits for it for so many seconds at most and returns whether it came; so does this. `shortly_before` is called before a
+        tick that has not come by then.
         """
 
     def lose(self, ticks: int) -> None:

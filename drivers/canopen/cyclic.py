@@ -133,9 +133,7 @@ class CyclicExchange:
         self._tick = self._one_master.tick = self._tick + 1
         if self._foreign is not None:
             self._late = 0
-            if before_sync is not None:
-                before_sync()
-            sample.lateness_s = self._foreign.wait(partial(self._drop, sample))
+            sample.lateness_s = self._foreign.wait(partial(self._drop, sample), before_sync)
             self._clear(sample)
         else:
             sample.lateness_s = self._clock.wait_tick()
@@ -238,6 +236,8 @@ class CyclicExchange:
             entry = by_cob_id.get(message.arbitration_id)
             if entry is None or not is_data_frame(message):
                 self._other(message)
+                if self._foreign is not None and self._foreign.ahead:
+                    break
             else:
                 bit, tpdo = entry
                 if self._took(tpdo, message.data, sample):

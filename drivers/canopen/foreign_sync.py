@@ -82,8 +82,15 @@ class ForeignSync:
                 f"{where} SYNC comes every {1e3 * period_s:.3f} ms, timing.sample_rate makes it {1e3 * self._period_s:.3f} ms"
             )
 
-    def wait(self, drop: Callable[[can.Message], None]) -> float:
+    @property
+    def ahead(self) -> bool:
+        """Whether the next SYNC has come already: what comes now does not answer the last one."""
+        return self._heard > 0
+
+    def wait(self, drop: Callable[[can.Message], None], shortly_before: Callable[[], object] | None = None) -> float:
         """Wait for the next SYNC; hand all frames before it to `drop`, and return its lateness [s].
+
+        `shortly_before` is called before a SYNC that has not come by then.
 
         Raises
         ------
@@ -95,7 +102,7 @@ class ForeignSync:
         clock = self._clock
         due_s = self._due_s if math.isfinite(self._due_s) else clock.now() + self._period_s
         patience_s = 0.5 * self._period_s if self._lost else self._most_ticks * self._period_s + EARLY_SHARE * self._period_s
-        if not clock.await_tick(lambda timeout_s: self._comes(timeout_s, drop), due_s, patience_s):
+        if not clock.await_tick(lambda timeout_s: self._comes(timeout_s, drop), due_s, patience_s, shortly_before):
             if not self._lost:
                 self._lost = True
                 self._due_s = math.nan
@@ -121,6 +128,10 @@ class ForeignSync:
     def _follow(self, late_s: float, due_s: float) -> float:
         """Count the ticks that were lost, and expect the next SYNC; return this one's lateness [s]."""
         heard, self._heard, period_s = self._heard, 0, self._period_s
+        if self._lost:  # it is back, at any phase: the bench's own SYNCs end
+            self._due_s = due_s + late_s + period_s
+            self._clock.lose(heard - 1)
+            return 0.0
         late_s -= (heard - 1) * period_s
         if not math.isfinite(self._due_s):
             self._due_s = due_s + late_s + heard * period_s

@@ -84,12 +84,16 @@ class WallClock:
         self.tick_began_s = now
         return now - due
 
-    def await_tick(self, comes: Callable[[float], bool], due_s: float, patience_s: float) -> bool:
+    def await_tick(
+        self, comes: Callable[[float], bool], due_s: float, patience_s: float, shortly_before: Callable[[], object] | None = None
+    ) -> bool:
         """Wait for a tick that somebody else gives: asleep until shortly before it is due, then awake for as long as answers are."""
         self.idle_began_s = time.perf_counter()
         asleep = due_s - self.now() - self._spin_s
         came = comes(asleep) if asleep > 0.0 else False
         if asleep > 0.0 and not came:
+            if shortly_before is not None:
+                shortly_before()
             for rehearse in self.rehearsals:
                 rehearse()
         while not came and self.now() < due_s + self.awake_s:
@@ -144,8 +148,12 @@ class LockstepClock:
         self.tick_began_s = self.idle_began_s
         return 0.0
 
-    def await_tick(self, comes: Callable[[float], bool], due_s: float, patience_s: float) -> bool:
+    def await_tick(
+        self, comes: Callable[[float], bool], due_s: float, patience_s: float, shortly_before: Callable[[], object] | None = None
+    ) -> bool:
         """Let virtual time pass until the tick comes that somebody else gives."""
+        if shortly_before is not None:
+            shortly_before()
         came = comes(max(0.0, due_s + patience_s - self.now()))
         self.wait_tick()
         return came

@@ -61,6 +61,8 @@ def build_bus(table: MachineTable, plant: PlantSettings, folder: Path | None) ->
     if bus.sync_producer in bus.nodes:
         right = f"{bus.sync_producer} is one of the nodes, which the bench configures; name a device that sends SYNC by itself"
         raise ComplaintError((*where, "sync_producer"), right)
+    if bus.sync_producer and bus.answers == "awaited":
+        raise ComplaintError((*where, bus.key("answers")), 'another device\'s next SYNC waits for no answer: must be "punctual"')
     if bus.sync_producer and table.timing.overrun == "wait":
         raise ComplaintError((*where, "sync_producer"), 'another device\'s ticks do not wait: timing.overrun must be "skip"')
     _check_cob_ids(bus)

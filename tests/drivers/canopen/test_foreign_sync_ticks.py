@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import can
+import numpy as np
 import pytest
 from one_tick import ALL, PERIOD_S, SYNC, Machine, Ticks, answer
 
@@ -17,8 +18,12 @@ class Following(Ticks):
     def start_ticks(self, period_s: float) -> None:
         self.missed = 0
 
-    def await_tick(self, comes, due_s: float, patience_s: float) -> bool:  # noqa: ANN001
-        return comes(max(0.0, due_s + patience_s - self.now()))
+    noticed_late_s = 0.0  # by which it wakes up late when nothing has come
+
+    def await_tick(self, comes, due_s: float, patience_s: float, shortly_before=None) -> bool:  # noqa: ANN001
+        came = comes(max(0.0, due_s + patience_s - self.now()))
+        self.wire.time_s += 0.0 if came else self.noticed_late_s
+        return came
 
     def lose(self, ticks: int) -> None:
         self.missed += ticks
@@ -89,6 +94,38 @@ def test_a_longer_pause_is_the_producers_loss_and_then_the_bench_sends_sync_and_
     for _ in range(3):
         bench.machine.tick()
     assert [can_id for can_id, _ in bench.machine.wire.log[sent:]].count(SYNC) == 3
+
+
+@pytest.mark.parametrize("late_s", [0.0, 2e-5, 1e-3])
+@pytest.mark.parametrize("phase", [0.0, -0.01, -0.24, -0.5, 0.2, 0.4, 0.8])
+def test_a_producer_that_comes_back_is_followed_at_once_and_accused_of_nothing(phase: float, late_s: float) -> None:
+    bench = Bench(until=4)
+    bench.clock.noticed_late_s = late_s
+    for k in range(20, 60):
+        bench.sync(k + phase, k)
+    assert [bench.tick() for _ in range(4)] == [1, 2, 3, 4]
+    with pytest.raises(BusTimeoutError, match="no SYNC"):
+        bench.tick()
+    while bench.machine.wire.time_s < (21 + phase) * PERIOD_S:
+        bench.machine.tick()
+    sent = len(bench.machine.wire.log)
+    for _ in range(20):
+        bench.machine.tick()
+    assert SYNC not in [can_id for can_id, _ in bench.machine.wire.log[sent:]]
+    assert bench.machine.wire.time_s == pytest.approx((41 + phase) * PERIOD_S, abs=2.0 * PERIOD_S)
+    assert not bench.machine.network.intruder
+
+
+def test_answers_to_the_next_sync_are_not_taken_for_answers_to_the_last() -> None:
+    bench = Bench()
+    assert [bench.tick() for _ in range(5)] == [1, 2, 3, 4, 5]
+    wire = bench.machine.wire
+    wire._due = [due for due in wire._due if due[1].arbitration_id != 0x182 or not 6 * PERIOD_S <= due[0] < 7 * PERIOD_S]
+    bench.machine.cyclic._answer_timeout_s = 1.5 * PERIOD_S  # until after the next SYNC
+    sample = bench.machine.tick()
+    assert round(float(sample.position[0]) / bench.machine.cyclic.inputs[0].scaling.position_resolution) == 6
+    assert not np.isfinite(sample.position[1])
+    assert bench.tick() == 7
 
 
 def test_syncs_between_those_of_the_producer_are_a_second_one_and_one_alone_is_not() -> None:

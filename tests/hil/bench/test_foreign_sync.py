@@ -112,6 +112,10 @@ def test_a_producer_of_another_rate_is_refused(tmp_path: Path, monkeypatch: pyte
     [
         (edited('"plc"', '"roll_drive"', FOLLOWING_TEXT), "roll_drive is one of the nodes"),
         (edited("^overrun_ticks", 'overrun = "wait"\noverrun_ticks', FOLLOWING_TEXT), "another device's ticks do not wait"),
+        (
+            edited("^answer_timeout_s = .*", 'answer_timeout_s = 0.0025\nanswers = "awaited"', FOLLOWING_TEXT),
+            "next SYNC waits for no answer",
+        ),
     ],
 )
 def test_a_producer_that_cannot_be_is_refused(text: str, words: str) -> None:
