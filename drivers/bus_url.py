@@ -76,7 +76,7 @@ def parse_bus_url(url: str) -> BusUrl:
     return BusUrl(url, scheme, int(rest) if re.fullmatch(r"[0-9]{1,9}", rest) else rest)
 
 
-def open_bus(url: str, bitrate: int) -> can.BusABC:
+def open_bus(url: str, bitrate: int, *, stamped: bool = False) -> can.BusABC:
     """Open the bus a URL names.
 
     Parameters
@@ -85,6 +85,8 @@ def open_bus(url: str, bitrate: int) -> can.BusABC:
         See the head of this module; `lockstep:` is refused, the bench builds that one itself.
     bitrate : int
         Bits per second. SocketCAN's is set with `ip link`, virtual and UDP buses have none.
+    stamped : bool
+        Frames over SocketCAN have the kernel's time stamp, which costs time; otherwise that of reading.
 
     Raises
     ------
@@ -109,7 +111,7 @@ def open_bus(url: str, bitrate: int) -> can.BusABC:
             from drivers.udp_bus import UdpBus
 
             return UdpBus(str(parsed.channel), **arguments)
-        if parsed.interface == "socketcan":
+        if parsed.interface == "socketcan" and not stamped:
             from drivers.socketcan_bus import SocketcanBus
 
             return SocketcanBus(str(parsed.channel))

@@ -1,7 +1,8 @@
 """SocketCAN with one system call a frame.
 
 python-can asks `select` before every frame that it sends or takes, and reads the clock and prepares a line for its log besides. A tick pays
-that six times or more. Here a frame is sent and taken at once; `select` is asked only by those who wait.
+that six times or more. Here a frame is sent and taken at once; `select` is asked only by those who wait. Who judges a node by when its
+frames came opens python-can's own bus, `open_bus(..., stamped=True)`: its time stamps are the kernel's.
 """
 
 from __future__ import annotations

@@ -132,7 +132,8 @@ OTHERS = (
         "CSV of other tools, without a `.toml` beside it",
         "Separated by commas, semicolons, tabs or bars; decimal commas or points, with marks between thousands; UTF-8, UTF-16 or Windows' "
         "code page 1252. Comments above the header begin with `#` or `%`. A row of units below the header, names of rows, times of day "
-        "(ISO 8601) and words for missing numbers (`NA`, `NULL`) are known. One mark alone, as in `1,234`, is of decimals.",
+        "(ISO 8601) and words for missing numbers (`NA`, `NULL`) are known. Whether the mark of `1,234` is of decimals, other numbers tell "
+        "(`0,5`; `1,000.0`); where none does, points are of decimals in a table that commas separate, and all else is refused.",
     ),
     (
         "MDF 3 and 4 of other tools, `.mf4`, `.mdf`, `.dat`",

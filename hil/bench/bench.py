@@ -167,7 +167,7 @@ class Bench:
     def _judges(self, sample: Sample) -> str:
         """Judge the sensors in a tick that the link makes by itself; return why they stop the motors, or ''."""
         judge, link, missed = self.loop.judge, self.wiring.link, self.wiring.clock.missed
-        self._unjudged, self._missed = self._unjudged + 1 + missed - self._missed, missed
+        self._unjudged, self._missed = self._unjudged + 1 + max(0, missed - self._missed), missed
         if judge is None or sample.unanswered:
             return ""
         ticks, self._unjudged = self._unjudged, 0

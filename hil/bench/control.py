@@ -71,7 +71,8 @@ class Control:
     def step(self, reference: np.ndarray, position: np.ndarray, excitation: np.ndarray, feedforward: np.ndarray) -> None:
         """Compute the next tick from this sample; all arrays are (n_axes,) float64.
 
-        An axis that is behind, see `fall_behind`, keeps its target: its position is not of this tick.
+        An axis that is behind, see `fall_behind`, keeps its correction, as its position is not of this tick: a target velocity stays, a
+        target position goes on with the reference.
         """
         if not self._led:
             self.law.step(reference, position, excitation, feedforward, self.demand)

@@ -89,5 +89,5 @@ def _opened(bus: str, bitrate: int, eds: Path, node: int) -> Iterator[tuple[can.
     else:
         from drivers.bus_url import open_bus
 
-        with open_bus(bus, bitrate) as wire:
+        with open_bus(bus, bitrate, stamped=True) as wire:
             yield wire, time.time

@@ -17,7 +17,7 @@ QUIET_S = 0.06
 
 @dataclass(frozen=True)
 class Frame:
-    """One frame; `time_s` of a received one is the interface's time stamp, of a sent one the tester's clock."""
+    """One frame; `time_s` of a received one is the time stamp of `open_bus(..., stamped=True)`, of a sent one the tester's clock."""
 
     time_s: float
     can_id: int

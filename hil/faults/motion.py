@@ -133,8 +133,10 @@ def _homing(machine: Machine, axis: str) -> Motion:
     if homing.method in (*HOMING_AT_PRESENT_POSITION, NO_HOMING):
         raise UnusableInputError(f"{machine.name}: {axis} homes by method {homing.method}, which moves nothing; 17, 18, 33 and 34 do")
     ahead = min(homing.speed * SEARCH_S, 0.4 * (limit.upper - limit.lower))
+    sign = machine.bus.scalings[number].sign  # the drive's negative end is the axis's upper one where its direction is the other
+    ends = (limit.lower + ahead, limit.upper - ahead)[::sign]
     start = np.zeros(len(machine.axes))
-    start[number] = {17: limit.lower + ahead, 18: limit.upper - ahead}.get(homing.method, 0.5 * (limit.lower + limit.upper))
+    start[number] = dict(zip((17, 18), ends, strict=True)).get(homing.method, 0.5 * (limit.lower + limit.upper))
 
     def make(bench: Bench, path: Path) -> tuple[tuple[str, ...], tuple[str, ...]]:
         bench.commission()

@@ -24,6 +24,8 @@ _UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _COMMENT = re.compile(r"[#%]")
 _SPACES = "'\u2019 \u00a0\u2009\u202f"
 _GROUPED = re.compile(rf"[+-]?\d{{1,3}}(?:(?P<mark>[,.{_SPACES}])\d{{3}})(?:(?P=mark)\d{{3}})*(?:(?P<point>[.,])\d*)?(?:[eE][+-]?\d+)?")
+_EITHER = re.compile(r"[+-]?[1-9]\d{0,2}[,.]\d{3}")
+"""With one mark, of decimals or of thousands: nobody groups a number below one, nor writes more than three digits before a mark."""
 _TIME_OF_DAY = re.compile(r"\d\d:\d\d")
 
 
@@ -108,10 +110,14 @@ def row_of_units(cells: Sequence[str]) -> list[str] | None:
 
 @dataclass
 class Numbers:
-    """Reads the cells of one file, in which one mark stands for decimals and another one for thousands, if any."""
+    """Reads the cells of one file, in which one mark stands for decimals and another one for thousands, if any.
 
-    _decimals: set[str] = field(default_factory=set)
+    A cell such as `1,234` may be either: it is read with decimals, and `thousands` says in the end whether that was right.
+    """
+
     _thousands: set[str] = field(default_factory=set)
+    _decimals: set[str] = field(default_factory=set)
+    either: dict[str, str] = field(default_factory=dict)  # comma or point -> the first cell in which it may be of decimals or of thousands
 
     def number(self, cell: str) -> float:
         """Return a cell's number, NaN where it is missing; ValueError if it is none.
@@ -126,7 +132,11 @@ class Numbers:
             return float(cell)
         if len(marks) == 1 and marks[0] in ",." and marks[0] not in self._thousands:
             value = float(cell.replace(",", "."))
-            self._decimals.update(marks)
+            if marks[0] not in self._decimals:
+                if _EITHER.fullmatch(cell):
+                    self.either.setdefault(marks[0], cell)
+                else:
+                    self._decimals.update(marks)
             return value
         grouped = _GROUPED.fullmatch(cell)
         if grouped is None or grouped["mark"] == grouped["point"]:
@@ -136,6 +146,34 @@ class Numbers:
             self._decimals.add(grouped["point"])
         cell = cell.replace(grouped["mark"], "")
         return float(cell.replace(",", "."))
+
+    def thousands(self, delimiter: str) -> set[str]:
+        """Return the marks that were read as of decimals and are of thousands, by what the other cells have told.
+
+        Where commas separate the cells, points are of decimals unless a cell tells otherwise.
+
+        Raises
+        ------
+        RecordingError
+            Nothing tells, or what tells contradicts itself.
+        """
+        found = set()
+        for mark, cell in self.either.items():
+            other = "." if mark == "," else ","
+            if mark in self._decimals:
+                continue
+            if mark in self._thousands or (other in self._decimals and not self._thousands):
+                found.add(mark)
+            elif self._thousands or (mark == "." and delimiter == "," and other not in self.either):
+                self._decimals.add(mark)
+            else:
+                one, thousand = float(cell.replace(",", ".")), int(cell.replace(mark, ""))
+                raise RecordingError(
+                    f"{cell!r} is {one:g} or {thousand}, and no number in the table says which; one like '0{mark}5' would, or one like "
+                    f"'1{mark}000{other}0'; or leave out the marks between thousands"
+                )
+        self.check()
+        return found
 
     def check(self) -> None:
         """Raise RecordingError if a mark has stood for two things, or two for one."""

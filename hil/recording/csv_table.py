@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import io
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -141,7 +141,8 @@ class _Table:
     not_taken: Sequence[str]
 
 
-def _parse(path: Path, text: str, names: Mapping[str, Target], machine: Machine | None) -> _Table:
+def _parse(path: Path, text: str, names: Mapping[str, Target], machine: Machine | None, thousands: Iterable[str] = ()) -> _Table:
+    """Read a text; `thousands` are marks between thousands that are known."""
     layout = laid_out(text, strict=metadata_path(path).exists())
     strict = layout.delimiter == "," and metadata_path(path).exists()
     reader = csv.reader(io.StringIO(layout.text, newline=""), strict=True, delimiter=layout.delimiter)
@@ -155,10 +156,12 @@ def _parse(path: Path, text: str, names: Mapping[str, Target], machine: Machine 
         header, first, units = _foreign_head(header, first)
     targets, not_taken = _targets(path, header, units, names, machine)
     named = {one.channel for one in names.values()}
-    cells_of = _Cells(strict, next((place for place, one in enumerate(targets) if one is not None and one.channel == "time"), None))
+    time_place = next((place for place, one in enumerate(targets) if one is not None and one.channel == "time"), None)
+    cells_of = _Cells(strict, time_place, Numbers(set(thousands)))
     places = [place for place, one in enumerate(targets) if one is not None]
     rows: list[list[float]] = []
     lines: list[int] = []
+    either: dict[str, int] = {}  # mark of decimals or of thousands -> line of the first
     no_numbers: dict[int, str] = {}  # place of a column that may be left out -> its first cell that is no number
     for cells in itertools.chain([] if first is None else [first], records):
         line = reader.line_num + layout.skipped if rows or first is None else 2 + layout.skipped + (units is not None)
@@ -182,10 +185,18 @@ def _parse(path: Path, text: str, names: Mapping[str, Target], machine: Machine 
             cells_of.numbers.check()
         except RecordingError as problem:
             raise RecordingError(f"{path}: line {line}: {problem}") from None
+        if len(either) < len(cells_of.numbers.either):
+            either = dict.fromkeys(cells_of.numbers.either, line) | either
         rows.append(row)
         lines.append(line)
     if not rows:
         raise RecordingError(f"{path}: line 1: a header and no rows")
+    try:
+        found = cells_of.numbers.thousands(layout.delimiter)
+    except RecordingError as problem:
+        raise RecordingError(f"{path}: line {min(either.values())}: {problem}") from None
+    if found:
+        return _parse(path, text, names, machine, found)
     kept = [one for place, one in enumerate(targets) if one is not None and place not in no_numbers]
     values = np.array(rows)[:, [place not in no_numbers for place in places]]
     for column, one in enumerate(kept):
@@ -197,8 +208,8 @@ def _parse(path: Path, text: str, names: Mapping[str, Target], machine: Machine 
 class _Cells:
     """Reads the cells of a table; a column of times of day is known by its first cell."""
 
-    def __init__(self, strict: bool, time_place: int | None) -> None:
-        self.numbers = Numbers()
+    def __init__(self, strict: bool, time_place: int | None, numbers: Numbers) -> None:
+        self.numbers = numbers
         self._strict = strict
         self._time_place = time_place
         self._clock: Clock | None = None

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import errno
 import socket
+import struct
 from collections.abc import Iterator
 
 import can
 import pytest
+from can.interfaces.socketcan import socketcan
 from can.interfaces.socketcan.socketcan import build_can_frame, dissect_can_frame
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivers import bus_url
+from drivers.bus_url import open_bus
 from drivers.socketcan_bus import PythonCanBus, SocketcanBus, message_of
 
 
@@ -97,3 +101,25 @@ def test_a_full_queue_and_a_lost_interface_are_errors_of_python_can(ends: tuple[
 
 def test_it_is_python_cans_bus_in_all_else() -> None:
     assert issubclass(SocketcanBus, PythonCanBus)
+
+
+class StampingSocket(socket.socket):
+    """A packet socket whose messages the kernel has stamped long ago."""
+
+    def recvmsg(self, *sizes: int) -> tuple[bytes, list[tuple[int, int, bytes]], int, None]:  # type: ignore[override]
+        stamp = (socket.SOL_SOCKET, socketcan.constants.SO_TIMESTAMPNS, struct.pack("@ll", 1000, 250_000_000))
+        return self.recv(sizes[0]), [stamp], 0, None
+
+
+def test_a_stamped_bus_gives_the_kernels_time_of_a_frame_that_was_read_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    end = StampingSocket(ours.family, ours.type, ours.proto, ours.detach())
+    monkeypatch.setattr(socketcan, "create_socket", lambda: end)
+    monkeypatch.setattr(socketcan, "bind_socket", lambda sock, channel: None)
+    monkeypatch.setattr(bus_url, "_check_socketcan", lambda *of: None)
+    with theirs, open_bus("socketcan:pair", 1_000_000, stamped=True) as bus:
+        theirs.send(build_can_frame(can.Message(arbitration_id=0x705, is_extended_id=False, data=b"\x05")))
+        message = bus.recv(1.0)
+    assert message is not None
+    assert message.arbitration_id == 0x705
+    assert message.timestamp == 1000.25

@@ -6,8 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from bench_machines import CARM
 from scripted_bench import PERIOD_S, Rows, ScriptedClock, ScriptedLink, column, proportional_loop, still
 
+from drivers.interface import Sample
+from hil.bench.open import open_bench
+from hil.bench.options import BenchOptions
 from hil.errors import LoopAbortedError
 
 
@@ -157,3 +161,21 @@ def test_sensors_are_judged_when_they_answer_and_over_all_the_time_since(monkeyp
     monkeypatch.setattr(loop.judge, "step", lambda sample, ticks, time_s: (judged.append(ticks), "")[1])
     loop.run(still(8))
     assert judged == [1, 1, 1, 3, 1, 1]
+
+
+def test_judges_are_told_no_less_than_a_tick_where_the_clock_begins_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In ticks that the link makes by itself; after SDO traffic the clock starts again, and has lost nothing since."""
+    told: list[int] = []
+
+    def step(sample: Sample, ticks: int, time_s: float, *, led: bool) -> str:
+        told.append(ticks)
+        return ""
+
+    with open_bench(CARM, BenchOptions("lockstep:"), np.zeros(2)) as bench:
+        link, clock = bench.wiring.link, bench.wiring.clock
+        assert bench.loop.judge is not None
+        monkeypatch.setattr(bench.loop.judge, "step", step)
+        for missed in (5, 5, 0, 2):
+            monkeypatch.setattr(clock, "missed", missed)
+            assert link.judged(link.sample) == ""
+    assert told == [6, 1, 1, 3]

@@ -14,7 +14,10 @@ from full_device import NODE, full_device_eds
 from mutant_machine import MutantMachine
 from node_mutants import Mutant, all_mutants, drawn_mutants
 
+from drivers import bus_url
 from drivers.canopen.eds import load_object_dictionary
+from drivers.errors import BusUnavailableError
+from hil.cli.conformance import conform as conform_command
 from hil.conform.report import document, lines
 from hil.conform.run import Conformance, conform
 from hil.emulated.machine import build_emulated
@@ -286,3 +289,16 @@ def test_timers_of_an_emulated_machine_are_right_only_where_its_time_is_the_wall
     finally:
         bus.shutdown()
     assert bool(failures(found)) != by_the_wall
+
+
+def test_conform_opens_a_stamped_bus(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[dict[str, bool]] = []
+
+    def refuse(url: str, bitrate: int, **options: bool) -> None:
+        asked.append(options)
+        raise BusUnavailableError("not here")
+
+    monkeypatch.setattr(bus_url, "open_bus", refuse)
+    with pytest.raises(BusUnavailableError):
+        conform_command(5, DRIVE_EDS, "socketcan:can0")
+    assert asked == [{"stamped": True}]

@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bench_machines import CARM, carm_text_in, homing_at_switch_text
+from bench_machines import CARM, carm_text_in, edited, homing_at_switch_text
 
+from hil.bench.open import open_bench
+from hil.bench.options import BenchOptions
 from hil.errors import UnusableInputError
 from hil.faults.check import TrialOutcome, check_faults
 from hil.faults.motion import MotionName, motion_of
@@ -35,6 +37,22 @@ def test_a_motion_without_a_standstill_before_it_has_no_fault_that_comes_in_one(
 def test_a_homing_run_that_moves_nothing_is_refused() -> None:
     with pytest.raises(UnusableInputError, match="roll homes by method 37, which moves nothing; 17, 18, 33 and 34 do"):
         motion_of(CARM, "roll", "homing")
+
+
+@pytest.mark.parametrize("method", [17, 18])
+@pytest.mark.parametrize("direction", [1, -1])
+def test_a_homing_run_begins_before_the_switch_that_its_drive_searches(method: int, direction: int, tmp_path: Path) -> None:
+    text = edited(r"^\[drives.roll\]$", rf"\g<0>\ndirection = {direction}", homing_at_switch_text())
+    if method == 18:
+        text = edited(r"(\[bus.homing.roll\]\nmethod = )17", r"\g<1>18", text)
+        text = edited(r"(index = 0x607C\nvalue = )-", r"\g<1>", text)
+    machine = machine_from_text(text)
+    motion = motion_of(machine, "roll", "homing")
+    with open_bench(machine, BenchOptions("lockstep:"), motion.start_pose) as bench:
+        motion.make(bench, tmp_path / "nothing.mf4")
+    switch_deg = 95.0 * direction * (-1 if method == 17 else 1)
+    assert np.degrees(bench.pose[1]) == pytest.approx(switch_deg, abs=2.0)
+    assert np.degrees(motion.start_pose[1]) == pytest.approx(switch_deg - np.copysign(10.0, switch_deg))
 
 
 @pytest.mark.parametrize(("machine", "motion", "fastest"), [(BY_ITSELF, "move", np.radians(60.0)), (AT_SWITCH, "homing", np.radians(5.0))])

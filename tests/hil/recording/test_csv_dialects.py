@@ -58,6 +58,30 @@ def test_marks_separators_and_times_of_many_places_give_the_same_numbers(carm: M
     np.testing.assert_allclose(recording["current_roll"], [1.2345, -0.002], atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("rows", "times_ms", "currents_mA"),
+    [
+        ("t;i\n995.000;0,5\n1.003.000;-2\n", [995_000, 1_003_000], [0.5, -2]),
+        ("t;i\n995.000;0,5\n999.000;-2\n", [995_000, 999_000], [0.5, -2]),
+        ("t;i\n1,5;2,500\n2,5;-3,500\n", [1.5, 2.5], [2.5, -3.5]),
+        ("t;i\n1,000;0.5\n1,004;-2\n", [1000, 1004], [0.5, -2]),
+        ("t;i\n1,000;0\n1,004.5;-2,000\n", [1000, 1004.5], [0, -2000]),
+        ("t;i\n995,000;1\n1003,000;-2\n", [995, 1003], [1, -2]),
+        ("t\ti\n0.000\t1.000\n1.004\t-2\n", [0, 1.004], [1, -2]),
+        ("t;i\n1\u202f000;1,234\n1\u202f004;-2\n", [1000, 1004], [1.234, -2]),
+        ('t,i\n"1,000","1,234,567"\n"1,004",-2.125\n', [1000, 1004], [1_234_567, -2.125]),
+        ('t,i\n"1,000",0.5\n"1,004",-2\n', [1000, 1004], [0.5, -2]),
+        ("t,i\n1.000,1.500\n1.004,-2.125\n", [1, 1.004], [1.5, -2.125]),
+    ],
+)
+def test_a_mark_before_three_digits_is_what_another_cell_says(
+    carm: Machine, tmp_path: Path, rows: str, times_ms: list[float], currents_mA: list[float]
+) -> None:
+    recording, _ = read(tmp_path, rows, carm, NAMES | {"t": "time [ms]"})
+    np.testing.assert_allclose(recording.time, np.array(times_ms) / 1e3, rtol=1e-12)
+    np.testing.assert_allclose(recording["current_roll"], np.array(currents_mA) / 1e3, rtol=1e-12)
+
+
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
 def test_encodings_of_spreadsheets_are_read_and_a_guessed_one_is_said(carm: Machine, tmp_path: Path, encoding: str) -> None:
     recording, source = read(
@@ -94,6 +118,11 @@ def test_a_column_without_a_name_is_left_out_and_said(carm: Machine, tmp_path: P
         ("# rig\nt,i\n0,1\n0,2\n", "line 4: time 0 follows 0"),
         ("t,i\ns,mA\n0,1\n0.1,two\n", "line 4: i = 'two' is no number"),
         (b"t,i\n0,\x81\n", "no UTF-8 text"),
+        ('t,i\n"1,000",5\n"1,004",7\n', "line 2: '1,000' is 1 or 1000, and no number in the table says which; one like '0,5' would"),
+        ("t;i\n1;5\n2;-1.250\n", "line 3: '-1.250' is -1.25 or -1250, and no number in the table says which; one like '0.5' would"),
+        ("t;i\n1.000;5,250\n2.000;7\n", "line 2: '1.000' is 1 or 1000, and"),
+        ("t;i\n1.000;0,5\n1,5;0.5\n", "line 3: decimal commas and points in one file"),
+        ("t;i\n1\u202f000,5;1.250\n1\u202f004;7\n", "line 2: decimal commas and points in one file"),
     ],
 )
 def test_what_is_no_number_is_told_by_its_line(carm: Machine, tmp_path: Path, content: str | bytes, message: str) -> None:

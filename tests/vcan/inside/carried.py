@@ -79,7 +79,9 @@ def carried(folder: Path, run: Callable[..., Done], answer: Path) -> Carried:
         told.append(f"so it runs at {SLOWER_Hz} Hz (isocenter machine convert), its margins accepted: {_failing(folder)}")
         found = Carried(str(folder / f"{SHIPPED}_{SLOWER_Hz}.toml"), ("--accept-margins",), done, said)
     (folder / TOLD).write_text("".join(f"{line}\n" for line in told))
-    (folder / RATE).write_text(f"{found.machine.sample_rate_Hz:g}")
+    part = (folder / RATE).with_suffix(".part")
+    part.write_text(f"{found.machine.sample_rate_Hz:g}")
+    part.rename(folder / RATE)  # whole or not there, for who looks for it outside
     return found
 
 
