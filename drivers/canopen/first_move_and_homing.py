@@ -250,7 +250,7 @@ def _write_homing(machine: Machine, axis: int, settings: HomingSettings, moves: 
     if not moves:
         return
     per_count = machine.scalings[axis].position_resolution
-    units = units_of(in_data_sheet(sdo.dictionary), machine.scalings[axis], sdo.who)
+    units = units_of(in_data_sheet(sdo.dictionary, machine.drives[axis].writes), machine.scalings[axis], sdo.who)
     for subindex in (1, 2):
         sdo.write_checked(HOMING_SPEEDS, subindex, max(1, round(settings.speed / per_count * units.velocity)))
     if sdo.may_write(HOMING_ACCELERATION):

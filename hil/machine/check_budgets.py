@@ -90,7 +90,7 @@ def quick_stop(machine: Machine, number: int, node: Node) -> float:
         return stated
     scaling = machine.bus.scalings[number]
     try:
-        read = in_data_sheet(load_object_dictionary(node.eds, node.node_id))
+        read = in_data_sheet(load_object_dictionary(node.eds, node.node_id), ())
         ramp = read(QUICK_STOP_DECELERATION, 0) or 0.0
         unit = scaling.position_resolution / units_of(read, scaling, node.name).acceleration
     except (OSError, ProtocolError, ConfigurationRefusedError):

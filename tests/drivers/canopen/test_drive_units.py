@@ -98,3 +98,35 @@ def test_a_drive_that_says_another_unit_than_was_thought_is_refused(declared: st
     with pytest.raises(ConfigurationRefusedError, match=f"unit of velocity.*{by}"):
         check_units(reading({(0x60A9, 0): MILLI_RPM}), used, scaling, "drive")
     check_units(reading({}), used, scaling, "drive")
+
+
+@pytest.mark.parametrize(
+    ("objects", "acceleration"),
+    [
+        ({(0x608C, 0): 0x55}, 60.0),
+        ({(0x6094, 1): 3, (0x6094, 2): 2}, 60.0),
+        ({(0x60A9, 0): 0x00010300}, 60.0),
+        ({(0x6097, 1): 10, (0x6097, 2): 1}, 600.0),  # by the drive's own acceleration factor
+    ],
+)
+def test_a_declared_velocity_is_one_whatever_the_drive_says_of_it(objects: dict[tuple[int, int], int], acceleration: float) -> None:
+    scaling = dataclasses.replace(SCALING, velocity_unit="rpm")
+    units = units_of(reading(objects), scaling, "drive")
+    assert (units.velocity * 4096.0, units.acceleration * 4096.0) == pytest.approx((60.0, acceleration), rel=1e-12)
+
+
+def test_an_acceleration_factor_is_of_counts_where_nothing_is_said_of_velocities() -> None:
+    assert units_of(reading({(0x6097, 1): 10, (0x6097, 2): 1}), SCALING, "drive").acceleration == 10.0
+
+
+@pytest.mark.parametrize(
+    ("objects", "words"),
+    [
+        ({(0x60AA, 0): 0x00010300}, r"60AAh\) is 00010300h.*say drives\.\w+\.acceleration_unit"),
+        ({(0x60A8, 0): 0xFD410000, (0x60A9, 0): 0x00410500}, r"60A9h\) is 00410500h"),  # degrees per what is no time
+        ({(0x6094, 1): 172, (0x6094, 2): 1}, "6094h is 172"),  # the code of increments, which is none of a factor
+    ],
+)
+def test_a_unit_that_is_not_known_says_which_object_has_it(objects: dict[tuple[int, int], int], words: str) -> None:
+    with pytest.raises(ConfigurationRefusedError, match=words):
+        units_of(reading(objects), SCALING, "drive")
