@@ -61,10 +61,13 @@ def write_ramps(sdo: SdoNode, scaling: AxisScaling, limits: MotionLimits, writes
     }
     if scaling.mode == "profile_position":
         wanted[FOLLOWING_ERROR_TIME] = 0  # ms: at once, as the loop judges the tracking error
-    stop = read(QUICK_STOP, 0) if limits.quick_stop is None else round(limits.quick_stop / per_count * units.acceleration)
+    stated = limits.quick_stop
+    stop = read(QUICK_STOP, 0) if stated is None else max(1, round(stated / per_count * units.acceleration))
     if stop:
         wanted[QUICK_STOP] = stop
     notes = []
+    if stated is not None and (not sdo.may_write(QUICK_STOP) or sdo.read_if_present(QUICK_STOP) is None):
+        notes.append(f"{sdo.who}: it has no quick stop ramp (6085h) to write; limits.{scaling.axis} says one that it must have by itself")
     for index, value in wanted.items():
         if (index, 0) in own or not sdo.may_write(index) or sdo.read_if_present(index) is None:
             continue
