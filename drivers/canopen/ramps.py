@@ -10,7 +10,7 @@ from collections.abc import Collection
 from math import isfinite
 
 from drivers.canopen.sdo import SdoNode
-from drivers.canopen.units import MotionUnits, acceleration_units, check_units, in_data_sheet, units_of
+from drivers.canopen.units import MotionUnits, acceleration_units, check_units, in_data_sheet, units_of, whole_speed
 from drivers.canopen.watch import LED_SPEED_MARGIN
 from drivers.errors import ConfigurationRefusedError
 from drivers.settings import AxisScaling, LoopMode, MotionLimits
@@ -54,25 +54,29 @@ def write_ramps(sdo: SdoNode, scaling: AxisScaling, limits: MotionLimits, writes
         return (f"{unknown}; its quick stop ramp stays as it is",) if sdo.may_write(QUICK_STOP) else ()
     per_count = scaling.position_resolution
     of = {MAX_PROFILE_VELOCITY: units.velocity, PROFILE_VELOCITY: units.velocity, FOLLOWING_ERROR_WINDOW: 1.0}
-    wanted = {
-        index: max(1, round(value / per_count * of.get(index, units.acceleration)))
+    wanted: dict[int, float] = {
+        index: value / per_count * of.get(index, units.acceleration)
         for index, value in speeds_and_ramps(scaling.mode, limits).items()
         if isfinite(value)
     }
     if scaling.mode == "profile_position":
         wanted[FOLLOWING_ERROR_TIME] = 0  # ms: at once, as the loop judges the tracking error
     stated = limits.quick_stop
-    stop = read(QUICK_STOP, 0) if stated is None else max(1, round(stated / per_count * units.acceleration))
-    if stop:
+    if stop := read(QUICK_STOP, 0) if stated is None else stated / per_count * units.acceleration:
         wanted[QUICK_STOP] = stop
-    notes = []
+    notes: list[str] = []
     if stated is not None and (not sdo.may_write(QUICK_STOP) or sdo.read_if_present(QUICK_STOP) is None):
         notes.append(f"{sdo.who}: it has no quick stop ramp (6085h) to write; limits.{scaling.axis} says one that it must have by itself")
-    for index, value in wanted.items():
+    for index, asked in wanted.items():
         if (index, 0) in own or not sdo.may_write(index) or sdo.read_if_present(index) is None:
             continue
         if torque:  # in other modes it was checked before, with the velocities
             check_units(sdo.integer_if_present, units, scaling, sdo.who, velocities=False)
+        if index in (MAX_PROFILE_VELOCITY, PROFILE_VELOCITY):
+            value, coarse = whole_speed(asked, f"{sdo.who}: {index:04X}h")
+            notes += coarse
+        else:
+            value = max(1, round(asked)) if asked else 0
         most = sdo.greatest(index)
         sdo.write_checked(index, 0, value if most is None else min(value, most))
         if most is not None and value > most:

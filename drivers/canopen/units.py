@@ -32,6 +32,9 @@ OLD_VELOCITY_ENCODER_FACTOR = 0x6094
 AGREES = 1e-6
 """Relative difference of factors that are the same: both come from whole numbers."""
 
+COARSE = 0.1
+"""Share of its speed that an axis may lose to whole units without a word."""
+
 TURNS = {0xB4: 1.0, 0x10: 0.5 / math.pi, 0x40: 1.0 / 400.0, 0x41: 1.0 / 360.0, 0x42: 1.0 / 21_600.0, 0x43: 1.0 / 1_296_000.0}
 """Turns in a revolution, radian, gon, degree, minute and second of arc, by their codes (CiA 303-2)."""
 METRES = {0x01: 1.0, 0xC1: 0.0254, 0xC2: 0.3048}
@@ -174,6 +177,28 @@ def check_units(read: Read, used: MotionUnits, scaling: Scaling, who: str, *, ve
                 f"{who}: by its own objects its unit of {what} is 1/{found:.6g} of a count/{per}, by {by} "
                 f"1/{have:.6g}; every {what} would be off by {found / have:.6g}; correct the drive, or drives.{scaling.axis}.{what}_unit"
             )
+
+
+def whole_speed(units: float, what: str) -> tuple[int, tuple[str, ...]]:
+    """Return a limit of speed in whole units of a drive, rounded down, and a note where it loses more than `COARSE`.
+
+    Parameters
+    ----------
+    units : float
+        The speed in the drive's units, above 0.
+    what : str
+        Drive and object, for messages.
+
+    Raises
+    ------
+    ConfigurationRefusedError
+        One unit is more.
+    """
+    whole = math.floor(units * (1.0 + AGREES))
+    if whole < 1:
+        raise ConfigurationRefusedError(f"{what} takes no speed as low as {units:.3g} of its units; set a finer unit of velocity")
+    coarse = whole < (1.0 - COARSE) * units
+    return whole, (f"{what} takes whole units: {whole}, where {units:.3g} are asked for; it moves that much slower",) if coarse else ()
 
 
 def _velocity_by_objects(read: Read, scaling: Scaling, who: str) -> float | None:

@@ -10,7 +10,7 @@ import pytest
 from scripted_nodes import machine_settings
 
 from drivers.canopen.process_data import AxisInput, AxisOutput
-from drivers.canopen.units import check_units, units_of
+from drivers.canopen.units import check_units, units_of, whole_speed
 from drivers.errors import ConfigurationRefusedError
 
 SCALING = dataclasses.replace(machine_settings().scalings[0], counts_per_motor_turn=4096.0)
@@ -130,3 +130,14 @@ def test_an_acceleration_factor_is_of_counts_where_nothing_is_said_of_velocities
 def test_a_unit_that_is_not_known_says_which_object_has_it(objects: dict[tuple[int, int], int], words: str) -> None:
     with pytest.raises(ConfigurationRefusedError, match=words):
         units_of(reading(objects), SCALING, "drive")
+
+
+@pytest.mark.parametrize(("units", "whole", "told"), [(1.0, 1, 0), (1.99, 1, 1), (8.5, 8, 0), (8.95, 8, 1), (5000.0 - 1e-9, 5000, 0)])
+def test_a_speed_is_rounded_down_and_told_where_a_tenth_is_lost(units: float, whole: int, told: int) -> None:
+    value, notes = whole_speed(units, "drive: 6081h")
+    assert (value, len(notes)) == (whole, told)
+
+
+def test_a_speed_below_one_unit_is_refused() -> None:
+    with pytest.raises(ConfigurationRefusedError, match=r"6081h takes no speed as low as 0\.278 of its units"):
+        whole_speed(1.0 / 3.6, "drive: 6081h")

@@ -7,8 +7,9 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
-from bench_machines import CARM, RPM_PER_S, carm_text_in, edited, with_data_sheet
+from bench_machines import CARM, RPM_PER_S, carm_text_in, edited, homing_at_switch_text, with_data_sheet
 
+from drivers.errors import ConfigurationRefusedError
 from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
 from hil.machine import check_machine, machine_from_text
@@ -99,3 +100,26 @@ def test_the_least_quick_stop_is_one_unit_and_none_is_told(tmp_path: Path) -> No
     fixed = with_data_sheet(slow, tmp_path, r"^(\[6085\]\n(?:.*\n){3}AccessType=)rw", r"\g<1>ro")
     with open_bench(machine_from_text(fixed), BenchOptions("lockstep:")) as bench:
         assert any("no quick stop ramp (6085h)" in note for note in bench.wiring.link.notes)
+
+
+HUNDRED_TURNS_PER_S = RPM_PER_S.replace("60AA", "60A9").replace("0x00C00300", "0x02B40300")
+
+
+def test_speeds_in_coarse_units_keep_to_their_limits(tmp_path: Path) -> None:
+    """60 deg/s are 0.83 units behind a gear of 500, what a led drive may reach 1.25."""
+    led, by_itself, homed = (
+        with_data_sheet(text, tmp_path, r"^\[6084\]$", f"{HUNDRED_TURNS_PER_S}\\g<0>")
+        for text in (carm_text_in("profile_velocity"), carm_text_in("profile_position"), homing_at_switch_text())
+    )
+    with open_bench(machine_from_text(led), BenchOptions("lockstep:")) as bench:
+        assert sum("607Fh takes whole units: 1, where 1.25 are asked for" in note for note in bench.wiring.link.notes) == 2
+    with (
+        pytest.raises(ConfigurationRefusedError, match=r"607Fh takes no speed as low as 0\.833"),
+        open_bench(machine_from_text(by_itself), BenchOptions("lockstep:")),
+    ):
+        pass
+    with (
+        open_bench(machine_from_text(homed), BenchOptions("lockstep:")) as bench,
+        pytest.raises(ConfigurationRefusedError, match=r"6099h takes no speed as low as 0\.0694"),
+    ):
+        bench.commission()
