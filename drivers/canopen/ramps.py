@@ -46,12 +46,11 @@ def write_ramps(sdo: SdoNode, scaling: AxisScaling, limits: MotionLimits, writes
     own, torque = {(index, subindex) for index, subindex, _ in writes}, scaling.mode == "torque"
     read = in_data_sheet(sdo.dictionary, writes)
     try:
-        accelerations = acceleration_units(read, scaling, sdo.who)
-        units = MotionUnits(acceleration=accelerations) if torque else units_of(read, scaling, sdo.who)
+        units = MotionUnits(1.0, acceleration_units(read, scaling, sdo.who)) if torque else units_of(read, scaling, sdo.who)
     except ConfigurationRefusedError as unknown:
         if not torque:
             raise
-        return (f"{unknown}; its quick stop ramp stays as it is",) if sdo.may_write(QUICK_STOP) else ()
+        return (f"{unknown}; its quick stop ramp stays as it is",) if sdo.may_write(QUICK_STOP) and (QUICK_STOP, 0) not in own else ()
     per_count = scaling.position_resolution
     of = {MAX_PROFILE_VELOCITY: units.velocity, PROFILE_VELOCITY: units.velocity, FOLLOWING_ERROR_WINDOW: 1.0}
     wanted: dict[int, float] = {
@@ -68,10 +67,12 @@ def write_ramps(sdo: SdoNode, scaling: AxisScaling, limits: MotionLimits, writes
     if stated is not None and (not sdo.may_write(QUICK_STOP) or sdo.read_if_present(QUICK_STOP) is None):
         notes.append(f"{sdo.who}: it has no quick stop ramp (6085h) to write; limits.{scaling.axis} says one that it must have by itself")
     for index, asked in wanted.items():
-        if (index, 0) in own or not sdo.may_write(index) or sdo.read_if_present(index) is None:
+        if not sdo.may_write(index) or sdo.read_if_present(index) is None:
             continue
         if torque:  # in other modes it was checked before, with the velocities
             check_units(sdo.integer_if_present, units, scaling, sdo.who, velocities=False)
+        if (index, 0) in own:
+            continue
         if index in (MAX_PROFILE_VELOCITY, PROFILE_VELOCITY):
             value, coarse = whole_speed(asked, f"{sdo.who}: {index:04X}h")
             notes += coarse

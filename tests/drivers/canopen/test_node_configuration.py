@@ -311,6 +311,8 @@ def test_the_quick_stop_of_a_drive_in_torque_mode_is_in_a_unit_that_it_has() -> 
     assert (0x6085, 0, round(RAMP / MOTOR_TURN * 60.0)) in written
     with pytest.raises(ConfigurationRefusedError, match=r"unit of acceleration.*off by 1000"):
         stopped(MILLI_RPM_PER_S)
+    with pytest.raises(ConfigurationRefusedError, match="unit of acceleration"):
+        stopped(MILLI_RPM_PER_S, writes=((0x6085, 0, 15_000),))
 
 
 def test_a_unit_that_the_machine_file_writes_is_the_drives_before_anything_is_written_in_it() -> None:
