@@ -14,7 +14,7 @@ from drivers.canopen.own_limits import allow_following_error
 from drivers.canopen.ramps import write_ramps
 from drivers.canopen.sdo import SdoNode
 from drivers.canopen.supervision import HEARTBEAT_TOLERANCE
-from drivers.canopen.units import check_units, in_data_sheet, units_of
+from drivers.canopen.units import OBJECTS, check_units, in_data_sheet, units_of
 from drivers.errors import ConfigurationRefusedError
 from drivers.settings import AxisScaling, BusSettings, Node, Pdo
 
@@ -81,8 +81,9 @@ def configure_node(sdo: SdoNode, node: Node, settings: BusSettings, scaling: Axi
         if lacking:
             notes.append(_stopped_otherwise(sdo, node, lacking))
         _clear_commands(sdo, node)
+        _write_own(sdo, node, units=True)
         if scaling is not None and _moves_by_itself(node, settings, scaling):
-            _check_units(sdo, scaling)
+            _check_units(sdo, node, scaling)
         if scaling is not None and scaling.mode == "position":
             limits = next(motion for motion in settings.motions if motion.axis == scaling.axis)
             notes += allow_following_error(sdo, node, limits, scaling.position_resolution)
@@ -90,10 +91,16 @@ def configure_node(sdo: SdoNode, node: Node, settings: BusSettings, scaling: Axi
             notes += _set_interpolation_time(sdo, settings)
     if scaling is not None:
         _configure_scaling(sdo, scaling, own_writes)
-        notes += write_ramps(sdo, scaling, next(each for each in settings.motions if each.axis == scaling.axis), own_writes)
-    for index, subindex, value in node.writes:
-        sdo.write_checked(index, subindex, value)
+        notes += write_ramps(sdo, scaling, next(each for each in settings.motions if each.axis == scaling.axis), node.writes)
+    _write_own(sdo, node, units=False)
     return tuple(notes)
+
+
+def _write_own(sdo: SdoNode, node: Node, *, units: bool) -> None:
+    """Write what the machine file has of its own: a drive's units first, because speeds and ramps are written in them."""
+    for index, subindex, value in node.writes:
+        if units == (node.role == "drive" and index in OBJECTS):
+            sdo.write_checked(index, subindex, value)
 
 
 def _moves_by_itself(node: Node, settings: BusSettings, scaling: AxisScaling) -> bool:
@@ -102,8 +109,8 @@ def _moves_by_itself(node: Node, settings: BusSettings, scaling: AxisScaling) ->
     return scaling.mode != "torque" or finds
 
 
-def _check_units(sdo: SdoNode, scaling: AxisScaling) -> None:
-    check_units(sdo.integer_if_present, units_of(in_data_sheet(sdo.dictionary), scaling, sdo.who), scaling, sdo.who)
+def _check_units(sdo: SdoNode, node: Node, scaling: AxisScaling) -> None:
+    check_units(sdo.integer_if_present, units_of(in_data_sheet(sdo.dictionary, node.writes), scaling, sdo.who), scaling, sdo.who)
 
 
 def configure_pdo(sdo: SdoNode, pdo: Pdo, *, transmit: bool) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 from drivers.canopen import cia402, power_and_brakes
 from drivers.canopen.cia402 import HOMING_AT_PRESENT_POSITION, NO_HOMING, Homing, Mode, State
 from drivers.canopen.power_and_brakes import SETTLED_TICKS, Machine
-from drivers.canopen.units import in_data_sheet, units_of
+from drivers.canopen.units import in_data_sheet, units_of, whole_speed
 from drivers.errors import BusTimeoutError, MotionRefusedError
 from drivers.settings import HomingSettings
 
@@ -250,9 +250,11 @@ def _write_homing(machine: Machine, axis: int, settings: HomingSettings, moves: 
     if not moves:
         return
     per_count = machine.scalings[axis].position_resolution
-    units = units_of(in_data_sheet(sdo.dictionary), machine.scalings[axis], sdo.who)
+    units = units_of(in_data_sheet(sdo.dictionary, machine.drives[axis].writes), machine.scalings[axis], sdo.who)
+    speed, coarse = whole_speed(settings.speed / per_count * units.velocity, f"{sdo.who}: {HOMING_SPEEDS:04X}h")
+    machine.notes += coarse
     for subindex in (1, 2):
-        sdo.write_checked(HOMING_SPEEDS, subindex, max(1, round(settings.speed / per_count * units.velocity)))
+        sdo.write_checked(HOMING_SPEEDS, subindex, speed)
     if sdo.may_write(HOMING_ACCELERATION):
         sdo.write_checked(HOMING_ACCELERATION, 0, max(1, round(settings.acceleration / per_count * units.acceleration)))
 

@@ -1,7 +1,8 @@
 """Limits that a drive has stored for its own position loop: software position limits (607Dh) and the following error window (6065h).
 
 Inside what the machine file allows they would cut or end motions that the loop asks for. They are widened to the machine file's, with a
-note: the loop keeps to that range itself. Where they cannot be written, or are the machine file's own writes, the drive is refused.
+note: the loop keeps to that range itself. Where they cannot be written the drive is refused, and where the machine file's own position
+limits are narrower than its range; its own following error window stays as it is.
 """
 
 from __future__ import annotations

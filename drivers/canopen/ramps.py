@@ -10,7 +10,7 @@ from collections.abc import Collection
 from math import isfinite
 
 from drivers.canopen.sdo import SdoNode
-from drivers.canopen.units import in_data_sheet, units_of
+from drivers.canopen.units import MotionUnits, acceleration_units, check_units, in_data_sheet, units_of, whole_speed
 from drivers.canopen.watch import LED_SPEED_MARGIN
 from drivers.errors import ConfigurationRefusedError
 from drivers.settings import AxisScaling, LoopMode, MotionLimits
@@ -22,7 +22,7 @@ RAMP_MARGIN = 10.0
 feedback adds must reach the motor unramped, as the margins of `machine check` take it."""
 
 
-def write_ramps(sdo: SdoNode, scaling: AxisScaling, limits: MotionLimits, own: Collection[tuple[int, int]]) -> tuple[str, ...]:
+def write_ramps(sdo: SdoNode, scaling: AxisScaling, limits: MotionLimits, writes: Collection[tuple[int, int, int]]) -> tuple[str, ...]:
     """Write how a drive moves and stops by itself.
 
     Parameters
@@ -30,8 +30,8 @@ def write_ramps(sdo: SdoNode, scaling: AxisScaling, limits: MotionLimits, own: C
     sdo : SdoNode
     scaling : AxisScaling
     limits : MotionLimits
-    own : collection of (int, int)
-        Objects that the machine file writes.
+    writes : collection of (int, int, int)
+        Index, subindex and value of what the machine file writes.
 
     Returns
     -------
@@ -41,29 +41,43 @@ def write_ramps(sdo: SdoNode, scaling: AxisScaling, limits: MotionLimits, own: C
     Raises
     ------
     ConfigurationRefusedError
+        A unit that is not known, or, of a ramp in torque mode, another one than the drive says.
     """
+    own, torque = {(index, subindex) for index, subindex, _ in writes}, scaling.mode == "torque"
+    read = in_data_sheet(sdo.dictionary, writes)
     try:
-        units = units_of(in_data_sheet(sdo.dictionary), scaling, sdo.who)
+        units = MotionUnits(1.0, acceleration_units(read, scaling, sdo.who)) if torque else units_of(read, scaling, sdo.who)
     except ConfigurationRefusedError as unknown:
-        if scaling.mode != "torque":
+        if not torque:
             raise
-        return (f"{unknown}; its quick stop ramp stays as it is",) if sdo.may_write(QUICK_STOP) else ()
+        return (f"{unknown}; its quick stop ramp stays as it is",) if sdo.may_write(QUICK_STOP) and (QUICK_STOP, 0) not in own else ()
     per_count = scaling.position_resolution
     of = {MAX_PROFILE_VELOCITY: units.velocity, PROFILE_VELOCITY: units.velocity, FOLLOWING_ERROR_WINDOW: 1.0}
-    wanted = {
-        index: max(1, round(value / per_count * of.get(index, units.acceleration)))
+    wanted: dict[int, float] = {
+        index: value / per_count * of.get(index, units.acceleration)
         for index, value in speeds_and_ramps(scaling.mode, limits).items()
         if isfinite(value)
     }
     if scaling.mode == "profile_position":
         wanted[FOLLOWING_ERROR_TIME] = 0  # ms: at once, as the loop judges the tracking error
-    stop = sdo.default(QUICK_STOP) if limits.quick_stop is None else round(limits.quick_stop / per_count * units.acceleration)
-    if stop:
+    stated = limits.quick_stop
+    if stop := read(QUICK_STOP, 0) if stated is None else stated / per_count * units.acceleration:
         wanted[QUICK_STOP] = stop
-    notes = []
-    for index, value in wanted.items():
-        if (index, 0) in own or not sdo.may_write(index) or sdo.read_if_present(index) is None:
+    notes: list[str] = []
+    if stated is not None and (not sdo.may_write(QUICK_STOP) or sdo.read_if_present(QUICK_STOP) is None):
+        notes.append(f"{sdo.who}: it has no quick stop ramp (6085h) to write; limits.{scaling.axis} says one that it must have by itself")
+    for index, asked in wanted.items():
+        if not sdo.may_write(index) or sdo.read_if_present(index) is None:
             continue
+        if torque:  # in other modes it was checked before, with the velocities
+            check_units(sdo.integer_if_present, units, scaling, sdo.who, velocities=False)
+        if (index, 0) in own:
+            continue
+        if index in (MAX_PROFILE_VELOCITY, PROFILE_VELOCITY):
+            value, coarse = whole_speed(asked, f"{sdo.who}: {index:04X}h")
+            notes += coarse
+        else:
+            value = max(1, round(asked)) if asked else 0
         most = sdo.greatest(index)
         sdo.write_checked(index, 0, value if most is None else min(value, most))
         if most is not None and value > most:

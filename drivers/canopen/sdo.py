@@ -135,11 +135,6 @@ class SdoNode:
         variable = self.dictionary.get_variable(index, subindex)
         return None if variable is None else variable.max
 
-    def default(self, index: int, subindex: int = 0) -> int | None:
-        """Return the default value of an integer object by the data sheet; None where it says none."""
-        variable = self.dictionary.get_variable(index, subindex)
-        return variable.default if variable is not None and isinstance(variable.default, int) else None
-
     def read(self, index: int, subindex: int = 0) -> bytes:
         """Read the raw value of an object.
 

@@ -12,7 +12,7 @@ a velocity is in. A turn is then F counts or, of a drive without F, the machine 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
@@ -31,6 +31,9 @@ OLD_RPM, OLD_INCREMENTS = 0xA4, 0xAC
 OLD_VELOCITY_ENCODER_FACTOR = 0x6094
 AGREES = 1e-6
 """Relative difference of factors that are the same: both come from whole numbers."""
+
+COARSE = 0.1
+"""Share of its speed that an axis may lose to whole units without a word."""
 
 TURNS = {0xB4: 1.0, 0x10: 0.5 / math.pi, 0x40: 1.0 / 400.0, 0x41: 1.0 / 360.0, 0x42: 1.0 / 21_600.0, 0x43: 1.0 / 1_296_000.0}
 """Turns in a revolution, radian, gon, degree, minute and second of arc, by their codes (CiA 303-2)."""
@@ -67,10 +70,13 @@ class MotionUnits:
     acceleration: float = 1.0
 
 
-def in_data_sheet(dictionary: canopen.ObjectDictionary) -> Read:
-    """Return a reading of the values that a data sheet has."""
+def in_data_sheet(dictionary: canopen.ObjectDictionary, writes: Iterable[tuple[int, int, int]]) -> Read:
+    """Return a reading of the values that a drive has by its data sheet and what the machine file writes: (index, subindex, value)."""
+    own = {(index, subindex): value for index, subindex, value in writes}
 
     def read(index: int, subindex: int) -> int | None:
+        if (index, subindex) in own:
+            return own[index, subindex]
         variable = dictionary.get_variable(index, subindex)
         value = None if variable is None else variable.default if getattr(variable, "value", None) is None else variable.value
         return value if isinstance(value, int) else None
@@ -82,7 +88,7 @@ def units_in_data_sheet(node: Node, scaling: AxisScaling) -> MotionUnits:
     """Return the units of a node by the machine file and its data sheet; errors as in `units_of`, and those of the data sheet."""
     from drivers.canopen.eds import load_object_dictionary  # the supervisor starts without what reads data sheets, unless it needs them
 
-    return units_of(in_data_sheet(load_object_dictionary(node.eds, node.node_id)), scaling, node.name)
+    return units_of(in_data_sheet(load_object_dictionary(node.eds, node.node_id), node.writes), scaling, node.name)
 
 
 def velocity_units(scaling: AxisScaling, settings: BusSettings) -> float:
@@ -113,8 +119,19 @@ def units_of(read: Read, scaling: Scaling, who: str) -> MotionUnits:
         A unit that has nothing to do with the counts, or turns of which drive and machine file have different counts.
     """
     velocity = _declared(DECLARED, scaling.velocity_unit, read, scaling, who) or _velocity_by_objects(read, scaling, who) or 1.0
-    acceleration = _declared(DECLARED_ACCELERATION, scaling.acceleration_unit, read, scaling, who)
-    return MotionUnits(velocity, acceleration or _acceleration_by_objects(read, scaling, who) or velocity)
+    return MotionUnits(velocity, acceleration_units(read, scaling, who))
+
+
+def acceleration_units(read: Read, scaling: Scaling, who: str) -> float:
+    """Return how many of a drive's units of acceleration a count per second squared is; its velocities may be in a unit that is not known.
+
+    Raises
+    ------
+    ConfigurationRefusedError
+        As in `units_of`.
+    """
+    declared = _declared(DECLARED_ACCELERATION, scaling.acceleration_unit, read, scaling, who)
+    return declared or _acceleration_by_objects(read, scaling, who) or 1.0
 
 
 def units_or_counts(read: Read, scaling: Scaling) -> MotionUnits:
@@ -125,7 +142,7 @@ def units_or_counts(read: Read, scaling: Scaling) -> MotionUnits:
         return MotionUnits()
 
 
-def check_units(read: Read, used: MotionUnits, scaling: Scaling, who: str) -> None:
+def check_units(read: Read, used: MotionUnits, scaling: Scaling, who: str, *, velocities: bool = True) -> None:
     """Check that a drive has the units that machine file and data sheet say of it.
 
     Parameters
@@ -135,16 +152,19 @@ def check_units(read: Read, used: MotionUnits, scaling: Scaling, who: str) -> No
     used : MotionUnits
     scaling : Scaling
     who : str
+    velocities : bool
+        Whether its velocities are used, too, beside its accelerations.
 
     Raises
     ------
     ConfigurationRefusedError
         It says other ones, or any that nobody knows and the machine file does not declare.
     """
-    for what, by_objects, declared, have in (
-        ("velocity", _velocity_by_objects, scaling.velocity_unit, used.velocity),
-        ("acceleration", _acceleration_by_objects, scaling.acceleration_unit, used.acceleration),
-    ):
+    checks = (
+        ("velocity", "s", _velocity_by_objects, scaling.velocity_unit, used.velocity),
+        ("acceleration", "s^2", _acceleration_by_objects, scaling.acceleration_unit, used.acceleration),
+    )
+    for what, per, by_objects, declared, have in checks if velocities else checks[1:]:
         try:
             found = by_objects(read, scaling, who)
         except ConfigurationRefusedError:
@@ -154,21 +174,43 @@ def check_units(read: Read, used: MotionUnits, scaling: Scaling, who: str) -> No
         if found is not None and not math.isclose(found, have, rel_tol=AGREES):
             by = "machine file" if declared else "data sheet"
             raise ConfigurationRefusedError(
-                f"{who}: by its own objects its unit of {what} is 1/{found:.6g} of a count/s, by {by} "
+                f"{who}: by its own objects its unit of {what} is 1/{found:.6g} of a count/{per}, by {by} "
                 f"1/{have:.6g}; every {what} would be off by {found / have:.6g}; correct the drive, or drives.{scaling.axis}.{what}_unit"
             )
+
+
+def whole_speed(units: float, what: str) -> tuple[int, tuple[str, ...]]:
+    """Return a limit of speed in whole units of a drive, rounded down, and a note where it loses more than `COARSE`.
+
+    Parameters
+    ----------
+    units : float
+        The speed in the drive's units, above 0.
+    what : str
+        Drive and object, for messages.
+
+    Raises
+    ------
+    ConfigurationRefusedError
+        One unit is more.
+    """
+    whole = math.floor(units * (1.0 + AGREES))
+    if whole < 1:
+        raise ConfigurationRefusedError(f"{what} takes no speed as low as {units:.3g} of its units; set a finer unit of velocity")
+    coarse = whole < (1.0 - COARSE) * units
+    return whole, (f"{what} takes whole units: {whole}, where {units:.3g} are asked for; it moves that much slower",) if coarse else ()
 
 
 def _velocity_by_objects(read: Read, scaling: Scaling, who: str) -> float | None:
     """Return the velocity unit that a drive's own objects say; None where they say nothing."""
     if word := read(VELOCITY_UNIT, 0):
-        return _by_word(word, read, scaling, f"{who}: its velocity unit (60A9h)")
+        return _by_word(word, read, scaling, f"{who}: its velocity unit (60A9h)", "velocity_unit")
     dimension = read(OLD_VELOCITY_DIMENSION, 0)
     if dimension == OLD_RPM:
         return _per_turn(read, scaling, who) * 60.0 / 10.0 ** (read(OLD_VELOCITY_NOTATION, 0) or 0)
     factor = _ratio(read, OLD_VELOCITY_ENCODER_FACTOR)
-    for index, value, standard in ((OLD_VELOCITY_DIMENSION, dimension, 0), (OLD_VELOCITY_ENCODER_FACTOR, factor, 1)):
-        if value not in (None, standard, OLD_INCREMENTS):
+    for index, value, known in ((OLD_VELOCITY_DIMENSION, dimension, (0, OLD_INCREMENTS)), (OLD_VELOCITY_ENCODER_FACTOR, factor, (1,))):
+        if value is not None and value not in known:
             raise ConfigurationRefusedError(
                 f"{who}: {index:04X}h is {value:g}, a unit of velocity that is not known here; say drives.{scaling.axis}.velocity_unit"
             )
@@ -176,10 +218,14 @@ def _velocity_by_objects(read: Read, scaling: Scaling, who: str) -> float | None
 
 
 def _acceleration_by_objects(read: Read, scaling: Scaling, who: str) -> float | None:
+    """Return the acceleration unit that a drive's own objects say, of velocities in the unit that they or the machine file say."""
     if word := read(ACCELERATION_UNIT, 0):
-        return _by_word(word, read, scaling, f"{who}: its acceleration unit (60AAh)")
-    factor, velocity = _ratio(read, ACCELERATION_FACTOR), _velocity_by_objects(read, scaling, who)
-    return None if factor is None or velocity is None else factor * velocity
+        return _by_word(word, read, scaling, f"{who}: its acceleration unit (60AAh)", "acceleration_unit")
+    factor = _ratio(read, ACCELERATION_FACTOR)
+    if factor is None and scaling.acceleration_unit:
+        return None
+    velocity = _declared(DECLARED, scaling.velocity_unit, read, scaling, who) or _velocity_by_objects(read, scaling, who)
+    return velocity if factor is None else factor * (velocity or 1.0)
 
 
 def _ratio(read: Read, index: int) -> float | None:
@@ -188,7 +234,7 @@ def _ratio(read: Read, index: int) -> float | None:
     return first / second if first and second else None
 
 
-def _by_word(word: int, read: Read, scaling: Scaling, what: str) -> float:
+def _by_word(word: int, read: Read, scaling: Scaling, what: str, key: str) -> float:
     """Return how many units are a count per second, by a unit of four bytes: power of ten, numerator, denominator, nothing."""
     prefix, numerator, denominator = _power(word), word >> 16 & 0xFF, word >> 8 & 0xFF
     position = read(POSITION_UNIT, 0) or INCREMENTS << 16
@@ -196,15 +242,16 @@ def _by_word(word: int, read: Read, scaling: Scaling, what: str) -> float:
     per = SECONDS.get(denominator, math.nan)
     if numerator == RPM:
         numerator, per = 0xB4, 60.0 * per
-    for sizes in (TURNS, METRES):
-        if numerator in sizes and counts in sizes:
-            return sizes[counts] * count * per / (sizes[numerator] * prefix)
-    if numerator == counts == INCREMENTS and math.isfinite(per):
-        return count * per / prefix
-    if numerator in TURNS and counts == INCREMENTS and math.isfinite(per):
-        return _per_turn(read, scaling, what) * count * per / (TURNS[numerator] * prefix)
+    if math.isfinite(per):
+        for sizes in (TURNS, METRES):
+            if numerator in sizes and counts in sizes:
+                return sizes[counts] * count * per / (sizes[numerator] * prefix)
+        if numerator == counts == INCREMENTS:
+            return count * per / prefix
+        if numerator in TURNS and counts == INCREMENTS:
+            return _per_turn(read, scaling, what) * count * per / (TURNS[numerator] * prefix)
     raise ConfigurationRefusedError(
-        f"{what} is {word:08X}h, which says nothing of the counts; set it to turns, or say drives.{scaling.axis}.velocity_unit"
+        f"{what} is {word:08X}h, which says nothing of the counts; set it to turns, or say drives.{scaling.axis}.{key}"
     )
 
 

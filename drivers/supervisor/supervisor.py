@@ -102,9 +102,7 @@ class _Encoder:
     @property
     def speed(self) -> float:
         """The median over the last steps [rad/s or m/s], 0 before there are so many, and where it is a flicker."""
-        if len(self.steps) <= SPEED_STEPS // 2:
-            return 0.0
-        if abs(median(self.steps)) <= COUNTS * self.resolution:
+        if len(self.steps) <= SPEED_STEPS // 2 or abs(median(self.steps)) <= COUNTS * self.resolution:
             return 0.0
         return median(step / took for step, took in zip(self.steps, self._times, strict=True))
 
@@ -135,6 +133,7 @@ class _Axis:
         way, limits, most = self.motor.way_to(value, bits), self.limits, LEAD_S * self.limits.speed
         if self.scaling.mode == "profile_position":
             most = limits.upper - self.link_at if self.scaling.sign * way > 0.0 else self.link_at - limits.lower
+            most = most if isfinite(most) else limits.upper - limits.lower  # where no link encoder tells
         return way, (most + limits.tracking_error) / self.motor.resolution if new and self.enabled else inf
 
     def status(self, word: int) -> None:

@@ -9,6 +9,8 @@ from hil.machine.schema_budgets import BudgetsTable
 from hil.machine.standstill import Stop
 from virtual_bus.settings import Tree
 
+QUICK_STOP_DECELERATION = 0x6085
+
 
 def build_budgets(table: MachineTable, tree: Tree) -> dict[str, dict[str, Stop]]:
     """Build the stated stops, by axis and class of fault."""
@@ -35,7 +37,19 @@ def brake_delays(table: MachineTable) -> tuple[float, ...]:
 
 
 def quick_stops(table: MachineTable) -> tuple[float | None, ...]:
-    """Return every axis's deceleration by its drive's quick stop [rad/s^2 or m/s^2]; None where [limits] does not say it."""
+    """Return every axis's deceleration by its drive's quick stop [rad/s^2 or m/s^2]; None where [limits] does not say it.
+
+    Raises
+    ------
+    ComplaintError
+        A `write` of the drive's node says it, too: the drive would get that one.
+    """
+    for name, node in table.bus.nodes.items() if table.bus is not None else ():
+        limits = table.limits.get(node.axis)
+        own = node.role == "drive" and any(write.index == QUICK_STOP_DECELERATION for write in node.write)
+        if own and limits is not None and limits.quick_stop is not None:
+            right = f"a write of 6085h in bus.nodes.{name} says it, too, and the drive would get that one; leave either out"
+            raise ComplaintError(("limits", node.axis, limits.key("quick_stop")), right)
     return tuple(limits.quick_stop if (limits := table.limits.get(axis)) is not None else None for axis in table.drives)
 
 

@@ -8,8 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from drivers.canopen.eds import load_object_dictionary
+from drivers.canopen.ramps import QUICK_STOP
 from drivers.canopen.supervision import HEARTBEAT_TOLERANCE
-from drivers.canopen.units import in_data_sheet, units_of
+from drivers.canopen.units import acceleration_units, in_data_sheet
 from drivers.canopen.watch import LED_SPEED_MARGIN
 from drivers.errors import ConfigurationRefusedError, ProtocolError
 from drivers.settings import BusSettings, Node
@@ -19,8 +20,6 @@ from hil.machine.standstill import CLASSES, AxisFacts, Stop
 
 WIDEST = 1.5
 """Multiple of what is computed that a budget may be: what the closed forms leave out is less, and a wider one promises nothing."""
-
-QUICK_STOP_DECELERATION = 0x6085
 
 
 def budgets(machine: Machine, results: Sequence[PoseResult]) -> list[Finding]:
@@ -82,22 +81,21 @@ def axis_facts(machine: Machine, number: int, results: Sequence[PoseResult]) -> 
 def quick_stop(machine: Machine, number: int, node: Node) -> float:
     """Return the deceleration of a drive's quick stop [rad/s^2 or m/s^2]; 0 where nobody says it.
 
-    It is the limit's own where the machine file has it, else object 6085h in the drive's unit: as a node's `write` says it, or the EDS.
+    It is the limit's own where the machine file has it, as far as the drive takes it, else object 6085h in the drive's unit: as a node's
+    `write` says it, or the EDS.
     """
     assert machine.bus is not None
-    stated = machine.quick_stop[number]
-    if stated is not None:
-        return stated
-    scaling = machine.bus.scalings[number]
+    stated, scaling = machine.quick_stop[number], machine.bus.scalings[number]
     try:
-        read = in_data_sheet(load_object_dictionary(node.eds, node.node_id))
-        ramp = read(QUICK_STOP_DECELERATION, 0) or 0.0
-        unit = scaling.position_resolution / units_of(read, scaling, node.name).acceleration
+        dictionary = load_object_dictionary(node.eds, node.node_id)
+        read = in_data_sheet(dictionary, node.writes)
+        in_si = scaling.position_resolution / acceleration_units(read, scaling, node.name)  # of one of the drive's units
     except (OSError, ProtocolError, ConfigurationRefusedError):
-        ramp, unit = 0.0, scaling.position_resolution
-    for index, _, value in node.writes:
-        ramp = value if index == QUICK_STOP_DECELERATION else ramp
-    return ramp * unit
+        return stated or 0.0
+    if stated is None:
+        return (read(QUICK_STOP, 0) or 0) * in_si
+    variable = dictionary.get_variable(QUICK_STOP)
+    return stated if variable is None or variable.max is None else min(stated, variable.max * in_si)
 
 
 def _silent_s(heartbeat_s: float, bus: BusSettings) -> float:

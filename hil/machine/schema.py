@@ -287,7 +287,7 @@ class LimitsTable(Table):
     """Difference of reference and position at which the loop stops the motors."""
     quick_stop: Annotated[Positive | None, Quantity("angular_acceleration", "acceleration")] = None
     """Deceleration of the drive's own quick stop ramp, for `[budgets]`; it is written to object 6085h in the drive's unit, where the drive
-    has it and no `write` of its node names it. Without it, the value of such a `write`, else the default of the EDS, which is written,
+    has it, and refused beside a `write` of it. Without it, the value of such a `write`, else the default of the EDS, which is written,
     too."""
 
 

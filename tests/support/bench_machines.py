@@ -8,6 +8,7 @@ from pathlib import Path
 
 import can
 import numpy as np
+from places import EDS_FILES
 
 from controllers import loop_shaping
 from hil.bench.bench import Bench
@@ -28,6 +29,15 @@ def edited(old: str, new: str, text: str = CARM.text, count: int = 0) -> str:
     result, found = re.subn(old, new, text, count=count, flags=re.MULTILINE)
     assert found, f"the machine file has no {old}"
     return result
+
+
+RPM_PER_S = "[60AA]\nParameterName=Unit of acceleration\nObjectType=0x7\nDataType=0x0007\nAccessType=rw\nDefaultValue=0x00C00300\n\n"
+
+
+def with_data_sheet(text: str, folder: Path, old: str, new: str) -> str:
+    """Return the file with its drives' data sheet edited, beside a copy of it."""
+    (folder / "edited_drive.eds").write_text(edited(old, new, (EDS_FILES / "isocenter_drive.eds").read_text(encoding="utf-8")))
+    return text.replace('"isocenter_drive.eds"', f'"{folder / "edited_drive.eds"}"')
 
 
 def patient_text(overrun_ticks: str = "5000") -> str:

@@ -10,7 +10,7 @@ import pytest
 from scripted_nodes import machine_settings
 
 from drivers.canopen.process_data import AxisInput, AxisOutput
-from drivers.canopen.units import check_units, units_of
+from drivers.canopen.units import check_units, units_of, whole_speed
 from drivers.errors import ConfigurationRefusedError
 
 SCALING = dataclasses.replace(machine_settings().scalings[0], counts_per_motor_turn=4096.0)
@@ -98,3 +98,46 @@ def test_a_drive_that_says_another_unit_than_was_thought_is_refused(declared: st
     with pytest.raises(ConfigurationRefusedError, match=f"unit of velocity.*{by}"):
         check_units(reading({(0x60A9, 0): MILLI_RPM}), used, scaling, "drive")
     check_units(reading({}), used, scaling, "drive")
+
+
+@pytest.mark.parametrize(
+    ("objects", "acceleration"),
+    [
+        ({(0x608C, 0): 0x55}, 60.0),
+        ({(0x6094, 1): 3, (0x6094, 2): 2}, 60.0),
+        ({(0x60A9, 0): 0x00010300}, 60.0),
+        ({(0x6097, 1): 10, (0x6097, 2): 1}, 600.0),  # by the drive's own acceleration factor
+    ],
+)
+def test_a_declared_velocity_is_one_whatever_the_drive_says_of_it(objects: dict[tuple[int, int], int], acceleration: float) -> None:
+    scaling = dataclasses.replace(SCALING, velocity_unit="rpm")
+    units = units_of(reading(objects), scaling, "drive")
+    assert (units.velocity * 4096.0, units.acceleration * 4096.0) == pytest.approx((60.0, acceleration), rel=1e-12)
+
+
+def test_an_acceleration_factor_is_of_counts_where_nothing_is_said_of_velocities() -> None:
+    assert units_of(reading({(0x6097, 1): 10, (0x6097, 2): 1}), SCALING, "drive").acceleration == 10.0
+
+
+@pytest.mark.parametrize(
+    ("objects", "words"),
+    [
+        ({(0x60AA, 0): 0x00010300}, r"60AAh\) is 00010300h.*say drives\.\w+\.acceleration_unit"),
+        ({(0x60A8, 0): 0xFD410000, (0x60A9, 0): 0x00410500}, r"60A9h\) is 00410500h"),  # degrees per what is no time
+        ({(0x6094, 1): 172, (0x6094, 2): 1}, "6094h is 172"),  # the code of increments, which is none of a factor
+    ],
+)
+def test_a_unit_that_is_not_known_says_which_object_has_it(objects: dict[tuple[int, int], int], words: str) -> None:
+    with pytest.raises(ConfigurationRefusedError, match=words):
+        units_of(reading(objects), SCALING, "drive")
+
+
+@pytest.mark.parametrize(("units", "whole", "told"), [(1.0, 1, 0), (1.99, 1, 1), (8.5, 8, 0), (8.95, 8, 1), (5000.0 - 1e-9, 5000, 0)])
+def test_a_speed_is_rounded_down_and_told_where_a_tenth_is_lost(units: float, whole: int, told: int) -> None:
+    value, notes = whole_speed(units, "drive: 6081h")
+    assert (value, len(notes)) == (whole, told)
+
+
+def test_a_speed_below_one_unit_is_refused() -> None:
+    with pytest.raises(ConfigurationRefusedError, match=r"6081h takes no speed as low as 0\.278 of its units"):
+        whole_speed(1.0 / 3.6, "drive: 6081h")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import struct
 from pathlib import Path
 
@@ -281,3 +282,41 @@ def test_a_real_vendors_drive_is_configured_from_its_own_data_sheet(name: str) -
     assert drive.value(0x1800, 1) == 0x4000_0181
     assert drive.value(0x1017) == 100
     assert len(notes) == lacks
+
+
+RPM_PER_S, MILLI_RPM_PER_S = 0x00C00300, 0xFDC00300
+RAMP = 600.0 * math.pi / 180.0  # rad/s^2 of the quick stop
+MOTOR_TURN = 2.0 * math.pi / 150.0  # rad at the joint, of the scripted drives' gear
+
+
+def stopped(stored: int, sheet: int = RPM_PER_S, **changes: object) -> tuple[list[tuple[int, int, int]], tuple[str, ...]]:
+    """What is written to a drive in torque mode that has this unit of acceleration stored, and what is told."""
+    settings = machine_settings()
+    motions = (dataclasses.replace(settings.motions[0], quick_stop=RAMP), *settings.motions[1:])
+    settings, node = dataclasses.replace(settings, motions=motions), dataclasses.replace(settings.nodes[0], **changes)
+    drive = ScriptedDrive(1)
+    drive.objects |= {(0x6085, 0): bytes(4), (0x60A9, 0): struct.pack("<I", 0x00010300), (0x60AA, 0): struct.pack("<I", stored)}
+    bus, sdo = opened(drive, node)
+    for index, unit in ((0x60A9, 0x00010300), (0x60AA, sheet)):  # velocities are in a unit that says nothing of the counts
+        variable = canopen.objectdictionary.ODVariable("unit", index)
+        variable.data_type, variable.default = canopen.objectdictionary.UNSIGNED32, unit
+        sdo.dictionary.add_object(variable)
+    scaling = dataclasses.replace(settings.scalings[0], counts_per_motor_turn=4096.0)
+    notes = configure_node(sdo, node, settings, scaling)
+    return writes(bus), notes
+
+
+def test_the_quick_stop_of_a_drive_in_torque_mode_is_in_a_unit_that_it_has() -> None:
+    written, _ = stopped(RPM_PER_S)
+    assert (0x6085, 0, round(RAMP / MOTOR_TURN * 60.0)) in written
+    with pytest.raises(ConfigurationRefusedError, match=r"unit of acceleration.*off by 1000"):
+        stopped(MILLI_RPM_PER_S)
+    with pytest.raises(ConfigurationRefusedError, match="unit of acceleration"):
+        stopped(MILLI_RPM_PER_S, writes=((0x6085, 0, 15_000),))
+
+
+def test_a_unit_that_the_machine_file_writes_is_the_drives_before_anything_is_written_in_it() -> None:
+    written, _ = stopped(RPM_PER_S, writes=((0x60AA, 0, MILLI_RPM_PER_S),))
+    ramp = (0x6085, 0, round(RAMP / MOTOR_TURN * 60e3))
+    assert written.index((0x60AA, 0, MILLI_RPM_PER_S)) < written.index(ramp)
+    assert [entry[0] for entry in written].count(0x60AA) == 1

@@ -7,11 +7,13 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
-from bench_machines import CARM, carm_text_in, edited
+from bench_machines import CARM, RPM_PER_S, carm_text_in, edited, homing_at_switch_text, with_data_sheet
 
+from drivers.errors import ConfigurationRefusedError
 from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
 from hil.machine import check_machine, machine_from_text
+from hil.machine.check_ramps import ramps
 
 PER_RAD = 4096 * 500 / (2.0 * np.pi)
 SPEED, ACCELERATION, TRACKING = np.radians(60.0) * PER_RAD, np.radians(60.0) * PER_RAD, np.radians(3.0) * PER_RAD
@@ -69,3 +71,55 @@ def test_a_ramp_that_is_slower_than_the_reference_fails_the_check(written: str, 
     text = edited(r"^\[\[bus\.nodes\.roll_drive\.tpdo\]\]$", f"{own}\\g<0>", carm_text_in("profile_velocity"))
     found = {finding.values["axis"]: finding.ok for finding in check_machine(machine_from_text(text), poses=9) if finding.name == "ramp"}
     assert found == {"propeller": True, "roll": ok}
+
+
+@pytest.mark.parametrize(("where", "change"), [("write", ""), ("sheet", "HighLimit={}\n")])
+@pytest.mark.parametrize(("rpm_per_s", "ok"), [(4999, False), (5001, True)])  # 60 deg/s^2 behind a gear of 500
+def test_a_ramp_is_judged_in_the_drives_own_unit(where: str, change: str, rpm_per_s: int, ok: bool, tmp_path: Path) -> None:
+    most = change.format(rpm_per_s)
+    text = with_data_sheet(carm_text_in("profile_velocity"), tmp_path, r"^\[6084\]\n", f"{RPM_PER_S}\\g<0>{most}")
+    if where == "write":
+        own = f"[[bus.nodes.roll_drive.write]]\nindex = 0x6084\nvalue = {rpm_per_s}\n"
+        text = edited(r"^\[\[bus\.nodes\.roll_drive\.tpdo\]\]$", f"{own}\\g<0>", text)
+    (found,) = (each for each in ramps(machine_from_text(text)) if each.values["axis"] == "roll")
+    assert found.ok == ok
+    assert found.values["ramp"] == pytest.approx(np.radians(60.0) * rpm_per_s / 5000)
+
+
+def test_a_ramp_in_a_unit_that_nobody_knows_fails_the_check(tmp_path: Path) -> None:
+    metres = RPM_PER_S.replace("0x00C00300", "0x00010300")
+    found = ramps(machine_from_text(with_data_sheet(carm_text_in("profile_velocity"), tmp_path, r"^\[6084\]$", f"{metres}\\g<0>")))
+    assert [each.ok for each in found] == [False, False]
+    assert "60AAh" in found[1].text
+
+
+def test_the_least_quick_stop_is_one_unit_and_none_is_told(tmp_path: Path) -> None:
+    bare = edited(r"^\[\[bus\.nodes\.\w+_drive\.write\]\]\nindex = 0x6085.*\nvalue = .*\n", "")
+    slow = edited(r"^(\[limits\.roll\])$", r"\g<1>\nquick_stop_deg_s2 = 1e-6", bare)
+    assert written(slow, tmp_path)[0x6085] == 1
+    fixed = with_data_sheet(slow, tmp_path, r"^(\[6085\]\n(?:.*\n){3}AccessType=)rw", r"\g<1>ro")
+    with open_bench(machine_from_text(fixed), BenchOptions("lockstep:")) as bench:
+        assert any("no quick stop ramp (6085h)" in note for note in bench.wiring.link.notes)
+
+
+HUNDRED_TURNS_PER_S = RPM_PER_S.replace("60AA", "60A9").replace("0x00C00300", "0x02B40300")
+
+
+def test_speeds_in_coarse_units_keep_to_their_limits(tmp_path: Path) -> None:
+    """60 deg/s are 0.83 units behind a gear of 500, what a led drive may reach 1.25."""
+    led, by_itself, homed = (
+        with_data_sheet(text, tmp_path, r"^\[6084\]$", f"{HUNDRED_TURNS_PER_S}\\g<0>")
+        for text in (carm_text_in("profile_velocity"), carm_text_in("profile_position"), homing_at_switch_text())
+    )
+    with open_bench(machine_from_text(led), BenchOptions("lockstep:")) as bench:
+        assert sum("607Fh takes whole units: 1, where 1.25 are asked for" in note for note in bench.wiring.link.notes) == 2
+    with (
+        pytest.raises(ConfigurationRefusedError, match=r"607Fh takes no speed as low as 0\.833"),
+        open_bench(machine_from_text(by_itself), BenchOptions("lockstep:")),
+    ):
+        pass
+    with (
+        open_bench(machine_from_text(homed), BenchOptions("lockstep:")) as bench,
+        pytest.raises(ConfigurationRefusedError, match=r"6099h takes no speed as low as 0\.0694"),
+    ):
+        bench.commission()

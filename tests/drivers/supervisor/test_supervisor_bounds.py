@@ -317,6 +317,20 @@ def test_a_set_point_of_a_profile_is_within_the_range_by_the_link(sign: int, way
     assert "a way of" in asked(led("profile_position", sign), 1000 + sign * way * (there + 1))
 
 
+@pytest.mark.parametrize("way", [1, -1])
+def test_a_set_point_of_a_profile_is_as_far_as_the_range_is_wide_where_no_link_encoder_tells(way: int) -> None:
+    node, there = replace(settings().nodes[0], rpdos=(Pdo(1, ASKED, 1, (CONTROL, (0x607A, 0, 32))),)), int((2.0 + TRACKING) / COUNT)
+
+    def line() -> Line:
+        scaling = replace(settings().scalings[0], mode="profile_position", link_resolution=0.0)
+        found = Line(settings(nodes=(node,), scalings=(scaling,)))
+        found.tick(1000)
+        return found
+
+    assert asked(line(), 1000 + way * there) == ""
+    assert "a way of" in asked(line(), 1000 + way * (there + 1))
+
+
 def test_a_target_that_an_enabled_drive_was_not_newly_asked_for_is_none() -> None:
     line = led("position")
     line.sent(1000, int(0.125 / COUNT), OFF)

@@ -5,20 +5,22 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
-from bench_machines import edited
+from bench_machines import RPM_PER_S, edited, with_data_sheet
 from scipy.integrate import solve_ivp
 
 from hil.errors import MachineFileError
 from hil.machine import Machine, check_machine, load_machine, machine_from_text
 from hil.machine.check import examine
-from hil.machine.check_budgets import WIDEST, axis_facts, budgets
+from hil.machine.check_budgets import WIDEST, axis_facts, budgets, quick_stop
 from hil.machine.finding import Finding
 from hil.machine.standstill import CLASSES, AxisFacts
 
 TURNTABLE = load_machine("turntable")
+WITHOUT_OWN = edited(r"^\[\[bus\.nodes\.\w+_drive\.write\]\]\nindex = 0x6085.*\nvalue = .*\n", "", TURNTABLE.text)
 MASS, ARM, BRAKE = 10.0, 0.3, 100.0
 GRAVITY = 9.81
 INERTIA = 7.0 + MASS * ARM**2 + 6.0e-5 * 100.0**2  # table, hanging mass, rotor
@@ -129,8 +131,40 @@ def test_a_machine_without_budgets_is_told_what_its_stops_take() -> None:
     assert all(finding.ok for finding in found)
 
 
+def stated_stop(deg_s2: float, text: str) -> str:
+    """The turntable, whose limits say its drive's quick stop."""
+    return edited(r"^jerk_deg_s3 = 2000.0", f"jerk_deg_s3 = 2000.0\nquick_stop_deg_s2 = {deg_s2}", text)
+
+
+def believed(text: str) -> float:
+    """The quick stop that a check takes the drive for [deg/s^2]."""
+    machine = machine_from_text(text)
+    assert machine.bus is not None
+    return math.degrees(quick_stop(machine, 0, machine.bus.nodes[0]))
+
+
+def test_a_quick_stop_that_is_said_twice_is_refused_in_one_line() -> None:
+    with pytest.raises(MachineFileError, match=r"limits\.turn\.quick_stop_deg_s2.*6085h in bus\.nodes\.turn_drive") as refused:
+        machine_from_text(stated_stop(60.0, TURNTABLE.text))
+    assert "\n" not in str(refused.value)
+
+
+def test_a_quick_stop_is_believed_as_far_as_the_drive_takes_it(tmp_path: Path) -> None:
+    capped = with_data_sheet(WITHOUT_OWN, tmp_path, r"^\[6085\]$", "[6085]\nHighLimit=1000")
+    assert believed(stated_stop(60.0, WITHOUT_OWN)) == pytest.approx(60.0)
+    assert believed(stated_stop(60.0, capped)) == pytest.approx(1000 * 360.0 / (4096 * 100))
+
+
+def test_an_own_write_of_the_quick_stop_is_in_the_drives_unit_and_nothing_where_that_is_not_known(tmp_path: Path) -> None:
+    assert believed(TURNTABLE.text) == pytest.approx(1_000_000 * 360.0 / (4096 * 100))
+    in_rpm = with_data_sheet(edited("^value = 1000000", "value = 100", TURNTABLE.text), tmp_path, r"^\[6085\]$", f"{RPM_PER_S}\\g<0>")
+    assert believed(in_rpm) == pytest.approx(100 * 6.0 / 100)
+    metres = RPM_PER_S.replace("0x00C00300", "0x00010300")
+    assert believed(with_data_sheet(TURNTABLE.text, tmp_path, r"^\[6085\]$", f"{metres}\\g<0>")) == 0.0
+
+
 def test_a_slower_quick_stop_takes_longer_than_a_faster_one() -> None:
-    slow = _budgets(machine_from_text(edited(r"^jerk_deg_s3 = 2000.0", "jerk_deg_s3 = 2000.0\nquick_stop_deg_s2 = 60.0", TURNTABLE.text)))
+    slow = _budgets(machine_from_text(stated_stop(60.0, WITHOUT_OWN)))
     fast = _budgets(TURNTABLE)
     for name in ("asked", "bench_silent"):
         assert slow["turn", name].values["travel"] > fast["turn", name].values["travel"]
