@@ -50,6 +50,7 @@ class ForeignSync:
         self._period_s = settings.sync_period_s
         self._most_ticks = settings.overrun_ticks
         self._due_s = math.nan  # of the next SYNC; unknown until one has come
+        self._echo_due = False  # the echo of a SYNC that the bench has sent is still to come
         self._lost = False  # the producer is silent: the bench sends SYNC
         self._behind: deque[can.Message] = deque()  # frames that came behind the newest SYNC
         self.left_out = 0  # SYNCs that did not come, and were bridged
@@ -108,6 +109,7 @@ class ForeignSync:
                 self._due_s = math.nan
                 silent_s = clock.now() - due_s + self._period_s
                 raise BusTimeoutError(f"{self.who}: no SYNC for {silent_s:.3f} s; timing.overrun_ticks bridges {self._most_ticks} ticks")
+            self._echo_due = self._network.echoes
             send_frame(self._bus, can.Message(arbitration_id=self._can_id, is_extended_id=False, data=b""))
             self._due_s = due_s + self._period_s if due_s > clock.now() - self._period_s else math.nan
             return max(0.0, clock.now() - due_s)
@@ -177,6 +179,9 @@ class ForeignSync:
                 self._behind.append(message)
 
     def _hear(self, identifier: int, data: bytearray, stamp: float) -> None:
+        if self._echo_due:  # the bench's own, handed back by its adapter
+            self._echo_due = False
+            return
         self._heard += 1
         self._last_s = self._clock.now()
         if not self._listened:

@@ -116,6 +116,21 @@ def test_a_producer_that_comes_back_is_followed_at_once_and_accused_of_nothing(p
     assert not bench.machine.network.intruder
 
 
+def test_a_sync_of_the_bench_that_its_adapter_hands_back_is_nobody_elses() -> None:
+    bench = Bench(until=4)
+    wire, network = bench.machine.wire, bench.machine.network
+    network._requests, network._echoes = 1, 1  # an adapter that echoes
+    wire.usual = [can.Message(arbitration_id=SYNC, is_extended_id=False), *ALL]
+    assert [bench.tick() for _ in range(4)] == [1, 2, 3, 4]
+    with pytest.raises(BusTimeoutError, match="no SYNC"):
+        bench.tick()
+    before_s, sent = wire.time_s, len(wire.log)
+    for _ in range(10):
+        assert np.isfinite(bench.machine.tick().position).all()
+    assert [can_id for can_id, _ in wire.log[sent:]].count(SYNC) == 10
+    assert wire.time_s - before_s == pytest.approx(10 * PERIOD_S, abs=PERIOD_S)
+
+
 def test_answers_to_the_next_sync_are_not_taken_for_answers_to_the_last() -> None:
     bench = Bench()
     assert [bench.tick() for _ in range(5)] == [1, 2, 3, 4, 5]
