@@ -3,8 +3,8 @@
     python benchmarks/tick_shares.py --prepared DIR
 
 The bench runs the scan of `wall_clock.py` (shaper, observer, damping; emulator in another process, over UDP). A timer of the
-process's own processor time interrupts it every half millisecond, and each time the innermost function that belongs to a part of the
-bench names the part. Nothing is added to the tick but the interruptions. Waiting for the next tick is a part, since the loop spins
+process's own processor time interrupts it, as often as the kernel's clock allows, and each time the innermost function that belongs to a
+part of the bench names the part. Nothing is added to the tick but the interruptions. Waiting for the next tick is a part, since the loop spins
 before it. The shares without waiting, times the median work of a tick, are microseconds a tick.
 """
 
@@ -27,7 +27,7 @@ from hil.cli import main as isocenter
 from hil.recording import read_recording
 
 RESULTS = Path(__file__).parent / "results" / "tick_shares.json"
-SAMPLE_S = 0.5e-3
+SAMPLE_S = 0.5e-3  # a kernel of 250 Hz makes 4 ms of it
 SECONDS = 120.0
 LOOP = "/hil/bench/loop.py"
 PARTS = {
