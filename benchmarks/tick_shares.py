@@ -30,8 +30,8 @@ RESULTS = Path(__file__).parent / "results" / "tick_shares.json"
 SAMPLE_S = 0.5e-3  # a kernel of 250 Hz makes 4 ms of it
 SECONDS = 120.0
 LOOP = "/hil/bench/loop.py"
+WAITING = "/hil/bench/clock.py"
 PARTS = {
-    "waiting": ("/hil/bench/clock.py",),
     "observer and damping": ("/hil/observing/", "/controllers/observers/", "/controllers/damping.py"),
     "judges of sensors": ("/drivers/judging/", "/hil/bench/judging.py", "/drivers/canopen/watch.py"),
     "IMU": ("/drivers/serial/",),
@@ -54,6 +54,8 @@ class Sampler:
         part = ""
         while frame is not None:
             name = frame.f_code.co_filename
+            if WAITING in name:  # the observer rehearses meanwhile
+                part = "waiting"
             if not part:
                 part = next((part for part, places in PARTS.items() if any(place in name for place in places)), "")
             if name.endswith(LOOP) and frame.f_code.co_name == "run":
