@@ -225,6 +225,7 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("ok", "true or false", "Whether the new file passes every check."),
         Entry("before, findings", "list", "Findings of the old file and of the new one, as of `machine check`."),
     ),
+    "machine schema": (Entry("schema", "text or null", "The file that was written; null where it was printed."),),
     **dict.fromkeys(("run multisine", "run scan", "run jog", "run static", "run file"), _RUN),
     "calibrate phantom": (
         Entry("exposures, used", "number", "Images, and those that were used."),

@@ -1,4 +1,4 @@
-"""isocenter machine list | show | check | export | convert."""
+"""isocenter machine list | show | check | export | convert | schema; `machine new` is in `machine_new`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from hil.machine import Finding
 
 app = typer.Typer(
-    help="Machine files: list the shipped ones, show, check, export, convert.\n\nExample:  isocenter machine check carm",
+    help="Machine files: list the shipped ones, show, check, export, convert, write new ones.\n\nExample:  isocenter machine check carm",
     no_args_is_help=True,
 )
 
@@ -134,6 +134,31 @@ def convert(
     )
     if failed:
         raise typer.Exit(1)
+
+
+@app.command(
+    help="The JSON schema of machine files, by which editors complete and check them. It stands beside the file, whose first line names it."
+    "\n\nExample:  isocenter machine schema -o isocenter-machine.schema.json"
+)
+def schema(
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", metavar="FILE", help="Where to write it; standard output unless given.")
+    ] = None,
+    json_to: JsonOption = None,
+) -> None:
+    """Print or write the schema."""
+    from hil.machine.editors import SCHEMA, SCHEMA_LINE
+
+    answer = Answer(json_to)
+    text = SCHEMA.read_text(encoding="utf-8")
+    if out is None:
+        answer.say(text.rstrip("\n"))
+    else:
+        can_be_written(out, suffixes=(".json",))
+        out.write_text(text, encoding="utf-8")
+        line = SCHEMA_LINE.replace(SCHEMA.name, out.name)
+        answer.say(f"{out}: JSON schema of machine files; a file beside it names it in its first line: {line}")
+    answer.write({"schema": out})
 
 
 SHOWN = {

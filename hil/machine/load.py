@@ -16,6 +16,7 @@ from hil.machine.build_budgets import brake_delays, build_budgets, quick_stops
 from hil.machine.build_bus import build_bus
 from hil.machine.build_control import build_commands, build_controllers, build_drive_loops
 from hil.machine.build_judging import build_judging
+from hil.machine.editors import without_schema_line
 from hil.machine.messages import ComplaintError, from_validation, one_line
 from hil.machine.model import Machine
 from hil.machine.schema import MachineTable
@@ -74,7 +75,7 @@ def machine_from_text(text: str, path: Path | None = None, label: str = "") -> M
             name=table.name,
             description=table.description,
             text=text,
-            hash=hashlib.sha256(text.encode("utf-8")).hexdigest(),
+            hash=hashlib.sha256(without_schema_line(text).encode("utf-8")).hexdigest(),
             path=path,
             axes=tuple(table.drives),
             sample_rate_Hz=table.timing.sample_rate,
