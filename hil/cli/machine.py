@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hil.cli import machine_new
 from hil.cli.options import MachineArgument, can_be_written, load, not_an_input
 from hil.terminal.output import Answer, JsonOption
 
@@ -17,6 +18,9 @@ app = typer.Typer(
     help="Machine files: list the shipped ones, show, check, export, convert, write new ones.\n\nExample:  isocenter machine check carm",
     no_args_is_help=True,
 )
+
+
+machine_new.register(app)
 
 
 @app.command("list", help="The machines that are shipped.\n\nExample:  isocenter machine list")
@@ -59,15 +63,25 @@ def show(
     "Status 1 when a check fails.\n\nExample:  isocenter machine check carm"
 )
 def check(machine_name: MachineArgument, json_to: JsonOption = None) -> None:
-    """Print every finding on one line."""
-    from hil.machine import check_machine
+    """Print every finding on one line; of a file with open points these alone."""
+    from hil.machine import Finding, check_machine
+    from hil.machine.load import text_of
+    from hil.machine.open_points import marks
 
-    machine = load(machine_name)
     answer = Answer(json_to)
-    findings = check_machine(machine)
+    missing, assumed = marks(text_of(machine_name))
+    if missing:
+        name, findings = (
+            machine_name,
+            [Finding("open", False, f"line {mark.line}: {mark.key} is to be filled in: {mark.says}") for mark in missing],
+        )
+    else:
+        machine = load(machine_name)
+        name, findings = machine.name, check_machine(machine)
+    findings += [Finding("assumed", True, f"line {mark.line}: {mark.key} = {mark.value} is assumed: {mark.says}") for mark in assumed]
     for finding in findings:
-        answer.say(f"{'ok  ' if finding.ok else 'FAIL'} {finding.text}")
-    answer.write({"machine": machine.name, "ok": all(f.ok for f in findings), "findings": [vars(f) for f in findings]})
+        answer.say(f"{'note' if finding.name == 'assumed' else 'ok  ' if finding.ok else 'FAIL'} {finding.text}")
+    answer.write({"machine": name, "ok": all(f.ok for f in findings), "findings": [vars(f) for f in findings]})
     if not all(finding.ok for finding in findings):
         raise typer.Exit(1)
 

@@ -19,6 +19,7 @@ from hil.machine.build_judging import build_judging
 from hil.machine.editors import without_schema_line
 from hil.machine.messages import ComplaintError, from_validation, one_line
 from hil.machine.model import Machine
+from hil.machine.open_points import marks
 from hil.machine.schema import MachineTable
 
 SHIPPED = Path(__file__).resolve().parent / "shipped"
@@ -37,12 +38,26 @@ def load_machine(name_or_path: str | Path) -> Machine:
     MachineFileError
         One line: file, key, value, what is wrong and what would be right.
     """
-    path = SHIPPED / f"{name_or_path}.toml"
-    if not (isinstance(name_or_path, str) and name_or_path.isidentifier() and path.is_file()):
-        path = Path(name_or_path)
+    path = _path(name_or_path)
+    return machine_from_text(text_of(path), path)
+
+
+def text_of(name_or_path: str | Path) -> str:
+    """Return the text of a machine file, unread.
+
+    Raises
+    ------
+    MachineFileError
+        It cannot be read.
+    """
     shipped = ", ".join(sorted(entry.stem for entry in SHIPPED.glob("*.toml")))
-    text = read_text(path, f"give a machine file's path or a shipped name: {shipped}")
-    return machine_from_text(text, path)
+    return read_text(_path(name_or_path), f"give a machine file's path or a shipped name: {shipped}")
+
+
+def _path(name_or_path: str | Path) -> Path:
+    path = SHIPPED / f"{name_or_path}.toml"
+    is_shipped = isinstance(name_or_path, str) and name_or_path.isidentifier() and path.is_file()
+    return path if is_shipped else Path(name_or_path)
 
 
 def machine_from_text(text: str, path: Path | None = None, label: str = "") -> Machine:
@@ -97,9 +112,19 @@ def machine_from_text(text: str, path: Path | None = None, label: str = "") -> M
             judging=build_judging(table, plant, bus),
         )
     except ValidationError as error:
-        raise MachineFileError(one_line(file, raw, from_validation(error))) from None
+        raise MachineFileError(_open_points(text, file) or one_line(file, raw, from_validation(error))) from None
     except ComplaintError as complaint:
-        raise MachineFileError(one_line(file, raw, complaint)) from None
+        raise MachineFileError(_open_points(text, file) or one_line(file, raw, complaint)) from None
+
+
+def _open_points(text: str, file: str) -> str:
+    """Return what is wrong with a file that is not filled in yet."""
+    missing, _ = marks(text)
+    if not missing:
+        return ""
+    first = missing[0]
+    words = f"{first.key} is to be filled in (one of {len(missing)} open points; `isocenter machine check` lists them)"
+    return f"{file}: line {first.line}: {words}"
 
 
 def read_text(path: Path, right: str) -> str:

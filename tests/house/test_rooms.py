@@ -16,7 +16,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "pages": ("version",),
     "processes": (),
     "files": (),
-    "machine": ("files",),
+    "machine": ("extras", "files"),
     "recording": ("extras", "files", "machine", "version"),
     "simulation": ("machine", "recording"),
     "experiments": ("files", "machine", "simulation"),
