@@ -150,6 +150,7 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("names", "object", "Signal of another tool's file to channel."),
         Entry("not_taken", "list", "What is in the file and not in the recording, a text each."),
         Entry("notes", "list", "How the rest was taken where that was not plain: resampled, summed, in another unit."),
+        Entry("target, lines, outputs, inputs", "text, number, list, list", "Of a frequency response these four alone."),
     ),
     "identify": _IDENTIFY,
     "shape": (

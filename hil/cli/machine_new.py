@@ -16,6 +16,7 @@ from hil.terminal.output import Answer, JsonOption
 if TYPE_CHECKING:
     from hil.machine.model import Machine
     from hil.machine.new.draft import Answers, Draft, Question
+    from hil.machine.new.questions import KnownDrive
 
 
 def register(machine: typer.Typer) -> None:
@@ -122,7 +123,7 @@ def _draft(replies: Answers, source: Path | None, name: str, eds: list[Path], fo
         name_of(name)
     except ValueError as error:
         raise UnusableInputError(f"--name {name}: {error}") from None
-    known = {}
+    known: dict[str, KnownDrive] = {}
     if source is None:
         draft = draft_of(replies, name)
     else:

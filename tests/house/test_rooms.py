@@ -20,7 +20,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "recording": ("extras", "files", "machine", "version"),
     "simulation": ("machine", "recording"),
     "experiments": ("files", "machine", "simulation"),
-    "identification": ("files", "recording"),
+    "identification": ("extras", "files", "recording"),
     "imaging": ("extras", "files", "machine"),
     "calibration": ("experiments", "files", "imaging", "machine", "processes", "recording"),
     "reconstruction": ("extras", "imaging"),

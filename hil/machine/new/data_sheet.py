@@ -58,7 +58,8 @@ def _role(path: Path) -> str:
         dictionary = load_object_dictionary(path, 1)
     except ProtocolError as error:
         raise UnusableInputError(f"--eds {error}") from None
-    profile = int(dictionary[0x1000].default or 0) & 0xFFFF if 0x1000 in dictionary else 0
+    kind = dictionary.get_variable(0x1000)
+    profile = int(kind.default or 0) & 0xFFFF if kind is not None else 0
     if profile not in ROLES:
         raise UnusableInputError(f"{path}: its device type (1000h) is of profile {profile}; a drive (402) or an encoder (406) is right")
     return ROLES[profile]
@@ -69,7 +70,7 @@ def _values(path: Path, number: int, folder: Path) -> dict[str, Value]:
     written = path.name if path.parent == EDS_FOLDER else Path(os.path.relpath(path, folder)).as_posix()
     values = {"node_id": Value(number, "in the order of the axes"), "eds": Value(written)}
     for key, subindex in (("vendor_id", 1), ("product_code", 2), ("revision_number", 3)):
-        known = dictionary[0x1018].get(subindex) if 0x1018 in dictionary else None
+        known = dictionary.get_variable(0x1018, subindex)
         if known is not None and known.default is not None:
             values[key] = Value(int(known.default), "of the data sheet", is_known=True)
     effort = "current_actual_value" if 0x6078 in dictionary else "torque_actual_value"

@@ -139,7 +139,8 @@ def _bodies(model: Model, names: _Names, path: Path) -> list[DraftBody]:
         if not joints:
             found.append(DraftBody(name, above, place | _masses(model, index, mass, inertia, origin[index]), None))
     for body in found:
-        body.values = {key: value for key, value in body.values.items() if key != "orientation_rad" or any(value.value)}  # type: ignore[call-overload]
+        if body.values.get("orientation_rad") == Value([0.0, 0.0, 0.0]):
+            del body.values["orientation_rad"]
     return found
 
 
@@ -173,7 +174,9 @@ def _joint(model: Model, names: _Names, joint: int, path: Path) -> dict[str, Val
 
 def _axes(mujoco: Model, model: Model, names: _Names, path: Path, is_urdf: bool) -> tuple[list[DraftAxis], DriveOf, list[str]]:
     """Return an axis for each actuator at a joint; for each joint where there is none."""
-    axes, drives, left = [], {}, []
+    axes: list[DraftAxis] = []
+    drives: DriveOf = {}
+    left: list[str] = []
     joint_names = _joint_names(model)
     driven: set[int] = set()
     for actuator in range(model.nu):

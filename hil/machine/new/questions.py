@@ -139,10 +139,16 @@ def _ask_limits(ask: _Ask, axis: DraftAxis, known: KnownDrive | None) -> None:
         f"range_{unit}": ask(f"range_{unit}", f"lowest and highest position, two numbers [{unit}]", numbers(2), span),
         f"speed_{unit}_s": speed,
         f"acceleration_{unit}_s2": ask(
-            f"acceleration_{unit}_s2", f"highest acceleration [{unit}/s^2]", POSITIVE, fast and Value(fast, "full speed after 1 s")
+            f"acceleration_{unit}_s2",
+            f"highest acceleration [{unit}/s^2]",
+            POSITIVE,
+            None if fast is None else Value(fast, "full speed after 1 s"),
         ),
         f"jerk_{unit}_s3": ask(
-            f"jerk_{unit}_s3", f"highest jerk [{unit}/s^3]", POSITIVE, fast and Value(5.0 * fast, "full acceleration after 0.2 s")
+            f"jerk_{unit}_s3",
+            f"highest jerk [{unit}/s^3]",
+            POSITIVE,
+            None if fast is None else Value(5.0 * fast, "full acceleration after 0.2 s"),
         ),
         f"tracking_error_{unit}": ask(
             f"tracking_error_{unit}", f"difference of reference and position that stops it [{unit}]", POSITIVE, TRACKING_ERROR
