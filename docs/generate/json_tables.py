@@ -150,6 +150,7 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("names", "object", "Signal of another tool's file to channel."),
         Entry("not_taken", "list", "What is in the file and not in the recording, a text each."),
         Entry("notes", "list", "How the rest was taken where that was not plain: resampled, summed, in another unit."),
+        Entry("target, lines, outputs, inputs", "text, number, list, list", "Of a frequency response these four alone."),
     ),
     "identify": _IDENTIFY,
     "shape": (
@@ -225,6 +226,14 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("ok", "true or false", "Whether the new file passes every check."),
         Entry("before, findings", "list", "Findings of the old file and of the new one, as of `machine check`."),
     ),
+    "machine new": (
+        Entry("machine_file", "text", "The file that was written."),
+        Entry("axes", "list", "Names of the axes."),
+        Entry("assumed, open", "list", "Marks in the file: `line`, `key`, `says` and, of what is assumed, `value`."),
+        Entry("left", "list", "What was not taken over."),
+        Entry("controllers", "object", "Second-order sections that were designed, by axis."),
+    ),
+    "machine schema": (Entry("schema", "text or null", "The file that was written; null where it was printed."),),
     **dict.fromkeys(("run multisine", "run scan", "run jog", "run static", "run file"), _RUN),
     "calibrate phantom": (
         Entry("exposures, used", "number", "Images, and those that were used."),

@@ -46,7 +46,7 @@ class Machine:
     name: str
     description: str
     text: str  # the file, as it is kept in recordings
-    hash: str  # sha256 of the text
+    hash: str  # sha256 of the text, less a first line `#:schema`
     path: Path | None  # None when it came out of a recording
     axes: tuple[str, ...]
     sample_rate_Hz: float
