@@ -61,5 +61,5 @@ def _document(story: Story, images: dict[str, str]) -> str:
 
 
 def _row(nominal: ChannelComparison, friction: ChannelComparison) -> str:
-    cells = (nominal.name, *(text for c in (nominal, friction) for text in (f"{c.rms:.3g} {c.unit}", f"{c.nrmse:.2%}")))
+    cells = (nominal.name, *(text for c in (nominal, friction) for text in (f"{c.rms:.3g} {c.unit}", c.nrmse_text)))
     return "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in cells) + "</tr>"
