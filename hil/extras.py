@@ -16,6 +16,7 @@ EXTRAS = {
     "pyarrow": ("logs", "pyarrow"),
     "mcap": ("logs", "mcap"),
     "mcap_ros2": ("logs", "mcap-ros2-support"),
+    "pandas": ("frames", "pandas"),
 }
 """The extra that brings each package, and the distribution that contains it."""
 

@@ -5,7 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from docs.generate import command_line, effects, fault_table, faults, file_formats, json_answers, machine_file, results, thesis_map
+from docs.generate import (
+    command_line,
+    effects,
+    examples,
+    fault_table,
+    faults,
+    file_formats,
+    json_answers,
+    machine_file,
+    results,
+    thesis_map,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 GENERATED = ROOT / "docs" / "generated"
@@ -13,6 +24,7 @@ GENERATED = ROOT / "docs" / "generated"
 GENERATORS = {
     "command-line.md": command_line.page,
     "effects.md": effects.page,
+    "examples.md": examples.page,
     "fault-table.md": fault_table.page,
     "faults.md": faults.page,
     "file-formats.md": file_formats.page,
