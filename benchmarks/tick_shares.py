@@ -3,9 +3,9 @@
     python benchmarks/tick_shares.py --prepared DIR
 
 The bench runs the scan of `wall_clock.py` (shaper, observer, damping; emulator in another process, over UDP). A timer of the
-process's own processor time interrupts it, as often as the kernel's clock allows, and each time the innermost function that belongs to a
-part of the bench names the part. Nothing is added to the tick but the interruptions. Waiting for the next tick is a part, since the loop spins
-before it. The shares without waiting, times the median work of a tick, are microseconds a tick.
+process's own processor time interrupts it, as often as the kernel allows, and each time the innermost function that belongs to a part
+of the bench names the part. Nothing is added to the tick but the interruptions. Waiting for the next tick is a part, since the loop
+spins before it. The shares without waiting, times the median work of a tick, are microseconds a tick.
 """
 
 from __future__ import annotations

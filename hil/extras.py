@@ -19,6 +19,7 @@ EXTRAS = {
     "mujoco": ("models", "mujoco"),
     "foxglove": ("foxglove", "foxglove-sdk"),
     "pyuff": ("logs", "pyuff"),
+    "pandas": ("frames", "pandas"),
 }
 """The extra that brings each package, and the distribution that contains it."""
 

@@ -117,6 +117,12 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("bus", "text", "The bus."),
         Entry("nodes", "list", "`node_id`, `device_type`, `description`, `identity`, `nmt_state`, `name`."),
     ),
+    "commission": (
+        Entry("machine, hash", "text", "Name and hash of the machine file."),
+        Entry("ok, agrees", "true or false", "Every step passed; and the simulation differs from the machine by no more than noise."),
+        Entry("agreement", "object", "Per channel, simulation minus recording of the motion that is not repeated, in units of noise."),
+        Entry("steps", "list", "`name`, `ok`, `said` (a line each) and `files` of every step."),
+    ),
     "conform": (
         Entry("eds, bus, writes", "text, text, true or false", "What was asked."),
         Entry("node", "number", "The node id."),

@@ -11,6 +11,7 @@ from hil.cli import (
     calibrate_data,
     calibrate_model,
     calibrate_spot,
+    commission,
     conformance,
     diagnose,
     doctor,
@@ -37,6 +38,7 @@ def commands(app: typer.Typer) -> None:
     physics.register(app)
     doctor.register(app)
     bus.register(app)
+    commission.register(app)
     conformance.register(app)
     app.add_typer(run.app, name="run")
     answers.register(app)
