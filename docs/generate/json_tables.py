@@ -135,6 +135,11 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("simulation, rows", "text, number", "The file that was written, and its rows."),
         Entry("effects", "list", "Physics that was added: `name`, `at`, `parameters`."),
     ),
+    "plot": (
+        Entry("page, png", "text, text or null", "Files that were written."),
+        Entry("channels", "list", "What is in the page."),
+        Entry("verdict", "text", "The sentence on top of it."),
+    ),
     "compare": (
         Entry(
             "channels.NAME",
