@@ -12,8 +12,8 @@ import numpy as np
 COLOURS = ("#000000", "#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 """Black and Okabe and Ito's palette: told apart by colour-blind readers."""
 
-DASHES: tuple[tuple[int, ...], ...] = ((), (9, 4), (2, 3), (9, 3, 2, 3), (14, 4), (5, 2), (9, 3, 2, 3, 2, 3))
-"""On and off [px], beside the colours: told apart in grey."""
+DASHES: tuple[tuple[int, ...], ...] = ((), (9, 4), (2, 3), (9, 3, 2, 3), (14, 4), (5, 2))
+"""On and off [px], beside the colours: told apart in grey. One fewer than colours, so that look 7 is black and dashed."""
 
 MARKERS = ("circle", "cross", "square", "triangle", "plus", "diamond", "ring")
 """Shapes of points, beside the colours."""

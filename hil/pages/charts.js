@@ -145,7 +145,7 @@
     const ctx = u.ctx, box = u.bbox, scale = devicePixelRatio, inside = (x) => x >= box.left - 1 && x <= box.left + box.width + 1;
     ctx.save();
     ctx.beginPath();
-    ctx.rect(box.left, box.top, box.width, box.height);
+    ctx.rect(box.left - 4 * scale, box.top - 4 * scale, box.width + 8 * scale, box.height + 8 * scale); // points on the edge are whole
     ctx.clip();
     spec.series.forEach((one, place) => {
       if (!one.marker || !u.series[place + 1].show) return;

@@ -50,7 +50,7 @@ def pose_words(pose: Mapping[str, tuple[float, str]]) -> str:
     parts = []
     for axis, (value, unit) in pose.items():
         factor, sign = scales.get(unit, (1.0, f" {unit}"))
-        parts.append(f"{axis} {round(value * factor, 3) + 0.0:g}{sign}")
+        parts.append(f"{axis} {round(value * factor, 3) + 0.0:.4g}{sign}")
     return ", ".join(parts)
 
 
