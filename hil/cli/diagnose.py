@@ -89,7 +89,7 @@ def diagnose(
         _stopped(stop_after, answer, machine, train, audited)
         return
     if wrong:
-        _finish(answer, wrong_recordings(machine, audited, {**train, **held}, time.monotonic() - begun), machine, out)
+        _finish(answer, wrong_recordings(machine, audited, {**train, **held}, time.monotonic() - begun), machine, out, {**train, **held})
         return
     is_along = is_along_the_motion(machine, train, audited)
     with progress(Answer("-").console) as bars:
@@ -110,14 +110,15 @@ def diagnose(
             report("looking along the motion", 0.98)
             diagnosis = with_second_opinion(machine, train, outcome.diagnosis)
             outcome = replace(outcome, diagnosis=replace(diagnosis, audit=audited.document()))
-    _finish(answer, outcome, machine, out)
+    _finish(answer, outcome, machine, out, {**train, **held})
 
 
-def _finish(answer: Answer, outcome: Outcome | Answered, machine: Machine, out: Path) -> None:
+def _finish(answer: Answer, outcome: Outcome | Answered, machine: Machine, out: Path, recordings: Mapping[str, Recording]) -> None:
     """Write and say the answer; leave with status 1 where the recordings do not give one."""
     from hil.diagnosis.files import write_diagnosis
+    from hil.reports.made_from import was_emulated
 
-    write_diagnosis(outcome, machine, out)
+    write_diagnosis(outcome, machine, out, was_emulated(recordings.values()))
     _say(answer, outcome, out)
     answer.write(plain(outcome.diagnosis.document()))
     if outcome.diagnosis.verdict in ("misconfigured", "inconclusive"):

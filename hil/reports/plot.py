@@ -87,7 +87,8 @@ def charts_of(plotted: Sequence[Plotted], channels: Sequence[str]) -> list[tuple
     stacks = []
     for name in channels:
         unit = f" [{_unit(plotted, name)}]" if _unit(plotted, name) else ""
-        series, left = [], []
+        series: list[Series] = []
+        left: list[Series] = []
         for one, time in zip(plotted, times, strict=True):
             of = f", {one.path.stem}" if several else ""
             if name in one.recording:
@@ -110,8 +111,9 @@ def _unit(plotted: Sequence[Plotted], name: str) -> str:
 def _values(plotted: Sequence[Plotted], name: str) -> np.ndarray:
     """Return all values of a channel, recorded and simulated."""
     parts = [each[name] for one in plotted for each in (one.recording, one.simulation) if each is not None and name in each]
-    values = np.concatenate(parts)
-    return values[np.isfinite(values)]
+    values: np.ndarray = np.concatenate(parts)
+    finite: np.ndarray = values[np.isfinite(values)]
+    return finite
 
 
 def _constant(plotted: Sequence[Plotted], name: str) -> float | None:
