@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hil.cli.options import EffectsOption, can_be_written, load, not_an_input
+from hil.cli.paged import check_page
 from hil.errors import UnusableInputError
 from hil.terminal.output import Answer, JsonOption, save_figure
 
@@ -49,7 +50,7 @@ def plot(
     if effects is not None and not (simulated and machine_name):
         raise UnusableInputError("--effects: is physics of a simulation; give --simulate and --machine as well")
     answer = Answer(json_to)
-    can_be_written(out, suffixes=(".html", ".htm"))
+    check_page(out)
     can_be_written(png, suffixes=(".png", ".svg", ".pdf"))
     for written in filter(None, (out, png)):
         not_an_input(written, *recordings)

@@ -20,6 +20,7 @@ from hil.cli.options import (
     parse_pose,
     parse_whole_numbers,
 )
+from hil.cli.paged import PageOption, check_page, write_paged
 from hil.terminal.output import Answer, JsonOption, save_figure
 
 if TYPE_CHECKING:
@@ -58,6 +59,7 @@ def shape(
     table: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Verdicts as CSV.")] = None,
     figure: Annotated[Path | None, typer.Option("--figure", metavar="PNG", help="Taps, frequency responses and map of delays.")] = None,
     effects: EffectsOption = None,
+    page: PageOption = None,
     json_to: JsonOption = None,
 ) -> None:
     """Print one line per design, the recommended one first."""
@@ -70,6 +72,7 @@ def shape(
         raise UnusableInputError(f"--axis {axis}: {machine.name} has {', '.join(machine.axes)}")
     answer = Answer(json_to)
     can_be_written(out, figure, table)
+    check_page(page)
     if frf is not None:
         not_an_input(out, frf)
     aim = _aim(period, harmonics, longest)
@@ -100,6 +103,11 @@ def shape(
 
         save_figure(design_figure(designs, subjects, aim, machine.sample_rate_Hz, f"{axis} of {machine.name}"), figure)
         answer.say(f"{figure}: figure")
+    if page is not None:
+        from hil.reports.shaped import shaped_page
+
+        facts = {"Aim": aim.kind, "From": source}
+        write_paged(answer, shaped_page(machine, axis, candidates, chosen, subjects, out, facts), page)
     document = {"shaper": out, "chosen": chosen.name, "recommended": designs[0].name, **notes}
     answer.write(document | {"designs": verdicts, "refused": candidates.refused})
 

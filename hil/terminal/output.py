@@ -35,10 +35,12 @@ class Answer:
         if json_to is not None and json_to != "-":
             refuse_unwritable(Path(json_to), f"--json {json_to}")
         self._json_to = json_to
+        self.said: list[str] = []
         self.console = Console(stderr=json_to == "-", highlight=False, soft_wrap=True)
 
     def say(self, text: object = "") -> None:
-        """Print for a person."""
+        """Print for a person, and keep it for a page."""
+        self.said.append(str(text))
         self.console.print(text, markup=False)
 
     def write(self, document: object) -> None:

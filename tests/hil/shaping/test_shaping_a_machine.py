@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import scipy.signal
 from bench_machines import CARM, carm_text_in
+from page_text import page_text, page_verdict
 
 from controllers.errors import DesignError
 from controllers.sections import response
@@ -319,12 +320,14 @@ def test_the_command_judges_writes_and_answers(tmp_path: Path, capsys: pytest.Ca
     out, table = tmp_path / "roll.npz", tmp_path / "roll.csv"
     arguments = ["shape", "carm", "--axis", "roll", "-o", str(out), "--csv", str(table), "--json", "-", "--figure", str(tmp_path / "a.png")]
     with pytest.raises(SystemExit) as left:
-        main(arguments)
+        main([*arguments, "--page", str(tmp_path / "a.html")])
     assert left.value.code == 0
     answer = json.loads(capsys.readouterr().out)
     assert answer["chosen"] == answer["recommended"] == answer["designs"][0]["name"]
     assert read_shaper(out).shapers[0].name == answer["chosen"]
     assert table.read_text().startswith("name,vibration,")
+    assert page_verdict(tmp_path / "a.html").removeprefix("✓ ").startswith(f"{answer['chosen']} leaves ")
+    assert all(design["name"] in page_text(tmp_path / "a.html") for design in answer["designs"])
     assert (tmp_path / "a.png").stat().st_size > 10_000
 
 
