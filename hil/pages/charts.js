@@ -6,6 +6,7 @@
   const groups = new Map();
   const INK = "#333", RULE = "#e2e2e2", FONT = '12px system-ui, "DejaVu Sans", sans-serif';
   const POINTS_PER_PIXEL = 2; // a column of pixels shows a least and a greatest value
+  const POINTS_MORE = 10; // of a cloud, whose extremes alone would look like two curves
   const Y_AXIS = 62, X_AXIS = 28, X_LABEL = 18;
 
   function bytes(text) {
@@ -37,7 +38,7 @@
   }
 
   // What of arrays over one x is drawn between two ends: all rows where pixels suffice, else the least and greatest of each column.
-  // keep: "both" for curves, "low" and "high" for the edges of a band, "some" for points.
+  // keep: "both" for curves and points, "low" and "high" for the edges of a band.
   function view(x, columns, ends, pixels, isLog) {
     const from = ends ? Math.max(0, firstAtLeast(x, ends[0]) - 1) : 0;
     const to = ends ? Math.min(x.length, firstAtLeast(x, ends[1]) + 2) : x.length;
@@ -94,7 +95,8 @@
       tables.get(column.x).places.push(place);
       tables.get(column.x).columns.push(column);
     });
-    const pixels = Math.max(50, chart.figure.clientWidth - Y_AXIS);
+    const more = chart.spec.series.some((one) => one.marker) ? POINTS_MORE : 1;
+    const pixels = more * Math.max(50, chart.figure.clientWidth - Y_AXIS);
     const views = [...tables].map(([x, table]) => view(array(x), table.columns, ends, pixels, chart.spec.y.log));
     if (views.length === 1) return views[0];
     const joined = uPlot.join(views), out = [joined[0]];
@@ -149,14 +151,14 @@
     ctx.clip();
     spec.series.forEach((one, place) => {
       if (!one.marker || !u.series[place + 1].show) return;
-      const many = u.data[0].length > 400;
+      const many = u.data[0].length > 150;
       ctx.strokeStyle = ctx.fillStyle = one.colour;
       ctx.lineWidth = 1.3 * scale;
       ctx.beginPath();
       u.data[0].forEach((x, i) => {
         const y = u.data[place + 1][i];
         if (y == null) return;
-        const left = u.valToPos(x, "x", true), r = (many ? 1.6 : 3) * scale, top = u.valToPos(y, "y", true);
+        const left = u.valToPos(x, "x", true), r = (many ? 2 : 3) * scale, top = u.valToPos(y, "y", true);
         ctx.moveTo(left + r, top);
         if (inside(left)) shape(ctx, one.marker, left, top, r);
       });

@@ -51,15 +51,15 @@ def _element(
     pose: str,
 ) -> tuple[Chart, Chart]:
     at = response.frequencies_Hz
-    magnitude = [Series("|G|", at, _positive(response.G[:, i, j]), look=2)]
-    phase = [Series("phase", at, np.degrees(np.angle(response.G[:, i, j])), is_points=True, look=2)]
+    magnitude = [Series("|G|", at, _positive(response.G[:, i, j]), look=0)]
+    phase = [Series("phase", at, np.degrees(np.angle(response.G[:, i, j])), is_points=True, look=0)]
     if response.noise_covariance is not None:
-        magnitude.append(Series("noise (standard deviation)", at, _positive(response.standard_deviation("noise")[:, i, j]), True, look=1))
+        magnitude.append(Series("noise (standard deviation)", at, _positive(response.standard_deviation("noise")[:, i, j]), True, look=2))
     if response.nonlinear_covariance is not None:
         deviation = response.standard_deviation("nonlinear")[:, i, j]
         magnitude.append(Series("nonlinear distortion (standard deviation)", at, _positive(deviation), True, look=5))
     for k, (label, frequencies, G) in enumerate(compared):
-        look = (7, 14, 21)[k % 3]  # black, dashed in three ways
+        look = (1, 3, 4)[k % 3]
         magnitude.append(Series(label, frequencies, _positive(G[:, i, j]), look=look))
         phase.append(Series(label, frequencies, np.degrees(np.angle(G[:, i, j])), look=look))
     title = f"{response.input_names[j]} → {response.output_names[i]}"

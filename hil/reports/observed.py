@@ -79,8 +79,8 @@ def consistency_charts(estimate: Estimate) -> Charts:
     alarm = estimate["estimate_alarm"] > 0.0
     window = estimate["estimate_nis_window"]
     series = [
-        Series("each row", time, nis, is_points=True, look=0),
-        Series("window", time, np.where(window > 0.0, window, np.nan), look=2),
+        Series("each row", time, nis, is_points=True, look=6),
+        Series("window", time, np.where(window > 0.0, window, np.nan), look=0),
         Series("window with an alarm", time, np.where(alarm & (window > 0.0), window, np.nan), look=1),
     ]
     band = Band(f"{BAND:.0%} of rows", time, np.maximum(low, LEAST_NIS), high)

@@ -10,6 +10,7 @@ from browser import WIDTHS
 from commands import exposed_scan, isocenter
 from page_text import page_verdict
 from places import ROOT
+from scans_to_reconstruct import scan_of
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page as Tab
@@ -103,11 +104,9 @@ class Maker:
         return out
 
     def _reconstruct(self) -> Path:
-        out, folder = self.folder / "reconstruct.html", self.folder / "wires"
-        folder.mkdir()
-        exposed_scan(folder, "--scene", "wires-1mm", "--rate", "20")
-        volume = ("-o", self.folder / "volume", "--size", "64", "--spacing", "1")
-        assert isocenter("reconstruct", "carm", folder / "images", *volume, "--page", out) == 0
+        out = self.folder / "reconstruct.html"
+        volume = ("-o", self.folder / "volume", "--size", "16")
+        assert isocenter("reconstruct", "carm", scan_of(self.folder / "turn"), *volume, "--page", out) == 0
         return out
 
 
