@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 
 from hil.cli.options import MachineArgument, ScanArgument, can_be_written, load
 from hil.cli.paged import PageOption, check_page, write_paged
 from hil.errors import UnusableInputError
-from hil.terminal.output import Answer, JsonOption, follower, progress, save_figure
+from hil.terminal.output import Answer, JsonOption, save_figure
+from hil.terminal.progress import follower, progress
 
 if TYPE_CHECKING:
     from hil.calibration.marker.scan import MarkerScan
@@ -73,6 +73,8 @@ def expose(
     json_to: JsonOption = None,
 ) -> None:
     """Render, one image after the other."""
+    import numpy as np
+
     from hil.emulated.beam import Beam
     from hil.emulated.images import Exposures, xray_side
     from hil.emulated.images import expose as render
@@ -94,7 +96,7 @@ def expose(
     plate = None if marker_name is None else TubeMarker(_plate(marker_name), 1e-3 * _positive(distance), panel_in_tube(machine))
     beam = Beam(scene(scene_name) if plate is None else [], plate, Optics(photons=photons))
     side = xray_side(machine, truth, beam.spot, exposures.first_s)
-    with progress(answer.console) as bars:
+    with progress() as bars:
         task = bars.add_task("exposing", total=None)
         count = render(
             machine,
@@ -127,6 +129,8 @@ def phantom(
     json_to: JsonOption = None,
 ) -> None:
     """Find the bullets, fit the poses, write the table."""
+    import numpy as np
+
     from hil.calibration.phantom.phantom_calibration import look_for_bullets
     from hil.calibration.phantom.pixel_shape import fit_pixels
     from hil.calibration.phantom.pose import fit_poses
@@ -143,7 +147,7 @@ def phantom(
     scan = read_scan(scan_folder)
     positions = scan.positions_of(machine)
     nominal = nominal_beam(machine, positions)
-    with progress(answer.console) as bars:
+    with progress() as bars:
         task = bars.add_task("bullets", total=len(scan))
         follow = follower(bars, task)
         bullets = dodecahedron()
@@ -203,6 +207,8 @@ def marker(
     json_to: JsonOption = None,
 ) -> None:
     """Find the plate, fit its pose, write."""
+    import numpy as np
+
     from hil.calibration.marker.scan import calibrate_marker, nominal_marker, write_marker_scan
     from hil.calibration.marker.tube_to_panel import NONLINEAR
     from hil.imaging.nominal import nominal_beam
@@ -221,7 +227,7 @@ def marker(
     plate = _plate(str(name))
     positions = np.nan_to_num(scan.positions)  # tube and panel stand the same to each other in every nominal pose
     nominal = nominal_marker(nominal_beam(machine, positions), distance_m)
-    with progress(answer.console) as bars:
+    with progress() as bars:
         follow = follower(bars, bars.add_task("marker", total=len(scan)))
         result = calibrate_marker(scan, plate, nominal, tuple(free or NONLINEAR), jobs, lambda done, total: follow(done))
     _report_marker(answer, result, plate.name)
@@ -266,12 +272,16 @@ def _plate(name: str) -> MarkerPlate:
 
 
 def _positive(distance_mm: object) -> float:
+    import numpy as np
+
     if not isinstance(distance_mm, (int, float)) or not 0.0 < distance_mm < np.inf:
         raise UnusableInputError(f"distance of the marker plate {distance_mm} mm: must be a positive number")
     return float(distance_mm)
 
 
 def _report_marker(answer: Answer, result: MarkerScan, plate: str) -> None:
+    import numpy as np
+
     from hil.imaging.markers.projection import PARAMETERS
 
     good = result.good
@@ -298,6 +308,8 @@ def _report_marker(answer: Answer, result: MarkerScan, plate: str) -> None:
 
 
 def _report(answer: Answer, fit: PoseFit, table: LookUp, six: bool) -> None:
+    import numpy as np
+
     from hil.imaging.geometry import DEVIATIONS
 
     held = "; the source held at nominal" if six else ""
@@ -317,6 +329,8 @@ def _report(answer: Answer, fit: PoseFit, table: LookUp, six: bool) -> None:
 
 
 def _document(fit: PoseFit, table: LookUp) -> dict[str, Any]:
+    import numpy as np
+
     return {
         "exposures": len(fit.good),
         "used": int(fit.good.sum()),

@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 
 from hil.cli.options import MachineArgument, can_be_written, load, not_an_input
 from hil.cli.paged import PageOption, check_page, write_paged
 from hil.errors import UnusableInputError
-from hil.terminal.output import Answer, JsonOption, follower, progress, save_figure
+from hil.terminal.output import Answer, JsonOption, save_figure
+from hil.terminal.progress import follower, progress, working
 
 if TYPE_CHECKING:
     from hil.calibration.data_driven.observed_beam import ObservedBeam
@@ -91,15 +91,9 @@ def data(
     if marker is not None:
         measurements += _marker(machine, marker, jobs, answer)
     measurements.sort(key=lambda each: each.time_s)
-    found = calibrate_data(
-        model,
-        observed,
-        measurements,
-        known if start is None else known.aged(model),
-        late_s=1e-3 * late,
-        until_m=1e-3 * until,
-        most=images,
-    )
+    before = known if start is None else known.aged(model)
+    with working("calibrating"):
+        found = calibrate_data(model, observed, measurements, before, late_s=1e-3 * late, until_m=1e-3 * until, most=images)
     _report(answer, found, observed)
     write_data_file(model, observed, found, out)
     answer.say(f"{out}: geometry of {len(observed)} samples, {len(model.names)} parameters")
@@ -170,13 +164,15 @@ def _phantom(machine: Machine, folder: Path, observed: ObservedBeam, jobs: int, 
 
     scan = read_scan(folder)
     positions, _, _ = observed.at(scan.middle_s)
-    with progress(answer.console) as bars:
+    with progress() as bars:
         follow = follower(bars, bars.add_task("bullets", total=len(scan)))
         fit = calibrate_phantom(scan, dodecahedron(), nominal_beam(machine, positions), True, jobs, lambda done, total: follow(done))
     return from_phantom(machine, scan, fit, observed)
 
 
 def _marker(machine: Machine, folder: Path, jobs: int, answer: Answer) -> list[Measurement]:
+    import numpy as np
+
     from hil.calibration.data_driven.image_measurements import from_marker
     from hil.calibration.marker.scan import calibrate_marker, nominal_marker
     from hil.imaging.markers import PLATES
@@ -188,13 +184,15 @@ def _marker(machine: Machine, folder: Path, jobs: int, answer: Answer) -> list[M
     if name not in PLATES or not isinstance(distance_mm, (int, float)):
         raise UnusableInputError(f"{folder}/scan.toml names no marker of {', '.join(PLATES)} and marker_distance_mm")
     nominal = nominal_marker(nominal_beam(machine, np.nan_to_num(scan.positions)), 1e-3 * float(distance_mm))
-    with progress(answer.console) as bars:
+    with progress() as bars:
         follow = follower(bars, bars.add_task("marker", total=len(scan)))
         found = calibrate_marker(scan, PLATES[name](), nominal, jobs=jobs, progress=lambda done, total: follow(done))
     return from_marker(scan, found)
 
 
 def _report(answer: Answer, found: Calibration, observed: ObservedBeam) -> None:
+    import numpy as np
+
     first, last = 1e3 * found.place_sigma_m[0], 1e3 * found.place_sigma_m[-1]
     answer.say(f"{len(found.used)} images taken in, place of the isocentre known to {last:.3f} mm (before them {first:.3f} mm)")
     if found.converged is not None:
@@ -220,6 +218,8 @@ def _draw(observed: ObservedBeam, found: Calibration, figure: Path) -> None:
 
 
 def _document(model: QuasiStatic, found: Calibration, offered: int) -> dict[str, Any]:
+    import numpy as np
+
     deviation = np.sqrt(np.diag(found.parameters.covariance))
     return {
         "images": offered,

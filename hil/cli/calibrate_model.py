@@ -6,15 +6,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
 from hil.cli.options import MachineArgument, can_be_written, edge_scale, load, not_an_input
 from hil.cli.paged import PageOption, check_page, write_paged
 from hil.errors import UnusableInputError
-from hil.terminal.output import Answer, JsonOption, follower, progress, save_figure
+from hil.terminal.output import Answer, JsonOption, save_figure
+from hil.terminal.progress import follower, progress, working
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from hil.calibration.kinematic.flexible import FlexibleFit
     from hil.calibration.kinematic.geometric_model import GeometricModel
     from hil.calibration.use.lookup_table import LookUp
@@ -56,6 +58,8 @@ def grid(
     json_to: JsonOption = None,
 ) -> None:
     """Write a grid of poses, row by row, there and back."""
+    import numpy as np
+
     from hil.calibration.kinematic.scan_proposal import grid_tour
     from hil.experiments import write_experiment
 
@@ -82,6 +86,8 @@ def scan(
     json_to: JsonOption = None,
 ) -> None:
     """Choose, tell, write."""
+    import numpy as np
+
     from hil.calibration.kinematic.nominal_chain import nominal_chain
     from hil.calibration.kinematic.scan_proposal import propose_scan
     from hil.experiments import write_experiment
@@ -143,6 +149,8 @@ def model(
     json_to: JsonOption = None,
 ) -> None:
     """Fit, tell, write."""
+    import numpy as np
+
     from hil.calibration.kinematic.flexible import clock_lag, fit_flexible, joined
     from hil.calibration.kinematic.geometric_model import GeometricModel, write_model
     from hil.calibration.kinematic.nominal_chain import nominal_chain
@@ -162,7 +170,8 @@ def model(
     others = [_table(path, machine, jobs, answer) for path in held_out or ()]
     every = joined(fitted)
     measured = nominal_beam(machine, every.positions).moved(every.deviation)
-    fit = fit_flexible(start, every.positions, measured, every.covariance, freeze or ())
+    with working("fitting the model"):
+        fit = fit_flexible(start, every.positions, measured, every.covariance, freeze or ())
     _refuse_unseen(fit, need or ())
     notes = {
         "machine": machine.name,
@@ -241,7 +250,7 @@ def _table(path: Path, machine: Machine, jobs: int, answer: Answer) -> LookUp:
     scan = read_scan(path)
     positions = scan.positions_of(machine)
     nominal = nominal_beam(machine, positions)
-    with progress(answer.console) as bars:
+    with progress() as bars:
         follow = follower(bars, bars.add_task(path.name, total=len(scan)))
         fit = calibrate_phantom(scan, dodecahedron(), nominal, True, jobs, lambda done, total: follow(done))
     return look_up_of(fit, nominal, scan.axes, positions, {"machine": machine.name, "hash": machine.hash, "six": False})
@@ -270,6 +279,8 @@ VISIBLE_SHARE = 0.05
 
 
 def _report(answer: Answer, fit: FlexibleFit, nominal: np.ndarray) -> None:
+    import numpy as np
+
     sigma = np.sqrt(np.diag(fit.covariance))
     answer.say(
         f"{len(fit.residual)} exposures show {fit.rank} combinations of {len(fit.model.names) - len(fit.frozen)} free parameters;"
@@ -299,6 +310,8 @@ def _less(table: LookUp, model: GeometricModel | None) -> np.ndarray:
 
 def _rms(difference: np.ndarray) -> dict[str, float]:
     """Return rms of source [m], phantom [m] and rotation [rad] over the exposures."""
+    import numpy as np
+
     square = np.mean(difference**2, axis=0)
     return {name: float(np.sqrt(square[k : k + 3].sum())) for name, k in (("source_m", 0), ("position_m", 3), ("rotation_rad", 6))}
 

@@ -9,12 +9,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
+from hil.cli.emulated import say_emulated
 from hil.cli.options import MachineArgument, folder_can_be_written, load
 from hil.errors import RecordingError, UnusableInputError
-from hil.terminal.output import Answer, JsonOption, plain, progress
+from hil.terminal.output import Answer, JsonOption, plain
+from hil.terminal.progress import progress
 
 if TYPE_CHECKING:
     from hil.diagnosis.answered.answer import Answered
@@ -80,6 +81,7 @@ def diagnose(
     _check_apart(recordings, held_out or [])
     train = _read(recordings, machine)
     held = _read(held_out or [], machine, train)
+    say_emulated(answer, {**train, **held})
     begun = time.monotonic()
     wrong = tuple(faults(machine, {**train, **held}))
     if not wrong:
@@ -92,7 +94,7 @@ def diagnose(
         _finish(answer, wrong_recordings(machine, audited, {**train, **held}, time.monotonic() - begun), machine, out, {**train, **held})
         return
     is_along = is_along_the_motion(machine, train, audited)
-    with progress(Answer("-").console) as bars:
+    with progress() as bars:
         task = bars.add_task("reading", total=1.0)
 
         def report(what: str, share: float) -> None:
@@ -100,7 +102,7 @@ def diagnose(
 
         def first(diagnosis: Diagnosis) -> None:
             write_answer(diagnosis, out)
-            bars.console.print(f"first answer: {_found(diagnosis.findings)} (provisional; {diagnosis.seconds:.1f} s)", style="dim")
+            bars.print(f"first answer: {_found(diagnosis.findings)} (provisional; {diagnosis.seconds:.1f} s)", style="dim")
 
         outcome: Outcome | Answered
         if is_along:
@@ -127,6 +129,8 @@ def _finish(answer: Answer, outcome: Outcome | Answered, machine: Machine, out: 
 
 def _stopped(step: str, answer: Answer, machine: Machine, recordings: Mapping[str, Recording], audited: Audit) -> None:
     """Say what the first steps show."""
+    import numpy as np
+
     from hil.diagnosis.seen.see import see
 
     for said in [
@@ -213,6 +217,8 @@ def _check_no_copies(train: Mapping[str, Recording], held: Mapping[str, Recordin
 
 
 def _same_rows(one: Recording, other: Recording) -> bool:
+    import numpy as np
+
     names = set(one.channels)
     return names == set(other.channels) and all(np.array_equal(one[n], other[n], equal_nan=True) for n in names)
 

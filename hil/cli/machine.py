@@ -9,6 +9,7 @@ import typer
 
 from hil.cli.options import MachineArgument, can_be_written, load, not_an_input
 from hil.terminal.output import Answer, JsonOption
+from hil.terminal.progress import working
 
 if TYPE_CHECKING:
     from hil.machine import Finding
@@ -64,7 +65,8 @@ def check(machine_name: MachineArgument, json_to: JsonOption = None) -> None:
 
     machine = load(machine_name)
     answer = Answer(json_to)
-    findings = check_machine(machine)
+    with working(f"checking {machine.name}"):
+        findings = check_machine(machine)
     for finding in findings:
         answer.say(f"{'ok  ' if finding.ok else 'FAIL'} {finding.text}")
     answer.write({"machine": machine.name, "ok": all(f.ok for f in findings), "findings": [vars(f) for f in findings]})
@@ -116,7 +118,8 @@ def convert(
     for change in changes:
         if not isinstance(change.new, list):
             answer.say(f"     {change.key} = {change.new:.6g}, was {'not written' if change.old is None else format(change.old, '.6g')}")
-    before, after = check_machine(machine), check_machine(converted)
+    with working("checking both"):
+        before, after = check_machine(machine), check_machine(converted)
     for line in _beside(before, after, (f"{machine.sample_rate_Hz:g} Hz", f"{rate_Hz:g} Hz")):
         answer.say(line)
     failed = [finding for finding in after if not finding.ok]

@@ -6,13 +6,13 @@ import os
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
 from hil.cli.options import MachineArgument, ScanArgument, folder_can_be_written, load
 from hil.cli.paged import PageOption, check_page, write_paged
 from hil.errors import UnusableInputError
-from hil.terminal.output import Answer, JsonOption, progress
+from hil.terminal.output import Answer, JsonOption
+from hil.terminal.progress import progress
 
 LARGE_BYTES = 2e9
 """Memory from which on a reconstruction reports how much it takes."""
@@ -42,6 +42,8 @@ def reconstruct(
     json_to: JsonOption = None,
 ) -> None:
     """Read, reconstruct, judge, draw."""
+    import numpy as np
+
     from hil.calibration.data_driven.data_file import read_data_file
     from hil.calibration.kinematic.geometric_model import read_calibration
     from hil.calibration.use.lookup_table import LookUp, sweep_speed
@@ -78,7 +80,7 @@ def reconstruct(
         beam, source = read_data_file(geometry).beam(machine, scan.middle_s), f"geometry from {geometry.name}"
     _require_memory(size, (len(scan), scan.detector.rows, scan.detector.columns), answer)
     images = np.empty((len(scan), scan.detector.rows, scan.detector.columns), dtype=np.float32)
-    with progress(answer.console) as bars:
+    with progress() as bars:
         task = bars.add_task("reading", total=len(scan))
         for k in range(len(scan)):
             images[k] = line_integrals(scan.frame(k))
@@ -134,6 +136,8 @@ def reconstruct(
 
 def _require_memory(size: int, projections: tuple[int, int, int], answer: Answer) -> None:
     """Refuse a volume that this computer cannot hold; say how much memory a large one takes."""
+    import numpy as np
+
     from hil.reconstruction.fdk import bytes_needed
 
     needed, there_is = bytes_needed(size, projections), np.inf

@@ -65,4 +65,4 @@ def page_of(story: Story, folder: Path) -> Page:
 
 
 def _row(nominal: ChannelComparison, friction: ChannelComparison) -> list[str]:
-    return [nominal.name, *(text for each in (nominal, friction) for text in (f"{each.rms:.3g} {each.unit}", f"{each.nrmse:.2%}"))]
+    return [nominal.name, *(text for each in (nominal, friction) for text in (f"{each.rms:.3g} {each.unit}", each.nrmse_text))]

@@ -18,7 +18,8 @@ from hil.machine import Machine, load_machine
 from hil.recording import read_recording, write_recording
 from hil.simulation import compare, simulate
 from hil.simulation.linear import sampled_response
-from hil.terminal.output import Answer, follower, progress
+from hil.terminal.output import Answer
+from hil.terminal.progress import follower, progress
 from virtual_bus.settings import EffectSetting
 
 SECRET_FRICTION = EffectSetting("coulomb_friction", "roll", {"Fc": 12.0})
@@ -89,7 +90,7 @@ def _record(machine: Machine, out: Path, answer: Answer) -> tuple[list[Path], fl
     recorded_s = running_s = 0.0
     secret = machine.with_effects((SECRET_FRICTION,))
     with open_bench(machine, BenchOptions("lockstep:", seed=1, emulated=secret), plans[0].start_pose) as bench:
-        with progress(answer.console) as bars:
+        with progress() as bars:
             task = bars.add_task("multisine with jog", total=sum(plan.rows for plan in plans))
             done = 0
             for plan, path in zip(plans, paths, strict=True):

@@ -10,6 +10,9 @@ import numpy as np
 from hil.identification.covariance import circle_factor, hotelling_bound, variances
 from hil.identification.errors import IdentificationError
 
+EMULATED = "emulated"
+"""Key of a response's settings, 1 where a recording of it was made on the emulator."""
+
 CovarianceKind = Literal["noise", "total", "nonlinear"]
 
 
@@ -81,6 +84,11 @@ class FrequencyResponse:
     even_odd: Distortion | None = None
     pose: tuple[float, ...] = ()
     notes: tuple[str, ...] = ()
+
+    @property
+    def emulated(self) -> bool:
+        """Whether a recording that it was identified from was made on the emulator."""
+        return self.settings.get(EMULATED) == 1
 
     def covariance(self, kind: CovarianceKind) -> np.ndarray:
         """Return the covariance of vec(G), (L, n_y n_u, n_y n_u).

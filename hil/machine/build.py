@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from controllers.settings import AxisLimits
-from hil.machine.build_bodies import build_tree
+from hil.machine.build_bodies import build_tree, orientation_matrix
 from hil.machine.messages import ComplaintError
 from hil.machine.model import AxisUnits, Geometry
 from hil.machine.schema import CurrentTable, DriveTable, EncoderTable, ImuTable, MachineTable, SpeedTable, TemperatureTable
@@ -185,13 +185,11 @@ def _current(channel: str, sensor: CurrentTable, table: MachineTable) -> Current
 
 
 def _imu(channel: str, sensor: ImuTable) -> Imu:
-    from scipy.spatial.transform import Rotation
-
     return Imu(
         name=channel,
         body=sensor.body,
         position_m=np.array(sensor.position),
-        orientation=Rotation.from_euler("xyz", sensor.orientation).as_matrix(),
+        orientation=orientation_matrix(sensor.orientation),
         accelerometer_noise_rms_m_s2=np.array(sensor.accelerometer_noise_rms),
         accelerometer_bias_m_s2=np.array(sensor.accelerometer_bias),
         accelerometer_bandwidth_Hz=sensor.accelerometer_bandwidth,

@@ -172,6 +172,11 @@ class Recording:
         return str(self.metadata.get("machine", {}).get("text", ""))
 
     @property
+    def emulated(self) -> bool:
+        """Whether the recording says that an emulator was the machine; one of another source does not say."""
+        return self.metadata.get("emulated") is True
+
+    @property
     def experiment(self) -> dict[str, Any]:
         """Metadata of the experiment; empty for a recording from another source."""
         return dict(self.metadata.get("experiment", {}))

@@ -32,7 +32,7 @@ def files_fact(paths: Sequence[Path], most: int = 6) -> str:
 
 def was_emulated(recordings: Iterable[Recording]) -> bool:
     """Return whether one of the recordings says that it is of an emulated machine."""
-    return any(bool(recording.metadata.get("emulated")) for recording in recordings)
+    return any(recording.emulated for recording in recordings)
 
 
 def pose_of(recording: Recording) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 
 from hil.errors import UnusableInputError
 from hil.pages import Chart, Charts, Page, Scale, Section, Series, Table, Text, Verdict
+from hil.pages.contents import Kind
 from hil.recording import Recording
 from hil.reports.made_from import command_line, files_fact, pose_of, recorded_machine, was_emulated
 from hil.simulation import compare
@@ -144,15 +145,8 @@ def _answer(plotted: Sequence[Plotted]) -> tuple[Verdict, str, str]:
     if plotted[0].simulation is None:
         next_command = command_line("plot", *paths, "--simulate", "-o", "simulated.html")
         return Verdict(said), next_command, "lays the simulation by the machine file over it."
-    worst = [_worst(one) for one in plotted if one.simulation is not None]
-    name, unit, rms, nrmse = max(worst, key=lambda each: each[3])
-    share = f", {nrmse:.1%} of how much it varies" if np.isfinite(nrmse) and nrmse > 0.0 else ""
-    said += f" The simulation is furthest from {name}: {rms:.3g} {unit} rms{share}."
-    return Verdict(said), command_line("diagnose", machine, *paths, "-o", "diagnosis"), "says what the simulation leaves out."
-
-
-def _worst(one: Plotted) -> tuple[str, str, float, float]:
-    assert one.simulation is not None
-    channels = compare(one.recording, one.simulation).channels
-    worst = max(channels, key=lambda each: each.nrmse if np.isfinite(each.nrmse) else -1.0)
-    return worst.name, worst.unit, worst.rms, worst.nrmse if np.isfinite(worst.nrmse) else -1.0
+    compared = [compare(one.recording, one.simulation) for one in plotted if one.simulation is not None]
+    worst = max(compared, key=lambda each: max(channel.in_noise for channel in each.channels))
+    kind: Kind = "good" if all(each.agrees for each in compared) else "bad"
+    command = command_line("diagnose", machine, *paths, "-o", "diagnosis")
+    return Verdict(f"{worst.verdict} {said}", kind), command, "says what the simulation leaves out."

@@ -13,6 +13,7 @@ from hil.machine import Machine
 from hil.pages import Bullets, Chart, Charts, Mark, Page, Scale, Section, Series, Table, Verdict
 from hil.pages.contents import Kind
 from hil.reports.made_from import command_line, machine_fact
+from hil.shaping.in_time import InTime, settled
 from hil.shaping.shaper_design import Candidates, Design
 from hil.shaping.verdict import Subject
 
@@ -21,6 +22,9 @@ GOOD = 0.1
 
 MOST = 5
 """Designs drawn: more curves than this cannot be told apart."""
+
+SHOWN, LEAST_SHOWN_s = 1.3, 1.0
+"""Of the time until the ringing is over, and at least, how much of a step is shown."""
 
 NOTHING = 1e-6
 """Percent or milliseconds below which a number is the rounding of zero."""
@@ -32,9 +36,21 @@ HEAD = ("design", "vibration [%]", "at ±10 % [%]", "transient [s]", "largest ga
 
 
 def shaped_page(
-    machine: Machine, axis: str, candidates: Candidates, chosen: Design, subjects: Sequence[Subject], out: Path, facts: Mapping[str, str]
+    machine: Machine,
+    axis: str,
+    sentence: str,
+    candidates: Candidates,
+    chosen: Design,
+    subjects: Sequence[Subject],
+    in_time: Mapping[str, InTime],
+    out: Path,
+    facts: Mapping[str, str],
 ) -> Page:
-    """Return the page of designs, of which `chosen` was written to `out`."""
+    """Return the page of designs.
+
+    `chosen` was written to `out`, `sentence` is the answer, `in_time` are the loop's steps with it and with `none`; `facts` say under
+    `From` what it was designed from.
+    """
     rows = [_row(design) for design in candidates.designs]
     kinds: list[Kind] = ["good" if design is chosen else "unsure" if design.verdict.against else "plain" for design in candidates.designs]
     table = Table(HEAD, rows, frozenset(range(1, 7)), kinds)
@@ -42,8 +58,9 @@ def shaped_page(
     refused = [f"{name}: {reason}" for name, reason in candidates.refused.items()]
     return Page(
         f"Reference shaper for {axis} of {machine.name}",
-        verdict(chosen),
+        Verdict(sentence, "unsure" if chosen.verdict.against or chosen.verdict.vibration_at_10 > GOOD else "good"),
         [
+            Section("A step of the reference, before and after", [step_charts(in_time, chosen.name)]),
             Section("What it passes, and what the axis makes of it", [charts]),
             Section("All designs", [table, *([Bullets(refused, "Not possible:")] if refused else [])]),
             Section("Poles left out", [Bullets(_left_out(chosen))], is_folded=True),
@@ -51,19 +68,26 @@ def shaped_page(
         command_line("run", "scan", "-m", machine.name, "-b", "BUS", "--shaper", out, "-o", "scan.mf4"),
         "scans with it.",
         {"Machine": machine_fact(machine), **facts, "Written": out.name},
+        facts["From"].startswith("EMULATED"),
     )
 
 
-def verdict(chosen: Design) -> Verdict:
-    """Return the recommended design and what it leaves of the vibration."""
-    numbers = chosen.verdict
-    said = (
-        f"{chosen.name} leaves {100.0 * numbers.vibration:.2g} % of the vibration, {100.0 * numbers.vibration_at_10:.2g} % where the"
-        f" machine is 10 % off, after a transient of {numbers.transient_s:.3g} s"
-    )
-    if numbers.against:
-        return Verdict(f"{said}; against it: {numbers.against}.", "unsure")
-    return Verdict(f"{said}.", "good" if numbers.vibration_at_10 < GOOD else "unsure")
+def step_charts(in_time: Mapping[str, InTime], name: str) -> Charts:
+    """Return the output that tracks and the ringing in it, without a shaper and with the one of this name."""
+    labels = {"none": "without shaper", name: name}
+    until = max(LEAST_SHOWN_s, SHOWN * max((at for at in settled(in_time["none"], in_time[name]) if np.isfinite(at)), default=0.0))
+    output, ringing = [], []
+    for look, (key, label) in enumerate(labels.items()):
+        one = in_time[key]
+        rows = one.time_s <= until
+        output.append(Series(label, one.time_s[rows], one.output[rows], look=look))
+        ringing.append(Series(label, one.time_s[rows], one.ringing[rows], look=look))
+    time = Scale("time after the step [s]")
+    cells = [
+        Chart("Output after a step of 1", time, Scale("output"), output, group="step"),
+        Chart("Ringing in it", time, Scale("ringing, share of the step"), ringing, group="step"),
+    ]
+    return Charts(cells, columns=2)
 
 
 def response_charts(candidates: Candidates, chosen: Design, subjects: Sequence[Subject], sample_rate_Hz: float) -> Charts:

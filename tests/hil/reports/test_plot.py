@@ -56,7 +56,7 @@ def test_the_page_names_the_channel_that_the_simulation_misses_and_what_to_do_ne
     assert done.status == 0, done.err
     answer = json.loads(done.out)
     page = (tmp_path / "run.html").read_text(encoding="utf-8")
-    assert "current_roll: 0.25 A rms" in answer["verdict"]
+    assert "most in current_roll, by 0.25 A rms" in answer["verdict"]
     assert page.index(answer["verdict"]) < page.index("<h2>")
     assert f"isocenter diagnose carm {recorded}" in page
     assert CARM.hash[:12] in page
