@@ -156,6 +156,11 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("simulation, rows", "text, number", "The file that was written, and its rows."),
         Entry("effects", "list", "Physics that was added: `name`, `at`, `parameters`."),
     ),
+    "plot": (
+        Entry("page, png", "text, text or null", "Files that were written."),
+        Entry("channels", "list", "What is in the page."),
+        Entry("verdict", "text", "The sentence on top of it."),
+    ),
     "compare": (
         Entry("verdict, agrees", "text, true or false", "The answer in a sentence, and whether no channel differs by more than its noise."),
         Entry("noise", "text", "Where the noise is known from: `repeats`, `periods`, or `assumed`."),

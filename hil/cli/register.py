@@ -21,6 +21,7 @@ from hil.cli import (
     machine,
     observe,
     physics,
+    plot,
     reconstruct,
     roadmap,
     run,
@@ -36,6 +37,7 @@ def commands(app: typer.Typer) -> None:
     story.register(app)
     app.add_typer(machine.app, name="machine")
     physics.register(app)
+    plot.register(app)
     doctor.register(app)
     bus.register(app)
     commission.register(app)
