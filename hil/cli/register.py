@@ -6,6 +6,7 @@ import typer
 
 from hil.cli import (
     answers,
+    bench,
     bus,
     calibrate,
     calibrate_data,
@@ -37,6 +38,7 @@ def commands(app: typer.Typer) -> None:
     physics.register(app)
     doctor.register(app)
     bus.register(app)
+    bench.register(app)
     conformance.register(app)
     app.add_typer(run.app, name="run")
     answers.register(app)

@@ -35,11 +35,13 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "faults": ("bench", "experiments", "machine", "recording", "terminal", "version"),
     "conform": (),
     "doctor": ("bench", "emulated", "experiments", "extras", "machine", "processes"),
+    "console": ("bench", "emulated", "experiments", "files", "machine", "processes", "recording"),
     "demo": ("bench", "experiments", "figures", "identification", "machine", "recording", "simulation", "terminal"),
     "cli": (
         "bench",
         "calibration",
         "conform",
+        "console",
         "demo",
         "diagnosis",
         "doctor",
