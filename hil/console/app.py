@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import getpass
 from collections.abc import AsyncIterator, Awaitable, Callable
 from datetime import datetime
 from pathlib import Path
@@ -148,7 +147,7 @@ class _Pages:
 
     async def stop(self, request: Request) -> Response:
         who = request.client.host if request.client else "?"
-        self._desk.stop(f"stop button of a browser at {who} (user {getpass.getuser()})")
+        self._desk.stop(f"STOP in a browser at {who}")
         return JSONResponse({})
 
     async def release(self, request: Request) -> Response:

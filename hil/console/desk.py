@@ -164,7 +164,8 @@ class Desk:
                 self.work.let_go(who)
             else:
                 try:
-                    await asyncio.to_thread(ask_to_stop, self.facts.bus, lines.append, f"{who}, bench page")
+                    await asyncio.to_thread(ask_to_stop, self.facts.bus, lines.append, who)
+                    stop["seconds"] = round(time.monotonic() - stop["began_s"], 2)
                     with contextlib.suppress(TimeoutError):
                         await asyncio.wait_for(self.work.done.wait(), ENDS_S)
                 except BenchError as error:
@@ -175,9 +176,10 @@ class Desk:
                 self.work.let_go(who)  # where no supervisor was there yet, or the run goes on after its stop
             if self.work.running:
                 await self.work.done.wait()
-                lines.append("what this page has started has ended")
+                lines.append("what was started here has ended")
         finally:
-            stop["seconds"] = round(time.monotonic() - stop["began_s"], 2)
+            if stop["seconds"] is None:
+                stop["seconds"] = round(time.monotonic() - stop["began_s"], 2)
             self._stopping = None
 
     def state(self) -> dict[str, Any]:
@@ -219,6 +221,8 @@ class Desk:
                 {"kind": form.kind, "title": form.title, "says": form.says, "fields": [vars(field) for field in form.fields]}
                 for form in self.forms.values()
             ],
+            "has_io": facts.settings.io is not None,
+            "has_imu": facts.settings.imu is not None,
             "folder": str(self.folder),
             "silent_s": SILENT_S,
         }

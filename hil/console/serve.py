@@ -15,11 +15,13 @@ from hil.console.admission import Admission
 from hil.console.facts import Facts
 from hil.console.guard import ENTRANCE, MOST_BYTES, Hosts, is_loopback
 from hil.console.starter import Starter
-from hil.errors import UnusableInputError
+from hil.errors import BadAnswerError, UnusableInputError
 from hil.processes.second_in_line import politely
 
 CLOSES_S = 2
 END_S = 10.0
+START_S = 120.0
+"""Longest time for a new Python process on a loaded computer."""
 BACKLOG = 64
 
 
@@ -100,6 +102,8 @@ def serve(facts: Facts, folder: Path, place: Place, ready: Callable[[str], None]
     ending = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
     before = {number: signal.signal(number, end) for number in ending}
     try:
+        if not _heard_of(ours):
+            raise BadAnswerError(f"the server of the page did not start within {START_S:g} s, or has failed")
         ready(place.address(listening))
         listening.close()
         Starter(ours).serve(lambda: not told)
@@ -109,6 +113,14 @@ def serve(facts: Facts, folder: Path, place: Place, ready: Callable[[str], None]
         server.kill()
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _heard_of(line: Connection) -> bool:
+    """Wait for the first word of the server, which it says once it answers."""
+    try:
+        return line.poll(START_S) and bool(line.recv())
+    except (EOFError, OSError):
+        return False
 
 
 def _serve_pages(facts: Facts, folder: Path, place: Place, listening: socket.socket, line: Connection) -> None:

@@ -25,8 +25,8 @@ LISTEN_S = 0.2
 WINDOW_S = 1.0
 SILENT_S = 1.0
 """Age at which a value is no longer the present one."""
-_STATUSWORD, _POSITION, _LINK, _TORQUE = 0x6041, 0x6064, 0x6004, 0x6077
-_SIGNED = (_POSITION, _TORQUE)
+_STATUSWORD, _POSITION, _LINK, _TORQUE, _CURRENT = 0x6041, 0x6064, 0x6004, 0x6077, 0x6078
+_SIGNED = (_POSITION, _TORQUE, _CURRENT)
 _EMERGENCY, _HEARTBEAT = 0x080, 0x700
 _NMT_STATES = {0: "boot-up", 4: "stopped", 5: "operational", 127: "pre-operational"}
 
@@ -111,8 +111,9 @@ class WireWatch:
             half = 1 << _bits_of(node, _LINK) - 1  # its counter goes round
             counts = (values[_LINK] - scaling.link_zero_counts + half) % (2 * half) - half
             found["position"] = counts * scaling.link_resolution
-        if _TORQUE in values:
-            found["effort"] = scaling.sign * values[_TORQUE] / 1000.0 * scaling.rated
+        for index in (_TORQUE, _CURRENT):
+            if index in values:  # per mille of the rated value
+                found["effort"] = scaling.sign * values[index] / 1000.0 * scaling.rated
         return found
 
     def _from_row(self, newest: Mapping[str, float | None], found: dict[str, Any]) -> dict[str, Any]:

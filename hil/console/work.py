@@ -146,7 +146,7 @@ class Work:
         except (OSError, ValueError):
             answered = False
         if self.stopped_by:
-            self._end("stopped", f"stopped: {self.stopped_by}" + (f" ({self._error})" if self._error else ""))
+            self._end("stopped", self.stopped_by + (f": {self._error}" if self._error else ""))
         elif status != 0 or not answered:
             said = self._error or next((text for text, _ in reversed(self._lines) if not text.startswith("$")), "")
             judged = self._judged_all_the_same() if answered and status == 1 else ""

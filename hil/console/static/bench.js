@@ -57,7 +57,7 @@ function showNow(state) {
   }
   if (state.stop) {
     const { by, seconds, trouble, lines } = state.stop;
-    const took = seconds === null ? "stopping ..." : trouble ? trouble : `stop took ${seconds.toFixed(2)} s: ${lines[lines.length - 1] || ""}`;
+    const took = seconds === null ? "stopping ..." : trouble ? trouble : `stop took ${seconds.toFixed(2)} s: ${lines.join("; ")}`;
     parts.push(element("span", { class: trouble ? "bad" : "dim", title: by, id: "stop-answer" }, took));
     if (seconds === null) kind = "stopped";
   }

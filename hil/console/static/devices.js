@@ -7,7 +7,7 @@ export function showState(bench) {
   if (at("state").hidden) return;
   const { state, described } = bench;
   at("devices").replaceChildren(
-    drives(state, described), safety(state, described), imu(state), bus(state, described), punctuality(state),
+    drives(state, described), safety(state, described), imu(state, described), bus(state, described), punctuality(state),
   );
 }
 
@@ -53,7 +53,10 @@ function drives(state, described) {
 
 function safety(state, described) {
   const { io } = state;
-  if (!io) return card("Brakes and I/O", false, element("p", { class: "note" }, "Polled while a session runs on the bus; none does now."));
+  if (!io) {
+    const why = described.has_io ? "Polled while a session runs on the bus; none does now." : "The machine file has no [bus.io].";
+    return card("Brakes and I/O", false, element("p", { class: "note" }, why));
+  }
   const rows = described.axes.map((axis) => [
     axis.name,
     element("td", {}, io.brakes_open[axis.name] ? "open" : "closed"),
@@ -71,9 +74,12 @@ function safety(state, described) {
   );
 }
 
-function imu(state) {
+function imu(state, described) {
   const names = Object.keys(state.newest).filter((name) => /^(imu|gyro)_/.test(name));
-  if (!names.length) return card("IMU", false, element("p", { class: "note" }, "Its values are in the rows of a run; none was recorded yet."));
+  if (!names.length) {
+    const why = described.has_imu ? "Its values are in the rows of a run; none was recorded yet." : "The machine file has no [bus.imu].";
+    return card("IMU", false, element("p", { class: "note" }, why));
+  }
   const live = state.recording && state.recording.live;
   return card(
     "IMU",
@@ -117,7 +123,7 @@ function time(us) {
 
 // Bars over a logarithmic axis of time; heights are logarithmic too, so that a single late tick is seen.
 function bars({ counts, title }, edges) {
-  const [width, height, foot] = [520, 150, 22];
+  const [width, height] = [520, 130];
   const most = Math.log10(1 + Math.max(...counts));
   const step = width / counts.length;
   const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
@@ -126,19 +132,15 @@ function bars({ counts, title }, edges) {
   svg.setAttribute("class", "bars");
   svg.setAttribute("role", "img");
   svg.setAttribute("aria-label", `histogram: ${title}, counts on a logarithmic scale`);
-  const add = (name, attributes, text = "") => {
-    const made = document.createElementNS("http://www.w3.org/2000/svg", name);
-    for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
-    made.textContent = text;
-    svg.append(made);
-  };
   counts.forEach((count, index) => {
-    const tall = (height - foot) * (Math.log10(1 + count) / most);
-    add("rect", { x: index * step, y: height - foot - tall, width: step * 0.85, height: tall });
+    const tall = height * (Math.log10(1 + count) / most);
+    const bar = document.createElementNS("http://www.w3.org/2000/svg", "rect");
+    for (const [key, value] of Object.entries({ x: index * step, y: height - tall, width: step * 0.85, height: tall })) bar.setAttribute(key, value);
+    svg.append(bar);
   });
-  [1, 10, 100, 1000, 10000].forEach((us) => {
+  const labels = [1, 10, 100, 1000, 10000].map((us) => {
     const index = edges.findIndex((edge) => edge >= us * 0.999);
-    add("text", { x: index * step, y: height - 6 }, us >= 1000 ? `${us / 1000} ms` : `${us} µs`);
+    return element("span", { style: `left:${(100 * index) / counts.length}%` }, us >= 1000 ? `${us / 1000} ms` : `${us} µs`);
   });
-  return svg;
+  return element("div", { class: "histogram" }, svg, element("div", { class: "ticks" }, ...labels));
 }
