@@ -24,7 +24,7 @@ function show() {
 
 async function stop() {
   at("stop").disabled = false;
-  say("stop asked", "stopped");
+  say("stop asked", "asked");
   try {
     await ask("/api/stop", {}, bench.client);
   } catch (error) {
@@ -59,7 +59,7 @@ function showNow(state) {
     const { by, seconds, trouble, lines } = state.stop;
     const took = seconds === null ? "stopping ..." : trouble ? trouble : `stop took ${seconds.toFixed(2)} s: ${lines.join("; ")}`;
     parts.push(element("span", { class: trouble ? "bad" : "dim", title: by, id: "stop-answer" }, took));
-    if (seconds === null) kind = "stopped";
+    if (seconds === null) kind = "asked";
   }
   at("now").className = kind;
   at("now").replaceChildren(...parts);
