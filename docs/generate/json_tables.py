@@ -113,6 +113,11 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("trial", "object or null", "Timing of the run against the emulated machine, as in a recording."),
         Entry("answer_from", "text", "Where the time of the devices' answers in the prediction is from."),
     ),
+    "bench": (
+        Entry("address", "text", "The address to open, with its one-time token where one is set. One line, as soon as the page is served."),
+        Entry("machine, bus", "text", "Machine and bus."),
+        Entry("folder", "text", "Where recordings and answers go."),
+    ),
     "scan-bus": (
         Entry("bus", "text", "The bus."),
         Entry("nodes", "list", "`node_id`, `device_type`, `description`, `identity`, `nmt_state`, `name`."),

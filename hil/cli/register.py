@@ -6,6 +6,7 @@ import typer
 
 from hil.cli import (
     answers,
+    bench,
     bus,
     calibrate,
     calibrate_data,
@@ -41,6 +42,7 @@ def commands(app: typer.Typer) -> None:
     doctor.register(app)
     bus.register(app)
     commission.register(app)
+    bench.register(app)
     conformance.register(app)
     app.add_typer(run.app, name="run")
     answers.register(app)

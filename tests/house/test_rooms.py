@@ -64,11 +64,13 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "faults": ("bench", "experiments", "machine", "pages", "recording", "reports", "terminal", "version"),
     "conform": (),
     "doctor": ("bench", "emulated", "experiments", "extras", "machine", "processes"),
+    "console": ("bench", "emulated", "experiments", "files", "machine", "processes", "recording"),
     "demo": ("bench", "experiments", "identification", "machine", "pages", "recording", "reports", "simulation", "terminal"),
     "cli": (
         "bench",
         "calibration",
         "conform",
+        "console",
         "demo",
         "diagnosis",
         "doctor",
