@@ -20,6 +20,9 @@ EXTRAS = {
     "foxglove": ("foxglove", "foxglove-sdk"),
     "pyuff": ("logs", "pyuff"),
     "pandas": ("frames", "pandas"),
+    "starlette": ("bench", "starlette"),
+    "uvicorn": ("bench", "uvicorn"),
+    "websockets": ("bench", "websockets"),
 }
 """The extra that brings each package, and the distribution that contains it."""
 

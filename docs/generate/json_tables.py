@@ -113,6 +113,11 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("trial", "object or null", "Timing of the run against the emulated machine, as in a recording."),
         Entry("answer_from", "text", "Where the time of the devices' answers in the prediction is from."),
     ),
+    "bench": (
+        Entry("address", "text", "The address to open, with its one-time token where one is set. One line, as soon as the page is served."),
+        Entry("machine, bus", "text", "Machine and bus."),
+        Entry("folder", "text", "Where recordings and answers go."),
+    ),
     "scan-bus": (
         Entry("bus", "text", "The bus."),
         Entry("nodes", "list", "`node_id`, `device_type`, `description`, `identity`, `nmt_state`, `name`."),
@@ -155,6 +160,11 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
     "simulate": (
         Entry("simulation, rows", "text, number", "The file that was written, and its rows."),
         Entry("effects", "list", "Physics that was added: `name`, `at`, `parameters`."),
+    ),
+    "plot": (
+        Entry("page, png", "text, text or null", "Files that were written."),
+        Entry("channels", "list", "What is in the page."),
+        Entry("verdict", "text", "The sentence on top of it."),
     ),
     "compare": (
         Entry("verdict, agrees", "text, true or false", "The answer in a sentence, and whether no channel differs by more than its noise."),

@@ -379,6 +379,17 @@ SHOWN = (
         ),
     ),
     Shown(
+        "plot_opens.json",
+        "Time until a page of recordings is open",
+        "A minute at 256 Hz with 30 channels of `isocenter plot`, from disk in headless Chromium, until the last chart is drawn.",
+        "python benchmarks/plot_opens.py",
+        (
+            Figure("opens, median", ("opens_s", "median"), "s", asked="at most 1"),
+            Figure("zooms all charts, median", ("zooms_s", "median"), "s"),
+            Figure("size of the page", ("page_MB",), "MB"),
+        ),
+    ),
+    Shown(
         "observer_steps.json",
         "Time of an observer's step",
         "24 states and 10 measurements; `filterpy_ukf` and `numpy_ukf` are the same filter in a public package and in plain NumPy.",

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hil.cli.options import MachineArgument, ScanArgument, can_be_written, load
+from hil.cli.paged import PageOption, check_page, write_paged
 from hil.errors import UnusableInputError
 from hil.terminal.output import Answer, JsonOption, save_figure
 from hil.terminal.progress import follower, progress
@@ -124,6 +125,7 @@ def phantom(
     ] = False,
     figure: FigureOption = None,
     jobs: JobsOption = 1,
+    page: PageOption = None,
     json_to: JsonOption = None,
 ) -> None:
     """Find the bullets, fit the poses, write the table."""
@@ -136,6 +138,7 @@ def phantom(
     machine = load(machine_name)
     answer = Answer(json_to)
     can_be_written(out, figure)
+    check_page(page)
     scan = read_scan(scan_folder)
     with progress() as bars:
         follow = follower(bars, bars.add_task("bullets", total=len(scan)))
@@ -157,6 +160,10 @@ def phantom(
             along, label = np.degrees(along), f"{table.axes[axis]} [deg]"
         save_figure(deviations_figure(along, label, {"phantom": (table.deviation, table.covariance)}), figure)
         answer.say(f"{figure}: the nine parameters over {table.axes[axis]}")
+    if page is not None:
+        from hil.reports.calibrated import phantom_page
+
+        write_paged(answer, phantom_page(machine, fit, table, (scan_folder, out), answer.said), page)
     answer.write({**_document(fit, table), "aspect": panel.aspect, "skew": panel.skew})
 
 
@@ -181,6 +188,7 @@ def marker(
     ] = None,
     figure: Annotated[Path | None, typer.Option("--figure", metavar="PNG", help="The fitted parameters over the scan.")] = None,
     jobs: JobsOption = 1,
+    page: PageOption = None,
     json_to: JsonOption = None,
 ) -> None:
     """Find the plate, fit its pose, write."""
@@ -194,6 +202,7 @@ def marker(
     machine = load(machine_name)
     answer = Answer(json_to)
     can_be_written(out, figure)
+    check_page(page)
     scan = read_scan(scan_folder)
     name = plate_name or scan.notes.get("marker")
     away = distance if distance is not None else scan.notes.get("marker_distance_mm")
@@ -217,6 +226,10 @@ def marker(
         answer.say(f"{figure}: the fitted parameters over {label.split()[0]}")
     write_marker_scan(result, scan, {"machine": machine.name, "hash": machine.hash, "plate": plate.name}, out)
     answer.say(f"{out}: parameters of {int(result.good.sum())} exposures")
+    if page is not None:
+        from hil.reports.calibrated import marker_page
+
+        write_paged(answer, marker_page(machine, result, scan, (scan_folder, out), answer.said), page)
     answer.write(
         {
             "plate": plate.name,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hil.cli.options import MachineArgument, can_be_written, load, not_an_input
+from hil.cli.paged import PageOption, check_page, write_paged
 from hil.errors import UnusableInputError
 from hil.terminal.output import Answer, JsonOption, save_figure
 from hil.terminal.progress import progress
@@ -61,6 +62,7 @@ def data(
     late: Annotated[float, typer.Option("--late", metavar="MS", min=0.0, help="How long after its exposure an image is there.")] = 200.0,
     figure: Annotated[Path | None, typer.Option("--figure", metavar="PNG", help="The nine parameters over time.")] = None,
     jobs: Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Processes that look at images.")] = 1,
+    page: PageOption = None,
     json_to: JsonOption = None,
 ) -> None:
     """Observe, look at images, filter, write."""
@@ -70,6 +72,7 @@ def data(
     machine = load(machine_name)
     answer = Answer(json_to)
     can_be_written(out, figure)
+    check_page(page)
     not_an_input(out, *(path for path in (recording_file, start, design) if path is not None))
     if scan_folder is None and start is None and marker is None:
         raise UnusableInputError(
@@ -105,6 +108,10 @@ def data(
     if figure is not None:
         _draw(made.observed, made.found, figure)
         answer.say(f"{figure}: the nine parameters over time")
+    if page is not None:
+        from hil.reports.calibrated import data_page
+
+        write_paged(answer, data_page(machine, made.found, recording, (recording_file, out), answer.said), page)
     answer.write(_document(made.model, made.found, made.offered))
 
 

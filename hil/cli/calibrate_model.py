@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hil.cli.options import MachineArgument, can_be_written, edge_scale, load, not_an_input
+from hil.cli.paged import PageOption, check_page, write_paged
 from hil.errors import UnusableInputError
 from hil.terminal.output import Answer, JsonOption, save_figure
 from hil.terminal.progress import follower, progress, working
@@ -144,6 +145,7 @@ def model(
     ] = None,
     figure: Annotated[Path | None, typer.Option("--figure", metavar="PNG", help="Residuals of all scans.")] = None,
     jobs: Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Processes that look at images.")] = 1,
+    page: PageOption = None,
     json_to: JsonOption = None,
 ) -> None:
     """Fit, tell, write."""
@@ -155,6 +157,7 @@ def model(
     machine = load(machine_name)
     answer = Answer(json_to)
     can_be_written(out, figure)
+    check_page(page)
     for path in (*scans, *(held_out or ())):
         not_an_input(out, path)
     start = nominal_chain(machine)
@@ -191,6 +194,12 @@ def model(
     if figure is not None:
         _draw(found, [*scans, *(held_out or ())], [*fitted, *others], len(fitted), figure)
         answer.say(f"{figure}: residuals of {len(fitted) + len(others)} scans")
+    if page is not None:
+        from hil.reports.calibrated import model_page
+
+        every_table = [*fitted, *others]
+        left = {"less model": [_less(table, found) for table in every_table], "less nominal": [table.deviation for table in every_table]}
+        write_paged(answer, model_page(machine, judged, left, out, answer.said), page)
     answer.write(
         {
             "exposures": sum(len(each.positions) for each in fitted),

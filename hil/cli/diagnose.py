@@ -85,14 +85,15 @@ def diagnose(
             bars.print(f"first answer: {_found(diagnosis.findings)} (provisional; {diagnosis.seconds:.1f} s)", style="dim")
 
         outcome = diagnose_audited(machine, train, held, audited, jobs=jobs, report=report, first=first)
-    _finish(answer, outcome, machine, out)
+    _finish(answer, outcome, machine, out, {**train, **held})
 
 
-def _finish(answer: Answer, outcome: Outcome | Answered, machine: Machine, out: Path) -> None:
+def _finish(answer: Answer, outcome: Outcome | Answered, machine: Machine, out: Path, recordings: Mapping[str, Recording]) -> None:
     """Write and say the answer; leave with status 1 where the recordings do not give one."""
     from hil.diagnosis.files import write_diagnosis
+    from hil.reports.made_from import was_emulated
 
-    write_diagnosis(outcome, machine, out)
+    write_diagnosis(outcome, machine, out, was_emulated(recordings.values()))
     _say(answer, outcome, out)
     answer.write(plain(outcome.diagnosis.document()))
     if outcome.diagnosis.verdict in ("misconfigured", "inconclusive"):
