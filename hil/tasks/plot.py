@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,11 +24,21 @@ if TYPE_CHECKING:
 
 DPI = 100
 
+SHOWN = ("position", "command")
+"""Kinds of channels drawn of every axis unless some are named."""
+
 Drawable = Recording | Recordings | FrequencyResponse | ShaperChoice | Estimate | LookUp
 
 
 @as_bench_errors()
-def plot(result: Drawable, simulation: Recording | Recordings | None = None, *, channels: Sequence[str] = (), title: str = "") -> Figure:
+def plot(
+    result: Drawable,
+    simulation: Recording | Recordings | None = None,
+    *,
+    channels: Sequence[str] = (),
+    title: str = "",
+    page: str | Path | None = None,
+) -> Figure:
     """Draw a result.
 
     Parameters
@@ -36,8 +47,10 @@ def plot(result: Drawable, simulation: Recording | Recordings | None = None, *, 
     simulation : Recording, optional
         Of a recording: drawn into it, and what is left beneath.
     channels : sequence of str
-        Of a recording: which ones; position and command of every axis unless given.
+        Of a recording: names or patterns such as `current_*`; position and command of every axis unless given.
     title : str
+    page : str or Path, optional
+        Of a recording: the page to zoom into (.html) that `isocenter plot` writes, with all channels unless some are given.
 
     Returns
     -------
@@ -47,15 +60,15 @@ def plot(result: Drawable, simulation: Recording | Recordings | None = None, *, 
     Raises
     ------
     UnusableInputError
-        Nothing that can be drawn.
+        Nothing that can be drawn, or no such channel.
     RecordingError
-        No such channel, or several recordings.
+        Several recordings.
     """
     _show_in_notebooks()
     if isinstance(result, Recording | Recordings):
-        from hil.figures.recordings import recording_figure
-
-        return recording_figure(the_one(result), None if simulation is None else the_one(simulation), channels, title)
+        return _recording(the_one(result), None if simulation is None else the_one(simulation), channels, title, page)
+    if simulation is not None or channels or page is not None:
+        raise UnusableInputError(f"{type(result).__name__}: a simulation, channels and a page go with a recording")
     if isinstance(result, FrequencyResponse):
         from hil.figures.frf import frf_figure
 
@@ -77,6 +90,18 @@ def plot(result: Drawable, simulation: Recording | Recordings | None = None, *, 
             result.positions[:, axis], f"{result.axes[axis]} [rad or m]", {title or "phantom": (result.deviation, result.covariance)}
         )
     raise UnusableInputError(f"{type(result).__name__}: is not drawn; a recording, response, shaper, estimate or look-up table is")
+
+
+def _recording(recording: Recording, simulation: Recording | None, channels: Sequence[str], title: str, page: str | Path | None) -> Figure:
+    from hil.figures.still import still
+    from hil.pages import Charts, write_page
+    from hil.reports.plot import Plotted, channels_of, charts_of, plot_page
+
+    plotted = [Plotted(Path(title or "recording"), recording, simulation)]
+    if page is not None:
+        write_page(plot_page(plotted, channels_of(plotted, channels)), Path(page))
+    shown = channels or [f"{kind}_{axis}" for axis in recording.axes for kind in SHOWN if f"{kind}_{axis}" in recording]
+    return still(Charts(charts_of(plotted, channels_of(plotted, shown)), columns=1), title)
 
 
 def _show_in_notebooks() -> None:
