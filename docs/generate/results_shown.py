@@ -65,7 +65,18 @@ _LIVE_ROWS = (
     "afterwards, parameters of the end",
 )
 _FILTERS = ("kf", "ekf", "ukf", "filterpy_ukf", "numpy_ukf")
-_CASES = {"quiet": "256 Hz", "fast": "1 kHz"}
+_PARTS = (
+    "observer and damping",
+    "frames",
+    "IMU",
+    "judges of sensors",
+    "loop",
+    "recorder",
+    "I/O",
+    "feedback",
+    "supervisor",
+)
+_CASES = {"quiet": "256 Hz", "loaded": "256 Hz beside a load of eight", "fast": "1 kHz"}
 
 DIAGNOSIS = (
     Shown(
@@ -346,6 +357,15 @@ SHOWN = (
             )
             for case, name in _CASES.items()
         ),
+    ),
+    Shown(
+        "tick_shares.json",
+        "What a tick spends its time on",
+        "The same scan at 256 Hz. The process is interrupted as its processor time goes by, and the part at work counts. "
+        "`frames` are the drives' CANopen frames, sent and taken.",
+        "python benchmarks/tick_shares.py",
+        (Figure("median work of a tick", ("median_work_us",), "µs", 1.0),),
+        (Rows("part", ("us_a_tick",), (Column("a tick [µs]", ()),), _PARTS),),
     ),
     Shown(
         "lockstep.json",

@@ -6,11 +6,13 @@ import typer
 
 from hil.cli import (
     answers,
+    bench,
     bus,
     calibrate,
     calibrate_data,
     calibrate_model,
     calibrate_spot,
+    commission,
     conformance,
     diagnose,
     doctor,
@@ -39,6 +41,8 @@ def commands(app: typer.Typer) -> None:
     plot.register(app)
     doctor.register(app)
     bus.register(app)
+    commission.register(app)
+    bench.register(app)
     conformance.register(app)
     app.add_typer(run.app, name="run")
     answers.register(app)
