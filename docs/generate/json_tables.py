@@ -124,8 +124,8 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
     ),
     "commission": (
         Entry("machine, hash", "text", "Name and hash of the machine file."),
-        Entry("ok, agrees", "true or false", "Every step passed; and the simulation differs from the machine by no more than noise."),
-        Entry("agreement", "object", "Per channel, simulation minus recording of the motion that is not repeated, in units of noise."),
+        Entry("ok", "true or false", "Every step passed."),
+        Entry("comparison", "object or null", "Of a recording with its simulation, as of `compare`; null where it did not come so far."),
         Entry("steps", "list", "`name`, `ok`, `said` (a line each) and `files` of every step."),
     ),
     "conform": (
