@@ -58,6 +58,7 @@ def test_the_page_names_the_channel_that_the_simulation_misses_and_what_to_do_ne
     page = (tmp_path / "run.html").read_text(encoding="utf-8")
     assert "most in current_roll, by 0.25 A rms" in answer["verdict"]
     assert page.index(answer["verdict"]) < page.index("<h2>")
+    assert answer["emulated"] is False
     assert f"isocenter diagnose carm {recorded}" in page
     assert CARM.hash[:12] in page
     assert (tmp_path / "run.png").read_bytes().startswith(b"\x89PNG")
