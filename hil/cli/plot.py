@@ -74,7 +74,8 @@ def plot(
             raise UnusableInputError(f"--png {png}: no channel changes; there is nothing to draw")
         save_figure(still(Charts(charts_of(plotted, drawn), columns=min(2, len(drawn)))), png)
         answer.say(f"{png}: picture")
-    answer.say(f"next: {page.next_command}")
+    if page.next_command:
+        answer.say(f"next: {page.next_command}")
     answer.write({"page": out, "png": png, "channels": names, "verdict": page.verdict.text, "emulated": emulated})
 
 

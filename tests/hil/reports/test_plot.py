@@ -64,6 +64,12 @@ def test_the_page_names_the_channel_that_the_simulation_misses_and_what_to_do_ne
     assert (tmp_path / "run.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_simulation_that_agrees_asks_for_nothing(recorded: Path) -> None:
+    recording = read_recording(recorded)
+    page = plot_page([Plotted(recorded, recording, recording)], ["current_roll"])
+    assert (page.verdict.kind, page.next_command) == ("good", "")
+
+
 def test_channels_are_chosen_by_name_or_pattern(isocenter: Isocenter, recorded: Path, tmp_path: Path) -> None:
     done = isocenter("plot", recorded, "--channels", "current_*, imu_x", "-o", tmp_path / "run.html", "--json", "-")
     assert json.loads(done.out)["channels"] == ["current_propeller", "current_roll", "imu_x"]
