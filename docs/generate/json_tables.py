@@ -165,6 +165,7 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("page, png", "text, text or null", "Files that were written."),
         Entry("channels", "list", "What is in the page."),
         Entry("verdict", "text", "The sentence on top of it."),
+        Entry("emulated", "true or false", "Whether a recording is of the emulator."),
     ),
     "compare": (
         Entry("verdict, agrees", "text, true or false", "The answer in a sentence, and whether no channel differs by more than its noise."),

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hil.calibration.use.lookup_table import LookUp
-from hil.errors import UnusableInputError
+from hil.errors import RecordingError, UnusableInputError
 from hil.identification import FrequencyResponse
 from hil.observing import Estimate
 from hil.recording import Recording
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 DPI = 100
-
 SHOWN = ("position", "command")
 """Kinds of channels drawn of every axis unless some are named."""
 
@@ -62,7 +61,7 @@ def plot(
     UnusableInputError
         Nothing that can be drawn, or no such channel.
     RecordingError
-        Several recordings.
+        Several recordings, or simulation and recording differ in length.
     """
     _show_in_notebooks()
     if isinstance(result, Recording | Recordings):
@@ -97,6 +96,8 @@ def _recording(recording: Recording, simulation: Recording | None, channels: Seq
     from hil.pages import Charts, write_page
     from hil.reports.plot import Plotted, channels_of, charts_of, plot_page
 
+    if simulation is not None and simulation.rows != recording.rows:
+        raise RecordingError(f"{recording.rows} rows recorded, {simulation.rows} simulated; draw a simulation of this recording")
     plotted = [Plotted(Path(title or "recording"), recording, simulation)]
     if page is not None:
         write_page(plot_page(plotted, channels_of(plotted, channels)), Path(page))
