@@ -19,6 +19,10 @@ EXTRAS = {
     "mujoco": ("models", "mujoco"),
     "foxglove": ("foxglove", "foxglove-sdk"),
     "pyuff": ("logs", "pyuff"),
+    "pandas": ("frames", "pandas"),
+    "starlette": ("bench", "starlette"),
+    "uvicorn": ("bench", "uvicorn"),
+    "websockets": ("bench", "websockets"),
 }
 """The extra that brings each package, and the distribution that contains it."""
 

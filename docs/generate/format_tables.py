@@ -76,6 +76,7 @@ OTHER_CHANNELS = (
 METADATA = (
     Entry("recording_format", "number", "1; marks the text as the metadata of a recording."),
     Entry("software", "text", "Name and version of what recorded."),
+    Entry("emulated", "true", "Only where an emulator was the machine."),
     Entry("started", "text", "Time of day of row 0, ISO 8601 with zone. Absent in virtual time."),
     Entry("rows", "number", "CSV only: number of rows; fewer in the file mean that it was cut off."),
     Entry("machine", "table", "`name`, `hash` (SHA-256 of the text), `axes` in order, and the machine file's whole `text`."),
@@ -294,6 +295,7 @@ DESIGN = ArrayFile(
         ),
         Entry("isocenter_m", "(3,)", "Isocentre in the world."),
         Entry("machine, machine_hash", "", "The machine that it was made for."),
+        Entry("poses", "(poses, axes)", "At which it was measured [rad or m]; empty: not known. Optional."),
         Entry("notes", "(any,)", "What a user should know."),
     ),
 )

@@ -8,6 +8,7 @@ from pathlib import Path
 from docs.generate import (
     command_line,
     effects,
+    examples,
     fault_table,
     faults,
     file_formats,
@@ -25,6 +26,7 @@ GENERATED = ROOT / "docs" / "generated"
 GENERATORS = {
     "command-line.md": command_line.page,
     "effects.md": effects.page,
+    "examples.md": examples.page,
     "fault-table.md": fault_table.page,
     "faults.md": faults.page,
     "file-formats.md": file_formats.page,

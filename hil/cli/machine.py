@@ -10,6 +10,7 @@ import typer
 from hil.cli import machine_new
 from hil.cli.options import MachineArgument, can_be_written, load, not_an_input
 from hil.terminal.output import Answer, JsonOption
+from hil.terminal.progress import working
 
 if TYPE_CHECKING:
     from hil.machine import Finding
@@ -77,7 +78,8 @@ def check(machine_name: MachineArgument, json_to: JsonOption = None) -> None:
         )
     else:
         machine = load(machine_name)
-        name, findings = machine.name, check_machine(machine)
+        with working(f"checking {machine.name}"):
+            name, findings = machine.name, check_machine(machine)
     findings += [Finding("assumed", True, f"line {mark.line}: {mark.key} = {mark.value} is assumed: {mark.says}") for mark in assumed]
     for finding in findings:
         answer.say(f"{'note' if finding.name == 'assumed' else 'ok  ' if finding.ok else 'FAIL'} {finding.text}")
@@ -130,7 +132,8 @@ def convert(
     for change in changes:
         if not isinstance(change.new, list):
             answer.say(f"     {change.key} = {change.new:.6g}, was {'not written' if change.old is None else format(change.old, '.6g')}")
-    before, after = check_machine(machine), check_machine(converted)
+    with working("checking both"):
+        before, after = check_machine(machine), check_machine(converted)
     for line in _beside(before, after, (f"{machine.sample_rate_Hz:g} Hz", f"{rate_Hz:g} Hz")):
         answer.say(line)
     failed = [finding for finding in after if not finding.ok]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -10,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from hil.errors import UnusableInputError
+from hil.errors import RecordingError, UnusableInputError
 from hil.extras import extra_package
-from hil.recording.follow import JournalFollower, journals
+from hil.recording.journal import part_path
 from hil.recording.json_rows import TOPIC, row_messages, row_schema, started
+from hil.recording.tail import JournalTail
 
 POLL_S = 0.05
 """As often as the recorder writes."""
@@ -73,35 +75,49 @@ class FoxgloveServer:
 
 
 def serve(place: Path, server: FoxgloveServer, say: Callable[[str], None]) -> None:
-    """Send every recording that is made at a place: in a folder until interrupted, or one recording until its end."""
+    """Send every recording that is made at a place: in a folder the newest, until interrupted, or one recording until its end."""
     if hasattr(os, "nice"):
         os.nice(MODEST)
     while True:
-        for part in journals(place):
-            try:
-                follower = JournalFollower(part)
-            except FileNotFoundError:  # it has ended just now
-                continue
-            with follower:
-                sent = _send_all(server, follower)
-            say(f"{part.name.removesuffix('.part')}: {sent} rows sent")
-            if not place.is_dir():
-                return
+        if (part := _newest(place)) is not None:
+            with contextlib.suppress(RecordingError):  # its header is not whole yet, or it has ended just now
+                tail = JournalTail(part)
+                try:
+                    sent = _send_all(server, tail, place)
+                finally:
+                    tail.close()
+                say(f"{part.name.removesuffix('.part')}: {sent} rows sent")
+                if not place.is_dir():
+                    return
         time.sleep(POLL_S)
 
 
-def _send_all(server: FoxgloveServer, follower: JournalFollower) -> int:
-    """Send a recording to its end; return the number of rows. Times are those of this computer where the recording does not say its own."""
-    sent, started_ns = 0, 0
-    while not follower.ended:
-        rows = follower.rows()
-        if len(rows):
-            if not sent:
-                server.begin(follower.channels)
-                first_s = float(rows[0, [name for name, _ in follower.channels].index("time")])
-                started_ns = started(follower.metadata) or time.time_ns() - round(first_s * 1e9)
-            server.send(follower.channels, rows, started_ns)
-            sent += len(rows)
-        if not follower.ended:
+def _newest(place: Path) -> Path | None:
+    """Return the newest journal in a folder, or that of one recording."""
+    parts = place.glob("*.part") if place.is_dir() else [part_path(place)]
+    there = []
+    for part in parts:
+        with contextlib.suppress(FileNotFoundError):
+            there.append((part.stat().st_mtime_ns, part))
+    return max(there)[1] if there else None
+
+
+def _send_all(server: FoxgloveServer, tail: JournalTail, place: Path) -> int:
+    """Send a recording until it ends or a newer one begins; return the number of rows.
+
+    Times are those of this computer where the recording does not say its own.
+    """
+    begun, started_ns, ended = False, 0, False
+    time_column = [name for name, _ in tail.channels].index("time")
+    while not ended:
+        ended = tail.ended or _newest(place) not in (None, tail.path)  # asked first: what was written last is sent all the same
+        for count, values in tail.take():
+            rows = np.frombuffer(values, dtype="<f8").reshape(count, len(tail.channels))
+            if not begun:
+                begun = True
+                server.begin(tail.channels)
+                started_ns = started(tail.metadata) or time.time_ns() - round(float(rows[0, time_column]) * 1e9)
+            server.send(tail.channels, rows, started_ns)
+        if not ended:
             time.sleep(POLL_S)
-    return sent
+    return tail.rows

@@ -88,7 +88,7 @@ class Journal:
         content = _read(path)
         channels, _, start = parse_header(path, content)
         rows, size = 0, start
-        for count, _, end in complete_blocks(content, start, len(channels)):
+        for count, _, end in blocks_in(content, start, len(channels)):
             rows, size = rows + count, end
         journal = cls(path, _open(path, os.O_RDWR), len(channels), rows, size)
         journal._cut_off_rest()
@@ -167,7 +167,7 @@ def read_journal(part: Path) -> tuple[Recording, int]:
     content = _read(part)
     channels, metadata, start = parse_header(part, content)
     blocks, end = [], start
-    for count, values, block_end in complete_blocks(content, start, len(channels)):
+    for count, values, block_end in blocks_in(content, start, len(channels)):
         blocks.append(np.frombuffer(values, dtype="<f8").reshape(count, len(channels)))
         end = block_end
     if not blocks:
@@ -240,7 +240,7 @@ def parse_header(path: Path, content: bytes) -> tuple[list[tuple[str, str]], dic
     return channels, metadata, start + length
 
 
-def complete_blocks(content: bytes, start: int, width: int) -> Iterator[tuple[int, memoryview, int]]:
+def blocks_in(content: bytes, start: int, width: int) -> Iterator[tuple[int, memoryview, int]]:
     """Yield (rows, values, end) of every block up to the first that is incomplete or damaged."""
     view = memoryview(content)
     while start + _BLOCK_HEADER.size <= len(content):

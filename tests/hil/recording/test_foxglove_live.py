@@ -18,8 +18,6 @@ from command_line import Isocenter
 from websockets.sync.client import ClientConnection, connect
 
 from hil.recording import JournalSink, RecorderProcess, read_recording
-from hil.recording.follow import JournalFollower
-from hil.recording.journal import part_path
 
 CHANNELS = [("time", "s"), ("reference_roll", "rad"), ("current_roll", "A")]
 METADATA = {"machine": {"name": "carm", "hash": "ab", "axes": ["roll"], "text": ""}}
@@ -91,21 +89,18 @@ def test_a_viewer_gets_every_row_while_it_is_recorded(tmp_path: Path, server: tu
         assert time_ns - seen[0][0] == pytest.approx(round((sent["time"] - seen[0][1]["time"]) * 1e9), abs=1)
 
 
-def test_a_follower_reads_each_row_once_to_the_end(tmp_path: Path) -> None:
-    path = tmp_path / "run.csv"
-    sink = JournalSink(path, CHANNELS, METADATA)
-    with JournalFollower(part_path(path)) as follower:
-        seen = [follower.rows()]
-        for k in range(1500):
+def test_a_recording_that_was_cut_short_does_not_hide_the_next(tmp_path: Path, server: tuple[subprocess.Popen[str], str]) -> None:
+    process, url = server
+    assert process.stderr is not None
+    JournalSink(tmp_path / "left.csv", CHANNELS, METADATA)  # never closed
+    viewer = connect(url, subprotocols=["foxglove.sdk.v1"])  # type: ignore[list-item]
+    with viewer as client, JournalSink(tmp_path / "next.csv", CHANNELS, METADATA) as sink:
+        for k in range(600):
             sink.put(row(k))
-            if k % 100 == 0:
-                seen.append(follower.rows())
-        assert 0 < sum(map(len, seen)) < 1500  # what the sink has handed over
-        sink.close()
-        while not follower.ended:
-            seen.append(follower.rows())
-    rows = np.concatenate([each for each in seen if len(each)])
-    np.testing.assert_array_equal(rows, [row(k) for k in range(1500)])
+        said(client, "advertise")
+    while not (line := process.stderr.readline()).startswith("next.csv: "):
+        assert line
+    assert line == "next.csv: 600 rows sent\n"
 
 
 def test_a_recording_that_has_ended_is_not_waited_for(isocenter: Isocenter, tmp_path: Path) -> None:
