@@ -34,7 +34,6 @@ app = typer.Typer(
     name="isocenter",
     help="Hardware-in-the-loop controller stack for an X-ray C-arm.\n\nStart with:  isocenter demo",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120},
