@@ -61,7 +61,9 @@ def test_both_modes_are_found_and_told() -> None:
     assert [one.frequency_Hz for one in found.found] == pytest.approx(FREQUENCIES_Hz, rel=2e-3)
     assert [one.damping for one in found.found] == pytest.approx(DAMPING, rel=0.1)
     head, *lines = resonance_lines(found)
-    assert head.startswith("2 resonances, with 95 % bounds (maximum-likelihood fit")
+    assert head.startswith("2 resonances with 95 % bounds")
+    assert "maximum-likelihood fit of common pole pairs" in lines[-1]
+    assert max(map(len, lines)) <= 120
     assert lines[0].startswith("  3.0")
     assert " Hz ± 0.0" in lines[0]
     assert "damping 3." in lines[0] or "damping 2.9" in lines[0]
