@@ -16,6 +16,13 @@ EXTRAS = {
     "pyarrow": ("logs", "pyarrow"),
     "mcap": ("logs", "mcap"),
     "mcap_ros2": ("logs", "mcap-ros2-support"),
+    "mujoco": ("models", "mujoco"),
+    "foxglove": ("foxglove", "foxglove-sdk"),
+    "pyuff": ("logs", "pyuff"),
+    "pandas": ("frames", "pandas"),
+    "starlette": ("bench", "starlette"),
+    "uvicorn": ("bench", "uvicorn"),
+    "websockets": ("bench", "websockets"),
 }
 """The extra that brings each package, and the distribution that contains it."""
 

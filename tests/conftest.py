@@ -4,6 +4,7 @@ import gc
 import os
 
 import pytest
+from browser import browser, console_errors, page  # noqa: F401
 from command_line import Isocenter, runner
 
 for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):

@@ -115,7 +115,10 @@ FRF = ArrayFile(
     "isocenter identify",
     "L excited lines, n_y outputs, n_u inputs; in closed loop n_z = n_y + n_u, in open loop n_z = n_y. vec(G) stacks columns: element "
     "(i, j) of G has index j n_y + i. Covariances are of the estimate with all averaging counted, E[e eᴴ], so a diagonal element is the "
-    "variance of a complex number. What the data could not tell is absent: without a second period there is no noise covariance.",
+    "variance of a complex number. What the data could not tell is absent: without a second period there is no noise covariance. "
+    "`isocenter convert` writes the same arrays as `.mat`, for `frd(permute(G, [2 3 1]), frequencies_Hz, 1 / sample_rate_Hz, "
+    "'FrequencyUnit', 'Hz')`, and G as `.uff` or `.unv` (Universal File Format, data set 58, text: response node i is output i, "
+    "reference node j input j; six digits of the frequency where lines are uneven).",
     (
         Entry("format", "", "1."),
         Entry("lines", "(L,)", "Excited harmonics of `sample_rate_Hz` / `period_samples`."),

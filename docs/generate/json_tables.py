@@ -113,9 +113,20 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("trial", "object or null", "Timing of the run against the emulated machine, as in a recording."),
         Entry("answer_from", "text", "Where the time of the devices' answers in the prediction is from."),
     ),
+    "bench": (
+        Entry("address", "text", "The address to open, with its one-time token where one is set. One line, as soon as the page is served."),
+        Entry("machine, bus", "text", "Machine and bus."),
+        Entry("folder", "text", "Where recordings and answers go."),
+    ),
     "scan-bus": (
         Entry("bus", "text", "The bus."),
         Entry("nodes", "list", "`node_id`, `device_type`, `description`, `identity`, `nmt_state`, `name`."),
+    ),
+    "commission": (
+        Entry("machine, hash", "text", "Name and hash of the machine file."),
+        Entry("ok, agrees", "true or false", "Every step passed; and the simulation differs from the machine by no more than noise."),
+        Entry("agreement", "object", "Per channel, simulation minus recording of the motion that is not repeated, in units of noise."),
+        Entry("steps", "list", "`name`, `ok`, `said` (a line each) and `files` of every step."),
     ),
     "conform": (
         Entry("eds, bus, writes", "text, text, true or false", "What was asked."),
@@ -150,6 +161,11 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("simulation, rows", "text, number", "The file that was written, and its rows."),
         Entry("effects", "list", "Physics that was added: `name`, `at`, `parameters`."),
     ),
+    "plot": (
+        Entry("page, png", "text, text or null", "Files that were written."),
+        Entry("channels", "list", "What is in the page."),
+        Entry("verdict", "text", "The sentence on top of it."),
+    ),
     "compare": (
         Entry("verdict, agrees", "text, true or false", "The answer in a sentence, and whether no channel differs by more than its noise."),
         Entry("noise", "text", "Where the noise is known from: `repeats`, `periods`, or `assumed`."),
@@ -169,6 +185,7 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("names", "object", "Signal of another tool's file to channel."),
         Entry("not_taken", "list", "What is in the file and not in the recording, a text each."),
         Entry("notes", "list", "How the rest was taken where that was not plain: resampled, summed, in another unit."),
+        Entry("target, lines, outputs, inputs", "text, number, list, list", "Of a frequency response these four alone."),
     ),
     "identify": _IDENTIFY,
     "shape": (
@@ -260,6 +277,14 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("ok", "true or false", "Whether the new file passes every check."),
         Entry("before, findings", "list", "Findings of the old file and of the new one, as of `machine check`."),
     ),
+    "machine new": (
+        Entry("machine_file", "text", "The file that was written."),
+        Entry("axes", "list", "Names of the axes."),
+        Entry("assumed, open", "list", "Marks in the file: `line`, `key`, `says` and, of what is assumed, `value`."),
+        Entry("left", "list", "What was not taken over."),
+        Entry("controllers", "object", "Second-order sections that were designed, by axis."),
+    ),
+    "machine schema": (Entry("schema", "text or null", "The file that was written; null where it was printed."),),
     **dict.fromkeys(("run multisine", "run scan", "run jog", "run static", "run file"), _RUN),
     "calibrate phantom": (
         Entry("exposures, used", "number", "Images, and those that were used."),

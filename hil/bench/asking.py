@@ -37,7 +37,7 @@ def stop_socket(bus_url: str, *, make: bool = False) -> Path:
     return folder / f"stop-{hashlib.sha256(name.encode()).hexdigest()[:16]}.socket"
 
 
-def ask_to_stop(bus_url: str, say: Callable[[str], None]) -> None:
+def ask_to_stop(bus_url: str, say: Callable[[str], None], asker: str = "`isocenter stop`") -> None:
     """Ask for a stop, and stay until no drive has torque.
 
     Parameters
@@ -45,6 +45,8 @@ def ask_to_stop(bus_url: str, say: Callable[[str], None]) -> None:
     bus_url : str
     say : callable
         Takes a line of what is seen.
+    asker : str
+        Who asks, for the audit trail.
 
     Raises
     ------
@@ -54,7 +56,7 @@ def ask_to_stop(bus_url: str, say: Callable[[str], None]) -> None:
         A drive keeps its torque.
     """
     path = stop_socket(bus_url)
-    who = f"`isocenter stop` (user {getpass.getuser()}, process {os.getpid()})"
+    who = f"{asker} (user {getpass.getuser()}, process {os.getpid()})"
     with tempfile.TemporaryDirectory() as own, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as line:
         line.bind(str(Path(own) / "answers"))
         line.settimeout(ANSWER_S)

@@ -29,6 +29,7 @@ from drivers.settings import BusSettings
 from hil.bench.asking import stop_socket
 from hil.bench.attendant import LockstepAttendant, Operator
 from hil.bench.clock import ANSWERS_AWAKE_S, LockstepClock, WallClock
+from hil.bench.notice import noticed
 from hil.bench.options import BenchOptions
 from hil.bench.signals import StopRequest
 from hil.emulated.card import find
@@ -227,6 +228,7 @@ def wall_wiring(machine: Machine, options: BenchOptions, stop_request: StopReque
         if settings.io is not None:
             io = stack.enter_context(_polling(IoProcess(settings.io, machine.axes, supervisor.memory_name)))
         supervisor.start(io.memory_name if io is not None else "")
+        stack.enter_context(noticed(options.bus_url, io.memory_name if io is not None else ""))
         link = HeedingMachine(stop_request, settings, bus, clock, imu, io, Operator(), supervisor)
         if options.real_time:
             clock.rehearsals.append(link.rehearse)

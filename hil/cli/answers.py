@@ -96,8 +96,10 @@ def compare(
 
 
 def convert(
-    source: Annotated[Path, typer.Argument(metavar="A", help="What to read: a recording, log or bag.")],
-    target: Annotated[Path, typer.Argument(metavar="B", help="What to write: .mf4, .csv, .parquet or .mcap.")],
+    source: Annotated[Path, typer.Argument(metavar="A", help="What to read: a recording, log, bag or FRF.")],
+    target: Annotated[
+        Path, typer.Argument(metavar="B", help="What to write: .mf4, .csv, .parquet or .mcap; of an FRF .mat, .uff or .unv.")
+    ],
     mapping: Annotated[
         list[str] | None,
         typer.Option(
@@ -109,10 +111,13 @@ def convert(
     machine_name: OptionalMachine = None,
     json_to: JsonOption = None,
 ) -> None:
-    """Write the same channels to another file."""
+    """Write the same channels, or the same frequency response, to another file."""
     from hil.recording import convert as convert_recording
 
     not_an_input(target, source)
+    if source.suffix.lower() == ".npz":
+        _convert_frf(source, target, Answer(json_to))
+        return
     machine = None if machine_name is None else load(machine_name)
     answer = Answer(json_to)
     recording = convert_recording(source, target, machine, _channel_names(mapping or []))
@@ -129,6 +134,16 @@ def convert(
             "notes": said.get("notes", []),
         }
     )
+
+
+def _convert_frf(source: Path, target: Path, answer: Answer) -> None:
+    from hil.identification.exchange import convert_frf
+
+    can_be_written(target)
+    response = convert_frf(source, target)
+    lines, outputs, inputs = response.G.shape
+    answer.say(f"{target}: frequency response of {lines} lines, {outputs} outputs, {inputs} inputs")
+    answer.write({"target": target, "lines": lines, "outputs": response.output_names, "inputs": response.input_names})
 
 
 def _channel_names(mapping: list[str]) -> dict[str, NameTarget]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hil.cli.options import MachineArgument, ScanArgument, can_be_written, load
+from hil.cli.paged import PageOption, check_page, write_paged
 from hil.errors import UnusableInputError
 from hil.terminal.output import Answer, JsonOption, save_figure
 from hil.terminal.progress import follower, progress
@@ -124,42 +125,29 @@ def phantom(
     ] = False,
     figure: FigureOption = None,
     jobs: JobsOption = 1,
+    page: PageOption = None,
     json_to: JsonOption = None,
 ) -> None:
     """Find the bullets, fit the poses, write the table."""
     import numpy as np
 
-    from hil.calibration.phantom.phantom_calibration import look_for_bullets
-    from hil.calibration.phantom.pixel_shape import fit_pixels
-    from hil.calibration.phantom.pose import fit_poses
-    from hil.calibration.use.lookup_table import look_up_of, sweep_speed, write_look_up
-    from hil.calibration.use.lookup_table import standing as where_it_stood
-    from hil.imaging.nominal import nominal_beam
-    from hil.imaging.phantoms import dodecahedron
+    from hil.calibration.phantom.from_scan import calibrate_phantom_scan
+    from hil.calibration.use.lookup_table import write_look_up
     from hil.imaging.scan_folder import read_scan
 
     machine = load(machine_name)
     answer = Answer(json_to)
     can_be_written(out, figure)
+    check_page(page)
     scan = read_scan(scan_folder)
-    positions = scan.positions_of(machine)
-    nominal = nominal_beam(machine, positions)
     with progress() as bars:
-        task = bars.add_task("bullets", total=len(scan))
-        follow = follower(bars, task)
-        bullets = dodecahedron()
-        observed, sigma = look_for_bullets(scan, bullets, nominal, jobs, lambda done, total: follow(done))
-    panel = scan.detector
-    if pixels:
-        seen = panel.to_pixels(observed)
-        panel, known = fit_pixels(bullets.centers_m, seen, sigma / panel.pitch_m, nominal, panel).of_the_panel(panel)
-        observed = panel.to_metres(seen)
+        follow = follower(bars, bars.add_task("bullets", total=len(scan)))
+        found = calibrate_phantom_scan(
+            machine, scan, six=six, pixels=pixels, at_standstill=standing, jobs=jobs, progress=lambda done, total: follow(done)
+        )
+    table, fit, panel = found.table, found.fit, found.panel
+    if (known := found.pixel_sigma) is not None:
         answer.say(f"pixels: aspect {panel.aspect:.5f}, sigma {known[0]:.5f}; skew {panel.skew:.5f}, sigma {known[1]:.5f}")
-    fit = fit_poses(bullets.centers_m, observed, sigma, nominal, not six)
-    speed = [float(each) if np.isfinite(each) else None for each in sweep_speed(scan.middle_s, positions)]
-    notes = {"machine": machine.name, "hash": machine.hash, "six": six, "speed": speed}
-    table = look_up_of(fit, nominal, scan.axes, positions, notes)
-    table = where_it_stood(table) if standing else table
     _report(answer, fit, table, six)
     write_look_up(table, out)
     answer.say(f"{out}: look-up table of {len(table.positions)} {'poses' if standing else 'exposures'}")
@@ -172,6 +160,10 @@ def phantom(
             along, label = np.degrees(along), f"{table.axes[axis]} [deg]"
         save_figure(deviations_figure(along, label, {"phantom": (table.deviation, table.covariance)}), figure)
         answer.say(f"{figure}: the nine parameters over {table.axes[axis]}")
+    if page is not None:
+        from hil.reports.calibrated import phantom_page
+
+        write_paged(answer, phantom_page(machine, fit, table, (scan_folder, out), answer.said), page)
     answer.write({**_document(fit, table), "aspect": panel.aspect, "skew": panel.skew})
 
 
@@ -196,6 +188,7 @@ def marker(
     ] = None,
     figure: Annotated[Path | None, typer.Option("--figure", metavar="PNG", help="The fitted parameters over the scan.")] = None,
     jobs: JobsOption = 1,
+    page: PageOption = None,
     json_to: JsonOption = None,
 ) -> None:
     """Find the plate, fit its pose, write."""
@@ -209,6 +202,7 @@ def marker(
     machine = load(machine_name)
     answer = Answer(json_to)
     can_be_written(out, figure)
+    check_page(page)
     scan = read_scan(scan_folder)
     name = plate_name or scan.notes.get("marker")
     away = distance if distance is not None else scan.notes.get("marker_distance_mm")
@@ -232,6 +226,10 @@ def marker(
         answer.say(f"{figure}: the fitted parameters over {label.split()[0]}")
     write_marker_scan(result, scan, {"machine": machine.name, "hash": machine.hash, "plate": plate.name}, out)
     answer.say(f"{out}: parameters of {int(result.good.sum())} exposures")
+    if page is not None:
+        from hil.reports.calibrated import marker_page
+
+        write_paged(answer, marker_page(machine, result, scan, (scan_folder, out), answer.said), page)
     answer.write(
         {
             "plate": plate.name,

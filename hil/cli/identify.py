@@ -10,6 +10,7 @@ import typer
 
 from hil.cli.emulated import say_emulated
 from hil.cli.options import can_be_written, load, not_an_input, parse_band
+from hil.cli.paged import PageOption, check_page, write_paged
 from hil.terminal.output import Answer, JsonOption, save_figure
 from hil.terminal.progress import working
 
@@ -63,6 +64,7 @@ def identify(
     machine_name: Annotated[
         str | None, typer.Option("--machine", "-m", metavar="M", help="Machine file, for a recording that carries none.")
     ] = None,
+    page: PageOption = None,
     json_to: JsonOption = None,
 ) -> None:
     """Estimate frequency response, noise and nonlinear variance."""
@@ -74,6 +76,7 @@ def identify(
     machine = None if machine_name is None else load(machine_name)
     answer = Answer(json_to)
     can_be_written(out, figure)
+    check_page(page)
     not_an_input(out, *recordings)
     taken = _plant_input(plant_input)
     read = [read_recording(path, machine) for path in recordings]
@@ -100,6 +103,10 @@ def identify(
 
         save_figure(frf_figure(responses[0], modes=modes[0].found, title=_figure_title(responses[0], emulated)), figure)
         answer.say(f"{figure}: figure")
+    if page is not None:
+        from hil.reports.identified import identified_page
+
+        write_paged(answer, identified_page(responses, modes, response_paths(out, len(responses)), recordings, read), page)
     answer.write(documents[0] if len(documents) == 1 else {"poses": documents})
 
 

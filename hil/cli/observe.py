@@ -11,6 +11,7 @@ import typer
 
 from hil.cli.emulated import say_emulated
 from hil.cli.options import MachineArgument, can_be_written, load, not_an_input
+from hil.cli.paged import PageOption, check_page, write_paged
 from hil.errors import UnusableInputError
 from hil.terminal.output import Answer, JsonOption, save_figure
 from hil.terminal.progress import progress, working
@@ -123,6 +124,7 @@ def observe(
     ] = None,
     images: Annotated[Path | None, typer.Option("--images", metavar="DIR", help="With --data: the folder of that run's images.")] = None,
     figure: Annotated[Path | None, typer.Option("--figure", metavar="PNG", help="Draw it as well.")] = None,
+    page: PageOption = None,
     json_to: JsonOption = None,
 ) -> None:
     """Design or read, replay, write."""
@@ -143,6 +145,7 @@ def observe(
     answer = Answer(json_to)
     can_be_written(out, suffixes=(".npz", ".mf4", ".csv"))
     can_be_written(figure, save_design)
+    check_page(page)
     inputs = [recording_path, *(frf or []), *(multisine or []), *(standing or []), *(sweep or []), *(tune or [])]
     inputs += [path for path in (design_path, data) if path is not None]
     for written in (out, save_design, figure):
@@ -197,6 +200,10 @@ def observe(
     )
     if document["live"]:
         answer.say(f"live estimates in the recording: {document['live']}")
+    if page is not None:
+        from hil.reports.observed import observed_page
+
+        write_paged(answer, observed_page(machine, estimate, recording, (recording_path, out), answer.said), page)
     answer.write({"estimate": out, **document})
 
 

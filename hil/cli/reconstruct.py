@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from hil.cli.options import MachineArgument, ScanArgument, folder_can_be_written, load
+from hil.cli.paged import PageOption, check_page, write_paged
 from hil.errors import UnusableInputError
 from hil.terminal.output import Answer, JsonOption
 from hil.terminal.progress import progress
@@ -37,6 +38,7 @@ def reconstruct(
     size: Annotated[int, typer.Option("--size", min=16, max=1024, help="Voxels along each edge.")] = 128,
     spacing: Annotated[float, typer.Option("--spacing", metavar="MM", help="Edge of a voxel.")] = 0.5,
     hann: Annotated[float, typer.Option("--hann", min=0.0, max=1.0, help="Hann window's cut-off, relative to Nyquist; 0: none.")] = 0.0,
+    page: PageOption = None,
     json_to: JsonOption = None,
 ) -> None:
     """Read, reconstruct, judge, draw."""
@@ -61,6 +63,7 @@ def reconstruct(
     machine = load(machine_name)
     answer = Answer(json_to)
     folder_can_be_written(out)
+    check_page(page)
     scan = read_scan(scan_folder)
     positions = scan.positions_of(machine)
     beam = nominal_beam(machine, positions)
@@ -108,6 +111,11 @@ def reconstruct(
                 f" {1e3 * quality.widths_m[0]:.2f} and {1e3 * quality.widths_m[1]:.2f} mm,"
                 f" {1e3 * np.linalg.norm(quality.offset_m):.2f} mm from its place, artefacts {quality.artefact:.1%} of the peak"
             )
+    if page is not None:
+        from hil.reports.reconstructed import reconstructed_page
+
+        facts = {"Geometry": source, "Projections": str(len(scan))}
+        write_paged(answer, reconstructed_page(machine, volume, judged, (scan_folder, out), facts), page)
     answer.write(
         {
             "geometry": source,

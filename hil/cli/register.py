@@ -6,11 +6,13 @@ import typer
 
 from hil.cli import (
     answers,
+    bench,
     bus,
     calibrate,
     calibrate_data,
     calibrate_model,
     calibrate_spot,
+    commission,
     conformance,
     diagnose,
     doctor,
@@ -20,6 +22,7 @@ from hil.cli import (
     machine,
     observe,
     physics,
+    plot,
     reconstruct,
     roadmap,
     run,
@@ -35,8 +38,11 @@ def commands(app: typer.Typer) -> None:
     story.register(app)
     app.add_typer(machine.app, name="machine")
     physics.register(app)
+    plot.register(app)
     doctor.register(app)
     bus.register(app)
+    commission.register(app)
+    bench.register(app)
     conformance.register(app)
     app.add_typer(run.app, name="run")
     answers.register(app)

@@ -21,6 +21,7 @@ from hil.cli.options import (
     parse_pose,
     parse_whole_numbers,
 )
+from hil.cli.paged import PageOption, check_page, write_paged
 from hil.terminal.output import Answer, JsonOption, save_figure
 from hil.terminal.progress import working
 
@@ -63,6 +64,7 @@ def shape(
         Path | None, typer.Option("--figure", metavar="PNG", help="Taps, frequency responses, map of delays, before and after in time.")
     ] = None,
     effects: EffectsOption = None,
+    page: PageOption = None,
     json_to: JsonOption = None,
 ) -> None:
     """Print one line per design, the recommended one first."""
@@ -77,6 +79,7 @@ def shape(
         raise UnusableInputError(f"--axis {axis}: {machine.name} has {', '.join(machine.axes)}")
     answer = Answer(json_to)
     can_be_written(out, figure, table)
+    check_page(page)
     if frf is not None:
         not_an_input(out, frf)
     aim = _aim(period, harmonics, longest)
@@ -109,6 +112,11 @@ def shape(
 
         save_figure(design_figure(designs, subjects, aim, rate, in_time, f"{axis} of {machine.name}, {source}"), figure)
         answer.say(f"{figure}: figure")
+    if page is not None:
+        from hil.reports.shaped import shaped_page
+
+        sentence, facts = _sentence(designs[0], chosen, axis, machine.name), {"Aim": aim.kind, "From": source}
+        write_paged(answer, shaped_page(machine, axis, sentence, candidates, chosen, subjects, in_time, out, facts), page)
     document = {"shaper": out, "chosen": chosen.name, "recommended": designs[0].name, "fit": not chosen.verdict.against, **notes}
     before_s, after_s = settled(in_time["none"], in_time[chosen.name])
     document["in_time"] = {

@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.bench.open import open_bench, recording_paths
 from hil.bench.options import BenchOptions
-from hil.demo.page import write_page
+from hil.demo.page import write_demo_page
 from hil.demo.told import Story
 from hil.experiments import Jog, Multisine
 from hil.identification import identify, write_frf
@@ -52,6 +52,7 @@ def run_demo(out: Path, answer: Answer) -> dict[str, Any]:
     write_recording(friction, out / "simulated_with_friction.mf4")
     story = Story(
         machine,
+        tuple(paths),
         recordings[0],
         response,
         sampled_response(machine, np.array(response.pose), response.frequencies_Hz, response.output_names),
@@ -65,7 +66,7 @@ def run_demo(out: Path, answer: Answer) -> dict[str, Any]:
     )
     before, after = (comparison["current_roll"].nrmse for comparison in (story.nominal_comparison, story.friction_comparison))
     answer.say(f"current_roll: simulation off by {before:.1%} (NRMSE) without the friction, {after:.1%} with it")
-    page = write_page(story, out)
+    page = write_demo_page(story, out)
     seconds = time.perf_counter() - began
     answer.say(f"{page}: the page, after {seconds:.1f} s")
     return {

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from hil.machine.model import AxisUnits, Geometry
 from hil.machine.schema import CurrentTable, DriveTable, EncoderTable, ImuTable, MachineTable, SpeedTable, TemperatureTable
 from hil.machine.table import Table
 from hil.machine.units import ANGULAR, CONSTANT_UNITS, LINEAR
+from virtual_bus.plant.parameters import possible_parameters
 from virtual_bus.settings import CurrentSensor, Drive, Encoder, Imu, Joint, PlantSettings, SpeedSensor, Thermometer, Tree
 
 Where = tuple[str | int, ...]
@@ -70,7 +72,7 @@ def build_plant(table: MachineTable) -> PlantSettings:
         if f"position_{axis}" not in table.sensors and (table.controller or table.bus):
             raise ComplaintError(("sensors", f"position_{axis}"), "is missing; every axis with a controller has a motor-side encoder")
     watched = () if table.geometry is None else tuple(dict.fromkeys((table.geometry.source_body, table.geometry.detector_body)))
-    return PlantSettings(
+    plant = PlantSettings(
         tree=tree,
         drives=tuple(drives),
         encoders=tuple(encoders),
@@ -82,6 +84,21 @@ def build_plant(table: MachineTable) -> PlantSettings:
         watched_bodies=watched,
         speeds=tuple(speeds),
     )
+    return replace(plant, tolerances=tuple(_tolerances(table, plant)))
+
+
+def _tolerances(table: MachineTable, plant: PlantSettings) -> Iterator[tuple[str, float]]:
+    """Name and hard bound of every number that the file gives one."""
+    known = [parameter.name for parameter in possible_parameters(plant)]
+    for owner, numbers in table.tolerances.items():
+        own = [name.partition(".")[2] for name in known if name.startswith(f"{owner}.")]
+        if not own:
+            require_known(
+                owner, dict.fromkeys(name.partition(".")[0] for name in known), ("tolerances", owner), "body, joint, drive or IMU"
+            )
+        for quantity, bound in numbers.items():
+            require_known(quantity, own, ("tolerances", owner, quantity), "number")
+            yield f"{owner}.{quantity}", bound
 
 
 def _drive(axis: str, drive: DriveTable, kind: str) -> Drive:

@@ -86,9 +86,9 @@ class Journal:
     def resume(cls, path: Path) -> Journal:
         """Continue after the last complete block; an incomplete one is cut off."""
         content = _read(path)
-        channels, _, start = _parse_header(path, content)
+        channels, _, start = parse_header(path, content)
         rows, size = 0, start
-        for count, _, end in _blocks(content, start, len(channels)):
+        for count, _, end in blocks_in(content, start, len(channels)):
             rows, size = rows + count, end
         journal = cls(path, _open(path, os.O_RDWR), len(channels), rows, size)
         journal._cut_off_rest()
@@ -165,9 +165,9 @@ def recover(part: Path) -> Recording:
 def read_journal(part: Path) -> tuple[Recording, int]:
     """Read the complete rows of a journal, and the number of bytes after them."""
     content = _read(part)
-    channels, metadata, start = _parse_header(part, content)
+    channels, metadata, start = parse_header(part, content)
     blocks, end = [], start
-    for count, values, block_end in _blocks(content, start, len(channels)):
+    for count, values, block_end in blocks_in(content, start, len(channels)):
         blocks.append(np.frombuffer(values, dtype="<f8").reshape(count, len(channels)))
         end = block_end
     if not blocks:
@@ -226,7 +226,7 @@ def _read(path: Path) -> bytes:
         raise RecordingError(f"{path}: cannot be read: {problem.strerror}") from None
 
 
-def _parse_header(path: Path, content: bytes) -> tuple[list[tuple[str, str]], dict[str, Any], int]:
+def parse_header(path: Path, content: bytes) -> tuple[list[tuple[str, str]], dict[str, Any], int]:
     """Return channels, metadata and the offset of the first block."""
     start = len(MAGIC) + _LENGTHS.size
     if content[: len(MAGIC)] != MAGIC or len(content) < start:
@@ -240,7 +240,7 @@ def _parse_header(path: Path, content: bytes) -> tuple[list[tuple[str, str]], di
     return channels, metadata, start + length
 
 
-def _blocks(content: bytes, start: int, width: int) -> Iterator[tuple[int, memoryview, int]]:
+def blocks_in(content: bytes, start: int, width: int) -> Iterator[tuple[int, memoryview, int]]:
     """Yield (rows, values, end) of every block up to the first that is incomplete or damaged."""
     view = memoryview(content)
     while start + _BLOCK_HEADER.size <= len(content):

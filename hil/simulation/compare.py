@@ -5,13 +5,17 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hil.errors import RecordingError
+from hil.files.frames import data_frame
 from hil.recording import Recording
 from hil.simulation.noise import Noise, channel_noise, noise_source
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 STANDSTILL = 1e-12
 """A channel that varies by less than this share of its largest value counts as constant: the rest is rounding."""
@@ -118,6 +122,12 @@ class Comparison:
             "only_recorded": list(self.only_recorded),
             "only_simulated": list(self.only_simulated),
         }
+
+    def frame(self) -> pd.DataFrame:
+        """Return one row per channel with the fields of `ChannelComparison`; UnusableInputError without pandas, an extra."""
+        fields = [asdict(channel) for channel in self.channels]
+        columns = {name: [each[name] for each in fields] for name in fields[0] if name != "name"}
+        return data_frame(columns, index=[channel.name for channel in self.channels], index_name="channel")
 
     def table(self) -> str:
         """Return the comparison as lines of text: the channels that differ most, in units of their noise, first."""

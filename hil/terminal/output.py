@@ -32,10 +32,12 @@ class Answer:
         from rich.console import Console  # not for --help
 
         self._json_to = json_to
+        self.said: list[str] = []
         self.console = Console(stderr=json_to == "-", highlight=False, soft_wrap=True)
 
     def say(self, text: object = "") -> None:
-        """Print for a person."""
+        """Print for a person, and keep it for a page."""
+        self.said.append(str(text))
         self.console.print(text, markup=False)
 
     def write(self, document: object) -> None:

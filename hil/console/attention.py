@@ -1,0 +1,52 @@
+"""Whether the browser that started a motion is still there: it answers pings, or the motion is stopped.
+
+The page answers from a worker, which a browser does not slow down when the tab is hidden.
+"""
+
+from __future__ import annotations
+
+import secrets
+import time
+from collections.abc import Callable
+
+SILENT_S = 2.0
+"""Time without an answer after which the motion that a browser started is stopped."""
+PING_S = 0.25
+"""Interval of pings, each of which tells the state: four times a second are read as live, and some late answers do not stop a motion."""
+FORGET_S = 3600.0
+
+
+class Attention:
+    """Clients, and when each has answered last.
+
+    Parameters
+    ----------
+    now : callable
+        Monotonic time [s].
+    """
+
+    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
+        self._now = now
+        self._heard: dict[str, float] = {}
+
+    def welcome(self, client: str) -> str:
+        """Return the name of a client that has connected: its own, where it was here before, or a new one."""
+        now_s = self._now()
+        self._heard = {name: heard_s for name, heard_s in self._heard.items() if now_s - heard_s < FORGET_S}
+        if client not in self._heard:
+            client = secrets.token_urlsafe(12)
+        self._heard[client] = now_s
+        return client
+
+    def heard(self, client: str) -> None:
+        """Take note of an answer."""
+        if client in self._heard:
+            self._heard[client] = self._now()
+
+    def silent_s(self, client: str) -> float:
+        """Return for how long a client has not answered [s]; for ever, where nobody knows it."""
+        return self._now() - self._heard.get(client, float("-inf"))
+
+    def is_here(self, client: str) -> bool:
+        """Return whether a client has answered lately."""
+        return self.silent_s(client) <= SILENT_S

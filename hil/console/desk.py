@@ -1,0 +1,265 @@
+"""Everything that the server knows and may ask for, apart from how it is asked over the web."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import sys
+import time
+from collections.abc import Mapping
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+from hil.bench.asking import ask_to_stop
+from hil.console import starter
+from hil.console.attention import SILENT_S, Attention
+from hil.console.commands import Order
+from hil.console.facts import Facts
+from hil.console.files import Listing
+from hil.console.forms import Form, forms_of
+from hil.console.io_state import IoWatch
+from hil.console.rows import RowHub
+from hil.console.steps import missing_before, step_named, steps_of
+from hil.console.wire import WireWatch
+from hil.console.work import Work
+from hil.emulated.card import find
+from hil.errors import BenchError, UnusableInputError
+
+LOOK_S = 0.05
+"""Interval at which rows are looked for: the recorder writes them as often."""
+JUDGE_S = 0.1
+FRESH_S = 0.1
+ALIVE_S = 0.5
+ENDS_S = 10.0
+"""Longest time that a run which the supervisor has stopped is given to write its recording, before its lead is let go."""
+PREVIEW_S = 120.0
+"""Longest time for planning an experiment: the first on a computer compiles."""
+
+
+class Desk:
+    """The server's work, without the web.
+
+    Parameters
+    ----------
+    facts : Facts
+    folder : Path
+        Where runs record.
+    line : Connection
+        To the starter.
+    """
+
+    def __init__(self, facts: Facts, folder: Path, line: Connection) -> None:
+        self.facts, self.folder, self._line = facts, folder, line
+        self.attention = Attention()
+        self.rows = RowHub(folder, time.time() - 1.0)
+        self.listing = Listing(folder)
+        self.forms = forms_of(facts)
+        self.steps = steps_of(facts, folder)
+        self.work = Work(line, folder, self._ended)
+        self._wire = WireWatch(facts.settings, facts.bus)
+        self._io = IoWatch(facts.bus, [axis.name for axis in facts.axes])
+        self.passed: dict[str, bool] = {}
+        self._results: dict[str, dict[str, Any]] = {}
+        self._stop: dict[str, Any] | None = None
+        self._stopping: asyncio.Task[None] | None = None
+        self._tasks: list[asyncio.Task[None]] = []
+        self._said, self._said_s = "", float("-inf")
+
+    async def open(self) -> None:
+        """Begin to look, to judge and to listen to the starter."""
+        loop = asyncio.get_running_loop()
+        loop.add_reader(self._line.fileno(), self._hear)
+        self._tasks = [asyncio.create_task(each) for each in (self._look(), self._judge(), self._be_alive())]
+
+    async def close(self) -> None:
+        """End what was begun; a run that is still going is let go by the starter."""
+        asyncio.get_running_loop().remove_reader(self._line.fileno())
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        self._wire.close()
+        self.rows.close()
+
+    def begin_step(self, name: object, values: Mapping[str, Any], client: str) -> None:
+        """Begin a step of the commissioning.
+
+        Raises
+        ------
+        UnusableInputError
+            There is no such step, an earlier one has yet to pass, a field cannot be used, or something else is running.
+        """
+        step = step_named(self.steps, name)
+        if missing := missing_before(step.name, self.passed):
+            raise UnusableInputError(missing)
+        self._begin(step.order(values), client)
+
+    def begin(self, order: Order, client: str) -> None:
+        """Begin any other work; raises as `begin_step`."""
+        self._begin(order, client)
+
+    def _begin(self, order: Order, client: str) -> None:
+        if self._stopping is not None:
+            raise UnusableInputError("a stop is under way; wait for its end")
+        if order.moves and not self.attention.is_here(client):
+            raise UnusableInputError("this page does not answer the server's pings, so it may start no motion; reload it")
+        if order.step:
+            self.passed.pop(order.step, None)
+            self._results.pop(order.step, None)
+        self.work.begin(order, client)
+
+    def form(self, kind: object) -> Form:
+        """Return the form of an experiment.
+
+        Raises
+        ------
+        UnusableInputError
+            There is none of this kind.
+        """
+        if not isinstance(kind, str) or kind not in self.forms:
+            raise UnusableInputError(f"no experiment {str(kind)[:40]}; there is {', '.join(self.forms)}")
+        return self.forms[kind]
+
+    async def preview(self, kind: object, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Plan a filled form without running it.
+
+        Returns
+        -------
+        dict
+            See `hil.console.preview.preview`, and the file's `text`.
+        """
+        text = self.form(kind).text(self.facts, values)
+        process = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-m", "hil.console.preview", self.facts.name),
+            stdin=asyncio.subprocess.PIPE,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.DEVNULL,
+        )
+        try:
+            output, _ = await asyncio.wait_for(process.communicate(text.encode()), PREVIEW_S)
+            planned: dict[str, Any] = json.loads(output)
+        except (TimeoutError, ValueError):
+            planned = {"refused": "planning it failed; `isocenter run` with the file below says why"}
+        finally:
+            if process.returncode is None:
+                process.kill()
+                await process.wait()
+        return planned | {"text": text}
+
+    def stop(self, who: str) -> None:
+        """Stop whatever runs on the bus: by the supervisor, as `isocenter stop` does, and what this server has started by its lead."""
+        if self._stopping is None:
+            self._stop = {"by": who, "lines": [], "began_s": time.monotonic(), "seconds": None, "trouble": ""}
+            self._stopping = asyncio.create_task(self._stop_all(who))
+
+    async def _stop_all(self, who: str) -> None:
+        stop = self._stop
+        assert stop is not None
+        self.work.stopped_by = self.work.stopped_by or (who if self.work.running else "")
+        lines: list[str] = stop["lines"]
+        try:
+            if self.facts.is_lockstep or (self.work.running and not self.work.moves):
+                self.work.let_go(who)
+            else:
+                try:
+                    await asyncio.to_thread(ask_to_stop, self.facts.bus, lines.append, who)
+                    stop["seconds"] = round(time.monotonic() - stop["began_s"], 2)
+                    with contextlib.suppress(TimeoutError):
+                        await asyncio.wait_for(self.work.done.wait(), ENDS_S)
+                except BenchError as error:
+                    if not self.work.running:
+                        stop["trouble"] = str(error)
+                    else:
+                        lines.append(str(error))
+                self.work.let_go(who)  # where no supervisor was there yet, or the run goes on after its stop
+            if self.work.running:
+                await self.work.done.wait()
+                lines.append("what was started here has ended")
+        finally:
+            if stop["seconds"] is None:
+                stop["seconds"] = round(time.monotonic() - stop["began_s"], 2)
+            self._stopping = None
+
+    def state(self) -> dict[str, Any]:
+        """Return everything that changes, as plain values."""
+        rows = self.rows
+        return {
+            "type": "state",
+            "emulated": self._emulated(),
+            "work": self.work.state_now(),
+            "steps": {name: self._results.get(name, {}) for name in self.steps},
+            "stop": None if self._stop is None else {key: self._stop[key] for key in ("by", "lines", "seconds", "trouble")},
+            "wire": self._wire.state(rows.newest if rows.recording is not None and rows.recording["live"] else {}),
+            "io": self._io.state(),
+            "recording": rows.recording,
+            "newest": rows.newest,
+            "timeliness": rows.timeliness.summary(),
+            "readers": rows.readers,
+        }
+
+    def state_text(self) -> str:
+        """Return the state as JSON, made once for all who ask within an interval."""
+        now_s = time.monotonic()
+        if now_s - self._said_s > FRESH_S:
+            self._said, self._said_s = json.dumps(self.state(), allow_nan=False), now_s
+        return self._said
+
+    def described(self) -> dict[str, Any]:
+        """Return everything that stays: the machine, the steps, the forms."""
+        facts = self.facts
+        return {
+            "machine": {"name": facts.title, "description": facts.description, "bus": facts.bus, "rate_Hz": facts.rate_Hz},
+            "axes": [vars(axis) for axis in facts.axes],
+            "steps": [
+                {"name": s.name, "title": s.title, "does": s.does, "fields": [vars(f) for f in s.fields], "experiment": s.experiment}
+                | {"moves": s.moves}
+                for s in self.steps.values()
+            ],
+            "forms": [
+                {"kind": form.kind, "title": form.title, "says": form.says, "fields": [vars(field) for field in form.fields]}
+                for form in self.forms.values()
+            ],
+            "has_io": facts.settings.io is not None,
+            "has_imu": facts.settings.imu is not None,
+            "folder": str(self.folder),
+            "silent_s": SILENT_S,
+        }
+
+    def _emulated(self) -> bool:
+        if self.facts.is_lockstep:
+            return True
+        try:
+            return find(self.facts.bus) is not None
+        except UnusableInputError:
+            return False
+
+    def _ended(self, order: Order, passed: bool) -> None:
+        if order.step:
+            self.passed[order.step] = passed
+            self._results[order.step] = self.work.state_now()
+
+    def _hear(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            try:
+                while self._line.poll():
+                    self.work.heed(*self._line.recv())
+            except (EOFError, OSError):
+                os._exit(1)  # the starter is gone, and what it ran was let go with it
+
+    async def _look(self) -> None:
+        while True:
+            self.rows.look()
+            await asyncio.sleep(LOOK_S)
+
+    async def _judge(self) -> None:
+        while True:
+            await asyncio.sleep(JUDGE_S)
+            if self.work.moves and self._stopping is None and not self.attention.is_here(self.work.owner):
+                self.stop(f"the browser that started it has answered no ping for {SILENT_S:g} s")
+
+    async def _be_alive(self) -> None:
+        while True:
+            self._line.send((starter.ALIVE, None))
+            await asyncio.sleep(ALIVE_S)

@@ -1,0 +1,78 @@
+"""What the page knows of the machine: plain values, so that the server needs neither its model nor a compiler."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from drivers.settings import BusSettings
+from hil.machine import Machine
+
+PRESENT_POSITION = (35, 37)
+"""Homing methods by which the present position becomes home (CiA 402); the older number and the newer."""
+
+
+@dataclass(frozen=True)
+class AxisFacts:
+    """One axis. Positions in the unit of the page's forms: degrees, or millimetres where it is prismatic."""
+
+    name: str
+    unit: str  # "rad" or "m", of its channels
+    edge_unit: str  # "deg" or "mm"
+    effort_unit: str
+    lower: float
+    upper: float
+    speed: float  # limit, per second
+    command_limit: float  # in the effort's unit
+    homing: str  # what homing does with it, in words
+
+
+@dataclass(frozen=True)
+class Facts:
+    """A machine and where it is."""
+
+    name: str  # as the command line takes it
+    title: str
+    description: str
+    bus: str
+    imu: str  # option --imu, "" unless given
+    io: str
+    rate_Hz: float
+    axes: tuple[AxisFacts, ...]
+    settings: BusSettings
+    is_lockstep: bool
+
+    def axis(self, name: str) -> AxisFacts:
+        """Return the facts of an axis."""
+        return next(axis for axis in self.axes if axis.name == name)
+
+
+def facts_of(name: str, machine: Machine, bus: str, imu: str, io: str) -> Facts:
+    """Gather the facts of a machine that has a bus.
+
+    Parameters
+    ----------
+    name : str
+        Of the machine as the command line takes it, a path made absolute.
+    machine : Machine
+    bus, imu, io : str
+        Options of the command line.
+    """
+    settings = machine.bus
+    assert settings is not None
+    axes = []
+    for units, limit, scaling, homing in zip(machine.units, machine.limits, settings.scalings, settings.homings, strict=True):
+        edge, scale = ("deg", 180.0 / math.pi) if units.position == "rad" else ("mm", 1e3)
+        words = (
+            f"{units.axis}: beside what holds it, a push of at most {homing.direction_check_effort:g} {units.effort} "
+            f"(limit {scaling.limit:g} {units.effort}) until it has moved {homing.direction_check_travel * scale:.2g} {edge} "
+            f"the right way; then homing method {homing.method}"
+        )
+        words += (
+            ", by which it stays where it is" if homing.method in PRESENT_POSITION else f" within {homing.travel_limit * scale:.3g} {edge}"
+        )
+        lower, upper, speed = limit.lower * scale, limit.upper * scale, limit.speed * scale
+        axes.append(AxisFacts(units.axis, units.position, edge, units.effort, lower, upper, speed, scaling.limit, words))
+    return Facts(
+        name, machine.name, machine.description, bus, imu, io, machine.sample_rate_Hz, tuple(axes), settings, bus.startswith("lockstep:")
+    )

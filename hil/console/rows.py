@@ -1,0 +1,187 @@
+"""Rows of the run that is being recorded, on their way from the recorder's journal to any number of readers.
+
+A frame to a reader is 24 bytes and a block of rows: recording, rows, columns and rows lost to this reader so far (u32 each), index of the
+first row (f64); then rows x columns float64, as they stand in the journal. All little endian.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import math
+import struct
+from collections import deque
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from hil.console.timeliness import Timeliness
+from hil.errors import RecordingError
+from hil.recording.tail import JournalTail
+
+FRAME = struct.Struct("<IIIId")
+HISTORY_BYTES = 8_000_000
+"""Rows that are kept for readers who come later: of the C-arm's forty columns a minute and a half."""
+QUEUE_BYTES = 8_500_000
+"""Most bytes that wait for one reader: all of the history and some seconds more. Beyond it the oldest rows are lost to it, and counted."""
+LOOKS_AROUND = 10
+"""Looks between two for another journal, while one is read: a run that was killed leaves its own behind."""
+
+
+class Reader:
+    """What waits for one reader: rows, of which the oldest are lost when there are too many, and notes, which are not."""
+
+    def __init__(self) -> None:
+        self._waiting: deque[str | Block] = deque()
+        self._bytes = 0
+        self._come = asyncio.Event()
+        self.lost = 0
+
+    def put(self, what: str | Block) -> None:
+        """Add a note or a block of rows; never waits."""
+        self._waiting.append(what)
+        self._bytes += _size(what)
+        while self._bytes > QUEUE_BYTES and (oldest := next((each for each in self._waiting if isinstance(each, Block)), None)):
+            self._waiting.remove(oldest)
+            self._bytes -= _size(oldest)
+            self.lost += oldest.rows
+        self._come.set()
+
+    async def next(self) -> str | bytes:
+        """Wait for the next message."""
+        while not self._waiting:
+            self._come.clear()
+            await self._come.wait()
+        what = self._waiting.popleft()
+        self._bytes -= _size(what)
+        return what if isinstance(what, str) else what.frame(self.lost)
+
+
+class Block:
+    """Some rows of a recording."""
+
+    def __init__(self, recording: int, first: int, rows: int, columns: int, values: bytes) -> None:
+        self.recording, self.first, self.rows, self.columns, self.values = recording, first, rows, columns, values
+
+    def frame(self, lost: int) -> bytes:
+        """Return the message for a reader to whom so many rows were lost."""
+        return FRAME.pack(self.recording, self.rows, self.columns, lost, float(self.first)) + self.values
+
+
+class RowHub:
+    """Watches a folder for a journal that grows, and hands its rows to the readers.
+
+    Parameters
+    ----------
+    folder : Path
+        Where runs record.
+    since_s : float
+        Journals that were last written before this time (of the file system) are left over from another day.
+    """
+
+    def __init__(self, folder: Path, since_s: float) -> None:
+        self._folder, self._since_s = folder, since_s
+        self._tail: JournalTail | None = None
+        self._present = ("", 0)  # name and inode of the journal that is read
+        self._left: set[tuple[str, int]] = set()  # journals that were left behind by runs that were killed, by name and inode
+        self._looks = 0
+        self._history: deque[Block] = deque()
+        self._kept = 0
+        self._note = ""
+        self._readers: set[Reader] = set()
+        self.number = 0
+        self.recording: dict[str, Any] | None = None
+        self.timeliness = Timeliness([])
+        self.newest: dict[str, float | None] = {}
+
+    def join(self) -> Reader:
+        """Return a new reader: the present recording and its last rows wait for it already."""
+        reader = Reader()
+        if self._note:
+            reader.put(self._note)
+            for block in self._history:
+                reader.put(block)
+        self._readers.add(reader)
+        return reader
+
+    def leave(self, reader: Reader) -> None:
+        """Forget a reader."""
+        self._readers.discard(reader)
+
+    @property
+    def readers(self) -> int:
+        """Number of readers."""
+        return len(self._readers)
+
+    def look(self) -> None:
+        """Take what has been recorded since the last look."""
+        self._looks += 1
+        if self._tail is None or self._looks % LOOKS_AROUND == 0:
+            self._open_newest()
+        if self._tail is None:
+            return
+        ended = self._tail.ended  # before the last rows are taken, so that none of them is missed
+        for rows, values in self._tail.take():
+            self._spread(rows, values)
+        assert self.recording is not None
+        if ended:
+            self._tail.close()
+            self._tail = None
+        self.recording |= {"rows": self.timeliness.rows, "live": self._tail is not None}
+
+    def close(self) -> None:
+        """Close the journal."""
+        if self._tail is not None:
+            self._tail.close()
+
+    def _open_newest(self) -> None:
+        """Open the journal that was written last, unless it is the one that is read."""
+        newest = max(self._growing(), default=None)
+        if newest is None or (self._tail is not None and newest[1:] == self._present):
+            return
+        _, name, inode = newest
+        try:
+            tail = JournalTail(self._folder / name)
+        except RecordingError:
+            return  # its header is not there yet
+        if self._tail is not None:
+            self._left.add(self._present)
+            self._tail.close()
+        self._tail, self._present = tail, (name, inode)
+        self.number += 1
+        self._history.clear()
+        self._kept = 0
+        self.newest = {}
+        self.timeliness = Timeliness([channel for channel, _ in tail.channels])
+        experiment = tail.metadata.get("experiment", {})
+        self.recording = {"name": name.removesuffix(".part"), "rows": 0, "live": True, "experiment": experiment.get("kind", "")}
+        told = {"type": "recording", "number": self.number, "name": self.recording["name"], "channels": tail.channels}
+        self._note = json.dumps(told)
+        for reader in self._readers:
+            reader.put(self._note)
+
+    def _growing(self) -> Iterator[tuple[int, str, int]]:
+        """Yield time of writing, name and inode of the journals in the folder."""
+        for path in self._folder.glob("*.part"):
+            with contextlib.suppress(OSError):  # it has just become its recording
+                status = path.stat()
+                if status.st_mtime >= self._since_s and (path.name, status.st_ino) not in self._left:
+                    yield status.st_mtime_ns, path.name, status.st_ino
+
+    def _spread(self, rows: int, values: bytes) -> None:
+        assert self._tail is not None
+        columns = len(self._tail.channels)
+        block = Block(self.number, self._tail.rows - rows, rows, columns, values)
+        self._history.append(block)
+        self._kept += len(values)
+        while self._kept > HISTORY_BYTES and len(self._history) > 1:
+            self._kept -= len(self._history.popleft().values)
+        last = self.timeliness.take(rows, values)
+        self.newest = {name: value if math.isfinite(value) else None for (name, _), value in zip(self._tail.channels, last, strict=True)}
+        for reader in self._readers:
+            reader.put(block)
+
+
+def _size(what: str | Block) -> int:
+    return len(what) if isinstance(what, str) else len(what.values) + FRAME.size

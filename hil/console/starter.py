@@ -1,0 +1,135 @@
+"""The starter: runs commands of `isocenter` for the server, one at a time, at the priority that the terminal has.
+
+It holds each on a lead, and lets go of it when it is asked to, when the server has ended, and when the server is silent: a server that
+hangs can judge no browser.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from typing import IO, cast
+
+SERVER_SILENT_S = 2.0
+"""Time without a word of the server after which the run is stopped, as long as a browser may be silent."""
+LOOK_S = 0.1
+RUN, LET_GO, SAY, ALIVE = "run", "let go", "say", "alive"
+"""What the server tells: run these arguments, let go, write a line to the command's input, nothing but that it is there."""
+SAID, ENDED = "said", "ended"
+"""What the server is told: a line (text, whether it is an error), and the exit status."""
+
+
+class Starter:
+    """Serves one server.
+
+    Parameters
+    ----------
+    line : Connection
+        To the server.
+    command : sequence of str
+        How `isocenter` is called on a lead; the descriptor and the arguments follow.
+    """
+
+    def __init__(self, line: Connection, command: tuple[str, ...] = (sys.executable, "-m", "hil.console.led")) -> None:
+        self._line, self._command = line, command
+        self._telling = threading.Lock()
+        self._running: _Led | None = None
+
+    def serve(self, goes_on: Callable[[], bool]) -> None:
+        """Serve until the server has ended or `goes_on` says no; return once nothing runs any more."""
+        heard_s = time.monotonic()
+        try:
+            while goes_on():
+                if self._line.poll(LOOK_S):
+                    self._heed(*self._line.recv())
+                    heard_s = time.monotonic()
+                elif self._running is not None and time.monotonic() - heard_s > SERVER_SILENT_S:
+                    self._running.let_go()
+        except (EOFError, OSError):
+            pass
+        finally:
+            if self._running is not None:
+                self._running.let_go()
+                self._running.join()
+
+    def _heed(self, what: str, with_it: object) -> None:
+        if what == RUN:
+            if self._running is not None:
+                self._running.join()  # it has told of its end: the server starts nothing before
+            self._running = _Led(self._command, cast("list[str]", with_it), self._tell)
+        elif self._running is not None and what == LET_GO:
+            self._running.let_go()
+        elif self._running is not None and what == SAY:
+            self._running.say(str(with_it))
+
+    def _tell(self, what: str, *with_it: object) -> None:
+        with self._telling, contextlib.suppress(OSError, ValueError):  # a server that is gone is told nothing
+            self._line.send((what, *with_it))
+
+
+class _Led:
+    """One command on its lead."""
+
+    def __init__(self, command: tuple[str, ...], arguments: list[str], tell: Callable[..., None]) -> None:
+        held, self._lead = os.pipe()
+        self._holds = True
+        self._tell = tell
+        try:
+            self._process = subprocess.Popen(
+                [*command, str(held), *arguments],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                pass_fds=(held,),
+                start_new_session=True,  # a Ctrl-C at the terminal ends the starter, which then lets go
+                env={**os.environ, "PYTHONUNBUFFERED": "1", "COLUMNS": "400"},
+                text=True,
+                errors="replace",
+            )
+        finally:
+            os.close(held)
+        assert self._process.stdout is not None
+        assert self._process.stderr is not None
+        readers = [
+            threading.Thread(target=self._read, args=(stream, is_error), daemon=True)
+            for stream, is_error in ((self._process.stdout, False), (self._process.stderr, True))
+        ]
+        for reader in readers:
+            reader.start()
+        self._waiter = threading.Thread(target=self._wait, args=(readers,), daemon=True)
+        self._waiter.start()
+
+    def let_go(self) -> None:
+        """Let the command stop, motors first. Any number of times."""
+        if self._holds:
+            self._holds = False
+            os.close(self._lead)
+
+    def say(self, text: str) -> None:
+        """Write a line to the command's standard input."""
+        assert self._process.stdin is not None
+        with contextlib.suppress(OSError, ValueError):
+            self._process.stdin.write(text + "\n")
+            self._process.stdin.flush()
+
+    def join(self) -> None:
+        """Wait for the command's end, however long its stop takes."""
+        self._waiter.join()
+        self.let_go()
+
+    def _read(self, stream: IO[str], is_error: bool) -> None:
+        for line in stream:
+            if line.strip():
+                self._tell(SAID, line.rstrip("\n"), is_error)
+
+    def _wait(self, readers: list[threading.Thread]) -> None:
+        status = self._process.wait()
+        for reader in readers:
+            reader.join(1.0)  # a process that it left behind may keep the stream open
+        self._tell(ENDED, status)

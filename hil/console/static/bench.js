@@ -1,0 +1,144 @@
+// The page: its line to the server, its views, its stop button.
+import { ask, element, listing } from "./parts.js";
+import { Scope } from "./scope.js";
+import { showForms, showSteps, updateSteps } from "./steps.js";
+import { showState } from "./devices.js";
+import { showFiles } from "./files.js";
+
+const at = (id) => document.getElementById(id);
+const VIEWS = ["commission", "scope", "experiments", "state", "recordings"];
+const bench = { client: sessionStorage.getItem("client") || "", described: null, state: null };
+const scope = new Scope();
+
+function show() {
+  const view = VIEWS.includes(location.hash.slice(1)) ? location.hash.slice(1) : "commission";
+  for (const name of VIEWS) at(name).hidden = name !== view;
+  for (const tab of document.querySelectorAll("#tabs a")) {
+    if (tab.hash === `#${view}`) tab.setAttribute("aria-current", "page");
+    else tab.removeAttribute("aria-current");
+  }
+  scope.visible(view === "scope");
+  if (view === "recordings") showFiles(bench);
+  if (bench.state) showState(bench);
+}
+
+async function stop() {
+  at("stop").disabled = false;
+  say("stop asked", "asked");
+  try {
+    await ask("/api/stop", {}, bench.client);
+  } catch (error) {
+    say(`the stop did not reach the server (${error.message}): use the emergency stop, or isocenter stop in a terminal`, "failed");
+  }
+}
+
+function say(text, kind) {
+  at("now").className = kind;
+  at("now").replaceChildren(element("span", { class: "what" }, text));
+}
+
+function showNow(state) {
+  const { work, recording } = state;
+  const parts = [];
+  let kind = work.state;
+  if (work.state === "idle") parts.push(element("span", {}, "Nothing runs."));
+  else {
+    const words = { running: "running", passed: "done", failed: "failed", stopped: "stopped" }[work.state];
+    parts.push(element("span", { class: "what" }, `${work.title}: ${words}`), element("span", {}, `${work.seconds.toFixed(0)} s`));
+    if (work.state === "running") {
+      const live = recording && recording.live ? `recording ${recording.name}: ${recording.rows} rows` : work.command;
+      parts.push(element("span", { class: "grow" }, live));
+      if (work.moves) {
+        const whose = work.owner === bench.client ? "this page keeps it running: closing the page stops it" : "another browser started it";
+        parts.push(element("span", { class: "dim" }, whose));
+      }
+      if (work.lines.some(([text]) => text.includes("then type release"))) parts.push(releaseButton(work));
+    } else parts.push(element("span", { class: "grow" }, work.why));
+  }
+  if (state.stop) {
+    const { by, seconds, trouble, lines } = state.stop;
+    const took = seconds === null ? "stopping ..." : trouble ? trouble : `stop took ${seconds.toFixed(2)} s: ${lines.join("; ")}`;
+    parts.push(element("span", { class: trouble ? "bad" : "dim", title: by, id: "stop-answer" }, took));
+    if (seconds === null) kind = "asked";
+  }
+  at("now").className = kind;
+  at("now").replaceChildren(...parts);
+}
+
+function releaseButton() {
+  const button = element("button", { type: "button", id: "release" }, "The axis is supported: release it");
+  button.onclick = () => {
+    if (confirm("The drive lets go of the axis. Is the axis supported, so that it cannot fall?")) ask("/api/release", {}, bench.client);
+  };
+  return button;
+}
+
+function heed(told) {
+  const link = at("link");
+  if (told.type === "welcome") {
+    bench.client = told.client;
+    sessionStorage.setItem("client", told.client);
+  } else if (told.type === "lost") {
+    link.className = "lost";
+    link.textContent = "no answer from the server: what this page started is stopped";
+  } else if (told.type === "state") {
+    bench.state = told;
+    link.className = "";
+    link.textContent = "connected";
+    at("emulated").hidden = !told.emulated;
+    document.title = `${told.emulated ? "EMULATED " : ""}${bench.described.machine.name} · Isocenter bench`;
+    showNow(told);
+    updateSteps(bench);
+    scope.told(told);
+    if (!at("state").hidden) showState(bench);
+    if (!at("recordings").hidden && listing.of !== told.work.state + told.work.title) {
+      listing.of = told.work.state + told.work.title;
+      showFiles(bench);
+    }
+  }
+}
+
+at("stop").addEventListener("click", stop);
+window.addEventListener("keydown", (event) => {
+  if (event.key === "Escape") {
+    event.preventDefault();
+    event.stopImmediatePropagation();
+    stop();
+  }
+}, true);
+window.addEventListener("hashchange", show);
+
+const response = await fetch("/api/bench");
+bench.described = await response.json();
+const { machine } = bench.described;
+at("machine").textContent = `${machine.name} on ${machine.bus}`;
+at("machine").title = machine.description;
+at("folder").textContent = bench.described.folder;
+showSteps(bench, at("steps"));
+showForms(bench, at("forms"));
+show();
+
+const scheme = location.protocol === "https:" ? "wss" : "ws";
+const worker = new Worker("/static/worker.js");
+worker.onmessage = (event) => heed(event.data);
+worker.postMessage({ client: bench.client, address: `${scheme}://${location.host}/control` });
+scope.open(`${scheme}://${location.host}/rows`);
+
+if (bench.described.token) {
+  at("invite-place").hidden = false;
+  at("invite").onclick = async () => {
+    at("invitation").textContent = (await ask("/api/invite", {}, bench.client)).address;
+  };
+}
+at("plot").onclick = () => look("plot");
+at("diagnose").onclick = () => look("diagnose");
+
+async function look(what) {
+  const chosen = [...document.querySelectorAll("#files input.train:checked")].map((box) => box.value);
+  const held = [...document.querySelectorAll("#files input.held:checked")].map((box) => box.value);
+  try {
+    await ask("/api/look", { what, files: chosen, held_out: held }, bench.client);
+  } catch (error) {
+    say(error.message, "failed");
+  }
+}

@@ -1,0 +1,367 @@
+// The scope: rows as they come, in panes by unit, with trigger, pause, zoom and cursors.
+import { element, number } from "./parts.js";
+import { Ring, measure } from "./ring.js";
+
+const at = (id) => document.getElementById(id);
+const HEADER_BYTES = 24;
+const DRAW_MS = 60;
+const READ_MS = 400;
+const BEFORE = 0.2; // share of the span before the trigger
+const COLOURS = ["#1257a6", "#c4161c", "#1b7a3d", "#8b3fb0", "#b35900", "#007c89", "#5c5c5c", "#a3195b"];
+const DASHES = [[], [8, 4], [2, 3], [10, 3, 2, 3]];
+const FIRST = ["position_", "command_", "imu_x", "imu_y", "imu_z"];
+const LEFT_OUT = new Set(["time", "imu_time"]);
+
+export class Scope {
+  constructor() {
+    this.ring = null;
+    this.chosen = new Set(JSON.parse(localStorage.getItem("channels") || "null") || []);
+    this.paused = null; // { from, to } of the view [s] while it stands still
+    this.caught = null; // trigger's view
+    this.marks = [];
+    this.panes = new Map();
+    this.lost = 0;
+    this.isVisible = false;
+    this.drawnEnd = -1;
+    this.lastRead = 0;
+    this.info = "";
+    at("pause").onclick = () => this.pause(this.paused === null);
+    at("cursors").onchange = () => {
+      this.marks = [];
+      this.dirty();
+    };
+    for (const id of ["span", "trigger-channel", "trigger-edge", "trigger-level", "trigger-mode"]) {
+      at(id).onchange = () => {
+        this.caught = null;
+        if (id === "span" && this.paused) this.paused.from = this.paused.to - this.span;
+        this.dirty();
+      };
+    }
+    at("earlier").onclick = () => this.move(-0.25, 1);
+    at("later").onclick = () => this.move(0.25, 1);
+    at("closer").onclick = () => this.move(0, 0.5);
+    at("wider").onclick = () => this.move(0, 2);
+    new ResizeObserver(() => this.resize()).observe(at("panes"));
+    if (window.innerWidth < 900) at("channels").open = false;
+    setInterval(() => this.draw(), DRAW_MS);
+    this.note();
+  }
+
+  open(address) {
+    const socket = new WebSocket(address);
+    socket.binaryType = "arraybuffer";
+    socket.onmessage = (event) => (typeof event.data === "string" ? this.begin(JSON.parse(event.data)) : this.take(event.data));
+    socket.onclose = () => setTimeout(() => this.open(address), 500);
+  }
+
+  told(state) {
+    this.rate = state.timeliness.rows;
+    this.recording = state.recording;
+  }
+
+  begin(told) {
+    this.number = told.number;
+    this.ring = new Ring(told.channels, 256);
+    this.name = told.name;
+    this.paused = this.caught = null;
+    this.marks = [];
+    this.lost = 0;
+    const names = this.ring.names.filter((name) => !LEFT_OUT.has(name));
+    if (![...this.chosen].some((name) => names.includes(name))) {
+      this.chosen = new Set(names.filter((name) => FIRST.some((first) => name.startsWith(first))));
+    }
+    this.list(names);
+    this.pause(false);
+    this.build();
+  }
+
+  take(buffer) {
+    const head = new DataView(buffer);
+    if (!this.ring || head.getUint32(0, true) !== this.number) return;
+    this.lost = head.getUint32(12, true);
+    this.ring.put(new Float64Array(buffer, HEADER_BYTES));
+  }
+
+  list(names) {
+    const groups = new Map();
+    for (const name of names) {
+      const unit = this.ring.units[name] || "no unit";
+      groups.set(unit, [...(groups.get(unit) || []), name]);
+    }
+    const rows = [];
+    for (const [unit, members] of groups) {
+      rows.push(element("h4", {}, unit));
+      for (const name of members) {
+        const box = element("input", { type: "checkbox", value: name, checked: this.chosen.has(name) });
+        box.onchange = () => {
+          if (box.checked) this.chosen.add(name);
+          else this.chosen.delete(name);
+          localStorage.setItem("channels", JSON.stringify([...this.chosen]));
+          this.build();
+        };
+        rows.push(element("label", {}, box, name));
+      }
+    }
+    at("channel-list").replaceChildren(...rows);
+    const before = at("trigger-channel").value;
+    at("trigger-channel").replaceChildren(
+      element("option", { value: "" }, "off"),
+      ...names.map((name) => element("option", { value: name }, name)),
+    );
+    at("trigger-channel").value = names.includes(before) ? before : "";
+  }
+
+  get shown() {
+    return this.ring ? this.ring.names.filter((name) => this.chosen.has(name)) : [];
+  }
+
+  get span() {
+    return Number(at("span").value);
+  }
+
+  style(name) {
+    const index = this.shown.indexOf(name);
+    return { stroke: COLOURS[index % COLOURS.length], dash: DASHES[Math.floor(index / COLOURS.length) % DASHES.length] };
+  }
+
+  build() {
+    for (const pane of this.panes.values()) pane.plot.destroy();
+    this.panes.clear();
+    at("panes").replaceChildren();
+    const units = new Map();
+    for (const name of this.shown) {
+      const unit = this.ring.units[name];
+      units.set(unit, [...(units.get(unit) || []), name]);
+    }
+    for (const [unit, names] of units) {
+      const place = element("div", { class: "pane", "data-unit": unit });
+      at("panes").append(place);
+      this.panes.set(unit, { names, plot: this.plot(place, unit, names) });
+    }
+    this.resize();
+    this.dirty();
+  }
+
+  plot(place, unit, names) {
+    const title = unit ? `[${unit}]` : "no unit";
+    const options = {
+      width: Math.max(200, at("panes").clientWidth - 12),
+      height: 200,
+      legend: { show: false },
+      cursor: { sync: { key: "scope" }, drag: { x: true, y: false, setScale: false }, points: { size: 6 } },
+      scales: { x: { time: false } },
+      axes: [
+        { label: "time [s]", labelSize: 18, size: 36, font: "12px system-ui", labelFont: "12px system-ui" },
+        { label: title, labelSize: 18, size: 64, font: "12px system-ui", labelFont: "12px system-ui",
+          values: (_, ticks) => ticks.map((tick) => (tick === null ? "" : String(Number(tick.toPrecision(6))))) },
+      ],
+      series: [{}, ...names.map((name) => ({ label: name, width: 1.5, points: { show: false }, ...this.style(name) }))],
+      hooks: {
+        setSelect: [(plot) => this.zoomTo(plot)],
+        draw: [(plot) => this.overlay(plot, names)],
+        ready: [(plot) => this.listen(plot)],
+      },
+    };
+    return new uPlot(options, [[], ...names.map(() => [])], place);
+  }
+
+  listen(plot) {
+    plot.over.addEventListener("dblclick", () => this.pause(false));
+    plot.over.addEventListener("click", (event) => {
+      if (!at("cursors").checked) return;
+      const t = plot.posToVal(event.offsetX, "x");
+      this.marks = [...this.marks, t].slice(-2);
+      this.dirty();
+    });
+    plot.over.addEventListener("wheel", (event) => {
+      if (this.paused === null) return;
+      event.preventDefault();
+      this.move(0, event.deltaY > 0 ? 1.25 : 0.8, plot.posToVal(event.offsetX, "x"));
+    }, { passive: false });
+  }
+
+  zoomTo(plot) {
+    const { left, width } = plot.select;
+    if (width < 6) return;
+    const view = { from: plot.posToVal(left, "x"), to: plot.posToVal(left + width, "x") };
+    plot.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
+    this.pause(true);
+    this.paused = view;
+    this.dirty();
+  }
+
+  pause(stands) {
+    this.paused = stands ? this.view() : null;
+    if (!stands) this.caught = null;
+    at("pause").textContent = stands ? "Go on" : "Pause";
+    at("pause").className = stands ? "main" : "";
+    this.dirty();
+  }
+
+  move(by, factor, about) {
+    if (this.paused === null) this.pause(true);
+    const { from, to } = this.paused;
+    const middle = about === undefined ? 0.5 * (from + to) : about;
+    const shift = by * (to - from);
+    this.paused = { from: middle + (from - middle) * factor + shift, to: middle + (to - middle) * factor + shift };
+    this.dirty();
+  }
+
+  view() {
+    if (!this.ring || !this.ring.end) return { from: 0, to: this.span };
+    const newest = this.ring.newest;
+    const span = this.span;
+    const free = { from: Math.max(newest - span, Math.min(0, newest)), to: Math.max(newest, span) };
+    if (!at("trigger-channel").value) return free;
+    const found = this.find(newest, span);
+    if (found !== null) {
+      this.caught = { from: found - BEFORE * span, to: found + (1 - BEFORE) * span, at: found };
+      if (at("trigger-mode").value === "single" && this.paused === null) {
+        this.paused = this.caught;
+        at("pause").textContent = "Go on";
+        at("pause").className = "main";
+      }
+    }
+    return this.caught || (at("trigger-mode").value === "auto" ? free : { from: 0, to: span });
+  }
+
+  // Time of the newest crossing whose view is complete, or null.
+  find(newest, span) {
+    const { ring } = this;
+    const column = ring.names.indexOf(at("trigger-channel").value);
+    const level = Number(at("trigger-level").value);
+    const sign = at("trigger-edge").value === "rising" ? 1 : -1;
+    const from = ring.row(Math.max(ring.oldest, newest - 2 * span));
+    for (let row = ring.row(newest - (1 - BEFORE) * span); row > from; row -= 1) {
+      const [before, after] = [ring.at(row - 1, column) - level, ring.at(row, column) - level];
+      if (sign * before < 0 && sign * after >= 0) {
+        const [t0, t1] = [ring.at(row - 1, ring.time), ring.at(row, ring.time)];
+        return t0 + ((t1 - t0) * before) / (before - after);
+      }
+    }
+    return null;
+  }
+
+  overlay(plot, names) {
+    const { ctx } = plot;
+    const { left, top, width, height } = plot.bbox;
+    ctx.save();
+    ctx.strokeStyle = "#16202a";
+    ctx.fillStyle = "#16202a";
+    ctx.font = `600 ${12 * devicePixelRatio}px system-ui`;
+    this.marks.forEach((t, index) => {
+      const x = plot.valToPos(t, "x", true);
+      if (x < left || x > left + width) return;
+      ctx.beginPath();
+      ctx.moveTo(x, top);
+      ctx.lineTo(x, top + height);
+      ctx.stroke();
+      ctx.fillText("AB"[index], x + 4, top + 12 * devicePixelRatio);
+    });
+    if (names.includes(at("trigger-channel").value)) {
+      const y = plot.valToPos(Number(at("trigger-level").value), "y", true);
+      ctx.setLineDash([4, 4]);
+      ctx.beginPath();
+      ctx.moveTo(left, y);
+      ctx.lineTo(left + width, y);
+      ctx.stroke();
+    }
+    ctx.restore();
+  }
+
+  visible(is) {
+    this.isVisible = is;
+    if (is) {
+      this.resize();
+      this.dirty();
+    }
+  }
+
+  resize() {
+    const width = at("panes").clientWidth - 12;
+    if (width < 50 || !this.panes.size) return;
+    const room = window.innerHeight - 420;
+    const height = Math.max(150, Math.min(340, room / this.panes.size));
+    for (const { plot } of this.panes.values()) {
+      if (plot.width !== width || plot.height !== height) plot.setSize({ width, height });
+    }
+  }
+
+  dirty() {
+    this.drawnEnd = -1;
+    this.lastRead = 0;
+  }
+
+  draw() {
+    if (!this.isVisible || !this.ring) return;
+    this.note();
+    if (this.drawnEnd === this.ring.end) return;
+    if (this.paused !== null && this.drawnEnd >= 0) return;
+    this.drawnEnd = this.ring.end;
+    const view = this.paused || this.view();
+    const from = Math.max(this.ring.begin, this.ring.row(view.from) - 1);
+    const to = Math.min(this.ring.end, this.ring.row(view.to) + 1);
+    const time = this.ring.column("time", from, to);
+    for (const { names, plot } of this.panes.values()) {
+      plot.batch(() => {
+        plot.setData([time, ...names.map((name) => this.ring.column(name, from, to))], false);
+        plot.setScale("x", { min: view.from, max: view.to });
+      });
+    }
+    if (performance.now() - this.lastRead > READ_MS) {
+      this.lastRead = performance.now();
+      this.read(time, from, to);
+    }
+  }
+
+  read(time, from, to) {
+    const two = this.marks.length === 2;
+    const heads = ["channel", "unit", "now", "min", "max", "mean", "amplitude", "rms", "frequency [Hz]"];
+    if (this.marks.length) heads.push(...(two ? ["at A", "at B", "B − A"] : ["at A"]));
+    const rows = this.shown.map((name) => {
+      const found = measure(time, this.ring.column(name, from, to));
+      const cells = found ? [found.now, found.low, found.high, found.mean, found.amplitude, found.rms, found.frequency] : Array(7).fill(NaN);
+      const keys = ["now", "min", "max", "mean", "amplitude", "rms", "frequency"];
+      const marked = this.marks.map((t) => {
+        const row = Math.min(this.ring.row(t), this.ring.end - 1);
+        return this.ring.at(row, this.ring.names.indexOf(name));
+      });
+      if (two) marked.push(marked[1] - marked[0]);
+      const { stroke, dash } = this.style(name);
+      const swatch = element("span", { class: "swatch", style: `color:${stroke};border-top-style:${dash.length ? "dashed" : "solid"}` });
+      return element(
+        "tr",
+        { "data-channel": name },
+        element("td", {}, swatch, name),
+        element("td", { class: "text dim" }, this.ring.units[name]),
+        ...cells.map((cell, index) => element("td", { "data-what": keys[index], "data-value": String(cell) }, number(cell))),
+        ...marked.map((cell) => element("td", {}, number(cell))),
+      );
+    });
+    at("readout").replaceChildren(
+      element("thead", {}, element("tr", {}, ...heads.map((head) => element("th", { class: head === "unit" ? "text" : "" }, head)))),
+      element("tbody", {}, ...rows),
+    );
+  }
+
+  note() {
+    const parts = [];
+    if (!this.ring) parts.push("Rows appear here as soon as a run records. Homing and the way to the start pose are not recorded.");
+    else {
+      parts.push(`${this.name}: ${this.ring.end} rows`);
+      if (this.recording && !this.recording.live) parts.push("ended");
+      if (this.lost) parts.push(`${this.lost} rows did not reach this page: it is too slow for them`);
+      if (this.paused) parts.push("the view stands still; rows go on coming. Double-click to go on");
+      if (this.marks.length === 2) {
+        const step = this.marks[1] - this.marks[0];
+        parts.push(`B − A = ${number(step, 5)} s, 1 / (B − A) = ${number(1 / step, 5)} Hz`);
+      } else if (at("cursors").checked) parts.push("click into a pane to place a cursor");
+      else parts.push("drag to zoom");
+    }
+    const text = parts.join(" · ");
+    if (text !== this.info) {
+      this.info = text;
+      at("scope-note").textContent = text;
+    }
+  }
+}

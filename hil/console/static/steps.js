@@ -1,0 +1,174 @@
+// The guided commissioning and the forms of experiments: both show a plan before anything moves.
+import { ask, element, replaceIfNew } from "./parts.js";
+
+const MARKS = { passed: "✔ passed", failed: "✘ failed", stopped: "■ stopped", running: "▶ running", todo: "to do" };
+const cards = new Map(); // name of a step or "form kind" -> its parts
+
+export function showSteps(bench, place) {
+  bench.described.steps.forEach((step, index) => {
+    const form = fieldsOf(step.fields);
+    const start = element("button", { type: "button", class: "main" }, step.moves ? "Start: the machine moves" : "Start");
+    const plan = element("div", {});
+    const result = element("div", { class: "result" });
+    const mark = element("span", { class: "mark" }, MARKS.todo);
+    const why = element("span", { class: "why" });
+    const card = element(
+      "details",
+      { class: "card", "data-step": step.name, open: index === 0 },
+      element("summary", {}, mark, element("span", {}, `${index + 1}. ${step.title}`), why),
+      element(
+        "div",
+        { class: "inside" },
+        element("ul", {}, ...step.does.map((line) => element("li", {}, line))),
+        form.box,
+        plan,
+        start,
+        result,
+      ),
+    );
+    const part = { card, start, mark, why, result, step, planned: !step.experiment };
+    if (step.experiment) planner(bench, part, step.experiment, form, plan, () => card.open);
+    card.addEventListener("toggle", () => card.open && part.show && part.show());
+    start.onclick = () => begin(bench, part, "/api/step", { step: step.name, values: form.values() });
+    cards.set(step.name, part);
+    place.append(card);
+  });
+}
+
+export function showForms(bench, place) {
+  for (const kind of bench.described.forms) {
+    const form = fieldsOf(kind.fields);
+    const start = element("button", { type: "button", class: "main" }, "Run: the machine moves");
+    const plan = element("div", {});
+    const result = element("div", { class: "result" });
+    const card = element(
+      "details",
+      { class: "card", "data-form": kind.kind },
+      element("summary", {}, element("span", {}, kind.title), element("span", { class: "why" }, kind.says)),
+      element("div", { class: "inside" }, form.box, plan, start, result),
+    );
+    const part = { card, start, result, planned: false };
+    planner(bench, part, kind.kind, form, plan, () => card.open);
+    card.addEventListener("toggle", () => card.open && part.show());
+    start.onclick = () => begin(bench, part, "/api/run", { kind: kind.kind, values: form.values() });
+    cards.set(`form ${kind.kind}`, part);
+    place.append(card);
+  }
+}
+
+function fieldsOf(fields) {
+  const inputs = fields.map((field) => {
+    const attributes = { name: field.name };
+    if (field.choices.length) {
+      const options = field.choices.map((choice) => element("option", { selected: choice === field.value }, choice));
+      return element("select", attributes, ...options);
+    }
+    return element("input", { ...attributes, type: "number", step: field.whole ? 1 : "any", value: field.value });
+  });
+  const labels = fields.map((field, index) =>
+    element("label", {}, field.label, element("span", { class: "entry" }, inputs[index], field.unit)),
+  );
+  const box = element("div", { class: fields.length ? "fields" : "" }, ...labels);
+  const values = () =>
+    Object.fromEntries(inputs.map((input) => [input.name, input.type === "number" ? Number(input.value) : input.value]));
+  return { box, values, listen: (heed) => inputs.forEach((input) => input.addEventListener("input", heed)) };
+}
+
+// Shows the plan of a form whenever it changes; what has no plan cannot be started.
+function planner(bench, part, kind, form, place, isOpen) {
+  let [asked, timer] = ["", 0];
+  part.show = async () => {
+    const values = form.values();
+    const key = JSON.stringify(values);
+    if (key === asked) return;
+    asked = key;
+    part.planned = false;
+    place.className = "plan";
+    place.replaceChildren(element("p", {}, "planning ..."));
+    enable(bench, part);
+    let found;
+    try {
+      found = await ask("/api/preview", { kind, values }, bench.client);
+    } catch (error) {
+      found = { refused: error.message };
+    }
+    if (asked !== key) return;
+    place.replaceChildren(...planLines(found));
+    place.className = found.refused ? "plan refused" : "plan";
+    part.planned = !found.refused;
+    enable(bench, part);
+  };
+  form.listen(() => {
+    part.planned = false;
+    enable(bench, part);
+    clearTimeout(timer);
+    timer = setTimeout(() => isOpen() && part.show(), 500);
+  });
+}
+
+function planLines(found) {
+  const lines = [];
+  if (found.refused) lines.push(element("p", {}, element("b", {}, "Refused before anything moves: "), found.refused));
+  else {
+    const seconds = found.recordings.reduce((sum, each) => sum + each.seconds, 0);
+    const count = found.recordings.length;
+    lines.push(
+      element("p", {}, element("b", {}, `${count} recording${count > 1 ? "s" : ""}, ${seconds.toFixed(1)} s recorded in all`),
+        "; boot, homing, way and standstill come before each."),
+    );
+    for (const note of new Set(found.recordings.flatMap((each) => each.notes))) lines.push(element("p", { class: "peak" }, note));
+  }
+  if (found.text) {
+    lines.push(element("details", { class: "more" }, element("summary", {}, "the experiment file"), element("pre", {}, found.text)));
+  }
+  return lines;
+}
+
+async function begin(bench, part, where, what) {
+  part.start.disabled = true;
+  try {
+    await ask(where, what, bench.client);
+    part.result.replaceChildren();
+    delete part.result.dataset.key;
+  } catch (error) {
+    part.result.replaceChildren(element("div", { class: "plan refused" }, error.message));
+    delete part.result.dataset.key;
+  }
+}
+
+function enable(bench, part) {
+  const busy = bench.state && (bench.state.work.state === "running" || (bench.state.stop && bench.state.stop.seconds === null));
+  part.start.disabled = !part.planned || Boolean(busy);
+}
+
+export function updateSteps(bench) {
+  const { work, steps } = bench.state;
+  for (const part of cards.values()) enable(bench, part);
+  let next = true;
+  for (const [name, result] of Object.entries(steps)) {
+    const part = cards.get(name);
+    const now = work.state === "running" && work.step === name ? work : result;
+    const state = now.state || "todo";
+    part.card.className = `card ${state}`;
+    part.mark.textContent = state === "todo" && next ? "next" : MARKS[state];
+    if (state !== "passed") next = false;
+    part.why.textContent = now.why || "";
+    if (!now.state) continue;
+    const lines = now.lines || [];
+    replaceIfNew(part.result, `${state} ${lines.length} ${lines.length ? lines[lines.length - 1][0] : ""}`, () => evidence(now, state === "running"));
+    if (state === "running") part.card.open = true;
+  }
+}
+
+function evidence(now, open) {
+  const text = element("pre", {});
+  for (const [line, isError] of now.lines) {
+    text.append(element("span", { class: line.startsWith("$ ") ? "asked" : isError && line.startsWith("isocenter: ") ? "bad" : "" }, `${line}\n`));
+  }
+  const made = (now.made || []).map((name) => {
+    const address = `/files/${encodeURIComponent(name)}?${Date.now()}`;
+    const shown = name.endsWith(".png") ? element("img", { src: address, alt: name, loading: "lazy" }) : name;
+    return element("p", { class: "made" }, element("a", { href: address, target: "_blank", rel: "noopener" }, shown));
+  });
+  return [element("details", { class: "more", open: open || now.state !== "passed" }, element("summary", {}, "evidence: what was said"), text), ...made];
+}

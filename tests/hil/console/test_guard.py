@@ -1,0 +1,184 @@
+"""Who and what the bench's server refuses."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from command_line import runner
+
+pytest.importorskip("starlette")
+from starlette.testclient import TestClient
+from starlette.websockets import WebSocketDisconnect
+
+from hil.console.admission import Admission
+from hil.console.app import application
+from hil.console.desk import Desk
+from hil.console.facts import facts_of
+from hil.console.guard import MOST_BYTES, Hosts
+from hil.machine import load_machine
+
+OWN = "http://127.0.0.1:8710"
+TOKEN = "0123456789abcdef"
+SOCKETS = ("ws://127.0.0.1:8710/control", "ws://127.0.0.1:8710/rows")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    folder = tmp_path / "out"
+    folder.mkdir()
+    return folder
+
+
+def client_of(folder: Path, token: str = "", bound: str = "127.0.0.1", base: str = OWN) -> TestClient:
+    ours, theirs = multiprocessing.Pipe()
+    facts = facts_of("turntable", load_machine("turntable"), "lockstep:", "", "")
+    client = TestClient(application(Desk(facts, folder, ours), Admission(token), Hosts(bound, ("arm.example",))), base_url=base)
+    client.starter = theirs  # type: ignore[attr-defined]  # kept open
+    return client
+
+
+@pytest.fixture
+def client(folder: Path) -> Iterator[TestClient]:
+    with client_of(folder) as client:
+        yield client
+
+
+@pytest.mark.parametrize(
+    "host", ["evil.example", "evil.example:8710", "127.0.0.1.evil.example", "192.0.2.7:8710", "", "127.0.0.1@evil.example"]
+)
+def test_a_server_on_loopback_answers_to_no_other_name(client: TestClient, host: str) -> None:
+    assert client.get("/", headers={"Host": host}).status_code == 421
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1:8710", "localhost:1", "[::1]:8710"])
+def test_a_server_on_loopback_answers_to_its_own_names(client: TestClient, host: str) -> None:
+    assert client.get("/", headers={"Host": host}).status_code == 200
+
+
+def test_a_server_for_others_answers_to_its_addresses_and_names_alone(folder: Path) -> None:
+    with client_of(folder, TOKEN, "0.0.0.0") as client:
+        assert client.get("/", headers={"Host": "192.0.2.7:8710"}).status_code == 401
+        assert client.get("/", headers={"Host": "arm.example"}).status_code == 401
+        assert client.get("/", headers={"Host": "evil.example"}).status_code == 421
+
+
+@pytest.mark.parametrize("origin", [None, "http://evil.example", "http://127.0.0.1:9999", "null", "http://127.0.0.1:8710.evil.example"])
+def test_pages_of_other_origins_change_nothing(client: TestClient, origin: str | None) -> None:
+    headers = {} if origin is None else {"Origin": origin}
+    assert client.post("/api/stop", headers=headers).status_code == 403
+    for path in SOCKETS:
+        with pytest.raises(WebSocketDisconnect), client.websocket_connect(path, headers=headers):
+            pass
+
+
+@pytest.mark.parametrize("path", SOCKETS)
+def test_sockets_answer_to_no_other_name(client: TestClient, path: str) -> None:
+    headers = {"Host": "evil.example", "Origin": "http://evil.example"}
+    with pytest.raises(WebSocketDisconnect), client.websocket_connect(path, headers=headers):
+        pass
+
+
+def test_its_own_page_is_heard(client: TestClient) -> None:
+    assert client.post("/api/stop", headers={"Origin": OWN}).status_code == 200
+    with client.websocket_connect(SOCKETS[0], headers={"Origin": OWN}) as socket:
+        assert socket.receive_json()["type"] == "welcome"
+
+
+def test_a_token_opens_once(folder: Path) -> None:
+    with client_of(folder, TOKEN) as client, client_of(folder, TOKEN) as stranger:
+        assert client.get("/").status_code == 401
+        assert client.get("/enter?token=0123456789abcdeF", follow_redirects=False).status_code == 403
+        assert client.get(f"/enter?token={TOKEN}", follow_redirects=False).status_code == 303
+        assert client.get("/api/bench").status_code == 200
+        with client.websocket_connect(SOCKETS[0], headers={"Origin": OWN}) as socket:
+            assert socket.receive_json()["type"] == "welcome"
+        session = client.cookies
+        client.cookies = type(session)()
+        replayed = client.get(f"/enter?token={TOKEN}", follow_redirects=False)
+        assert replayed.status_code == 403
+        assert "used" in replayed.text
+        assert client.get("/api/bench").status_code == 401
+        with pytest.raises(WebSocketDisconnect), client.websocket_connect(SOCKETS[1], headers={"Origin": OWN}):
+            pass
+        assert stranger.get("/", cookies={"isocenter_bench": "guessed"}).status_code == 401
+
+
+def test_a_session_is_out_of_reach_of_scripts_and_other_sites(folder: Path) -> None:
+    with client_of(folder, TOKEN) as client:
+        cookie = client.get(f"/enter?token={TOKEN}", follow_redirects=False).headers["set-cookie"].lower()
+        assert "httponly" in cookie
+        assert "samesite=strict" in cookie
+
+
+def test_a_browser_that_is_in_invites_another_once(folder: Path) -> None:
+    with client_of(folder, TOKEN) as client:
+        client.get(f"/enter?token={TOKEN}")
+        address = client.post("/api/invite", headers={"Origin": OWN}).json()["address"]
+        client.cookies.clear()
+        assert client.get(address, follow_redirects=False).status_code == 303
+        client.cookies.clear()
+        assert client.get(address, follow_redirects=False).status_code == 403
+
+
+def test_long_bodies_are_refused(client: TestClient) -> None:
+    body = b'{"step": "' + MOST_BYTES * b"x" + b'"}'
+    assert client.post("/api/step", content=body, headers={"Origin": OWN}).status_code == 413
+
+
+@pytest.mark.parametrize("body", [b"", b"[]", b"{", b'"x"', b"\xff"])
+def test_a_body_that_is_no_object_is_refused(client: TestClient, body: bytes) -> None:
+    answer = client.post("/api/run", content=body, headers={"Origin": OWN})
+    assert (answer.status_code, answer.text) == (400, "a JSON object is asked for\n")
+
+
+@pytest.mark.parametrize("what", [{}, {"step": "fly"}, {"step": ["home"]}, {"step": "check", "values": []}])
+def test_what_is_no_step_is_told(client: TestClient, what: dict[str, object]) -> None:
+    answer = client.post("/api/step", json=what, headers={"Origin": OWN})
+    assert answer.status_code == 409
+    assert len(answer.text.splitlines()) == 1
+
+
+def test_no_file_outside_of_the_folder_is_shown(client: TestClient, folder: Path) -> None:
+    (folder.parent / "secret.json").write_text("{}")
+    (folder / "link.json").symlink_to(folder.parent / "secret.json")
+    (folder / ".hidden.json").write_text("{}")
+    (folder / "good.json").write_text("{}")
+    for name in ("..%2fsecret.json", "../secret.json", "%2fetc%2fpasswd", "link.json", ".hidden.json", "%00.json", "", "."):
+        assert client.get(f"/files/{name}").status_code in (404, 405), name
+    assert client.get("/files/good.json").status_code == 200
+
+
+def test_a_report_has_none_of_the_rights_of_the_page(client: TestClient, folder: Path) -> None:
+    (folder / "report.html").write_text("<script>fetch('/api/stop', {method: 'POST'})</script>")
+    policy = client.get("/files/report.html").headers["content-security-policy"]
+    assert "sandbox" in policy
+    assert "allow-same-origin" not in policy
+    assert "default-src 'none'" in policy
+
+
+def test_the_page_is_in_no_frame_and_loads_from_nowhere_else(client: TestClient) -> None:
+    headers = client.get("/").headers
+    assert headers["x-frame-options"] == "DENY"
+    assert "frame-ancestors 'none'" in headers["content-security-policy"]
+    assert "default-src 'self'" in headers["content-security-policy"]
+
+
+@pytest.mark.parametrize(
+    ("options", "wrong"),
+    [
+        (("--host", "0.0.0.0"), "--token"),
+        (("--host", "192.0.2.7"), "--token"),
+        (("--token", "short"), "at least 16"),
+        (("--token", "a token with blanks in it"), "letters, digits"),
+        (("--host", "192.0.2.7", "--token", TOKEN), "cannot listen there"),
+    ],
+)
+def test_an_open_or_impossible_place_is_refused(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, options: tuple[str, ...], wrong: str
+) -> None:
+    outcome = runner(capsys)("bench", "turntable", "--bus", "lockstep:", "-o", tmp_path / "out", *options)
+    assert outcome.status == 2
+    assert wrong in outcome.line

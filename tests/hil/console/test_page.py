@@ -1,0 +1,203 @@
+"""The page of the bench in a real browser, against an emulated machine."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from bench_page import BenchPage, Watcher, bench_page
+from browser import WIDTHS, browser_or_skip, listen
+
+pytest.importorskip("uvicorn")
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+VIEWS = ("commission", "scope", "experiments", "state", "recordings")
+STEP_MS = 240_000.0  # a step starts a process, on a computer that may be busy
+AMPLITUDE_DEG, PERIOD_S = 2.0, 4.0
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BenchPage]:
+    browser_or_skip()
+    with bench_page(tmp_path_factory.mktemp("bench"), "turntable", "lockstep:") as bench:
+        yield bench
+
+
+def opened(page: Page, bench: BenchPage, view: str) -> None:
+    page.goto(f"{bench.address}/#{view}")
+    page.locator("#link", has_text="connected").wait_for(state="attached")  # a narrow page shows it only where it is lost
+
+
+def fill_and_run(page: Page, form: str, **values: object) -> None:
+    card = page.locator(f"[data-form={form}]")
+    card.locator("summary").first.click()
+    for name, value in values.items():
+        card.locator(f"[name={name}]").fill(str(value))
+    card.locator(".peak").first.wait_for(timeout=STEP_MS)
+    assert "predicted peak command: turn" in card.locator(".peak").first.inner_text()
+    card.locator("button.main:enabled").click(timeout=STEP_MS)
+
+
+def ended(page: Page, state: str) -> str:
+    page.locator(f"#now.{state}").wait_for(timeout=STEP_MS)
+    return page.locator("#now").inner_text()
+
+
+def test_the_scope_shows_a_sine_with_its_amplitude_and_frequency(page: Page, bench: BenchPage) -> None:
+    opened(page, bench, "experiments")
+    fill_and_run(page, "jog", jog=AMPLITUDE_DEG, period=PERIOD_S, periods=4)
+    ended(page, "passed")
+    page.goto(f"{bench.address}/#scope")
+    page.get_by_label("reference_turn", exact=True).check()
+    row = page.locator("tr[data-channel=reference_turn]")
+    row.wait_for()
+    page.locator("#scope-note", has_text="ended").wait_for()
+    read = {what: float(row.locator(f"[data-what={what}]").get_attribute("data-value") or "nan") for what in ("amplitude", "frequency")}
+    assert read["amplitude"] == pytest.approx(math.radians(AMPLITUDE_DEG), rel=1e-3)
+    assert read["frequency"] == pytest.approx(1.0 / PERIOD_S, rel=1e-3)
+    assert page.locator(".pane[data-unit=rad] canvas").is_visible()
+
+
+def test_a_trigger_holds_the_crossing_still_and_a_zoom_pauses(page: Page, bench: BenchPage) -> None:
+    opened(page, bench, "scope")
+    page.locator("#readout tr").first.wait_for(timeout=STEP_MS)
+    page.get_by_label("reference_turn", exact=True).check()
+    page.select_option("#span", "5")
+    page.select_option("#trigger-channel", "reference_turn")
+    page.select_option("#trigger-mode", "single")
+    page.locator("#pause", has_text="Go on").wait_for()
+    plot = page.locator(".pane .u-over").first
+    box = plot.bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + 0.3 * box["width"], box["y"] + 20)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.6 * box["width"], box["y"] + 20, steps=4)
+    page.mouse.up()
+    page.locator("#scope-note", has_text="stands still").wait_for()
+    page.get_by_label("Cursors").check()
+    plot.click(position={"x": 0.25 * box["width"], "y": 40})
+    plot.click(position={"x": 0.75 * box["width"], "y": 40})
+    page.locator("#scope-note", has_text="B − A").wait_for()
+    found = re.search(r"B − A = ([\d.]+) s", page.locator("#scope-note").inner_text())
+    assert found
+    assert float(found[1]) == pytest.approx(0.5 * 0.3 * 5.0, rel=0.05)
+
+
+def test_stop_is_in_every_view_and_nothing_lies_over_it(browser: Browser, bench: BenchPage, console_errors: list[str]) -> None:
+    for width in WIDTHS.values():
+        page = browser.new_page(viewport={"width": width, "height": 800})
+        listen(page, console_errors)
+        for view in VIEWS:
+            opened(page, bench, view)
+            for down in (0, 10_000):
+                page.mouse.wheel(0, down)
+                stop, emulated = page.locator("#stop"), page.locator("#emulated")
+                box = stop.bounding_box()
+                assert box is not None
+                assert box["x"] >= 0
+                assert box["x"] + box["width"] <= width
+                assert box["y"] >= 0
+                middle = [box["x"] + box["width"] / 2, box["y"] + box["height"] / 2]
+                assert page.evaluate("([x, y]) => document.elementFromPoint(x, y).closest('button')?.id", middle) == "stop"
+                assert emulated.is_visible()
+            assert page.evaluate("() => document.documentElement.scrollWidth <= innerWidth"), f"{view} is wider than {width} px"
+        page.close()
+
+
+@pytest.mark.parametrize("view", ["scope", "experiments"])
+def test_escape_stops_the_run_from_any_view(page: Page, bench: BenchPage, view: str) -> None:
+    opened(page, bench, "experiments")
+    fill_and_run(page, "static", seconds=36000)
+    page.goto(f"{bench.address}/#{view}")
+    page.locator("#now", has_text="recording static").wait_for(timeout=STEP_MS)
+    page.keyboard.press("Escape")
+    said = ended(page, "stopped")
+    assert "the motors were stopped" in said
+    assert "STOP in a browser" in said
+
+
+def test_a_reload_and_a_second_browser_do_no_harm(page: Page, browser: Browser, bench: BenchPage, console_errors: list[str]) -> None:
+    opened(page, bench, "experiments")
+    fill_and_run(page, "static", seconds=36000)
+    page.locator("#now", has_text="recording static").wait_for(timeout=STEP_MS)
+    page.reload()
+    second = browser.new_page()
+    listen(second, console_errors)
+    opened(second, bench, "scope")
+    second.locator("#scope-note", has_text="rows").wait_for()
+    second.locator("#now", has_text="another browser started it").wait_for()
+    second.close()
+    rows = page.locator("#now", has_text="this page keeps it running").inner_text()
+    page.wait_for_timeout(2500)  # longer than a browser may be silent
+    assert page.locator("#now.running").inner_text() != rows
+    page.locator("#stop").click()
+    ended(page, "stopped")
+
+
+def test_a_browser_that_is_closed_stops_what_it_started(browser: Browser, bench: BenchPage, console_errors: list[str]) -> None:
+    page = browser.new_page()
+    listen(page, console_errors)
+    opened(page, bench, "experiments")
+    fill_and_run(page, "static", seconds=36000)
+    page.locator("#now", has_text="recording static").wait_for(timeout=STEP_MS)
+    watcher = Watcher(bench)
+    page.close()
+    work = watcher.work(lambda work: work["state"] != "running", 30.0)
+    watcher.close()
+    assert work["state"] == "stopped"
+    assert "answered no ping" in work["why"]
+
+
+def test_commissioning_begins_with_clicks_alone(page: Page, bench: BenchPage) -> None:
+    opened(page, bench, "commission")
+    for step in ("check", "scan", "home", "static"):
+        card = page.locator(f"[data-step={step}]")
+        if card.get_attribute("open") is None:
+            card.locator("summary").first.click()
+        card.locator("button.main:enabled").click(timeout=STEP_MS)
+        page.locator(f"[data-step={step}].passed").wait_for(timeout=STEP_MS)
+        assert card.locator(".why").inner_text()
+        assert "$ isocenter" in card.locator("pre").last.text_content() or step == "scan"
+    assert json.loads((bench.folder / "still.json").read_text())["recordings"][0]["timing"]["ticks"] == 2000
+    page.goto(f"{bench.address}/#recordings")
+    page.get_by_role("link", name="still.mf4").wait_for()
+
+
+def test_a_step_that_builds_on_another_says_so(page: Page, bench: BenchPage) -> None:
+    opened(page, bench, "commission")
+    card = page.locator("[data-step=observe]")
+    card.locator("summary").first.click()
+    card.locator("button.main:enabled").click(timeout=STEP_MS)
+    card.locator(".refused", has_text="first identify").wait_for()
+
+
+@pytest.mark.nightly
+def test_the_emulated_arm_is_commissioned_from_the_first_click_to_the_observer(browser: Browser, tmp_path: Path) -> None:
+    with bench_page(tmp_path, "carm", "lockstep:") as bench:
+        pictures = Path("build/screenshots")
+        pictures.mkdir(parents=True, exist_ok=True)
+        errors: list[str] = []
+        page = browser.new_page(viewport={"width": 1400, "height": 900})
+        listen(page, errors)
+        opened(page, bench, "commission")
+        for step in ("check", "scan", "home", "static", "identify", "shape", "observe"):
+            card = page.locator(f"[data-step={step}]")
+            if card.get_attribute("open") is None:
+                card.locator("summary").first.click()
+            card.locator("button.main:enabled").click(timeout=4 * STEP_MS)
+            page.locator(f"[data-step={step}].passed").wait_for(timeout=4 * STEP_MS)
+        assert (bench.folder / "machine.observer.npz").is_file()
+        for name, width in WIDTHS.items():
+            page.set_viewport_size({"width": width, "height": 900})
+            for view in VIEWS:
+                page.goto(f"{bench.address}/#{view}")
+                page.wait_for_timeout(700)
+                page.screenshot(path=pictures / f"bench-{view}-{name}.png", full_page=True)
+        assert errors == []

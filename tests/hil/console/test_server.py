@@ -1,0 +1,98 @@
+"""The bench's server as a process: whom it stops, what it refuses, and where it ends."""
+
+from __future__ import annotations
+
+import json
+import signal
+import time
+from collections.abc import Iterator
+
+import pytest
+from bench_page import BenchPage, Watcher, bench_page
+
+pytest.importorskip("uvicorn")
+pytest.importorskip("websockets")
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+
+from hil.console.attention import SILENT_S
+from hil.console.guard import MOST_BYTES
+
+LONG = {"kind": "static", "values": {"seconds": 36000}}
+BUSY_S = 240.0
+"""Longest time in which a run begins, on a computer with much else to do."""
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BenchPage]:
+    with bench_page(tmp_path_factory.mktemp("bench"), "turntable", "lockstep:") as bench:
+        yield bench
+
+
+def started(bench: BenchPage) -> Watcher:
+    """The client of a run that records and would go on for hours."""
+    client = Watcher(bench)
+    assert bench.post("/api/run", LONG, client.client)[0] == 200
+    give_up = time.monotonic() + BUSY_S
+    while not ((state := client.state())["recording"] and state["recording"]["live"] and state["work"]["state"] == "running"):
+        assert time.monotonic() < give_up, state["work"]
+    return client
+
+
+def test_who_started_a_run_and_answers_no_more_stops_it_in_two_seconds(bench: BenchPage) -> None:
+    client, watcher = started(bench), Watcher(bench)
+    silent_since = time.monotonic()
+    while not watcher.state()["stop"]:
+        assert time.monotonic() - silent_since < SILENT_S + 1.0
+    assert time.monotonic() - silent_since > SILENT_S - 0.5
+    work = watcher.work(lambda work: work["state"] != "running", 30.0)
+    assert (work["state"], "answered no ping" in work["why"]) == ("stopped", True)
+    client.close()
+    watcher.close()
+
+
+def test_who_only_watches_stops_nothing(bench: BenchPage) -> None:
+    watcher = Watcher(bench)
+    client = started(bench)
+    until_s = time.monotonic() + SILENT_S + 1.0
+    while time.monotonic() < until_s:
+        assert client.state()["work"]["state"] == "running"
+        watcher.state(answers=False)
+    watcher.close()
+    bench.post("/api/stop", {})
+    assert client.work(lambda work: work["state"] != "running", 30.0)["state"] == "stopped"
+    client.close()
+
+
+def test_who_answers_no_ping_starts_nothing(bench: BenchPage) -> None:
+    status, said = bench.post("/api/run", LONG, "nobody")
+    assert status == 409
+    assert "pings" in said
+
+
+def test_messages_that_are_too_long_close_the_line(bench: BenchPage) -> None:
+    for path in ("/control", "/rows"):
+        with connect(bench.sockets + path, origin=bench.address) as socket:  # type: ignore[arg-type]
+            socket.send("x" * (MOST_BYTES + 1))
+            with pytest.raises(ConnectionClosed) as closed:
+                list(socket)
+            assert closed.value.rcvd is not None
+            assert closed.value.rcvd.code == 1009
+
+
+def test_lines_of_other_origins_are_refused(bench: BenchPage) -> None:
+    for origin in ("http://evil.example", None):
+        with pytest.raises(InvalidStatus) as refused:
+            connect(bench.sockets + "/control", origin=origin)  # type: ignore[arg-type]
+        assert refused.value.response.status_code == 403
+
+
+def test_ctrl_c_stops_the_motors_before_it_ends(tmp_path_factory: pytest.TempPathFactory) -> None:
+    with bench_page(tmp_path_factory.mktemp("ended"), "turntable", "lockstep:") as bench:
+        client = started(bench)
+        bench.process.send_signal(signal.SIGINT)
+        assert bench.process.wait(60.0) == 0
+        (events,) = bench.folder.glob("*.events.jsonl")
+        assert "the motors were stopped" in events.read_text()
+        assert [json.loads(line)["what"] for line in events.read_text().splitlines()][-1] == "session ended"
+        client.close()
