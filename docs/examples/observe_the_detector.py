@@ -7,11 +7,11 @@ import hil
 carm = hil.open_machine("carm")
 lockstep = "lockstep:"
 
-# what a design is made from: responses, standstill, and ordinary operation to tune on
+# a design is made from responses and standstill; `tuned_on=scan` would tune it to ordinary operation, which takes longer
 multisine = carm.run(hil.Multisine(period_s=8.0, periods=2, realisations=1, jog=hil.Jog(line=1)), bus=lockstep)
 still = carm.run(hil.Static(3.0), bus=lockstep)
 scan = carm.run(hil.Scan("propeller", np.radians(-12.0), np.radians(12.0), dwell_s=0.5), bus=lockstep)
-design = hil.design_observer(carm, multisines=multisine, standing=still, tuned_on=scan)
+design = hil.design_observer(carm, multisines=multisine, standing=still)
 print(*design.notes, sep="\n")
 
 estimate = hil.observe(carm, scan, design)

@@ -124,7 +124,7 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
     ),
     "commission": (
         Entry("machine, hash", "text", "Name and hash of the machine file."),
-        Entry("ok", "true or false", "Every step passed."),
+        Entry("ok, emulated", "true or false", "Every step passed; anything was recorded on the emulator."),
         Entry("comparison", "object or null", "Of a recording with its simulation, as of `compare`; null where it did not come so far."),
         Entry("steps", "list", "`name`, `ok`, `said` (a line each) and `files` of every step."),
     ),

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from hil.cli.emulated import EMULATED
 from hil.cli.options import BusOption, EffectsOption, ImuOption, IoOption, MachineArgument, folder_can_be_written, load
 from hil.errors import UnusableInputError
 from hil.terminal.output import Answer, JsonOption
@@ -63,6 +64,8 @@ def commission(
             told=told,
             progress=follow,
         )
+    if found.emulated:
+        answer.say(f"{EMULATED}all of it was recorded on the emulator, not on a real machine")
     answer.write(found.document())
     if not found.ok:
         raise typer.Exit(1)

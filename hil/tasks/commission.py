@@ -83,6 +83,8 @@ class Commissioning:
     machine : Machine
     folder : Path
     steps : tuple of Step
+    emulated : bool
+        Whether anything was recorded on the emulator.
     comparison : Comparison or None
         Of the first repeat with its simulation, in units of what repeats do not have in common; None where it did not come so far.
     """
@@ -90,6 +92,7 @@ class Commissioning:
     machine: Machine
     folder: Path
     steps: tuple[Step, ...]
+    emulated: bool
     comparison: Comparison | None
 
     @property
@@ -103,6 +106,7 @@ class Commissioning:
             "machine": self.machine.name,
             "hash": self.machine.hash,
             "ok": self.ok,
+            "emulated": self.emulated,
             "comparison": None if self.comparison is None else self.comparison.document(),
             "steps": [vars(step) for step in self.steps],
         }
@@ -159,7 +163,7 @@ def commission(
         options = BenchOptions(bus, imu, io, seed=seed, emulated=emulated)
         with open_bench(machine, options, pose_array(machine, _middle(machine))) as bench:
             under_way.run(bench)
-    return Commissioning(machine, under_way.folder, tuple(under_way.steps), under_way.comparison)
+    return Commissioning(machine, under_way.folder, tuple(under_way.steps), under_way.emulated, under_way.comparison)
 
 
 class _UnderWay:
@@ -169,6 +173,7 @@ class _UnderWay:
         self.machine, self.folder, self._told, self._progress = machine, folder, told, progress
         self._middle = _middle(machine)
         self.steps: list[Step] = []
+        self.emulated = False
         self.comparison: Comparison | None = None
 
     def check(self) -> bool:
@@ -213,7 +218,9 @@ class _UnderWay:
             keep_earlier(path)
             bench.run(plan, path, partial(self._follow, name, done, total) if bench.wiring.lockstep else None)
             done += plan.rows
-        return [in_effort(read_recording(path, self.machine), self.machine) for path in paths]
+        recordings = [in_effort(read_recording(path, self.machine), self.machine) for path in paths]
+        self.emulated |= any(each.emulated for each in recordings)
+        return recordings
 
     def _follow(self, name: str, done: int, total: int, row: int) -> None:
         self._progress(name, done + row, total)

@@ -26,11 +26,21 @@ DPI = 100
 SHOWN = ("position", "command")
 """Kinds of channels drawn of every axis unless some are named."""
 
+SHOWN = ("position", "command")
+"""Kinds of channels drawn of every axis unless some are named."""
+
 Drawable = Recording | Recordings | FrequencyResponse | ShaperChoice | Estimate | LookUp
 
 
 @as_bench_errors()
-def plot(result: Drawable, simulation: Recording | Recordings | None = None, *, channels: Sequence[str] = (), title: str = "") -> Figure:
+def plot(
+    result: Drawable,
+    simulation: Recording | Recordings | None = None,
+    *,
+    channels: Sequence[str] = (),
+    title: str = "",
+    page: str | Path | None = None,
+) -> Figure:
     """Draw a result.
 
     Parameters
@@ -39,8 +49,10 @@ def plot(result: Drawable, simulation: Recording | Recordings | None = None, *, 
     simulation : Recording, optional
         Of a recording: drawn into it, and what is left beneath.
     channels : sequence of str
-        Of a recording: which ones; position and command of every axis unless given.
+        Of a recording: names or patterns such as `current_*`; position and command of every axis unless given.
     title : str
+    page : str or Path, optional
+        Of a recording: the page to zoom into (.html) that `isocenter plot` writes, with all channels unless some are given.
 
     Returns
     -------
@@ -50,13 +62,15 @@ def plot(result: Drawable, simulation: Recording | Recordings | None = None, *, 
     Raises
     ------
     UnusableInputError
-        Nothing that can be drawn.
+        Nothing that can be drawn, or no such channel.
     RecordingError
-        No such channel, or several recordings.
+        Several recordings.
     """
     _show_in_notebooks()
     if isinstance(result, Recording | Recordings):
-        return _recording(the_one(result), None if simulation is None else the_one(simulation), channels, title)
+        return _recording(the_one(result), None if simulation is None else the_one(simulation), channels, title, page)
+    if simulation is not None or channels or page is not None:
+        raise UnusableInputError(f"{type(result).__name__}: a simulation, channels and a page go with a recording")
     if isinstance(result, FrequencyResponse):
         from hil.figures.frf import frf_figure
 
@@ -80,19 +94,16 @@ def plot(result: Drawable, simulation: Recording | Recordings | None = None, *, 
     raise UnusableInputError(f"{type(result).__name__}: is not drawn; a recording, response, shaper, estimate or look-up table is")
 
 
-def _recording(recording: Recording, simulation: Recording | None, channels: Sequence[str], title: str) -> Figure:
-    """Draw channels over time, with what a simulation leaves of each beneath it: the charts of `isocenter plot`."""
+def _recording(recording: Recording, simulation: Recording | None, channels: Sequence[str], title: str, page: str | Path | None) -> Figure:
     from hil.figures.still import still
-    from hil.pages import Charts
-    from hil.reports.plot import Plotted, charts_of
+    from hil.pages import Charts, write_page
+    from hil.reports.plot import Plotted, channels_of, charts_of, plot_page
 
-    if simulation is not None and simulation.rows != recording.rows:
-        raise RecordingError(f"{recording.rows} rows recorded, {simulation.rows} simulated; draw a simulation of this recording")
-    names = list(channels) or [f"{kind}_{axis}" for axis in recording.axes for kind in SHOWN if f"{kind}_{axis}" in recording]
-    names = names or [name for name in recording.channels if name != "time"]
-    for name in names:
-        recording.channel(name)
-    return still(Charts(charts_of([Plotted(Path(), recording, simulation)], names)), title)
+    plotted = [Plotted(Path(title or "recording"), recording, simulation)]
+    if page is not None:
+        write_page(plot_page(plotted, channels_of(plotted, channels)), Path(page))
+    shown = channels or [f"{kind}_{axis}" for axis in recording.axes for kind in SHOWN if f"{kind}_{axis}" in recording]
+    return still(Charts(charts_of(plotted, channels_of(plotted, shown)), columns=1), title)
 
 
 def _show_in_notebooks() -> None:

@@ -33,6 +33,8 @@ def test_a_machine_that_is_not_as_filed_is_told_and_the_next_command_names_its_f
     assert done.status == 0, done.err
     answer = json.loads(Path("arm.json").read_text())
     assert (answer["ok"], answer["comparison"]["agrees"], answer["comparison"]["noise"]) == (True, False, "repeats")
+    assert answer["emulated"]
+    assert "EMULATED: " in done.out
     assert answer["comparison"]["channels"]["position_turn"]["in_noise"] > 5.0
     (command,) = re.findall(r"isocenter diagnose turntable (.*)", done.out)
     given = command.split()

@@ -5,11 +5,13 @@ from __future__ import annotations
 import ast
 import importlib
 import inspect
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from places import ROOT
 
 import hil
 from controllers.errors import DesignError
@@ -37,6 +39,12 @@ def test_type_checkers_and_programs_see_the_same_names() -> None:
     assert set(seen) == set(hil.__all__) == set(dir(hil))
     for name, module in seen.items():
         assert getattr(hil, name) is getattr(importlib.import_module(module), name)
+
+
+def test_the_page_of_the_front_door_has_what_no_other_page_has() -> None:
+    page = (ROOT / "docs" / "api" / "front-door.md").read_text(encoding="utf-8")
+    own = {name for name, module in for_type_checkers().items() if module.startswith(("hil.tasks", "hil.shaping.choice"))}
+    assert own == set(re.findall(r"\w+", page.split(":members:")[1]))
 
 
 def test_a_name_that_is_not_there_is_said() -> None:
