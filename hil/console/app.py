@@ -228,7 +228,7 @@ def _told(answer: Callable[[dict[str, Any], str], Awaitable[Any]]) -> Answering:
         try:
             found = await answer(asked, request.headers.get("x-client", ""))
         except UnusableInputError as error:
-            return PlainTextResponse(f"{error}\n", 409)
+            return JSONResponse({"error": str(error)})  # an answer to the user, no failure of the request
         return JSONResponse({} if found is None else found)
 
     return endpoint

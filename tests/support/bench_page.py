@@ -73,7 +73,8 @@ class Watcher:
     def __init__(self, bench: BenchPage, client: str = "") -> None:
         from websockets.sync.client import connect
 
-        self._socket = connect(f"{bench.sockets}/control?client={client}", origin=bench.address)
+        self._line = connect(f"{bench.sockets}/control?client={client}", origin=bench.address)
+        self._socket = self._line.__enter__()
         self.client = json.loads(self._socket.recv())["client"]
 
     def state(self, *, answers: bool = True) -> dict[str, Any]:
@@ -94,4 +95,4 @@ class Watcher:
 
     def close(self) -> None:
         """Leave."""
-        self._socket.close()
+        self._line.__exit__(None, None, None)
