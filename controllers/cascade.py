@@ -21,10 +21,8 @@ from functools import reduce
 from typing import Literal
 
 import numpy as np
-import scipy.signal
 
 from controllers.errors import DesignError
-from controllers.sections import integrates
 from controllers.settings import AxisController
 
 CommandMode = Literal["velocity", "position"]
@@ -72,6 +70,8 @@ def in_effort(command: AxisCommand, limit: float, sample_rate_Hz: float) -> Axis
     DesignError
         The bench's own filters integrate: the drive's velocity loop already does.
     """
+    from controllers.sections import integrates  # compiled code and SciPy's signals, which only drives with loops of their own need
+
     loops, own = command.loops, command.controller
     y = own.position_sections
     r = y if own.reference_sections is None else own.reference_sections
@@ -111,6 +111,8 @@ def _sum(cascades: Sequence[np.ndarray]) -> np.ndarray:
 
     Polynomials are in q, lowest power first, which is in z, highest power first.
     """
+    from scipy.signal import zpk2sos
+
     numerator, poles = np.zeros(1), np.zeros(0)
     fractions = [(_product(cascade[:, :3]), _product(cascade[:, 3:]), cascade) for cascade in cascades if cascade[:, :3].any(axis=1).all()]
     if len(fractions) == 1:
@@ -122,7 +124,7 @@ def _sum(cascades: Sequence[np.ndarray]) -> np.ndarray:
         poles = np.concatenate([poles, *(np.roots(section) for section in cascade[:, 3:])])
     zeros = np.roots(numerator)
     at_origin = min(int(np.count_nonzero(zeros == 0.0)), int(np.count_nonzero(poles == 0.0)))
-    sections: np.ndarray = scipy.signal.zpk2sos(_without_origin(zeros, at_origin), _without_origin(poles, at_origin), numerator[0])
+    sections: np.ndarray = zpk2sos(_without_origin(zeros, at_origin), _without_origin(poles, at_origin), numerator[0])
     return sections
 
 

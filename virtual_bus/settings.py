@@ -162,6 +162,7 @@ class PlantSettings:
         return (*self.encoders, *self.speeds)
 
     effects: tuple[EffectSetting, ...] = field(default=())
+    tolerances: tuple[tuple[str, float], ...] = ()  # of numbers by name (`arm.center_of_mass_y_m`), in their units
 
 
 @dataclass(frozen=True)

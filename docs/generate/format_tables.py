@@ -76,6 +76,7 @@ OTHER_CHANNELS = (
 METADATA = (
     Entry("recording_format", "number", "1; marks the text as the metadata of a recording."),
     Entry("software", "text", "Name and version of what recorded."),
+    Entry("emulated", "true", "Only where an emulator was the machine."),
     Entry("started", "text", "Time of day of row 0, ISO 8601 with zone. Absent in virtual time."),
     Entry("rows", "number", "CSV only: number of rows; fewer in the file mean that it was cut off."),
     Entry("machine", "table", "`name`, `hash` (SHA-256 of the text), `axes` in order, and the machine file's whole `text`."),
@@ -114,7 +115,10 @@ FRF = ArrayFile(
     "isocenter identify",
     "L excited lines, n_y outputs, n_u inputs; in closed loop n_z = n_y + n_u, in open loop n_z = n_y. vec(G) stacks columns: element "
     "(i, j) of G has index j n_y + i. Covariances are of the estimate with all averaging counted, E[e eᴴ], so a diagonal element is the "
-    "variance of a complex number. What the data could not tell is absent: without a second period there is no noise covariance.",
+    "variance of a complex number. What the data could not tell is absent: without a second period there is no noise covariance. "
+    "`isocenter convert` writes the same arrays as `.mat`, for `frd(permute(G, [2 3 1]), frequencies_Hz, 1 / sample_rate_Hz, "
+    "'FrequencyUnit', 'Hz')`, and G as `.uff` or `.unv` (Universal File Format, data set 58, text: response node i is output i, "
+    "reference node j input j; six digits of the frequency where lines are uneven).",
     (
         Entry("format", "", "1."),
         Entry("lines", "(L,)", "Excited harmonics of `sample_rate_Hz` / `period_samples`."),
@@ -291,6 +295,7 @@ DESIGN = ArrayFile(
         ),
         Entry("isocenter_m", "(3,)", "Isocentre in the world."),
         Entry("machine, machine_hash", "", "The machine that it was made for."),
+        Entry("poses", "(poses, axes)", "At which it was measured [rad or m]; empty: not known. Optional."),
         Entry("notes", "(any,)", "What a user should know."),
     ),
 )

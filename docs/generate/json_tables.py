@@ -7,6 +7,18 @@ from docs.generate.format_tables import Entry
 _IDENTIFY = (
     Entry("frf", "text", 'The file that was written. Of several poses the answer is `{"poses": [one of these per pose]}`.'),
     Entry("method, settings, notes", "text, object, list", "How the response was estimated, and what a user should know."),
+    Entry("emulated", "true or false", "Whether a recording was made on the emulator."),
+    Entry(
+        "modes",
+        "list",
+        "Resonances that the response supports, rising: `frequency_Hz`, `frequency_ci95_Hz`, `damping` (ratio), `damping_ci95`, and the "
+        "`output` and `input` in which it stands out most.",
+    ),
+    Entry(
+        "modes_method, modes_misfit, no_modes",
+        "text, number, text",
+        "How they were found; what the fit leaves in units of the noise's variance, null without one; and why there are none.",
+    ),
     Entry("inputs, outputs", "list", "`name` and `unit` of each."),
     Entry("lines, frequencies_Hz", "list", "Excited lines and their frequencies."),
     Entry("magnitude, phase_rad", "(lines, outputs, inputs)", "The response."),
@@ -15,6 +27,7 @@ _IDENTIFY = (
 _RUN = (
     Entry("machine, hash", "text", "Name and hash of the machine file."),
     Entry("bus, scheduler", "text", "The bus, and how the loop was scheduled."),
+    Entry("emulated", "true or false", "Whether an emulator of this host was the machine."),
     Entry(
         "recordings",
         "list",
@@ -109,6 +122,12 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("bus", "text", "The bus."),
         Entry("nodes", "list", "`node_id`, `device_type`, `description`, `identity`, `nmt_state`, `name`."),
     ),
+    "commission": (
+        Entry("machine, hash", "text", "Name and hash of the machine file."),
+        Entry("ok, agrees", "true or false", "Every step passed; and the simulation differs from the machine by no more than noise."),
+        Entry("agreement", "object", "Per channel, simulation minus recording of the motion that is not repeated, in units of noise."),
+        Entry("steps", "list", "`name`, `ok`, `said` (a line each) and `files` of every step."),
+    ),
     "conform": (
         Entry("eds, bus, writes", "text, text, true or false", "What was asked."),
         Entry("node", "number", "The node id."),
@@ -126,6 +145,7 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
     "stop": (Entry("bus", "text", "The bus."), Entry("seen", "list of text", "What the supervisor saw, in order.")),
     "move": (
         Entry("machine, bus", "text", "Machine and bus."),
+        Entry("emulated", "true or false", "Whether an emulator of this host was the machine."),
         Entry("position", "object", "Where each axis stands [rad or m]."),
         Entry("notes", "list of text", "What an operator should know of nodes and bus."),
         Entry("judged", "list of text", "What was found of the sensors on the way."),
@@ -133,6 +153,7 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
     ),
     "home": (
         Entry("machine, bus", "text", "Machine and bus."),
+        Entry("emulated", "true or false", "Whether an emulator of this host was the machine."),
         Entry("checks", "list of text", "What was checked, in order."),
         Entry("judged", "list of text", "What was found of the thermometers."),
     ),
@@ -140,12 +161,21 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("simulation, rows", "text, number", "The file that was written, and its rows."),
         Entry("effects", "list", "Physics that was added: `name`, `at`, `parameters`."),
     ),
+    "plot": (
+        Entry("page, png", "text, text or null", "Files that were written."),
+        Entry("channels", "list", "What is in the page."),
+        Entry("verdict", "text", "The sentence on top of it."),
+    ),
     "compare": (
+        Entry("verdict, agrees", "text, true or false", "The answer in a sentence, and whether no channel differs by more than its noise."),
+        Entry("noise", "text", "Where the noise is known from: `repeats`, `periods`, or `assumed`."),
+        Entry("emulated", "true or false", "Whether the recording was made on the emulator."),
         Entry(
             "channels.NAME",
             "object",
-            "`unit`; `rms` and `largest` difference in it; `nrmse`, rms over the rms of the recording about its mean, null "
-            "where it does not move; `lag_rows`, by how many rows the recording is later; `rows` compared.",
+            "`unit`; `rms` and `largest` difference in it; its `noise` in one row, and `in_noise`, rms over noise; whether it is "
+            "`still`; `nrmse`, rms over the rms of the recording about its mean, null where it is still; `lag_rows`, by how many rows the "
+            "recording is later; `rows` compared.",
         ),
         Entry("only_recorded, only_simulated", "list", "Channels that only one of them has."),
     ),
@@ -155,12 +185,20 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("names", "object", "Signal of another tool's file to channel."),
         Entry("not_taken", "list", "What is in the file and not in the recording, a text each."),
         Entry("notes", "list", "How the rest was taken where that was not plain: resampled, summed, in another unit."),
+        Entry("target, lines, outputs, inputs", "text, number, list, list", "Of a frequency response these four alone."),
     ),
     "identify": _IDENTIFY,
     "shape": (
         Entry("shaper", "text", "The file that was written."),
         Entry("chosen, recommended", "text", "The design that was written, and the recommended one."),
         Entry("machine, hash, aim, source, output, verdict", "", "As in the notes of the SHAPER file."),
+        Entry("fit", "true or false", "Nothing is against running the design that was written; otherwise the exit status is 1."),
+        Entry(
+            "in_time",
+            "object",
+            "`without` and `shaped`: after a step of the reference, the largest ringing `left` in the output, as a share of the step, and "
+            "`settled_s`, when it is down to a twentieth of that without a shaper.",
+        ),
         Entry(
             "designs",
             "list",
@@ -176,6 +214,15 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
             "number",
             "Consistency: mean normalised innovation squared per measurement, share of rows in the 95 % band, share of rows with an alarm.",
         ),
+        Entry("emulated", "true or false", "Whether the recording was made on the emulator."),
+        Entry(
+            "alarms",
+            "list",
+            "Each alarm: `from_s`, `to_s`, `rows`; the `channel` that exceeds the usual most, its `unit` and by how many `times`; `kind` "
+            "(offset, swing, noise), `offset`, `frequency_Hz`; `low` and `high`, the range of the axes' positions [rad or m]; `outside`, "
+            "axes outside the design's poses.",
+        ),
+        Entry("outside", "list of text", "Warnings of axes that leave the poses at which the design was measured."),
         Entry("rms", "object", "Estimate to its root mean square."),
         Entry("not_observed", "list", "Combinations of states that the sensors do not show."),
         Entry(
@@ -230,6 +277,14 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("ok", "true or false", "Whether the new file passes every check."),
         Entry("before, findings", "list", "Findings of the old file and of the new one, as of `machine check`."),
     ),
+    "machine new": (
+        Entry("machine_file", "text", "The file that was written."),
+        Entry("axes", "list", "Names of the axes."),
+        Entry("assumed, open", "list", "Marks in the file: `line`, `key`, `says` and, of what is assumed, `value`."),
+        Entry("left", "list", "What was not taken over."),
+        Entry("controllers", "object", "Second-order sections that were designed, by axis."),
+    ),
+    "machine schema": (Entry("schema", "text or null", "The file that was written; null where it was printed."),),
     **dict.fromkeys(("run multisine", "run scan", "run jog", "run static", "run file"), _RUN),
     "calibrate phantom": (
         Entry("exposures, used", "number", "Images, and those that were used."),

@@ -24,6 +24,11 @@ Every table and key of a machine file (TOML) is listed here, with units, ranges 
 machine as [Describe your own machine](../how-to/your-own-machine.md) shows. `isocenter machine show M` prints what
 was understood; `isocenter machine check M` prints what follows from it. Frames and signs are in
 [Notation](../explanation/notation.md).
+
+Editors complete and check machine files by their [JSON schema](../../hil/machine/shipped/isocenter-machine.schema.json), which
+`isocenter machine schema -o isocenter-machine.schema.json` writes. A file's first line, `#:schema
+isocenter-machine.schema.json`, names the schema beside it for taplo and Even Better TOML; it is no part of the machine's
+hash. What two keys say together only `isocenter machine check` sees.
 """
 
 UNITS_TEXT = """

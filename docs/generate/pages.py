@@ -5,7 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from docs.generate import command_line, effects, fault_table, faults, file_formats, json_answers, machine_file, results, thesis_map
+from docs.generate import (
+    command_line,
+    effects,
+    examples,
+    fault_table,
+    faults,
+    file_formats,
+    json_answers,
+    machine_file,
+    machine_schema,
+    results,
+    thesis_map,
+)
+from hil.machine.editors import SCHEMA
 
 ROOT = Path(__file__).resolve().parents[2]
 GENERATED = ROOT / "docs" / "generated"
@@ -13,15 +26,17 @@ GENERATED = ROOT / "docs" / "generated"
 GENERATORS = {
     "command-line.md": command_line.page,
     "effects.md": effects.page,
+    "examples.md": examples.page,
     "fault-table.md": fault_table.page,
     "faults.md": faults.page,
     "file-formats.md": file_formats.page,
     "json.md": json_answers.page,
     "machine-file.md": machine_file.page,
+    Path("..", "..", SCHEMA.relative_to(ROOT)).as_posix(): machine_schema.page,
     "results.md": results.page,
     "thesis-map.md": thesis_map.page,
 }
-"""File name of a page and the function that writes its text."""
+"""File name of a page, from their folder, and the function that writes its text. The schema stands in the package: a wheel has it, too."""
 
 
 def pages() -> dict[str, str]:
@@ -31,9 +46,9 @@ def pages() -> dict[str, str]:
 
 def differences(wanted: Mapping[str, str], folder: Path = GENERATED) -> list[str]:
     """List the pages of a folder that are stale, missing or orphaned, one line each."""
-    found = {path.name: path for path in folder.glob("*.md")}
+    found = {name: folder / name for name in wanted if (folder / name).exists()}
     lines = [f"missing: {folder.name}/{name}" for name in wanted if name not in found]
-    lines += [f"orphaned: {folder.name}/{name}" for name in found if name not in wanted]
+    lines += [f"orphaned: {folder.name}/{path.name}" for path in folder.glob("*.md") if path.name not in wanted]
     lines += [
         f"stale: {folder.name}/{name}" for name, text in wanted.items() if name in found and found[name].read_text(encoding="utf-8") != text
     ]

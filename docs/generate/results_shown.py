@@ -65,7 +65,18 @@ _LIVE_ROWS = (
     "afterwards, parameters of the end",
 )
 _FILTERS = ("kf", "ekf", "ukf", "filterpy_ukf", "numpy_ukf")
-_CASES = {"quiet": "256 Hz", "fast": "1 kHz"}
+_PARTS = (
+    "observer and damping",
+    "frames",
+    "IMU",
+    "judges of sensors",
+    "loop",
+    "recorder",
+    "I/O",
+    "feedback",
+    "supervisor",
+)
+_CASES = {"quiet": "256 Hz", "loaded": "256 Hz beside a load of eight", "fast": "1 kHz"}
 
 DIAGNOSIS = (
     Shown(
@@ -348,6 +359,15 @@ SHOWN = (
         ),
     ),
     Shown(
+        "tick_shares.json",
+        "What a tick spends its time on",
+        "The same scan at 256 Hz. The process is interrupted as its processor time goes by, and the part at work counts. "
+        "`frames` are the drives' CANopen frames, sent and taken.",
+        "python benchmarks/tick_shares.py",
+        (Figure("median work of a tick", ("median_work_us",), "µs", 1.0),),
+        (Rows("part", ("us_a_tick",), (Column("a tick [µs]", ()),), _PARTS),),
+    ),
+    Shown(
         "lockstep.json",
         "Speed in lockstep",
         "The whole CANopen stack of the C-arm in one process, with IMU, I/O, supervisor and journal. python-can's `virtual` bus alone, by "
@@ -356,6 +376,17 @@ SHOWN = (
         (
             Figure("times real time", ("times_real_time_processor", "median")),
             Figure("of the rate of bare frames", ("share_of_bare", "median"), asked="at least 0.75"),
+        ),
+    ),
+    Shown(
+        "plot_opens.json",
+        "Time until a page of recordings is open",
+        "A minute at 256 Hz with 30 channels of `isocenter plot`, from disk in headless Chromium, until the last chart is drawn.",
+        "python benchmarks/plot_opens.py",
+        (
+            Figure("opens, median", ("opens_s", "median"), "s", asked="at most 1"),
+            Figure("zooms all charts, median", ("zooms_s", "median"), "s"),
+            Figure("size of the page", ("page_MB",), "MB"),
         ),
     ),
     Shown(

@@ -52,6 +52,7 @@ class AxisRest:
     held: bool  # the drive holds it, because the brake is not proven
     words: str
     steps: tuple[tuple[str, float], ...] = ()  # of its stop, in order: what was waited for, and how long [s]
+    stood_s: float = nan  # from the beginning of the stop until its position changed no more; NaN where it was not seen to stand
 
 
 class AxisStop:
@@ -119,6 +120,7 @@ class AxisStop:
         self._retries, self._watched, self._let_go_again = False, True, braked and not pushes
         self._rest: AxisRest | None = None
         self._ticks = self._all_ticks = 0
+        self._stood_s = nan
         self._steps: list[tuple[str, float]] = []
         self._phase: Callable[[], None] = self._closing
         self._close()
@@ -129,7 +131,7 @@ class AxisStop:
         """How the stop ended; None while it is under way."""
         if self._held_for:
             seen = "held by its drive" if self._stands() else f"{NOT_PROVEN}: its drive is told to hold it and {self._motion_words}"
-            return AxisRest(self.name, False, True, f"{seen}: {self._held_for}", tuple(self._steps))
+            return AxisRest(self.name, False, True, f"{seen}: {self._held_for}", tuple(self._steps), self._stood_s)
         return self._rest
 
     def prove(self, effort: float) -> None:
@@ -168,6 +170,9 @@ class AxisStop:
         self._ticks += 1
         if self.rest is None:
             self._all_ticks += 1
+            if self._stood_s != self._stood_s and self._stands():
+                moved = self._all_ticks - (self._still_ticks if self._motor.fresh(self._stale_ticks) else 0)
+                self._stood_s = max(moved, 0) * self._period_s
             if self._flickers() and self._phase != self._closing:
                 self._close()
         self._phase()
@@ -413,7 +418,7 @@ class AxisStop:
 
     def _end(self, safe: bool, words: str) -> None:
         self._go(self._ended)
-        self._rest = AxisRest(self.name, safe, False, words, tuple(self._steps))
+        self._rest = AxisRest(self.name, safe, False, words, tuple(self._steps), self._stood_s)
         if safe:
             self.controlword = cia402.DISABLE_VOLTAGE
         self.effort = 0.0

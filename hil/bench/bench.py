@@ -93,6 +93,11 @@ class Bench:
         self._led = False  # whether drives go by themselves
         self._unjudged = self._missed = 0  # ticks since the sensors were judged, and the clock's lost ones by then
 
+    @property
+    def emulated(self) -> bool:
+        """Whether an emulator of this host is the machine."""
+        return self.wiring.emulated
+
     def commission(self) -> tuple[str, ...]:
         """Boot, then check the first move, home and check encoder agreement of every axis; return the findings, a line each.
 
@@ -303,6 +308,8 @@ class Bench:
                     events.add("drivers", "trouble in stopping", trouble=trouble)
                 if link.rests and link.outcome not in str(error):
                     error.add_note(link.outcome)
+                if link.standstill:
+                    error.add_note(link.standstill)
                 if link.troubles:
                     more = f" and {len(link.troubles) - 1} more" if len(link.troubles) > 1 else ""
                     error.add_note(f"stopping the motors ran into {link.troubles[0]}{more}")
@@ -416,6 +423,7 @@ class Bench:
             commands=self.machine.commanded,
             observer=observer,
             judged=judged,
+            emulated=self.emulated or None,
         )
         channels = self.loop.layout.channels
         if self.wiring.lockstep:

@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
+from math import isfinite
 
 import can
 import numpy as np
@@ -86,8 +87,19 @@ class HeedingMachine(CanMachine):
         for rest in self.rests if self.rests is not before else ():
             what = "axis stopped" if rest.safe else "axis not proven at rest"
             took = {step.replace(" ", "_") + "_s": seconds for step, seconds in rest.steps}
+            if isfinite(rest.stood_s):
+                took["standstill_s"] = rest.stood_s
             self.events.add("drivers", what, axis=rest.axis, seen=rest.words, **took)
         self.troubles += [trouble for trouble in self.stop_trouble if trouble not in self.troubles]
+
+    @property
+    def standstill(self) -> str:
+        """How long after its beginning the last stop brought the axes to a standstill, in words; "" where not all are safe."""
+        stood = [rest.stood_s for rest in self.rests]
+        if not stood or not all(rest.safe and isfinite(rest.stood_s) for rest in self.rests):
+            return ""
+        each = ", ".join(f"{rest.axis} {rest.stood_s:.2f} s" for rest in self.rests)
+        return f"standstill {max(stood):.2f} s after the stop began" + (f" ({each})" if len(stood) > 1 else "")
 
     def exchange(self, command: np.ndarray) -> Sample:
         """Make one tick; after a stop request stop the motors instead and raise LoopAbortedError with its reason."""
@@ -105,11 +117,12 @@ class HeedingMachine(CanMachine):
 
 @dataclass
 class Wiring:
-    """A machine link and the clock it ticks by."""
+    """A machine link and the clock it ticks by; `emulated` where an emulator of this host serves the bus."""
 
     link: HeedingMachine
     clock: LockstepClock | WallClock
     lockstep: bool
+    emulated: bool
     truth: TruthLog | None = None
     faulty: FaultyMachine | None = None
 
@@ -168,7 +181,7 @@ def lockstep_wiring(machine: Machine, options: BenchOptions, start_pose: np.ndar
             io = IoDriver(settings.io, InProcessTransport(serve), machine.axes, oversight.refresh)
         clock = LockstepClock(bus.pass_time, lambda: bus.time_s)
         link = HeedingMachine(stop_request, settings, bus, clock, imu, io, LockstepAttendant(), oversight)
-        yield Wiring(link, clock, True, truth, faulty)
+        yield Wiring(link, clock, True, True, truth, faulty)
 
 
 @contextlib.contextmanager
@@ -219,7 +232,7 @@ def wall_wiring(machine: Machine, options: BenchOptions, stop_request: StopReque
         link = HeedingMachine(stop_request, settings, bus, clock, imu, io, Operator(), supervisor)
         if options.real_time:
             clock.rehearsals.append(link.rehearse)
-        yield Wiring(link, clock, False)
+        yield Wiring(link, clock, False, find(options.bus_url) is not None)
 
 
 @contextlib.contextmanager

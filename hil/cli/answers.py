@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hil.cli.emulated import say_emulated
 from hil.cli.options import EffectsOption, MachineArgument, can_be_written, load, not_an_input
 from hil.terminal.output import Answer, JsonOption
+from hil.terminal.progress import working
 
 if TYPE_CHECKING:
     from hil.recording.naming import Target as NameTarget
@@ -28,7 +30,8 @@ def register(app: typer.Typer) -> None:
     )(simulate)
     app.command(
         short_help="A recording against its simulation.",
-        help="What differs between a recording and its simulation, per channel, in units and as NRMSE."
+        help="Whether a simulation agrees with its recording, and what differs: per channel, in units, in multiples of the noise and as"
+        " NRMSE. The noise is the scatter between repeats or periods; with neither it is assumed, and said to be."
         "\n\nExample:  isocenter compare run.mf4 sim.mf4",
     )(compare)
     app.command(
@@ -58,8 +61,10 @@ def simulate(
     not_an_input(out, recording)
     machine = load(machine_name, effects)
     measured = read_recording(recording, machine)
-    simulated = run_simulation(machine, measured)
+    with working(f"simulating {recording.name}"):
+        simulated = run_simulation(machine, measured)
     write_recording(simulated, out)
+    say_emulated(answer, {recording: measured})
     added = ", ".join(f"{effect.name} at {effect.at}" for effect in machine.plant.effects) or "nothing"
     answer.say(f"{out}: {len(simulated.time)} rows of {machine.name}; physics added to its file: {added}")
     answer.write({"simulation": out, "rows": len(simulated.time), "effects": [vars(effect) for effect in machine.plant.effects]})
@@ -68,23 +73,33 @@ def simulate(
 def compare(
     recording: RecordingArgument,
     simulation: Annotated[Path, typer.Argument(metavar="SIM", help="Its simulation.")],
+    repeats: Annotated[
+        list[Path] | None,
+        typer.Option("--repeat", metavar="REC", help="The same experiment recorded again, which shows the noise; repeatable."),
+    ] = None,
     machine_name: OptionalMachine = None,
     json_to: JsonOption = None,
 ) -> None:
-    """Print rms and largest difference in units, and NRMSE per channel."""
+    """Say whether the simulation agrees, then rms and largest difference, in units and of the noise, and NRMSE per channel."""
     from hil.recording import read_recording
     from hil.simulation import compare as compare_recordings
 
     answer = Answer(json_to)
     machine = None if machine_name is None else load(machine_name)
-    comparison = compare_recordings(read_recording(recording, machine), read_recording(simulation, machine))
+    measured = read_recording(recording, machine)
+    again = [read_recording(path, machine) for path in repeats or []]
+    comparison = compare_recordings(measured, read_recording(simulation, machine), again)
+    answer.say(comparison.verdict)
+    emulated = say_emulated(answer, {recording: measured})
     answer.say(comparison.table())
-    answer.write(comparison.document())
+    answer.write(comparison.document() | {"emulated": emulated})
 
 
 def convert(
-    source: Annotated[Path, typer.Argument(metavar="A", help="What to read: a recording, log or bag.")],
-    target: Annotated[Path, typer.Argument(metavar="B", help="What to write: .mf4, .csv, .parquet or .mcap.")],
+    source: Annotated[Path, typer.Argument(metavar="A", help="What to read: a recording, log, bag or FRF.")],
+    target: Annotated[
+        Path, typer.Argument(metavar="B", help="What to write: .mf4, .csv, .parquet or .mcap; of an FRF .mat, .uff or .unv.")
+    ],
     mapping: Annotated[
         list[str] | None,
         typer.Option(
@@ -96,10 +111,13 @@ def convert(
     machine_name: OptionalMachine = None,
     json_to: JsonOption = None,
 ) -> None:
-    """Write the same channels to another file."""
+    """Write the same channels, or the same frequency response, to another file."""
     from hil.recording import convert as convert_recording
 
     not_an_input(target, source)
+    if source.suffix.lower() == ".npz":
+        _convert_frf(source, target, Answer(json_to))
+        return
     machine = None if machine_name is None else load(machine_name)
     answer = Answer(json_to)
     recording = convert_recording(source, target, machine, _channel_names(mapping or []))
@@ -116,6 +134,16 @@ def convert(
             "notes": said.get("notes", []),
         }
     )
+
+
+def _convert_frf(source: Path, target: Path, answer: Answer) -> None:
+    from hil.identification.exchange import convert_frf
+
+    can_be_written(target)
+    response = convert_frf(source, target)
+    lines, outputs, inputs = response.G.shape
+    answer.say(f"{target}: frequency response of {lines} lines, {outputs} outputs, {inputs} inputs")
+    answer.write({"target": target, "lines": lines, "outputs": response.output_names, "inputs": response.input_names})
 
 
 def _channel_names(mapping: list[str]) -> dict[str, NameTarget]:

@@ -27,6 +27,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 _UsageError: type[Any] = typer.BadParameter.__bases__[0]
 _ClickException: type[Any] = _UsageError.__bases__[0]
 
+_BUSES = "`--bus lockstep:` for the emulated machine in this process, `--bus socketcan:can0` for a real one"
 _INTERRUPTED = 130  # what Typer makes of Ctrl-C
 
 app = typer.Typer(
@@ -145,6 +146,9 @@ def _warnings_in_one_line() -> Iterator[None]:
 def _say_usage(error: ClickException) -> int:
     context = getattr(error, "ctx", None)
     where = context.command_path if context is not None else "isocenter"
+    lacking = getattr(error, "param", None) if type(error).__name__ == "MissingParameter" else None
+    if lacking is not None and lacking.name == "bus" and where.split()[1] in ("run", "home", "move"):
+        return _say(f"{where.removeprefix('isocenter').strip()}: --bus is missing: {_BUSES} (see {where} --help)", 2)
     if type(error).__name__ == "NoArgsIsHelpError":  # a group without a command: its message is its whole help
         print(error.format_message(), file=sys.stderr)
         return 2

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hil.cli.emulated import EMULATED
 from hil.cli.options import BusOption, ImuOption, IoOption, MachineOption, load, parse_pose
 from hil.terminal.output import Answer, JsonOption
+
+if TYPE_CHECKING:
+    from hil.machine import Machine
 
 
 def register(app: typer.Typer) -> None:
@@ -61,9 +65,11 @@ def home(machine_name: MachineOption, bus: BusOption, imu: ImuOption = "", io: I
     answer = Answer(json_to)
     with open_bench(machine, BenchOptions(bus, imu, io)) as bench:
         report, judged = bench.commission(), bench.judged
+        emulated = bench.emulated
+    _say_where(machine, bus, emulated, answer)
     for line in report:
         answer.say(line)
-    answer.write({"machine": machine.name, "bus": bus, "checks": report, "judged": judged})
+    answer.write({"machine": machine.name, "bus": bus, "emulated": emulated, "checks": report, "judged": judged})
     _refuse_judged(judged, answer)
 
 
@@ -90,14 +96,21 @@ def move(
         for axis, value in goal.items():
             pose[machine.axis_index(axis)] = value
         reached = dict(zip(machine.axes, bench.move(pose).tolist(), strict=True))
-        notes, judged = bench.wiring.link.remarks, bench.judged
+        notes, judged, emulated = bench.wiring.link.remarks, bench.judged, bench.emulated
+    _say_where(machine, bus, emulated, answer)
     for note in notes:
         answer.say(note)
     for units in machine.units:
         answer.say(f"{units.axis}: at {reached[units.axis]:+.5f} {units.position}, brakes closed")
     found = {"checks": bench.commissioning, "notes": notes, "judged": judged}
-    answer.write({"machine": machine.name, "bus": bus, "position": reached, **found})
+    answer.write({"machine": machine.name, "bus": bus, "emulated": emulated, "position": reached, **found})
     _refuse_judged(judged, answer)
+
+
+def _say_where(machine: Machine, bus: str, emulated: bool, answer: Answer) -> None:
+    """Say which machine it was, in the first line where it was no real one."""
+    if emulated:
+        answer.say(f"{EMULATED}{machine.name} on {bus}")
 
 
 def _refuse_judged(judged: Sequence[str], answer: Answer) -> None:

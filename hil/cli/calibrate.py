@@ -5,12 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 
 from hil.cli.options import MachineArgument, ScanArgument, can_be_written, load
+from hil.cli.paged import PageOption, check_page, write_paged
 from hil.errors import UnusableInputError
-from hil.terminal.output import Answer, JsonOption, follower, progress, save_figure
+from hil.terminal.output import Answer, JsonOption, save_figure
+from hil.terminal.progress import follower, progress
 
 if TYPE_CHECKING:
     from hil.calibration.marker.scan import MarkerScan
@@ -72,6 +73,8 @@ def expose(
     json_to: JsonOption = None,
 ) -> None:
     """Render, one image after the other."""
+    import numpy as np
+
     from hil.emulated.beam import Beam
     from hil.emulated.images import Exposures, xray_side
     from hil.emulated.images import expose as render
@@ -93,7 +96,7 @@ def expose(
     plate = None if marker_name is None else TubeMarker(_plate(marker_name), 1e-3 * _positive(distance), panel_in_tube(machine))
     beam = Beam(scene(scene_name) if plate is None else [], plate, Optics(photons=photons))
     side = xray_side(machine, truth, beam.spot, exposures.first_s)
-    with progress(answer.console) as bars:
+    with progress() as bars:
         task = bars.add_task("exposing", total=None)
         count = render(
             machine,
@@ -122,40 +125,29 @@ def phantom(
     ] = False,
     figure: FigureOption = None,
     jobs: JobsOption = 1,
+    page: PageOption = None,
     json_to: JsonOption = None,
 ) -> None:
     """Find the bullets, fit the poses, write the table."""
-    from hil.calibration.phantom.phantom_calibration import look_for_bullets
-    from hil.calibration.phantom.pixel_shape import fit_pixels
-    from hil.calibration.phantom.pose import fit_poses
-    from hil.calibration.use.lookup_table import look_up_of, sweep_speed, write_look_up
-    from hil.calibration.use.lookup_table import standing as where_it_stood
-    from hil.imaging.nominal import nominal_beam
-    from hil.imaging.phantoms import dodecahedron
+    import numpy as np
+
+    from hil.calibration.phantom.from_scan import calibrate_phantom_scan
+    from hil.calibration.use.lookup_table import write_look_up
     from hil.imaging.scan_folder import read_scan
 
     machine = load(machine_name)
     answer = Answer(json_to)
     can_be_written(out, figure)
+    check_page(page)
     scan = read_scan(scan_folder)
-    positions = scan.positions_of(machine)
-    nominal = nominal_beam(machine, positions)
-    with progress(answer.console) as bars:
-        task = bars.add_task("bullets", total=len(scan))
-        follow = follower(bars, task)
-        bullets = dodecahedron()
-        observed, sigma = look_for_bullets(scan, bullets, nominal, jobs, lambda done, total: follow(done))
-    panel = scan.detector
-    if pixels:
-        seen = panel.to_pixels(observed)
-        panel, known = fit_pixels(bullets.centers_m, seen, sigma / panel.pitch_m, nominal, panel).of_the_panel(panel)
-        observed = panel.to_metres(seen)
+    with progress() as bars:
+        follow = follower(bars, bars.add_task("bullets", total=len(scan)))
+        found = calibrate_phantom_scan(
+            machine, scan, six=six, pixels=pixels, at_standstill=standing, jobs=jobs, progress=lambda done, total: follow(done)
+        )
+    table, fit, panel = found.table, found.fit, found.panel
+    if (known := found.pixel_sigma) is not None:
         answer.say(f"pixels: aspect {panel.aspect:.5f}, sigma {known[0]:.5f}; skew {panel.skew:.5f}, sigma {known[1]:.5f}")
-    fit = fit_poses(bullets.centers_m, observed, sigma, nominal, not six)
-    speed = [float(each) if np.isfinite(each) else None for each in sweep_speed(scan.middle_s, positions)]
-    notes = {"machine": machine.name, "hash": machine.hash, "six": six, "speed": speed}
-    table = look_up_of(fit, nominal, scan.axes, positions, notes)
-    table = where_it_stood(table) if standing else table
     _report(answer, fit, table, six)
     write_look_up(table, out)
     answer.say(f"{out}: look-up table of {len(table.positions)} {'poses' if standing else 'exposures'}")
@@ -168,6 +160,10 @@ def phantom(
             along, label = np.degrees(along), f"{table.axes[axis]} [deg]"
         save_figure(deviations_figure(along, label, {"phantom": (table.deviation, table.covariance)}), figure)
         answer.say(f"{figure}: the nine parameters over {table.axes[axis]}")
+    if page is not None:
+        from hil.reports.calibrated import phantom_page
+
+        write_paged(answer, phantom_page(machine, fit, table, (scan_folder, out), answer.said), page)
     answer.write({**_document(fit, table), "aspect": panel.aspect, "skew": panel.skew})
 
 
@@ -192,9 +188,12 @@ def marker(
     ] = None,
     figure: Annotated[Path | None, typer.Option("--figure", metavar="PNG", help="The fitted parameters over the scan.")] = None,
     jobs: JobsOption = 1,
+    page: PageOption = None,
     json_to: JsonOption = None,
 ) -> None:
     """Find the plate, fit its pose, write."""
+    import numpy as np
+
     from hil.calibration.marker.scan import calibrate_marker, nominal_marker, write_marker_scan
     from hil.calibration.marker.tube_to_panel import NONLINEAR
     from hil.imaging.nominal import nominal_beam
@@ -203,6 +202,7 @@ def marker(
     machine = load(machine_name)
     answer = Answer(json_to)
     can_be_written(out, figure)
+    check_page(page)
     scan = read_scan(scan_folder)
     name = plate_name or scan.notes.get("marker")
     away = distance if distance is not None else scan.notes.get("marker_distance_mm")
@@ -212,7 +212,7 @@ def marker(
     plate = _plate(str(name))
     positions = np.nan_to_num(scan.positions)  # tube and panel stand the same to each other in every nominal pose
     nominal = nominal_marker(nominal_beam(machine, positions), distance_m)
-    with progress(answer.console) as bars:
+    with progress() as bars:
         follow = follower(bars, bars.add_task("marker", total=len(scan)))
         result = calibrate_marker(scan, plate, nominal, tuple(free or NONLINEAR), jobs, lambda done, total: follow(done))
     _report_marker(answer, result, plate.name)
@@ -226,6 +226,10 @@ def marker(
         answer.say(f"{figure}: the fitted parameters over {label.split()[0]}")
     write_marker_scan(result, scan, {"machine": machine.name, "hash": machine.hash, "plate": plate.name}, out)
     answer.say(f"{out}: parameters of {int(result.good.sum())} exposures")
+    if page is not None:
+        from hil.reports.calibrated import marker_page
+
+        write_paged(answer, marker_page(machine, result, scan, (scan_folder, out), answer.said), page)
     answer.write(
         {
             "plate": plate.name,
@@ -253,12 +257,16 @@ def _plate(name: str) -> MarkerPlate:
 
 
 def _positive(distance_mm: object) -> float:
+    import numpy as np
+
     if not isinstance(distance_mm, (int, float)) or not 0.0 < distance_mm < np.inf:
         raise UnusableInputError(f"distance of the marker plate {distance_mm} mm: must be a positive number")
     return float(distance_mm)
 
 
 def _report_marker(answer: Answer, result: MarkerScan, plate: str) -> None:
+    import numpy as np
+
     from hil.imaging.markers.projection import PARAMETERS
 
     good = result.good
@@ -285,6 +293,8 @@ def _report_marker(answer: Answer, result: MarkerScan, plate: str) -> None:
 
 
 def _report(answer: Answer, fit: PoseFit, table: LookUp, six: bool) -> None:
+    import numpy as np
+
     from hil.imaging.geometry import DEVIATIONS
 
     held = "; the source held at nominal" if six else ""
@@ -304,6 +314,8 @@ def _report(answer: Answer, fit: PoseFit, table: LookUp, six: bool) -> None:
 
 
 def _document(fit: PoseFit, table: LookUp) -> dict[str, Any]:
+    import numpy as np
+
     return {
         "exposures": len(fit.good),
         "used": int(fit.good.sum()),

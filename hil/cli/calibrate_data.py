@@ -5,19 +5,20 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 
 from hil.cli.options import MachineArgument, can_be_written, load, not_an_input
+from hil.cli.paged import PageOption, check_page, write_paged
 from hil.errors import UnusableInputError
-from hil.terminal.output import Answer, JsonOption, follower, progress, save_figure
+from hil.terminal.output import Answer, JsonOption, save_figure
+from hil.terminal.progress import progress
 
 if TYPE_CHECKING:
+    from rich.progress import TaskID
+
     from hil.calibration.data_driven.observed_beam import ObservedBeam
     from hil.calibration.data_driven.quasi_static import QuasiStatic
-    from hil.calibration.data_driven.values import Calibration, Measurement, Parameters
-    from hil.machine import Machine
-    from hil.recording import Recording
+    from hil.calibration.data_driven.values import Calibration
 
 RecordingArgument = Annotated[Path, typer.Argument(metavar="REC", help="Recording: of the scan, or at rest.")]
 
@@ -61,49 +62,57 @@ def data(
     late: Annotated[float, typer.Option("--late", metavar="MS", min=0.0, help="How long after its exposure an image is there.")] = 200.0,
     figure: Annotated[Path | None, typer.Option("--figure", metavar="PNG", help="The nine parameters over time.")] = None,
     jobs: Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Processes that look at images.")] = 1,
+    page: PageOption = None,
     json_to: JsonOption = None,
 ) -> None:
     """Observe, look at images, filter, write."""
-    from hil.calibration.data_driven.calibrate import calibrate_data
-    from hil.calibration.data_driven.data_file import read_data_file, write_data_file
-    from hil.calibration.data_driven.quasi_static import QuasiStatic
-    from hil.calibration.data_driven.values import Parameters
     from hil.recording import read_recording
+    from hil.tasks.calibrate_data import calibrate_data
 
     machine = load(machine_name)
     answer = Answer(json_to)
     can_be_written(out, figure)
+    check_page(page)
     not_an_input(out, *(path for path in (recording_file, start, design) if path is not None))
     if scan_folder is None and start is None and marker is None:
         raise UnusableInputError(
             "no images and no --start: nothing tells this machine's geometry; give SCAN, or a calibration to go on from"
         )
     recording = read_recording(recording_file, machine)
-    model = QuasiStatic.of(machine)
-    known = Parameters.unknown(model) if start is None else read_data_file(start).parameters(model)
-    observed = _observed(machine, recording, model, known, design, answer)
-    measurements: list[Measurement] = []
-    if scan_folder is not None:
-        measurements += _phantom(machine, scan_folder, observed, jobs, answer)
-    if marker is not None:
-        measurements += _marker(machine, marker, jobs, answer)
-    measurements.sort(key=lambda each: each.time_s)
-    found = calibrate_data(
-        model,
-        observed,
-        measurements,
-        known if start is None else known.aged(model),
-        late_s=1e-3 * late,
-        until_m=1e-3 * until,
-        most=images,
-    )
-    _report(answer, found, observed)
-    write_data_file(model, observed, found, out)
-    answer.say(f"{out}: geometry of {len(observed)} samples, {len(model.names)} parameters")
+    with progress() as bars:
+        tasks: dict[str, TaskID] = {}
+
+        def follow(what: str, done: int, total: int) -> None:
+            if what not in tasks:
+                tasks[what] = bars.add_task(what, total=total)
+            bars.update(tasks[what], completed=done)
+
+        made = calibrate_data(
+            machine,
+            recording,
+            scan_folder,
+            marker=marker,
+            start=start,
+            design=design,
+            most=images,
+            until_m=1e-3 * until,
+            late_s=1e-3 * late,
+            jobs=jobs,
+            progress=follow,
+        )
+    if not made.is_observed:
+        answer.say("no observer (--design): the displacement is taken for small, the geometry is that of slow motion")
+    _report(answer, made.found, made.observed)
+    made.write(out)
+    answer.say(f"{out}: geometry of {len(made.observed)} samples, {len(made.model.names)} parameters")
     if figure is not None:
-        _draw(observed, found, figure)
+        _draw(made.observed, made.found, figure)
         answer.say(f"{figure}: the nine parameters over time")
-    answer.write(_document(model, found, len(measurements)))
+    if page is not None:
+        from hil.reports.calibrated import data_page
+
+        write_paged(answer, data_page(machine, made.found, recording, (recording_file, out), answer.said), page)
+    answer.write(_document(made.model, made.found, made.offered))
 
 
 def level(
@@ -130,64 +139,9 @@ def level(
     answer.write({"recording": out, "rows": recording.rows})
 
 
-def _observed(
-    machine: Machine, recording: Recording, model: QuasiStatic, known: Parameters, design: Path | None, answer: Answer
-) -> ObservedBeam:
-    from hil.calibration.data_driven.levelled import levelled
-    from hil.calibration.data_driven.observed_beam import observed_beam, unobserved_beam
-
-    if design is None:
-        if f"estimate_link_position_{machine.axes[0]}" in recording:
-            return observed_beam(machine, recording)
-        answer.say("no observer (--design): the displacement is taken for small, the geometry is that of slow motion")
-        return unobserved_beam(machine, recording)
-    from hil.observing import observe, read_design
-    from hil.recording import Channel, Recording
-
-    made = read_design(design)
-    if made.model.axes != machine.axes or made.model.sample_rate_Hz != machine.sample_rate_Hz:
-        raise UnusableInputError(
-            f"{design}: is for {', '.join(made.model.axes)} at {made.model.sample_rate_Hz:g} Hz, not for {machine.name}"
-        )
-    estimate = observe(levelled(machine, recording, model, known.values), made.observer())
-    columns = zip(estimate.names, estimate.units, estimate.values.T, strict=True)
-    return observed_beam(machine, Recording({**recording.channels, **{name: Channel(unit, v) for name, unit, v in columns}}, {}))
-
-
-def _phantom(machine: Machine, folder: Path, observed: ObservedBeam, jobs: int, answer: Answer) -> list[Measurement]:
-    from hil.calibration.data_driven.image_measurements import from_phantom
-    from hil.calibration.phantom.phantom_calibration import calibrate_phantom
-    from hil.imaging.nominal import nominal_beam
-    from hil.imaging.phantoms import dodecahedron
-    from hil.imaging.scan_folder import read_scan
-
-    scan = read_scan(folder)
-    positions, _, _ = observed.at(scan.middle_s)
-    with progress(answer.console) as bars:
-        follow = follower(bars, bars.add_task("bullets", total=len(scan)))
-        fit = calibrate_phantom(scan, dodecahedron(), nominal_beam(machine, positions), True, jobs, lambda done, total: follow(done))
-    return from_phantom(machine, scan, fit, observed)
-
-
-def _marker(machine: Machine, folder: Path, jobs: int, answer: Answer) -> list[Measurement]:
-    from hil.calibration.data_driven.image_measurements import from_marker
-    from hil.calibration.marker.scan import calibrate_marker, nominal_marker
-    from hil.imaging.markers import PLATES
-    from hil.imaging.nominal import nominal_beam
-    from hil.imaging.scan_folder import read_scan
-
-    scan = read_scan(folder)
-    name, distance_mm = scan.notes.get("marker"), scan.notes.get("marker_distance_mm")
-    if name not in PLATES or not isinstance(distance_mm, (int, float)):
-        raise UnusableInputError(f"{folder}/scan.toml names no marker of {', '.join(PLATES)} and marker_distance_mm")
-    nominal = nominal_marker(nominal_beam(machine, np.nan_to_num(scan.positions)), 1e-3 * float(distance_mm))
-    with progress(answer.console) as bars:
-        follow = follower(bars, bars.add_task("marker", total=len(scan)))
-        found = calibrate_marker(scan, PLATES[name](), nominal, jobs=jobs, progress=lambda done, total: follow(done))
-    return from_marker(scan, found)
-
-
 def _report(answer: Answer, found: Calibration, observed: ObservedBeam) -> None:
+    import numpy as np
+
     first, last = 1e3 * found.place_sigma_m[0], 1e3 * found.place_sigma_m[-1]
     answer.say(f"{len(found.used)} images taken in, place of the isocentre known to {last:.3f} mm (before them {first:.3f} mm)")
     if found.converged is not None:
@@ -213,6 +167,8 @@ def _draw(observed: ObservedBeam, found: Calibration, figure: Path) -> None:
 
 
 def _document(model: QuasiStatic, found: Calibration, offered: int) -> dict[str, Any]:
+    import numpy as np
+
     deviation = np.sqrt(np.diag(found.parameters.covariance))
     return {
         "images": offered,

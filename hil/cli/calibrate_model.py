@@ -6,14 +6,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
 from hil.cli.options import MachineArgument, can_be_written, edge_scale, load, not_an_input
+from hil.cli.paged import PageOption, check_page, write_paged
 from hil.errors import UnusableInputError
-from hil.terminal.output import Answer, JsonOption, follower, progress, save_figure
+from hil.terminal.output import Answer, JsonOption, save_figure
+from hil.terminal.progress import follower, progress, working
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from hil.calibration.kinematic.flexible import FlexibleFit
     from hil.calibration.kinematic.geometric_model import GeometricModel
     from hil.calibration.use.lookup_table import LookUp
@@ -55,6 +58,8 @@ def grid(
     json_to: JsonOption = None,
 ) -> None:
     """Write a grid of poses, row by row, there and back."""
+    import numpy as np
+
     from hil.calibration.kinematic.scan_proposal import grid_tour
     from hil.experiments import write_experiment
 
@@ -81,6 +86,8 @@ def scan(
     json_to: JsonOption = None,
 ) -> None:
     """Choose, tell, write."""
+    import numpy as np
+
     from hil.calibration.kinematic.nominal_chain import nominal_chain
     from hil.calibration.kinematic.scan_proposal import propose_scan
     from hil.experiments import write_experiment
@@ -138,17 +145,19 @@ def model(
     ] = None,
     figure: Annotated[Path | None, typer.Option("--figure", metavar="PNG", help="Residuals of all scans.")] = None,
     jobs: Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Processes that look at images.")] = 1,
+    page: PageOption = None,
     json_to: JsonOption = None,
 ) -> None:
     """Fit, tell, write."""
-    from hil.calibration.kinematic.flexible import clock_lag, fit_flexible, joined
-    from hil.calibration.kinematic.geometric_model import GeometricModel, write_model
+    from hil.calibration.kinematic.flexible import clock_lag
+    from hil.calibration.kinematic.from_tables import model_from_tables
+    from hil.calibration.kinematic.geometric_model import write_model
     from hil.calibration.kinematic.nominal_chain import nominal_chain
-    from hil.imaging.nominal import nominal_beam
 
     machine = load(machine_name)
     answer = Answer(json_to)
     can_be_written(out, figure)
+    check_page(page)
     for path in (*scans, *(held_out or ())):
         not_an_input(out, path)
     start = nominal_chain(machine)
@@ -157,20 +166,9 @@ def model(
         raise UnusableInputError(f"{', '.join(unknown)}: no such parameter; {machine.name} has {', '.join(start.names)}")
     fitted = [_table(path, machine, jobs, answer) for path in scans]
     others = [_table(path, machine, jobs, answer) for path in held_out or ()]
-    every = joined(fitted)
-    measured = nominal_beam(machine, every.positions).moved(every.deviation)
-    fit = fit_flexible(start, every.positions, measured, every.covariance, freeze or ())
+    with working("fitting the model"):
+        found, fit = model_from_tables(machine, fitted, freeze or (), [path.name for path in scans])
     _refuse_unseen(fit, need or ())
-    notes = {
-        "machine": machine.name,
-        "hash": machine.hash,
-        "scans": [path.name for path in scans],
-        "six": bool(every.notes.get("six")),
-        "rank": fit.rank,
-        "null": [str(each) for each in fit.null],
-        "frozen": list(fit.frozen),
-    }
-    found = GeometricModel(machine, fit.model, fit.covariance, notes)
     _report(answer, fit, start.values)
     lag, known = clock_lag(fit, fitted)
     if abs(lag) > max(SURE * known, LEAST_LAG):
@@ -196,9 +194,15 @@ def model(
     if figure is not None:
         _draw(found, [*scans, *(held_out or ())], [*fitted, *others], len(fitted), figure)
         answer.say(f"{figure}: residuals of {len(fitted) + len(others)} scans")
+    if page is not None:
+        from hil.reports.calibrated import model_page
+
+        every_table = [*fitted, *others]
+        left = {"less model": [_less(table, found) for table in every_table], "less nominal": [table.deviation for table in every_table]}
+        write_paged(answer, model_page(machine, judged, left, out, answer.said), page)
     answer.write(
         {
-            "exposures": len(every.positions),
+            "exposures": sum(len(each.positions) for each in fitted),
             "rank": fit.rank,
             "singular_values": fit.singular_values,
             "null": [dict(each.shares) for each in fit.null],
@@ -219,10 +223,8 @@ def model(
 
 def _table(path: Path, machine: Machine, jobs: int, answer: Answer) -> LookUp:
     """Return a table from its file, or from the images of a folder."""
-    from hil.calibration.phantom.phantom_calibration import calibrate_phantom
-    from hil.calibration.use.lookup_table import look_up_of, read_look_up
-    from hil.imaging.nominal import nominal_beam
-    from hil.imaging.phantoms import dodecahedron
+    from hil.calibration.phantom.from_scan import calibrate_phantom_scan
+    from hil.calibration.use.lookup_table import read_look_up
     from hil.imaging.scan_folder import read_scan
 
     if not path.is_dir():
@@ -230,12 +232,9 @@ def _table(path: Path, machine: Machine, jobs: int, answer: Answer) -> LookUp:
         table.require(machine)
         return table
     scan = read_scan(path)
-    positions = scan.positions_of(machine)
-    nominal = nominal_beam(machine, positions)
-    with progress(answer.console) as bars:
+    with progress() as bars:
         follow = follower(bars, bars.add_task(path.name, total=len(scan)))
-        fit = calibrate_phantom(scan, dodecahedron(), nominal, True, jobs, lambda done, total: follow(done))
-    return look_up_of(fit, nominal, scan.axes, positions, {"machine": machine.name, "hash": machine.hash, "six": False})
+        return calibrate_phantom_scan(machine, scan, jobs=jobs, progress=lambda done, total: follow(done)).table
 
 
 def _refuse_unseen(fit: FlexibleFit, need: list[str] | tuple[()]) -> None:
@@ -261,6 +260,8 @@ VISIBLE_SHARE = 0.05
 
 
 def _report(answer: Answer, fit: FlexibleFit, nominal: np.ndarray) -> None:
+    import numpy as np
+
     sigma = np.sqrt(np.diag(fit.covariance))
     answer.say(
         f"{len(fit.residual)} exposures show {fit.rank} combinations of {len(fit.model.names) - len(fit.frozen)} free parameters;"
@@ -290,6 +291,8 @@ def _less(table: LookUp, model: GeometricModel | None) -> np.ndarray:
 
 def _rms(difference: np.ndarray) -> dict[str, float]:
     """Return rms of source [m], phantom [m] and rotation [rad] over the exposures."""
+    import numpy as np
+
     square = np.mean(difference**2, axis=0)
     return {name: float(np.sqrt(square[k : k + 3].sum())) for name, k in (("source_m", 0), ("position_m", 3), ("rotation_rad", 6))}
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
 from hil.cli.options import MachineArgument, can_be_written, load
 from hil.errors import UnusableInputError
-from hil.terminal.output import Answer, JsonOption, follower, progress, save_figure
+from hil.terminal.output import Answer, JsonOption, save_figure
+from hil.terminal.progress import follower, progress
 
 
 def register(app: typer.Typer) -> None:
@@ -32,6 +32,8 @@ def spot(
     json_to: JsonOption = None,
 ) -> None:
     """Find the plate twice, tell."""
+    import numpy as np
+
     from hil.calibration.marker.focal_spot import spot_track
     from hil.imaging.markers import PLATES
     from hil.imaging.nominal import nominal_beam
@@ -47,7 +49,7 @@ def spot(
     if name not in PLATES or not isinstance(distance_mm, (int, float)):
         raise UnusableInputError(f"{scan_folder}/scan.toml names no marker of {', '.join(PLATES)} and marker_distance_mm")
     beam = nominal_beam(machine, np.nan_to_num(scan.positions))
-    with progress(answer.console) as bars:
+    with progress() as bars:
         follow = follower(bars, bars.add_task("marker", total=2 * len(scan)))
         track = spot_track(scan, PLATES[name](), beam, 1e-3 * float(distance_mm), jobs, lambda done, total: follow(done))
     drift, sigma = 1e6 * track.drift_m, 1e6 * float(np.median(track.sigma_m))

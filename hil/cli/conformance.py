@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hil.cli.options import BusOption
-from hil.terminal.output import Answer, JsonOption, progress
+from hil.terminal.output import Answer, JsonOption
+from hil.terminal.progress import progress
 
 if TYPE_CHECKING:
     import can
-    from rich.console import Console
 
 BITRATE = 1_000_000
 LOCKSTEP = "lockstep:"
@@ -58,7 +58,7 @@ def conform(
     except ProtocolError as error:
         raise UnusableInputError(str(error)) from None
     answer = Answer(json_to)
-    with _opened(bus, bitrate, eds, node) as (wire, now), progress(_stderr()) as bars:
+    with _opened(bus, bitrate, eds, node) as (wire, now), progress() as bars:
         task = bars.add_task("checks", total=None)
         found = check(wire, now, node, dictionary, writes=writes, follow=lambda done, of: bars.update(task, completed=done, total=of))
     for line in lines(found):
@@ -66,12 +66,6 @@ def conform(
     answer.write({"eds": str(eds), "bus": bus, "writes": writes} | document(found))
     if found.count(FAILED):
         raise BadAnswerError(summary(found))
-
-
-def _stderr() -> Console:
-    from rich.console import Console
-
-    return Console(stderr=True)
 
 
 @contextlib.contextmanager

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from hil.errors import ExperimentError
 
 if TYPE_CHECKING:
@@ -48,6 +46,8 @@ def designed(
     IdentificationError
         Unusable files; a band the responses do not cover, or with fewer lines than asked for.
     """
+    import numpy as np
+
     from hil.identification import design_excitation, read_frf
 
     responses = [read_frf(file) for file in files]
@@ -76,6 +76,8 @@ def designed(
 
 def _amplitude(responses: Sequence[FrequencyResponse], axes: Sequence[str]) -> tuple[dict[str, float] | None, str]:
     """Return amplitudes by the frozen-pose check where the responses' poses differ in one direction."""
+    import numpy as np
+
     from hil.identification import frozen_pose_check
     from hil.identification.design.excitation import EXCITATION_RMS
 

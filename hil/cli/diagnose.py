@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import os
-import time
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
+from hil.cli.emulated import say_emulated
 from hil.cli.options import MachineArgument, folder_can_be_written, load
 from hil.errors import RecordingError, UnusableInputError
-from hil.terminal.output import Answer, JsonOption, plain, progress
+from hil.terminal.output import Answer, JsonOption, plain
+from hil.terminal.progress import progress
 
 if TYPE_CHECKING:
     from hil.diagnosis.answered.answer import Answered
@@ -23,9 +21,6 @@ if TYPE_CHECKING:
     from hil.diagnosis.result import Diagnosis, Finding
     from hil.machine import Machine
     from hil.recording import Recording
-
-MOST_THREADS = 4
-"""By default: more would find little to do, since eight runs go side by side in each and fits wait for their answers."""
 
 STEPS = ("audit", "seen")
 """After which a diagnosis can stop."""
@@ -63,36 +58,23 @@ def diagnose(
     json_to: JsonOption = None,
 ) -> None:
     """Diagnose and write DIR."""
-    from hil.diagnosis.answered.answer import wrong_recordings
-    from hil.diagnosis.audit.audit import Audit, audit
-    from hil.diagnosis.audit.recordings import faults
-    from hil.diagnosis.by_motion import diagnose_along, is_along_the_motion, with_second_opinion
-    from hil.diagnosis.diagnose import diagnose as run_diagnosis
     from hil.diagnosis.files import write_answer
-    from hil.processes.kept_memory import keep_memory
+    from hil.diagnosis.from_recordings import audit_recordings, diagnose_audited
 
     if stop_after not in (None, *STEPS):
         raise UnusableInputError(f"--stop-after {stop_after}: is no step; {' or '.join(STEPS)} would be right")
-    keep_memory()
     answer = Answer(json_to)
     machine = load(machine_name, known)
     folder_can_be_written(out)
     _check_apart(recordings, held_out or [])
     train = _read(recordings, machine)
     held = _read(held_out or [], machine, train)
-    begun = time.monotonic()
-    wrong = tuple(faults(machine, {**train, **held}))
-    if not wrong:
-        _check_no_copies(train, held)
-    audited = Audit(machine, (), (), wrong) if wrong else audit(machine, list(train.values()))
+    say_emulated(answer, {**train, **held})
+    audited = audit_recordings(machine, train, held)
     if stop_after is not None:
         _stopped(stop_after, answer, machine, train, audited)
         return
-    if wrong:
-        _finish(answer, wrong_recordings(machine, audited, {**train, **held}, time.monotonic() - begun), machine, out)
-        return
-    is_along = is_along_the_motion(machine, train, audited)
-    with progress(Answer("-").console) as bars:
+    with progress() as bars:
         task = bars.add_task("reading", total=1.0)
 
         def report(what: str, share: float) -> None:
@@ -100,24 +82,18 @@ def diagnose(
 
         def first(diagnosis: Diagnosis) -> None:
             write_answer(diagnosis, out)
-            bars.console.print(f"first answer: {_found(diagnosis.findings)} (provisional; {diagnosis.seconds:.1f} s)", style="dim")
+            bars.print(f"first answer: {_found(diagnosis.findings)} (provisional; {diagnosis.seconds:.1f} s)", style="dim")
 
-        outcome: Outcome | Answered
-        if is_along:
-            outcome = diagnose_along(machine, train, held, audited, report, first)
-        else:
-            outcome = run_diagnosis(machine, train, held, jobs=_processors() if jobs is None else jobs, report=report)
-            report("looking along the motion", 0.98)
-            diagnosis = with_second_opinion(machine, train, outcome.diagnosis)
-            outcome = replace(outcome, diagnosis=replace(diagnosis, audit=audited.document()))
-    _finish(answer, outcome, machine, out)
+        outcome = diagnose_audited(machine, train, held, audited, jobs=jobs, report=report, first=first)
+    _finish(answer, outcome, machine, out, {**train, **held})
 
 
-def _finish(answer: Answer, outcome: Outcome | Answered, machine: Machine, out: Path) -> None:
+def _finish(answer: Answer, outcome: Outcome | Answered, machine: Machine, out: Path, recordings: Mapping[str, Recording]) -> None:
     """Write and say the answer; leave with status 1 where the recordings do not give one."""
     from hil.diagnosis.files import write_diagnosis
+    from hil.reports.made_from import was_emulated
 
-    write_diagnosis(outcome, machine, out)
+    write_diagnosis(outcome, machine, out, was_emulated(recordings.values()))
     _say(answer, outcome, out)
     answer.write(plain(outcome.diagnosis.document()))
     if outcome.diagnosis.verdict in ("misconfigured", "inconclusive"):
@@ -126,6 +102,8 @@ def _finish(answer: Answer, outcome: Outcome | Answered, machine: Machine, out: 
 
 def _stopped(step: str, answer: Answer, machine: Machine, recordings: Mapping[str, Recording], audited: Audit) -> None:
     """Say what the first steps show."""
+    import numpy as np
+
     from hil.diagnosis.seen.see import see
 
     for said in [
@@ -157,11 +135,6 @@ def _sliding(machine: Machine) -> set[str]:
     return {joint.name for joint in machine.plant.tree.joints if joint.kind == "prismatic"}
 
 
-def _processors() -> int:
-    """Return the number of processors that this process may use."""
-    return min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, MOST_THREADS)
-
-
 def _check_apart(fitted_to: list[Path], held_out: list[Path]) -> None:
     """Raise RecordingError where one file is given more than once.
 
@@ -178,6 +151,7 @@ def _check_apart(fitted_to: list[Path], held_out: list[Path]) -> None:
 
 def _read(paths: list[Path], machine: Machine, taken: Collection[str] = ()) -> dict[str, Recording]:
     """Read recordings by their file's name without its suffix; by their path where another one has that name."""
+    from hil.diagnosis.from_recordings import check_axes
     from hil.recording import read_recording
     from hil.simulation import in_effort
 
@@ -185,35 +159,8 @@ def _read(paths: list[Path], machine: Machine, taken: Collection[str] = ()) -> d
     for path in paths:
         name = path.stem if path.stem not in found and path.stem not in taken else str(path)
         found[name] = in_effort(read_recording(path, machine), machine)
-        _check_axes(path, found[name], machine)
+        check_axes(path, found[name], machine)
     return found
-
-
-def _check_axes(path: Path, recording: Recording, machine: Machine) -> None:
-    """Raise RecordingError where a recording is of a machine without one of this machine's axes, and has no such channel."""
-    own = recording.metadata.get("machine", {})
-    axes = own.get("axes") or machine.axes
-    if any(axis not in axes and not {f"reference_{axis}", f"command_{axis}"} & set(recording.channels) for axis in machine.axes):
-        has = f"{own.get('name', 'a machine')} with axes {', '.join(axes)}; {machine.name} has {', '.join(machine.axes)}"
-        raise RecordingError(f"{path}: recorded of {has}: give recordings of this machine, or the other one's file")
-
-
-def _check_no_copies(train: Mapping[str, Recording], held: Mapping[str, Recording]) -> None:
-    """Raise RecordingError where a recording holds the same rows as another: a copy under another name, or the same seed."""
-    earlier: dict[str, Recording] = {}
-    for label, recording in {**train, **held}.items():
-        for other, its in earlier.items():
-            if not _same_rows(recording, its):
-                continue
-            if label in held and other in train:
-                raise RecordingError(f"{label}: holds the same rows as {other}, which is fitted to; hold out a recording of another motion")
-            raise RecordingError(f"{label}: holds the same rows as {other}; give each recording once (emulated: its own --seed each)")
-        earlier[label] = recording
-
-
-def _same_rows(one: Recording, other: Recording) -> bool:
-    names = set(one.channels)
-    return names == set(other.channels) and all(np.array_equal(one[n], other[n], equal_nan=True) for n in names)
 
 
 def _found(findings: Sequence[Finding]) -> str:

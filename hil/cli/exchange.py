@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
 from hil.cli.options import MachineArgument, can_be_written, load, not_an_input
@@ -14,6 +13,8 @@ from hil.errors import UnusableInputError
 from hil.terminal.output import Answer, JsonOption
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from hil.imaging.detector import Detector
     from hil.imaging.geometry import ConeBeam
     from hil.machine import Machine
@@ -72,6 +73,8 @@ def convert(
 
 
 def _read(path: Path, machine: Machine, calibration: Path | None, binning: int) -> _Geometry:
+    import numpy as np
+
     from hil.calibration.kinematic.geometric_model import read_calibration
     from hil.calibration.use.lookup_table import LookUp
     from hil.imaging.nominal import nominal_beam, nominal_detector
@@ -119,6 +122,8 @@ def _read(path: Path, machine: Machine, calibration: Path | None, binning: int) 
 
 def _write(path: Path, read: _Geometry, machine: Machine, rows_up: bool, images: bool) -> list[str]:
     """Write the geometry; return what was lost."""
+    import numpy as np
+
     from hil.imaging.nominal import nominal_beam
 
     suffix = path.suffix.lower()
@@ -157,6 +162,8 @@ def _write(path: Path, read: _Geometry, machine: Machine, rows_up: bool, images:
 
 
 def _images(folder: Path) -> np.ndarray:
+    import numpy as np
+
     from hil.imaging.scan_folder import read_scan
 
     scan = read_scan(folder)

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hil.cli.options import MachineArgument, folder_can_be_written, load
-from hil.terminal.output import Answer, JsonOption, plain, progress
+from hil.terminal.output import Answer, JsonOption, plain
+from hil.terminal.progress import progress
 
 if TYPE_CHECKING:
     from hil.faults.check import TrialOutcome
@@ -77,7 +78,7 @@ def check(
     motion = motion_of(machine, swept, moved_by)
     folder_can_be_written(out)
     out.mkdir(parents=True, exist_ok=True)
-    with progress(answer.console) as bars:
+    with progress() as bars:
         task = bars.add_task("faults", total=len(table))
 
         def show(done: int, outcome: TrialOutcome) -> None:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
 from hil.cli import exchange
 from hil.cli.options import MachineArgument, PoseOption, ScanArgument, can_be_written, folder_can_be_written, load, not_an_input, parse_pose
 from hil.errors import UnusableInputError
-from hil.terminal.output import Answer, JsonOption, progress
+from hil.terminal.output import Answer, JsonOption
+from hil.terminal.progress import progress
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -63,6 +63,8 @@ def at(
     json_to: JsonOption = None,
 ) -> None:
     """Write nominal and predicted geometry, and the model's uncertainty."""
+    import numpy as np
+
     from hil.calibration.kinematic.geometric_model import GeometricModel, read_calibration
     from hil.imaging.geometry import DEVIATIONS, NAMES
     from hil.imaging.nominal import nominal_beam
@@ -105,6 +107,8 @@ def truth(
     json_to: JsonOption = None,
 ) -> None:
     """Write the true geometry, without the focal spot's motion on the tube."""
+    import numpy as np
+
     from hil.calibration.use.lookup_table import LookUp, write_look_up
     from hil.emulated.images import true_beam, xray_side
     from hil.imaging.nominal import nominal_beam
@@ -119,7 +123,7 @@ def truth(
     true = true_beam(xray_side(load(emulated or machine_name), truth_file, STILL, 0.0), scan.start_s, scan.width_s)
     deviation = true.deviation_from(nominal_beam(machine, positions))
     notes = {"machine": machine.name, "hash": machine.hash, "truth": truth_file.name}
-    write_look_up(LookUp(scan.axes, positions, deviation, np.tile(TRUTH_COVARIANCE, (len(scan), 1, 1)), notes), out)
+    write_look_up(LookUp(scan.axes, positions, deviation, np.tile(KNOWN**2 * np.eye(9), (len(scan), 1, 1)), notes), out)
     answer.say(f"{out}: true geometry of {len(scan)} exposures")
     answer.write({"table": out, "exposures": len(scan), "deviation": deviation})
 
@@ -142,8 +146,8 @@ def standing(
     answer.write({"table": out, "poses": poses.positions})
 
 
-TRUTH_COVARIANCE = np.diag(np.repeat([1e-6, 1e-6, 1e-6], 3) ** 2)
-"""A micrometre and a microradian: between the emulator's samples the motion is interpolated."""
+KNOWN = 1e-6
+"""Standard deviation of the truth, a micrometre and a microradian: between the emulator's samples the motion is interpolated."""
 
 
 def volume(machine_name: MachineArgument, scan_folder: ScanArgument, calibration: WithOption = None, json_to: JsonOption = None) -> None:
@@ -177,6 +181,8 @@ def compensate(
     json_to: JsonOption = None,
 ) -> None:
     """Turn and shift every image."""
+    import numpy as np
+
     from hil.calibration.kinematic.geometric_model import read_calibration
     from hil.calibration.use.compensation import compensated, compensation
     from hil.extras import extra_package
@@ -195,7 +201,7 @@ def compensate(
     motion = compensation(wanted.moved(read_calibration(calibration, machine).at(positions)), wanted)
     try:
         out.mkdir(parents=True, exist_ok=True)
-        with tifffile.TiffWriter(out / FRAMES) as frames, progress(answer.console) as bars:
+        with tifffile.TiffWriter(out / FRAMES) as frames, progress() as bars:
             task = bars.add_task("images", total=len(scan))
             for k in range(len(scan)):
                 image = scan.frame(k)

@@ -1,4 +1,4 @@
-"""isocenter identify: frequency responses from recordings."""
+"""isocenter identify: frequency responses from recordings, and the resonances in them."""
 
 from __future__ import annotations
 
@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hil.cli.emulated import say_emulated
 from hil.cli.options import can_be_written, load, not_an_input, parse_band
+from hil.cli.paged import PageOption, check_page, write_paged
 from hil.terminal.output import Answer, JsonOption, save_figure
+from hil.terminal.progress import working
 
 if TYPE_CHECKING:
-    from hil.identification import LocalModel, PoseModel, PoseSymmetry
+    from hil.identification import FrequencyResponse, LocalModel, PoseModel, PoseSymmetry
     from hil.identification.from_recordings import PlantInput
 
 POSE_UNITS = {"deg": math.pi / 180.0, "m": 1.0}
@@ -22,7 +25,8 @@ def register(app: typer.Typer) -> None:
     """Add the command."""
     app.command(
         short_help="Frequency responses from recordings.",
-        help="Identify the frequency response matrix, with covariances, from recordings of one pose or, pose by pose, of several."
+        help="Identify the frequency response matrix, with covariances, from recordings of one pose or, pose by pose, of several; and the"
+        " resonances that it supports: frequency, damping ratio and 95 % bounds."
         "\n\nExample:  isocenter identify run_*.mf4 -o carm.frf.npz --figure carm.png"
         "\n\nNeighbouring poses helping:  isocenter identify pose*.mf4 --method nd_lrm --orders 3,2,1 --over-poses 1,1,2 -o carm.frf.npz",
     )(identify)
@@ -60,44 +64,49 @@ def identify(
     machine_name: Annotated[
         str | None, typer.Option("--machine", "-m", metavar="M", help="Machine file, for a recording that carries none.")
     ] = None,
+    page: PageOption = None,
     json_to: JsonOption = None,
 ) -> None:
     """Estimate frequency response, noise and nonlinear variance."""
-    from hil.identification import identify_poses, write_frf
-    from hil.identification.report import response_document, response_lines
+    from hil.identification import identify_poses, resonances, write_frf
+    from hil.identification.report import resonance_document, response_document, response_lines
     from hil.recording import read_recording
     from hil.simulation import in_effort
 
     machine = None if machine_name is None else load(machine_name)
     answer = Answer(json_to)
     can_be_written(out, figure)
+    check_page(page)
     not_an_input(out, *recordings)
     taken = _plant_input(plant_input)
     read = [read_recording(path, machine) for path in recordings]
-    responses = identify_poses(
-        [in_effort(each, machine) for each in read] if taken == "command" else read,
-        method,
-        model=_model(orders),
-        over_poses=_over_poses(over_poses or []),
-        select=select,
-        band_Hz=parse_band("--band", band) if band else None,
-        plant_input=taken,
-    )
+    model, poses = _model(orders), _over_poses(over_poses or [])
+    band_Hz = parse_band("--band", band) if band else None
+    if taken == "command":
+        read = [in_effort(each, machine) for each in read]
+    with working("identifying"):
+        responses = identify_poses(read, method, model=model, over_poses=poses, select=select, band_Hz=band_Hz, plant_input=taken)
+        modes = [resonances(response) for response in responses]
+    emulated = say_emulated(answer, dict(zip(recordings, read, strict=True)))
     documents = []
-    for path, response in zip(response_paths(out, len(responses)), responses, strict=True):
+    for path, response, found in zip(response_paths(out, len(responses)), responses, modes, strict=True):
         write_frf(response, path)
         answer.say(
             f"{path}: {response.method} from {len(recordings)} recordings"
             + (f", pose {_pose(response.pose)}" if len(responses) > 1 else "")
         )
-        for line in response_lines(response):
+        for line in response_lines(response, found):
             answer.say(line)
-        documents.append({"frf": path, **response_document(response)})
+        documents.append({"frf": path, "emulated": emulated, **resonance_document(found), **response_document(response)})
     if figure is not None:
         from hil.figures.frf import frf_figure
 
-        save_figure(frf_figure(responses[0]), figure)
+        save_figure(frf_figure(responses[0], modes=modes[0].found, title=_figure_title(responses[0], emulated)), figure)
         answer.say(f"{figure}: figure")
+    if page is not None:
+        from hil.reports.identified import identified_page
+
+        write_paged(answer, identified_page(responses, modes, response_paths(out, len(responses)), recordings, read), page)
     answer.write(documents[0] if len(documents) == 1 else {"poses": documents})
 
 
@@ -107,6 +116,14 @@ def response_paths(out: Path, poses: int) -> list[Path]:
         return [out]
     stem, dot, rest = out.name.partition(".")
     return [out.with_name(f"{stem}_p{index + 1}{dot}{rest}") for index in range(poses)]
+
+
+def _figure_title(response: FrequencyResponse, emulated: bool) -> str:
+    """Return where and how the response was measured."""
+    axes = [name.partition("_")[2] for name in response.input_names]
+    at = ", ".join(f"{value:.4g}" for value in response.pose)
+    told = f"{response.method}, {len(response.lines)} lines" + (f", pose ({at}) in rad or m" if response.pose else "")
+    return f"{'EMULATED: ' if emulated else ''}response to {', '.join(axes)}: {told}"
 
 
 def _pose(pose: tuple[float, ...]) -> str:

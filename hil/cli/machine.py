@@ -1,4 +1,4 @@
-"""isocenter machine list | show | check | export | convert."""
+"""isocenter machine list | show | check | export | convert | schema; `machine new` is in `machine_new`."""
 
 from __future__ import annotations
 
@@ -7,16 +7,21 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hil.cli import machine_new
 from hil.cli.options import MachineArgument, can_be_written, load, not_an_input
 from hil.terminal.output import Answer, JsonOption
+from hil.terminal.progress import working
 
 if TYPE_CHECKING:
     from hil.machine import Finding
 
 app = typer.Typer(
-    help="Machine files: list the shipped ones, show, check, export, convert.\n\nExample:  isocenter machine check carm",
+    help="Machine files: list the shipped ones, show, check, export, convert, write new ones.\n\nExample:  isocenter machine check carm",
     no_args_is_help=True,
 )
+
+
+machine_new.register(app)
 
 
 @app.command("list", help="The machines that are shipped.\n\nExample:  isocenter machine list")
@@ -59,15 +64,26 @@ def show(
     "Status 1 when a check fails.\n\nExample:  isocenter machine check carm"
 )
 def check(machine_name: MachineArgument, json_to: JsonOption = None) -> None:
-    """Print every finding on one line."""
-    from hil.machine import check_machine
+    """Print every finding on one line; of a file with open points these alone."""
+    from hil.machine import Finding, check_machine
+    from hil.machine.load import text_of
+    from hil.machine.open_points import marks
 
-    machine = load(machine_name)
     answer = Answer(json_to)
-    findings = check_machine(machine)
+    missing, assumed = marks(text_of(machine_name))
+    if missing:
+        name, findings = (
+            machine_name,
+            [Finding("open", False, f"line {mark.line}: {mark.key} is to be filled in: {mark.says}") for mark in missing],
+        )
+    else:
+        machine = load(machine_name)
+        with working(f"checking {machine.name}"):
+            name, findings = machine.name, check_machine(machine)
+    findings += [Finding("assumed", True, f"line {mark.line}: {mark.key} = {mark.value} is assumed: {mark.says}") for mark in assumed]
     for finding in findings:
-        answer.say(f"{'ok  ' if finding.ok else 'FAIL'} {finding.text}")
-    answer.write({"machine": machine.name, "ok": all(f.ok for f in findings), "findings": [vars(f) for f in findings]})
+        answer.say(f"{'note' if finding.name == 'assumed' else 'ok  ' if finding.ok else 'FAIL'} {finding.text}")
+    answer.write({"machine": name, "ok": all(f.ok for f in findings), "findings": [vars(f) for f in findings]})
     if not all(finding.ok for finding in findings):
         raise typer.Exit(1)
 
@@ -116,7 +132,8 @@ def convert(
     for change in changes:
         if not isinstance(change.new, list):
             answer.say(f"     {change.key} = {change.new:.6g}, was {'not written' if change.old is None else format(change.old, '.6g')}")
-    before, after = check_machine(machine), check_machine(converted)
+    with working("checking both"):
+        before, after = check_machine(machine), check_machine(converted)
     for line in _beside(before, after, (f"{machine.sample_rate_Hz:g} Hz", f"{rate_Hz:g} Hz")):
         answer.say(line)
     failed = [finding for finding in after if not finding.ok]
@@ -134,6 +151,31 @@ def convert(
     )
     if failed:
         raise typer.Exit(1)
+
+
+@app.command(
+    help="The JSON schema of machine files, by which editors complete and check them. It stands beside the file, whose first line names it."
+    "\n\nExample:  isocenter machine schema -o isocenter-machine.schema.json"
+)
+def schema(
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", metavar="FILE", help="Where to write it; standard output unless given.")
+    ] = None,
+    json_to: JsonOption = None,
+) -> None:
+    """Print or write the schema."""
+    from hil.machine.editors import SCHEMA, SCHEMA_LINE
+
+    answer = Answer(json_to)
+    text = SCHEMA.read_text(encoding="utf-8")
+    if out is None:
+        answer.say(text.rstrip("\n"))
+    else:
+        can_be_written(out, suffixes=(".json",))
+        out.write_text(text, encoding="utf-8")
+        line = SCHEMA_LINE.replace(SCHEMA.name, out.name)
+        answer.say(f"{out}: JSON schema of machine files; a file beside it names it in its first line: {line}")
+    answer.write({"schema": out})
 
 
 SHOWN = {

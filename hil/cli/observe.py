@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
+from hil.cli.emulated import say_emulated
 from hil.cli.options import MachineArgument, can_be_written, load, not_an_input
+from hil.cli.paged import PageOption, check_page, write_paged
 from hil.errors import UnusableInputError
-from hil.terminal.output import Answer, JsonOption, progress, save_figure
+from hil.terminal.output import Answer, JsonOption, save_figure
+from hil.terminal.progress import progress, working
 
 if TYPE_CHECKING:
     from controllers.observers.modal_observer import FilterKind, ModalObserver
     from hil.calibration.data_driven.live import LiveCalibration
     from hil.machine import Machine
-    from hil.observing import Estimate, ObserverDesign
+    from hil.observing import Alarm, Estimate, ObserverDesign
     from hil.observing.live import LiveObserver
     from hil.observing.observability import Observability
     from hil.recording import Recording
@@ -120,12 +124,14 @@ def observe(
     ] = None,
     images: Annotated[Path | None, typer.Option("--images", metavar="DIR", help="With --data: the folder of that run's images.")] = None,
     figure: Annotated[Path | None, typer.Option("--figure", metavar="PNG", help="Draw it as well.")] = None,
+    page: PageOption = None,
     json_to: JsonOption = None,
 ) -> None:
     """Design or read, replay, write."""
     from controllers.observers.modal_observer import KINDS
-    from hil.observing import observability, read_design, write_design, write_estimate
+    from hil.observing import alarms, observability, read_design, write_design, write_estimate
     from hil.observing import observe as replay
+    from hil.observing.alarms import alarm_lines, outside_lines
     from hil.recording import read_recording
     from hil.simulation import in_effort
 
@@ -139,17 +145,18 @@ def observe(
     answer = Answer(json_to)
     can_be_written(out, suffixes=(".npz", ".mf4", ".csv"))
     can_be_written(figure, save_design)
+    check_page(page)
     inputs = [recording_path, *(frf or []), *(multisine or []), *(standing or []), *(sweep or []), *(tune or [])]
     inputs += [path for path in (design_path, data) if path is not None]
     for written in (out, save_design, figure):
         if written is not None:
             not_an_input(written, *inputs)
     recording = in_effort(read_recording(recording_path, machine), machine)
-    design = (
-        read_design(design_path)
-        if design_path is not None
-        else _designed(machine, recording, (frf or [], multisine or []), (standing or [], sweep or []), tune or [], modes, answer)
-    )
+    if design_path is not None:
+        design = read_design(design_path)
+    else:
+        with working("designing the observer"):
+            design = _designed(machine, recording, (frf or [], multisine or []), (standing or [], sweep or []), tune or [], modes, answer)
     if save_design is not None:
         write_design(design, save_design)
         answer.say(f"{save_design}: design")
@@ -157,7 +164,7 @@ def observe(
     if design_path is not None:
         _check_machine(design, design_path, machine, answer)
     calibration = _calibration(machine, observer, data, images)
-    with progress(answer.console) as bars:
+    with progress() as bars:
         task = bars.add_task(recording_path.name, total=recording.rows)
         estimate = replay(
             recording,
@@ -175,7 +182,15 @@ def observe(
         save_figure(observer_figure(estimate), figure)
         answer.say(f"{figure}: figure")
     seen = observability(observer, [recording.matrix([f"position_{axis}" for axis in machine.axes])[0]])
-    document = _document(estimate, seen) | {"live": _against_live(estimate, recording)}
+    found = alarms(estimate, recording, observer.noise.measurement, design.poses)
+    document = _document(estimate, seen) | {"live": _against_live(estimate, recording), "alarms": found}
+    answer.say(_sentence(document, found))
+    document["emulated"] = say_emulated(answer, {recording_path: recording})
+    document["outside"] = outside_lines(recording, design.poses)
+    for line in (*document["outside"], *alarm_lines(found, recording)):
+        answer.say(line)
+    if not design.poses.size:
+        answer.say("the design does not say at which poses it was measured, so whether this recording leaves them is not known")
     answer.say(f"{out}: {filter_name} over {recording.rows} rows, {len(estimate.state_names)} states")
     for note in (*estimate.notes, *seen.lines):
         answer.say(note)
@@ -185,7 +200,23 @@ def observe(
     )
     if document["live"]:
         answer.say(f"live estimates in the recording: {document['live']}")
+    if page is not None:
+        from hil.reports.observed import observed_page
+
+        write_paged(answer, observed_page(machine, estimate, recording, (recording_path, out), answer.said), page)
     answer.write({"estimate": out, **document})
+
+
+def _sentence(document: dict[str, Any], found: Sequence[Alarm]) -> str:
+    """Return the answer in a sentence."""
+    if not document["rows"] or not math.isfinite(document["share_in_band"]):
+        return "Nothing was measured that the observer looks at: its estimates are predictions alone."
+    if found:
+        longest = max(found, key=lambda alarm: alarm.rows)
+        times = f"{len(found)} times" if len(found) > 1 else f"once, from {longest.from_s:.2f} to {longest.to_s:.2f} s"
+        share = 100.0 * document["alarm_share"]
+        return f"The estimates are not to be trusted in {share:.1f} % of rows: the alarm is raised {times}, most by {longest.channel}."
+    return f"The estimates agree with the sensors: no alarm in {document['rows']} rows, NIS {document['mean_nis']:.2f} (1 fits)."
 
 
 def _calibration(machine: Machine, observer: ModalObserver, data: Path | None, images: Path | None) -> LiveCalibration | None:

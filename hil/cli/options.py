@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hil.errors import ExperimentError, UnusableInputError
+from hil.files.aside import keep_earlier as keep_earlier
 from hil.terminal.output import refuse_unwritable, refuse_unwritable_folder
 
 if TYPE_CHECKING:
@@ -196,22 +196,6 @@ def folder_can_be_written(folder: Path) -> None:
     if not nearest.is_dir():
         raise UnusableInputError(f"{folder if nearest == folder.absolute() else nearest}: is a file; give a folder for the answer")
     refuse_unwritable_folder(nearest, str(folder))
-
-
-def keep_earlier(path: Path) -> str:
-    """Move an existing recording aside, and say so; "" where there is none.
-
-    A recording is never written over.
-    """
-    if not path.is_file():
-        return ""
-    aside = next(kept for n in itertools.count(1) if not (kept := path.with_name(f"{path.stem}.earlier{n}{path.suffix}")).exists())
-    path.rename(aside)
-    if path.with_suffix(".toml").exists() and path.suffix == ".csv":
-        path.with_suffix(".toml").rename(aside.with_suffix(".toml"))
-    if (events := path.with_suffix(".events.jsonl")).exists():
-        events.rename(aside.with_suffix(".events.jsonl"))
-    return f"{path} was there already; it is now {aside.name}"
 
 
 FASTEST_Hz = 125.0

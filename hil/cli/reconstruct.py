@@ -6,12 +6,13 @@ import os
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
 from hil.cli.options import MachineArgument, ScanArgument, folder_can_be_written, load
+from hil.cli.paged import PageOption, check_page, write_paged
 from hil.errors import UnusableInputError
-from hil.terminal.output import Answer, JsonOption, progress
+from hil.terminal.output import Answer, JsonOption
+from hil.terminal.progress import progress
 
 LARGE_BYTES = 2e9
 """Memory from which on a reconstruction reports how much it takes."""
@@ -37,9 +38,12 @@ def reconstruct(
     size: Annotated[int, typer.Option("--size", min=16, max=1024, help="Voxels along each edge.")] = 128,
     spacing: Annotated[float, typer.Option("--spacing", metavar="MM", help="Edge of a voxel.")] = 0.5,
     hann: Annotated[float, typer.Option("--hann", min=0.0, max=1.0, help="Hann window's cut-off, relative to Nyquist; 0: none.")] = 0.0,
+    page: PageOption = None,
     json_to: JsonOption = None,
 ) -> None:
     """Read, reconstruct, judge, draw."""
+    import numpy as np
+
     from hil.calibration.data_driven.data_file import read_data_file
     from hil.calibration.kinematic.geometric_model import read_calibration
     from hil.calibration.use.lookup_table import LookUp, sweep_speed
@@ -59,6 +63,7 @@ def reconstruct(
     machine = load(machine_name)
     answer = Answer(json_to)
     folder_can_be_written(out)
+    check_page(page)
     scan = read_scan(scan_folder)
     positions = scan.positions_of(machine)
     beam = nominal_beam(machine, positions)
@@ -75,7 +80,7 @@ def reconstruct(
         beam, source = read_data_file(geometry).beam(machine, scan.middle_s), f"geometry from {geometry.name}"
     _require_memory(size, (len(scan), scan.detector.rows, scan.detector.columns), answer)
     images = np.empty((len(scan), scan.detector.rows, scan.detector.columns), dtype=np.float32)
-    with progress(answer.console) as bars:
+    with progress() as bars:
         task = bars.add_task("reading", total=len(scan))
         for k in range(len(scan)):
             images[k] = line_integrals(scan.frame(k))
@@ -106,6 +111,11 @@ def reconstruct(
                 f" {1e3 * quality.widths_m[0]:.2f} and {1e3 * quality.widths_m[1]:.2f} mm,"
                 f" {1e3 * np.linalg.norm(quality.offset_m):.2f} mm from its place, artefacts {quality.artefact:.1%} of the peak"
             )
+    if page is not None:
+        from hil.reports.reconstructed import reconstructed_page
+
+        facts = {"Geometry": source, "Projections": str(len(scan))}
+        write_paged(answer, reconstructed_page(machine, volume, judged, (scan_folder, out), facts), page)
     answer.write(
         {
             "geometry": source,
@@ -126,6 +136,8 @@ def reconstruct(
 
 def _require_memory(size: int, projections: tuple[int, int, int], answer: Answer) -> None:
     """Refuse a volume that this computer cannot hold; say how much memory a large one takes."""
+    import numpy as np
+
     from hil.reconstruction.fdk import bytes_needed
 
     needed, there_is = bytes_needed(size, projections), np.inf

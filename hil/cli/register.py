@@ -12,6 +12,7 @@ from hil.cli import (
     calibrate_data,
     calibrate_model,
     calibrate_spot,
+    commission,
     conformance,
     diagnose,
     doctor,
@@ -21,6 +22,7 @@ from hil.cli import (
     machine,
     observe,
     physics,
+    plot,
     reconstruct,
     roadmap,
     run,
@@ -36,8 +38,10 @@ def commands(app: typer.Typer) -> None:
     story.register(app)
     app.add_typer(machine.app, name="machine")
     physics.register(app)
+    plot.register(app)
     doctor.register(app)
     bus.register(app)
+    commission.register(app)
     bench.register(app)
     conformance.register(app)
     app.add_typer(run.app, name="run")

@@ -34,11 +34,17 @@ class ExperimentGroup(TyperGroup):
         return super().resolve_command(ctx, args)
 
 
+STOPPING = (
+    "\n\nCtrl-C stops it: quick stop, brakes closed and proven, voltage off; the rows so far are kept, and the time to standstill is"
+    " printed. Ctrl-C again does not shorten a stop."
+)
+
 app = typer.Typer(
     cls=ExperimentGroup,
     no_args_is_help=True,
     short_help="Run an experiment in closed loop and record it.",
     help="Run an experiment in closed loop and record it: multisine, scan, jog, static, or an experiment file (.toml)."
+    f"{STOPPING}"
     "\n\nExample:  isocenter run multisine --machine carm --bus lockstep: --pose roll=30 -o run.mf4",
 )
 
@@ -46,8 +52,10 @@ app = typer.Typer(
 @app.command(
     short_help="Random-phase multisine under jog.",
     help="Random-phase multisine under jog: what frequency responses are identified from."
+    f"{STOPPING}"
     "\n\nExample:  isocenter run multisine -m carm -b lockstep: --periods 4 --realisations 3 -o run.mf4"
-    "\n\nThen, dense where that response changes:  isocenter run multisine -m carm --design carm.frf.npz --period 40 -o dense.mf4",
+    "\n\nThen, dense where that response changes:"
+    "  isocenter run multisine -m carm -b lockstep: --design carm.frf.npz --period 40 -o dense.mf4",
 )
 @takes(RunOptions)
 def multisine(
@@ -128,6 +136,7 @@ def multisine(
 @app.command(
     short_help="A sweep of one axis at constant speed.",
     help="A jerk-limited sweep of one axis at constant speed, as an acquisition makes it."
+    f"{STOPPING}"
     "\n\nExample:  isocenter run scan -m carm -b lockstep: --axis roll --from -90 --to 90 --speed 30 -o scan.mf4",
 )
 @takes(RunOptions)
@@ -158,7 +167,7 @@ def scan(
     run_and_tell(machine, experiment, run)
 
 
-@app.command(help="Sinusoidal reference alone.\n\nExample:  isocenter run jog -m carm -b lockstep: --amplitude 2 -o jog.mf4")
+@app.command(help=f"Sinusoidal reference alone.{STOPPING}\n\nExample:  isocenter run jog -m carm -b lockstep: --amplitude 2 -o jog.mf4")
 @takes(RunOptions)
 def jog(
     machine_name: MachineOption,
@@ -179,7 +188,8 @@ def jog(
 
 
 @app.command(
-    help="Hold a pose: noise, drift, holding effort.\n\nExample:  isocenter run static -m carm -b lockstep: --seconds 10 -o still.mf4"
+    help=f"Hold a pose: noise, drift, holding effort.{STOPPING}"
+    "\n\nExample:  isocenter run static -m carm -b lockstep: --seconds 10 -o still.mf4"
 )
 @takes(RunOptions)
 def static(
@@ -195,7 +205,9 @@ def static(
     run_and_tell(machine, Static(seconds, parse_pose(pose, machine)), run)
 
 
-@app.command("file", help="An experiment from its file.\n\nExample:  isocenter run separate.toml -m carm -b lockstep: -o separate.mf4")
+@app.command(
+    "file", help=f"An experiment from its file.{STOPPING}\n\nExample:  isocenter run separate.toml -m carm -b lockstep: -o separate.mf4"
+)
 @takes(RunOptions)
 def from_file(
     path: Annotated[Path, typer.Argument(metavar="FILE", help="Experiment file (TOML).")],

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
 from hil.cli.options import FASTEST_Hz
 from hil.errors import UnusableInputError
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from controllers.observers.modal_observer import ModalObserver
     from hil.calibration.data_driven.data_file import DataFile
     from hil.calibration.data_driven.live import LiveCalibration
@@ -82,6 +82,8 @@ def data_beside(
         if until_mm:
             raise UnusableInputError("--until: withdraws images from a live calibration; give --data FILE as well")
         return None
+    import multiprocessing
+
     from hil.calibration.data_driven.data_file import read_data_file
     from hil.emulated.images import Exposures
     from hil.imaging.mailbox import LATE_S, LockstepEnd, LoopEnd, Mailbox
@@ -110,6 +112,8 @@ def keep_sightings(beside: DataBeside, images: Path) -> None:
 
 def leave(beside: DataBeside, images: Path, answer: Answer) -> dict[str, object]:
     """Write the geometry into the images' folder, and say how it went."""
+    import numpy as np
+
     from hil.calibration.data_driven.live_file import GEOMETRY, write_live_geometry
     from hil.imaging.mailbox import POSES
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hil.cli.options import FASTEST_Hz
-from hil.emulated.card import find
 from hil.errors import UnusableInputError
 
 if TYPE_CHECKING:
@@ -77,6 +75,8 @@ def images_beside(
             raise UnusableInputError(f"{'--panel' if panel_url else '--spool'}: says where images come from; give --images DIR as well")
         yield truth, None
         return
+    import multiprocessing
+
     from hil.emulated.beam import beam_of
     from hil.emulated.images import Exposures
     from hil.emulated.panel import PanelOrder
@@ -147,6 +147,8 @@ def _panel_url(spool: Path | None, panel_url: str, bus: str, lockstep: bool, sce
         return ""
     if panel_url:
         return panel_url
+    from hil.emulated.card import find
+
     card = find(bus)
     if card is None or not card.panel_url:
         raise UnusableInputError(

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hil.cli.emulated import EMULATED
 from hil.cli.observe import DampingOption, ObserverOption, live_observer
 from hil.cli.options import (
     BusOption,
@@ -28,9 +30,9 @@ from hil.cli.options import (
 from hil.cli.run_data import DataOption, UntilOption, data_beside, keep_sightings, leave
 from hil.cli.run_images import BinningOption, ImageRateOption, ImagesOption, PanelOption, SceneOption, SpoolOption, images_beside
 from hil.cli.told_faults import Told
-from hil.emulated.card import find
 from hil.errors import UnusableInputError
-from hil.terminal.output import Answer, JsonOption, follower, progress
+from hil.terminal.output import Answer, JsonOption
+from hil.terminal.progress import EVERY_S, follower, progress
 
 if TYPE_CHECKING:
     from hil.experiments import Experiment
@@ -62,7 +64,7 @@ class RunOptions:
     """Where an experiment is run, on what, and where its recordings go."""
 
     out: OutOption
-    bus: BusOption = "lockstep:"
+    bus: BusOption
     seed: SeedOption = 0
     effects: EffectsOption = None
     faults: FaultsOption = None
@@ -144,14 +146,15 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
             accepted_margins=accepted,
         )
         bench = stack.enter_context(open_bench(machine, options, plans[0].start_pose, watching))
-        with progress(answer.console, live=lockstep) as bars:
+        with progress(live=lockstep) as bars:
             for plan, path in zip(plans, paths, strict=True):
                 if kept := keep_earlier(path):
                     answer.say(kept)
                 if not lockstep:
                     answer.say(f"{path}: homing, way and standstill, then {plan.rows / machine.sample_rate_Hz:.0f} s are recorded")
                 task = bars.add_task(path.name, total=plan.rows)
-                beside = None if not answer.console.is_terminal else functools.partial(drawn_beside, rows=plan.rows, name=path.name)
+                told_of = sys.stderr.isatty() or plan.rows / machine.sample_rate_Hz > EVERY_S
+                beside = functools.partial(drawn_beside, rows=plan.rows, name=path.name) if told_of else None
                 timing = bench.run(plan, path, follower(bars, task) if lockstep else None, beside, rows)
                 bars.update(task, completed=plan.rows)
                 said = (*timing.notes, *stepped_over(run, timing.missed))
@@ -168,7 +171,7 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
                     }
                 )
         scheduling = str(bench.scheduling)
-    answer.say(f"{machine.name} on {run.bus} ({scheduling})")
+    answer.say(f"{EMULATED if bench.emulated else ''}{machine.name} on {run.bus} ({scheduling})")
     for record in records:
         timing_table = record["timing"]
         line = f"{record['recording']}: {timing_table['ticks']} rows"
@@ -179,6 +182,7 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
             )
         answer.say(line)
     document: dict[str, Any] = {"machine": machine.name, "hash": machine.hash, "bus": run.bus, "scheduler": scheduling}
+    document["emulated"] = bench.emulated
     document["recordings"] = records
     document["accepted_margins"] = accepted
     if data is not None and run.images is not None:
@@ -212,6 +216,8 @@ def _accepted_margins(machine: Machine, run: RunOptions) -> tuple[str, ...]:
 
 def stepped_over(run: RunOptions, missed: int) -> tuple[str, ...]:
     """Return a note on lost ticks for an observer: an emulated machine stood still meanwhile; a real one moves on."""
+    from hil.emulated.card import find
+
     if run.observer is None or not missed or find(run.bus) is None:
         return ()
     return (f'the observer stepped over {missed} lost ticks, in which the emulated machine waited; put overrun = "wait" into [timing]',)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hil.cli.emulated import EMULATED
 from hil.cli.options import (
     EffectsOption,
     MachineArgument,
@@ -20,7 +21,9 @@ from hil.cli.options import (
     parse_pose,
     parse_whole_numbers,
 )
+from hil.cli.paged import PageOption, check_page, write_paged
 from hil.terminal.output import Answer, JsonOption, save_figure
+from hil.terminal.progress import working
 
 if TYPE_CHECKING:
     from hil.machine import Machine
@@ -36,6 +39,7 @@ def register(app: typer.Typer) -> None:
         help="Design reference shapers for one axis of a machine, judge them, and write the recommended one."
         "\n\nFor a sweep unless --period says that the scan repeats. Designed from the machine file's closed loop at a pose, at several "
         "with --schedule, or from an identified frequency response with --frf."
+        "\n\nExit status: 0, the shaper that was written is fit to run; 1, it was written, but something is against it; 2, none was."
         "\n\nExample:  isocenter shape carm --axis roll -o roll.shaper.npz",
     )(shape)
 
@@ -56,12 +60,17 @@ def shape(
     quiet: Annotated[str, typer.Option("--quiet", metavar="LOW:HIGH", help="Band [Hz] that the quiet design passes least in.")] = "4:20",
     take: Annotated[str, typer.Option("--take", metavar="NAME", help="Write this design instead of the recommended one.")] = "",
     table: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Verdicts as CSV.")] = None,
-    figure: Annotated[Path | None, typer.Option("--figure", metavar="PNG", help="Taps, frequency responses and map of delays.")] = None,
+    figure: Annotated[
+        Path | None, typer.Option("--figure", metavar="PNG", help="Taps, frequency responses, map of delays, before and after in time.")
+    ] = None,
     effects: EffectsOption = None,
+    page: PageOption = None,
     json_to: JsonOption = None,
 ) -> None:
     """Print one line per design, the recommended one first."""
     from hil.errors import UnusableInputError
+    from hil.shaping.in_time import after_step, in_time_lines, settled
+    from hil.shaping.report import design_lines, left_out_lines
     from hil.shaping.shaper_design import design_all, shaper_of
     from hil.shaping.shaper_file import ShaperFile, write_shaper
 
@@ -70,25 +79,28 @@ def shape(
         raise UnusableInputError(f"--axis {axis}: {machine.name} has {', '.join(machine.axes)}")
     answer = Answer(json_to)
     can_be_written(out, figure, table)
+    check_page(page)
     if frf is not None:
         not_an_input(out, frf)
     aim = _aim(period, harmonics, longest)
     subjects, positions, source = _subjects(machine, axis, pose, schedule, output, frf)
-    answer.say(f"{axis} of {machine.name}, {aim.kind}, from {source}")
     band = parse_band("--quiet", quiet)
-    candidates = design_all(subjects, aim, machine.sample_rate_Hz, band)
+    with working("designing"):
+        candidates = design_all(subjects, aim, machine.sample_rate_Hz, band)
     designs = candidates.designs
     chosen = candidates.named(take) if take else designs[0]
+    answer.say(_sentence(designs[0], chosen, axis, machine.name))
+    answer.say(f"{aim.kind} of {axis}, from {source}")
     verdicts = [vars(design.verdict) | {"left_out": [vars(each) for each in design.verdict.left_out]} for design in designs]
     notes = {"machine": machine.name, "hash": machine.hash, "aim": vars(aim), "source": source, "output": output}
     notes["verdict"] = chosen.verdict.line
     shapers = (shaper_of(chosen, axis, machine.sample_rate_Hz, positions, schedule),)
     write_shaper(ShaperFile(shapers, machine.sample_rate_Hz, notes), out)
-    for design in designs:
-        answer.say(f"{'*' if design is chosen else ' '} {design.verdict.line}")
-    for name, reason in candidates.refused.items():
-        answer.say(f"  {name:12s} none: {reason}")
-    for line in _left_out_lines(chosen):
+    rate = machine.sample_rate_Hz
+    in_time = {each.name: after_step(subjects[0].dynamics, each.filters[0], rate) for each in (candidates.named("none"), chosen)}
+    for line in (*design_lines(candidates, chosen), *left_out_lines(chosen)):
+        answer.say(line)
+    for line in in_time_lines(in_time["none"], in_time[chosen.name], chosen.name):
         answer.say(line)
     answer.say(f"the quiet design keeps {band[0]:g} to {band[1]:g} Hz low; modes are sought over the whole band of the loop")
     answer.say(f"{out}: {chosen.name}, {len(chosen.filters[0].gains)} taps, {len(positions)} pose{'s' if len(positions) > 1 else ''}")
@@ -98,10 +110,34 @@ def shape(
     if figure is not None:
         from hil.figures.shapers import design_figure
 
-        save_figure(design_figure(designs, subjects, aim, machine.sample_rate_Hz, f"{axis} of {machine.name}"), figure)
+        save_figure(design_figure(designs, subjects, aim, rate, in_time, f"{axis} of {machine.name}, {source}"), figure)
         answer.say(f"{figure}: figure")
-    document = {"shaper": out, "chosen": chosen.name, "recommended": designs[0].name, **notes}
+    if page is not None:
+        from hil.reports.shaped import shaped_page
+
+        sentence, facts = _sentence(designs[0], chosen, axis, machine.name), {"Aim": aim.kind, "From": source}
+        write_paged(answer, shaped_page(machine, axis, sentence, candidates, chosen, subjects, in_time, out, facts), page)
+    document = {"shaper": out, "chosen": chosen.name, "recommended": designs[0].name, "fit": not chosen.verdict.against, **notes}
+    before_s, after_s = settled(in_time["none"], in_time[chosen.name])
+    document["in_time"] = {
+        "without": {"left": in_time["none"].left, "settled_s": before_s},
+        "shaped": {"left": in_time[chosen.name].left, "settled_s": after_s},
+    }
     answer.write(document | {"designs": verdicts, "refused": candidates.refused})
+    if chosen.verdict.against:
+        raise typer.Exit(1)
+
+
+def _sentence(recommended: Design, chosen: Design, axis: str, machine: str) -> str:
+    """Return the answer in a sentence."""
+    against = chosen.verdict.against
+    if against and chosen is recommended:
+        return f"No design for {axis} of {machine} is fit to run: the best is {chosen.name}, and against it is: {against}."
+    if against:
+        return f"{chosen.name} is not fit to run on {axis} of {machine}: {against}. Recommended is {recommended.name}."
+    less = f"leaves {100.0 * chosen.verdict.vibration_at_10:.2g} % of the vibration with modes 10 % off"
+    beside = "" if chosen is recommended else f"; recommended is {recommended.name}"
+    return f"{chosen.name} for {axis} of {machine} {less} and takes {chosen.verdict.transient_s:.3f} s{beside}."
 
 
 def _aim(period: float, harmonics: str, longest: float) -> Aim:
@@ -126,8 +162,9 @@ def _subjects(
 
         if schedule or pose:
             raise UnusableInputError("--frf: a frequency response is of one pose; leave out --schedule and --pose")
-        subject, error = subject_from_frf(machine, read_frf(frf), axis, output)
-        return [subject], [0.0], f"{frf}, fitted to {error:.2%}"
+        response = read_frf(frf)
+        subject, error = subject_from_frf(machine, response, axis, output)
+        return [subject], [0.0], f"{EMULATED if response.emulated else ''}{frf}, fitted to {error:.2%}"
     at = pose_array(machine, parse_pose(pose, machine))
     if not schedule:
         where = ", ".join(f"{name} {value / edge_scale(machine, name):g}" for name, value in zip(machine.axes, at, strict=True))
@@ -139,14 +176,6 @@ def _subjects(
     low, high = positions[[0, -1]] / edge_scale(machine, schedule)
     source = f"the machine file's closed loop at {len(poses)} poses, {schedule} {low:g} to {high:g}"
     return [subject_at(machine, each, axis, output) for each in poses], positions.tolist(), source
-
-
-def _left_out_lines(design: Design) -> list[str]:
-    listed = design.verdict.left_out
-    if not listed:
-        return [f"{design.name}: every pole that matters is cancelled"]
-    shares = ", ".join(f"{each.frequency_Hz:.3g} Hz (damping {each.damping:.2g}) {each.residual:.2g}" for each in listed)
-    return [f"{design.name}: poles left out, with what is left of a unit step in them after the transient: {shares}"]
 
 
 def _write_csv(verdicts: list[dict[str, Any]], path: Path) -> None:

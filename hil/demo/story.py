@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.bench.open import open_bench, recording_paths
 from hil.bench.options import BenchOptions
-from hil.demo.page import write_page
+from hil.demo.page import write_demo_page
 from hil.demo.told import Story
 from hil.experiments import Jog, Multisine
 from hil.identification import identify, write_frf
@@ -18,7 +18,8 @@ from hil.machine import Machine, load_machine
 from hil.recording import read_recording, write_recording
 from hil.simulation import compare, simulate
 from hil.simulation.linear import sampled_response
-from hil.terminal.output import Answer, follower, progress
+from hil.terminal.output import Answer
+from hil.terminal.progress import follower, progress
 from virtual_bus.settings import EffectSetting
 
 SECRET_FRICTION = EffectSetting("coulomb_friction", "roll", {"Fc": 12.0})
@@ -51,6 +52,7 @@ def run_demo(out: Path, answer: Answer) -> dict[str, Any]:
     write_recording(friction, out / "simulated_with_friction.mf4")
     story = Story(
         machine,
+        tuple(paths),
         recordings[0],
         response,
         sampled_response(machine, np.array(response.pose), response.frequencies_Hz, response.output_names),
@@ -64,7 +66,7 @@ def run_demo(out: Path, answer: Answer) -> dict[str, Any]:
     )
     before, after = (comparison["current_roll"].nrmse for comparison in (story.nominal_comparison, story.friction_comparison))
     answer.say(f"current_roll: simulation off by {before:.1%} (NRMSE) without the friction, {after:.1%} with it")
-    page = write_page(story, out)
+    page = write_demo_page(story, out)
     seconds = time.perf_counter() - began
     answer.say(f"{page}: the page, after {seconds:.1f} s")
     return {
@@ -88,7 +90,7 @@ def _record(machine: Machine, out: Path, answer: Answer) -> tuple[list[Path], fl
     recorded_s = running_s = 0.0
     secret = machine.with_effects((SECRET_FRICTION,))
     with open_bench(machine, BenchOptions("lockstep:", seed=1, emulated=secret), plans[0].start_pose) as bench:
-        with progress(answer.console) as bars:
+        with progress() as bars:
             task = bars.add_task("multisine with jog", total=sum(plan.rows for plan in plans))
             done = 0
             for plan, path in zip(plans, paths, strict=True):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -18,6 +19,7 @@ class Story:
     """Everything the page shows."""
 
     machine: Machine
+    paths: tuple[Path, ...]
     recording: Recording
     response: FrequencyResponse
     linearisation: np.ndarray

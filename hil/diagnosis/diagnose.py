@@ -26,6 +26,7 @@ from hil.diagnosis.judging.held_out import HeldOut
 from hil.diagnosis.locating.disturbance import disturbance_shares
 from hil.diagnosis.locating.location import locate, locate_outcome
 from hil.diagnosis.observed.known import known_effects
+from hil.diagnosis.observed.shaken import what_may_hide
 from hil.diagnosis.ranking.both_motions import with_both_motions
 from hil.diagnosis.ranking.naming import (
     CAP_UNCONFIRMED,
@@ -58,6 +59,9 @@ from virtual_bus.settings import EffectSetting
 Report = Callable[[str, float], None]
 NEXT_EXPERIMENT = "next_experiment.toml"
 """File in the answer's folder."""
+
+NOTHING_SHOWS = ("consistent", "retuned")
+"""Verdicts beside which something that was not shaken may hide."""
 
 SAYS_WHAT_IT_IS = ("explained", "ambiguous", "retuned")
 """Verdicts whose simulation is offered as the machine's."""
@@ -217,6 +221,8 @@ def diagnose(
             unsure = plausible_among(selection.unsure, ranking(weigh((*selection.contenders, *selection.unsure))))
             reason += what_may_act_too(unsure)
         verdict, reason = with_read_off(verdict, reason, [what.says(channel) for channel, what in train.read_off])
+        if verdict in NOTHING_SHOWS:
+            reason = f"{reason}; {what_may_hide(recordings)}"
         whole = confidence_of(cap_of(runs))
         if verdict == "explained" and chosen is not None:
             whole, hypotheses = standing_alone(whole), tuple(replace(h, confidence=standing_alone(h.confidence)) for h in hypotheses)

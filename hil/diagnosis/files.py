@@ -20,8 +20,8 @@ from hil.machine.effects_file import effects_text
 from virtual_bus.plant.parameters import plant_parameters
 
 
-def write_diagnosis(outcome: Outcome | Answered, machine: Machine, folder: Path) -> None:
-    """Write diagnosis.json, effects.toml, the re-tuned machine.toml and report.html.
+def write_diagnosis(outcome: Outcome | Answered, machine: Machine, folder: Path, is_emulated: bool = False) -> None:
+    """Write diagnosis.json, effects.toml, the re-tuned machine.toml and report.html, which says where the recordings are an emulator's.
 
     And the next experiment where there is one; one that an earlier answer left there is removed.
 
@@ -35,16 +35,16 @@ def write_diagnosis(outcome: Outcome | Answered, machine: Machine, folder: Path)
     proposal = None if isinstance(outcome, Answered) else outcome.proposal
     try:
         (folder / "effects.toml").write_text(effects_text((*machine.plant.effects, *outcome.effects), machine), encoding="utf-8")
-        (folder / "machine.toml").write_text(retuned_text(machine, parameters, outcome.values), encoding="utf-8")
+        (folder / "machine.toml").write_text(retuned_text(machine, parameters, outcome.values, outcome.diagnosis.retuned), encoding="utf-8")
         if proposal is not None:
             text = proposal.header() + experiment_text(proposal.experiment, machine)  # what it is for, as comments
             (folder / NEXT_EXPERIMENT).write_text(text, encoding="utf-8")
         else:  # an earlier answer's is none of this one
             (folder / NEXT_EXPERIMENT).unlink(missing_ok=True)
         if isinstance(outcome, Answered):
-            write_motion_report(outcome, folder)
+            write_motion_report(outcome, folder, is_emulated)
         else:
-            write_report(outcome, folder)
+            write_report(outcome, folder, is_emulated)
     except OSError as error:
         raise UnusableInputError(f"{folder}: cannot be written to: {error.strerror}") from None
 

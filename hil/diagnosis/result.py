@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
+
+from hil.files.frames import data_frame
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Verdict = Literal["inconclusive", "misconfigured", "unknown_physics", "ambiguous", "explained", "retuned", "consistent"]
 NoiseKind = Literal["repeats", "periods", "assumed"]
@@ -268,6 +273,22 @@ class Diagnosis:
     baseline: tuple[Finding, ...] = ()  # the engineer's fit: everyday effects at every driven joint
     provisional: bool = False
     known: tuple[KnownEffect, ...] = ()
+
+    def frame(self) -> pd.DataFrame:
+        """Return one row per finding and parameter, with value, unit, 95 % interval and confidence; needs pandas, an extra."""
+        rows = [(finding, name, number) for finding in self.findings for name, number in finding.parameters.items()]
+        return data_frame(
+            {
+                "effect": [finding.effect.effect for finding, _, _ in rows],
+                "at": [finding.effect.at for finding, _, _ in rows],
+                "parameter": [name for _, name, _ in rows],
+                "value": [number.value for _, _, number in rows],
+                "unit": [number.unit for _, _, number in rows],
+                "low": [number.ci95[0] for _, _, number in rows],
+                "high": [number.ci95[1] for _, _, number in rows],
+                "confidence": [finding.confidence for finding, _, _ in rows],
+            }
+        )
 
     def document(self) -> dict[str, Any]:
         """Return the whole answer as plain values, laid out in docs/generated/json.md."""

@@ -118,6 +118,7 @@ REPORTED = re.compile(
             r"nobody knows of hold-to-run, door and brakes.*",
             r"the supervisor took its permission back: .*",
             r"stopping the motors ran into .*",
+            r"standstill [\d.]+ s after the stop began.*",
             r"\w+: at [-+.\d]+ \w+, out of its range and moving on",
             r"press and hold it|the holding effort is wrong|the position is not known.*",
         )

@@ -2,24 +2,34 @@
 
 from __future__ import annotations
 
-import html
 import math
+import shlex
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from string import Template
 
 from hil.bench.wiring import REST_AT_MOST_S
 from hil.faults.check import TrialOutcome
 from hil.faults.motion import MOTIONS, Motion
 from hil.machine import Machine
+from hil.pages import Page, Section, Table, Text, Verdict
+from hil.pages import write_page as write
+from hil.pages.contents import Kind
+from hil.reports.made_from import machine_fact
 from hil.version import software_version
 from virtual_bus.faults.registry import fault_kinds
 
-_TEMPLATE = Path(__file__).with_name("page.html")
 PAGE, DATA = "faults.html", "faults.json"
 BAD = ("not at rest", "did not end")
 DOUBTFUL = ("unnoticed", "never began")
+MEANINGS = {
+    "stopped": "the run ended with an error and every axis is at rest.",
+    "noted": "the run went on and said something of it.",
+    "within tolerance": "the run ended as if nothing had been, and every recorded position is that of a run without the fault.",
+    "unnoticed": "the run ended as if nothing had been; the fault may be harmless.",
+    "cannot be held": "brake and drive are both lost, which the run said at once.",
+    "not at rest": f"an axis still moved when the watch ended, {REST_AT_MOST_S:g} s after the last SYNC at most.",
+}
 _HEAD = ("fault", "at", "during", "verdict", "rest [s]", "travel [{unit}]", "budget", "at the end", "rows", "said")
 
 
@@ -42,27 +52,68 @@ def document_of(machine: Machine, axis: str, outcomes: Sequence[TrialOutcome], m
 
 def write_page(machine: Machine, axis: str, outcomes: Sequence[TrialOutcome], folder: Path, motion: Motion) -> Path:
     """Write the page into a folder and return its path."""
-    path = folder / PAGE
-    path.write_text(page_of(machine, axis, outcomes, motion), encoding="utf-8")
-    return path
+    return write(page_of(machine, axis, outcomes, motion), folder / PAGE)
 
 
-def page_of(machine: Machine, axis: str, outcomes: Sequence[TrialOutcome], motion: Motion) -> str:
-    """Return the page's text, the classes of faults in their own order and the worst of each first."""
+def page_of(machine: Machine, axis: str, outcomes: Sequence[TrialOutcome], motion: Motion) -> Page:
+    """Return the page: what failed on top, then the classes of faults in their own order and the worst of each first."""
     unit = machine.units[machine.axis_index(axis)].position
     groups = list(dict.fromkeys(outcome.group for outcome in outcomes))
-    return Template(_TEMPLATE.read_text(encoding="utf-8")).substitute(
-        machine=html.escape(machine.name),
-        description=html.escape(machine.description),
-        motion=html.escape(MOTIONS[motion.name].format(axis=axis, speed=motion.speed, unit=unit)),
-        count=len(outcomes),
-        seconds=f"{sum(outcome.processor_s for outcome in outcomes):.0f}",
-        software=html.escape(software_version()),
-        hash=machine.hash[:12],
-        summary=html.escape(summary_of(outcomes)),
-        watch=f"{REST_AT_MOST_S:g}",
-        sections="\n".join(_section(group, [outcome for outcome in outcomes if outcome.group == group], unit) for group in groups),
+    failed = [outcome for outcome in outcomes if is_failure(outcome)]
+    moved = MOTIONS[motion.name].format(axis=axis, speed=motion.speed, unit=unit)
+    made = f"Each fault was injected into the emulated machine during one short session: boot, first-move check, homing, and {moved}"
+    counted = "Time and travel count from the fault; a fault of a stop counts from the release of hold-to-run."
+    sections = [Section("What failed", [_table(failed, unit)])] if failed else []
+    for group in groups:
+        sections.append(
+            Section(_capital(group), [_table([each for each in outcomes if each.group == group], unit)], is_folded=bool(failed))
+        )
+    words = Section("What the words mean", [Text(f"{made} (sweep: near its greatest speed). {counted}"), *_meanings()], is_folded=True)
+    command, reason = _next(machine, failed)
+    return Page(
+        f"Faults of {machine.name}",
+        Verdict(_verdict(outcomes, failed), "bad" if failed else "good"),
+        [*sections, words],
+        command,
+        reason,
+        {
+            "Machine": f"{machine_fact(machine)}, {machine.description}",
+            "Moved by": moved,
+            "Faults": summary_of(outcomes),
+            "Processor": f"{sum(outcome.processor_s for outcome in outcomes):.0f} s",
+        },
+        is_emulated=True,
     )
+
+
+def _verdict(outcomes: Sequence[TrialOutcome], failed: Sequence[TrialOutcome]) -> str:
+    count = "The fault" if len(outcomes) == 1 else f"All {len(outcomes)} faults"
+    if not failed:
+        who = "it" if len(outcomes) == 1 else "they"
+        return f"{count} ended as {who} must: stopped within the budget, noted, or said to be beyond holding."
+    how = Counter(_failure(outcome) for outcome in failed)
+    return f"{len(failed)} of {len(outcomes)} faults failed: " + ", ".join(f"{number} {word}" for word, number in how.most_common()) + "."
+
+
+def _failure(outcome: TrialOutcome) -> str:
+    if outcome.verdict in BAD + DOUBTFUL:
+        return outcome.verdict
+    return "over the budget" if is_over_budget(outcome) else "told wrongly"
+
+
+def _next(machine: Machine, failed: Sequence[TrialOutcome]) -> tuple[str, str]:
+    if not failed:
+        return "", ""
+    only = shlex.quote(failed[0].name)
+    return f"isocenter faults check {machine.name} --only {only} -o again", "tries the first of them alone."
+
+
+def _meanings() -> list[Text]:
+    return [Text(f"{word}: {meaning}") for word, meaning in MEANINGS.items()]
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def summary_of(outcomes: Sequence[TrialOutcome]) -> str:
@@ -84,32 +135,27 @@ def is_failure(outcome: TrialOutcome) -> bool:
     return outcome.verdict in BAD + DOUBTFUL or is_over_budget(outcome) or bool(outcome.contradicted)
 
 
-def _section(group: str, outcomes: Sequence[TrialOutcome], unit: str) -> str:
-    head = "".join(f"<th>{cell.format(unit=unit)}</th>" for cell in _HEAD)
+def _table(outcomes: Sequence[TrialOutcome], unit: str) -> Table:
     ranked = sorted(outcomes, key=lambda outcome: 0 if outcome.verdict in BAD else 1 if is_failure(outcome) else 2)
-    rows = "\n".join(_row(outcome) for outcome in ranked)
-    return f"<h2>{html.escape(group[0].upper() + group[1:])}</h2>\n<table>\n<tr>{head}</tr>\n{rows}\n</table>"
+    kinds: list[Kind] = ["bad" if each.verdict in BAD else "unsure" if is_failure(each) else "good" for each in ranked]
+    return Table([cell.format(unit=unit) for cell in _HEAD], [_row(outcome) for outcome in ranked], frozenset((4, 5, 8)), kinds)
 
 
-def _row(outcome: TrialOutcome) -> str:
-    look = "bad" if outcome.verdict in BAD else "doubtful" if is_failure(outcome) else "good"
+def _row(outcome: TrialOutcome) -> list[str]:
     told = [f"NOT TRUE: {claim}" for claim in outcome.contradicted] + [f"stopping: {trouble}" for trouble in outcome.stopping]
     details = outcome.name.split("/")[3:]
-    does = fault_kinds()[outcome.kind].does
-    said = "<br>".join(html.escape(text) for text in (outcome.said, *told) if text)
-    cells = (
-        f"<td>{html.escape(outcome.kind)} {html.escape(' '.join(details))}<br><small>{html.escape(does)}</small></td>",
-        f"<td>{html.escape(outcome.at)}</td>",
-        f"<td>{html.escape(outcome.during)}</td>",
-        f"<td>{html.escape(outcome.verdict)}<br><small>exit status {outcome.exit_status}</small></td>",
-        f'<td class="number">{_number(outcome.rest_s, 2)}</td>',
-        f'<td class="number">{_number(outcome.travel, 3)}</td>',
-        f"<td>{html.escape(_budget(outcome))}</td>",
-        f"<td>{html.escape(outcome.ending)}</td>",
-        f'<td class="number">{outcome.rows} of {outcome.planned}</td>',
-        f"<td>{said}</td>",
-    )
-    return f'<tr class="{look}">' + "".join(cells) + "</tr>"
+    return [
+        f"{outcome.kind} {' '.join(details)}".rstrip() + f"\n{fault_kinds()[outcome.kind].does}",
+        outcome.at,
+        outcome.during,
+        f"{outcome.verdict}\nexit status {outcome.exit_status}",
+        _number(outcome.rest_s, 2),
+        _number(outcome.travel, 3),
+        _budget(outcome),
+        outcome.ending,
+        f"{outcome.rows} of {outcome.planned}",
+        "\n".join(text for text in (outcome.said, *told) if text),
+    ]
 
 
 def _budget(outcome: TrialOutcome) -> str:

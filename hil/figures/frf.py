@@ -8,11 +8,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from hil.identification.modal.resonances import Resonance
 from hil.identification.result import FrequencyResponse
 
 # Okabe and Ito's palette: told apart by colour-blind readers and in grey
 BLUE, VERMILION, ORANGE, GREY = "#0072B2", "#D55E00", "#E69F00", "#BBBBBB"
 CELL_WIDTH_IN, MAGNITUDE_HEIGHT_IN, PHASE_HEIGHT_IN = 3.6, 1.7, 0.8
+NAME_WIDTH = 0.3  # of a panel, that the name of a resonance takes
 
 
 def frf_figure(
@@ -20,6 +22,7 @@ def frf_figure(
     *,
     over_poses: Sequence[FrequencyResponse] = (),
     compared: Sequence[tuple[str, np.ndarray, np.ndarray]] = (),
+    modes: Sequence[Resonance] = (),
     title: str = "",
 ) -> Figure:
     """Draw magnitude and phase of every element, with the standard deviations due to noise and to nonlinear distortion.
@@ -29,7 +32,8 @@ def frf_figure(
     response : the frequency response drawn.
     over_poses : responses whose range of magnitudes is drawn as a grey band.
     compared : (label, frequencies_Hz (K,), G (K, n_y, n_u)) drawn as thin lines, e.g. a model.
-    title : above the grid.
+    modes : resonances, marked with frequency and damping ratio.
+    title : above the grid; the pose where none is given.
     """
     _, n_y, n_u = response.G.shape
     figure = Figure(figsize=(CELL_WIDTH_IN * n_u + 1.0, (MAGNITUDE_HEIGHT_IN + PHASE_HEIGHT_IN) * n_y + 0.9), layout="constrained")
@@ -38,6 +42,8 @@ def frf_figure(
         for j in range(n_u):
             _draw_magnitude(grid[2 * i, j], response, i, j, over_poses, compared)
             _draw_phase(grid[2 * i + 1, j], response, i, j, compared)
+            _mark(grid[2 * i, j], modes, named=i == 0)
+            _mark(grid[2 * i + 1, j], modes, named=False)
     for j in range(n_u):
         grid[-1, j].set_xlabel("Frequency [Hz]")
         grid[0, j].set_title(f"from {_label(response.input_names[j], response.input_units[j])}", fontsize="medium")
@@ -75,6 +81,29 @@ def _draw_magnitude(
             f"{response.output_names[i]}\n[dB re {_ratio(response.output_units[i], response.input_units[j])}]", fontsize="small"
         )
     axes.grid(alpha=0.3, linewidth=0.5)
+
+
+def _mark(axes: Axes, modes: Sequence[Resonance], *, named: bool) -> None:
+    """Mark resonances by lines, which the upper panels name; names of close ones go one below the other."""
+    low, high = axes.get_xlim()
+    row, last = 0, -np.inf
+    for mode in modes:
+        axes.axvline(mode.frequency_Hz, color="black", linewidth=0.6, linestyle=(0, (2, 2)))
+        if not named:
+            continue
+        at = np.log(mode.frequency_Hz / low) / np.log(high / low)
+        row, last = (row + 1 if at - last < NAME_WIDTH else 0), at
+        axes.annotate(
+            f"{mode.frequency_Hz:.3g} Hz, {100.0 * mode.damping:.2g} %",
+            (mode.frequency_Hz, 1.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(2.0 if at < 1.0 - NAME_WIDTH else -2.0, -8.0 * row - 2.0),
+            textcoords="offset points",
+            horizontalalignment="left" if at < 1.0 - NAME_WIDTH else "right",
+            verticalalignment="top",
+            fontsize="x-small",
+            bbox={"facecolor": "white", "alpha": 0.8, "linewidth": 0.0, "pad": 0.5},
+        )
 
 
 def _draw_phase(axes: Axes, response: FrequencyResponse, i: int, j: int, compared: Sequence[tuple[str, np.ndarray, np.ndarray]]) -> None:

@@ -12,6 +12,7 @@ from hil.identification.local.model import LocalModel
 from hil.identification.local.robust_lpm_lrm import robust_local
 from hil.identification.local.selection import Candidate, Selection, select_local_model
 from hil.identification.modal.lpv_model import ModalFrfModel, fit_modal_model
+from hil.identification.modal.resonances import Resonance, Resonances, resonances
 from hil.identification.over_poses.nd_lpm_lrm import PoseModel, nd_local
 from hil.identification.over_poses.windows import PoseSymmetry
 from hil.identification.records import PeriodicRecords, periodic_records
@@ -33,6 +34,8 @@ __all__ = [
     "PeriodicRecords",
     "PoseModel",
     "PoseSymmetry",
+    "Resonance",
+    "Resonances",
     "Selection",
     "arbitrary_local",
     "design_excitation",
@@ -45,6 +48,7 @@ __all__ = [
     "nd_local",
     "periodic_records",
     "read_frf",
+    "resonances",
     "robust_bla",
     "robust_local",
     "select_local_model",

@@ -18,7 +18,7 @@ from hil.identification.local.robust_lpm_lrm import robust_local
 from hil.identification.local.selection import default_candidates, select_local_model
 from hil.identification.over_poses.nd_lpm_lrm import ONE_POSE, PoseModel, nd_local
 from hil.identification.records import PeriodicRecords
-from hil.identification.result import FrequencyResponse
+from hil.identification.result import EMULATED, FrequencyResponse
 from hil.recording import Recording
 
 
@@ -74,7 +74,7 @@ def identify(
         hint = "; for this one use identify_poses" if method in (*POSE_METHODS, *ARBITRARY_METHODS) else ""
         raise IdentificationError(f"unknown method {method} for one pose; there are {', '.join(METHODS)}{hint}")
     records = records_from(recordings, axes=axes, outputs=outputs, plant_input=plant_input, settle_periods=settle_periods)
-    return _estimate(records, method, model)
+    return _with_origin(_estimate(records, method, model), recordings)
 
 
 def identify_poses(
@@ -126,14 +126,17 @@ def identify_poses(
     chosen = _polynomial(model) if polynomial else model
     groups = by_pose(recordings)
     if band_Hz is not None:
-        return arbitrary_local([arbitrary_records(group, **channels) for group in groups], band_Hz, chosen, over_poses or ONE_POSE)
+        found = arbitrary_local([arbitrary_records(group, **channels) for group in groups], band_Hz, chosen, over_poses or ONE_POSE)
+        return tuple(_with_origin(response, recordings) for response in found)
     records = [records_from(group, **channels, settle_periods=settle_periods) for group in groups]
     if method in METHODS:
-        return tuple(_estimate(each, method, _selected([each], polynomial)[0] if select else model) for each in records)
+        alone = (_estimate(each, method, _selected([each], polynomial)[0] if select else model) for each in records)
+        return tuple(_with_origin(response, recordings) for response in alone)
     if select:
         chosen, over_poses = _selected(records, polynomial)
     responses = nd_local(records, chosen, over_poses)
-    return tuple(_with_amplitude(response, each) for response, each in zip(responses, records, strict=True))
+    with_amplitude = (_with_amplitude(response, each) for response, each in zip(responses, records, strict=True))
+    return tuple(_with_origin(response, recordings) for response in with_amplitude)
 
 
 def _estimate(records: PeriodicRecords, method: str, model: LocalModel | None) -> FrequencyResponse:
@@ -147,6 +150,13 @@ def _with_amplitude(response: FrequencyResponse, records: PeriodicRecords) -> Fr
     rms = np.sqrt(square.sum(axis=0) / excited)
     kept = {f"{EXCITATION_RMS} {name}": float(value) for name, value in zip(response.input_names, rms, strict=True)}
     return replace(response, settings={**response.settings, **kept})
+
+
+def _with_origin(response: FrequencyResponse, recordings: Sequence[Recording]) -> FrequencyResponse:
+    """Keep in the settings that a recording was made on the emulator, so that what is made of the response can say so."""
+    if not any(recording.emulated for recording in recordings):
+        return response
+    return replace(response, settings={**response.settings, EMULATED: 1})
 
 
 def _selected(records: Sequence[PeriodicRecords], polynomial: bool) -> tuple[LocalModel, PoseModel]:

@@ -6,13 +6,18 @@ from typing import Any, Literal
 
 import numpy as np
 
+from hil.identification.modal.resonances import METHOD, Resonances
 from hil.identification.result import FrequencyResponse
 
+WIDENED = 1.2
+"""Misfit from which it is told that bounds are widened: less is the chance of a few hundred lines."""
 
-def response_lines(response: FrequencyResponse) -> list[str]:
-    """Return lines, band, and noise and nonlinear distortion per element as lines of text."""
+
+def response_lines(response: FrequencyResponse, modes: Resonances | None = None) -> list[str]:
+    """Return resonances, lines, band, and noise and nonlinear distortion per element as lines of text."""
     frequencies = response.frequencies_Hz
-    text = [f"{len(frequencies)} lines from {frequencies[0]:.3g} to {frequencies[-1]:.4g} Hz"]
+    text = [] if modes is None else resonance_lines(modes)
+    text.append(f"{len(frequencies)} lines from {frequencies[0]:.3g} to {frequencies[-1]:.4g} Hz")
     text += [f"note: {note}" for note in response.notes]
     text.append("median standard deviation relative to |G| (noise / total):")
     for i, output in enumerate(response.output_names):
@@ -20,6 +25,31 @@ def response_lines(response: FrequencyResponse) -> list[str]:
             noise, total = _relative(response, "noise", i, j), _relative(response, "total", i, j)
             text.append(f"  {source} -> {output:22s} {_percent(noise)} / {_percent(total)}")
     return text
+
+
+def resonance_lines(modes: Resonances) -> list[str]:
+    """Return the resonances in words, or why there are none."""
+    if not modes.found:
+        return [f"no resonance is told: {modes.reason}"]
+    count = f"{len(modes.found)} resonance{'s' if len(modes.found) > 1 else ''}"
+    left = f"; the fit leaves {modes.misfit:.2g} times the noise, by which the bounds are widened" if modes.misfit > WIDENED else ""
+    return [f"{count}, with 95 % bounds ({METHOD}{left}):", *(f"  {mode.line}" for mode in modes.found)]
+
+
+def resonance_document(modes: Resonances) -> dict[str, Any]:
+    """Return the resonances for JSON."""
+    found = [
+        {
+            "frequency_Hz": mode.frequency_Hz,
+            "frequency_ci95_Hz": list(mode.frequency_ci95_Hz),
+            "damping": mode.damping,
+            "damping_ci95": list(mode.damping_ci95),
+            "output": mode.output,
+            "input": mode.input,
+        }
+        for mode in modes.found
+    ]
+    return {"modes": found, "modes_method": METHOD, "modes_misfit": modes.misfit, "no_modes": modes.reason}
 
 
 def response_document(response: FrequencyResponse) -> dict[str, Any]:

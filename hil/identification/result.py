@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from hil.identification.covariance import circle_factor, hotelling_bound, variances
 from hil.identification.errors import IdentificationError
+
+EMULATED = "emulated"
+"""Key of a response's settings, 1 where a recording of it was made on the emulator."""
+if TYPE_CHECKING:
+    import control
 
 CovarianceKind = Literal["noise", "total", "nonlinear"]
 
@@ -82,6 +87,11 @@ class FrequencyResponse:
     pose: tuple[float, ...] = ()
     notes: tuple[str, ...] = ()
 
+    @property
+    def emulated(self) -> bool:
+        """Whether a recording that it was identified from was made on the emulator."""
+        return self.settings.get(EMULATED) == 1
+
     def covariance(self, kind: CovarianceKind) -> np.ndarray:
         """Return the covariance of vec(G), (L, n_y n_u, n_y n_u).
 
@@ -96,6 +106,14 @@ class FrequencyResponse:
             }
             raise IdentificationError(f"this frequency response ({self.method}) has no {kind} covariance: it takes {needs[kind]}")
         return chosen
+
+    @property
+    def control(self) -> control.FRD:
+        """The response as an object of python-control, sampled, with the names of inputs and outputs; without covariances."""
+        import control  # takes half a second to load, and only this needs it
+
+        data, omega_rad_s = np.moveaxis(self.G, 0, -1), 2.0 * np.pi * self.frequencies_Hz
+        return control.FRD(data, omega_rad_s, dt=1.0 / self.sample_rate_Hz, inputs=list(self.input_names), outputs=list(self.output_names))
 
     def standard_deviation(self, kind: CovarianceKind = "total") -> np.ndarray:
         """Return the standard deviation of each complex element, sqrt(E |error|^2): (L, n_y, n_u)."""

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from controllers.settings import AxisLimits
-from hil.machine.build_bodies import build_tree
+from hil.machine.build_bodies import build_tree, orientation_matrix
 from hil.machine.messages import ComplaintError
 from hil.machine.model import AxisUnits, Geometry
 from hil.machine.schema import CurrentTable, DriveTable, EncoderTable, ImuTable, MachineTable, SpeedTable, TemperatureTable
 from hil.machine.table import Table
 from hil.machine.units import ANGULAR, CONSTANT_UNITS, LINEAR
+from virtual_bus.plant.parameters import possible_parameters
 from virtual_bus.settings import CurrentSensor, Drive, Encoder, Imu, Joint, PlantSettings, SpeedSensor, Thermometer, Tree
 
 Where = tuple[str | int, ...]
@@ -70,7 +72,7 @@ def build_plant(table: MachineTable) -> PlantSettings:
         if f"position_{axis}" not in table.sensors and (table.controller or table.bus):
             raise ComplaintError(("sensors", f"position_{axis}"), "is missing; every axis with a controller has a motor-side encoder")
     watched = () if table.geometry is None else tuple(dict.fromkeys((table.geometry.source_body, table.geometry.detector_body)))
-    return PlantSettings(
+    plant = PlantSettings(
         tree=tree,
         drives=tuple(drives),
         encoders=tuple(encoders),
@@ -82,6 +84,21 @@ def build_plant(table: MachineTable) -> PlantSettings:
         watched_bodies=watched,
         speeds=tuple(speeds),
     )
+    return replace(plant, tolerances=tuple(_tolerances(table, plant)))
+
+
+def _tolerances(table: MachineTable, plant: PlantSettings) -> Iterator[tuple[str, float]]:
+    """Name and hard bound of every number that the file gives one."""
+    known = [parameter.name for parameter in possible_parameters(plant)]
+    for owner, numbers in table.tolerances.items():
+        own = [name.partition(".")[2] for name in known if name.startswith(f"{owner}.")]
+        if not own:
+            require_known(
+                owner, dict.fromkeys(name.partition(".")[0] for name in known), ("tolerances", owner), "body, joint, drive or IMU"
+            )
+        for quantity, bound in numbers.items():
+            require_known(quantity, own, ("tolerances", owner, quantity), "number")
+            yield f"{owner}.{quantity}", bound
 
 
 def _drive(axis: str, drive: DriveTable, kind: str) -> Drive:
@@ -185,13 +202,11 @@ def _current(channel: str, sensor: CurrentTable, table: MachineTable) -> Current
 
 
 def _imu(channel: str, sensor: ImuTable) -> Imu:
-    from scipy.spatial.transform import Rotation
-
     return Imu(
         name=channel,
         body=sensor.body,
         position_m=np.array(sensor.position),
-        orientation=Rotation.from_euler("xyz", sensor.orientation).as_matrix(),
+        orientation=orientation_matrix(sensor.orientation),
         accelerometer_noise_rms_m_s2=np.array(sensor.accelerometer_noise_rms),
         accelerometer_bias_m_s2=np.array(sensor.accelerometer_bias),
         accelerometer_bandwidth_Hz=sensor.accelerometer_bandwidth,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from hil.machine.messages import ComplaintError
 from hil.machine.schema import BodyTable, JointTable, MachineTable
@@ -46,7 +45,7 @@ def build_tree(table: MachineTable, armatures: dict[str, float]) -> Tree:
                 name=body.name,
                 parent=body.parent,
                 position_m=np.array(body.position),
-                orientation=Rotation.from_euler("xyz", body.orientation).as_matrix(),
+                orientation=orientation_matrix(body.orientation),
                 mass_kg=body.mass,
                 center_of_mass_m=np.array(body.center_of_mass),
                 inertia_kg_m2=inertia,
@@ -56,6 +55,16 @@ def build_tree(table: MachineTable, armatures: dict[str, float]) -> Tree:
     if not joint_names:
         raise ComplaintError(("body",), "no body has a joint; a machine needs at least one that moves")
     return Tree(tuple(bodies), np.array(table.gravity))
+
+
+def orientation_matrix(angles_rad: tuple[float, float, float]) -> np.ndarray:
+    """Return the rotation matrix (3, 3) of a frame turned about its parent's x, y and z axes, in this order."""
+    if not any(angles_rad):
+        return np.eye(3)  # as SciPy gives it, which takes longer to import than most machine files to read
+    from scipy.spatial.transform import Rotation
+
+    turned: np.ndarray = Rotation.from_euler("xyz", angles_rad).as_matrix()
+    return turned
 
 
 def _joint(joint: JointTable, where: tuple[str | int, ...], armature: float) -> Joint:

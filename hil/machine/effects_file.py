@@ -8,7 +8,7 @@ Fc_Nm = 12.0
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -45,8 +45,13 @@ def effects_from_text(text: str, machine: Machine, label: str) -> tuple[EffectSe
     entries = raw.get("effect", [])
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
         raise MachineFileError(f"{label}: effect: must be tables; write [[effect]] above each")
+    return bound_effects([_plain(entry) for entry in entries], machine, label)
+
+
+def bound_effects(entries: Sequence[Mapping[str, object]], machine: Machine, label: str) -> tuple[EffectSetting, ...]:
+    """Effects from tables as an effects file has them, each with `name`, `at` and parameters; MachineFileError says what is wrong."""
     try:
-        return bind_effects([_plain(entry) for entry in entries], machine.plant, label)
+        return bind_effects(entries, machine.plant, label)
     except EffectError as error:
         raise MachineFileError(" ".join(str(error).split())) from None
 

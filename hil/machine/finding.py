@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hil.machine.closed_loop import Margins
 from hil.machine.model import Machine
+
+if TYPE_CHECKING:
+    from hil.machine.closed_loop import Margins
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,10 @@ from hil.machine.build_budgets import brake_delays, build_budgets, quick_stops
 from hil.machine.build_bus import build_bus
 from hil.machine.build_control import build_commands, build_controllers, build_drive_loops
 from hil.machine.build_judging import build_judging
+from hil.machine.editors import without_schema_line
 from hil.machine.messages import ComplaintError, from_validation, one_line
 from hil.machine.model import Machine
+from hil.machine.open_points import marks
 from hil.machine.schema import MachineTable
 
 SHIPPED = Path(__file__).resolve().parent / "shipped"
@@ -36,12 +38,26 @@ def load_machine(name_or_path: str | Path) -> Machine:
     MachineFileError
         One line: file, key, value, what is wrong and what would be right.
     """
-    path = SHIPPED / f"{name_or_path}.toml"
-    if not (isinstance(name_or_path, str) and name_or_path.isidentifier() and path.is_file()):
-        path = Path(name_or_path)
+    path = _path(name_or_path)
+    return machine_from_text(text_of(path), path)
+
+
+def text_of(name_or_path: str | Path) -> str:
+    """Return the text of a machine file, unread.
+
+    Raises
+    ------
+    MachineFileError
+        It cannot be read.
+    """
     shipped = ", ".join(sorted(entry.stem for entry in SHIPPED.glob("*.toml")))
-    text = read_text(path, f"give a machine file's path or a shipped name: {shipped}")
-    return machine_from_text(text, path)
+    return read_text(_path(name_or_path), f"give a machine file's path or a shipped name: {shipped}")
+
+
+def _path(name_or_path: str | Path) -> Path:
+    path = SHIPPED / f"{name_or_path}.toml"
+    is_shipped = isinstance(name_or_path, str) and name_or_path.isidentifier() and path.is_file()
+    return path if is_shipped else Path(name_or_path)
 
 
 def machine_from_text(text: str, path: Path | None = None, label: str = "") -> Machine:
@@ -74,7 +90,7 @@ def machine_from_text(text: str, path: Path | None = None, label: str = "") -> M
             name=table.name,
             description=table.description,
             text=text,
-            hash=hashlib.sha256(text.encode("utf-8")).hexdigest(),
+            hash=hashlib.sha256(without_schema_line(text).encode("utf-8")).hexdigest(),
             path=path,
             axes=tuple(table.drives),
             sample_rate_Hz=table.timing.sample_rate,
@@ -96,9 +112,19 @@ def machine_from_text(text: str, path: Path | None = None, label: str = "") -> M
             judging=build_judging(table, plant, bus),
         )
     except ValidationError as error:
-        raise MachineFileError(one_line(file, raw, from_validation(error))) from None
+        raise MachineFileError(_open_points(text, file) or one_line(file, raw, from_validation(error))) from None
     except ComplaintError as complaint:
-        raise MachineFileError(one_line(file, raw, complaint)) from None
+        raise MachineFileError(_open_points(text, file) or one_line(file, raw, complaint)) from None
+
+
+def _open_points(text: str, file: str) -> str:
+    """Return what is wrong with a file that is not filled in yet."""
+    missing, _ = marks(text)
+    if not missing:
+        return ""
+    first = missing[0]
+    words = f"{first.key} is to be filled in (one of {len(missing)} open points; `isocenter machine check` lists them)"
+    return f"{file}: line {first.line}: {words}"
 
 
 def read_text(path: Path, right: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 
@@ -46,7 +47,7 @@ class Machine:
     name: str
     description: str
     text: str  # the file, as it is kept in recordings
-    hash: str  # sha256 of the text
+    hash: str  # sha256 of the text, less a first line `#:schema`
     path: Path | None  # None when it came out of a recording
     axes: tuple[str, ...]
     sample_rate_Hz: float
@@ -97,6 +98,6 @@ class Machine:
             return None
         return max((axis for axis in self.axes if name.endswith(f"_{axis}")), key=len, default=None)
 
-    def with_effects(self, effects: tuple[EffectSetting, ...]) -> Machine:
+    def with_effects(self, effects: tuple[EffectSetting, ...]) -> Self:
         """Return the same machine with other physics added by name."""
         return replace(self, plant=replace(self.plant, effects=tuple(effects)))

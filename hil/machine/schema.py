@@ -345,3 +345,7 @@ class MachineTable(Table):
     """Time and travel to standstill, by axis."""
     judging: JudgingTable | None = None
     """What is allowed of the sensors in a run."""
+    tolerances: Annotated[dict[Name, dict[Name, Positive]], Field(default_factory=dict)]
+    """By how much numbers of bodies, joints, drives and sensors may be wrong at most, in their own units: `arm = { mass_kg = 0.5,
+    center_of_mass_y_m = 0.02, inertia_xz_kg_m2 = 0.1 }`. A diagnosis re-tunes numbers within these bounds, also such as are zero. Without
+    one, numbers that are not zero may be wrong by 15 %."""

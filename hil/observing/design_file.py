@@ -40,6 +40,7 @@ def write_design(design: ObserverDesign, path: str | Path) -> None:
     arrays["places"] = np.array(model.places, dtype=np.str_)
     arrays |= {f"noise_{field.name}": np.array(getattr(noise, field.name)) for field in fields(noise)}
     arrays |= {"isocenter_m": design.isocenter_m, "machine": design.machine, "machine_hash": design.machine_hash}
+    arrays["poses"] = design.poses
     arrays["notes"] = np.array(design.notes, dtype=np.str_)
     write_arrays(path, arrays)
 
@@ -108,6 +109,7 @@ def _design(arrays: dict[str, np.ndarray]) -> ObserverDesign:
         str(arrays["machine"]),
         str(arrays["machine_hash"]),
         tuple(str(note) for note in arrays["notes"]),
+        arrays.get("poses", np.zeros((0, 0))),
     )
 
 

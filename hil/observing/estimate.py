@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hil.errors import UnusableInputError
 from hil.files.arrays import read_arrays, write_arrays
+from hil.files.frames import data_frame
 from hil.recording import Channel, Recording, write_recording
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 FORMAT = 1
 
@@ -50,6 +54,11 @@ class Estimate:
             return self.values[:, self.names.index(name)]
         except ValueError:
             raise UnusableInputError(f"no estimate {name}; there is {', '.join(self.names[: len(self.names) // 2])}") from None
+
+    def frame(self) -> pd.DataFrame:
+        """Return the columns over time [s], their units in `attrs["units"]`; UnusableInputError without pandas, an extra."""
+        columns = dict(zip(self.names, self.values.T, strict=True))
+        return data_frame(columns, index=self.time_s, index_name="time", units=dict(zip(self.names, self.units, strict=True)))
 
 
 _NAMES = ("names", "units", "measured_names", "state_names", "notes")

@@ -63,6 +63,7 @@ class ObserverDesign:
     machine : name of the machine it was made for
     machine_hash : of the machine file
     notes : how it was made and how well it fits
+    poses : (P, n_axes) at which the machine was measured for it [rad or m]; (0, 0) where that is not known
     """
 
     model: ModalModel
@@ -71,6 +72,7 @@ class ObserverDesign:
     machine: str
     machine_hash: str
     notes: tuple[str, ...] = field(default=())
+    poses: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
 
     def observer(self, kind: FilterKind = "ukf", adapted: Sequence[int] = ()) -> ModalObserver:
         """Return a fresh observer of this design."""
@@ -149,7 +151,7 @@ def design_observer(
             f" {100.0 * tuning.share_in_band:.1f} % in the 95 % band"
         )
     _, _, _, isocenter = observed_chain(machine)
-    return ObserverDesign(model, noise, isocenter, machine.name, machine.hash, tuple(notes))
+    return ObserverDesign(model, noise, isocenter, machine.name, machine.hash, tuple(notes), np.array(poses))
 
 
 def emulated_design(machine: Machine, tuned_on: Sequence[Recording] = (), modes: int = DEFAULT_MODES, seed: int = 0) -> ObserverDesign:

@@ -7,13 +7,17 @@ import itertools
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hil.errors import RecordingError
+from hil.files.frames import data_frame
 from hil.files.toml_text import plain
 from hil.recording.channels import check_name, unit_and_factor
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 UNEQUAL_STEP = 0.01
 """Largest deviation of a time step from the mean, as a share of it, that counts as equal sampling: clocks of real recorders jitter by about
@@ -108,6 +112,18 @@ class Recording:
         """Return the values (N, len(names)) of several channels side by side."""
         return np.column_stack([self[name] for name in names])
 
+    def frame(self) -> pd.DataFrame:
+        """Return the channels as columns over time [s], a missing sample as NaN; their units are in `attrs["units"]`.
+
+        Raises
+        ------
+        UnusableInputError
+            Pandas, an extra, is not installed.
+        """
+        rest = {name: channel for name, channel in self.channels.items() if name != "time"}
+        values, units = {name: each.values for name, each in rest.items()}, {name: each.unit for name, each in rest.items()}
+        return data_frame(values, index=self.time, index_name="time", units=units)
+
     @property
     def rows(self) -> int:
         """Number of rows."""
@@ -170,6 +186,11 @@ class Recording:
     def machine_text(self) -> str:
         """Text of the machine file; "" where it is not known."""
         return str(self.metadata.get("machine", {}).get("text", ""))
+
+    @property
+    def emulated(self) -> bool:
+        """Whether the recording says that an emulator was the machine; one of another source does not say."""
+        return self.metadata.get("emulated") is True
 
     @property
     def experiment(self) -> dict[str, Any]:

@@ -236,8 +236,8 @@ def named_or_own(found: Columns, names: Mapping[str, Target], path: Path) -> tup
     return wanted, not_taken
 
 
-def machine_unit(channel: str, machine: Machine, path: Path) -> str:
-    """Return the unit of a channel of this machine."""
+def machine_unit(channel: str, machine: Machine, path: Path | str) -> str:
+    """Return the unit of a channel of this machine; `path` is how messages call the file."""
     if channel in FIXED_UNITS:
         return FIXED_UNITS[channel]
     axis = machine.axis_of_channel(channel)

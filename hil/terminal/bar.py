@@ -13,12 +13,10 @@ import sys
 import threading
 from collections.abc import Iterator
 
-from rich.console import Console
-
 from hil.recording import RecorderProcess
 from hil.recording.recorder import be_modest
 from hil.recording.ring import PRODUCED, Ring
-from hil.terminal.output import progress
+from hil.terminal.progress import progress
 
 LOOK_S = 0.5
 """Period at which it looks: two updates a second look smooth and leave the processor alone."""
@@ -64,7 +62,7 @@ def main(arguments: list[str]) -> None:
         ended.set()
 
     threading.Thread(target=wait_for_the_end, daemon=True).start()
-    with progress(Console(stderr=True), refresh_Hz=1.0 / LOOK_S) as bars:
+    with progress(refresh_Hz=1.0 / LOOK_S) as bars:
         task = bars.add_task(name, total=int(rows))
         while not ended.wait(LOOK_S):
             bars.update(task, completed=ring.counters[PRODUCED])

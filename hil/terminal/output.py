@@ -7,15 +7,10 @@ import json
 import math
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from hil.errors import UnusableInputError
 
@@ -34,11 +29,15 @@ class Answer:
     def __init__(self, json_to: str | None) -> None:
         if json_to is not None and json_to != "-":
             refuse_unwritable(Path(json_to), f"--json {json_to}")
+        from rich.console import Console  # not for --help
+
         self._json_to = json_to
+        self.said: list[str] = []
         self.console = Console(stderr=json_to == "-", highlight=False, soft_wrap=True)
 
     def say(self, text: object = "") -> None:
-        """Print for a person."""
+        """Print for a person, and keep it for a page."""
+        self.said.append(str(text))
         self.console.print(text, markup=False)
 
     def write(self, document: object) -> None:
@@ -108,10 +107,8 @@ def plain(value: object) -> object:
         return {str(key): plain(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple, set)):
         return [plain(entry) for entry in value]
-    if isinstance(value, np.ndarray):
+    if hasattr(value, "tolist"):  # NumPy's arrays and numbers, known without importing it
         return plain(value.tolist())
-    if isinstance(value, np.generic):
-        return plain(value.item())
     if isinstance(value, float) and not math.isfinite(value):
         return None
     if isinstance(value, Path):
@@ -133,31 +130,3 @@ def save_figure(figure: Figure, path: Path) -> None:
         figure.savefig(path, dpi=130)
     except (OSError, ValueError) as error:
         raise UnusableInputError(f"{path}: cannot be written: {getattr(error, 'strerror', None) or error}") from None
-
-
-def follower(bars: Progress, task: TaskID, done: int = 0) -> Callable[[int], None]:
-    """Return a callback that moves a bar to `done` plus its argument."""
-
-    def follow(row: int) -> None:
-        bars.update(task, completed=done + row)
-
-    return follow
-
-
-@contextmanager
-def progress(console: Console, live: bool = True, refresh_Hz: float = 10.0) -> Iterator[Progress]:
-    """Show progress bars for whatever takes longer than two seconds; drawn on a terminal, silent elsewhere.
-
-    With `live` False nothing is drawn while the block runs: a drawing thread beside a sample loop on the wall clock costs it milliseconds.
-    """
-    with Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f} %"),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        disable=not (live and console.is_terminal),
-        refresh_per_second=refresh_Hz,
-    ) as bars:
-        yield bars

@@ -35,7 +35,7 @@ LEAVES = ("__init__", "result")
 """Files of `hil/diagnosis` that know nothing of it."""
 
 HERE = "hil.diagnosis"
-OUTSIDE = ("hil.cli", "hil.demo")
+OUTSIDE = ("hil.cli", "hil.demo", "hil.tasks")
 """Of the bench, what knows the diagnosis itself."""
 
 

@@ -73,7 +73,7 @@ class PlantEquations:
         self.accelerations = [self.graph.input(f"a[{i}]") for i in range(len(joints))]
         self.links: list[Link] = []
         self.placements: dict[str, Placement] = {"world": Placement(WORLD, *self._at_rest())}
-        self._gravity = self._parameter_vector("gravity", "", "m_s2", settings.tree.gravity_m_s2)
+        self._gravity = self._parameter_vector("gravity", "", "m_s2")
         self._build_links()
 
     # ---- parameters ------------------------------------------------------------------------------------------------------------
@@ -82,10 +82,9 @@ class PlantEquations:
         """Return the run-time parameter of that name, or a structural zero when the plant has none."""
         return self.graph.input(f"p[{self._index[name]}]", is_parametric=True) if name in self._index else self.graph.zero
 
-    def _parameter_vector(self, owner: str, quantity: str, unit: str, values: np.ndarray) -> Vector:
+    def _parameter_vector(self, owner: str, quantity: str, unit: str) -> Vector:
         prefix = f"{owner}.{quantity}_" if quantity else f"{owner}."
-        names = [f"{prefix}{letter}_{unit}" for letter in AXES]
-        x, y, z = (self.parameter(name) if value != 0.0 else self.graph.zero for name, value in zip(names, values, strict=True))
+        x, y, z = (self.parameter(f"{prefix}{letter}_{unit}") for letter in AXES)
         return x, y, z
 
     def _at_rest(self) -> tuple[Matrix, Vector]:
@@ -97,7 +96,7 @@ class PlantEquations:
         for body in self.settings.tree.bodies:
             parent = self.placements[body.parent]
             orientation = vectors.constant_matrix(self.graph, clean_rotation(body.orientation))
-            position = self._parameter_vector(body.name, "position", "m", body.position_m)
+            position = self._parameter_vector(body.name, "position", "m")
             rotation = vectors.product(parent.rotation, orientation)
             origin = vectors.add(parent.origin, vectors.apply(parent.rotation, position))
             mass, moment, inertia = self._body_inertia(body)
@@ -140,9 +139,7 @@ class PlantEquations:
         """Return mass, first moment and inertia of one body about its own origin."""
         zero = self.graph.zero
         mass = self.parameter(f"{body.name}.mass_kg")
-        center = (
-            self._parameter_vector(body.name, "center_of_mass", "m", body.center_of_mass_m) if body.mass_kg != 0.0 else (zero, zero, zero)
-        )
+        center = self._parameter_vector(body.name, "center_of_mass", "m")
         entry = {label: self.parameter(f"{body.name}.inertia_{label}_kg_m2") for label, _, _ in INERTIA_ENTRIES}
         about_center = (
             (entry["xx"], entry["xy"], entry["xz"]),
@@ -263,7 +260,7 @@ class PlantEquations:
             motion = Motion(rest, rest, vectors.scale(-self.graph.one, self._gravity))
         else:
             motion = self.motions(with_accelerations=True)[placement.link]
-        sensor = self._parameter_vector(imu.name, "position", "m", imu.position_m)
+        sensor = self._parameter_vector(imu.name, "position", "m")
         r = vectors.add(placement.origin, vectors.apply(placement.rotation, sensor))
         force = vectors.add(
             motion.acceleration, vectors.cross(motion.alpha, r), vectors.cross(motion.omega, vectors.cross(motion.omega, r))

@@ -1,13 +1,14 @@
 """The numbers of a plant that may change without a new compilation: names, units and values.
 
-Entries that are zero in the settings are structural zeros of the equations and no parameters. Joint stiffness, damping, rest position,
+Entries that are zero in the settings are structural zeros of the equations and no parameters, unless a tolerance is stated for them.
+Joint stiffness, damping, rest position,
 armature and brake effort, and the sensors' bandwidths, are always parameters.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,6 +26,7 @@ class PlantParameter:
     quantity: str
     unit: str
     value: float
+    tolerance: float | None = None  # by how much it may be wrong at most, in its unit, as far as the machine file says
 
     @property
     def name(self) -> str:
@@ -35,8 +37,7 @@ class PlantParameter:
 
 def _entries(owner: str, quantity: str, unit: str, vector: np.ndarray) -> Iterator[PlantParameter]:
     for letter, value in zip(AXES, vector, strict=True):
-        if value != 0.0:
-            yield PlantParameter(owner, f"{quantity}_{letter}", unit, float(value))
+        yield PlantParameter(owner, f"{quantity}_{letter}", unit, float(value))
 
 
 def _body_parameters(body: Body) -> Iterator[PlantParameter]:
@@ -45,8 +46,7 @@ def _body_parameters(body: Body) -> Iterator[PlantParameter]:
         yield PlantParameter(body.name, "mass", "kg", body.mass_kg)
         yield from _entries(body.name, "center_of_mass", "m", body.center_of_mass_m)
     for label, i, j in INERTIA_ENTRIES:
-        if body.inertia_kg_m2[i, j] != 0.0:
-            yield PlantParameter(body.name, f"inertia_{label}", "kg m^2", float(body.inertia_kg_m2[i, j]))
+        yield PlantParameter(body.name, f"inertia_{label}", "kg m^2", float(body.inertia_kg_m2[i, j]))
 
 
 def _joint_parameters(joint: Joint) -> Iterator[PlantParameter]:
@@ -70,11 +70,25 @@ def _imu_parameters(imu: Imu) -> Iterator[PlantParameter]:
     yield PlantParameter(imu.name, "gyro_bandwidth", "Hz", imu.gyro_bandwidth_Hz)
 
 
+STRUCTURAL = ("position", "center_of_mass", "inertia")
+"""Quantities of bodies and sensors whose zeros are left out of the equations."""
+
+
 def plant_parameters(settings: PlantSettings) -> tuple[PlantParameter, ...]:
     """Return every run-time number of a plant, in the order of its parameter vector."""
+    tolerances = dict(settings.tolerances)
+    found = [replace(parameter, tolerance=tolerances.get(parameter.name)) for parameter in possible_parameters(settings)]
+    return tuple(p for p in found if p.value != 0.0 or p.tolerance is not None or not _is_structural(p))
+
+
+def _is_structural(parameter: PlantParameter) -> bool:
+    return parameter.owner == "gravity" or parameter.quantity.startswith(STRUCTURAL)
+
+
+def possible_parameters(settings: PlantSettings) -> tuple[PlantParameter, ...]:
+    """Return every number that a plant may have, zeros of its bodies included."""
     tree = settings.tree
-    gravity = dict(zip(AXES, tree.gravity_m_s2.tolist(), strict=True))
-    found = [PlantParameter("gravity", letter, "m/s^2", value) for letter, value in gravity.items() if value != 0.0]
+    found = [PlantParameter("gravity", letter, "m/s^2", float(value)) for letter, value in zip(AXES, tree.gravity_m_s2, strict=True)]
     for body in tree.bodies:
         found.extend(_body_parameters(body))
     for joint in tree.joints:

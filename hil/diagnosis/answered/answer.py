@@ -26,6 +26,7 @@ from hil.diagnosis.named.standing import (
     unexplained,
 )
 from hil.diagnosis.observed.known import known_effects
+from hil.diagnosis.observed.shaken import what_may_hide
 from hil.diagnosis.predicted.open_runs import Predicted, predicted
 from hil.diagnosis.predicted.refitting import refitted
 from hil.diagnosis.result import (
@@ -62,6 +63,8 @@ WITHIN_95 = 1.96
 SHOWN = 0.5
 """Of a number's prior, in which its standard deviation must be that recordings show it."""
 MOST_HYPOTHESES = 12
+MOST_HIDDEN = 3
+"""Effects that would not have shown, named in the sentence; all are among the detection limits."""
 NOTHING_MISSING = "no physics larger than the detection limits is missing"
 
 
@@ -106,6 +109,8 @@ def answer(machine: Machine, audit: Audit, named: Named, held_out: Mapping[str, 
     limits = detection_limits(judged, of)
     retuned, frozen = _numbers(tuned, best, spread)
     verdict, reason = _verdict(audit, judged, findings, others, _unseen(machine, seen, limits))
+    if not findings and verdict != "inconclusive":
+        reason = "; ".join([reason, what_may_hide(_recordings(seen)), *_never_shown(limits)])
     machines = _machines(named, values)
     alongs = seen.alongs
     scales = dict(zip(alongs[0].observed.channels, named.levels.sensors.tolist(), strict=False))  # efforts follow the channels
@@ -193,6 +198,19 @@ def play_seen(machine: Machine, audit: Audit, seen: Seen, seconds: float) -> Ans
     return Answered(machine, diagnosis, _names(seen), None, seen.alongs[0].plant.nominal, ())
 
 
+def _recordings(seen: Seen) -> dict[str, Recording]:
+    return {repeat.name: repeat.recording for group in seen.groups for repeat in group.repeats}
+
+
+def _never_shown(limits: Sequence[Limit]) -> list[str]:
+    """Return in words which effects would not have shown at any strength that the catalogue allows."""
+    hidden = [f"{limit.effect} at {limit.at}" for limit in limits if not math.isfinite(limit.strength)]
+    if not hidden:
+        return []
+    more = f" and {len(hidden) - MOST_HIDDEN} more" if len(hidden) > MOST_HIDDEN else ""
+    return [f"not even the largest would have shown of {', '.join(hidden[:MOST_HIDDEN])}{more} (detection limits)"]
+
+
 def _names(seen: Seen) -> tuple[str, ...]:
     return tuple(repeat.name for group in seen.groups for repeat in group.repeats)
 
@@ -236,7 +254,7 @@ def _verdict(
         return "inconclusive", "; ".join([said, *audit.wrong])
     if audit.wrong:
         said = "; ".join(audit.wrong)
-        return "misconfigured", said + (f"; beside it, the recorded efforts show {names}" if findings else "; no physics is missing")
+        return "misconfigured", said + (f"; beside it, the recorded efforts show {names}" if findings else "; beside it no physics shows")
     if not findings:
         if numbers_help(named):
             return "retuned", f"other numbers in the machine file explain the difference; {NOTHING_MISSING}"

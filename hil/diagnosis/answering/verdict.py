@@ -116,7 +116,7 @@ def verdict_of(standing: Standing) -> tuple[Verdict, str]:
     if said := only_there(standing):
         return "unknown_physics", said
     if standing.nominal_misfit - standing.retuned_misfit > RETUNED_GAIN * max(standing.shown, 1):
-        return "retuned", "other numbers in the machine file explain the difference; no physics is missing"
+        return "retuned", "other numbers in the machine file explain the difference; beyond them no physics shows"
     return "consistent", "nothing differs by more than the noise of repeats"
 
 

@@ -9,13 +9,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from hil.diagnosis.locating.disturbance import Estimator, ends
-from hil.diagnosis.report.style import BLUE, VERMILION
 from hil.diagnosis.residuals.mismatch import Mismatch
 from hil.diagnosis.result import EffectAt
 from hil.diagnosis.starting.motion import Motion
+from hil.pages import Band, Chart, Charts, Scale, Series
 from virtual_bus.effects.effect import (
     CALIBRATION,
     CLOCK,
@@ -38,6 +37,7 @@ ON_A_SPRING = (ELASTIC, SPRING_CHANGE)
 CELLS = 40
 LEAST_ROWS = 5
 BAND = 1.96
+EFFECT_PX = 300
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,18 +175,10 @@ def _cells(title: str, x_label: str, y_label: str, x: np.ndarray, recorded: np.n
     return EffectMap(title, x_label, y_label, mean(x), mean(recorded), mean(fitted), BAND * scatter / np.sqrt(passes))
 
 
-def effect_map_figure(drawn: EffectMap) -> Figure:
+def effect_map_charts(drawn: EffectMap) -> Charts:
     """Recorded cells with their band, and the fit."""
-    figure = Figure(figsize=(7.2, 4.0), layout="constrained")
-    axes = figure.subplots()
     seen = np.isfinite(drawn.x)
     x = drawn.x[seen]
-    low, high = (drawn.recorded - drawn.band)[seen], (drawn.recorded + drawn.band)[seen]
-    axes.fill_between(x, low, high, color=BLUE, alpha=0.2, lw=0, label="95 % band")
-    axes.plot(x, drawn.recorded[seen], "o", color=BLUE, ms=4, label="recorded")
-    axes.plot(x, drawn.fitted[seen], color=VERMILION, lw=1.6, label="fitted effect")
-    axes.set(xlabel=drawn.x_label, ylabel=drawn.y_label)
-    axes.set_title(drawn.title, fontsize="medium")
-    axes.grid(alpha=0.3, lw=0.5)
-    axes.legend(fontsize="small", frameon=False)
-    return figure
+    series = [Series("recorded", x, drawn.recorded[seen], is_points=True, look=0), Series("fitted effect", x, drawn.fitted[seen], look=1)]
+    band = Band("95 % band", x, (drawn.recorded - drawn.band)[seen], (drawn.recorded + drawn.band)[seen])
+    return Charts([Chart(drawn.title, Scale(drawn.x_label), Scale(drawn.y_label), series, [band], height=EFFECT_PX)])

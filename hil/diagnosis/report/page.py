@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import html
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from hil.diagnosis.answering.misfit import misfit_E
-from hil.diagnosis.diagnose import Outcome, first_effects
-from hil.diagnosis.report.effect_map import effect_map, effect_map_figure
+from hil.diagnosis.diagnose import NEXT_EXPERIMENT, Outcome, first_effects
+from hil.diagnosis.report.effect_map import effect_map, effect_map_charts
 from hil.diagnosis.report.heat_maps import heat_map_figures
 from hil.diagnosis.report.matrix import matrix_figure
-from hil.diagnosis.report.missing_effort import missing_effort_figure
-from hil.diagnosis.report.overlay import overlay_figure
+from hil.diagnosis.report.missing_effort import missing_effort_charts
+from hil.diagnosis.report.overlay import overlay_charts
 from hil.diagnosis.report.style import STAGE_NAMES
 from hil.diagnosis.report.tables import (
     disturbance_shares,
@@ -23,49 +22,58 @@ from hil.diagnosis.report.tables import (
     findings,
     fit_table,
     hypotheses,
-    image,
     retuned_table,
-    table,
-    whole_page,
+    verdict,
 )
 from hil.diagnosis.report.waterfall import waterfall_figure
 from hil.diagnosis.result import Diagnosis, Finding, Location
 from hil.diagnosis.tuning.free_run import HELD_OUT, TRAIN
 from hil.machine.model import AxisUnits
+from hil.pages import Page, Section, Table, Text, write_page
+from hil.pages.contents import Block
+from hil.pages.picture import drawn as picture
+from hil.reports.made_from import machine_fact
 from virtual_bus.effects.registry import effects
 
 SECTIONS = ("waterfall", "overlay", "effect", "heat", "disturbance", "matrix")
 DRAWN = ("nominal", "retuned", "extended")
-ONLY_HELD_OUT = "<p>Of the held-out recordings beside the machine that is re-tuned to them alone: training shows nothing.</p>"
+ONLY_HELD_OUT = "Of the held-out recordings beside the machine that is re-tuned to them alone: training shows nothing."
+NOISE = {"repeats": "from repeats", "periods": "from periods", "assumed": "assumed: no repeats were recorded"}
+ABSENT = {
+    "effect": "No effect is named.",
+    "heat": "No axis moves in these recordings, or no encoder says where it is.",
+    "waterfall": "Nothing stands above noise.",
+    "matrix": "Fewer than two numbers show in these recordings.",
+}
 
 
-def write_report(outcome: Outcome, folder: Path) -> Path:
+def write_report(outcome: Outcome, folder: Path, is_emulated: bool = False) -> Path:
     """Write `report.html` into a folder that is there; returns its path."""
-    path = folder / "report.html"
-    path.write_text(_document(outcome), encoding="utf-8")
-    return path
+    return write_page(_page(outcome, folder, is_emulated), folder / "report.html")
 
 
-def report_figures(outcome: Outcome) -> dict[str, list[tuple[str, Figure]]]:
-    """Every figure of the page with its caption, by section."""
+def report_blocks(outcome: Outcome) -> dict[str, list[Block]]:
+    """Every drawing of the page, by section."""
     train = outcome.train
     judged = outcome.held_out if outcome.held_out is not None else train
     stages = outcome.stages[HELD_OUT if outcome.held_out is not None else TRAIN]
     on_train = outcome.stages[TRAIN]
     named = bool(outcome.diagnosis.findings)
-    sections: dict[str, list[tuple[str, Figure | None]]] = {name: [] for name in SECTIONS}
+    sections: dict[str, list[Block]] = {name: [] for name in SECTIONS}
     simulated = outcome.simulated
     partial = [stages[first_effects(count)] for count in range(1, len(simulated))]
     first = [misfit_E(judged, rows) if all(np.isfinite(each).all() for each in rows) else None for rows in partial]
-    sections["waterfall"].append(("Waterfall of the mismatch above noise", waterfall_figure(outcome.diagnosis.fit, simulated, first)))
+    if (waterfall := waterfall_figure(outcome.diagnosis.fit, simulated, first)) is not None:
+        sections["waterfall"].append(picture(waterfall, "Waterfall of the mismatch above noise"))
     title = "Held-out" if outcome.held_out is not None else "Training"
     drawn = {name: stages[name] for name in DRAWN if outcome.selection.chosen is not None or name != "extended"}
-    sections["overlay"].append((f"{title} recording and simulations", overlay_figure(judged, drawn, title)))
+    sections["overlay"].append(overlay_charts(judged, drawn, title))
     if named:
         for finding in outcome.diagnosis.findings:
             period_s = _period_s(finding)
             own = effect_map(train, on_train["without_effects"], on_train["extended"], finding.effect, outcome.values, period_s)
-            sections["effect"].append((str(finding.effect), None if own is None else effect_map_figure(own)))
+            if own is not None:
+                sections["effect"].append(effect_map_charts(own))
     residuals = {"held-out, re-tuned to it alone" if outcome.is_only_held_out else STAGE_NAMES["retuned"]: outcome.short}
     if named and simulated:
         residuals[STAGE_NAMES["extended"]] = train.with_simulated(on_train["extended"])
@@ -73,11 +81,13 @@ def report_figures(outcome: Outcome) -> dict[str, list[tuple[str, Figure]]]:
         for said, found in residuals.items():
             for number, figure in enumerate(heat_map_figures(found, axis, said)):
                 part = f", part {number + 1}" if number else ""
-                sections["heat"].append((f"Residual over the pose of {train.axes[axis]}, {said}{part}", figure))
-    missing = missing_effort_figure(outcome.short, outcome.short_values, outcome.diagnosis.disturbance)
-    sections["disturbance"].append(("Missing effort on the joints, re-tuned", missing))
-    sections["matrix"].append(("Identifiability matrix", matrix_figure(*_sensitivities(outcome))))
-    return {name: [(caption, figure) for caption, figure in pairs if figure is not None] for name, pairs in sections.items()}
+                sections["heat"].append(picture(figure, f"Residual over the pose of {train.axes[axis]}, {said}{part}"))
+    missing = missing_effort_charts(outcome.short, outcome.short_values, outcome.diagnosis.disturbance)
+    if missing is not None:
+        sections["disturbance"].append(missing)
+    if (matrix := matrix_figure(*_sensitivities(outcome))) is not None:
+        sections["matrix"].append(picture(matrix, "Identifiability matrix"))
+    return sections
 
 
 def _period_s(finding: Finding) -> float | None:
@@ -95,40 +105,58 @@ def _sensitivities(outcome: Outcome) -> tuple[np.ndarray, list[str]]:
     return np.hstack(columns), names
 
 
-def _document(outcome: Outcome) -> str:
-    diagnosis = outcome.diagnosis
-    machine = outcome.train.machine
-    figures = {name: "\n".join(image(*pair) for pair in pairs) for name, pairs in report_figures(outcome).items()}
-    absent = {
-        "effect": "<p>No effect is named.</p>",
-        "heat": "<p>No axis moves in these recordings, or no encoder says where it is.</p>",
-        "waterfall": "<p>Nothing stands above noise.</p>",
-        "matrix": "<p>Fewer than two numbers show in these recordings.</p>",
-    }
-    groups = outcome.train.groups
-    values = {
-        "machine": html.escape(machine.name),
-        "description": html.escape(machine.description),
-        "verdict": html.escape(diagnosis.verdict.replace("_", " ")),
-        "reason": html.escape(diagnosis.reason),
-        "recordings": html.escape("; ".join(", ".join(group.labels) for group in groups)),
-        "held_out": html.escape("; ".join(", ".join(g.labels) for g in outcome.held_out.groups) if outcome.held_out else "none"),
-        "noise": {"repeats": "from repeats", "periods": "from periods", "assumed": "assumed: no repeats were recorded"}[diagnosis.noise],
-        "seconds": f"{diagnosis.seconds:.1f}",
-        "unexplained": f"{diagnosis.unexplained_share:.1%}",
-        "findings": "".join(f"<p>{html.escape(said)}.</p>" for said in diagnosis.suspicions) + findings(diagnosis, outcome.proposal),
-        "hypotheses": hypotheses(diagnosis),
-        "location": (ONLY_HELD_OUT if outcome.is_only_held_out else "")
-        + _location(diagnosis, {units.axis: units for units in machine.units}),
-        "disturbance": disturbance_shares(diagnosis),
-        "fit": fit_table(diagnosis),
-        "retuned": retuned_table(diagnosis),
-        **{f"figure_{name}": text or absent.get(name, "") for name, text in figures.items()},
-    }
-    return whole_page("page.html", values)
+def _page(outcome: Outcome, folder: Path, is_emulated: bool) -> Page:
+    diagnosis, machine = outcome.diagnosis, outcome.train.machine
+    drawn = {name: blocks or [Text(ABSENT[name])] * (name in ABSENT) for name, blocks in report_blocks(outcome).items()}
+    units = {units.axis: units for units in machine.units}
+    where: list[Block] = [Text(ONLY_HELD_OUT)] if outcome.is_only_held_out else []
+    unexplained = f"Unexplained share of what stood above noise in the training recordings: {diagnosis.unexplained_share:.1%}."
+    said = [Text(f"{suspicion}.") for suspicion in diagnosis.suspicions]
+    command, reason = next_command(diagnosis, machine.name, folder)
+    return Page(
+        f"Diagnosis of {machine.name}",
+        verdict(diagnosis),
+        [
+            Section("Findings", [*said, *findings(diagnosis, outcome.proposal)]),
+            Section("Recorded and simulated", drawn["overlay"]),
+            Section("Where the mismatch went", [Text(unexplained), *drawn["waterfall"], fit_table(diagnosis)]),
+            Section("What the effects look like", drawn["effect"]),
+            Section("What else was weighed", hypotheses(diagnosis), is_folded=True),
+            Section("Where it is", [*where, _location(diagnosis, units), *drawn["heat"]], is_folded=True),
+            Section("Which equation is short", [*disturbance_shares(diagnosis), *drawn["disturbance"]], is_folded=True),
+            Section("Re-tuned numbers", [*retuned_table(diagnosis), *drawn["matrix"]], is_folded=True),
+        ],
+        command,
+        reason,
+        {
+            "Machine": f"{machine_fact(machine)}, {machine.description}",
+            "Recordings": "; ".join(", ".join(group.labels) for group in outcome.train.groups),
+            "Held out": "; ".join(", ".join(g.labels) for g in outcome.held_out.groups) if outcome.held_out else "none",
+            "Noise": NOISE[diagnosis.noise],
+            "Computed in": f"{diagnosis.seconds:.1f} s",
+        },
+        is_emulated,
+    )
 
 
-def _location(diagnosis: Diagnosis, units: Mapping[str, AxisUnits]) -> str:
+def next_command(diagnosis: Diagnosis, machine: str, folder: Path) -> tuple[str, str]:
+    """Return what to type after an answer, and what it brings; neither where the reason says what is missing."""
+    at = shlex.quote(str(folder))
+    if any(finding.separating_experiment for finding in diagnosis.findings):
+        return f"isocenter run file {at}/{NEXT_EXPERIMENT} -m {machine} -b BUS -o next.mf4", "is the experiment that separates them best."
+    if diagnosis.verdict in ("explained", "ambiguous"):
+        files = f"-m {at}/machine.toml --effects {at}/effects.toml"
+        return f"isocenter plot RECORDING --simulate {files} -o explained.html", "shows the simulation with what was found."
+    if diagnosis.verdict == "retuned":
+        return f"isocenter plot RECORDING --simulate -m {at}/machine.toml -o retuned.html", "shows the simulation with the new numbers."
+    if diagnosis.verdict == "misconfigured":
+        return f"isocenter machine show {machine}", "shows what the recordings contradict."
+    if diagnosis.verdict == "unknown_physics":
+        return f"isocenter plot RECORDING --simulate -m {machine} -o left.html", "shows what is left, to zoom into."
+    return "", ""
+
+
+def _location(diagnosis: Diagnosis, units: Mapping[str, AxisUnits]) -> Table:
     location = diagnosis.location
     rows = [("channels", ", ".join(f"{name} {share:.0%}" for name, share in falling(location.channels)), "")]
     for name, spans in location.time_s.items():
@@ -141,7 +169,7 @@ def _location(diagnosis: Diagnosis, units: Mapping[str, AxisUnits]) -> str:
             unit = {"position": own.position, "speed": f"{own.position}/s", "effort": own.effort}[quantity]
             rows.append((f"{quantity} of {axis}", _spans(spans, unit), _held(location, quantity, axis)))
     rows += [(f"direction of {axis}", way, _held(location, "direction", axis)) for axis, way in location.direction.items()]
-    return table(("dimension", "where", "share of the power above noise there"), rows)
+    return Table(("dimension", "where", "share of the power above noise there"), rows, frozenset({2}))
 
 
 def _held(location: Location, dimension: str, part: str = "all") -> str:

@@ -1,9 +1,11 @@
-"""What the report's figures have in common."""
+"""What the report's drawings have in common."""
 
 from __future__ import annotations
 
-ORANGE, SKY, GREEN, BLUE, VERMILION = "#E69F00", "#56B4E9", "#009E73", "#0072B2", "#D55E00"
+ORANGE, SKY, GREEN, VERMILION = "#E69F00", "#56B4E9", "#009E73", "#D55E00"
 """Of Okabe and Ito's palette: told apart by colour-blind readers and in grey."""
 
-STAGE_COLOURS = {"nominal": ORANGE, "retuned": SKY, "extended": VERMILION}
+STAGE_LOOKS = {"nominal": 5, "retuned": 6, "extended": 1}
+"""Of series in a chart."""
+
 STAGE_NAMES = {"nominal": "nominal", "retuned": "re-tuned", "extended": "with the effects"}

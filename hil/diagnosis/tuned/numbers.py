@@ -11,7 +11,8 @@ from virtual_bus.plant.compiled import CompiledPlant
 PRIOR = 0.1
 """Standard deviation of a nominal number, as a share of it."""
 TOLERANCE = 1.5
-"""Hard bound of a correction, in standard deviations: beyond 15 % it is no tuning, but physics that the file has not."""
+"""Hard bound of a correction, in standard deviations: beyond 15 % it is no tuning, but physics that the file has not. Where the file states
+a tolerance, that is the bound."""
 CLOCKED_PRIOR = 0.02
 """Of corners that a sensor's clock makes: data sheets say 1 to 3 %."""
 CLOCKED = ("accelerometer_bandwidth", "gyro_bandwidth")
@@ -60,15 +61,19 @@ class Numbers:
 
 
 def numbers_of(plant: CompiledPlant) -> Numbers:
-    """Return the numbers that may be corrected: those of the file, and inertias of rotors that it leaves out."""
+    """Return the numbers that may be corrected: those of the file, inertias of rotors that it leaves out, and what has a tolerance."""
     indices, scales, low, high = [], [], [], []
     names = [joint.name for joint in plant.settings.tree.joints]
     driven = {drive.joint for drive in plant.settings.drives}
     moved = plant.inertias(plant.model(), np.zeros(len(names)))
     for i, parameter in enumerate(plant.parameters):
-        if not parameter.quantity.startswith(TUNED):
+        if parameter.tolerance is not None:
+            scales.append(parameter.tolerance / TOLERANCE)
+            low.append(-TOLERANCE)
+            high.append(TOLERANCE)
+        elif not parameter.quantity.startswith(TUNED):
             continue
-        if parameter.value != 0.0:
+        elif parameter.value != 0.0:
             scales.append(abs(parameter.value) * (CLOCKED_PRIOR if parameter.quantity in CLOCKED else PRIOR))
             low.append(-TOLERANCE)
             high.append(TOLERANCE)

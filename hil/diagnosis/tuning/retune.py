@@ -143,12 +143,21 @@ def _nominal(parameters: Same[tuple[PlantParameter, ...]]) -> np.ndarray:
 
 def tunable(parameters: Sequence[PlantParameter]) -> np.ndarray:
     """(P,) indices of the plant parameters that re-tuning may change."""
-    return np.array([k for k, p in enumerate(parameters) if p.quantity.startswith(TUNED) and p.value != 0.0], dtype=int)
+    return np.array(
+        [k for k, p in enumerate(parameters) if p.tolerance is not None or (p.quantity.startswith(TUNED) and p.value != 0.0)], dtype=int
+    )
 
 
 def units(parameters: Sequence[PlantParameter], indices: np.ndarray) -> np.ndarray:
     """(P,) one unit of these tuned coordinates: the number's prior."""
-    return np.array([abs(p.value) * (CLOCKED_PRIOR if p.quantity.startswith(CLOCKED) else PRIOR) for p in (parameters[k] for k in indices)])
+    shares = [CLOCKED_PRIOR if parameters[k].quantity.startswith(CLOCKED) else PRIOR for k in indices]
+    stated = [parameters[k].tolerance for k in indices]
+    return np.array(
+        [
+            share * abs(parameters[k].value) if tolerance is None else tolerance * PRIOR / LARGEST_CHANGE
+            for k, share, tolerance in zip(indices, shares, stated, strict=True)
+        ]
+    )
 
 
 def retune(runs: FreeRuns) -> Tuning:

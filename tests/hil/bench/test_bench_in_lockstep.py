@@ -16,7 +16,7 @@ from hil.bench.bench import Bench
 from hil.bench.open import open_bench, recording_paths
 from hil.bench.options import BenchOptions
 from hil.errors import LoopAbortedError, UnusableInputError
-from hil.experiments import Jog, JogOnly, Multisine, Plan, Static
+from hil.experiments import Jog, JogOnly, Multisine, Plan, Scan, Static
 from hil.machine import load_machine
 from hil.recording import Recording, read_recording
 from hil.simulation import compare, simulate
@@ -310,3 +310,27 @@ def test_a_run_asked_to_stop_by_a_signal_keeps_its_rows_and_leaves_the_handlers_
         run_in_lockstep(folder, Static(2.0, POSE).plans(CARM), name=f"interrupted_{name}", progress=interrupt)
     assert 129 <= read_recording(folder / f"interrupted_{name}_0.mf4").rows <= 130
     assert signal.getsignal(number) is before
+
+
+def test_after_an_interrupt_the_time_to_standstill_is_told(folder: Path) -> None:
+    """From full speed it takes as long as the drive's quick stop needs, from standstill no time."""
+    speed = 0.4
+
+    def interrupted(name: str, plans: list[Plan], at_row: int) -> tuple[str, list[dict[str, object]]]:
+        def interrupt(bench: Bench, row: int) -> None:
+            if row >= at_row:
+                signal.raise_signal(signal.SIGINT)
+
+        with pytest.raises(LoopAbortedError) as stopped:
+            run_in_lockstep(folder, plans, name=name, progress=interrupt)
+        (said,) = [note for note in stopped.value.__notes__ if note.startswith("standstill")]
+        events = read_recording(folder / f"{name}_0.mf4").metadata["events"]
+        return said, [event for event in events if event["what"] == "axis stopped"]
+
+    said, _ = interrupted("stood", Static(2.0, POSE).plans(CARM), 128)
+    assert re.fullmatch(r"standstill 0\.0\d s after the stop began \(propeller 0\.0\d s, roll 0\.0\d s\)", said), said
+    said, events = interrupted("moved", Scan("roll", -0.5, 0.5, speed).plans(CARM), 600)
+    took = float(re.match(r"standstill ([\d.]+) s", said)[1])
+    stopping = CARM.bus.motions[ROLL]
+    assert 0.02 < took < 1.0, said
+    assert max(event["standstill_s"] for event in events) == pytest.approx(took, abs=0.006), stopping

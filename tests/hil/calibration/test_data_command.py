@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import exposed_scan, isocenter
+from page_text import page_verdict
 
 from hil.calibration.data_driven.data_file import read_data_file
 from hil.emulated.images import true_beam, xray_side
@@ -23,7 +24,7 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def scanned(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = exposed_scan(tmp_path_factory.mktemp("data"), "--scene", "dodecahedron", "--rate", "7")
-    answers = ["-o", folder / "a.npz", "--figure", folder / "a.png", "--json", folder / "a.json"]
+    answers = ["-o", folder / "a.npz", "--figure", folder / "a.png", "--json", folder / "a.json", "--page", folder / "a.html"]
     assert isocenter("calibrate", "data", "carm", folder / "scan.mf4", folder / "images", *answers) == 0
     return folder
 
@@ -40,6 +41,7 @@ def test_the_geometry_of_a_scan_is_the_true_one_within_its_deviations(scanned: P
     answer = json.loads((scanned / "a.json").read_text())
     assert answer["used"] == len(scan)
     assert not answer["refused"]
+    assert f"{1e3 * answer['place_sigma_m'][-1]:.3f} mm after {len(scan)} images" in page_verdict(scanned / "a.html")
     assert (scanned / "a.png").stat().st_size > 10_000
     assert answer["place_sigma_m"][-1] < 0.05 * answer["place_sigma_m"][0]
 

@@ -214,7 +214,8 @@ def test_a_calibration_made_without_an_observer_is_refused(moving: SimpleNamespa
 def test_options_that_belong_together_are_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], line: str
 ) -> None:
-    assert isocenter("run", "static", "-m", "carm", "--seconds", "0.5", "-o", tmp_path / "r.mf4", *arguments) == 2
+    still = ("run", "static", "-m", "carm", "-b", "lockstep:", "--seconds", "0.5")
+    assert isocenter(*still, "-o", tmp_path / "r.mf4", *arguments) == 2
     error = capsys.readouterr().err
     assert line in error
     assert error.count("\n") == 1

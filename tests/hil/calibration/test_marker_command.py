@@ -27,7 +27,7 @@ def scanned(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def measured(scanned: Path) -> dict[str, np.ndarray]:
     """The parameters as the command finds them: the file's arrays."""
-    answers = ["-o", scanned / "marker.npz", "--figure", scanned / "f.png", "--json", scanned / "a.json"]
+    answers = ["-o", scanned / "marker.npz", "--figure", scanned / "f.png", "--json", scanned / "a.json", "--page", scanned / "a.html"]
     assert isocenter("calibrate", "marker", "carm", scanned / "images", *answers) == 0
     with np.load(scanned / "marker.npz", allow_pickle=False) as file:
         return dict(file)

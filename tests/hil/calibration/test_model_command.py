@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from commands import isocenter
 from flexible_machine import OFF, Statics, machine_file
+from page_text import page_text, page_verdict
 
 from hil.calibration.kinematic.geometric_model import read_calibration
 from hil.calibration.use.lookup_table import LookUp, read_look_up, write_look_up
@@ -59,7 +60,10 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_two_sweeps_predict_poses_of_other_scans_within_the_covariance(tables: Path, tmp_path: Path) -> None:
     scans = [tables / "roll.npz", tables / "propeller.npz"]
     written = ["-o", tmp_path / "m.npz", "--json", tmp_path / "m.json", "--figure", tmp_path / "m.png"]
+    written += ["--page", tmp_path / "m.html"]
     assert isocenter("calibrate", "model", "carm", *scans, "--held-out", tables / "other.npz", *written) == 0
+    assert page_verdict(tmp_path / "m.html").startswith("✓ The model puts the isocentre of held-out scans right to ")
+    assert "other.npz (held out)" in page_text(tmp_path / "m.html")
     model = read_calibration(tmp_path / "m.npz", CARM)
     positions = np.random.default_rng(4).uniform([-1.8, -1.4], [1.8, 1.4], (40, 2))
     true = true_deviation(positions)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import exposed_scan, isocenter
+from page_text import page_verdict
 
 from hil.calibration.use.lookup_table import LookUp, read_look_up, sweep_speed, write_look_up
 from hil.emulated.images import true_beam, xray_side
@@ -29,7 +30,7 @@ def scanned(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_table_holds_the_true_geometry_within_its_covariance(scanned: Path) -> None:
     out = scanned / "roll.npz"
-    answers = ["-o", out, "--figure", scanned / "f.png", "--json", scanned / "a.json"]
+    answers = ["-o", out, "--figure", scanned / "f.png", "--json", scanned / "a.json", "--page", scanned / "a.html"]
     assert isocenter("calibrate", "phantom", "carm", scanned / "images", *answers) == 0
     table, scan, machine = read_look_up(out), read_scan(scanned / "images"), load_machine("carm")
     truth = true_beam(xray_side(machine, scanned / "truth.csv", STILL, 0.0), scan.start_s, scan.width_s)
@@ -43,6 +44,8 @@ def test_the_table_holds_the_true_geometry_within_its_covariance(scanned: Path) 
     answer = json.loads((scanned / "a.json").read_text())
     assert answer["used"] == len(scan)
     assert (scanned / "f.png").stat().st_size > 10_000
+    assert f"{len(scan)} of {len(scan)} exposures" in page_verdict(scanned / "a.html")
+    assert (scanned / "a.html").read_text(encoding="utf-8").count("<figure") == 9
 
 
 @pytest.mark.parametrize(

@@ -148,7 +148,9 @@ def test_a_heavier_carriage_is_a_matter_of_numbers(tmp_path: Path, isocenter: Is
     monkeypatch.chdir(tmp_path)
     for label, each in repeats(1, duration_s=6.0, mass=1.1 * MASS_kg).items():
         write_recording(each, tmp_path / f"{label}.csv")
-    assert answer(isocenter, tmp_path, "run_0_0.csv")[0]["verdict"] == "retuned"
+    found = answer(isocenter, tmp_path, "run_0_0.csv")[0]
+    assert found["verdict"] == "retuned"
+    assert "a resonance above may hide" in found["reason"]
 
 
 @pytest.mark.nightly

@@ -68,6 +68,7 @@ def test_other_numbers_alone_are_no_missing_physics():
     truth = {"mass": 1.09 * MASS_kg, "damping": 0.92 * DAMPING, "duration_s": 4.0, "seed": 7}
     outcome = diagnose(MACHINE, repeats(**truth), repeats(1, experiment=1, **truth))
     assert outcome.diagnosis.verdict == "retuned"
+    assert "beyond them no physics shows; these recordings shake the machine up to" in outcome.diagnosis.reason
     assert outcome.diagnosis.findings == ()
 
 
@@ -102,6 +103,7 @@ def test_what_the_held_out_recording_alone_shows_is_not_called_other_numbers():
 def test_nothing_is_found_where_nothing_is_missing():
     outcome = diagnose(MACHINE, repeats(seed=5, duration_s=4.0), repeats(1, experiment=1, seed=5, duration_s=4.0))
     assert outcome.diagnosis.verdict == "consistent"
+    assert "a resonance above may hide" in outcome.diagnosis.reason
 
 
 def test_too_short_a_recording_is_said_to_be_too_short():

@@ -6,7 +6,7 @@ import pytest
 from carriage import MACHINE, recording, reference, repeats, run
 
 from hil.diagnosis.diagnose import diagnose
-from hil.diagnosis.report.page import report_figures
+from hil.diagnosis.report.page import report_blocks
 
 pytestmark = pytest.mark.nightly
 
@@ -28,7 +28,7 @@ def test_a_stop_that_training_does_not_reach_is_located_and_drawn_in_the_held_ou
     assert outcome.diagnosis.location.channels
     assert outcome.is_only_held_out and outcome.short.groups[0].labels == ("further",)
     assert outcome.diagnosis.disturbance.joints["carriage"] > 0.5
-    assert [caption for caption, _ in report_figures(outcome)["heat"]] == [
+    assert [picture.alt for picture in report_blocks(outcome)["heat"]] == [
         "Residual over the pose of carriage, held-out, re-tuned to it alone"
     ]
 

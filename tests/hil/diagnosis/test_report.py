@@ -10,7 +10,7 @@ from carriage import MACHINE, repeats
 
 from hil.diagnosis.report import write_report
 from hil.diagnosis.report.heat_maps import over_pose_and_frequency, over_pose_and_speed, residuals
-from hil.diagnosis.report.overlay import overlay_figure
+from hil.diagnosis.report.overlay import overlay_charts
 from hil.diagnosis.residuals.mismatch import mismatch
 
 DURATION_s = 5.0
@@ -43,18 +43,18 @@ def test_a_tone_is_drawn_at_its_frequency_in_the_poses_where_it_sounds(found):
     assert among[-1] > 5.0 * among[0]  # windows of 1 s of a motion of 0.7 Hz: between them poses share power
 
 
-def drawn_over(found, differs: np.ndarray) -> str:
+def test_recorded_and_simulated_lie_over_each_other_row_by_row_with_what_is_left_beneath(found):
     (group,) = found.groups
+    differs = np.where(group.time_s > 4.0, 1.0, 0.0)
     stages = {"nominal": [group.mean - differs[:, None]], "extended": [group.mean]}
-    return overlay_figure(found, stages, "Training").get_suptitle()
-
-
-def test_a_figure_of_a_part_of_a_record_says_which_part_and_why(found):
-    (group,) = found.groups
-    assert drawn_over(found, group.time_s > 4.0).endswith("1 s to 5 s of 5 s: where the simulations differ most")
-    assert "mean of 3 repeats" in drawn_over(found, group.time_s > 4.0)
-    short = mismatch(MACHINE, repeats(3, 3.0))
-    assert drawn_over(short, np.ones(3000)).endswith("all 3 s of it")
+    shown = overlay_charts(found, stages, "Training")
+    for above, below in shown.cells:
+        assert "mean of 3 repeats" in above.pose and above.group == below.group != ""
+        nominal, extended = below.series
+        assert np.allclose(nominal.y, differs) and np.allclose(extended.y, 0.0)
+        assert [one.label for one in above.series] == ["recorded", "nominal", "with the effects"]
+        (noise,) = below.bands
+        assert noise.high == pytest.approx(2.0 * found.noise.std[found.channels.index(above.title.split(": ")[1])])
 
 
 @pytest.mark.slow
@@ -65,3 +65,4 @@ def test_places_and_speeds_and_efforts_have_their_units(friction, tmp_path):
     page = write_report(outcome, tmp_path).read_text(encoding="utf-8")
     for quantity, unit in {"position": "m", "speed": "m/s", "effort": "V"}.items():
         assert f"<td>{quantity} of carriage</td><td>0.125 to 0.25 {unit}</td>" in page
+    assert page.index('<p class="verdict unsure">') < page.index("coulomb_friction at carriage: Fc = ") < page.index("<h2>")

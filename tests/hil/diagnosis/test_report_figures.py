@@ -12,7 +12,7 @@ from hil.diagnosis.answering.estimates import retuned_values
 from hil.diagnosis.answering.hypotheses import against_held_out
 from hil.diagnosis.diagnose import first_effects, simulated_stages
 from hil.diagnosis.report.effect_map import effect_map
-from hil.diagnosis.report.page import report_figures
+from hil.diagnosis.report.page import report_blocks
 from hil.diagnosis.report.waterfall import left_above_noise, waterfall_figure
 from hil.diagnosis.residuals.mismatch import mismatch
 from hil.diagnosis.result import EffectAt, Stages
@@ -43,8 +43,9 @@ def test_a_mismatch_below_noise_has_no_waterfall():
 
 
 def test_a_frictions_map_is_flat_at_its_level_on_both_sides(friction):
-    (caption, figure), *_ = report_figures(friction)["effect"]
-    assert caption == "coulomb_friction at carriage" and figure.axes[0].get_xlabel() == "speed of carriage [m/s]"
+    (shown,) = report_blocks(friction)["effect"]
+    (chart,) = shown.cells
+    assert chart.title.startswith("coulomb_friction at carriage") and chart.x.label == "speed of carriage [m/s]"
     drawn = effect_map(
         friction.train, friction.stages["train"]["without_effects"], friction.stages["train"]["extended"],
         friction.diagnosis.findings[0].effect, friction.values,
@@ -59,8 +60,9 @@ def test_of_a_friction_the_joint_is_short_and_no_sensor(friction):
     shares = friction.diagnosis.disturbance
     assert shares.joints == {"carriage": pytest.approx(1.0, abs=0.2)}
     assert max(shares.sensors.values()) < 0.25 < shares.joints["carriage"]
-    (_, figure), *_ = report_figures(friction)["disturbance"]
-    assert figure.axes[0].get_ylabel() == "on carriage [N]" and figure.axes[-1].get_xlabel() == "time [s]"
+    (shown,) = report_blocks(friction)["disturbance"]
+    (chart,) = shown.cells
+    assert chart.y.label == "on carriage [N]" and chart.x.label == "time [s]"
 
 
 def test_every_number_that_may_be_re_tuned_is_shown_or_named_with_the_reason_why_not(friction):

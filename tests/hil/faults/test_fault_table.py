@@ -17,6 +17,7 @@ from hil.faults.motion import motion_of
 from hil.faults.page import document_of, page_of
 from hil.faults.trials import swept_axis, trials
 from hil.machine import load_machine
+from hil.pages import html_of
 from virtual_bus.faults.registry import fault_kinds
 
 TABLE = trials(CARM, "roll")
@@ -70,7 +71,7 @@ def test_outcomes_are_kept_and_told(tmp_path: Path) -> None:
     assert harmless.rows == harmless.planned
     assert silent.exit_status == 2
     assert silent.rows == 0
-    page = page_of(CARM, "roll", outcomes, motion_of(CARM, "roll"))
+    page = html_of(page_of(CARM, "roll", outcomes, motion_of(CARM, "roll")))
     for outcome in outcomes:
         assert outcome.kind in page
     document = json.loads(json.dumps(document_of(CARM, "roll", outcomes, motion_of(CARM, "roll")), default=lambda value: vars(value)))

@@ -16,6 +16,7 @@ from hil.faults.motion import MotionName, motion_of
 from hil.faults.page import document_of, is_failure, page_of
 from hil.faults.trials import trials
 from hil.machine import Machine, machine_from_text
+from hil.pages import html_of
 
 BY_ITSELF = machine_from_text(carm_text_in("profile_position"))
 AT_SWITCH = machine_from_text(homing_at_switch_text())
@@ -67,7 +68,7 @@ def test_faults_come_near_the_motions_greatest_speed_and_are_stopped(
         assert not is_failure(outcome)
         roll = next(each for each in outcome.axes if each.axis == "roll")
         assert roll.fastest > 0.85 * fastest
-    page = page_of(machine, "roll", outcomes, motion_of(machine, "roll", motion))
+    page = html_of(page_of(machine, "roll", outcomes, motion_of(machine, "roll", motion)))
     assert {"move": "a move of roll to a pose at up to 1.05 rad/s", "homing": "a homing run of roll at 0.087 rad/s"}[motion] in page
     assert document_of(machine, "roll", outcomes, motion_of(machine, "roll", motion))["motion"] == motion
 

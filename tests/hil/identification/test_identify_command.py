@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from page_text import page_text, page_verdict
 
 from hil.cli.app import main
 from hil.identification import read_frf
@@ -28,7 +29,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for pose in (0, 20):
         run = (*RUN, "--pose", f"roll={pose}", "--period", "2", "--periods", "3", "--realisations", "2", "--band", "1:40", "--every-line")
         assert isocenter(*run, "-o", at / f"rec{pose}.csv") == 0
-    assert isocenter("identify", *sorted(at.glob("rec*.csv")), "-o", at / "carm.frf.npz", "--json", at / "bla.json") == 0
+    assert (
+        isocenter("identify", *sorted(at.glob("rec*.csv")), "-o", at / "carm.frf.npz", "--json", at / "bla.json", "--page", at / "bla.html")
+        == 0
+    )
     return at
 
 
@@ -38,6 +42,8 @@ def test_recordings_of_two_poses_give_two_responses(folder: Path) -> None:
     assert first.pose == (0.0, 0.0)
     assert second.pose == pytest.approx((0.0, np.radians(20.0)))
     assert len(json.loads((folder / "bla.json").read_text())["poses"]) == 2
+    assert "from each motor to its own encoder known to 0.0" in page_verdict(folder / "bla.html")
+    assert "at propeller 0°, roll 20°" in page_text(folder / "bla.html")
     assert first.settings["excitation_rms command_roll"] == pytest.approx(0.8, rel=0.01)
 
 

@@ -23,9 +23,9 @@ def refused(folder: Path, capsys: pytest.CaptureFixture[str], *arguments: Path |
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (["--spool", "."], "--spool: on lockstep: the emulated panel has its own; leave it out"),
-        (["--image-rate", "-1"], "--image-rate -1: must be a positive number below 125"),
-        (["--images", "taken"], "taken: holds a scan's frames.tif already; receive into another folder"),
+        (["-b", "lockstep:", "--spool", "."], "--spool: on lockstep: the emulated panel has its own; leave it out"),
+        (["-b", "lockstep:", "--image-rate", "-1"], "--image-rate -1: must be a positive number below 125"),
+        (["-b", "lockstep:", "--images", "taken"], "taken: holds a scan's frames.tif already; receive into another folder"),
         (["-b", "lockstep:", "--panel", "tcp:127.0.0.1:1"], "--panel: on lockstep: the emulated panel has its own; leave it out"),
         (["-b", "udp:239.74.163.99"], "--images: nobody says where the panel of udp:239.74.163.99 is"),
         (["-b", "udp:", "--panel", "tcp:127.0.0.1:1", "--spool", "."], "--spool and --panel: frames come from one of them"),

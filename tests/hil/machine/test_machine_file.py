@@ -97,7 +97,11 @@ def test_a_pdo_entry_may_be_written_in_numbers() -> None:
 
 def test_the_hash_is_sha256_of_the_text_and_the_text_is_the_file() -> None:
     carm = load_machine("carm")
-    assert carm.hash == hashlib.sha256(carm.path.read_bytes()).hexdigest()
+    first, _, rest = carm.path.read_text().partition("\n")
+    assert first.startswith("#:schema ")  # for editors: no part of the machine
+    assert carm.hash == machine_from_text(rest).hash == hashlib.sha256(rest.encode()).hexdigest()
+    assert machine_from_text("#:schema elsewhere.json\r\n" + rest).hash == carm.hash
+    assert machine_from_text("# the arm\n" + rest).hash != carm.hash
     assert machine_from_text(carm.text).hash == carm.hash
 
 

@@ -20,7 +20,7 @@ FAST = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCh
 # what is replaced (first occurrence), by what, and words the line must have
 ROLL_ENCODER = CARM[CARM.index("[bus.nodes.roll_encoder]") : CARM.index("[bus.homing.propeller]")]
 MISTAKES = [
-    ("[timing]", "[timing", ["no valid TOML", "line 7"]),
+    ("[timing]", "[timing", ["no valid TOML", "line 8"]),
     ("format = 1", "format = 2", ["format = 2", "must be 1"]),
     ("mass_kg = 120.0", "mass_kg = -1.0", ["body.ceiling_mount.mass_kg = -1.0", "must not be negative"]),
     ("mass_kg = 120.0", 'mass_kg = "heavy"', ["body.ceiling_mount.mass_kg", "must be a number"]),

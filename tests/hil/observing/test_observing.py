@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from page_text import page_text, page_verdict
 
 from controllers.models.modal import basis_values
 from hil.bench.open import open_bench
@@ -287,11 +288,14 @@ def test_the_command_designs_from_multisines_and_standing_records(
                 *arguments,
                 *("--multisine", str(names[0]), "--multisine", str(names[1]), "--standing", str(tmp_path / "still.mf4")),
                 *("--save-design", str(tmp_path / "made.npz"), "--figure", str(tmp_path / "scan.png")),
+                *("--page", str(tmp_path / "scan.html")),
             ]
         )
     said = capsys.readouterr()
     assert left.value.code == 0, said.err
     assert (tmp_path / "scan.png").stat().st_size > 10_000
     assert "1 poses" in said.out
+    assert "The detector was off by up to" in page_verdict(tmp_path / "scan.html")
+    assert "tuned on the recording itself" in page_text(tmp_path / "scan.html")
     assert "tuned on the recording itself" in said.out
     assert read_design(tmp_path / "made.npz").model.frequencies_Hz(np.array([0.0, 0.2]))[1] == pytest.approx(14.04, rel=0.01)

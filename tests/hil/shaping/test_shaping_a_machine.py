@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 import scipy.signal
 from bench_machines import CARM, carm_text_in
+from page_text import page_text, page_verdict
 
 from controllers.errors import DesignError
 from controllers.sections import response
 from controllers.shapers.delays import DelayFilter
+from controllers.shapers.dynamics import Dynamics
 from controllers.shapers.filter import ReferenceShaper
 from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
@@ -26,6 +28,7 @@ from hil.machine import Machine, load_machine, machine_from_text
 from hil.recording import read_recording
 from hil.shaping.aim import periodic, sweep
 from hil.shaping.identified import subject_from_frf, subject_from_model
+from hil.shaping.in_time import after_step
 from hil.shaping.plans import BeyondLimitsError, Shaped, shape_plan, shaped
 from hil.shaping.plants import closed_loop
 from hil.shaping.poses import scheduled_poses, subject_at
@@ -319,13 +322,69 @@ def test_the_command_judges_writes_and_answers(tmp_path: Path, capsys: pytest.Ca
     out, table = tmp_path / "roll.npz", tmp_path / "roll.csv"
     arguments = ["shape", "carm", "--axis", "roll", "-o", str(out), "--csv", str(table), "--json", "-", "--figure", str(tmp_path / "a.png")]
     with pytest.raises(SystemExit) as left:
-        main(arguments)
+        main([*arguments, "--page", str(tmp_path / "a.html")])
     assert left.value.code == 0
     answer = json.loads(capsys.readouterr().out)
     assert answer["chosen"] == answer["recommended"] == answer["designs"][0]["name"]
     assert read_shaper(out).shapers[0].name == answer["chosen"]
     assert table.read_text().startswith("name,vibration,")
+    assert page_verdict(tmp_path / "a.html").removeprefix("✓ ").startswith(f"{answer['chosen']} for roll of carm leaves ")
+    assert all(design["name"] in page_text(tmp_path / "a.html") for design in answer["designs"])
     assert (tmp_path / "a.png").stat().st_size > 10_000
+    assert answer["fit"] is True
+    assert answer["in_time"]["shaped"]["settled_s"] < 0.5 * answer["in_time"]["without"]["settled_s"]
+
+
+def test_what_the_command_prints_fits_a_hundred_columns_and_marks_the_recommended_design(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as left:
+        main(["shape", "carm", "--axis", "roll", "-o", "roll.npz"])
+    assert left.value.code == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 100
+    name = read_shaper(tmp_path / "roll.npz").shapers[0].name
+    assert lines[0].startswith(f"{name} for roll of carm leaves ")
+    (marked,) = [number for number, line in enumerate(lines) if line.startswith("*")]
+    assert lines[marked].split("  ")[0] == f"* {name}"
+    assert lines[marked + 1].strip() == "recommended; written"
+    assert [line for line in lines if line.startswith("  without shaper  up to ")]
+
+
+def test_a_design_with_an_objection_is_written_and_exit_status_1_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        main(["shape", "carm", "--axis", "roll", "--take", "ZV", "-o", str(tmp_path / "zv.npz")])
+    assert left.value.code == 1
+    assert capsys.readouterr().out.startswith("ZV is not fit to run on roll of carm: a ramp lags. Recommended is ")
+    assert read_shaper(tmp_path / "zv.npz").shapers[0].name == "ZV"
+
+
+def test_a_step_behind_a_shaper_is_what_scipy_makes_of_it(nominal: dict[str, Subject], sweep_designs: tuple[Design, ...]) -> None:
+    loop, shaper = nominal["propeller"].dynamics, next(design for design in sweep_designs if design.name == "hTDF").filters[0]
+    found = after_step(loop, shaper, RATE)
+    taps = np.zeros(round(shaper.transient_s * RATE) + 1)
+    np.add.at(taps, np.rint(shaper.delays_s * RATE).astype(int), shaper.gains)
+    reference = np.cumsum(np.pad(taps, (0, 600)))[:512]
+    _, expected, _ = scipy.signal.dlsim((loop.a, loop.b[:, None], loop.c[None, :], np.array([[loop.d]]), 1.0), reference)
+    np.testing.assert_allclose(found.reference[:512], reference, atol=1e-12)
+    np.testing.assert_allclose(found.output[:512], expected[:, 0], atol=1e-9)
+
+
+def test_ringing_is_that_of_a_mode_after_a_step() -> None:
+    """In closed form: a mode of 8 Hz, 2 % damped, rings about its static deflection as exp(-zeta w t) cos(w_d t), and ZV removes it."""
+    omega, damping = 2.0 * np.pi * 8.0, 0.02
+    mode = Dynamics.from_modes([(omega, damping, 1.0)])
+    ringing = after_step(mode, DelayFilter(np.zeros(1), np.ones(1)), RATE)
+    t, damped = ringing.time_s, omega * np.sqrt(1.0 - damping**2)
+    expected = -np.exp(-damping * omega * t) * (np.cos(damped * t) + damping * omega / damped * np.sin(damped * t))
+    np.testing.assert_allclose(ringing.ringing, expected, atol=1e-9)
+    assert ringing.settled_s(0.05) == pytest.approx(np.log(20.0) / (damping * omega), abs=1.0 / 8.0)
+    period = 1.0 / RATE
+    half = round(np.pi / damped / period) * period
+    gain = np.exp(-damping * omega * half)
+    shaped_by_zv = after_step(mode, DelayFilter(np.array([0.0, half]), np.array([1.0, gain]) / (1.0 + gain)), RATE)
+    assert shaped_by_zv.left < 0.02
 
 
 def test_the_command_designs_from_an_identified_response(
@@ -334,7 +393,7 @@ def test_the_command_designs_from_an_identified_response(
     write_frf(frf, tmp_path / "carm.frf.npz")
     with pytest.raises(SystemExit) as left:
         main(["shape", "carm", "--axis", "propeller", "--frf", str(tmp_path / "carm.frf.npz"), "-o", str(tmp_path / "a.npz")])
-    assert left.value.code == 0
+    assert left.value.code == 1  # a ramp lags behind each of them
     assert "fitted to 0." in capsys.readouterr().out
     assert read_shaper(tmp_path / "a.npz").shapers[0].axis == "propeller"
 

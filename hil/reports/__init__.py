@@ -1,0 +1,1 @@
+"""What the pages of commands show: their answers as contents of `hil.pages`. Nothing is computed here that an answer does not have."""

@@ -1,0 +1,293 @@
+"""Commissioning: from a machine file to an identified, shaped and checked machine, in one go."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from controllers.errors import DesignError
+from hil.bench.bench import Bench
+from hil.bench.open import open_bench, recording_paths
+from hil.bench.options import BenchOptions
+from hil.errors import UnusableInputError
+from hil.experiments import Experiment, Jog, JogOnly, Multisine, Scan, Static
+from hil.experiments.plan import pose_array
+from hil.files.aside import keep_earlier
+from hil.identification import identify_poses, write_frf
+from hil.identification.report import response_lines
+from hil.machine import Machine, check_machine
+from hil.machine.load import SHIPPED
+from hil.recording import Recording, read_recording
+from hil.shaping.choice import choose_shaper
+from hil.shaping.plans import Shaped
+from hil.shaping.shaper_file import write_shaper
+from hil.simulation import compare, in_effort, simulate
+from hil.simulation.in_noise import in_units_of_noise, repeat_noise
+from hil.tasks.errors import as_bench_errors
+
+STILL_S = 5.0
+"""A thousand rows of noise."""
+
+REPEATS = 3
+"""The fewest by which noise is told from what repeats have in common."""
+
+REPEATED = JogOnly(jog=Jog(0.06, line=1), period_s=10.0, periods=1)
+OTHER = JogOnly(jog=Jog(0.045, line=1), period_s=8.0, periods=1)
+"""The repeated motion and another one to judge by, slow enough for any axis: amplitudes of 3.4 and 2.6 degrees."""
+
+EXCITATION_SHARE = 0.1
+"""Rms of the excitation as a share of what the drive may give: 0.8 A on the C-arm."""
+
+PERIODS, REALISATIONS = 2, 2
+"""The fewest that tell noise from nonlinear distortion."""
+
+SCAN_PACE = 0.5
+"""Share of the axis's speed at which it sweeps."""
+
+SCAN_SHARE = 0.4
+"""Share of the axis's range, about its middle, that the scan sweeps."""
+
+LARGEST_SCAN_rad = np.radians(120.0)
+
+WITHIN_NOISE = 3.0
+"""Times the noise up to which a simulation counts as agreeing: quantisation, which repeats have in common, and where each run began from
+make it up to 2 on a healthy machine."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of a commissioning.
+
+    Attributes
+    ----------
+    name : str
+    ok : bool
+    said : tuple of str
+        What was found, a line each.
+    files : tuple of Path
+        What it left.
+    """
+
+    name: str
+    ok: bool
+    said: tuple[str, ...]
+    files: tuple[Path, ...] = ()
+
+
+@dataclass(frozen=True)
+class Commissioning:
+    """What a commissioning found.
+
+    Attributes
+    ----------
+    machine : Machine
+    folder : Path
+    steps : tuple of Step
+    agreement : mapping of str to float
+        Per channel, simulation minus recording of the other motion in units of noise: 1 is nothing but noise.
+    """
+
+    machine: Machine
+    folder: Path
+    steps: tuple[Step, ...]
+    agreement: Mapping[str, float]
+
+    @property
+    def ok(self) -> bool:
+        """Whether every step passed."""
+        return all(step.ok for step in self.steps)
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the simulation differs from the machine by no more than noise."""
+        return all(value <= WITHIN_NOISE for value in self.agreement.values())
+
+    def document(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {
+            "machine": self.machine.name,
+            "hash": self.machine.hash,
+            "ok": self.ok,
+            "agrees": self.agrees,
+            "agreement": dict(self.agreement),
+            "steps": [vars(step) for step in self.steps],
+        }
+
+
+@as_bench_errors()
+def commission(
+    machine: Machine,
+    bus: str,
+    out: str | Path,
+    *,
+    emulated: Machine | None = None,
+    seed: int = 0,
+    imu: str = "",
+    io: str = "",
+    told: Callable[[Step], None] = lambda step: None,
+    progress: Callable[[str, int, int], None] = lambda name, done, total: None,
+) -> Commissioning:
+    """Check a machine, home it, record it at rest and in motion, identify it, design its shapers, and hold its simulation against it.
+
+    Parameters
+    ----------
+    machine : Machine
+    bus : str
+        As `OpenMachine.run`.
+    out : str or Path
+        Folder for recordings, frequency response and shapers; earlier recordings in it are moved aside.
+    emulated : Machine, optional
+        In lockstep, the machine that is really there.
+    seed : int
+        In lockstep, of the emulated sensors' noise.
+    imu, io : str
+        Addresses of IMU and I/O where the machine file names none.
+    told : callable
+        Told of every step when it is done.
+    progress : callable
+        Told what is recorded, and how many of how many rows are; in lockstep.
+
+    Returns
+    -------
+    Commissioning
+        It ends with the first step that fails.
+
+    Raises
+    ------
+    ExperimentError, LoopAbortedError
+        A motion is not possible on this machine, or the motors were stopped.
+    """
+    if emulated is not None and not bus.startswith("lockstep:"):
+        raise UnusableInputError("emulated: only a run on lockstep: emulates; give that machine to `isocenter emulate`")
+    under_way = _UnderWay(machine, Path(out), told, progress)
+    if under_way.check():
+        under_way.folder.mkdir(parents=True, exist_ok=True)
+        options = BenchOptions(bus, imu, io, seed=seed, emulated=emulated)
+        with open_bench(machine, options, pose_array(machine, _middle(machine))) as bench:
+            under_way.run(bench)
+    return Commissioning(machine, under_way.folder, tuple(under_way.steps), under_way.agreement)
+
+
+class _UnderWay:
+    """A commissioning under way."""
+
+    def __init__(self, machine: Machine, folder: Path, told: Callable[[Step], None], progress: Callable[[str, int, int], None]) -> None:
+        self.machine, self.folder, self._told, self._progress = machine, folder, told, progress
+        self._middle = _middle(machine)
+        self.steps: list[Step] = []
+        self.agreement: dict[str, float] = {}
+
+    def check(self) -> bool:
+        """Check the machine file."""
+        findings = check_machine(self.machine)
+        failed = [finding.text for finding in findings if not finding.ok]
+        return self._done("check", not failed, failed or [f"{len(findings)} checks of the machine file passed"])
+
+    def run(self, bench: Bench) -> None:
+        """Home, record, identify, shape, scan, compare."""
+        self._done("home", True, list(bench.commission()))
+        self._record(bench, "still", Static(STILL_S, self._middle))
+        repeats = [self._record(bench, f"repeat{n + 1}", replace(REPEATED, pose=self._middle))[0] for n in range(REPEATS)]
+        (other,) = self._record(bench, "other", replace(OTHER, pose=self._middle))
+        noise = repeat_noise(repeats)
+        said = ", ".join(
+            f"{name} {value:.2g} {repeats[0].channel(name).unit}" for name, value in noise.items() if name.startswith("position_")
+        )
+        names = ["still", *(f"repeat{n + 1}" for n in range(REPEATS)), "other"]
+        self._done("repeat", bool(noise), [f"noise between {REPEATS} repeats: {said}"], tuple(self._path(name) for name in names))
+        self._identify(bench)
+        scan = self._shape()
+        (recorded,) = self._record(bench, "scan", scan)
+        way, units = np.ptp(recorded[f"reference_{self.machine.axes[0]}"]), self.machine.units[0]
+        shown = f"{np.degrees(way):.0f} degrees" if units.position == "rad" else f"{1e3 * way:.0f} mm"
+        said = f"{units.axis} over {shown} in {recorded.rows / self.machine.sample_rate_Hz:.1f} s"
+        self._done("scan", True, [said], (self._path("scan"),))
+        self._compare(other, noise)
+
+    def _done(self, name: str, ok: bool, said: list[str], files: tuple[Path, ...] = ()) -> bool:
+        self.steps.append(Step(name, ok, tuple(said), files))
+        self._told(self.steps[-1])
+        return ok
+
+    def _path(self, name: str) -> Path:
+        return self.folder / f"{name}.mf4"
+
+    def _record(self, bench: Bench, name: str, experiment: Experiment) -> list[Recording]:
+        """Run an experiment and read what it left."""
+        plans = experiment.plans(self.machine)
+        paths = recording_paths(self._path(name), plans)
+        total = sum(plan.rows for plan in plans)
+        done = 0
+        for plan, path in zip(plans, paths, strict=True):
+            keep_earlier(path)
+            bench.run(plan, path, partial(self._follow, name, done, total) if bench.wiring.lockstep else None)
+            done += plan.rows
+        return [in_effort(read_recording(path, self.machine), self.machine) for path in paths]
+
+    def _follow(self, name: str, done: int, total: int, row: int) -> None:
+        self._progress(name, done + row, total)
+
+    def _identify(self, bench: Bench) -> None:
+        """Excite every axis by a tenth of what its drive may give; write the frequency response."""
+        amplitude = {each.axis: EXCITATION_SHARE * each.limit for each in self.machine.controllers}
+        experiment = Multisine(self._middle, amplitude_A=amplitude, periods=PERIODS, realisations=REALISATIONS)
+        (response,) = identify_poses(self._record(bench, "multisine", experiment), "robust_bla")
+        path = self.folder / f"{self.machine.name}.frf.npz"
+        write_frf(response, path)
+        self._done("identify", True, response_lines(response)[:1], (path,))
+
+    def _shape(self) -> Experiment:
+        """Design a shaper for every axis; return a scan of the first axis through its shaper, as it is where there is none."""
+        scan: Experiment = self._scan()
+        said, files = [], []
+        for axis in self.machine.axes:
+            try:
+                choice = choose_shaper(self.machine, axis, pose=self._middle)
+            except DesignError as error:
+                said.append(f"{axis}: none, {error}")
+                continue
+            files.append(self.folder / f"{axis}.shaper.npz")
+            write_shaper(choice.file, files[-1])
+            said.append(f"{axis}: {' '.join(choice.chosen.verdict.line.split())}")
+            if axis == self.machine.axes[0]:
+                scan = Shaped(scan, choice.file)
+        self._done("shape", True, said, tuple(files))
+        return scan
+
+    def _scan(self) -> Scan:
+        axis, limit = self.machine.axes[0], self.machine.limits[0]
+        bounded = bool(np.isfinite(limit.upper - limit.lower))
+        half = min(0.5 * LARGEST_SCAN_rad, 0.5 * SCAN_SHARE * (limit.upper - limit.lower) if bounded else np.inf)
+        at = self._middle[axis]
+        return Scan(axis, at - half, at + half, SCAN_PACE * limit.speed, {name: p for name, p in self._middle.items() if name != axis})
+
+    def _compare(self, other: Recording, noise: dict[str, float]) -> None:
+        """Hold the simulation against a motion that is not the repeated one."""
+        self.agreement = in_units_of_noise(compare(other, simulate(self.machine, other)), noise)
+        worst = max(self.agreement, key=lambda name: self.agreement[name])
+        if self.agreement[worst] <= WITHIN_NOISE:
+            said = [f"the simulation agrees with the machine within noise (at most {self.agreement[worst]:.2f} times it, {worst})"]
+        else:
+            shown = sorted(self.agreement.items(), key=lambda item: -item[1])[: len(self.machine.axes) + 1]
+            far = ", ".join(f"{name} by {times:.1f} times its noise" for name, times in shown)
+            repeats = " ".join(str(self._path(f"repeat{n + 1}")) for n in range(REPEATS))
+            said = [f"the simulation differs from the machine: {far}"]
+            named = self.machine.name if self.machine.path is None or self.machine.path.parent == SHIPPED else self.machine.path
+            given = f"{named} {repeats} --held-out {self._path('other')} -o {self.folder / 'diagnosis'}"
+            said.append(f"what it leaves out: isocenter diagnose {given}")
+        self._done("compare", True, said)
+
+
+def _middle(machine: Machine) -> dict[str, float]:
+    """Return the pose [rad or m] about which the machine moves: zero, or the middle of a range that has not room about zero."""
+    room = REPEATED.jog.amplitude_rad
+    middle = {}
+    for limit in machine.limits:
+        has_room = limit.lower + room < 0.0 < limit.upper - room
+        middle[limit.axis] = 0.0 if has_room else 0.5 * (limit.lower + limit.upper)
+    return middle

@@ -1,0 +1,63 @@
+"""Which physics a simulation leaves out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from hil.diagnosis.files import write_diagnosis
+from hil.diagnosis.from_recordings import audit_recordings, diagnose_audited
+from hil.diagnosis.result import Diagnosis
+from hil.errors import RecordingError
+from hil.machine import Machine
+from hil.simulation import in_effort
+from hil.tasks.errors import as_bench_errors
+from hil.tasks.recordings import Several, every_one
+
+
+@as_bench_errors()
+def diagnose(
+    machine: Machine,
+    recordings: Several,
+    held_out: Several = (),
+    *,
+    out: str | Path | None = None,
+    jobs: int | None = None,
+    progress: Callable[[str, float], None] = lambda what, share: None,
+) -> Diagnosis:
+    """Find where the simulation of a machine and its recordings differ, which physics was left out, and how sure that is.
+
+    Parameters
+    ----------
+    machine : Machine
+        With the effects that are known, which are simulated and not sought.
+    recordings : Recording, Recordings or several of them
+        To explain; repeats of the same experiment give the noise.
+    held_out : the same
+        To judge by; nothing is fitted to them.
+    out : str or Path, optional
+        Folder for the report, `diagnosis.json`, `effects.toml` and the re-tuned `machine.toml`.
+    jobs : int, optional
+        Threads; one per processor unless given, 4 at most. The answer is the same.
+    progress : callable
+        Told what is being done, and the share of the whole that is done.
+
+    Returns
+    -------
+    Diagnosis
+        `.verdict`, `.reason`, `.findings`; `.frame()` has a row for every number found, with its interval.
+
+    Raises
+    ------
+    RecordingError
+        Recordings of another machine, copies of each other, or without what is needed.
+    """
+    train, held = every_one(recordings), every_one(held_out, "held out")
+    if not train:
+        raise RecordingError("no recordings given; three repeats or more of one experiment would be right")
+    train = {name: in_effort(recording, machine) for name, recording in train.items()}
+    held = {name if name not in train else f"{name} (held out)": in_effort(recording, machine) for name, recording in held.items()}
+    outcome = diagnose_audited(machine, train, held, audit_recordings(machine, train, held), jobs=jobs, report=progress)
+    if out is not None:
+        write_diagnosis(outcome, machine, Path(out))
+    return outcome.diagnosis

@@ -1,0 +1,63 @@
+"""`isocenter commission`: every step says what it found, a failed check ends it, and a mismatch leads to the next command."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from command_line import Isocenter
+
+from hil.machine import load_machine
+from hil.recording import read_recording
+
+COGGING = """[[effect]]
+name = "cogging"
+at = "turn"
+Np_cycles_turn = 12.0
+A1_Nm = 0.2
+phi1_rad = 0.5
+A2_Nm = 0.0
+phi2_rad = 0.0
+"""
+
+
+@pytest.mark.slow
+def test_a_machine_that_is_not_as_filed_is_told_and_the_next_command_names_its_files(
+    tmp_path: Path, isocenter: Isocenter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("hidden.toml").write_text(COGGING)
+    done = isocenter("commission", "turntable", "-b", "lockstep:", "--effects", "hidden.toml", "-o", "arm", "--json", "arm.json")
+    assert done.status == 0, done.err
+    answer = json.loads(Path("arm.json").read_text())
+    assert (answer["ok"], answer["agrees"]) == (True, False)
+    assert answer["agreement"]["position_turn"] > 5.0
+    (command,) = re.findall(r"isocenter diagnose turntable (.*)", done.out)
+    given = command.split()
+    files = [Path(word) for word in given if word.endswith(".mf4")]
+    assert len(files) == 4
+    repeats = [read_recording(path) for path in files[:3]]
+    assert all(each.repeats(repeats[0]) for each in repeats)
+    assert not read_recording(files[3]).repeats(repeats[0])
+    assert given[given.index("--held-out") + 1] == str(files[3])
+
+
+def test_a_controller_that_fails_its_check_is_not_run(tmp_path: Path, isocenter: Isocenter) -> None:
+    text = load_machine("turntable").text
+    wrong = tmp_path / "wrong.toml"
+    wrong.write_text(text.replace("constant = 0.095", "constant = 0.95"))
+    done = isocenter("commission", wrong, "-b", "lockstep:", "-o", tmp_path / "arm", "--json", tmp_path / "arm.json")
+    assert done.status == 1
+    assert "FAIL check" in done.out
+    assert [step["name"] for step in json.loads((tmp_path / "arm.json").read_text())["steps"]] == ["check"]
+    assert not (tmp_path / "arm").exists()
+
+
+def test_effects_on_a_bus_are_refused(tmp_path: Path, isocenter: Isocenter) -> None:
+    effects = tmp_path / "hidden.toml"
+    effects.write_text(COGGING)
+    done = isocenter("commission", "turntable", "-b", "udp:", "--effects", effects, "-o", tmp_path / "arm")
+    assert done.status == 2
+    assert "--effects: only a run on lockstep: emulates" in done.line
