@@ -34,7 +34,7 @@ def folder(tmp_path: Path) -> Path:
 
 def client_of(folder: Path, token: str = "", bound: str = "127.0.0.1", base: str = OWN) -> TestClient:
     ours, theirs = multiprocessing.Pipe()
-    facts = facts_of("turntable", load_machine("turntable"), "lockstep:", "", "")
+    facts = facts_of("turntable", load_machine("turntable"), "lockstep:")
     client = TestClient(application(Desk(facts, folder, ours), Admission(token), Hosts(bound, ("arm.example",))), base_url=base)
     client.starter = theirs  # type: ignore[attr-defined]  # kept open
     return client

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from bench_machines import patient_text
 from bench_page import BenchPage, Watcher, bench_page, until
 
 pytest.importorskip("uvicorn")
@@ -40,7 +41,8 @@ def started(bench: BenchPage) -> Watcher:
     client = Watcher(bench)
     assert bench.post("/api/run", LONG, client.client) == (200, "{}")
     give_up = time.monotonic() + BUSY_S
-    while not ((state := client.state())["recording"] and state["recording"]["live"] and state["work"]["state"] == "running"):
+    while not ((state := client.state())["recording"] and state["recording"]["live"] and state["recording"]["rows"]):
+        assert state["work"]["state"] == "running", state["work"]
         assert time.monotonic() < give_up, state["work"]
     return client
 
@@ -102,17 +104,22 @@ def test_ctrl_c_stops_the_motors_before_it_ends(tmp_path_factory: pytest.TempPat
         client.close()
 
 
+@pytest.mark.slow
 def test_stop_on_a_bus_goes_through_the_supervisor(tmp_path: Path) -> None:
-    bus = "udp:239.74.163.78"
-    emulator = subprocess.Popen([sys.executable, "-m", "hil", "emulate", "turntable", "--bus", bus, "--json", str(tmp_path / "card.json")])
+    bus, machine = "udp:239.74.163.78", tmp_path / "patient.toml"
+    machine.write_text(patient_text())
+    options = ["--bus", bus, "--no-real-time", "--json", str(tmp_path / "card.json")]
+    emulator = subprocess.Popen([sys.executable, "-m", "hil", "emulate", str(machine), *options])
     try:
         until((tmp_path / "card.json").is_file, BUSY_S)
-        with bench_page(tmp_path, "turntable", bus) as bench:
+        with bench_page(tmp_path, str(machine), bus, "--no-real-time") as bench:
             client = started(bench)
             state = client.state()
             assert state["emulated"] is True
             assert state["wire"]["nodes"][0]["state"].startswith("operation enabled")
             assert state["wire"]["sync_Hz"] > 0.0
+            assert state["io"]["brakes_open"] == {"propeller": True, "roll": True}
+            assert state["io"]["hold_to_run"] is True
             bench.post("/api/stop", {})
             work = client.work(lambda work: work["state"] != "running", BUSY_S)
             stop = client.state()["stop"]
