@@ -95,6 +95,14 @@ class Controller:
         self._line = connect(address.replace("http", "ws") + "control", origin=self._address)
         self._socket = self._line.__enter__()
         self._client = json.loads(self._socket.recv())["client"]
+        self._work: dict[str, object] = {"state": "idle"}
+        threading.Thread(target=self._answer, daemon=True).start()
+
+    def _answer(self) -> None:
+        """Answer pings, also while nothing runs, and keep the newest state of the work."""
+        for text in self._socket:
+            self._socket.send("here")
+            self._work = json.loads(text)["work"]
 
     def run(self, seconds: float) -> dict[str, object]:
         """Run a recording at rest; return the state of the work at its end."""
@@ -102,13 +110,11 @@ class Controller:
         headers = {"Content-Type": "application/json", "Origin": self._address, "X-Client": self._client}
         said = json.load(urllib.request.urlopen(urllib.request.Request(f"{self._address}/api/run", body, headers, method="POST")))
         assert not said, said
-        began = False
-        while True:
-            work = json.loads(self._socket.recv())["work"]
-            self._socket.send("here")
-            began = began or work["state"] == "running"
-            if began and work["state"] != "running":
-                return work
+        while self._work["state"] != "running":
+            time.sleep(0.05)
+        while self._work["state"] == "running":
+            time.sleep(0.2)
+        return self._work
 
     def close(self) -> None:
         self._line.__exit__(None, None, None)

@@ -28,6 +28,15 @@ class BenchPage:
         """Address of its WebSockets."""
         return self.address.replace("http://", "ws://")
 
+    @property
+    def server_bytes(self) -> int:
+        """Memory that the server's process has (Linux)."""
+        for child in Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text().split():
+            if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
+                status = Path(f"/proc/{child}/status").read_text()
+                return 1024 * int(status.split("VmRSS:")[1].split()[0])
+        raise AssertionError("the server has no process")
+
     def post(self, path: str, what: dict[str, Any], client: str = "") -> tuple[int, str]:
         """Status and text of a request as the page makes it."""
         headers = {"Content-Type": "application/json", "Origin": self.address, "X-Client": client}
