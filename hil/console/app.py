@@ -169,8 +169,11 @@ class _Pages:
         await socket.send_json({"type": "welcome", "client": client})
 
         async def tell() -> None:
+            seen = -1
             while True:
-                await socket.send_text(self._desk.state_text())
+                version = self._desk.results_version
+                await socket.send_text(self._desk.state_text(whole=version != seen))
+                seen = version
                 await asyncio.sleep(PING_S)
 
         async def listen() -> None:

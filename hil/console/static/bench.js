@@ -87,6 +87,7 @@ function heed(told) {
     link.className = "lost";
     link.textContent = "no answer from the server: what this page started is stopped";
   } else if (told.type === "state") {
+    if (told.steps === null) told.steps = bench.state.steps; // as they were: they are told when they change
     bench.state = told;
     link.className = "";
     link.textContent = "connected";
