@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from hil.identification import LocalModel as LocalModel
     from hil.identification import PoseModel as PoseModel
     from hil.identification import read_frf as read_frf
+    from hil.identification import resonances as resonances
     from hil.identification import write_frf as write_frf
     from hil.imaging.scan_folder import ImageScan as ImageScan
     from hil.imaging.scan_folder import read_scan as read_scan
@@ -94,7 +95,7 @@ _MODULES = {
     "hil.diagnosis.result": "Diagnosis",
     "hil.errors": "BadAnswerError BenchError ExperimentError LoopAbortedError MachineFileError RecordingError UnusableInputError",
     "hil.experiments": "Experiment Jog JogOnly Move Multisine Scan Static Tour read_experiment write_experiment",
-    "hil.identification": "FrequencyResponse LocalModel PoseModel read_frf write_frf",
+    "hil.identification": "FrequencyResponse LocalModel PoseModel read_frf resonances write_frf",
     "hil.imaging.scan_folder": "ImageScan read_scan",
     "hil.machine": "Machine list_shipped",
     "hil.observing": "Estimate ObserverDesign read_design read_estimate write_design write_estimate",

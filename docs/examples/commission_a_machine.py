@@ -7,7 +7,7 @@ found = hil.commission(turntable, bus="lockstep:", out="commissioned")
 for step in found.steps:
     print("ok  " if step.ok else "FAIL", step.name, *step.said, sep="  ")
 
-worst = max(found.agreement, key=lambda channel: found.agreement[channel])
-print(f"the simulation agrees within {found.agreement[worst]:.1f} times the noise, {worst} the least")
+assert found.comparison is not None  # it came so far
+print(found.comparison.table())
 frf = hil.read_frf(found.folder / "turntable.frf.npz")
 print(f"{len(frf.lines)} lines identified; the folder holds every recording")

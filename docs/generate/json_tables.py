@@ -124,8 +124,8 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
     ),
     "commission": (
         Entry("machine, hash", "text", "Name and hash of the machine file."),
-        Entry("ok, agrees", "true or false", "Every step passed; and the simulation differs from the machine by no more than noise."),
-        Entry("agreement", "object", "Per channel, simulation minus recording of the motion that is not repeated, in units of noise."),
+        Entry("ok", "true or false", "Every step passed."),
+        Entry("comparison", "object or null", "Of a recording with its simulation, as of `compare`; null where it did not come so far."),
         Entry("steps", "list", "`name`, `ok`, `said` (a line each) and `files` of every step."),
     ),
     "conform": (
@@ -165,6 +165,7 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("page, png", "text, text or null", "Files that were written."),
         Entry("channels", "list", "What is in the page."),
         Entry("verdict", "text", "The sentence on top of it."),
+        Entry("emulated", "true or false", "Whether a recording is of the emulator."),
     ),
     "compare": (
         Entry("verdict, agrees", "text, true or false", "The answer in a sentence, and whether no channel differs by more than its noise."),

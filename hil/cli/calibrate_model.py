@@ -149,6 +149,8 @@ def model(
     json_to: JsonOption = None,
 ) -> None:
     """Fit, tell, write."""
+    import numpy as np
+
     from hil.calibration.kinematic.flexible import clock_lag
     from hil.calibration.kinematic.from_tables import model_from_tables
     from hil.calibration.kinematic.geometric_model import write_model

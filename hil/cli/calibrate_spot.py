@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from hil.cli.options import MachineArgument, can_be_written, load
+from hil.cli.paged import PageOption, check_page, write_paged
 from hil.errors import UnusableInputError
 from hil.terminal.output import Answer, JsonOption, save_figure
 from hil.terminal.progress import follower, progress
@@ -29,6 +30,7 @@ def spot(
     anode: Annotated[float | None, typer.Option("--anode", metavar="HZ", help="Turns of the anode a second.")] = None,
     figure: Annotated[Path | None, typer.Option("--figure", metavar="PNG", help="Displacement and spectrum.")] = None,
     jobs: Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Processes that look at images.")] = 1,
+    page: PageOption = None,
     json_to: JsonOption = None,
 ) -> None:
     """Find the plate twice, tell."""
@@ -44,6 +46,7 @@ def spot(
     machine = load(machine_name)
     answer = Answer(json_to)
     can_be_written(figure)
+    check_page(page)
     scan = read_scan(scan_folder)
     name, distance_mm = scan.notes.get("marker"), scan.notes.get("marker_distance_mm")
     if name not in PLATES or not isinstance(distance_mm, (int, float)):
@@ -76,4 +79,8 @@ def spot(
 
         save_figure(spot_figure(track, anode, f"{scan_folder.name}: focal spot on its tube"), figure)
         answer.say(f"{figure}: displacement and spectrum")
+    if page is not None:
+        from hil.reports.spot import spot_page
+
+        write_paged(answer, spot_page(machine, track, anode, scan_folder, answer.said), page)
     answer.write(document)

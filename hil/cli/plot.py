@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hil.cli.emulated import say_emulated
 from hil.cli.options import EffectsOption, can_be_written, load, not_an_input
 from hil.cli.paged import check_page
 from hil.errors import UnusableInputError
@@ -63,6 +64,7 @@ def plot(
     page = plot_page(plotted, names)
     write_page(page, out)
     answer.say(page.verdict.text)
+    emulated = say_emulated(answer, {each.path: each.recording for each in plotted})
     answer.say(f"{out}: {len(names)} channels; open it in a browser")
     if png is not None:
         from hil.figures.still import still
@@ -72,8 +74,9 @@ def plot(
             raise UnusableInputError(f"--png {png}: no channel changes; there is nothing to draw")
         save_figure(still(Charts(charts_of(plotted, drawn), columns=min(2, len(drawn)))), png)
         answer.say(f"{png}: picture")
-    answer.say(f"next: {page.next_command}")
-    answer.write({"page": out, "png": png, "channels": names, "verdict": page.verdict.text})
+    if page.next_command:
+        answer.say(f"next: {page.next_command}")
+    answer.write({"page": out, "png": png, "channels": names, "verdict": page.verdict.text, "emulated": emulated})
 
 
 def _simulation(path: Path, recording: Recording, machine: Machine | None) -> Recording:

@@ -92,6 +92,7 @@ class RunOptions:
 def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, notes: tuple[str, ...] = ()) -> None:
     """Plan an experiment, run it, record it, say how it went."""
     from hil.bench.audit_trail import events_path
+    from hil.bench.margins import accepted_margins
     from hil.bench.open import open_bench, recording_paths
     from hil.bench.options import BenchOptions
     from hil.terminal.bar import drawn_beside
@@ -132,7 +133,7 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
         lockstep,
         data,
     )
-    accepted = _accepted_margins(machine, run)
+    accepted = accepted_margins(machine, run.accept_margins, "--accept-margins")
     for failing in accepted:
         answer.say(f"accepted: {failing}")
     with contextlib.ExitStack() as stack:
@@ -193,25 +194,6 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
     if judged := [f"{record['recording']}: {line}" for record in records for line in record["judged"]]:
         answer.say("sensors not to be believed: " + "; ".join(judged))
         raise typer.Exit(1)
-
-
-def _accepted_margins(machine: Machine, run: RunOptions) -> tuple[str, ...]:
-    """Return what `machine check` finds failing of the controllers, in words, where the user accepts it.
-
-    Raises
-    ------
-    UnusableInputError
-        Something fails and was not accepted.
-    """
-    from hil.machine.check import failing_controllers
-
-    failing = tuple(finding.text for finding in failing_controllers(machine))
-    if failing and not run.accept_margins:
-        raise UnusableInputError(
-            f"{machine.name}: `isocenter machine check` fails its controller, so it is not run: {'; '.join(failing)}."
-            " Correct [controller], or accept this with --accept-margins"
-        )
-    return failing
 
 
 def stepped_over(run: RunOptions, missed: int) -> tuple[str, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -26,10 +27,9 @@ from hil.terminal.output import Answer, JsonOption, save_figure
 from hil.terminal.progress import working
 
 if TYPE_CHECKING:
-    from hil.machine import Machine
     from hil.shaping.aim import Aim
+    from hil.shaping.choice import ShaperChoice
     from hil.shaping.shaper_design import Design
-    from hil.shaping.verdict import Subject
 
 
 def register(app: typer.Typer) -> None:
@@ -69,33 +69,36 @@ def shape(
 ) -> None:
     """Print one line per design, the recommended one first."""
     from hil.errors import UnusableInputError
+    from hil.identification import read_frf
+    from hil.shaping.choice import choose_shaper
     from hil.shaping.in_time import after_step, in_time_lines, settled
     from hil.shaping.report import design_lines, left_out_lines
-    from hil.shaping.shaper_design import design_all, shaper_of
-    from hil.shaping.shaper_file import ShaperFile, write_shaper
+    from hil.shaping.shaper_file import write_shaper
 
     machine = load(machine_name, effects)
-    if axis not in machine.axes:
-        raise UnusableInputError(f"--axis {axis}: {machine.name} has {', '.join(machine.axes)}")
+    for option, name in (("--axis", axis), ("--schedule", schedule)):
+        if name not in machine.axes and (name or option == "--axis"):
+            raise UnusableInputError(f"{option} {name}: {machine.name} has {', '.join(machine.axes)}")
+    if frf is not None and (schedule or pose):
+        raise UnusableInputError("--frf: a frequency response is of one pose; leave out --schedule and --pose")
     answer = Answer(json_to)
     can_be_written(out, figure, table)
     check_page(page)
     if frf is not None:
         not_an_input(out, frf)
     aim = _aim(period, harmonics, longest)
-    subjects, positions, source = _subjects(machine, axis, pose, schedule, output, frf)
-    band = parse_band("--quiet", quiet)
+    band, at = parse_band("--quiet", quiet), parse_pose(pose, machine)
+    response = None if frf is None else read_frf(frf)
     with working("designing"):
-        candidates = design_all(subjects, aim, machine.sample_rate_Hz, band)
-    designs = candidates.designs
-    chosen = candidates.named(take) if take else designs[0]
+        choice = choose_shaper(machine, axis, pose=at, frf=response, aim=aim, schedule=schedule, output=output, quiet_Hz=band)
+    choice = choice.named(take) if take else choice
+    source = f"{EMULATED if response is not None and response.emulated else ''}{_source(choice, frf)}"
+    choice = replace(choice, notes={**choice.notes, "source": source})
+    candidates, designs, chosen, subjects = choice.candidates, choice.designs, choice.chosen, choice.subjects.each
     answer.say(_sentence(designs[0], chosen, axis, machine.name))
     answer.say(f"{aim.kind} of {axis}, from {source}")
     verdicts = [vars(design.verdict) | {"left_out": [vars(each) for each in design.verdict.left_out]} for design in designs]
-    notes = {"machine": machine.name, "hash": machine.hash, "aim": vars(aim), "source": source, "output": output}
-    notes["verdict"] = chosen.verdict.line
-    shapers = (shaper_of(chosen, axis, machine.sample_rate_Hz, positions, schedule),)
-    write_shaper(ShaperFile(shapers, machine.sample_rate_Hz, notes), out)
+    write_shaper(choice.file, out)
     rate = machine.sample_rate_Hz
     in_time = {each.name: after_step(subjects[0].dynamics, each.filters[0], rate) for each in (candidates.named("none"), chosen)}
     for line in (*design_lines(candidates, chosen), *left_out_lines(chosen)):
@@ -103,7 +106,7 @@ def shape(
     for line in in_time_lines(in_time["none"], in_time[chosen.name], chosen.name):
         answer.say(line)
     answer.say(f"the quiet design keeps {band[0]:g} to {band[1]:g} Hz low; modes are sought over the whole band of the loop")
-    answer.say(f"{out}: {chosen.name}, {len(chosen.filters[0].gains)} taps, {len(positions)} pose{'s' if len(positions) > 1 else ''}")
+    answer.say(f"{out}: {chosen.name}, {len(chosen.filters[0].gains)} taps, {len(subjects)} pose{'s' if len(subjects) > 1 else ''}")
     if table is not None:
         _write_csv(verdicts, table)
         answer.say(f"{table}: verdicts")
@@ -117,7 +120,7 @@ def shape(
 
         sentence, facts = _sentence(designs[0], chosen, axis, machine.name), {"Aim": aim.kind, "From": source}
         write_paged(answer, shaped_page(machine, axis, sentence, candidates, chosen, subjects, in_time, out, facts), page)
-    document = {"shaper": out, "chosen": chosen.name, "recommended": designs[0].name, "fit": not chosen.verdict.against, **notes}
+    document = {"shaper": out, "chosen": chosen.name, "recommended": designs[0].name, "fit": not chosen.verdict.against, **choice.notes}
     before_s, after_s = settled(in_time["none"], in_time[chosen.name])
     document["in_time"] = {
         "without": {"left": in_time["none"].left, "settled_s": before_s},
@@ -148,34 +151,17 @@ def _aim(period: float, harmonics: str, longest: float) -> Aim:
     return periodic(period, parse_whole_numbers("--harmonics", harmonics), longest or None)
 
 
-def _subjects(
-    machine: Machine, axis: str, pose: str, schedule: str, output: str, frf: Path | None
-) -> tuple[list[Subject], list[float], str]:
-    """Return what to design for, the scheduling positions, and a description of the source."""
-    from hil.errors import UnusableInputError
-    from hil.experiments.plan import pose_array
-    from hil.shaping.poses import scheduled_poses, subject_at
-
-    if frf is not None:
-        from hil.identification import read_frf
-        from hil.shaping.identified import subject_from_frf
-
-        if schedule or pose:
-            raise UnusableInputError("--frf: a frequency response is of one pose; leave out --schedule and --pose")
-        response = read_frf(frf)
-        subject, error = subject_from_frf(machine, response, axis, output)
-        return [subject], [0.0], f"{EMULATED if response.emulated else ''}{frf}, fitted to {error:.2%}"
-    at = pose_array(machine, parse_pose(pose, machine))
-    if not schedule:
-        where = ", ".join(f"{name} {value / edge_scale(machine, name):g}" for name, value in zip(machine.axes, at, strict=True))
-        return [subject_at(machine, at, axis, output)], [0.0], f"the machine file's closed loop at {where}"
-    if schedule not in machine.axes:
-        raise UnusableInputError(f"--schedule {schedule}: {machine.name} has {', '.join(machine.axes)}")
-    poses = scheduled_poses(machine, at, schedule)
-    positions = poses[:, machine.axis_index(schedule)]
-    low, high = positions[[0, -1]] / edge_scale(machine, schedule)
-    source = f"the machine file's closed loop at {len(poses)} poses, {schedule} {low:g} to {high:g}"
-    return [subject_at(machine, each, axis, output) for each in poses], positions.tolist(), source
+def _source(choice: ShaperChoice, frf: Path | None) -> str:
+    """Return in words what the shapers are designed for, positions in degrees (mm)."""
+    machine, subjects = choice.machine, choice.subjects
+    if subjects.poses is None:
+        return f"{frf}, fitted to {subjects.fit_error:.2%}"
+    poses = [[value / edge_scale(machine, name) for name, value in zip(machine.axes, pose, strict=True)] for pose in subjects.poses]
+    if not subjects.schedule:
+        where = ", ".join(f"{name} {value:g}" for name, value in zip(machine.axes, poses[0], strict=True))
+        return f"the machine file's closed loop at {where}"
+    low, high = (poses[k][machine.axis_index(subjects.schedule)] for k in (0, -1))
+    return f"the machine file's closed loop at {len(poses)} poses, {subjects.schedule} {low:g} to {high:g}"
 
 
 def _write_csv(verdicts: list[dict[str, Any]], path: Path) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 from hil.demo.told import Story
 from hil.pages import Chart, Charts, Scale, Series
 from hil.reports.frf import frf_charts, own_elements
+from hil.reports.identified import marks_of
 from hil.reports.made_from import pose_of
 
 RESIDUAL_PX = 130
@@ -65,7 +66,7 @@ def response_charts(story: Story, whole: bool) -> Charts:
     """Return the frequency response beside the machine file's plant: all elements, or those of an axis' own motor and encoder."""
     model = ("machine file, linearised", story.response.frequencies_Hz, story.linearisation)
     elements = None if whole else own_elements(story.response)
-    return frf_charts(story.response, elements, compared=[model], pose=pose_of(story.recording))
+    return frf_charts(story.response, elements, compared=[model], marks=marks_of(story.resonances), pose=pose_of(story.recording))
 
 
 def experiment_charts(story: Story) -> Charts:

@@ -13,7 +13,7 @@ from hil.bench.options import BenchOptions
 from hil.demo.page import write_demo_page
 from hil.demo.told import Story
 from hil.experiments import Jog, Multisine
-from hil.identification import identify, write_frf
+from hil.identification import identify, resonances, write_frf
 from hil.machine import Machine, load_machine
 from hil.recording import read_recording, write_recording
 from hil.simulation import compare, simulate
@@ -55,6 +55,7 @@ def run_demo(out: Path, answer: Answer) -> dict[str, Any]:
         tuple(paths),
         recordings[0],
         response,
+        resonances(response),
         sampled_response(machine, np.array(response.pose), response.frequencies_Hz, response.output_names),
         nominal,
         friction,

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.identification import FrequencyResponse
+from hil.identification.modal.resonances import Resonances
 from hil.machine import Machine
 from hil.recording import Recording
 from hil.simulation import Comparison
@@ -22,6 +23,7 @@ class Story:
     paths: tuple[Path, ...]
     recording: Recording
     response: FrequencyResponse
+    resonances: Resonances
     linearisation: np.ndarray
     nominal: Recording
     with_friction: Recording

@@ -60,7 +60,7 @@ def _resonances(resonances: Resonances) -> Block:
         return Text(f"No resonance is marked: {resonances.reason}.")
     rows = []
     for number, each in enumerate(resonances.found, start=1):
-        spans = [f"{low:.4g} to {high:.4g}" for low, high in (each.frequency_ci95_Hz, tuple(100.0 * end for end in each.damping_ci95))]
+        spans = [f"{low:.5g} to {high:.5g}" for low, high in (each.frequency_ci95_Hz, tuple(100.0 * end for end in each.damping_ci95))]
         values = (str(number), f"{each.frequency_Hz:.4g}", spans[0], f"{100.0 * each.damping:.3g}", spans[1])
         rows.append((*values, f"{each.input} → {each.output}"))
     head = ("resonance", "frequency [Hz]", "95 % bounds", "damping [%]", "95 % bounds", "clearest in")

@@ -11,7 +11,6 @@ import numpy as np
 
 from hil.errors import UnusableInputError
 from hil.pages import Chart, Charts, Page, Scale, Section, Series, Table, Text, Verdict
-from hil.pages.contents import Kind
 from hil.recording import Recording
 from hil.reports.made_from import command_line, files_fact, pose_of, recorded_machine, was_emulated
 from hil.simulation import compare
@@ -147,6 +146,7 @@ def _answer(plotted: Sequence[Plotted]) -> tuple[Verdict, str, str]:
         return Verdict(said), next_command, "lays the simulation by the machine file over it."
     compared = [compare(one.recording, one.simulation) for one in plotted if one.simulation is not None]
     worst = max(compared, key=lambda each: max(channel.in_noise for channel in each.channels))
-    kind: Kind = "good" if all(each.agrees for each in compared) else "bad"
+    if all(each.agrees for each in compared):
+        return Verdict(f"{worst.verdict} {said}", "good"), "", ""
     command = command_line("diagnose", machine, *paths, "-o", "diagnosis")
-    return Verdict(f"{worst.verdict} {said}", kind), command, "says what the simulation leaves out."
+    return Verdict(f"{worst.verdict} {said}", "bad"), command, "says what the simulation leaves out."

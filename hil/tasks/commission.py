@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -18,16 +18,15 @@ from hil.errors import UnusableInputError
 from hil.experiments import Experiment, Jog, JogOnly, Multisine, Scan, Static
 from hil.experiments.plan import pose_array
 from hil.files.aside import keep_earlier
-from hil.identification import identify_poses, write_frf
-from hil.identification.report import response_lines
+from hil.identification import identify_poses, resonances, write_frf
+from hil.identification.report import resonance_lines
 from hil.machine import Machine, check_machine
 from hil.machine.load import SHIPPED
 from hil.recording import Recording, read_recording
 from hil.shaping.choice import choose_shaper
 from hil.shaping.plans import Shaped
 from hil.shaping.shaper_file import write_shaper
-from hil.simulation import compare, in_effort, simulate
-from hil.simulation.in_noise import in_units_of_noise, repeat_noise
+from hil.simulation import Comparison, compare, in_effort, simulate
 from hil.tasks.errors import as_bench_errors
 
 STILL_S = 5.0
@@ -53,10 +52,6 @@ SCAN_SHARE = 0.4
 """Share of the axis's range, about its middle, that the scan sweeps."""
 
 LARGEST_SCAN_rad = np.radians(120.0)
-
-WITHIN_NOISE = 3.0
-"""Times the noise up to which a simulation counts as agreeing: quantisation, which repeats have in common, and where each run began from
-make it up to 2 on a healthy machine."""
 
 
 @dataclass(frozen=True)
@@ -88,24 +83,19 @@ class Commissioning:
     machine : Machine
     folder : Path
     steps : tuple of Step
-    agreement : mapping of str to float
-        Per channel, simulation minus recording of the other motion in units of noise: 1 is nothing but noise.
+    comparison : Comparison or None
+        Of the first repeat with its simulation, in units of what repeats do not have in common; None where it did not come so far.
     """
 
     machine: Machine
     folder: Path
     steps: tuple[Step, ...]
-    agreement: Mapping[str, float]
+    comparison: Comparison | None
 
     @property
     def ok(self) -> bool:
         """Whether every step passed."""
         return all(step.ok for step in self.steps)
-
-    @property
-    def agrees(self) -> bool:
-        """Whether the simulation differs from the machine by no more than noise."""
-        return all(value <= WITHIN_NOISE for value in self.agreement.values())
 
     def document(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -113,8 +103,7 @@ class Commissioning:
             "machine": self.machine.name,
             "hash": self.machine.hash,
             "ok": self.ok,
-            "agrees": self.agrees,
-            "agreement": dict(self.agreement),
+            "comparison": None if self.comparison is None else self.comparison.document(),
             "steps": [vars(step) for step in self.steps],
         }
 
@@ -170,7 +159,7 @@ def commission(
         options = BenchOptions(bus, imu, io, seed=seed, emulated=emulated)
         with open_bench(machine, options, pose_array(machine, _middle(machine))) as bench:
             under_way.run(bench)
-    return Commissioning(machine, under_way.folder, tuple(under_way.steps), under_way.agreement)
+    return Commissioning(machine, under_way.folder, tuple(under_way.steps), under_way.comparison)
 
 
 class _UnderWay:
@@ -180,7 +169,7 @@ class _UnderWay:
         self.machine, self.folder, self._told, self._progress = machine, folder, told, progress
         self._middle = _middle(machine)
         self.steps: list[Step] = []
-        self.agreement: dict[str, float] = {}
+        self.comparison: Comparison | None = None
 
     def check(self) -> bool:
         """Check the machine file."""
@@ -193,13 +182,10 @@ class _UnderWay:
         self._done("home", True, list(bench.commission()))
         self._record(bench, "still", Static(STILL_S, self._middle))
         repeats = [self._record(bench, f"repeat{n + 1}", replace(REPEATED, pose=self._middle))[0] for n in range(REPEATS)]
-        (other,) = self._record(bench, "other", replace(OTHER, pose=self._middle))
-        noise = repeat_noise(repeats)
-        said = ", ".join(
-            f"{name} {value:.2g} {repeats[0].channel(name).unit}" for name, value in noise.items() if name.startswith("position_")
-        )
+        self._record(bench, "other", replace(OTHER, pose=self._middle))
         names = ["still", *(f"repeat{n + 1}" for n in range(REPEATS)), "other"]
-        self._done("repeat", bool(noise), [f"noise between {REPEATS} repeats: {said}"], tuple(self._path(name) for name in names))
+        said = f"{STILL_S:g} s at rest, {REPEATS} repeats of a slow sine, and another motion to judge by"
+        self._done("record", True, [said], tuple(self._path(name) for name in names))
         self._identify(bench)
         scan = self._shape()
         (recorded,) = self._record(bench, "scan", scan)
@@ -207,7 +193,7 @@ class _UnderWay:
         shown = f"{np.degrees(way):.0f} degrees" if units.position == "rad" else f"{1e3 * way:.0f} mm"
         said = f"{units.axis} over {shown} in {recorded.rows / self.machine.sample_rate_Hz:.1f} s"
         self._done("scan", True, [said], (self._path("scan"),))
-        self._compare(other, noise)
+        self._compare(repeats)
 
     def _done(self, name: str, ok: bool, said: list[str], files: tuple[Path, ...] = ()) -> bool:
         self.steps.append(Step(name, ok, tuple(said), files))
@@ -239,7 +225,7 @@ class _UnderWay:
         (response,) = identify_poses(self._record(bench, "multisine", experiment), "robust_bla")
         path = self.folder / f"{self.machine.name}.frf.npz"
         write_frf(response, path)
-        self._done("identify", True, response_lines(response)[:1], (path,))
+        self._done("identify", True, [line.strip() for line in resonance_lines(resonances(response))], (path,))
 
     def _shape(self) -> Experiment:
         """Design a shaper for every axis; return a scan of the first axis through its shaper, as it is where there is none."""
@@ -266,20 +252,16 @@ class _UnderWay:
         at = self._middle[axis]
         return Scan(axis, at - half, at + half, SCAN_PACE * limit.speed, {name: p for name, p in self._middle.items() if name != axis})
 
-    def _compare(self, other: Recording, noise: dict[str, float]) -> None:
-        """Hold the simulation against a motion that is not the repeated one."""
-        self.agreement = in_units_of_noise(compare(other, simulate(self.machine, other)), noise)
-        worst = max(self.agreement, key=lambda name: self.agreement[name])
-        if self.agreement[worst] <= WITHIN_NOISE:
-            said = [f"the simulation agrees with the machine within noise (at most {self.agreement[worst]:.2f} times it, {worst})"]
-        else:
-            shown = sorted(self.agreement.items(), key=lambda item: -item[1])[: len(self.machine.axes) + 1]
-            far = ", ".join(f"{name} by {times:.1f} times its noise" for name, times in shown)
-            repeats = " ".join(str(self._path(f"repeat{n + 1}")) for n in range(REPEATS))
-            said = [f"the simulation differs from the machine: {far}"]
+    def _compare(self, repeats: list[Recording]) -> None:
+        """Hold the simulation against the repeated motion, in units of what repeats do not have in common."""
+        first, *others = repeats
+        self.comparison = compare(first, simulate(self.machine, first), others)
+        said = [self.comparison.verdict]
+        if not self.comparison.agrees:
             named = self.machine.name if self.machine.path is None or self.machine.path.parent == SHIPPED else self.machine.path
-            given = f"{named} {repeats} --held-out {self._path('other')} -o {self.folder / 'diagnosis'}"
-            said.append(f"what it leaves out: isocenter diagnose {given}")
+            files = " ".join(str(self._path(f"repeat{n + 1}")) for n in range(REPEATS))
+            given = f"{named} {files} --held-out {self._path('other')} -o {self.folder / 'diagnosis'}"
+            said.append(f"What it leaves out: isocenter diagnose {given}")
         self._done("compare", True, said)
 
 

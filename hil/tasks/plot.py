@@ -5,12 +5,13 @@ from __future__ import annotations
 import io
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hil.calibration.use.lookup_table import LookUp
-from hil.errors import UnusableInputError
+from hil.errors import RecordingError, UnusableInputError
 from hil.identification import FrequencyResponse
 from hil.observing import Estimate
 from hil.recording import Recording
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 DPI = 100
+SHOWN = ("position", "command")
+"""Kinds of channels drawn of every axis unless some are named."""
 
 Drawable = Recording | Recordings | FrequencyResponse | ShaperChoice | Estimate | LookUp
 
@@ -53,9 +56,7 @@ def plot(result: Drawable, simulation: Recording | Recordings | None = None, *, 
     """
     _show_in_notebooks()
     if isinstance(result, Recording | Recordings):
-        from hil.figures.recordings import recording_figure
-
-        return recording_figure(the_one(result), None if simulation is None else the_one(simulation), channels, title)
+        return _recording(the_one(result), None if simulation is None else the_one(simulation), channels, title)
     if isinstance(result, FrequencyResponse):
         from hil.figures.frf import frf_figure
 
@@ -77,6 +78,21 @@ def plot(result: Drawable, simulation: Recording | Recordings | None = None, *, 
             result.positions[:, axis], f"{result.axes[axis]} [rad or m]", {title or "phantom": (result.deviation, result.covariance)}
         )
     raise UnusableInputError(f"{type(result).__name__}: is not drawn; a recording, response, shaper, estimate or look-up table is")
+
+
+def _recording(recording: Recording, simulation: Recording | None, channels: Sequence[str], title: str) -> Figure:
+    """Draw channels over time, with what a simulation leaves of each beneath it: the charts of `isocenter plot`."""
+    from hil.figures.still import still
+    from hil.pages import Charts
+    from hil.reports.plot import Plotted, charts_of
+
+    if simulation is not None and simulation.rows != recording.rows:
+        raise RecordingError(f"{recording.rows} rows recorded, {simulation.rows} simulated; draw a simulation of this recording")
+    names = list(channels) or [f"{kind}_{axis}" for axis in recording.axes for kind in SHOWN if f"{kind}_{axis}" in recording]
+    names = names or [name for name in recording.channels if name != "time"]
+    for name in names:
+        recording.channel(name)
+    return still(Charts(charts_of([Plotted(Path(), recording, simulation)], names)), title)
 
 
 def _show_in_notebooks() -> None:

@@ -9,13 +9,13 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from hil.bench.margins import accepted_margins
 from hil.bench.open import open_bench, recording_paths
 from hil.bench.options import BenchOptions
 from hil.errors import UnusableInputError
 from hil.experiments import Experiment, Multisine, Plan
 from hil.files.aside import keep_earlier
 from hil.machine import Machine
-from hil.machine.check import failing_controllers
 from hil.machine.faults_file import read_faults_file
 from hil.observing import ObserverDesign, read_design
 from hil.observing.live import LiveObserver
@@ -76,7 +76,7 @@ def run(
         emulated=emulated,
         faults=() if faults is None else read_faults_file(faults, emulated or machine),
         real_time=real_time,
-        accepted_margins=_accepted_margins(machine, accept_margins),
+        accepted_margins=accepted_margins(machine, accept_margins, "accept_margins=True"),
     )
     scratch = None if out is not None else Path(tempfile.mkdtemp(prefix="isocenter-"))
     paths = recording_paths(Path(out) if scratch is None and out is not None else Path(scratch or ".") / "run.mf4", plans)
@@ -162,17 +162,6 @@ def _live(given: ObserverDesign | str | Path | None, machine: Machine) -> LiveOb
         )
     imu = machine.bus.imu.name if machine.bus is not None and machine.bus.imu is not None else ""
     return LiveObserver(design.observer(), "" if isinstance(given, ObserverDesign) else str(given), imu=imu)
-
-
-def _accepted_margins(machine: Machine, accept: bool) -> tuple[str, ...]:
-    """Return what `check` finds failing of the controllers where the caller accepts it; UnusableInputError where not."""
-    failing = tuple(finding.text for finding in failing_controllers(machine))
-    if failing and not accept:
-        raise UnusableInputError(
-            f"{machine.name}: its controller fails its check, so it is not run: {'; '.join(failing)}."
-            " Correct [controller], or accept this with accept_margins=True"
-        )
-    return failing
 
 
 def _path(given: str | Path | None) -> Path | None:

@@ -10,7 +10,7 @@ from hil.simulation import Comparison
 from hil.simulation import compare as compare_recordings
 from hil.simulation import simulate as simulate_recording
 from hil.tasks.errors import as_bench_errors
-from hil.tasks.recordings import Recordings, the_one
+from hil.tasks.recordings import Recordings, Several, every_one, the_one
 
 
 @overload
@@ -45,17 +45,24 @@ def simulate(machine: Machine, recording: Recording | Recordings) -> Recording |
 
 
 @as_bench_errors()
-def compare(recording: Recording | Recordings, simulation: Recording | Recordings) -> Comparison:
-    """Compare a recording with its simulation, channel by channel.
+def compare(recording: Recording | Recordings, simulation: Recording | Recordings, repeats: Several = ()) -> Comparison:
+    """Compare a recording with its simulation, channel by channel, in units of noise.
+
+    Parameters
+    ----------
+    recording, simulation : Recording
+        Of the same rows.
+    repeats : Recording, Recordings or several of them
+        Of the same experiment, which show the noise; without any it is from the recording's periods, or assumed.
 
     Returns
     -------
     Comparison
-        `comparison["position_roll"].rms`, `.table()` for a person, `.frame()` for pandas.
+        `.verdict` and `.table()` for a person, `comparison["position_roll"].rms`, `.frame()` for pandas.
 
     Raises
     ------
     RecordingError
         Rows, times or units differ, no channel is common to both, or there are several recordings.
     """
-    return compare_recordings(the_one(recording), the_one(simulation))
+    return compare_recordings(the_one(recording), the_one(simulation), list(every_one(repeats).values()))

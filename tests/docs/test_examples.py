@@ -88,8 +88,8 @@ def test_stop_on_a_fault(empty: Path) -> None:
 def test_commission_a_machine(empty: Path) -> None:
     seen = script("commission_a_machine")
     assert seen["found"].ok
-    assert seen["found"].agrees
-    assert [step.name for step in seen["found"].steps] == ["check", "home", "repeat", "identify", "shape", "scan", "compare"]
+    assert seen["found"].comparison.agrees
+    assert [step.name for step in seen["found"].steps] == ["check", "home", "record", "identify", "shape", "scan", "compare"]
 
 
 def test_observe_the_detector(empty: Path) -> None:

@@ -107,7 +107,7 @@ def _sensitivities(outcome: Outcome) -> tuple[np.ndarray, list[str]]:
 
 def _page(outcome: Outcome, folder: Path, is_emulated: bool) -> Page:
     diagnosis, machine = outcome.diagnosis, outcome.train.machine
-    drawn = {name: blocks or [Text(ABSENT[name])] * (name in ABSENT) for name, blocks in report_blocks(outcome).items()}
+    drawn = {name: blocks or ([Text(ABSENT[name])] if name in ABSENT else []) for name, blocks in report_blocks(outcome).items()}
     units = {units.axis: units for units in machine.units}
     where: list[Block] = [Text(ONLY_HELD_OUT)] if outcome.is_only_held_out else []
     unexplained = f"Unexplained share of what stood above noise in the training recordings: {diagnosis.unexplained_share:.1%}."

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bench_machines import CARM
 from commands import isocenter
+from page_text import page_verdict
 
 from hil.calibration.marker.focal_spot import SpotTrack, spot_track
 from hil.calibration.marker.image_quality import ImageQuality
@@ -16,6 +18,7 @@ from hil.imaging.detector import Detector
 from hil.imaging.geometry import ConeBeam
 from hil.imaging.markers import PLATES
 from hil.imaging.scan_folder import ImageScan
+from hil.reports.spot import spot_charts, spot_page
 
 
 def track(seconds: float = 8.0, rate: float = 30.0, wobble: float = 7e-6, anode: float = 48.3, drift: float = 8e-6) -> SpotTrack:
@@ -37,19 +40,29 @@ def test_the_anode_shows_at_its_alias_with_its_own_amplitude() -> None:
     assert seen.drift_m[0] == pytest.approx(8e-6 * (1.0 - np.exp(-7.8 / 4.0)), rel=0.1)
 
 
+def test_its_page_marks_the_anodes_alias_and_says_how_far_it_moves() -> None:
+    seen = track()
+    page = spot_page(CARM, seen, 48.3, Path("still"), [])
+    assert f"{1e6 * np.ptp(seen.spot_m[:, 0]):.1f} µm along columns" in page.verdict.text
+    over_time, spectrum = spot_charts(seen, 48.3).cells
+    assert spectrum.marks[0].x == pytest.approx(11.7)  # type: ignore[union-attr]
+    assert np.allclose(over_time.series[1].y, 1e6 * seen.spot_m[:, 1])  # type: ignore[union-attr]
+
+
 @pytest.mark.nightly
 def test_the_command_measures_the_emulated_tube(tmp_path: Path) -> None:
     still = ["run", "static", "-m", "carm", "-b", "lockstep:", "--seconds", "1.2", "--truth", tmp_path / "t.csv", "-o", tmp_path / "r.mf4"]
     assert isocenter(*still) == 0
     shown = ["--truth", tmp_path / "t.csv", "--marker", "clinical", "--rate", "20", "-o", tmp_path / "images"]
     assert isocenter("expose", "carm", tmp_path / "r.mf4", *shown) == 0
-    answers = ["--anode", "48.3", "--figure", tmp_path / "f.png", "--json", tmp_path / "a.json"]
+    answers = ["--anode", "48.3", "--figure", tmp_path / "f.png", "--json", tmp_path / "a.json", "--page", tmp_path / "a.html"]
     assert isocenter("calibrate", "spot", "carm", tmp_path / "images", *answers) == 0
     answer = json.loads((tmp_path / "a.json").read_text())
     assert answer["anode_alias_Hz"] == pytest.approx(8.3, abs=0.01)
     assert answer["anode_wobble_m"][0] == pytest.approx(10e-6, rel=0.15)
     assert answer["anode_wobble_m"][1] < 1.5e-6
     assert (tmp_path / "f.png").stat().st_size > 10_000
+    assert page_verdict(tmp_path / "a.html").startswith("The focal spot moves by")
 
 
 def test_exposures_of_a_machine_that_moves_or_too_few_are_refused(tmp_path: Path) -> None:

@@ -32,8 +32,8 @@ def test_a_machine_that_is_not_as_filed_is_told_and_the_next_command_names_its_f
     done = isocenter("commission", "turntable", "-b", "lockstep:", "--effects", "hidden.toml", "-o", "arm", "--json", "arm.json")
     assert done.status == 0, done.err
     answer = json.loads(Path("arm.json").read_text())
-    assert (answer["ok"], answer["agrees"]) == (True, False)
-    assert answer["agreement"]["position_turn"] > 5.0
+    assert (answer["ok"], answer["comparison"]["agrees"], answer["comparison"]["noise"]) == (True, False, "repeats")
+    assert answer["comparison"]["channels"]["position_turn"]["in_noise"] > 5.0
     (command,) = re.findall(r"isocenter diagnose turntable (.*)", done.out)
     given = command.split()
     files = [Path(word) for word in given if word.endswith(".mf4")]

@@ -12,6 +12,7 @@ from hil.diagnosis.report import write_report
 from hil.diagnosis.report.heat_maps import over_pose_and_frequency, over_pose_and_speed, residuals
 from hil.diagnosis.report.overlay import overlay_charts
 from hil.diagnosis.residuals.mismatch import mismatch
+from hil.diagnosis.result import DisturbanceShares
 
 DURATION_s = 5.0
 
@@ -65,4 +66,9 @@ def test_places_and_speeds_and_efforts_have_their_units(friction, tmp_path):
     page = write_report(outcome, tmp_path).read_text(encoding="utf-8")
     for quantity, unit in {"position": "m", "speed": "m/s", "effort": "V"}.items():
         assert f"<td>{quantity} of carriage</td><td>0.125 to 0.25 {unit}</td>" in page
+    nothing = replace(
+        friction.diagnosis, findings=(), hypotheses=(), disturbance=DisturbanceShares(), verdict="consistent", reason="nothing"
+    )
+    bare = write_report(replace(friction, diagnosis=nothing), tmp_path).read_text(encoding="utf-8")
+    assert "Nothing is above noise for certain." in bare and "Consistent: nothing." in bare
     assert page.index('<p class="verdict unsure">') < page.index("coulomb_friction at carriage: Fc = ") < page.index("<h2>")

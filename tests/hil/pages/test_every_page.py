@@ -63,7 +63,12 @@ class Maker:
         return out
 
     def _diagnose(self) -> Path:
-        assert isocenter("diagnose", "carm", *self._recordings()[:2], "-o", self.folder / "diagnosis") in (0, 1)
+        effects, repeats = self.folder / "rubs.toml", [self.folder / f"jog{seed}.mf4" for seed in (1, 2, 3)]
+        effects.write_text('[[effect]]\nname = "viscous_friction"\nat = "turn"\nFv_Nm_s_rad = 5.0\n')
+        for seed, path in enumerate(repeats):
+            jog = ("--period", "4", "--periods", "1", "--seed", str(seed), "--effects", effects)
+            assert isocenter("run", "jog", "-m", "turntable", "-b", "lockstep:", *jog, "-o", path) == 0
+        assert isocenter("diagnose", "turntable", *repeats, "-o", self.folder / "diagnosis") in (0, 1)
         return self.folder / "diagnosis" / "report.html"
 
     def _faults(self) -> Path:

@@ -43,11 +43,12 @@ def url(tmp_path_factory: pytest.TempPathFactory) -> str:
         marks=[Mark(8.0, "8 Hz, damping 0.02")],
         group="frequency",
     )
-    wide = Table([f"column {k}" for k in range(20)], [[f"value {k}" for k in range(20)]])
+    wide = Table([f"column {k}" for k in range(5)], [["a_name_without_a_gap"] * 5])
+    many = Table([f"column {k}" for k in range(20)], [[f"value {k}" for k in range(20)]])
     sections = [
         Section("Time", [Charts([(wave, other)])]),
         Section("Frequency", [Charts([response])], is_folded=True),
-        Section("T", [wide]),
+        Section("T", [wide, many]),
     ]
     path = tmp_path_factory.mktemp("pages") / "page.html"
     write_page(Page("Trial", Verdict("All is well.", "good"), sections, "isocenter plot run.mf4 -o run.html"), Path(path))
@@ -127,6 +128,7 @@ def test_a_narrow_screen_shows_the_verdict_at_once_and_never_scrolls_sideways(pa
     page.set_viewport_size({"width": WIDTHS["narrow"], "height": 800})
     opened(page, url)
     assert page.evaluate("document.documentElement.scrollWidth") <= WIDTHS["narrow"]
+    assert page.get_by_text("value 19").is_visible()
     verdict, command = page.locator(".verdict").bounding_box(), page.locator(".next").bounding_box()
     assert verdict is not None
     assert command is not None

@@ -58,9 +58,16 @@ def test_the_page_names_the_channel_that_the_simulation_misses_and_what_to_do_ne
     page = (tmp_path / "run.html").read_text(encoding="utf-8")
     assert "most in current_roll, by 0.25 A rms" in answer["verdict"]
     assert page.index(answer["verdict"]) < page.index("<h2>")
+    assert answer["emulated"] is False
     assert f"isocenter diagnose carm {recorded}" in page
     assert CARM.hash[:12] in page
     assert (tmp_path / "run.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_simulation_that_agrees_asks_for_nothing(recorded: Path) -> None:
+    recording = read_recording(recorded)
+    page = plot_page([Plotted(recorded, recording, recording)], ["current_roll"])
+    assert (page.verdict.kind, page.next_command) == ("good", "")
 
 
 def test_channels_are_chosen_by_name_or_pattern(isocenter: Isocenter, recorded: Path, tmp_path: Path) -> None:
