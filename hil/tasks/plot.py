@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hil.calibration.use.lookup_table import LookUp
-from hil.errors import RecordingError, UnusableInputError
+from hil.errors import UnusableInputError
 from hil.identification import FrequencyResponse
 from hil.observing import Estimate
 from hil.recording import Recording
