@@ -188,6 +188,7 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("notes", "list", "How the rest was taken where that was not plain: resampled, summed, in another unit."),
         Entry("target, lines, outputs, inputs", "text, number, list, list", "Of a frequency response these four alone."),
     ),
+    "foxglove": (Entry("url, place", "text", "Where it serves, and what. The object is written in one line when it listens."),),
     "identify": _IDENTIFY,
     "shape": (
         Entry("shaper", "text", "The file that was written."),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 import os
 import sys
@@ -19,6 +20,7 @@ from hil.version import software_version
 
 if TYPE_CHECKING:
     from typer._click.exceptions import ClickException
+    from typer.models import CommandInfo
 
 # Matrices here are small: BLAS threads that spin for each other take the processor from the loop and cost more than they bring.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -28,13 +30,13 @@ _UsageError: type[Any] = typer.BadParameter.__bases__[0]
 _ClickException: type[Any] = _UsageError.__bases__[0]
 
 _BUSES = "`--bus lockstep:` for the emulated machine in this process, `--bus socketcan:can0` for a real one"
+_COMPLETING = "_ISOCENTER_COMPLETE"  # environment variable with which a shell asks for completions
 _INTERRUPTED = 130  # what Typer makes of Ctrl-C
 
 app = typer.Typer(
     name="isocenter",
     help="Hardware-in-the-loop controller stack for an X-ray C-arm.\n\nStart with:  isocenter demo",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120},
@@ -54,22 +56,52 @@ def _options(
     """Take the options that stand before a command."""
 
 
+def _nothing() -> None:
+    """Stand in for a command that is only listed."""
+
+
 @functools.cache
-def _command() -> Callable[..., Any]:
-    """Return all commands as Typer runs them; making them takes longer than many a command."""
+def _command(called: str | None) -> Callable[..., Any]:
+    """Return the commands as Typer runs them, of which only the one that is called has its parameters; None: all have.
+
+    To make those of all commands takes longer than many a command.
+    """
     from hil.cli import register
 
     register.commands(app)
-    return typer.main.get_command(app)
+    if called is None:
+        return typer.main.get_command(app)
+    listed = copy.copy(app)
+    listed.registered_commands = [_listed(info, called) for info in app.registered_commands]
+    listed.registered_groups = []
+    for group in app.registered_groups:
+        one = copy.copy(group)
+        if one.name != called and one.typer_instance is not None:
+            one.typer_instance = copy.copy(one.typer_instance)
+            one.typer_instance.registered_commands, one.typer_instance.registered_groups = [], []
+        listed.registered_groups.append(one)
+    return typer.main.get_command(listed)
+
+
+def _listed(info: CommandInfo, called: str) -> CommandInfo:
+    """Return a command, without its parameters where it is not called."""
+    assert info.callback is not None
+    name = info.name or typer.main.get_command_name(info.callback.__name__)
+    if name == called:
+        return info
+    only_named = copy.copy(info)
+    only_named.name, only_named.callback, only_named.help = name, _nothing, info.help or info.callback.__doc__
+    return only_named
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and leave with its exit status: 0 done, 1 a bad answer, 2 unusable input."""
     try:
         with _warnings_in_one_line():
+            words = _held_out_each(_json_to_standard_output(sys.argv[1:] if arguments is None else arguments))
             status = (
-                _command()(
-                    args=_held_out_each(_json_to_standard_output(sys.argv[1:] if arguments is None else arguments)),
+                _command(None if _COMPLETING in os.environ else next((word for word in words if not word.startswith("-")), ""))(
+                    args=words,
                     prog_name=app.info.name,
                     standalone_mode=False,
                 )

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from hil.cli.options import BusOption, ImuOption, IoOption, MachineArgument, load
+from hil.cli.options import BusOption, ImuOption, IoOption, MachineArgument, RealTimeOption, load
 from hil.terminal.output import Answer, JsonOption
 
 
@@ -39,6 +39,7 @@ def bench(
     ] = "",
     imu: ImuOption = "",
     io: IoOption = "",
+    real_time: RealTimeOption = True,
     json_to: JsonOption = None,
 ) -> None:
     """Say which address to open, and serve it."""
@@ -73,4 +74,4 @@ def bench(
         answer.say(f"recordings go to {out}; Ctrl-C stops what runs, and ends")
         answer.write_at_once({"address": address, "machine": machine.name, "bus": bus, "folder": out})
 
-    serve(facts_of(name, machine, bus, imu, io), out.absolute(), place, ready)
+    serve(facts_of(name, machine, bus, imu, io, real_time), out.absolute(), place, ready)

@@ -59,6 +59,8 @@ def new(
     if out.exists():
         raise UnusableInputError(f"{out}: is there already; a file that may hold work of yours is not written over")
     asks = _ask if ask and sys.stdin.isatty() and json_to != "-" else None
+    if asks is not None:
+        answer.say("Enter alone takes what stands in parentheses, or leaves the point to be filled in.")
     replies = Answers(_given(answers or []), asks)
     draft = _draft(replies, source, name or _name_of(out), eds or [], out.absolute().parent)
     simulated = machine_text(_without_bus(draft))
@@ -69,7 +71,9 @@ def new(
     if not missing:
         machine_from_text(text, out)
     out.write_text(text, encoding="utf-8")
-    answer.say(f"{out}: {draft.name}, {len(draft.bodies)} bodies, axes {', '.join(axis.name for axis in draft.axes)}")
+    answer.say(
+        f"{out}: {draft.name}, bodies {', '.join(body.name for body in draft.bodies)}; axes {', '.join(axis.name for axis in draft.axes)}"
+    )
     for left in draft.left:
         answer.say(f"     not taken over: {left}")
     for mark in assumed:
@@ -93,8 +97,13 @@ def new(
 
 def _ask(question: Question) -> str:
     otherwise = question.otherwise
-    assumed = "leave empty to fill it in later" if otherwise is None else f"empty: {otherwise.value}, {otherwise.why}"
-    typer.echo(f"{question.words} ({assumed}): ", nl=False)
+    if otherwise is None:
+        assumed = ""
+    else:
+        value = otherwise.value
+        shown = ", ".join(f"{each:g}" for each in value) if isinstance(value, list) else f"{value:g}" if isinstance(value, float) else value
+        assumed = f" ({shown}: {otherwise.why})"
+    typer.echo(f"{question.words}{assumed}: ", nl=False)
     return sys.stdin.readline()
 
 

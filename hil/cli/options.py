@@ -17,13 +17,31 @@ if TYPE_CHECKING:
     from virtual_bus.faults.fault import FaultSetting
     from virtual_bus.settings import EffectSetting
 
+SHIPPED = Path(__file__).resolve().parents[1] / "machine" / "shipped"
+
+
+def _shipped(incomplete: str) -> list[str]:
+    """Return the shipped machines for a shell to complete; where none fits it completes paths."""
+    return [path.stem for path in sorted(SHIPPED.glob(f"{incomplete}*.toml"))]
+
+
 MachineOption = Annotated[
-    str, typer.Option("--machine", "-m", metavar="M", help="Machine file, or the name of a shipped one (isocenter machine list).")
+    str,
+    typer.Option(
+        "--machine",
+        "-m",
+        metavar="M",
+        help="Machine file, or the name of a shipped one (isocenter machine list).",
+        autocompletion=_shipped,
+    ),
 ]
 ScanArgument = Annotated[
     Path, typer.Argument(metavar="SCAN", help="Folder of a scan: its images, when they were exposed, and the panel's description.")
 ]
-MachineArgument = Annotated[str, typer.Argument(metavar="M", help="Machine file, or the name of a shipped one (isocenter machine list).")]
+MachineArgument = Annotated[
+    str,
+    typer.Argument(metavar="M", help="Machine file, or the name of a shipped one (isocenter machine list).", autocompletion=_shipped),
+]
 BusOption = Annotated[
     str,
     typer.Option(

@@ -17,6 +17,7 @@ from hil.cli import (
     diagnose,
     doctor,
     faults,
+    foxglove,
     geometry,
     identify,
     machine,
@@ -46,6 +47,7 @@ def commands(app: typer.Typer) -> None:
     conformance.register(app)
     app.add_typer(run.app, name="run")
     answers.register(app)
+    foxglove.register(app)
     identify.register(app)
     shape.register(app)
     observe.register(app)

@@ -169,8 +169,11 @@ class _Pages:
         await socket.send_json({"type": "welcome", "client": client})
 
         async def tell() -> None:
+            seen = -1
             while True:
-                await socket.send_text(self._desk.state_text())
+                version = self._desk.results_version
+                await socket.send_text(self._desk.state_text(whole=version != seen))
+                seen = version
                 await asyncio.sleep(PING_S)
 
         async def listen() -> None:
@@ -228,7 +231,7 @@ def _told(answer: Callable[[dict[str, Any], str], Awaitable[Any]]) -> Answering:
         try:
             found = await answer(asked, request.headers.get("x-client", ""))
         except UnusableInputError as error:
-            return PlainTextResponse(f"{error}\n", 409)
+            return JSONResponse({"error": str(error)})  # an answer to the user, no failure of the request
         return JSONResponse({} if found is None else found)
 
     return endpoint

@@ -60,13 +60,14 @@ class Order:
         return any(command.moves for command in self.commands)
 
 
-def run_command(facts: Facts, folder: Path, name: str, text: str, *options: str) -> Command:
+def run_command(facts: Facts, folder: Path, name: str, text: str) -> Command:
     """Return the run of an experiment file, which is written into the folder, where the user finds it."""
 
     def arguments(answers: Answers) -> list[str]:
         path = folder / f"{name}.toml"
         path.write_text(text, encoding="utf-8")
-        return ["run", str(path), *on_the_bus(facts), "-o", str(folder / f"{name}.mf4"), *options]
+        timing = [] if facts.real_time else ["--no-real-time"]
+        return ["run", str(path), *on_the_bus(facts), "-o", str(folder / f"{name}.mf4"), *timing]
 
     return Command(name, arguments, moves=True)
 

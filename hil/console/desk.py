@@ -66,7 +66,8 @@ class Desk:
         self._stop: dict[str, Any] | None = None
         self._stopping: asyncio.Task[None] | None = None
         self._tasks: list[asyncio.Task[None]] = []
-        self._said, self._said_s = "", float("-inf")
+        self._said, self._said_s = {True: "", False: ""}, {True: float("-inf"), False: float("-inf")}
+        self.results_version = 0
 
     async def open(self) -> None:
         """Begin to look, to judge and to listen to the starter."""
@@ -106,6 +107,7 @@ class Desk:
         if order.moves and not self.attention.is_here(client):
             raise UnusableInputError("this page does not answer the server's pings, so it may start no motion; reload it")
         if order.step:
+            self.results_version += 1
             self.passed.pop(order.step, None)
             self._results.pop(order.step, None)
         self.work.begin(order, client)
@@ -174,6 +176,8 @@ class Desk:
                     else:
                         lines.append(str(error))
                 self.work.let_go(who)  # where no supervisor was there yet, or the run goes on after its stop
+            if not self.work.running and not lines:
+                lines.append("nothing runs here")
             if self.work.running:
                 await self.work.done.wait()
                 lines.append("what was started here has ended")
@@ -199,12 +203,13 @@ class Desk:
             "readers": rows.readers,
         }
 
-    def state_text(self) -> str:
-        """Return the state as JSON, made once for all who ask within an interval."""
+    def state_text(self, whole: bool) -> str:
+        """Return the state as JSON, made once for all who ask within an interval; the steps' results, which are long, only in the whole."""
         now_s = time.monotonic()
-        if now_s - self._said_s > FRESH_S:
-            self._said, self._said_s = json.dumps(self.state(), allow_nan=False), now_s
-        return self._said
+        if whole or now_s - self._said_s[whole] > FRESH_S:
+            state = self.state() | ({} if whole else {"steps": None})
+            self._said[whole], self._said_s[whole] = json.dumps(state, allow_nan=False), now_s
+        return self._said[whole]
 
     def described(self) -> dict[str, Any]:
         """Return everything that stays: the machine, the steps, the forms."""
@@ -237,8 +242,9 @@ class Desk:
 
     def _ended(self, order: Order, passed: bool) -> None:
         if order.step:
+            self.results_version += 1
             self.passed[order.step] = passed
-            self._results[order.step] = self.work.state_now()
+            self._results[order.step] = self.work.state_now() | {"lines": self.work.lines}
 
     def _hear(self) -> None:
         with contextlib.suppress(BlockingIOError):

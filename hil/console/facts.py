@@ -41,13 +41,14 @@ class Facts:
     axes: tuple[AxisFacts, ...]
     settings: BusSettings
     is_lockstep: bool
+    real_time: bool  # whether runs ask for real-time scheduling
 
     def axis(self, name: str) -> AxisFacts:
         """Return the facts of an axis."""
         return next(axis for axis in self.axes if axis.name == name)
 
 
-def facts_of(name: str, machine: Machine, bus: str, imu: str, io: str) -> Facts:
+def facts_of(name: str, machine: Machine, bus: str, imu: str = "", io: str = "", real_time: bool = True) -> Facts:
     """Gather the facts of a machine that has a bus.
 
     Parameters
@@ -57,6 +58,8 @@ def facts_of(name: str, machine: Machine, bus: str, imu: str, io: str) -> Facts:
     machine : Machine
     bus, imu, io : str
         Options of the command line.
+    real_time : bool
+        Whether runs ask for real-time scheduling.
     """
     settings = machine.bus
     assert settings is not None
@@ -73,6 +76,5 @@ def facts_of(name: str, machine: Machine, bus: str, imu: str, io: str) -> Facts:
         )
         lower, upper, speed = limit.lower * scale, limit.upper * scale, limit.speed * scale
         axes.append(AxisFacts(units.axis, units.position, edge, units.effort, lower, upper, speed, scaling.limit, words))
-    return Facts(
-        name, machine.name, machine.description, bus, imu, io, machine.sample_rate_Hz, tuple(axes), settings, bus.startswith("lockstep:")
-    )
+    lockstep, rate_Hz = bus.startswith("lockstep:"), machine.sample_rate_Hz
+    return Facts(name, machine.name, machine.description, bus, imu, io, rate_Hz, tuple(axes), settings, lockstep, real_time)

@@ -143,11 +143,11 @@ def _identify(facts: Facts, folder: Path, form: Form) -> Step:
         run = run_command(facts, folder, "multisine", form.text(facts, values))
 
         def identify(answers: Answers) -> list[str]:
-            figure = ["--figure", str(folder / "identified.png")]
+            figure = drawn(folder, "identified")
             return ["identify", *recordings_of(answers["multisine"]), "-o", str(folder / "identified.frf.npz"), *figure]
 
         commands = (run, Command("identify", identify))
-        return Order("Identify", commands, step="identify", judge=verdicts.identify, made=("identified.png",))
+        return Order("Identify", commands, step="identify", judge=verdicts.identify, made=made_of("identified"))
 
     return Step(
         "identify",
@@ -169,12 +169,12 @@ def _shape(facts: Facts, folder: Path) -> Step:
 
     def order(values: Mapping[str, Any]) -> Order:
         chosen = str(axis.read(values))
-        shaper, figure = folder / f"{chosen}.shaper.npz", folder / f"{chosen}-shaper.png"
-        arguments = ["shape", facts.name, "--axis", chosen, "-o", str(shaper), "--figure", str(figure)]
+        name, shaper = f"{chosen}-shaper", folder / f"{chosen}.shaper.npz"
+        arguments = ["shape", facts.name, "--axis", chosen, "-o", str(shaper), *drawn(folder, name)]
         if source.read(values) == FROM_RESPONSE:
             arguments += ["--frf", str(folder / "identified.frf.npz")]
         command = Command("shape", lambda answers: arguments)
-        return Order(f"Shape {chosen}", (command,), step="shape", judge=verdicts.shape, made=(figure.name,))
+        return Order(f"Shape {chosen}", (command,), step="shape", judge=verdicts.shape, made=made_of(name))
 
     return Step(
         "shape",
@@ -199,10 +199,10 @@ def _observe(facts: Facts, folder: Path, form: Form) -> Step:
             measured = [argument for each in recordings_of(answers["multisine"]) for argument in ("--multisine", each)]
             measured += [argument for each in recordings_of(answers["still"]) for argument in ("--standing", each)]
             written = ["-o", str(folder / "observed.est.npz"), "--save-design", str(folder / "machine.observer.npz")]
-            return ["observe", facts.name, recording, *measured, *written, "--figure", str(folder / "observed.png")]
+            return ["observe", facts.name, recording, *measured, *written, *drawn(folder, "observer")]
 
         commands = (scan, Command("observe", observe))
-        return Order("Observe", commands, step="observe", judge=verdicts.observe, made=("observed.png",))
+        return Order("Observe", commands, step="observe", judge=verdicts.observe, made=made_of("observer"))
 
     return Step(
         "observe",
@@ -216,6 +216,16 @@ def _observe(facts: Facts, folder: Path, form: Form) -> Step:
         order,
         moves=True,
     )
+
+
+def drawn(folder: Path, name: str) -> list[str]:
+    """Return the options for a picture, which the page shows, and for a report, which it links."""
+    return ["--figure", str(folder / f"{name}.png"), "--page", str(folder / f"{name}.html")]
+
+
+def made_of(name: str) -> tuple[str, ...]:
+    """Return the files that `drawn` asks for."""
+    return f"{name}.html", f"{name}.png"
 
 
 def step_named(steps: Mapping[str, Step], name: object) -> Step:

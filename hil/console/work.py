@@ -59,6 +59,11 @@ class Work:
         return self.state == "running"
 
     @property
+    def lines(self) -> list[tuple[str, bool]]:
+        """What was said last, and whether on the error stream."""
+        return list(self._lines)
+
+    @property
     def moves(self) -> bool:
         """Whether what is being done may move the machine."""
         return self.running and self._order is not None and self._order.commands[self._at].moves
@@ -116,7 +121,7 @@ class Work:
             "seconds": round(took_s, 1),
             "why": self.why,
             "owner": self.owner,
-            "lines": list(self._lines),
+            "lines": self.lines if self.running else [],
             "made": [name for name in self._order.made if (self._folder / name).is_file()] if not self.running else [],
         }
 

@@ -14,7 +14,7 @@ from hil.identification.result import FrequencyResponse
 # Okabe and Ito's palette: told apart by colour-blind readers and in grey
 BLUE, VERMILION, ORANGE, GREY = "#0072B2", "#D55E00", "#E69F00", "#BBBBBB"
 CELL_WIDTH_IN, MAGNITUDE_HEIGHT_IN, PHASE_HEIGHT_IN = 3.6, 1.7, 0.8
-NAME_WIDTH = 0.3  # of a panel, that the name of a resonance takes
+NUMBER_WIDTH = 0.04  # of a panel, that the number of a resonance takes
 
 
 def frf_figure(
@@ -46,11 +46,11 @@ def frf_figure(
             _mark(grid[2 * i + 1, j], modes, named=False)
     for j in range(n_u):
         grid[-1, j].set_xlabel("Frequency [Hz]")
-        grid[0, j].set_title(f"from {_label(response.input_names[j], response.input_units[j])}", fontsize="medium")
+        grid[0, j].set_title(f"from {_label(response.input_names[j], response.input_units[j])}", fontsize="medium", pad=12.0)
     handles, labels = grid[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), n_u), frameon=False)
-    if title:
-        figure.suptitle(title)
+    if lines := [line for line in (title, _named(modes)) if line]:
+        figure.suptitle("\n".join(lines), fontsize="medium")
     figure.align_ylabels(grid[:, 0])
     return figure
 
@@ -84,26 +84,29 @@ def _draw_magnitude(
 
 
 def _mark(axes: Axes, modes: Sequence[Resonance], *, named: bool) -> None:
-    """Mark resonances by lines, which the upper panels name; names of close ones go one below the other."""
+    """Mark resonances by lines, with their numbers where `named`; close ones go one below the other."""
     low, high = axes.get_xlim()
     row, last = 0, -np.inf
-    for mode in modes:
+    for number, mode in enumerate(modes, start=1):
         axes.axvline(mode.frequency_Hz, color="black", linewidth=0.6, linestyle=(0, (2, 2)))
-        if not named:
-            continue
         at = np.log(mode.frequency_Hz / low) / np.log(high / low)
-        row, last = (row + 1 if at - last < NAME_WIDTH else 0), at
-        axes.annotate(
-            f"{mode.frequency_Hz:.3g} Hz, {100.0 * mode.damping:.2g} %",
-            (mode.frequency_Hz, 1.0),
-            xycoords=("data", "axes fraction"),
-            xytext=(2.0 if at < 1.0 - NAME_WIDTH else -2.0, -8.0 * row - 2.0),
-            textcoords="offset points",
-            horizontalalignment="left" if at < 1.0 - NAME_WIDTH else "right",
-            verticalalignment="top",
-            fontsize="x-small",
-            bbox={"facecolor": "white", "alpha": 0.8, "linewidth": 0.0, "pad": 0.5},
-        )
+        row, last = (row + 1 if at - last < NUMBER_WIDTH else 0), at
+        if named:
+            axes.annotate(
+                str(number),
+                (mode.frequency_Hz, 1.0),
+                xycoords=("data", "axes fraction"),
+                xytext=(0.0, 1.0 + 8.0 * row),
+                textcoords="offset points",
+                horizontalalignment="center",
+                fontsize="x-small",
+            )
+
+
+def _named(modes: Sequence[Resonance]) -> str:
+    """Return the marked resonances by their numbers, for the title."""
+    each = [f"{number}: {mode.frequency_Hz:.3g} Hz, {100.0 * mode.damping:.2g} %" for number, mode in enumerate(modes, start=1)]
+    return "frequency and damping of the modes  " + ";  ".join(each) if each else ""
 
 
 def _draw_phase(axes: Axes, response: FrequencyResponse, i: int, j: int, compared: Sequence[tuple[str, np.ndarray, np.ndarray]]) -> None:

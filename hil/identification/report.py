@@ -32,8 +32,13 @@ def resonance_lines(modes: Resonances) -> list[str]:
     if not modes.found:
         return [f"no resonance is told: {modes.reason}"]
     count = f"{len(modes.found)} resonance{'s' if len(modes.found) > 1 else ''}"
-    left = f"; the fit leaves {modes.misfit:.2g} times the noise, by which the bounds are widened" if modes.misfit > WIDENED else ""
-    return [f"{count}, with 95 % bounds ({METHOD}{left}):", *(f"  {mode.line}" for mode in modes.found)]
+    left = [f"  the fit leaves {modes.misfit:.2g} times the noise, by which the bounds are widened"] if modes.misfit > WIDENED else []
+    return [
+        f"{count} with 95 % bounds, averaged over the experiment's motion:",
+        *(f"  {mode.line}" for mode in modes.found),
+        f"  {METHOD}",
+        *left,
+    ]
 
 
 def resonance_document(modes: Resonances) -> dict[str, Any]:

@@ -23,6 +23,9 @@ PEAKED = 0.3
 NEAR_Hz = 1.0
 """Half width of what is near, or two lines of the alarm's spectrum."""
 
+SLOW_Hz = 2.5
+"""Frequency below which no mode of such a structure swings: what is off there is off with the motion."""
+
 QUIET_SHARE = 0.25
 """Share of rows without an alarm from which they say what is usual of a channel; with fewer, the design's noise does."""
 
@@ -67,6 +70,8 @@ class Alarm:
             seen = (
                 f"reads {self.offset:+.2g} {self.unit} beside what the model predicts: an offset, or a force that the model does not have"
             )
+        elif self.kind == "swing" and self.frequency_Hz < SLOW_Hz:
+            seen = f"is off with the motion, at {self.frequency_Hz:.3g} Hz: inertia, friction or a load that the model does not have"
         elif self.kind == "swing":
             seen = f"swings at {self.frequency_Hz:.3g} Hz beside the model: a mode that it lacks or has elsewhere"
         else:
@@ -164,7 +169,8 @@ def alarm_lines(found: Sequence[Alarm], recording: Recording, most: int = 8) -> 
         for axis, low, high in zip(recording.axes, alarm.low, alarm.high, strict=True):
             unit, scale = _shown(recording, axis)
             low, high = scale * low, scale * high
-            places.append(f"{axis} {low:.3g} {unit}" if high - low < 0.5 else f"{axis} {low:.3g} to {high:.3g} {unit}")
+            at = f"{0.5 * (low + high):.1f}" if high - low < 0.5 else f"{low:.1f} to {high:.1f}"
+            places.append(f"{axis} {at} {unit}")
         where = f"{alarm.from_s:.2f} to {alarm.to_s:.2f} s at {', '.join(places)}"
         out = f"; {', '.join(alarm.outside)} is outside the design's poses" if alarm.outside else ""
         lines.append(f"alarm {where}: {alarm.reason}{out}")

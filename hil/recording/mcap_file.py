@@ -1,6 +1,6 @@
 """MCAP recordings (`.mcap`): a JSON message per row on one topic, whose schema has the units, and the metadata as an attached TOML text.
 
-Any MCAP tool can show them. A file of another tool is a bag: see `bag`.
+Foxglove and any MCAP tool can show them. A file of another tool is a bag: see `bag`.
 """
 
 from __future__ import annotations
@@ -8,7 +8,6 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Mapping
-from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +16,7 @@ import numpy as np
 from hil.errors import RecordingError
 from hil.files.atomic import write_atomically
 from hil.recording.bag import bag_of_mcap, recording_of_bag
+from hil.recording.json_rows import SCHEMA_NAME, TOPIC, row_messages, row_schema, started
 from hil.recording.mcap_stream import mcap_package
 from hil.recording.metadata import metadata_text, parse_metadata
 from hil.recording.model import Recording
@@ -25,7 +25,6 @@ from hil.recording.naming import Column, Columns, Target, named_channels
 if TYPE_CHECKING:
     from hil.machine.model import Machine
 
-TOPIC = "/isocenter/recording"
 ATTACHMENT = "recording.toml"
 
 
@@ -39,21 +38,18 @@ def write_mcap(recording: Recording, path: Path) -> None:
     UnusableInputError
         mcap is not installed.
     """
-    started_ns = _started_ns(recording)
-    properties = {name: {"type": ["number", "null"], "unit": channel.unit} for name, channel in recording.channels.items()}
-    schema = {"title": "isocenter.recording", "type": "object", "properties": properties}
+    started_ns = started(recording.metadata)
+    channels = [(name, channel.unit) for name, channel in recording.channels.items()]
     metadata = metadata_text({**recording.metadata, "rows": recording.rows})
     content = io.BytesIO()
     writer = mcap_package("mcap.writer").Writer(content)
     writer.start(library="isocenter")
-    schema_id = writer.register_schema("isocenter.recording", "jsonschema", json.dumps(schema).encode())
+    schema_id = writer.register_schema(SCHEMA_NAME, "jsonschema", json.dumps(row_schema(channels)).encode())
     channel_id = writer.register_channel(TOPIC, "json", schema_id)
     writer.add_attachment(started_ns, started_ns, ATTACHMENT, "application/toml", metadata.encode())
-    names = list(recording.channels)
-    for row, values in enumerate(recording.matrix(names).tolist()):
-        message = {name: None if value != value else value for name, value in zip(names, values, strict=True)}
-        time_ns = max(0, started_ns + round(float(recording.time[row]) * 1e9))
-        writer.add_message(channel_id, time_ns, json.dumps(message).encode(), time_ns, row)
+    rows = recording.matrix(list(recording.channels))
+    for row, (time_ns, message) in enumerate(row_messages(channels, rows, started_ns)):
+        writer.add_message(channel_id, time_ns, message, time_ns, row)
     writer.finish()
     write_atomically({path: content.getvalue()})
 
@@ -84,15 +80,6 @@ def read_mcap(path: Path, machine: Machine | None = None, names: Mapping[str, Ta
         return Recording({one.channel: channels[one.channel] for one in wanted.values()}, metadata)
     except RecordingError as problem:
         raise RecordingError(f"{path}: {problem}") from None
-
-
-def _started_ns(recording: Recording) -> int:
-    """Return when the recording began, since 1970; 0 where it does not say."""
-    try:
-        started = datetime.fromisoformat(str(recording.metadata.get("started", "")))
-    except ValueError:
-        return 0
-    return max(0, round(started.timestamp() * 1e6) * 1000)
 
 
 def _units(schema: bytes, path: Path) -> dict[str, str]:

@@ -35,8 +35,8 @@ assumed is known no better than to a half."""
 WIDTH = 100
 """Columns of the table."""
 
-STILL = 2.0
-"""Multiple of its noise up to which what a channel does counts as standing still."""
+STILL = 1.5
+"""Multiple of its noise up to which what a channel does counts as standing still: a motion as large as the noise makes it 1.41."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class ChannelComparison:
     in_noise: float  # rms over noise
     still: bool  # the recording does no more than its noise
     nrmse: float  # rms over the rms of the recording about its mean; NaN for a channel that stands still
-    lag_rows: int  # delay of the recording behind the simulation, where it explains the difference better; 0 otherwise
+    lag_rows: int  # delay of the recording behind the simulation, where it explains a difference beyond noise better; 0 otherwise
     rows: int  # rows compared: both have a value
 
     @property
@@ -207,7 +207,7 @@ def _compare_channel(
         in_noise=rms / sigma,
         still=still,
         nrmse=float("nan") if still else rms / spread,
-        lag_rows=0 if still else _lag(y, s),
+        lag_rows=0 if still or rms <= AGREES * sigma else _lag(y, s),
         rows=int(both.sum()),
     )
 

@@ -28,6 +28,15 @@ class BenchPage:
         """Address of its WebSockets."""
         return self.address.replace("http://", "ws://")
 
+    @property
+    def server_bytes(self) -> int:
+        """Memory that the server's process has (Linux)."""
+        for child in Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text().split():
+            if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
+                status = Path(f"/proc/{child}/status").read_text()
+                return 1024 * int(status.split("VmRSS:")[1].split()[0])
+        raise AssertionError("the server has no process")
+
     def post(self, path: str, what: dict[str, Any], client: str = "") -> tuple[int, str]:
         """Status and text of a request as the page makes it."""
         headers = {"Content-Type": "application/json", "Origin": self.address, "X-Client": client}
@@ -73,7 +82,8 @@ class Watcher:
     def __init__(self, bench: BenchPage, client: str = "") -> None:
         from websockets.sync.client import connect
 
-        self._socket = connect(f"{bench.sockets}/control?client={client}", origin=bench.address)
+        self._line = connect(f"{bench.sockets}/control?client={client}", origin=bench.address)
+        self._socket = self._line.__enter__()
         self.client = json.loads(self._socket.recv())["client"]
 
     def state(self, *, answers: bool = True) -> dict[str, Any]:
@@ -94,4 +104,4 @@ class Watcher:
 
     def close(self) -> None:
         """Leave."""
-        self._socket.close()
+        self._line.__exit__(None, None, None)

@@ -53,7 +53,12 @@ function showNow(state) {
         parts.push(element("span", { class: "dim" }, whose));
       }
       if (work.lines.some(([text]) => text.includes("then type release"))) parts.push(releaseButton(work));
-    } else parts.push(element("span", { class: "grow" }, work.why));
+    } else {
+      parts.push(element("span", { class: "grow" }, work.why));
+      for (const name of work.made.filter((each) => each.endsWith(".html"))) {
+        parts.push(element("a", { href: `/files/${name}`, target: "_blank", rel: "noopener" }, `open ${name}`));
+      }
+    }
   }
   if (state.stop) {
     const { by, seconds, trouble, lines } = state.stop;
@@ -82,6 +87,7 @@ function heed(told) {
     link.className = "lost";
     link.textContent = "no answer from the server: what this page started is stopped";
   } else if (told.type === "state") {
+    if (told.steps === null) told.steps = bench.state.steps; // as they were: they are told when they change
     bench.state = told;
     link.className = "";
     link.textContent = "connected";

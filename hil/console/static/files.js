@@ -22,7 +22,7 @@ export async function showFiles(bench) {
       element("td", { class: "text" }, file.kind),
       element("td", {}, box("train")),
       element("td", {}, box("held")),
-      element("td", {}, `${(file.bytes / 1024).toFixed(0)} kB`),
+      element("td", {}, file.bytes < 2048 ? `${file.bytes} B` : `${(file.bytes / 1024).toFixed(0)} kB`),
       element("td", {}, new Date(1000 * file.time_s).toLocaleTimeString()),
     );
   });

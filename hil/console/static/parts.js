@@ -19,7 +19,9 @@ export async function ask(where, what, client) {
     body: JSON.stringify(what),
   });
   if (!response.ok) throw new Error((await response.text()).trim() || `the server says ${response.status}`);
-  return response.json();
+  const found = await response.json();
+  if (found.error) throw new Error(found.error);
+  return found;
 }
 
 export function number(value, digits = 4) {

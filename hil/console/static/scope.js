@@ -152,7 +152,7 @@ export class Scope {
       scales: { x: { time: false } },
       axes: [
         { label: "time [s]", labelSize: 18, size: 36, font: "12px system-ui", labelFont: "12px system-ui" },
-        { label: title, labelSize: 18, size: 64, font: "12px system-ui", labelFont: "12px system-ui",
+        { label: title, labelSize: 18, size: 64, space: 22, font: "12px system-ui", labelFont: "12px system-ui",
           values: (_, ticks) => ticks.map((tick) => (tick === null ? "" : String(Number(tick.toPrecision(6))))) },
       ],
       series: [{}, ...names.map((name) => ({ label: name, width: 1.5, points: { show: false }, ...this.style(name) }))],

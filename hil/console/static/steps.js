@@ -167,7 +167,7 @@ function evidence(now, open) {
   }
   const made = (now.made || []).map((name) => {
     const address = `/files/${encodeURIComponent(name)}?${Date.now()}`;
-    const shown = name.endsWith(".png") ? element("img", { src: address, alt: name, loading: "lazy" }) : name;
+    const shown = name.endsWith(".png") ? element("img", { src: address, alt: name, loading: "lazy" }) : `report: ${name}`;
     return element("p", { class: "made" }, element("a", { href: address, target: "_blank", rel: "noopener" }, shown));
   });
   return [element("details", { class: "more", open: open || now.state !== "passed" }, element("summary", {}, "evidence: what was said"), text), ...made];

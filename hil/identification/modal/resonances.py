@@ -2,7 +2,8 @@
 
 Pairs of poles, common to all elements, are fitted by maximum likelihood (`hil.identification.modal.one_pose`, Sec. 5.4.3), as many as the
 BIC finds in the data. The poles' covariance follows from that of the response; frequency and damping take theirs from it to first order.
-Where the model leaves more than noise, the covariance is scaled by what it leaves.
+Where the model leaves more than noise, the covariance is scaled by what it leaves. Weights that are estimated from few periods cost
+efficiency, by which it is scaled, too. A machine that jogs shows its modes averaged over that motion.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from hil.identification.errors import IdentificationError
 from hil.identification.modal.one_pose import PoseModes, choose_pairs
 from hil.identification.result import FrequencyResponse
 
-METHOD = "maximum-likelihood fit of common pole pairs, as many as the BIC finds; bounds propagated from the covariance of the response"
+METHOD = "maximum-likelihood fit of common pole pairs, as many as the BIC finds; bounds from the response's covariance"
 
 LIGHT = 0.5
 """Damping ratio from which a pair of poles is no resonance: its response has hardly a peak."""
@@ -26,6 +27,9 @@ KNOWN_Hz = 0.1
 
 KNOWN_DAMPING = 1.0
 """The same of a damping ratio: with more it is not told from an undamped one."""
+
+FEWEST_DOF = 3.0
+"""Complex degrees of freedom with which the cost of estimated weights is finite; fewer count as these."""
 
 BELOW = 1.0
 """Fewest lines below a resonance and above it, within which it must lie: a peak at the edge of the band is a guess."""
@@ -114,7 +118,8 @@ def _resonance(response: FrequencyResponse, fit: PoseModes, k: int, probability:
         return None
     slope = np.array([[1.0 / (4.0 * np.pi * omega), 0.0], [-damping / (2.0 * a0), 1.0 / (2.0 * omega)]])
     at = [k, count + k]
-    covariance = slope @ fit.pole_covariance[np.ix_(at, at)] @ slope.T * max(fit.misfit, 1.0)
+    scale = max(fit.misfit, 1.0) * _cost_of_weights(response)
+    covariance = slope @ fit.pole_covariance[np.ix_(at, at)] @ slope.T * scale
     half = special.ndtri(0.5 + 0.5 * probability) * np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     if not (half[0] < KNOWN_Hz * frequency and half[1] < KNOWN_DAMPING * damping):
         return None
@@ -127,6 +132,15 @@ def _resonance(response: FrequencyResponse, fit: PoseModes, k: int, probability:
         output,
         source,
     )
+
+
+def _cost_of_weights(response: FrequencyResponse) -> float:
+    """Return by how much the variance of a fit is larger for weights 1 / s^2 that are estimated with nu complex degrees of freedom.
+
+    It is E[w^2 s^2] / E[w]^2 for w = 1 / s^2 of a gamma variable of shape nu, (nu - 1) / (nu - 2), and finite from three on.
+    """
+    nu = max(float(np.median(response.noise_dof)), FEWEST_DOF)
+    return (nu - 1.0) / (nu - 2.0)
 
 
 def _clearest(response: FrequencyResponse, fit: PoseModes, k: int) -> tuple[str, str]:

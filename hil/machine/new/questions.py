@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from hil.errors import UnusableInputError
 from hil.machine.new.draft import Answers, Draft, DraftAxis, DraftBody, Question, Value
 from hil.machine.new.readers import direction, names_of, number, numbers, one_of, whole
 
@@ -42,17 +43,19 @@ class _Ask:
 def draft_of(answers: Answers, name: str) -> Draft:
     """Return the draft of a machine of which nothing is known: a chain of bodies, one an axis."""
     words = "Names of the axes, from the base outwards, with commas between them"
-    axes = answers.take(Question("axes", words, names_of, Value(["axis"], "one axis")))
+    axes = answers.take(Question("axes", words, names_of))
+    if not isinstance(axes.value, list):
+        raise UnusableInputError("no axes: name them, `-a axes=turn,lift`, or give a model, `--from MODEL`")
+    down = Value([0.0, 0.0, -9.81], "z points up")
+    gravity = answers.take(Question("gravity_m_s2", "Gravity in the world, three numbers [m/s^2]", numbers(3), down))
+    rate = rate_of(answers)
     bodies, drafts, parent = [], [], "world"
-    assert isinstance(axes.value, list)
     for axis in axes.value:
         body, draft = _body(_Ask(answers, axis), axis, parent)
         bodies.append(body)
         drafts.append(draft)
         parent = body.name
-    down = Value([0.0, 0.0, -9.81], "z points up")
-    gravity = answers.take(Question("gravity_m_s2", "Gravity in the world, three numbers [m/s^2]", numbers(3), down))
-    return Draft(name, "", "answers", rate_of(answers), gravity, bodies, drafts)
+    return Draft(name, "", "answers", rate, gravity, bodies, drafts)
 
 
 def rate_of(answers: Answers) -> Value:
@@ -116,7 +119,7 @@ def ask_drive(answers: Answers, axis: DraftAxis, known: KnownDrive | None, with_
         words = f"rated {of} of the drive, which its per mille refer to [{effort}]"
         axis.drive[f"rated_{of}_{effort}"] = ask("rated", words, POSITIVE)
         axis.drive["target_resolution_permille"] = Value(1.0, "targets of CiA 402 are whole per mille", is_known=True)
-    smooth = None if with_bus else Value(0, "")
+    smooth = None if with_bus else Value(0, "an encoder without steps")
     counts = ask("encoder_counts_per_motor_turn", "counts of the motor's encoder for each of its turns", whole(1, 2**40), smooth)
     if counts.value != 0:
         axis.drive["encoder_counts_per_motor_turn"] = counts

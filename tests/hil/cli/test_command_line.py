@@ -66,6 +66,15 @@ def test_help_names_an_example_that_is_a_call_of_this_command(isocenter: Isocent
     assert list(words) in called or (words == ("run", "file") and called), examples
 
 
+def test_the_list_of_commands_is_that_of_the_whole_command_line(isocenter: Isocenter) -> None:
+    """Only a command that is called is made with its parameters; the others are listed all the same."""
+    whole = typer.main.get_command(app)
+    shown = isocenter("--help").out.split("Commands:\n")[1]
+    assert [line.split()[0] for line in shown.splitlines()] == list(whole.commands)
+    for name, command in whole.commands.items():
+        assert f"  {name:12s} {command.get_short_help_str(60)[:40]}" in shown
+
+
 def test_a_group_without_a_command_shows_its_help(isocenter: Isocenter) -> None:
     for words in ((), ("run",), ("machine",)):
         shown = isocenter(*words)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import pytest
 from bench_page import BenchPage, Watcher, bench_page
 from browser import WIDTHS, browser_or_skip, listen
+from places import ROOT
 
 pytest.importorskip("uvicorn")
 
@@ -111,12 +112,11 @@ def test_stop_is_in_every_view_and_nothing_lies_over_it(browser: Browser, bench:
         page.close()
 
 
-@pytest.mark.parametrize("view", ["scope", "experiments"])
-def test_escape_stops_the_run_from_any_view(page: Page, bench: BenchPage, view: str) -> None:
+def test_escape_stops_the_run(page: Page, bench: BenchPage) -> None:
     opened(page, bench, "experiments")
     fill_and_run(page, "static", seconds=36000)
-    page.goto(f"{bench.address}/#{view}")
     page.locator("#now", has_text="recording static").wait_for(timeout=STEP_MS)
+    page.locator("[data-form=static] [name=seconds]").focus()  # even while something is written
     page.keyboard.press("Escape")
     said = ended(page, "stopped")
     assert "the motors were stopped" in said
@@ -181,7 +181,7 @@ def test_a_step_that_builds_on_another_says_so(page: Page, bench: BenchPage) -> 
 @pytest.mark.nightly
 def test_the_emulated_arm_is_commissioned_from_the_first_click_to_the_observer(browser: Browser, tmp_path: Path) -> None:
     with bench_page(tmp_path, "carm", "lockstep:") as bench:
-        pictures = Path("build/screenshots")
+        pictures = ROOT / "build" / "screenshots"
         pictures.mkdir(parents=True, exist_ok=True)
         errors: list[str] = []
         page = browser.new_page(viewport={"width": 1400, "height": 900})
@@ -201,3 +201,23 @@ def test_the_emulated_arm_is_commissioned_from_the_first_click_to_the_observer(b
                 page.wait_for_timeout(700)
                 page.screenshot(path=pictures / f"bench-{view}-{name}.png", full_page=True)
         assert errors == []
+
+
+@pytest.mark.nightly
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memory is read from /proc")
+def test_ten_minutes_of_scope_take_no_more_memory_than_three(page: Page, bench: BenchPage) -> None:
+    opened(page, bench, "experiments")
+    used = []
+    for seconds in (200, 600):
+        page.reload()
+        opened(page, bench, "experiments")
+        fill_and_run(page, "static", seconds=seconds)
+        page.goto(f"{bench.address}/#scope")
+        page.locator("#now", has_text="recording static").wait_for(timeout=STEP_MS)
+        ended(page, "passed")
+        page.locator("#scope-note", has_text=f"{200 * seconds} rows").wait_for()
+        heap = page.evaluate("() => performance.memory.usedJSHeapSize")
+        used.append((bench.server_bytes, heap))
+    (server, heap), (server_later, heap_later) = used
+    assert server_later < server + 20e6, used
+    assert heap_later < heap + 30e6, used

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import json
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
-from bench_page import BenchPage, Watcher, bench_page
+from bench_machines import patient_text
+from bench_page import BenchPage, Watcher, bench_page, until
 
 pytest.importorskip("uvicorn")
 pytest.importorskip("websockets")
@@ -22,6 +26,9 @@ LONG = {"kind": "static", "values": {"seconds": 36000}}
 BUSY_S = 240.0
 """Longest time in which a run begins, on a computer with much else to do."""
 
+STOP_BUDGET_S = 5.0
+"""From the button to no torque: closing, swinging and letting go take one second of the machine, the rest is a busy computer."""
+
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BenchPage]:
@@ -32,9 +39,10 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BenchPage]:
 def started(bench: BenchPage) -> Watcher:
     """The client of a run that records and would go on for hours."""
     client = Watcher(bench)
-    assert bench.post("/api/run", LONG, client.client)[0] == 200
+    assert bench.post("/api/run", LONG, client.client) == (200, "{}")
     give_up = time.monotonic() + BUSY_S
-    while not ((state := client.state())["recording"] and state["recording"]["live"] and state["work"]["state"] == "running"):
+    while not ((state := client.state())["recording"] and state["recording"]["live"] and state["recording"]["rows"]):
+        assert state["work"]["state"] != "failed", state["work"]
         assert time.monotonic() < give_up, state["work"]
     return client
 
@@ -65,9 +73,7 @@ def test_who_only_watches_stops_nothing(bench: BenchPage) -> None:
 
 
 def test_who_answers_no_ping_starts_nothing(bench: BenchPage) -> None:
-    status, said = bench.post("/api/run", LONG, "nobody")
-    assert status == 409
-    assert "pings" in said
+    assert "pings" in json.loads(bench.post("/api/run", LONG, "nobody")[1])["error"]
 
 
 def test_messages_that_are_too_long_close_the_line(bench: BenchPage) -> None:
@@ -96,3 +102,34 @@ def test_ctrl_c_stops_the_motors_before_it_ends(tmp_path_factory: pytest.TempPat
         assert "the motors were stopped" in events.read_text()
         assert [json.loads(line)["what"] for line in events.read_text().splitlines()][-1] == "session ended"
         client.close()
+
+
+@pytest.mark.slow
+def test_stop_on_a_bus_goes_through_the_supervisor(tmp_path: Path) -> None:
+    bus, machine = "udp:239.74.163.78", tmp_path / "patient.toml"
+    machine.write_text(patient_text())
+    options = ["--bus", bus, "--no-real-time", "--json", str(tmp_path / "card.json")]
+    emulator = subprocess.Popen([sys.executable, "-m", "hil", "emulate", str(machine), *options])
+    try:
+        until((tmp_path / "card.json").is_file, BUSY_S)
+        with bench_page(tmp_path, str(machine), bus, "--no-real-time") as bench:
+            client = started(bench)
+            state = client.state()
+            assert state["emulated"] is True
+            assert state["wire"]["nodes"][0]["state"].startswith("operation enabled")
+            assert state["wire"]["sync_Hz"] > 0.0
+            assert state["io"]["brakes_open"] == {"propeller": True, "roll": True}
+            assert state["io"]["hold_to_run"] is True
+            bench.post("/api/stop", {})
+            work = client.work(lambda work: work["state"] != "running", BUSY_S)
+            stop = client.state()["stop"]
+            client.close()
+            assert work["state"] == "stopped"
+            assert f"{bus}: no drive has torque" in stop["lines"]
+            assert stop["seconds"] < STOP_BUDGET_S
+            (events,) = bench.folder.glob("*.events.jsonl")
+            asked = [each for each in map(json.loads, events.read_text().splitlines()) if each["what"] == "stop asked"]
+            assert [(each["who"], "STOP in a browser" in each["reason"]) for each in asked] == [("supervisor", True)]
+    finally:
+        emulator.terminate()
+        emulator.wait(60.0)

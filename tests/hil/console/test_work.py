@@ -32,7 +32,7 @@ def carm() -> Machine:
 
 @pytest.fixture
 def facts(carm: Machine) -> Facts:
-    return facts_of("carm", carm, "udp:", "", "")
+    return facts_of("carm", carm, "udp:")
 
 
 class Line:
@@ -164,7 +164,7 @@ def test_a_field_that_cannot_be_used_is_named(facts: Facts, kind: str, values: d
 
 def test_forms_of_a_machine_in_millimetres_are_in_millimetres(carm: Machine) -> None:
     machine = next(m for m in map(load_machine, ("turntable", "carm")) if m.bus is not None)
-    facts = facts_of(machine.name, machine, "udp:", "", "")
+    facts = facts_of(machine.name, machine, "udp:")
     assert {field.unit for field in forms_of(facts)["static"].fields} == {"s", facts.axes[0].edge_unit}
     assert tomllib.loads(forms_of(facts)["static"].text(facts, {}))["duration_s"] == 10.0
 

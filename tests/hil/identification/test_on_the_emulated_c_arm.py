@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from simulated_loop import orthogonal_multisine
 
-from hil.identification import LocalModel, PeriodicRecords, periodic_records, robust_bla, robust_local
+from hil.identification import LocalModel, PeriodicRecords, periodic_records, resonances, robust_bla, robust_local
 from hil.machine import load_machine
 from hil.simulation import Inputs, Simulator
 from hil.simulation.linear import sampled_response
+from virtual_bus.physics import Physics
 
 OUTPUTS = ("imu_x", "imu_y", "imu_z", "position_propeller", "position_roll")
 POSE = np.radians([10.0, 30.0])
@@ -74,3 +76,25 @@ def test_a_linear_plant_shows_no_distortion_beyond_chance(measured: tuple[Period
     response = robust_bla(measured[0])
     ratio = response.standard_deviation("total") ** 2 / response.standard_deviation("noise") ** 2
     assert np.mean(ratio) == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.slow
+def test_resonances_of_the_measured_response_are_the_plants_eigenvalues(
+    measured: tuple[PeriodicRecords, PeriodicRecords, np.ndarray],
+) -> None:
+    """In no more than two of eight bounds of 95 % may the truth be missing; chance makes that in one of 20 times two of eight."""
+    response = replace(robust_bla(measured[0]), output_names=OUTPUTS)
+    found = resonances(response)
+    poles = np.linalg.eigvals(Physics(load_machine("carm").plant, noise=False).linearise(POSE).A)
+    poles = poles[(poles.imag > 0.0) & (np.abs(poles) > 2.0 * np.pi * 3.0) & (np.abs(poles) < 2.0 * np.pi * 38.0)]
+    truth = sorted((abs(pole) / (2.0 * np.pi), -pole.real / abs(pole)) for pole in poles if -pole.real < 0.3 * abs(pole))
+    assert len(found.found) == len(truth) == 4
+    inside = []
+    for one, (frequency_Hz, damping) in zip(found.found, truth, strict=True):
+        assert one.frequency_Hz == pytest.approx(frequency_Hz, rel=1e-3)
+        assert one.damping == pytest.approx(damping, rel=0.05)
+        inside += [
+            one.frequency_ci95_Hz[0] <= frequency_Hz <= one.frequency_ci95_Hz[1],
+            one.damping_ci95[0] <= damping <= one.damping_ci95[1],
+        ]
+    assert sum(inside) >= 6, inside

@@ -120,7 +120,7 @@ def test_in_a_terminal_it_asks_and_an_unreadable_answer_is_asked_again(
     isocenter: Isocenter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "slide.toml"
-    replies = ["car", "prismatic", "x", "", "", "heavy", "-2", "95", *[""] * 20]  # nothing at the damping and the position
+    replies = ["car", "", "", "prismatic", "x", "", "", "heavy", "-2", "95", *[""] * 20]  # nothing of gravity, rate, damping and position
     monkeypatch.setattr(sys, "stdin", Terminal("\n".join(replies) + "\n"))
     made = isocenter("machine", "new", "-o", out, "-a", "car.constant=35", "-a", "car.limit=10", "-a", "car.effort_unit=V")
     assert made.status == 0, made.err
@@ -135,6 +135,7 @@ def test_in_a_terminal_it_asks_and_an_unreadable_answer_is_asked_again(
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
+        (("-a", "axes="), "--answer axes=: must be KEY=VALUE"),
         (("-a", "turn.mass_kg=heavy"), "--answer turn.mass_kg=heavy: must be a number"),
         (("-a", "turn.mass_kg=-3"), "--answer turn.mass_kg=-3: must be above 0"),
         (("-a", "turn.weight=3"), "--answer turn.weight: nothing asks for it; the questions are axes, "),
@@ -153,6 +154,12 @@ def test_what_cannot_be_used_is_refused_in_one_line_and_nothing_is_written(
     assert refused.status == 2
     assert says in refused.line
     assert list(tmp_path.iterdir()) == []
+
+
+def test_axes_are_not_made_up(isocenter: Isocenter, tmp_path: Path) -> None:
+    refused = isocenter("machine", "new", "-o", tmp_path / "x.toml", "--no-ask")
+    assert refused.status == 2
+    assert "no axes: name them, `-a axes=turn,lift`" in refused.line
 
 
 def test_a_file_is_not_written_over(isocenter: Isocenter, tmp_path: Path) -> None:

@@ -43,6 +43,12 @@ def usual() -> np.ndarray:
     [
         (1, 40e-6 * LATE, "offset", r"position_roll reads \+4e-05 rad beside what the model predicts: an offset"),
         (2, 0.1 * np.sin(2.0 * np.pi * 17.0 * TIME_S) * LATE, "swing", r"imu_y swings at 17(\.\d)? Hz beside the model: a mode"),
+        (
+            1,
+            40e-6 * np.sin(2.0 * np.pi * 1.2 * TIME_S) * LATE,
+            "swing",
+            "position_roll is off with the motion, at 1.25 Hz: inertia, friction",
+        ),
         (2, 0.1 * np.random.default_rng(1).standard_normal(ROWS) * LATE, "noise", "imu_y scatters more than the design's noise"),
     ],
 )
@@ -54,7 +60,7 @@ def test_an_alarm_names_channel_time_pose_and_reason(channel: int, added: np.nda
     assert (alarm.channel, alarm.kind) == (CHANNELS[channel], kind)
     assert alarm.times == pytest.approx(np.sqrt(np.mean(innovation[LATE, channel] ** 2)) / NOISE[channel], rel=0.05)
     (line,) = alarm_lines([alarm], recorded)
-    assert line.startswith("alarm 6.00 to 10.00 s at propeller 0 deg, roll 20 deg: ")
+    assert line.startswith("alarm 6.00 to 10.00 s at propeller 0.0 deg, roll 20.0 deg: ")
     assert re.search(said, line), line
     assert "outside" not in line
 

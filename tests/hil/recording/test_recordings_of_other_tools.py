@@ -7,6 +7,7 @@ import warnings
 from datetime import timedelta
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -206,11 +207,29 @@ def test_parquet_is_a_table_with_units_for_any_tool(tmp_path: Path, recording: R
 def test_mcap_has_a_message_per_row_for_any_tool(tmp_path: Path, recording: Recording) -> None:
     write_recording(recording, tmp_path / "run.mcap")
     with (tmp_path / "run.mcap").open("rb") as file:
-        messages = [(message.log_time, json.loads(message.data)) for _, _, message in make_reader(file).iter_messages()]
+        read = list(make_reader(file).iter_messages())
+    messages = [(message.log_time, json.loads(message.data, parse_constant=pytest.fail)) for _, _, message in read]
     assert len(messages) == 50
     assert messages[1][0] - messages[0][0] == round(1e9 / RATE_Hz)
-    assert messages[7][1]["current_roll"] is None
+    assert "current_roll" not in messages[7][1]
     assert messages[8][1]["current_roll"] == recording["current_roll"][8]
+    schema, channel, _ = read[0]
+    assert schema is not None
+    assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")  # well-known encodings of the MCAP registry
+    described = json.loads(schema.data)
+    jsonschema.Draft7Validator.check_schema(described)
+    assert {name: entry["type"] for name, entry in described["properties"].items()} == dict.fromkeys(recording.channels, "number")
+    assert [error.message for _, message in messages for error in jsonschema.Draft7Validator(described).iter_errors(message)] == []
+
+
+def test_infinities_are_valid_json_and_come_back(tmp_path: Path, recording: Recording) -> None:
+    values = recording["current_roll"].copy()
+    values[3:5] = np.inf, -np.inf
+    write_recording(Recording({**recording.channels, "current_roll": Channel("A", values)}, recording.metadata), tmp_path / "run.mcap")
+    with (tmp_path / "run.mcap").open("rb") as file:
+        for _, _, message in make_reader(file).iter_messages():
+            json.loads(message.data, parse_constant=pytest.fail)
+    np.testing.assert_array_equal(read_recording(tmp_path / "run.mcap")["current_roll"], values)
 
 
 def test_a_table_of_another_tool_is_named_and_the_rest_is_listed(carm: Machine, tmp_path: Path) -> None:

@@ -48,6 +48,11 @@ def test_a_channel_that_is_not_there_is_refused_with_those_that_are(recording: h
         hil.plot(recording, channels=["position_roll"])
 
 
+def test_a_simulation_of_another_recording_is_refused(recording: hil.Recording) -> None:
+    with pytest.raises(hil.RecordingError, match="800 rows recorded, 100 simulated"):
+        hil.plot(recording, recording.part(slice(0, 100)))
+
+
 def test_what_cannot_be_drawn_is_told(recording: hil.Recording) -> None:
     with pytest.raises(hil.UnusableInputError, match="list: is not drawn; a recording"):
         hil.plot([1.0, 2.0])  # type: ignore[arg-type]
