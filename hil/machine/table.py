@@ -35,7 +35,7 @@ class Table(BaseModel):
         values: dict[str, Any] = {}
         keys: dict[str, str] = {}
         for key, value in data.items():
-            field, factor = _field_of(cls, str(key))
+            field, factor = field_of(cls, str(key))
             if field in keys:
                 raise PydanticCustomError("twice", "says the same as {other}; keep one of them", {"key": key, "other": keys[field]})
             keys[field] = key
@@ -83,7 +83,7 @@ def written_key(table: type[Table], field: str) -> str:
     return field if quantity is None else f"{field}_{next(iter(quantity.units))}"
 
 
-def _field_of(table: type[Table], key: str) -> tuple[str, float | None]:
+def field_of(table: type[Table], key: str) -> tuple[str, float | None]:
     """Return the field that a key means, and the factor of its unit to SI (None: no unit)."""
     quantities = _quantities(table)
     if key in table.model_fields and key not in quantities:

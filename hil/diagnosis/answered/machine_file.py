@@ -14,9 +14,11 @@ from hil.errors import BadAnswerError, MachineFileError
 from hil.machine import Machine
 from hil.machine.editors import with_header
 from hil.machine.load import machine_from_text
+from hil.machine.schema import BodyTable, ImuTable
+from hil.machine.table import field_of
 from virtual_bus.plant.parameters import AXES, INERTIA_ENTRIES, PlantParameter, plant_parameters
 
-ENTRIES = {"center_of_mass": AXES, "inertia": tuple(label for label, _, _ in INERTIA_ENTRIES)}
+ENTRIES = {"position": AXES, "center_of_mass": AXES, "inertia": tuple(label for label, _, _ in INERTIA_ENTRIES)}
 AGREEMENT = 1e-9
 
 ROUNDING = 1e-3
@@ -60,6 +62,8 @@ def _written(
             _scale(document, parameter, float(value / parameter.value), digits)
         elif changed and parameter.quantity.startswith("armature"):
             _add_rotor(document, machine, parameter, float(value), digits)
+        elif changed:
+            _fill_in(document, parameter, float(value), digits)
     text = with_header(tomlkit.dumps(document), f"# {machine.name}, its numbers re-tuned to recordings by `isocenter diagnose`")
     # by their order: a body and a sensor may have the same name
     for read, value, share in zip(plant_parameters(machine_from_text(text, machine.path).plant), values, allowed, strict=True):
@@ -100,6 +104,27 @@ def _scale(document: Any, parameter: PlantParameter, factor: float, digits: int)
         if parameter.quantity == "armature" and drive.get("joint") == parameter.owner:
             for rotor in ("rotor_inertia", "rotor_mass"):
                 _scale_key(drive, rotor, factor, digits)
+
+
+def _fill_in(document: Any, parameter: PlantParameter, value: float, digits: int) -> None:
+    """Write a number that is zero in the file, or left out."""
+    quantity, _, entry = parameter.quantity.rpartition("_")
+    bodies = document.get("body", [])
+    if quantity in ENTRIES:
+        table, of = next(((body, BodyTable) for body in bodies if body.get("name") == parameter.owner), (None, ImuTable))
+        if table is None:
+            table = document["sensors"][parameter.owner]
+        key = next((key for key in table if _is(key, quantity)), None)
+        if key is None:
+            key = f"{quantity}_{parameter.name.rpartition(f'_{entry}_')[2]}"
+            table[key] = [0.0] * len(ENTRIES[quantity])
+        _, factor = field_of(of, key)
+        table[key][ENTRIES[quantity].index(entry)] = _rounded(value / (factor or 1.0), digits)
+        return
+    table = next(body["joint"] for body in bodies if body.get("joint", {}).get("name") == parameter.owner)
+    for key in [key for key in table if _is(key, parameter.quantity)]:
+        del table[key]
+    table[parameter.name.partition(".")[2]] = _rounded(value, digits)
 
 
 def _add_rotor(document: Any, machine: Machine, parameter: PlantParameter, value: float, digits: int) -> None:

@@ -19,6 +19,7 @@ CLOCKED = ("accelerometer_bandwidth", "gyro_bandwidth")
 MOST_FREED = 10.0
 """Bound of a rotor's inertia that the file leaves out, in units of what moves with its joint: behind a gear of a hundred a rotor is heavier
 than a wrist."""
+NOT_NEGATIVE = ("mass", "stiffness", "damping", "armature", "brake_effort", "constant", *CLOCKED)
 TUNED = ("mass", "center_of_mass", "inertia", "stiffness", "damping", "armature", "constant", *CLOCKED)
 
 
@@ -69,7 +70,7 @@ def numbers_of(plant: CompiledPlant) -> Numbers:
     for i, parameter in enumerate(plant.parameters):
         if parameter.tolerance is not None:
             scales.append(parameter.tolerance / TOLERANCE)
-            low.append(-TOLERANCE)
+            low.append(max(-TOLERANCE, -parameter.value / scales[-1]) if parameter.quantity in NOT_NEGATIVE else -TOLERANCE)
             high.append(TOLERANCE)
         elif not parameter.quantity.startswith(TUNED):
             continue

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hil.diagnosis.answered.machine_file import retuned_text
 from hil.diagnosis.named.naming import Named, name
 from hil.diagnosis.seen.see import see
 from hil.errors import MachineFileError
@@ -97,6 +98,17 @@ def test_an_offset_of_the_mass_that_the_file_calls_zero_is_a_number_where_it_has
     found, numbers = tuned(arm("\n[tolerances]\narm = { center_of_mass_x_m = 0.05 }\n"), offset_m=OFFSET_m)
     assert numbers["arm.center_of_mass_x_m"] == pytest.approx(OFFSET_m, rel=0.05)
     assert not found.best.settings
+
+
+def test_a_re_tuned_number_that_was_zero_is_written_in_the_file_s_own_unit() -> None:
+    tolerances = "\n[tolerances]\narm = { center_of_mass_x_m = 0.05, inertia_xz_kg_m2 = 0.01, position_y_m = 0.1 }\n"
+    for written in (f"center_of_mass_m = [0.0, 0.0, -{LENGTH_m}]", f"center_of_mass_mm = [0, 0, {-1000.0 * LENGTH_m}]"):
+        machine = machine_from_text(ARM.replace(f"center_of_mass_m = [0.0, 0.0, -{LENGTH_m}]", written) + tolerances, label="pendulum.toml")
+        parameters = plant_parameters(machine.plant)
+        wanted = {"arm.center_of_mass_x_m": 0.0123, "arm.inertia_xz_kg_m2": -0.004, "arm.position_y_m": 0.05}
+        values = np.array([wanted.get(parameter.name, parameter.value) for parameter in parameters])
+        read = plant_parameters(machine_from_text(retuned_text(machine, parameters, values), label="re-tuned").plant)
+        assert [parameter.value for parameter in read] == pytest.approx(values.tolist(), rel=1e-9, abs=1e-15)
 
 
 def test_without_a_tolerance_a_zero_is_no_number() -> None:
