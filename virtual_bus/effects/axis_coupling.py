@@ -26,6 +26,7 @@ EFFECT = Effect(
     neighbours=("imu_misalignment", "pose_dependent_dynamics"),
     source="Spong, Hutchinson, Vidyasagar 2006, Sec. 7.2",
     family="inertia",
+    is_exact=True,
 )
 
 

@@ -25,6 +25,7 @@ EFFECT = Effect(
     neighbours=("structural_mode",),
     source="IEEE Std 1293, vibration of the test pier",
     family="external",
+    is_exact=True,
 )
 
 

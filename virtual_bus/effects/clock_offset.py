@@ -21,6 +21,7 @@ EFFECT = Effect(
     neighbours=("delay", "imu_bandwidth"),
     source="IEEE Std 1588, offset and skew",
     family="timing",
+    is_exact=True,
 )
 
 

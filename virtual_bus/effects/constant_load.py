@@ -18,6 +18,7 @@ EFFECT = Effect(
     neighbours=("gravity_imbalance", "asymmetric_friction"),
     source="Janot, Gautier, Brunot 2019 (EMPS), the force offset",
     family="static_load",
+    is_exact=True,
     everyday=True,
 )
 

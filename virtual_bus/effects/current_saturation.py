@@ -31,6 +31,7 @@ EFFECT = Effect(
     neighbours=("torque_constant", "end_stop"),
     source="imax(speed) = (V - Ke speed) / R, the voltage equation of a motor at constant current",
     family="drive_limit",
+    is_exact=True,
 )
 
 

@@ -26,6 +26,7 @@ EFFECT = Effect(
     neighbours=("clock_offset", "drive_bandwidth", "structural_mode"),
     source="Åström and Wittenmark 1997, Sec. 3.2",
     family="drive_lag",
+    is_exact=True,
 )
 
 

@@ -26,6 +26,7 @@ EFFECT = Effect(
     neighbours=("delay", "structural_mode", "viscous_friction"),
     source="CiA 402 drives' current loops; closed form by the matrix exponential",
     family="drive_lag",
+    is_exact=True,
 )
 
 

@@ -134,4 +134,5 @@ class Effect:
     parent: str = ""  # the effect that this one refines
     everyday: bool = False  # what an engineer's first fit has at every driven joint
     play: str = ""  # the parameter that is half of what two encoders of its axis lie apart by
+    is_exact: bool = False  # a law of mechanics or of a sensor, whose form is known: not an empirical curve
     several: str = ""  # the parameter in which several at one place differ; "" where there is but one

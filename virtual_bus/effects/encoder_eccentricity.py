@@ -34,6 +34,7 @@ EFFECT = Effect(
     neighbours=("transmission_error", "cogging"),
     source="thesis ch. 3; Kavanagh 2001",
     family="periodic_position",
+    is_exact=True,
 )
 
 

@@ -17,6 +17,7 @@ EFFECT = Effect(
     neighbours=("coulomb_friction",),
     source="Widrow and Kollár 2008, Sec. 1.1",
     family="encoder",
+    is_exact=True,
 )
 
 

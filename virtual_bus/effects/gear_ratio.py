@@ -20,6 +20,7 @@ EFFECT = Effect(
     neighbours=("encoder_eccentricity", "torque_constant"),
     source="docs/explanation/notation.md, Signs",
     family="gearing",
+    is_exact=True,
 )
 
 

@@ -33,6 +33,7 @@ EFFECT = Effect(
     neighbours=("cable_spring", "constant_load", "transmission_error", "payload"),
     source="Featherstone 2008, Sec. 5.3, of one body",
     family="static_load",
+    is_exact=True,
 )
 
 

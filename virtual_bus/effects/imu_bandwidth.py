@@ -30,6 +30,7 @@ EFFECT = Effect(
     neighbours=("structural_mode", "clock_offset"),
     source="IEEE Std 1293, frequency response: a proof mass on a spring, or filters in a row, are of second order",
     family="imu",
+    is_exact=True,
 )
 
 

@@ -25,6 +25,7 @@ EFFECT = Effect(
     neighbours=("axis_coupling", "imu_scale_bias"),
     source="IEEE Std 1293; IEEE Std 1431",
     family="imu",
+    is_exact=True,
 )
 
 

@@ -28,6 +28,7 @@ EFFECT = Effect(
     neighbours=("imu_misalignment",),
     source="IEEE Std 1293; IEEE Std 1431",
     family="imu",
+    is_exact=True,
 )
 
 

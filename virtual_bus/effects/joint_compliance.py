@@ -23,6 +23,7 @@ EFFECT = Effect(
     neighbours=("backlash", "structural_mode", "nonlinear_stiffness"),
     source="Spong 1987, eqs. (13)-(14)",
     family="elasticity",
+    is_exact=True,
 )
 
 

@@ -48,7 +48,7 @@ class Place:
     is_prismatic : bool
         Whether the joint slides.
     position, missing : (N,) arrays
-        The joint's position, and the effort on it that no equation explains [Nm or N].
+        The joint's position, and how much the recordings ask for a further effort on it, in units of what noise makes of that.
     """
 
     low: float

@@ -17,6 +17,7 @@ EFFECT = Effect(
     neighbours=("torque_constant", "gravity_imbalance"),
     source="Featherstone 2008, Sec. 2.13",
     family="inertia",
+    is_exact=True,
 )
 
 

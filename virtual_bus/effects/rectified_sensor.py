@@ -24,6 +24,7 @@ EFFECT = Effect(
     neighbours=("constant_load",),
     source="CoupledDrives benchmark (Wigren and Schoukens 2017): pulse counters without direction",
     family="sign",
+    is_exact=True,
 )
 
 

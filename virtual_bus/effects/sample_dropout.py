@@ -32,6 +32,7 @@ EFFECT = Effect(
     neighbours=("encoder_quantization",),
     source="Schenato 2009, zero-order hold on packet loss",
     family="timing",
+    is_exact=True,
 )
 
 

@@ -34,6 +34,7 @@ EFFECT = Effect(
     neighbours=("drive_bandwidth", "delay", "base_motion", "joint_compliance"),
     source="Den Hartog 1956, Sec. 3.2",
     family="elasticity",
+    is_exact=True,
 )
 
 

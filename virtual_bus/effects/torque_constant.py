@@ -17,6 +17,7 @@ EFFECT = Effect(
     neighbours=("coulomb_friction", "payload", "gear_ratio"),
     source="thesis ch. 2; docs/explanation/notation.md, Signs",
     family="drive_gain",
+    is_exact=True,
 )
 
 

@@ -13,7 +13,7 @@ from hil.diagnosis.audit.audit import Audit
 from hil.diagnosis.audit.sensors import SensorAudit
 from hil.diagnosis.named.fitting import Fitted
 from hil.diagnosis.named.naming import Named
-from hil.diagnosis.named.search import library
+from hil.diagnosis.named.search import NOT_TOLD_APART, library
 from hil.diagnosis.named.standing import (
     Alternative,
     Limit,
@@ -21,6 +21,7 @@ from hil.diagnosis.named.standing import (
     detection_limits,
     deviations,
     gained_by,
+    is_spanned,
     numbers_help,
     scattered,
     unexplained,
@@ -57,8 +58,6 @@ from virtual_bus.settings import EffectSetting, PlantSettings
 
 LARGEST = {"repeats": 0.99, "periods": 0.99, "assumed": 0.9}
 """Confidence of a name at most, by what is known of noise."""
-NOT_TOLD_APART = 20.0
-"""In twice the log of the evidence: ten units of log likelihood."""
 WITHIN_95 = 1.96
 SHOWN = 0.5
 """Of a number's prior, in which its standard deviation must be that recordings show it."""
@@ -99,7 +98,7 @@ def answer(machine: Machine, audit: Audit, named: Named, held_out: Mapping[str, 
     tuned, best, seen = named.tuned, named.best, named.seen
     along_motion = before.get(best.names, best)
     judged = replace(named, best=along_motion)  # rivals are weighed along the motion, where equations are linear
-    of = library(tuned)
+    of = library(tuned, along_motion)
     others = alternatives(judged, of) if best.settings else []
     spread = deviations(judged, best)
     values = tuned.numbers.values(best.offset[: len(tuned.numbers.indices)])
@@ -255,6 +254,10 @@ def _verdict(
     if audit.wrong:
         said = "; ".join(audit.wrong)
         return "misconfigured", said + (f"; beside it, the recorded efforts show {names}" if findings else "; beside it no physics shows")
+    if not is_spanned(named):
+        left = f"{math.sqrt(named.best.squares / named.tuned.readings):.2f} times what noise leaves"
+        said = f"{names} {'explains' if len(findings) == 1 else 'explain'} a part; " if findings else ""
+        return "unknown_physics", f"{said}what is left is {left}, and no known effect explains it"
     if not findings:
         if numbers_help(named):
             return "retuned", f"other numbers in the machine file explain the difference; {NOTHING_MISSING}"

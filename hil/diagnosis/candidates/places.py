@@ -37,7 +37,7 @@ def place_of(
     Parameters
     ----------
     missing : sequence of (N, n) arrays
-        Efforts on the joints that no equation explains, one array a recording.
+        How much the recordings ask for further efforts on the joints, one array a recording.
     inertias : (n,) array
         Of what moves with each joint.
     """

@@ -8,8 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
-from hil.diagnosis.candidates.columns import column
+from hil.diagnosis.candidates.columns import Column, column
 from hil.diagnosis.candidates.entries import setting_of
+from hil.diagnosis.named.form import FormError, form_columns
 from hil.diagnosis.tuned.bounded import bounded_least_squares
 from hil.diagnosis.tuned.retuning import Looked, Tuned
 from virtual_bus.effects.effect import PHASE, Parameter
@@ -44,7 +45,7 @@ class Fitted:
     offset : (P,) array
         Nuisances, as in `Tuned`.
     squares : float
-        Squared innovations.
+        Squared innovations, less the likeliest form errors.
     innovations : tuple of (N m,) arrays
         What is left.
     columns : tuple of (N m, P + Q) arrays
@@ -53,6 +54,11 @@ class Fitted:
         Which effect's each free parameter is.
     is_noise_known : bool
         From repeats.
+    form : FormError
+        What the laws may be wrong by, where noise is known.
+    form_squares : float
+        Squares of the likeliest form errors, in standard deviations.
+    readings : int
     """
 
     settings: tuple[EffectSetting, ...]
@@ -62,17 +68,20 @@ class Fitted:
     columns: tuple[np.ndarray, ...]
     parameters: tuple[tuple[int, Parameter], ...]
     is_noise_known: bool
+    form: FormError
+    form_squares: float
+    readings: int
 
     @cached_property
     def dispersion(self) -> float:
         """How many times the scatter of white noise the fitted numbers and parameters have, by what stretches of the recordings say alone.
 
         What no equation knows is seldom white: a law that is a little wrong errs the same way for a while. One at least. The mean over
-        numbers and parameters of the variance of their scores over blocks (White 1982, the sandwich's filling). Noise that is known from
-        repeats is white behind its filter: what is not is what is sought.
+        numbers and parameters of the variance of their scores over blocks (White 1982, the sandwich's filling). Where noise is known from
+        repeats it is what is left over what noise leaves (McCullagh and Nelder 1989): gains count less until a set explains what is there.
         """
         if self.is_noise_known:
-            return 1.0
+            return max(1.0, self.squares / max(self.readings, 1))
         rows = sum(len(rest) for rest in self.innovations)
         scores, squares = [], np.zeros(self.columns[0].shape[1])
         for rest, columns in zip(self.innovations, self.columns, strict=True):
@@ -87,7 +96,18 @@ class Fitted:
 
     def cost(self, dispersion: float = 1.0) -> float:
         """Return squared innovations, in units of what scatters, and the numbers' prior."""
-        return self.squares / dispersion + float(self.offset @ self.offset)
+        known = float(self.offset @ self.offset) + self.form_squares
+        return self.squares / dispersion + known + self.form.log_determinant(dispersion)
+
+    @property
+    def with_form(self) -> list[np.ndarray]:
+        """Columns (N m, P + Q + K), with those of what laws may be wrong by."""
+        return [np.hstack([each, form]) for each, form in zip(self.columns, self.form.columns, strict=True)]
+
+    @property
+    def prior(self) -> np.ndarray:
+        """Inverse variances (P + Q + K,) of nuisances, parameters and form errors before anything was recorded."""
+        return np.concatenate([np.ones(len(self.offset)), np.zeros(len(self.parameters)), np.ones(self.form.count)])
 
     @property
     def names(self) -> frozenset[tuple[str, str]]:
@@ -111,17 +131,44 @@ def fit(
     except EffectError:
         return None
     columns: tuple[np.ndarray, ...] = ()
+    form = _form(tuned, settings, dispersion)
     for _ in range(ITERATIONS):
         columns = tuple(_columns(tuned, one, settings, parameters, rest) for one, rest in zip(tuned.looked, left, strict=True))
-        step = _step(tuned, settings, offset, parameters, columns, left, 1.0 / dispersion, longest)
-        cost = squares / dispersion + float(offset @ offset)
-        taken = _shortened(tuned, settings, offset, parameters, step, cost, dispersion)
+        step = _step(tuned, settings, offset, parameters, columns, left, 1.0 / dispersion, longest, form)
+        cost = _cost(left, squares, offset, form)
+        taken = _shortened(tuned, settings, offset, parameters, step, cost, form)
         if taken is None:
             break
         settings, offset, left, squares = taken
-        if cost - (squares / dispersion + float(offset @ offset)) < SETTLED:
+        gained = cost - _cost(left, squares, offset, form)
+        form = _form(tuned, settings, dispersion)
+        if gained < SETTLED:
             break
-    return Fitted(settings, offset, squares, left, columns, parameters, not tuned.levels.are_assumed)
+    reduced, form_squares = form.taken_from(left)
+    squares += float(sum(after @ after - before @ before for before, after in zip(left, reduced, strict=True)))
+    return Fitted(settings, offset, squares, reduced, columns, parameters, not tuned.levels.are_assumed, form, form_squares, tuned.readings)
+
+
+def _cost(left: Sequence[np.ndarray], squares: float, offset: np.ndarray, form: FormError) -> float:
+    """Return the cost up to a constant, with the likeliest form errors; `squares` are those of what is left, and of what is unsure."""
+    reduced, form_squares = form.taken_from(left)
+    squares += float(sum(after @ after - before @ before for before, after in zip(left, reduced, strict=True)))
+    return squares / form.dispersion + float(offset @ offset) + form_squares
+
+
+def _form(tuned: Tuned, settings: tuple[EffectSetting, ...], dispersion: float) -> FormError:
+    """Return the form errors of laws where noise is known; where it is assumed, they are part of what scatters."""
+    if tuned.levels.are_assumed or not settings:
+        return FormError([np.zeros((len(one.innovations), 0)) for one in tuned.looked], dispersion)
+    columns = []
+    for one in tuned.looked:
+        own: list[Column] = []
+        for setting in settings:
+            if not effects()[setting.name].is_exact:
+                own += form_columns(column(one.signals, _signals(tuned, one, (setting,))), one.motion)
+        whitened = one.whiten(own) if own else np.zeros((len(one.innovations), 0))
+        columns.append(_times(whitened, 1.0 / _weaker(tuned, one, settings)) if own else whitened)
+    return FormError(columns, dispersion)
 
 
 def free_parameters(setting: EffectSetting) -> list[Parameter]:
@@ -228,10 +275,14 @@ def changed(setting: EffectSetting, changes: dict[str, float]) -> EffectSetting:
 
 def _step(
     tuned: Tuned, settings: tuple[EffectSetting, ...], offset: np.ndarray, parameters: Sequence[tuple[int, Parameter]],
-    columns: Sequence[np.ndarray], left: Sequence[np.ndarray], weight: float, longest: float,
+    columns: Sequence[np.ndarray], left: Sequence[np.ndarray], weight: float, longest: float, form: FormError,
 ) -> np.ndarray:  # fmt: skip
     count = len(offset)
+    left, _ = form.taken_from(left)
     squares = weight * sum(each.T @ each for each in columns)
+    if form.count:
+        across = sum(each.T @ own for each, own in zip(columns, form.columns, strict=True))
+        squares = squares - weight * across @ form.solved(across.T)
     slopes = weight * sum(each.T @ rest for each, rest in zip(columns, left, strict=True))
     squares[range(count), range(count)] += 1.0
     slopes[:count] -= offset
@@ -262,7 +313,7 @@ def reach(parameter: Parameter, value: float) -> tuple[float, float]:
 
 def _shortened(
     tuned: Tuned, settings: tuple[EffectSetting, ...], offset: np.ndarray, parameters: Sequence[tuple[int, Parameter]], step: np.ndarray,
-    cost: float, dispersion: float,
+    cost: float, form: FormError,
 ) -> tuple[tuple[EffectSetting, ...], np.ndarray, tuple[np.ndarray, ...], float] | None:  # fmt: skip
     """Return the first of the step and its halves that lowers the cost; None where none does."""
     for halving in range(HALVINGS):
@@ -276,6 +327,6 @@ def _shortened(
             left, squares = _left(tuned, moved, further)
         except EffectError:
             continue
-        if squares / dispersion + float(further @ further) < cost:
+        if _cost(left, squares, further, form) < cost:
             return moved, further, left, squares
     return None

@@ -98,7 +98,7 @@ def name(
     ranked: list[Ranked] = []
     for turn in range(ROUNDS):
         report("searching", 0.35 + 0.4 * turn / ROUNDS)
-        ranked = search(tuned, library(tuned, best.settings), best, MATERIAL if levels.are_assumed else 1.0)
+        ranked = search(tuned, library(tuned, best), best, MATERIAL if levels.are_assumed else 1.0)
         is_settled = ranked[0].fitted.names == best.names
         best = ranked[0].fitted
         if is_settled:

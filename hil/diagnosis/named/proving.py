@@ -116,7 +116,9 @@ def neighbours(tuned: Tuned, best: Fitted, of: Library) -> list[Neighbour]:
         if len(without) == 1:
             found.append(Neighbour(rest, without, has_another=False))
         taken = best.names | {(effects()[one.name].family, one.at) for one in kept}
-        for law, weights in proposed(rest, of, tuned.readings, best.dispersion):
+        waves = any(effects()[best.settings[k].name].several for k in without)
+        laws = library(tuned, rest) if waves else of  # orders and lines of what was left out
+        for law, weights in proposed(rest, laws, tuned.readings, best.dispersion):
             if {(law.effect.name, law.at), (law.effect.family, law.at)} & taken:
                 continue
             other = fit(tuned, (*kept, law.setting(weights)), rest.offset, best.dispersion)

@@ -3,25 +3,31 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.ndimage
 
 from hil.diagnosis.candidates.entries import Entry, entries
 from hil.diagnosis.named.fitting import Fitted, fit
+from hil.diagnosis.named.form import FORM
 from hil.diagnosis.tuned.bounded import bounded_least_squares
 from hil.diagnosis.tuned.retuning import Tuned
 from virtual_bus.effects.registry import effects
-from virtual_bus.settings import EffectSetting
 
 OWN = 1e-6
 """Share of a column's square that must be its own, and not that of numbers and effects that are fitted already: columns are kept in single
 precision."""
-FORM = 0.1
-"""Relative error of a law: friction, springs and motors of real machines follow the catalogue's curves to a tenth or so."""
+EXACT = 0.01
+"""Relative error of a law beside what is smooth in it, which is fitted where noise is known: motions are read off sensors, and equations
+are linear about them."""
+NOT_TOLD_APART = 20.0
+"""In twice the log of the evidence: ten units of log likelihood."""
+SMOOTHED = 61
+"""Lines of a spectrum whose mean is what noise makes of one of them, to an eighth."""
 DEPTH = 3
-"""Effects in a set at most."""
+"""Effects in a set at most, everyday ones aside."""
 PROPOSED = 6
 """Effects that the library proposes beside a set, the most promising law of each."""
 KEPT = 3
@@ -64,31 +70,37 @@ class Library:
         return len({(law.effect.name, law.at) for law in self.laws})
 
 
-def library(tuned: Tuned, settings: Sequence[EffectSetting] = ()) -> Library:
-    """Return the laws of all effects at all places, for these recordings; orders and lines are sought in what `settings` leave."""
+def library(tuned: Tuned, fitted: Fitted | None = None) -> Library:
+    """Return the laws of all effects at all places, for these recordings; orders and lines are sought in what a fit leaves."""
     alongs = [one.beside.along for one in tuned.looked]
     motions = [one.motion for one in tuned.looked]
     signals = [one.signals for one in tuned.looked]
-    missing = [one.given - one.needed for one in signals]
-    if settings:
-        model = alongs[0].model(tuned.values, settings)
-        left = [along.signals(motion, model, settings) for along, motion in zip(alongs, motions, strict=True)]
-        missing = [one.given - one.needed for one in left]
+    left = [one.innovations for one in tuned.looked] if fitted is None else fitted.innovations
+    short = [_evened(one.whitening.scores(rest.reshape(one.beside.left.shape))) for one, rest in zip(tuned.looked, left, strict=True)]
     inertias = tuned.plant.inertias(tuned.looked[0].beside.model, motions[0].position[0])
-    laws = entries(alongs, motions, signals, tuned.values, missing, inertias)
+    laws = entries(alongs, motions, signals, tuned.values, short, inertias)
     columns = [one.whiten([c for law in laws for c in law.columns[g]]) for g, one in enumerate(tuned.looked)]
     return Library(tuple(laws), tuple(columns), np.sum([each.T @ each for each in columns], axis=0))
 
 
+def _evened(scores: np.ndarray) -> np.ndarray:
+    """Return scores (N, n) in units of what noise alone makes of them at each frequency."""
+    spectra = np.fft.rfft(scores, axis=0)
+    power = scipy.ndimage.uniform_filter1d(np.abs(spectra) ** 2, SMOOTHED, axis=0, mode="nearest")
+    evened: np.ndarray = np.fft.irfft(spectra / np.sqrt(np.maximum(power, 1e-300)), len(scores), axis=0)
+    return evened
+
+
 def beside_fit(fitted: Fitted, of: Library, dispersion: float) -> Iterator[tuple[Entry, np.ndarray, np.ndarray]]:
     """Yield every law with the squares (w, w) and the slopes (w,) that a fitted set's numbers and parameters leave of its columns."""
-    own = np.sum([each.T @ each for each in fitted.columns], axis=0)
-    own = own + dispersion * np.diag(np.append(np.ones(len(fitted.offset)), np.zeros(len(own) - len(fitted.offset))))
+    beside = fitted.with_form
+    own = np.sum([each.T @ each for each in beside], axis=0) + dispersion * np.diag(fitted.prior)
     scale = np.sqrt(np.maximum(np.diag(own), 1e-300))
     root = np.linalg.inv(np.linalg.cholesky(own / scale[:, None] / scale + 1e-10 * np.eye(len(own))))
-    slopes = sum(each.T @ rest for each, rest in zip(fitted.columns, fitted.innovations, strict=True))
+    slopes = sum(each.T @ rest for each, rest in zip(beside, fitted.innovations, strict=True))
     slopes[: len(fitted.offset)] -= dispersion * fitted.offset
-    across = (sum(c.T @ d for c, d in zip(of.columns, fitted.columns, strict=True)) / scale) @ root.T
+    slopes[len(slopes) - fitted.form.count :] = 0.0  # form errors are at their likeliest
+    across = (sum(c.T @ d for c, d in zip(of.columns, beside, strict=True)) / scale) @ root.T
     taken = root @ (slopes / scale)
     pulls = sum(c.T @ rest for c, rest in zip(of.columns, fitted.innovations, strict=True))
     first = 0
@@ -119,7 +131,10 @@ def proposed(fitted: Fitted, of: Library, readings: int, dispersion: float) -> l
 
 
 def search(tuned: Tuned, laws: Library, baseline: Fitted, materiality: float = 1.0) -> list[Ranked]:
-    """Return fitted sets, the likeliest first; the empty set is among them.
+    """Return fitted sets, the answer first, then the likeliest; the empty set is among them.
+
+    The answer is the likeliest set. Where noise is known, effects that it can do without are left out, the least useful first: those
+    without which it is not sure to be less likely.
 
     Sets are sought from nothing on, one effect after the other, and from the engineer's first fit, whose effects are left out one after the
     other: two effects may show only together. Effects that are not everyday have to leave less by the factor
@@ -148,6 +163,8 @@ def search(tuned: Tuned, laws: Library, baseline: Fitted, materiality: float = 1
     for _ in range(DEPTH):
         further: list[Ranked] = []
         for fitted in beam:
+            if len(fitted.settings) - _everyday(fitted) >= DEPTH:
+                continue
             for law, weights in proposed(fitted, laws, tuned.readings, dispersion):
                 names = fitted.names | {(law.effect.name, law.at)}
                 if names in found:
@@ -163,7 +180,17 @@ def search(tuned: Tuned, laws: Library, baseline: Fitted, materiality: float = 1
         beam = [each.fitted for each in further[:KEPT]]
         dispersion = min(dispersion, beam[0].dispersion)
         found = {names: ranked(each.fitted) for names, each in found.items()}
-    return sorted(found.values(), key=lambda each: each.cost)
+    chosen = min(found.values(), key=lambda each: each.cost)
+    while chosen.fitted.is_noise_known and chosen.fitted.settings:
+        kept = [
+            fit(tuned, (*chosen.fitted.settings[:k], *chosen.fitted.settings[k + 1 :]), chosen.fitted.offset, scatter)
+            for k in range(len(chosen.fitted.settings))
+        ]
+        sparer = min((ranked(each) for each in kept if each is not None), key=lambda each: each.cost)
+        if sparer.cost > chosen.cost + NOT_TOLD_APART:
+            break
+        found[sparer.fitted.names] = chosen = sparer
+    return [chosen, *sorted((each for each in found.values() if each is not chosen), key=lambda each: each.cost)]
 
 
 def _price(fitted: Fitted, cost_of_nothing: float, dispersion: float, readings: int, places: int) -> float:
@@ -176,7 +203,12 @@ def _price(fitted: Fitted, cost_of_nothing: float, dispersion: float, readings: 
     bought = len(fitted.parameters) * math.log(readings) + 2.0 * math.log(math.comb(max(places, size), size))
     special = _special(fitted)
     beside = special - 1 if special == size else special
-    return bought + max(beside, 0) * FORM**2 * max(cost_of_nothing - fitted.cost(dispersion), 0.0)
+    wrong = EXACT if fitted.is_noise_known else FORM
+    return bought + max(beside, 0) * wrong**2 * max(cost_of_nothing - fitted.cost(dispersion), 0.0)
+
+
+def _everyday(fitted: Fitted) -> int:
+    return len(fitted.settings) - _special(fitted)
 
 
 def _special(fitted: Fitted) -> int:

@@ -12,13 +12,15 @@ from hil.diagnosis.candidates.entries import Entry
 from hil.diagnosis.named.fitting import Fitted, fit
 from hil.diagnosis.named.naming import Named
 from hil.diagnosis.named.proving import left_out, neighbours
-from hil.diagnosis.named.search import Library, beside_fit
+from hil.diagnosis.named.search import EXACT, NOT_TOLD_APART, Library, beside_fit
 from hil.diagnosis.named.settling import settled
 from hil.diagnosis.tuned.retuning import nominal_offset, tuned_at
 from virtual_bus.effects.effect import Parameter
 from virtual_bus.effects.registry import effects
 from virtual_bus.settings import EffectSetting
 
+LEVEL = 0.16
+"""Of the noise's squares, by which repeats may miss them: two differ by chance, and sound machines leave so much."""
 MOVED = 1e-3
 """Of a number's prior: a number that moved by less stayed."""
 
@@ -71,6 +73,16 @@ def unexplained(named: Named) -> float:
     best = named.best
     empty = fit(named.tuned, (), best.offset, best.dispersion)
     return 1.0 if empty is None else min(1.0, best.squares / max(empty.squares, 1e-300))
+
+
+def is_spanned(named: Named) -> bool:
+    """Return whether the answer leaves no more than noise, as far as that and its laws are known; where noise is assumed it always does."""
+    best = named.best
+    if named.levels.are_assumed:
+        return True
+    empty = fit(named.tuned, (), best.offset, best.dispersion)
+    explained = 0.0 if empty is None else max(empty.squares - best.squares, 0.0)
+    return best.squares <= (1.0 + LEVEL) * named.tuned.readings + EXACT**2 * explained
 
 
 def gained_by(named: Named) -> float:
@@ -143,6 +155,8 @@ def detection_limits(named: Named, of: Library) -> list[Limit]:
         if not strengths or (law.effect.family, law.at) in taken:
             continue
         asked = len(strengths) * math.log(tuned.readings) + 2.0 * math.log(of.places)
+        if not named.levels.are_assumed:
+            asked += NOT_TOLD_APART
         if not law.effect.everyday:
             asked += (named.materiality - 1.0) * best.squares / best.dispersion
         limit = _limit(law, strengths, reduced, asked * best.dispersion)
@@ -173,12 +187,11 @@ def _is_within(parameter: Parameter, value: float) -> bool:
 
 def scattered(fitted: Fitted) -> np.ndarray:
     """Return standard deviations (P + Q,) of nuisances and parameters, by what scatters (White 1982)."""
-    squares = np.sum([each.T @ each for each in fitted.columns], axis=0) / fitted.dispersion
-    count = len(fitted.offset)
-    squares[range(count), range(count)] += 1.0
+    squares = np.sum([each.T @ each for each in fitted.with_form], axis=0) / fitted.dispersion + np.diag(fitted.prior)
     scale = np.sqrt(np.maximum(np.diag(squares), 1e-300))
     inverse = np.linalg.pinv(squares / scale[:, None] / scale, hermitian=True)
-    return np.sqrt(np.diag(inverse)) / scale
+    deviations = np.sqrt(np.diag(inverse)) / scale
+    return deviations[: len(deviations) - fitted.form.count]
 
 
 def _coordinates(fitted: Fitted) -> np.ndarray:

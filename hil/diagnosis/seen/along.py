@@ -204,9 +204,19 @@ class Along:
         )  # fmt: skip
         return Signals(needed, given, np.nan_to_num(out[:, 2 * axes : 3 * axes]), out[:, self._columns])
 
-    def unknown_friction(self, motion: Motion, model: np.ndarray) -> np.ndarray:
-        """Return the variances (N, n) of the efforts of friction, which are unknown where nothing says which way a joint moves."""
-        return self._rubbed(motion, model, self._driven(motion, model)[0])[1]
+    def unknown_friction(self, motion: Motion, model: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the variances (N, n) of efforts of friction that stay, and of such as are others in every row.
+
+        Friction is unknown where nothing says which way a joint moves. Where it sticks, it stays. A smoothed motion begins and ends before
+        and after the joint does by as long as the smoother looks: around a reversal, the effort of a few rows is anything.
+        """
+        given = self._driven(motion, model)[0]
+        unsure = motion.speed_deviation.copy()
+        for joint, one in self.smooth.items():
+            unsure[:, joint] = np.hypot(unsure[:, joint], np.abs(motion.acceleration[:, joint]) * one.memory_s(self.observed.period_s))
+        stays = self._rubbed(motion, model, given)[1]
+        in_all = self._rubbed(replace(motion, speed_deviation=unsure), model, given)[1]
+        return stays, np.maximum(in_all - stays, 0.0)
 
     def passed_by_friction(self, motion: Motion, model: np.ndarray) -> np.ndarray:
         """Return the share (n,) of a change of the drives' efforts that friction lets pass: 1, unless it grows with them."""

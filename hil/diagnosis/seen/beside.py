@@ -140,17 +140,20 @@ class Beside:
         start[3 * n :] = felt**2 @ start[: 3 * n]  # what the low passes of an IMU hold
         return replace(plain, noise=levels.sensors**2, process=process, start=start)
 
-    def whitening(self, levels: Levels, unsure: np.ndarray | None = None) -> Whitening:
+    def whitening(self, levels: Levels, unsure: tuple[np.ndarray, np.ndarray] | None = None) -> Whitening:
         """Return the filter with these levels.
 
-        `unsure` (N, n) is the variance of a further effort on each joint [Nm^2 or N^2], which may be another one in every row.
+        `unsure` are the variances (N, n) of further efforts on each joint [Nm^2 or N^2]: of such as stay, and of others in every row.
         """
-        extra = None
-        if unsure is not None and unsure.any():
-            n = unsure.shape[1]
-            extra = np.zeros((len(unsure), self.linearised(levels).transition.shape[1]))
-            extra[:, 2 * n : 3 * n] = unsure * (1.0 - self._decay(levels) ** 2)
-        plain = whitening(self.linearised(levels), self.present, extra)
+        extra = jolts = None
+        if unsure is not None and unsure[0].any():
+            stays = unsure[0]
+            n = stays.shape[1]
+            extra = np.zeros((len(stays), self.linearised(levels).transition.shape[1]))
+            extra[:, 2 * n : 3 * n] = stays * (1.0 - self._decay(levels) ** 2)
+        if unsure is not None and unsure[1].any():
+            jolts = unsure[1]
+        plain = whitening(self.linearised(levels), self.present, extra, jolts)
         return replace(plain, colour=levels.colour, loudness=levels.loudness.get(self.along.observed.name))
 
     def _decay(self, levels: Levels) -> float:

@@ -56,7 +56,8 @@ class Linearised:
 class Whitening:
     """Gains (N, s, m) and inverse roots (N, m, m) of the innovations' covariances; of a missing reading both are zero.
 
-    `extra` (N, s) holds further variances of the state after each row; (1, s) where there are none. Innovations are divided by `loudness`
+    `extra` (N, s) holds further variances of the state after each row, `jolts` (N, n) those of efforts that are others in every row; with
+    one row where there are none. Innovations are divided by `loudness`
     (N, m), and pass the filters `colour` (m, p + 1) last; None where they are white.
     """
 
@@ -64,6 +65,7 @@ class Whitening:
     gains: np.ndarray
     roots: np.ndarray
     extra: np.ndarray
+    jolts: np.ndarray
     log_determinant: float
     readings: int
     colour: np.ndarray | None = None
@@ -91,6 +93,23 @@ class Whitening:
             readings, first, state, out,
         )  # fmt: skip
 
+    def scores(self, whitened: np.ndarray) -> np.ndarray:
+        """Return by how much a unit of effort on each joint, at each row, agrees with whitened values (N, m): (N, n), the adjoint.
+
+        The product of a whitened column with these values is that of its efforts with the scores.
+        """
+        back = whitened.copy()
+        if self.colour is not None:
+            lags = self.colour.shape[1]
+            padded = np.vstack([back, np.zeros((lags - 1, back.shape[1]))])
+            back = np.sum([self.colour[:, k] * padded[k : k + len(back)] for k in range(lags)], axis=0)
+        if self.loudness is not None:
+            back /= self.loudness
+        lin = self.along
+        out = np.zeros((len(back), lin.of_effort.shape[2]))
+        _adjoint(lin.stride, lin.transition, lin.of_effort, lin.observation, lin.through, self.gains, self.roots, back, out)
+        return out
+
     def coloured(self, out: np.ndarray) -> np.ndarray:
         """Return whitened columns (N m, C) of a whole recording without the colour of its noise; `out` is overwritten."""
         if self.loudness is not None:
@@ -100,7 +119,7 @@ class Whitening:
         return out
 
 
-def whitening(along: Linearised, present: np.ndarray, extra: np.ndarray | None = None) -> Whitening:
+def whitening(along: Linearised, present: np.ndarray, extra: np.ndarray | None = None, jolts: np.ndarray | None = None) -> Whitening:
     """Run the filter's covariances along a motion.
 
     Parameters
@@ -110,15 +129,19 @@ def whitening(along: Linearised, present: np.ndarray, extra: np.ndarray | None =
         Which readings there are.
     extra : (N, s) array, optional
         Further variances added to the state after each row.
+    jolts : (N, n) array, optional
+        Variances of efforts that act for a row each.
     """
     rows, channels = present.shape
     states = along.transition.shape[1]
     gains, roots = np.zeros((rows, states, channels)), np.zeros((rows, channels, channels))
     more = np.zeros((1, states)) if extra is None else extra
+    shocks = np.zeros((1, along.of_effort.shape[2])) if jolts is None else jolts
     total = _covariances(
-        along.stride, along.transition, along.observation, along.noise, along.process, along.start, present, more, gains, roots
-    )
-    return Whitening(along, gains, roots, more, float(total), int(present.sum()))
+        along.stride, along.transition, along.of_effort, along.observation, along.noise, along.process, along.start, present, more, shocks,
+        gains, roots,
+    )  # fmt: skip
+    return Whitening(along, gains, roots, more, shocks, float(total), int(present.sum()))
 
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
@@ -145,7 +168,7 @@ def times_transposed(a, b, out):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
-def propagated(p, transition, process, extra, k, work, out):  # type: ignore[no-untyped-def]
+def propagated(p, transition, of_effort, process, extra, jolts, k, work, out):  # type: ignore[no-untyped-def]
     """Write the covariance one row later, symmetric to the last bit."""
     size = len(p)
     times(transition, p, work)
@@ -158,10 +181,16 @@ def propagated(p, transition, process, extra, k, work, out):  # type: ignore[no-
         out[i, i] += process[i]
         if len(extra) > 1:
             out[i, i] += extra[k, i]
+    if len(jolts) > 1:
+        for j in range(jolts.shape[1]):
+            if jolts[k, j] > 0.0:
+                for i in range(size):
+                    for c in range(size):
+                        out[i, c] += jolts[k, j] * of_effort[i, j] * of_effort[c, j]
 
 
 @numba.njit(cache=True, fastmath=False)
-def _covariances(stride, transition, observation, noise, process, start, present, extra, gains, roots):  # type: ignore[no-untyped-def]
+def _covariances(stride, transition, of_effort, observation, noise, process, start, present, extra, jolts, gains, roots):  # type: ignore[no-untyped-def]
     rows, channels = present.shape
     states = transition.shape[1]
     p, work = np.zeros((states, states)), np.zeros((states, states))
@@ -197,7 +226,7 @@ def _covariances(stride, transition, observation, noise, process, start, present
             for j in range(states):
                 for c in range(channels):
                     p[i, j] -= gains[k, i, c] * ph[j, c]
-        propagated(p, a, process, extra, k, work, p)
+        propagated(p, a, of_effort[number], process, extra, jolts, k, work, p)
     return total
 
 
@@ -210,15 +239,15 @@ def smooth_states(
     states, deviations = np.zeros((rows, size)), np.zeros((rows, size))
     _smoothed(
         lin.stride, lin.transition, lin.of_effort, lin.of_rise, lin.observation, lin.through, lin.noise, lin.process, lin.start,
-        filtered.extra, filtered.gains, filtered.roots, efforts, ends, readings, present, states, deviations,
+        filtered.extra, filtered.jolts, filtered.gains, filtered.roots, efforts, ends, readings, present, states, deviations,
     )  # fmt: skip
     return states, deviations
 
 
 @numba.njit(cache=True, fastmath=False)
 def _smoothed(  # type: ignore[no-untyped-def]
-    stride, transition, of_effort, of_rise, observation, through, noise, process, start, extra, gains, roots, efforts, ends, readings,
-    present, states, deviations,
+    stride, transition, of_effort, of_rise, observation, through, noise, process, start, extra, jolts, gains, roots, efforts, ends,
+    readings, present, states, deviations,
 ):  # fmt: skip
     rows, channels = readings.shape
     size = transition.shape[1]
@@ -257,7 +286,7 @@ def _smoothed(  # type: ignore[no-untyped-def]
             for j in range(size):
                 for c in range(channels):
                     p[i, j] -= gains[k, i, c] * ph[j, c]
-        propagated(p, a, process, extra, k, work, p)
+        propagated(p, a, of_effort[number], process, extra, jolts, k, work, p)
     adjoint, moved = np.zeros(size), np.zeros(size)
     weight, turned, back = np.zeros((size, size)), np.zeros((size, size)), np.zeros((size, size))
     inverse, seen = np.zeros((channels, channels)), np.zeros((channels, size))
@@ -302,6 +331,35 @@ def _smoothed(  # type: ignore[no-untyped-def]
             adjoint[:] = moved
             times(a.T, weight, turned)
             times(turned, a, weight)
+
+
+@numba.njit(cache=True, fastmath=True, nogil=True)
+def _adjoint(stride, transition, of_effort, observation, through, gains, roots, whitened, out):  # type: ignore[no-untyped-def]
+    """Write the efforts' gradients (N, n) of the product of whitened columns and `whitened` (N, m); efforts are held over a row."""
+    rows, channels = whitened.shape
+    states, joints = transition.shape[1], out.shape[1]
+    later, carried, seen = np.zeros(states), np.zeros(states), np.zeros(channels)
+    for k in range(rows - 1, -1, -1):
+        number = k // stride
+        for i in range(states):
+            carried[i] = 0.0
+            for j in range(states):
+                carried[i] += transition[number, j, i] * later[j]
+        for c in range(channels):
+            seen[c] = 0.0
+            for d in range(channels):
+                seen[c] += roots[k, d, c] * whitened[k, d]
+            for i in range(states):
+                seen[c] += gains[k, i, c] * carried[i]
+        for j in range(joints):
+            for i in range(states):
+                out[k, j] += of_effort[number, i, j] * later[i]
+            for c in range(channels):
+                out[k, j] -= through[number, c, j] * seen[c]
+        for i in range(states):
+            later[i] = carried[i]
+            for c in range(channels):
+                later[i] -= observation[number, c, i] * seen[c]
 
 
 @numba.njit(cache=True, fastmath=True, nogil=True)

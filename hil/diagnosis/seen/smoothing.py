@@ -58,6 +58,10 @@ class Smoothed:
     noise: float
     jerk: float
 
+    def memory_s(self, period_s: float) -> float:
+        """Return how long [s] a sample tells of the motion: noise and jerk are as large over it."""
+        return float((self.noise**2 * period_s / self.jerk) ** (1.0 / 6.0)) if self.jerk > 0.0 else 0.0
+
 
 @compiled_for_threads
 def _filter(gaps, samples, noise, jerk, spread, states, covariances, ahead):  # type: ignore[no-untyped-def]

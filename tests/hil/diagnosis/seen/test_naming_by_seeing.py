@@ -53,12 +53,11 @@ def test_a_hidden_friction_is_named_with_its_strength(rubbing: Named) -> None:
     best = rubbing.ranked[0].fitted
     assert [(setting.name, setting.at) for setting in best.settings] == [("coulomb_friction", "carriage")]
     gain = 1.0 + PRIOR * best.offset[rubbing.tuned.numbers.names.index("carriage.constant")]
-    assert best.settings[0].parameters["Fc"] / gain == pytest.approx(COULOMB_N, rel=0.01)  # all efforts together have no scale of their own
+    assert best.settings[0].parameters["Fc"] / gain == pytest.approx(COULOMB_N, rel=0.02)  # efforts have no scale; laws, a form to a tenth
 
 
 def test_without_the_friction_a_tenfold_of_the_noise_is_left(rubbing: Named) -> None:
-    (nothing,) = [ranked.fitted for ranked in rubbing.ranked if not ranked.fitted.settings]
-    assert nothing.squares > 10.0 * rubbing.ranked[0].fitted.squares
+    assert rubbing.plain.squares > 10.0 * rubbing.best.squares
 
 
 def test_the_engineer_s_first_fit_finds_no_load_and_no_more_damping(rubbing: Named) -> None:
