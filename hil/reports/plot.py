@@ -46,7 +46,7 @@ def channels_of(plotted: Sequence[Plotted], patterns: Sequence[str] = ()) -> lis
     there = [name for name in dict.fromkeys(name for one in plotted for name in one.recording.channels) if name != "time"]
     for pattern in patterns:
         if not any(fnmatchcase(name, pattern) for name in there):
-            raise UnusableInputError(f"--channels {pattern}: there is no such channel; there are {', '.join(there)}")
+            raise UnusableInputError(f"channel {pattern}: there is none; there are {', '.join(there)}")
     return [name for name in there if not patterns or any(fnmatchcase(name, pattern) for pattern in patterns)]
 
 

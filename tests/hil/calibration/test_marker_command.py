@@ -88,7 +88,7 @@ def test_what_cannot_be_done_is_one_line(
     assert isocenter("calibrate", "marker", "carm", scanned / "images", "-o", tmp_path / "x.npz", *more) == 2
     error = capsys.readouterr().err
     assert line in error
-    assert error.count("\n") == 1
+    assert len([said for said in error.splitlines() if not said.startswith("... ")]) == 1  # progress of a slow computer aside
     assert not (tmp_path / "x.npz").exists()
 
 

@@ -35,8 +35,8 @@ def test_one_thread_per_processor_that_may_be_used_unless_said_otherwise(tmp_pat
         asked.append(jobs)
         raise RecordingError("enough")
 
-    monkeypatch.setattr("hil.diagnosis.by_motion.is_along_the_motion", lambda *_: False)  # that way has one thread
-    monkeypatch.setattr("hil.diagnosis.diagnose.diagnose", ask)
+    monkeypatch.setattr("hil.diagnosis.from_recordings.is_along_the_motion", lambda *_: False)  # that way has one thread
+    monkeypatch.setattr("hil.diagnosis.from_recordings.diagnose", ask)
     monkeypatch.setattr("os.sched_getaffinity", lambda _: processors, raising=False)
     with pytest.raises(SystemExit):
         main(["diagnose", "emps", *paths, "-o", str(tmp_path / "answer"), *words])

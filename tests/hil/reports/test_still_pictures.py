@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import hil
-from hil.errors import RecordingError
+from hil.errors import RecordingError, UnusableInputError
 from hil.figures.still import still
 from hil.pages import Band, Chart, Charts, Mark, Scale, Series
 from hil.recording import Channel, Recording
@@ -42,7 +42,7 @@ def test_the_front_door_draws_a_recording_with_what_its_simulation_leaves() -> N
     above, below = hil.plot(RECORDED, SIMULATED).axes
     assert [line.get_label() for line in above.lines] == ["recorded", "simulated"]
     assert np.allclose(below.lines[0].get_ydata(), 0.25)
-    with pytest.raises(RecordingError, match="position_yaw"):
+    with pytest.raises(UnusableInputError, match="position_yaw"):
         hil.plot(RECORDED, channels=["position_yaw"])
     with pytest.raises(RecordingError, match="50 simulated"):
         hil.plot(RECORDED, SIMULATED.part(slice(0, 50)))
