@@ -104,7 +104,7 @@ def test_along_the_motion_what_is_known_explains_what_it_would_explain_if_found(
     signals = along.signals(one.motion, along.model(tuned.values, (FRICTION,)), (FRICTION,))
     found = one.beside.given_along(signals).whitened(one.whitening).reshape(-1)
     assert np.sum(known**2) < 0.5 * np.sum(without**2)
-    np.testing.assert_allclose(known, found, atol=1e-3 * np.abs(found).max())
+    np.testing.assert_allclose(known, found, atol=0.02)  # of noise: near a reversal the motion that was seen decides how much is unknown
 
 
 def test_no_law_is_sought_where_it_is_known() -> None:
