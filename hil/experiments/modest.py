@@ -40,9 +40,14 @@ def middle_pose(machine: Machine, room: float) -> dict[str, float]:
 
 
 def modest_scan(machine: Machine, axis: str, pose: Mapping[str, float]) -> Scan:
-    """Return a scan of an axis about a pose [rad or m], at half its speed over two fifths of its range, 120 degrees at most."""
+    """Return a scan of an axis about a pose [rad or m], at half its speed over two fifths of its range, 120 degrees at most.
+
+    Where the pose is too close to an end of the range, the scan is about the closest place that is not.
+    """
     limit = machine.limits[machine.axis_index(axis)]
     span = limit.upper - limit.lower
     half = 0.5 * min(LARGEST_SCAN_rad, SCAN_SHARE * span)
     speed = SCAN_PACE * limit.speed if np.isfinite(limit.speed) else Scan.speed
-    return Scan(axis, pose[axis] - half, pose[axis] + half, speed, {name: at for name, at in pose.items() if name != axis})
+    at = float(np.clip(pose[axis], limit.lower + half, limit.upper - half))
+    others = {name: position for name, position in pose.items() if name != axis}
+    return Scan(axis, at - half, at + half, speed, others)
