@@ -203,7 +203,9 @@ def observe(
     if page is not None:
         from hil.reports.observed import observed_page
 
-        write_paged(answer, observed_page(machine, estimate, recording, (recording_path, out), answer.said), page)
+        write_paged(
+            answer, observed_page(machine, estimate, recording, (recording_path, out), design_path or save_design, answer.said), page
+        )
     answer.write({"estimate": out, **document})
 
 

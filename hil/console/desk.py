@@ -93,7 +93,7 @@ class Desk:
             There is no such step, an earlier one has yet to pass, a field cannot be used, or something else is running.
         """
         step = step_named(self.steps, name)
-        if missing := missing_before(step.name, self.passed):
+        if missing := missing_before(step.name, self.passed, values):
             raise UnusableInputError(missing)
         self._begin(step.order(values), client)
 

@@ -23,6 +23,8 @@ END_S = 10.0
 START_S = 120.0
 """Longest time for a new Python process on a loaded computer."""
 BACKLOG = 64
+WILDCARDS = ("0.0.0.0", "::")
+"""Addresses to listen at that no browser on another computer can open."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,7 @@ class Place:
 
     def address(self, listening: socket.socket) -> str:
         """Return what a user opens."""
-        host = f"[{self.host}]" if ":" in self.host else self.host
+        host = socket.gethostname() if self.host in WILDCARDS else f"[{self.host}]" if ":" in self.host else self.host
         path = f"{ENTRANCE}?token={self.token}" if self.token else "/"
         return f"http://{host}:{listening.getsockname()[1]}{path}"
 

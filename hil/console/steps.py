@@ -59,9 +59,10 @@ def steps_of(facts: Facts, folder: Path) -> dict[str, Step]:
     return {step.name: step for step in steps}
 
 
-def missing_before(name: str, passed: Mapping[str, bool]) -> str:
-    """Return which earlier step has yet to pass, in words; "" where none has."""
-    missing = [step for step in SEEN_BEFORE.get(name, ()) if not passed.get(step)]
+def missing_before(name: str, passed: Mapping[str, bool], values: Mapping[str, Any]) -> str:
+    """Return which earlier step has yet to pass before this one with a form filled so, in words; "" where none has."""
+    needed = ("identify",) if name == "shape" and values.get("source") == FROM_RESPONSE else SEEN_BEFORE.get(name, ())
+    missing = [step for step in needed if not passed.get(step)]
     return f"first {' and '.join(missing)}: {name} builds on what {'it shows' if len(missing) == 1 else 'they show'}" if missing else ""
 
 

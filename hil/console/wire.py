@@ -36,7 +36,7 @@ class _NodeSeen:
     """The newest of one node."""
 
     node: Node
-    values: dict[int, int] = field(default_factory=dict)
+    values: dict[int, tuple[float, int]] = field(default_factory=dict)  # by index of the object: when it was heard [s], and its value
     heard_s: float = float("-inf")
     nmt: str = ""
     emergency: str = ""
@@ -89,7 +89,8 @@ class WireWatch:
         }
 
     def _node(self, seen: _NodeSeen, now_s: float) -> dict[str, Any]:
-        node, values = seen.node, seen.values
+        node = seen.node
+        values = {index: value for index, (heard_s, value) in list(seen.values.items()) if now_s - heard_s < SILENT_S}
         fresh = now_s - seen.heard_s < SILENT_S
         found: dict[str, Any] = {
             "name": node.name,
@@ -101,7 +102,7 @@ class WireWatch:
             "fresh": fresh,
         }
         scaling = next((each for each in self._settings.scalings if each.axis == node.axis), None)
-        if scaling is None or not fresh:
+        if scaling is None:
             return found
         if _STATUSWORD in values and node.role == "drive":
             found["state"] = describe_statusword(values[_STATUSWORD])
@@ -162,7 +163,7 @@ class WireWatch:
         elif can_id in self._pdos:
             seen, pdo = self._pdos[can_id]
             seen.heard_s = time.monotonic()
-            _read_entries(pdo, data, seen.values)
+            seen.values |= {index: (seen.heard_s, value) for index, value in _entries(pdo, data).items()}
         elif can_id & 0x780 == _EMERGENCY and (node := self._nodes.get(can_id & 0x7F)) is not None:
             emergency = decode_emergency(data)
             node.emergency = "" if emergency.is_reset else emergency.describe(node.node.identity.vendor_id)
@@ -175,13 +176,15 @@ def _bits_of(node: Node, wanted: int) -> int:
     return next(bits for pdo in node.tpdos for index, _, bits in pdo.entries if index == wanted)
 
 
-def _read_entries(pdo: Pdo, data: bytes, values: dict[int, int]) -> None:
-    """Take the mapped objects of a frame; a frame that is too short says nothing."""
+def _entries(pdo: Pdo, data: bytes) -> dict[int, int]:
+    """Return the mapped objects of a frame by their index; what a short frame has not is left out."""
+    values: dict[int, int] = {}
     content = int.from_bytes(data, "little")
     shift = 0
     for index, _, bits in pdo.entries:
         if shift + bits > 8 * len(data):
-            return
+            break
         value = content >> shift & (1 << bits) - 1
         values[index] = value - (1 << bits) if index in _SIGNED and value >> bits - 1 else value
         shift += bits
+    return values

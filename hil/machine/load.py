@@ -54,6 +54,24 @@ def text_of(name_or_path: str | Path) -> str:
     return read_text(_path(name_or_path), f"give a machine file's path or a shipped name: {shipped}")
 
 
+def name_to_load(machine: Machine) -> str:
+    """Return what `load_machine` and the command line take for a machine: its shipped name, or the path of its file."""
+    if machine.path is None:
+        return name_of_recorded(machine.name, machine.hash)
+    return machine.path.stem if machine.path.parent == SHIPPED else str(machine.path)
+
+
+def name_of_recorded(name: str, its_hash: str) -> str:
+    """Return what the command line takes for a machine that a recording names: a shipped name, or MACHINE.toml for a file elsewhere."""
+    path = SHIPPED / f"{name}.toml"
+    is_shipped = name.isidentifier() and path.is_file() and _hash(read_text(path, "")) == its_hash
+    return name if is_shipped else "MACHINE.toml"
+
+
+def _hash(text: str) -> str:
+    return hashlib.sha256(without_schema_line(text).encode("utf-8")).hexdigest()
+
+
 def _path(name_or_path: str | Path) -> Path:
     path = SHIPPED / f"{name_or_path}.toml"
     is_shipped = isinstance(name_or_path, str) and name_or_path.isidentifier() and path.is_file()
@@ -90,7 +108,7 @@ def machine_from_text(text: str, path: Path | None = None, label: str = "") -> M
             name=table.name,
             description=table.description,
             text=text,
-            hash=hashlib.sha256(without_schema_line(text).encode("utf-8")).hexdigest(),
+            hash=_hash(text),
             path=path,
             axes=tuple(table.drives),
             sample_rate_Hz=table.timing.sample_rate,

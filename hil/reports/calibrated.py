@@ -17,6 +17,7 @@ from hil.imaging.geometry import DEVIATIONS
 from hil.imaging.markers.projection import PARAMETERS
 from hil.imaging.scan_folder import ImageScan
 from hil.machine import Machine
+from hil.machine.load import name_to_load
 from hil.pages import Bullets, Page, Section, Table, Verdict
 from hil.pages.contents import Kind
 from hil.recording import Recording
@@ -36,6 +37,7 @@ def geometry_page(
     curves: Mapping[str, Curve],
     files: tuple[Path, Path],
     said: Sequence[str],
+    following: tuple[str, str],
     names: Sequence[str] = DEVIATIONS,
     units: Sequence[str] = UNITS,
 ) -> Page:
@@ -53,6 +55,8 @@ def geometry_page(
         Scan or recording, and what was written.
     said : sequence of str
         What the command said.
+    following : two strings
+        The command that comes next, and what it brings.
     names, units : sequences of str
         Of the parameters.
     """
@@ -60,7 +64,6 @@ def geometry_page(
     values, covariance = next(iter(curves.values()))
     sigma = np.full(values.shape, np.nan) if covariance is None else np.sqrt(np.einsum("nii->ni", covariance))
     over = along[1].split(" [")[0]
-    option = "--geometry" if "geometry" in out.name else "--lookup"
     return Page(
         title,
         verdict,
@@ -69,10 +72,15 @@ def geometry_page(
             Section("In numbers", [deviation_table(values, sigma, names, units)], is_folded=True),
             Section("What the command said", [Bullets(said)], is_folded=True),
         ],
-        command_line("reconstruct", machine.name, "SCAN", option, out, "-o", "reconstruction"),
-        "reconstructs a scan with it.",
+        *following,
         {"Machine": machine_fact(machine), "From": source.name, "Written": out.name},
     )
+
+
+def _reconstruct(machine: Machine, option: str, out: Path) -> tuple[str, str]:
+    """Return the command that uses a geometry, and what it brings."""
+    command = command_line("reconstruct", name_to_load(machine), "SCAN", option, out, "-o", "reconstruction")
+    return command, "reconstructs a scan with it."
 
 
 def of_exposures(used: int, offered: int, residual: str) -> Verdict:
@@ -91,7 +99,8 @@ def phantom_page(machine: Machine, fit: PoseFit, table: LookUp, files: tuple[Pat
     along = np.degrees(table.positions[:, axis]) if is_angle else table.positions[:, axis]
     over = (along, f"{table.axes[axis]} [{'°' if is_angle else 'm'}]")
     curves = {"phantom": (table.deviation, table.covariance)}
-    return geometry_page(f"Geometry of {files[0].name}", machine, verdict, over, curves, files, said)
+    following = _reconstruct(machine, "--lookup", files[1])
+    return geometry_page(f"Geometry of {files[0].name}", machine, verdict, over, curves, files, said, following)
 
 
 def marker_page(machine: Machine, result: MarkerScan, scan: ImageScan, files: tuple[Path, Path], said: Sequence[str]) -> Page:
@@ -103,7 +112,10 @@ def marker_page(machine: Machine, result: MarkerScan, scan: ImageScan, files: tu
     curves = {"marker plate": (changes, result.covariance[good][:, columns][:, :, columns])}
     units = ["mrad" if 3 <= k < 6 else "mm" for k in columns]
     over = (np.asarray(scan.middle_s)[good], "time [s]")
-    return geometry_page(f"Tube against panel in {files[0].name}", machine, verdict, over, curves, files, said, result.free, units)
+    command = command_line("calibrate", "data", name_to_load(machine), "REC", "--marker", files[0], "-o", "scan.geometry.npz")
+    following = (command, "makes the geometry of that scan at every sample from its recording and the same images.")
+    title = f"Tube against panel in {files[0].name}"
+    return geometry_page(title, machine, verdict, over, curves, files, said, following, result.free, units)
 
 
 def data_page(machine: Machine, found: Calibration, recording: Recording, files: tuple[Path, Path], said: Sequence[str]) -> Page:
@@ -115,7 +127,8 @@ def data_page(machine: Machine, found: Calibration, recording: Recording, files:
     )
     curves: dict[str, Curve] = {"live": (found.live, found.covariance), "parameters of the end": (found.final, None)}
     over = (recording.time[: len(found.live)], "time [s]")
-    page = geometry_page(f"Geometry of {files[0].name}", machine, verdict, over, curves, files, said)
+    following = _reconstruct(machine, "--geometry", files[1])
+    page = geometry_page(f"Geometry of {files[0].name}", machine, verdict, over, curves, files, said, following)
     return replace(page, is_emulated=was_emulated([recording]))
 
 
@@ -156,7 +169,6 @@ def model_page(
             Section("Over the exposures", [charts]),
             Section("What the command said", [Bullets(said)], is_folded=True),
         ],
-        command_line("reconstruct", machine.name, "SCAN", "--lookup", out, "-o", "reconstruction"),
-        "reconstructs a scan with it.",
+        *_reconstruct(machine, "--lookup", out),
         {"Machine": machine_fact(machine), "From": ", ".join(Path(name).name for name in judged), "Written": out.name},
     )

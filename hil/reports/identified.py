@@ -14,7 +14,7 @@ from hil.pages import Bullets, Mark, Page, Section, Table, Text, Verdict
 from hil.pages.contents import Block
 from hil.recording import Recording
 from hil.reports.frf import frf_charts, own_elements
-from hil.reports.made_from import command_line, files_fact, pose_words, recorded_machine, was_emulated
+from hil.reports.made_from import command_line, files_fact, pose_words, recorded_machine, recorded_name, was_emulated
 
 GOOD, POOR = 0.1, 1.0
 """Median standard deviation of the elements of an axis' own motor and encoder, as a share of their magnitude."""
@@ -43,7 +43,7 @@ def identified_page(
         f"Frequency response of {machine}",
         verdict(responses[0], modes[0]),
         sections,
-        command_line("shape", machine, "--axis", axis, "--frf", out[0], "-o", f"{axis}.shaper.npz"),
+        command_line("shape", recorded_name(recordings[0]), "--axis", axis, "--frf", out[0], "-o", f"{axis}.shaper.npz"),
         "designs a reference shaper from it.",
         {"Machine": recorded_machine(recordings), "Files": files_fact(paths), "Written": files_fact(out), "Method": responses[0].method},
         was_emulated(recordings),

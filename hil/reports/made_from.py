@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from hil.machine import Machine
+from hil.machine.load import name_of_recorded
 from hil.recording import Recording
 
 HASH_LETTERS = 12
@@ -22,6 +23,12 @@ def recorded_machine(recordings: Iterable[Recording]) -> str:
     """Return name and hash of the machines that recordings name, "" where none does."""
     tables = [table for recording in recordings if (table := recording.metadata.get("machine", {})).get("name")]
     return ", ".join(dict.fromkeys(f"{table['name']} ({str(table.get('hash', ''))[:HASH_LETTERS]})" for table in tables))
+
+
+def recorded_name(recording: Recording) -> str:
+    """Return what the command line takes for the machine that a recording names."""
+    table = recording.metadata.get("machine", {})
+    return name_of_recorded(str(table.get("name", "")), str(table.get("hash", "")))
 
 
 def files_fact(paths: Sequence[Path], most: int = 6) -> str:

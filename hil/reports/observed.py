@@ -9,6 +9,7 @@ import numpy as np
 from scipy import stats
 
 from hil.machine import Machine
+from hil.machine.load import name_to_load
 from hil.observing import Estimate
 from hil.pages import Band, Bullets, Chart, Charts, Page, Scale, Section, Series, Verdict
 from hil.recording import Recording
@@ -22,8 +23,13 @@ LEAST_NIS = 1e-3
 SECONDS = Scale("time [s]")
 
 
-def observed_page(machine: Machine, estimate: Estimate, recording: Recording, files: tuple[Path, Path], said: Sequence[str]) -> Page:
-    """Return the page of estimates over a recording; `files` are recording and estimates, `said` what the command said."""
+def observed_page(
+    machine: Machine, estimate: Estimate, recording: Recording, files: tuple[Path, Path], design: Path | None, said: Sequence[str]
+) -> Page:
+    """Return the page of estimates over a recording.
+
+    `files` are recording and estimates, `design` is the file that has the observer, if one has, `said` what the command said.
+    """
     source, out = files
     pose = pose_of(recording)
     sections = [
@@ -35,11 +41,18 @@ def observed_page(machine: Machine, estimate: Estimate, recording: Recording, fi
         f"Observer over {source.name}",
         verdict(estimate),
         sections,
-        command_line("calibrate", "data", machine.name, source, "SCAN", "-o", "scan.geometry.npz"),
+        command_line("calibrate", "data", name_to_load(machine), *_observed(source, out, design), "-o", "scan.geometry.npz"),
         "turns it into the geometry of a scan, with a few images of the phantom.",
         {"Machine": machine_fact(machine), "Recording": source.name, "Written": out.name, "Filter": estimate.filter},
         was_emulated([recording]),
     )
+
+
+def _observed(source: Path, out: Path, design: Path | None) -> list[object]:
+    """Return what tells `calibrate data` of the observer: its design, or a recording that has its estimates."""
+    if design is None and out.suffix != ".npz":
+        return [out, "SCAN"]
+    return [source, "SCAN", "--design", design or "DESIGN.npz"]  # as --save-design would have written it
 
 
 def verdict(estimate: Estimate) -> Verdict:

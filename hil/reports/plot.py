@@ -12,7 +12,7 @@ import numpy as np
 from hil.errors import UnusableInputError
 from hil.pages import Chart, Charts, Page, Scale, Section, Series, Table, Text, Verdict
 from hil.recording import Recording
-from hil.reports.made_from import command_line, files_fact, pose_of, recorded_machine, was_emulated
+from hil.reports.made_from import command_line, files_fact, pose_of, recorded_machine, recorded_name, was_emulated
 from hil.simulation import compare
 from hil.simulation.compare import INPUTS
 
@@ -140,7 +140,6 @@ def _answer(plotted: Sequence[Plotted]) -> tuple[Verdict, str, str]:
     seconds = sum(float(one.recording.time[-1] - one.recording.time[0]) for one in plotted if one.recording.rows)
     count = "1 recording" if len(plotted) == 1 else f"{len(plotted)} recordings"
     said = f"{count}, {seconds:.4g} s in all, {len(plotted[0].recording.channels) - 1} channels."
-    machine = plotted[0].recording.metadata.get("machine", {}).get("name", "MACHINE")
     if plotted[0].simulation is None:
         next_command = command_line("plot", *paths, "--simulate", "-o", "simulated.html")
         return Verdict(said), next_command, "lays the simulation by the machine file over it."
@@ -148,5 +147,5 @@ def _answer(plotted: Sequence[Plotted]) -> tuple[Verdict, str, str]:
     worst = max(compared, key=lambda each: max(channel.in_noise for channel in each.channels))
     if all(each.agrees for each in compared):
         return Verdict(f"{worst.verdict} {said}", "good"), "", ""
-    command = command_line("diagnose", machine, *paths, "-o", "diagnosis")
+    command = command_line("diagnose", recorded_name(plotted[0].recording), *paths, "-o", "diagnosis")
     return Verdict(f"{worst.verdict} {said}", "bad"), command, "says what the simulation leaves out."

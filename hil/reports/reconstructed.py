@@ -9,6 +9,7 @@ import numpy as np
 
 from hil.figures.reconstruction import volume_figure, wires_figure
 from hil.machine import Machine
+from hil.machine.load import name_to_load
 from hil.pages import Page, Section, Table, Verdict
 from hil.pages.contents import Block
 from hil.pages.picture import drawn
@@ -40,7 +41,7 @@ def reconstructed_page(
         f"Reconstruction of {scan.name}",
         verdict(volume, wires),
         sections,
-        command_line("calibrate", "phantom", machine.name, "PHANTOM_SCAN", "-o", "scan.lookup.npz"),
+        command_line("calibrate", "phantom", name_to_load(machine), "PHANTOM_SCAN", "-o", "scan.lookup.npz"),
         "gives a geometry to reconstruct with: --lookup scan.lookup.npz",
         {"Machine": machine_fact(machine), "Scan": scan.name, "Written": str(out), **facts},
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -9,7 +10,9 @@ import numpy as np
 
 from controllers.shapers.delays import DelayFilter
 from controllers.shapers.dynamics import Mode
+from hil.experiments.modest import middle_pose, modest_scan
 from hil.machine import Machine
+from hil.machine.load import name_to_load
 from hil.pages import Bullets, Chart, Charts, Mark, Page, Scale, Section, Series, Table, Verdict
 from hil.pages.contents import Kind
 from hil.reports.made_from import command_line, machine_fact
@@ -65,11 +68,20 @@ def shaped_page(
             Section("All designs", [table, *([Bullets(refused, "Not possible:")] if refused else [])]),
             Section("Poles left out", [Bullets(_left_out(chosen))], is_folded=True),
         ],
-        command_line("run", "scan", "-m", machine.name, "-b", "BUS", "--shaper", out, "-o", "scan.mf4"),
+        command_line("run", "scan", "-m", name_to_load(machine), "-b", "BUS", *_scan(machine, axis), "--shaper", out, "-o", "scan.mf4"),
         "scans with it.",
         {"Machine": machine_fact(machine), **facts, "Written": out.name},
         facts["From"].startswith("EMULATED"),
     )
+
+
+def _scan(machine: Machine, axis: str) -> list[str]:
+    """Return the options of a scan of the axis that asks little of the machine."""
+    scales = {units.axis: math.pi / 180.0 if units.position == "rad" else 1e-3 for units in machine.units}
+    scan = modest_scan(machine, axis, middle_pose(machine, 0.0))
+    start, stop, speed = (f"{value / scales[axis]:.4g}" for value in (scan.start, scan.stop, scan.speed))
+    pose = ",".join(f"{name}={position / scales[name]:.4g}" for name, position in scan.pose.items() if position)
+    return ["--axis", axis, "--from", start, "--to", stop, "--speed", speed, *(["--pose", pose] if pose else [])]
 
 
 def step_charts(in_time: Mapping[str, InTime], name: str) -> Charts:

@@ -9,6 +9,7 @@ import numpy as np
 
 from hil.calibration.marker.focal_spot import SpotTrack
 from hil.machine import Machine
+from hil.machine.load import name_to_load
 from hil.pages import Band, Bullets, Chart, Charts, Mark, Page, Scale, Section, Series, Verdict
 from hil.reports.made_from import command_line, machine_fact
 
@@ -27,7 +28,7 @@ def spot_page(machine: Machine, track: SpotTrack, anode_Hz: float | None, scan: 
             Section("Displacement, and its spectrum", [spot_charts(track, anode_Hz)]),
             Section("What the command said", [Bullets(said)], is_folded=True),
         ],
-        command_line("calibrate", "marker", machine.name, "SCAN", "-o", "marker.npz"),
+        command_line("calibrate", "marker", name_to_load(machine), "SCAN", "-o", "marker.npz"),
         "shows where tube and panel stand to each other in a scan.",
         {"Machine": machine_fact(machine), "From": scan.name},
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -15,14 +15,16 @@ from hil.bench.bench import Bench
 from hil.bench.open import open_bench, recording_paths
 from hil.bench.options import BenchOptions
 from hil.errors import UnusableInputError
-from hil.experiments import Experiment, Jog, JogOnly, Multisine, Scan, Static
+from hil.experiments import Experiment, Jog, JogOnly, Multisine, Static
+from hil.experiments.modest import middle_pose, modest_scan
 from hil.experiments.plan import pose_array
 from hil.files.aside import keep_earlier
 from hil.identification import identify_poses, resonances, write_frf
 from hil.identification.report import resonance_lines
 from hil.machine import Machine, check_machine
-from hil.machine.load import SHIPPED
+from hil.machine.load import name_to_load
 from hil.recording import Recording, read_recording
+from hil.reports.made_from import command_line
 from hil.shaping.choice import choose_shaper
 from hil.shaping.plans import Shaped
 from hil.shaping.shaper_file import write_shaper
@@ -39,19 +41,14 @@ REPEATED = JogOnly(jog=Jog(0.06, line=1), period_s=10.0, periods=1)
 OTHER = JogOnly(jog=Jog(0.045, line=1), period_s=8.0, periods=1)
 """The repeated motion and another one to judge by, slow enough for any axis: amplitudes of 3.4 and 2.6 degrees."""
 
+ROOM = REPEATED.jog.amplitude_rad
+"""About the middle pose, for the repeated motion."""
+
 EXCITATION_SHARE = 0.1
 """Rms of the excitation as a share of what the drive may give: 0.8 A on the C-arm."""
 
 PERIODS, REALISATIONS = 2, 2
 """The fewest that tell noise from nonlinear distortion."""
-
-SCAN_PACE = 0.5
-"""Share of the axis's speed at which it sweeps."""
-
-SCAN_SHARE = 0.4
-"""Share of the axis's range, about its middle, that the scan sweeps."""
-
-LARGEST_SCAN_rad = np.radians(120.0)
 
 
 @dataclass(frozen=True)
@@ -161,7 +158,7 @@ def commission(
     if under_way.check():
         under_way.folder.mkdir(parents=True, exist_ok=True)
         options = BenchOptions(bus, imu, io, seed=seed, emulated=emulated)
-        with open_bench(machine, options, pose_array(machine, _middle(machine))) as bench:
+        with open_bench(machine, options, pose_array(machine, middle_pose(machine, ROOM))) as bench:
             under_way.run(bench)
     return Commissioning(machine, under_way.folder, tuple(under_way.steps), under_way.emulated, under_way.comparison)
 
@@ -171,7 +168,10 @@ class _UnderWay:
 
     def __init__(self, machine: Machine, folder: Path, told: Callable[[Step], None], progress: Callable[[str, int, int], None]) -> None:
         self.machine, self.folder, self._told, self._progress = machine, folder, told, progress
-        self._middle = _middle(machine)
+        self._middle = middle_pose(machine, ROOM)
+        self._disbelieved: list[str] = []
+        self._repeats: list[Recording] = []
+        self._scan: Experiment = modest_scan(machine, machine.axes[0], self._middle)
         self.steps: list[Step] = []
         self.emulated = False
         self.comparison: Comparison | None = None
@@ -183,27 +183,41 @@ class _UnderWay:
         return self._done("check", not failed, failed or [f"{len(findings)} checks of the machine file passed"])
 
     def run(self, bench: Bench) -> None:
-        """Home, record, identify, shape, scan, compare."""
-        self._done("home", True, list(bench.commission()))
-        self._record(bench, "still", Static(STILL_S, self._middle))
-        repeats = [self._record(bench, f"repeat{n + 1}", replace(REPEATED, pose=self._middle))[0] for n in range(REPEATS)]
-        self._record(bench, "other", replace(OTHER, pose=self._middle))
-        names = ["still", *(f"repeat{n + 1}" for n in range(REPEATS)), "other"]
+        """Home, record, identify, shape, scan, compare; a step that fails is the last."""
+        for step in (self._home, self._move_about, self._identify, self._shape, self._sweep, self._compare):
+            if not step(bench):
+                return
+
+    def _home(self, bench: Bench) -> bool:
+        said = list(bench.commission())
+        self._disbelieve("on the way home", bench.judged)
+        return self._done("home", True, said)
+
+    def _move_about(self, bench: Bench) -> bool:
+        """Record the machine at rest, repeats of a slow motion, and another motion."""
+        repeats = [f"repeat{n + 1}" for n in range(REPEATS)]
+        motions: dict[str, Experiment] = {"still": Static(STILL_S, self._middle)}
+        motions |= dict.fromkeys(repeats, replace(REPEATED, pose=self._middle))
+        motions["other"] = replace(OTHER, pose=self._middle)
+        recorded: dict[str, Recording] = {}
+        for name, experiment in motions.items():
+            (recorded[name],) = self._record(bench, name, experiment)
+            if self._disbelieved:
+                break
+        else:
+            self._repeats = [recorded[name] for name in repeats]
         said = f"{STILL_S:g} s at rest, {REPEATS} repeats of a slow sine, and another motion to judge by"
-        self._done("record", True, [said], tuple(self._path(name) for name in names))
-        self._identify(bench)
-        scan = self._shape()
-        (recorded,) = self._record(bench, "scan", scan)
-        way, units = np.ptp(recorded[f"reference_{self.machine.axes[0]}"]), self.machine.units[0]
-        shown = f"{np.degrees(way):.0f} degrees" if units.position == "rad" else f"{1e3 * way:.0f} mm"
-        said = f"{units.axis} over {shown} in {recorded.rows / self.machine.sample_rate_Hz:.1f} s"
-        self._done("scan", True, [said], (self._path("scan"),))
-        self._compare(repeats)
+        return self._done("record", True, [said], tuple(self._path(name) for name in recorded))
 
     def _done(self, name: str, ok: bool, said: list[str], files: tuple[Path, ...] = ()) -> bool:
-        self.steps.append(Step(name, ok, tuple(said), files))
-        self._told(self.steps[-1])
-        return ok
+        """Tell of a step, and return whether it has passed: no step does in which a sensor was not to be believed."""
+        step = Step(name, False, tuple(self._disbelieved), files) if self._disbelieved else Step(name, ok, tuple(said), files)
+        self.steps.append(step)
+        self._told(step)
+        return step.ok
+
+    def _disbelieve(self, where: str, judged: Sequence[str]) -> None:
+        self._disbelieved += [f"{where}: a sensor is not to be believed: {line}" for line in judged]
 
     def _path(self, name: str) -> Path:
         return self.folder / f"{name}.mf4"
@@ -216,7 +230,8 @@ class _UnderWay:
         done = 0
         for plan, path in zip(plans, paths, strict=True):
             keep_earlier(path)
-            bench.run(plan, path, partial(self._follow, name, done, total) if bench.wiring.lockstep else None)
+            timing = bench.run(plan, path, partial(self._follow, name, done, total) if bench.wiring.lockstep else None)
+            self._disbelieve(path.stem, timing.judged)
             done += plan.rows
         recordings = [in_effort(read_recording(path, self.machine), self.machine) for path in paths]
         self.emulated |= any(each.emulated for each in recordings)
@@ -225,18 +240,20 @@ class _UnderWay:
     def _follow(self, name: str, done: int, total: int, row: int) -> None:
         self._progress(name, done + row, total)
 
-    def _identify(self, bench: Bench) -> None:
+    def _identify(self, bench: Bench) -> bool:
         """Excite every axis by a tenth of what its drive may give; write the frequency response."""
         amplitude = {each.axis: EXCITATION_SHARE * each.limit for each in self.machine.controllers}
         experiment = Multisine(self._middle, amplitude_A=amplitude, periods=PERIODS, realisations=REALISATIONS)
-        (response,) = identify_poses(self._record(bench, "multisine", experiment), "robust_bla")
+        recordings = self._record(bench, "multisine", experiment)
+        if self._disbelieved:
+            return self._done("identify", True, [])
+        (response,) = identify_poses(recordings, "robust_bla")
         path = self.folder / f"{self.machine.name}.frf.npz"
         write_frf(response, path)
-        self._done("identify", True, [line.strip() for line in resonance_lines(resonances(response))], (path,))
+        return self._done("identify", True, [line.strip() for line in resonance_lines(resonances(response))], (path,))
 
-    def _shape(self) -> Experiment:
-        """Design a shaper for every axis; return a scan of the first axis through its shaper, as it is where there is none."""
-        scan: Experiment = self._scan()
+    def _shape(self, bench: Bench) -> bool:
+        """Design a shaper for every axis; the scan of the first axis goes through its shaper where there is one."""
         said, files = [], []
         for axis in self.machine.axes:
             try:
@@ -248,35 +265,23 @@ class _UnderWay:
             write_shaper(choice.file, files[-1])
             said.append(f"{axis}: {' '.join(choice.chosen.verdict.line.split())}")
             if axis == self.machine.axes[0]:
-                scan = Shaped(scan, choice.file)
-        self._done("shape", True, said, tuple(files))
-        return scan
+                self._scan = Shaped(self._scan, choice.file)
+        return self._done("shape", True, said, tuple(files))
 
-    def _scan(self) -> Scan:
-        axis, limit = self.machine.axes[0], self.machine.limits[0]
-        bounded = bool(np.isfinite(limit.upper - limit.lower))
-        half = min(0.5 * LARGEST_SCAN_rad, 0.5 * SCAN_SHARE * (limit.upper - limit.lower) if bounded else np.inf)
-        at = self._middle[axis]
-        return Scan(axis, at - half, at + half, SCAN_PACE * limit.speed, {name: p for name, p in self._middle.items() if name != axis})
+    def _sweep(self, bench: Bench) -> bool:
+        (recorded,) = self._record(bench, "scan", self._scan)
+        way, units = np.ptp(recorded[f"reference_{self.machine.axes[0]}"]), self.machine.units[0]
+        shown = f"{np.degrees(way):.0f} degrees" if units.position == "rad" else f"{1e3 * way:.0f} mm"
+        said = f"{units.axis} over {shown} in {recorded.rows / self.machine.sample_rate_Hz:.1f} s"
+        return self._done("scan", True, [said], (self._path("scan"),))
 
-    def _compare(self, repeats: list[Recording]) -> None:
+    def _compare(self, bench: Bench) -> bool:
         """Hold the simulation against the repeated motion, in units of what repeats do not have in common."""
-        first, *others = repeats
+        first, *others = self._repeats
         self.comparison = compare(first, simulate(self.machine, first), others)
         said = [self.comparison.verdict]
         if not self.comparison.agrees:
-            named = self.machine.name if self.machine.path is None or self.machine.path.parent == SHIPPED else self.machine.path
-            files = " ".join(str(self._path(f"repeat{n + 1}")) for n in range(REPEATS))
-            given = f"{named} {files} --held-out {self._path('other')} -o {self.folder / 'diagnosis'}"
-            said.append(f"What it leaves out: isocenter diagnose {given}")
-        self._done("compare", True, said)
-
-
-def _middle(machine: Machine) -> dict[str, float]:
-    """Return the pose [rad or m] about which the machine moves: zero, or the middle of a range that has not room about zero."""
-    room = REPEATED.jog.amplitude_rad
-    middle = {}
-    for limit in machine.limits:
-        has_room = limit.lower + room < 0.0 < limit.upper - room
-        middle[limit.axis] = 0.0 if has_room else 0.5 * (limit.lower + limit.upper)
-    return middle
+            files = [self._path(f"repeat{n + 1}") for n in range(REPEATS)]
+            given = [name_to_load(self.machine), *files, "--held-out", self._path("other"), "-o", self.folder / "diagnosis"]
+            said.append(f"What it leaves out: {command_line('diagnose', *given)}")
+        return self._done("compare", True, said)

@@ -88,6 +88,8 @@ class OpenMachine(Machine):
     def home(self, bus: str, *, imu: str = "", io: str = "") -> tuple[str, ...]:
         """Check brakes and the direction of every axis, home, and leave the machine braked; return the findings, a line each.
 
+        A `RecordingWarning` tells of sensors that were not to be believed.
+
         Raises
         ------
         DriverError

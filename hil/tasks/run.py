@@ -116,9 +116,14 @@ def _recorded(
             done += plan.rows
             if progress is not None:
                 progress(done, total)
-            for said in (*timing.notes, *(f"a sensor is not to be believed: {line}" for line in timing.judged)):
-                warnings.warn(f"{path.stem}: {said}", RecordingWarning, stacklevel=4)
+            _warn(path.stem, timing.notes, timing.judged)
     return [read_recording(path, machine) for path in paths]
+
+
+def _warn(name: str, notes: Sequence[str], judged: Sequence[str]) -> None:
+    """Tell of notes on a motion, and of sensors with which it went on though they were not to be believed."""
+    for said in (*notes, *(f"a sensor is not to be believed: {line}" for line in judged)):
+        warnings.warn(f"{name}: {said}", RecordingWarning, stacklevel=5)
 
 
 def _follower(progress: Callable[[int, int], None], done: int, total: int) -> Callable[[int], None]:
@@ -129,7 +134,9 @@ def _follower(progress: Callable[[int, int], None], done: int, total: int) -> Ca
 def home(machine: Machine, bus: str, *, imu: str = "", io: str = "") -> tuple[str, ...]:
     """Home a machine: see `OpenMachine.home`."""
     with open_bench(machine, BenchOptions(bus, imu, io)) as bench:
-        return bench.commission()
+        found = bench.commission()
+        _warn("home", (), bench.judged)
+        return found
 
 
 @as_bench_errors()
@@ -141,7 +148,9 @@ def move(machine: Machine, to: Mapping[str, float], bus: str, *, imu: str = "", 
         pose = bench.pose.copy()
         for axis, position in to.items():
             pose[machine.axis_index(axis)] = position
-        return dict(zip(machine.axes, bench.move(pose).tolist(), strict=True))
+        reached = dict(zip(machine.axes, bench.move(pose).tolist(), strict=True))
+        _warn("move", bench.wiring.link.remarks, bench.judged)
+        return reached
 
 
 def _shaper(given: ShaperChoice | ShaperFile | str | Path) -> ShaperFile:

@@ -32,6 +32,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "figures": ("calibration", "identification", "imaging", "observing", "pages", "reconstruction", "recording", "shaping"),
     "reports": (
         "calibration",
+        "experiments",
         "figures",
         "identification",
         "imaging",

@@ -12,6 +12,7 @@ from hil.diagnosis.report.style import STAGE_NAMES
 from hil.diagnosis.report.tables import disturbance_shares, findings, fit_table, hypotheses, retuned_table, verdict
 from hil.diagnosis.result import DetectionLimit
 from hil.diagnosis.seen.see import Missing
+from hil.machine.load import name_to_load
 from hil.pages import Chart, Charts, Page, Scale, Section, Series, Table, Text, write_page
 from hil.pages.contents import Block
 from hil.reports.made_from import machine_fact
@@ -36,7 +37,7 @@ def _page(answered: Answered, folder: Path, is_emulated: bool) -> Page:
     runs = "over whole recordings" if horizon is None else f"of {horizon:g} s, begun again and again from the recorded state"
     if not diagnosis.fit.channels:
         runs = "stay near the recordings over no horizon"
-    command, reason = next_command(diagnosis, machine.name, folder)
+    command, reason = next_command(diagnosis, name_to_load(machine), folder)
     missing: list[Block] = [Text(MISSING.format(share=diagnosis.unexplained_share)), *missing_charts(answered)]
     return Page(
         f"Diagnosis of {machine.name}",

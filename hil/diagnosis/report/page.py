@@ -28,6 +28,7 @@ from hil.diagnosis.report.tables import (
 from hil.diagnosis.report.waterfall import waterfall_figure
 from hil.diagnosis.result import Diagnosis, Finding, Location
 from hil.diagnosis.tuning.free_run import HELD_OUT, TRAIN
+from hil.machine.load import name_to_load
 from hil.machine.model import AxisUnits
 from hil.pages import Page, Section, Table, Text, write_page
 from hil.pages.contents import Block
@@ -112,7 +113,7 @@ def _page(outcome: Outcome, folder: Path, is_emulated: bool) -> Page:
     where: list[Block] = [Text(ONLY_HELD_OUT)] if outcome.is_only_held_out else []
     unexplained = f"Unexplained share of what stood above noise in the training recordings: {diagnosis.unexplained_share:.1%}."
     said = [Text(f"{suspicion}.") for suspicion in diagnosis.suspicions]
-    command, reason = next_command(diagnosis, machine.name, folder)
+    command, reason = next_command(diagnosis, name_to_load(machine), folder)
     return Page(
         f"Diagnosis of {machine.name}",
         verdict(diagnosis),
@@ -140,8 +141,11 @@ def _page(outcome: Outcome, folder: Path, is_emulated: bool) -> Page:
 
 
 def next_command(diagnosis: Diagnosis, machine: str, folder: Path) -> tuple[str, str]:
-    """Return what to type after an answer, and what it brings; neither where the reason says what is missing."""
-    at = shlex.quote(str(folder))
+    """Return what to type after an answer, and what it brings; neither where the reason says what is missing.
+
+    `machine` is the name or path by which it is loaded.
+    """
+    at, machine = shlex.quote(str(folder)), shlex.quote(machine)
     if any(finding.separating_experiment for finding in diagnosis.findings):
         return f"isocenter run file {at}/{NEXT_EXPERIMENT} -m {machine} -b BUS -o next.mf4", "is the experiment that separates them best."
     if diagnosis.verdict in ("explained", "ambiguous"):

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import multiprocessing
+import socket
 from collections.abc import Iterator
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import pytest
 from command_line import runner
@@ -17,7 +19,8 @@ from hil.console.admission import Admission
 from hil.console.app import application
 from hil.console.desk import Desk
 from hil.console.facts import facts_of
-from hil.console.guard import MOST_BYTES, Hosts
+from hil.console.guard import MOST_BYTES, Hosts, is_loopback
+from hil.console.serve import Place
 from hil.machine import load_machine
 
 OWN = "http://127.0.0.1:8710"
@@ -63,6 +66,16 @@ def test_a_server_for_others_answers_to_its_addresses_and_names_alone(folder: Pa
         assert client.get("/", headers={"Host": "192.0.2.7:8710"}).status_code == 401
         assert client.get("/", headers={"Host": "arm.example"}).status_code == 401
         assert client.get("/", headers={"Host": "evil.example"}).status_code == 421
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", "127.0.0.1", "::1"])
+def test_the_address_that_is_printed_names_this_server_to_other_computers_too(host: str) -> None:
+    with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as listening:
+        listening.bind((host, 0))
+        address = urlsplit(Place(host, 0, TOKEN).address(listening))
+        assert address.port == listening.getsockname()[1]
+    assert Hosts(host).allow(address.netloc)
+    assert address.hostname == (host if is_loopback(host) else socket.gethostname().lower())
 
 
 @pytest.mark.parametrize("origin", [None, "http://evil.example", "http://127.0.0.1:9999", "null", "http://127.0.0.1:8710.evil.example"])

@@ -171,10 +171,19 @@ def test_forms_of_a_machine_in_millimetres_are_in_millimetres(carm: Machine) -> 
 
 def test_steps_wait_for_what_they_build_on(facts: Facts, tmp_path: Path) -> None:
     assert list(steps_of(facts, tmp_path)) == ["check", "scan", "home", "static", "identify", "shape", "observe"]
-    assert missing_before("home", {}) == ""
-    assert "first home" in missing_before("static", {"home": False})
-    assert "identify and static" in missing_before("observe", {"home": True})
-    assert missing_before("observe", {"identify": True, "static": True}) == ""
+    assert missing_before("home", {}, {}) == ""
+    assert "first home" in missing_before("static", {"home": False}, {})
+    assert "identify and static" in missing_before("observe", {"home": True}, {})
+    assert missing_before("observe", {"identify": True, "static": True}, {}) == ""
+
+
+def test_a_shaper_is_designed_from_a_response_that_was_identified_here(facts: Facts, tmp_path: Path) -> None:
+    source = next(field for field in steps_of(facts, tmp_path)["shape"].fields if field.name == "source")
+    from_file, from_response = source.choices
+    assert missing_before("shape", {}, {"source": from_file}) == ""
+    assert missing_before("shape", {}, {}) == ""
+    assert "first identify" in missing_before("shape", {"identify": False}, {"source": from_response})
+    assert missing_before("shape", {"identify": True}, {"source": from_response}) == ""
 
 
 def test_steps_say_what_moves_and_by_how_much(facts: Facts, tmp_path: Path) -> None:
