@@ -36,7 +36,7 @@ class Attendant(Protocol):
         """Return whether the hold is served on, `held_s` after it began. When it is left, the drives hold by themselves or not at all."""
 
     def released(self) -> bool:
-        """Return whether an operator has confirmed that the held axes are supported."""
+        """Return whether an operator has confirmed, since it was last asked, that the held axes are supported."""
 
 
 class Unattended:
@@ -133,6 +133,7 @@ class Stops:
         if not self.held:
             return
         began_s = said_s = self._clock.now()
+        attendant.released()  # what was confirmed before there was a hold confirms nothing
         attendant.say(in_words(self.held))
         while self.held:
             now_s = self._clock.now()

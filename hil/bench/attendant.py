@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import select
 import sys
 from collections.abc import Callable
@@ -10,10 +11,38 @@ LOCKSTEP_HOLD_S = 10.0
 """How long a hold is served in lockstep, where nothing real can fall: long enough for the brakes to be told to close once more."""
 
 CONFIRM = "release"
+HELD = ("held by its drive", "its drive is told to hold it")
+"""Words by which a stop says that a drive alone holds an axis."""
 HOW_TO_LEAVE = (
     f"This program stays, since it serves the hold: support the axis, then type {CONFIRM} and Enter here. Ctrl-C does not end it. "
     "A kill leaves it to the drive, which goes on holding if it watches the bench's heartbeat and its quick stop holds (6007h, 605Ah)."
 )
+
+HOLD_ENDED = "The hold has ended."
+MOST_READS = 64
+"""Most reads of the standard input at once, each a line of a terminal: a stream without end must not keep a hold from its tick."""
+
+
+class TypedLines:
+    """Lines of the standard input, as far as they are there. Those that Python has buffered could not be waited for."""
+
+    def __init__(self) -> None:
+        self._begun, self._listens = b"", True
+
+    def take(self) -> list[str]:
+        """Return the lines that were ended since the last call; never waits."""
+        try:
+            typed = sys.stdin.fileno()
+            for _ in range(MOST_READS):
+                if not self._listens or not select.select([typed], [], [], 0.0)[0]:
+                    break
+                read = os.read(typed, 4096)
+                self._listens = bool(read)
+                self._begun += read
+        except (OSError, ValueError, AttributeError):  # no standard input, or one that cannot be waited for
+            return []
+        *lines, self._begun = self._begun.split(b"\n")
+        return [line.decode(errors="replace") for line in lines]
 
 
 class Operator:
@@ -27,24 +56,19 @@ class Operator:
 
     def __init__(self, say: Callable[[str], None] | None = None) -> None:
         self._say = say or (lambda text: print(text, file=sys.stderr, flush=True))
-        self._listens = True
+        self._typed = TypedLines()
 
     def say(self, text: str) -> None:
-        """Tell the operator what holds, and how to release it."""
-        self._say(f"{text}. {HOW_TO_LEAVE}" if "held by its drive" in text else text)
+        """Tell the operator what holds, and how to release it, or that nothing does any more."""
+        self._say(f"{text}. {HOW_TO_LEAVE if any(words in text for words in HELD) else HOLD_ENDED}")
 
     def stays(self, held_s: float) -> bool:
         """Stay as long as it takes."""
         return True
 
     def released(self) -> bool:
-        """Return whether a line of the standard input says so; never waits."""
-        while self._listens and _readable():
-            line = sys.stdin.readline()
-            self._listens = bool(line)
-            if line.strip().lower() == CONFIRM:
-                return True
-        return False
+        """Return whether a line of the standard input, of all that are there, says so; never waits."""
+        return CONFIRM in [line.strip().lower() for line in self._typed.take()]
 
 
 class LockstepAttendant:
@@ -63,11 +87,4 @@ class LockstepAttendant:
 
     def released(self) -> bool:
         """Nobody confirms anything."""
-        return False
-
-
-def _readable() -> bool:
-    try:
-        return bool(select.select([sys.stdin], [], [], 0.0)[0])
-    except (OSError, ValueError):  # no standard input, or one that cannot be waited for
         return False

@@ -19,6 +19,7 @@ from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from hil.bench.attendant import CONFIRM
 from hil.console.admission import Admission
 from hil.console.attention import PING_S
 from hil.console.commands import Answers, Command, Order, run_command
@@ -30,7 +31,6 @@ from hil.errors import UnusableInputError
 
 STATIC = Path(__file__).parent / "static"
 UPLOT = Path(__file__).parents[1] / "pages" / "uplot"
-RELEASE = "release"
 SESSION_S = 43_200
 
 Answering = Callable[[Request], Awaitable[Response]]
@@ -152,7 +152,9 @@ class _Pages:
 
     async def release(self, request: Request) -> Response:
         """Tell a run that holds an axis whose brake is not proven that the axis is supported."""
-        self._desk.work.say(RELEASE)
+        if not self._desk.work.holds:
+            return PlainTextResponse("no drive holds an axis that waits for its release\n", 409)
+        self._desk.work.say(CONFIRM)
         return JSONResponse({})
 
     async def invite(self, request: Request) -> Response:
@@ -166,13 +168,13 @@ class _Pages:
         await socket.accept()
         attention = self._desk.attention
         client = attention.welcome(socket.query_params.get("client", ""))
-        await socket.send_json({"type": "welcome", "client": client})
 
         async def tell() -> None:
+            await socket.send_json({"type": "welcome", "client": client})
             seen = -1
             while True:
                 version = self._desk.results_version
-                await socket.send_text(self._desk.state_text(whole=version != seen))
+                await socket.send_text(self._desk.state_text(client, whole=version != seen))
                 seen = version
                 await asyncio.sleep(PING_S)
 
@@ -181,7 +183,10 @@ class _Pages:
                 await socket.receive_text()
                 attention.heard(client)
 
-        await _until_gone(tell(), listen())
+        try:
+            await _until_gone(tell(), listen())
+        finally:
+            attention.leave(client)
 
     async def rows(self, socket: WebSocket) -> None:
         """Send the rows of the run, every one of them, as far as the reader takes them."""

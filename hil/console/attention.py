@@ -28,15 +28,24 @@ class Attention:
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
         self._now = now
         self._heard: dict[str, float] = {}
+        self._connected: set[str] = set()
 
     def welcome(self, client: str) -> str:
-        """Return the name of a client that has connected: its own, where it was here before, or a new one."""
+        """Return the name of a client that has connected: its own, where it was here before and has left, or a new one.
+
+        A tab that was duplicated asks for the name of the first: were both one, the second would keep running what the first has started.
+        """
         now_s = self._now()
         self._heard = {name: heard_s for name, heard_s in self._heard.items() if now_s - heard_s < FORGET_S}
-        if client not in self._heard:
+        if client not in self._heard or client in self._connected:
             client = secrets.token_urlsafe(12)
+        self._connected.add(client)
         self._heard[client] = now_s
         return client
+
+    def leave(self, client: str) -> None:
+        """Take note that the line to a client has ended."""
+        self._connected.discard(client)
 
     def heard(self, client: str) -> None:
         """Take note of an answer."""

@@ -66,7 +66,7 @@ class Desk:
         self._stop: dict[str, Any] | None = None
         self._stopping: asyncio.Task[None] | None = None
         self._tasks: list[asyncio.Task[None]] = []
-        self._said, self._said_s = {True: "", False: ""}, {True: float("-inf"), False: float("-inf")}
+        self._said: dict[tuple[bool, bool], tuple[float, str]] = {}
         self.results_version = 0
 
     async def open(self) -> None:
@@ -203,13 +203,18 @@ class Desk:
             "readers": rows.readers,
         }
 
-    def state_text(self, whole: bool) -> str:
-        """Return the state as JSON, made once for all who ask within an interval; the steps' results, which are long, only in the whole."""
-        now_s = time.monotonic()
-        if whole or now_s - self._said_s[whole] > FRESH_S:
-            state = self.state() | ({} if whole else {"steps": None})
-            self._said[whole], self._said_s[whole] = json.dumps(state, allow_nan=False), now_s
-        return self._said[whole]
+    def state_text(self, client: str, whole: bool) -> str:
+        """Return the state as JSON, made once for all who ask within an interval; the steps' results, which are long, only in the whole.
+
+        A client is told whether the work is its own, and no name of another, as which it could go on.
+        """
+        now_s, own = time.monotonic(), client == self.work.owner
+        said_s, text = self._said.get((whole, own), (float("-inf"), ""))
+        if whole or now_s - said_s > FRESH_S:
+            state = self.state() | {"own": own} | ({} if whole else {"steps": None})
+            text = json.dumps(state, allow_nan=False)
+            self._said[whole, own] = now_s, text
+        return text
 
     def described(self) -> dict[str, Any]:
         """Return everything that stays: the machine, the steps, the forms."""

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import signal
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -103,6 +104,8 @@ def serve(facts: Facts, folder: Path, place: Place, ready: Callable[[str], None]
 
     ending = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
     before = {number: signal.signal(number, end) for number in ending}
+    if hasattr(signal, "SIGTTIN"):
+        before[signal.SIGTTIN] = signal.signal(signal.SIGTTIN, signal.SIG_IGN)  # a read from the background must fail, not suspend
     try:
         if not _heard_of(ours):
             raise BadAnswerError(f"the server of the page did not start within {START_S:g} s, or has failed")
@@ -126,13 +129,21 @@ def _heard_of(line: Connection) -> bool:
 
 
 def _serve_pages(facts: Facts, folder: Path, place: Place, listening: socket.socket, line: Connection) -> None:
-    """Run the server's process."""
+    """Run the server's process; it ends when the starter does, since its page may be needed until what runs has ended."""
     import uvicorn
 
     from hil.console.app import application
     from hil.console.desk import Desk
 
+    class Server(uvicorn.Server):
+        @contextlib.contextmanager
+        def capture_signals(self) -> Iterator[None]:
+            """Leave Ctrl-C to the starter."""
+            yield
+
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    if hasattr(signal, "SIGHUP"):
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
     app = application(Desk(facts, folder, line), Admission(place.token), Hosts(place.host))
     config = uvicorn.Config(
         app,
@@ -146,4 +157,4 @@ def _serve_pages(facts: Facts, folder: Path, place: Place, listening: socket.soc
         limit_concurrency=64,
         proxy_headers=False,
     )
-    uvicorn.Server(config).run(sockets=[listening])
+    Server(config).run(sockets=[listening])

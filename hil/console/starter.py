@@ -1,7 +1,8 @@
 """The starter: runs commands of `isocenter` for the server, one at a time, at the priority that the terminal has.
 
 It holds each on a lead, and lets go of it when it is asked to, when the server has ended, and when the server is silent: a server that
-hangs can judge no browser.
+hangs can judge no browser. From then on the terminal hears what the command says, and what is typed there goes to it: where a brake is not
+proven the command serves the hold for as long as nobody releases the axis, and the page may be gone.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ import time
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import IO, cast
+
+from hil.bench.attendant import TypedLines
 
 SERVER_SILENT_S = 2.0
 """Time without a word of the server after which the run is stopped, as long as a browser may be silent."""
@@ -40,28 +43,57 @@ class Starter:
         self._line, self._command = line, command
         self._telling = threading.Lock()
         self._running: _Led | None = None
+        self._typed: TypedLines | None = None  # once the terminal hears what runs
 
     def serve(self, goes_on: Callable[[], bool]) -> None:
         """Serve until the server has ended or `goes_on` says no; return once nothing runs any more."""
         heard_s = time.monotonic()
         try:
             while goes_on():
+                self._pass_on_typed()
                 if self._line.poll(LOOK_S):
                     self._heed(*self._line.recv())
                     heard_s = time.monotonic()
                 elif self._running is not None and time.monotonic() - heard_s > SERVER_SILENT_S:
-                    self._running.let_go()
+                    self._let_go_of(self._running)
         except (EOFError, OSError):
             pass
         finally:
             if self._running is not None:
-                self._running.let_go()
-                self._running.join()
+                self._let_go_of(self._running)
+                self._see_it_end(self._running)
+
+    def _let_go_of(self, running: _Led) -> None:
+        running.let_go()
+        if self._typed is None and running.runs:
+            self._typed = TypedLines()
+            self._typed.take()  # what was typed before anybody asked is no answer
+            _print("stopping what runs: it is heard here from now on, and hears what you type")
+
+    def _see_it_end(self, running: _Led) -> None:
+        """Serve the operator, at the terminal and in the page, until the command has ended."""
+        there = True
+        while running.runs:
+            self._pass_on_typed()
+            try:
+                while there and self._line.poll():
+                    what, with_it = self._line.recv()
+                    if what == SAY:
+                        running.say(str(with_it))
+            except (EOFError, OSError):
+                there = False
+            running.join(LOOK_S)
+
+    def _pass_on_typed(self) -> None:
+        if self._typed is not None and self._running is not None:
+            for text in self._typed.take():
+                self._running.say(text)
 
     def _heed(self, what: str, with_it: object) -> None:
         if what == RUN:
             if self._running is not None:
                 self._running.join()  # it has told of its end: the server starts nothing before
+            self._typed = None
             self._running = _Led(self._command, cast("list[str]", with_it), self._tell)
         elif self._running is not None and what == LET_GO:
             self._running.let_go()
@@ -69,6 +101,8 @@ class Starter:
             self._running.say(str(with_it))
 
     def _tell(self, what: str, *with_it: object) -> None:
+        if what == SAID and self._typed is not None:
+            _print(str(with_it[0]))
         with self._telling, contextlib.suppress(OSError, ValueError):  # a server that is gone is told nothing
             self._line.send((what, *with_it))
 
@@ -118,10 +152,16 @@ class _Led:
             self._process.stdin.write(text + "\n")
             self._process.stdin.flush()
 
-    def join(self) -> None:
-        """Wait for the command's end, however long its stop takes."""
-        self._waiter.join()
-        self.let_go()
+    @property
+    def runs(self) -> bool:
+        """Whether the command has yet to end."""
+        return self._waiter.is_alive()
+
+    def join(self, seconds: float | None = None) -> None:
+        """Wait for the command's end, by default however long its stop takes."""
+        self._waiter.join(seconds)
+        if not self.runs:
+            self.let_go()
 
     def _read(self, stream: IO[str], is_error: bool) -> None:
         for line in stream:
@@ -133,3 +173,8 @@ class _Led:
         for reader in readers:
             reader.join(1.0)  # a process that it left behind may keep the stream open
         self._tell(ENDED, status)
+
+
+def _print(text: str) -> None:
+    with contextlib.suppress(OSError, ValueError):  # no terminal is there any more
+        print(text, file=sys.stderr, flush=True)

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol, cast
 
+from hil.bench.attendant import HOLD_ENDED, HOW_TO_LEAVE
 from hil.console import starter
 from hil.console.commands import Order
 from hil.errors import UnusableInputError
@@ -46,6 +47,7 @@ class Work:
         self._lines: deque[tuple[str, bool]] = deque(maxlen=MOST_LINES)
         self._error = ""
         self.answers: dict[str, Any] = {}
+        self._waits = False  # for an operator who releases what a drive holds
         self.owner = ""
         self.state = "idle"  # or running, passed, failed, stopped
         self.why = ""
@@ -67,6 +69,11 @@ class Work:
     def moves(self) -> bool:
         """Whether what is being done may move the machine."""
         return self.running and self._order is not None and self._order.commands[self._at].moves
+
+    @property
+    def holds(self) -> bool:
+        """Whether a drive alone holds an axis, until an operator releases it."""
+        return self.running and self._waits
 
     def begin(self, order: Order, owner: str) -> None:
         """Begin an order.
@@ -102,6 +109,7 @@ class Work:
         if what == starter.SAID:
             text, is_error = str(told[0]), bool(told[1])
             self._lines.append((text[:2000], is_error))
+            self._waits = HOW_TO_LEAVE in text or (self._waits and HOLD_ENDED not in text)
             if is_error and text.startswith("isocenter: "):
                 self._error = text.removeprefix("isocenter: ")
         elif what == starter.ENDED and self.running:
@@ -120,7 +128,7 @@ class Work:
             "command": self._order.commands[self._at].key if self._at < len(self._order.commands) else "",
             "seconds": round(took_s, 1),
             "why": self.why,
-            "owner": self.owner,
+            "holds": self.holds,
             "lines": self.lines if self.running else [],
             "made": [name for name in self._order.made if (self._folder / name).is_file()] if not self.running else [],
         }
@@ -140,6 +148,7 @@ class Work:
         answer = self._folder / f"{command.key}.json"
         answer.unlink(missing_ok=True)
         self._lines.append((f"$ isocenter {' '.join(arguments)}", False))
+        self._waits = False
         self._line.send((starter.RUN, [*arguments, "--json", str(answer)]))
 
     def _ended(self, status: int) -> None:

@@ -29,13 +29,17 @@ class BenchPage:
         return self.address.replace("http://", "ws://")
 
     @property
-    def server_bytes(self) -> int:
-        """Memory that the server's process has (Linux)."""
+    def server(self) -> int:
+        """The server's process (Linux)."""
         for child in Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text().split():
             if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
-                status = Path(f"/proc/{child}/status").read_text()
-                return 1024 * int(status.split("VmRSS:")[1].split()[0])
+                return int(child)
         raise AssertionError("the server has no process")
+
+    @property
+    def server_bytes(self) -> int:
+        """Memory that the server has (Linux)."""
+        return 1024 * int(Path(f"/proc/{self.server}/status").read_text().split("VmRSS:")[1].split()[0])
 
     def post(self, path: str, what: dict[str, Any], client: str = "") -> tuple[int, str]:
         """Status and text of a request as the page makes it."""

@@ -7,7 +7,7 @@ import { showFiles } from "./files.js";
 
 const at = (id) => document.getElementById(id);
 const VIEWS = ["commission", "scope", "experiments", "state", "recordings"];
-const bench = { client: sessionStorage.getItem("client") || "", described: null, state: null };
+const bench = { client: "", described: null, state: null };
 const scope = new Scope();
 
 function show() {
@@ -49,10 +49,10 @@ function showNow(state) {
       const live = recording && recording.live ? `recording ${recording.name}: ${recording.rows} rows` : work.command;
       parts.push(element("span", { class: "grow" }, live));
       if (work.moves) {
-        const whose = work.owner === bench.client ? "this page keeps it running: closing the page stops it" : "another browser started it";
+        const whose = state.own ? "this page keeps it running: closing the page stops it" : "another browser started it";
         parts.push(element("span", { class: "dim" }, whose));
       }
-      if (work.lines.some(([text]) => text.includes("then type release"))) parts.push(releaseButton(work));
+      if (work.holds) parts.push(releaseButton(work));
     } else {
       parts.push(element("span", { class: "grow" }, work.why));
       for (const name of work.made.filter((each) => each.endsWith(".html"))) {
@@ -73,7 +73,8 @@ function showNow(state) {
 function releaseButton() {
   const button = element("button", { type: "button", id: "release" }, "The axis is supported: release it");
   button.onclick = () => {
-    if (confirm("The drive lets go of the axis. Is the axis supported, so that it cannot fall?")) ask("/api/release", {}, bench.client);
+    if (!confirm("The drive lets go of the axis. Is the axis supported, so that it cannot fall?")) return;
+    ask("/api/release", {}, bench.client).catch((error) => say(error.message, "failed"));
   };
   return button;
 }
@@ -127,7 +128,7 @@ show();
 const scheme = location.protocol === "https:" ? "wss" : "ws";
 const worker = new Worker("/static/worker.js");
 worker.onmessage = (event) => heed(event.data);
-worker.postMessage({ client: bench.client, address: `${scheme}://${location.host}/control` });
+worker.postMessage({ client: sessionStorage.getItem("client") || "", address: `${scheme}://${location.host}/control` });
 scope.open(`${scheme}://${location.host}/rows`);
 
 if (bench.described.token) {

@@ -142,6 +142,18 @@ def test_a_hold_ends_with_the_proof_or_by_an_operator_and_that_is_said_at_once()
         assert "close" not in axis.log
 
 
+def test_what_was_confirmed_before_a_hold_releases_nothing() -> None:
+    axis = Axis(steps=1, end=HELD)
+    served = Served(axis)
+    served.stops.step()
+    confirmations = [True]  # as typed during another stop
+    served.released = lambda: bool(confirmations and confirmations.pop())  # type: ignore[method-assign]
+    served.leaves_after_s = 3.0
+    served.stops.serve_hold(served)
+    assert "release" not in axis.log
+    assert confirmations == []
+
+
 def test_axes_with_the_same_end_are_told_together() -> None:
     assert in_words([SAFE, HELD, replace(SAFE, axis="propeller")]) == "roll, propeller at rest; roll held by its drive"
     assert in_words([]) == ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import multiprocessing
 import socket
 from collections.abc import Iterator
@@ -12,9 +13,11 @@ import pytest
 from command_line import runner
 
 pytest.importorskip("starlette")
-from starlette.testclient import TestClient
+from starlette.testclient import TestClient, WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
 
+from hil.bench.attendant import HOW_TO_LEAVE
+from hil.console import starter
 from hil.console.admission import Admission
 from hil.console.app import application
 from hil.console.desk import Desk
@@ -98,6 +101,47 @@ def test_its_own_page_is_heard(client: TestClient) -> None:
     assert client.post("/api/stop", headers={"Origin": OWN}).status_code == 200
     with client.websocket_connect(SOCKETS[0], headers={"Origin": OWN}) as socket:
         assert socket.receive_json()["type"] == "welcome"
+
+
+def test_a_release_is_refused_while_nothing_is_held(folder: Path) -> None:
+    with client_of(folder) as client:
+        line = client.starter  # type: ignore[attr-defined]
+        assert client.post("/api/release", headers={"Origin": OWN}).status_code == 409
+        with client.websocket_connect(SOCKETS[0], headers={"Origin": OWN}) as page:
+            named = {"Origin": OWN, "X-Client": page.receive_json()["client"]}
+            assert client.post("/api/run", json={"kind": "static"}, headers=named).json() == {}
+            early = client.post("/api/release", headers=named)
+            assert (early.status_code, len(early.text.splitlines())) == (409, 1)
+            line.send((starter.SAID, f"turn held by its drive. {HOW_TO_LEAVE}", True))
+            while not page.receive_json()["work"].get("holds"):
+                page.send_text("here")
+            assert client.post("/api/release", headers=named).status_code == 200
+        sent = []
+        while line.poll():
+            sent.append(line.recv())
+        assert [each for each in sent if each[0] == starter.SAY] == [(starter.SAY, "release")]
+
+
+def test_each_client_is_told_whether_the_work_is_its_own_and_no_name_of_another(client: TestClient) -> None:
+    def lines_of(page: WebSocketTestSession) -> tuple[str, str]:
+        text = page.receive_text()
+        while json.loads(text)["work"]["state"] != "running":
+            text = page.receive_text()
+        return text, page.receive_text()
+
+    with (
+        client.websocket_connect(SOCKETS[0], headers={"Origin": OWN}) as first,
+        client.websocket_connect(f"{SOCKETS[0]}?client={(mine := first.receive_json()['client'])}", headers={"Origin": OWN}) as duplicate,
+    ):
+        other = duplicate.receive_json()["client"]
+        assert other != mine
+        client.post("/api/run", json={"kind": "static"}, headers={"Origin": OWN, "X-Client": mine})
+        for page, own in ((first, True), (duplicate, False)):
+            for text in lines_of(page):
+                assert json.loads(text)["own"] is own
+                assert mine not in text
+    with client.websocket_connect(f"{SOCKETS[0]}?client={other}", headers={"Origin": OWN}) as again:
+        assert again.receive_json()["client"] == other
 
 
 def test_a_token_opens_once(folder: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -70,6 +71,15 @@ def test_who_only_watches_stops_nothing(bench: BenchPage) -> None:
     bench.post("/api/stop", {})
     assert client.work(lambda work: work["state"] != "running", 30.0)["state"] == "stopped"
     client.close()
+
+
+def test_the_page_is_there_for_as_long_as_the_starter_whatever_key_is_pressed(bench: BenchPage) -> None:
+    watcher = Watcher(bench)
+    for number in (signal.SIGINT, signal.SIGINT, signal.SIGHUP):
+        os.kill(bench.server, number)  # a terminal tells all of its processes
+        for _ in range(4):
+            watcher.state()
+    watcher.close()
 
 
 def test_who_answers_no_ping_starts_nothing(bench: BenchPage) -> None:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import multiprocessing
+import os
+import queue
 import sys
 import threading
 import time
@@ -18,14 +22,23 @@ LED = """
 import os, signal, sys, threading
 from hil.console.led import stop_when_let_go
 threading.Thread(target=stop_when_let_go, args=(int(sys.argv[1]),), daemon=True).start()
-print("runs", *sys.argv[2:], flush=True)
 try:
+    print("runs", *sys.argv[2:], flush=True)
     print(sys.stdin.readline().strip(), flush=True)
     sys.exit(7)
 except KeyboardInterrupt:
     print("motors stopped", file=sys.stderr, flush=True)
     sys.exit(1)
 """
+HOLDS = LED.replace('"motors stopped", file', '"held", file').replace(
+    "    sys.exit(1)",
+    """
+    while (heard := sys.stdin.readline().strip()) != "release":
+        print("heard", heard, file=sys.stderr, flush=True)
+    print("released", file=sys.stderr, flush=True)
+    sys.exit(1)""",
+)
+"""Holds an axis once it is let go, until somebody releases it."""
 WITHIN_S = 20.0
 
 
@@ -91,3 +104,86 @@ def test_it_is_let_go_when_the_server_is_gone() -> None:
     theirs.close()
     serving.join(WITHIN_S)  # it returns only once nothing runs any more
     assert not serving.is_alive()
+
+
+class Terminal:
+    """What a terminal shows and what is typed there."""
+
+    def __init__(self) -> None:
+        self.shown: queue.Queue[str] = queue.Queue()
+        typed, self._keys = os.pipe()
+        self.stdin = io.FileIO(typed)
+
+    def write(self, text: str) -> None:
+        self.shown.put(text)
+
+    def flush(self) -> None:
+        pass
+
+    def types(self, text: str) -> None:
+        os.write(self._keys, f"{text}\n".encode())
+
+    def shows(self, wanted: str) -> None:
+        while self.shown.get(timeout=WITHIN_S) != wanted:
+            pass
+
+    def close(self) -> None:
+        os.close(self._keys)
+        self.stdin.close()
+
+
+@pytest.fixture
+def terminal() -> Iterator[Terminal]:
+    with contextlib.closing(Terminal()) as terminal:
+        yield terminal
+
+
+class Holding:
+    """A starter at a terminal that runs what will hold an axis, its page, and its Ctrl-C."""
+
+    def __init__(self, terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(sys, "stdin", terminal.stdin)
+        monkeypatch.setattr(sys, "stderr", terminal)
+        ours, self.page = multiprocessing.Pipe()
+        self.ctrl_c = threading.Event()
+        made = Starter(ours, (sys.executable, "-c", HOLDS))
+        self._serving = threading.Thread(target=made.serve, args=(lambda: not self.ctrl_c.is_set(),), daemon=True)
+        self._serving.start()
+        self.page.send((starter.RUN, []))
+        told(self.page)
+
+    def ended(self) -> bool:
+        self._serving.join(WITHIN_S)
+        return not self._serving.is_alive()
+
+
+def test_after_ctrl_c_the_page_still_releases_what_is_held_and_the_terminal_hears_of_it(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    holding = Holding(terminal, monkeypatch)
+    holding.ctrl_c.set()
+    assert told(holding.page) == (starter.SAID, "held", True)
+    terminal.shows("held")
+    holding.page.send((starter.ALIVE, None))
+    holding.page.send((starter.RUN, ["another"]))  # begins no more
+    holding.page.send((starter.SAY, "release"))
+    assert told(holding.page) == (starter.SAID, "released", True)
+    assert told(holding.page) == (starter.ENDED, 1)
+    assert holding.ended()
+
+
+@pytest.mark.parametrize("how", ["Ctrl-C", "the server is gone", "the server is silent"])
+def test_what_is_held_is_released_at_the_terminal(terminal: Terminal, monkeypatch: pytest.MonkeyPatch, how: str) -> None:
+    holding = Holding(terminal, monkeypatch)
+    terminal.types("release")  # before anybody has asked
+    if how == "Ctrl-C":
+        holding.ctrl_c.set()
+    elif how == "the server is gone":
+        holding.page.close()
+    terminal.shows("held")
+    terminal.types("is it safe?")
+    terminal.shows("heard is it safe?")
+    terminal.types("release")
+    terminal.shows("released")
+    holding.ctrl_c.set()
+    assert holding.ended()

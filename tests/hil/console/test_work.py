@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from hil.bench.attendant import Operator
 from hil.console import starter
 from hil.console.attention import SILENT_S, Attention
 from hil.console.commands import Command, Order
@@ -121,9 +122,42 @@ def test_a_client_that_answers_is_here_and_one_that_does_not_is_not() -> None:
     assert not attention.is_here(mine)
     assert attention.is_here(yours)
     assert not attention.is_here("somebody")
+    attention.leave(mine)
     assert attention.welcome(mine) == mine  # a page that is loaded anew goes on as the same
     assert attention.is_here(mine)
     assert attention.welcome("made up") != "made up"
+
+
+def test_a_tab_that_was_duplicated_is_another_client() -> None:
+    now = 100.0
+    attention = Attention(lambda: now)
+    first = attention.welcome("")
+    duplicate = attention.welcome(first)
+    assert duplicate != first
+    attention.leave(first)
+    now += 1.1 * SILENT_S
+    attention.heard(duplicate)
+    assert attention.is_here(duplicate)
+    assert not attention.is_here(first)
+
+
+def test_a_release_is_waited_for_while_a_drive_holds_and_no_longer(work: Work) -> None:
+    said: list[str] = []
+    operator = Operator(said.append)
+    operator.say("roll held by its drive: its brake reports open")
+    operator.say("roll at rest: brake proven, voltage off")
+    begins, ends = said
+    work.begin(Order("A", (command("a", "run", moves=True),)), "me")
+    seen = [work.holds]
+    for text in ("carm: booting", begins, "another line", ends):
+        work.heed(starter.SAID, text, True)
+        seen.append(work.holds)
+    assert seen == [False, False, True, True, False]
+    work.heed(starter.SAID, begins, True)
+    work.heed(starter.ENDED, 1)
+    assert not work.holds
+    work.begin(Order("A", (command("a", "run", moves=True),)), "me")
+    assert not work.holds
 
 
 @pytest.mark.parametrize("kind", ["static", "jog", "scan", "multisine"])
