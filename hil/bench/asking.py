@@ -56,15 +56,20 @@ def ask_to_stop(bus_url: str, say: Callable[[str], None], asker: str = "`isocent
         A drive keeps its torque.
     """
     path = stop_socket(bus_url)
-    who = f"{asker} (user {getpass.getuser()}, process {os.getpid()})"
-    with tempfile.TemporaryDirectory() as own, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as line:
-        line.bind(str(Path(own) / "answers"))
+    who = f"{asker} (user {_user()}, process {os.getpid()})"
+    with contextlib.ExitStack() as held:
+        line = held.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
+        silent = "the supervisor does not answer"
+        try:
+            line.bind(str(Path(held.enter_context(tempfile.TemporaryDirectory())) / "answers"))
+        except OSError as error:  # it hears all the same
+            silent = f"the supervisor cannot answer, which needs a socket in a temporary folder ({error})"
         line.settimeout(ANSWER_S)
         seen = _ask(line, path, who)
         if seen is None:
             raise UnusableInputError(f"{bus_url}: no bench of yours runs on this bus; stop the machine at its emergency stop")
         if not seen:
-            raise BadAnswerError(f"{bus_url}: the supervisor does not answer; stop the machine at its emergency stop")
+            raise BadAnswerError(f"{bus_url}: {silent}; stop the machine at its emergency stop")
         say(f"{bus_url}: the supervisor was told")
         give_up = time.monotonic() + STOP_S
         while seen is not None and not seen.startswith("no torque"):
@@ -78,6 +83,14 @@ def ask_to_stop(bus_url: str, say: Callable[[str], None], asker: str = "`isocent
             time.sleep(AGAIN_S)
             seen = _ask(line, path, who)
     say(f"{bus_url}: " + ("the bench has ended" if seen is None else "no drive has torque"))
+
+
+def _user() -> str:
+    """Return the user's name, or number where the computer knows no name, as in a container."""
+    try:
+        return getpass.getuser()
+    except (ImportError, KeyError, OSError):
+        return str(os.getuid())
 
 
 def _ask(line: socket.socket, path: Path, who: str) -> str | None:

@@ -13,7 +13,7 @@ import anyio
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
-from starlette.requests import Request
+from starlette.requests import HTTPConnection, Request
 from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
@@ -24,13 +24,14 @@ from hil.console.admission import Admission
 from hil.console.attention import PING_S
 from hil.console.commands import Answers, Command, Order, run_command
 from hil.console.desk import Desk
-from hil.console.guard import COOKIE, ENTRANCE, PAGE_OF_A_FILE, Guard, Hosts
+from hil.console.guard import ENTRANCE, PAGE_OF_A_FILE, Guard, Hosts, cookie_name
 from hil.console.rows import Reader
 from hil.console.verdicts import recorded
 from hil.errors import UnusableInputError
 
 STATIC = Path(__file__).parent / "static"
 UPLOT = Path(__file__).parents[1] / "pages" / "uplot"
+STOP = "stop"
 SESSION_S = 43_200
 
 Answering = Callable[[Request], Awaitable[Response]]
@@ -89,7 +90,8 @@ class _Pages:
             return PlainTextResponse(f"{why}\n", 403)
         response = RedirectResponse("/", 303)
         secure = request.url.scheme == "https"
-        response.set_cookie(COOKIE, session, max_age=SESSION_S, httponly=True, samesite="strict", secure=secure)
+        name = cookie_name(request.headers["host"])
+        response.set_cookie(name, session, max_age=SESSION_S, httponly=True, samesite="strict", secure=secure)
         return response
 
     async def bench(self, request: Request) -> Response:
@@ -112,7 +114,7 @@ class _Pages:
         return FileResponse(path, headers=headers, filename=path.name, content_disposition_type=shown, media_type=kind)
 
     async def preview(self, asked: dict[str, Any], client: str) -> dict[str, Any]:
-        return await self._desk.preview(asked.get("kind"), _table(asked, "values"))
+        return await self._desk.preview(asked.get("kind"), _table(asked, "values"), (client, str(asked.get("card"))))
 
     async def step(self, asked: dict[str, Any], client: str) -> None:
         self._desk.begin_step(asked.get("step"), _table(asked, "values"), client)
@@ -146,8 +148,7 @@ class _Pages:
         self._desk.begin(order, client)
 
     async def stop(self, request: Request) -> Response:
-        who = request.client.host if request.client else "?"
-        self._desk.stop(f"STOP in a browser at {who}")
+        self._desk.stop(_by(request))
         return JSONResponse({})
 
     async def release(self, request: Request) -> Response:
@@ -164,7 +165,7 @@ class _Pages:
         return JSONResponse({"address": f"{request.url.scheme}://{request.headers['host']}{ENTRANCE}?token={self._admission.invite()}"})
 
     async def control(self, socket: WebSocket) -> None:
-        """Send the state, which is the ping, and take the answers."""
+        """Send the state, which is the ping, and take the answers; and STOP, which must find a way as long as these keep a motion going."""
         await socket.accept()
         attention = self._desk.attention
         client = attention.welcome(socket.query_params.get("client", ""))
@@ -180,8 +181,11 @@ class _Pages:
 
         async def listen() -> None:
             while True:
-                await socket.receive_text()
+                told = await socket.receive_text()
                 attention.heard(client)
+                if told == STOP:
+                    self._desk.stop(_by(socket))
+                    await socket.send_json({"type": "stop heard"})
 
         try:
             await _until_gone(tell(), listen())
@@ -240,6 +244,10 @@ def _told(answer: Callable[[dict[str, Any], str], Awaitable[Any]]) -> Answering:
         return JSONResponse({} if found is None else found)
 
     return endpoint
+
+
+def _by(asker: HTTPConnection) -> str:
+    return f"STOP in a browser at {asker.client.host if asker.client else '?'}"
 
 
 def _table(asked: dict[str, Any], key: str) -> dict[str, Any]:

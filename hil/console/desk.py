@@ -26,7 +26,7 @@ from hil.console.steps import missing_before, step_named, steps_of
 from hil.console.wire import WireWatch
 from hil.console.work import Work
 from hil.emulated.card import find
-from hil.errors import BenchError, UnusableInputError
+from hil.errors import UnusableInputError, in_one_line
 
 LOOK_S = 0.05
 """Interval at which rows are looked for: the recorder writes them as often."""
@@ -65,6 +65,9 @@ class Desk:
         self._results: dict[str, dict[str, Any]] = {}
         self._stop: dict[str, Any] | None = None
         self._stopping: asyncio.Task[None] | None = None
+        self._asking = False
+        self._plans: dict[tuple[str, str], asyncio.Task[dict[str, Any]]] = {}
+        self._one_plan = asyncio.Lock()
         self._tasks: list[asyncio.Task[None]] = []
         self._said: dict[tuple[bool, bool], tuple[float, str]] = {}
         self.results_version = 0
@@ -106,11 +109,11 @@ class Desk:
             raise UnusableInputError("a stop is under way; wait for its end")
         if order.moves and not self.attention.is_here(client):
             raise UnusableInputError("this page does not answer the server's pings, so it may start no motion; reload it")
-        if order.step:
+        self.work.begin(order, client)
+        if order.step and self.work.running:  # one that ended at once has told its result
             self.results_version += 1
             self.passed.pop(order.step, None)
             self._results.pop(order.step, None)
-        self.work.begin(order, client)
 
     def form(self, kind: object) -> Form:
         """Return the form of an experiment.
@@ -124,8 +127,17 @@ class Desk:
             raise UnusableInputError(f"no experiment {str(kind)[:40]}; there is {', '.join(self.forms)}")
         return self.forms[kind]
 
-    async def preview(self, kind: object, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Plan a filled form without running it.
+    async def preview(self, kind: object, values: Mapping[str, Any], who: tuple[str, str] = ("", "")) -> dict[str, Any]:
+        """Plan a filled form without running it: one at a time, and of those that one card of one page asks for, the newest alone.
+
+        Parameters
+        ----------
+        kind : object
+            Of experiment.
+        values : mapping
+            The form.
+        who : tuple of str
+            Page and card that ask.
 
         Returns
         -------
@@ -133,6 +145,23 @@ class Desk:
             See `hil.console.preview.preview`, and the file's `text`.
         """
         text = self.form(kind).text(self.facts, values)
+        if (older := self._plans.get(who)) is not None:
+            older.cancel()
+        self._plans[who] = plan = asyncio.create_task(self._plan(text))
+        try:
+            await asyncio.wait([plan])
+        finally:
+            plan.cancel()
+            if self._plans.get(who) is plan:
+                del self._plans[who]
+        planned = {"refused": "the form was changed meanwhile"} if plan.cancelled() else plan.result()
+        return planned | {"text": text}
+
+    async def _plan(self, text: str) -> dict[str, Any]:
+        async with self._one_plan:
+            return await self._planned(text)
+
+    async def _planned(self, text: str) -> dict[str, Any]:
         process = await asyncio.create_subprocess_exec(
             *(sys.executable, "-m", "hil.console.preview", self.facts.name),
             stdin=asyncio.subprocess.PIPE,
@@ -148,43 +177,61 @@ class Desk:
             if process.returncode is None:
                 process.kill()
                 await process.wait()
-        return planned | {"text": text}
+        return planned
 
     def stop(self, who: str) -> None:
-        """Stop whatever runs on the bus: by the supervisor, as `isocenter stop` does, and what this server has started by its lead."""
-        if self._stopping is None:
-            self._stop = {"by": who, "lines": [], "began_s": time.monotonic(), "seconds": None, "trouble": ""}
-            self._stopping = asyncio.create_task(self._stop_all(who))
+        """Stop whatever runs on the bus: by the supervisor, as `isocenter stop` does, and what this server has started by its lead.
 
-    async def _stop_all(self, who: str) -> None:
-        stop = self._stop
-        assert stop is not None
-        self.work.stopped_by = self.work.stopped_by or (who if self.work.running else "")
+        Asked again it does so again, unless the supervisor is being asked just now, as it then is five times a second.
+        """
+        if self._asking:
+            return
+        if self._stopping is not None:
+            self._stopping.cancel()  # it has asked, and only waits
+        self._stop = {"by": who, "lines": [], "began_s": time.monotonic(), "seconds": None, "trouble": ""}
+        self._stopping = asyncio.create_task(self._stop_all(who, self._stop))
+
+    async def _stop_all(self, who: str, stop: dict[str, Any]) -> None:
         lines: list[str] = stop["lines"]
+        self.work.stopped_by = self.work.stopped_by or (who if self.work.running else "")
         try:
-            if self.facts.is_lockstep or (self.work.running and not self.work.moves):
-                self.work.let_go(who)
-            else:
-                try:
-                    await asyncio.to_thread(ask_to_stop, self.facts.bus, lines.append, who)
-                    stop["seconds"] = round(time.monotonic() - stop["began_s"], 2)
-                    with contextlib.suppress(TimeoutError):
-                        await asyncio.wait_for(self.work.done.wait(), ENDS_S)
-                except BenchError as error:
-                    if not self.work.running:
-                        stop["trouble"] = str(error)
-                    else:
-                        lines.append(str(error))
+            try:
+                if not self.facts.is_lockstep:
+                    await self._ask_supervisor(who, stop)
+            finally:
                 self.work.let_go(who)  # where no supervisor was there yet, or the run goes on after its stop
-            if not self.work.running and not lines:
+            if not self.work.running and not lines and not stop["trouble"]:
                 lines.append("nothing runs here")
             if self.work.running:
                 await self.work.done.wait()
                 lines.append("what was started here has ended")
         finally:
             if stop["seconds"] is None:
-                stop["seconds"] = round(time.monotonic() - stop["began_s"], 2)
-            self._stopping = None
+                stop["seconds"] = _since(stop)
+            if self._stop is stop:
+                self._stopping = None
+
+    async def _ask_supervisor(self, who: str, stop: dict[str, Any]) -> None:
+        """Ask the supervisor on the bus, whoever started what it watches, and give a run of ours the time to write its recording."""
+        ran, moved = self.work.running, self.work.moves
+        if not moved:
+            self.work.let_go(who)  # what only computes waits for no supervisor, and none waits for it
+        self._asking = True
+        try:
+            await asyncio.to_thread(ask_to_stop, self.facts.bus, stop["lines"].append, who)
+        except Exception as error:  # whatever it is, it must be seen, and the lead be let go
+            said = in_one_line(error)[0]
+            if ran and isinstance(error, UnusableInputError):
+                stop["lines"].append(said)  # no bench on the bus: what runs here has not come so far
+            else:
+                stop["trouble"] = said
+            return
+        finally:
+            self._asking = False
+        stop["seconds"] = _since(stop)
+        if moved:
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self.work.done.wait(), ENDS_S)
 
     def state(self) -> dict[str, Any]:
         """Return everything that changes, as plain values."""
@@ -267,10 +314,18 @@ class Desk:
     async def _judge(self) -> None:
         while True:
             await asyncio.sleep(JUDGE_S)
-            if self.work.moves and self._stopping is None and not self.attention.is_here(self.work.owner):
-                self.stop(f"the browser that started it has answered no ping for {SILENT_S:g} s")
+            try:
+                if self.work.moves and self._stopping is None and not self.attention.is_here(self.work.owner):
+                    self.stop(f"the browser that started it has answered no ping for {SILENT_S:g} s")
+            except Exception as error:  # nobody else judges the browser: what nobody judges must not move
+                with contextlib.suppress(OSError):
+                    self.work.let_go(f"the server cannot judge whether the browser is there: {error!r}")
 
     async def _be_alive(self) -> None:
         while True:
             self._line.send((starter.ALIVE, None))
             await asyncio.sleep(ALIVE_S)
+
+
+def _since(stop: Mapping[str, Any]) -> float:
+    return round(time.monotonic() - float(stop["began_s"]), 2)

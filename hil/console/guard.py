@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import ipaddress
+import re
 import socket
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from http.cookies import CookieError, SimpleCookie
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.middleware.body_limit import RequestBodyLimitMiddleware
+from starlette.requests import cookie_parser
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from hil.console.admission import Admission
 
-COOKIE = "isocenter_bench"
 MOST_BYTES = 65_536
 """Longest body and longest message of a WebSocket: the largest form has some hundred bytes."""
 REFUSED = 4403  # close code of a WebSocket that is refused; before it is accepted a client sees HTTP 403
@@ -115,11 +115,13 @@ class Guard:
 
 def session_of(headers: Headers) -> str:
     """Return the session in a request's cookie, "" without one."""
-    try:
-        morsel = SimpleCookie(headers.get("cookie", "")).get(COOKIE)
-    except CookieError:
-        return ""
-    return morsel.value if morsel is not None else ""
+    return cookie_parser(headers.get("cookie", "")).get(cookie_name(headers.get("host", "")), "")
+
+
+def cookie_name(host: str) -> str:
+    """Return the name of a server's cookie, with the port that its `Host` header has: browsers keep cookies of all ports together."""
+    port = re.search(r":([0-9]{1,5})$", host)
+    return f"isocenter_bench_{port[1]}" if port else "isocenter_bench"
 
 
 def is_loopback(host: str) -> bool:

@@ -68,7 +68,7 @@ class Work:
     @property
     def moves(self) -> bool:
         """Whether what is being done may move the machine."""
-        return self.running and self._order is not None and self._order.commands[self._at].moves
+        return self.running and self._order is not None and any(each.moves for each in self._order.commands[self._at : self._at + 1])
 
     @property
     def holds(self) -> bool:
@@ -136,20 +136,22 @@ class Work:
     def _next(self) -> None:
         assert self._order is not None
         if self._at == len(self._order.commands):
-            passed, why = self._order.judge(self.answers)
+            try:
+                passed, why = self._order.judge(self.answers)
+            except Exception as error:  # an answer that is not as expected must not leave the work running for ever
+                passed, why = False, f"its answer cannot be judged: {_told_by(error)}"
             self._end("passed" if passed else "failed", why)
             return
         command = self._order.commands[self._at]
         try:
             arguments = command.arguments(self.answers)
-        except (OSError, KeyError, ValueError) as error:
-            self._end("failed", f"{command.key} cannot begin: {error}")
-            return
-        answer = self._folder / f"{command.key}.json"
-        answer.unlink(missing_ok=True)
-        self._lines.append((f"$ isocenter {' '.join(arguments)}", False))
-        self._waits = False
-        self._line.send((starter.RUN, [*arguments, "--json", str(answer)]))
+            answer = self._folder / f"{command.key}.json"
+            answer.unlink(missing_ok=True)
+            self._lines.append((f"$ isocenter {' '.join(arguments)}", False))
+            self._waits = False
+            self._line.send((starter.RUN, [*arguments, "--json", str(answer)]))
+        except Exception as error:
+            self._end("failed", f"{command.key} cannot begin: {_told_by(error)}")
 
     def _ended(self, status: int) -> None:
         assert self._order is not None
@@ -176,7 +178,7 @@ class Work:
             return ""
         try:
             passed, why = self._order.judge(self.answers)
-        except (KeyError, ValueError, TypeError):
+        except Exception:  # what the command has said is told instead
             return ""
         return "" if passed else why
 
@@ -185,3 +187,7 @@ class Work:
         self.state, self.why, self._ended_s = state, why, time.monotonic()
         self.done.set()
         self._changed(self._order, state == "passed")
+
+
+def _told_by(error: Exception) -> str:
+    return str(error) if isinstance(error, OSError | ValueError) else repr(error)

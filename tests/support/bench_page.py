@@ -92,10 +92,16 @@ class Watcher:
 
     def state(self, *, answers: bool = True) -> dict[str, Any]:
         """The next state."""
-        told: dict[str, Any] = json.loads(self._socket.recv(timeout=20.0))
-        if answers:
-            self._socket.send("here")
-        return told
+        while True:
+            told: dict[str, Any] = json.loads(self._socket.recv(timeout=20.0))
+            if answers:
+                self._socket.send("here")
+            if told["type"] == "state":
+                return told
+
+    def tell(self, text: str) -> None:
+        """Send a message."""
+        self._socket.send(text)
 
     def work(self, wanted: Callable[[dict[str, Any]], object], seconds: float, *, answers: bool = True) -> dict[str, Any]:
         """The state of the work, once it is as wanted."""

@@ -9,6 +9,9 @@ const at = (id) => document.getElementById(id);
 const VIEWS = ["commission", "scope", "experiments", "state", "recordings"];
 const bench = { client: "", described: null, state: null };
 const scope = new Scope();
+const worker = new Worker("/static/worker.js");
+const HEARD_MS = 500;
+const tellOfStop = []; // who waits to know whether the server has heard a stop
 
 function show() {
   const view = VIEWS.includes(location.hash.slice(1)) ? location.hash.slice(1) : "commission";
@@ -24,17 +27,32 @@ function show() {
 
 async function stop() {
   at("stop").disabled = false;
-  say("stop asked", "asked");
+  at("now").className = "asked";
+  at("now").replaceChildren(element("span", { class: "what" }, "stop asked"));
+  if (await heardOnTheLine()) return;
   try {
     await ask("/api/stop", {}, bench.client);
   } catch (error) {
-    say(`the stop did not reach the server (${error.message}): use the emergency stop, or isocenter stop in a terminal`, "failed");
+    complain(`The stop did not reach the server (${error.message}): use the emergency stop, or isocenter stop in a terminal.`);
   }
 }
 
-function say(text, kind) {
-  at("now").className = kind;
-  at("now").replaceChildren(element("span", { class: "what" }, text));
+// The line that keeps a motion going takes the stop as well, whatever a request of its own would be refused for.
+function heardOnTheLine() {
+  return new Promise((tell) => {
+    tellOfStop.push(tell);
+    setTimeout(tell, HEARD_MS, false);
+    worker.postMessage("stop");
+  });
+}
+
+// An error stays until it is dismissed.
+function complain(text) {
+  const button = element("button", { type: "button", "aria-label": "dismiss" }, "✕");
+  const line = element("div", {}, element("span", {}, text), button);
+  button.onclick = () => line.remove();
+  for (const other of [...at("errors").children]) if (other.firstChild.textContent === text) other.remove();
+  at("errors").append(line);
 }
 
 function showNow(state) {
@@ -84,6 +102,8 @@ function heed(told) {
   if (told.type === "welcome") {
     bench.client = told.client;
     sessionStorage.setItem("client", told.client);
+  } else if (told.type === "stop heard" || told.type === "stop unheard") {
+    for (const tell of tellOfStop.splice(0)) tell(told.type === "stop heard");
   } else if (told.type === "lost") {
     link.className = "lost";
     link.textContent = "no answer from the server: what this page started is stopped";
@@ -126,7 +146,6 @@ showForms(bench, at("forms"));
 show();
 
 const scheme = location.protocol === "https:" ? "wss" : "ws";
-const worker = new Worker("/static/worker.js");
 worker.onmessage = (event) => heed(event.data);
 worker.postMessage({ client: sessionStorage.getItem("client") || "", address: `${scheme}://${location.host}/control` });
 scope.open(`${scheme}://${location.host}/rows`);
@@ -146,6 +165,6 @@ async function look(what) {
   try {
     await ask("/api/look", { what, files: chosen, held_out: held }, bench.client);
   } catch (error) {
-    say(error.message, "failed");
+    complain(error.message);
   }
 }

@@ -77,6 +77,7 @@ function fieldsOf(fields) {
 // Shows the plan of a form whenever it changes; what has no plan cannot be started.
 function planner(bench, part, kind, form, place, isOpen) {
   let [asked, timer] = ["", 0];
+  const card = JSON.stringify(part.card.dataset);
   part.show = async () => {
     const values = form.values();
     const key = JSON.stringify(values);
@@ -88,7 +89,7 @@ function planner(bench, part, kind, form, place, isOpen) {
     enable(bench, part);
     let found;
     try {
-      found = await ask("/api/preview", { kind, values }, bench.client);
+      found = await ask("/api/preview", { kind, values, card }, bench.client);
     } catch (error) {
       found = { refused: error.message };
     }

@@ -3,9 +3,10 @@
 "use strict";
 let client = "";
 let address = "";
+let line = null;
 
 function open() {
-  const socket = new WebSocket(`${address}?client=${encodeURIComponent(client)}`);
+  const socket = line = new WebSocket(`${address}?client=${encodeURIComponent(client)}`);
   socket.onmessage = (event) => {
     socket.send("here");
     const told = JSON.parse(event.data);
@@ -19,6 +20,11 @@ function open() {
 }
 
 onmessage = (event) => {
+  if (event.data === "stop") {
+    if (line && line.readyState === WebSocket.OPEN) line.send("stop");
+    else postMessage({ type: "stop unheard" });
+    return;
+  }
   ({ client, address } = event.data);
   if (self.navigator.locks) self.navigator.locks.request(`isocenter-bench-${Math.random()}`, () => new Promise(() => {}));
   open();

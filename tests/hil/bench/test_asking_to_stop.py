@@ -8,6 +8,7 @@ import threading
 from collections.abc import Iterator
 
 import pytest
+from asked_supervisor import Supervisor
 from command_line import Isocenter, runner
 
 from hil.bench import asking
@@ -25,29 +26,6 @@ def isocenter(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatc
         yield runner(capsys)
 
 
-class Supervisor:
-    """Answers each question with the next of some texts."""
-
-    def __init__(self, *texts: str) -> None:
-        self.heard: list[str] = []
-        self._texts = texts
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        self._socket.bind(str(asking.stop_socket(BUS, make=True)))
-        self._thread = threading.Thread(target=self._serve)
-        self._thread.start()
-
-    def _serve(self) -> None:
-        for text in self._texts:
-            words, sender = self._socket.recvfrom(1000)
-            self.heard.append(words.decode())
-            self._socket.sendto(text.encode(), sender)
-        self._socket.close()
-        asking.stop_socket(BUS).unlink()
-
-    def end(self) -> None:
-        self._thread.join(10.0)
-
-
 @pytest.fixture
 def ended() -> Iterator[list[Supervisor]]:
     supervisors: list[Supervisor] = []
@@ -57,7 +35,7 @@ def ended() -> Iterator[list[Supervisor]]:
 
 
 def test_it_stays_until_no_drive_has_torque(isocenter: Isocenter, ended: list[Supervisor]) -> None:
-    ended.append(Supervisor("torque on\n", "torque on\n", "no torque\n"))
+    ended.append(Supervisor(BUS, "torque on\n", "torque on\n", "no torque\n"))
     outcome = isocenter("stop", "--bus", BUS)
     assert outcome.status == 0
     assert outcome.out.splitlines() == [f"{BUS}: the supervisor was told", f"{BUS}: no drive has torque"]
@@ -65,7 +43,7 @@ def test_it_stays_until_no_drive_has_torque(isocenter: Isocenter, ended: list[Su
 
 
 def test_a_bench_that_ends_meanwhile_is_told(isocenter: Isocenter, ended: list[Supervisor], monkeypatch: pytest.MonkeyPatch) -> None:
-    ended.append(Supervisor("torque on\n"))
+    ended.append(Supervisor(BUS, "torque on\n"))
     monkeypatch.setattr(asking.time, "sleep", lambda seconds: ended[0].end())
     outcome = isocenter("stop", "--bus", BUS)
     assert outcome.status == 0
@@ -100,7 +78,7 @@ def test_a_drive_that_keeps_its_torque_is_a_bad_answer(
     isocenter: Isocenter, ended: list[Supervisor], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(asking, "STOP_S", -1.0)
-    ended.append(Supervisor("torque on\n"))
+    ended.append(Supervisor(BUS, "torque on\n"))
     outcome = isocenter("stop", "--bus", BUS)
     assert outcome.status == 1
     assert "a drive has torque or tells nothing after" in outcome.line
@@ -110,3 +88,23 @@ def test_a_bus_without_a_bench_is_told(isocenter: Isocenter) -> None:
     outcome = isocenter("stop", "--bus", BUS)
     assert outcome.status == 2
     assert "no bench of yours runs on this bus" in outcome.line
+
+
+def test_without_a_temporary_folder_it_tells_the_supervisor_all_the_same(isocenter: Isocenter, monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as supervisor, monkeypatch.context() as full:
+        supervisor.bind(str(asking.stop_socket(BUS, make=True)))
+        full.setattr(asking.tempfile, "tempdir", "/nowhere")
+        outcome = isocenter("stop", "--bus", BUS)
+        assert supervisor.recv(1000).startswith(b"`isocenter stop`")
+    assert outcome.status == 1
+    assert "needs a socket in a temporary folder ([Errno 2]" in outcome.line
+    assert "emergency stop" in outcome.line
+
+
+def test_a_user_without_a_name_stops_as_well(isocenter: Isocenter, ended: list[Supervisor], monkeypatch: pytest.MonkeyPatch) -> None:
+    def nameless() -> str:
+        raise KeyError("getpwuid(): uid not found: 1000")
+
+    monkeypatch.setattr(asking.getpass, "getuser", nameless)
+    ended.append(Supervisor(BUS, "no torque\n"))
+    assert isocenter("stop", "--bus", BUS).status == 0

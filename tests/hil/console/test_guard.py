@@ -160,7 +160,39 @@ def test_a_token_opens_once(folder: Path) -> None:
         assert client.get("/api/bench").status_code == 401
         with pytest.raises(WebSocketDisconnect), client.websocket_connect(SOCKETS[1], headers={"Origin": OWN}):
             pass
-        assert stranger.get("/", cookies={"isocenter_bench": "guessed"}).status_code == 401
+        assert stranger.get("/", cookies={"isocenter_bench_8710": "guessed"}).status_code == 401
+
+
+def test_a_second_bench_on_another_port_leaves_the_session_of_the_first(folder: Path) -> None:
+    other = OWN.replace("8710", "8711")
+    with client_of(folder, TOKEN) as first, client_of(folder, TOKEN, base=other) as second:
+        second.cookies = first.cookies  # browsers keep the cookies of all ports together
+        for client in (first, second):
+            client.get(f"/enter?token={TOKEN}")
+        for client in (first, second):
+            assert client.get("/api/bench").status_code == 200
+
+
+@pytest.mark.parametrize("foreign", ['foo={"a": 1}', "foo=a,b; =; \x01", "foo=[1]"])
+def test_a_cookie_of_somebody_else_hides_no_session(folder: Path, foreign: str) -> None:
+    with client_of(folder, TOKEN) as client:
+        given = client.get(f"/enter?token={TOKEN}", follow_redirects=False).headers["set-cookie"].split(";")[0]
+        client.cookies.clear()
+        assert client.get("/api/bench", headers={"Cookie": f"{foreign}; {given}"}).status_code == 200
+
+
+def test_a_page_that_keeps_a_motion_going_can_stop_it_after_its_session(folder: Path) -> None:
+    with client_of(folder, TOKEN) as client:
+        client.get(f"/enter?token={TOKEN}")
+        with client.websocket_connect(SOCKETS[0], headers={"Origin": OWN}) as socket:
+            client.cookies.clear()
+            assert client.post("/api/stop", headers={"Origin": OWN}).status_code == 401
+            socket.send_text("stop")
+            while (told := socket.receive_json())["type"] != "stop heard":
+                assert told.get("stop") is None
+            while not (told := socket.receive_json())["stop"]:
+                pass
+            assert told["stop"]["by"].startswith("STOP in a browser at ")
 
 
 def test_a_session_is_out_of_reach_of_scripts_and_other_sites(folder: Path) -> None:

@@ -123,6 +123,38 @@ def test_escape_stops_the_run(page: Page, bench: BenchPage) -> None:
     assert "STOP in a browser" in said
 
 
+def test_a_stop_whose_request_is_refused_goes_over_the_line_that_keeps_the_motion(page: Page, bench: BenchPage) -> None:
+    page.route("**/api/stop", lambda asked: asked.abort())
+    opened(page, bench, "experiments")
+    fill_and_run(page, "static", seconds=36000)
+    page.locator("#now", has_text="recording static").wait_for(timeout=STEP_MS)
+    page.locator("#stop").click()
+    assert "STOP in a browser" in ended(page, "stopped")
+    assert page.locator("#errors > div").count() == 0
+
+
+def test_an_error_stays_until_it_is_dismissed(page: Page, bench: BenchPage) -> None:
+    opened(page, bench, "recordings")
+    page.locator("#plot").click()
+    error = page.locator("#errors > div", has_text="choose recordings first")
+    error.wait_for()
+    page.locator("#stop").click()
+    page.locator("#stop-answer", has_text="nothing runs here").wait_for()  # the state was told meanwhile
+    assert error.is_visible()
+    error.get_by_label("dismiss").click()
+    assert page.locator("#errors > div").count() == 0
+
+
+def test_a_stop_that_reaches_nobody_is_told_until_it_is_dismissed(page: Page, bench: BenchPage, console_errors: list[str]) -> None:
+    page.route("**/worker.js", lambda asked: asked.fulfill(body="", content_type="text/javascript"))  # no line to the server
+    page.route("**/api/stop", lambda asked: asked.abort())
+    page.goto(f"{bench.address}/#state")
+    page.locator("#folder").filter(has_text=str(bench.folder)).wait_for(state="attached")
+    page.keyboard.press("Escape")
+    page.locator("#errors > div", has_text="did not reach the server").wait_for()
+    console_errors[:] = [each for each in console_errors if "ERR_FAILED" not in each]
+
+
 def test_a_reload_and_a_second_browser_do_no_harm(page: Page, browser: Browser, bench: BenchPage, console_errors: list[str]) -> None:
     opened(page, bench, "experiments")
     fill_and_run(page, "static", seconds=36000)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import pytest
 from bench_machines import patient_text
@@ -80,6 +83,21 @@ def test_the_page_is_there_for_as_long_as_the_starter_whatever_key_is_pressed(be
         for _ in range(4):
             watcher.state()
     watcher.close()
+
+
+def test_a_stop_needs_no_free_connection(bench: BenchPage) -> None:
+    client = started(bench)
+    place = urlsplit(bench.address)
+    assert place.hostname
+    assert place.port
+    with contextlib.ExitStack() as idle:
+        for _ in range(70):  # more than the server takes
+            idle.enter_context(socket.create_connection((place.hostname, place.port)))
+        assert bench.post("/api/stop", {})[0] == 503
+        assert client.state()["work"]["state"] == "running"
+        client.tell("stop")
+        assert client.work(lambda work: work["state"] != "running", 30.0)["state"] == "stopped"
+    client.close()
 
 
 def test_who_answers_no_ping_starts_nothing(bench: BenchPage) -> None:

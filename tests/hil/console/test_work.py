@@ -14,7 +14,7 @@ import pytest
 from hil.bench.attendant import Operator
 from hil.console import starter
 from hil.console.attention import SILENT_S, Attention
-from hil.console.commands import Command, Order
+from hil.console.commands import Answers, Command, Order
 from hil.console.facts import Facts, facts_of
 from hil.console.forms import forms_of
 from hil.console.preview import preview
@@ -85,6 +85,29 @@ def test_a_command_that_fails_ends_the_order_and_says_why(work: Work, line: Line
     work.heed(starter.ENDED, 1)
     assert (work.state, work.why) == ("failed", "node 1 does not answer")
     assert len(line.sent) == 1
+
+
+@pytest.mark.parametrize("error", [TypeError("no list"), KeyError("observer"), RuntimeError("odd")])
+def test_an_answer_that_cannot_be_judged_ends_the_work_as_failed(work: Work, tmp_path: Path, error: Exception) -> None:
+    def judge(answers: Answers) -> tuple[bool, str]:
+        raise error
+
+    work.begin(Order("A", (command("a", "run", moves=True),), judge=judge), "me")
+    answer(tmp_path, "a", {})
+    work.heed(starter.ENDED, 0)
+    assert (work.state, work.moves, work.done.is_set()) == ("failed", False, True)
+    assert str(error.args[0]) in work.why
+
+
+@pytest.mark.parametrize("error", [TypeError("no list"), IndexError("none"), OSError(28, "No space left on device")])
+def test_a_command_that_cannot_begin_ends_the_work_as_failed(work: Work, error: Exception) -> None:
+    def arguments(answers: Answers) -> list[str]:
+        raise error
+
+    work.begin(Order("A", (Command("a", arguments, moves=True),)), "me")
+    assert (work.state, work.moves) == ("failed", False)
+    assert "a cannot begin" in work.why
+    assert str(error.args[-1]) in work.why
 
 
 def test_an_answer_of_another_day_is_none(work: Work, tmp_path: Path) -> None:
