@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hil.diagnosis.seen.along import FINE, Along, Motion, Signals
-from hil.diagnosis.seen.filtering import Linearised, Whitening, discretised, smooth_states, whitening
+from hil.diagnosis.seen.discretising import discretised
+from hil.diagnosis.seen.filtering import Linearised, Whitening, smooth_states, whitening
 from virtual_bus.effects.places import imu_channel_names
 
 POSES_PER_SECOND = 64

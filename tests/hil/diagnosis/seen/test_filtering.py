@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from hil.diagnosis.seen.filtering import Linearised, discretised, smooth_states, whitening
+from hil.diagnosis.seen.discretising import discretised
+from hil.diagnosis.seen.filtering import Linearised, smooth_states, whitening
 
 ROWS, STATES, CHANNELS = 12, 3, 2
 SEED = 9
