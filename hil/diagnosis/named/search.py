@@ -163,7 +163,7 @@ def search(tuned: Tuned, laws: Library, baseline: Fitted, materiality: float = 1
     for _ in range(DEPTH):
         further: list[Ranked] = []
         for fitted in beam:
-            if len(fitted.settings) - _everyday(fitted) >= DEPTH:
+            if _special(fitted) >= DEPTH:
                 continue
             for law, weights in proposed(fitted, laws, tuned.readings, dispersion):
                 names = fitted.names | {(law.effect.name, law.at)}
@@ -205,10 +205,6 @@ def _price(fitted: Fitted, cost_of_nothing: float, dispersion: float, readings: 
     beside = special - 1 if special == size else special
     wrong = EXACT if fitted.is_noise_known else FORM
     return bought + max(beside, 0) * wrong**2 * max(cost_of_nothing - fitted.cost(dispersion), 0.0)
-
-
-def _everyday(fitted: Fitted) -> int:
-    return len(fitted.settings) - _special(fitted)
 
 
 def _special(fitted: Fitted) -> int:
