@@ -1,13 +1,10 @@
-"""Whether the next experiment resolves what a diagnosis cannot tell apart: `python benchmarks/next_experiment.py [CASE...] [--jobs N]`.
+"""Whether the next experiment resolves what a diagnosis cannot tell apart: `python benchmarks/next_experiment.py [CASE...]`.
 
 Every case hides an effect in the emulated turntable, as `isocenter run --effects` does in lockstep; besides, sixteen sines of other
 frequencies and phases shake it in every run, which no effects file would take at one joint. Four runs of a slow jog and one of another,
 held out, are diagnosed; as long as the verdict is `ambiguous`, the experiment that it writes is run three times and all recordings are
 diagnosed again, twice at most. What the file predicts stands beside d as the recordings show it, with a sign: positive where the name that
-was likeliest is nearer to them, negative where its rival is.
-
-`--search` measures instead what the search costs on the C-arm: two hypotheses of the roll axis's friction, white noise of its sensors.
-Both write into benchmarks/results/next_experiment.json.
+was likeliest is nearer to them, negative where its rival is. Writes benchmarks/results/next_experiment.json.
 """
 
 from __future__ import annotations
@@ -18,7 +15,6 @@ import math
 import resource
 import sys
 import tempfile
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -27,16 +23,16 @@ import numpy as np
 
 from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
-from hil.diagnosis.diagnose import NEXT_EXPERIMENT, Outcome, diagnose
+from hil.diagnosis.answered.answer import NEXT_EXPERIMENT
+from hil.diagnosis.answered.values import Answered
+from hil.diagnosis.diagnose import diagnose
 from hil.diagnosis.files import write_diagnosis
-from hil.diagnosis.residuals.noise import assumed_noise
-from hil.diagnosis.separating.next_experiment import propose
-from hil.diagnosis.separating.separation import Model, Separation
-from hil.diagnosis.tuning.retune import tunable
+from hil.diagnosis.named.fitting import fit
+from hil.diagnosis.seen.see import see
+from hil.diagnosis.tuned.retuning import nominal_offset, tuned_at
 from hil.experiments import Experiment, Jog, JogOnly, read_experiment
 from hil.machine import Machine, load_machine
 from hil.recording import Recording, read_recording
-from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.settings import EffectSetting
 
 RESULTS = Path(__file__).resolve().parent / "results" / "next_experiment.json"
@@ -46,6 +42,7 @@ ROUNDS = 2
 SHAKEN_BY, SHAKEN_Nm = 16, 0.02
 """Sines from 0.2 to 20 Hz at the joint: without them an emulated encoder shows the same lattice in every repeat and no noise."""
 
+PLAUSIBLE = 0.04
 TRAIN_deg, HELD_OUT_deg = 3.4, 2.6
 CASES = {
     "stribeck_friction": {"Fs_minus_Fc": 0.3, "vs": 0.05, "delta": 2.0},
@@ -58,13 +55,6 @@ CASES = {
     "pose_dependent_dynamics": {"dJ": 1.0, "phi": 0.4},
 }
 """Hidden effects: in a slow jog of a few degrees each looks like another one, or may."""
-
-CARM_NOISE = {
-    "current_propeller": 0.01, "current_roll": 0.01, "position_propeller": 1e-5, "position_roll": 1e-5, "imu_x": 0.02, "imu_y": 0.02,
-    "imu_z": 0.02, "gyro_x": 1e-3, "gyro_y": 1e-3, "gyro_z": 1e-3,
-}  # fmt: skip
-"""Rms in each channel's unit."""
-CARM_RIVALS = (("quadratic_friction", "Fv2", 60.0), ("viscous_friction", "Fv", 8.0))
 
 
 def shaken(seed: int) -> list[EffectSetting]:
@@ -92,22 +82,35 @@ def jog(amplitude_deg: float) -> Experiment:
     return JogOnly(pose={}, jog=Jog(math.radians(amplitude_deg), line=1), period_s=4.0, periods=1, settle_periods=1)
 
 
-def said(outcome: Outcome) -> dict[str, Any]:
+def said(outcome: Answered) -> dict[str, Any]:
     """Verdict and plausible hypotheses."""
     hypotheses = [
-        {"effects": [str(effect) for effect in h.fitted.effects], "confidence": round(h.confidence, 3)}
-        for h in outcome.hypotheses
-        if h.fitted is not None and h.confidence >= 0.04
+        {"effects": [str(effect) for effect in h.effects], "confidence": round(h.confidence, 3)}
+        for h in outcome.diagnosis.hypotheses
+        if h.confidence >= PLAUSIBLE
     ]
     return {"verdict": outcome.diagnosis.verdict, "hypotheses": hypotheses}
 
 
-def circle(machine: Machine, name: str, folder: Path, jobs: int) -> dict[str, Any]:
+def shown_by(outcome: Answered, machine: Machine, recordings: Mapping[str, Recording]) -> list[float]:
+    """Separations of the proposal's rivals that repeats of its experiment show: of their mean, over the root of their number."""
+    assert outcome.proposal is not None
+    seen = see(machine, recordings)
+    offset = nominal_offset(seen.alongs)
+    first, *rivals = outcome.proposal.models
+    offset[: len(first.offset)] = first.offset
+    tuned = tuned_at(seen.alongs, seen.levels, offset, first.effects)
+    costs = [fitted.cost() if (fitted := fit(tuned, model.effects, offset)) is not None else math.nan for model in (first, *rivals)]
+    excess = (np.array(costs[1:]) - costs[0]) / len(recordings)
+    return [float(d) for d in np.sign(excess) * np.sqrt(np.abs(excess))]
+
+
+def circle(machine: Machine, name: str, folder: Path) -> dict[str, Any]:
     """Diagnose, run what is proposed, diagnose again."""
     hidden = EffectSetting(name, "turn", CASES[name])
     recordings = {f"first{seed}": record(machine, hidden, seed, folder / f"first{seed}.mf4", jog(TRAIN_deg)) for seed in FIRST_SEEDS}
     held_out = {"other": record(machine, hidden, HELD_OUT_SEED, folder / "other.mf4", jog(HELD_OUT_deg))}
-    outcome = diagnose(machine, recordings, held_out, jobs=jobs)
+    outcome = diagnose(machine, recordings, held_out)
     table: dict[str, Any] = {"first": said(outcome), "rounds": []}
     for number in range(1, ROUNDS + 1):
         proposal = outcome.proposal
@@ -116,43 +119,19 @@ def circle(machine: Machine, name: str, folder: Path, jobs: int) -> dict[str, An
         answer = folder / f"answer{number}"
         write_diagnosis(outcome, machine, answer)
         experiment = read_experiment(answer / NEXT_EXPERIMENT, machine)
-        (plan,) = experiment.plans(machine)
         further = {
             f"next{number}_{seed}": record(machine, hidden, seed, folder / f"next{number}_{seed}.mf4", experiment) for seed in NEXT_SEEDS
         }
-        channels = outcome.train.channels
-        with Separation(machine, proposal.models, outcome.train.noise, channels, jobs) as apart:
-            shown = [apart.of_recording(plan, recording.matrix(channels)) for recording in further.values()]
+        shown = shown_by(outcome, machine, further)
         recordings |= further
-        outcome = diagnose(machine, recordings, held_out, jobs=jobs)
+        outcome = diagnose(machine, recordings, held_out)
         rivals = [
-            {"from": model.name, "predicted_if_first": ahead, "predicted_if_rival": behind, "shown": seen.tolist()}
-            for model, (ahead, behind), seen in zip(proposal.models[1:], proposal.separations, np.transpose(shown), strict=True)
+            {"from": model.name, "predicted_if_first": ahead, "predicted_if_rival": behind, "shown": d}
+            for model, (ahead, behind), d in zip(proposal.models[1:], proposal.separations, shown, strict=True)
         ]
         kind = type(proposal.experiment).__name__
         table["rounds"].append({"first": proposal.models[0].name, "experiment": kind, "rivals": rivals, "then": said(outcome)})
     return table
-
-
-def friction(name: str, parameter: str, value: float) -> Model:
-    """An effect at the C-arm's roll axis, every number of the machine that re-tuning may change free beside it."""
-    plant = compile_plant(load_machine("carm").plant)
-    indices = tunable(plant.parameters)
-    effect = EffectSetting(name, "roll", {parameter: value})
-    return Model(plant.nominal, (effect,), indices, 0.1 * np.abs(plant.nominal[indices]), ((0, parameter),), name)
-
-
-def search_on_the_carm(jobs: int) -> dict[str, Any]:
-    """Free runs and processor time of one search."""
-    machine = load_machine("carm")
-    rows = np.random.default_rng(0).standard_normal((4000, len(CARM_NOISE))) * list(CARM_NOISE.values())
-    noise = assumed_noise([rows], tuple(CARM_NOISE), machine)
-    models = [friction(*rival) for rival in CARM_RIVALS]
-    began, used = time.monotonic(), cpu_s()
-    found = propose(machine, models, (0.5, 0.5), noise, tuple(CARM_NOISE), jobs=jobs)
-    assert found is not None, "nothing within the limits separates the rivals"
-    table = {"jobs": jobs, "tuned_numbers": len(models[0].indices), "free_runs": found.runs}
-    return table | {"cpu_s": cpu_s() - used, "wall_s": time.monotonic() - began, "separations": found.separations.tolist()}
 
 
 def cpu_s() -> float:
@@ -174,22 +153,16 @@ def main() -> int:
     """Measure, print and keep."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("cases", nargs="*", choices=[*CASES, []], help="which effects to hide; all by default")
-    parser.add_argument("--search", action="store_true", help="what a search on the C-arm costs")
-    parser.add_argument("--jobs", type=int, default=1)
     arguments = parser.parse_args()
     results = json.loads(RESULTS.read_text()) if RESULTS.exists() else {"circle": {}}
-    if arguments.search:
-        results["search_on_the_carm"] = search_on_the_carm(arguments.jobs)
-        print(json.dumps(rounded(results["search_on_the_carm"]), indent=1))
-    else:
-        machine = load_machine(TABLE)
-        for name in arguments.cases or CASES:
-            used = cpu_s()
-            with tempfile.TemporaryDirectory() as folder:
-                results["circle"][name] = circle(machine, name, Path(folder), arguments.jobs) | {"cpu_s": cpu_s() - used}
-            print(name, json.dumps(rounded(results["circle"][name])), flush=True)
-            RESULTS.write_text(json.dumps(rounded(results), indent=1) + "\n")
-    RESULTS.write_text(json.dumps(rounded(results), indent=1) + "\n")
+    results.pop("search_on_the_carm", None)
+    machine = load_machine(TABLE)
+    for name in arguments.cases or CASES:
+        used = cpu_s()
+        with tempfile.TemporaryDirectory() as folder:
+            results["circle"][name] = circle(machine, name, Path(folder)) | {"cpu_s": cpu_s() - used}
+        print(name, json.dumps(rounded(results["circle"][name])), flush=True)
+        RESULTS.write_text(json.dumps(rounded(results), indent=1) + "\n")
     return 0
 
 

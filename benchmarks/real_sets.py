@@ -54,6 +54,26 @@ def entry(named: Named, errors: dict[str, Any], seconds: float) -> dict[str, Any
     }
 
 
+def table(results: dict[str, Any]) -> dict[str, Any]:
+    """Return for every set and split what was named, and its largest held-out error over the nominal machine's and the engineer's."""
+    rows = {}
+    for of, splits in results.items():
+        experts = json.loads((RESULTS / "experts" / f"{of}.json").read_text())["splits"]
+        for split, found in splits.items():
+            expert = experts.get(split) or experts[split.rsplit(",", 1)[0]]  # an engineer's split may hold several machines
+            over: dict[str, list[float]] = {"nominal": [], "engineer": []}
+            for channel, stages in found["channels"].items():
+                answer = stages["answer"]["held_out"]
+                over["nominal"].append(answer / stages["nominal"]["held_out"])
+                own = expert["channels"].get(channel, {}).get("fitted", {}).get("held_out")
+                if own:
+                    over["engineer"].append(answer / own)
+            named = "; ".join(each.split(":")[0].replace("_", " ") for each in found["named"]) or "nothing"
+            largest = {key: float(f"{max(values):.3g}") if values else None for key, values in over.items()}
+            rows[f"{of}, {split}"] = {"named": named, **largest, "seconds": found["seconds"]}
+    return rows
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("sets", nargs="*", choices=[*SETS, []], help="which sets; all by default")
@@ -79,6 +99,7 @@ def main() -> None:
                     errors.setdefault(channel, {})[stage] = {part: float(f"{value:.4g}") for part, value in found.items()}
             results.setdefault(of, {})[split] = entry(named, errors, seconds)
             arguments.json.write_text(json.dumps(results, indent=1) + "\n")
+            arguments.json.with_stem(f"{arguments.json.stem}_table").write_text(json.dumps(table(results), indent=1) + "\n")
             print(f"{of}, {split}: {'; '.join(results[of][split]['named']) or 'nothing'} ({seconds:.0f} s)")
             for channel, found in errors.items():
                 print("  " + channel + ": held out " + ", ".join(f"{stage} {value['held_out']}" for stage, value in found.items()))

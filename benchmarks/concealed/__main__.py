@@ -5,7 +5,6 @@
     python benchmarks/concealed score --seeds development
     python benchmarks/concealed all   --seeds sealed --jobs 2
     python benchmarks/concealed mutate --seeds development --cases 1,12
-    python benchmarks/concealed calibrate --seeds development --cases 0-149
     python benchmarks/concealed directions --seeds sealed --strata single,pair --cases 0-65
     python benchmarks/concealed tables --scores benchmarks/results/concealed/scores_sealed.json
 

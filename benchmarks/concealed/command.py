@@ -14,8 +14,7 @@ from typing import Any
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from concealed import calibrating, directions, making, mutating, running, scoring, tables
-from hil.diagnosis.judging.errors_of_laws import WEIGHTS
+from concealed import directions, making, mutating, running, scoring, tables
 from hil.processes.workers import end_with_the_parent
 
 RESULTS = Path(__file__).resolve().parents[1] / "results" / "concealed"
@@ -24,7 +23,7 @@ RESULTS = Path(__file__).resolve().parents[1] / "results" / "concealed"
 def main(arguments: list[str]) -> int:
     """Run one step or all of them."""
     parser = argparse.ArgumentParser(prog="python benchmarks/concealed", description=making.__doc__)
-    parser.add_argument("step", choices=("make", "run", "score", "all", "mutate", "calibrate", "directions", "tables"))
+    parser.add_argument("step", choices=("make", "run", "score", "all", "mutate", "directions", "tables"))
     parser.add_argument("--seeds", choices=("development", "sealed"), default="development")
     parser.add_argument("--cases", type=_ranges, help="numbers, as in 0-39 or 3,5,8; all of the set by default")
     parser.add_argument("--strata", type=_strata, help="null, single, pair, off; comma between them; all by default")
@@ -53,13 +52,6 @@ def main(arguments: list[str]) -> int:
         _append(path, numbers, partial(running.run_case, places, keep=options.keep), options.jobs)
     if options.step == "mutate":
         _append(options.results / f"mutations_{options.seeds}.jsonl", numbers, partial(mutating.mutate_case, places), options.jobs)
-    if options.step == "calibrate":
-        if options.seeds != "development":
-            parser.error("calibrate reads truths and sets the tool's constants: only development cases may be used")
-        path = options.results / f"evidence_{options.seeds}.jsonl"
-        answers = options.results / f"answers_{options.seeds}.jsonl"
-        _append(path, numbers, partial(calibrating.evidence_of, places), options.jobs, answers)
-        print(calibrating.calibrate([json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()], WEIGHTS))
     if options.step == "directions":
         path = options.results / f"directions_{options.seeds}.jsonl"
         _append(path, numbers, partial(directions.directions_of, places), options.jobs)
@@ -95,15 +87,12 @@ def _strata(text: str) -> set[str]:
     return names
 
 
-def _append(path: Path, numbers: list[int], task: Callable[[int], dict[str, Any]], jobs: int, answers: Path | None = None) -> None:
-    """Do a task for the numbers that have no line yet, and add a line of JSON each; what a row has under "answer" goes to its own file."""
+def _append(path: Path, numbers: list[int], task: Callable[[int], dict[str, Any]], jobs: int) -> None:
+    """Do a task for the numbers that have no line yet, and add a line of JSON each."""
     done = {json.loads(line)["number"] for line in path.read_text().splitlines()} if path.exists() else set()
     with path.open("a", encoding="utf-8") as stream:
 
         def keep(_number: int, row: dict[str, Any]) -> None:
-            if answers is not None:
-                with answers.open("a", encoding="utf-8") as other:
-                    other.write(json.dumps(row.pop("answer")) + "\n")
             stream.write(json.dumps(row) + "\n")
             stream.flush()
 

@@ -11,13 +11,13 @@ plt.rcParams["svg.hashsalt"] = "isocenter"
 
 STEPS = (
     "machine file, recordings",
-    "group repeats, read off lost\nsamples and coarse encoders",
-    "noise: what repeats do\nnot have in common",
-    "re-tune the file's numbers",
-    "screen every known effect\nat every place",
+    "audit: are recordings and\ncontrollers what they say?",
+    "see: motion, missing effort,\nnoise from repeats",
+    "re-tune the file's numbers,\nfit friction as an engineer",
+    "score every known law\nat every place",
     "fit the best ones with\nthe file's numbers",
-    "gate: is it there?",
-    "weigh all sets of effects",
+    "do stretches left out agree?",
+    "weigh rivals in place\nof each finding",
     "verdict, numbers, location",
 )
 BLUE, ORANGE = "#0072B2", "#D55E00"
@@ -54,8 +54,8 @@ def main() -> None:
     ax.text(0.2, tops[5] - half, "one more effect, three at most", color=ORANGE, rotation=90, ha="center", va="center", fontsize=10)
     held = right + 0.7
     ax.text(held, tops[5] - half + 0.15, "held-out\nrecordings", color=BLUE, ha="center", va="bottom", fontsize=10)
-    ax.plot([held, held], [tops[5] - half + 0.1, tops[7] - half], color=BLUE, lw=1.4)
-    for k in (6, 7):
+    ax.plot([held, held], [tops[5] - half + 0.1, tops[8] - half], color=BLUE, lw=1.4)
+    for k in (8,):
         way(ax, [(held, tops[k] - half), (right, tops[k] - half)], BLUE)
     again = right + 1.45
     way(ax, [(right, tops[8] - half), (again, tops[8] - half), (again, tops[0] - half), (right, tops[0] - half)], ORANGE)

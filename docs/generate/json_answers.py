@@ -29,7 +29,7 @@ _STAGE_TEXTS = {
     "nominal": "The simulation with the machine file as it is.",
     "retuned": "With numbers of the machine file re-tuned.",
     "extended": "With the findings as well.",
-    "placebo": "With the change that the findings make run backwards in time; null without findings.",
+    "placebo": "Null: no change is tried backwards in time.",
     "noise_floor": "Noise alone.",
     "baseline": "With the engineer's fit: numbers, and friction and load of every driven joint; null in an answer by free runs.",
 }

@@ -388,12 +388,12 @@ DIAGNOSIS = (
     Entry("hypotheses[].effects", "list", "Effects of the set; empty: no effect is missing."),
     Entry("hypotheses[].confidence", "0 to 1", "Confidences of all sets sum to at most 1; the rest is unknown physics."),
     Entry("hypotheses[].gained", "number", "Fall of the sum of squares in units of noise, over no effect, in training."),
-    Entry("hypotheses[].gained_held_out", "number or null", "The same in the held-out recordings, with training's parameters."),
+    Entry("hypotheses[].gained_held_out", "number or null", "Null: held-out recordings decide nothing."),
     Entry("hypotheses[].parameters", "number", "Parameters that were fitted for it."),
     Entry(
         "hypotheses[].is_confirmed",
         "true or false",
-        "Whether it passed the test that the effects are there, or was read off the recordings.",
+        "Whether it is the answer, or was read off the recordings.",
     ),
     Entry(
         "retuned.OWNER.QUANTITY",
@@ -419,7 +419,12 @@ DIAGNOSIS = (
     Entry("fit.held_out", "stages or null", "The same held out."),
     Entry("fit.removed_share", "number or null", "(E_retuned² - E_extended²) / (E_retuned² - 1), held out where there is one."),
     Entry("fit.removed_share_from_nominal", "number or null", "The same from E_nominal."),
-    Entry("fit.horizon_s", "s or null", "Length of the free runs that `fit` was measured by; null: whole recordings."),
+    Entry(
+        "fit.horizon_s",
+        "s or null",
+        "What `fit` was measured by: with repeats a row's period, each row being predicted from those before it; else the length of free "
+        "runs, null for whole recordings.",
+    ),
     Entry("predicted_separations", "list", "What the next experiment should show, of the likeliest set against each rival."),
     Entry("predicted_separations[].rival", "list", "Effects of the rival."),
     Entry(
@@ -428,7 +433,7 @@ DIAGNOSIS = (
     Entry("predicted_separations[].if_rival", "number", "The same where the rival is right."),
     Entry("disturbance.joints", "object", "Joint to the share of the mismatch's power that an effort on it alone would reproduce."),
     Entry("disturbance.sensors", "object", "Channel to the share of its power that efforts on all joints leave to its sensor."),
-    Entry("suspicions", "list of text", "What looks like a wrong unit, a wrong sign or a gross delay. Nothing is corrected."),
+    Entry("suspicions", "list of text", "Empty: wrong units, signs and shifts are `misconfigured`, and the reason names them."),
     Entry(
         "audit.axes.AXIS",
         "object",

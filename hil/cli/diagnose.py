@@ -15,9 +15,8 @@ from hil.terminal.output import Answer, JsonOption, plain
 from hil.terminal.progress import progress
 
 if TYPE_CHECKING:
-    from hil.diagnosis.answered.answer import Answered
+    from hil.diagnosis.answered.values import Answered
     from hil.diagnosis.audit.audit import Audit
-    from hil.diagnosis.diagnose import Outcome
     from hil.diagnosis.result import Diagnosis, Finding
     from hil.machine import Machine
     from hil.recording import Recording
@@ -49,7 +48,7 @@ def diagnose(
     ] = None,
     jobs: Annotated[
         int | None,
-        typer.Option("--jobs", "-j", metavar="N", min=1, help="Threads; one per processor unless given, 4 at most. Same answer."),
+        typer.Option("--jobs", "-j", metavar="N", min=1, help="Processors that it may use; it takes one. Same answer."),
     ] = None,
     stop_after: Annotated[
         str | None,
@@ -58,8 +57,8 @@ def diagnose(
     json_to: JsonOption = None,
 ) -> None:
     """Diagnose and write DIR."""
+    from hil.diagnosis.diagnose import audit_recordings, diagnose_audited
     from hil.diagnosis.files import write_answer
-    from hil.diagnosis.from_recordings import audit_recordings, diagnose_audited
 
     if stop_after not in (None, *STEPS):
         raise UnusableInputError(f"--stop-after {stop_after}: is no step; {' or '.join(STEPS)} would be right")
@@ -84,11 +83,11 @@ def diagnose(
             write_answer(diagnosis, out)
             bars.print(f"first answer: {_found(diagnosis.findings)} (provisional; {diagnosis.seconds:.1f} s)", style="dim")
 
-        outcome = diagnose_audited(machine, train, held, audited, jobs=jobs, report=report, first=first)
+        outcome = diagnose_audited(machine, train, held, audited, report=report, first=first)
     _finish(answer, outcome, machine, out, {**train, **held})
 
 
-def _finish(answer: Answer, outcome: Outcome | Answered, machine: Machine, out: Path, recordings: Mapping[str, Recording]) -> None:
+def _finish(answer: Answer, outcome: Answered, machine: Machine, out: Path, recordings: Mapping[str, Recording]) -> None:
     """Write and say the answer; leave with status 1 where the recordings do not give one."""
     from hil.diagnosis.files import write_diagnosis
     from hil.reports.made_from import was_emulated
@@ -151,7 +150,7 @@ def _check_apart(fitted_to: list[Path], held_out: list[Path]) -> None:
 
 def _read(paths: list[Path], machine: Machine, taken: Collection[str] = ()) -> dict[str, Recording]:
     """Read recordings by their file's name without its suffix; by their path where another one has that name."""
-    from hil.diagnosis.from_recordings import check_axes
+    from hil.diagnosis.diagnose import check_axes
     from hil.recording import read_recording
     from hil.simulation import in_effort
 
@@ -175,9 +174,8 @@ def _found(findings: Sequence[Finding]) -> str:
     return "; ".join(words) or "no effect"
 
 
-def _say(answer: Answer, outcome: Outcome | Answered, out: Path) -> None:
-    from hil.diagnosis.answered.answer import Answered
-    from hil.diagnosis.diagnose import NEXT_EXPERIMENT
+def _say(answer: Answer, outcome: Answered, out: Path) -> None:
+    from hil.diagnosis.answered.answer import NEXT_EXPERIMENT
 
     diagnosis = outcome.diagnosis
     answer.say(f"{diagnosis.verdict}: {diagnosis.reason}")
@@ -193,6 +191,6 @@ def _say(answer: Answer, outcome: Outcome | Answered, out: Path) -> None:
     shown = ", ".join(f"{name} {value:.3g}" for name, value in stages if value is not None)
     if shown:
         answer.say(f"E, misfit in units of noise, {where}: {shown}")
-    if not isinstance(outcome, Answered) and outcome.proposal is not None:
+    if outcome.proposal is not None:
         answer.say(f"  {outcome.proposal.said(str(out / NEXT_EXPERIMENT))}")
     answer.say(f"{out}: report.html, diagnosis.json, effects.toml, machine.toml ({diagnosis.seconds:.1f} s)")

@@ -7,11 +7,10 @@ import math
 from pathlib import Path
 from typing import Any
 
-from hil.diagnosis.answered.answer import Answered
+from hil.diagnosis.answered.answer import NEXT_EXPERIMENT
 from hil.diagnosis.answered.machine_file import retuned_text
-from hil.diagnosis.diagnose import NEXT_EXPERIMENT, Outcome
-from hil.diagnosis.report import write_report
-from hil.diagnosis.report.motion_page import write_motion_report
+from hil.diagnosis.answered.values import Answered
+from hil.diagnosis.report.page import write_report
 from hil.diagnosis.result import Diagnosis
 from hil.errors import UnusableInputError
 from hil.experiments.file_text import experiment_text
@@ -20,7 +19,7 @@ from hil.machine.effects_file import effects_text
 from virtual_bus.plant.parameters import plant_parameters
 
 
-def write_diagnosis(outcome: Outcome | Answered, machine: Machine, folder: Path, is_emulated: bool = False) -> None:
+def write_diagnosis(outcome: Answered, machine: Machine, folder: Path, is_emulated: bool = False) -> None:
     """Write diagnosis.json, effects.toml, the re-tuned machine.toml and report.html, which says where the recordings are an emulator's.
 
     And the next experiment where there is one; one that an earlier answer left there is removed.
@@ -31,8 +30,7 @@ def write_diagnosis(outcome: Outcome | Answered, machine: Machine, folder: Path,
         The folder cannot be written to.
     """
     write_answer(outcome.diagnosis, folder)
-    parameters = plant_parameters(machine.plant) if isinstance(outcome, Answered) else outcome.tuning.parameters
-    proposal = None if isinstance(outcome, Answered) else outcome.proposal
+    parameters, proposal = plant_parameters(machine.plant), outcome.proposal
     try:
         (folder / "effects.toml").write_text(effects_text((*machine.plant.effects, *outcome.effects), machine), encoding="utf-8")
         (folder / "machine.toml").write_text(retuned_text(machine, parameters, outcome.values, outcome.diagnosis.retuned), encoding="utf-8")
@@ -41,10 +39,7 @@ def write_diagnosis(outcome: Outcome | Answered, machine: Machine, folder: Path,
             (folder / NEXT_EXPERIMENT).write_text(text, encoding="utf-8")
         else:  # an earlier answer's is none of this one
             (folder / NEXT_EXPERIMENT).unlink(missing_ok=True)
-        if isinstance(outcome, Answered):
-            write_motion_report(outcome, folder, is_emulated)
-        else:
-            write_report(outcome, folder, is_emulated)
+        write_report(outcome, folder, is_emulated)
     except OSError as error:
         raise UnusableInputError(f"{folder}: cannot be written to: {error.strerror}") from None
 

@@ -105,7 +105,7 @@ class Hypothesis:
     gained: float = 0.0  # fall of the sum of squares in units of noise, over no effect, in training
     gained_held_out: float | None = None  # the same held out; None without held-out recordings
     parameters: int = 0  # that were fitted for it
-    is_confirmed: bool = False  # passed the gate
+    is_confirmed: bool = False  # is the answer
 
     def document(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -188,7 +188,7 @@ class Stages:
     nominal: float | None
     retuned: float | None
     extended: float | None
-    placebo: float | None
+    placebo: float | None  # always None: no effect is tried backwards in time
     noise_floor: float | None
     baseline: float | None = None  # of the engineer's fit: everyday effects and numbers
 
@@ -210,7 +210,7 @@ class Fit:
     held_out: Stages | None
     removed_share: float | None
     removed_share_from_nominal: float | None
-    horizon_s: float | None = None  # of the free runs; None: whole recordings
+    horizon_s: float | None = None  # of predictions: a row's period, or the length of free runs; None: whole recordings
 
     def document(self) -> dict[str, Any]:
         """Return plain values for JSON."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from hil.diagnosis.diagnose import diagnose as diagnose_recordings
 from hil.diagnosis.files import write_diagnosis
-from hil.diagnosis.from_recordings import audit_recordings, diagnose_audited
 from hil.diagnosis.result import Diagnosis
 from hil.errors import RecordingError
 from hil.machine import Machine
@@ -38,7 +38,7 @@ def diagnose(
     out : str or Path, optional
         Folder for the report, `diagnosis.json`, `effects.toml` and the re-tuned `machine.toml`.
     jobs : int, optional
-        Threads; one per processor unless given, 4 at most. The answer is the same.
+        Processors that it may use; it takes one.
     progress : callable
         Told what is being done, and the share of the whole that is done.
 
@@ -57,7 +57,7 @@ def diagnose(
         raise RecordingError("no recordings given; three repeats or more of one experiment would be right")
     train = {name: in_effort(recording, machine) for name, recording in train.items()}
     held = {name if name not in train else f"{name} (held out)": in_effort(recording, machine) for name, recording in held.items()}
-    outcome = diagnose_audited(machine, train, held, audit_recordings(machine, train, held), jobs=jobs, report=progress)
+    outcome = diagnose_recordings(machine, train, held, report=progress)
     if out is not None:
         write_diagnosis(outcome, machine, Path(out))
     return outcome.diagnosis

@@ -8,27 +8,7 @@ import pytest
 from places import ROOT
 from test_floors import imports_of
 
-STEPS = (
-    "audit",
-    "observed",
-    "seen",
-    "candidates",
-    "tuned",
-    "named",
-    "predicted",
-    "answered",
-    "recorded",
-    "residuals",
-    "tuning",
-    "locating",
-    "starting",
-    "fitting",
-    "judging",
-    "ranking",
-    "searching",
-    "separating",
-    "answering",
-)
+STEPS = ("audit", "observed", "seen", "candidates", "tuned", "named", "predicted", "locating", "separating", "answered")
 """Folders of `hil/diagnosis`; `report` and the files beside them but LEAVES stand on all."""
 
 LEAVES = ("__init__", "result")
@@ -69,17 +49,17 @@ def test_a_step_of_the_diagnosis_knows_only_the_steps_before_it() -> None:
 @pytest.mark.parametrize(
     ("file", "text"),
     [
-        ("judging/gate.py", "from hil.diagnosis.ranking.naming import ranking"),
-        ("judging/gate.py", "from hil.diagnosis.diagnose import diagnose"),
-        ("judging/gate.py", "import hil.diagnosis.report.page"),
-        ("judging/gate.py", "from ..ranking import naming"),
-        ("judging/gate.py", "from hil.diagnosis import ranking"),
-        ("judging/gate.py", "import hil.diagnosis"),
-        ("judging/gate.py", "from hil import diagnosis"),
-        ("judging/gate.py", "def late():\n    from hil.diagnosis.searching.selection import select"),
-        ("recorded/align.py", "from hil.diagnosis.residuals.mismatch import Mismatch"),
-        ("answering/verdict.py", "from hil.cli.diagnose import command"),
-        ("result.py", "from hil.diagnosis.ranking.naming import Weighed"),
+        ("named/form.py", "from hil.diagnosis.predicted.open_runs import Runs"),
+        ("named/form.py", "from hil.diagnosis.diagnose import diagnose"),
+        ("named/form.py", "import hil.diagnosis.report.page"),
+        ("named/form.py", "from ..predicted import open_runs"),
+        ("named/form.py", "from hil.diagnosis import predicted"),
+        ("named/form.py", "import hil.diagnosis"),
+        ("named/form.py", "from hil import diagnosis"),
+        ("named/form.py", "def late():\n    from hil.diagnosis.answered.answer import answer"),
+        ("audit/alike.py", "from hil.diagnosis.observed.rows import Observed"),
+        ("answered/answer.py", "from hil.cli.diagnose import command"),
+        ("result.py", "from hil.diagnosis.named.naming import Named"),
         ("__init__.py", "from hil.diagnosis.diagnose import diagnose"),
     ],
 )
@@ -92,10 +72,10 @@ def test_a_climbing_step_is_found(tmp_path: Path, file: str, text: str) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["from hil.diagnosis.result import EffectAt", "import hil.diagnosis.result", "from hil.diagnosis import fitting", "from . import gate"],
+    ["from hil.diagnosis.result import EffectAt", "import hil.diagnosis.result", "from hil.diagnosis import tuned", "from . import form"],
 )
 def test_a_step_down_is_none(tmp_path: Path, text: str) -> None:
-    path = tmp_path / "hil" / "diagnosis" / "judging" / "gate.py"
+    path = tmp_path / "hil" / "diagnosis" / "named" / "form.py"
     path.parent.mkdir(parents=True)
     path.write_text(text + "\n")
     assert climbing_steps(tmp_path) == []

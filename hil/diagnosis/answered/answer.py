@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from hil.diagnosis.answered.values import LARGEST, WITHIN_95, Answered, baseline_of, estimates_of, names_of, unit_of
 from hil.diagnosis.audit.audit import Audit
-from hil.diagnosis.audit.sensors import SensorAudit
+from hil.diagnosis.locating.answered import where_it_is
 from hil.diagnosis.named.fitting import Fitted
 from hil.diagnosis.named.naming import Named
 from hil.diagnosis.named.search import NOT_TOLD_APART, library
 from hil.diagnosis.named.standing import (
+    LEVEL,
     Alternative,
     Limit,
     alternatives,
@@ -23,15 +25,15 @@ from hil.diagnosis.named.standing import (
     gained_by,
     is_spanned,
     numbers_help,
-    scattered,
+    times_noise,
     unexplained,
 )
 from hil.diagnosis.observed.known import known_effects
 from hil.diagnosis.observed.shaken import what_may_hide
+from hil.diagnosis.predicted.one_ahead import one_ahead
 from hil.diagnosis.predicted.open_runs import Predicted, predicted
 from hil.diagnosis.predicted.refitting import refitted
 from hil.diagnosis.result import (
-    READ_OFF,
     DetectionLimit,
     Diagnosis,
     DisturbanceShares,
@@ -40,25 +42,25 @@ from hil.diagnosis.result import (
     Finding,
     Fit,
     Hypothesis,
-    Location,
-    NoiseKind,
+    PredictedSeparation,
     RetunedValue,
     Stages,
     Verdict,
 )
 from hil.diagnosis.seen.see import Seen, see
+from hil.diagnosis.separating.next_experiment import Proposal, propose
+from hil.diagnosis.separating.separation import Model
 from hil.diagnosis.tuned.retuning import Tuned
 from hil.machine import Machine
 from hil.recording import Recording
-from virtual_bus.effects.effect import FRICTION, Parameter
-from virtual_bus.effects.places import drive_unit, is_prismatic
+from virtual_bus.effects.effect import FRICTION
 from virtual_bus.effects.registry import effects
-from virtual_bus.plant.parameters import plant_parameters
 from virtual_bus.settings import EffectSetting, PlantSettings
 
-LARGEST = {"repeats": 0.99, "periods": 0.99, "assumed": 0.9}
-"""Confidence of a name at most, by what is known of noise."""
-WITHIN_95 = 1.96
+NEXT_EXPERIMENT = "next_experiment.toml"
+"""File of the experiment that would tell rivals apart."""
+MOST_RIVALS = 3
+"""That it is sought for."""
 SHOWN = 0.5
 """Of a number's prior, in which its standard deviation must be that recordings show it."""
 MOST_HYPOTHESES = 12
@@ -67,33 +69,16 @@ MOST_HIDDEN = 3
 NOTHING_MISSING = "no physics larger than the detection limits is missing"
 
 
-@dataclass(frozen=True, eq=False)
-class Answered:
-    """The answer and what it was made from.
-
-    Attributes
-    ----------
-    machine : Machine
-    diagnosis : Diagnosis
-    recordings : tuple of str
-    named : Named or None
-        None where the recordings show nothing, or by themselves.
-    values : (parameters,) array
-        Plant parameters of the answer.
-    effects : tuple of EffectSetting
-    """
-
-    machine: Machine
-    diagnosis: Diagnosis
-    recordings: tuple[str, ...]
-    named: Named | None
-    values: np.ndarray
-    effects: tuple[EffectSetting, ...]
-
-
-def answer(machine: Machine, audit: Audit, named: Named, held_out: Mapping[str, Recording], began: float) -> Answered:
+def answer(
+    machine: Machine,
+    audit: Audit,
+    named: Named,
+    held_out: Mapping[str, Recording],
+    began: float,
+    report: Callable[[str, float], None] = lambda what, share: None,
+) -> Answered:
     """Return the answer to what was named; held-out recordings are scored and decide nothing. `began` is when (`time.monotonic`)."""
-    noise: NoiseKind = "assumed" if named.levels.are_assumed else "repeats"
+    noise = named.seen.noise
     before, named = {fitted.names: fitted for _, fitted in named.sets}, refitted(named)
     tuned, best, seen = named.tuned, named.best, named.seen
     along_motion = before.get(best.names, best)
@@ -103,21 +88,21 @@ def answer(machine: Machine, audit: Audit, named: Named, held_out: Mapping[str, 
     spread = deviations(judged, best)
     values = tuned.numbers.values(best.offset[: len(tuned.numbers.indices)])
     settings = machine.plant
-    estimates = _estimates(settings, best, spread)
+    estimates = estimates_of(settings, best, spread)
     findings = _findings(best, others, estimates, LARGEST[noise])
     limits = detection_limits(judged, of)
     retuned, frozen = _numbers(tuned, best, spread)
     verdict, reason = _verdict(audit, judged, findings, others, _unseen(machine, seen, limits))
     if not findings and verdict != "inconclusive":
         reason = "; ".join([reason, what_may_hide(_recordings(seen)), *_never_shown(limits)])
-    machines = _machines(named, values)
-    alongs = seen.alongs
-    scales = dict(zip(alongs[0].observed.channels, named.levels.sensors.tolist(), strict=False))  # efforts follow the channels
-    train = predicted(alongs, scales, machines, "extended")
-    held = None
-    if held_out:
-        held = predicted(see(machine, held_out).alongs, scales, machines, "extended")
-    missing = {alongs[0].joints[joint]: share for joint, share in _shares(named).items()}
+    train = _predicted(named, seen)
+    held = _predicted(named, see(machine, held_out)) if held_out else None
+    missing = {seen.alongs[0].joints[joint]: share for joint, share in _shares(named).items()}
+    proposal = None
+    if verdict == "ambiguous":
+        proposal = _proposed(machine, judged, values, others, report)
+    if proposal is not None:
+        findings = tuple(replace(finding, separating_experiment=NEXT_EXPERIMENT) for finding in findings)
     diagnosis = Diagnosis(
         verdict=verdict,
         reason=reason,
@@ -126,7 +111,7 @@ def answer(machine: Machine, audit: Audit, named: Named, held_out: Mapping[str, 
         retuned=retuned,
         frozen=frozen,
         noise=noise,
-        location=Location(channels=_by_channel(machine, missing)),
+        location=where_it_is(seen, tuned, along_motion),
         fit=_fit(train, held, held_out != {}),
         unexplained_share=unexplained(judged),
         seconds=time.monotonic() - began,
@@ -135,66 +120,33 @@ def answer(machine: Machine, audit: Audit, named: Named, held_out: Mapping[str, 
         detection_limits=tuple(_limit(limit, settings) for limit in limits),
         baseline=baseline_of(machine, named.baseline, noise),
         known=known_effects(machine.plant),
+        separations=() if proposal is None else _separations(proposal),
     )
-    return Answered(machine, diagnosis, _names(seen), named, values, best.settings)
+    return Answered(machine, diagnosis, names_of(seen), named, values, best.settings, proposal)
 
 
-def baseline_of(machine: Machine, fitted: Fitted, noise: NoiseKind) -> tuple[Finding, ...]:
-    """Return the engineer's fit."""
-    estimates = _estimates(machine.plant, fitted, scattered(fitted))
-    return tuple(
-        Finding(EffectAt(setting.name, setting.at), 0.5 * LARGEST[noise], table, family=effects()[setting.name].family)
-        for setting, table in zip(fitted.settings, estimates, strict=True)
-    )
+def _proposed(
+    machine: Machine, named: Named, values: np.ndarray, others: Sequence[Alternative], report: Callable[[str, float], None]
+) -> Proposal | None:
+    """Return the experiment that separates the answer from sets that are nearly as likely."""
+    offset = named.best.offset[: len(named.tuned.numbers.indices)]
+    near = [other for other in others if other.behind < NOT_TOLD_APART]
+    own, shares = _weights(near)
+    rivals = [Model(values, offset, other.settings, share) for other, share in zip(near, shares, strict=True)]
+    models = [Model(values, offset, named.best.settings, own), *rivals[:MOST_RIVALS]]
+    count = min(len(group.repeats) for group in named.seen.groups)
+    once = replace(named.levels, disturbance=named.levels.disturbance * math.sqrt(count), sensors=named.levels.sensors * math.sqrt(count))
+    channels = named.seen.alongs[0].observed.channels
+
+    def say(share: float) -> None:
+        report("looking for the next experiment", 0.95 + 0.05 * share)
+
+    return propose(machine, models, once, channels, say)
 
 
-def nothing_seen(machine: Machine, audit: Audit, seen: Seen, seconds: float) -> Answered:
-    """Return the answer to recordings in which nothing moves."""
-    noise: NoiseKind = "assumed" if seen.levels.are_assumed else "repeats"
-    stages = Stages(None, None, None, None, None)
-    diagnosis = Diagnosis(
-        verdict="inconclusive",
-        reason=f"{', '.join(seen.still)} {'does' if len(seen.still) == 1 else 'do'} not move in these recordings: excite every axis",
-        findings=(), hypotheses=(), retuned={}, frozen={}, noise=noise, location=Location(),
-        fit=Fit({}, stages, None, None, None), unexplained_share=0.0, seconds=seconds, audit=audit.document(),
-        known=known_effects(machine.plant),
-    )  # fmt: skip
-    return Answered(machine, diagnosis, _names(seen), None, seen.alongs[0].plant.nominal, ())
-
-
-def wrong_recordings(machine: Machine, audit: Audit, recordings: Mapping[str, Recording], seconds: float) -> Answered:
-    """Return the answer to recordings that are not what they say: nothing is explained by them."""
-    stages = Stages(None, None, None, None, None)
-    lacks = all(fault.is_lack for fault in audit.faults)
-    share = 1.0 / len(audit.faults)
-    diagnosis = Diagnosis(
-        verdict="inconclusive" if lacks else "misconfigured",
-        reason="; ".join(fault.said for fault in audit.faults),
-        findings=(), hypotheses=(), retuned={}, frozen={}, noise="assumed",
-        location=Location(channels={fault.channel: share for fault in audit.faults}),
-        fit=Fit({}, stages, None, None, None), unexplained_share=1.0, seconds=seconds, audit=audit.document(),
-    )  # fmt: skip
-    values = np.array([parameter.value for parameter in plant_parameters(machine.plant)])
-    return Answered(machine, diagnosis, tuple(recordings), None, values, ())
-
-
-def play_seen(machine: Machine, audit: Audit, seen: Seen, seconds: float) -> Answered:
-    """Return the answer where two encoders show play between them: what else is missing shows once it is modelled."""
-    noise: NoiseKind = "assumed" if seen.levels.are_assumed else "repeats"
-    stages = Stages(None, None, None, None, None)
-    sure = min(READ_OFF, LARGEST[noise])
-    found = tuple(_play(machine, each, sure) for each in audit.sensors if each.gap > 0.0)
-    names = " and ".join(str(finding.effect) for finding in found)
-    said = "; ".join(each.said for each in audit.sensors if each.gap > 0.0)
-    diagnosis = Diagnosis(
-        verdict="misconfigured" if audit.wrong else "explained",
-        reason=f"{'; '.join([*audit.wrong, ''])}{names}: {said}. What else is missing shows once the machine file has this play",
-        findings=found, hypotheses=(Hypothesis(tuple(one.effect for one in found), sure, is_confirmed=True),), retuned={}, frozen={},
-        noise=noise, location=Location(channels={each.second: 1.0 / len(found) for each in audit.sensors if each.gap > 0.0}),
-        fit=Fit({}, stages, None, None, None), unexplained_share=1.0, seconds=seconds, audit=audit.document(),
-        known=known_effects(machine.plant),
-    )  # fmt: skip
-    return Answered(machine, diagnosis, _names(seen), None, seen.alongs[0].plant.nominal, ())
+def _separations(proposal: Proposal) -> tuple[PredictedSeparation, ...]:
+    rivals = [tuple(EffectAt(one.name, one.at) for one in model.effects) for model in proposal.models[1:]]
+    return tuple(PredictedSeparation(rival, *map(float, d)) for rival, d in zip(rivals, proposal.separations, strict=True))
 
 
 def _recordings(seen: Seen) -> dict[str, Recording]:
@@ -210,39 +162,6 @@ def _never_shown(limits: Sequence[Limit]) -> list[str]:
     return [f"not even the largest would have shown of {', '.join(hidden[:MOST_HIDDEN])}{more} (detection limits)"]
 
 
-def _names(seen: Seen) -> tuple[str, ...]:
-    return tuple(repeat.name for group in seen.groups for repeat in group.repeats)
-
-
-def _play(machine: Machine, one: SensorAudit, sure: float) -> Finding:
-    """Return what two encoders show by themselves."""
-    axis = one.first.removeprefix("position_")
-    effect = next(effect for effect in effects().values() if effect.play)
-    gap = next(parameter for parameter in effect.parameters if parameter.name == effect.play)
-    reach = WITHIN_95 * one.scatter
-    half = 0.5 * one.gap
-    table = {gap.name: Estimate(half, _unit(gap, axis, machine.plant), (half - reach, half + reach))}
-    return Finding(EffectAt(effect.name, axis), sure, table, evidence_for=(one.said,), family=effect.family)
-
-
-def first_answer(machine: Machine, audit: Audit, seen: Seen, baseline: Fitted, seconds: float) -> Diagnosis:
-    """Return what can be said once the engineer's fit is there: it is marked provisional."""
-    noise: NoiseKind = "assumed" if seen.levels.are_assumed else "repeats"
-    stages = Stages(None, None, None, None, None)
-    fitted = baseline_of(machine, baseline, noise)
-    return Diagnosis(
-        verdict="misconfigured" if audit.wrong else "ambiguous",
-        reason="; ".join(audit.wrong) or "first answer: friction of every driven joint, fitted as an engineer would; the search goes on",
-        findings=tuple(one for one in fitted if _is_sure(one)), hypotheses=(), retuned={}, frozen={}, noise=noise, location=Location(),
-        fit=Fit({}, stages, None, None, None), unexplained_share=1.0, seconds=seconds, audit=audit.document(), baseline=fitted,
-        provisional=True, known=known_effects(machine.plant),
-    )  # fmt: skip
-
-
-def _is_sure(finding: Finding) -> bool:
-    return all(estimate.ci95[0] * estimate.ci95[1] > 0.0 for estimate in finding.parameters.values())
-
-
 def _verdict(
     audit: Audit, named: Named, findings: Sequence[Finding], others: Sequence[Alternative], unseen: Sequence[str]
 ) -> tuple[Verdict, str]:
@@ -255,7 +174,7 @@ def _verdict(
         said = "; ".join(audit.wrong)
         return "misconfigured", said + (f"; beside it, the recorded efforts show {names}" if findings else "; beside it no physics shows")
     if not is_spanned(named):
-        left = f"{math.sqrt(named.best.squares / named.tuned.readings):.2f} times what noise leaves"
+        left = f"{math.sqrt(times_noise(named)):.2f} times what noise leaves"
         said = f"{names} {'explains' if len(findings) == 1 else 'explain'} a part; " if findings else ""
         return "unknown_physics", f"{said}what is left is {left}, and no known effect explains it"
     if not findings:
@@ -268,6 +187,11 @@ def _verdict(
     if rivals or doubted:
         said = "; ".join(dict.fromkeys(_words(other.settings) for other in [*rivals, *doubted]))
         return "ambiguous", f"{names}, which these recordings do not tell apart from {said}"
+    if (power := times_noise(named)) > 1.0 + LEVEL and not named.levels.are_assumed:
+        return (
+            "ambiguous",
+            f"{names}, beside which something may act that no known effect explains: what is left has {power:.2f} times the power of noise",
+        )
     if named.levels.are_assumed and not named.seen.alongs[0].followed.all():
         return "ambiguous", f"{names}, if disturbances at joints that no encoder follows are small: record repeats, which show them"
     return "explained", f"{names}: no other law or place explains these recordings as well"
@@ -344,25 +268,6 @@ def _hypotheses(best: Fitted, gained: float, others: Sequence[Alternative], cap:
     return tuple(sorted(sets, key=lambda each: -each.confidence))
 
 
-def _estimates(settings: PlantSettings, fitted: Fitted, spread: np.ndarray) -> list[dict[str, Estimate]]:
-    """Return parameters with units and intervals, one table an effect."""
-    free = {(k, parameter.name): float(each) for (k, parameter), each in zip(fitted.parameters, spread[len(fitted.offset) :], strict=True)}
-    tables = []
-    for k, setting in enumerate(fitted.settings):
-        table = {}
-        for parameter in effects()[setting.name].parameters:
-            value = float(setting.parameters[parameter.name])
-            reach = WITHIN_95 * free.get((k, parameter.name), 0.0)
-            low, high = max(value - reach, parameter.low), min(value + reach, parameter.high)
-            table[parameter.name] = Estimate(value, _unit(parameter, setting.at, settings), (min(low, value), max(high, value)))
-        tables.append(table)
-    return tables
-
-
-def _unit(parameter: Parameter, at: str, settings: PlantSettings) -> str:
-    return parameter.unit_at(is_prismatic(at, settings), drive_unit(at, settings))
-
-
 def _numbers(tuned: Tuned, fitted: Fitted, spread: np.ndarray) -> tuple[dict[str, RetunedValue], dict[str, str]]:
     """Return the numbers that the recordings show, and what became of the others."""
     numbers = tuned.numbers
@@ -384,15 +289,16 @@ def _numbers(tuned: Tuned, fitted: Fitted, spread: np.ndarray) -> tuple[dict[str
     return shown, {name: why for name, why in frozen.items() if name not in shown or why.startswith("lies")}
 
 
-def _machines(named: Named, values: np.ndarray) -> dict[str, tuple[np.ndarray | None, tuple[EffectSetting, ...]]]:
+def _predicted(named: Named, seen: Seen) -> Predicted | None:
+    """Return the errors of the machine at every stage: row by row where noise is known, else in free runs by the recorded efforts."""
     numbers = named.tuned.numbers
     count = len(numbers.indices)
-    return {
-        "nominal": (None, ()),
-        "retuned": (numbers.values(named.plain.offset[:count]), ()),
-        "baseline": (numbers.values(named.baseline.offset[:count]), named.baseline.settings),
-        "extended": (values, named.best.settings),
-    }
+    fits = {"retuned": named.plain, "baseline": named.baseline, "extended": named.best}
+    stages = {"nominal": (np.zeros(count), ()), **{name: (each.offset[:count], each.settings) for name, each in fits.items()}}
+    if not named.levels.are_assumed:
+        return one_ahead(named, seen, stages)
+    scales = dict(zip(seen.alongs[0].observed.channels, named.levels.sensors.tolist(), strict=False))  # efforts follow the channels
+    return predicted(seen.alongs, scales, {name: (numbers.values(offset), own) for name, (offset, own) in stages.items()}, "extended")
 
 
 def _fit(train: Predicted | None, held: Predicted | None, has_held_out: bool) -> Fit:
@@ -439,11 +345,6 @@ def _shares(named: Named) -> dict[int, float]:
     return {joint: value / total for joint, value in power.items()} if total > 0.0 else {}
 
 
-def _by_channel(machine: Machine, shares: Mapping[str, float]) -> dict[str, float]:
-    names = {drive.joint: f"{'current' if drive.unit == 'A' else 'effort'}_{drive.axis}" for drive in machine.plant.drives}
-    return {names[joint]: share for joint, share in shares.items() if joint in names}
-
-
 def _limit(limit: Limit, settings: PlantSettings) -> DetectionLimit:
     strength = limit.strength if math.isfinite(limit.strength) else None
-    return DetectionLimit(EffectAt(limit.effect, limit.at), limit.parameter.name, strength, _unit(limit.parameter, limit.at, settings))
+    return DetectionLimit(EffectAt(limit.effect, limit.at), limit.parameter.name, strength, unit_of(limit.parameter, limit.at, settings))

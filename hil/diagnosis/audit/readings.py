@@ -256,6 +256,7 @@ def smooth_faults(machine: Machine, label: str, recording: Recording, lawful: Se
 
 
 def _is_smooth(values: np.ndarray, resolution: float) -> bool:
+    values = np.where(np.isfinite(values), values, np.nan)
     if resolution <= 0.0 or np.nanmedian(np.abs(values / resolution - np.round(values / resolution))) < ON_LATTICE:
         return False  # on the lattice, where a steady motion may have a whole number of steps a row
     third, fast = np.diff(values, 3), np.minimum(np.abs(np.diff(values))[:-2], np.abs(np.diff(values))[2:]) > 2.0 * resolution

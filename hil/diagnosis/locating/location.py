@@ -1,127 +1,112 @@
-"""Where the explainable mismatch is: by channel, time, frequency, position, speed, effort and direction.
+"""Where the mismatch is: by channel, time, frequency, position, speed, effort and direction.
 
-What is located is the difference that the named effects make (free runs with and without them), or, where nothing is named, the mean
-residual with the noise's share taken off. It is where any channel exceeds one repeat's noise: the channel's noise rms over time and in bins
-of pose, speed and effort, its noise spectrum over frequency. Channels' shares are those of power in units of their noise spectra, so that
-no channel counts more for its unit, from the first line of a tapered record on, as frequencies are: a constant, of which every recording
-has one line, too few to say what its noise is, counts by the fifth that tapering leaves of it there.
+What is located is the difference that the named effects make along the recorded motion, or, where nothing is named, what is left; both
+behind the filter that makes noise white, so that the noise of one repeat has unit variance in every row and every channel.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.diagnosis.recorded.dropout import OF_IMU
-from hil.diagnosis.residuals.mismatch import Mismatch
-from hil.diagnosis.residuals.whitened import InNoiseUnits, in_noise_units, white_in_noise_units
 from hil.diagnosis.result import Location, Span
 
 EVERYWHERE = 0.9
 """Share of what was visited from which a mismatch is not localised."""
-
 TIME_WINDOW_s = 0.25
 """Power is averaged over it: a few cycles of the frequencies in which loops show disturbances."""
-
 LINES = 5
 """Neighbouring lines that power is averaged over."""
-
 GAP_OCTAVES = 1.0 / 6.0
 """Bands closer than this are one."""
-
 BINS = 24
 """Of position, speed and effort between the extremes visited."""
-
 VISITED_ROWS = 5
 """A bin with fewer rows says nothing."""
-
 MOVING = 0.05
 """Share of an axis's top speed below which it has no direction."""
-
 ONE_WAY = 4.0
 """Ratio of mean power in one direction to that in the other from which the mismatch counts as one-way."""
 
 
-def locate(found: Mismatch, effect: Sequence[np.ndarray] | None = None) -> Location:
-    """Locate the mismatch of all groups together.
+@dataclass(frozen=True, eq=False)
+class Mismatch:
+    """What is to be located in one experiment.
 
-    Parameters
+    Attributes
     ----------
-    found : Mismatch
-        Beside the simulation whose mismatch is meant: the re-tuned one, say.
-    effect : sequence of (N, C) arrays, optional
-        Per group, what the named effects add to the simulation, beside which lost readings are located, too. In the channels' shares coarse
-        lattices count as well. Without it the mean residual is located, which has none of these.
+    begins : tuple of (str, float)
+        Recordings of it, and when row 0 is in each [s].
+    time_s : (N,) array
+    white : (N, C) array
+        In units of one repeat's noise, white.
+    left : float
+        Noise power in it.
+    position, speed, effort : (N, axes) arrays
+        Of the axes [rad or m, per second, drives' units].
     """
-    signals = [group.mean - group.simulated for group in found.groups] if effect is None else list(effect)
-    whitened = [in_noise_units(found.noise, signal) for signal in signals]
-    lost = [
-        np.zeros((0, *signal.shape)) if effect is None or g.lost is None else g.lost
-        for g, signal in zip(found.groups, signals, strict=True)
-    ]
-    whitened = [_with_lost(found, one, off) for one, off in zip(whitened, lost, strict=True)]
-    left = [1.0 / group.repeats if effect is None else 0.0 for group in found.groups]  # noise power in the mean of repeats
-    total = sum(np.maximum((w.power[1:] - noise).sum(axis=0), 0.0) for w, noise in zip(whitened, left, strict=True))
-    if effect is not None and found.lattices:
-        total = total + sum(_rounding(found, one) for one in whitened)
-    if not np.any(total > 0.0):
+
+    begins: tuple[tuple[str, float], ...]
+    time_s: np.ndarray
+    white: np.ndarray
+    left: float
+    position: np.ndarray
+    speed: np.ndarray
+    effort: np.ndarray
+
+    @property
+    def power(self) -> np.ndarray:
+        """Above noise (N, C)."""
+        return np.asarray(self.white**2 - self.left)
+
+    @property
+    def lines(self) -> tuple[np.ndarray, np.ndarray]:
+        """Frequencies (L,) [Hz], and power above noise (L, C) there, in units of the noise's."""
+        rows = len(self.time_s)
+        spectrum = np.abs(np.fft.rfft(self.white, axis=0)) ** 2 / rows - self.left
+        return np.fft.rfftfreq(rows, self.time_s[1] - self.time_s[0]), spectrum
+
+
+def locate(axes: Sequence[str], found: Sequence[Mismatch], channels: dict[str, float]) -> Location:
+    """Locate the mismatch of all experiments together; `channels` are its shares of the channels."""
+    if not any(np.any(one.power > 0.0) for one in found):
         return Location()
-    squares = [signal**2 + np.mean(off**2, axis=0) if len(off) else signal**2 for signal, off in zip(signals, lost, strict=True)]
-    powers = [square / found.noise.std**2 - noise for square, noise in zip(squares, left, strict=True)]
     where = Location(
-        channels={name: float(share) for name, share in zip(found.channels, total / np.sum(total), strict=True)},
-        time_s=_times(found, powers),
-        frequency_hz=_bands(whitened, left),
-        position=_by_axis(found, powers, "position"),
-        speed=_by_axis(found, powers, "speed"),
-        effort=_by_axis(found, powers, "effort"),
-        direction=_directions(found, powers),
+        channels=channels,
+        time_s=_times(found),
+        frequency_hz=_bands(found),
+        position=_by_axis(axes, found, "position"),
+        speed=_by_axis(axes, found, "speed"),
+        effort=_by_axis(axes, found, "effort"),
+        direction=_directions(axes, found),
     )
-    return replace(where, shares=_shares(found, where, np.concatenate(powers).sum(axis=1), _over_frequency(where, whitened, left)))
+    return replace(where, shares=_shares(axes, found, where))
 
 
-def _with_lost(found: Mismatch, whitened: InNoiseUnits, lost: np.ndarray) -> InNoiseUnits:
-    """With the power of lost readings (R, N, C), which come at other times in every repeat, in the mean of the repeats."""
-    if not len(lost):
-        return whitened
-    return replace(whitened, power=whitened.power + np.mean([in_noise_units(found.noise, off).power for off in lost], axis=0))
-
-
-def _rounding(found: Mismatch, whitened: InNoiseUnits) -> np.ndarray:
-    """(C,) power of what lattices that were read off round (white; Widrow and Kollár 2008, ch. 5), over all lines."""
-    steps = np.array([found.lattices[name].step if name in found.lattices else 0.0 for name in found.channels])
-    return white_in_noise_units(found.noise, steps / np.sqrt(12.0), whitened.frequencies_Hz[1:]).sum(axis=0)
-
-
-def _shares(found: Mismatch, where: Location, power: np.ndarray, over_frequency: float | None) -> dict[str, dict[str, float]]:
-    """Of the power above noise of all rows (rows,), what the spans of every dimension hold; of a direction, what is moved in that way."""
+def _shares(axes: Sequence[str], found: Sequence[Mismatch], where: Location) -> dict[str, dict[str, float]]:
+    """Of the power above noise, what the spans of every dimension hold; of a direction, what is moved in that way."""
+    power = np.concatenate([one.power.sum(axis=1) for one in found])
     shares: dict[str, dict[str, float]] = {}
     if where.time_s:
-        inside = [_within(group.time_s, where.time_s.get(group.labels[0], ())) for group in found.groups]
+        inside = [_within(one.time_s + one.begins[0][1], where.time_s.get(one.begins[0][0], ())) for one in found]
         shares["time_s"] = {"all": _share(power, np.concatenate(inside))}
-    if over_frequency is not None:
-        shares["frequency_hz"] = {"all": over_frequency}
-    for k, axis in enumerate(found.axes):
+    if where.frequency_hz:
+        lines = [one.lines for one in found]
+        of_lines = np.concatenate([spectrum[1:].sum(axis=1) for _, spectrum in lines])
+        shares["frequency_hz"] = {"all": _share(of_lines, np.concatenate([_within(f[1:], where.frequency_hz) for f, _ in lines]))}
+    for k, axis in enumerate(axes):
         for quantity in ("position", "speed", "effort"):
             spans = getattr(where, quantity).get(axis, ())
             if spans:
-                values = np.concatenate([getattr(group, quantity)[:, k] for group in found.groups])
+                values = np.concatenate([getattr(one, quantity)[:, k] for one in found])
                 shares.setdefault(quantity, {})[axis] = _share(power, _within(values, spans))
         if where.direction.get(axis, "both") != "both":
-            speed = np.concatenate([group.speed[:, k] for group in found.groups]) * (1.0 if where.direction[axis] == "positive" else -1.0)
+            speed = np.concatenate([one.speed[:, k] for one in found]) * (1.0 if where.direction[axis] == "positive" else -1.0)
             shares.setdefault("direction", {})[axis] = _share(power, speed > MOVING * float(np.abs(speed).max(initial=0.0)))
     return shares
-
-
-def _over_frequency(where: Location, whitened: Sequence[InNoiseUnits], left: Sequence[float]) -> float | None:
-    """Share of the power above noise that the bands hold; None where there are none."""
-    if not where.frequency_hz:
-        return None
-    power = np.concatenate([(w.power[1:] - noise).sum(axis=1) for w, noise in zip(whitened, left, strict=True)])
-    return _share(power, np.concatenate([_within(w.frequencies_Hz[1:], where.frequency_hz) for w in whitened]))
 
 
 def _within(values: np.ndarray, spans: Sequence[Span]) -> np.ndarray:
@@ -136,43 +121,6 @@ def _share(power: np.ndarray, inside: np.ndarray) -> float:
     return float(np.clip(power[inside].sum() / whole, 0.0, 1.0)) if whole > 0.0 else 0.0
 
 
-def locate_outcome(
-    found: Mismatch, retuned: Sequence[np.ndarray], change: Sequence[np.ndarray] | None, *, named: bool, unknown: bool = False
-) -> Location:
-    """Where the named effects act, or, where none is named, where the re-tuned simulation is off.
-
-    Parameters
-    ----------
-    found : Mismatch
-    retuned : sequence of (N, C) arrays
-        Simulated rows per group.
-    change : sequence of (N, C) arrays or None
-        What the named effects add to the simulation; nothing where they were read off the recordings: lost readings are where they are
-        lost, and where a lattice was read off, too, all are in their channels.
-    named : bool
-    unknown : bool
-        Whether physics is left that no effect explains: beside what was read off alone, that is what is located.
-    """
-    adds = change is not None and any(np.any(rows) for rows in change)
-    if not named or change is None or (unknown and not adds):
-        return locate(found.with_simulated(retuned))
-    if adds or not found.read_off:
-        return locate(found, change)
-    where = Location() if found.lattices else locate(found, change)
-    return where if where.channels else Location(channels=_read_off_shares(found))
-
-
-def _read_off_shares(found: Mismatch) -> dict[str, float]:
-    """Shares of the channels that something was read off, the IMU's spread over those of its channels that are recorded."""
-    places = dict(found.read_off)
-    shares = dict.fromkeys(found.channels, 0.0)
-    for at in places:
-        own = [name for name in found.channels if name == at] or [name for name in found.channels if name.startswith(OF_IMU)]
-        for name in own:
-            shares[name] += 1.0 / (len(places) * len(own))
-    return shares
-
-
 def _smooth(power: np.ndarray, width: int) -> np.ndarray:
     """(M, C) mean over a window about every row."""
     sums = np.cumsum(np.vstack([np.zeros(power.shape[1]), power]), axis=0)
@@ -181,32 +129,29 @@ def _smooth(power: np.ndarray, width: int) -> np.ndarray:
     return np.asarray((sums[high] - sums[low]) / np.maximum(high - low, 1)[:, None])
 
 
-def _times(found: Mismatch, powers: Sequence[np.ndarray]) -> dict[str, tuple[Span, ...]]:
-    """Intervals per recording, or period of one in its own time; empty when they cover nearly everything or nothing."""
+def _times(found: Sequence[Mismatch]) -> dict[str, tuple[Span, ...]]:
+    """Intervals per recording; empty when they cover nearly everything or nothing."""
     spans: dict[str, tuple[Span, ...]] = {}
     marked = rows = 0
-    width = max(1, round(TIME_WINDOW_s * found.noise.rate_Hz))
-    for group, power in zip(found.groups, powers, strict=True):
-        is_on = _joined(np.any(_smooth(power, width) > 1.0, axis=1), width // 2)
+    for one in found:
+        width = max(1, round(TIME_WINDOW_s / (one.time_s[1] - one.time_s[0])))
+        is_on = _joined(np.any(_smooth(one.power, width) > 1.0, axis=1), width // 2)
         marked, rows = marked + int(is_on.sum()), rows + len(is_on)
-        found_here = [(float(group.time_s[a]), float(group.time_s[b - 1])) for a, b in _runs(is_on)]
-        windows = group.windows if len(group.windows) == len(group.labels) else group.windows[:1] * len(group.labels)
-        for label, window in zip(group.labels, windows, strict=True):
-            later = (window.start - windows[0].start) / found.noise.rate_Hz
-            spans[label] = tuple((begin + later, end + later) for begin, end in found_here)
+        for name, begin in one.begins:
+            here = tuple((begin + float(one.time_s[a]), begin + float(one.time_s[b - 1])) for a, b in _runs(is_on))
+            spans[name] = (*spans.get(name, ()), *here)
     return {} if not 0 < marked < EVERYWHERE * rows else {label: found_here for label, found_here in spans.items() if found_here}
 
 
-def _bands(whitened: Sequence[InNoiseUnits], left: Sequence[float]) -> tuple[Span, ...]:
+def _bands(found: Sequence[Mismatch]) -> tuple[Span, ...]:
     """Frequency intervals in which any channel's power is above its noise; () when they cover nearly every octave there is."""
-    longest = max(whitened, key=lambda w: len(w.frequencies_Hz))
-    frequency = longest.frequencies_Hz
+    lines = [one.lines for one in found]
+    frequency = max((f for f, _ in lines), key=len)
     is_on = np.zeros(len(frequency), dtype=bool)
-    for w, noise in zip(whitened, left, strict=True):
-        power = w.power - noise
-        power[0] = 0.0  # a constant has no octave
+    for f, spectrum in lines:
+        power = np.vstack([np.zeros((1, spectrum.shape[1])), spectrum[1:]])  # a constant has no octave
         above = (_smooth(power, LINES) > 1.0).any(axis=1)
-        is_on |= np.interp(frequency, w.frequencies_Hz, above.astype(float)) > 0.5
+        is_on |= np.interp(frequency, f, above.astype(float)) > 0.5
     is_on[0] = False
     step = frequency[1]
     spans: list[Span] = []
@@ -221,46 +166,43 @@ def _bands(whitened: Sequence[InNoiseUnits], left: Sequence[float]) -> tuple[Spa
     return tuple(spans) if 0.0 < covered < EVERYWHERE * whole else ()
 
 
-def _by_axis(found: Mismatch, powers: Sequence[np.ndarray], quantity: str) -> dict[str, tuple[Span, ...]]:
+def _by_axis(axes: Sequence[str], found: Sequence[Mismatch], quantity: str) -> dict[str, tuple[Span, ...]]:
     """Intervals of one quantity per axis, of its visited bins."""
     spans = {}
-    power = np.concatenate(list(powers))
-    for k, axis in enumerate(found.axes):
-        edges, mean, is_visited = binned(np.concatenate([getattr(group, quantity)[:, k] for group in found.groups]), power)
-        if is_visited.sum() < 3:
-            continue
+    power = np.concatenate([one.power for one in found])
+    for k, axis in enumerate(axes):
+        edges, mean, is_visited = _binned(np.concatenate([getattr(one, quantity)[:, k] for one in found]), power)
         is_on = is_visited & (mean > 1.0).any(axis=1)
-        if 0 < is_on.sum() < EVERYWHERE * is_visited.sum():
+        if is_visited.sum() >= 3 and 0 < is_on.sum() < EVERYWHERE * is_visited.sum():
             spans[axis] = tuple((float(edges[a]), float(edges[b])) for a, b in _runs(_fill_unvisited(is_on, is_visited)))
     return spans
 
 
-def binned(values: np.ndarray, power: np.ndarray, bins: int = BINS) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Edges (bins + 1,), mean power (bins, C) and whether a bin was visited (bins,)."""
+def _binned(values: np.ndarray, power: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Edges (BINS + 1,), mean power (BINS, C) and whether a bin was visited (BINS,)."""
     low, high = float(values.min()), float(values.max())
     if not high > low:
         return np.array([low, high]), power.mean(axis=0)[None], np.array([True])
-    edges = np.linspace(low, high, bins + 1)
-    place = np.clip(((values - low) / (high - low) * bins).astype(int), 0, bins - 1)
-    rows = np.bincount(place, minlength=bins)
-    sums = np.column_stack([np.bincount(place, weights=column, minlength=bins) for column in power.T])
+    edges = np.linspace(low, high, BINS + 1)
+    place = np.clip(((values - low) / (high - low) * BINS).astype(int), 0, BINS - 1)
+    rows = np.bincount(place, minlength=BINS)
+    sums = np.column_stack([np.bincount(place, weights=column, minlength=BINS) for column in power.T])
     return edges, sums / np.maximum(rows, 1)[:, None], rows >= VISITED_ROWS
 
 
-def _directions(found: Mismatch, powers: Sequence[np.ndarray]) -> dict[str, str]:
+def _directions(axes: Sequence[str], found: Sequence[Mismatch]) -> dict[str, str]:
     """Whether the mismatch belongs to one direction of motion; an axis that does not move both ways has none."""
     directions = {}
-    values = np.concatenate(list(powers)).sum(axis=1)
-    for k, axis in enumerate(found.axes):
-        speed = np.concatenate([group.speed[:, k] for group in found.groups])
+    values = np.concatenate([one.power for one in found]).sum(axis=1)
+    for k, axis in enumerate(axes):
+        speed = np.concatenate([one.speed[:, k] for one in found])
         least = MOVING * float(np.abs(speed).max(initial=0.0))
         forward, backward = speed > least, speed < -least
         if min(forward.sum(), backward.sum()) < VISITED_ROWS:
             continue
         onward, back = float(values[forward].mean()), float(values[backward].mean())
-        if max(onward, back) < 1.0:
-            continue
-        directions[axis] = "positive" if onward > ONE_WAY * back else "negative" if back > ONE_WAY * onward else "both"
+        if max(onward, back) >= 1.0:
+            directions[axis] = "positive" if onward > ONE_WAY * back else "negative" if back > ONE_WAY * onward else "both"
     return directions
 
 

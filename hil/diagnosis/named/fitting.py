@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from hil.diagnosis.candidates.columns import Column, column
 from hil.diagnosis.candidates.entries import setting_of
 from hil.diagnosis.named.form import FormError, form_columns
+from hil.diagnosis.seen.along import Signals
 from hil.diagnosis.tuned.bounded import bounded_least_squares
 from hil.diagnosis.tuned.retuning import Looked, Tuned
 from virtual_bus.effects.effect import PHASE, Parameter
@@ -94,6 +95,12 @@ class Fitted:
         seen = squares > DETERMINED
         return max(1.0, float(np.mean(spread[seen] / squares[seen]))) if seen.any() else 1.0
 
+    def without_columns(self) -> Fitted:
+        """Return what it costs and where it is: columns and innovations of many fits would fill the memory."""
+        bare = replace(self, innovations=(), columns=(), form=self.form.without_columns())
+        bare.__dict__["dispersion"] = self.dispersion
+        return bare
+
     def cost(self, dispersion: float = 1.0) -> float:
         """Return squared innovations, in units of what scatters, and the numbers' prior."""
         known = float(self.offset @ self.offset) + self.form_squares
@@ -165,7 +172,7 @@ def _form(tuned: Tuned, settings: tuple[EffectSetting, ...], dispersion: float) 
         own: list[Column] = []
         for setting in settings:
             if not effects()[setting.name].is_exact:
-                own += form_columns(column(one.signals, _signals(tuned, one, (setting,))), one.motion)
+                own += form_columns(column(one.signals, signals_of(tuned, one, (setting,))), one.motion)
         whitened = one.whiten(own) if own else np.zeros((len(one.innovations), 0))
         columns.append(_times(whitened, 1.0 / _weaker(tuned, one, settings)) if own else whitened)
     return FormError(columns, dispersion)
@@ -192,10 +199,10 @@ def _left(tuned: Tuned, settings: tuple[EffectSetting, ...], offset: np.ndarray)
         unsure += float(tuned.energies(one) @ moved**2)
         rest = one.innovations - one.numbers @ moved
         if settings:
-            together = _signals(tuned, one, settings)
+            together = signals_of(tuned, one, settings)
             columns = [column(one.signals, together)]
             if len(settings) > 1:
-                columns += [column(one.signals, _signals(tuned, one, (setting,))) for setting in settings]
+                columns += [column(one.signals, signals_of(tuned, one, (setting,))) for setting in settings]
             whitened = one.whiten(columns)
             unsure += float(np.sum(whitened[:, min(1, len(columns) - 1) :] ** 2))
             rest = _times(rest - whitened[:, 0], 1.0 / _weaker(tuned, one, settings))
@@ -229,7 +236,8 @@ def _times(values: np.ndarray, factors: np.ndarray) -> np.ndarray:
     return (by_reading * factors.reshape(-1, *(1 for _ in values.shape[1:]))).reshape(values.shape)
 
 
-def _signals(tuned: Tuned, one: Looked, settings: tuple[EffectSetting, ...]):  # type: ignore[no-untyped-def]
+def signals_of(tuned: Tuned, one: Looked, settings: tuple[EffectSetting, ...]) -> Signals:
+    """Return what the tuned machine does along a recording with these effects."""
     along = one.beside.along
     return along.signals(one.motion, along.model(tuned.values, settings), settings)
 
@@ -240,7 +248,7 @@ def _columns(
     """Return what (N m, P + Q) the innovations `rest` (N m,) lose per unit of each nuisance and of each parameter, by differences."""
     if not parameters:
         return one.numbers
-    here, weaker = _signals(tuned, one, settings), _weaker(tuned, one, settings)
+    here, weaker = signals_of(tuned, one, settings), _weaker(tuned, one, settings)
     columns, rescaled = [], []
     for k, parameter in parameters:
         value = settings[k].parameters[parameter.name]
@@ -249,7 +257,7 @@ def _columns(
             step = -step
         moved = (*settings[:k], changed(settings[k], {parameter.name: value + step}), *settings[k + 1 :])
         try:
-            columns.append(column(here, _signals(tuned, one, moved), step))
+            columns.append(column(here, signals_of(tuned, one, moved), step))
             rescaled.append((_weaker(tuned, one, moved) / weaker - 1.0) / step)
         except EffectError:
             columns.append(column(here, here))

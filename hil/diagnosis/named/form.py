@@ -7,6 +7,7 @@ covariance of its own, and another effect beside it must explain what no such fu
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 
 import numpy as np
@@ -63,6 +64,12 @@ class FormError:
         self.dispersion = dispersion
         self.squares = np.sum([each.T @ each for each in columns], axis=0)
         self._inner = self.squares + dispersion * np.eye(len(self.squares))
+
+    def without_columns(self) -> FormError:
+        """Return what costs are computed from."""
+        bare = copy.copy(self)
+        bare.columns = ()
+        return bare
 
     @property
     def count(self) -> int:

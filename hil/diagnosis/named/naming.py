@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from hil.diagnosis.named.everyday import everyday_effects
 from hil.diagnosis.named.fitting import Fitted, fit
 from hil.diagnosis.named.matching import matched
-from hil.diagnosis.named.proving import proved, slow_view
+from hil.diagnosis.named.proving import proved, slow_view, steady
 from hil.diagnosis.named.search import Ranked, library, search
 from hil.diagnosis.named.settling import settled
 from hil.diagnosis.seen.beside import Levels
@@ -111,4 +111,7 @@ def name(
         view = slow_view(alongs, levels)
         sets = proved(alongs, view, best.offset, best.settings, baseline.settings)
         tuned, best = sets[0]
+    elif (kept := steady(alongs, levels, best)) is not None:
+        sets = [kept]
+        tuned, best = kept
     return Named(seen, levels, view, plain, tuned, baseline, tuple(ranked), best, tuple(sets))

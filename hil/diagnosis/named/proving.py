@@ -1,12 +1,13 @@
-"""Which effects of a set predict stretches of the recordings that they were not fitted to, in a view that slow misfits dominate.
+"""Which effects of a set predict stretches of the recordings that they were not fitted to.
 
-With weak disturbances a filter's innovations come close to the errors of a free run along the recorded motion: what is wrong adds up. So
-fast misfits, which laws of friction are bent to where they can be, count little. Numbers of right equations are the same in both views.
+Where noise is assumed, that is looked at in a view that slow misfits dominate. With weak disturbances a filter's innovations come close to
+the errors of a free run along the recorded motion: what is wrong adds up. So fast misfits, which laws of friction are bent to where they
+can be, count little. Numbers of right equations are the same in both views.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,6 +30,9 @@ FAST = 0.1
 SURE, LARGE = 2.0, 0.1
 """Standard errors, over stretches, by which an effect lowers the squares of stretches left out, and share of them: one of both keeps it.
 Few stretches may show an effect, and then it shows much. What was not in the set before has to be both."""
+STEADY = 3.0
+"""Standard deviations, by stretches left out (the jackknife), that the size of an effect must have where noise is known: a few loud
+disturbances, which differ from what repeats say of noise, speak in one stretch and not in the others."""
 EXCHANGES = 3
 """At most."""
 
@@ -99,22 +103,21 @@ class Neighbour:
     has_another: bool
 
 
-def neighbours(tuned: Tuned, best: Fitted, of: Library) -> list[Neighbour]:
-    """Return what might stand in place of each effect of a set, and the set without it.
+def neighbours(tuned: Tuned, best: Fitted, of: Library) -> Iterator[Neighbour]:
+    """Yield what might stand in place of each effect of a set, and the set without it.
 
     Laws that would explain most beside what is kept are fitted with it: in place of one effect, or of two at one place. Two laws of one
     family at one place are one law.
     """
     count = len(best.settings)
     pairs = [(k, j) for k in range(count) for j in range(k) if best.settings[k].at == best.settings[j].at]
-    found = []
     for without in [*((k,) for k in range(count)), *pairs]:
         kept = tuple(setting for k, setting in enumerate(best.settings) if k not in without)
         rest = fit(tuned, kept, best.offset, best.dispersion)
         if rest is None:
             continue
         if len(without) == 1:
-            found.append(Neighbour(rest, without, has_another=False))
+            yield Neighbour(rest, without, has_another=False)
         taken = best.names | {(effects()[one.name].family, one.at) for one in kept}
         waves = any(effects()[best.settings[k].name].several for k in without)
         laws = library(tuned, rest) if waves else of  # orders and lines of what was left out
@@ -123,8 +126,7 @@ def neighbours(tuned: Tuned, best: Fitted, of: Library) -> list[Neighbour]:
                 continue
             other = fit(tuned, (*kept, law.setting(weights)), rest.offset, best.dispersion)
             if other is not None:
-                found.append(Neighbour(other, without, has_another=True))
-    return found
+                yield Neighbour(other, without, has_another=True)
 
 
 def _better(tuned: Tuned, best: Fitted, left: np.ndarray) -> Fitted | None:
@@ -133,14 +135,17 @@ def _better(tuned: Tuned, best: Fitted, left: np.ndarray) -> Fitted | None:
     Of several that are tried each has to be surer (Bonferroni).
     """
     found: tuple[float, Fitted] | None = None
-    tried = [one for one in neighbours(tuned, best, library(tuned)) if one.has_another and _is_refined(best, one)]
+    tried = [
+        (left - left_out(tuned, one.fitted), one.fitted.without_columns())
+        for one in neighbours(tuned, best, library(tuned))
+        if one.has_another and _is_refined(best, one)
+    ]
     freedom = len(left) - 1
     sure = scipy.stats.t.isf(scipy.stats.t.sf(SURE, freedom) / max(len(tried), 1), freedom)
-    for one in tried:
-        gained = left - left_out(tuned, one.fitted)
+    for gained, fitted in tried:
         is_sure = gained.mean() > sure * gained.std(ddof=1) / np.sqrt(len(gained))
         if is_sure and gained.sum() > LARGE * left.sum() and (found is None or gained.sum() > found[0]):
-            found = (float(gained.sum()), one.fitted)
+            found = (float(gained.sum()), fitted)
     return None if found is None else found[1]
 
 
@@ -152,6 +157,7 @@ def _is_refined(best: Fitted, one: Neighbour) -> bool:
 
 
 def _eliminated(alongs: Sequence[Along], levels: Levels, offset: np.ndarray, settings: Sequence[EffectSetting]) -> tuple[Tuned, Fitted]:
+    """Return the machine and the fit with the effects that are sure to predict stretches left out; others go, the least useful first."""
     left = list(settings)
     while True:
         tuned, fitted = settled(alongs, levels, offset, left)  # from where each began: what went had drawn the others its way
@@ -177,6 +183,50 @@ def _least_useful(tuned: Tuned, fitted: Fitted) -> int | None:
         if not is_sure and share < LARGE and (found is None or share < found[0]):
             found = (share, number)
     return None if found is None else found[1]
+
+
+def steady(alongs: Sequence[Along], levels: Levels, fitted: Fitted) -> tuple[Tuned, Fitted] | None:
+    """Return the machine and the fit with the effects whose size stretches of the recordings agree on; None where all do."""
+    left = list(fitted.settings)
+    found: tuple[Tuned, Fitted] | None = None
+    while left:
+        sizes = [_steadiness(fitted, number) for number in range(len(left))]
+        worst = int(np.argmin(sizes))
+        if sizes[worst] >= STEADY:
+            break
+        del left[worst]
+        found = settled(alongs, levels, fitted.offset, left)
+        fitted = found[1]
+        left = list(fitted.settings)
+    return found
+
+
+def _steadiness(fitted: Fitted, number: int) -> float:
+    """Return an effect's size in standard deviations of it, by what it becomes without each of the stretches (Efron 1982)."""
+    blocks = _blocks(fitted)
+    own = [k for k, (of, parameter) in enumerate(fitted.parameters) if of == number and parameter.is_strength]
+    count = len(fitted.offset)
+    strengths = np.zeros(count + len(fitted.parameters))
+    for k in own:
+        parameter = fitted.parameters[k][1]
+        strengths[count + k] = fitted.settings[number].parameters[parameter.name] - parameter.neutral
+    squares = [columns.T @ columns for _, columns in blocks]
+    slopes = [columns.T @ rest for rest, columns in blocks]
+    prior = fitted.dispersion * np.append(np.ones(count), np.zeros(len(fitted.parameters)))
+    whole, pull = sum(squares) + np.diag(prior), sum(slopes) - prior * np.append(fitted.offset, np.zeros(len(fitted.parameters)))
+    weights = np.diag(whole) * strengths
+    size = float(weights @ strengths)
+    if size <= 0.0:
+        return 0.0
+    scale = np.sqrt(np.maximum(np.diag(whole), 1e-300))
+
+    def moved(inner: np.ndarray, outer: np.ndarray) -> float:
+        step = np.linalg.lstsq(inner / scale[:, None] / scale, outer / scale, rcond=1e-10)[0] / scale
+        return float(weights @ step) / size
+
+    at = moved(whole, pull)
+    others = np.array([moved(whole - own_squares, pull - slope) - at for own_squares, slope in zip(squares, slopes, strict=True)])
+    return float(1.0 / np.sqrt(max(float(np.sum(others**2)) * (len(others) - 1) / len(others), 1e-300)))
 
 
 def _blocks(fitted: Fitted) -> list[tuple[np.ndarray, np.ndarray]]:

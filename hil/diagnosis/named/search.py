@@ -26,6 +26,8 @@ NOT_TOLD_APART = 20.0
 """In twice the log of the evidence: ten units of log likelihood."""
 SMOOTHED = 61
 """Lines of a spectrum whose mean is what noise makes of one of them, to an eighth."""
+ROWS, AT_ONCE = 8192, 64
+"""Of columns that are in double precision at once, and laws that are filtered at once."""
 DEPTH = 3
 """Effects in a set at most, everyday ones aside."""
 PROPOSED = 6
@@ -56,13 +58,14 @@ class Library:
     ----------
     laws : tuple of Entry
     columns : tuple of (N m, L) arrays
-        Whitened, one array a recording.
-    squares : (L, L) array
+        Whitened, one array a recording, in single precision: they are the most that a diagnosis holds in memory.
+    squares : tuple of (w, w) arrays
+        Of each law's own columns.
     """
 
     laws: tuple[Entry, ...]
     columns: tuple[np.ndarray, ...]
-    squares: np.ndarray
+    squares: tuple[np.ndarray, ...]
 
     @property
     def places(self) -> int:
@@ -79,8 +82,23 @@ def library(tuned: Tuned, fitted: Fitted | None = None) -> Library:
     short = [_evened(one.whitening.scores(rest.reshape(one.beside.left.shape))) for one, rest in zip(tuned.looked, left, strict=True)]
     inertias = tuned.plant.inertias(tuned.looked[0].beside.model, motions[0].position[0])
     laws = entries(alongs, motions, signals, tuned.values, short, inertias)
-    columns = [one.whiten([c for law in laws for c in law.columns[g]]) for g, one in enumerate(tuned.looked)]
-    return Library(tuple(laws), tuple(columns), np.sum([each.T @ each for each in columns], axis=0))
+    columns: list[np.ndarray] = []
+    squares = [np.zeros((law.width, law.width)) for law in laws]
+    for g, one in enumerate(tuned.looked):
+        whitened = np.empty((one.innovations.size, sum(law.width for law in laws)), dtype=np.float32)
+        first = 0
+        for begin in range(0, len(laws), AT_ONCE):
+            some = laws[begin : begin + AT_ONCE]
+            filtered = one.whiten([c for law in some for c in law.columns[g]])
+            at = 0
+            for k, law in enumerate(some, begin):
+                own = filtered[:, at : at + law.width]
+                squares[k] += own.T @ own
+                at += law.width
+            whitened[:, first : first + at] = filtered
+            first += at
+        columns.append(whitened)
+    return Library(tuple(laws), tuple(columns), tuple(squares))
 
 
 def _evened(scores: np.ndarray) -> np.ndarray:
@@ -100,15 +118,20 @@ def beside_fit(fitted: Fitted, of: Library, dispersion: float) -> Iterator[tuple
     slopes = sum(each.T @ rest for each, rest in zip(beside, fitted.innovations, strict=True))
     slopes[: len(fitted.offset)] -= dispersion * fitted.offset
     slopes[len(slopes) - fitted.form.count :] = 0.0  # form errors are at their likeliest
-    across = (sum(c.T @ d for c, d in zip(of.columns, beside, strict=True)) / scale) @ root.T
+    across = (sum(_products(c, d) for c, d in zip(of.columns, beside, strict=True)) / scale) @ root.T
     taken = root @ (slopes / scale)
-    pulls = sum(c.T @ rest for c, rest in zip(of.columns, fitted.innovations, strict=True))
+    pulls = np.sum([_products(c, rest) for c, rest in zip(of.columns, fitted.innovations, strict=True)], axis=0)
     first = 0
-    for law in of.laws:
+    for law, plain in zip(of.laws, of.squares, strict=True):
         part = slice(first, first + law.width)
         first = part.stop
-        plain = of.squares[part, part]
         yield law, plain - across[part] @ across[part].T + OWN * np.diag(np.diag(plain)), pulls[part] - across[part] @ taken
+
+
+def _products(columns: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return columns' products with values, in double precision, a part of the rows after the other."""
+    parts = [columns[k : k + ROWS].astype(float).T @ values[k : k + ROWS] for k in range(0, len(columns), ROWS)]
+    return np.asarray(np.sum(parts, axis=0))
 
 
 def proposed(fitted: Fitted, of: Library, readings: int, dispersion: float) -> list[tuple[Entry, np.ndarray]]:
@@ -148,6 +171,10 @@ def search(tuned: Tuned, laws: Library, baseline: Fitted, materiality: float = 1
         bought = _price(fitted, start.cost(dispersion), dispersion, tuned.readings, laws.places)
         return Ranked(fitted, bought + (materiality ** _special(fitted) - 1.0) * fitted.squares / dispersion, dispersion)
 
+    def whole(of: Ranked) -> Ranked:
+        again = of.fitted if of.fitted.columns else fit(tuned, of.fitted.settings, of.fitted.offset, scatter)
+        return of if again is None else ranked(again)
+
     found: dict[frozenset[tuple[str, str]], Ranked] = {start.names: ranked(start)}
     beam = [start]
     shorter: Fitted | None = baseline
@@ -155,11 +182,11 @@ def search(tuned: Tuned, laws: Library, baseline: Fitted, materiality: float = 1
         kept = [
             fit(tuned, (*shorter.settings[:k], *shorter.settings[k + 1 :]), shorter.offset, scatter) for k in range(len(shorter.settings))
         ]
-        fits = [ranked(each) for each in kept if each is not None and each.names not in found]
+        fits = [ranked(each.without_columns()) for each in kept if each is not None and each.names not in found]
         found |= {each.fitted.names: each for each in fits}
         shorter = min(fits, key=lambda each: each.cost).fitted if fits else None
-    best = min(found.values(), key=lambda each: each.cost).fitted
-    beam += [best] if best is not start else []
+    best = whole(min(found.values(), key=lambda each: each.cost)).fitted
+    beam += [best] if best.names != start.names else []
     for _ in range(DEPTH):
         further: list[Ranked] = []
         for fitted in beam:
@@ -172,15 +199,14 @@ def search(tuned: Tuned, laws: Library, baseline: Fitted, materiality: float = 1
                 longer = fit(tuned, (*fitted.settings, law.setting(weights)), fitted.offset, scatter)
                 if longer is None:
                     continue
-                found[names] = ranked(longer)
-                further.append(found[names])
-        further.sort(key=lambda each: each.cost)
+                found[names] = ranked(longer.without_columns())
+                further = sorted([*further, ranked(longer)], key=lambda each: each.cost)[:KEPT]
         if not further or further[0].cost > min(found[fitted.names].cost for fitted in beam):
             break
-        beam = [each.fitted for each in further[:KEPT]]
+        beam = [each.fitted for each in further]
         dispersion = min(dispersion, beam[0].dispersion)
         found = {names: ranked(each.fitted) for names, each in found.items()}
-    chosen = min(found.values(), key=lambda each: each.cost)
+    chosen = whole(min(found.values(), key=lambda each: each.cost))
     while chosen.fitted.is_noise_known and chosen.fitted.settings:
         kept = [
             fit(tuned, (*chosen.fitted.settings[:k], *chosen.fitted.settings[k + 1 :]), chosen.fitted.offset, scatter)
@@ -189,8 +215,9 @@ def search(tuned: Tuned, laws: Library, baseline: Fitted, materiality: float = 1
         sparer = min((ranked(each) for each in kept if each is not None), key=lambda each: each.cost)
         if sparer.cost > chosen.cost + NOT_TOLD_APART:
             break
-        found[sparer.fitted.names] = chosen = sparer
-    return [chosen, *sorted((each for each in found.values() if each is not chosen), key=lambda each: each.cost)]
+        chosen = sparer
+    others = (each for names, each in found.items() if names != chosen.fitted.names)
+    return [chosen, *sorted(others, key=lambda each: each.cost)]
 
 
 def _price(fitted: Fitted, cost_of_nothing: float, dispersion: float, readings: int, places: int) -> float:

@@ -6,14 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.diagnosis.named.fitting import Fitted, fit
+from hil.diagnosis.named.fitting import ITERATIONS, Fitted, fit
 from hil.diagnosis.seen.along import Along
 from hil.diagnosis.seen.beside import Levels
 from hil.diagnosis.tuned.retuning import Tuned, tuned_at
 from virtual_bus.settings import EffectSetting
 
-ITERATIONS = 8
-"""Most machines arrive in three."""
 LONGEST = 1.0
 """Standard deviations of a number's prior: how far it may go before the machine is seen anew, since equations are linear nearby only."""
 SHORTENED, SHORTEST = 0.3, 0.02

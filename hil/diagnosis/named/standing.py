@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.diagnosis.candidates.entries import Entry
-from hil.diagnosis.named.fitting import Fitted, fit
+from hil.diagnosis.named.fitting import BLOCKS, Fitted, fit
 from hil.diagnosis.named.naming import Named
-from hil.diagnosis.named.proving import left_out, neighbours
+from hil.diagnosis.named.proving import SURE, left_out, neighbours
 from hil.diagnosis.named.search import EXACT, NOT_TOLD_APART, Library, beside_fit
 from hil.diagnosis.named.settling import settled
 from hil.diagnosis.tuned.retuning import nominal_offset, tuned_at
@@ -76,13 +76,25 @@ def unexplained(named: Named) -> float:
 
 
 def is_spanned(named: Named) -> bool:
-    """Return whether the answer leaves no more than noise, as far as that and its laws are known; where noise is assumed it always does."""
+    """Return whether the answer leaves no more than noise, as far as that and its laws are known; where noise is assumed it always does.
+
+    It leaves more where most stretches of the recordings do: a few loud disturbances are no physics.
+    """
     best = named.best
     if named.levels.are_assumed:
         return True
     empty = fit(named.tuned, (), best.offset, best.dispersion)
     explained = 0.0 if empty is None else max(empty.squares - best.squares, 0.0)
-    return best.squares <= (1.0 + LEVEL) * named.tuned.readings + EXACT**2 * explained
+    stretches = np.array([float(np.mean(part**2)) for rest in best.innovations for part in np.array_split(rest, BLOCKS)])
+    sure = float(stretches.mean() - SURE * stretches.std(ddof=1) / math.sqrt(len(stretches)))
+    share = best.squares / max(float(sum(rest @ rest for rest in best.innovations)), 1e-300)
+    readings = sum(len(rest) for rest in best.innovations)
+    return share * sure * readings <= (1.0 + LEVEL) * named.tuned.readings + EXACT**2 * explained
+
+
+def times_noise(named: Named) -> float:
+    """Return what the answer leaves over what noise leaves, as squares."""
+    return named.best.squares / named.tuned.readings
 
 
 def gained_by(named: Named) -> float:

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.diagnosis.observed.rows import Observed, observed
+from hil.diagnosis.observed.rows import FEWEST_ROWS, Observed, observed
+from hil.errors import RecordingError
 from hil.machine import Machine
 from hil.recording import Recording
 
@@ -24,14 +25,25 @@ class Group:
     mean : Observed
         Of all repeats, row by row; missing where one repeat misses a sample.
     repeats : tuple of Observed
+    are_periods : bool
+        Whether they are the periods of one recording.
     """
 
     mean: Observed
     repeats: tuple[Observed, ...]
+    are_periods: bool = False
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Its recordings."""
+        return tuple(dict.fromkeys(repeat.name for repeat in self.repeats))
 
 
 def groups(machine: Machine, recordings: Mapping[str, Recording]) -> tuple[Group, ...]:
-    """Return the recordings on rows, repeats together, with the channels that all of them have."""
+    """Return the recordings on rows, repeats together, with the channels that all of them have.
+
+    The periods of a recording that is the only one of its experiment are its repeats.
+    """
     found: list[list[Observed]] = []
     for name, recording in recordings.items():
         one = observed(machine, name, recording)
@@ -43,7 +55,24 @@ def groups(machine: Machine, recordings: Mapping[str, Recording]) -> tuple[Group
     every = [one for group in found for one in group]
     common = [channel for channel in every[0].channels if all(channel in one.channels for one in every)] if every else []
     kept = [[one.with_channels(common) for one in group] for group in found]
-    return tuple(Group(_mean(group), tuple(group)) for group in kept)
+    return tuple(_group(group) for group in kept)
+
+
+def _group(repeats: Sequence[Observed]) -> Group:
+    periods = _periods(repeats[0]) if len(repeats) == 1 else []
+    parts = periods if len(periods) > 1 else repeats
+    return Group(_mean(parts), tuple(parts), are_periods=parts is periods)
+
+
+def _periods(one: Observed) -> list[Observed]:
+    """Return the whole periods of a recording after settling; none where it has none, or rows of its own."""
+    if not one.recording.experiment.get("period_samples") or one.rows != one.recording.rows:
+        return []
+    try:
+        periods = one.recording.period_slices
+    except RecordingError:
+        return []
+    return [one.part(rows) for rows in periods if rows.stop - rows.start >= FEWEST_ROWS]
 
 
 def are_repeats(one: Observed, other: Observed) -> bool:
@@ -71,4 +100,5 @@ def _mean(group: Sequence[Observed]) -> Observed:
     if len(group) == 1:
         return group[0]
     targets, currents, readings = (np.mean([getattr(each, name) for each in group], axis=0) for name in ("targets", "currents", "readings"))
-    return replace(group[0], name=", ".join(each.name for each in group), targets=targets, currents=currents, readings=readings)
+    name = ", ".join(dict.fromkeys(each.name for each in group))
+    return replace(group[0], name=name, targets=targets, currents=currents, readings=readings)

@@ -16,6 +16,8 @@ from hil.recording.model import UNEQUAL_STEP
 from virtual_bus.effects.places import imu_channel_names
 from virtual_bus.settings import PlantSettings
 
+LARGEST = 1e30
+"""Of a reading: no sensor has more, and squares of more are no numbers."""
 FEWEST_ROWS = 50
 """Fewer rows say nothing about a motion of second order in several joints."""
 
@@ -40,6 +42,8 @@ class Observed:
         Encoders, speed sensors, IMUs, as far as they were recorded.
     readings : (N, m) array
         NaN where a sample is missing.
+    begin_s : float
+        When the first row is in the recording.
     """
 
     name: str
@@ -51,6 +55,7 @@ class Observed:
     currents: np.ndarray
     channels: tuple[str, ...]
     readings: np.ndarray
+    begin_s: float = 0.0
 
     @property
     def rows(self) -> int:
@@ -62,6 +67,14 @@ class Observed:
         """Which targets (axes,) are measured efforts, since no command was recorded: what a drive makes of commands is in them."""
         same: np.ndarray = np.all((self.currents == self.targets) | np.isnan(self.currents), axis=0) & ~np.isnan(self.currents).all(axis=0)
         return same
+
+    def part(self, rows: slice) -> Observed:
+        """Return some of the rows in a row."""
+        time = self.time[rows]
+        return replace(
+            self, time=time - time[0], begin_s=self.begin_s + float(time[0]), targets=self.targets[rows], currents=self.currents[rows],
+            readings=self.readings[rows],
+        )  # fmt: skip
 
     def with_channels(self, channels: Sequence[str]) -> Observed:
         """Return the same with some of its channels."""
@@ -111,6 +124,12 @@ def observed(machine: Machine, name: str, recording: Recording) -> Observed:
     time = recording.time - recording.time[0]
     if len(time) < FEWEST_ROWS:
         raise RecordingError(f"{name}: has {len(time)} rows; a diagnosis takes {FEWEST_ROWS} at least")
+    for channel in recording.channels:
+        senseless = np.flatnonzero(np.abs(np.nan_to_num(recording[channel], nan=0.0, posinf=np.inf, neginf=-np.inf)) > LARGEST)
+        if len(senseless):
+            row = int(senseless[0])
+            what = f"{channel} is {recording[channel][row]:g} in row {row} ({recording.time[row]:g} s)"
+            raise RecordingError(f"{name}: {what}; leave a reading empty that was not taken")
     gaps = np.diff(time)
     period = float(np.median(gaps))
     is_even = bool(np.all(np.abs(gaps - period) < UNEQUAL_STEP * period))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.diagnosis.named.fitting import changed, difference, free_parameters, reach
+from hil.diagnosis.named.fitting import HALVINGS, changed, difference, free_parameters, reach
 from hil.diagnosis.named.naming import Named
 from hil.diagnosis.predicted.open_runs import AS_LARGE, HORIZONS_s, Machine, Runs
 from hil.diagnosis.tuned.bounded import bounded_least_squares
@@ -16,7 +16,6 @@ from virtual_bus.effects.effect import Parameter
 from virtual_bus.settings import EffectSetting
 
 ITERATIONS = 6
-HALVINGS = 4
 SETTLED = 0.01
 """Share by which a step must lower the cost, or the fit has ended."""
 STEP = 0.01

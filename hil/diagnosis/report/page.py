@@ -8,136 +8,145 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.diagnosis.answering.misfit import misfit_E
-from hil.diagnosis.diagnose import NEXT_EXPERIMENT, Outcome, first_effects
-from hil.diagnosis.report.effect_map import effect_map, effect_map_charts
-from hil.diagnosis.report.heat_maps import heat_map_figures
+from hil.diagnosis.answered.answer import NEXT_EXPERIMENT
+from hil.diagnosis.answered.values import Answered
 from hil.diagnosis.report.matrix import matrix_figure
-from hil.diagnosis.report.missing_effort import missing_effort_charts
-from hil.diagnosis.report.overlay import overlay_charts
 from hil.diagnosis.report.style import STAGE_NAMES
-from hil.diagnosis.report.tables import (
-    disturbance_shares,
-    falling,
-    findings,
-    fit_table,
-    hypotheses,
-    retuned_table,
-    verdict,
-)
+from hil.diagnosis.report.tables import disturbance_shares, falling, findings, fit_table, hypotheses, retuned_table, verdict
 from hil.diagnosis.report.waterfall import waterfall_figure
-from hil.diagnosis.result import Diagnosis, Finding, Location
-from hil.diagnosis.tuning.free_run import HELD_OUT, TRAIN
+from hil.diagnosis.result import DetectionLimit, Diagnosis, Location
+from hil.diagnosis.seen.see import Missing
 from hil.machine.load import name_to_load
 from hil.machine.model import AxisUnits
-from hil.pages import Page, Section, Table, Text, write_page
+from hil.pages import Chart, Charts, Page, Scale, Section, Series, Table, Text, write_page
 from hil.pages.contents import Block
 from hil.pages.picture import drawn as picture
 from hil.reports.made_from import machine_fact
-from virtual_bus.effects.registry import effects
 
-SECTIONS = ("waterfall", "overlay", "effect", "heat", "disturbance", "matrix")
-DRAWN = ("nominal", "retuned", "extended")
-ONLY_HELD_OUT = "Of the held-out recordings beside the machine that is re-tuned to them alone: training shows nothing."
+MOST_POINTS = 4000
+"""Of a chart, a joint."""
+SCATTER_PX = 300
 NOISE = {"repeats": "from repeats", "periods": "from periods", "assumed": "assumed: no repeats were recorded"}
-ABSENT = {
-    "effect": "No effect is named.",
-    "heat": "No axis moves in these recordings, or no encoder says where it is.",
-    "waterfall": "Nothing stands above noise.",
-    "matrix": "Fewer than two numbers show in these recordings.",
-}
+MISSING = (
+    "Black: the effort that the drive gave, less what the recorded motion takes by the machine file. Red: what the re-tuned numbers and"
+    " the named effects say of it. The answer leaves {share:.1%} of what re-tuned numbers leave, by power."
+)
 
 
-def write_report(outcome: Outcome, folder: Path, is_emulated: bool = False) -> Path:
+def write_report(answered: Answered, folder: Path, is_emulated: bool = False) -> Path:
     """Write `report.html` into a folder that is there; returns its path."""
-    return write_page(_page(outcome, folder, is_emulated), folder / "report.html")
+    return write_page(_page(answered, folder, is_emulated), folder / "report.html")
 
 
-def report_blocks(outcome: Outcome) -> dict[str, list[Block]]:
-    """Every drawing of the page, by section."""
-    train = outcome.train
-    judged = outcome.held_out if outcome.held_out is not None else train
-    stages = outcome.stages[HELD_OUT if outcome.held_out is not None else TRAIN]
-    on_train = outcome.stages[TRAIN]
-    named = bool(outcome.diagnosis.findings)
-    sections: dict[str, list[Block]] = {name: [] for name in SECTIONS}
-    simulated = outcome.simulated
-    partial = [stages[first_effects(count)] for count in range(1, len(simulated))]
-    first = [misfit_E(judged, rows) if all(np.isfinite(each).all() for each in rows) else None for rows in partial]
-    if (waterfall := waterfall_figure(outcome.diagnosis.fit, simulated, first)) is not None:
-        sections["waterfall"].append(picture(waterfall, "Waterfall of the mismatch above noise"))
-    title = "Held-out" if outcome.held_out is not None else "Training"
-    drawn = {name: stages[name] for name in DRAWN if outcome.selection.chosen is not None or name != "extended"}
-    sections["overlay"].append(overlay_charts(judged, drawn, title))
-    if named:
-        for finding in outcome.diagnosis.findings:
-            period_s = _period_s(finding)
-            own = effect_map(train, on_train["without_effects"], on_train["extended"], finding.effect, outcome.values, period_s)
-            if own is not None:
-                sections["effect"].append(effect_map_charts(own))
-    residuals = {"held-out, re-tuned to it alone" if outcome.is_only_held_out else STAGE_NAMES["retuned"]: outcome.short}
-    if named and simulated:
-        residuals[STAGE_NAMES["extended"]] = train.with_simulated(on_train["extended"])
-    for axis in range(len(train.axes)):
-        for said, found in residuals.items():
-            for number, figure in enumerate(heat_map_figures(found, axis, said)):
-                part = f", part {number + 1}" if number else ""
-                sections["heat"].append(picture(figure, f"Residual over the pose of {train.axes[axis]}, {said}{part}"))
-    missing = missing_effort_charts(outcome.short, outcome.short_values, outcome.diagnosis.disturbance)
-    if missing is not None:
-        sections["disturbance"].append(missing)
-    if (matrix := matrix_figure(*_sensitivities(outcome))) is not None:
-        sections["matrix"].append(picture(matrix, "Identifiability matrix"))
-    return sections
-
-
-def _period_s(finding: Finding) -> float | None:
-    """Of what shakes the base; None of what the machine's own motion drives."""
-    return 1.0 / finding.parameters["f"].value if finding.effect.effect == "base_motion" and finding.parameters["f"].value > 0.0 else None
-
-
-def _sensitivities(outcome: Outcome) -> tuple[np.ndarray, list[str]]:
-    """(M, P + F) columns of tuned numbers and effects' parameters, and their names."""
-    columns, names = [outcome.tuning.jacobian], list(outcome.tuning.names)
-    best = outcome.chosen
-    if best is not None:
-        columns.append(best.jacobian)
-        names += [f"{best.effects[e]}: {effects()[best.effects[e].effect].parameters[k].name}" for e, k in best.free]
-    return np.hstack(columns), names
-
-
-def _page(outcome: Outcome, folder: Path, is_emulated: bool) -> Page:
-    diagnosis, machine = outcome.diagnosis, outcome.train.machine
-    drawn = {name: blocks or ([Text(ABSENT[name])] if name in ABSENT else []) for name, blocks in report_blocks(outcome).items()}
-    units = {units.axis: units for units in machine.units}
-    where: list[Block] = [Text(ONLY_HELD_OUT)] if outcome.is_only_held_out else []
-    unexplained = f"Unexplained share of what stood above noise in the training recordings: {diagnosis.unexplained_share:.1%}."
-    said = [Text(f"{suspicion}.") for suspicion in diagnosis.suspicions]
+def _page(answered: Answered, folder: Path, is_emulated: bool) -> Page:
+    diagnosis, machine = answered.diagnosis, answered.machine
     command, reason = next_command(diagnosis, name_to_load(machine), folder)
+    units = {units.axis: units for units in machine.units}
+    waterfall = waterfall_figure(diagnosis.fit, [finding.effect for finding in diagnosis.findings])
+    fell: list[Block] = [] if waterfall is None else [picture(waterfall, "Waterfall of the mismatch above noise")]
+    missing: list[Block] = [Text(MISSING.format(share=diagnosis.unexplained_share)), *missing_charts(answered)]
     return Page(
         f"Diagnosis of {machine.name}",
         verdict(diagnosis),
         [
-            Section("Findings", [*said, *findings(diagnosis, outcome.proposal)]),
-            Section("Recorded and simulated", drawn["overlay"]),
-            Section("Where the mismatch went", [Text(unexplained), *drawn["waterfall"], fit_table(diagnosis)]),
-            Section("What the effects look like", drawn["effect"]),
+            Section("Findings", findings(diagnosis, answered.proposal)),
+            Section("What is missing, and what was named of it", [*missing, *disturbance_shares(diagnosis)]),
+            Section("How well it predicts", [Text(_how_predicted(diagnosis)), *fell, fit_table(diagnosis)]),
+            Section("Where it is", [_location(diagnosis, units)], is_folded=True),
             Section("What else was weighed", hypotheses(diagnosis), is_folded=True),
-            Section("Where it is", [*where, _location(diagnosis, units), *drawn["heat"]], is_folded=True),
-            Section("Which equation is short", [*disturbance_shares(diagnosis), *drawn["disturbance"]], is_folded=True),
-            Section("Re-tuned numbers", [*retuned_table(diagnosis), *drawn["matrix"]], is_folded=True),
+            Section("Controllers", [_audit(answered)], is_folded=True),
+            Section("Numbers of the machine file", [*retuned_table(diagnosis), *_matrix(answered)], is_folded=True),
+            Section("What these recordings could not show", _limits(diagnosis.detection_limits), is_folded=True),
         ],
         command,
         reason,
         {
             "Machine": f"{machine_fact(machine)}, {machine.description}",
-            "Recordings": "; ".join(", ".join(group.labels) for group in outcome.train.groups),
-            "Held out": "; ".join(", ".join(g.labels) for g in outcome.held_out.groups) if outcome.held_out else "none",
+            "Recordings": ", ".join(answered.recordings),
             "Noise": NOISE[diagnosis.noise],
             "Computed in": f"{diagnosis.seconds:.1f} s",
         },
         is_emulated,
     )
+
+
+def _how_predicted(diagnosis: Diagnosis) -> str:
+    """Return in words by what the answer was judged."""
+    horizon = diagnosis.fit.horizon_s
+    if diagnosis.noise != "assumed":
+        return "Every row predicted from those before it, in units of the noise that repeats show: 1 is noise alone."
+    if not diagnosis.fit.channels:
+        return "Free runs driven by the recorded efforts stay near the recordings over no horizon."
+    runs = "over whole recordings" if horizon is None else f"of {horizon:g} s, begun again and again from the recorded state"
+    return f"Free runs driven by the recorded efforts, {runs}."
+
+
+def _audit(answered: Answered) -> Block:
+    axes = answered.diagnosis.audit.get("axes", {})
+    rows = []
+    for name, axis in axes.items():
+        gain = axis["gain"]["value"]
+        rows.append((name, axis["status"].replace("_", " "), "-" if gain is None else f"{gain:.4g}", f"{axis['replayed_rms']:.2g}"))
+    if not rows:
+        return Text("No recording has the reference, position and command of an axis at the machine's sample rate.")
+    return Table(("axis", "controller", "gain over the file's", "rms that its law leaves"), rows, frozenset((2, 3)))
+
+
+def _limits(limits: tuple[DetectionLimit, ...]) -> list[Block]:
+    rows = [
+        (str(limit.effect), limit.parameter, "-" if limit.strength is None else f"{limit.strength:.3g} {limit.unit}".rstrip())
+        for limit in limits
+    ]
+    if not rows:
+        return [Text("None was computed.")]
+    header = ("effect", "parameter", "least that would have shown")
+    return [Text("An effect that is weaker than this would not have been named."), Table(header, rows, frozenset({2}))]
+
+
+def missing_charts(answered: Answered) -> list[Charts]:
+    """Return charts for every driven joint: what the machine file's equations lack over speed and position, and what was named of it."""
+    if answered.named is None:
+        return []
+    seen = answered.named.seen
+    missing, said = seen.missing(), seen.said_by(answered.values, answered.effects)
+    named = {(each.recording, each.joint): effort for each, effort in zip(missing, said, strict=True)}
+    joints: dict[str, list[Missing]] = {}
+    for each in missing:
+        joints.setdefault(each.joint, []).append(each)
+    slides = {joint.name: joint.kind == "prismatic" for joint in answered.machine.plant.tree.joints}
+    return [_of_joint(joint, parts, named if answered.effects else {}, slides[joint]) for joint, parts in joints.items()]
+
+
+def _of_joint(joint: str, parts: list[Missing], named: dict[tuple[str, str], np.ndarray], slides: bool) -> Charts:
+    length, effort = ("m", "N") if slides else ("rad", "Nm")
+    every = max(1, sum(len(part.time) for part in parts) // MOST_POINTS)
+    lacked = np.concatenate([part.missing[::every] for part in parts])
+    middle = float(np.median(lacked))
+    reach = 1.5 * float(np.quantile(np.abs(lacked - middle), 0.99))
+    scale = Scale(f"effort on {joint} [{effort}]", ends=(middle - reach, middle + reach) if reach > 0.0 else None)
+    charts = []
+    for quantity, unit in (("speed", f"{length}/s"), ("position", length)):
+        x = np.concatenate([getattr(part, quantity)[::every] for part in parts])
+        series = [Series("given less taken by the machine file", x, lacked, is_points=True, look=0)]
+        if named:
+            fitted = np.concatenate([named[part.recording, joint][::every] for part in parts])
+            series.append(Series(f"{STAGE_NAMES['extended']}: what the answer says of it", x, fitted, is_points=True, look=1))
+        title = f"Missing effort on {joint} over its {quantity}"
+        charts.append(Chart(title, Scale(f"{quantity} of {joint} [{unit}]"), scale, series, height=SCATTER_PX))
+    return Charts(charts, columns=2)
+
+
+def _matrix(answered: Answered) -> list[Block]:
+    """Return how alike the numbers' and parameters' columns are behind the filter."""
+    if answered.named is None:
+        return []
+    named = answered.named
+    best, numbers = named.best, named.tuned.numbers
+    count = len(numbers.indices)
+    kept = [*range(count), *range(len(best.offset), len(best.offset) + len(best.parameters))]
+    names = [*numbers.names, *(f"{best.settings[k].name} at {best.settings[k].at}: {parameter.name}" for k, parameter in best.parameters)]
+    figure = matrix_figure(np.vstack([each[:, kept] for each in best.columns]), names)
+    return [] if figure is None else [picture(figure, "Identifiability matrix")]
 
 
 def next_command(diagnosis: Diagnosis, machine: str, folder: Path) -> tuple[str, str]:

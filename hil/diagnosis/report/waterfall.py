@@ -10,15 +10,10 @@ from matplotlib.figure import Figure
 from hil.diagnosis.report.style import GREEN, ORANGE, SKY, VERMILION
 from hil.diagnosis.result import EffectAt, Fit, Stages
 
-RISES = 1e-3
-"""Of what was above noise, by which one more effect may leave more than before in its own bar."""
 
-
-def left_above_noise(stages: Stages, first: Sequence[float | None] = ()) -> list[float] | None:
-    """What is left of the nominal mismatch above noise after re-tuning, with the first of the effects, the first two, ..., and all of
-    them; None where nothing is above noise.
-    """
-    misfits = (stages.nominal, stages.retuned, *first, stages.extended)
+def left_above_noise(stages: Stages) -> list[float] | None:
+    """What is left of the nominal mismatch above noise after re-tuning and with the effects; None where nothing is above noise."""
+    misfits = (stages.nominal, stages.retuned, stages.extended)
     known = [value for value in misfits if value is not None]
     if stages.noise_floor is None or len(known) < len(misfits) or not np.isfinite(known).all():
         return None
@@ -26,28 +21,13 @@ def left_above_noise(stages: Stages, first: Sequence[float | None] = ()) -> list
     return [value / nominal for value in left] if nominal > 0.0 else None
 
 
-def waterfall_figure(fit: Fit, effects: Sequence[EffectAt] = (), first: Sequence[float | None] = ()) -> Figure | None:
-    """Bars that start where the one before ended; None where nothing is above noise.
-
-    Parameters
-    ----------
-    fit : Fit
-    effects : sequence of EffectAt
-        Of the extended simulation.
-    first : sequence of float or None
-        E with the first of several effects, with the first two, and so on: all but the last. Where one of them is unknown, or larger
-        than without the effect, all effects are one bar.
-    """
-    judged = fit.held_out or fit.train
-    left = left_above_noise(judged, first)
-    if left is None or np.any(np.diff(left) > RISES):  # one effect without the others that it was fitted beside
-        left = left_above_noise(judged)
+def waterfall_figure(fit: Fit, effects: Sequence[EffectAt] = ()) -> Figure | None:
+    """Bars that start where the one before ended, `effects` one of them; None where nothing is above noise."""
+    left = left_above_noise(fit.held_out or fit.train)
     if left is None:
         return None
     levels = [1.0, *left]
-    names = [str(effect).replace(" at ", "\nat ") for effect in effects]
-    if len(names) != len(left) - 1:
-        names = [" and\n".join(names) or "effects\n(none simulated)"]
+    names = [" and\n".join(str(effect).replace(" at ", "\nat ") for effect in effects) or "effects\n(none simulated)"]
     bars = [("nominal\nabove noise", 0.0, 1.0, ORANGE)]
     for name, before, after in zip(("re-tuning", *names), levels[:-1], levels[1:], strict=True):
         bars.append((name, after, before - after, SKY if name == "re-tuning" else GREEN))

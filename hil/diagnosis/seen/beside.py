@@ -12,8 +12,8 @@ from hil.diagnosis.seen.discretising import discretised
 from hil.diagnosis.seen.filtering import Linearised, Whitening, smooth_states, whitening
 from virtual_bus.effects.places import imu_channel_names
 
-POSES_PER_SECOND = 64
-"""Linearisations: a pose changes little in 16 ms."""
+POSES_PER_SECOND = 1000
+"""Linearisations: what an IMU feels turns with the speed of the fastest mode, which changes within milliseconds."""
 SHORTEST_LAG_S = 1e-9
 """Of a low pass: a shorter one is none."""
 NEARBY = 1e-3

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.diagnosis.observed.groups import Group, groups
+from hil.diagnosis.result import NoiseKind
 from hil.diagnosis.seen.along import Along
 from hil.diagnosis.seen.assumed import assumed_levels, coarsest, efforts_by_encoders
 from hil.diagnosis.seen.beside import Levels
@@ -64,6 +65,14 @@ class Seen:
     groups: tuple[Group, ...]
     alongs: tuple[Along, ...]
     levels: Levels
+
+    @property
+    def noise(self) -> NoiseKind:
+        """From what noise is known."""
+        if self.levels.are_assumed:
+            return "assumed"
+        repeated = [group for group in self.groups if len(group.repeats) > 1]
+        return "periods" if all(group.are_periods for group in repeated) else "repeats"
 
     @property
     def still(self) -> list[str]:

@@ -1,58 +1,38 @@
-"""The experiment that would tell hypotheses apart, found by optimisation within the machine's limits.
+"""The experiment that would tell sets of effects apart, sought within the machine's limits.
 
-Atkinson and Fedorov 1975 (T-optimal designs), with the separation d of two free runs (separation.py) in place of a regression's, in either
-direction as likely as it is. An equation errs by a share of what it explains, so d^2 counts in units of their temperature T:
-where an effect is large and another name differs from it by little, the difference proves nothing. Over several rivals the mean of
-log(1 + d^2 / T) counts, each as likely as it is so far: the smallest alone would be ruled by a rival that nothing within the limits
-separates. Distances without a refit rank all draws; the best of them are refitted.
+Atkinson and Fedorov 1975 (T-optimal designs), with the separation d of two sets (separation.py) in place of a regression's, in either
+direction as likely as it is. Over several rivals the mean of log(1 + d^2) counts, each as likely as it is so far: the smallest alone would
+be ruled by a rival that nothing within the limits separates. Distances of free runs rank all draws; to the best of them sets are fitted.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-import scipy.optimize
 from scipy.stats import qmc
 
-from hil.diagnosis.judging.errors_of_laws import temperature
-from hil.diagnosis.residuals.noise import NoiseModel
+from hil.diagnosis.seen.beside import Levels
 from hil.diagnosis.separating.experiment_families import FAMILIES, Family, Request, requests
-from hil.diagnosis.separating.separation import Distances, Model, Separation
+from hil.diagnosis.separating.separation import Model, Separation
 from hil.errors import ExperimentError
 from hil.experiments import Experiment, Plan
 from hil.machine import Machine
 
-DRAWS = 16
-"""Quasi-random experiments of every family and axis that are looked at first: a power of two, as Sobol's sequence wants."""
-
-REFITTED = 8
-"""Of the draws."""
-
-REFINEMENTS = 30
-"""Evaluations of the simplex search from the best of them, at most."""
-
-LEAST_REFITTED, LEAST_REFINEMENTS = 3, 6
-MOST_RUNS = 900
-"""Free runs of a search, beyond which no more than these few draws are refitted and the simplex takes no more than these few steps: on a
-machine of many numbers every refit takes many runs."""
-
-FIRST_STEP = 0.12
-"""Of the simplex, as a share of every quantity's range."""
-
+DRAWS = 8
+"""Quasi-random experiments of every family and axis: a power of two, as Sobol's sequence wants."""
+FITTED = 3
+"""Of the draws: the best by their free runs."""
 TOLD_APART = 2.0
-"""Standard deviations from which a separation is said to tell hypotheses apart."""
-
-DRAWN = 0.5
-"""Share of the search, for its report, after which the simplex begins."""
-
-Report = Callable[[float], None]
+"""Standard deviations from which a separation is said to tell sets apart."""
+FREE_RUNS = 0.5
+"""Share of the search, for its report, after which fits begin."""
 
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """An experiment that separates hypotheses.
+    """An experiment that separates sets of effects.
 
     Attributes
     ----------
@@ -65,15 +45,12 @@ class Proposal:
         right, and where the other one is.
     seconds : float
         How long the recording is.
-    runs : int
-        Free runs it took.
     """
 
     experiment: Experiment
     models: tuple[Model, ...]
     separations: np.ndarray
     seconds: float
-    runs: int
 
     def header(self) -> str:
         """Comment lines for the experiment's file."""
@@ -99,14 +76,11 @@ class Proposal:
 def propose(
     machine: Machine,
     models: Sequence[Model],
-    shares: Sequence[float],
-    noise: NoiseModel,
+    levels: Levels,
     channels: tuple[str, ...],
-    *,
-    jobs: int = 1,
-    report: Report = lambda share: None,
+    report: Callable[[float], None] = lambda share: None,
 ) -> Proposal | None:
-    """Find the experiment that separates the first model from each of the others best.
+    """Find the experiment that separates the first set from each of the others best.
 
     Parameters
     ----------
@@ -114,14 +88,10 @@ def propose(
         Its limits bound everything; without controllers there is nothing to run.
     models : sequence of Model
         Two or more, the likeliest first.
-    shares : sequence of float
-        How likely each is so far.
-    noise : NoiseModel
-        From the recordings so far.
+    levels : Levels
+        Noise of one recording.
     channels : tuple of str
-        As recorded so far.
-    jobs : int
-        Processes.
+        Of sensors, as recorded so far.
     report : callable
         Told the share that is done.
 
@@ -132,94 +102,38 @@ def propose(
     """
     if not machine.controllers or len(models) < 2:
         return None
-    with Separation(machine, models, noise, channels, jobs) as separation:
-        search = _Search(machine, separation, np.array(shares))
-        best = search.best_draw(lambda share: report(DRAWN * share))
-        if best is None:
-            return None
-        point = search.refined(best, lambda share: report(DRAWN + (1.0 - DRAWN) * share))
-        experiment = FAMILIES[best.request.family].experiment(machine, best.request, point)
-        (plan,) = experiment.plans(machine)
-        seconds = plan.rows / machine.sample_rate_Hz
-        return Proposal(experiment, tuple(models), separation.of_plan(plan).separations, seconds, separation.count)
+    separation = Separation(machine, models, levels, channels)
+    shares = np.array([model.share for model in models])
+    drawn: list[tuple[float, Experiment, Plan]] = []
+    asked = requests(machine)
+    for number, request in enumerate(asked):
+        family = FAMILIES[request.family]
+        points = qmc.Sobol(family.dimensions(machine), seed=0).random(DRAWS)
+        planned = [one for point in points if (one := _planned(machine, family, request, point)) is not None]
+        far = separation.about([plan for _, plan in planned])
+        drawn += [(_worth(shares, np.column_stack([d, d])), *one) for one, d in zip(planned, far, strict=True)]
+        report(FREE_RUNS * (number + 1) / len(asked))
+    best: tuple[float, Proposal] | None = None
+    for number, (_, experiment, plan) in enumerate(sorted(drawn, key=lambda each: -each[0])[:FITTED]):
+        separations = separation.of_plan(plan)
+        worth = _worth(shares, separations)
+        if worth > 0.0 and (best is None or worth > best[0]):
+            best = worth, Proposal(experiment, tuple(models), separations, plan.rows / machine.sample_rate_Hz)
+        report(FREE_RUNS + (1.0 - FREE_RUNS) * (number + 1) / FITTED)
+    return None if best is None else best[1]
 
 
-@dataclass(frozen=True, eq=False)
-class _Draw:
-    """A point of a family's cube."""
-
-    request: Request
-    point: np.ndarray
-    plan: Plan
-    worth: float
+def _worth(shares: np.ndarray, separations: np.ndarray) -> float:
+    """Mean over who may be right, the first set or a rival, of log(1 + d^2)."""
+    first, rivals = shares[0], shares[1:]
+    logs = np.log1p(separations**2)
+    return float(rivals @ (first * logs[:, 0] + rivals * logs[:, 1]) / max(float(rivals @ (first + rivals)), 1e-300))
 
 
-class _Search:
-    """For the plan that is worth most."""
-
-    def __init__(self, machine: Machine, separation: Separation, shares: np.ndarray) -> None:
-        self._machine = machine
-        self._separation = separation
-        self._shares = shares
-        self._runs_a_refit = 1.0
-
-    def best_draw(self, report: Report) -> _Draw | None:
-        """Of all families and axes; None where none of them separates anything."""
-        draws: list[_Draw] = []
-        asked = requests(self._machine)
-        for number, request in enumerate(asked):
-            family = FAMILIES[request.family]
-            points = qmc.Sobol(family.dimensions(self._machine), seed=0).random(DRAWS)
-            planned = [(point, plan) for point in points if (plan := _plan(self._machine, family, request, point)) is not None]
-            most = self._separation.at_most([plan for _, plan in planned])
-            draws += [_Draw(request, point, plan, self._worth(found)) for (point, plan), found in zip(planned, most, strict=True)]
-            report(0.5 * (number + 1) / len(asked))
-        refitted = []
-        before = self._separation.count
-        for number, draw in enumerate(sorted(draws, key=lambda draw: -draw.worth)[:REFITTED]):
-            if number >= LEAST_REFITTED and self._separation.count > MOST_RUNS:
-                break
-            refitted.append(replace(draw, worth=self._of(draw.plan)))
-            report(0.5 + 0.5 * (number + 1) / min(REFITTED, len(draws)))
-        self._runs_a_refit = max((self._separation.count - before) / max(len(refitted), 1), 1.0)
-        best = max(refitted, key=lambda draw: draw.worth, default=None)
-        return None if best is None or best.worth <= 0.0 else best
-
-    def refined(self, best: _Draw, report: Report) -> np.ndarray:
-        """The point that a simplex search from a draw ends at."""
-        family, start = FAMILIES[best.request.family], best.point
-        left = (MOST_RUNS - self._separation.count) / self._runs_a_refit
-        most = int(np.clip(left, LEAST_REFINEMENTS, REFINEMENTS))
-        done = 0
-
-        def worth(point: np.ndarray) -> float:
-            nonlocal done
-            done += 1
-            report(min(done / most, 1.0))
-            plan = _plan(self._machine, family, best.request, point)
-            return 0.0 if plan is None else self._of(plan)
-
-        simplex = np.vstack([start, start + np.where(start < 0.5, FIRST_STEP, -FIRST_STEP) * np.eye(len(start))])
-        refined = scipy.optimize.minimize(
-            lambda point: -worth(np.clip(point, 0.0, 1.0)), start, method="Nelder-Mead",
-            options={"maxfev": most, "initial_simplex": simplex},
-        )  # fmt: skip
-        return np.clip(refined.x, 0.0, 1.0)
-
-    def _of(self, plan: Plan) -> float:
-        return self._worth(self._separation.of_plan(plan))
-
-    def _worth(self, found: Distances) -> float:
-        """Mean over who may be right, the first model or a rival, of log(1 + d^2 / T)."""
-        first, rivals = self._shares[0], self._shares[1:]
-        logs = np.log1p(found.separations**2 / temperature(found.removed, 0.0))
-        return float(rivals @ (first * logs[:, 0] + rivals * logs[:, 1]) / (rivals @ (first + rivals)))
-
-
-def _plan(machine: Machine, family: Family, request: Request, point: np.ndarray) -> Plan | None:
+def _planned(machine: Machine, family: Family, request: Request, point: np.ndarray) -> tuple[Experiment, Plan] | None:
     """None where the machine's limits forbid it."""
     try:
-        plans = family.experiment(machine, request, point).plans(machine)
+        experiment = family.experiment(machine, request, point)
+        return experiment, experiment.plans(machine)[0]
     except ExperimentError:
         return None
-    return plans[0]

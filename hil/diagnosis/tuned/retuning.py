@@ -21,6 +21,8 @@ STEP = 1e-3
 BIAS = 0.1
 """Standard deviation of an IMU channel's bias beside the machine file's, in units of the noise of a reading: what is larger is the effect
 of that name. At least a step of its lattice."""
+SCALE = 1e-3
+"""Standard deviation of an IMU channel's scale error, of which data sheets promise as much: what is larger is the effect of that name."""
 ZERO_rad, ZERO_m = 0.01, 1e-3
 """Standard deviation of an encoder's zero: of a disc set on a shaft by hand, or of a stop that homing runs onto."""
 
@@ -126,7 +128,7 @@ def look(
     count = len(numbers.indices)
     one = beside(along, numbers.values(offset[:count]))
     levels = _of_this_inertia(levels, along, one)
-    constants = [_constant(along, levels, bias) for bias in biases]
+    constants = [_constant(along, levels, bias, one.signals.readings) for bias in biases]
     left = one.left.copy()
     for value, constant in zip(offset[count:], constants, strict=True):
         for channel, column_of in constant.readings.items():
@@ -192,10 +194,11 @@ def _by_encoders(along: Along, motion: Motion) -> Motion:
 
 @dataclass(frozen=True)
 class Bias:
-    """An offset of a sensor's readings: of the channel of this number, in one recording or (None) in all of them."""
+    """An offset or a scale error of a sensor: of the channel of this number, in one recording or (None) in all of them."""
 
     channel: int
     recording: int | None
+    is_scale: bool = False
 
     def of(self, recording: int) -> Bias | None:
         """Return this, where it acts in a recording."""
@@ -203,10 +206,7 @@ class Bias:
 
 
 def biases_of(alongs: Sequence[Along]) -> list[Bias]:
-    """Return the offsets that sensors have: what an IMU reads at rest is never quite zero, nor is an encoder's zero where it should be.
-
-    An incremental encoder has another zero in every recording.
-    """
+    """Return the errors that sound sensors have: of IMUs offsets and scales, of encoders zeros; incremental ones anew in each recording."""
     settings, channels = alongs[0].settings, alongs[0].observed.channels
     speeds = {sensor.channel for sensor in settings.speeds}
     encoders = {encoder.channel: encoder for encoder in settings.encoders}
@@ -216,13 +216,17 @@ def biases_of(alongs: Sequence[Along]) -> list[Bias]:
             found += [Bias(c, k) for k in range(len(alongs))]
         elif channel not in speeds:
             found.append(Bias(c, None))
+            if channel not in encoders:
+                found.append(Bias(c, None, is_scale=True))
     return found
 
 
-def _constant(along: Along, levels: Levels, bias: Bias | None) -> Column:
-    """Return a constant on a channel, in standard deviations of its prior."""
+def _constant(along: Along, levels: Levels, bias: Bias | None, readings: np.ndarray) -> Column:
+    """Return an error of a channel, in standard deviations of its prior; `readings` (N, m) are what sound sensors read."""
     if bias is None:
         return Column({}, {})
+    if bias.is_scale:
+        return Column({}, {bias.channel: (SCALE * readings[:, bias.channel]).astype(np.float32)})
     channel = along.observed.channels[bias.channel]
     encoders = {encoder.channel: encoder for encoder in along.settings.encoders}
     if channel in encoders:

@@ -47,7 +47,7 @@ REPEATS = ("monday/run_0_0.csv", "monday/run_0_1.csv")
     ],
 )
 def test_recordings_given_twice_and_places_that_cannot_be_written_to_are_one_line(folder, capsys, monkeypatch, words, said):
-    monkeypatch.setattr("hil.diagnosis.from_recordings.diagnose", lambda *_, **__: pytest.fail("it computed"))
+    monkeypatch.setattr("hil.diagnosis.diagnose.see", lambda *_, **__: pytest.fail("it computed"))
     with pytest.raises(SystemExit) as left:
         main(["diagnose", "emps", *words])
     assert left.value.code == 2
@@ -61,7 +61,7 @@ def test_a_place_where_nothing_may_be_written_is_refused_before_the_computation(
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr("tempfile.TemporaryFile", refuse)  # who runs the tests may be allowed everything
-    monkeypatch.setattr("hil.diagnosis.from_recordings.diagnose", lambda *_, **__: pytest.fail("it computed"))
+    monkeypatch.setattr("hil.diagnosis.diagnose.see", lambda *_, **__: pytest.fail("it computed"))
     with pytest.raises(SystemExit) as left:
         main(["diagnose", "emps", *REPEATS, *words])
     assert left.value.code == 2

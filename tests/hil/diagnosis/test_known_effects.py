@@ -1,4 +1,4 @@
-"""Effects that are given as known: simulated, stated, and not sought at their place, in both ways of diagnosing."""
+"""Effects that are given as known: simulated, stated, and not sought at their place."""
 
 from __future__ import annotations
 
@@ -16,9 +16,7 @@ from hil.diagnosis.named.fitting import fit
 from hil.diagnosis.named.search import library
 from hil.diagnosis.seen.beside import Levels
 from hil.diagnosis.seen.see import Seen, see
-from hil.diagnosis.starting.candidates import places_to_try
 from hil.diagnosis.tuned.retuning import nominal_offset, tuned_at
-from hil.machine import load_machine
 from hil.machine.effects_file import read_effects_file
 from hil.recording import write_recording
 from virtual_bus.settings import EffectSetting
@@ -73,14 +71,13 @@ def test_what_is_no_effect_of_the_machine_is_refused_in_a_line(folder: Path, iso
     assert all(word in done.line for word in says), done.line
 
 
-@pytest.mark.slow
-def test_by_free_runs_what_is_known_is_no_finding() -> None:
+def test_beside_repeats_what_is_known_is_no_finding() -> None:
     recordings = repeats(4, **TRUTH)
-    found = diagnose(MACHINE.with_effects((FRICTION,)), recordings, repeats(2, experiment=1, **TRUTH), look_further=False).diagnosis
+    found = diagnose(MACHINE.with_effects((FRICTION,)), recordings, repeats(2, experiment=1, **TRUTH)).diagnosis
     assert [str(finding.effect) for finding in found.findings] == ["constant_load at carriage"]
-    assert found.findings[0].parameters["tau0"].value == pytest.approx(LOAD_N, abs=0.5)
+    assert found.findings[0].parameters["tau0"].value == pytest.approx(LOAD_N, abs=0.6)
     assert [str(one.effect) for one in found.known] == ["coulomb_friction at carriage"]
-    both = diagnose(MACHINE.with_effects((FRICTION, LOAD)), recordings, look_further=False).diagnosis
+    both = diagnose(MACHINE.with_effects((FRICTION, LOAD)), recordings).diagnosis
     assert both.verdict in ("consistent", "retuned")
     assert both.findings == ()
 
@@ -114,15 +111,3 @@ def test_no_law_is_sought_where_it_is_known() -> None:
     laws = {law.effect.name for law in library(tuned).laws}
     assert "coulomb_friction" not in laws
     assert {"asymmetric_friction", "constant_load"} <= laws
-
-
-def test_a_body_and_the_axis_that_moves_it_are_one_place_and_waves_may_come_again() -> None:
-    carm = load_machine("carm")
-    channels = ["position_propeller", "position_roll", "imu_x"]
-    everywhere = {(one.effect, one.at) for one in places_to_try(carm.plant, channels)}
-    wave = EffectSetting("cogging", "roll", {"Np": 12.0, "A1": 1.0, "phi1": 0.0, "A2": 0.0, "phi2": 0.0})
-    load = EffectSetting("constant_load", "roll", {"tau0": 1.0})
-    body = next(body.name for body in carm.plant.tree.bodies if body.joint is not None and body.joint.name == "roll")
-    spring = EffectSetting("cable_spring", body, {"kc": 1.0, "kc3": 0.0, "theta0": 0.0})
-    left = {(one.effect, one.at) for one in places_to_try(carm.with_effects((wave, load, spring)).plant, channels)}
-    assert everywhere - left == {("constant_load", "roll"), ("cable_spring", "roll")}

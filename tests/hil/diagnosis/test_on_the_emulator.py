@@ -28,7 +28,7 @@ def answer(folder, hidden):
         jog = ("jog", "--amplitude", amplitude, "--period", period, "--periods", 1, "--seed", seed)
         recordings[str(seed)] = recorded(folder / f"{seed}.mf4", machine, *jog, *hidden)
     held_out = {"11": recordings.pop("11")}
-    return diagnose(machine, recordings, held_out, look_further=False).diagnosis
+    return diagnose(machine, recordings, held_out).diagnosis
 
 
 @pytest.mark.nightly
@@ -41,13 +41,13 @@ def test_a_hidden_friction_comes_first_with_its_strength(tmp_path):
     assert [(one.effect.effect, one.effect.at) for one in found.findings] == [("coulomb_friction", "turn")]
     low, high = first.parameters["Fc"].ci95
     assert low < 0.3 < high < 0.4
-    assert 0.5 < found.fit.held_out.extended < 1.3 < found.fit.held_out.retuned
+    assert 0.5 < found.fit.held_out.extended < 1.3 < found.fit.held_out.nominal
 
 
 @pytest.mark.nightly
 def test_nothing_is_found_where_nothing_is_hidden(tmp_path):
     found = answer(tmp_path, ())
-    assert found.verdict == "consistent"
+    assert found.verdict in ("consistent", "retuned")
     assert 0.5 < found.fit.held_out.nominal < 1.3
 
 
@@ -56,6 +56,6 @@ def test_a_table_that_stands_is_no_spring(tmp_path):
     """Its encoder's reading never changes, and what the loop does within that count is seen on the link."""
     machine = load_machine(TABLE)
     still = {str(seed): recorded(tmp_path / f"{seed}.mf4", machine, "static", "--seconds", 4, "--seed", seed) for seed in (1, 2)}
-    found = diagnose(machine, still, look_further=False).diagnosis
+    found = diagnose(machine, still).diagnosis
     assert found.verdict == "inconclusive"
-    assert found.fit.train.nominal < 1.3
+    assert "turn does not move" in found.reason

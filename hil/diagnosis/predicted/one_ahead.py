@@ -1,0 +1,67 @@
+"""Predictions of every row from those before it, in units of noise that repeats tell: with right equations their errors have unit rms."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hil.diagnosis.candidates.columns import column
+from hil.diagnosis.named.fitting import signals_of
+from hil.diagnosis.named.naming import Named
+from hil.diagnosis.predicted.open_runs import Predicted
+from hil.diagnosis.seen.see import Seen
+from hil.diagnosis.tuned.retuning import Looked, Tuned, nominal_offset, tuned_at
+from virtual_bus.settings import EffectSetting
+
+Stage = tuple[np.ndarray, Sequence[EffectSetting]]
+"""Numbers (P,) in standard deviations of their prior, and effects."""
+
+
+def one_ahead(named: Named, seen: Seen, stages: Mapping[str, Stage]) -> Predicted:
+    """Return the errors of recordings by channel and stage.
+
+    Offsets of sensors, which differ from one recording to another, are fitted in every stage.
+
+    Parameters
+    ----------
+    named : Named
+        Its noise counts.
+    seen : Seen
+        The recordings that are predicted: held-out ones, or those of the answer.
+    stages : mapping of str to Stage
+    """
+    counts = [min(len(group.repeats) for group in one.groups) for one in (named.seen, seen)]
+    quieter = float(np.sqrt(counts[0] / counts[1]))
+    levels = replace(named.levels, disturbance=quieter * named.levels.disturbance, sensors=quieter * named.levels.sensors)
+    channels = seen.alongs[0].observed.channels
+    table: dict[str, dict[str, float]] = {channel: {} for channel in channels}
+    for stage, (numbers, effects) in stages.items():
+        offset = nominal_offset(seen.alongs)
+        offset[: len(numbers)] = numbers
+        errors = _errors(tuned_at(seen.alongs, levels, offset, effects), len(numbers), effects)
+        for c, channel in enumerate(channels):
+            table[channel][stage] = float(np.sqrt(np.nanmean(errors[:, c] ** 2)))
+    for channel in channels:
+        table[channel]["noise"] = 1.0
+    return Predicted(seen.alongs[0].observed.period_s, table)
+
+
+def _errors(tuned: Tuned, count: int, effects: Sequence[EffectSetting]) -> np.ndarray:
+    """Return what is left (rows, channels) in units of noise, with the offsets of sensors that leave least."""
+    left = [one.innovations - _done(one, tuned, effects) for one in tuned.looked]
+    columns = [one.numbers[:, count:] for one in tuned.looked]
+    squares = np.sum([each.T @ each for each in columns], axis=0)
+    offsets = np.linalg.solve(squares + np.eye(len(squares)), np.sum([c.T @ rest for c, rest in zip(columns, left, strict=True)], axis=0))
+    rows = []
+    for one, rest, each in zip(tuned.looked, left, columns, strict=True):
+        innovations = (rest - each @ offsets).reshape(one.beside.left.shape)
+        rows.append(np.where(one.beside.present, innovations, np.nan))
+    return np.vstack(rows)
+
+
+def _done(one: Looked, tuned: Tuned, effects: Sequence[EffectSetting]) -> np.ndarray:
+    if not effects:
+        return np.zeros_like(one.innovations)
+    return np.asarray(one.whiten([column(one.signals, signals_of(tuned, one, tuple(effects)))])[:, 0])

@@ -1,1 +1,0 @@
-"""The catalogue at every place of a machine, with values of parameters from which fits may start."""

@@ -1,1 +1,0 @@
-"""Free runs, and the machine file's own numbers re-tuned to recordings."""
