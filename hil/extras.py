@@ -23,6 +23,9 @@ EXTRAS = {
     "starlette": ("bench", "starlette"),
     "uvicorn": ("bench", "uvicorn"),
     "websockets": ("bench", "websockets"),
+    "distributed": ("fleet", "dask[distributed]"),
+    "fsspec": ("fleet", "fsspec"),
+    "duckdb": ("fleet", "duckdb"),
 }
 """The extra that brings each package, and the distribution that contains it."""
 
