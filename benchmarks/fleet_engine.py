@@ -35,6 +35,7 @@ from hil.fleet.job import Job, Needs
 MACHINES, SAMPLE, SETS = 200, 6, 2
 NEEDS = Needs(memory_GB=2.0, threads=1, time_s=600.0)
 EMPTY_JOBS = 200
+KILLED_AMONG = 24
 ROWS = 40
 """Rows that a check of the C-arm has."""
 
@@ -243,10 +244,10 @@ def workers_killed(work: Path) -> dict[str, Any]:
     marks = work / "marks"
     shutil.rmtree(marks, ignore_errors=True)
     marks.mkdir(parents=True)
-    draw = random.Random(0)
+    kill = random.Random(0).sample(range(KILLED_AMONG), round(0.3 * KILLED_AMONG))
     jobs = [
-        job(f"job {number}", "killed", {"number": number, "kills": draw.random() < 0.3, "mark": str(marks / str(number))})
-        for number in range(40)
+        job(f"job {number}", "killed", {"number": number, "kills": number in kill, "mark": str(marks / str(number))})
+        for number in range(KILLED_AMONG)
     ]
     outcomes = list(on(2)(jobs, threading.Event()))
     right = {f"job {number}": number / 3.0 for number in range(len(jobs))}

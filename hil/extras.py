@@ -23,6 +23,7 @@ EXTRAS = {
     "starlette": ("bench", "starlette"),
     "uvicorn": ("bench", "uvicorn"),
     "websockets": ("bench", "websockets"),
+    "dask": ("fleet", "dask[distributed]"),
     "distributed": ("fleet", "dask[distributed]"),
     "fsspec": ("fleet", "fsspec"),
     "duckdb": ("fleet", "duckdb"),

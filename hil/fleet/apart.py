@@ -110,7 +110,7 @@ class Child:
             if self._cancelled():
                 raise _NoAnswerError("was cancelled")
             if (used := resident_bytes(process.pid)) > job.needs.memory_GB * GB:
-                raise _NoAnswerError(f"took {used / GB:.2g} GB of memory, more than {job.needs.memory_GB:g} GB, and was ended")
+                raise _NoAnswerError(f"took {used / GB:.3g} GB of memory, more than {job.needs.memory_GB:g} GB, and was ended")
             if time.monotonic() > until_s:
                 raise _NoAnswerError(f"gave no answer within {job.needs.time_s:g} s and was ended")
 

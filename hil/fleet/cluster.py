@@ -36,6 +36,12 @@ IN_FLIGHT = 8
 WORKERS_S = 30.0
 """How long the first worker may take to appear."""
 
+RESTARTED = {"distributed.deploy.lost-worker-timeout": "1 hour"}
+"""Dask's local cluster gives up a worker that is not back after 15 s, for good; on a busy computer one takes longer to start."""
+
+NOTICED_S = 10.0
+"""Period at which it is looked whether there is a worker at all."""
+
 LOCAL_SHARE = 0.9
 """Of the computer's memory that local workers offer together."""
 
@@ -96,6 +102,7 @@ def _client(distributed: Any, scheduler: str | None, workers: int, say: Callable
                 raise UnusableInputError(f"--scheduler {scheduler}: does not answer: {' '.join(str(problem).split())}") from None
             yield client
             return
+        stack.enter_context(extra_package("dask.config", "clusters").set(RESTARTED))
         has_page = importlib.util.find_spec("bokeh") is not None
         local = stack.enter_context(
             distributed.LocalCluster(
@@ -151,6 +158,8 @@ class _Run:
         self._ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._given: dict[Any, tuple[Job, int]] = {}
         self._attempts = itertools.count()
+        self._looked_s = time.monotonic()
+        self._has_workers = True
 
     def outcomes(self, jobs: Iterable[Job]) -> Iterator[Outcome]:
         """Yield what became of each, as they end."""
@@ -162,14 +171,27 @@ class _Run:
                     self._give(job, 0)
                 if not self._given:
                     return
-                with contextlib.suppress(queue.Empty):
-                    yield from self._outcome(self._ended.get(timeout=0.2))
+                try:
+                    ended = self._ended.get(timeout=0.2)
+                except queue.Empty:
+                    self._look()
+                else:
+                    yield from self._outcome(ended)
             for future in list(self._given):  # cancelled: keep what is finished
                 if future.status == "finished":
                     yield from self._outcome(future)
         finally:
             with contextlib.suppress(Exception):
                 self._client.cancel(list(self._given), force=True)
+
+    def _look(self) -> None:
+        """Say where there is no worker, from time to time."""
+        if time.monotonic() < self._looked_s + NOTICED_S or self._client.status != "running":
+            return
+        self._looked_s = time.monotonic()
+        had, self._has_workers = self._has_workers, bool(self._client.nthreads())
+        if had and not self._has_workers:
+            self._say("the cluster has no worker left; waiting for one")
 
     def _give(self, job: Job, lost: int) -> None:
         needs = {"memory": job.needs.memory_GB * GB, "threads": job.needs.threads}
