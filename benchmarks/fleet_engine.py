@@ -351,6 +351,29 @@ def spoilt(work: Path) -> dict[str, Any]:
     return {"tasks": 16, "results": files, "distinct": distinct, "exit_statuses": statuses, "named": said}
 
 
+def cancelled(work: Path) -> dict[str, Any]:
+    """A run that the key ends in its midst, as at a terminal: the whole group of processes has the signal."""
+    folder = fleet_of(work, 4)
+    store = folder / "fleet-results"
+    command = [sys.executable, "-m", "hil", "fleet", "run", str(folder / "fleet.toml"), "--workers", "2"]
+    run = subprocess.Popen(command, start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    while len(list(store.rglob("*.parquet"))) < 4 and run.poll() is None:
+        time.sleep(0.1)
+    began_s = time.perf_counter()
+    os.killpg(run.pid, signal.SIGINT)
+    said, _ = run.communicate()
+    ended_s = time.perf_counter()
+    again = hil.run_fleet(folder / "fleet.toml", workers=2)
+    return {
+        "exit_status": run.returncode,
+        "said": [line for line in said.splitlines() if not line.startswith("...")][-1],
+        "seconds": ended_s - began_s,
+        "tracebacks": said.count("Traceback"),
+        "kept": again.present,
+        "rerun": again.done,
+    }
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("cost", "faults"))
@@ -377,6 +400,7 @@ def main() -> None:
     keep("scheduler_restarted", scheduler_restarted(options.work))
     keep("disk_full", disk_full(options.work))
     keep("spoilt", spoilt(options.work))
+    keep("cancelled", cancelled(options.work))
 
 
 if __name__ == "__main__":

@@ -114,6 +114,7 @@ def _client(distributed: Any, scheduler: str | None, workers: int, say: Callable
                 memory_limit=0,
                 silence_logs=logging.CRITICAL,
                 resources=_share(distributed, workers),
+                preload=["hil.fleet.worker"],
             )
         )
         client = stack.enter_context(distributed.Client(local, set_as_default=False))

@@ -113,6 +113,7 @@ def run_fleet(
             by_name = {task.name: task for task in new}
             older = _older(there | redone, by_name.values())
             before = run.done
+            progress(what, 0, len(new))
             for outcome in engine((task.job for task in new), cancelled):
                 _keep(folder, by_name[outcome.name].job, outcome, run, say)
                 remove_results(folder, older.get(outcome.name, ()))

@@ -52,6 +52,18 @@ def test_what_no_worker_offers_is_refused_instead_of_waited_for() -> None:
         list(engine([job("thirds")], threading.Event()))
 
 
+def test_a_cancelled_run_keeps_what_is_finished_and_ends_what_hangs() -> None:
+    from hil.fleet.cluster import on_cluster
+
+    cancelled, found = threading.Event(), []
+    jobs = [job("hang"), *(job("thirds", {"of": [1.0]}, called=f"thirds {number}") for number in range(5))]
+    for outcome in on_cluster(None, 2, [NEEDS])(jobs, cancelled):
+        found.append(outcome)
+        cancelled.set()
+    assert found
+    assert all(outcome.value["thirds"] == [1.0 / 3.0] for outcome in found)
+
+
 def listening() -> set[str]:
     """Addresses on which this process and its children listen."""
     import psutil
