@@ -1,11 +1,13 @@
 """What a fleet's engine costs, how it scales, and what becomes of faults.
 
     python benchmarks/fleet_engine.py cost   --work WORK --json OUT
+    python benchmarks/fleet_engine.py diagnosis --work WORK --json OUT
     python benchmarks/fleet_engine.py faults --work WORK --json OUT
 
-Both keep what the other measured in OUT. `cost` measures the time that the engine adds to a task, two workers beside one, a sample of a
-night of 200 machines with three recordings of 10 s each, and simulates 4 to 256 workers from the times that were measured. `faults` ends
-workers at random, fills the disk, restarts the scheduler, spoils recordings, and starts two runs at once.
+Each keeps in OUT what the others measured. `cost` measures the time that the engine adds to a task, two workers beside one, a sample of a
+night of 200 machines with three recordings of 10 s each, and simulates 4 to 256 workers from the times that were measured. `diagnosis`
+measures the diagnosis of a machine's night. `faults` ends workers at random, fills the disk, restarts the scheduler, spoils recordings,
+starts two runs at once, and ends a run by Ctrl-C.
 """
 
 from __future__ import annotations
@@ -223,10 +225,28 @@ def night(work: Path) -> dict[str, Any]:
     }
 
 
-def simulated(tasks: dict[str, dict[str, float]], serial_s: float) -> dict[str, float]:
+def diagnosis(work: Path) -> dict[str, float]:
+    """The diagnosis of a night of one machine, in a process that has just begun."""
+    from dataclasses import replace
+
+    from hil.fleet.file import read_fleet
+    from hil.fleet.plan import plan_fleet
+
+    folder = fleet_of(work, 1)
+    file = folder / "fleet.toml"
+    text = file.read_text(encoding="utf-8").replace('["check", "identify"]', '["diagnose"]')
+    file.write_text(text.replace('repeats = ["shake_*"]', 'repeats = ["shake_*"]\nheld_out = ["scan"]'), encoding="utf-8")
+    [task] = plan_fleet(read_fleet(file), folder / "store").tasks
+    [outcome] = one_by_one([replace(task.job, function=f"{Path(__file__).stem}:measured")], threading.Event())
+    said = {"verdict": outcome.value["rows"][0]["verdict"]} if not outcome.failure else {"failure": outcome.failure}
+    return {**said, **{key: outcome.value[key] for key in ("wall_s", "processor_s", "peak_GB")}}
+
+
+def simulated(tasks: dict[str, dict[str, float]], serial_s: float, diagnosis_s: float, diagnosed: int) -> dict[str, float]:
     """Efficiency by number of workers: each takes the next task as it is free, and one process hands out and keeps them one by one."""
     rng = np.random.default_rng(0)
     times = [one["processor_s"] for one in tasks.values() for _ in range(int(one["tasks_per_machine"]))] * MACHINES
+    times += [diagnosis_s] * diagnosed
     times = list(rng.permutation(times) * rng.lognormal(0.0, 0.2, len(times)))
     found = {}
     for workers in (1, 2, 4, 8, 16, 32, 64, 128, 256):
@@ -376,7 +396,7 @@ def cancelled(work: Path) -> dict[str, Any]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("cost", "faults"))
+    parser.add_argument("what", choices=("cost", "diagnosis", "faults"))
     parser.add_argument("--work", type=Path, required=True, help="folder of recordings and stores")
     parser.add_argument("--json", type=Path, required=True, help="file of the results")
     options = parser.parse_args()
@@ -392,8 +412,14 @@ def main() -> None:
         keep("overhead", overhead(options.work))
         keep("workers", two_beside_one())
         keep("night", night(options.work))
+    if options.what == "diagnosis":
+        keep("diagnosis", diagnosis(options.work))
+    if "night" in found and "diagnosis" in found:
         serial_s = 1e-3 * found["overhead"]["dask_client_and_scheduler_processor_ms"]
-        keep("simulated_efficiency", simulated(found["night"]["tasks"], serial_s))
+        each_s = found["diagnosis"]["processor_s"]
+        keep("simulated_efficiency", simulated(found["night"]["tasks"], serial_s, each_s, 0))
+        keep("simulated_efficiency_all_diagnosed", simulated(found["night"]["tasks"], serial_s, each_s, MACHINES))
+    if options.what != "faults":
         return
     keep("workers_killed", workers_killed(options.work))
     keep("hung_and_greedy", hung_and_greedy())

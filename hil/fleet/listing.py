@@ -178,7 +178,7 @@ def _listed(url: str) -> tuple[Any, dict[str, dict[str, Any]]]:
         system, path = fsspec.core.url_to_fs(url)
         if is_pattern := any(sign in path for sign in "*?["):
             found = system.glob(path, detail=True)
-            base = re.split(r"[*?\[]", path)[0].rpartition("/")[0]
+            base = _base(path)
         else:
             found, base = system.find(path, detail=True), path.rstrip("/")
         if not found and not is_pattern and not system.exists(path):
@@ -191,6 +191,13 @@ def _listed(url: str) -> tuple[Any, dict[str, dict[str, Any]]]:
         raise UnusableInputError(f"{url}: cannot be listed: {' '.join(str(problem).split()) or type(problem).__name__}") from None
     infos = [info for info in found.values() if info.get("type") != "directory"]
     return system, {info["name"].removeprefix(base).lstrip("/"): info for info in infos}
+
+
+def _base(pattern: str) -> str:
+    """Return the folder from which names of a pattern count: above the first part with a wildcard or a date."""
+    parts = pattern.split("/")
+    first = next(place for place, part in enumerate(parts) if any(sign in part for sign in "*?[") or night_of(part) is not None)
+    return "/".join(parts[:first])
 
 
 def _key(url: str, info: dict[str, Any]) -> str:

@@ -16,6 +16,7 @@ from hil.fleet.job import Job
 from hil.fleet.listing import KnownHashes, StoredRecording, list_recordings
 from hil.machine.load import load_machine
 from hil.machine.model import Machine
+from hil.tasks.errors import as_bench_errors
 
 WORK = "hil.fleet.work:work"
 
@@ -48,7 +49,8 @@ def plan_fleet(fleet: Fleet, store: Path, progress: Callable[[int, int], None] =
     plan, known = Plan(), KnownHashes(store)
     for place, machine in enumerate(fleet.machines):
         try:
-            loaded = load_machine(machine.file)
+            with as_bench_errors():
+                loaded = load_machine(machine.file)
             recordings, wrong = list_recordings(machine.recordings, known, "calibrate" in machine.tasks)
         except UnusableInputError as problem:
             plan.wrong.append(f"{machine.name}: {problem}")

@@ -53,6 +53,14 @@ def test_a_file_is_read_once_and_again_when_it_was_changed(tmp_path: Path) -> No
     assert hashes(b"longer than the first") != first
 
 
+def test_a_pattern_may_name_the_night(tmp_path: Path) -> None:
+    night = tmp_path / "room/2026-11-27"
+    night.mkdir(parents=True)
+    (night / "a.mf4").write_bytes(b"a")
+    [found], wrong = list_recordings(f"{tmp_path}/room/2026-11-27/*.mf4", KnownHashes(tmp_path / "store"))
+    assert (found.file.name, found.night.day, wrong) == ("2026-11-27/a.mf4", 27, [])
+
+
 @pytest.mark.parametrize(
     ("url", "line"), [("/no/such/folder", "there is no such folder"), ("nosuch://bucket/room", "cannot be listed: Protocol not known")]
 )
