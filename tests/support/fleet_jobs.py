@@ -64,3 +64,10 @@ def fill_memory(argument: dict[str, Any]) -> None:
 def fail(argument: dict[str, Any]) -> None:
     """Raise an error nobody foresaw."""
     raise RuntimeError("this was not foreseen")
+
+
+def case(places: object, number: int, keep: bool) -> dict[str, Any]:
+    """What a case of the concealed benchmark is told."""
+    if number == 13:
+        raise RuntimeError("this case fails")
+    return {"number": number, "keep": keep, "places": repr(places)}
