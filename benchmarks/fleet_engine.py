@@ -412,6 +412,7 @@ def main() -> None:
         keep("overhead", overhead(options.work))
         keep("workers", two_beside_one())
         keep("night", night(options.work))
+        keep("overhead_again", {"load_average": os.getloadavg()[0], **overhead(options.work)})
     if options.what == "diagnosis":
         keep("diagnosis", diagnosis(options.work))
     if "night" in found and "diagnosis" in found:

@@ -104,8 +104,8 @@ def _client(distributed: Any, scheduler: str | None, workers: int, say: Callable
             return
         stack.enter_context(extra_package("dask.config", "clusters").set(RESTARTED))
         has_page = importlib.util.find_spec("bokeh") is not None
-        local = stack.enter_context(
-            distributed.LocalCluster(
+        try:
+            cluster = distributed.LocalCluster(
                 n_workers=workers,
                 threads_per_worker=1,
                 processes=True,
@@ -116,7 +116,10 @@ def _client(distributed: Any, scheduler: str | None, workers: int, say: Callable
                 resources=_share(distributed, workers),
                 preload=["hil.fleet.worker"],
             )
-        )
+        except (OSError, RuntimeError, TimeoutError) as problem:
+            right = 'a script does its work under `if __name__ == "__main__":`; --workers 0 (workers=0) computes without a cluster'
+            raise UnusableInputError(f"the cluster of this computer did not start: {problem}; {right}") from None
+        local = stack.enter_context(cluster)
         client = stack.enter_context(distributed.Client(local, set_as_default=False))
         if has_page:
             say(f"dashboard: {client.dashboard_link}")
