@@ -10,6 +10,9 @@ from typing import Any
 
 from hil.fleet.job import Job, Needs
 
+FAILING = 13
+"""Number of the case that fails."""
+
 NEEDS = Needs(memory_GB=0.5, threads=1, time_s=60.0)
 
 
@@ -68,6 +71,6 @@ def fail(argument: dict[str, Any]) -> None:
 
 def case(places: object, number: int, keep: bool) -> dict[str, Any]:
     """What a case of the concealed benchmark is told."""
-    if number == 13:
+    if number == FAILING:
         raise RuntimeError("this case fails")
     return {"number": number, "keep": keep, "places": repr(places)}
