@@ -41,6 +41,12 @@ if TYPE_CHECKING:
     from hil.experiments import Tour as Tour
     from hil.experiments import read_experiment as read_experiment
     from hil.experiments import write_experiment as write_experiment
+    from hil.fleet.file import Fleet as Fleet
+    from hil.fleet.file import read_fleet as read_fleet
+    from hil.fleet.run import FleetRun as FleetRun
+    from hil.fleet.run import run_fleet as run_fleet
+    from hil.fleet.status import fleet_status as fleet_status
+    from hil.fleet.store import query_fleet as query_fleet
     from hil.identification import FrequencyResponse as FrequencyResponse
     from hil.identification import LocalModel as LocalModel
     from hil.identification import PoseModel as PoseModel
@@ -95,6 +101,10 @@ _MODULES = {
     "hil.diagnosis.result": "Diagnosis",
     "hil.errors": "BadAnswerError BenchError ExperimentError LoopAbortedError MachineFileError RecordingError UnusableInputError",
     "hil.experiments": "Experiment Jog JogOnly Move Multisine Scan Static Tour read_experiment write_experiment",
+    "hil.fleet.file": "Fleet read_fleet",
+    "hil.fleet.run": "FleetRun run_fleet",
+    "hil.fleet.status": "fleet_status",
+    "hil.fleet.store": "query_fleet",
     "hil.identification": "FrequencyResponse LocalModel PoseModel read_frf resonances write_frf",
     "hil.imaging.scan_folder": "ImageScan read_scan",
     "hil.machine": "Machine list_shipped",

@@ -23,6 +23,10 @@ EXTRAS = {
     "starlette": ("bench", "starlette"),
     "uvicorn": ("bench", "uvicorn"),
     "websockets": ("bench", "websockets"),
+    "dask": ("fleet", "dask[distributed]"),
+    "distributed": ("fleet", "dask[distributed]"),
+    "fsspec": ("fleet", "fsspec"),
+    "duckdb": ("fleet", "duckdb"),
 }
 """The extra that brings each package, and the distribution that contains it."""
 

@@ -28,6 +28,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--cases", type=_ranges, help="numbers, as in 0-39 or 3,5,8; all of the set by default")
     parser.add_argument("--strata", type=_strata, help="null, single, pair, off; comma between them; all by default")
     parser.add_argument("--jobs", type=int, default=2, help="processes at once")
+    parser.add_argument("--scheduler", help="run, mutate, calibrate, directions: a Dask scheduler, or `local`, in place of processes")
     parser.add_argument("--work", type=Path, default=Path(tempfile.gettempdir()) / "isocenter-concealed", help="folder of the cases")
     parser.add_argument("--results", type=Path, default=RESULTS, help="folder of the results")
     parser.add_argument("--keep", action="store_true", help="keep recordings and reports of the cases that were run")
@@ -49,12 +50,12 @@ def main(arguments: list[str]) -> int:
         _each(partial(making.make, places), numbers, options.jobs, "make", lambda _number, _row: None)
     if options.step in ("run", "all"):
         path = options.results / f"answers_{options.seeds}.jsonl"
-        _append(path, numbers, partial(running.run_case, places, keep=options.keep), options.jobs)
+        _append(path, numbers, partial(running.run_case, places, keep=options.keep), options)
     if options.step == "mutate":
-        _append(options.results / f"mutations_{options.seeds}.jsonl", numbers, partial(mutating.mutate_case, places), options.jobs)
+        _append(options.results / f"mutations_{options.seeds}.jsonl", numbers, partial(mutating.mutate_case, places), options)
     if options.step == "directions":
         path = options.results / f"directions_{options.seeds}.jsonl"
-        _append(path, numbers, partial(directions.directions_of, places), options.jobs)
+        _append(path, numbers, partial(directions.directions_of, places), options)
         print(directions.said_of([json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]))
     if options.step in ("score", "all"):
         print(scoring.score(places, options.results, numbers, partial=options.partial, judged_before=options.judged))
@@ -87,7 +88,7 @@ def _strata(text: str) -> set[str]:
     return names
 
 
-def _append(path: Path, numbers: list[int], task: Callable[[int], dict[str, Any]], jobs: int) -> None:
+def _append(path: Path, numbers: list[int], task: partial[Any], options: argparse.Namespace) -> None:
     """Do a task for the numbers that have no line yet, and add a line of JSON each."""
     done = {json.loads(line)["number"] for line in path.read_text().splitlines()} if path.exists() else set()
     with path.open("a", encoding="utf-8") as stream:
@@ -96,7 +97,13 @@ def _append(path: Path, numbers: list[int], task: Callable[[int], dict[str, Any]
             stream.write(json.dumps(row) + "\n")
             stream.flush()
 
-        _each(task, [number for number in numbers if number not in done], jobs, path.stem, keep)
+        left = [number for number in numbers if number not in done]
+        if options.scheduler is None:
+            _each(task, left, options.jobs, path.stem, keep)
+        else:
+            from concealed.on_cluster import each_on_cluster  # needs the extra `fleet`
+
+            each_on_cluster(task, left, options.scheduler, options.jobs, keep, partial(print, flush=True))
 
 
 def _each(task: Callable[[int], Any], numbers: Iterable[int], jobs: int, what: str, then: Callable[[int, Any], None]) -> None:

@@ -75,6 +75,32 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("node", "number", "Only with `--eds`."),
         Entry("imu, imu_tcp, io, io_rtu, panel", "text", "Ports of the emulated devices, those that there are."),
     ),
+    "fleet run": (
+        Entry("store", "text", "Folder of the results."),
+        Entry(
+            "planned, present, unneeded, done",
+            "number",
+            "Tasks that the recordings make; those that had a result; diagnoses of nights that agree with the simulation; results written.",
+        ),
+        Entry("by_verdict", "object", "How many of the new results say what."),
+        Entry("failures", "list of text", "New results without an answer: machine, date, task, and why."),
+        Entry("wrong", "list of text", "What could not be used: machine files, folders, recordings without a date."),
+        Entry("cancelled", "true or false", "Whether Ctrl-C ended it early."),
+    ),
+    "fleet status": (
+        Entry("store", "text", "Folder of the results."),
+        Entry(
+            "machines",
+            "list",
+            "`machine`; `nights` with results, and the `newest`; `results`, of which `failed` have no answer and `differing` are of "
+            "recordings that differ from their simulation; `waiting`, tasks without a result.",
+        ),
+        Entry("failures, wrong", "list of text", "As of `fleet run`, of all results."),
+    ),
+    "fleet query": (
+        Entry("columns", "list of text", "Names of the columns."),
+        Entry("rows", "list", "An object per row; times as ISO 8601 text in UTC, numbers that are none as null."),
+    ),
     "faults list": (
         Entry(
             "faults",

@@ -223,6 +223,31 @@ SHOWN = (
         ),
     ),
     Shown(
+        "fleet_engine.json",
+        "A fleet on Dask",
+        "What the engine adds to a task, for jobs that do nothing, answers written; the share of two workers' time that is spent in jobs; "
+        "a night of 200 C-arms with three recordings of 10 s each, checked and identified, on two cores, extrapolated from the processor "
+        "time of six machines; efficiency with more workers, simulated from these times. Then 30 % of the jobs end their worker, the disk "
+        "is full, the scheduler is restarted, and two runs are started at once. On a computer with ten times its work.",
+        "python benchmarks/fleet_engine.py cost --work WORK --json OUT",
+        (
+            Figure("added to a task, median on the wall", ("overhead", "dask_median_wall_ms"), "ms", asked="at most 20 ms"),
+            Figure("the same, measured again", ("overhead_again", "dask_median_wall_ms"), "ms", asked="at most 20 ms"),
+            Figure("without Dask", ("overhead_again", "without_dask_median_wall_ms"), "ms"),
+            Figure("added to a task, processor time of client and scheduler", ("overhead", "dask_client_and_scheduler_processor_ms"), "ms"),
+            Figure("two workers' time in jobs", ("workers", "efficiency_2"), "%", 1e2),
+            Figure("night of 200 machines on two cores", ("night", "night_of_200_on_two_cores_s"), "s"),
+            Figure("largest memory of a job", ("night", "tasks", "identify", "peak_GB"), "GB"),
+            Figure("efficiency of 16 workers", ("simulated_efficiency", "16"), "%", 1e2),
+            Figure("of 64", ("simulated_efficiency", "64"), "%", 1e2),
+            Figure("jobs of 24 that are right, 7 of their workers killed", ("workers_killed", "right")),
+            Figure("jobs of 40 that are done, scheduler restarted", ("scheduler_restarted", "done")),
+            Figure("results of 16 after the disk was full", ("disk_full", "results")),
+            Figure("results of 16 after two runs at once", ("spoilt", "distinct")),
+            Figure("time until a run is ended by Ctrl-C", ("cancelled", "seconds"), "s"),
+        ),
+    ),
+    Shown(
         "supervisor_cost.json",
         "What the supervisor costs the sample loop",
         "The emulated C-arm stands under control at 256 Hz over UDP, on a computer of two processors that has other work, too: short runs "

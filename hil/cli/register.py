@@ -17,6 +17,7 @@ from hil.cli import (
     diagnose,
     doctor,
     faults,
+    fleet,
     foxglove,
     geometry,
     identify,
@@ -60,3 +61,4 @@ def commands(app: typer.Typer) -> None:
     reconstruct.register(app)
     diagnose.register(app)
     app.add_typer(faults.app, name="faults")
+    app.add_typer(fleet.app, name="fleet")

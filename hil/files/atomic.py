@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import secrets
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -18,17 +19,20 @@ def write_atomically(files: Mapping[Path, bytes]) -> None:
     RecordingError
         A file cannot be written (no such folder, no permission, disk full); existing files are untouched.
     """
-    drafts = {path: path.with_name(f".{path.name}.{os.getpid()}.tmp") for path in files}
+    own = f"{os.getpid()}.{secrets.token_hex(4)}"  # several hosts may write the same file, each with its own process of this number
+    drafts = {path: path.with_name(f".{path.name}.{own}.tmp") for path in files}
     at = next(iter(files))
     try:
         for at, content in files.items():
             _write(drafts[at], content)
         for at, draft in drafts.items():
             os.replace(draft, at)
-    except OSError as problem:
+    except BaseException as problem:
         for draft in drafts.values():
             with contextlib.suppress(OSError):
                 draft.unlink()
+        if not isinstance(problem, OSError):
+            raise
         raise RecordingError(f"{at}: cannot be written: {problem.strerror or problem}") from None
     _sync_folder(at.parent)
 

@@ -12,7 +12,7 @@ from hil.diagnosis.candidates.entries import Entry
 from hil.diagnosis.named.fitting import BLOCKS, Fitted, fit
 from hil.diagnosis.named.naming import Named
 from hil.diagnosis.named.proving import SURE, left_out, neighbours
-from hil.diagnosis.named.search import EXACT, Library, beside_fit
+from hil.diagnosis.named.search import EXACT, NOT_TOLD_APART, Library, beside_fit
 from hil.diagnosis.named.settling import settled
 from hil.diagnosis.tuned.retuning import nominal_offset, tuned_at
 from virtual_bus.effects.effect import Parameter
@@ -167,6 +167,8 @@ def detection_limits(named: Named, of: Library) -> list[Limit]:
         if not strengths or (law.effect.family, law.at) in taken:
             continue
         asked = len(strengths) * math.log(tuned.readings) + 2.0 * math.log(of.places)
+        if best.settings and not named.levels.are_assumed:
+            asked += NOT_TOLD_APART
         if not law.effect.everyday:
             asked += (named.materiality - 1.0) * best.squares / best.dispersion
         limit = _limit(law, strengths, reduced, asked * best.dispersion)

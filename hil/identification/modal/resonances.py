@@ -44,6 +44,7 @@ class Resonance:
     frequency_Hz, damping : undamped natural frequency and damping ratio.
     frequency_ci95_Hz, damping_ci95 : lower and upper bound at 95 %.
     output, input : names of the element in which its peak stands out most from the noise.
+    covariance : of frequency [Hz] and damping ratio.
     """
 
     frequency_Hz: float
@@ -52,6 +53,7 @@ class Resonance:
     damping_ci95: tuple[float, float]
     output: str
     input: str
+    covariance: tuple[tuple[float, float], tuple[float, float]]
 
     @property
     def line(self) -> str:
@@ -131,6 +133,7 @@ def _resonance(response: FrequencyResponse, fit: PoseModes, k: int, probability:
         (float(damping - half[1]), float(damping + half[1])),
         output,
         source,
+        ((float(covariance[0, 0]), float(covariance[0, 1])), (float(covariance[1, 0]), float(covariance[1, 1]))),
     )
 
 
