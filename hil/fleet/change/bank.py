@@ -168,7 +168,7 @@ class Bank:
 
     def _own_variance(self) -> np.ndarray:
         """Return each machine's scatter as a multiple of the fleet's, at least 1."""
-        return np.maximum(self._own_scatter[0] / self._own_scatter[1], 1.0)
+        return np.asarray(np.maximum(self._own_scatter[0] / self._own_scatter[1], 1.0))
 
     def _common(self, u: np.ndarray, noise: np.ndarray, in_fleet: np.ndarray, release: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the night's common part, what of it machines may follow more or less, and the variance with which it is known."""

@@ -39,7 +39,7 @@ class Change:
     parameter : Parameter
     kind : "step" or "growth"
     sigma : float
-        Evidence now, in standard deviations; the sign is the direction.
+        Greatest evidence since the alarm, in standard deviations; the sign is the direction.
     alarm : numpy.datetime64
         Night on which the evidence first passed the threshold.
     since, since_from, since_to : numpy.datetime64
@@ -143,6 +143,7 @@ class _Watching:
         self.tracks, self.per_machine_year = tracks, per_machine_year
         self.alarms = np.full(shape[0], shape[1])  # night of the first, T for none
         self.blamed = np.full(shape[0], -1)
+        self.greatest = np.zeros(shape[0])  # evidence of the blamed parameter from the alarm on
         self.also: dict[int, list[int]] = {}
         self.watched = np.zeros(shape[2], dtype=bool)
         self.threshold = np.inf
@@ -175,6 +176,8 @@ class _Watching:
                 for machine in np.flatnonzero(named & (self.alarms == len(tracks.nights))):
                     self.alarms[machine] = night
                     self._blame(int(machine), bank.evidence_of(int(machine)))
+                alarmed = np.flatnonzero(self.alarms <= night)
+                self.greatest[alarmed] = np.maximum(self.greatest[alarmed], highest[alarmed, self.blamed[alarmed]])
 
     def _blame(self, machine: int, evidence: np.ndarray) -> None:
         """Name the parameter that explains the evidence best: of those that pass the threshold, by what the nights say when none is cut.
@@ -201,14 +204,16 @@ class _Watching:
         if bank is None:
             notes.append(f"{shape[1]} nights: scatter is learned from {SETTLING}, and nothing is said before the next")
         if shape[0] < FEWEST:
-            notes.append(f"{shape[0]} machines: what a season does to all cannot be told from a machine's own change below {FEWEST}")
+            notes.append(
+                f"with {shape[0]} machines, fewer than {FEWEST}, what a season does to all is not told from a machine's own change"
+            )
         evidence = np.zeros((shape[0], shape[2]))
         changes = []
         if bank is not None:
-            every = [bank.evidence_of(machine) for machine in range(shape[0])]
-            for machine, flat in enumerate(each.reshape(shape[2], -1) for each in every):
+            for machine in range(shape[0]):
+                flat = bank.evidence_of(machine).reshape(shape[2], -1)
                 evidence[machine] = flat[np.arange(shape[2]), np.abs(flat).argmax(axis=1)]
-            changes = [self._change(int(m), every[m], common) for m in np.flatnonzero(self.alarms < shape[1])]
+            changes = [self._change(int(m), common) for m in np.flatnonzero(self.alarms < shape[1])]
         changes.sort(key=lambda change: -abs(change.sigma))
         first = min(SETTLING, shape[1])
         years = float(np.maximum(np.minimum(self.alarms, shape[1]) - first, 0).sum()) / YEAR
@@ -228,11 +233,9 @@ class _Watching:
         common = np.nan_to_num(np.nanmedian(own, axis=0))
         return np.asarray(common - np.median(common[:SHOWN], axis=0))
 
-    def _change(self, machine: int, evidence: np.ndarray, common: np.ndarray) -> Change:
-        assert self.bank is not None
+    def _change(self, machine: int, common: np.ndarray) -> Change:
         assert self.model is not None
         tracks, j = self.tracks, int(self.blamed[machine])
-        sigma = float(evidence[j].flat[int(np.abs(evidence[j]).argmax())])
         own = tracks.values[machine, :, j] - common[:, j]
         known = np.flatnonzero(np.isfinite(own))
         course = course_of(self.days[known].astype(float), own[known])
@@ -240,10 +243,12 @@ class _Watching:
         base, after = known[: course.since][-BEFORE:], known[course.since :]
         shown = after[-SHOWN:] if course.kind == "growth" else after
         scatter = self.model.scale[j] ** 2
+        earlier, now = float(np.median(own[base])), float(np.median(own[shown]))
+        sigma = float(np.copysign(self.greatest[machine], now - earlier))
         deviation = np.sqrt(np.pi / 2.0 * scatter * (1.0 / max(len(base), 1) + 1.0 / max(len(shown), 1)))
         return Change(
             tracks.machines[machine], tracks.parameters[j], course.kind, sigma, tracks.nights[self.alarms[machine]],
-            since, since_from, since_to, float(np.median(own[base])), float(np.median(own[shown])), float(deviation),
+            since, since_from, since_to, earlier, now, float(deviation),
             tuple(tracks.parameters[k] for k in self.also.get(machine, ())),
         )  # fmt: skip
 

@@ -10,6 +10,7 @@ from hil.fleet.pages.fleet import changes_table, facts_of, how_found, page_of_ma
 from hil.pages import Band, Bullets, Chart, Charts, Mark, Page, Scale, Section, Series, Table, Text, Verdict
 
 YEAR = 365.25
+TRENDS = "± at 95 %; levels in the middle of the nights. The fleet's common part is taken off."
 SHOWN_MACHINES = 5
 """Machines that a parameter's chart draws by name, those with the greatest evidence; more curves are not told apart."""
 
@@ -26,7 +27,7 @@ def machine_page(found: FleetChange, machine: str, store: str) -> Page:
     shown = [int(j) for j in order if np.isfinite(tracks.values[index, :, j]).any()]
     sections = []
     if found.model is not None:
-        sections.append(Section("Trends", [_trends(found, index, trend_of(found, machine), shown)]))
+        sections.append(Section("Trends", [_trends(found, index, trend_of(found, machine), shown), Text(TRENDS)]))
     cells = [_chart(found, index, j, [each for each in changes if each.parameter == tracks.parameters[j]]) for j in shown]
     sections.append(Section("Night by night", [Charts(cells, columns=2)]))
     sections.append(Section("How this was found", [Text(line) for line in how_found(found)], is_folded=True))
@@ -108,8 +109,7 @@ def _trends(found: FleetChange, index: int, trend: Trend, shown: list[int]) -> T
             )
         )
     head = ("parameter", "level", "trend a year", "drawn to the fleet's", "unit", "evidence for a change [sigma]")
-    caption = "± at 95 %; level in the middle of the nights. The fleet's common part is taken off."
-    return Table(head, rows, frozenset((1, 2, 3, 5)), caption=caption)
+    return Table(head, rows, frozenset((1, 2, 3, 5)))
 
 
 def _median(values: np.ndarray) -> str:

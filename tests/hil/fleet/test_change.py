@@ -112,7 +112,7 @@ def test_the_covariance_shows_what_scatter_would_hide() -> None:
 
 def test_few_machines_and_few_nights_are_said() -> None:
     few = fleet_change(fleet(7, 20, 3))
-    assert "below 8" in few.notes[0]
+    assert "fewer than 8" in few.notes[0]
     early = fleet_change(fleet(8, 10))
     assert early.changes == ()
     assert fleet_sentence(early) == "too few nights to say: 10"
