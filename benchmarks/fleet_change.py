@@ -97,7 +97,7 @@ def drawn(template: dict[str, Any], seed: int, nights: int) -> Tracks:
     shape = (MACHINES, nights, count)
 
     def relative(table: dict[str, float]) -> np.ndarray:
-        return np.array([table[kind] for kind in kinds]) * value
+        return np.asarray(np.array([table[kind] for kind in kinds]) * value)
 
     deviations = np.array(template["deviations"])
     covariance = np.array(template["correlation"]) * np.outer(deviations, deviations)

@@ -42,7 +42,7 @@ def facts_of(found: FleetChange, store: str) -> dict[str, str]:
         "Results": store,
         "Machines": str(len(found.tracks.machines)),
         "Nights": f"{len(nights)}, {day(nights[0])} to {day(nights[-1])}",
-        "Stated": f"at most {100.0 * found.per_machine_year:g} false alarms in 100 machine-years, over {int(found.watched.sum())} parameters",
+        "Stated": f"at most {100.0 * found.per_machine_year:g} false alarms in 100 machine-years, {int(found.watched.sum())} parameters",
     }
 
 
