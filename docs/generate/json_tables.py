@@ -48,6 +48,26 @@ _RUN = (
     ),
 )
 
+_FLEET_CHANGE = (
+    Entry("software", "text", "The version that found it."),
+    Entry("answer", "text", "Who needs a visit, in a sentence."),
+    Entry(
+        "changes",
+        "list",
+        "The most certain first: `machine`; `task`, `experiment`, `quantity` and `unit` of the parameter; `kind`, `step` or `growth`; "
+        "`sigma`, evidence in standard deviations, its sign the direction; `alarm`, the night on which it passed the threshold; `since`, "
+        "when it began, and `since_ci95`; `before` and `now` with the `standard_deviation` of their difference; `also`, other "
+        "quantities that changed with it; `sentence`.",
+    ),
+    Entry("common", "list of text", "What moved on all machines at once."),
+    Entry("notes", "list of text", "What limits the answer: few nights, few machines."),
+    Entry("machines, parameters", "number", "How many there are, and how many of the parameters have enough results."),
+    Entry("nights", "list of text", "First and last."),
+    Entry("threshold_sigma", "number", "From which evidence on a machine is named."),
+    Entry("false_alarms_per_machine_year_stated", "number", "The rate that the threshold keeps."),
+    Entry("machine_years_watched", "number", "Over which alarms could be raised."),
+)
+
 COMMANDS: dict[str, tuple[Entry, ...]] = {
     "demo": (
         Entry("page", "text", "The page that was written."),
@@ -101,6 +121,8 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("columns", "list of text", "Names of the columns."),
         Entry("rows", "list", "An object per row; times as ISO 8601 text in UTC, numbers that are none as null."),
     ),
+    "fleet change": _FLEET_CHANGE,
+    "fleet page": (Entry("page", "text", "The fleet's page."), *_FLEET_CHANGE),
     "faults list": (
         Entry(
             "faults",

@@ -18,6 +18,7 @@ from hil.cli import (
     doctor,
     faults,
     fleet,
+    fleet_change,
     foxglove,
     geometry,
     identify,
@@ -61,4 +62,5 @@ def commands(app: typer.Typer) -> None:
     reconstruct.register(app)
     diagnose.register(app)
     app.add_typer(faults.app, name="faults")
+    fleet_change.register(fleet.app)
     app.add_typer(fleet.app, name="fleet")
