@@ -139,6 +139,7 @@ class EffectSetting:
     name: str
     at: str
     parameters: dict[str, float]
+    scatter: float = 0.0  # share by which its strengths differ from one start of the emulated machine to the next, standard deviation
 
 
 @dataclass(frozen=True)

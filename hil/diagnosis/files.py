@@ -34,7 +34,7 @@ def write_diagnosis(outcome: Outcome | Answered, machine: Machine, folder: Path,
     parameters = plant_parameters(machine.plant) if isinstance(outcome, Answered) else outcome.tuning.parameters
     proposal = None if isinstance(outcome, Answered) else outcome.proposal
     try:
-        (folder / "effects.toml").write_text(effects_text((*machine.plant.effects, *outcome.effects), machine), encoding="utf-8")
+        (folder / "effects.toml").write_text(effects_text((*machine.added_effects, *outcome.effects), machine), encoding="utf-8")
         (folder / "machine.toml").write_text(retuned_text(machine, parameters, outcome.values, outcome.diagnosis.retuned), encoding="utf-8")
         if proposal is not None:
             text = proposal.header() + experiment_text(proposal.experiment, machine)  # what it is for, as comments

@@ -9,7 +9,7 @@ from pydantic import Field
 from hil.machine.schema_budgets import BudgetsTable
 from hil.machine.schema_bus import BusTable
 from hil.machine.schema_judging import JudgingTable
-from hil.machine.table import Flag, Name, NotNegative, Number, Positive, Table, Text, Vector, Whole
+from hil.machine.table import Flag, MachineName, Name, NotNegative, Number, Positive, Table, Text, Vector, Whole
 from hil.machine.units import CONSTANT_UNITS, EFFORT_DIMENSIONS, Quantity
 
 Section = tuple[Number, Number, Number, Number, Number, Number]
@@ -319,7 +319,7 @@ class MachineTable(Table):
 
     format: Literal[1]
     """Format of the file."""
-    name: Name
+    name: MachineName
     """Name of the machine."""
     description: Text = ""
     """One line for people."""
@@ -345,6 +345,9 @@ class MachineTable(Table):
     """Time and travel to standstill, by axis."""
     judging: JudgingTable | None = None
     """What is allowed of the sensors in a run."""
+    effect: Annotated[tuple[dict[Name, Number | Text], ...], Field(default=())]
+    """Physics of the catalogue that this machine has: friction, play, cables. One `[[effect]]` table each, with the keys of an effects
+    file. What `--effects` adds comes beside them."""
     tolerances: Annotated[dict[Name, dict[Name, Positive]], Field(default_factory=dict)]
     """By how much numbers of bodies, joints, drives and sensors may be wrong at most, in their own units: `arm = { mass_kg = 0.5,
     center_of_mass_y_m = 0.02, inertia_xz_kg_m2 = 0.1 }`. A diagnosis re-tunes numbers within these bounds, also such as are zero. Without

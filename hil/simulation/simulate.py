@@ -140,7 +140,7 @@ def _in_words(machine: Machine) -> list[str]:
     """Return the physics added to the machine file, a line each, because the file's hash does not include them."""
     return [
         f"{effect.name} at {effect.at}: " + ", ".join(f"{name} = {value!r}" for name, value in effect.parameters.items())
-        for effect in machine.plant.effects
+        for effect in machine.added_effects
     ]
 
 

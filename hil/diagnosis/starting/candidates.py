@@ -85,7 +85,7 @@ def places_to_try(settings: PlantSettings, channels: Sequence[str]) -> list[Effe
     taken = {(one.name, _place(one.name, one.at, settings)) for one in settings.effects if not effects()[one.name].several}
     of_imus = [channel for channel in channels if channel.startswith(("imu_", "gyro_"))]
     for name, effect in effects().items():
-        if effect.kind is DROPOUT or (name in NEEDS_GRAVITY and not np.any(settings.tree.gravity_m_s2)):
+        if effect.kind is DROPOUT or effect.is_slow or (name in NEEDS_GRAVITY and not np.any(settings.tree.gravity_m_s2)):
             continue
         is_of_readings = effect.kind in (CLOCK, SIGN) or "encoder" in effect.kind.allowed_at
         for at in places(effect.kind, settings):
