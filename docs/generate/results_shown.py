@@ -418,6 +418,35 @@ SHOWN = (
         ),
     ),
     Shown(
+        "observer_variances.json",
+        "What the observer states, against the truth",
+        "True error and stated deviation of the nine geometric parameters on both C-arms; the ratio of stated to true should be 1. "
+        "An alarm counts when it begins. `carm-real` has effects that no model knows. Encoders state nothing.",
+        "python benchmarks/observer_variances.py --own-model --json benchmarks/results/observer_variances.json",
+        (Figure("seeds per scan", ("seeds",)), Figure("model of the observer", ("model",))),
+        (
+            Rows(
+                "machine, scan: method",
+                ("rows",),
+                (
+                    Column("isocentre, true [µm]", ("isocentre_true_um",)),
+                    Column("stated", ("isocentre_stated_um",)),
+                    Column("ratio", ("isocentre_ratio",)),
+                    Column("focal spot, true [µm]", ("focal_spot_true_um",)),
+                    Column("stated", ("focal_spot_stated_um",)),
+                    Column("ratio", ("focal_spot_ratio",)),
+                    Column("orientation, true [µrad]", ("orientation_true_urad",)),
+                    Column("stated", ("orientation_stated_urad",)),
+                    Column("ratio", ("orientation_ratio",)),
+                    Column("NIS per measurement", ("nis_per_measurement",)),
+                    Column("in the 95 % band", ("share_in_band",)),
+                    Column("alarms in ten minutes", ("alarms_in_ten_minutes",)),
+                    Column("rows in alarm", ("alarm_share",)),
+                ),
+            ),
+        ),
+    ),
+    Shown(
         "observer_tracking.json",
         "A mode that has changed",
         "A natural frequency that the observer adapts (`--adapt`), after 20 s of a shaken scan.",

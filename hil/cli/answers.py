@@ -67,8 +67,8 @@ def simulate(
     say_emulated(answer, {recording: measured})
     added = ", ".join(f"{effect.name} at {effect.at}" for effect in machine.added_effects) or "nothing"
     answer.say(f"{out}: {len(simulated.time)} rows of {machine.name}; physics added to its file: {added}")
-    effects = [{"name": effect.name, "at": effect.at, "parameters": effect.parameters} for effect in machine.added_effects]
-    answer.write({"simulation": out, "rows": len(simulated.time), "effects": effects})
+    listed = [{"name": effect.name, "at": effect.at, "parameters": effect.parameters} for effect in machine.added_effects]
+    answer.write({"simulation": out, "rows": len(simulated.time), "effects": listed})
 
 
 def compare(

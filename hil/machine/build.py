@@ -64,8 +64,9 @@ def build_plant(table: MachineTable) -> PlantSettings:
         elif isinstance(sensor, CurrentTable):
             currents.append(_current(channel, sensor, table))
         elif isinstance(sensor, ImuTable):
-            if channel != "imu":
-                raise ComplaintError(where, "an IMU is called imu: its channels are imu_x … gyro_z; rename the table [sensors.imu]")
+            if channel != "imu" and not channel.startswith("imu_"):
+                right = "an IMU is called imu, a further one imu_NAME: its channels are imu_NAME_x … gyro_NAME_z"
+                raise ComplaintError(where, f"{right}; rename the table [sensors.imu]")
             require_known(sensor.body, [body.name for body in table.body], (*where, "body"), "body")
             imus.append(_imu(channel, sensor))
         elif isinstance(sensor, TemperatureTable):

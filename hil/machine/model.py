@@ -100,6 +100,16 @@ class Machine:
         return max((axis for axis in self.axes if name.endswith(f"_{axis}")), key=len, default=None)
 
     @property
+    def line_imu(self) -> str:
+        """Name of the IMU on the serial line; "" without one."""
+        return self.bus.imu.name if self.bus is not None and self.bus.imu is not None else ""
+
+    @property
+    def bus_imu(self) -> str:
+        """Name of the IMU that is a node of the bus; "" without one."""
+        return next((node.sensor for node in self.bus.nodes if node.role == "imu"), "") if self.bus is not None else ""
+
+    @property
     def added_effects(self) -> tuple[EffectSetting, ...]:
         """Physics beside what the file states."""
         return self.plant.effects[len(self.own_effects) :]

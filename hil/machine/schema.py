@@ -198,9 +198,10 @@ class CurrentTable(Table):
 
 
 class ImuTable(Table):
-    """Table `[sensors.imu]`, `type = "imu"`: accelerometer and gyroscope on a body.
+    """Table `[sensors.imu]`, `type = "imu"`: accelerometer and gyroscope on a body; a further one is `[sensors.imu_NAME]`.
 
-    Its channels are `imu_x`, `imu_y`, `imu_z`, `gyro_x`, `gyro_y` and `gyro_z`.
+    Its channels are `imu_x`, `imu_y`, `imu_z`, `gyro_x`, `gyro_y` and `gyro_z`; of a further one `imu_NAME_x` to `gyro_NAME_z`. An observer
+    takes the one on `geometry.source_body` for the motion of the focal spot.
     """
 
     type: Literal["imu"]

@@ -15,7 +15,7 @@ from hil.errors import RecordingError
 from hil.machine import Machine
 from hil.machine.model import AxisUnits
 from hil.recording import Recording, RecordingWarning
-from hil.simulation.simulate import IMU_UNITS, axes_with_feedforward, position_channel
+from hil.simulation.simulate import axes_with_feedforward, imu_units, position_channel
 
 SILENT = 1e-12
 """A channel that varies by less than this share of its largest value, recorded and simulated, is left out: what is left is rounding."""
@@ -94,7 +94,7 @@ def _is_effort_measured(units: AxisUnits, pairs: Sequence[tuple[Recording, Mappi
 
 def check_units(machine: Machine, label: str, recording: Recording, channels: Sequence[str]) -> None:
     """RecordingError where a channel that is compared is in another unit than its simulation."""
-    wanted = dict(IMU_UNITS)
+    wanted = imu_units(machine)
     for units in machine.units:
         wanted |= {f"{group}_{units.axis}": units.position for group in ("position", "link_position")}
         wanted |= {f"{group}_{units.axis}": units.effort for group in ("command", "effort", "current")}
