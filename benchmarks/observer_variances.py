@@ -38,15 +38,18 @@ from scipy.spatial.transform import Rotation
 
 from controllers.models.modal import ModalModel
 from controllers.observers.consistency import share_in_band
+from controllers.observers.settings import ObserverNoise
 from hil.experiments import Plan, Scan
 from hil.machine import Machine, load_machine
 from hil.observing import ObserverDesign, emulated_design, observe, read_design, tune, write_design
 from hil.observing.geometry import observed_chain
 from hil.observing.noise import LATTICE, encoder_steps, starting_noise
+from hil.observing.unmodelled import with_unmodelled
 from hil.recording import Recording
 from hil.terminal.output import Answer
 
 FIRST_SEED = 7000
+UNTOLD = "ukf, effects not in its noise"
 GROUPS = {"isocentre": slice(3, 6), "focal_spot": slice(0, 3), "orientation": slice(6, 9)}
 NINE = [*(f"source_{axis}" for axis in "xyz"), *(f"isocenter_{axis}" for axis in "xyz"), *(f"orientation_{axis}" for axis in "xyz")]
 
@@ -124,8 +127,8 @@ class Sums:
         return found
 
 
-def take(sums: dict[str, Sums], machine: Machine, design: ObserverDesign, scan: ShakenScan) -> None:
-    """Add one scan as every method sees it."""
+def take(sums: dict[str, Sums], machine: Machine, design: ObserverDesign, scan: ShakenScan, untold: ObserverDesign | None) -> None:
+    """Add one scan as every method sees it; `untold`: the same observer, whose noise counts no effect."""
     first = round(SKIPPED_S * machine.sample_rate_Hz)
     recording = scan.recording
     assert machine.geometry is not None
@@ -135,8 +138,10 @@ def take(sums: dict[str, Sums], machine: Machine, design: ObserverDesign, scan: 
     blind = without(recording, ("link_position", "imu_", "gyro_"))
     no_link = without(recording, ("link_position",))
     ways = {"model only": (blind, "ekf"), "ukf without link encoders": (no_link, "ukf"), "kf": (recording, "kf"), "ekf": (recording, "ekf")}
-    for name, (seen, kind) in (ways | {"ukf": (recording, "ukf")}).items():
-        estimate = observe(seen, design.observer(kind))  # type: ignore[arg-type]
+    ways |= {"ukf": (recording, "ukf")} | ({} if untold is None else {UNTOLD: (recording, "ukf")})
+    for name, (seen, kind) in ways.items():
+        used = untold if untold is not None and name == UNTOLD else design
+        estimate = observe(seen, used.observer(kind))  # type: ignore[arg-type]
         found = np.column_stack([estimate[f"estimate_{channel}"] for channel in NINE])[first:]
         variance = np.column_stack([estimate[f"estimate_{channel}_variance"] for channel in NINE])[first:]
         of = sums.setdefault(name, Sums())
@@ -145,8 +150,31 @@ def take(sums: dict[str, Sums], machine: Machine, design: ObserverDesign, scan: 
         of.add_consistency(*said, seconds=len(truth) / machine.sample_rate_Hz)
 
 
-def own_design(machine: Machine, counts: tuple[int, ...] = GRID) -> ObserverDesign:
-    """Return the observer whose model has the file's numbers, and knows of no effect but the bias that it would find at rest."""
+def own_noise(machine: Machine, model: ModalModel) -> ObserverNoise:
+    """Return the noise of the file's sensors and of the shaken scans."""
+    found = {effect.at: effect.parameters for effect in machine.plant.effects if effect.name == "imu_scale_bias"}
+    bias, noises = [], []
+    for imu in sorted(machine.plant.imus, key=lambda imu: imu.body != machine.geometry.detector_body):  # type: ignore[union-attr]
+        more = found.get(imu.name, {})
+        bias += [imu.accelerometer_bias_m_s2 + [more.get(name, 0.0) for name in ("bx", "by", "bz")]]
+        bias += [imu.gyro_bias_rad_s + more.get("bg", 0.0)]
+        noises += [imu.accelerometer_noise_rms_m_s2, imu.gyro_noise_rms_rad_s]
+    biases = np.concatenate(bias), np.zeros(6 * len(model.sensors))
+    steps = encoder_steps(model, machine)
+    return dataclasses.replace(
+        starting_noise(model, machine, (), (), biases),
+        disturbance=np.concatenate((np.full(len(machine.axes), OWN_DRIVES_Nm), list(SHAKEN_Nm.values()))),
+        disturbance_Hz=np.concatenate((np.zeros(len(machine.axes)), np.full(len(SHAKEN_Nm), BAND_Hz[0]))),
+        low_pass=np.zeros(0, dtype=bool),
+        measurement=np.concatenate((steps * LATTICE, *noises)),
+    )
+
+
+def own_design(machine: Machine, counts: tuple[int, ...] = GRID, *, told: bool = False) -> ObserverDesign:
+    """Return the observer whose model has the file's numbers, and knows of no effect but the bias that it would find at rest.
+
+    `told`: its noise counts the effects that the file states.
+    """
     plain = dataclasses.replace(machine, plant=dataclasses.replace(machine.plant, effects=()))
     chain, sensors, source, isocenter = observed_chain(machine)
     n, axes = len(machine.axes), machine.axes
@@ -158,22 +186,9 @@ def own_design(machine: Machine, counts: tuple[int, ...] = GRID) -> ObserverDesi
         position_unit=tuple(units.position for units in machine.units),
     )  # fmt: skip
     model = true_model(plain, empty, OWN_MODES, tuple(SHAKEN_Nm), counts)
-    found = {effect.at: effect.parameters for effect in machine.plant.effects if effect.name == "imu_scale_bias"}
-    bias, noises = [], []
-    for imu in sorted(machine.plant.imus, key=lambda imu: imu.body != machine.geometry.detector_body):  # type: ignore[union-attr]
-        more = found.get(imu.name, {})
-        bias += [imu.accelerometer_bias_m_s2 + [more.get(name, 0.0) for name in ("bx", "by", "bz")]]
-        bias += [imu.gyro_bias_rad_s + more.get("bg", 0.0)]
-        noises += [imu.accelerometer_noise_rms_m_s2, imu.gyro_noise_rms_rad_s]
-    biases = np.concatenate(bias), np.zeros(6 * len(sensors))
-    steps = encoder_steps(model, machine)
-    noise = dataclasses.replace(
-        starting_noise(model, machine, (), (), biases),
-        disturbance=np.concatenate((np.full(n, OWN_DRIVES_Nm), list(SHAKEN_Nm.values()))),
-        disturbance_Hz=np.concatenate((np.zeros(n), np.full(len(SHAKEN_Nm), BAND_Hz[0]))),
-        low_pass=np.zeros(0, dtype=bool),
-        measurement=np.concatenate((steps * LATTICE, *noises)),
-    )
+    noise = own_noise(machine, model)
+    if told:
+        noise = with_unmodelled(noise, model, machine)
     return ObserverDesign(model, noise, isocenter, machine.name, machine.hash, ("the file's own numbers",))
 
 
@@ -199,8 +214,10 @@ def main() -> None:
     for name in options.machine or ["carm", "carm-real"]:
         machine = load_machine(name)
         judged = scans(machine)
+        untold = None
         if options.own_model:
-            design = own_design(machine)
+            design = own_design(machine, told=True)
+            untold = dataclasses.replace(design, noise=own_noise(machine, design.model)) if machine.own_effects else None
         else:
             design = read_design(Path(given[name])) if name in given else emulated_design(machine)
             plans = [judged["roll 30 deg/s, shaken"][0], judged["propeller 30 deg/s, reversed, quiet"][0]]
@@ -212,11 +229,16 @@ def main() -> None:
         for scan, (plan, loudness) in judged.items():
             sums: dict[str, Sums] = {}
             for seed in range(FIRST_SEED, FIRST_SEED + options.seeds):
-                take(sums, machine, design, shaken_scan(drawn, plan, seed, loudness))
+                take(sums, machine, design, shaken_scan(drawn, plan, seed, loudness), untold)
                 print(f"{name}, {scan}, seed {seed}", file=sys.stderr, flush=True)
             rows |= {f"{name}, {scan}: {method}": found.table() for method, found in sums.items()}
     to.write(
-        {"model": "own" if options.own_model else "identified", "seeds": options.seeds, "spread_percent": options.spread, "rows": rows}
+        {
+            "model": "own" if options.own_model else "identified",
+            "seeds": options.seeds,
+            "spread_percent": options.spread,
+            "rows": rows,
+        }
     )
 
 

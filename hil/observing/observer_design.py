@@ -26,6 +26,7 @@ from hil.observing.standing import standing_mean, with_gravity, with_gravity_at_
 from hil.observing.structure import Structure, found_structure, with_coupling, with_inertia, with_places
 from hil.observing.tuning import tune
 from hil.observing.turning import with_turning
+from hil.observing.unmodelled import with_unmodelled
 from hil.recording import Recording
 from hil.simulation import Simulator
 
@@ -142,7 +143,7 @@ def design_observer(
         model = with_coupling(model, structure, gain)
         model, note = with_last_mode(model, structure, max(float(response.frequencies_Hz[-1]) for response in responses))
         notes += [note] if note else []
-    noise = starting_noise(model, machine, responses, standing, biases)
+    noise = with_unmodelled(starting_noise(model, machine, responses, standing, biases), model, machine)
     if tuned_on:
         tuning = tune(model, noise, tuned_on)
         noise = tuning.noise
