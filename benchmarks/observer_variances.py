@@ -188,7 +188,7 @@ def own_design(machine: Machine, counts: tuple[int, ...] = GRID, *, told: bool =
     model = true_model(plain, empty, OWN_MODES, tuple(SHAKEN_Nm), counts)
     noise = own_noise(machine, model)
     if told:
-        noise = with_unmodelled(noise, model, machine)
+        noise = with_unmodelled(noise, model, machine, np.ones(n))  # `true_model` has its drives in Nm
     return ObserverDesign(model, noise, isocenter, machine.name, machine.hash, ("the file's own numbers",))
 
 

@@ -16,6 +16,7 @@ from controllers.models.modal import ModalModel
 from controllers.observers.settings import ObserverNoise
 from hil.machine import Machine
 from hil.observing.geometry import placed_bodies
+from hil.observing.noise import effort_gain
 from virtual_bus.effects.places import spring_at
 from virtual_bus.settings import EffectSetting
 
@@ -45,7 +46,7 @@ RUN_s = 10.0
 """Length of a scan, at whose end a structure is warmer."""
 
 
-def with_unmodelled(noise: ObserverNoise, model: ModalModel, machine: Machine) -> ObserverNoise:
+def with_unmodelled(noise: ObserverNoise, model: ModalModel, machine: Machine, effort_per_unit: np.ndarray | None = None) -> ObserverNoise:
     """Return the noise with the effects that the machine's file states; unchanged where it states none.
 
     Parameters
@@ -55,11 +56,13 @@ def with_unmodelled(noise: ObserverNoise, model: ModalModel, machine: Machine) -
     model : ModalModel
         With disturbances at places, drives first.
     machine : Machine
+    effort_per_unit : (n_axes,) array, optional
+        Effort on the joint [Nm] of one unit of a drive's disturbance; that of the drive's unit unless given.
     """
     if not machine.own_effects:
         return noise
     axes, n = machine.axes, len(machine.axes)
-    gain = np.array([drive.constant * drive.ratio for drive in machine.plant.drives])
+    unit = effort_gain(machine) if effort_per_unit is None else effort_per_unit
     stiffness = {joint.name: joint.stiffness for joint in machine.plant.tree.joints}
     drive, gear, apart, turned = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(3)
     _, to_detector = placed_bodies(machine.plant.tree.bodies)[machine.geometry.detector_body]  # type: ignore[union-attr]
@@ -92,7 +95,7 @@ def with_unmodelled(noise: ObserverNoise, model: ModalModel, machine: Machine) -
             bias[k, 0] = np.hypot(bias[k, 0], off[0])  # at rest nothing turns
             walk[k] = np.hypot(walk[k], off * np.sqrt([TURNING_rad_s, 1.0]))  # speeds change within a second
     disturbance = noise.disturbance.copy()
-    disturbance[:n] = np.hypot(disturbance[:n], drive / (gain if model.directions is None else 1.0))
+    disturbance[:n] = np.hypot(disturbance[:n], drive / unit)
     gears = [j for j, place in enumerate(model.places) if place == "gear"]
     for number, j in enumerate(gears):
         disturbance[j] = np.hypot(disturbance[j], gear[number] if len(gears) == n else gear.max())

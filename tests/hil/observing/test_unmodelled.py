@@ -14,7 +14,7 @@ from hil.observing.unmodelled import with_unmodelled
 
 sys.path.insert(0, str(BENCHMARKS))
 from observer_scan import shaken_scan
-from observer_variances import NINE, nine, own_design, scans
+from observer_variances import NINE, nine, own_design, own_noise, scans
 
 
 @pytest.fixture(scope="module")
@@ -37,6 +37,8 @@ def test_each_effect_enters_where_the_filter_has_a_state_for_it(machine: Machine
     noise = told.noise
     dry = np.hypot([27.0, 45.0], [13.0, 22.0])  # sliding and break-away beside viscous 20 Nm s/rad at 0.5 rad/s and a cable of 10 Nm/rad
     np.testing.assert_allclose(noise.disturbance[:2], np.sqrt(dry**2 + 10.0**2 + 10.0**2 + 0.1**2), rtol=1e-6)
+    identified = with_unmodelled(own_noise(machine, told.model), told.model, machine)  # its drives count in ampere: 47.5 Nm each
+    np.testing.assert_allclose(identified.disturbance[:2], np.hypot(np.sqrt(dry**2 + 200.0) / 47.5, 0.1), rtol=1e-6)
     leak = 9.81 * np.hypot(np.sqrt((0.004**2 + 0.006**2 + 0.008**2) / 3.0), np.sqrt((0.003**2 + 0.002**2 + 0.001**2) / 3.0))
     np.testing.assert_allclose(noise.initial_bias[:3], leak, rtol=1e-2)
     apart = np.sqrt(3e-5**2 + 2e-5**2 + 5e-6**2 + 5e-5**2 + 1e-6**2 + 2e-6**2)  # play, teeth, both encoders
