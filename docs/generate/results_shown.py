@@ -421,7 +421,8 @@ SHOWN = (
         "observer_variances.json",
         "What the observer states, against the truth",
         "True error and stated deviation of the nine geometric parameters on both C-arms; the ratio of stated to true should be 1. "
-        "An alarm counts when it begins. `carm-real` has effects that no model knows. Encoders state nothing.",
+        "The observer's model has the machine file's own numbers, so that nothing is false but the effects of `carm-real`. An alarm counts "
+        "when it begins. Encoders state nothing.",
         "python benchmarks/observer_variances.py --own-model --json benchmarks/results/observer_variances.json",
         (Figure("seeds per scan", ("seeds",)), Figure("model of the observer", ("model",))),
         (
