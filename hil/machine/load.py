@@ -28,7 +28,7 @@ SHIPPED = Path(__file__).resolve().parent / "shipped"
 
 def list_shipped() -> dict[str, str]:
     """Name and description of every machine that comes with the project."""
-    return {path.stem: load_machine(path).description for path in sorted(SHIPPED.glob("*.toml"))}
+    return {path.stem: load_machine(path).description for path in sorted(SHIPPED.glob("*.toml"), key=lambda path: path.stem)}
 
 
 def load_machine(name_or_path: str | Path) -> Machine:
