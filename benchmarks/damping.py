@@ -72,9 +72,8 @@ def vibration(machine: Machine, design: ObserverDesign, ratio: float) -> dict[st
     return found
 
 
-def measure(design: ObserverDesign, over_poses: bool) -> dict[str, object]:
+def measure(machine: Machine, design: ObserverDesign, over_poses: bool) -> dict[str, object]:
     """Everything, by the ratio asked for."""
-    machine = load_machine("carm")
     physics, rest = Physics(machine.plant, noise=False), np.zeros(len(machine.axes))
     plan = Static(SECONDS).plans(machine)[0]
     tuned_on = emulated_recording(machine.with_effects((SHAKING,)), plan, 3)
@@ -101,9 +100,10 @@ def main() -> None:
     parser.add_argument("--design", type=Path, required=True, metavar="FILE", help="observer design of the C-arm")
     parser.add_argument("--over-poses", action="store_true", help="the linear loop over 25 poses as well")
     parser.add_argument("--json", default="-", metavar="FILE", help="- for standard output")
+    parser.add_argument("--machine", default="carm", help="carm, carm-real, or the path of a C-arm's file")
     arguments = parser.parse_args()
     to = Answer(arguments.json)
-    to.write(measure(read_design(arguments.design), arguments.over_poses))
+    to.write(measure(load_machine(arguments.machine), read_design(arguments.design), arguments.over_poses))
 
 
 if __name__ == "__main__":

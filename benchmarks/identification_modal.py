@@ -22,7 +22,7 @@ from numpy.polynomial import legendre
 
 from hil.figures.modes import modes_figure
 from hil.identification import FrequencyResponse, fit_modal_model, periodic_records, read_frf, robust_bla, write_frf
-from hil.machine import load_machine
+from hil.machine import Machine, load_machine
 from hil.simulation import Inputs, Simulator
 from hil.simulation.linear import sampled_response
 from virtual_bus.physics import Physics
@@ -74,8 +74,8 @@ def measured(simulator: Simulator, pose: np.ndarray, rng: np.random.Generator) -
     return robust_bla(records)
 
 
-def responses_over_poses(keep: Path | None) -> list[FrequencyResponse]:
-    simulator = Simulator(load_machine("carm"))
+def responses_over_poses(machine: Machine, keep: Path | None) -> list[FrequencyResponse]:
+    simulator = Simulator(machine)
     made = []
     for index, roll in enumerate(ROLL_RAD):
         kept = None if keep is None else keep / f"{index}.npz"
@@ -99,8 +99,7 @@ def true_modes(plant: Physics, pose: Sequence[float]) -> tuple[np.ndarray, np.nd
     return np.abs(poles) / (2 * np.pi), -poles.real / np.abs(poles)
 
 
-def judged(responses: list[FrequencyResponse], step: int, figure: Path | None) -> dict:
-    machine = load_machine("carm")
+def judged(machine: Machine, responses: list[FrequencyResponse], step: int, figure: Path | None) -> dict:
     plant = Physics(machine.plant, noise=False)
     start = time.process_time()
     model = fit_modal_model(responses[::step], 1)
@@ -131,9 +130,9 @@ def judged(responses: list[FrequencyResponse], step: int, figure: Path | None) -
     }  # fmt: skip
 
 
-def interpolated_frequencies() -> dict[str, float]:
+def interpolated_frequencies(machine: Machine) -> dict[str, float]:
     """Largest error [%] halfway between 13 poses of the plant's own lowest frequency put through polynomials of order 8, by form."""
-    plant = Physics(load_machine("carm").plant, noise=False)
+    plant = Physics(machine.plant, noise=False)
     omega2 = np.array([true_modes(plant, (PROPELLER_RAD, roll))[0][0] ** 2 for roll in ROLL_RAD])
     x, fitted, between = ROLL_RAD / ROLL_RAD[-1], slice(0, None, 4), slice(2, None, 4)
     errors = {}
@@ -148,10 +147,12 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "identification_modal.json")
     parser.add_argument("--keep", type=Path, default=None, help="folder of the responses")
     parser.add_argument("--figure", type=Path, default=None, help="modes over the poses, of the last model (.png)")
+    parser.add_argument("--machine", default="carm", help="carm, carm-real, or the path of a C-arm's file")
     arguments = parser.parse_args()
-    responses = responses_over_poses(arguments.keep)
-    report: dict[str, dict] = {"lowest frequency of the plant, interpolated [%]": interpolated_frequencies()}
-    report |= {name: judged(responses, step, arguments.figure) for name, step in FITTED.items()}
+    machine = load_machine(arguments.machine)
+    responses = responses_over_poses(machine, arguments.keep)
+    report: dict[str, dict] = {"lowest frequency of the plant, interpolated [%]": interpolated_frequencies(machine)}
+    report |= {name: judged(machine, responses, step, arguments.figure) for name, step in FITTED.items()}
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     arguments.out.write_text(json.dumps(report, indent=1) + "\n")
     print(json.dumps(report, indent=1))

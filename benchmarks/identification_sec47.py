@@ -37,8 +37,8 @@ METHODS = {
 class Experiment:
     """Poses, truths, and noisy records of one multisine per draw."""
 
-    def __init__(self) -> None:
-        self.machine = load_machine("carm")
+    def __init__(self, machine: str) -> None:
+        self.machine = load_machine(machine)
         self.simulator = Simulator(self.machine)
         self.poses = [(0.0, roll) for roll in np.radians(np.linspace(-90.0, 90.0, POSES))]
         self.frequencies_Hz = LINES * self.machine.sample_rate_Hz / PERIOD
@@ -187,8 +187,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--draws", type=int, default=8)
     parser.add_argument("--no-selection", action="store_true")
+    parser.add_argument("--machine", default="carm", help="carm, carm-real, or the path of a C-arm's file")
     arguments = parser.parse_args()
-    experiment = Experiment()
+    experiment = Experiment(arguments.machine)
     draws = []
     for seed in range(arguments.draws):
         kept = arguments.out.with_suffix(f".draw{seed}.npz")

@@ -123,11 +123,12 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "identification_sec48.json")
     parser.add_argument("--draws", type=int, default=6)
     parser.add_argument("--keep", type=Path, default=None, help="folder of finished draws; beside the result by default")
+    parser.add_argument("--machine", default="carm", help="carm, carm-real, or the path of a C-arm's file")
     arguments = parser.parse_args()
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     keep = arguments.keep or arguments.out.with_suffix(".draws")
     keep.mkdir(parents=True, exist_ok=True)
-    machine = load_machine("carm")
+    machine = load_machine(arguments.machine)
     simulator = Simulator(machine.with_effects(FRICTION))
     draws = []
     for seed in range(arguments.draws):

@@ -33,10 +33,12 @@ from hil.observing import ObserverDesign, emulated_design, observe, read_design,
 from hil.observing.geometry import observed_chain
 from hil.observing.noise import encoder_steps
 from hil.recording import Channel, Recording
+from hil.simulation.simulate import imu_units
 from hil.terminal.output import Answer
+from virtual_bus.effects.registry import effect_number
 from virtual_bus.physics import Physics
 from virtual_bus.plant.compiled import compile_plant
-from virtual_bus.settings import Drive, PlantSettings
+from virtual_bus.settings import Drive, EffectSetting, PlantSettings
 
 SHAKEN_Nm = {"mount_sway": 40.0, "propeller_gear": 15.0, "roll_gear": 15.0, "detector_mount": 2.0}
 """Rms torque at joints that no drive turns: people and ceiling at the mount, cables at the arc, hands at the detector."""
@@ -58,11 +60,12 @@ TRAINING_SEED = 100
 
 @dataclass(frozen=True)
 class ShakenScan:
-    """A recording and what only the emulator knows: detector position (N, 3) and rotation (N, 3, 3)."""
+    """A recording and what only the emulator knows: detector position (N, 3) and rotation (N, 3, 3), focal spot (N, 3)."""
 
     recording: Recording
     position: np.ndarray
     rotation: np.ndarray
+    source: np.ndarray
 
 
 def shaken_plant(machine: Machine, shaken_Nm: dict[str, float]) -> PlantSettings:
@@ -91,35 +94,38 @@ def white_std(machine: Machine, shaken_Nm: dict[str, float]) -> np.ndarray:
 
 def shaken_scan(machine: Machine, plan: Plan, seed: int, loudness: float = 1.0) -> ShakenScan:
     """Run a plan in closed loop on the shaken machine; `loudness` scales the shaking, 0 leaves sensors' noise alone."""
-    joints = [joint.name for joint in machine.plant.tree.joints]
     still = Physics(machine.plant, noise=False)
     still.place(plan.start_pose)
-    rest = still.truth()["joint_position"]
     holding = still.holding_effort(plan.start_pose)
-    physics = Physics(shaken_plant(machine, SHAKEN_Nm), seed)
-    physics.place(np.concatenate((plan.start_pose, [rest[joints.index(joint)] for joint in SHAKEN_Nm])))
-    axes = len(machine.axes)
-    physics.set_brakes(np.zeros(axes + len(SHAKEN_Nm), dtype=bool))
+    bodies = {body.joint.name: body.name for body in machine.plant.tree.bodies if body.joint is not None}
+    loads = tuple(EffectSetting("constant_load", bodies[joint], {"tau0": 0.0}) for joint in SHAKEN_Nm)
+    physics = Physics(dataclasses.replace(machine.plant, effects=(*machine.plant.effects, *loads)), seed)
+    rows_of_model = physics.model["effort_rows"].reshape(-1, physics.model["effort_rows"].shape[-1])
+    shaken = np.flatnonzero(rows_of_model[:, 0] == effect_number("constant_load"))[-len(loads) :]
+    physics.place(plan.start_pose)
+    axes, geometry = len(machine.axes), machine.geometry
+    assert geometry is not None
+    physics.set_brakes(np.zeros(axes, dtype=bool))
     feedback = Feedback(machine.controllers)
     feedback.preload(holding, plan.start_pose, np.zeros(axes))
     step = np.array([drive.resolution for drive in machine.plant.drives])
     command, answer, nothing = holding.copy(), holding.copy(), np.zeros(axes)
     settle, rows = round(SETTLE_S * machine.sample_rate_Hz), len(plan.reference)
     push = loudness * shaking(machine, settle + rows, seed)
-    effort = np.zeros(axes + len(SHAKEN_Nm))
-    kept: dict[str, list[np.ndarray]] = {name: [] for name in ("position", "link", "imu", "command", "pose")}
+    kept: dict[str, list[np.ndarray]] = {name: [] for name in ("position", "link", "imu", "command", "pose", "source")}
     for k in range(settle + rows):
-        effort[:axes], effort[axes:] = step * np.round(command / step), push[k]
-        physics.apply(effort)
+        rows_of_model[shaken, 1] = push[k]
+        physics.apply(step * np.round(command / step))
         latched = physics.latch()
         row = max(k - settle, 0)
-        feedback.step(plan.reference[row], latched.position[:axes], plan.excitation[row], nothing, answer)
+        feedback.step(plan.reference[row], latched.position, plan.excitation[row], nothing, answer)
         if k >= settle:
-            truth = physics.truth()["pose_detector"]
-            for name, value in (("position", latched.position[:axes]), ("link", latched.link_position[:axes]), ("imu", latched.imu[:6])):
+            truth = physics.truth()
+            for name, value in (("position", latched.position), ("link", latched.link_position), ("imu", latched.imu)):
                 kept[name].append(value.copy())
             kept["command"].append(answer.copy())
-            kept["pose"].append(truth)
+            kept["pose"].append(truth[f"pose_{geometry.detector_body}"])
+            kept["source"].append(truth[f"pose_{geometry.source_body}"])
         command[:] = answer
         physics.advance()
     table = {name: np.array(values) for name, values in kept.items()}
@@ -128,10 +134,11 @@ def shaken_scan(machine: Machine, plan: Plan, seed: int, loudness: float = 1.0) 
         channels[f"command_{axis}"] = Channel("A", table["command"][:, i])
         channels[f"position_{axis}"] = Channel("rad", table["position"][:, i])
         channels[f"link_position_{axis}"] = Channel("rad", table["link"][:, i])
-    for j, name in enumerate(("imu_x", "imu_y", "imu_z", "gyro_x", "gyro_y", "gyro_z")):
-        channels[name] = Channel("m/s^2" if j < 3 else "rad/s", table["imu"][:, j])
-    pose = table["pose"]
-    return ShakenScan(Recording(channels, {}), pose[:, :3], pose[:, 3:].reshape(-1, 3, 3))
+    for (name, unit), values in zip(imu_units(machine).items(), table["imu"].T, strict=True):
+        channels[name] = Channel(unit, values)
+    pose, tube = table["pose"], table["source"]
+    source = tube[:, :3] + tube[:, 3:].reshape(-1, 3, 3) @ geometry.source_position_m
+    return ShakenScan(Recording(channels, {}), pose[:, :3], pose[:, 3:].reshape(-1, 3, 3), source)
 
 
 def nominal_pose(machine: Machine, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -384,11 +391,16 @@ def main() -> None:
     parser.add_argument("--save-design", metavar="FILE", type=Path, help="write the tuned design")
     parser.add_argument("--no-oracle", action="store_true", help="leave the oracle out")
     parser.add_argument("--own-model", action="store_true", help="judge the observer's own filter with all parameters true, too")
+    parser.add_argument(
+        "--machine", default="carm", help="carm or carm-real; of carm-real there is no oracle: it would need the friction's states"
+    )
     options = parser.parse_args()
+    if options.machine != "carm" and not (options.no_oracle and not options.own_model):
+        parser.error("of another machine than carm there is no oracle: add --no-oracle, without --own-model")
     if options.tuned and options.design is None:
         parser.error("--tuned says that --design is tuned: give --design")
     to = Answer(options.json)
-    machine = load_machine("carm")
+    machine = load_machine(options.machine)
     began = time.perf_counter()
     design = read_design(options.design) if options.design else emulated_design(machine)
     plans = scans(machine)

@@ -89,9 +89,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", metavar="FILE", default="-", help="where to write the answer; - for standard output")
     parser.add_argument("--design", metavar="FILE", type=Path, required=True, help="design tuned on shaken scans")
+    parser.add_argument("--machine", default="carm", help="carm, carm-real, or the path of a C-arm's file")
     options = parser.parse_args()
     to = Answer(options.json)
-    machine = load_machine("carm")
+    machine = load_machine(options.machine)
     design = read_design(options.design)
     answer: dict[str, dict] = {}
     for name, loudness, used in (("shaken", 1.0, design), ("quiet", 0.0, quiet_design(machine, design))):

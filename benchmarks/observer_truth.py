@@ -40,7 +40,9 @@ class Emulated:
         self.links = np.array([
             [float(name in encoders[f"link_position_{axis}"].joints) for name in self.joints] for axis in machine.axes
         ])  # fmt: skip
-        self.detector = list(machine.plant.watched_bodies).index(machine.geometry.detector_body)  # type: ignore[union-attr]
+        watched, detector = list(machine.plant.watched_bodies), machine.geometry.detector_body  # type: ignore[union-attr]
+        self.detector = watched.index(detector)
+        self.sensed = [self.detector, *(watched.index(imu.body) for imu in machine.plant.imus if imu.body != detector)]
         self.rigid = np.eye(len(self.joints))[:, self.driven]
         self.damping = np.diag([joint.damping for joint in tree.joints])
         self.friction = np.diag(self.damping)[self.driven].copy()
@@ -59,15 +61,18 @@ class Emulated:
         return q, inertia, squares[:modes], found
 
     def detector_at(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        pose = self.plant.body_poses(self.model, q)[self.detector]
+        return self.body_at(q, self.detector)
+
+    def body_at(self, q: np.ndarray, body: int) -> tuple[np.ndarray, np.ndarray]:
+        pose = self.plant.body_poses(self.model, q)[body]
         return pose[:3], pose[3:].reshape(3, 3)
 
-    def twists(self, q: np.ndarray) -> np.ndarray:
-        """(joints, 6) shift and turn of the detector per joint, in its frame."""
-        _, turned = self.detector_at(q)
+    def twists(self, q: np.ndarray, body: int) -> np.ndarray:
+        """(joints, 6) shift and turn of a body per joint, in its frame."""
+        _, turned = self.body_at(q, body)
         rows = []
         for unit in np.eye(len(q)):
-            (x, X), (y, Y) = self.detector_at(q + POINT_STEP_rad * unit), self.detector_at(q - POINT_STEP_rad * unit)
+            (x, X), (y, Y) = self.body_at(q + POINT_STEP_rad * unit, body), self.body_at(q - POINT_STEP_rad * unit, body)
             turn = X @ Y.T
             turn = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2.0
             rows.append(np.concatenate((turned.T @ (x - y), turned.T @ turn)) / (2.0 * POINT_STEP_rad))
@@ -126,7 +131,7 @@ def _at_pose(
     """Rows, directions, turning and coupling at one pose."""
     n, modes, gain, rigid = len(pose), len(squares), emulated.gain, emulated.rigid
     own = np.linalg.inv(rigid.T @ inertia @ rigid)
-    twist = emulated.twists(q).T @ shapes
+    twist = np.vstack([emulated.twists(q, body).T @ shapes for body in emulated.sensed])
     motor, link, inputs = shapes[emulated.driven], emulated.links @ shapes, gain[:, None] * shapes[emulated.driven]
     held = emulated.plant.inertia_and_bias(emulated.model, q, 0.0 * q)[1]
     rows: list[np.ndarray] = []

@@ -31,6 +31,8 @@ class Sample:
     imu: np.ndarray = field(init=False)  # (6,) specific force m/s^2, angular rate rad/s
     imu_time_s: float = field(default=float("nan"), init=False)
     imu_counter: int = field(default=-1, init=False)
+    bus_imu: np.ndarray = field(init=False)  # (6,) likewise, of the IMU that is a node of the bus; NaN without one
+    bus_imu_counter: int = field(default=-1, init=False)  # of its samples, -1 when missing
     temperature_degC: np.ndarray = field(init=False)
     hold_to_run: bool = field(default=True, init=False)
     door_closed: bool = field(default=True, init=False)
@@ -56,6 +58,7 @@ class Sample:
         self.position_late = np.zeros(self.axes, dtype=bool)
         self.link_late = np.zeros(self.axes, dtype=bool)
         self.imu = np.full(6, np.nan)
+        self.bus_imu = np.full(6, np.nan)
         self.temperature_degC = np.full(self.axes, np.nan)
         self.brakes_open = np.zeros(self.axes, dtype=bool)
 

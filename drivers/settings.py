@@ -36,8 +36,8 @@ class Node:
     """One CANopen node of the machine."""
 
     name: str  # key in [bus.nodes], e.g. "propeller_drive"
-    role: str  # "drive" (CiA 402) or "encoder" (CiA 406)
-    axis: str
+    role: str  # "drive" (CiA 402), "encoder" (CiA 406) or "imu"
+    axis: str  # of an IMU: the one that moves it
     node_id: int
     eds: Path
     identity: Identity
@@ -46,6 +46,7 @@ class Node:
     heartbeat_period_s: float
     boot_timeout_s: float
     writes: tuple[tuple[int, int, int], ...] = ()  # further (index, subindex, value) of the file, written and read back
+    sensor: str = ""  # which IMU of the machine
     stopped_by: str = ""  # what stops a drive that cannot stop by itself when the bench is gone
 
 

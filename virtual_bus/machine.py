@@ -14,6 +14,7 @@ import numpy as np
 
 from virtual_bus.canopen.drive import Cia402Drive
 from virtual_bus.canopen.encoder import Cia406Encoder
+from virtual_bus.canopen.imu import CanImu
 from virtual_bus.canopen.nmt import NmtCommand
 from virtual_bus.canopen.node import MOST_SYNC_BYTES, Emit, Node
 from virtual_bus.canopen.power_state import PowerState
@@ -76,9 +77,12 @@ class EmulatedMachine:
         axis = physics.axes.index
         self.drives = {d.name: Cia402Drive(d, period_s, nowhere) for d in bus.drives}
         self.encoders = {e.name: Cia406Encoder(e, nowhere) for e in bus.encoders}
+        self.bus_imus = {imu.name: CanImu(imu, nowhere) for imu in bus.imus}
         self._drives = [(axis(drive.settings.axis), drive) for drive in self.drives.values()]
         self._encoders = [(axis(encoder.settings.axis), encoder) for encoder in self.encoders.values()]
-        self._nodes: list[Node] = sorted([*self.drives.values(), *self.encoders.values()], key=lambda node: node.node_id)
+        self._nodes: list[Node] = sorted(
+            [*self.drives.values(), *self.encoders.values(), *self.bus_imus.values()], key=lambda node: node.node_id
+        )
         self._sync_nodes: list[Node] = []
         self._routes: dict[int, list[Callable[[bytes], None]]] = {}
         self._effort = np.zeros(len(physics.axes))
@@ -203,7 +207,7 @@ class EmulatedMachine:
         self._read(latched)
         for node in self._sync_nodes:
             node.end_sync(counter)
-        if self.imu is not None and (said := self.imu.on_sync(latched.imu, self.time_s)):
+        if self.imu is not None and (said := self.imu.on_sync(latched.imu[:6], self.time_s)):
             self.imu_out(said)  # the master is busy with the TPDOs by then
         if self._witness is not None:
             self._witness(self.time_s)  # after the answers, which the recording must not delay
@@ -219,7 +223,7 @@ class EmulatedMachine:
         self._read(latched)
         for node in self._sync_nodes:
             node.end_sync(counter)
-        if self.imu is not None and (said := self.imu.on_sync(latched.imu, self.time_s)):
+        if self.imu is not None and (said := self.imu.on_sync(latched.imu[:6], self.time_s)):
             self.imu_out(said)
 
     def _tick_nodes(self) -> bool:
@@ -250,6 +254,8 @@ class EmulatedMachine:
             link_counts = latched.link_counts.tolist()
             for index, encoder in self._encoders:
                 encoder.latch(link_counts[index])
+        for imu in self.bus_imus.values():
+            imu.latch(latched.imu[6 * imu.settings.number :][:6])
         if self.io is not None and self._samples % TEMPERATURE_EVERY == 0:
             for axis, temperature in zip(self.physics.axes, temperatures, strict=True):
                 self.io.set_temperature(axis, temperature)

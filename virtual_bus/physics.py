@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from virtual_bus.effects.scatter import drawn
 from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.plant.drives import DRIVE_STATES
 from virtual_bus.plant.linearise import linearised
@@ -43,12 +44,15 @@ class Physics:
     settings : PlantSettings
         The machine, effects included.
     seed : int
-        Of the sensors' noise. Every channel draws from its own stream, so a further channel changes no other.
+        Of the sensors' noise and of what scatters from run to run. Every channel draws from its own stream, so a further channel changes
+        no other.
     noise : bool
-        False: no noise at all; everything else is unchanged.
+        False: no noise at all, and effects at their stated strengths; everything else is unchanged.
     """
 
     def __init__(self, settings: PlantSettings, seed: int = 0, noise: bool = True) -> None:
+        if noise:
+            settings = replace(settings, effects=drawn(settings.effects, seed))
         self.settings = settings
         self.axes = tuple(drive.axis for drive in settings.drives)
         self.plant = compile_plant(settings)

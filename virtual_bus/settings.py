@@ -139,6 +139,7 @@ class EffectSetting:
     name: str
     at: str
     parameters: dict[str, float]
+    scatter: float = 0.0  # share by which its strengths differ from one start of the emulated machine to the next, standard deviation
 
 
 @dataclass(frozen=True)
@@ -224,6 +225,16 @@ class EmulatedEncoder:
 
 
 @dataclass(frozen=True)
+class EmulatedCanImu:
+    """An IMU of the emulated machine that is a node of the bus."""
+
+    name: str
+    node_id: int
+    eds: Path
+    number: int  # of the IMU among the machine's
+
+
+@dataclass(frozen=True)
 class EmulatedBus:
     """The devices on the emulated machine's CAN bus."""
 
@@ -233,3 +244,4 @@ class EmulatedBus:
     produces_sync: bool = False  # a device beside these sends SYNC at the sample rate, and the master none
     silence_s: float = SILENCE_S  # after this much waiting since the last SYNC the machine's time goes on without one
     by_the_wall: bool = False  # then all of it, also while somebody speaks
+    imus: tuple[EmulatedCanImu, ...] = ()

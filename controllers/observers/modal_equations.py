@@ -29,7 +29,8 @@ MODE_SIGNALS = 4
 class Constants(NamedTuple):
     """Constants of a compiled observer; nothing in them changes while it runs."""
 
-    sizes: np.ndarray  # (10,) int: axes, modes, sensors, adapted, states, measurements, noise sources, disturbances, in a band, offsets
+    sizes: np.ndarray  # (11,) int: axes, modes, sensors, adapted, states, measurements, noise sources, disturbances, in a band, offsets,
+    # and the sensor on the body of the focal spot, -1 without one
     harmonics: np.ndarray  # (axes,) int
     coefficients: np.ndarray  # (basis, rows): `ModalModel.all_rows`, transposed
     adapted: np.ndarray  # (adapted,) int: modes whose log frequency ratio is a state

@@ -298,7 +298,19 @@ def _constants(model: ModalModel, noise: ObserverNoise, adapted: tuple[int, ...]
     chain = model.chain
     return Constants(
         sizes=np.array(
-            [n, modes, sensors, len(adapted), states, measurements, len(std), model.disturbances, len(band), len(noise.offset_walk)],
+            [
+                n,
+                modes,
+                sensors,
+                len(adapted),
+                states,
+                measurements,
+                len(std),
+                model.disturbances,
+                len(band),
+                len(noise.offset_walk),
+                _on_the_source(model),
+            ],
             dtype=np.int64,
         ),
         harmonics=np.array(model.harmonics, dtype=np.int64),
@@ -317,6 +329,11 @@ def _constants(model: ModalModel, noise: ObserverNoise, adapted: tuple[int, ...]
         noise_std=std,
         measurement_std=np.array(noise.measurement, dtype=float),
     )
+
+
+def _on_the_source(model: ModalModel) -> int:
+    """Return the number of the sensor whose body carries the focal spot; -1 without one. The first is the detector's."""
+    return next((s for s, sensor in enumerate(model.sensors) if s and np.allclose(sensor.body_end_m, model.source_end_m)), -1)
 
 
 def in_band(noise: ObserverNoise) -> np.ndarray:
@@ -375,7 +392,7 @@ def _bounded(noise: ObserverNoise, period: float) -> tuple[np.ndarray, np.ndarra
 
 
 def _memory(constants: Constants) -> tuple[Scheduled, Memory]:
-    n, modes, sensors, adapted, states, measurements, sources, disturbances, bands, _ = (int(size) for size in constants.sizes)
+    n, modes, sensors, adapted, states, measurements, sources, disturbances, bands, _, _ = (int(size) for size in constants.sizes)
     moving = 2 * (n + modes) + disturbances + bands
     rows, signals = moving + n + 1, 2 * n + sensors * (3 * n + SENSOR_SIGNALS) + MODE_SIGNALS * adapted
     scheduled = Scheduled(

@@ -37,8 +37,9 @@ def squared(unit: str) -> str:
 def geometric_parameters(constants: Constants, motion: np.ndarray, isocenter: np.ndarray, out: np.ndarray) -> None:
     """Write focal spot and isocentre in the detector's frame [m], then the detector's orientation as extrinsic x, y, z angles (2.2).
 
-    `motion` (2 axes + 6,) is motor side, link side and displacement. The source follows the link side; the detector is displaced from its
-    pose on the rigid chain at the motor side's positions. The angles are those in the world.
+    `motion` (2 axes + 6,) is motor side, link side and displacement; three more are the focal spot's. The detector is displaced from its
+    pose on the rigid chain at the motor side's positions, and so is the focal spot, which without a displacement of its own follows the
+    link side. The angles are those in the world.
     """
     n = constants.sizes[0]
     chain = (constants.axes, constants.points, constants.revolute)
@@ -47,7 +48,11 @@ def geometric_parameters(constants: Constants, motion: np.ndarray, isocenter: np
     turn = motion[2 * n + 3], motion[2 * n + 4], motion[2 * n + 5]
     end = constants.sensors[0, 0], constants.sensors[0, 1], constants.sensors[0, 2]
     center = point_in_world(*chain, motor, plus(end, shift))
-    source = point_in_world(*chain, link, row(constants.source_and_gravity, 0))
+    at_source = row(constants.source_and_gravity, 0)
+    if len(motion) > 2 * n + 6:
+        source = point_in_world(*chain, motor, plus(at_source, (motion[2 * n + 6], motion[2 * n + 7], motion[2 * n + 8])))
+    else:
+        source = point_in_world(*chain, link, at_source)
     # columns of R (I + [ρ]x)
     x = direction_in_world(constants.axes, constants.revolute, motor, (1.0, turn[2], -turn[1]))
     y = direction_in_world(constants.axes, constants.revolute, motor, (-turn[2], 1.0, turn[0]))
@@ -62,7 +67,10 @@ def geometric_parameters(constants: Constants, motion: np.ndarray, isocenter: np
 
 @exactly_called
 def displacement_rows(constants: Constants, values: np.ndarray, motor: np.ndarray, rows: np.ndarray) -> None:
-    """Write rows (2 axes + 6, axes + modes): motor side, link side and displacement relative to the motor side, from [q_r, η]."""
+    """Write rows (2 axes + 6, axes + modes): motor side, link side and displacement relative to the motor side, from [q_r, η].
+
+    Three more rows are the focal spot's displacement, as the sensor on its body shows it.
+    """
     n, modes = constants.sizes[0], constants.sizes[1]
     stride = 2 + 3 * n + 6 * constants.sizes[2]
     end = constants.sensors[0, 0], constants.sensors[0, 1], constants.sensors[0, 2]
@@ -81,14 +89,24 @@ def displacement_rows(constants: Constants, values: np.ndarray, motor: np.ndarra
     for i in range(modes):
         for j in range(6):
             rows[2 * n + j, n + i] += values[i * stride + 2 + 2 * n + j]
+    if len(rows) > 2 * n + 6:
+        at_source = row(constants.source_and_gravity, 0)
+        first = 2 + 2 * n + 6 * constants.sizes[10]
+        for i in range(modes):
+            for j in range(3):
+                rows[2 * n + 6 + j, n + i] = values[i * stride + first + j]
+            for k in range(n):
+                shift, _ = axis_screw(constants.axes, constants.points, constants.revolute, motor, at_source, k)
+                for j in range(3):
+                    rows[2 * n + 6 + j, n + i] -= shift[j] * values[i * stride + 2 + k]
 
 
 @exactly_called
 def quasi_static(constants: Constants, values: np.ndarray, motor: np.ndarray, rows: np.ndarray, out: np.ndarray) -> None:
     """Write M_qs (5.37) into out (6,): the model's offsets of the detector's twist, less the shift that gravity's force on the modes gives.
 
-    That shift is taken relative to the link sides, beyond which no sensor shows a shift at rest: mode shapes measured in motion are not
-    trusted for the static deflection under gravity. `rows` are those of `displacement_rows` at `motor`.
+    Three more are the focal spot's shift. Both are taken relative to the link sides, beyond which no sensor shows a shift at rest: mode
+    shapes measured in motion are not trusted for the static deflection under gravity. `rows` are those of `displacement_rows` at `motor`.
     """
     n, modes = constants.sizes[0], constants.sizes[1]
     stride = 2 + 3 * n + 6 * constants.sizes[2]
@@ -110,22 +128,24 @@ def quasi_static(constants: Constants, values: np.ndarray, motor: np.ndarray, ro
                 holding[other] -= share * holding[i]
                 for k in range(n):
                     left[other, k] -= share * left[i, k]
-    end = constants.sensors[0, 0], constants.sensors[0, 1], constants.sensors[0, 2]
     bend = np.zeros(modes)
     for i in range(modes):
         force = values[push + n + i]
         for k in range(n):
             force += values[i * stride + stride - n + k] * holding[k] / left[k, k]
         bend[i] = force / values[i * stride]
-        for j in range(3):
-            out[j] -= rows[2 * n + j, n + i] * bend[i]
-    for k in range(n):
-        shift, _ = axis_screw(constants.axes, constants.points, constants.revolute, motor, end, k)
-        wound = 0.0
+    for place in range(0, len(out), 6):  # the detector, the focal spot
+        end = row(constants.source_and_gravity, 0) if place else row(constants.sensors, 0)
         for i in range(modes):
-            wound += (rows[n + k, n + i] - rows[k, n + i]) * bend[i]
-        for j in range(3):
-            out[j] += shift[j] * wound
+            for j in range(3):
+                out[place + j] -= rows[2 * n + place + j, n + i] * bend[i]
+        for k in range(n):
+            shift, _ = axis_screw(constants.axes, constants.points, constants.revolute, motor, end, k)
+            wound = 0.0
+            for i in range(modes):
+                wound += (rows[n + k, n + i] - rows[k, n + i]) * bend[i]
+            for j in range(3):
+                out[place + j] += shift[j] * wound
 
 
 @exactly_compiled
@@ -135,19 +155,20 @@ def publish(constants: Constants, values: np.ndarray, memory: Memory, isocenter:
     x, factor = memory.x, memory.factor
     count = 2 * n + 12 + GEOMETRY
     wide = 2 * n + 6
-    rows = np.zeros((wide, n + modes))
+    moved = wide + 3 if constants.sizes[10] >= 0 else wide  # the focal spot's displacement is no channel
+    rows = np.zeros((moved, n + modes))
     displacement_rows(constants, values, x[:n], rows)
-    offset = np.zeros(6)
+    offset = np.zeros(moved - 2 * n)
     quasi_static(constants, values, x[:n], rows, offset)
-    motion = np.zeros(wide)
-    deviations = np.zeros((states, wide))
-    for r in range(wide):
+    motion = np.zeros(moved)
+    deviations = np.zeros((states, moved))
+    for r in range(moved):
         for i in range(n):
             motion[r] += rows[r, i] * x[i]
         for i in range(modes):
             motion[r] += rows[r, n + i] * x[2 * n + i]
     for s in range(states):
-        for r in range(wide):
+        for r in range(moved):
             total = 0.0
             for i in range(n):
                 total += rows[r, i] * factor[s, i]
@@ -160,9 +181,9 @@ def publish(constants: Constants, values: np.ndarray, memory: Memory, isocenter:
             motion[2 * n + j] += x[first + j]
             for s in range(states):
                 deviations[s, 2 * n + j] += factor[s, first + j]
+    for r in range(2 * n, moved):
+        motion[r] += offset[r - 2 * n]
     for r in range(wide):
-        if r >= 2 * n:
-            motion[r] += offset[r - 2 * n]
         variance = 0.0
         for s in range(states):
             variance += deviations[s, r] ** 2
@@ -181,9 +202,9 @@ def publish(constants: Constants, values: np.ndarray, memory: Memory, isocenter:
         estimate[count + wide + r] = variance
     place = wide + 6
     geometry, upper, lower = estimate[place : place + GEOMETRY], np.zeros(GEOMETRY), np.zeros(GEOMETRY)
-    gradient = np.zeros((GEOMETRY, wide))
+    gradient = np.zeros((GEOMETRY, moved))
     geometric_parameters(constants, motion, isocenter, geometry)
-    for r in range(wide):
+    for r in range(moved):
         kept = motion[r]
         motion[r] = kept + GEOMETRY_STEP
         geometric_parameters(constants, motion, isocenter, upper)
@@ -199,7 +220,7 @@ def publish(constants: Constants, values: np.ndarray, memory: Memory, isocenter:
         variance = 0.0
         for s in range(states):
             total = 0.0
-            for r in range(wide):
+            for r in range(moved):
                 total += gradient[g, r] * deviations[s, r]
             variance += total * total
         estimate[count + place + g] = variance

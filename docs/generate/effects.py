@@ -13,7 +13,8 @@ from virtual_bus.effects.registry import effects, module_of
 INTRODUCTION = """
 An effect is a piece of physics with a name, such as Coulomb friction, that an effects file adds to a machine. This
 page lists every effect: its law, parameters, units and ranges, where it may act, and the effects it is mistaken for.
-`emulate`, `run --bus lockstep:` and `simulate` take an effects file with `--effects`; `diagnose` writes one.
+`emulate`, `run --bus lockstep:` and `simulate` take an effects file with `--effects`; `diagnose` writes one. A machine
+file states effects in the same `[[effect]]` tables.
 `isocenter effects --json` prints this catalogue for programs. To write a new effect see [Add an
 effect](../how-to/add-an-effect.md).
 """
@@ -45,6 +46,9 @@ PLACES = (
 )
 
 STRENGTH_TEXT = """
+`scatter_percent`, in any effect, is the standard deviation by which its strengths differ from run to run: the emulator
+draws them at its start, from its seed. `simulate` takes the stated values.
+
 An effect may act once at a place, unless its section says that several may. Parameters marked *strength* turn the
 effect off: with all of them at the neutral value the machine is the same bit for bit. Time in an effect counts from
 row 0 in `simulate`, and from the emulator's start on a bus, so an effect that depends on time has another phase

@@ -307,6 +307,7 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
             "`name`, `parent`, `mass_kg`, and `joint` with `name`, `type`, `stiffness`, `damping`, `armature`, `brake_effort`.",
         ),
         Entry("sensors", "list", "Channels, and names of IMUs."),
+        Entry("effects", "list", "Physics that the file states, as an effects file has it."),
         Entry(
             "controllers",
             "list",

@@ -50,6 +50,21 @@ _PLACES = (
     Column("isocentre [mm]", ("phantom_mm",)),
     Column("rotation [mrad]", ("rotation_mrad",)),
 )
+_VARIANCES = (
+    Column("isocentre, true [µm]", ("isocentre_true_um",)),
+    Column("stated", ("isocentre_stated_um",)),
+    Column("ratio", ("isocentre_ratio",)),
+    Column("focal spot, true [µm]", ("focal_spot_true_um",)),
+    Column("stated", ("focal_spot_stated_um",)),
+    Column("ratio", ("focal_spot_ratio",)),
+    Column("orientation, true [µrad]", ("orientation_true_urad",)),
+    Column("stated", ("orientation_stated_urad",)),
+    Column("ratio", ("orientation_ratio",)),
+    Column("NIS per measurement", ("nis_per_measurement",)),
+    Column("in the 95 % band", ("share_in_band",)),
+    Column("alarms in ten minutes", ("alarms_in_ten_minutes",)),
+    Column("rows in alarm", ("alarm_share",)),
+)
 _POSES = (
     Column("focal spot [mm]", ("source_m",), 1e3),
     Column("isocentre [mm]", ("position_m",), 1e3),
@@ -447,6 +462,25 @@ SHOWN = (
             for keys in (("motor encoders", "link encoders", "model only", "kf", "ekf", "ukf", "oracle"),)
             for scan in ("roll 30 deg/s", "roll 55 deg/s", "propeller 30 deg/s")
         ),
+    ),
+    Shown(
+        "observer_variances.json",
+        "What the observer states, against the truth",
+        "True error and stated deviation of the nine geometric parameters on both C-arms; the ratio of stated to true should be 1. "
+        "The observer's model has the machine file's own numbers, so that nothing is false but the effects of `carm-real`. An alarm counts "
+        "when it begins. Encoders state nothing.",
+        "python benchmarks/observer_variances.py --own-model --json benchmarks/results/observer_variances.json",
+        (Figure("seeds per scan", ("seeds",)), Figure("model of the observer", ("model",))),
+        (Rows("machine, scan: method", ("rows",), _VARIANCES),),
+    ),
+    Shown(
+        "observer_variances_spread.json",
+        "The same over machines that differ from the design's",
+        "Every strength of every effect of `carm-real` differs from what its file says, by 30 % standard deviation, in each seed.",
+        "python benchmarks/observer_variances.py --own-model --machine carm-real --seeds 20 --spread 30 \\\n"
+        "    --json benchmarks/results/observer_variances_spread.json",
+        (Figure("seeds per scan", ("seeds",)),),
+        (Rows("machine, scan: method", ("rows",), _VARIANCES),),
     ),
     Shown(
         "observer_tracking.json",

@@ -74,7 +74,9 @@ class CyclicExchange:
         check_inputs(self._tpdos, self._axis_names)
         self._by_cob_id = {tpdo.cob_id: (bit, tpdo) for bit, tpdo in enumerate(self._tpdos)}
         self._expected = sum(1 << bit for bit, tpdo in enumerate(self._tpdos) if tpdo.every_sync)
-        self._axis_masks = [sum(1 << b for b, t in enumerate(self._tpdos) if t.axis == a and t.every_sync) for a in range(len(self.inputs))]
+        self._axis_masks = [
+            sum(1 << b for b, t in enumerate(self._tpdos) if t.axis == a and t.every_sync and t.is_of_axis) for a in range(len(self.inputs))
+        ]
         self.silent_ticks = _silent_ticks(settings)
         self._outstanding = 0  # TPDOs of the last SYNC that are still to come
         self._owed = [0] * len(self._tpdos)  # how many SYNCs each has left unanswered

@@ -19,7 +19,7 @@ PROFILES = {
     419: "battery charger (CiA 419)",
 }
 NO_PROFILE = 0
-ROLE_PROFILES = {"drive": 402, "encoder": 406}
+ROLE_PROFILES = {"drive": 402, "encoder": 406, "imu": NO_PROFILE}
 
 # bits 16 to 23 of a CiA 402 device type
 DRIVE_KINDS = {0x01: "frequency converter", 0x02: "servo drive", 0x04: "stepper drive", 0x08: "multi-axis device"}
@@ -70,6 +70,6 @@ def check_identity(node: SdoNode, expected: Node) -> tuple[str, ...]:
             differences.append(f"{name} is {'absent' if have is None else f'{have:08X}h'}, the machine file says {want:08X}h")
     if differences:
         raise WrongIdentityError(f"{node.who}: {'; '.join(differences)}")
-    if profile == NO_PROFILE:
+    if profile == NO_PROFILE != wanted:
         return (f"{node.who}: its device type (1000h) names no profile; it is taken for a {PROFILES[wanted]}, as the machine file says",)
     return ()

@@ -1,4 +1,4 @@
-"""Objects of the CiA 301, 402 and 406 dictionaries that a PDO may map, by the names used in machine files."""
+"""Objects that a PDO may map, of CiA 301, 402, 406 and of a CANopen IMU (`can_imu`), by the names used in machine files."""
 
 from __future__ import annotations
 
@@ -26,4 +26,11 @@ MAPPABLE: dict[str, tuple[int, int, int]] = {
     "target_velocity": (0x60FF, 0x00, 32),
     "position_value": (0x6004, 0x00, 32),
     "speed_value": (0x6030, 0x01, 16),
+    "specific_force_x": (0x2100, 0x01, 16),
+    "specific_force_y": (0x2100, 0x02, 16),
+    "specific_force_z": (0x2100, 0x03, 16),
+    "angular_rate_x": (0x2101, 0x01, 16),
+    "angular_rate_y": (0x2101, 0x02, 16),
+    "angular_rate_z": (0x2101, 0x03, 16),
+    "sample_counter": (0x2102, 0x00, 16),
 }

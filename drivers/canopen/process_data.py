@@ -7,6 +7,7 @@ from math import isfinite, nan
 
 import can
 
+from drivers.canopen.can_imu import COUNTER, FORCE, OBJECTS, FORCE_STEP_m_s2, RATE_STEP_rad_s
 from drivers.canopen.cia402 import DISABLE_VOLTAGE, State, decode_state
 from drivers.canopen.cia406 import signed_counts
 from drivers.canopen.network import send_frame
@@ -169,6 +170,14 @@ class Tpdo:
         )
         effort = CURRENT_ACTUAL if CURRENT_ACTUAL in objects else TORQUE_ACTUAL
         self.effort = objects.index(effort) if effort in objects else -1
+        mapped = [(index, subindex) for index, subindex, _ in pdo.entries]
+        self.imu = [
+            (place, OBJECTS.index(each), FORCE_STEP_m_s2 if each[0] == FORCE else RATE_STEP_rad_s)
+            for place, each in enumerate(mapped)
+            if each in OBJECTS
+        ]
+        self.imu_counter = objects.index(COUNTER) if COUNTER in objects else -1
+        self.is_of_axis = node.role != "imu"  # what an axis is judged stale by
 
     def take(self, data: bytearray, sample: Sample) -> None:
         """Put the values of one frame into the sample."""
@@ -183,6 +192,10 @@ class Tpdo:
             sample.effort[axis] = source.effort(values[self.effort])
         if self.link >= 0:
             sample.link_position[axis] = source.link_position(values[self.link])
+        for place, channel, step in self.imu:
+            sample.bus_imu[channel] = step * values[place]
+        if self.imu_counter >= 0:
+            sample.bus_imu_counter = values[self.imu_counter]
 
     def forget(self, sample: Sample, *, late: bool) -> None:
         """Remove the values of its frames from the sample; `late`: there were some, of an earlier SYNC."""
@@ -192,6 +205,10 @@ class Tpdo:
             sample.link_late[self.axis] = late
         if self.statusword >= 0:
             sample.statusword[self.axis] = -1
+        for _, channel, _ in self.imu:
+            sample.bus_imu[channel] = nan
+        if self.imu_counter >= 0:
+            sample.bus_imu_counter = -1
         for index, values in ((self.position, sample.position), (self.effort, sample.effort), (self.link, sample.link_position)):
             if index >= 0:
                 values[self.axis] = nan

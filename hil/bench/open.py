@@ -131,7 +131,8 @@ def row_layout(machine: Machine, observed: Sequence[tuple[str, str]] = ()) -> Ro
     return RowLayout(
         [AxisColumns(units.axis, units.position, units.effort, machine.command_unit(axis)) for axis, units in enumerate(machine.units)],
         1.0 / machine.sample_rate_Hz,
-        imu=machine.bus.imu.name if machine.bus is not None and machine.bus.imu is not None else "",
+        imu=machine.line_imu,
+        bus_imu=machine.bus_imu,
         link=any(encoder.channel.startswith("link_") for encoder in plant.encoders),
         temperature=machine.bus is not None and machine.bus.io is not None and bool(machine.bus.io.temperature_registers),
         observed=observed,

@@ -37,6 +37,8 @@ class RowLayout:
         Sample period; time is tick number times period.
     imu : str
         Name of the IMU on the bench's line; "" without one.
+    bus_imu : str
+        Name of the IMU that is a node of the bus; "" without one.
     link, temperature : bool
         Which other optional sensors the machine has.
     observed : sequence of (name, unit)
@@ -49,6 +51,7 @@ class RowLayout:
         period_s: float,
         *,
         imu: str,
+        bus_imu: str = "",
         link: bool,
         temperature: bool,
         observed: Sequence[tuple[str, str]] = (),
@@ -77,6 +80,10 @@ class RowLayout:
             self._add("imu", list(zip(imu_channels(imu), ("m/s^2",) * 3 + ("rad/s",) * 3, strict=True)))
             self._add("imu_time", [("imu_time", "s")])
             self._add("imu_counter", [("imu_counter", "")])
+        if bus_imu:
+            self._add("bus_imu", list(zip(imu_channels(bus_imu), ("m/s^2",) * 3 + ("rad/s",) * 3, strict=True)))
+            self._add("bus_imu_time", [(f"{bus_imu}_time", "s")])
+            self._add("bus_imu_counter", [(f"{bus_imu}_counter", "")])
         self._add("sync_lateness", [("sync_lateness", "s")])
         self._add("work_time", [("work_time", "s")])
         self._add("answer_time", [("answer_time", "s")])
@@ -129,5 +136,10 @@ class RowLayout:
             row[groups["imu"]] = sample.imu
             row[groups["imu_time"]] = sample.imu_time_s
             row[groups["imu_counter"]] = sample.imu_counter if sample.imu_counter >= 0 else np.nan
+        if "bus_imu" in groups:  # it samples at SYNC, and has no clock of its own
+            row[groups["bus_imu"]] = sample.bus_imu
+            has_come = sample.bus_imu_counter >= 0
+            row[groups["bus_imu_time"]] = k * self.period_s if has_come else np.nan
+            row[groups["bus_imu_counter"]] = sample.bus_imu_counter if has_come else np.nan
         row[groups["sync_lateness"]], row[groups["work_time"]], row[groups["answer_time"]] = timing_s
         row[groups["sensor_marks"]] = marks

@@ -65,9 +65,10 @@ def simulate(
         simulated = run_simulation(machine, measured)
     write_recording(simulated, out)
     say_emulated(answer, {recording: measured})
-    added = ", ".join(f"{effect.name} at {effect.at}" for effect in machine.plant.effects) or "nothing"
+    added = ", ".join(f"{effect.name} at {effect.at}" for effect in machine.added_effects) or "nothing"
     answer.say(f"{out}: {len(simulated.time)} rows of {machine.name}; physics added to its file: {added}")
-    answer.write({"simulation": out, "rows": len(simulated.time), "effects": [vars(effect) for effect in machine.plant.effects]})
+    listed = [{"name": effect.name, "at": effect.at, "parameters": effect.parameters} for effect in machine.added_effects]
+    answer.write({"simulation": out, "rows": len(simulated.time), "effects": listed})
 
 
 def compare(

@@ -75,8 +75,8 @@ def live_observer(
 
         law = ModalDamping(observer, DampingSettings(damping))
     units = [units.effort for units in machine.units] if law is not None else []
-    imu = machine.bus.imu.name if machine.bus is not None and machine.bus.imu is not None else ""
-    live = LiveObserver(observer, str(path), law, units, imu=imu, calibration=None if calibration is None else calibration(observer))
+    beside = None if calibration is None else calibration(observer)
+    live = LiveObserver(observer, str(path), law, units, imu=machine.line_imu, bus_imu=machine.bus_imu, calibration=beside)
     if law is not None:
         answer.say(accept_damping(machine, examine_damping(machine, law, observer)))
     return live

@@ -22,7 +22,7 @@ SHIPPED = Path(__file__).resolve().parents[1] / "machine" / "shipped"
 
 def _shipped(incomplete: str) -> list[str]:
     """Return the shipped machines for a shell to complete; where none fits it completes paths."""
-    return [path.stem for path in sorted(SHIPPED.glob(f"{incomplete}*.toml"))]
+    return sorted(path.stem for path in SHIPPED.glob(f"{incomplete}*.toml"))
 
 
 MachineOption = Annotated[

@@ -32,7 +32,7 @@ def write_diagnosis(outcome: Answered, machine: Machine, folder: Path, is_emulat
     write_answer(outcome.diagnosis, folder)
     parameters, proposal = plant_parameters(machine.plant), outcome.proposal
     try:
-        (folder / "effects.toml").write_text(effects_text((*machine.plant.effects, *outcome.effects), machine), encoding="utf-8")
+        (folder / "effects.toml").write_text(effects_text((*machine.added_effects, *outcome.effects), machine), encoding="utf-8")
         (folder / "machine.toml").write_text(retuned_text(machine, parameters, outcome.values, outcome.diagnosis.retuned), encoding="utf-8")
         if proposal is not None:
             text = proposal.header() + experiment_text(proposal.experiment, machine)  # what it is for, as comments

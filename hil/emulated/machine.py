@@ -38,7 +38,7 @@ from virtual_bus.physics import Physics
 from virtual_bus.plant.linearise import inertia_matrix
 from virtual_bus.serial.pty import Pty
 from virtual_bus.serial.xsens_imu import EmulatedImu
-from virtual_bus.settings import EmulatedBus, EmulatedDrive, EmulatedEncoder
+from virtual_bus.settings import EmulatedBus, EmulatedCanImu, EmulatedDrive, EmulatedEncoder
 
 if TYPE_CHECKING:
     from hil.emulated.pose_board import PoseBoard
@@ -148,8 +148,12 @@ def emulated_bus(machine: Machine, physics: Physics) -> EmulatedBus:
     bus = machine.bus
     assert bus is not None
     gains = _own_loops(machine, physics)
-    drives, encoders = [], []
+    drives, encoders, imus = [], [], []
     for node in bus.nodes:
+        if node.role == "imu":
+            number = [imu.name for imu in machine.plant.imus].index(node.sensor)
+            imus.append(EmulatedCanImu(node.name, node.node_id, node.eds, number))
+            continue
         scaling = bus.scalings[machine.axis_index(node.axis)]
         if node.role == "drive":
             limit = machine.limits[machine.axis_index(node.axis)]
@@ -187,7 +191,9 @@ def emulated_bus(machine: Machine, physics: Physics) -> EmulatedBus:
                 )
             )
     silence_s = min(LONGEST_SILENCE_S, bus.master_heartbeat_period_s, *(node.heartbeat_period_s for node in bus.nodes))
-    return EmulatedBus(bus.sync_cob_id, tuple(drives), tuple(encoders), bool(bus.sync_producer), max(silence_s, SILENCE_S))
+    return EmulatedBus(
+        bus.sync_cob_id, tuple(drives), tuple(encoders), bool(bus.sync_producer), max(silence_s, SILENCE_S), imus=tuple(imus)
+    )
 
 
 def _counts_per_motor_turn(machine: Machine, axis: str, resolution: float) -> int:

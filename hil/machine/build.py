@@ -15,8 +15,10 @@ from hil.machine.model import AxisUnits, Geometry
 from hil.machine.schema import CurrentTable, DriveTable, EncoderTable, ImuTable, MachineTable, SpeedTable, TemperatureTable
 from hil.machine.table import Table
 from hil.machine.units import ANGULAR, CONSTANT_UNITS, LINEAR
+from virtual_bus.effects.binding import bind_effects
+from virtual_bus.errors import EffectError
 from virtual_bus.plant.parameters import possible_parameters
-from virtual_bus.settings import CurrentSensor, Drive, Encoder, Imu, Joint, PlantSettings, SpeedSensor, Thermometer, Tree
+from virtual_bus.settings import CurrentSensor, Drive, EffectSetting, Encoder, Imu, Joint, PlantSettings, SpeedSensor, Thermometer, Tree
 
 Where = tuple[str | int, ...]
 
@@ -62,8 +64,9 @@ def build_plant(table: MachineTable) -> PlantSettings:
         elif isinstance(sensor, CurrentTable):
             currents.append(_current(channel, sensor, table))
         elif isinstance(sensor, ImuTable):
-            if channel != "imu":
-                raise ComplaintError(where, "an IMU is called imu: its channels are imu_x … gyro_z; rename the table [sensors.imu]")
+            if channel != "imu" and not channel.startswith("imu_"):
+                right = "an IMU is called imu, a further one imu_NAME: its channels are imu_NAME_x … gyro_NAME_z"
+                raise ComplaintError(where, f"{right}; rename the table [sensors.imu]")
             require_known(sensor.body, [body.name for body in table.body], (*where, "body"), "body")
             imus.append(_imu(channel, sensor))
         elif isinstance(sensor, TemperatureTable):
@@ -84,7 +87,15 @@ def build_plant(table: MachineTable) -> PlantSettings:
         watched_bodies=watched,
         speeds=tuple(speeds),
     )
-    return replace(plant, tolerances=tuple(_tolerances(table, plant)))
+    return replace(plant, tolerances=tuple(_tolerances(table, plant)), effects=_effects(table, plant))
+
+
+def _effects(table: MachineTable, plant: PlantSettings) -> tuple[EffectSetting, ...]:
+    """Effects that the file states, bound to its places."""
+    try:
+        return bind_effects(table.effect, plant, "[[effect]]")
+    except EffectError as error:
+        raise ComplaintError((), str(error)) from None
 
 
 def _tolerances(table: MachineTable, plant: PlantSettings) -> Iterator[tuple[str, float]]:

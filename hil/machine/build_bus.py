@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+from drivers.canopen.can_imu import COUNTER, FORCE, RATE
 from drivers.canopen.cia402 import HOMING_AT_PRESENT_POSITION, NO_HOMING
 from drivers.canopen.objects import MAPPABLE
 from drivers.settings import AxisScaling, BusSettings, HomingSettings, Identity, ImuPort, IoMap, IoWatchdog, MotionLimits, Node, Pdo
@@ -37,6 +38,7 @@ _RESERVED_COB_IDS: tuple[tuple[int, int, str], ...] = (
 _NEEDED: dict[str, dict[str, tuple[str, ...]]] = {
     "drive": {"tpdo": ("statusword", "position_actual_value"), "rpdo": ("controlword",)},
     "encoder": {"tpdo": ("position_value",)},
+    "imu": {"tpdo": tuple(name for name, (index, *_) in MAPPABLE.items() if index in (FORCE, RATE, COUNTER))},
 }
 # and what a drive needs in its RPDOs for what the loop commands; the effort has either object
 _COMMANDED = {
@@ -46,6 +48,7 @@ _COMMANDED = {
     "profile_velocity": ("target_velocity",),
     "profile_position": ("target_position",),
 }
+_A = {"drive": "a drive", "encoder": "an encoder", "imu": "an IMU"}
 _EFFORT = ("target_torque", "torque_offset")
 
 
@@ -104,11 +107,12 @@ def _check_nodes(bus: BusTable, table: MachineTable) -> None:
         served[node.role, node.axis] = name
         if node.role == "encoder" and f"link_position_{node.axis}" not in table.sensors:
             raise ComplaintError((*where, "axis"), f"has no link encoder; add [sensors.link_position_{node.axis}]")
+        _check_sensor(name, node, bus, table)
         for direction, objects in _NEEDED[node.role].items():
             for needed in objects:
                 if not _maps(node, direction, needed):
                     raise ComplaintError(
-                        (*where, direction), f"{needed} is mapped nowhere; a {node.role} needs it in a {direction.upper()}"
+                        (*where, direction), f"{needed} is mapped nowhere; {_A[node.role]} needs it in a {direction.upper()}"
                     )
         if node.role == "drive":
             mode = table.drives[node.axis].mode
@@ -177,6 +181,24 @@ def _check_map(pdo: PdoTable, where: Where) -> None:
         raise ComplaintError((*where, "map"), f"holds {total} bits; a PDO holds whole bytes")
 
 
+def _check_sensor(name: str, node: NodeTable, bus: BusTable, table: MachineTable) -> None:
+    """Complain unless an IMU on the bus, and nothing else, names a sensor that is on no other wire."""
+    where: Where = ("bus", "nodes", name, "sensor")
+    if node.role != "imu":
+        if node.sensor is not None:
+            raise ComplaintError(where, f"is for an IMU; this node is a {node.role}: leave it out")
+        return
+    imus = [channel for channel, sensor in table.sensors.items() if sensor.type == "imu"]
+    if node.sensor is None:
+        raise ComplaintError(where, f"is missing; there is {', '.join(imus) or 'no IMU in [sensors]'}")
+    require_known(node.sensor, imus, where, "IMU")
+    if bus.imu is not None and node.sensor == bus.imu.sensor:
+        raise ComplaintError(where, "is on the serial line ([bus.imu]) already; name another")
+    others = [other for other, each in bus.nodes.items() if each.role == "imu" and other != name]
+    if others:
+        raise ComplaintError(("bus", "nodes", name, "role"), f"there is the IMU {others[0]} already; one on the bus is supported")
+
+
 def _node(name: str, node: NodeTable, folder: Path | None) -> Node:
     beside = None if folder is None else folder / node.eds
     return Node(
@@ -191,6 +213,7 @@ def _node(name: str, node: NodeTable, folder: Path | None) -> Node:
         heartbeat_period_s=node.heartbeat,
         boot_timeout_s=node.boot_timeout,
         writes=tuple((write.index, write.subindex, write.value) for write in node.write),
+        sensor=node.sensor or "",
         stopped_by=node.stopped_by,
     )
 
@@ -279,6 +302,8 @@ def _imu_port(bus: BusTable, table: MachineTable) -> ImuPort | None:
         return None
     imus = [name for name, sensor in table.sensors.items() if sensor.type == "imu"]
     require_known(bus.imu.sensor, imus, ("bus", "imu", "sensor"), "IMU")
+    if bus.imu.sensor != imus[0]:
+        raise ComplaintError(("bus", "imu", "sensor"), f"the serial line's IMU is the first of [sensors]; that is {imus[0]}")
     return ImuPort(bus.imu.sensor, bus.imu.device, bus.imu.baud, bus.imu.triggered_by_sync, bus.imu.rate)
 
 

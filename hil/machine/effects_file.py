@@ -15,7 +15,7 @@ from typing import Any
 from hil.errors import MachineFileError
 from hil.machine.load import parse_toml, read_text
 from hil.machine.model import Machine
-from virtual_bus.effects.binding import as_entries, bind_effects
+from virtual_bus.effects.binding import as_entries, bind_effects, check_apart
 from virtual_bus.errors import EffectError
 from virtual_bus.settings import EffectSetting
 
@@ -51,9 +51,11 @@ def effects_from_text(text: str, machine: Machine, label: str) -> tuple[EffectSe
 def bound_effects(entries: Sequence[Mapping[str, object]], machine: Machine, label: str) -> tuple[EffectSetting, ...]:
     """Effects from tables as an effects file has them, each with `name`, `at` and parameters; MachineFileError says what is wrong."""
     try:
-        return bind_effects(entries, machine.plant, label)
+        bound = bind_effects(entries, machine.plant, label)
+        check_apart(bound, machine.own_effects, label)
     except EffectError as error:
         raise MachineFileError(" ".join(str(error).split())) from None
+    return bound
 
 
 def effects_text(effects: Sequence[EffectSetting], machine: Machine) -> str:

@@ -21,13 +21,14 @@ from hil.machine.messages import ComplaintError, from_validation, one_line
 from hil.machine.model import Machine
 from hil.machine.open_points import marks
 from hil.machine.schema import MachineTable
+from hil.machine.table import is_name
 
 SHIPPED = Path(__file__).resolve().parent / "shipped"
 
 
 def list_shipped() -> dict[str, str]:
     """Name and description of every machine that comes with the project."""
-    return {path.stem: load_machine(path).description for path in sorted(SHIPPED.glob("*.toml"))}
+    return {path.stem: load_machine(path).description for path in sorted(SHIPPED.glob("*.toml"), key=lambda path: path.stem)}
 
 
 def load_machine(name_or_path: str | Path) -> Machine:
@@ -64,7 +65,7 @@ def name_to_load(machine: Machine) -> str:
 def name_of_recorded(name: str, its_hash: str) -> str:
     """Return what the command line takes for a machine that a recording names: a shipped name, or MACHINE.toml for a file elsewhere."""
     path = SHIPPED / f"{name}.toml"
-    is_shipped = name.isidentifier() and path.is_file() and _hash(read_text(path, "")) == its_hash
+    is_shipped = is_name(name) and path.is_file() and _hash(read_text(path, "")) == its_hash
     return name if is_shipped else "MACHINE.toml"
 
 
@@ -74,7 +75,7 @@ def _hash(text: str) -> str:
 
 def _path(name_or_path: str | Path) -> Path:
     path = SHIPPED / f"{name_or_path}.toml"
-    is_shipped = isinstance(name_or_path, str) and name_or_path.isidentifier() and path.is_file()
+    is_shipped = isinstance(name_or_path, str) and is_name(name_or_path) and path.is_file()
     return path if is_shipped else Path(name_or_path)
 
 
@@ -128,6 +129,7 @@ def machine_from_text(text: str, path: Path | None = None, label: str = "") -> M
             brake_delay_s=brake_delays(table),
             quick_stop=quick_stops(table),
             judging=build_judging(table, plant, bus),
+            own_effects=plant.effects,
         )
     except ValidationError as error:
         raise MachineFileError(_open_points(text, file) or one_line(file, raw, from_validation(error))) from None

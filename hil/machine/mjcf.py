@@ -59,8 +59,8 @@ def to_mjcf(settings: PlantSettings, name: str) -> str:
 
 
 def gyro_name(imu: Imu) -> str:
-    """`imu` has its rates in gyro_x, gyro_y, gyro_z; another name keeps them apart."""
-    return "gyro" if imu.name == "imu" else f"{imu.name}_gyro"
+    """`imu` has its rates in gyro_x, gyro_y, gyro_z, `imu_source` in gyro_source_x, gyro_source_y, gyro_source_z."""
+    return f"gyro{imu.name.removeprefix('imu')}"
 
 
 def _number(value: float) -> str:

@@ -67,6 +67,7 @@ class Machine:
     brake_delay_s: tuple[float, ...]  # per axis: from the command to the full effort of its brake
     quick_stop: tuple[float | None, ...]  # per axis: deceleration by the drive's own ramp [rad/s^2 or m/s^2], where the file says it
     judging: JudgingSettings  # of the sensors on the bus; how fast encoders can move is not in it
+    own_effects: tuple[EffectSetting, ...] = ()  # that the file itself states; `plant.effects` begins with them
 
     def axis_index(self, axis: str) -> int:
         """Return the axis's place in `axes`."""
@@ -98,6 +99,22 @@ class Machine:
             return None
         return max((axis for axis in self.axes if name.endswith(f"_{axis}")), key=len, default=None)
 
+    @property
+    def line_imu(self) -> str:
+        """Name of the IMU on the serial line; "" without one."""
+        return self.bus.imu.name if self.bus is not None and self.bus.imu is not None else ""
+
+    @property
+    def bus_imu(self) -> str:
+        """Name of the IMU that is a node of the bus; "" without one."""
+        return next((node.sensor for node in self.bus.nodes if node.role == "imu"), "") if self.bus is not None else ""
+
+    @property
+    def added_effects(self) -> tuple[EffectSetting, ...]:
+        """Physics beside what the file states."""
+        return self.plant.effects[len(self.own_effects) :]
+
     def with_effects(self, effects: tuple[EffectSetting, ...]) -> Self:
-        """Return the same machine with other physics added by name."""
-        return replace(self, plant=replace(self.plant, effects=tuple(effects)))
+        """Return the same machine with other physics added by name, beside what its file states."""
+        added = tuple(effect for effect in effects if effect not in self.own_effects)
+        return replace(self, plant=replace(self.plant, effects=(*self.own_effects, *added)))

@@ -9,7 +9,7 @@ from pydantic import Field
 from hil.machine.schema_budgets import BudgetsTable
 from hil.machine.schema_bus import BusTable
 from hil.machine.schema_judging import JudgingTable
-from hil.machine.table import Flag, Name, NotNegative, Number, Positive, Table, Text, Vector, Whole
+from hil.machine.table import Flag, MachineName, Name, NotNegative, Number, Positive, Table, Text, Vector, Whole
 from hil.machine.units import CONSTANT_UNITS, EFFORT_DIMENSIONS, Quantity
 
 Section = tuple[Number, Number, Number, Number, Number, Number]
@@ -198,9 +198,10 @@ class CurrentTable(Table):
 
 
 class ImuTable(Table):
-    """Table `[sensors.imu]`, `type = "imu"`: accelerometer and gyroscope on a body.
+    """Table `[sensors.imu]`, `type = "imu"`: accelerometer and gyroscope on a body; a further one is `[sensors.imu_NAME]`.
 
-    Its channels are `imu_x`, `imu_y`, `imu_z`, `gyro_x`, `gyro_y` and `gyro_z`.
+    Its channels are `imu_x`, `imu_y`, `imu_z`, `gyro_x`, `gyro_y` and `gyro_z`; of a further one `imu_NAME_x` to `gyro_NAME_z`. An observer
+    takes the one on `geometry.source_body` for the motion of the focal spot.
     """
 
     type: Literal["imu"]
@@ -319,7 +320,7 @@ class MachineTable(Table):
 
     format: Literal[1]
     """Format of the file."""
-    name: Name
+    name: MachineName
     """Name of the machine."""
     description: Text = ""
     """One line for people."""
@@ -345,6 +346,9 @@ class MachineTable(Table):
     """Time and travel to standstill, by axis."""
     judging: JudgingTable | None = None
     """What is allowed of the sensors in a run."""
+    effect: Annotated[tuple[dict[Name, Number | Text], ...], Field(default=())]
+    """Physics of the catalogue that this machine has: friction, play, cables. One `[[effect]]` table each, with the keys of an effects
+    file. What `--effects` adds comes beside them."""
     tolerances: Annotated[dict[Name, dict[Name, Positive]], Field(default_factory=dict)]
     """By how much numbers of bodies, joints, drives and sensors may be wrong at most, in their own units: `arm = { mass_kg = 0.5,
     center_of_mass_y_m = 0.02, inertia_xz_kg_m2 = 0.1 }`. A diagnosis re-tunes numbers within these bounds, also such as are zero. Without

@@ -20,7 +20,8 @@ class PdoTable(Table):
     """Tables `[[bus.nodes.NAME.tpdo]]` and `[[bus.nodes.NAME.rpdo]]`: one process data object.
 
     The TPDOs of a drive hold at least `statusword` and `position_actual_value`, its RPDOs `controlword` and `target_torque`. The TPDOs of
-    an encoder hold `position_value`. A PDO maps at most eight bytes.
+    an encoder hold `position_value`, those of an IMU `specific_force_x` to `angular_rate_z` and `sample_counter`.
+    A PDO maps at most eight bytes.
     """
 
     number: Annotated[Whole, Field(ge=1, le=512)]
@@ -47,10 +48,12 @@ class WriteTable(Table):
 class NodeTable(Table):
     """Table `[bus.nodes.NAME]`: one CANopen device."""
 
-    role: Literal["drive", "encoder"]
-    """A CiA 402 drive, or a CiA 406 encoder for an axis with a `link_position` sensor."""
+    role: Literal["drive", "encoder", "imu"]
+    """A CiA 402 drive, a CiA 406 encoder for an axis with a `link_position` sensor, or an IMU; one IMU a bus."""
     axis: Name
-    """The axis it belongs to; one drive an axis."""
+    """The axis it belongs to, one drive an axis; of an IMU the axis that moves it."""
+    sensor: Name | None = None
+    """Which IMU of `[sensors]`; of an IMU only."""
     node_id: NodeId
     """Its node number; numbers differ."""
     eds: Annotated[Text, Field(min_length=1)]

@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 from hil.machine.model import Machine
+from virtual_bus.effects.binding import as_entries
 
 
 def machine_document(machine: Machine) -> dict[str, Any]:
@@ -59,6 +60,7 @@ def machine_document(machine: Machine) -> dict[str, Any]:
             *(imu.name for imu in plant.imus),
             *(thermometer.channel for thermometer in plant.thermometers),
         ],
+        "effects": as_entries(machine.own_effects, plant),
         "controllers": [
             {
                 "axis": controller.axis,
@@ -107,8 +109,15 @@ def machine_lines(machine: Machine) -> list[str]:
                 held += f", {joint.stiffness:g} {'Nm/rad' if joint.kind == 'revolute' else 'N/m'}"
         lines.append(f"  {body.name:16s} {body.mass_kg:7.1f} kg on {body.parent}: {held}")
     lines += ["", "sensors", "  " + ", ".join(machine_document(machine)["sensors"])]
+    if machine.own_effects:
+        lines += ["", "effects", *(f"  {_in_words(entry)}" for entry in as_entries(machine.own_effects, plant))]
     if machine.bus is not None:
         sender = machine.bus.sync_producer or "the bench"
         lines += ["", f"bus, {machine.bus.bitrate_bit_s // 1000} kbit/s, SYNC from {sender} at {machine.sample_rate_Hz:g} Hz"]
         lines += [f"  {node.node_id:3d} {node.name} ({node.role} of {node.axis}, {node.eds.name})" for node in machine.bus.nodes]
     return lines
+
+
+def _in_words(entry: dict[str, object]) -> str:
+    numbers = (f"{key} {value:g}" for key, value in entry.items() if isinstance(value, float))
+    return f"{entry['name']} at {entry['at']}: {', '.join(numbers)}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from functools import cache
 from typing import Annotated, Any, Self
 
@@ -16,9 +17,16 @@ Whole = Annotated[int, Field(strict=True)]
 Flag = Annotated[bool, Field(strict=True)]
 Text = Annotated[str, Field(strict=True)]
 Name = Annotated[str, Field(strict=True, pattern=r"^[A-Za-z][A-Za-z0-9_]*$", max_length=60)]
+MACHINE_NAME = r"^[A-Za-z][A-Za-z0-9_-]*$"
+MachineName = Annotated[str, Field(strict=True, pattern=MACHINE_NAME, max_length=60)]
 Positive = Annotated[Number, Field(gt=0)]
 NotNegative = Annotated[Number, Field(ge=0)]
 Vector = tuple[Number, Number, Number]
+
+
+def is_name(text: str) -> bool:
+    """Tell whether a text is what a machine may be called, and no path."""
+    return re.fullmatch(MACHINE_NAME, text) is not None
 
 
 class Table(BaseModel):

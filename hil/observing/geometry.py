@@ -35,7 +35,7 @@ def observed_chain(machine: Machine) -> tuple[Chain, tuple[InertialSensor, ...],
         raise UnusableInputError(f"{machine.name}: its file has no [geometry]; an observer needs to know where source and detector are")
     tree = machine.plant.tree
     bodies = {body.name: body for body in tree.bodies}
-    placed = _placed(tree.bodies)
+    placed = placed_bodies(tree.bodies)
     path = _path(bodies, geometry.detector_body)
     driven = {drive.joint: drive.axis for drive in machine.plant.drives}
     joints = [(body, body.joint) for body in path if body.joint is not None and body.joint.name in driven]
@@ -81,7 +81,7 @@ def observed_chain(machine: Machine) -> tuple[Chain, tuple[InertialSensor, ...],
     return chain, tuple(sensors), end(geometry.source_body, geometry.source_position_m), to_detector @ geometry.isocenter_m
 
 
-def _placed(bodies: tuple[Body, ...]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def placed_bodies(bodies: tuple[Body, ...]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Return position and rotation of every body in the world, all joints at zero."""
     placed = {"world": (np.zeros(3), np.eye(3))}
     for body in bodies:

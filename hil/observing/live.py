@@ -69,6 +69,7 @@ class LiveObserver:
         effort_units: Sequence[str] = (),
         *,
         imu: str = "imu",
+        bus_imu: str = "",
         calibration: LiveCalibration | None = None,
     ) -> None:
         self.observer, self.damping, self.calibration = observer, damping, calibration
@@ -91,6 +92,8 @@ class LiveObserver:
         channels = observer.model.channels()
         self._read = np.full(len(channels), np.nan)  # an IMU without a line stays missing
         self._imu_at = [channels.index(name) for name in imu_channels(imu) if name in channels]
+        on_bus = imu_channels(bus_imu) if bus_imu else ()
+        self._bus_imu_at = [channels.index(name) for name in on_bus if name in channels]
         if damping is not None and not self._imu_at:
             known = ", ".join(channels[2 * axes :])
             raise UnusableInputError(
@@ -127,6 +130,8 @@ class LiveObserver:
         read[axes : 2 * axes] = sample.link_position
         if self._imu_at:
             read[self._imu_at] = sample.imu
+        if self._bus_imu_at:
+            read[self._bus_imu_at] = sample.bus_imu
         self._row.take(read)
         if self.calibration is not None:
             self.calibration.level(self._row.values)

@@ -11,8 +11,8 @@ import numpy as np
 from controllers.models.modal import ModalModel
 from controllers.observers.modal_observer import FilterKind, ModalObserver
 from controllers.observers.settings import ObserverNoise
-from hil.errors import UnusableInputError
-from hil.experiments import Scan, Static
+from hil.errors import ExperimentError, UnusableInputError
+from hil.experiments import Plan, Scan, Static
 from hil.identification import FrequencyResponse
 from hil.machine import Machine
 from hil.observing.directions import with_directions
@@ -26,6 +26,7 @@ from hil.observing.standing import standing_mean, with_gravity, with_gravity_at_
 from hil.observing.structure import Structure, found_structure, with_coupling, with_inertia, with_places
 from hil.observing.tuning import tune
 from hil.observing.turning import with_turning
+from hil.observing.unmodelled import with_unmodelled
 from hil.recording import Recording
 from hil.simulation import Simulator
 
@@ -44,8 +45,8 @@ COARSE_GRID = 5
 STANDING_GRID = 9
 """Positions of the other axes in which it stands: what gravity bends is a sum over modes, each with a shape that turns with them."""
 
-SWEEP_SHARE = 0.75
-"""Of the largest speed, at which an emulated machine's axes are swept: what turning pushes grows with the square."""
+SWEEP_SHARES = (0.75, 0.5, 0.35)
+"""Of the largest speed, at the first possible of which an emulated machine's axes are swept: what turning pushes grows with the square."""
 
 STANDING_s = 4.0
 """Length of an emulated standing record: a thousand samples of noise."""
@@ -142,7 +143,7 @@ def design_observer(
         model = with_coupling(model, structure, gain)
         model, note = with_last_mode(model, structure, max(float(response.frequencies_Hz[-1]) for response in responses))
         notes += [note] if note else []
-    noise = starting_noise(model, machine, responses, standing, biases)
+    noise = with_unmodelled(starting_noise(model, machine, responses, standing, biases), model, machine)
     if tuned_on:
         tuning = tune(model, noise, tuned_on)
         noise = tuning.noise
@@ -171,12 +172,22 @@ def emulated_design(machine: Machine, tuned_on: Sequence[Recording] = (), modes:
     sweeps: list[Recording] = []
     for axis in machine.axes:
         others = [grids[name][:: 2 if len(grids[name]) > COARSE_GRID else 1] for name in machine.axes if name != axis]
-        speed = SWEEP_SHARE * machine.limits[machine.axes.index(axis)].speed
         for place in product(*others):
             still = dict(zip([name for name in machine.axes if name != axis], place, strict=True))
-            plan = Scan(axis, grids[axis][0], grids[axis][-1], speed, still, sweeps=2).plans(machine)[0]
+            plan = _sweep(machine, axis, (grids[axis][0], grids[axis][-1]), still)
             sweeps.append(emulated_recording(machine, plan, 700 + 100 * seed + len(sweeps), simulator))
     return design_observer(machine, responses, standing, tuned_on, modes, sweeps)
+
+
+def _sweep(machine: Machine, axis: str, ends: tuple[float, float], still: dict[str, float]) -> Plan:
+    """Return a sweep there and back, at a speed that the drives can give beside the friction."""
+    fastest = machine.limits[machine.axes.index(axis)].speed
+    for share in SWEEP_SHARES[:-1]:
+        try:
+            return Scan(axis, *ends, share * fastest, still, sweeps=2).plans(machine)[0]
+        except ExperimentError:
+            continue
+    return Scan(axis, *ends, SWEEP_SHARES[-1] * fastest, still, sweeps=2).plans(machine)[0]
 
 
 def axis_grid(machine: Machine, axis: int, count: int) -> list[float]:

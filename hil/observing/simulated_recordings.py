@@ -12,6 +12,7 @@ from hil.identification import FrequencyResponse, identify
 from hil.machine import Machine
 from hil.observing.over_poses import observed_channels
 from hil.recording import Channel, Recording, recording_metadata
+from hil.recording.channels import imu_channels
 from hil.simulation import Inputs, Simulator
 from virtual_bus.sensors.measure import noise_rms
 
@@ -41,11 +42,9 @@ def emulated_recording(machine: Machine, plan: Plan, seed: int, simulator: Simul
         channels[f"position_{axis}"] = Channel(units.position, outputs.position[:, k])
         channels[f"link_position_{axis}"] = Channel(units.position, outputs.link_position[:, k])
     for index, imu in enumerate(machine.plant.imus):
-        gyro = "gyro" if imu.name == "imu" else f"{imu.name}_gyro"
-        for j in range(6):
+        for j, name in enumerate(imu_channels(imu.name)):
             kind, axis = ("accelerometer", "xyz"[j]) if j < 3 else ("gyro", "xyz"[j - 3])
             noise = rms[f"{imu.name}.{kind}_{axis}"] * generator.standard_normal(rows)
-            name = f"{imu.name}_{axis}" if j < 3 else f"{gyro}_{axis}"
             channels[name] = Channel("m/s^2" if j < 3 else "rad/s", outputs.imu[:, 6 * index + j] + noise)
     return Recording(channels, recording_metadata(machine, plan.metadata, {"seed": seed}))
 

@@ -54,10 +54,10 @@ KINDS = (
     Kind("position_.+", POSITION),
     Kind("link_position_.+", POSITION),
     Kind("speed_.+", SPEED),
-    Kind("imu_[xyz]", ACCELERATION),
-    Kind("gyro_[xyz]", ANGULAR_RATE),
-    Kind("imu_time", TIME),
-    Kind("imu_counter", NUMBER, whole=True),
+    Kind(r"imu_(\w+_)?[xyz]", ACCELERATION),
+    Kind(r"gyro_(\w+_)?[xyz]", ANGULAR_RATE),
+    Kind(r"imu_(\w+_)?time", TIME),
+    Kind(r"imu_(\w+_)?counter", NUMBER, whole=True),
     Kind("temperature_.+", TEMPERATURE),
     Kind("statusword_.+", NUMBER, whole=True),
     Kind("data_age_.+", TIME),
@@ -109,6 +109,6 @@ def unit_and_factor(name: str, unit: str) -> tuple[str, float]:
 
 
 def imu_channels(name: str) -> tuple[str, ...]:
-    """Return the six channels of an IMU: imu_x ... gyro_z for the IMU called `imu`, otherwise with its name in front."""
-    gyro = "gyro" if name == "imu" else f"{name}_gyro"
+    """Return the six channels of an IMU: imu_x ... gyro_z of `imu`, imu_source_x ... gyro_source_z of `imu_source`."""
+    gyro = f"gyro{name.removeprefix('imu')}"
     return tuple(f"{name}_{axis}" for axis in "xyz") + tuple(f"{gyro}_{axis}" for axis in "xyz")

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from hil.errors import RecordingError
 from hil.machine import AxisUnits, Machine
 from hil.recording import Channel, Recording, recording_metadata
+from hil.recording.channels import imu_channels
 from hil.recording.ticks import on_every_tick
 from hil.simulation.commands import commanded
 from hil.simulation.inputs import Inputs
@@ -20,7 +21,8 @@ from virtual_bus.settings import EffectSetting
 RATE_TOLERANCE = 1e-3
 """Largest relative deviation of a recorder's clock from the machine file's rate; more is another rate."""
 
-IMU_UNITS = {"imu_x": "m/s^2", "imu_y": "m/s^2", "imu_z": "m/s^2", "gyro_x": "rad/s", "gyro_y": "rad/s", "gyro_z": "rad/s"}
+IMU_UNITS = ("m/s^2",) * 3 + ("rad/s",) * 3
+"""Of an IMU's six channels."""
 
 
 def simulate(machine: Machine, recording: Recording, effects: Sequence[EffectSetting] = ()) -> Recording:
@@ -109,11 +111,17 @@ def as_recording(machine: Machine, recording: Recording, inputs: Inputs, outputs
     add("position", outputs.position, _position_unit)
     add("link_position", outputs.link_position, _position_unit)
     add("speed", outputs.speed, _speed_unit)
-    for name, values in zip(IMU_UNITS if machine.plant.imus else (), outputs.imu.T, strict=True):
-        channels[name] = Channel(IMU_UNITS[name], values)
+    for (name, unit), values in zip(imu_units(machine).items(), outputs.imu.T, strict=True):
+        channels[name] = Channel(unit, values)
     made = {"noise": False, "effects": _in_words(machine)}
     metadata = recording_metadata(machine, experiment=recording.experiment or None, simulation=made)
     return Recording(channels, metadata)
+
+
+def imu_units(machine: Machine) -> dict[str, str]:
+    """Return the channels of all IMUs in the order of their readings, with their units."""
+    names = [name for imu in machine.plant.imus for name in imu_channels(imu.name)]
+    return dict(zip(names, len(machine.plant.imus) * IMU_UNITS, strict=True))
 
 
 def _command(machine: Machine, axis: int, inputs: Inputs, outputs: Outputs) -> np.ndarray:
@@ -140,7 +148,7 @@ def _in_words(machine: Machine) -> list[str]:
     """Return the physics added to the machine file, a line each, because the file's hash does not include them."""
     return [
         f"{effect.name} at {effect.at}: " + ", ".join(f"{name} = {value!r}" for name, value in effect.parameters.items())
-        for effect in machine.plant.effects
+        for effect in machine.added_effects
     ]
 
 

@@ -169,8 +169,8 @@ def _live(given: ObserverDesign | str | Path | None, machine: Machine) -> LiveOb
             f"observer: the design is for {', '.join(design.model.axes)} at {design.model.sample_rate_Hz:g} Hz;"
             f" {machine.name} has {', '.join(machine.axes)} at {machine.sample_rate_Hz:g} Hz"
         )
-    imu = machine.bus.imu.name if machine.bus is not None and machine.bus.imu is not None else ""
-    return LiveObserver(design.observer(), "" if isinstance(given, ObserverDesign) else str(given), imu=imu)
+    file = "" if isinstance(given, ObserverDesign) else str(given)
+    return LiveObserver(design.observer(), file, imu=machine.line_imu, bus_imu=machine.bus_imu)
 
 
 def _path(given: str | Path | None) -> Path | None:

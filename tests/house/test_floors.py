@@ -11,6 +11,7 @@ from places import ROOT
 FLOORS = ("hil", "virtual_bus", "controllers", "drivers")
 
 WIRE_AGREEMENTS = (
+    "drivers.canopen.can_imu",
     "drivers.canopen.eds",
     "drivers.canopen.objects",
     "drivers.canopen.units",

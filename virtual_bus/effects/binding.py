@@ -12,7 +12,9 @@ from virtual_bus.effects.registry import effects
 from virtual_bus.errors import EffectError
 from virtual_bus.settings import EffectSetting, PlantSettings
 
-RESERVED = ("name", "at")
+SCATTER = "scatter_percent"
+MOST_SCATTER_percent = 100.0
+RESERVED = ("name", "at", SCATTER)
 NEEDS = {"": "", "spring": " with a sprung joint", "neighbour": " beside another axis"}
 
 
@@ -25,6 +27,13 @@ def bind_effects(entries: Sequence[Mapping[str, object]], settings: PlantSetting
             raise EffectError(f"{where}: effect {number}: {setting.name} at {setting.at!r} is given twice; once is enough")
         bound.append(setting)
     return tuple(bound)
+
+
+def check_apart(bound: Iterable[EffectSetting], own: Sequence[EffectSetting], where: str) -> None:
+    """Raise EffectError where an effect is one that the machine file states already."""
+    for setting in bound:
+        if any(_is_the_same(setting, other) for other in own):
+            raise EffectError(f"{where}: {setting.name} at {setting.at!r} is in the machine file already; leave it out, or change it there")
 
 
 def _is_the_same(one: EffectSetting, other: EffectSetting) -> bool:
@@ -42,7 +51,8 @@ def as_entries(bound: Iterable[EffectSetting], settings: PlantSettings) -> list[
     for setting in bound:
         keys = {parameter.name: key for key, (parameter, _) in _keys(effects()[setting.name], setting.at, settings).items()}
         numbers = {keys[name]: value for name, value in setting.parameters.items()}
-        entries.append({"name": setting.name, "at": setting.at, **numbers})
+        scatter = {SCATTER: 100.0 * setting.scatter} if setting.scatter else {}
+        entries.append({"name": setting.name, "at": setting.at, **numbers, **scatter})
     return entries
 
 
@@ -61,7 +71,15 @@ def _bind(entry: Mapping[str, object], settings: PlantSettings, where: str) -> E
         there = _listed("there is", allowed) if allowed else f"this machine has none: {_listed('its axes are', _axes(settings))}"
         raise EffectError(f"{where}: {name}: at = {at!r}: acts at an {kinds} of the machine; {there}")
     assert isinstance(at, str)
-    return EffectSetting(name, at, _parameters(effect, entry, _keys(effect, at, settings), f"{where}: {name} at {at!r}"))
+    where = f"{where}: {name} at {at!r}"
+    return EffectSetting(name, at, _parameters(effect, entry, _keys(effect, at, settings), where), _scatter(entry, where))
+
+
+def _scatter(entry: Mapping[str, object], where: str) -> float:
+    value = entry.get(SCATTER, 0.0)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= MOST_SCATTER_percent:
+        raise EffectError(f"{where}: {SCATTER} = {value!r}: must be a number from 0 to {MOST_SCATTER_percent:g}")
+    return float(value) / 100.0
 
 
 def _keys(effect: Effect, at: str, settings: PlantSettings) -> dict[str, tuple[Parameter, str]]:

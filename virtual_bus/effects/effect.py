@@ -135,4 +135,5 @@ class Effect:
     everyday: bool = False  # what an engineer's first fit has at every driven joint
     play: str = ""  # the parameter that is half of what two encoders of its axis lie apart by
     is_exact: bool = False  # a law of mechanics or of a sensor, whose form is known: not an empirical curve
+    is_slow: bool = False  # takes minutes: recordings of seconds show next to nothing of it, so a diagnosis does not look for it
     several: str = ""  # the parameter in which several at one place differ; "" where there is but one

@@ -11,11 +11,11 @@ IMU_LETTERS = "xyz"
 def imu_channel_names(settings: PlantSettings) -> list[str]:
     """Return the channel names of all IMUs in the order of their readings.
 
-    They are imu_x, imu_y, imu_z, gyro_x, gyro_y, gyro_z for the one called `imu`.
+    They are imu_x ... gyro_z of `imu`, imu_source_x ... gyro_source_z of `imu_source`.
     """
     names = []
     for imu in settings.imus:
-        gyro = "gyro" if imu.name == "imu" else f"{imu.name}_gyro"
+        gyro = f"gyro{imu.name.removeprefix('imu')}"
         names += [f"{imu.name}_{letter}" for letter in IMU_LETTERS] + [f"{gyro}_{letter}" for letter in IMU_LETTERS]
     return names
 

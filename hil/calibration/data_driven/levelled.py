@@ -13,6 +13,7 @@ from hil.calibration.data_driven.quasi_static import QuasiStatic
 from hil.errors import UnusableInputError
 from hil.machine import Machine
 from hil.recording import Channel, Recording
+from hil.recording.channels import imu_channels
 
 NOT_OFFSETS = ("detector_sag", "source_sag", "mount_yield")
 """Not offsets: bending by gravity is estimated by the observer."""
@@ -29,8 +30,8 @@ def levelled(machine: Machine, recording: Recording, model: QuasiStatic, values:
     if not machine.plant.imus:
         raise UnusableInputError(f"{machine.name}: has no IMU; there is nothing to turn back")
     imu = machine.plant.imus[0]
-    gyro = "gyro" if imu.name == "imu" else f"{imu.name}_gyro"
-    names = [[f"{first}_{axis}" for axis in "xyz"] for first in (imu.name, gyro)]
+    six = imu_channels(imu.name)
+    names = [six[:3], six[3:]]
     positions = recording.matrix([f"position_{axis}" for axis in machine.axes])
     load = np.broadcast_to(machine.plant.tree.gravity_m_s2 / np.linalg.norm(machine.plant.tree.gravity_m_s2), (len(positions), 3))
     offsets = np.where([name.startswith(NOT_OFFSETS) for name in model.names], 0.0, values)

@@ -98,12 +98,18 @@ CASES: dict[str, tuple[dict[str, float], Extra, int]] = {
     "structural_mode": ({"J": 0.4, "f": 4.0, "zeta": 0.05}, mode, 2),
     "presliding_hysteresis": (BRISTLE, lugre, 1),
     "bouc_wen_hysteresis": ({"k": 200.0, "A": 0.9, "z_max": 0.02, "beta_share": 0.7, "n": 1.5}, wen, 1),
+    "creep": ({"k1": 80.0, "tau": 0.3}, lambda t, x, v, z: (-80.0 * z[0], [v - z[0] / 0.3]), 1),
+    "thermal_bending": (
+        {"bend": 0.02, "tau": 0.4, "warm_for": 0.0},
+        lambda t, x, v, z: (STIFFNESS * 0.02 * (1.0 - np.exp(-t / 0.4)), []),
+        0,
+    ),
     "temperature_dependent_friction": ({"Fv0": 6.0, "a": 0.1, "R": 20.0, "tau": 1.5}, warming, 1),
 }
 
 
 def positions(name: str, parameters: dict[str, float], substeps: int) -> np.ndarray:
-    at = "block" if name in ("payload", "nonlinear_stiffness", "backlash") else "rail"
+    at = "block" if name in ("payload", "nonlinear_stiffness", "backlash", "thermal_bending") else "rail"
     effect = EffectSetting(name, at, parameters)
     return run(block(stiffness=STIFFNESS, damping=DAMPING, effects=(effect,), substeps=substeps), FORCES[:, None])[:, 0]
 

@@ -1,0 +1,128 @@
+"""Effects that a machine file states, as noise of its observer: how strong they are is known, what they do at an instant is not.
+
+A modal model has no dry friction, play, misaligned sensor or warm structure in it. Each enters where the filter has a state for it, so that
+the published variances count it: an effort at a drive or gear as a disturbance, a sensor's error that turns with the pose as a bias that
+walks, what two encoders of an axis differ by as an offset of the motor side, and a pose that no sensor sees as an offset of the detector's
+twist. Over the pose such an error changes within about a radian, which the machine turns in 1 / TURNING seconds.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from controllers.models.modal import ModalModel
+from controllers.observers.settings import ObserverNoise
+from hil.machine import Machine
+from hil.observing.geometry import placed_bodies
+from hil.observing.noise import effort_gain
+from virtual_bus.effects.places import spring_at
+from virtual_bus.settings import EffectSetting
+
+TURNING_rad_s = 0.5
+"""About 30 deg/s: a scan."""
+
+LEVELS = {
+    "coulomb_friction": ("Fc",),
+    "stribeck_friction": ("Fs_minus_Fc",),
+    "presliding_hysteresis": ("Fc", "Fs_minus_Fc"),
+    "asymmetric_friction": ("Fc_plus",),
+    "constant_load": ("tau0",),
+    "cogging": ("A1", "A2"),
+    "base_motion": ("A",),
+}
+"""Strengths that are efforts [Nm]."""
+
+PER_SPEED = {"viscous_friction": "Fv", "temperature_dependent_friction": "Fv0"}
+PER_POSITION = {"cable_spring": "kc"}
+"""Strengths that are efforts at TURNING, and a radian off."""
+
+GAPS = {"backlash": ("b",), "transmission_error": ("e1", "e2")}
+"""Strengths that are deflections of a gear [rad]. An error of the teeth pushes as its wheel turns; play, which the load holds at one flank,
+sets the motor side apart and pushes only for the instant in which it is crossed."""
+
+RUN_s = 10.0
+"""Length of a scan, at whose end a structure is warmer."""
+
+
+def with_unmodelled(noise: ObserverNoise, model: ModalModel, machine: Machine, effort_per_unit: np.ndarray | None = None) -> ObserverNoise:
+    """Return the noise with the effects that the machine's file states; unchanged where it states none.
+
+    Parameters
+    ----------
+    noise : ObserverNoise
+        Of sensors, command and disturbances.
+    model : ModalModel
+        With disturbances at places, drives first.
+    machine : Machine
+    effort_per_unit : (n_axes,) array, optional
+        Effort on the joint [Nm] of one unit of a drive's disturbance; that of the drive's unit unless given.
+    """
+    if not machine.own_effects:
+        return noise
+    axes, n = machine.axes, len(machine.axes)
+    unit = effort_gain(machine) if effort_per_unit is None else effort_per_unit
+    stiffness = {joint.name: joint.stiffness for joint in machine.plant.tree.joints}
+    drive, gear, apart, turned = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(3)
+    _, to_detector = placed_bodies(machine.plant.tree.bodies)[machine.geometry.detector_body]  # type: ignore[union-attr]
+    sensors = {imu.name: k for k, imu in enumerate(_in_order(model, machine))}
+    bias, walk = np.zeros((len(sensors), 2)), np.zeros((len(sensors), 2))
+    gravity = float(np.linalg.norm(machine.plant.tree.gravity_m_s2))
+    for effect in machine.own_effects:
+        if effect.at in axes:
+            k = axes.index(effect.at)
+            drive[k] = np.hypot(drive[k], _effort(effect))
+            gap = _size(effect, GAPS.get(effect.name, ()))
+            pushed = gap if effect.name == "transmission_error" else 0.0
+            gear[k] = np.hypot(gear[k], pushed * stiffness.get(spring_at(effect.at, machine.plant) or "", 0.0))
+            apart[k] = np.hypot(apart[k], gap)
+        elif effect.name == "encoder_eccentricity":
+            k = next(k for k, axis in enumerate(axes) if effect.at.endswith(f"position_{axis}"))
+            apart[k] = np.hypot(apart[k], _size(effect, ("a", "b")))
+            if effect.at.startswith("link_"):  # the pose is as wrong as the encoder that it is taken from
+                turned = np.hypot(turned, effect.parameters["a"] / np.sqrt(2.0) * model.chain.axes[k])
+        elif effect.name == "thermal_bending":
+            warm = -np.expm1(-(effect.parameters["warm_for"] + RUN_s) / effect.parameters["tau"])
+            body = next(body for body in machine.plant.tree.bodies if body.name == effect.at)
+            axis = to_detector.T @ placed_bodies(machine.plant.tree.bodies)[body.name][1] @ body.joint.axis  # type: ignore[union-attr]
+            turned = np.hypot(turned, effect.parameters["bend"] * warm * axis)
+        elif effect.at in sensors and effect.name in ("imu_misalignment", "imu_scale_bias"):
+            names = ("rx", "ry", "rz") if effect.name == "imu_misalignment" else ("sx", "sy", "sz")
+            share = _size(effect, names) / np.sqrt(3.0)  # of each axis
+            off = share * np.array([gravity, TURNING_rad_s])
+            k = sensors[effect.at]
+            bias[k, 0] = np.hypot(bias[k, 0], off[0])  # at rest nothing turns
+            walk[k] = np.hypot(walk[k], off * np.sqrt([TURNING_rad_s, 1.0]))  # speeds change within a second
+    disturbance = noise.disturbance.copy()
+    disturbance[:n] = np.hypot(disturbance[:n], drive / unit)
+    gears = [j for j, place in enumerate(model.places) if place == "gear"]
+    for number, j in enumerate(gears):
+        disturbance[j] = np.hypot(disturbance[j], gear[number] if len(gears) == n else gear.max())
+    # a turn about the isocentre leaves it where it is in the detector's frame, so the shift that goes with a turn is not counted
+    offset = np.concatenate((np.hypot(noise.initial_offset[:n], apart), np.zeros(3), turned))
+    return dataclasses.replace(
+        noise,
+        disturbance=disturbance,
+        initial_bias=np.hypot(noise.initial_bias, np.repeat(bias.ravel(), 3)),
+        bias_walk=np.hypot(noise.bias_walk, np.repeat(walk.ravel(), 3)),
+        initial_offset=offset,
+        offset_walk=np.hypot(np.concatenate((noise.offset_walk[:n], np.zeros(6))), offset * np.sqrt(2.0 * TURNING_rad_s)),
+    )
+
+
+def _in_order(model: ModalModel, machine: Machine) -> list:  # type: ignore[type-arg]
+    """Return the machine's IMUs in the order of the model's sensors."""
+    by_channel = {f"{imu.name}_x": imu for imu in machine.plant.imus}
+    return [by_channel[sensor.channels[0]] for sensor in model.sensors]
+
+
+def _effort(effect: EffectSetting) -> float:
+    """Return the effort [Nm] of an effect at a drive."""
+    level = _size(effect, LEVELS.get(effect.name, ()))
+    level += TURNING_rad_s * effect.parameters[PER_SPEED[effect.name]] if effect.name in PER_SPEED else 0.0
+    return level + (effect.parameters[PER_POSITION[effect.name]] if effect.name in PER_POSITION else 0.0)
+
+
+def _size(effect: EffectSetting, names: tuple[str, ...]) -> float:
+    return float(np.sqrt(sum(effect.parameters[name] ** 2 for name in names)))

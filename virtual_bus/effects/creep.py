@@ -1,0 +1,56 @@
+"""Creep: a support that gives way further while a load stands on it, and comes back as slowly."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from virtual_bus.effects.effect import REACTION, Effect, Parameter
+from virtual_bus.effects.law import Law, Place, one
+from virtual_bus.effects.motion import ReactionState
+from virtual_bus.effects.residual import Residual, fitted
+
+EFFECT = Effect(
+    name="creep",
+    kind=REACTION,
+    parameters=(
+        Parameter("k1", unit="Nm/rad", low=0.0, high=1e9, description="stiffness that relaxes, beside the joint's spring"),
+        Parameter("tau", unit="s", low=0.1, high=100000.0, description="time in which it relaxes to 1/e", is_strength=False),
+    ),
+    equation="z' = speed - z / tau, F = k1 z",
+    convention=(
+        "effort on the joint = -k1 z, a spring in series with a damper (Maxwell) beside the joint's own spring K: under a constant "
+        "load the deflection creeps from load / (K + k1) to load / K with the time constant tau (K + k1) / K; z = 0 at the start, "
+        "where the machine has stood for long"
+    ),
+    neighbours=("bouc_wen_hysteresis", "thermal_bending"),
+    source="the standard linear solid: Findley, Lai, Onaran 1976, Sec. 5.5",
+    family="elasticity",
+    is_slow=True,
+)
+
+
+def react(state: ReactionState, k1: float, tau: float) -> tuple[float, float, float]:
+    """Return the mean effort [Nm or N] over a step and the bend of the relaxing spring [rad or m] at its end.
+
+    The speed is taken as constant over the step; for it the bend is exact.
+    """
+    steady = 0.5 * (state.start_speed + state.end_speed) * tau
+    x = state.step_s / tau
+    gone = -math.expm1(-x)
+    end = state.first + (steady - state.first) * gone
+    mean = steady + (state.first - steady) * gone / x
+    return -k1 * mean, end, 0.0
+
+
+def guess(residual: Residual) -> tuple[float, float]:
+    """Take the slope of the missing effort over the position for the stiffness, and a quarter of the recording for the time."""
+    q = residual.position
+    slope = float(fitted([-(q - q.mean()), np.ones_like(q)], residual.effort)[0])
+    return max(slope, 0.0), 0.25 * float(np.ptp(residual.time_s))
+
+
+def laws(place: Place) -> list[Law]:
+    """Return one strength at several times."""
+    return [one("k1", tau=share * place.duration_s) for share in (0.03, 0.1, 0.3, 1.0)]
