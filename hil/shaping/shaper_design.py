@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -18,8 +19,8 @@ from controllers.shapers.sampled import AxisShaper, axis_shaper, on_samples
 from hil.shaping.aim import Aim
 from hil.shaping.verdict import GAIN_LIMIT, Subject, Verdict, judge, vibration_left
 
-FAST = 0.125
-"""Modes above this share of the sample rate are fast: they would need a tap at every sample or two. They are left out and listed."""
+FAST = 1.0 / 3.0
+"""Modes above this share of the sample rate are fast: half their period is below one and a half samples. They are left out and listed."""
 
 SEEN = 1e-3
 """A mode belongs to the axis if it contributes at least this share of the ringing acceleration at one of the poses."""
@@ -168,7 +169,7 @@ def design_all(
     check_band(quiet_band_Hz, period_s)
     cancelled = poles_to_cancel(subjects, sample_rate_Hz)
     if not cancelled[0]:
-        raise DesignError(f"nothing rings below {FAST * sample_rate_Hz:.3g} Hz: there is nothing to shape away")
+        raise DesignError(_nothing_to_cancel(subjects[0], sample_rate_Hz))
     conditions = [
         harmonic_conditions(each.dynamics, aim.forcing_rad_s, poles, robust_forcing_rad_s=aim.without_slope_rad_s)
         for each, poles in zip(subjects, cancelled, strict=True)
@@ -237,6 +238,19 @@ def _notch(poles: Sequence[complex], period_s: float) -> DelayFilter:
     in_z = [np.exp(np.array([*roots, *np.conj(roots)]) * period_s) for roots in (list(poles), wide)]
     system = Dynamics.from_polynomials(np.real(np.poly(in_z[0])), np.real(np.poly(in_z[1])), period_s)
     return DelayFilter(np.zeros(1), np.ones(1), system.scaled(1.0 / complex(system.response(0.0)).real), "notch")
+
+
+def _nothing_to_cancel(subject: Subject, sample_rate_Hz: float) -> str:
+    """Say why no mode is cancelled: there is none, or all are fast, and what can be done about the one that rings most."""
+    limit = FAST * sample_rate_Hz
+    if not subject.ringing:
+        return f"no mode of this axis is damped by less than {LIGHTLY_DAMPED:g}: nothing rings, so there is nothing to shape away"
+    most = max(subject.ringing, key=lambda mode: mode.step_share * mode.frequency_rad_s**2)
+    frequency_Hz = most.frequency_rad_s / (2.0 * np.pi)
+    return (
+        f"the mode at {frequency_Hz:.4g} Hz (damping {most.damping:.2g}) is above {limit:.3g} Hz, a third of the sample rate, up to which "
+        f"modes are shaped: raise timing.sample_rate_Hz to {math.ceil(frequency_Hz / FAST):d}, damp the mode, or limit the jerk"
+    )
 
 
 def _named(shaper: DelayFilter, name: str) -> DelayFilter:
