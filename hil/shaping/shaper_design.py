@@ -16,6 +16,8 @@ from controllers.shapers.harmonic_time_delay import harmonic, harmonic_condition
 from controllers.shapers.point_to_point import ei, multi_mode, two_hump_ei, zv, zvd
 from controllers.shapers.quiet import check_band, quiet
 from controllers.shapers.sampled import AxisShaper, axis_shaper, on_samples
+from controllers.shapers.shortest_delays import shortest_delays
+from controllers.shapers.zero_inversion import METHODS, invertible, tail_of
 from hil.shaping.aim import Aim
 from hil.shaping.verdict import GAIN_LIMIT, Subject, Verdict, judge, vibration_left
 
@@ -29,6 +31,11 @@ NOTCH_DAMPING = 0.7
 """Damping of the notch's poles: as wide as a notch can be without ringing itself."""
 
 HARMONIC = ("hTDF", "hTDF robust", "hTDF quiet")
+
+SHORTEST = "hTDF shortest"
+INVERTED = {method: f"hTDF {method}" for method in METHODS}
+ALSO = ("shortest", *METHODS)
+"""Designs beside the usual ones: the shortest delay, (7.27)-(7.30), and zeros of the path inverted, (7.33), (7.34)."""
 
 QUIET_BAND_Hz = (4.0, 20.0)
 """Band in which the C-arm's structure rings: 8 Hz and 14 Hz, and the modes that move between them."""
@@ -118,15 +125,23 @@ def poles_to_cancel(subjects: Sequence[Subject], sample_rate_Hz: float) -> list[
 
 
 def delay_map(
-    conditions: Sequence[Sequence[Condition]], subjects: Sequence[Subject], sample_period_s: float, longest_s: float
+    conditions: Sequence[Sequence[Condition]],
+    subjects: Sequence[Subject],
+    sample_period_s: float,
+    longest_s: float,
+    tail: Dynamics | None = None,
+    ahead_s: float = 0.0,
 ) -> list[MapRow]:
-    """Return harmonic filters for every delay T of whole samples whose transient fits, as in Fig. 7.12; unsolvable delays are left out."""
+    """Return harmonic filters for every delay T of whole samples whose transient fits, as in Fig. 7.12; unsolvable delays are left out.
+
+    With a tail on the last tap, which stands `ahead_s` earlier.
+    """
     taps = tap_count(conditions[0])
     rows = []
     for samples in range(1, int(longest_s / sample_period_s / max(taps - 1, 1)) + 1):
         delay_s = samples * sample_period_s
         try:
-            filters = tuple(harmonic(each, delay_s) for each in conditions)
+            filters = tuple(harmonic(each, delay_s, tail=tail, ahead_s=ahead_s) for each in conditions)
         except DesignError:
             continue
         worst = max(
@@ -156,15 +171,25 @@ def choose_delay(rows: Sequence[MapRow], longest_s: float) -> MapRow:
 
 
 def design_all(
-    subjects: Sequence[Subject], aim: Aim, sample_rate_Hz: float, quiet_band_Hz: tuple[float, float] = QUIET_BAND_Hz
+    subjects: Sequence[Subject],
+    aim: Aim,
+    sample_rate_Hz: float,
+    quiet_band_Hz: tuple[float, float] = QUIET_BAND_Hz,
+    also: Sequence[str] = (),
 ) -> Candidates:
     """Design point-to-point, notch and harmonic shapers for these poses, the recommended one first and those with objections last.
+
+    `also` names designs of `ALSO` beside them.
 
     Raises
     ------
     DesignError
-        The plant is unstable, no mode rings, a forcing frequency lies on a pole, or no harmonic filter fits the available time.
+        The plant is unstable, no mode rings, a forcing frequency lies on a pole, no harmonic filter fits the available time, or `also`
+        names no design.
     """
+    for name in also:
+        if name not in ALSO:
+            raise DesignError(f"design {name!r}: must be of {', '.join(ALSO)}")
     period_s = 1.0 / sample_rate_Hz
     check_band(quiet_band_Hz, period_s)
     cancelled = poles_to_cancel(subjects, sample_rate_Hz)
@@ -196,8 +221,30 @@ def design_all(
         refused["hTDF quiet"] = str(error)
         if len(refused) == len(HARMONIC):
             raise
+    for name in dict.fromkeys(also):
+        try:
+            found.append((_further(name, subjects, conditions, aim.longest_transient_s, period_s),))
+        except DesignError as error:
+            refused[INVERTED.get(name, SHORTEST)] = str(error)
     designs = [Design(filters, judge(filters, subjects, aim, cancelled), tuple(cancelled)) for filters in found]
     return Candidates(tuple(sorted(designs, key=lambda design: (bool(design.verdict.against), design.verdict.cost))), refused)
+
+
+def _further(
+    name: str, subjects: Sequence[Subject], conditions: Sequence[Sequence[Condition]], longest_s: float, period_s: float
+) -> DelayFilter:
+    """Return a design of `ALSO` for one pose."""
+    if len(subjects) > 1:
+        raise DesignError("it is made for one pose: leave out the schedule")
+    taps, path = tap_count(conditions[0]), subjects[0].dynamics
+    if name == "shortest":
+        continuous = shortest_delays(conditions[0], longest_s / max(taps - 2, 1), gain_sum_limit=GAIN_LIMIT, count=1)[0]
+        return _named(on_samples(continuous, conditions[0], period_s), SHORTEST)
+    tail, ahead_s = tail_of(path, name, invertible(path, longest_s))
+    if tail is None:
+        raise DesignError(f"the path has no zero whose inverse settles within {longest_s:.4g} s")
+    left_s = longest_s - DelayFilter(np.zeros(1), np.ones(1), tail).settled_s
+    return _named(choose_delay(delay_map(conditions, subjects, period_s, left_s, tail, ahead_s), left_s).filters[0], INVERTED[name])
 
 
 def shaper_of(design: Design, axis: str, sample_rate_Hz: float, positions: Sequence[float] = (0.0,), schedule_axis: str = "") -> AxisShaper:
