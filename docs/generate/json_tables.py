@@ -190,6 +190,21 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
     ),
     "foxglove": (Entry("url, place", "text", "Where it serves, and what. The object is written in one line when it listens."),),
     "identify": _IDENTIFY,
+    "lpv": (
+        Entry(
+            "emulated, direction, pose_range",
+            "true or false, number, list",
+            "Coordinate of the poses that varies, and its ends [rad or m].",
+        ),
+        Entry("misfit", "number", "Weighted sum of squares over its degrees of freedom; 1 where noise alone is left."),
+        Entry("outputs, inputs", "list", "Channels."),
+        Entry(
+            "poses",
+            "list",
+            "`pose` [rad or m]; of every mode `natural_frequency_Hz`, `damping`, and half widths `natural_frequency_ci95`, `damping_ci95`; "
+            "`A`, `B`, `C`, `D` from applied effort to outputs, continuous, and whether they are `stable`.",
+        ),
+    ),
     "shape": (
         Entry("shaper", "text", "The file that was written."),
         Entry("chosen, recommended", "text", "The design that was written, and the recommended one."),

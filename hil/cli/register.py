@@ -20,6 +20,7 @@ from hil.cli import (
     foxglove,
     geometry,
     identify,
+    lpv,
     machine,
     observe,
     physics,
@@ -49,6 +50,7 @@ def commands(app: typer.Typer) -> None:
     answers.register(app)
     foxglove.register(app)
     identify.register(app)
+    lpv.register(app)
     shape.register(app)
     observe.register(app)
     calibrate.register(app)

@@ -111,7 +111,7 @@ def test_tigre_s_angles_and_offsets_by_its_equations(tmp_path: Path, beam: ConeB
         rows, columns = found["offDetector"][k]
         center = gantry @ [found["DSO"][k] - found["DSD"][k], columns, rows]
         u, v = gantry @ panel @ [0.0, width, 0.0], gantry @ panel @ [0.0, 0.0, height]
-        theirs = np.array([[309.5, 239.5] + on_plane(source, center, u, v, 1e3 * point) for point in points])
+        theirs = np.array([309.5, 239.5]) + [on_plane(source, center, u, v, 1e3 * point) for point in points]
         np.testing.assert_allclose(theirs[:, 0], expected[:, 0], atol=1e-6)
         np.testing.assert_allclose(479.0 - theirs[:, 1], expected[:, 1], atol=1e-6)
     assert np.abs(found["rotDetector"]).max() < 0.1  # of an upright panel small turns are left
