@@ -256,6 +256,12 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
     "reconstruct": (
         Entry("geometry, projections", "text, number", "The geometry that was used, and the number of images."),
         Entry("wires.WIRE", "object", "`peak_1_m`, `peak_ratio`, `widths_m`, `offset_m`, `artefact`."),
+        Entry(
+            "aneurysm.NAME",
+            "object",
+            "With `--neck` and `--dome`, each with `value`, standard `deviation` and `unit`: `volume`, `wall_area`, `neck_width`, "
+            "`dome_height`, `dome_width`, `aspect_ratio` (height over neck), `bottleneck_factor` (dome over neck width), `sphericity`.",
+        ),
     ),
     "diagnose": (Entry("", "", "The object of `diagnosis.json`, below."),),
     "machine list": (Entry("[].name, description, axes, hash", "", "One object per shipped machine."),),
