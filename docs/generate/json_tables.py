@@ -253,6 +253,19 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("poses, registered", "number, true or false", "Benchmark poses, and whether worlds were laid on each other."),
         Entry("overlay_m", "object", "Calibration to place on the image to `max`, `max_90` (of the best 90 %) and `mean`."),
     ),
+    "calibrate chain": (
+        Entry("written", "text", "The chain that was written."),
+        Entry(
+            "parameters, deviations, units",
+            "object",
+            "By parameter, as `a_NAME`, `delta_theta_NAME`, …, `theta_z`: value, standard deviation, unit.",
+        ),
+        Entry(
+            "rank, not_seen, kept", "number, list, list", "Combinations seen; those not seen, with each parameter's share; parameters kept."
+        ),
+        Entry("misfit", "number", "Residual's rms over the noise that was stated."),
+        Entry("poses.FILE", "object", "`nominal` and `fitted`: `position_rms_m`, `angle_rms_rad`."),
+    ),
     "reconstruct": (
         Entry("geometry, projections", "text, number", "The geometry that was used, and the number of images."),
         Entry("wires.WIRE", "object", "`peak_1_m`, `peak_ratio`, `widths_m`, `offset_m`, `artefact`."),

@@ -9,6 +9,7 @@ from hil.cli import (
     bench,
     bus,
     calibrate,
+    calibrate_chain,
     calibrate_data,
     calibrate_model,
     calibrate_spot,
@@ -57,6 +58,7 @@ def commands(app: typer.Typer) -> None:
     calibrate_data.register(calibrate.app)
     calibrate_model.register(calibrate.app)
     calibrate_spot.register(calibrate.app)
+    calibrate_chain.register(calibrate.app)
     roadmap.register(app)
     geometry.register(app)
     reconstruct.register(app)
