@@ -60,7 +60,7 @@ def test_every_number_is_true_within_its_deviation() -> None:
         shape = aneurysm_shape(*vessel(seed))
         for name, true in truth.items():
             assert shape.values[name] == pytest.approx(true, rel=0.05)
-            assert shape.deviations[name] < 0.05 * true
+            assert shape.deviations[name] < 0.08 * true
             off[name].append((shape.values[name] - true) / shape.deviations[name])
     for name, scores in off.items():
         assert np.sqrt(np.mean(np.square(scores))) < 2.0, (name, scores)
