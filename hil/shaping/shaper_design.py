@@ -24,6 +24,9 @@ from hil.shaping.verdict import GAIN_LIMIT, Subject, Verdict, judge, vibration_l
 FAST = 1.0 / 3.0
 """Modes above this share of the sample rate are fast: half their period is below one and a half samples. They are left out and listed."""
 
+SLOW = 0.125
+"""Modes below this share of the sample rate must be there at every pose of a schedule; of those above, as many as every pose has count."""
+
 SEEN = 1e-3
 """A mode belongs to the axis if it contributes at least this share of the ringing acceleration at one of the poses."""
 
@@ -109,9 +112,11 @@ def poles_to_cancel(subjects: Sequence[Subject], sample_rate_Hz: float) -> list[
     DesignError
         The number of slow modes differs between poses.
     """
-    slow = [[mode for mode in each.ringing if mode.frequency_rad_s < 2.0 * np.pi * FAST * sample_rate_Hz] for each in subjects]
-    if len({len(modes) for modes in slow}) > 1:
-        raise DesignError(f"the poses have {[len(modes) for modes in slow]} ringing modes: no schedule over them; shape pose by pose")
+    alike = [_modes_below(SLOW * sample_rate_Hz, each) for each in subjects]
+    if len({len(modes) for modes in alike}) > 1:
+        raise DesignError(f"the poses have {[len(modes) for modes in alike]} ringing modes: no schedule over them; shape pose by pose")
+    slow = [_modes_below(FAST * sample_rate_Hz, each) for each in subjects]
+    slow = [modes[: min(map(len, slow))] for modes in slow]  # rising in frequency: one that leaves the band at a pose is left out
     seen = np.zeros(len(slow[0]), dtype=bool)
     for modes in slow:
         acceleration = np.array([mode.step_share * mode.frequency_rad_s**2 for mode in modes])
@@ -122,6 +127,12 @@ def poles_to_cancel(subjects: Sequence[Subject], sample_rate_Hz: float) -> list[
         wanted = [mode.pole for mode, chosen in zip(modes, seen, strict=True) if chosen]
         found.append(tuple(complex(poles[np.argmin(np.abs(poles - pole))]) for pole in wanted))
     return found
+
+
+def _modes_below(frequency_Hz: float, subject: Subject) -> list[Mode]:
+    return sorted(
+        (mode for mode in subject.ringing if mode.frequency_rad_s < 2.0 * np.pi * frequency_Hz), key=lambda mode: mode.frequency_rad_s
+    )
 
 
 def delay_map(
