@@ -2,14 +2,15 @@
 
     python benchmarks/shapers_figures.py --out figures/
 
-Table 7.1 cannot be reproduced, so Fig. 7.10 shows a design of its own for the same five frequencies; Figs 7.12 to 7.14 use the plant that
-gives the printed gains of Table 7.2.
+Table 7.1 cannot be reproduced, so Fig. 7.10 shows a design of its own for the same five frequencies. Figs 7.12 to 7.14 are drawn twice:
+for the plant that gives the gains of Table 7.2, and for the plant that Sec. 7.4 prints. `shapers_tables.py` has their numbers.
 """
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -28,16 +29,29 @@ BLUE, RED, GREEN, BLACK = "#0072B2", "#D55E00", "#009E73", "black"
 Curves = list[tuple[str, DelayFilter, str, str]]  # label, filter, colour, line style
 
 
+class SixthOrder(NamedTuple):
+    """Numbers of (7.39)."""
+
+    frequencies_rad_s: tuple[float, float, float]
+    dampings: tuple[float, float, float]
+    alpha: float = 5e-4
+    beta: float = 1.7
+
+
+CORRECTED = SixthOrder((float(np.sqrt(2.0)), 2.5, 3.0), (0.002, 0.005, 0.003))  # gives the normal gains of Table 7.2
+PRINTED = SixthOrder((float(np.sqrt(2.0)), 3.0, 4.0), (0.02, 0.05, 0.03))  # Sec. 7.4
+
+
 def second_order_plant() -> Dynamics:
     """(7.15)."""
     return Dynamics.from_modes([(NATURAL, DAMPING, 1.0)])
 
 
-def sixth_order_plant(shift: float = 1.0) -> tuple[Dynamics, Dynamics]:
-    """(7.39) with the numbers that give Table 7.2, its second frequency times `shift`, and the tail of (7.33)."""
-    w, zeta, zeros = np.array([np.sqrt(2.0), 2.5 * shift, 3.0]), (0.002, 0.005, 0.003), np.array([1.0, 5e-4, 1.7])
+def sixth_order_plant(numbers: SixthOrder = CORRECTED, shift: float = 1.0) -> tuple[Dynamics, Dynamics]:
+    """(7.39), its second frequency times `shift`, and the tail of (7.33)."""
+    w, zeros = np.array(numbers.frequencies_rad_s) * (1.0, shift, 1.0), np.array([1.0, numbers.alpha, numbers.beta])
     denominator = np.ones(1)
-    for frequency, damping in zip(w, zeta, strict=True):
+    for frequency, damping in zip(w, numbers.dampings, strict=True):
         denominator = np.polymul(denominator, [1.0, 2.0 * damping * frequency, frequency**2])
     gain = np.prod(w**2)
     return Dynamics.from_polynomials(gain * zeros, denominator), Dynamics.from_polynomials([1.0], gain * zeros)
@@ -170,10 +184,16 @@ def example_7_3(out: Path) -> None:
 
 
 def design_case(out: Path) -> None:
-    """Figs 7.12 to 7.14; Fig. 7.11 is a photograph."""
-    plant, tail = sixth_order_plant()
+    """Figs 7.12 to 7.14, of both plants; Fig. 7.11 is a photograph."""
+    for numbers, ending in ((CORRECTED, ""), (PRINTED, "_printed")):
+        practical_design(out, numbers, ending)
+
+
+def practical_design(out: Path, numbers: SixthOrder, ending: str) -> None:
+    """Figs 7.12 to 7.14 of one plant."""
+    plant, tail = sixth_order_plant(numbers)
     forcing, amplitudes = (0.7, 1.7, 2.2), (1.0, -1.2, 1.9)
-    second = [pole for pole in plant.poles if abs(abs(pole) - 2.5) < 0.1]
+    second = [pole for pole in plant.poles if abs(abs(pole) - numbers.frequencies_rad_s[1]) < 0.1]
     normal = harmonic_conditions(plant, forcing)
     robust = harmonic_conditions(plant, forcing, robust_poles=second, robust_forcing_rad_s=[2.2])
     figure = Figure(figsize=(8.0, 6.0), layout="constrained")
@@ -189,7 +209,7 @@ def design_case(out: Path) -> None:
         axes.set(ylabel=f"Gains, {label}", ylim=(-20.0, 20.0))
         axes.axvline(0.75, color=BLACK, linewidth=0.6, linestyle=":")
     axes.set_xlabel("Delay T [s]")
-    figure.savefig(out / "fig_7_12.png", dpi=130)
+    figure.savefig(out / f"fig_7_12{ending}.png", dpi=130)
     filters = [("normal", harmonic(normal, 0.75, tail=tail)), ("robust", harmonic(robust, 0.75, tail=tail))]
     reference, times = sinusoids(amplitudes, forcing), np.linspace(0.0, 40.0, 1000)
     figure = Figure(figsize=(10.0, 6.0), layout="constrained")
@@ -199,7 +219,7 @@ def design_case(out: Path) -> None:
         for share in (-0.1, -0.05, 0.05, 0.1):
             other = sinusoids(amplitudes, (0.7, 1.7, 2.2 * (1.0 + share)))
             changed.append(shaped_response(plant, shaper, other, times) - other.at(times))
-            changed.append(shaped_response(sixth_order_plant(1.0 + share)[0], shaper, reference, times) - reference.at(times))
+            changed.append(shaped_response(sixth_order_plant(numbers, 1.0 + share)[0], shaper, reference, times) - reference.at(times))
         output = shaped_response(plant, shaper, reference, times)
         grid[0, column].plot(times, output, color=BLUE, linewidth=0.9, label="shaped")
         grid[0, column].plot(times, reference.at(times), "--", color=BLACK, linewidth=0.9, label="reference")
@@ -209,9 +229,9 @@ def design_case(out: Path) -> None:
         grid[1, column].set(xlabel="Time [s]", ylim=(-12.0, 12.0))
     grid[0, 0].legend(fontsize="small")
     grid[1, 0].legend(fontsize="small")
-    figure.savefig(out / "fig_7_13.png", dpi=130)
+    figure.savefig(out / f"fig_7_13{ending}.png", dpi=130)
     curves: Curves = [(label, shaper, BLUE, "-") for label, shaper in filters]
-    bode(plant, curves, np.geomspace(0.2, 6.0, 2500)).savefig(out / "fig_7_14.png", dpi=130)
+    bode(plant, curves, np.geomspace(0.2, 6.0, 2500)).savefig(out / f"fig_7_14{ending}.png", dpi=130)
 
 
 def main() -> None:

@@ -91,20 +91,18 @@ def check_apart(poles: Iterable[complex], frequencies_rad_s: Iterable[float]) ->
 def equations(conditions: Sequence[Condition], delays_s: np.ndarray, tail: Dynamics | None) -> tuple[np.ndarray, np.ndarray]:
     """Return the real matrix (m, n) and right-hand side (m,) of the conditions for these taps, each scaled to its largest complex term.
 
-    Real and imaginary parts keep their proportion: a part that vanishes at some delay does so smoothly with the delay.
+    Real and imaginary parts keep their proportion: a part that vanishes at some delay does so smoothly with the delay. Delays of shape
+    (k, 1, n) give matrices (k, m, n) and right-hand sides (k, m).
     """
-    points = np.array([condition.s for condition in conditions])
-    values, slopes = basis(points, delays_s, tail)
-    rows, right = [], []
-    for condition, value, slope in zip(conditions, values, slopes, strict=True):
-        terms = value if condition.order == 0 else slope
-        scale = np.abs(terms).max() or 1.0
-        rows.append(terms.real / scale)
-        right.append(complex(condition.value).real / scale)
-        if condition.equations == 2:
-            rows.append(terms.imag / scale)
-            right.append(complex(condition.value).imag / scale)
-    return np.array(rows), np.array(right)
+    points, values = (np.array([getattr(condition, name) for condition in conditions], dtype=complex) for name in ("s", "value"))
+    gains, slopes = basis(points, delays_s, tail)
+    terms = np.where(np.array([condition.order == 0 for condition in conditions])[:, None], gains, slopes)
+    scale = np.abs(terms).max(axis=-1)
+    scale[scale == 0.0] = 1.0
+    owner = np.repeat(np.arange(len(conditions)), [condition.equations for condition in conditions])
+    is_imaginary = np.concatenate([[False], owner[1:] == owner[:-1]])
+    terms, right = (terms / scale[..., None])[..., owner, :], (values / scale)[..., owner]
+    return np.where(is_imaginary[:, None], terms.imag, terms.real), np.where(is_imaginary, right.imag, right.real)
 
 
 def solve(conditions: Sequence[Condition], delays_s: np.ndarray, tail: Dynamics | None = None, name: str = "") -> DelayFilter:

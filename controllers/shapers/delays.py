@@ -9,6 +9,9 @@ import numpy as np
 from controllers.errors import DesignError
 from controllers.shapers.dynamics import Dynamics
 
+SETTLED = 0.01
+"""Share to which a filter's slowest mode has decayed when it counts as settled."""
+
 
 @dataclass(frozen=True)
 class DelayFilter:
@@ -41,6 +44,14 @@ class DelayFilter:
     def transient_s(self) -> float:
         """Duration L T of the transient, after which nothing new comes out of the taps."""
         return float(self.delays_s[-1])
+
+    @property
+    def settled_s(self) -> float:
+        """Duration of the transient until the tail, too, has decayed to `SETTLED`."""
+        if self.tail is None or not len(self.tail.poles):
+            return self.transient_s
+        slowest = -self.tail.poles.real.max()
+        return self.transient_s - float(np.log(SETTLED)) / slowest if slowest > 0.0 else np.inf
 
     @property
     def largest_gain(self) -> float:

@@ -55,7 +55,9 @@ def harmonic_conditions(
     return conditions + [condition for condition in tracking(dynamics, flat, True) if condition.order == 1]
 
 
-def harmonic(conditions: Sequence[Condition], delay_s: float, *, tail: Dynamics | None = None, extra_taps: int = 0) -> DelayFilter:
+def harmonic(
+    conditions: Sequence[Condition], delay_s: float, *, tail: Dynamics | None = None, ahead_s: float = 0.0, extra_taps: int = 0
+) -> DelayFilter:
     """Return the filter with taps at k T, as many as there are equations, or more with the least sum of squares.
 
     Parameters
@@ -63,17 +65,21 @@ def harmonic(conditions: Sequence[Condition], delay_s: float, *, tail: Dynamics 
     conditions : from `harmonic_conditions`.
     delay_s : T.
     tail : on the last tap, from `controllers.shapers.zero_inversion`.
+    ahead_s : by how much the tail's tap stands earlier, from there, too.
     extra_taps : beyond the number of equations.
 
     Raises
     ------
     DesignError
-        No solution at this delay.
+        No solution at this delay, or a delay that the tail's tap would pass.
     """
     if not (np.isfinite(delay_s) and delay_s > 0.0):
         raise DesignError(f"delay T = {delay_s}: must be positive")
-    taps = tap_count(conditions) + extra_taps
-    return solve(conditions, delay_s * np.arange(taps), tail, "hTDF")
+    if ahead_s >= delay_s:
+        raise DesignError(f"delay T = {delay_s:g} s: must be longer than the {ahead_s:g} s by which the tail looks ahead")
+    delays_s = delay_s * np.arange(tap_count(conditions) + extra_taps)
+    delays_s[-1] -= ahead_s
+    return solve(conditions, delays_s, tail, "hTDF")
 
 
 def tap_count(conditions: Sequence[Condition]) -> int:

@@ -10,7 +10,7 @@ import scipy.signal
 
 from controllers.errors import DesignError
 from controllers.shapers.conditions import Condition, equations
-from controllers.shapers.delays import DelayFilter
+from controllers.shapers.delays import SETTLED, DelayFilter
 from controllers.shapers.dynamics import Dynamics
 
 
@@ -63,6 +63,14 @@ class AxisShaper:
     def transient_samples(self) -> int:
         """Samples from the first tap's input to the last tap's output."""
         return int(self.delays[-1])
+
+    @property
+    def settling_samples(self) -> int:
+        """Samples until the tail has decayed to `SETTLED`, from the last tap on."""
+        if not len(self.tail):
+            return 0
+        slowest = np.abs(scipy.signal.sos2zpk(self.tail)[1]).max(initial=0.0)
+        return int(np.ceil(np.log(SETTLED) / np.log(slowest))) if 0.0 < slowest < 1.0 else 0
 
     @property
     def gain_sum(self) -> float:

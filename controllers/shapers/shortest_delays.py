@@ -23,6 +23,9 @@ GRID_PER_RADIAN = 8
 
 GRID_LIMIT = 200_000
 
+AT_A_TIME = 2000
+"""Points whose matrices are in memory together."""
+
 TOUCHING = 1e-1
 """A local minimum of the determinant's size below this, relative to its neighbourhood, may be a root that does not change sign."""
 
@@ -41,6 +44,7 @@ def shortest_delays(
     *,
     tail: Dynamics | None = None,
     gain_sum_limit: float = np.inf,
+    count: int | None = None,
 ) -> list[DelayFilter]:
     """Return every filter with L = N_p + 2 N_w - 2 whose delay is at most `longest_s`, shortest first.
 
@@ -49,6 +53,7 @@ def shortest_delays(
     conditions : from `harmonic_conditions`.
     longest_s : end of the range of T that is searched.
     gain_sum_limit : solutions with a larger sum of |A_k| are dropped, because the gains go to infinity as T goes to zero.
+    count : only so many, the shortest; all unless given.
 
     Raises
     ------
@@ -59,14 +64,19 @@ def shortest_delays(
     if taps < 1:
         raise DesignError("the shortest delay needs at least two equations")
 
-    def determinant(delay_s: float) -> float:
-        return float(np.linalg.det(np.column_stack(equations(conditions, delay_s * np.arange(taps), tail))))
+    def determinants(delays_s: np.ndarray) -> np.ndarray:
+        matrix, right = equations(conditions, delays_s[:, None, None] * np.arange(taps), tail)
+        found: np.ndarray = np.linalg.det(np.concatenate([matrix, right[..., None]], axis=-1))
+        return found
 
     fastest = max(abs(condition.s) for condition in conditions) * taps
-    count = int(np.clip(longest_s * fastest * GRID_PER_RADIAN, 200, GRID_LIMIT))
-    grid = longest_s * np.arange(1, count + 1) / count
+    points = int(np.clip(longest_s * fastest * GRID_PER_RADIAN, 200, GRID_LIMIT))
+    grid = longest_s * np.arange(1, points + 1) / points
+    values = np.concatenate([determinants(part) for part in np.array_split(grid, points // AT_A_TIME + 1)])
     found: list[DelayFilter] = []
-    for delay in _candidates(determinant, grid):
+    for delay in _candidates(lambda delay: float(determinants(np.array([delay]))[0]), grid, values):
+        if len(found) == count:
+            break
         try:
             shaper = _polished(conditions, delay, taps, tail)
         except DesignError:
@@ -96,9 +106,8 @@ def _polished(conditions: Sequence[Condition], delay_s: float, taps: int, tail: 
     return solve(conditions, best[-1] * np.arange(taps), tail, NAME)
 
 
-def _candidates(function: Callable[[float], float], grid: np.ndarray) -> list[float]:
-    """Return roots of a function on a grid, and minima of its size that may be roots that only touch zero, in rising order."""
-    values = np.array([function(delay) for delay in grid])
+def _candidates(function: Callable[[float], float], grid: np.ndarray, values: np.ndarray) -> list[float]:
+    """Return roots of a function with these values on a grid, and minima of its size that may only touch zero, in rising order."""
     size = np.abs(values)
     told = size > ROUNDING * size.max()  # as T goes to zero all taps become one and the determinant is lost in rounding
     crossing = np.flatnonzero((np.sign(values[:-1]) * np.sign(values[1:]) < 0.0) & told[:-1] & told[1:])

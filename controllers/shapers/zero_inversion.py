@@ -13,11 +13,16 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
+import scipy.signal
 
 from controllers.errors import DesignError
+from controllers.shapers.delays import SETTLED
 from controllers.shapers.dynamics import Dynamics
 
 METHODS = ("dc", "zpetc", "zmetc")
+
+FAR = 1e3
+"""Modulus beyond which a zero of a sampled system stands for a delay of a sample."""
 
 
 def tail_of(dynamics: Dynamics, method: str = "dc", zeros: Iterable[complex] | None = None) -> tuple[Dynamics | None, float]:
@@ -49,43 +54,60 @@ def tail_of(dynamics: Dynamics, method: str = "dc", zeros: Iterable[complex] | N
     if (np.abs(edge) < 1e-9).any():
         raise DesignError(f"zero at {chosen[np.argmin(np.abs(edge))]:.4g} on the edge of stability: its inverse never settles")
     stable, unstable = chosen[edge < 0.0], chosen[edge > 0.0]
+    zeros, poles, ahead = list[complex](), list(stable), 0.0
     if period is None:
-        mirrored = _polynomial(-unstable)
-        numerator = mirrored if method == "zpetc" else np.ones(1)
-        denominator = _polynomial(stable)
-        ahead = 0.0
-        if method == "zmetc":
-            denominator = np.polymul(denominator, mirrored)
-        if len(numerator) > len(denominator):
+        zeros += list(-unstable) if method == "zpetc" else []
+        poles += list(-unstable) if method == "zmetc" else []
+        if len(zeros) > len(poles):
             raise DesignError(
                 f"zpetc: {len(unstable)} zeros of the right half plane against {len(stable)} of the left would have to be differentiated; "
                 "use zmetc or dc, or design at the sample rate"
             )
     else:
-        # in powers of 1/z: N(z) = prod(1 - zero/z), mirrored prod(1/z - zero), which is prod(1 - zero z) as many samples late
-        late = _polynomial(unstable)[::-1]
-        numerator = late if method == "zpetc" else np.ones(1)
-        denominator = _polynomial(stable)
-        if method == "zmetc":
-            denominator = np.polymul(denominator, late / late[0])
-        width = max(len(numerator), len(denominator))
-        numerator, denominator = (np.pad(part, (0, width - len(part))) for part in (numerator, denominator))
-        ahead = len(unstable) * period if method == "zpetc" else 0.0
-    if len(denominator) == 1:
+        # N(z) = prod(1 - zero/z); mirrored prod(1/z - zero), which is prod(1 - zero z) as many samples late
+        zeros += [0.0] * len(stable)
+        if method == "zpetc":
+            zeros += list(1.0 / unstable)
+            poles += [0.0] * len(unstable)
+            ahead = len(unstable) * period
+        elif method == "zmetc":
+            zeros += [0.0] * len(unstable)
+            poles += list(1.0 / unstable)
+    if not any(poles) and not any(zeros):
         return None, 0.0
-    tail = Dynamics.from_polynomials(numerator, denominator, period)
+    tail = _cascade(np.array(zeros), np.array(poles), period)
     return tail.scaled(1.0 / float(tail.response(0.0).real)), ahead
 
 
-def invertible(dynamics: Dynamics) -> np.ndarray:
+def _cascade(zeros: np.ndarray, poles: np.ndarray, period: float | None) -> Dynamics:
+    """Return a series of second-order sections: the coefficients of one polynomial lose zeros that lie close together."""
+    sections = scipy.signal.zpk2sos(zeros, poles, 1.0, pairing="minimal" if period is None else "nearest", analog=period is None)
+    series = Dynamics.from_polynomials([1.0], [1.0], period)
+    for section in sections:
+        numerator, denominator = section[:3], section[3:]
+        while len(denominator) > 1 and numerator[-1] == 0.0 == denominator[-1]:  # a root at 0 in both
+            numerator, denominator = numerator[:-1], denominator[:-1]
+        series = Dynamics.from_polynomials(numerator, denominator, period).after(series)
+    return series
+
+
+def invertible(dynamics: Dynamics, within_s: float = np.inf) -> np.ndarray:
     """Return the zeros worth inverting: all of a continuous plant; of a sampled one those in the right half of the z plane.
 
-    Sampling adds zeros near z = -1 whose inverse would ring at half the sample rate.
+    Sampling adds zeros near z = -1 whose inverse would ring at half the sample rate, and zeros far outside that are delays.
+
+    Parameters
+    ----------
+    dynamics : Dynamics
+    within_s : float
+        Zeros whose inverse takes longer to settle to `SETTLED` are left out.
     """
     zeros = dynamics.zeros
-    return zeros if dynamics.sample_period_s is None else zeros[zeros.real > 0.0]
-
-
-def _polynomial(roots: np.ndarray) -> np.ndarray:
-    """Return real coefficients, highest power first; 1 for no roots."""
-    return np.atleast_1d(np.real(np.poly(roots)))
+    if dynamics.sample_period_s is None:
+        rates = np.abs(zeros.real)
+    else:
+        size = np.abs(zeros)
+        zeros, size = zeros[(zeros.real > 0.0) & (size < FAR)], size[(zeros.real > 0.0) & (size < FAR)]
+        rates = np.abs(np.log(size)) / dynamics.sample_period_s
+    quick: np.ndarray = zeros[rates * within_s >= -np.log(SETTLED)] if np.isfinite(within_s) else zeros
+    return quick

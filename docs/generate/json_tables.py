@@ -238,6 +238,21 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
     ),
     "foxglove": (Entry("url, place", "text", "Where it serves, and what. The object is written in one line when it listens."),),
     "identify": _IDENTIFY,
+    "lpv": (
+        Entry(
+            "emulated, direction, pose_range",
+            "true or false, number, list",
+            "Coordinate of the poses that varies, and its ends [rad or m].",
+        ),
+        Entry("misfit", "number", "Weighted sum of squares over its degrees of freedom; 1 where noise alone is left."),
+        Entry("outputs, inputs", "list", "Channels."),
+        Entry(
+            "poses",
+            "list",
+            "`pose` [rad or m]; of every mode `natural_frequency_Hz`, `damping`, and half widths `natural_frequency_ci95`, `damping_ci95`; "
+            "`A`, `B`, `C`, `D` from applied effort to outputs, continuous, and whether they are `stable`.",
+        ),
+    ),
     "shape": (
         Entry("shaper", "text", "The file that was written."),
         Entry("chosen, recommended", "text", "The design that was written, and the recommended one."),
@@ -286,9 +301,28 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("poses, registered", "number, true or false", "Benchmark poses, and whether worlds were laid on each other."),
         Entry("overlay_m", "object", "Calibration to place on the image to `max`, `max_90` (of the best 90 %) and `mean`."),
     ),
+    "calibrate chain": (
+        Entry("written", "text", "The chain that was written."),
+        Entry(
+            "parameters, deviations, units",
+            "object",
+            "By parameter, as `a_NAME`, `delta_theta_NAME`, …, `theta_z`: value, standard deviation, unit.",
+        ),
+        Entry(
+            "rank, not_seen, kept", "number, list, list", "Combinations seen; those not seen, with each parameter's share; parameters kept."
+        ),
+        Entry("misfit", "number", "Residual's rms over the noise that was stated."),
+        Entry("poses.FILE", "object", "`nominal` and `fitted`: `position_rms_m`, `angle_rms_rad`."),
+    ),
     "reconstruct": (
         Entry("geometry, projections", "text, number", "The geometry that was used, and the number of images."),
         Entry("wires.WIRE", "object", "`peak_1_m`, `peak_ratio`, `widths_m`, `offset_m`, `artefact`."),
+        Entry(
+            "aneurysm.NAME",
+            "object",
+            "With `--neck` and `--dome`, each with `value`, standard `deviation` and `unit`: `volume`, `wall_area`, `neck_width`, "
+            "`dome_height`, `dome_width`, `aspect_ratio` (height over neck), `bottleneck_factor` (dome over neck width), `sphericity`.",
+        ),
     ),
     "diagnose": (Entry("", "", "The object of `diagnosis.json`, below."),),
     "machine list": (Entry("[].name, description, axes, hash", "", "One object per shipped machine."),),

@@ -59,7 +59,7 @@ def expose(
     truth: Annotated[Path, typer.Option("--truth", metavar="FILE", help="Truth file of the same run.")],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder to write.")],
     scene_name: Annotated[
-        str, typer.Option("--scene", help="What stands in the beam: dodecahedron, wires-1mm, wires-0.2mm, vessel.")
+        str, typer.Option("--scene", help="What stands in the beam: dodecahedron, wires-1mm, wires-0.2mm, vessel, aneurysm.")
     ] = "dodecahedron",
     rate: Annotated[float, typer.Option("--rate", metavar="HZ", help="Exposures a second, by the panel's own clock.")] = 7.0,
     width: Annotated[float, typer.Option("--width", metavar="MS", help="Length of an exposure, milliseconds.")] = 8.0,

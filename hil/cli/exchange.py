@@ -1,4 +1,4 @@
-"""isocenter geometry convert: geometry between tables, 3 x 4 matrices, RTK's XML and DICOM's attributes."""
+"""isocenter geometry convert: geometry between tables, 3 x 4 matrices, RTK's XML, DICOM's attributes and other programs' vectors."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def register(geometry: typer.Typer) -> None:
         "convert",
         short_help="Geometry between programs' files.",
         help="Geometry of exposures from one file to another: a scan's folder, .npz tables, .csv and .json 3 x 4 matrices [mm to pixels],"
-        " .xml of RTK, .dcm attributes of X-ray angiography."
+        " .xml of RTK, .dcm attributes of X-ray angiography; with --for the vectors of ASTRA, LEAP or TIGRE as .npz."
         "\n\nExample:  isocenter geometry convert carm scan scan.xml --with carm.model.npz",
     )(convert)
 
@@ -55,17 +55,25 @@ def convert(
     binning: Annotated[int, typer.Option("--binning", min=1, help="Pixels read as one, where IN does not say.")] = 4,
     rows_up: Annotated[bool, typer.Option("--rows-up", help="Of .xml: for images flipped up-down, with positive distances.")] = False,
     images: Annotated[bool, typer.Option("--images", help="Of .dcm: with the scan's images.")] = False,
+    program: Annotated[str, typer.Option("--for", metavar="PROGRAM", help="Of .npz: that program's arrays, astra, leap or tigre.")] = "",
     json_to: JsonOption = None,
 ) -> None:
     """Read, write, say what was lost."""
+    from hil.imaging.exchange.vectors import PROGRAMS, write_vectors
+
     machine = load(machine_name)
     answer = Answer(json_to)
     can_be_written(target, suffixes=SUFFIXES)
     not_an_input(target, source)
     if calibration is not None and not source.is_dir():
         raise UnusableInputError(f"--with {calibration}: {source.name} has a geometry of its own; --with is for a scan's folder")
+    if program and (program not in PROGRAMS or target.suffix.lower() != ".npz" or rows_up or images):
+        raise UnusableInputError(f"--for {program}: must be {', '.join(PROGRAMS)}, and OUT end in .npz, without --rows-up and --images")
     read = _read(source, machine, calibration, binning)
-    notes = [*read.notes, *_write(target, read, machine, rows_up, images)]
+    if program:
+        notes = [*read.notes, *write_vectors(target, read.beam, read.detector, program)]
+    else:
+        notes = [*read.notes, *_write(target, read, machine, rows_up, images)]
     answer.say(f"{target}: geometry of {len(read.beam)} exposures from {source.name}")
     for note in notes:
         answer.say(f"  {note}")

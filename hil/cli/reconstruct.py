@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,6 +13,11 @@ from hil.cli.paged import PageOption, check_page, write_paged
 from hil.errors import UnusableInputError
 from hil.terminal.output import Answer, JsonOption
 from hil.terminal.progress import progress
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from hil.reconstruction.fdk import Volume
 
 LARGE_BYTES = 2e9
 """Memory from which on a reconstruction reports how much it takes."""
@@ -23,6 +28,7 @@ def register(app: typer.Typer) -> None:
     app.command(
         short_help="A volume from a scan's images.",
         help="A volume from a scan's images, with the nominal geometry or a calibrated one, and how sharp thin wires are in it."
+        " With --neck and --dome the shape of an aneurysm in it, each number with its standard deviation."
         "\n\nExample:  isocenter reconstruct carm wire_scan --lookup roll.lookup.npz -o reconstruction",
     )(reconstruct)
 
@@ -38,6 +44,12 @@ def reconstruct(
     size: Annotated[int, typer.Option("--size", min=16, max=1024, help="Voxels along each edge.")] = 128,
     spacing: Annotated[float, typer.Option("--spacing", metavar="MM", help="Edge of a voxel.")] = 0.5,
     hann: Annotated[float, typer.Option("--hann", min=0.0, max=1.0, help="Hann window's cut-off, relative to Nyquist; 0: none.")] = 0.0,
+    neck: Annotated[
+        str, typer.Option("--neck", metavar="X,Y,Z", help="Of an aneurysm to measure: a point of its neck's plane [mm], with --dome.")
+    ] = "",
+    dome: Annotated[
+        str, typer.Option("--dome", metavar="X,Y,Z", help="A point inside its dome [mm]; the plane is square to the line between both.")
+    ] = "",
     page: PageOption = None,
     json_to: JsonOption = None,
 ) -> None:
@@ -58,6 +70,9 @@ def reconstruct(
 
     if not 0.0 < spacing < np.inf:
         raise UnusableInputError(f"--spacing {spacing:g}: must be a positive number")
+    if bool(neck) != bool(dome):
+        raise UnusableInputError("--neck and --dome: give both, or none")
+    points = [_point(option, text) for option, text in (("--neck", neck), ("--dome", dome)) if text]
     if lookup is not None and geometry is not None:
         raise UnusableInputError("--lookup and --geometry: give the one or the other")
     machine = load(machine_name)
@@ -111,6 +126,7 @@ def reconstruct(
                 f" {1e3 * quality.widths_m[0]:.2f} and {1e3 * quality.widths_m[1]:.2f} mm,"
                 f" {1e3 * np.linalg.norm(quality.offset_m):.2f} mm from its place, artefacts {quality.artefact:.1%} of the peak"
             )
+    shape = _aneurysm(volume, points, answer) if points else {}
     if page is not None:
         from hil.reports.reconstructed import reconstructed_page
 
@@ -130,8 +146,34 @@ def reconstruct(
                 }
                 for wire, q in judged.items()
             },
+            "aneurysm": shape,
         }
     )
+
+
+def _point(option: str, text: str) -> np.ndarray:
+    """Read a point [m] of the phantom's frame."""
+    import numpy as np
+
+    try:
+        point = 1e-3 * np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        point = np.empty(0)
+    if point.shape != (3,) or not np.isfinite(point).all():
+        raise UnusableInputError(f"{option} {text}: must be three numbers in mm, such as 0,-12.5,3")
+    return point
+
+
+def _aneurysm(volume: Volume, points: list[np.ndarray], answer: Answer) -> dict[str, dict[str, float | str]]:
+    """Measure an aneurysm, and say its numbers in millimetres."""
+    from hil.reconstruction.aneurysm import UNITS, aneurysm_shape
+
+    found = aneurysm_shape(volume, *points)
+    for name, unit in UNITS.items():
+        power = {"m": 1, "m^2": 2, "m^3": 3}.get(unit, 0)
+        value, deviation = (1e3**power * each[name] for each in (found.values, found.deviations))
+        answer.say(f"  {name.replace('_', ' '):18s} {value:8.4g} ± {deviation:.2g} {unit.replace('m', 'mm', 1)}".rstrip())
+    return {name: {"value": found.values[name], "deviation": found.deviations[name], "unit": unit} for name, unit in UNITS.items()}
 
 
 def _require_memory(size: int, projections: tuple[int, int, int], answer: Answer) -> None:

@@ -9,6 +9,7 @@ from hil.cli import (
     bench,
     bus,
     calibrate,
+    calibrate_chain,
     calibrate_data,
     calibrate_model,
     calibrate_spot,
@@ -22,6 +23,7 @@ from hil.cli import (
     foxglove,
     geometry,
     identify,
+    lpv,
     machine,
     observe,
     physics,
@@ -51,12 +53,14 @@ def commands(app: typer.Typer) -> None:
     answers.register(app)
     foxglove.register(app)
     identify.register(app)
+    lpv.register(app)
     shape.register(app)
     observe.register(app)
     calibrate.register(app)
     calibrate_data.register(calibrate.app)
     calibrate_model.register(calibrate.app)
     calibrate_spot.register(calibrate.app)
+    calibrate_chain.register(calibrate.app)
     roadmap.register(app)
     geometry.register(app)
     reconstruct.register(app)

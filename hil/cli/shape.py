@@ -39,6 +39,8 @@ def register(app: typer.Typer) -> None:
         help="Design reference shapers for one axis of a machine, judge them, and write the recommended one."
         "\n\nFor a sweep unless --period says that the scan repeats. Designed from the machine file's closed loop at a pose, at several "
         "with --schedule, or from an identified frequency response with --frf."
+        "\n\n--also shortest searches the shortest delay with one tap fewer; dc, zpetc and zmetc invert the path's zeros on the last tap, "
+        "those that cannot be inverted by their DC gain, without phase error, or without magnitude error."
         "\n\nExit status: 0, the shaper that was written is fit to run; 1, it was written, but something is against it; 2, none was."
         "\n\nExample:  isocenter shape carm --axis roll -o roll.shaper.npz",
     )(shape)
@@ -58,6 +60,9 @@ def shape(
     output: Annotated[str, typer.Option("--output", help="What shall track: link, detector or motor.")] = "link",
     frf: Annotated[Path | None, typer.Option("--frf", metavar="FRF", help="Design from an identified frequency response.")] = None,
     quiet: Annotated[str, typer.Option("--quiet", metavar="LOW:HIGH", help="Band [Hz] that the quiet design passes least in.")] = "4:20",
+    also: Annotated[
+        str, typer.Option("--also", metavar="NAME,...", help="Designs beside the usual ones: shortest, dc, zpetc, zmetc.")
+    ] = "",
     take: Annotated[str, typer.Option("--take", metavar="NAME", help="Write this design instead of the recommended one.")] = "",
     table: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Verdicts as CSV.")] = None,
     figure: Annotated[
@@ -89,8 +94,9 @@ def shape(
     aim = _aim(period, harmonics, longest)
     band, at = parse_band("--quiet", quiet), parse_pose(pose, machine)
     response = None if frf is None else read_frf(frf)
+    further = [name.strip() for name in also.split(",") if name.strip()]
     with working("designing"):
-        choice = choose_shaper(machine, axis, pose=at, frf=response, aim=aim, schedule=schedule, output=output, quiet_Hz=band)
+        choice = choose_shaper(machine, axis, pose=at, frf=response, aim=aim, schedule=schedule, output=output, quiet_Hz=band, also=further)
     choice = choice.named(take) if take else choice
     source = f"{EMULATED if response is not None and response.emulated else ''}{_source(choice, frf)}"
     choice = replace(choice, notes={**choice.notes, "source": source})

@@ -53,11 +53,18 @@ def vessel() -> list[Item]:
     return [*items, Ball(np.array([0.001, -0.008, 0.004]), 4.0e-3, BLOOD_WITH_CONTRAST_1_M)]
 
 
+def aneurysm() -> list[Item]:
+    """Return a vessel along y, filled with contrast agent, with an aneurysm of 3.5 mm radius on its side, towards z."""
+    vessel_ends = np.array([0.0, -0.03, 0.0]), np.array([0.0, 0.03, 0.0])
+    return [Rod(*vessel_ends, 2.0e-3, BLOOD_WITH_CONTRAST_1_M), Ball(np.array([0.0, 0.0, 5.0e-3]), 3.5e-3, BLOOD_WITH_CONTRAST_1_M)]
+
+
 SCENES = {
     "dodecahedron": bullets,
     "wires-1mm": lambda: wires(1.0e-3, STEEL_1_M),
     "wires-0.2mm": lambda: wires(0.2e-3, TUNGSTEN_1_M),
     "vessel": vessel,
+    "aneurysm": aneurysm,
 }
 
 

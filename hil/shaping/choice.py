@@ -133,6 +133,7 @@ def choose_shaper(
     output: str = "link",
     quiet_Hz: tuple[float, float] = QUIET_BAND_Hz,
     source: str = "",
+    also: Sequence[str] = (),
 ) -> ShaperChoice:
     """Design reference shapers for one axis, judge them, and choose the recommended one.
 
@@ -155,6 +156,8 @@ def choose_shaper(
         Band that the quiet design passes least in.
     source : str
         What the notes call the model; made up unless given.
+    also : sequence of str
+        Designs beside the usual ones: "shortest", "dc", "zpetc", "zmetc".
 
     Raises
     ------
@@ -168,7 +171,7 @@ def choose_shaper(
             raise UnusableInputError(f"axis {name}: {machine.name} has {', '.join(machine.axes)}")
     aim = aim or sweep()
     subjects = subjects_of(machine, axis, pose or {}, frf, schedule, output)
-    candidates = design_all(subjects.each, aim, machine.sample_rate_Hz, quiet_Hz)
+    candidates = design_all(subjects.each, aim, machine.sample_rate_Hz, quiet_Hz, also)
     chosen = candidates.designs[0]
     from_what = source or ("an identified frequency response" if frf is not None else f"the closed loop of {machine.name}'s file")
     notes = {"machine": machine.name, "hash": machine.hash, "aim": vars(aim), "source": from_what, "output": output}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -15,11 +16,16 @@ from controllers.shapers.harmonic_time_delay import harmonic, harmonic_condition
 from controllers.shapers.point_to_point import ei, multi_mode, two_hump_ei, zv, zvd
 from controllers.shapers.quiet import check_band, quiet
 from controllers.shapers.sampled import AxisShaper, axis_shaper, on_samples
+from controllers.shapers.shortest_delays import shortest_delays
+from controllers.shapers.zero_inversion import METHODS, invertible, tail_of
 from hil.shaping.aim import Aim
 from hil.shaping.verdict import GAIN_LIMIT, Subject, Verdict, judge, vibration_left
 
-FAST = 0.125
-"""Modes above this share of the sample rate are fast: they would need a tap at every sample or two. They are left out and listed."""
+FAST = 1.0 / 3.0
+"""Modes above this share of the sample rate are fast: half their period is below one and a half samples. They are left out and listed."""
+
+SLOW = 0.125
+"""Modes below this share of the sample rate must be there at every pose of a schedule; of those above, as many as every pose has count."""
 
 SEEN = 1e-3
 """A mode belongs to the axis if it contributes at least this share of the ringing acceleration at one of the poses."""
@@ -28,6 +34,11 @@ NOTCH_DAMPING = 0.7
 """Damping of the notch's poles: as wide as a notch can be without ringing itself."""
 
 HARMONIC = ("hTDF", "hTDF robust", "hTDF quiet")
+
+SHORTEST = "hTDF shortest"
+INVERTED = {method: f"hTDF {method}" for method in METHODS}
+ALSO = ("shortest", *METHODS)
+"""Designs beside the usual ones: the shortest delay, (7.27)-(7.30), and zeros of the path inverted, (7.33), (7.34)."""
 
 QUIET_BAND_Hz = (4.0, 20.0)
 """Band in which the C-arm's structure rings: 8 Hz and 14 Hz, and the modes that move between them."""
@@ -101,9 +112,11 @@ def poles_to_cancel(subjects: Sequence[Subject], sample_rate_Hz: float) -> list[
     DesignError
         The number of slow modes differs between poses.
     """
-    slow = [[mode for mode in each.ringing if mode.frequency_rad_s < 2.0 * np.pi * FAST * sample_rate_Hz] for each in subjects]
-    if len({len(modes) for modes in slow}) > 1:
-        raise DesignError(f"the poses have {[len(modes) for modes in slow]} ringing modes: no schedule over them; shape pose by pose")
+    alike = [_modes_below(SLOW * sample_rate_Hz, each) for each in subjects]
+    if len({len(modes) for modes in alike}) > 1:
+        raise DesignError(f"the poses have {[len(modes) for modes in alike]} ringing modes: no schedule over them; shape pose by pose")
+    slow = [_modes_below(FAST * sample_rate_Hz, each) for each in subjects]
+    slow = [modes[: min(map(len, slow))] for modes in slow]  # rising in frequency: one that leaves the band at a pose is left out
     seen = np.zeros(len(slow[0]), dtype=bool)
     for modes in slow:
         acceleration = np.array([mode.step_share * mode.frequency_rad_s**2 for mode in modes])
@@ -116,16 +129,30 @@ def poles_to_cancel(subjects: Sequence[Subject], sample_rate_Hz: float) -> list[
     return found
 
 
+def _modes_below(frequency_Hz: float, subject: Subject) -> list[Mode]:
+    return sorted(
+        (mode for mode in subject.ringing if mode.frequency_rad_s < 2.0 * np.pi * frequency_Hz), key=lambda mode: mode.frequency_rad_s
+    )
+
+
 def delay_map(
-    conditions: Sequence[Sequence[Condition]], subjects: Sequence[Subject], sample_period_s: float, longest_s: float
+    conditions: Sequence[Sequence[Condition]],
+    subjects: Sequence[Subject],
+    sample_period_s: float,
+    longest_s: float,
+    tail: Dynamics | None = None,
+    ahead_s: float = 0.0,
 ) -> list[MapRow]:
-    """Return harmonic filters for every delay T of whole samples whose transient fits, as in Fig. 7.12; unsolvable delays are left out."""
+    """Return harmonic filters for every delay T of whole samples whose transient fits, as in Fig. 7.12; unsolvable delays are left out.
+
+    With a tail on the last tap, which stands `ahead_s` earlier.
+    """
     taps = tap_count(conditions[0])
     rows = []
     for samples in range(1, int(longest_s / sample_period_s / max(taps - 1, 1)) + 1):
         delay_s = samples * sample_period_s
         try:
-            filters = tuple(harmonic(each, delay_s) for each in conditions)
+            filters = tuple(harmonic(each, delay_s, tail=tail, ahead_s=ahead_s) for each in conditions)
         except DesignError:
             continue
         worst = max(
@@ -155,20 +182,30 @@ def choose_delay(rows: Sequence[MapRow], longest_s: float) -> MapRow:
 
 
 def design_all(
-    subjects: Sequence[Subject], aim: Aim, sample_rate_Hz: float, quiet_band_Hz: tuple[float, float] = QUIET_BAND_Hz
+    subjects: Sequence[Subject],
+    aim: Aim,
+    sample_rate_Hz: float,
+    quiet_band_Hz: tuple[float, float] = QUIET_BAND_Hz,
+    also: Sequence[str] = (),
 ) -> Candidates:
     """Design point-to-point, notch and harmonic shapers for these poses, the recommended one first and those with objections last.
+
+    `also` names designs of `ALSO` beside them.
 
     Raises
     ------
     DesignError
-        The plant is unstable, no mode rings, a forcing frequency lies on a pole, or no harmonic filter fits the available time.
+        The plant is unstable, no mode rings, a forcing frequency lies on a pole, no harmonic filter fits the available time, or `also`
+        names no design.
     """
+    for name in also:
+        if name not in ALSO:
+            raise DesignError(f"design {name!r}: must be of {', '.join(ALSO)}")
     period_s = 1.0 / sample_rate_Hz
     check_band(quiet_band_Hz, period_s)
     cancelled = poles_to_cancel(subjects, sample_rate_Hz)
     if not cancelled[0]:
-        raise DesignError(f"nothing rings below {FAST * sample_rate_Hz:.3g} Hz: there is nothing to shape away")
+        raise DesignError(_nothing_to_cancel(subjects[0], sample_rate_Hz))
     conditions = [
         harmonic_conditions(each.dynamics, aim.forcing_rad_s, poles, robust_forcing_rad_s=aim.without_slope_rad_s)
         for each, poles in zip(subjects, cancelled, strict=True)
@@ -195,8 +232,30 @@ def design_all(
         refused["hTDF quiet"] = str(error)
         if len(refused) == len(HARMONIC):
             raise
+    for name in dict.fromkeys(also):
+        try:
+            found.append((_further(name, subjects, conditions, aim.longest_transient_s, period_s),))
+        except DesignError as error:
+            refused[INVERTED.get(name, SHORTEST)] = str(error)
     designs = [Design(filters, judge(filters, subjects, aim, cancelled), tuple(cancelled)) for filters in found]
     return Candidates(tuple(sorted(designs, key=lambda design: (bool(design.verdict.against), design.verdict.cost))), refused)
+
+
+def _further(
+    name: str, subjects: Sequence[Subject], conditions: Sequence[Sequence[Condition]], longest_s: float, period_s: float
+) -> DelayFilter:
+    """Return a design of `ALSO` for one pose."""
+    if len(subjects) > 1:
+        raise DesignError("it is made for one pose: leave out the schedule")
+    taps, path = tap_count(conditions[0]), subjects[0].dynamics
+    if name == "shortest":
+        continuous = shortest_delays(conditions[0], longest_s / max(taps - 2, 1), gain_sum_limit=GAIN_LIMIT, count=1)[0]
+        return _named(on_samples(continuous, conditions[0], period_s), SHORTEST)
+    tail, ahead_s = tail_of(path, name, invertible(path, longest_s))
+    if tail is None:
+        raise DesignError(f"the path has no zero whose inverse settles within {longest_s:.4g} s")
+    left_s = longest_s - DelayFilter(np.zeros(1), np.ones(1), tail).settled_s
+    return _named(choose_delay(delay_map(conditions, subjects, period_s, left_s, tail, ahead_s), left_s).filters[0], INVERTED[name])
 
 
 def shaper_of(design: Design, axis: str, sample_rate_Hz: float, positions: Sequence[float] = (0.0,), schedule_axis: str = "") -> AxisShaper:
@@ -237,6 +296,19 @@ def _notch(poles: Sequence[complex], period_s: float) -> DelayFilter:
     in_z = [np.exp(np.array([*roots, *np.conj(roots)]) * period_s) for roots in (list(poles), wide)]
     system = Dynamics.from_polynomials(np.real(np.poly(in_z[0])), np.real(np.poly(in_z[1])), period_s)
     return DelayFilter(np.zeros(1), np.ones(1), system.scaled(1.0 / complex(system.response(0.0)).real), "notch")
+
+
+def _nothing_to_cancel(subject: Subject, sample_rate_Hz: float) -> str:
+    """Say why no mode is cancelled: there is none, or all are fast, and what can be done about the one that rings most."""
+    limit = FAST * sample_rate_Hz
+    if not subject.ringing:
+        return f"no mode of this axis is damped by less than {LIGHTLY_DAMPED:g}: nothing rings, so there is nothing to shape away"
+    most = max(subject.ringing, key=lambda mode: mode.step_share * mode.frequency_rad_s**2)
+    frequency_Hz = most.frequency_rad_s / (2.0 * np.pi)
+    return (
+        f"the mode at {frequency_Hz:.4g} Hz (damping {most.damping:.2g}) is above {limit:.3g} Hz, a third of the sample rate, up to which "
+        f"modes are shaped: raise timing.sample_rate_Hz to {math.ceil(frequency_Hz / FAST):d}, damp the mode, or limit the jerk"
+    )
 
 
 def _named(shaper: DelayFilter, name: str) -> DelayFilter:

@@ -35,8 +35,8 @@ class ShaperFile:
 
     @property
     def transient_samples(self) -> int:
-        """Longest transient of all axes."""
-        return max(shaper.transient_samples for shaper in self.shapers)
+        """Longest transient of all axes, tails included."""
+        return max(shaper.transient_samples + shaper.settling_samples for shaper in self.shapers)
 
 
 def write_shaper(shaper: ShaperFile, path: str | Path) -> None:

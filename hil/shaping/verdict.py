@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.signal
 
 from controllers.shapers.delays import DelayFilter
 from controllers.shapers.dynamics import Dynamics, Mode
 from controllers.shapers.harmonic_time_delay import UNIT_GAIN
+from controllers.shapers.sampled import sections_of
 from hil.shaping.aim import Aim
 
 VARIATION = np.linspace(-0.1, 0.1, 21)
@@ -89,8 +91,8 @@ def judge(shapers: Sequence[DelayFilter], subjects: Sequence[Subject], aim: Aim,
     through = [complex(subject.dynamics.response(0.0) * shaper.response(0.0)).real for shaper, subject in pairs]
     static_gain = through[int(np.argmax(np.abs(np.array(through) - 1.0)))]
     lag = max((_lag(shaper, subject.dynamics) for shaper, subject in pairs), key=abs)
-    transient = max(shaper.transient_s for shaper in shapers)
-    gain_sum = max(shaper.gain_sum for shaper in shapers)
+    transient = max(shaper.settled_s for shaper in shapers)
+    gain_sum = max(most_demanded(shaper) for shaper in shapers)
     against = ""
     if abs(static_gain - 1.0) > UNIT_GAIN:
         against = f"H(0) = {static_gain:.4g}, no filter for a reference with a mean"
@@ -127,6 +129,15 @@ def vibration_left(shaper: DelayFilter, modes: Sequence[Mode], share: float = 0.
     weight = np.array([mode.step_share for mode in modes]) * np.abs(poles) ** 2
     left = np.abs(shaper.ending(poles))
     return float(np.sqrt(np.sum((weight * left) ** 2) / np.sum(weight**2)))
+
+
+def most_demanded(shaper: DelayFilter) -> float:
+    """Return the factor by which a shaped reference may exceed the raw one at most: sum |A_k|, with the tail's impulse response."""
+    if shaper.tail is None or shaper.tail.sample_period_s is None or not np.isfinite(shaper.settled_s):
+        return shaper.gain_sum
+    count = 2 * int((shaper.settled_s - shaper.transient_s) / shaper.tail.sample_period_s) + 2
+    impulse = scipy.signal.sosfilt(sections_of(shaper.tail), np.eye(1, count)[0])
+    return float(np.abs(shaper.gains[:-1]).sum() + abs(shaper.gains[-1]) * np.abs(impulse).sum())
 
 
 def tracking_error(shaper: DelayFilter, dynamics: Dynamics, aim: Aim, share: float = 0.0) -> float:

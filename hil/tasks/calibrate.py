@@ -45,8 +45,8 @@ def expose(
     out : str or Path
         Folder to write.
     scene : str
-        What stands in the beam: `dodecahedron` (the calibration phantom), `wires-1mm`, `wires-0.2mm`, `vessel`, or a marker plate on the
-        tube, `experimental` or `clinical`.
+        What stands in the beam: `dodecahedron` (the calibration phantom), `wires-1mm`, `wires-0.2mm`, `vessel`, `aneurysm`, or a marker
+        plate on the tube, `experimental` or `clinical`.
     rate_Hz : float
         Exposures a second.
     binning : int

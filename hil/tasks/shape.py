@@ -23,6 +23,7 @@ def shape(
     longest_s: float | None = None,
     schedule: str = "",
     output: str = "link",
+    also: Sequence[str] = (),
 ) -> ShaperChoice:
     """Design reference shapers for one axis, judge them, and choose the recommended one.
 
@@ -44,6 +45,8 @@ def shape(
         Design over the whole range of this axis, and interpolate.
     output : "link", "detector" or "motor"
         What shall track.
+    also : sequence of str
+        Designs beside the usual ones: "shortest", the shortest delay; "dc", "zpetc", "zmetc", zeros of the path inverted.
 
     Returns
     -------
@@ -56,4 +59,4 @@ def shape(
     UnusableInputError, DesignError
     """
     aim = periodic(period_s, harmonics, longest_s) if period_s is not None else sweep() if longest_s is None else sweep(longest_s)
-    return choose_shaper(machine, axis, pose=pose, frf=frf, aim=aim, schedule=schedule, output=output)
+    return choose_shaper(machine, axis, pose=pose, frf=frf, aim=aim, schedule=schedule, output=output, also=also)
