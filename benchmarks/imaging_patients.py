@@ -137,9 +137,9 @@ def summed(images: list[dict[str, object]]) -> dict[str, object]:
     return result
 
 
-def against_distance(detector: Detector, draws: int) -> list[dict[str, object]]:
+def against_distance(detector: Detector, draws: int) -> dict[str, dict[str, object]]:
     """Sec. 6.6: near the spot a plate's image moves more and is blurred more; the same plate everywhere, no patient."""
-    rows = []
+    rows: dict[str, dict[str, object]] = {}
     for spot in SPOTS_M:
         for distance in DISTANCES_M:
             optics, plate = Optics(spot_m=spot), PLATES["experimental"]()
@@ -160,22 +160,20 @@ def against_distance(detector: Detector, draws: int) -> list[dict[str, object]]:
                 blur.append(np.median([line.blur for line in found.lines.values()]) * detector.pitch_m)
                 points.append(len(found.index))
             rms = np.sqrt(np.mean(np.square(fits), axis=0))
-            rows.append(
-                {
-                    "spot_mm": 1e3 * spot,
-                    "distance_m": distance,
-                    "magnification": 1.16 / distance,
-                    "blur_mm": 1e3 * float(np.median(blur)),
-                    "crossings": float(np.median(points)),
-                    "true_pixels": float(np.sqrt(np.mean(errors))),
-                    "stated_pixels": float(np.sqrt(np.mean(stated))),
-                    "focal_u_um": 1e6 * float(rms[0]),
-                    "focal_length_um": 1e6 * float(rms[2]),
-                    "theta_x_urad": 1e6 * float(rms[3]),
-                    "theta_z_urad": 1e6 * float(rms[5]),
-                }
-            )
-            print(rows[-1])
+            rows[f"{1e3 * spot:g} mm, {distance:g} m"] = {
+                "spot_mm": 1e3 * spot,
+                "distance_m": distance,
+                "magnification": 1.16 / distance,
+                "blur_mm": 1e3 * float(np.median(blur)),
+                "crossings": float(np.median(points)),
+                "true_pixels": float(np.sqrt(np.mean(errors))),
+                "stated_pixels": float(np.sqrt(np.mean(stated))),
+                "focal_u_um": 1e6 * float(rms[0]),
+                "focal_length_um": 1e6 * float(rms[2]),
+                "theta_x_urad": 1e6 * float(rms[3]),
+                "theta_z_urad": 1e6 * float(rms[5]),
+            }
+            print(rows[f"{1e3 * spot:g} mm, {distance:g} m"])
     return rows
 
 
@@ -188,7 +186,7 @@ def main() -> None:
     parser.add_argument("--binning", type=int, default=4)
     arguments = parser.parse_args()
     detector = nominal_detector(load_machine("carm"), arguments.binning)
-    document: dict[str, object] = {"binning": arguments.binning, "patients": {}, "distance": []}
+    document: dict[str, object] = {"binning": arguments.binning, "patients": {}, "distance": {}}
     for name in PLATES:
         images = [one(name, seed, detector) for seed in range(arguments.draws)]
         document["patients"][name] = (

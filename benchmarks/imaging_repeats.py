@@ -1,11 +1,11 @@
 """Ten repeats of a scan seen by the marker plate: displacement of tube against panel, overshoot and spread (thesis Figs. 6.13, 6.14).
 
-    python benchmarks/imaging_repeats.py [--machine carm] [--out benchmarks/results/imaging_repeats.json] [--effects FILE]
+    python benchmarks/imaging_repeats.py [--out benchmarks/results/imaging_repeats.json] [--machine carm] [--effects FILE]
 
 Roll from -90 to 90 degrees at 30 degrees/s, and propeller from -120 to 120 at 30 and at 55, through the commands `run scan`, `expose` and
-`calibrate marker`, each repeat with noise of its own. Focal spot against panel, relative to the first image, as in the thesis; the angles are held, which makes
-the problem linear (Sec. 6.4.1). Overshoot is what the source moves beyond the range it covers while the axis moves steadily: how far the
-fast scan's ends swing.
+`calibrate marker`, each repeat with noise of its own. Focal spot against panel, relative to the first image, as in the thesis; the angles
+are held, which makes the problem linear (Sec. 6.4.1). Overshoot is what the source moves beyond the range it covers while the axis moves
+steadily: how far the fast scan's ends swing.
 """
 
 from __future__ import annotations

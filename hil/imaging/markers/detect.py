@@ -199,6 +199,8 @@ class _Fitted:
             return ""
         if shown.sum() < max(FEWEST_PIECES, LEAST_GOOD * len(good)):
             return f"{shown.sum()} of its {len(good)} pieces show a groove"
+        if good.any():
+            return f"{good.sum()} of its {len(good)} pieces are where the other lines put it"
         return f"{abs(np.median(rest[shown])):.2f} pixels from where the other lines put it"
 
 

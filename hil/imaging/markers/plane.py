@@ -46,7 +46,8 @@ class Plane:
         a, b, c = self._image_line(line)
         upright = self._upright[line]
         v = (along - np.where(upright, self._center[1], self._center[0])) / self._scale
-        u = np.where(upright, -(b * v + c) / a, -(a * v + c) / b)
+        with np.errstate(divide="ignore", invalid="ignore"):  # of no plate: lines along the places asked for
+            u = -(np.where(upright, b, a) * v + c) / np.where(upright, a, b)
         result: np.ndarray = u * self._scale + np.where(upright, self._center[0], self._center[1])
         return result
 
