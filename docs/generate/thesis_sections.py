@@ -132,7 +132,8 @@ ALSO = {
     "5.2.2": ("hil/calibration/kinematic/geometric_model.py:GeometricModel",),
     "5.5": ("benchmarks/calibration_convergence.py", "benchmarks/calibration_side_by_side.py"),
     "6.4.2": ("hil/calibration/data_driven/parameter_filter.py",),
-    "6.5": ("benchmarks/imaging_markers.py",),
+    "6.5": ("benchmarks/imaging_markers.py", "benchmarks/imaging_repeats.py"),
+    "6.6": ("benchmarks/imaging_patients.py",),
     "7.3.4": ("benchmarks/shapers_figures.py",),
     "7.4": ("benchmarks/shapers_figures.py",),
 }
@@ -160,7 +161,6 @@ DECLINED = {
     "6.2": _PROBLEM,
     "6.2.1": _PROBLEM,
     "6.2.2": "outline of the approach; its parts are Secs. 6.3 and 6.4",
-    "6.6": _CONCLUSIONS,
     "7.1": _INTRODUCTION,
     "7.5": _CONCLUSIONS,
 }

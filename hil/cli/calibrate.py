@@ -68,13 +68,25 @@ def expose(
         str | None, typer.Option("--marker", metavar="PLATE", help="In place of a scene, a plate on the tube: experimental, clinical.")
     ] = None,
     distance: Annotated[float, typer.Option("--distance", metavar="MM", help="From the focal spot to the marker plate.")] = 250.0,
-    photons: Annotated[float, typer.Option("--photons", help="Mean count of a pixel in the open beam.")] = 2000.0,
+    patient_seed: Annotated[
+        int | None,
+        typer.Option(
+            "--patient",
+            metavar="N",
+            min=0,
+            help="Draw patient N on a table, besides: tissue, bone, wires, vessels; even: a head, odd: a trunk.",
+        ),
+    ] = None,
+    photons: Annotated[
+        float | None, typer.Option("--photons", help="Mean count of a pixel in the open beam; 2000, or 20000 with a patient.")
+    ] = None,
     seed: Annotated[int, typer.Option("--seed", help="Seed of the photons.")] = 0,
     json_to: JsonOption = None,
 ) -> None:
     """Render, one image after the other."""
     import numpy as np
 
+    from hil.emulated.anatomy import PHOTONS, with_patient
     from hil.emulated.beam import Beam
     from hil.emulated.images import Exposures, xray_side
     from hil.emulated.images import expose as render
@@ -84,6 +96,8 @@ def expose(
     from hil.recording import read_recording
     from virtual_bus.xray.imaging import Optics
 
+    if photons is None:
+        photons = Optics().photons if patient_seed is None else PHOTONS
     for option, value in (("--rate", rate), ("--width", width), ("--photons", photons)):
         if not 0.0 < value < np.inf:
             raise UnusableInputError(f"{option} {value:g}: must be a positive number")
@@ -95,6 +109,8 @@ def expose(
     shown = {"scene": scene_name} if marker_name is None else {"marker": marker_name, "marker_distance_mm": distance}
     plate = None if marker_name is None else TubeMarker(_plate(marker_name), 1e-3 * _positive(distance), panel_in_tube(machine))
     beam = Beam(scene(scene_name) if plate is None else [], plate, Optics(photons=photons))
+    if patient_seed is not None:
+        beam, shown = with_patient(beam, patient_seed, photons), {**shown, "patient": patient_seed}
     side = xray_side(machine, truth, beam.spot, exposures.first_s)
     with progress() as bars:
         task = bars.add_task("exposing", total=None)
@@ -110,7 +126,10 @@ def expose(
             lambda done, total: bars.update(task, completed=done, total=total),
             {**shown, "recording": recording_file.name},
         )
-    answer.say(f"{out}: {count} images of {detector.columns} x {detector.rows} pixels, {marker_name or scene_name}")
+    answer.say(
+        f"{out}: {count} images of {detector.columns} x {detector.rows} pixels, {marker_name or scene_name}"
+        + ("" if patient_seed is None else f" and patient {patient_seed}")
+    )
     answer.write({"folder": out, "exposures": count})
 
 

@@ -9,6 +9,7 @@ from hil.calibration.kinematic.from_tables import model_from_tables
 from hil.calibration.kinematic.geometric_model import GeometricModel
 from hil.calibration.phantom.from_scan import calibrate_phantom_scan
 from hil.calibration.use.lookup_table import LookUp
+from hil.emulated.anatomy import with_patient
 from hil.emulated.beam import beam_of
 from hil.emulated.images import Exposures, xray_side
 from hil.emulated.images import expose as expose_images
@@ -31,6 +32,7 @@ def expose(
     rate_Hz: float = 7.0,
     binning: int = 4,
     seed: int = 0,
+    patient: int | None = None,
 ) -> ImageScan:
     """Make the images of a scan as the emulated machine's panel takes them.
 
@@ -53,6 +55,8 @@ def expose(
         Pixels read as one, in each direction.
     seed : int
         Of the photons.
+    patient : int, optional
+        A drawn patient in the beam, too, who lets fewer photons through: even numbers are heads, odd ones trunks.
 
     Raises
     ------
@@ -60,10 +64,11 @@ def expose(
         No such scene, a truth file of another run, or a package of the extra `imaging` is missing.
     """
     exposures, folder, beam = Exposures(rate_Hz=rate_Hz), Path(out), beam_of(machine, scene)
+    notes: dict[str, object] = {"scene": scene}
+    if patient is not None:
+        beam, notes = with_patient(beam, patient), {**notes, "patient": patient}
     side = xray_side(machine, Path(truth), beam.spot, exposures.first_s)
-    expose_images(
-        machine, side, exposures, beam, nominal_detector(machine, binning), folder, the_one(recording), seed, notes={"scene": scene}
-    )
+    expose_images(machine, side, exposures, beam, nominal_detector(machine, binning), folder, the_one(recording), seed, notes=notes)
     return read_scan(folder)
 
 

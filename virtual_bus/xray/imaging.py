@@ -51,7 +51,7 @@ def expected(views: Sequence[View], panel: Panel, items: Sequence[Item], optics:
     views : sequence of View
         Evenly spaced over the exposure.
     panel : Panel
-    items : sequence of Ball and Rod
+    items : sequence of Item
         Objects in the beam.
     optics : Optics
     rays : int

@@ -1,4 +1,4 @@
-"""Line integrals of attenuation over a panel: exact lengths of rays inside balls and rods, several rays a pixel."""
+"""Line integrals of attenuation over a panel: exact lengths of rays inside objects, several rays a pixel."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from virtual_bus.xray.objects import Item, packed
+from virtual_bus.xray.objects import Item, packed, packed_bodies
 
 MARGIN_PIXELS = 1.0
 """Added around an item's shadow before its rays are cast: a ball's shadow is an ellipse a little larger than its centre's ray suggests."""
@@ -44,7 +44,7 @@ def attenuation(view: View, panel: Panel, items: Sequence[Item], rays: int = 3) 
     ----------
     view : View
     panel : Panel
-    items : sequence of Ball and Rod
+    items : sequence of Item
     rays : int
         Rays in a row and in a column of each pixel, evenly spread.
 
@@ -65,6 +65,10 @@ def attenuation(view: View, panel: Panel, items: Sequence[Item], rays: int = 3) 
         rays,
         result,
     )
+    bodies = packed_bodies(items)
+    if len(bodies):
+        source, center, rotation = (np.ascontiguousarray(each, dtype=float) for each in (view.source_m, view.panel_m, view.panel_rotation))
+        _cast_bodies(bodies, source, center, rotation, panel.pitch_m / rays, panel.aspect, panel.skew, result)
     return result
 
 
@@ -129,6 +133,47 @@ def _cast(
 
 
 @njit(cache=True, error_model="numpy")
+def _cast_bodies(
+    bodies: np.ndarray, source: np.ndarray, center: np.ndarray, rotation: np.ndarray, step: float, aspect: float, skew: float,
+    result: np.ndarray,
+) -> None:  # fmt: skip
+    """Add attenuation times length of every ray inside large bodies; all in the scene's frame, `step` is the distance of rays."""
+    rows, columns = result.shape
+    middle_row, middle_column = (rows - 1) / 2.0, (columns - 1) / 2.0
+    ray = np.empty(3)
+    for row in range(rows):
+        v = (row - middle_row) * step * aspect
+        for column in range(columns):
+            u = (column - middle_column - skew * (row - middle_row)) * step
+            squared = 0.0
+            for i in range(3):
+                ray[i] = center[i] + u * rotation[i, 0] + v * rotation[i, 1] - source[i]
+                squared += ray[i] * ray[i]
+            total = 0.0
+            for k in range(bodies.shape[0]):
+                if bodies[k, 7] == 0.0:
+                    enter, leave = 0.0, np.inf
+                    for i in range(3):
+                        near, far = (bodies[k, i] - source[i]) / ray[i], (bodies[k, i + 3] - source[i]) / ray[i]
+                        enter, leave = max(enter, min(near, far)), min(leave, max(near, far))
+                    inside = leave - enter
+                else:  # scaled to a unit ball: shares of the ray stay what they are
+                    a = b = 0.0
+                    c = -1.0
+                    for i in range(3):
+                        half, middle = 0.5 * (bodies[k, i + 3] - bodies[k, i]), 0.5 * (bodies[k, i + 3] + bodies[k, i])
+                        along, start = ray[i] / half, (source[i] - middle) / half
+                        a += along * along
+                        b += along * start
+                        c += start * start
+                    root = b * b - a * c
+                    inside = 2.0 * np.sqrt(root) / a if root > 0.0 else 0.0
+                if inside > 0.0:
+                    total += bodies[k, 6] * inside
+            result[row, column] += total * np.sqrt(squared)
+
+
+@njit(cache=True, error_model="numpy")
 def _near(
     start: np.ndarray, end: np.ndarray, radius: float, source: np.ndarray, v: float, pitch: float, low_u: float, high_u: float
 ) -> tuple[float, float]:
@@ -150,20 +195,21 @@ def _near(
 @njit(cache=True, error_model="numpy")
 def _inside(source: np.ndarray, u: float, v: float, start: np.ndarray, axis: np.ndarray, length: float, radius: float) -> float:
     """Return the length of the ray from the source to (u, v, 0) inside a ball (length 0) or a rod with flat ends."""
-    ray = np.array([u - source[0], v - source[1], -source[2]])
-    ray /= np.sqrt(np.sum(ray**2))
-    offset = source - start
+    x, y, z = u - source[0], v - source[1], -source[2]  # numbers, not arrays: this is the innermost loop
+    norm = np.sqrt(x * x + y * y + z * z)
+    x, y, z = x / norm, y / norm, z / norm
+    from_x, from_y, from_z = source[0] - start[0], source[1] - start[1], source[2] - start[2]
     if length == 0.0:
-        along = np.sum(ray * offset)
-        rest = radius**2 - (np.sum(offset**2) - along**2)
+        along = x * from_x + y * from_y + z * from_z
+        rest = radius**2 - (from_x**2 + from_y**2 + from_z**2 - along**2)
         return 2.0 * np.sqrt(rest) if rest > 0.0 else 0.0
-    unit = axis / length
-    ray_along, offset_along = np.sum(ray * unit), np.sum(offset * unit)
-    across = ray - ray_along * unit
-    offset_across = offset - offset_along * unit
-    a = np.sum(across**2)
-    b = np.sum(across * offset_across)
-    c = np.sum(offset_across**2) - radius**2
+    unit_x, unit_y, unit_z = axis[0] / length, axis[1] / length, axis[2] / length
+    ray_along, offset_along = x * unit_x + y * unit_y + z * unit_z, from_x * unit_x + from_y * unit_y + from_z * unit_z
+    x, y, z = x - ray_along * unit_x, y - ray_along * unit_y, z - ray_along * unit_z  # across the rod from here on
+    from_x, from_y, from_z = from_x - offset_along * unit_x, from_y - offset_along * unit_y, from_z - offset_along * unit_z
+    a = x * x + y * y + z * z
+    b = x * from_x + y * from_y + z * from_z
+    c = from_x**2 + from_y**2 + from_z**2 - radius**2
     if a < 1e-18:  # along the rod's axis
         low, high = (-np.inf, np.inf) if c < 0.0 else (0.0, 0.0)
     else:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from scipy import ndimage
 
 from hil.errors import UnusableInputError
@@ -15,6 +16,15 @@ SHADOW = 0.5
 
 ROUND = 1.6
 """Ratio of a shadow's long to short second moment above which it is no single bullet: two that overlap, a wire, an edge."""
+
+COARSE_RADIUS = 1.75
+"""Shadows are looked for where they are about so large [pixel]; finer pixels are put together for it, and centre what was found."""
+
+DARKEST = 20
+"""How dark a bullet's middle is, so many pixels of the whole image tell: the darkest alone could be noise."""
+
+STEPS, SETTLED_PIXELS = 8, 1e-3
+"""A soft disc is moved until it is centred."""
 
 SIZE_RANGE = (0.225, 1.9)
 """A single bullet's core has an area in this range, relative to what its drawing and the magnification say."""
@@ -54,7 +64,43 @@ def find_bullets(image: np.ndarray, radius_pixels: float) -> Bullets:
     UnusableInputError
         The image is saturated, empty or not of two dimensions.
     """
-    image = _usable(image)
+    full = _usable(image)
+    factor = max(1, int(radius_pixels / COARSE_RADIUS))
+    found = _looked_for(_put_together(full, factor), radius_pixels / factor, max(3, DARKEST // factor**2))
+    pixels, variances, doubtful = [], [], [_finer(center, factor) for center in found.doubtful]
+    for coarse in found.pixels:
+        center, variance = _centered(full, found.background, factor, _finer(coarse, factor), radius_pixels)
+        if np.isfinite(variance):
+            pixels.append(center)
+            variances.append(variance)
+        else:
+            doubtful.append(center)
+    return Bullets(np.array(pixels).reshape(-1, 2), np.array(variances), np.array(doubtful).reshape(-1, 2))
+
+
+@dataclass(frozen=True)
+class _Shadows:
+    """Centres (n, 2) of single bullets, of other shadows (m, 2), and the background (rows, columns), in coarse pixels."""
+
+    pixels: np.ndarray
+    doubtful: np.ndarray
+    background: np.ndarray
+
+
+def _put_together(image: np.ndarray, factor: int) -> np.ndarray:
+    rows, columns = (size // factor for size in image.shape)
+    blocks = image[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor)
+    together: np.ndarray = blocks.mean(axis=(1, 3)) if factor > 1 else image
+    return together
+
+
+def _finer(center: np.ndarray, factor: int) -> np.ndarray:
+    """Return a place in fine pixels; both count from the middle of their first pixel."""
+    finer: np.ndarray = factor * center + 0.5 * (factor - 1)
+    return finer
+
+
+def _looked_for(image: np.ndarray, radius_pixels: float, rank: int) -> _Shadows:
     clean = without_dead_pixels(image)
     wide = 2 * int(np.ceil(4.0 * radius_pixels)) + 1
     coarse = 4
@@ -69,39 +115,34 @@ def find_bullets(image: np.ndarray, radius_pixels: float) -> Bullets:
     depth = np.log(np.maximum(background, 1.0)) - np.log(np.maximum(clean, 1.0))
     smooth = ndimage.gaussian_filter(depth, 0.25 * radius_pixels)
     noise = 1.4826 * float(np.median(np.abs(smooth - np.median(smooth))))
-    darkest = float(np.partition(smooth.ravel(), -20)[-20])
+    darkest = float(np.partition(smooth.ravel(), -rank)[-rank])
     threshold = SHADOW * darkest
+    nothing = np.empty((0, 2))
     if threshold < 6.0 * noise:
-        return Bullets(np.empty((0, 2)), np.empty(0), np.empty((0, 2)))
+        return _Shadows(nothing, nothing, background)
     labels, count = ndimage.label(smooth > threshold)
     expected_area = np.pi * radius_pixels**2
-    pixels, variances, doubtful = [], [], []
+    pixels: list[np.ndarray] = []
+    doubtful: list[np.ndarray] = []
     for slices in ndimage.find_objects(labels, count):
         core = smooth[slices] > threshold
         area = float(core.sum())
         if area < SIZE_RANGE[0] * expected_area:
             continue
         center, spread = _moments(core.astype(float), slices)
-        if not _inside(center, 2.0 * radius_pixels, image.shape) or area > SIZE_RANGE[1] * expected_area or spread > ROUND:
-            doubtful.append(center)
-            continue
-        fitted = _centroid(depth, center, radius_pixels, noise_of=np.maximum(clean, 1.0))
-        if fitted is None:
-            doubtful.append(center)
-            continue
-        pixels.append(fitted[0])
-        variances.append(fitted[1])
-    return Bullets(np.array(pixels).reshape(-1, 2), np.array(variances), np.array(doubtful).reshape(-1, 2))
+        single = _inside(center, 2.0 * radius_pixels, image.shape) and area <= SIZE_RANGE[1] * expected_area and spread <= ROUND
+        (pixels if single else doubtful).append(center)
+    return _Shadows(np.array(pixels).reshape(-1, 2), np.array(doubtful).reshape(-1, 2), background)
 
 
 def _usable(image: np.ndarray) -> np.ndarray:
     if image.ndim != 2:
         raise UnusableInputError(f"an image has rows and columns; this one has shape {image.shape}")
-    values = np.asarray(image, dtype=float)
+    values = np.ascontiguousarray(image, dtype=np.float32)
     full = np.iinfo(image.dtype).max if np.issubdtype(image.dtype, np.integer) else np.inf
-    if np.mean(values >= full) > 0.05:
+    if np.mean(values[::4, ::4] >= full) > 0.05:
         raise UnusableInputError(f"{np.mean(values >= full):.0%} of the pixels are saturated at {full}; expose less")
-    if values.max() <= 0.0 or np.median(values) < 20.0:
+    if values.max() <= 0.0 or np.median(values[::4, ::4]) < 20.0:
         raise UnusableInputError(
             f"the image is dark (median {np.median(values):g} counts); a calibration needs a few hundred photons a pixel"
         )
@@ -122,32 +163,75 @@ def _inside(center: np.ndarray, margin: float, shape: tuple[int, int]) -> bool:
     return bool(margin < center[0] < shape[1] - 1 - margin and margin < center[1] < shape[0] - 1 - margin)
 
 
-def _centroid(depth: np.ndarray, center: np.ndarray, radius: float, noise_of: np.ndarray) -> tuple[np.ndarray, float] | None:
+@njit(cache=True, error_model="numpy")
+def _centered(image: np.ndarray, background: np.ndarray, factor: int, start: np.ndarray, radius: float) -> tuple[np.ndarray, float]:
     """Return the centre of depth within a soft disc that is moved until it is centred; variance from the counts' Poisson noise.
 
-    None where the disc is not darker than its rim: no shadow of a bullet.
+    NaN where the disc is not darker than its rim: no shadow of a bullet.
     """
     reach = int(np.ceil(2.2 * radius))
-    position = center.copy()
-    variance = np.nan
-    for _ in range(8):
-        column, row = (int(value) for value in np.rint(position))
-        rows = np.arange(max(0, row - reach), min(depth.shape[0], row + reach + 1))
-        columns = np.arange(max(0, column - reach), min(depth.shape[1], column + reach + 1))
-        local = depth[np.ix_(rows, columns)]
-        du, dv = columns[None, :] - position[0], rows[:, None] - position[1]
-        distance = np.hypot(du, dv)
-        weight = np.clip(0.5 + (1.5 * radius - distance) / radius, 0.0, 1.0)
-        rim = (distance > 1.6 * radius) & (distance < 2.2 * radius)
-        level = np.median(local[rim]) if rim.any() else 0.0
-        mass = weight * (local - level)
-        total = mass.sum()
+    size = 2 * reach + 1
+    position, variance = start.copy(), np.nan
+    counts, depth, rim = np.zeros((size, size)), np.zeros((size, size)), np.zeros(size * size)
+    for _ in range(STEPS):
+        left, top = int(np.rint(position[0])) - reach, int(np.rint(position[1])) - reach
+        on_rim = 0
+        for i in range(size):
+            for j in range(size):
+                row, column = top + i, left + j
+                counts[i, j] = 0.0
+                if row < 0 or column < 0 or row >= image.shape[0] or column >= image.shape[1]:
+                    continue
+                counts[i, j] = max(_repaired(image, row, column), 1.0)
+                depth[i, j] = np.log(max(_between(background, (row + 0.5) / factor - 0.5, (column + 0.5) / factor - 0.5), 1.0))
+                depth[i, j] -= np.log(counts[i, j])
+                distance = np.hypot(column - position[0], row - position[1])
+                if 1.6 * radius < distance < 2.2 * radius:
+                    rim[on_rim] = depth[i, j]
+                    on_rim += 1
+        level = np.median(rim[:on_rim]) if on_rim else 0.0
+        total = by_u = by_v = scatter = 0.0
+        for i in range(size):
+            for j in range(size):
+                if counts[i, j] == 0.0:
+                    continue
+                du, dv = left + j - position[0], top + i - position[1]
+                weight = min(max(0.5 + (1.5 * radius - np.hypot(du, dv)) / radius, 0.0), 1.0)
+                mass = weight * (depth[i, j] - level)
+                total += mass
+                by_u += mass * du
+                by_v += mass * dv
+                scatter += (weight * du) ** 2 / counts[i, j]
         if not total > 0.0:
-            return None
-        shift = np.array([np.sum(mass * du), np.sum(mass * dv)]) / total
-        counts = noise_of[np.ix_(rows, columns)]
-        variance = float(np.sum((weight * du) ** 2 / counts) / total**2)
-        position = position + shift
-        if np.hypot(*shift) < 1e-3:
+            return position, np.nan
+        variance = scatter / total**2
+        position[0] += by_u / total
+        position[1] += by_v / total
+        if np.hypot(by_u, by_v) < SETTLED_PIXELS * total:
             break
     return position, variance
+
+
+@njit(inline="always")
+def _between(image: np.ndarray, row: float, column: float) -> float:
+    """Return the value at a place between pixels, linear; at the border that of the border."""
+    row, column = min(max(row, 0.0), image.shape[0] - 1.0), min(max(column, 0.0), image.shape[1] - 1.0)
+    i, j = min(int(row), image.shape[0] - 2), min(int(column), image.shape[1] - 2)
+    down, right = row - i, column - j
+    above = image[i, j] + right * (image[i, j + 1] - image[i, j])
+    below = image[i + 1, j] + right * (image[i + 1, j + 1] - image[i + 1, j])
+    return float(above + down * (below - above))
+
+
+@njit(inline="always")
+def _repaired(image: np.ndarray, row: int, column: int) -> float:
+    """Return a pixel's value, or its neighbours' mean less the two outermost where it is far outside their range: it is dead."""
+    low, high, total, number = np.inf, -np.inf, 0.0, 0
+    for i in range(max(0, row - 1), min(image.shape[0], row + 2)):
+        for j in range(max(0, column - 1), min(image.shape[1], column + 2)):
+            if i != row or j != column:
+                value = float(image[i, j])
+                low, high, total, number = min(low, value), max(high, value), total + value, number + 1
+    seen = float(image[row, column])
+    beyond = max(low - seen, seen - high)
+    return (total - low - high) / (number - 2) if beyond > 5.0 * np.sqrt(max(low, 1.0)) else seen

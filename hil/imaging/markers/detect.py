@@ -1,4 +1,8 @@
-"""A marker plate in an X-ray image: its lines and their crossings to a small fraction of a pixel (thesis Sec. 6.3.3)."""
+"""A marker plate in an X-ray image: its lines and their crossings to a small fraction of a pixel (thesis Sec. 6.3.3).
+
+With a patient in the beam, too: lines are fitted to short pieces of the grooves, and the pieces that the anatomy spoils are out of line
+with what all others say of a flat plate.
+"""
 
 from __future__ import annotations
 
@@ -8,26 +12,38 @@ import numpy as np
 
 from hil.errors import UnusableInputError
 from hil.imaging.detector import Detector
-from hil.imaging.markers.hybrid_median import hybrid_median
-from hil.imaging.markers.lines import CoarseLine, Edges, edges_of, fit_edges, hough_lines, matched
-from hil.imaging.markers.plane import refused_lines
+from hil.imaging.markers.expected import LEAST_IN_VIEW, CoarseLine, Expected, usable
+from hil.imaging.markers.fine_lines import FineLine, line_through, widened
+from hil.imaging.markers.pieces import REACH, Pieces, Profiles, fit_pieces, profiles, shape_of, split
+from hil.imaging.markers.plane import CUT, Plane
 from hil.imaging.markers.plates import MarkerPlate
-from hil.imaging.markers.profile import FineLine, fit_profile
 from hil.imaging.markers.projection import MarkerProjection
+from hil.imaging.markers.windows import Window, look
 
 GATE_SHARE = 0.45
 """All lines together may be off by this share of their least distance; beyond, one is mistaken for the next."""
 
-FIRST_BLUR = 1.3
-"""Where the fit of the blur starts [pixel]."""
+FIRST_BLUR = 0.18
+"""Where the fit of the blur starts, in widths of a groove."""
 
-CLEAR_OF_CROSSINGS = 5.0
-"""Beyond half a groove this far [pixel] from a crossing line's middle, and from a line's end, scatter and blur have rounded the corners."""
+WINDOW_SIGMA = 0.25
+"""Deviation of a line's place from its window, in widths of a groove: half a step of the search."""
+
+PIECE = 1.5
+"""Length of a piece in widths of a groove: about as long as what crosses a groove is wide."""
 
 MISFIT = 4.0
-"""A line whose profile misses the image by this factor more than the lines' median is bent or crossed. Not an absolute bound: the focal
-spot is no Gaussian, and the more photons, the more of that shows."""
+"""A piece whose profile misses the image by this factor more than its photons and the profile's usual error say is crossed. Not an
+absolute bound: the focal spot is no Gaussian, and the more photons, the more of that shows."""
 
+CLEAREST = 3.0
+"""A piece's contrast is above this many of its deviations, or it shows no groove."""
+
+FAINTEST = 0.35
+"""A piece's contrast is above this share of the median: the plate's grooves are all of one depth."""
+
+FEWEST_PIECES, LEAST_GOOD = 3, 0.25
+"""A line with fewer pieces, or a smaller share of its pieces, in line with the plate is refused."""
 
 MOST_REFUSED = 1.0 / 3.0
 """With a larger share of the lines missing or out of place it is unknown which of the others are right."""
@@ -49,6 +65,8 @@ class MarkerPoints:
         The fitted grooves by number; those along y come first.
     refused : dict
         Grooves found or expected and not used, by number, with the reason.
+    spoilt : float
+        Share of the grooves' pieces that were not used.
     """
 
     index: np.ndarray
@@ -56,15 +74,7 @@ class MarkerPoints:
     covariance: np.ndarray
     lines: dict[int, FineLine]
     refused: dict[int, str]
-
-
-@dataclass(frozen=True)
-class CoarsePoints:
-    """Result of the thesis's method: lines by least squares through edges, and crossings (n, 2) by the plate's numbers."""
-
-    lines: dict[int, CoarseLine]
-    index: np.ndarray
-    pixels: np.ndarray
+    spoilt: float = 0.0
 
 
 def find_marker(image: np.ndarray, plate: MarkerPlate, expected: MarkerProjection, detector: Detector) -> MarkerPoints:
@@ -84,134 +94,114 @@ def find_marker(image: np.ndarray, plate: MarkerPlate, expected: MarkerProjectio
     UnusableInputError
         The image is none of this detector, is dark or saturated, or shows too little of the plate.
     """
-    counts = _usable(image, detector)
-    filtered = hybrid_median(counts)
-    seen = _Expected.of(plate, expected, detector)
-    coarse = _coarse_lines(counts, filtered, plate, seen)
-    fine: dict[int, FineLine] = {}
-    refused = {k: "not found" for k in range(plate.lines) if k not in coarse}
-    for k, line in coarse.items():
-        keep = _clear(k, line, coarse, plate, seen, counts.shape)
-        fitted = fit_profile(counts, filtered, line, seen.width[k], FIRST_BLUR, keep, k < len(plate.x_m))
-        if fitted is None or abs(fitted.offset - line.at(fitted.middle)) > 0.5 * seen.width[k]:
-            refused[k] = "its profile is none of a groove"
+    counts = usable(image, detector)
+    seen = Expected.of(plate, expected, detector)
+    plane = _looked_for(counts, plate, seen, detector)
+    shapes = {k: (float(seen.width[k]), FIRST_BLUR * float(seen.width[k])) for k in range(plate.lines)}
+    gathered = _gathered(counts, plane, seen)
+    rough = _Fitted.of(gathered, shapes, plane, seen)
+    for k, pieces in rough.pieces.items():
+        shapes[k] = shape_of(gathered[k], pieces, rough.good[k], *shapes[k])
+    gathered = _gathered(counts, plane, seen)  # again, centred on the grooves
+    fitted = _Fitted.of(gathered, shapes, plane, seen)
+    lines, refused = {}, {k: "not in the image" for k in range(plate.lines) if k not in fitted.pieces}
+    for k, pieces in fitted.pieces.items():
+        if reason := fitted.trouble(k):
+            refused[k] = reason
         else:
-            fine[k] = fitted
-    _enough(fine, plate, refused)
-    usual = max(1.0, float(np.median([line.misfit for line in fine.values()])))
-    crossed = {
-        k: f"its profile misses the image by {line.misfit:.1f} times the photons' variance, the others by {usual:.1f}"
-        for k, line in fine.items()
-        if line.misfit > MISFIT * usual
-    }
-    fine = {k: line for k, line in fine.items() if k not in crossed}
-    _enough(fine, plate, refused | crossed)
-    bent = refused_lines(fine, plate, detector)
-    refused |= crossed | bent
-    if len(refused) > MOST_REFUSED * plate.lines:
-        raise UnusableInputError(
-            f"{len(refused)} of the {plate.lines} lines of the {plate.name} plate are missing or out of place; is it this plate, and where"
-            " it should be?"
-        )
-    fine = {k: line for k, line in fine.items() if k not in bent}
-    _enough(fine, plate, refused)
-    return _points(fine, plate, refused)
+            lines[k] = line_through(pieces, fitted.good[k], fitted.sigma[k], shapes[k])
+    _enough(lines, plate, refused)
+    return _points(widened(lines, plane), plate, refused, 1.0 - float(np.mean(np.concatenate(list(fitted.good.values())))))
 
 
-def coarse_points(image: np.ndarray, plate: MarkerPlate, expected: MarkerProjection, detector: Detector) -> CoarsePoints:
-    """Run the first four steps alone: hybrid median, Canny, Hough, least squares."""
-    counts = _usable(image, detector)
-    lines = _coarse_lines(counts, hybrid_median(counts), plate, _Expected.of(plate, expected, detector))
-    index, pixels = [], []
-    for i in (k for k in lines if k < len(plate.x_m)):
-        for j in (k for k in lines if k >= len(plate.x_m)):
-            one, other = lines[i], lines[j]
-            column = (one.offset + one.slope * other.offset) / (1.0 - one.slope * other.slope)
-            index.append(i * len(plate.y_m) + j - len(plate.x_m))
-            pixels.append((column, other.at(column)))
-    return CoarsePoints(lines, np.array(index, dtype=int), np.array(pixels).reshape(-1, 2))
+def _looked_for(counts: np.ndarray, plate: MarkerPlate, seen: Expected, detector: Detector) -> Plane:
+    """Return the plane as windows about the expected grooves show it."""
+    which, along, across = [], [], []
+    for first in (0, seen.upright):
+        inside = {k: seen.inside(k) for k in seen.family(first)}
+        windows = [Window(k, *_values(seen.line(k)), keep) for k, keep in inside.items() if keep.sum() >= LEAST_IN_VIEW]
+        if not windows:
+            continue
+        width = float(np.mean(seen.width[list(inside)]))
+        for k, (offset, slope) in look(counts, windows, first == 0, width, GATE_SHARE * seen.apart(first)).items():
+            ends = np.flatnonzero(inside[k])[[0, -1]]
+            which += [k, k]
+            along += list(ends)
+            across += list(offset + slope * ends)
+    if len({k for k in which if k < seen.upright}) < 2 or len({k for k in which if k >= seen.upright}) < 2:
+        _enough({}, plate, {})
+    places = np.array(which), np.array(along, dtype=float), np.array(across)
+    plane = Plane(plate, detector).started(*places)
+    plane.fitted(*places, WINDOW_SIGMA * seen.width[places[0]])
+    return plane
 
 
-@dataclass(frozen=True)
-class _Expected:
-    """Grooves as expected: ends (lines, 2, 2) as (along, across) [pixel] and width [pixel]."""
-
-    ends: np.ndarray
-    width: np.ndarray
-
-    @classmethod
-    def of(cls, plate: MarkerPlate, expected: MarkerProjection, detector: Detector) -> _Expected:
-        count = len(plate.x_m)
-        ends_m = plate.ends_m()
-        aside = np.zeros((plate.lines, 1, 3))
-        aside[:count, 0, 0] = aside[count:, 0, 1] = 0.5 * plate.groove_m
-        ends, before, after = (detector.to_pixels(expected.project(points)) for points in (ends_m, ends_m - aside, ends_m + aside))
-        across = np.concatenate([(after - before)[:count, :, 0], (after - before)[count:, :, 1]]).mean(axis=1)
-        if (across <= 0.0).any():
-            raise UnusableInputError("the plate's x and y must run with the image's columns and rows; turn its frame by half a turn")
-        ends[:count] = ends[:count, :, ::-1]
-        order = np.argsort(ends[:, :, 0], axis=1)
-        return cls(np.take_along_axis(ends, order[..., None], axis=1), across)
-
-    def slope(self, k: int) -> float:
-        (first, start), (last, end) = self.ends[k]
-        return float((end - start) / (last - first))
+def _values(line: CoarseLine) -> tuple[float, float]:
+    return line.offset, line.slope
 
 
-def _usable(image: np.ndarray, detector: Detector) -> np.ndarray:
-    if image.shape != (detector.rows, detector.columns):
-        raise UnusableInputError(f"an image of shape {image.shape}; the detector has {detector.rows} rows and {detector.columns} columns")
-    full = np.iinfo(image.dtype).max if np.issubdtype(image.dtype, np.integer) else np.inf
-    if np.mean(image[::4, ::4] >= full) > 0.05:
-        raise UnusableInputError(f"{np.mean(image >= full):.0%} of the pixels are saturated at {full}; expose less")
-    if not np.isfinite(image[::4, ::4]).all() or float(np.median(image[::4, ::4])) < 5.0:
-        raise UnusableInputError(f"the image is dark (median {np.median(image):g} counts); lines need 5 counts a pixel behind the metal")
-    return np.ascontiguousarray(image, dtype=np.float32)
-
-
-def _coarse_lines(counts: np.ndarray, filtered: np.ndarray, plate: MarkerPlate, seen: _Expected) -> dict[int, CoarseLine]:
-    count = len(plate.x_m)
-    families = edges_of(filtered, counts)
-    found: dict[int, CoarseLine] = {}
-    for edges, numbers, shape in zip(families, (range(count), range(count, plate.lines)), (counts.shape, counts.shape[::-1]), strict=True):
-        found |= _family(edges, np.array(numbers), shape, seen)
+def _gathered(counts: np.ndarray, plane: Plane, seen: Expected) -> dict[int, Profiles]:
+    """Return the profiles of every line that has pieces, about where the plane puts it."""
+    lines = {}
+    for k in range(len(seen.width)):
+        first, last = 0.0, float(seen.length(k) - 1)
+        start, end = plane.across(np.array([k, k]), np.array([first, last]))
+        lines[k] = CoarseLine(float(start), float((end - start) / (last - first)))
     result = {}
-    for k, line in found.items():
-        fitted = fit_edges(families[k >= count], line, seen.width[k], _clear(k, line, found, plate, seen, counts.shape))
-        if fitted is not None:
-            result[k] = fitted
+    for k, line in lines.items():
+        piece = split(seen.clear(k, lines), PIECE * seen.width[k])
+        if piece.max() >= 0:
+            result[k] = profiles(counts, k < seen.upright, line.offset, line.slope, piece, REACH * seen.width[k])
     return result
 
 
-def _family(edges: Edges, numbers: np.ndarray, shape: tuple[int, int], seen: _Expected) -> dict[int, CoarseLine]:
-    """Return Hough's lines of one direction by the plate's numbers."""
-    middle = 0.5 * (shape[0] - 1)
-    places = np.array([seen.ends[k, 0, 1] + seen.slope(k) * (middle - seen.ends[k, 0, 0]) for k in numbers])
-    apart = float(np.diff(np.sort(places)).min())
-    inside = np.minimum(seen.ends[numbers, 1, 0], shape[0] - 1) - np.maximum(seen.ends[numbers, 0, 0], 0.0)
-    turn = float(np.arctan(np.mean([seen.slope(k) for k in numbers])))
-    lines = hough_lines(edges, shape, float(seen.width[numbers].mean()), turn, float(inside.mean()), apart)
-    return {int(numbers[k]): line for k, line in matched(lines, places, middle, GATE_SHARE * apart).items()}
+@dataclass(frozen=True)
+class _Fitted:
+    """Pieces by line: fitted, their deviations [pixel], which are good, and what they miss the plane by."""
 
+    pieces: dict[int, Pieces]
+    sigma: dict[int, np.ndarray]
+    good: dict[int, np.ndarray]
+    rest: dict[int, np.ndarray]
 
-def _clear(
-    k: int, line: CoarseLine, lines: dict[int, CoarseLine], plate: MarkerPlate, seen: _Expected, shape: tuple[int, int]
-) -> np.ndarray:
-    """Return which places on line k lie inside the plate and the image, away from every crossing line: (along,) bool."""
-    count = len(plate.x_m)
-    length = shape[0] if k < count else shape[1]
-    along = np.arange(length)
-    margin = 0.5 * seen.width[k] + CLEAR_OF_CROSSINGS
-    first, last = seen.ends[k, :, 0]
-    keep: np.ndarray = (along > max(first + margin, 2.0)) & (along < min(last - margin, length - 3.0))
-    for other in range(count, plate.lines) if k < count else range(count):
-        if other in lines:
-            crossing = float(lines[other].at(line.at(0.5 * length)))
-            crossing = float(lines[other].at(line.at(crossing)))
-        else:
-            crossing = seen.ends[other, 0, 1] + seen.slope(other) * (line.at(0.5 * length) - seen.ends[other, 0, 0])
-        keep &= np.abs(along - crossing) > margin
-    return keep
+    @classmethod
+    def of(cls, gathered: dict[int, Profiles], shapes: dict[int, tuple[float, float]], plane: Plane, seen: Expected) -> _Fitted:
+        """Fit the pieces, and the plane to them."""
+        pieces = {k: fit_pieces(each, *shapes[k]) for k, each in gathered.items()}
+        sizes = [len(each.along) for each in pieces.values()]
+        line = np.repeat(np.array(list(pieces), dtype=int), sizes)
+        along, across, variance, misfit, sigma = (
+            np.concatenate([np.zeros(0), *(getattr(each, name) for each in pieces.values())])
+            for name in ("along", "across", "variance", "misfit", "contrast_sigma")
+        )
+        contrast = np.concatenate([np.zeros(0), *(each.values[:, 1] for each in pieces.values())])
+        shown = np.isfinite(variance) & (contrast > CLEAREST * sigma)
+        good, rest, deviation = np.zeros(len(line), dtype=bool), np.full(len(line), np.inf), np.full(len(line), 1.0)
+        if shown.sum() >= 5 * FEWEST_PIECES:
+            clearness = (contrast[shown] / sigma[shown]) ** 2
+            shape_error = max(0.0, float(np.median((misfit[shown] - 1.0) / clearness)))
+            ratio = misfit[shown] / (1.0 + shape_error * clearness)
+            deviation[shown] = np.sqrt(variance[shown] * np.maximum(ratio, 1.0))
+            shown[shown] = (ratio < MISFIT) & (contrast[shown] > FAINTEST * float(np.median(contrast[shown])))
+        if shown.sum() >= 5 * FEWEST_PIECES:
+            rest[shown], further = plane.fitted(line[shown], along[shown], across[shown], deviation[shown])
+            deviation = np.hypot(deviation, further)
+            good = np.abs(rest) < CUT * deviation
+        cuts = np.cumsum(sizes)[:-1]
+        parts = (dict(zip(pieces, np.split(each, cuts), strict=True)) for each in (deviation, good, rest))
+        return cls(pieces, *parts)
+
+    def trouble(self, k: int) -> str:
+        """Return why line k cannot be used; empty if it can."""
+        good, rest = self.good[k], self.rest[k]
+        shown = np.isfinite(rest)
+        if good.sum() >= max(FEWEST_PIECES, LEAST_GOOD * len(good)):
+            return ""
+        if shown.sum() < max(FEWEST_PIECES, LEAST_GOOD * len(good)):
+            return f"{shown.sum()} of its {len(good)} pieces show a groove"
+        if good.any():
+            return f"{good.sum()} of its {len(good)} pieces are where the other lines put it"
+        return f"{abs(np.median(rest[shown])):.2f} pixels from where the other lines put it"
 
 
 def _enough(lines: dict[int, FineLine], plate: MarkerPlate, refused: dict[int, str]) -> None:
@@ -221,11 +211,16 @@ def _enough(lines: dict[int, FineLine], plate: MarkerPlate, refused: dict[int, s
         why = "; ".join(f"line {k}: {reason}" for k, reason in sorted(refused.items())[:3])
         raise UnusableInputError(
             f"{upright} of {len(plate.x_m)} lines along y and {flat} of {len(plate.y_m)} along x of the {plate.name} plate are in the"
-            f" image; two of each and five in all are needed ({why})"
+            f" image; two of each and five in all are needed{f' ({why})' if why else ''}"
+        )
+    if len(refused) > MOST_REFUSED * plate.lines:
+        raise UnusableInputError(
+            f"{len(refused)} of the {plate.lines} lines of the {plate.name} plate are missing or out of place; is it this plate, and where"
+            " it should be?"
         )
 
 
-def _points(lines: dict[int, FineLine], plate: MarkerPlate, refused: dict[int, str]) -> MarkerPoints:
+def _points(lines: dict[int, FineLine], plate: MarkerPlate, refused: dict[int, str], spoilt: float) -> MarkerPoints:
     """Return the crossings, with the covariance of the lines carried over."""
     numbers = sorted(lines)
     column_of = {k: 2 * place for place, k in enumerate(numbers)}
@@ -252,4 +247,4 @@ def _points(lines: dict[int, FineLine], plate: MarkerPlate, refused: dict[int, s
     for k, place in column_of.items():
         of_lines[place : place + 2, place : place + 2] = lines[k].covariance
     change = np.concatenate(slopes)
-    return MarkerPoints(np.array(index), np.array(pixels), change @ of_lines @ change.T, lines, refused)
+    return MarkerPoints(np.array(index), np.array(pixels), change @ of_lines @ change.T, lines, refused, spoilt)

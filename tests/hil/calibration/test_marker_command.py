@@ -77,7 +77,7 @@ def test_the_linear_case_takes_angles_for_a_shift_of_the_source(scanned: Path, m
         (["--plate", "round"], "marker plate round: there are experimental, clinical"),
         (["--distance", "-3"], "distance of the marker plate -3.0 mm: must be a positive number"),
         (["--distance", "0"], "distance of the marker plate 0.0 mm: must be a positive number"),
-        (["--plate", "clinical"], "lines of the clinical plate are missing or out of place; is it this plate"),
+        (["--plate", "clinical"], "of the clinical plate are in the image; two of each and five in all are needed"),
         (["--free", "focal_length", "--free", "plate_distance"], "a flat plate shows their ratio alone; hold one of them"),
         (["--free", "tilt"], "tilt to fit: the parameters of a marker are focal_u"),
     ],

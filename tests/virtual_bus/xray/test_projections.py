@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from virtual_bus.xray.objects import Ball, Rod
+from virtual_bus.xray.objects import Ball, Ellipsoid, Rod, Slab
 from virtual_bus.xray.render import Panel, View, attenuation, transmission
 
 PANEL = Panel(columns=201, rows=161, pitch_m=0.5e-3)
@@ -39,6 +39,32 @@ def test_a_ray_across_a_tilted_rod_is_as_long_as_the_tilt_says(tilt: float) -> N
 def test_a_ray_along_a_rod_is_the_rod_s_length() -> None:
     rod = Rod(np.array([0.0, 0.0, -0.03]), np.array([0.0, 0.0, 0.05]), 0.002, 1.0)
     assert attenuation(STRAIGHT, PANEL, [rod], rays=1)[80, 100] == pytest.approx(0.08, rel=1e-12)
+
+
+def test_an_ellipsoid_with_equal_axes_is_a_ball_wherever_the_panel_stands() -> None:
+    turned = Rotation.from_euler("xyz", [0.4, -0.7, 0.2]).as_matrix()
+    view = View(turned @ STRAIGHT.source_m, turned @ STRAIGHT.panel_m, turned)
+    center = np.array([0.004, -0.003, 0.01])
+    ball = attenuation(view, PANEL, [Ball(center, 0.012, 20.0)], rays=2)
+    np.testing.assert_allclose(attenuation(view, PANEL, [Ellipsoid(center, np.full(3, 0.012), 20.0)], rays=2), ball, atol=1e-9)
+
+
+def test_an_ellipsoid_s_image_holds_its_volume_and_a_shell_is_the_difference_of_two() -> None:
+    half = np.array([0.02, 0.012, 0.008])
+    image = attenuation(STRAIGHT, PANEL, [Ellipsoid(np.zeros(3), half, 1.0)], rays=3)
+    volume = image.sum() * (0.5e-3 / 3 / 1.5) ** 2  # the panel is 1.5 times as far as the middle
+    assert volume == pytest.approx(4.0 / 3.0 * np.pi * half.prod(), rel=5e-3)
+    shell = attenuation(STRAIGHT, PANEL, [Ellipsoid(np.zeros(3), half, 1.0), Ellipsoid(np.zeros(3), 0.9 * half, -1.0)], rays=3)
+    assert shell.sum() == pytest.approx((1.0 - 0.9**3) * image.sum(), rel=5e-3)
+    assert shell[241, 301] == pytest.approx(2.0 * 0.1 * half[2], rel=1e-9)
+
+
+def test_a_slab_across_the_beam_is_its_thickness_over_the_cosine() -> None:
+    slab = Slab(np.array([-1.0, -1.0, -0.01]), np.array([1.0, 1.0, 0.02]), 7.0)
+    image = attenuation(STRAIGHT, PANEL, [slab], rays=1)
+    assert image[80, 100] == pytest.approx(7.0 * 0.03, rel=1e-12)
+    corner = np.array([50e-3, 40e-3, 1.2])
+    assert image[160, 200] == pytest.approx(7.0 * 0.03 * np.linalg.norm(corner) / 1.2, rel=1e-12)
 
 
 @pytest.mark.slow

@@ -1,4 +1,7 @@
-"""Lines of a marker plate, coarsely: Canny's edges, Hough's transform, least squares through the edges (thesis Sec. 6.3.3)."""
+"""Lines of a marker plate by the steps of thesis Sec. 6.3.3: hybrid median, Canny's edges, Hough's transform, least squares.
+
+`detect.find_marker` is measured against them.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,11 @@ import numpy as np
 from scipy import ndimage
 
 from hil.extras import extra_package
+from hil.imaging.detector import Detector
+from hil.imaging.markers.expected import CoarseLine, Expected, usable
+from hil.imaging.markers.hybrid_median import hybrid_median
+from hil.imaging.markers.plates import MarkerPlate
+from hil.imaging.markers.projection import MarkerProjection
 
 WIDEST_TURN_RAD = np.radians(6.0)
 """A line may be turned this far from where it is expected."""
@@ -24,6 +32,9 @@ EDGE_THRESHOLDS = (4.0, 8.0)
 SHARE_SEEN = 0.3
 """A line is one if this share of its expected length has both its edges."""
 
+GATE_SHARE = 0.45
+"""All lines together may be off by this share of their least distance; beyond, one is mistaken for the next."""
+
 EDGE_REACH = 2.5
 """Edges this far [pixel] from Hough's line are fitted: its grid and a turned line's spread make about 1."""
 
@@ -38,15 +49,26 @@ class Edges:
 
 
 @dataclass(frozen=True)
-class CoarseLine:
-    """across = offset + slope * along [pixel]."""
+class CoarsePoints:
+    """Result of the thesis's method: lines by least squares through edges, and crossings (n, 2) by the plate's numbers."""
 
-    offset: float
-    slope: float
+    lines: dict[int, CoarseLine]
+    index: np.ndarray
+    pixels: np.ndarray
 
-    def at(self, along: np.ndarray | float) -> np.ndarray | float:
-        """Return where the line is."""
-        return self.offset + self.slope * along
+
+def coarse_points(image: np.ndarray, plate: MarkerPlate, expected: MarkerProjection, detector: Detector) -> CoarsePoints:
+    """Run the first four steps alone: hybrid median, Canny, Hough, least squares."""
+    counts = usable(image, detector)
+    lines = _coarse_lines(counts, plate, Expected.of(plate, expected, detector))
+    index, pixels = [], []
+    for i in (k for k in lines if k < len(plate.x_m)):
+        for j in (k for k in lines if k >= len(plate.x_m)):
+            one, other = lines[i], lines[j]
+            column = (one.offset + one.slope * other.offset) / (1.0 - one.slope * other.slope)
+            index.append(i * len(plate.y_m) + j - len(plate.x_m))
+            pixels.append((column, other.at(column)))
+    return CoarsePoints(lines, np.array(index, dtype=int), np.array(pixels).reshape(-1, 2))
 
 
 def edges_of(filtered: np.ndarray, image: np.ndarray) -> tuple[Edges, Edges]:
@@ -176,3 +198,28 @@ def matched(lines: list[CoarseLine], expected: np.ndarray, middle: float, gate: 
         if abs(places[nearest] - place) < 0.5 * gate and int(np.argmin(np.abs(places[nearest] - expected - shift))) == k:
             result[k] = lines[nearest]
     return result
+
+
+def _coarse_lines(counts: np.ndarray, plate: MarkerPlate, seen: Expected) -> dict[int, CoarseLine]:
+    count = len(plate.x_m)
+    families = edges_of(hybrid_median(counts), counts)
+    found: dict[int, CoarseLine] = {}
+    for edges, numbers, shape in zip(families, (range(count), range(count, plate.lines)), (counts.shape, counts.shape[::-1]), strict=True):
+        found |= _family(edges, np.array(numbers), shape, seen)
+    result = {}
+    for k, line in found.items():
+        fitted = fit_edges(families[k >= count], line, seen.width[k], seen.clear(k, found))
+        if fitted is not None:
+            result[k] = fitted
+    return result
+
+
+def _family(edges: Edges, numbers: np.ndarray, shape: tuple[int, int], seen: Expected) -> dict[int, CoarseLine]:
+    """Return Hough's lines of one direction by the plate's numbers."""
+    middle = 0.5 * (shape[0] - 1)
+    places = np.array([seen.ends[k, 0, 1] + seen.slope(k) * (middle - seen.ends[k, 0, 0]) for k in numbers])
+    apart = float(np.diff(np.sort(places)).min())
+    inside = np.minimum(seen.ends[numbers, 1, 0], shape[0] - 1) - np.maximum(seen.ends[numbers, 0, 0], 0.0)
+    turn = float(np.arctan(np.mean([seen.slope(k) for k in numbers])))
+    lines = hough_lines(edges, shape, float(seen.width[numbers].mean()), turn, float(inside.mean()), apart)
+    return {int(numbers[k]): line for k, line in matched(lines, places, middle, GATE_SHARE * apart).items()}

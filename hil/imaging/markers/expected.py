@@ -1,0 +1,129 @@
+"""Where a plate's grooves are expected in an image, and which places along them can be relied on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.errors import UnusableInputError
+from hil.imaging.detector import Detector
+from hil.imaging.markers.plates import MarkerPlate
+from hil.imaging.markers.projection import MarkerProjection
+
+CLEAR_OF_CROSSINGS = 0.7
+"""Beyond half a groove this far, in grooves' widths, from a crossing line's middle and from a line's end, scatter and blur have rounded
+the corners."""
+
+LEAST_IN_VIEW = 30
+"""A groove with fewer places inside plate and image [pixel] is not looked for."""
+
+
+@dataclass(frozen=True)
+class CoarseLine:
+    """across = offset + slope * along [pixel]."""
+
+    offset: float
+    slope: float
+
+    def at(self, along: np.ndarray | float) -> np.ndarray | float:
+        """Return where the line is."""
+        return self.offset + self.slope * along
+
+
+@dataclass(frozen=True)
+class Expected:
+    """Grooves as expected: ends (lines, 2, 2) as (along, across) [pixel] and width [pixel]; those along y come first.
+
+    Attributes
+    ----------
+    ends, width : arrays
+    upright : int
+        How many of them run along y.
+    shape : (rows, columns)
+        Of the image.
+    """
+
+    ends: np.ndarray
+    width: np.ndarray
+    upright: int
+    shape: tuple[int, int]
+
+    @classmethod
+    def of(cls, plate: MarkerPlate, expected: MarkerProjection, detector: Detector) -> Expected:
+        """Project the plate's drawing.
+
+        Raises
+        ------
+        UnusableInputError
+            The plate's axes run against the image's.
+        """
+        count = len(plate.x_m)
+        ends_m = plate.ends_m()
+        aside = np.zeros((plate.lines, 1, 3))
+        aside[:count, 0, 0] = aside[count:, 0, 1] = 0.5 * plate.groove_m
+        ends, before, after = (detector.to_pixels(expected.project(points)) for points in (ends_m, ends_m - aside, ends_m + aside))
+        across = np.concatenate([(after - before)[:count, :, 0], (after - before)[count:, :, 1]]).mean(axis=1)
+        if (across <= 0.0).any():
+            raise UnusableInputError("the plate's x and y must run with the image's columns and rows; turn its frame by half a turn")
+        ends[:count] = ends[:count, :, ::-1]
+        order = np.argsort(ends[:, :, 0], axis=1)
+        return cls(np.take_along_axis(ends, order[..., None], axis=1), across, count, (detector.rows, detector.columns))
+
+    def slope(self, k: int) -> float:
+        """Return the slope of line k."""
+        (first, start), (last, end) = self.ends[k]
+        return float((end - start) / (last - first))
+
+    def line(self, k: int) -> CoarseLine:
+        """Return line k."""
+        return CoarseLine(float(self.ends[k, 0, 1] - self.slope(k) * self.ends[k, 0, 0]), self.slope(k))
+
+    def length(self, k: int) -> int:
+        """Return the size of the image along line k [pixel]."""
+        return self.shape[0] if k < self.upright else self.shape[1]
+
+    def family(self, k: int) -> range:
+        """Return the numbers of the lines that run as line k does."""
+        return range(self.upright) if k < self.upright else range(self.upright, len(self.width))
+
+    def apart(self, k: int) -> float:
+        """Return the least distance of two lines of line k's family in the middle of the image [pixel]."""
+        middle = 0.5 * (self.length(k) - 1)
+        return float(np.diff(np.sort([self.line(each).at(middle) for each in self.family(k)])).min())
+
+    def inside(self, k: int) -> np.ndarray:
+        """Return which places on line k lie inside plate and image, away from its ends: (along,) bool."""
+        along = np.arange(self.length(k))
+        margin = (0.5 + CLEAR_OF_CROSSINGS) * self.width[k]
+        first, last = self.ends[k, :, 0]
+        keep: np.ndarray = (along > max(first + margin, 2.0)) & (along < min(last - margin, len(along) - 3.0))
+        return keep
+
+    def clear(self, k: int, lines: dict[int, CoarseLine]) -> np.ndarray:
+        """Return which places on line k are `inside` and away from every crossing line: (along,) bool."""
+        keep, line = self.inside(k), lines[k]
+        along, middle = np.arange(len(keep)), line.at(0.5 * len(keep))
+        for other in self.family(len(self.width) - 1 if k < self.upright else 0):
+            crossing = lines.get(other, self.line(other))
+            there = crossing.at(line.at(crossing.at(middle)))
+            keep &= np.abs(along - there) > (0.5 + CLEAR_OF_CROSSINGS) * self.width[other]
+        return keep
+
+
+def usable(image: np.ndarray, detector: Detector) -> np.ndarray:
+    """Return the image as float32.
+
+    Raises
+    ------
+    UnusableInputError
+        It is none of this detector, is dark, or saturated.
+    """
+    if image.shape != (detector.rows, detector.columns):
+        raise UnusableInputError(f"an image of shape {image.shape}; the detector has {detector.rows} rows and {detector.columns} columns")
+    full = np.iinfo(image.dtype).max if np.issubdtype(image.dtype, np.integer) else np.inf
+    if np.mean(image[::4, ::4] >= full) > 0.05:
+        raise UnusableInputError(f"{np.mean(image >= full):.0%} of the pixels are saturated at {full}; expose less")
+    if not np.isfinite(image[::4, ::4]).all() or float(np.median(image[::4, ::4])) < 5.0:
+        raise UnusableInputError(f"the image is dark (median {np.median(image):g} counts); lines need 5 counts a pixel behind the metal")
+    return np.ascontiguousarray(image, dtype=np.float32)

@@ -1,0 +1,102 @@
+"""Lines through the pieces of grooves, with covariances that count what the pieces and the plate as a whole do not agree on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import brentq
+
+from hil.imaging.markers.pieces import Pieces
+from hil.imaging.markers.plane import Plane
+
+ASIDE = 1.0 / np.sqrt(3.0)
+"""In half lengths: at these places on either side of the middle a line's errors are uncorrelated and of one size."""
+
+
+@dataclass(frozen=True)
+class FineLine:
+    """across = offset + slope * (along - middle) [pixel].
+
+    Attributes
+    ----------
+    offset, slope, middle : float
+    covariance : (2, 2) array
+        Of offset and slope.
+    width, blur, contrast : float
+        Of the profile [pixel, pixel, share of the background].
+    half_length : float
+        Of what was used of it [pixel].
+    """
+
+    offset: float
+    slope: float
+    middle: float
+    covariance: np.ndarray
+    width: float
+    blur: float
+    contrast: float
+    half_length: float
+
+    def at(self, along: np.ndarray | float) -> np.ndarray | float:
+        """Return where the line is."""
+        return self.offset + self.slope * (along - self.middle)
+
+
+def line_through(pieces: Pieces, good: np.ndarray, sigma: np.ndarray, shape: tuple[float, float]) -> FineLine:
+    """Fit a line to the good pieces by least squares.
+
+    Parameters
+    ----------
+    pieces : Pieces
+    good : (P,) bool array
+        Three at least.
+    sigma : (P,) array
+        Deviations of their places [pixel].
+    shape : (2,)
+        Width and blur of the profile.
+    """
+    along, across, weight = pieces.along[good], pieces.across[good], 1.0 / sigma[good] ** 2
+    middle, half = 0.5 * (along.min() + along.max()), 0.5 * np.ptp(along)
+    design = np.stack([np.ones_like(along), along - middle], axis=1)
+    covariance = np.linalg.inv(design.T @ (design * weight[:, None]))
+    offset, slope = covariance @ (design.T @ (weight * across))
+    rest = across - offset - slope * (along - middle)
+    scatter = float(weight @ rest**2) / max(len(along) - 2, 1)
+    contrast = float(np.median(pieces.values[good, 1]))
+    return FineLine(float(offset), float(slope), float(middle), covariance * max(scatter, 1.0), *shape, contrast, float(half))
+
+
+def widened(lines: dict[int, FineLine], plane: Plane) -> dict[int, FineLine]:
+    """Return the lines with what they miss the plane by, beyond their covariances, counted in.
+
+    A structure along a groove moves its pieces together, so their scatter about the line does not show it; that the lines do not fit one
+    flat plate does. Its variance is that with which the lines' squared misses are as many as their degrees of freedom (DerSimonian, Laird
+    1986).
+    """
+    numbers = np.array(sorted(lines))
+    half = np.array([lines[k].half_length for k in numbers])
+    along = np.array([lines[k].middle for k in numbers])[:, None] + half[:, None] * np.array([-ASIDE, ASIDE])
+    across = np.array([lines[k].at(row) for k, row in zip(numbers, along, strict=True)])
+    step = along - along.mean(axis=1, keepdims=True)
+    variance = np.array([lines[k].covariance[0, 0] + 2.0 * d * lines[k].covariance[0, 1] + d**2 * lines[k].covariance[1, 1]
+                         for k, d in zip(numbers, step, strict=True)])  # fmt: skip
+    which, freedom = np.repeat(numbers, 2), 2 * len(numbers) - 8
+    if freedom <= 0:
+        return lines
+    more = 0.0
+
+    def excess(further: float) -> float:
+        sigma = np.sqrt(variance.ravel() + further)
+        rest = plane.least_squares(which, along.ravel(), across.ravel(), sigma)
+        return float(np.sum((rest / sigma) ** 2)) - freedom
+
+    if excess(0.0) > 0.0:
+        highest = float(variance.max())
+        while excess(highest) > 0.0:
+            highest *= 4.0
+        more = float(brentq(excess, 0.0, highest, rtol=1e-2))
+    return {
+        k: replace(line, covariance=line.covariance + more * np.diag([0.5, 0.5 / (ASIDE * max(line.half_length, 1.0)) ** 2]))
+        for k, line in lines.items()
+    }

@@ -1,0 +1,331 @@
+"""Grooves piece by piece: where a groove lies across short pieces of it, each with a background and a contrast of its own.
+
+Behind a plate the anatomy dims a groove and its surroundings alike, so the model of a piece is a product: a background that varies slowly
+across, times one plus a contrast where the groove is. What varies fast (a wire, a bone's edge) fails to fit or puts the piece out of line
+with the others; the pieces beside it stay.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+BIN = 0.5
+"""Bins of a profile across a groove [pixel]; the mean place of each bin's pixels is kept, so its width costs nothing but resolution."""
+
+REACH = 1.4
+"""A profile reaches this many grooves' widths to either side."""
+
+SIZE = 6
+"""Parameters of a piece: place, contrast, background (level, slope, curvature across), slope of the contrast across.
+
+Anatomy dims a groove and its surroundings by one factor, which leaves the contrast as it is; scatter brightens both by one amount, so that
+the contrast falls as the background grows. The slope is held, as by a measurement, to zero within what scatter alone would make of it."""
+
+STEPS = 5
+SETTLED_PIXELS = 2e-3
+"""Steps shrink at least tenfold; what is left is below the photons' noise."""
+
+OUTLIER = 6.0
+"""A pixel this many standard deviations from its neighbours along the groove is dead, or under a wire that crosses."""
+
+SHAPED = 8
+"""So many pieces of a line, spread over it, tell its width and blur: many more cost time and add little."""
+
+FEWEST_BINS = SIZE + 2
+
+TABLE_STEP = 1.0 / 16.0
+"""Spacing of the tabulated profile [pixel]; linear between, to 1e-3 of the contrast for a blur of half a pixel."""
+
+
+@dataclass(frozen=True)
+class Profiles:
+    """Counts across the pieces of one line, in bins.
+
+    Attributes
+    ----------
+    along : (P,) array
+        Mean place of each piece [pixel].
+    line : (P,) array
+        Where the profile's zero lies across, at `along`.
+    counts, number, place : (P, bins) arrays
+        Mean counts, pixels, and mean distance from zero.
+    """
+
+    along: np.ndarray
+    line: np.ndarray
+    counts: np.ndarray
+    number: np.ndarray
+    place: np.ndarray
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """Fitted pieces of one line.
+
+    Attributes
+    ----------
+    along, across : (P,) arrays
+        Place [pixel].
+    variance : (P,) array
+        Of `across` by the photons [pixel^2]; infinite where nothing like a groove was found.
+    misfit : (P,) array
+        Sum of squares over degrees of freedom, in units of the photons' noise.
+    values : (P, SIZE) array
+        Place from the profile's zero, contrast, background, slope of the contrast.
+    contrast_sigma : (P,) array
+    """
+
+    along: np.ndarray
+    across: np.ndarray
+    variance: np.ndarray
+    misfit: np.ndarray
+    values: np.ndarray
+    contrast_sigma: np.ndarray
+
+
+def split(keep: np.ndarray, length: float) -> np.ndarray:
+    """Return the number of the piece each place along a line belongs to, -1 where not kept; pieces are about `length` long."""
+    number = np.full(len(keep), -1, dtype=np.int64)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], keep.astype(np.int8), [0]])))
+    count = 0
+    for first, last in zip(edges[::2], edges[1::2], strict=True):
+        parts = round((last - first) / length)
+        if parts:
+            number[first:last] = count + (np.arange(last - first) * parts) // (last - first)
+            count += parts
+    return number
+
+
+def profiles(image: np.ndarray, upright: bool, offset: float, slope: float, piece: np.ndarray, reach: float, stride: int = 1) -> Profiles:
+    """Gather profiles across a line.
+
+    Parameters
+    ----------
+    image : (rows, columns) float32 array
+    upright : bool
+        The line runs along the rows' growing index.
+    offset, slope : float
+        across = offset + slope * along.
+    piece : (along,) int array
+        Of `split`.
+    reach : float
+        To either side [pixel].
+    stride : int
+        Every so many places along are looked at.
+    """
+    count = int(piece.max()) + 1
+    bins = math.ceil(2.0 * reach / BIN) + 1
+    counts, number, place, along = np.zeros((count, bins)), np.zeros((count, bins)), np.zeros((count, bins)), np.zeros((count, 2))
+    _gather(image, upright, offset, slope, piece, reach, stride, counts, number, place, along)
+    middle = along[:, 0] / np.maximum(along[:, 1], 1.0)
+    return Profiles(middle, offset + slope * middle, counts, number, place)
+
+
+def fit_pieces(seen: Profiles, width: float, blur: float) -> Pieces:
+    """Fit every piece: a box of `width` blurred by a Gaussian of `blur` [pixel], on a background."""
+    count = len(seen.along)
+    values, variance, misfit = np.zeros((count, SIZE)), np.full(count, np.inf), np.full(count, np.inf)
+    contrast_sigma = np.full(count, np.inf)
+    shape = _table(width, blur)
+    _fit(seen.counts, seen.number, seen.place, shape, 0.5 * width, values, variance, misfit, contrast_sigma)
+    return Pieces(seen.along, seen.line + values[:, 0], variance, misfit, values, contrast_sigma)
+
+
+def shape_of(seen: Profiles, pieces: Pieces, good: np.ndarray, width: float, blur: float) -> tuple[float, float]:
+    """Return width and blur [pixel] that fit the good pieces best, each with its place, contrast and background as fitted."""
+    shape, those = np.array([width, blur]), np.flatnonzero(good)
+    some = np.zeros(len(good), dtype=bool)
+    some[those[:: max(1, len(those) // SHAPED)]] = True
+    for _ in range(STEPS):
+        change = _shape_step(seen.counts, seen.number, seen.place, pieces.values, some, shape[0], shape[1])
+        shape = np.clip(shape + change, [0.8 * width, 0.3], [1.25 * width, 0.5 * width])
+        if np.abs(change).max() < 5e-3:
+            break
+    return float(shape[0]), float(shape[1])
+
+
+def _table(width: float, blur: float) -> np.ndarray:
+    """Return the profile and its derivative on a grid of `TABLE_STEP` from 0 on, (n, 2)."""
+    from scipy.special import erf
+
+    d = TABLE_STEP * np.arange(int((0.5 * width + 6.0 * blur) / TABLE_STEP) + 3)
+    left, right = (d + 0.5 * width) / (math.sqrt(2.0) * blur), (d - 0.5 * width) / (math.sqrt(2.0) * blur)
+    slope = (np.exp(-(left**2)) - np.exp(-(right**2))) / (math.sqrt(2.0 * math.pi) * blur)
+    return np.stack([0.5 * (erf(left) - erf(right)), slope], axis=1)
+
+
+@njit(inline="always")
+def _middle3(a: float, b: float, c: float) -> float:
+    return max(min(a, b), min(max(a, b), c))
+
+
+@njit(cache=True, error_model="numpy")
+def _gather(
+    image: np.ndarray, upright: bool, offset: float, slope: float, piece: np.ndarray, reach: float, stride: int, counts: np.ndarray,
+    number: np.ndarray, place: np.ndarray, along_sums: np.ndarray,
+) -> None:  # fmt: skip
+    across_size = image.shape[1] if upright else image.shape[0]
+    along_size = len(piece)
+    for along in range(2, along_size - 2, stride):
+        k = piece[along]
+        if k < 0:
+            continue
+        center = offset + slope * along
+        first, last = max(0, math.ceil(center - reach)), min(across_size - 1, math.floor(center + reach))
+        along_sums[k, 0] += along
+        along_sums[k, 1] += 1.0
+        for across in range(first, last + 1):
+            if upright:
+                seen = image[along, across]
+                a, b, c, d = image[along - 2, across], image[along - 1, across], image[along + 1, across], image[along + 2, across]
+            else:
+                seen = image[across, along]
+                a, b, c, d = image[across, along - 2], image[across, along - 1], image[across, along + 1], image[across, along + 2]
+            usual = _middle3(max(min(a, b), min(c, d)), min(max(a, b), max(c, d)), seen)
+            if (seen - usual) ** 2 > OUTLIER**2 * max(usual, 1.0):
+                continue
+            away = across - center
+            j = int((away + reach) / BIN)
+            counts[k, j] += seen
+            number[k, j] += 1.0
+            place[k, j] += away
+    for k in range(counts.shape[0]):
+        for j in range(counts.shape[1]):
+            if number[k, j] > 0.0:
+                counts[k, j] /= number[k, j]
+                place[k, j] /= number[k, j]
+
+
+@njit(inline="always")
+def _looked_up(table: np.ndarray, d: float) -> tuple[float, float]:
+    at = abs(d) / TABLE_STEP
+    j = int(at)
+    if j >= table.shape[0] - 1:
+        return 0.0, 0.0
+    rest = at - j
+    shape = table[j, 0] + rest * (table[j + 1, 0] - table[j, 0])
+    slope = table[j, 1] + rest * (table[j + 1, 1] - table[j, 1])
+    return shape, (slope if d >= 0.0 else -slope)
+
+
+@njit(cache=True, error_model="numpy")
+def _fit(
+    counts: np.ndarray, number: np.ndarray, place: np.ndarray, table: np.ndarray, gate: float, values: np.ndarray, variance: np.ndarray,
+    misfit: np.ndarray, contrast_sigma: np.ndarray,
+) -> None:  # fmt: skip
+    bins = counts.shape[1]
+    row, normal, slope = np.empty(SIZE), np.empty((SIZE, SIZE)), np.empty(SIZE)
+    for k in range(counts.shape[0]):
+        filled, level = 0, 0.0
+        for j in range(bins):
+            if number[k, j] > 0.0:
+                filled += 1
+                level += counts[k, j]
+        if filled < FEWEST_BINS or not level > 0.0:
+            continue
+        v = values[k]
+        v[0], v[1], v[2], v[3], v[4], v[5] = 0.0, 0.8, level / filled / 1.3, 0.0, 0.0, 0.0
+        total = 0.0
+        for step in range(STEPS):
+            normal[:], slope[:], total = 0.0, 0.0, 0.0
+            for j in range(bins):
+                if number[k, j] == 0.0:
+                    continue
+                d = place[k, j]
+                shape, by_place = _looked_up(table, d - v[0])
+                background, contrast = v[2] + v[3] * d + v[4] * d * d, v[1] + v[5] * d
+                through = 1.0 + contrast * shape
+                rest = counts[k, j] - background * through
+                # at first the counts themselves say how much they scatter, from then on the model does, which is not biased by them
+                weight = number[k, j] / max(counts[k, j] if step == 0 else background * through, 1.0)
+                row[0], row[1], row[5] = -background * contrast * by_place, background * shape, background * shape * d
+                row[2], row[3], row[4] = through, through * d, through * d * d
+                total += weight * rest * rest
+                for a in range(SIZE):
+                    slope[a] += weight * row[a] * rest
+                    for b in range(a + 1):
+                        normal[a, b] += weight * row[a] * row[b]
+            for a in range(SIZE):
+                for b in range(a + 1, SIZE):
+                    normal[a, b] = normal[b, a]
+            by_scatter = v[1] * v[3] / v[2]
+            held = 1.0 / (by_scatter**2 + 1e-12)
+            normal[5, 5] += held
+            slope[5] -= held * v[5]
+            determined = normal[0, 0] > 0.0
+            if step == 0:  # contrast and background first, at the place that was told: both far off would be taken for the place
+                normal[0, 1:], normal[1:, 0], slope[0] = 0.0, 0.0, 0.0
+                normal[0, 0] = max(normal[0, 0], 1.0)
+            if not determined or not _solve(normal, slope):
+                total = np.inf
+                break
+            for a in range(SIZE):
+                v[a] += slope[a]
+            if abs(v[0]) > gate or not v[1] > 0.0:
+                total = np.inf
+                break
+            if step > 1 and abs(slope[0]) < SETTLED_PIXELS:
+                break
+        if np.isfinite(total):
+            variance[k], contrast_sigma[k] = normal[0, 0], math.sqrt(normal[1, 1])
+            misfit[k] = total / (filled - SIZE)
+
+
+@njit(cache=True, error_model="numpy")
+def _solve(normal: np.ndarray, right: np.ndarray) -> bool:
+    """Replace a positive definite matrix by its inverse and the right side by the solution (Gauss-Jordan); False where it is singular."""
+    size = len(right)
+    for i in range(size):
+        pivot = normal[i, i]
+        if not pivot > 0.0:
+            return False
+        normal[i, i] = 1.0
+        for j in range(size):
+            normal[i, j] /= pivot
+        right[i] /= pivot
+        for r in range(size):
+            if r != i:
+                factor = normal[r, i]
+                normal[r, i] = 0.0
+                for j in range(size):
+                    normal[r, j] -= factor * normal[i, j]
+                right[r] -= factor * right[i]
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _shape_step(
+    counts: np.ndarray, number: np.ndarray, place: np.ndarray, values: np.ndarray, good: np.ndarray, width: float, blur: float
+) -> np.ndarray:
+    n00 = n01 = n11 = s0 = s1 = 0.0
+    root, peak = 1.0 / (math.sqrt(2.0) * blur), 1.0 / (math.sqrt(2.0 * math.pi) * blur)
+    for k in range(counts.shape[0]):
+        if not good[k]:
+            continue
+        for j in range(counts.shape[1]):
+            if number[k, j] == 0.0:
+                continue
+            d = place[k, j]
+            left, right = d - values[k, 0] + 0.5 * width, d - values[k, 0] - 0.5 * width
+            shape = 0.5 * (math.erf(left * root) - math.erf(right * root))
+            one, other = peak * math.exp(-((left * root) ** 2)), peak * math.exp(-((right * root) ** 2))
+            background = values[k, 2] + values[k, 3] * d + values[k, 4] * d * d
+            contrast = values[k, 1] + values[k, 5] * d
+            model = background * (1.0 + contrast * shape)
+            weight = number[k, j] / max(model, 1.0)
+            rest = counts[k, j] - model
+            a = background * contrast * 0.5 * (one + other)
+            b = -background * contrast * (left * one - right * other) / blur
+            n00 += weight * a * a
+            n01 += weight * a * b
+            n11 += weight * b * b
+            s0 += weight * a * rest
+            s1 += weight * b * rest
+    determinant = n00 * n11 - n01 * n01
+    if not determinant > 1e-12 * n00 * n11:
+        return np.zeros(2)
+    return np.array([(n11 * s0 - n01 * s1) / determinant, (n00 * s1 - n01 * s0) / determinant])
