@@ -65,7 +65,7 @@ def different_places(effect: Effect, along: Along) -> list[str]:
         is_joint = joint is not None and (at in bodies or any(drive.axis == at for drive in along.settings.drives))
         return joint if is_joint else at
 
-    if effect.kind.before_current and along.observed.are_measured.all():
+    if effect.is_slow or (effect.kind.before_current and along.observed.are_measured.all()):
         return []
     for at in places(effect.kind, along.settings):
         found.setdefault(place(at), at)
