@@ -91,7 +91,7 @@ class LiveObserver:
         self._row = MeasuredRow(observer.model)
         channels = observer.model.channels()
         self._read = np.full(len(channels), np.nan)  # an IMU without a line stays missing
-        self._imu_at = [channels.index(name) for name in imu_channels(imu) if name in channels]
+        self._imu_at = [channels.index(name) for name in (imu_channels(imu) if imu else ()) if name in channels]
         on_bus = imu_channels(bus_imu) if bus_imu else ()
         self._bus_imu_at = [channels.index(name) for name in on_bus if name in channels]
         if damping is not None and not self._imu_at:

@@ -42,6 +42,7 @@ from hil.diagnosis.result import (
     Finding,
     Fit,
     Hypothesis,
+    Location,
     PredictedSeparation,
     RetunedValue,
     Stages,
@@ -96,11 +97,11 @@ def answer(
     if not findings and verdict != "inconclusive":
         reason = "; ".join([reason, what_may_hide(_recordings(seen)), *_never_shown(limits)])
     train = _predicted(named, seen)
-    held = _predicted(named, see(machine, held_out)) if held_out else None
+    held = _predicted(named, see(machine, held_out, seen)) if held_out else None
     missing = {seen.alongs[0].joints[joint]: share for joint, share in _shares(named).items()}
     proposal = None
     if verdict == "ambiguous":
-        proposal = _proposed(machine, judged, values, others, report)
+        proposal = _proposed(machine, judged, others, report)
     if proposal is not None:
         findings = tuple(replace(finding, separating_experiment=NEXT_EXPERIMENT) for finding in findings)
     diagnosis = Diagnosis(
@@ -111,7 +112,7 @@ def answer(
         retuned=retuned,
         frozen=frozen,
         noise=noise,
-        location=where_it_is(seen, tuned, along_motion),
+        location=Location() if verdict in ("consistent", "retuned") else where_it_is(seen, tuned, along_motion),
         fit=_fit(train, held, held_out != {}),
         unexplained_share=unexplained(judged),
         seconds=time.monotonic() - began,
@@ -125,23 +126,20 @@ def answer(
     return Answered(machine, diagnosis, names_of(seen), named, values, best.settings, proposal)
 
 
-def _proposed(
-    machine: Machine, named: Named, values: np.ndarray, others: Sequence[Alternative], report: Callable[[str, float], None]
-) -> Proposal | None:
+def _proposed(machine: Machine, named: Named, others: Sequence[Alternative], report: Callable[[str, float], None]) -> Proposal | None:
     """Return the experiment that separates the answer from sets that are nearly as likely."""
     offset = named.best.offset[: len(named.tuned.numbers.indices)]
+    values = named.tuned.numbers.values(offset)
     near = [other for other in others if other.behind < NOT_TOLD_APART]
     own, shares = _weights(near)
     rivals = [Model(values, offset, other.settings, share) for other, share in zip(near, shares, strict=True)]
     models = [Model(values, offset, named.best.settings, own), *rivals[:MOST_RIVALS]]
-    count = min(len(group.repeats) for group in named.seen.groups)
-    once = replace(named.levels, disturbance=named.levels.disturbance * math.sqrt(count), sensors=named.levels.sensors * math.sqrt(count))
     channels = named.seen.alongs[0].observed.channels
 
     def say(share: float) -> None:
         report("looking for the next experiment", 0.95 + 0.05 * share)
 
-    return propose(machine, models, once, channels, say)
+    return propose(machine, models, named.levels.of(1), channels, named.seen.by, say)
 
 
 def _separations(proposal: Proposal) -> tuple[PredictedSeparation, ...]:
@@ -250,7 +248,7 @@ def _findings(best: Fitted, others: Sequence[Alternative], estimates: Sequence[M
                 parameters=table,
                 ambiguous_with=tuple(EffectAt(other.settings[-1].name, other.settings[-1].at) for other in rivals),
                 ambiguous_sets=tuple(tuple(EffectAt(one.name, one.at) for one in other.settings) for other in rivals),
-                evidence_for=(f"without it, squares rise by {missing:.4g} in units of what scatters",),
+                evidence_for=(f"without it, twice the log of the evidence falls by {missing:.4g}",),
                 evidence_against=tuple(f"{_words(other.settings)} is {other.behind:.3g} such units behind" for other in rivals),
                 family=family,
                 variants=tuple(sorted(variants, key=lambda pair: -pair[1])),
@@ -297,7 +295,7 @@ def _predicted(named: Named, seen: Seen) -> Predicted | None:
     stages = {"nominal": (np.zeros(count), ()), **{name: (each.offset[:count], each.settings) for name, each in fits.items()}}
     if not named.levels.are_assumed:
         return one_ahead(named, seen, stages)
-    scales = dict(zip(seen.alongs[0].observed.channels, named.levels.sensors.tolist(), strict=False))  # efforts follow the channels
+    scales = dict(zip(named.seen.alongs[0].observed.channels, named.levels.sensors.tolist(), strict=False))  # efforts follow the channels
     return predicted(seen.alongs, scales, {name: (numbers.values(offset), own) for name, (offset, own) in stages.items()}, "extended")
 
 

@@ -19,6 +19,7 @@ def where_it_is(seen: Seen, tuned: Tuned, best: Fitted) -> Location:
     An effort that is missing on a driven joint counts for the channel of its drive's effort, all else for the channels that show it.
     """
     found: list[Mismatch] = []
+    fewest = min(len(group.repeats) for group in seen.groups)  # whose mean's noise is that of all
     shares: dict[str, float] = {}
     settings = tuned.looked[0].beside.along.settings
     drives = {drive.joint: f"{'current' if drive.unit == 'A' else 'effort'}_{drive.axis}" for drive in settings.drives}
@@ -41,7 +42,7 @@ def where_it_is(seen: Seen, tuned: Tuned, best: Fitted) -> Location:
             each = np.sum(values.reshape(rows, -1) ** 2 - (0.0 if best.settings else 1.0), axis=0)
             for channel, power in zip([name] * len(each) if name else channels, each, strict=True):
                 shares[str(channel)] = shares.get(str(channel), 0.0) + max(float(power), 0.0)
-        found.append(_mismatch(group, one, white / np.sqrt(len(group.repeats)), 0.0 if best.settings else 1.0 / len(group.repeats)))
+        found.append(_mismatch(group, one, white / np.sqrt(fewest), 0.0 if best.settings else 1.0 / len(group.repeats)))
     total = sum(shares.values())
     if total <= 0.0:
         return Location()

@@ -59,7 +59,7 @@ class Limit:
     ----------
     effect, at, parameter : str
     strength : float
-        Of that parameter, beside its neutral value; infinite where no strength that it may have would show.
+        Of that parameter; infinite where no strength that it may have would show. It is a size where the parameter's neutral value is zero.
     """
 
     effect: str
@@ -107,7 +107,7 @@ def gained_by(named: Named) -> float:
 def numbers_help(named: Named) -> bool:
     """Return whether other numbers in the machine file, and no effect, explain what the file's do not."""
     nominal = tuned_at(named.seen.alongs, named.view, nominal_offset(named.seen.alongs))
-    before = sum(float(one.innovations @ one.innovations) for one in nominal.looked)
+    before = sum(float(rest @ rest) for rest in nominal.without_offsets())
     moved = int(np.sum(np.abs(named.best.offset[: len(nominal.numbers.indices)]) > MOVED))
     gained = (before - named.best.squares) / named.best.dispersion - float(named.best.offset @ named.best.offset)
     return gained > max(moved, 1) * math.log(nominal.readings)
@@ -173,24 +173,32 @@ def detection_limits(named: Named, of: Library) -> list[Limit]:
             asked += (named.materiality - 1.0) * best.squares / best.dispersion
         limit = _limit(law, strengths, reduced, asked * best.dispersion)
         key = (limit.effect, limit.at)
-        if key not in least or limit.strength < least[key].strength:
+        if key not in least or _beyond(limit) < _beyond(least[key]):
             least[key] = limit
     return sorted(least.values(), key=lambda each: (each.effect, each.at))
 
 
 def _limit(law: Entry, strengths: Sequence[Parameter], squares: np.ndarray, asked: float) -> Limit:
     """Return the least strength of a law that shows, whichever of its weights it has."""
-    least = 0.0
+    first = strengths[0]
+    least: tuple[float, float] | None = None
     for number, square in enumerate(np.diag(squares)):
         weights = np.zeros(len(squares))
         weights[number] = math.sqrt(asked / max(float(square), 1e-300))
-        within = [
-            max(abs(setting.parameters[each.name] - each.neutral) for each in strengths)
-            for setting in (law.setting(weights), law.setting(-weights))
+        settings = [law.setting(weights), law.setting(-weights)]
+        values = [
+            setting.parameters[first.name]
+            for setting in settings
             if all(_is_within(each, setting.parameters[each.name]) for each in strengths)
         ]
-        least = max(least, min((each for each in within if each > 0.0), default=math.inf))
-    return Limit(law.effect.name, law.at, strengths[0], least)
+        shown = min(((abs(value - first.neutral), value) for value in values if value != first.neutral), default=(math.inf, math.inf))
+        least = shown if least is None else max(least, shown)
+    value = math.inf if least is None else least[1]
+    return Limit(law.effect.name, law.at, first, value if first.neutral else abs(value))
+
+
+def _beyond(limit: Limit) -> float:
+    return abs(limit.strength - limit.parameter.neutral)
 
 
 def _is_within(parameter: Parameter, value: float) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -10,7 +11,7 @@ import numpy as np
 from hil.diagnosis.observed.rows import FEWEST_ROWS, Observed, observed
 from hil.errors import RecordingError
 from hil.machine import Machine
-from hil.recording import Recording
+from hil.recording import Recording, RecordingWarning
 
 SAME = 1e-9
 """Share of a reference's range by which repeats may differ: rounding of a text file."""
@@ -39,23 +40,26 @@ class Group:
         return tuple(dict.fromkeys(repeat.name for repeat in self.repeats))
 
 
-def groups(machine: Machine, recordings: Mapping[str, Recording]) -> tuple[Group, ...]:
-    """Return the recordings on rows, repeats together, with the channels that all of them have.
+def groups(machine: Machine, recordings: Mapping[str, Recording], among: Sequence[str] | None = None) -> tuple[Group, ...]:
+    """Return the recordings on rows, repeats together, with the channels that all of them have, `among` others where given.
 
-    The periods of a recording that is the only one of its experiment are its repeats.
+    The periods of a recording that is the only one of its experiment are its repeats. A channel that some have, and others have not, is
+    told to be left out, by a warning.
     """
+    every = [observed(machine, name, recording) for name, recording in recordings.items()]
+    common = [c for c in every[0].channels if all(c in one.channels for one in every)] if every else []
+    for channel in dict.fromkeys(c for one in every for c in one.channels if c not in common):
+        lacking = next(one.name for one in every if channel not in one.channels)
+        warnings.warn(f"{lacking}: no {channel}, which other recordings have; it is left out of all", RecordingWarning, stacklevel=2)
+    kept = [channel for channel in common if among is None or channel in among]
     found: list[list[Observed]] = []
-    for name, recording in recordings.items():
-        one = observed(machine, name, recording)
+    for one in (each.with_channels(kept) for each in every):
         alike = next((group for group in found if are_repeats(group[0], one)), None)
         if alike is None:
             found.append([one])
         else:
             alike.append(one)
-    every = [one for group in found for one in group]
-    common = [channel for channel in every[0].channels if all(channel in one.channels for one in every)] if every else []
-    kept = [[one.with_channels(common) for one in group] for group in found]
-    return tuple(_group(group) for group in kept)
+    return tuple(_group(group) for group in found)
 
 
 def _group(repeats: Sequence[Observed]) -> Group:

@@ -136,7 +136,7 @@ def observed(machine: Machine, name: str, recording: Recording) -> Observed:
     rows = np.arange(len(time)) * period if is_even else np.arange(0.0, time[-1] + 0.5 * period, period)
     commands, currents = _efforts(machine, name, recording)
     if is_even:
-        acting, flowing = _one_row_later(commands), currents
+        acting, flowing = _one_tick_later(commands, 1.0 / (machine.sample_rate_Hz * period)), currents
     else:
         acting, flowing = (np.column_stack([np.interp(rows, time, column) for column in values.T]) for values in (commands, currents))
     missing = np.isnan(acting)
@@ -153,7 +153,7 @@ def observed(machine: Machine, name: str, recording: Recording) -> Observed:
         nearest = np.clip(np.searchsorted(time, rows), 1, len(time) - 1)
         nearest -= rows - time[nearest - 1] < time[nearest] - rows
         readings = np.where((np.abs(time[nearest] - rows) < 0.5 * period)[:, None], readings[nearest], np.nan)
-    return Observed(name, machine, recording, rows, period, acting, flowing, channels, readings)
+    return Observed(name, machine, recording, rows, period, acting, flowing, channels, readings, begin_s=float(recording.time[0]))
 
 
 def _efforts(machine: Machine, name: str, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
@@ -171,6 +171,10 @@ def _efforts(machine: Machine, name: str, recording: Recording) -> tuple[np.ndar
     return commands, currents
 
 
-def _one_row_later(commands: np.ndarray) -> np.ndarray:
-    """Return what acts from each row on: the command of row k acts from row k + 1; before the first one what it asks for."""
-    return np.vstack([commands[:1], commands[:-1]])
+def _one_tick_later(commands: np.ndarray, tick: float) -> np.ndarray:
+    """Return what acts from each row on, on average: a command acts one tick later, a share `tick` of a row; 1 at most.
+
+    At the machine's rate the command of row k acts from row k + 1; before the first one what it asks for.
+    """
+    share = min(tick, 1.0)
+    return share * np.vstack([commands[:1], commands[:-1]]) + (1.0 - share) * commands

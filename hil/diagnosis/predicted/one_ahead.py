@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from hil.diagnosis.named.fitting import signals_of
 from hil.diagnosis.named.naming import Named
 from hil.diagnosis.predicted.open_runs import Predicted
 from hil.diagnosis.seen.see import Seen
-from hil.diagnosis.tuned.retuning import Looked, Tuned, nominal_offset, tuned_at
+from hil.diagnosis.tuned.retuning import Looked, Tuned, least_left, nominal_offset, tuned_at
 from virtual_bus.settings import EffectSetting
 
 Stage = tuple[np.ndarray, Sequence[EffectSetting]]
@@ -32,10 +31,10 @@ def one_ahead(named: Named, seen: Seen, stages: Mapping[str, Stage]) -> Predicte
         The recordings that are predicted: held-out ones, or those of the answer.
     stages : mapping of str to Stage
     """
-    counts = [min(len(group.repeats) for group in one.groups) for one in (named.seen, seen)]
-    quieter = float(np.sqrt(counts[0] / counts[1]))
-    levels = replace(named.levels, disturbance=quieter * named.levels.disturbance, sensors=quieter * named.levels.sensors)
+    levels = named.levels.of(min(len(group.repeats) for group in seen.groups))
+    known = named.seen.alongs[0].observed.channels
     channels = seen.alongs[0].observed.channels
+    levels = levels.with_readings([*(known.index(channel) for channel in channels), *range(len(known), len(levels.sensors))])
     table: dict[str, dict[str, float]] = {channel: {} for channel in channels}
     for stage, (numbers, effects) in stages.items():
         offset = nominal_offset(seen.alongs)
@@ -50,13 +49,12 @@ def one_ahead(named: Named, seen: Seen, stages: Mapping[str, Stage]) -> Predicte
 
 def _errors(tuned: Tuned, count: int, effects: Sequence[EffectSetting]) -> np.ndarray:
     """Return what is left (rows, channels) in units of noise, with the offsets of sensors that leave least."""
-    left = [one.innovations - _done(one, tuned, effects) for one in tuned.looked]
-    columns = [one.numbers[:, count:] for one in tuned.looked]
-    squares = np.sum([each.T @ each for each in columns], axis=0)
-    offsets = np.linalg.solve(squares + np.eye(len(squares)), np.sum([c.T @ rest for c, rest in zip(columns, left, strict=True)], axis=0))
+    left = least_left(
+        [one.innovations - _done(one, tuned, effects) for one in tuned.looked], [one.numbers[:, count:] for one in tuned.looked]
+    )
     rows = []
-    for one, rest, each in zip(tuned.looked, left, columns, strict=True):
-        innovations = (rest - each @ offsets).reshape(one.beside.left.shape)
+    for one, rest in zip(tuned.looked, left, strict=True):
+        innovations = rest.reshape(one.beside.left.shape)
         rows.append(np.where(one.beside.present, innovations, np.nan))
     return np.vstack(rows)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -41,6 +41,10 @@ class Levels:
         Filters that innovations of such noise are white behind.
     loudness : mapping of str to (N, m + axes) array
         By recording: how large innovations are from row to row.
+    lattice : (m + axes,) array or None
+        Standard deviations of rounding.
+    single : Levels or None
+        Of one recording, where these are of the mean of several.
     """
 
     disturbance: np.ndarray
@@ -49,6 +53,29 @@ class Levels:
     are_assumed: bool = False
     colour: np.ndarray | None = None
     loudness: Mapping[str, np.ndarray] = field(default_factory=dict)
+    lattice: np.ndarray | None = None
+    single: Levels | None = None
+
+    def of(self, repeats: int) -> Levels:
+        """Return the noise of the mean of some repeats; the same where it is assumed.
+
+        Disturbances and noise fall with the root of their number. What lattices round away is the same in all repeats, as far as it does
+        not show in their differences.
+        """
+        if self.single is None or self.single.lattice is None:
+            return self
+        one, variance = self.single, self.single.sensors**2
+        sensors = np.sqrt(variance / repeats + np.maximum(self.single.lattice**2 - variance, 0.0))
+        return replace(self, disturbance=one.disturbance / np.sqrt(repeats), sensors=sensors)
+
+    def with_readings(self, kept: Sequence[int]) -> Levels:
+        """Return the noise of some of the readings (m + axes) alone."""
+        index = list(kept)
+        single = None if self.single is None else self.single.with_readings(index)
+        colour = None if self.colour is None else self.colour[index]
+        lattice = None if self.lattice is None else self.lattice[index]
+        loudness = {name: values[:, index] for name, values in self.loudness.items()}
+        return replace(self, sensors=self.sensors[index], colour=colour, loudness=loudness, lattice=lattice, single=single)
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,8 +28,7 @@ BEGUN = 0.002
 def repeat_levels(groups: Sequence[Group], alongs: Sequence[Along]) -> Levels | None:
     """Return the noise of the groups' means, from what repeats differ by; None where there are none.
 
-    A disturbance differs from repeat to repeat, so its mean is smaller by the root of their number. So is a sensor's noise; what its
-    lattice rounds away is the same in all repeats, as far as it does not show in their differences.
+    Where an incremental encoder's zero differs from repeat to repeat, that is no noise.
     """
     parts = [part for group, along in zip(groups, alongs, strict=True) if len(group.repeats) > 1 for part in _differences(group, along)]
     if not parts:
@@ -41,7 +40,6 @@ def repeat_levels(groups: Sequence[Group], alongs: Sequence[Along]) -> Levels | 
     found = levels_from(parts, max(near, key=lambda levels: log_likelihood(parts[:1], levels)), lowest)
     count = min(len(group.repeats) for group in groups)  # what was recorded once has all of a recording's noise
     variance, lattice = found.sensors**2, _lattices(alongs[0]) ** 2
-    sensors = np.sqrt(variance / count + np.maximum(lattice - variance, 0.0))
     hidden = _hidden(parts[0][0], found, replace(found, sensors=np.sqrt(np.maximum(variance, lattice))))
     loudness: dict[str, np.ndarray] = {}
     even = []
@@ -51,7 +49,8 @@ def repeat_levels(groups: Sequence[Group], alongs: Sequence[Along]) -> Levels | 
         even += [each / loudness[name] for each in own]
     colour = colour_of(even)
     colour[hidden] = np.eye(1, colour.shape[1])
-    return Levels(found.disturbance / np.sqrt(count), found.corner_Hz, sensors, colour=colour, loudness=loudness)
+    single = replace(found, lattice=np.sqrt(lattice))
+    return replace(found, colour=colour, loudness=loudness, single=single).of(count)
 
 
 def _hidden(one: Beside, shown: Levels, with_lattices: Levels) -> np.ndarray:
@@ -82,6 +81,11 @@ def _differences(group: Group, along: Along) -> list[tuple[Beside, np.ndarray, n
     for repeat in group.repeats:
         signals = along.of(repeat).signals(one.base, one.model, (), one.imus)
         own.append((signals.given, np.hstack([repeat.readings, along.of(repeat).measured_currents - signals.currents])))
+    zeros = {encoder.channel for encoder in along.settings.encoders if not encoder.absolute}
+    for c, channel in enumerate(along.observed.channels):
+        if channel in zeros:
+            for _, readings in own:
+                readings[:, c] -= np.nanmean(readings[:, c])
     given, left = (np.mean([each[k] for each in own], axis=0) for k in range(2))
     scale = np.sqrt(len(own) / (len(own) - 1.0))
     independent = own[1:]  # the first one follows from the others

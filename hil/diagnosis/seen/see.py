@@ -60,11 +60,14 @@ class Seen:
         One a group.
     levels : Levels
         Noise: from repeats, or assumed.
+    by : int
+        Recorded rows that are one row here.
     """
 
     groups: tuple[Group, ...]
     alongs: tuple[Along, ...]
     levels: Levels
+    by: int = 1
 
     @property
     def noise(self) -> NoiseKind:
@@ -117,25 +120,37 @@ class Seen:
         return found
 
 
-def see(machine: Machine, recordings: Mapping[str, Recording]) -> Seen:
+def see(machine: Machine, recordings: Mapping[str, Recording], beside: Seen | None = None) -> Seen:
     """See what recordings of a machine show beside its equations.
+
+    Parameters
+    ----------
+    machine : Machine
+    recordings : mapping of str to Recording
+    beside : Seen, optional
+        Others, on whose rows and by whose noise these are seen.
 
     Raises
     ------
     RecordingError
         Recordings that cannot be used.
     """
-    found = groups(machine, recordings)
+    found = groups(machine, recordings, None if beside is None else beside.alongs[0].observed.channels)
     alongs = [Along(group.mean) for group in found]
-    if not alongs[0].smooth:
-        first = found[0].mean.name
-        raise RecordingError(f"{first}: no encoder of {machine.name} follows a joint by itself; record position_{machine.axes[0]}")
-    levels = repeat_levels(found, alongs)
+    driven = {drive.joint for drive in machine.plant.drives}
+    if machine.plant.drives and not driven & {alongs[0].joints[joint] for joint in alongs[0].smooth}:
+        lacking = [name for name, one in recordings.items() if not any(each.channel in one for each in machine.plant.encoders)]
+        name = (lacking or list(recordings))[0]
+        raise RecordingError(f"{name}: no encoder of {machine.name} follows a driven joint by itself; record position_{machine.axes[0]}")
+    if beside is not None:
+        alongs = [Along(along.observed.coarser(beside.by)) for along in alongs]
+        return Seen(found, tuple(alongs), beside.levels, beside.by)
+    levels, by = repeat_levels(found, alongs), 1
     if levels is None:
         by = coarsest(alongs)
         alongs = [Along(along.observed.coarser(by)) for along in alongs] if by > 1 else alongs
         levels = assumed_levels(alongs)
-    return Seen(found, tuple(alongs), levels)
+    return Seen(found, tuple(alongs), levels, by)
 
 
 def _step(along: Along, joint: int) -> float:

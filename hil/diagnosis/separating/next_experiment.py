@@ -78,6 +78,7 @@ def propose(
     models: Sequence[Model],
     levels: Levels,
     channels: tuple[str, ...],
+    by: int = 1,
     report: Callable[[float], None] = lambda share: None,
 ) -> Proposal | None:
     """Find the experiment that separates the first set from each of the others best.
@@ -92,6 +93,8 @@ def propose(
         Noise of one recording.
     channels : tuple of str
         Of sensors, as recorded so far.
+    by : int
+        Rows of the machine that are one row of what the levels are of.
     report : callable
         Told the share that is done.
 
@@ -102,7 +105,7 @@ def propose(
     """
     if not machine.controllers or len(models) < 2:
         return None
-    separation = Separation(machine, models, levels, channels)
+    separation = Separation(machine, models, levels, channels, by)
     shares = np.array([model.share for model in models])
     drawn: list[tuple[float, Experiment, Plan]] = []
     asked = requests(machine)

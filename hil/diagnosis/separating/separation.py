@@ -66,10 +66,13 @@ class Separation:
         Noise of one recording.
     channels : tuple of str
         Of sensors, as recorded so far.
+    by : int
+        Rows of the machine that are one row of what the levels are of.
     """
 
-    def __init__(self, machine: Machine, models: Sequence[Model], levels: Levels, channels: tuple[str, ...]) -> None:
+    def __init__(self, machine: Machine, models: Sequence[Model], levels: Levels, channels: tuple[str, ...], by: int = 1) -> None:
         self.machine = machine
+        self._by = by
         self._models = models
         self._levels = levels
         self._channels = channels
@@ -122,7 +125,9 @@ class Separation:
         readings = simulated_matrix(self.machine, run, self._channels)[kept:]
         time = np.arange(len(readings)) * period
         bare = Recording({"time": Channel("s", time)}, recording_metadata(self.machine))
-        return Observed("predicted", self.machine, bare, time, period, targets, run.effort[kept:], self._channels, readings)
+        return Observed("predicted", self.machine, bare, time, period, targets, run.effort[kept:], self._channels, readings).coarser(
+            self._by
+        )
 
     def _left(self, observed: Observed, right: Model, other: Model) -> float:
         """Return by how much farther than the right set another one stays from its recording, after fits of both."""

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
+from hil.diagnosis.tuned.rigid_bodies import RigidBodies, rigid_bodies
 from virtual_bus.plant.compiled import CompiledPlant
 
 PRIOR = 0.1
@@ -55,10 +57,14 @@ class Numbers:
         return replace(self, low=np.where(held, 0.0, self.low), high=np.where(held, 0.0, self.high))
 
     def values(self, offset: np.ndarray) -> np.ndarray:
-        """Return the plant's parameters at these coordinates (P,)."""
+        """Return the plant's parameters at these coordinates (P,), inertias raised to those of rigid bodies."""
         values = self.plant.nominal
         values[self.indices] += offset * self.scale
-        return values
+        return self._bodies.rigid(values)
+
+    @cached_property
+    def _bodies(self) -> RigidBodies:
+        return rigid_bodies(self.plant.parameters)
 
 
 def numbers_of(plant: CompiledPlant) -> Numbers:

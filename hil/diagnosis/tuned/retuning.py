@@ -87,6 +87,11 @@ class Tuned:
         """The plant's parameters."""
         return self.numbers.values(self.offset[: len(self.numbers.indices)])
 
+    def without_offsets(self) -> list[np.ndarray]:
+        """Return what is left of every recording's innovations (N m,) with the offsets of sensors that leave least."""
+        count = len(self.numbers.indices)
+        return least_left([one.innovations for one in self.looked], [one.numbers[:, count:] for one in self.looked])
+
     def energies(self, one: Looked) -> np.ndarray:
         """Return the squares (P,) of a recording's columns of nuisances."""
         squares: np.ndarray = np.einsum("ij,ij->j", one.numbers, one.numbers)
@@ -96,6 +101,14 @@ class Tuned:
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """How far each nuisance may move from here (P,), both ways."""
         return bounds_of(self.numbers, self.offset)
+
+
+def least_left(left: Sequence[np.ndarray], columns: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Return what is left (N m,) of every recording with the offsets whose columns (N m, O) leave least, beside their prior."""
+    squares = np.sum([each.T @ each for each in columns], axis=0)
+    slopes = np.sum([each.T @ rest for each, rest in zip(columns, left, strict=True)], axis=0)
+    offsets = np.linalg.solve(squares + np.eye(len(squares)), slopes)
+    return [rest - each @ offsets for rest, each in zip(left, columns, strict=True)]
 
 
 def bounds_of(numbers: Numbers, offset: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from carriage import DAMPING, MACHINE, MASS_kg, recording, reference, repeats, run
+from carriage import DAMPING, MACHINE, MASS_kg, disturbance, recording, reference, repeats, run
 
 from hil.diagnosis.answered.values import Answered
 from hil.diagnosis.diagnose import diagnose
@@ -123,7 +123,7 @@ def test_a_few_loud_pushes_in_one_repeat_are_no_physics() -> None:
     wanted = reference(4.0)
     pushed: dict[str, Recording] = {}
     for number, (label, _) in enumerate(repeats(4, duration_s=0.5).items()):
-        force = _shaken(len(wanted)) * (0.9 + 0.05 * number)
+        force = disturbance(len(wanted), 1.0, seed=40 + number)
         begin = 700 + 800 * number
         force[begin : begin + 100] += 30.0
         pushed[label] = recording(wanted, *run(wanted, force_N=force, noise_seed=number))

@@ -64,19 +64,20 @@ def test_a_cancelled_run_keeps_what_is_finished_and_ends_what_hangs() -> None:
     assert all(outcome.value["thirds"] == [1.0 / 3.0] for outcome in found)
 
 
-def listening() -> set[str]:
-    """Addresses on which this process and its children listen."""
+def listening() -> set[tuple[str, int]]:
+    """Addresses and ports on which this process and its children listen."""
     import psutil
 
     here = psutil.Process()
     processes = [here, *here.children(recursive=True)]
-    return {each.laddr.ip for process in processes for each in process.net_connections(kind="tcp") if each.status == psutil.CONN_LISTEN}
+    connections = [each for process in processes for each in process.net_connections(kind="tcp")]
+    return {(each.laddr.ip, each.laddr.port) for each in connections if each.status == psutil.CONN_LISTEN}
 
 
 def test_a_local_cluster_listens_on_the_loopback_interface_alone() -> None:
     from hil.fleet.cluster import on_cluster
 
-    found: list[set[str]] = []
+    found: list[set[tuple[str, int]]] = []
 
     def jobs() -> Iterable[Job]:
         found.append(listening())
@@ -84,7 +85,7 @@ def test_a_local_cluster_listens_on_the_loopback_interface_alone() -> None:
 
     before = listening()
     list(on_cluster(None, 1, [NEEDS])(jobs(), threading.Event()))
-    assert found[0] - before == {"127.0.0.1"}
+    assert {address for address, _ in found[0] - before} == {"127.0.0.1"}
 
 
 def started(*arguments: str) -> subprocess.Popen[bytes]:
