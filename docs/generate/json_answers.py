@@ -20,7 +20,7 @@ What is not a finite number is `null`. A command that ends with an error writes 
 DIAGNOSIS_TEXT = """
 `isocenter diagnose ... -o DIR` writes `DIR/diagnosis.json`, and the same with `--json`. A *span* is `[low, high]`. An
 *effect* is `{"effect": NAME, "at": PLACE}`, named as on the page of [effects](effects.md) and in the machine file.
-*Stages* are an object of the five keys below. What the numbers mean is in [Diagnosis](../explanation/diagnosis.md).
+*Stages* are an object of the six keys below. What the numbers mean is in [Diagnosis](../explanation/diagnosis.md).
 Beside it DIR holds `report.html`, `effects.toml` (what was known and found), `machine.toml` (the re-tuned machine file, which
 belongs to `effects.toml`) and, where one was found, `next_experiment.toml` for `isocenter run file`.
 """
@@ -31,7 +31,7 @@ _STAGE_TEXTS = {
     "extended": "With the findings as well.",
     "placebo": "Null: no change is tried backwards in time.",
     "noise_floor": "Noise alone.",
-    "baseline": "With the engineer's fit: numbers, and friction and load of every driven joint; null in an answer by free runs.",
+    "baseline": "With the engineer's fit: numbers, and friction and load of every driven joint.",
 }
 
 

@@ -449,7 +449,7 @@ DIAGNOSIS = (
         "`inconclusive`, `misconfigured`, `unknown_physics`, `ambiguous`, `explained`, `retuned` or `consistent`; the first that applies.",
     ),
     Entry("reason", "text", "The verdict in a sentence."),
-    Entry("findings", "list", "Effects taken to be there: those of the likeliest set, then what recordings show by themselves."),
+    Entry("findings", "list", "Effects taken to be there: those of the answer, or play that two encoders of an axis show."),
     Entry("findings[].effect", "text", "Name of the effect."),
     Entry("findings[].at", "text", "Where it acts."),
     Entry("findings[].confidence", "0 to 1", "Of all hypotheses together that have this effect."),
@@ -457,15 +457,11 @@ DIAGNOSIS = (
         "findings[].parameters.NAME", "object", "`value`, `unit` and `ci95`, a span of 95 %; by the parameter's name without unit, `Fc`."
     ),
     Entry("findings[].ambiguous_with", "list", "Effects of other plausible sets that the likeliest set has not."),
-    Entry(
-        "findings[].ambiguous_sets",
-        "list of lists",
-        "Other plausible sets: without this effect, or with all findings and something besides.",
-    ),
+    Entry("findings[].ambiguous_sets", "list of lists", "Other plausible sets, with another effect in the place of this one."),
     Entry("findings[].separating_experiment", "text or null", "`next_experiment.toml`, where it was written."),
     Entry("findings[].evidence_for", "list of text", "What speaks for the effect."),
     Entry("findings[].evidence_against", "list of text", "What speaks against it."),
-    Entry("findings[].family", "text", "Laws that recordings often do not tell apart. Empty in an answer by free runs."),
+    Entry("findings[].family", "text", "Laws that recordings often do not tell apart."),
     Entry("findings[].variants", "list", "Laws of the family at this place that may be it: `effect`, `at`, `confidence`."),
     Entry("hypotheses", "list", "All sets that were weighed, the likeliest first."),
     Entry("hypotheses[].effects", "list", "Effects of the set; empty: no effect is missing."),
@@ -473,11 +469,7 @@ DIAGNOSIS = (
     Entry("hypotheses[].gained", "number", "Fall of the sum of squares in units of noise, over no effect, in training."),
     Entry("hypotheses[].gained_held_out", "number or null", "Null: held-out recordings decide nothing."),
     Entry("hypotheses[].parameters", "number", "Parameters that were fitted for it."),
-    Entry(
-        "hypotheses[].is_confirmed",
-        "true or false",
-        "Whether it is the answer, or was read off the recordings.",
-    ),
+    Entry("hypotheses[].is_confirmed", "true or false", "Whether it is the answer."),
     Entry(
         "retuned.OWNER.QUANTITY",
         "object",
@@ -496,9 +488,10 @@ DIAGNOSIS = (
     Entry(
         "fit.channels.CHANNEL",
         "stages",
-        "NRMSE of a free run: rms of recorded less simulated, over the rms of the recorded channel about its mean.",
+        "With repeats the rms error of rows predicted from those before them, in units of noise: 1 is noise alone. Where noise is "
+        "`assumed`, NRMSE of free runs: rms of recorded less simulated, over the rms of the recorded channel about its mean.",
     ),
-    Entry("fit.train", "stages", "E: root mean square over channels of the residual in units of that channel's noise, in training."),
+    Entry("fit.train", "stages", "E: root mean square over channels of these errors in units of that channel's noise, in training."),
     Entry("fit.held_out", "stages or null", "The same held out."),
     Entry("fit.removed_share", "number or null", "(E_retuned² - E_extended²) / (E_retuned² - 1), held out where there is one."),
     Entry("fit.removed_share_from_nominal", "number or null", "The same from E_nominal."),
@@ -514,8 +507,13 @@ DIAGNOSIS = (
         "predicted_separations[].if_likeliest", "number", "Standard deviations of one recording's noise, where the likeliest set is right."
     ),
     Entry("predicted_separations[].if_rival", "number", "The same where the rival is right."),
-    Entry("disturbance.joints", "object", "Joint to the share of the mismatch's power that an effort on it alone would reproduce."),
-    Entry("disturbance.sensors", "object", "Channel to the share of its power that efforts on all joints leave to its sensor."),
+    Entry(
+        "disturbance.joints",
+        "object",
+        "Driven joint to its share of the power of the effort that is missing by the machine file, each in units of the effort on it; "
+        "shares sum to 1.",
+    ),
+    Entry("disturbance.sensors", "object", "Empty."),
     Entry("suspicions", "list of text", "Empty: wrong units, signs and shifts are `misconfigured`, and the reason names them."),
     Entry(
         "audit.axes.AXIS",

@@ -73,7 +73,7 @@ class Finding:
     confidence: float
     parameters: Mapping[str, Estimate]
     ambiguous_with: tuple[EffectAt, ...] = ()  # what those sets have that the likeliest one has not
-    ambiguous_sets: tuple[tuple[EffectAt, ...], ...] = ()  # plausible ones without this effect, and with others beside all that were found
+    ambiguous_sets: tuple[tuple[EffectAt, ...], ...] = ()  # plausible ones with another effect in its place
     separating_experiment: str | None = None  # file that `isocenter run` takes
     evidence_for: tuple[str, ...] = ()
     evidence_against: tuple[str, ...] = ()
@@ -167,10 +167,10 @@ class PredictedSeparation:
 
 @dataclass(frozen=True)
 class DisturbanceShares:
-    """Which equation lacks a term: shares of the re-tuned mismatch's power, in units of noise.
+    """Which equation lacks a term: shares of the power of the effort that is missing by the machine file as it is.
 
-    `joints` are the shares that an effort on each joint would reproduce by itself. `sensors` are the shares of each channel's power that
-    efforts on all joints together leave to its sensor.
+    `joints` are driven joints; each one's missing effort is in units of the effort on it, and the shares sum to 1. `sensors` is always
+    empty.
     """
 
     joints: Mapping[str, float] = field(default_factory=dict)
@@ -201,8 +201,9 @@ class Stages:
 class Fit:
     """How far every stage is from the recordings.
 
-    `channels` are free-run NRMSE (held-out where there is one); `train` and `held_out` are root mean squares over channels of the residual
-    in units of that channel's noise.
+    `channels` (held-out where there is one) are with repeats rms errors of rows that are predicted from those before them, in units of
+    noise: 1 is noise alone. Where noise is assumed they are NRMSE of free runs: rms error over the rms of the recording about its mean.
+    `train` and `held_out` are root mean squares over channels of the same errors in units of that channel's noise.
     """
 
     channels: Mapping[str, Stages]

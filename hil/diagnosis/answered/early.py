@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 
 import numpy as np
@@ -37,12 +38,12 @@ def wrong_recordings(machine: Machine, audit: Audit, recordings: Mapping[str, Re
     """Return the answer to recordings that are not what they say: nothing is explained by them."""
     stages = Stages(None, None, None, None, None)
     lacks = all(fault.is_lack for fault in audit.faults)
-    share = 1.0 / len(audit.faults)
+    counts = Counter(fault.channel for fault in audit.faults)
     diagnosis = Diagnosis(
         verdict="inconclusive" if lacks else "misconfigured",
         reason="; ".join(fault.said for fault in audit.faults),
         findings=(), hypotheses=(), retuned={}, frozen={}, noise="assumed",
-        location=Location(channels={fault.channel: share for fault in audit.faults}),
+        location=Location(channels={channel: count / counts.total() for channel, count in counts.items()}),
         fit=Fit({}, stages, None, None, None), unexplained_share=1.0, seconds=seconds, audit=audit.document(),
     )  # fmt: skip
     values = np.array([parameter.value for parameter in plant_parameters(machine.plant)])

@@ -36,12 +36,6 @@ class Audit:
     faults: tuple[Fault, ...] = ()
 
     @property
-    def are_controllers_as_filed(self) -> bool:
-        """Whether every axis was recorded under the file's law; of a drive with loops of its own nobody knows, only the bench's is seen."""
-        is_all = len(self.axes) == len(self.machine.axes) and not any(self.machine.commands)
-        return is_all and all(axis.status == "as_filed" for axis in self.axes)
-
-    @property
     def has_play(self) -> bool:
         """Whether two encoders of an axis show play between them."""
         return any(each.gap > 0.0 for each in self.sensors)

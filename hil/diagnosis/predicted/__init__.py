@@ -1,1 +1,1 @@
-"""What a machine is predicted to do: free runs of its simulation from recorded states, driven by recorded efforts."""
+"""What a machine is predicted to do: every row from those before it, or free runs from recorded states by recorded efforts."""

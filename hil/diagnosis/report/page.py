@@ -42,32 +42,53 @@ def _page(answered: Answered, folder: Path, is_emulated: bool) -> Page:
     diagnosis, machine = answered.diagnosis, answered.machine
     command, reason = next_command(diagnosis, name_to_load(machine), folder)
     units = {units.axis: units for units in machine.units}
-    waterfall = waterfall_figure(diagnosis.fit, [finding.effect for finding in diagnosis.findings])
-    fell: list[Block] = [] if waterfall is None else [picture(waterfall, "Waterfall of the mismatch above noise")]
-    missing: list[Block] = [Text(MISSING.format(share=diagnosis.unexplained_share)), *missing_charts(answered)]
+    is_searched = answered.named is not None
+    sections = [Section("Findings", findings(diagnosis, answered.proposal))]
+    if is_searched:
+        sections += _what_it_leaves(answered)
+    if diagnosis.location.channels:
+        sections.append(Section("Where it is", [_location(diagnosis, units)], is_folded=True))
+    if is_searched:
+        sections.append(Section("What else was weighed", hypotheses(diagnosis), is_folded=True))
+    if not diagnosis.audit.get("recordings"):  # else controllers were not audited
+        sections.append(Section("Controllers", [_audit(answered)], is_folded=True))
+    if is_searched:
+        sections += _what_it_shows(answered)
     return Page(
         f"Diagnosis of {machine.name}",
         verdict(diagnosis),
-        [
-            Section("Findings", findings(diagnosis, answered.proposal)),
-            Section("What is missing, and what was named of it", [*missing, *disturbance_shares(diagnosis)]),
-            Section("How well it predicts", [Text(_how_predicted(diagnosis)), *fell, fit_table(diagnosis)]),
-            Section("Where it is", [_location(diagnosis, units)], is_folded=True),
-            Section("What else was weighed", hypotheses(diagnosis), is_folded=True),
-            Section("Controllers", [_audit(answered)], is_folded=True),
-            Section("Numbers of the machine file", [*retuned_table(diagnosis), *_matrix(answered)], is_folded=True),
-            Section("What these recordings could not show", _limits(diagnosis.detection_limits), is_folded=True),
-        ],
+        sections,
         command,
         reason,
         {
             "Machine": f"{machine_fact(machine)}, {machine.description}",
             "Recordings": ", ".join(answered.recordings),
-            "Noise": NOISE[diagnosis.noise],
+            **({"Noise": NOISE[diagnosis.noise]} if is_searched else {}),
             "Computed in": f"{diagnosis.seconds:.1f} s",
         },
         is_emulated,
     )
+
+
+def _what_it_leaves(answered: Answered) -> list[Section]:
+    """Return what the machine file's equations lack, and how well what was named of it predicts."""
+    diagnosis = answered.diagnosis
+    waterfall = waterfall_figure(diagnosis.fit, [finding.effect for finding in diagnosis.findings])
+    fell: list[Block] = [] if waterfall is None else [picture(waterfall, "Waterfall of the mismatch above noise")]
+    missing: list[Block] = [Text(MISSING.format(share=diagnosis.unexplained_share)), *missing_charts(answered)]
+    return [
+        Section("What is missing, and what was named of it", [*missing, *disturbance_shares(diagnosis)]),
+        Section("How well it predicts", [Text(_how_predicted(diagnosis)), *fell, fit_table(diagnosis)]),
+    ]
+
+
+def _what_it_shows(answered: Answered) -> list[Section]:
+    """Return the numbers that a search fitted, and what it could not have shown."""
+    numbers: list[Block] = [*retuned_table(answered.diagnosis), *_matrix(answered)]
+    return [
+        Section("Numbers of the machine file", numbers, is_folded=True),
+        Section("What these recordings could not show", _limits(answered.diagnosis.detection_limits), is_folded=True),
+    ]
 
 
 def _how_predicted(diagnosis: Diagnosis) -> str:
@@ -78,7 +99,7 @@ def _how_predicted(diagnosis: Diagnosis) -> str:
     if not diagnosis.fit.channels:
         return "Free runs driven by the recorded efforts stay near the recordings over no horizon."
     runs = "over whole recordings" if horizon is None else f"of {horizon:g} s, begun again and again from the recorded state"
-    return f"Free runs driven by the recorded efforts, {runs}."
+    return f"Free runs driven by the recorded efforts, {runs}: their rms errors as shares of each channel's rms about its mean."
 
 
 def _audit(answered: Answered) -> Block:

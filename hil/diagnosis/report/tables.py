@@ -15,6 +15,8 @@ KINDS: Mapping[str, Kind] = {
     "ambiguous": "unsure", "inconclusive": "unsure",
     "unknown_physics": "bad", "misconfigured": "bad",
 }  # fmt: skip
+SHOWN = tuple(stage for stage in STAGES if stage != "placebo")
+"""Stages that an answer has numbers of."""
 
 
 def verdict(diagnosis: Diagnosis) -> Verdict:
@@ -34,7 +36,7 @@ def findings(diagnosis: Diagnosis, proposal: Proposal | None) -> list[Block]:
                 blocks.append(Bullets(tuple(evidence), heading))
         if finding.ambiguous_sets:
             others = "; ".join(" and ".join(map(str, one)) for one in finding.ambiguous_sets)
-            blocks.append(Text(f"In its place, or with more beside it, these recordings allow: {others}."))
+            blocks.append(Text(f"Instead, these recordings allow: {others}."))
         if finding.separating_experiment and proposal is not None:
             blocks.append(Text(f"The next experiment: {proposal.said(finding.separating_experiment)}."))
     return blocks if diagnosis.findings else [*blocks, Text("No effect is named.")]
@@ -64,26 +66,23 @@ def hypotheses(diagnosis: Diagnosis) -> list[Block]:
             " and ".join(str(e) for e in h.effects) or "no effect",
             f"{h.confidence:.3f}",
             f"{h.gained:.4g}",
-            "-" if h.gained_held_out is None else f"{h.gained_held_out:.4g}",
             str(h.parameters),
-            ("yes" if h.is_confirmed else "no") if h.parameters else "-",
+            "yes" if h.is_confirmed else "no",
         )
         for h in diagnosis.hypotheses
     ]
-    said = "For a set: by how much it lowers the sum of squares in units of noise, in training and held out. Against it: how many"
-    said += " parameters it takes for that, and where chance may gain as much (not confirmed)."
+    said = "For a set: by how much it lowers the sum of squares in units of noise, in training. Against it: how many parameters it takes"
+    said += " for that. One of the sets is the answer."
     lacking = "What these confidences lack of 1 is for physics that none of them holds."
-    header = ("hypothesis", "confidence", "lowers training by", "lowers held-out by", "parameters", "confirmed")
-    return [Text(said), Table(header, rows, frozenset((1, 2, 3, 4))), Text(lacking)] if rows else [Text("No hypothesis was weighed.")]
+    header = ("hypothesis", "confidence", "lowers training by", "parameters", "is the answer")
+    return [Text(said), Table(header, rows, frozenset((1, 2, 3))), Text(lacking)] if rows else [Text("No hypothesis was weighed.")]
 
 
 def disturbance_shares(diagnosis: Diagnosis) -> list[Block]:
-    """Which equation is short."""
-    rows = [(f"effort on {name}", f"{share:.0%}") for name, share in falling(diagnosis.disturbance.joints)]
-    rows += [(f"sensor of {name}", f"{share:.0%}") for name, share in falling(diagnosis.disturbance.sensors)]
-    said = "Of the re-tuned mismatch above noise: what an effort on one joint would reproduce by itself (joints move together, so these"
-    said += " need not add up to 1), and what of a channel no efforts do. Readings of an IMU count where no encoder is recorded."
-    return [Text(said), Table(("equation", "share"), rows, frozenset({1}))] if rows else [Text("Nothing is above noise for certain.")]
+    """Return on which driven joints effort is missing."""
+    rows = [(name, f"{share:.0%}") for name, share in falling(diagnosis.disturbance.joints)]
+    said = "How the power of what the machine file's equations lack divides among the driven joints, each in units of the effort on it."
+    return [Text(said), Table(("effort on", "share"), rows, frozenset({1}))] if rows else [Text("No effort is missing.")]
 
 
 def falling(shares: Mapping[str, float]) -> list[tuple[str, float]]:
@@ -92,22 +91,23 @@ def falling(shares: Mapping[str, float]) -> list[tuple[str, float]]:
 
 
 def fit_table(diagnosis: Diagnosis) -> Table:
-    """Return how far every stage is from the recordings."""
+    """Return how far every stage is from the recordings: errors of rows in units of noise, or of free runs as shares of the motion."""
     fit = diagnosis.fit
-    rows = [(name, *_percent(stages)) for name, stages in fit.channels.items()]
+    heading, numbers = ("NRMSE of free runs", _percent) if diagnosis.noise == "assumed" else ("rms error in units of noise", _numbers)
+    rows = [(name, *numbers(stages)) for name, stages in fit.channels.items()]
     rows.append(("E, training (units of noise)", *_numbers(fit.train)))
     if fit.held_out is not None:
         rows.append(("E, held-out (units of noise)", *_numbers(fit.held_out)))
-    names = [STAGE_NAMES.get(stage, stage.replace("_", " ")) for stage in STAGES]
-    return Table(("free-run NRMSE", *names), rows, frozenset(range(1, len(names) + 1)))
+    names = [STAGE_NAMES.get(stage, stage.replace("_", " ")) for stage in SHOWN]
+    return Table((heading, *names), rows, frozenset(range(1, len(names) + 1)))
 
 
 def _percent(stages: Stages) -> list[str]:
-    return ["-" if (value := getattr(stages, stage)) is None else f"{100.0 * value:.3g} %" for stage in STAGES]
+    return ["-" if (value := getattr(stages, stage)) is None else f"{100.0 * value:.3g} %" for stage in SHOWN]
 
 
 def _numbers(stages: Stages) -> list[str]:
-    return ["-" if (value := getattr(stages, stage)) is None else f"{value:.3g}" for stage in STAGES]
+    return ["-" if (value := getattr(stages, stage)) is None else f"{value:.3g}" for stage in SHOWN]
 
 
 def retuned_table(diagnosis: Diagnosis) -> list[Block]:

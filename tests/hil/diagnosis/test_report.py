@@ -7,12 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from carriage import MACHINE, repeats
 from matplotlib.figure import Figure
 
 from hil.diagnosis.answered.values import Answered
+from hil.diagnosis.diagnose import diagnose
 from hil.diagnosis.report.page import missing_charts, write_report
 from hil.diagnosis.report.waterfall import left_above_noise, waterfall_figure
 from hil.diagnosis.result import DisturbanceShares, EffectAt, Stages
+from hil.recording import Channel
 
 COULOMB_N = 20.0  # of the friction in conftest.py
 
@@ -67,5 +70,36 @@ def test_an_answer_without_findings_says_so(friction: Answered, tmp_path: Path) 
         friction.diagnosis, findings=(), hypotheses=(), disturbance=DisturbanceShares(), verdict="consistent", reason="nothing"
     )
     bare = write_report(replace(friction, diagnosis=nothing, effects=()), tmp_path).read_text(encoding="utf-8")
-    assert "Nothing is above noise for certain." in bare and "Consistent: nothing." in bare
+    assert "No effort is missing." in bare and "Consistent: nothing." in bare
     assert "No effect is named." in bare
+
+
+def test_errors_are_in_units_of_noise_or_shares_of_the_motion(friction: Answered, tmp_path: Path) -> None:
+    stages = Stages(nominal=12.5, retuned=8.0, extended=1.25, placebo=None, noise_floor=1.0)
+    fit = replace(friction.diagnosis.fit, channels={"position_carriage": stages})
+    for noise, heading, shown in (("repeats", "rms error in units of noise", "12.5"), ("assumed", "NRMSE of free runs", "1.25e+03 %")):
+        diagnosis = replace(friction.diagnosis, noise=noise, fit=fit)
+        page = write_report(replace(friction, diagnosis=diagnosis), tmp_path).read_text(encoding="utf-8")
+        assert f">{heading}</th>" in page
+        assert f'position_carriage</td><td class="number" data-head="nominal">{shown}</td>' in page
+
+
+def test_no_column_is_empty(friction: Answered, tmp_path: Path) -> None:
+    page = write_report(friction, tmp_path).read_text(encoding="utf-8")
+    assert "placebo" not in page and "held-out by" not in page
+
+
+def test_wrong_recordings_have_shares_that_sum_to_one_and_no_word_of_a_search(tmp_path: Path) -> None:
+    first, second = repeats(2, 2.0).values()
+    missing = np.where(first["time"] < 1.0, np.nan, first["position_carriage"])
+    spoilt = [
+        replace(run, channels={**run.channels, "position_carriage": Channel("m", position)})
+        for run, position in ((first, missing), (second, 1000.0 * second["position_carriage"]))  # a gap, and millimetres
+    ]
+    answered = diagnose(MACHINE, dict(zip("ab", spoilt, strict=True)))
+    assert "a: position_carriage is missing" in answered.diagnosis.reason and "b: position_carriage is in mm" in answered.diagnosis.reason
+    assert answered.diagnosis.location.channels == pytest.approx({"position_carriage": 1.0})
+    page = write_report(answered, tmp_path).read_text(encoding="utf-8")
+    assert "Misconfigured" in page and "No effect is named." in page
+    for untold in ("no repeats were recorded", "The answer leaves", "Free runs", "No recording has the reference", "None was computed"):
+        assert untold not in page
