@@ -167,12 +167,13 @@ def _form(tuned: Tuned, settings: tuple[EffectSetting, ...], dispersion: float) 
     """Return the form errors of laws where noise is known; where it is assumed, they are part of what scatters."""
     if tuned.levels.are_assumed or not settings:
         return FormError([np.zeros((len(one.innovations), 0)) for one in tuned.looked], dispersion)
+    laws = [setting for setting in settings if not effects()[setting.name].is_exact]
+    of_laws = [
+        [form_columns(column(one.signals, signals_of(tuned, one, (law,))), one.motion) for one in tuned.looked] for law in laws
+    ]  # none of a recording that a law does not act in
     columns = []
-    for one in tuned.looked:
-        own: list[Column] = []
-        for setting in settings:
-            if not effects()[setting.name].is_exact:
-                own += form_columns(column(one.signals, signals_of(tuned, one, (setting,))), one.motion)
+    for k, one in enumerate(tuned.looked):
+        own = [c for each in of_laws for c in each[k] or max(map(len, each)) * [Column({}, {})]]
         whitened = one.whiten(own) if own else np.zeros((len(one.innovations), 0))
         columns.append(_times(whitened, 1.0 / _weaker(tuned, one, settings)) if own else whitened)
     return FormError(columns, dispersion)

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.diagnosis.tuned.bounded import ROUNDING
 from virtual_bus.plant.parameters import INERTIA_ENTRIES, PlantParameter
 
 DIAGONAL = tuple(entry for entry, i, j in INERTIA_ENTRIES if i == j)
-ROUNDING = 1e-12
-"""Of the sum of the second moments: one that is no further below zero is zero."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,31 +19,33 @@ class RigidBodies:
 
     Attributes
     ----------
-    diagonals : (B, 3) int array
-        Where the moments stand among the parameters.
     places : (B, 3, 3) int array
         Where the inertias' entries stand, -1 for zero.
     """
 
-    diagonals: np.ndarray
     places: np.ndarray
 
     def rigid(self, values: np.ndarray) -> np.ndarray:
-        """Return the same values, the three moments of every body raised alike where they were no rigid body's.
+        """Return the same values, moments of every body raised where they were no rigid body's.
 
         J is that of a mass distribution where its second moments, tr(J)/2 I - J, are not negative in any direction (Wensing, Kim and
-        Slotine 2018), which for principal moments is the triangle inequality. t on each moment of J is t/2 on each second moment.
+        Slotine 2018), which for principal moments is the triangle inequality. What is missing along the least direction v is added to the
+        moments across it: that about v, which recordings of a turning body show, stays. Products of inertia that a file leaves zero stay
+        zero; where that is not enough, all three moments rise alike.
         """
         if not len(self.places):
             return values
-        inertia = np.where(self.places < 0, 0.0, values[self.places])
-        traces = np.trace(inertia, axis1=1, axis2=2)
-        least = np.linalg.eigvalsh(0.5 * traces[:, None, None] * np.eye(3) - inertia)[:, 0]
-        short = least < -ROUNDING * traces
-        if not short.any():
-            return values
         found = values.copy()
-        found[self.diagonals[short]] -= 2.0 * least[short, None]
+        for places in self.places:
+            for is_alike in (False, True):
+                inertia = np.where(places < 0, 0.0, found[places])
+                trace = float(np.trace(inertia))
+                moments, directions = np.linalg.eigh(0.5 * trace * np.eye(3) - inertia)
+                if moments[0] >= -ROUNDING * trace:
+                    break
+                across = 2.0 * np.eye(3) if is_alike else np.eye(3) - np.outer(directions[:, 0], directions[:, 0])
+                has = np.triu(places >= 0)
+                found[places[has]] -= moments[0] * across[has]
         return found
 
 
@@ -60,4 +61,4 @@ def rigid_bodies(parameters: Sequence[PlantParameter]) -> RigidBodies:
     for matrix, own in zip(matrices, whole, strict=True):
         for entry, i, j in INERTIA_ENTRIES:
             matrix[i, j] = matrix[j, i] = own.get(entry, -1)
-    return RigidBodies(np.array([[own[entry] for entry in DIAGONAL] for own in whole], dtype=int).reshape(-1, 3), matrices)
+    return RigidBodies(matrices)

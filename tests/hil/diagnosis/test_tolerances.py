@@ -8,10 +8,12 @@ import pytest
 from hil.diagnosis.answered.machine_file import retuned_text
 from hil.diagnosis.named.naming import Named, name
 from hil.diagnosis.seen.see import see
+from hil.diagnosis.tuned.rigid_bodies import rigid_bodies
 from hil.errors import MachineFileError
-from hil.machine import Machine
+from hil.machine import Machine, load_machine
 from hil.machine.load import machine_from_text
 from hil.recording import Channel, Recording, recording_metadata
+from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.plant.parameters import plant_parameters
 
 RATE_Hz, STEPS, DURATION_s = 250.0, 16, 6.0
@@ -139,3 +141,17 @@ def test_a_tolerance_of_nothing_is_refused_with_what_there_is(written: str, said
     with pytest.raises(MachineFileError) as refused:
         arm(f"\n[tolerances]\n{written}\n")
     assert said in str(refused.value)
+
+
+def test_inertias_that_no_body_has_become_those_of_one_and_what_turns_keeps_its_own() -> None:
+    """A flat disc whose moment about its axis grows alone: the other two grow with it."""
+    plant = compile_plant(load_machine("turntable").plant)
+    bodies = rigid_bodies(plant.parameters)
+    values = plant.nominal
+    names = [f"{one.owner}.{one.quantity}" for one in plant.parameters]
+    xx, yy, zz = (names.index(f"table.inertia_{axis}") for axis in ("xx", "yy", "zz"))
+    values[zz] = 1.02 * (values[xx] + values[yy])
+    found = bodies.rigid(values)
+    assert found[zz] == pytest.approx(values[zz])
+    assert found[xx] + found[yy] >= found[zz] * (1.0 - 1e-9)
+    assert np.array_equal(bodies.rigid(plant.nominal), plant.nominal)

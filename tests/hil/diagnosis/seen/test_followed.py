@@ -10,7 +10,7 @@ from hil.diagnosis.observed.rows import observed
 from hil.diagnosis.seen.along import Along
 from hil.diagnosis.seen.see import see
 from hil.machine.load import machine_from_text
-from hil.recording import Channel, Recording, recording_metadata
+from hil.recording import Channel, Recording, RecordingWarning, recording_metadata
 from virtual_bus.effects.registry import effects
 
 ARM = """
@@ -85,6 +85,7 @@ def test_recordings_are_seen_in_the_channels_that_all_have() -> None:
     both = along("command").observed
     recording = both.recording
     fewer = {label: channel for label, channel in recording.channels.items() if label != "position_second"}
-    seen = see(both.machine, {"both": recording, "fewer": Recording(fewer, recording.metadata)})
-    assert [each.observed.channels for each in seen.alongs] == [("position_first",)] * 2
-    assert [each.observed.readings.shape[1] for each in seen.alongs] == [1, 1]
+    with pytest.warns(RecordingWarning, match="fewer: no position_second, which other recordings have"):
+        seen = see(both.machine, {"both": recording, "fewer": Recording(fewer, recording.metadata)})
+    assert [each.observed.channels for each in seen.alongs] == [("position_first",)]  # and they are repeats
+    assert [each.observed.readings.shape[1] for each in seen.alongs] == [1]
