@@ -8,14 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from carriage import DAMPING, MACHINE, MASS_kg, disturbance, recording, reference, repeats, run
+from carriage import DAMPING, MACHINE, MASS_kg, recording, repeats, run
 
 from hil.diagnosis.answered.values import Answered
 from hil.diagnosis.diagnose import diagnose
 from hil.diagnosis.files import write_diagnosis
 from hil.machine import load_machine
 from hil.machine.effects_file import read_effects_file
-from hil.recording import Recording
 from virtual_bus.plant.parameters import plant_parameters
 
 COULOMB_N = 20.0  # of the friction in conftest.py
@@ -116,20 +115,6 @@ def _shaken(rows: int) -> np.ndarray:
     random = np.random.default_rng(3)
     slow = np.convolve(random.standard_normal(rows + 400), np.ones(400) / 20.0, mode="valid")[:rows]
     return np.asarray(slow)
-
-
-def test_a_few_loud_pushes_in_one_repeat_are_no_physics() -> None:
-    """Thirty newtons for a tenth of a second, once in every repeat, at another time each."""
-    wanted = reference(4.0)
-    pushed: dict[str, Recording] = {}
-    for number, (label, _) in enumerate(repeats(4, duration_s=0.5).items()):
-        force = disturbance(len(wanted), 1.0, seed=40 + number)
-        begin = 700 + 800 * number
-        force[begin : begin + 100] += 30.0
-        pushed[label] = recording(wanted, *run(wanted, force_N=force, noise_seed=number))
-    found = diagnose(MACHINE, pushed).diagnosis
-    assert found.verdict in ("consistent", "retuned", "unknown_physics", "ambiguous")
-    assert not [finding for finding in found.findings if finding.confidence > 0.9]
 
 
 @pytest.mark.parametrize("rows", [6, 40])

@@ -44,7 +44,7 @@ def told() -> list[float]:
 
 @pytest.fixture(scope="module")
 def proposal(rivals: list[Model], told: list[float]) -> Proposal:
-    found = propose(RAIL, rivals, LEVELS, CHANNELS, told.append)
+    found = propose(RAIL, rivals, LEVELS, CHANNELS, report=told.append)
     assert found is not None
     return found
 
