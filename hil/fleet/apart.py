@@ -100,13 +100,15 @@ class Child:
         threading.Thread(target=_read, args=(self._process.stdout, self._lines), daemon=True).start()
 
     def _answered(self, process: subprocess.Popen[bytes], job: Job) -> bytes:
-        """Wait for the line of an answer."""
+        """Wait for the line of an answer; one that comes too late is none, however busy this process was."""
         until_s = time.monotonic() + job.needs.time_s
         while True:
             with contextlib.suppress(queue.Empty):
-                if line := self._lines.get(timeout=LOOK_S):
+                line = self._lines.get(timeout=min(LOOK_S, max(until_s - time.monotonic(), 0.0)))
+                if not line:
+                    raise _NoAnswerError(_ended(process))
+                if time.monotonic() <= until_s:
                     return line
-                raise _NoAnswerError(_ended(process))
             if self._cancelled():
                 raise _NoAnswerError("was cancelled")
             if (used := resident_bytes(process.pid)) > job.needs.memory_GB * GB:

@@ -13,8 +13,8 @@ import numpy as np
 from hil.errors import UnusableInputError
 from hil.imaging.detector import Detector
 from hil.imaging.markers.expected import LEAST_IN_VIEW, CoarseLine, Expected, usable
-from hil.imaging.markers.fine_lines import FineLine, line_through, widened
-from hil.imaging.markers.pieces import REACH, Pieces, Profiles, fit_pieces, profiles, shape_of, split
+from hil.imaging.markers.fine_lines import FineLine, beyond_chance, line_through, widened
+from hil.imaging.markers.pieces import REACH, SIZE, Pieces, Profiles, fit_pieces, profiles, shape_of, split
 from hil.imaging.markers.plane import CUT, Plane
 from hil.imaging.markers.plates import MarkerPlate
 from hil.imaging.markers.projection import MarkerProjection
@@ -181,7 +181,8 @@ class _Fitted:
             clearness = (contrast[shown] / sigma[shown]) ** 2
             shape_error = max(0.0, float(np.median((misfit[shown] - 1.0) / clearness)))
             ratio = misfit[shown] / (1.0 + shape_error * clearness)
-            deviation[shown] = np.sqrt(variance[shown] * np.maximum(ratio, 1.0))
+            freedom = np.concatenate([np.count_nonzero(each.number, axis=1) - SIZE for each in gathered.values()])[shown]
+            deviation[shown] = np.sqrt(variance[shown] * beyond_chance(ratio, freedom))
             shown[shown] = (ratio < MISFIT) & (contrast[shown] > FAINTEST * float(np.median(contrast[shown])))
         if shown.sum() >= 5 * FEWEST_PIECES:
             rest[shown], further = plane.fitted(line[shown], along[shown], across[shown], deviation[shown])

@@ -43,6 +43,14 @@ class FineLine:
         return self.offset + self.slope * (along - self.middle)
 
 
+def beyond_chance(square: np.ndarray | float, freedom: np.ndarray | float) -> np.ndarray:
+    """Return the factor on a variance that a mean square of so many degrees of freedom asks for, 1 at least.
+
+    A mean square is above 1 half the time where 1 is right: only what is beyond its own standard deviation counts.
+    """
+    return np.asarray(np.maximum(square - np.sqrt(2.0 / freedom), 1.0))
+
+
 def line_through(pieces: Pieces, good: np.ndarray, sigma: np.ndarray, shape: tuple[float, float]) -> FineLine:
     """Fit a line to the good pieces by least squares.
 
@@ -62,9 +70,10 @@ def line_through(pieces: Pieces, good: np.ndarray, sigma: np.ndarray, shape: tup
     covariance = np.linalg.inv(design.T @ (design * weight[:, None]))
     offset, slope = covariance @ (design.T @ (weight * across))
     rest = across - offset - slope * (along - middle)
-    scatter = float(weight @ rest**2) / max(len(along) - 2, 1)
+    freedom = max(len(along) - 2, 1)
+    scatter = float(beyond_chance(float(weight @ rest**2) / freedom, freedom))
     contrast = float(np.median(pieces.values[good, 1]))
-    return FineLine(float(offset), float(slope), float(middle), covariance * max(scatter, 1.0), *shape, contrast, float(half))
+    return FineLine(float(offset), float(slope), float(middle), covariance * scatter, *shape, contrast, float(half))
 
 
 def widened(lines: dict[int, FineLine], plane: Plane) -> dict[int, FineLine]:
