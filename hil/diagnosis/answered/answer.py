@@ -12,11 +12,10 @@ import numpy as np
 from hil.diagnosis.answered.values import LARGEST, WITHIN_95, Answered, baseline_of, estimates_of, names_of, unit_of
 from hil.diagnosis.audit.audit import Audit
 from hil.diagnosis.locating.answered import where_it_is
-from hil.diagnosis.named.fitting import Fitted
+from hil.diagnosis.named.fitting import LEVEL, Fitted
 from hil.diagnosis.named.naming import Named
 from hil.diagnosis.named.search import NOT_TOLD_APART, library
 from hil.diagnosis.named.standing import (
-    LEVEL,
     Alternative,
     Limit,
     alternatives,

@@ -26,6 +26,8 @@ ITERATIONS = 8
 HALVINGS = 4
 SETTLED = 0.3
 """Decrease of the squared innovations, in units of noise, below which a fit has ended: a tenth of what a parameter must bring."""
+LEVEL = 0.16
+"""Of the noise's squares, by which repeats may miss them: two differ by chance, and sound machines leave so much."""
 BLOCKS = 20
 """Stretches of all recordings: fewer would show the scatter badly, more would cut through what errs together."""
 DETERMINED = 1.0
@@ -167,13 +169,12 @@ def _form(tuned: Tuned, settings: tuple[EffectSetting, ...], dispersion: float) 
     """Return the form errors of laws where noise is known; where it is assumed, they are part of what scatters."""
     if tuned.levels.are_assumed or not settings:
         return FormError([np.zeros((len(one.innovations), 0)) for one in tuned.looked], dispersion)
-    laws = [setting for setting in settings if not effects()[setting.name].is_exact]
-    of_laws = [
-        [form_columns(column(one.signals, signals_of(tuned, one, (law,))), one.motion) for one in tuned.looked] for law in laws
-    ]  # none of a recording that a law does not act in
     columns = []
-    for k, one in enumerate(tuned.looked):
-        own = [c for each in of_laws for c in each[k] or max(map(len, each)) * [Column({}, {})]]
+    for one in tuned.looked:
+        own: list[Column] = []
+        for setting in settings:
+            if not effects()[setting.name].is_exact:
+                own += form_columns(column(one.signals, signals_of(tuned, one, (setting,))), one.motion)
         whitened = one.whiten(own) if own else np.zeros((len(one.innovations), 0))
         columns.append(_times(whitened, 1.0 / _weaker(tuned, one, settings)) if own else whitened)
     return FormError(columns, dispersion)

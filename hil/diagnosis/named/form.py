@@ -24,12 +24,12 @@ DEGREE = 3
 
 def form_columns(change: Column, motion: Motion) -> list[Column]:
     """Return what one standard deviation of each part of a law's form error changes; `change` is what the law itself does."""
-    found = []
+    found = []  # as many of every recording, though a law may not act in some
     shapes = {joint: _shapes(motion, joint, at) for joint, (at, _) in change.efforts.items()}
     for k in range(2 * DEGREE):
         efforts = {joint: (at * shapes[joint][:, k], until * shapes[joint][:, k]) for joint, (at, until) in change.efforts.items()}
         found.append(Column(efforts, {}))
-    return found if change.efforts else []
+    return found
 
 
 def _shapes(motion: Motion, joint: int, effort: np.ndarray) -> np.ndarray:

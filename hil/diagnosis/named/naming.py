@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from hil.diagnosis.named.everyday import everyday_effects
-from hil.diagnosis.named.fitting import Fitted, fit
+from hil.diagnosis.named.fitting import LEVEL, Fitted, fit
 from hil.diagnosis.named.matching import matched
 from hil.diagnosis.named.proving import proved, slow_view, steady
 from hil.diagnosis.named.search import Ranked, library, search
 from hil.diagnosis.named.settling import settled
+from hil.diagnosis.seen.along import Along
 from hil.diagnosis.seen.beside import Levels
 from hil.diagnosis.seen.see import Seen
 from hil.diagnosis.tuned.retuning import Tuned, nominal_offset
@@ -88,22 +89,17 @@ def name(
     first(baseline)
     report("fitting numbers alone", 0.25)
     tuned, plain = settled(alongs, levels, nominal_offset(alongs))
+    begun = fit(tuned, baseline.settings, baseline.offset, plain.dispersion)
+    assert begun is not None
+    starts = [(tuned, begun), (with_friction, baseline)]
     dispersion = baseline.dispersion
     if baseline.cost(dispersion) + len(baseline.parameters) * math.log(tuned.readings) < plain.cost(dispersion):
-        tuned, best = with_friction, baseline
-    else:
-        begun = fit(tuned, baseline.settings, baseline.offset, plain.dispersion)
-        assert begun is not None
-        best = begun
-    ranked: list[Ranked] = []
-    for turn in range(ROUNDS):
-        report("searching", 0.35 + 0.4 * turn / ROUNDS)
-        ranked = search(tuned, library(tuned, best), best, MATERIAL if levels.are_assumed else 1.0)
-        is_settled = ranked[0].fitted.names == best.names
-        best = ranked[0].fitted
-        if is_settled:
-            break
-        tuned, best = settled(alongs, levels, best.offset, best.settings)
+        starts.reverse()
+    tuned, best, ranked = _sought(alongs, levels, *starts[0], report)
+    if not levels.are_assumed and best.squares > (1.0 + LEVEL) * tuned.readings:  # the search may have ended where it began badly
+        other = _sought(alongs, levels, *starts[1], report)
+        if other[1].squares < best.squares:
+            tuned, best, ranked = other
     view = levels
     sets = [(tuned, best)]
     if levels.are_assumed:
@@ -115,3 +111,19 @@ def name(
         sets = [kept]
         tuned, best = kept
     return Named(seen, levels, view, plain, tuned, baseline, tuple(ranked), best, tuple(sets))
+
+
+def _sought(
+    alongs: Sequence[Along], levels: Levels, tuned: Tuned, best: Fitted, report: Callable[[str, float], None]
+) -> tuple[Tuned, Fitted, list[Ranked]]:
+    """Return the machine, the fit and all sets where the search from a machine and a fit ends."""
+    ranked: list[Ranked] = []
+    for turn in range(ROUNDS):
+        report("searching", 0.35 + 0.4 * turn / ROUNDS)
+        ranked = search(tuned, library(tuned, best), best, MATERIAL if levels.are_assumed else 1.0)
+        is_settled = ranked[0].fitted.names == best.names
+        best = ranked[0].fitted
+        if is_settled:
+            break
+        tuned, best = settled(alongs, levels, best.offset, best.settings)
+    return tuned, best, ranked

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.diagnosis.candidates.entries import Entry
-from hil.diagnosis.named.fitting import BLOCKS, Fitted, fit
+from hil.diagnosis.named.fitting import BLOCKS, LEVEL, Fitted, fit
 from hil.diagnosis.named.naming import Named
 from hil.diagnosis.named.proving import SURE, left_out, neighbours
 from hil.diagnosis.named.search import EXACT, NOT_TOLD_APART, Library, beside_fit
@@ -19,8 +19,6 @@ from virtual_bus.effects.effect import Parameter
 from virtual_bus.effects.registry import effects
 from virtual_bus.settings import EffectSetting
 
-LEVEL = 0.16
-"""Of the noise's squares, by which repeats may miss them: two differ by chance, and sound machines leave so much."""
 MOVED = 1e-3
 """Of a number's prior: a number that moved by less stayed."""
 

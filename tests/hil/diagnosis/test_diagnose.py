@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from carriage import DAMPING, MACHINE, MASS_kg, recording, repeats, run
+from carriage import DAMPING, MACHINE, MASS_kg, disturbance, recording, reference, repeats, run
 
 from hil.diagnosis.answered.values import Answered
 from hil.diagnosis.diagnose import diagnose
 from hil.diagnosis.files import write_diagnosis
 from hil.machine import load_machine
 from hil.machine.effects_file import read_effects_file
+from hil.recording import Recording
 from virtual_bus.plant.parameters import plant_parameters
 
 COULOMB_N = 20.0  # of the friction in conftest.py
@@ -115,6 +116,20 @@ def _shaken(rows: int) -> np.ndarray:
     random = np.random.default_rng(3)
     slow = np.convolve(random.standard_normal(rows + 400), np.ones(400) / 20.0, mode="valid")[:rows]
     return np.asarray(slow)
+
+
+def test_pushes_three_times_as_large_as_the_disturbances_are_no_physics() -> None:
+    """For a tenth of a second, once in every repeat, at another time each."""
+    wanted = reference(4.0)
+    pushed: dict[str, Recording] = {}
+    for number in range(4):
+        force = disturbance(len(wanted), 1.0, seed=40 + number)
+        begin = 700 + 800 * number
+        force[begin : begin + 100] += 3.0
+        pushed[f"run {number}"] = recording(wanted, *run(wanted, force_N=force, noise_seed=number))
+    found = diagnose(MACHINE, pushed).diagnosis
+    assert found.verdict in ("consistent", "retuned")
+    assert found.findings == ()
 
 
 @pytest.mark.parametrize("rows", [6, 40])
