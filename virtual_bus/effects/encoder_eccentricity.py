@@ -57,8 +57,8 @@ def guess(residual: Residual) -> tuple[float, float, float, float]:
 
 
 def laws(place: Place) -> list[Law]:
-    """Return once a turn where the joint goes far enough, and with lines."""
-    if not place.shows_order(1.0):
+    """Return once a turn, of which a short arc shows the curvature, and with lines; what slides does not turn."""
+    if place.is_prismatic:
         return [one("b", SMALL_rad, a=0.0, phi=0.0, Nl=order) for order in place.orders()]
     return [wave("a", "phi", SMALL_rad, b=0.0, Nl=2.0), *(_with_lines(order) for order in place.orders() if order != 1.0)]
 

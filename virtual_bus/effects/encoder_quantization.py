@@ -6,6 +6,7 @@ import numpy as np
 
 from virtual_bus.effects.effect import LATTICE, Effect, Parameter
 from virtual_bus.effects.law import Law, Place
+from virtual_bus.effects.readings import Readings, Shown, coarser_lattice
 from virtual_bus.effects.residual import Residual
 
 EFFECT = Effect(
@@ -31,6 +32,17 @@ def guess(residual: Residual) -> tuple[float]:
     steps = np.diff(np.unique(residual.measured))
     steps = steps[steps > 1e-12]
     return (float(steps.min()) if steps.size else 0.0,)
+
+
+def in_readings(readings: Readings) -> Shown | None:
+    """Return the lattice that the readings are on, where it is coarser than the known one."""
+    found = coarser_lattice(readings)
+    if found is None:
+        return None
+    size, unsure, steps = found
+    values = {"q": (size, size - unsure, size + unsure)}
+    nothing = tuple(np.zeros(len(each), dtype=bool) for each in readings.values)
+    return Shown(values, size, nothing, f"no two readings are closer than {size / readings.step:.4g} steps; {steps} such steps were seen")
 
 
 def laws(place: Place) -> list[Law]:

@@ -50,8 +50,11 @@ def guess(residual: Residual) -> tuple[float, float, float, float, float, float,
 
 
 def laws(place: Place) -> list[Law]:
-    """Return one scale or bias, or all of them."""
+    """Return one scale or bias, those of all three accelerometers, or all of them."""
     names = ("sx", "sy", "sz", "bx", "by", "bz", "sg", "bg")
     rest = dict.fromkeys(names, 0.0)
     singles = [one(name, 0.01, both_signs=True, **{other: 0.0 for other in rest if other != name}) for name in names]
-    return [*singles, each(names, 0.01, both_signs=True)]
+    threes = [
+        each(three, 0.01, both_signs=True, **{other: 0.0 for other in rest if other not in three}) for three in (names[:3], names[3:6])
+    ]
+    return [*singles, *threes, each(names, 0.01, both_signs=True)]

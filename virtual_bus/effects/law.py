@@ -90,10 +90,6 @@ class Place:
         inside = (orders >= least) & (orders <= most)
         return _peaks(orders[inside], power[inside])
 
-    def shows_order(self, order: float) -> bool:
-        """Return whether the joint passes a whole period of so many a turn."""
-        return self.travel * order >= 2.0 * math.pi
-
     def speeds(self) -> list[float]:
         """Return speeds from a fiftieth of the largest one up, a factor of about two apart."""
         return [self.speed / by for by in (50.0, 20.0, 8.0, 3.0)]

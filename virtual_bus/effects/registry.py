@@ -11,6 +11,7 @@ from pathlib import Path
 from types import ModuleType
 
 from virtual_bus.effects.effect import MAX_PARAMETERS, Effect
+from virtual_bus.effects.readings import Readings, Shown
 from virtual_bus.effects.residual import Residual
 
 
@@ -78,6 +79,12 @@ def initial_guess(name: str, residual: Residual) -> dict[str, float]:
         parameter.name: min(max(value if math.isfinite(value) else parameter.neutral, parameter.low), parameter.high)
         for parameter, value in zip(parameters, guessed, strict=True)
     }
+
+
+def in_readings(name: str, readings: Readings) -> Shown | None:
+    """Return an effect as the readings of a channel show it by themselves; None where they do not, or it is none that they could show."""
+    module = module_of(name)
+    return module.in_readings(readings) if hasattr(module, "in_readings") else None
 
 
 def catalogue() -> list[dict[str, object]]:

@@ -6,6 +6,7 @@ import numpy as np
 
 from virtual_bus.effects.effect import DROPOUT, Effect, Parameter
 from virtual_bus.effects.law import Law, Place
+from virtual_bus.effects.readings import Readings, Shown, held_readings, mean_run
 from virtual_bus.effects.residual import Residual
 
 EFFECT = Effect(
@@ -56,6 +57,22 @@ def guess(residual: Residual) -> tuple[float, float, float]:
     repeated = (np.diff(residual.measured) == 0.0) & (np.abs(np.diff(residual.simulated)) > 0.0)
     bursts = int(np.sum(np.diff(np.concatenate(([0], repeated.astype(int)))) == 1))
     return float(repeated.mean()), float(max(repeated.sum() / max(bursts, 1), 1.0)), 0.0
+
+
+def in_readings(readings: Readings) -> Shown | None:
+    """Return the share of bursts in which readings are held, and their length.
+
+    Bursts that are lost with a share p of the time follow each other with that probability: a run is length / (1 - p) rows long.
+    """
+    found = held_readings(readings)
+    if found is None:
+        return None
+    held, count, most, rows = found
+    p = count / rows
+    length = max(mean_run(held) * (1.0 - p), 1.0)
+    unsure = 1.96 * float(np.sqrt(p * (1.0 - p) * length / rows))
+    values = {"p": (p, max(p - unsure, 0.0), min(most / rows + unsure, 1.0)), "length": (length, length, length), "seed": (0.0, 0.0, 0.0)}
+    return Shown(values, readings.step, held, f"{count} of {rows} readings that should differ from the last are the same")
 
 
 def laws(place: Place) -> list[Law]:

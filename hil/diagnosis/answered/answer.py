@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hil.diagnosis.answered.values import LARGEST, WITHIN_95, Answered, baseline_of, estimates_of, names_of, unit_of
+from hil.diagnosis.answered.values import LARGEST, WITHIN_95, Answered, baseline_of, estimates_of, names_of, shown_findings, unit_of
 from hil.diagnosis.audit.audit import Audit
 from hil.diagnosis.locating.answered import where_it_is
 from hil.diagnosis.named.fitting import LEVEL, Fitted
@@ -89,7 +89,8 @@ def answer(
     values = tuned.numbers.values(best.offset[: len(tuned.numbers.indices)])
     settings = machine.plant
     estimates = estimates_of(settings, best, spread)
-    findings = _findings(best, others, estimates, LARGEST[noise])
+    shown = shown_findings(machine, seen)
+    findings = (*_findings(best, others, estimates, LARGEST[noise]), *shown)
     limits = detection_limits(judged, of)
     retuned, frozen = _numbers(tuned, best, spread)
     verdict, reason = _verdict(audit, judged, findings, others, _unseen(machine, seen, limits))
@@ -107,7 +108,7 @@ def answer(
         verdict=verdict,
         reason=reason,
         findings=findings,
-        hypotheses=_hypotheses(best, gained_by(judged), others, LARGEST[noise]),
+        hypotheses=_hypotheses(best, gained_by(judged), others, LARGEST[noise], tuple(finding.effect for finding in shown)),
         retuned=retuned,
         frozen=frozen,
         noise=noise,
@@ -122,7 +123,8 @@ def answer(
         known=known_effects(machine.plant),
         separations=() if proposal is None else _separations(proposal),
     )
-    return Answered(machine, diagnosis, names_of(seen), named, values, best.settings, proposal)
+    settings_of_all = (*best.settings, *(one.setting for one in seen.shown))
+    return Answered(machine, diagnosis, names_of(seen), named, values, settings_of_all, proposal)
 
 
 def _proposed(machine: Machine, named: Named, others: Sequence[Alternative], report: Callable[[str, float], None]) -> Proposal | None:
@@ -256,12 +258,15 @@ def _findings(best: Fitted, others: Sequence[Alternative], estimates: Sequence[M
     return tuple(found)
 
 
-def _hypotheses(best: Fitted, gained: float, others: Sequence[Alternative], cap: float) -> tuple[Hypothesis, ...]:
+def _hypotheses(
+    best: Fitted, gained: float, others: Sequence[Alternative], cap: float, shown: tuple[EffectAt, ...]
+) -> tuple[Hypothesis, ...]:
     own, shares = _weights(others)
-    sets = [Hypothesis(tuple(EffectAt(one.name, one.at) for one in best.settings), cap * own, gained, None, len(best.parameters), True)]
+    named = tuple(EffectAt(one.name, one.at) for one in best.settings)
+    sets = [Hypothesis((*named, *shown), cap * own, gained, None, len(best.parameters), True)]
     for other, share in list(zip(others, shares, strict=True))[:MOST_HYPOTHESES]:
         what = tuple(EffectAt(one.name, one.at) for one in other.settings)
-        sets.append(Hypothesis(what, cap * share, other.gained, None, other.parameters, False))
+        sets.append(Hypothesis((*what, *shown), cap * share, other.gained, None, other.parameters, False))
     return tuple(sorted(sets, key=lambda each: -each.confidence))
 
 

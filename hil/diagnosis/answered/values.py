@@ -74,6 +74,21 @@ def estimates_of(settings: PlantSettings, fitted: Fitted, spread: np.ndarray) ->
     return tables
 
 
+def shown_findings(machine: Machine, seen: Seen) -> tuple[Finding, ...]:
+    """Return what readings show by themselves."""
+    found = []
+    for one in seen.shown:
+        effect = effects()[one.setting.name]
+        table = {}
+        for parameter in effect.parameters:
+            value, low, high = one.shown.values[parameter.name]
+            table[parameter.name] = Estimate(value, unit_of(parameter, one.setting.at, machine.plant), (low, high))
+        at = EffectAt(effect.name, one.setting.at)
+        sure = LARGEST[seen.noise]
+        found.append(Finding(at, sure, table, evidence_for=(one.shown.said,), family=effect.family, variants=((at, sure),)))
+    return tuple(found)
+
+
 def unit_of(parameter: Parameter, at: str, settings: PlantSettings) -> str:
     """Return the unit of a parameter of an effect at a place."""
     return parameter.unit_at(is_prismatic(at, settings), drive_unit(at, settings))

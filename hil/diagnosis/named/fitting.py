@@ -213,6 +213,16 @@ def _left(tuned: Tuned, settings: tuple[EffectSetting, ...], offset: np.ndarray)
     return tuple(left), squares
 
 
+def alone(tuned: Tuned, fitted: Fitted, number: int) -> list[np.ndarray]:
+    """Return what (N m,) one effect of a fitted set changes of every recording's innovations beside the others."""
+    others = (*fitted.settings[:number], *fitted.settings[number + 1 :])
+    changes = []
+    for one in tuned.looked:
+        change = column(signals_of(tuned, one, others), signals_of(tuned, one, fitted.settings))
+        changes.append(_times(one.whiten([change]), 1.0 / _weaker(tuned, one, fitted.settings))[:, 0])
+    return changes
+
+
 def _weaker(tuned: Tuned, one: Looked, settings: tuple[EffectSetting, ...]) -> np.ndarray:
     """Return by how much weaker (m + axes,) than the file's a set of effects makes the drives whose joints each reading shows.
 

@@ -107,7 +107,7 @@ def name(
         view = slow_view(alongs, levels)
         sets = proved(alongs, view, best.offset, best.settings, baseline.settings)
         tuned, best = sets[0]
-    elif (kept := steady(alongs, levels, best)) is not None:
+    elif (kept := steady(seen, best)) is not None:
         sets = [kept]
         tuned, best = kept
     return Named(seen, levels, view, plain, tuned, baseline, tuple(ranked), best, tuple(sets))

@@ -13,13 +13,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.stats
 
-from hil.diagnosis.named.fitting import BLOCKS, Fitted, fit
+from hil.diagnosis.named.fitting import BLOCKS, Fitted, alone, fit
 from hil.diagnosis.named.search import Library, library, proposed
 from hil.diagnosis.named.settling import settled
 from hil.diagnosis.seen.along import Along
 from hil.diagnosis.seen.beside import Levels
+from hil.diagnosis.seen.levels import deviations
+from hil.diagnosis.seen.see import Seen
 from hil.diagnosis.tuned.bounded import bounded_least_squares
-from hil.diagnosis.tuned.retuning import Tuned
+from hil.diagnosis.tuned.retuning import Tuned, tuned_at
 from virtual_bus.effects.registry import effects
 from virtual_bus.settings import EffectSetting
 
@@ -31,8 +33,7 @@ SURE, LARGE = 2.0, 0.1
 """Standard errors, over stretches, by which an effect lowers the squares of stretches left out, and share of them: one of both keeps it.
 Few stretches may show an effect, and then it shows much. What was not in the set before has to be both."""
 STEADY = 3.0
-"""Standard deviations, by stretches left out (the jackknife), that the size of an effect must have where noise is known: a few loud
-disturbances, which differ from what repeats say of noise, speak in one stretch and not in the others."""
+"""Standard deviations, by stretches and by repeats, that what an effect explains must have where noise is known."""
 EXCHANGES = 3
 """At most."""
 
@@ -185,48 +186,59 @@ def _least_useful(tuned: Tuned, fitted: Fitted) -> int | None:
     return None if found is None else found[1]
 
 
-def steady(alongs: Sequence[Along], levels: Levels, fitted: Fitted) -> tuple[Tuned, Fitted] | None:
-    """Return the machine and the fit with the effects whose size stretches of the recordings agree on; None where all do."""
-    left = list(fitted.settings)
+def steady(seen: Seen, fitted: Fitted) -> tuple[Tuned, Fitted] | None:
+    """Return the machine and the fit with the effects that repeats and stretches of the recordings agree on; None where all do."""
     found: tuple[Tuned, Fitted] | None = None
-    while left:
-        sizes = [_steadiness(fitted, number) for number in range(len(left))]
+    while fitted.settings:
+        tuned = found[0] if found is not None else tuned_at(seen.alongs, seen.levels, fitted.offset, fitted.settings)
+        repeats = [
+            [each.innovations(one.whitening) for each in deviations(group, along)]
+            for group, along, one in zip(seen.groups, seen.alongs, tuned.looked, strict=True)
+        ]
+        sizes = [_steadiness(tuned, fitted, number, repeats) for number in range(len(fitted.settings))]
         worst = int(np.argmin(sizes))
         if sizes[worst] >= STEADY:
             break
-        del left[worst]
-        found = settled(alongs, levels, fitted.offset, left)
+        found = settled(seen.alongs, seen.levels, fitted.offset, [*fitted.settings[:worst], *fitted.settings[worst + 1 :]])
         fitted = found[1]
-        left = list(fitted.settings)
     return found
 
 
-def _steadiness(fitted: Fitted, number: int) -> float:
-    """Return an effect's size in standard deviations of it, by what it becomes without each of the stretches (Efron 1982)."""
-    blocks = _blocks(fitted)
-    own = [k for k, (of, parameter) in enumerate(fitted.parameters) if of == number and parameter.is_strength]
+def _steadiness(tuned: Tuned, fitted: Fitted, number: int, repeats: Sequence[Sequence[np.ndarray]]) -> float:
+    """Return how large what an effect alone explains is, in standard deviations by which repeats, and stretches of them, differ in it.
+
+    A few loud disturbances speak in one repeat, and one at a steady frequency speaks in each of them otherwise: physics, even if it shows
+    in one stretch only, says the same there in all. It is the sandwich estimate (White 1982) of the size of what the effect changes, beside
+    all that numbers and the other effects may change instead.
+
+    Parameters
+    ----------
+    tuned : Tuned
+    fitted : Fitted
+    number : int
+        Of the effect.
+    repeats : sequence of sequence of (N m,) arrays
+        What each repeat's innovations differ from those of the mean by, one sequence a group; none where there was one recording.
+    """
+    own = alone(tuned, fitted, number)
     count = len(fitted.offset)
-    strengths = np.zeros(count + len(fitted.parameters))
-    for k in own:
-        parameter = fitted.parameters[k][1]
-        strengths[count + k] = fitted.settings[number].parameters[parameter.name] - parameter.neutral
-    squares = [columns.T @ columns for _, columns in blocks]
-    slopes = [columns.T @ rest for rest, columns in blocks]
-    prior = fitted.dispersion * np.append(np.ones(count), np.zeros(len(fitted.parameters)))
-    whole, pull = sum(squares) + np.diag(prior), sum(slopes) - prior * np.append(fitted.offset, np.zeros(len(fitted.parameters)))
-    weights = np.diag(whole) * strengths
-    size = float(weights @ strengths)
-    if size <= 0.0:
-        return 0.0
-    scale = np.sqrt(np.maximum(np.diag(whole), 1e-300))
-
-    def moved(inner: np.ndarray, outer: np.ndarray) -> float:
-        step = np.linalg.lstsq(inner / scale[:, None] / scale, outer / scale, rcond=1e-10)[0] / scale
-        return float(weights @ step) / size
-
-    at = moved(whole, pull)
-    others = np.array([moved(whole - own_squares, pull - slope) - at for own_squares, slope in zip(squares, slopes, strict=True)])
-    return float(1.0 / np.sqrt(max(float(np.sum(others**2)) * (len(others) - 1) / len(others), 1e-300)))
+    others = [*range(count), *(count + k for k, (of, _) in enumerate(fitted.parameters) if of != number)]
+    beside = [each[:, others] for each in fitted.columns]
+    squares = np.sum([each.T @ each for each in beside], axis=0) + fitted.dispersion * np.diag(fitted.prior[others])
+    pulls = np.sum([each.T @ change for each, change in zip(beside, own, strict=True)], axis=0)
+    low, high = (each[others] for each in _room(tuned, fitted))
+    taken = bounded_least_squares(squares, pulls, low, high)
+    own = [change - each @ taken for each, change in zip(beside, own, strict=True)]
+    size = float(sum(change @ change for change in own))
+    rows = sum(len(change) for change in own)
+    scattered = np.zeros(2)  # over stretches of repeats, and over whole repeats
+    for change, rest, differ in zip(own, fitted.innovations, repeats, strict=True):
+        count = max(1, round(BLOCKS * len(change) / rows))
+        parts = differ or [np.zeros_like(rest)]
+        stretches = np.array_split(np.arange(len(change)), count)
+        scores = np.array([[change[inside] @ (rest[inside] + each[inside]) for inside in stretches] for each in parts]) / len(parts)
+        scattered += np.sum(scores**2), np.sum(scores.sum(axis=1) ** 2)
+    return size / float(np.sqrt(max(scattered.max(), 1e-300)))
 
 
 def _blocks(fitted: Fitted) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -245,12 +257,11 @@ def _left_out(tuned: Tuned, fitted: Fitted, blocks: Sequence[tuple[np.ndarray, n
     Equations are linear about the fit.
     """
     count = len(fitted.offset)
-    low, high = (bound + tuned.offset - fitted.offset for bound in tuned.bounds)
-    for number, parameter in fitted.parameters:
-        value = fitted.settings[number].parameters[parameter.name]
-        low, high = np.append(low, parameter.low - value), np.append(high, parameter.high - value)
+    low, high = _room(tuned, fitted)
+    for k, (number, parameter) in enumerate(fitted.parameters, count):
         if number == without:
-            low[-1] = high[-1] = parameter.neutral - value if parameter.is_strength else 0.0
+            value = fitted.settings[number].parameters[parameter.name]
+            low[k] = high[k] = parameter.neutral - value if parameter.is_strength else 0.0
     prior = fitted.dispersion * np.append(np.ones(count), np.zeros(len(fitted.parameters)))
     pull = prior * np.append(fitted.offset, np.zeros(len(fitted.parameters)))
     squares = [columns.T @ columns for _, columns in blocks]
@@ -261,6 +272,16 @@ def _left_out(tuned: Tuned, fitted: Fitted, blocks: Sequence[tuple[np.ndarray, n
         step = bounded_least_squares(all_squares - own, all_slopes - slope, low, high)
         left.append(float(np.sum((rest - columns @ step) ** 2)))
     return np.array(left)
+
+
+def _room(tuned: Tuned, fitted: Fitted) -> tuple[np.ndarray, np.ndarray]:
+    """Return how far down and up nuisances and parameters (P + Q,) may go."""
+    low, high = (bound + tuned.offset - fitted.offset for bound in tuned.bounds)
+    values = [(parameter, fitted.settings[number].parameters[parameter.name]) for number, parameter in fitted.parameters]
+    return (
+        np.append(low, [parameter.low - value for parameter, value in values]),
+        np.append(high, [parameter.high - value for parameter, value in values]),
+    )
 
 
 def slow_view(alongs: Sequence[Along], levels: Levels) -> Levels:

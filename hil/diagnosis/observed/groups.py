@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.diagnosis.observed.rows import FEWEST_ROWS, Observed, observed
+from hil.diagnosis.observed.rows import FEWEST_ROWS, Observed
 from hil.errors import RecordingError
-from hil.machine import Machine
-from hil.recording import Recording, RecordingWarning
+from hil.recording import RecordingWarning
 
 SAME = 1e-9
 """Share of a reference's range by which repeats may differ: rounding of a text file."""
@@ -40,13 +39,12 @@ class Group:
         return tuple(dict.fromkeys(repeat.name for repeat in self.repeats))
 
 
-def groups(machine: Machine, recordings: Mapping[str, Recording], among: Sequence[str] | None = None) -> tuple[Group, ...]:
-    """Return the recordings on rows, repeats together, with the channels that all of them have, `among` others where given.
+def groups(every: Sequence[Observed], among: Sequence[str] | None = None) -> tuple[Group, ...]:
+    """Return recordings, repeats together, with the channels that all of them have, `among` others where given.
 
     The periods of a recording that is the only one of its experiment are its repeats. A channel that some have, and others have not, is
     told to be left out, by a warning.
     """
-    every = [observed(machine, name, recording) for name, recording in recordings.items()]
     common = [c for c in every[0].channels if all(c in one.channels for one in every)] if every else []
     for channel in dict.fromkeys(c for one in every for c in one.channels if c not in common):
         lacking = next(one.name for one in every if channel not in one.channels)

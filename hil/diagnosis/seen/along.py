@@ -23,8 +23,9 @@ from virtual_bus.sensors.effects import act_on_sensors, channel_names, new_memor
 from virtual_bus.sensors.measure import new_readings, sensor_model
 from virtual_bus.settings import EffectSetting
 
-FINE = 2
-"""Steps of the base motion in a row: with one, springs that swing at a tenth of the sample rate would give 5 % of their effort wrong."""
+FINE = 4
+"""Steps of the base motion in a row: with one, springs that swing at a tenth of the sample rate would give 5 % of their effort wrong; with
+two, an IMU on such a spring would read 2e-4 of its acceleration wrong."""
 SLIGHTLY = 1e-3
 """Relative change of efforts, of which a slope is taken."""
 ROWS_OF_A_SHARE = 500

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from hil.diagnosis.observed.groups import Group
 from hil.diagnosis.seen.along import Along
 from hil.diagnosis.seen.beside import Beside, Levels, beside, default_levels
 from hil.diagnosis.seen.colour import colour_of, loudness_of
+from hil.diagnosis.seen.filtering import Whitening
 from hil.diagnosis.seen.noise import levels_from
 
 CORNERS_Hz = (0.2, 1.0, 5.0, 30.0)
@@ -76,6 +77,39 @@ def _innovations(part: tuple[Beside, np.ndarray, np.ndarray, np.ndarray], levels
 
 def _differences(group: Group, along: Along) -> list[tuple[Beside, np.ndarray, np.ndarray, np.ndarray]]:
     """Return what each repeat differs from the mean by, scaled to one recording's noise, beside the nominal equations."""
+    own = deviations(group, along)
+    scale = np.sqrt(len(own) / (len(own) - 1.0))
+    return [(each.beside, scale * each.given, scale * each.given, scale * each.left) for each in own[1:]]  # the first follows from them
+
+
+@dataclass(frozen=True, eq=False)
+class Deviation:
+    """What a repeat differs from the mean of all by.
+
+    Attributes
+    ----------
+    beside : Beside
+        The mean beside the nominal equations.
+    given : (N, n) array
+        Efforts.
+    left : (N, m + axes) array
+        Readings and measured currents.
+    """
+
+    beside: Beside
+    given: np.ndarray
+    left: np.ndarray
+
+    def innovations(self, filtered: Whitening) -> np.ndarray:
+        """Return its innovations (N (m + axes),)."""
+        one = replace(self.beside, missing=self.given, missing_ends=self.given, left=self.left)
+        return one.whitened(filtered).reshape(-1)
+
+
+def deviations(group: Group, along: Along) -> list[Deviation]:
+    """Return what each repeat of a group differs from the mean by; none where there is one recording."""
+    if len(group.repeats) < 2:
+        return []
     one = beside(along)
     own = []
     for repeat in group.repeats:
@@ -87,9 +121,7 @@ def _differences(group: Group, along: Along) -> list[tuple[Beside, np.ndarray, n
             for _, readings in own:
                 readings[:, c] -= np.nanmean(readings[:, c])
     given, left = (np.mean([each[k] for each in own], axis=0) for k in range(2))
-    scale = np.sqrt(len(own) / (len(own) - 1.0))
-    independent = own[1:]  # the first one follows from the others
-    return [(one, scale * (g - given), scale * (g - given), scale * (r - left)) for g, r in independent]
+    return [Deviation(one, g - given, r - left) for g, r in own]
 
 
 def _largest_effort(along: Along) -> float:

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.diagnosis.observed.groups import Group, groups
+from hil.diagnosis.observed.in_readings import ShownAt, shown_by_readings
+from hil.diagnosis.observed.rows import observed
 from hil.diagnosis.result import NoiseKind
 from hil.diagnosis.seen.along import Along
 from hil.diagnosis.seen.assumed import assumed_levels, coarsest, efforts_by_encoders
@@ -62,12 +64,15 @@ class Seen:
         Noise: from repeats, or assumed.
     by : int
         Recorded rows that are one row here.
+    shown : tuple of ShownAt
+        What readings show by themselves: held ones are left out, and coarser lattices known.
     """
 
     groups: tuple[Group, ...]
     alongs: tuple[Along, ...]
     levels: Levels
     by: int = 1
+    shown: tuple[ShownAt, ...] = ()
 
     @property
     def noise(self) -> NoiseKind:
@@ -135,7 +140,8 @@ def see(machine: Machine, recordings: Mapping[str, Recording], beside: Seen | No
     RecordingError
         Recordings that cannot be used.
     """
-    found = groups(machine, recordings, None if beside is None else beside.alongs[0].observed.channels)
+    every, shown = shown_by_readings([observed(machine, name, recording) for name, recording in recordings.items()])
+    found = groups(every, None if beside is None else beside.alongs[0].observed.channels)
     alongs = [Along(group.mean) for group in found]
     driven = {drive.joint for drive in machine.plant.drives}
     if machine.plant.drives and not driven & {alongs[0].joints[joint] for joint in alongs[0].smooth}:
@@ -144,13 +150,13 @@ def see(machine: Machine, recordings: Mapping[str, Recording], beside: Seen | No
         raise RecordingError(f"{name}: no encoder of {machine.name} follows a driven joint by itself; record position_{machine.axes[0]}")
     if beside is not None:
         alongs = [Along(along.observed.coarser(beside.by)) for along in alongs]
-        return Seen(found, tuple(alongs), beside.levels, beside.by)
+        return Seen(found, tuple(alongs), beside.levels, beside.by, beside.shown)
     levels, by = repeat_levels(found, alongs), 1
     if levels is None:
         by = coarsest(alongs)
         alongs = [Along(along.observed.coarser(by)) for along in alongs] if by > 1 else alongs
         levels = assumed_levels(alongs)
-    return Seen(found, tuple(alongs), levels, by)
+    return Seen(found, tuple(alongs), levels, by, shown)
 
 
 def _step(along: Along, joint: int) -> float:

@@ -12,17 +12,11 @@ from hil.diagnosis.seen.along import Along, Motion, Signals
 from hil.diagnosis.seen.beside import Beside, Levels, beside
 from hil.diagnosis.seen.filtering import Whitening
 from hil.diagnosis.tuned.numbers import Numbers, numbers_of
-from virtual_bus.effects.places import imu_channel_names
 from virtual_bus.plant.compiled import CompiledPlant
 from virtual_bus.settings import EffectSetting
 
 STEP = 1e-3
 """Of a column's difference, in standard deviations of a number: half the digits of a double are left."""
-BIAS = 0.1
-"""Standard deviation of an IMU channel's bias beside the machine file's, in units of the noise of a reading: what is larger is the effect
-of that name. At least a step of its lattice."""
-SCALE = 1e-3
-"""Standard deviation of an IMU channel's scale error, of which data sheets promise as much: what is larger is the effect of that name."""
 ZERO_rad, ZERO_m = 0.01, 1e-3
 """Standard deviation of an encoder's zero: of a disc set on a shaft by hand, or of a stop that homing runs onto."""
 
@@ -141,7 +135,7 @@ def look(
     count = len(numbers.indices)
     one = beside(along, numbers.values(offset[:count]))
     levels = _of_this_inertia(levels, along, one)
-    constants = [_constant(along, levels, bias, one.signals.readings) for bias in biases]
+    constants = [_constant(along, bias) for bias in biases]
     left = one.left.copy()
     for value, constant in zip(offset[count:], constants, strict=True):
         for channel, column_of in constant.readings.items():
@@ -207,11 +201,10 @@ def _by_encoders(along: Along, motion: Motion) -> Motion:
 
 @dataclass(frozen=True)
 class Bias:
-    """An offset or a scale error of a sensor: of the channel of this number, in one recording or (None) in all of them."""
+    """An offset of a sensor: of the channel of this number, in one recording or (None) in all of them."""
 
     channel: int
     recording: int | None
-    is_scale: bool = False
 
     def of(self, recording: int) -> Bias | None:
         """Return this, where it acts in a recording."""
@@ -219,42 +212,24 @@ class Bias:
 
 
 def biases_of(alongs: Sequence[Along]) -> list[Bias]:
-    """Return the errors that sound sensors have: of IMUs offsets and scales, of encoders zeros; incremental ones anew in each recording."""
+    """Return the errors that sound sensors have: encoders' zeros, those of incremental ones anew in each recording."""
     settings, channels = alongs[0].settings, alongs[0].observed.channels
-    speeds = {sensor.channel for sensor in settings.speeds}
     encoders = {encoder.channel: encoder for encoder in settings.encoders}
     found = []
     for c, channel in enumerate(channels):
         if channel in encoders and not encoders[channel].absolute:
             found += [Bias(c, k) for k in range(len(alongs))]
-        elif channel not in speeds:
+        elif channel in encoders:
             found.append(Bias(c, None))
-            if channel not in encoders:
-                found.append(Bias(c, None, is_scale=True))
     return found
 
 
-def _constant(along: Along, levels: Levels, bias: Bias | None, readings: np.ndarray) -> Column:
-    """Return an error of a channel, in standard deviations of its prior; `readings` (N, m) are what sound sensors read."""
+def _constant(along: Along, bias: Bias | None) -> Column:
+    """Return an offset of a channel, in standard deviations of its prior."""
     if bias is None:
         return Column({}, {})
-    if bias.is_scale:
-        return Column({}, {bias.channel: (SCALE * readings[:, bias.channel]).astype(np.float32)})
     channel = along.observed.channels[bias.channel]
     encoders = {encoder.channel: encoder for encoder in along.settings.encoders}
-    if channel in encoders:
-        joint = along.settings.tree.joints[along.joints.index(encoders[channel].joints[0])]
-        unit = ZERO_m if joint.kind == "prismatic" else ZERO_rad
-    else:
-        unit = max(_imu_steps(along)[channel], BIAS * levels.sensors[bias.channel])
+    joint = along.settings.tree.joints[along.joints.index(encoders[channel].joints[0])]
+    unit = ZERO_m if joint.kind == "prismatic" else ZERO_rad
     return Column({}, {bias.channel: np.full(along.observed.rows, unit, dtype=np.float32)})
-
-
-def _imu_steps(along: Along) -> dict[str, float]:
-    """Return the resolution of every IMU channel."""
-    steps = [
-        resolution
-        for imu in along.settings.imus
-        for resolution in 3 * [imu.accelerometer_resolution_m_s2] + 3 * [imu.gyro_resolution_rad_s]
-    ]
-    return dict(zip(imu_channel_names(along.settings), steps, strict=True))

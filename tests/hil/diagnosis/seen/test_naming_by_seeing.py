@@ -8,6 +8,7 @@ from carriage import DAMPING, MACHINE, MASS_kg, repeats
 
 from hil.diagnosis.named.naming import Named, name
 from hil.diagnosis.observed.groups import groups
+from hil.diagnosis.observed.rows import observed
 from hil.diagnosis.seen.see import see
 from hil.diagnosis.tuned.numbers import PRIOR
 
@@ -27,7 +28,7 @@ def rubbing() -> Named:
 
 def test_repeats_are_one_experiment() -> None:
     recordings = {**repeats(2), **repeats(1, experiment=1)}
-    found = groups(MACHINE, recordings)
+    found = groups([observed(MACHINE, name, recording) for name, recording in recordings.items()])
     assert [len(group.repeats) for group in found] == [2, 1]
     np.testing.assert_allclose(
         found[0].mean.readings[:, 0], np.mean([recordings[name]["position_carriage"] for name in ("run_0_0", "run_0_1")], axis=0)
