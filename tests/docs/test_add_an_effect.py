@@ -20,7 +20,6 @@ def test_the_page_s_file_defines_what_the_registry_asks_for() -> None:
     exec(compile(textwrap.dedent(block), str(PAGE), "exec"), module)
     effect, level, laws = module["EFFECT"], module["level"], module["laws"]
     assert isinstance(effect, Effect)
-    assert callable(module["guess"])
     assert callable(level)
     assert callable(laws)
     assert level(JointState(2.0, 1.0, 0.0, 0.0), 3.0) == 24.0

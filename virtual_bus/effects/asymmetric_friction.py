@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from virtual_bus.effects.effect import FRICTION, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, each
 from virtual_bus.effects.motion import JointState
-from virtual_bus.effects.residual import Residual, fitted
 
 EFFECT = Effect(
     name="asymmetric_friction",
@@ -33,17 +30,6 @@ EFFECT = Effect(
 def level(state: JointState, Fc_plus: float, Fc_minus: float, Fv_plus: float, Fv_minus: float) -> float:
     """Return the friction level [Nm or N] of this direction."""
     return Fc_plus + Fv_plus * state.speed if state.direction > 0.0 else Fc_minus + Fv_minus * state.speed
-
-
-def guess(residual: Residual) -> tuple[float, float, float, float]:
-    """Fit a line through the missing effort over speed, for each direction by itself."""
-    numbers = []
-    for direction in (1.0, -1.0):
-        chosen = residual.moves & (residual.speed * direction > 0.0)
-        speed = np.abs(residual.speed[chosen])
-        numbers.append(fitted([np.ones_like(speed), speed], -direction * residual.effort[chosen]))
-    (c_plus, v_plus), (c_minus, v_minus) = numbers
-    return float(c_plus), float(c_minus), float(v_plus), float(v_minus)
 
 
 def laws(place: Place) -> list[Law]:

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from virtual_bus.effects.effect import COUPLING, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, wave
 from virtual_bus.effects.motion import PairMotion
-from virtual_bus.effects.residual import Residual, fitted
 
 EFFECT = Effect(
     name="axis_coupling",
@@ -38,13 +35,6 @@ def terms(pair: PairMotion, J12: float, phi: float) -> tuple[float, float, float
     coupling = J12 * math.cos(pair.other_position + phi)
     slope = -J12 * math.sin(pair.other_position + phi)
     return 0.0, coupling, -slope * pair.other_speed * pair.other_speed, 0.0
-
-
-def guess(residual: Residual) -> tuple[float, float]:
-    """Fit the missing effort per acceleration of the next axis, over that axis's position."""
-    a, q = residual.other_acceleration, residual.other_position
-    cosine, sine = fitted([-a * np.cos(q), a * np.sin(q), -residual.acceleration], residual.effort)[:2]
-    return math.hypot(cosine, sine), math.atan2(sine, cosine)
 
 
 def laws(place: Place) -> list[Law]:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from virtual_bus.effects.effect import ELASTIC, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, one
 from virtual_bus.effects.motion import JointMotion
-from virtual_bus.effects.residual import Residual
 
 EFFECT = Effect(
     name="backlash",
@@ -41,15 +38,6 @@ def effort(motion: JointMotion, b: float, flank: float) -> float:
     if b <= 0.0:
         return 0.0
     return motion.stiffness * min(max(motion.deflection * (b / (b + flank)), -b), b)
-
-
-def guess(residual: Residual) -> tuple[float, float]:
-    """Guess the gap from the range of the missing effort over the spring's stiffness.
-
-    The flanks come into contact over as much again, so that the spring is half as stiff until then.
-    """
-    half = 0.5 * float(np.ptp(residual.effort)) / max(residual.stiffness, 1e-9)
-    return half, half
 
 
 def laws(place: Place) -> list[Law]:

@@ -7,7 +7,6 @@ import math
 from virtual_bus.effects.effect import EFFORT, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, wave
 from virtual_bus.effects.motion import JointMotion
-from virtual_bus.effects.residual import Residual, harmonics, strongest_frequency_Hz
 
 EFFECT = Effect(
     name="base_motion",
@@ -32,13 +31,6 @@ EFFECT = Effect(
 def effort(motion: JointMotion, A: float, f: float, phi: float) -> float:
     """Return the effort [Nm or N] on the joint."""
     return A * math.sin(2.0 * math.pi * f * motion.time_s + phi) if motion.time_s >= 0.0 else 0.0
-
-
-def guess(residual: Residual) -> tuple[float, float, float]:
-    """Take the strongest line of the missing effort's spectrum."""
-    f = strongest_frequency_Hz(residual.time_s, residual.effort)
-    ((amplitude, phase),) = harmonics(2.0 * math.pi * f * residual.time_s, residual.effort, (1,))
-    return amplitude, f, phase + 0.5 * math.pi
 
 
 def laws(place: Place) -> list[Law]:

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from virtual_bus.effects.effect import REACTION, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, one
 from virtual_bus.effects.motion import ReactionState
-from virtual_bus.effects.residual import Residual
 
 EFFECT = Effect(
     name="bouc_wen_hysteresis",
@@ -66,12 +63,6 @@ def react(state: ReactionState, k: float, A: float, z_max: float, beta_share: fl
         z = min(max(z + 0.5 * path * (slope + slope_ahead), -z_max), z_max)
         total += 0.5 * (begin + z)
     return -k * total / parts, z, 0.0
-
-
-def guess(residual: Residual) -> tuple[float, float, float, float, float]:
-    """Guess a loop that is flat at a quarter of the travel, with half the effort's range there."""
-    z_max = max(0.25 * float(np.ptp(residual.position)), 1e-9)
-    return 0.5 * float(np.ptp(residual.effort)) / z_max, 1.0, z_max, 0.5, 1.0
 
 
 def laws(place: Place) -> list[Law]:

@@ -9,7 +9,6 @@ import numpy as np
 from virtual_bus.effects.effect import EFFORT, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, each
 from virtual_bus.effects.motion import JointMotion
-from virtual_bus.effects.residual import Residual, fitted
 
 EFFECT = Effect(
     name="cable_spring",
@@ -31,16 +30,6 @@ def effort(motion: JointMotion, kc: float, kc3: float, theta0: float) -> float:
     """Return the effort [Nm or N] on the joint."""
     x = motion.position - theta0
     return -kc * x - kc3 * x * x * x
-
-
-def guess(residual: Residual) -> tuple[float, float, float]:
-    """Fit a line through the missing effort over position, beside friction.
-
-    The cable is slack where the line crosses zero.
-    """
-    q = residual.position
-    slope, offset = fitted([-q, np.ones_like(q), -np.sign(residual.speed)], residual.effort)[:2]
-    return float(slope), 0.0, float(offset / slope) if slope > 0.0 else 0.0
 
 
 def laws(place: Place) -> list[Law]:

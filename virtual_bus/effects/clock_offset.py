@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from virtual_bus.effects.effect import CLOCK, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, each
-from virtual_bus.effects.residual import Residual, lag_of
 
 EFFECT = Effect(
     name="clock_offset",
@@ -28,16 +27,6 @@ EFFECT = Effect(
 def lag_s(time_s: float, t0: float, delta: float) -> float:
     """Return how old the channel's value is [s]."""
     return t0 + delta * time_s
-
-
-def guess(residual: Residual) -> tuple[float, float]:
-    """Fit a line over time through the lags of the first and of the last third of the recording."""
-    sample_s = residual.time_s[1] - residual.time_s[0]
-    third = max(len(residual.time_s) // 3, 2)
-    lags = [lag_of(residual.measured[rows], residual.simulated[rows], sample_s) for rows in (slice(0, third), slice(-third, None))]
-    apart = 2.0 * (residual.time_s[-1] - residual.time_s[0]) / 3.0
-    drift = (lags[1] - lags[0]) / apart
-    return lags[0] - drift * apart / 4.0, drift
 
 
 def laws(place: Place) -> list[Law]:

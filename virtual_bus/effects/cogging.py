@@ -9,7 +9,6 @@ import numpy as np
 from virtual_bus.effects.effect import EFFORT, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, wave
 from virtual_bus.effects.motion import JointMotion
-from virtual_bus.effects.residual import Residual, harmonics, strongest_order
 
 EFFECT = Effect(
     name="cogging",
@@ -44,14 +43,6 @@ def effort(motion: JointMotion, Np: float, A1: float, phi1: float, A2: float, ph
     """Return the effort [Nm or N] on the joint."""
     phase = Np * motion.ratio * motion.position
     return A1 * math.cos(phase + phi1) + A2 * math.cos(2.0 * phase + phi2)
-
-
-def guess(residual: Residual) -> tuple[float, float, float, float, float]:
-    """Take the strongest order of the missing effort over the motor's turns."""
-    angle = residual.ratio * residual.position
-    order = strongest_order(angle, residual.effort)
-    (a1, phi1), (a2, phi2) = harmonics(order * angle, residual.effort)
-    return float(order), a1, phi1, a2, phi2
 
 
 def laws(place: Place) -> list[Law]:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from virtual_bus.effects.effect import EFFORT, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, one
 from virtual_bus.effects.motion import JointMotion
-from virtual_bus.effects.residual import Residual, fitted
 
 EFFECT = Effect(
     name="constant_load",
@@ -26,11 +23,6 @@ EFFECT = Effect(
 def effort(motion: JointMotion, tau0: float) -> float:
     """Return the effort [Nm or N] on the joint."""
     return tau0
-
-
-def guess(residual: Residual) -> tuple[float]:
-    """Take the mean of the missing effort, beside friction."""
-    return (float(fitted([np.ones_like(residual.speed), -np.sign(residual.speed), -residual.speed], residual.effort)[0]),)
 
 
 def laws(place: Place) -> list[Law]:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from virtual_bus.effects.effect import FRICTION, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, one
 from virtual_bus.effects.motion import JointState
-from virtual_bus.effects.residual import Residual, fitted
 
 EFFECT = Effect(
     name="coulomb_friction",
@@ -25,13 +22,6 @@ EFFECT = Effect(
 def level(state: JointState, Fc: float) -> float:
     """Return the friction level [Nm or N]."""
     return Fc
-
-
-def guess(residual: Residual) -> tuple[float]:
-    """Take half the jump of the missing effort across reversals."""
-    moving = residual.moves
-    weights = fitted([-np.sign(residual.speed[moving]), np.ones(moving.sum())], residual.effort[moving])
-    return (float(weights[0]),)
 
 
 def laws(place: Place) -> list[Law]:

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from virtual_bus.effects.effect import REACTION, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, one
 from virtual_bus.effects.motion import ReactionState
-from virtual_bus.effects.residual import Residual, fitted
 
 EFFECT = Effect(
     name="creep",
@@ -42,13 +39,6 @@ def react(state: ReactionState, k1: float, tau: float) -> tuple[float, float, fl
     end = state.first + (steady - state.first) * gone
     mean = steady + (state.first - steady) * gone / x
     return -k1 * mean, end, 0.0
-
-
-def guess(residual: Residual) -> tuple[float, float]:
-    """Take the slope of the missing effort over the position for the stiffness, and a quarter of the recording for the time."""
-    q = residual.position
-    slope = float(fitted([-(q - q.mean()), np.ones_like(q)], residual.effort)[0])
-    return max(slope, 0.0), 0.25 * float(np.ptp(residual.time_s))
 
 
 def laws(place: Place) -> list[Law]:

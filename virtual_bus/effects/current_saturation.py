@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from virtual_bus.effects.effect import LIMIT, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, fixed
 from virtual_bus.effects.motion import DriveState
-from virtual_bus.effects.residual import Residual
 
 EFFECT = Effect(
     name="current_saturation",
@@ -39,11 +36,6 @@ def limited(state: DriveState, imax: float, droop: float) -> float:
     """Return the part of the current [drive's unit] that flows."""
     limit = max(imax - droop * abs(state.speed), 0.0)
     return min(max(state.current, -limit), limit)
-
-
-def guess(residual: Residual) -> tuple[float, float]:
-    """Take the largest current measured, the same at every speed."""
-    return float(np.abs(residual.measured).max()), 0.0
 
 
 def laws(place: Place) -> list[Law]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from virtual_bus.effects.effect import DELAY, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, one
-from virtual_bus.effects.residual import Residual, lag_of
 
 EFFECT = Effect(
     name="delay",
@@ -33,11 +32,6 @@ EFFECT = Effect(
 def delay_s(Td: float) -> float:
     """Return how much later the drive acts [s]."""
     return Td
-
-
-def guess(residual: Residual) -> tuple[float]:
-    """Take the lag of the measured current."""
-    return (lag_of(residual.measured, residual.simulated, residual.time_s[1] - residual.time_s[0]),)
 
 
 def laws(place: Place) -> list[Law]:

@@ -9,7 +9,6 @@ import scipy.linalg
 
 from virtual_bus.effects.effect import LAG, Effect, Parameter
 from virtual_bus.effects.law import Law, Place
-from virtual_bus.effects.residual import Residual, lag_of
 
 EFFECT = Effect(
     name="drive_bandwidth",
@@ -39,13 +38,6 @@ def transition(step_s: float, fc: float, zeta: float) -> tuple[np.ndarray, np.nd
     system = np.array([[0.0, 1.0], [-w * w, -2.0 * zeta * w]])
     after = scipy.linalg.expm(system * step_s)
     return after, np.linalg.solve(system, after - np.eye(2))[0] / step_s
-
-
-def guess(residual: Residual) -> tuple[float, float]:
-    """Take the corner at which 2 zeta / wc, the lag at low frequency, equals the lag of the measured current."""
-    sample_s = residual.time_s[1] - residual.time_s[0]
-    lag = max(lag_of(residual.measured, residual.simulated, sample_s), 1e-5)
-    return 1.4 / (2.0 * np.pi * lag), 0.7
 
 
 def laws(place: Place) -> list[Law]:

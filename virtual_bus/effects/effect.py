@@ -121,7 +121,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Effect:
-    """One kind of physics by name. Its file is virtual_bus/effects/<name>.py and holds EFFECT, the kind's hook, `guess` and `laws`."""
+    """One kind of physics by name. Its file is virtual_bus/effects/<name>.py and holds EFFECT, the kind's hook and `laws`."""
 
     name: str
     kind: EffectKind

@@ -8,7 +8,6 @@ import numpy as np
 
 from virtual_bus.effects.effect import ENCODER_ERROR, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, one, wave
-from virtual_bus.effects.residual import Residual, harmonics, strongest_order
 
 EFFECT = Effect(
     name="encoder_eccentricity",
@@ -45,15 +44,6 @@ SMALL_rad = 1e-5
 def error(position: float, a: float, phi: float, b: float, Nl: float) -> float:
     """Return what the encoder sees beyond the joint's position [rad or m]."""
     return a * math.cos(position + phi) + b * math.cos(Nl * position)
-
-
-def guess(residual: Residual) -> tuple[float, float, float, float]:
-    """Take the first order of the difference over position, and its strongest order in what remains."""
-    ((a, phi),) = harmonics(residual.position, residual.difference, (1,))
-    rest = residual.difference - a * np.cos(residual.position + phi)
-    order = strongest_order(residual.position, rest)
-    ((b, _),) = harmonics(order * residual.position, rest, (1,))
-    return a, phi, b, float(order)
 
 
 def laws(place: Place) -> list[Law]:

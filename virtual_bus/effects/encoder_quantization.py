@@ -7,7 +7,6 @@ import numpy as np
 from virtual_bus.effects.effect import LATTICE, Effect, Parameter
 from virtual_bus.effects.law import Law, Place
 from virtual_bus.effects.readings import Readings, Shown, coarser_lattice
-from virtual_bus.effects.residual import Residual
 
 EFFECT = Effect(
     name="encoder_quantization",
@@ -25,13 +24,6 @@ EFFECT = Effect(
 def resolution(q: float) -> float:
     """Return the step of the lattice [rad or m]."""
     return q
-
-
-def guess(residual: Residual) -> tuple[float]:
-    """Take the smallest step between different readings."""
-    steps = np.diff(np.unique(residual.measured))
-    steps = steps[steps > 1e-12]
-    return (float(steps.min()) if steps.size else 0.0,)
 
 
 def in_readings(readings: Readings) -> Shown | None:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from virtual_bus.effects.effect import EFFORT, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, one
 from virtual_bus.effects.motion import JointMotion
-from virtual_bus.effects.residual import Residual
 
 EFFECT = Effect(
     name="end_stop",
@@ -42,17 +39,6 @@ def effort(motion: JointMotion, K: float, D: float, at_position: float, side: fl
     towards = 1.0 if side > 0.0 else -1.0
     depth = towards * (motion.position - at_position)
     return -towards * max(K * depth + D * towards * motion.speed, 0.0) if depth > 0.0 else 0.0
-
-
-def guess(residual: Residual) -> tuple[float, float, float, float]:
-    """Place the stop near the end of the travel where the missing effort is largest, over the last twentieth."""
-    q = residual.position
-    travel = float(np.ptp(q))
-    worst = int(np.argmax(np.abs(residual.effort)))
-    side = 1.0 if q[worst] > q.mean() else -1.0
-    depth = 0.05 * travel
-    position = float(q.max() - depth) if side > 0.0 else float(q.min() + depth)
-    return float(np.abs(residual.effort).max()) / max(depth, 1e-9), 0.0, position, side
 
 
 def laws(place: Place) -> list[Law]:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from virtual_bus.effects.effect import CHANGE, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, one
-from virtual_bus.effects.residual import Residual, fitted
 
 EFFECT = Effect(
     name="gear_ratio",
@@ -38,12 +35,6 @@ CHANGES = (("axis", "ratio", _ratio), ("joint", "armature", _armature))
 def error(position: float, beta: float) -> float:
     """Return what the motor's encoder sees beyond the joint's position [rad or m]."""
     return beta * position
-
-
-def guess(residual: Residual) -> tuple[float]:
-    """Take the motor side's surplus per travel of the link."""
-    travel = residual.position - residual.position.mean()
-    return (float(fitted([travel, np.ones_like(travel)], residual.difference)[0]),)
 
 
 def laws(place: Place) -> list[Law]:

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from virtual_bus.effects.effect import EFFORT, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, wave
 from virtual_bus.effects.motion import JointMotion
-from virtual_bus.effects.residual import Residual, fitted
 
 EFFECT = Effect(
     name="gravity_imbalance",
@@ -40,13 +37,6 @@ EFFECT = Effect(
 def effort(motion: JointMotion, mgr: float, phi: float) -> float:
     """Return the effort [Nm or N] on the joint."""
     return -mgr * math.sin(motion.position + phi)
-
-
-def guess(residual: Residual) -> tuple[float, float]:
-    """Fit sine and cosine of the position to the missing effort, beside friction."""
-    q = residual.position
-    sine, cosine = fitted([-np.sin(q), -np.cos(q), -np.sign(residual.speed)], residual.effort)[:2]
-    return math.hypot(sine, cosine), math.atan2(cosine, sine)
 
 
 def laws(place: Place) -> list[Law]:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from virtual_bus.effects.effect import IMU_CHANGE, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, fixed
-from virtual_bus.effects.residual import Residual, lag_of
 
 EFFECT = Effect(
     name="imu_bandwidth",
@@ -43,14 +40,6 @@ def _shape(value: float, fc: float, shape: float) -> float:
 
 
 CHANGES = (("imu", "accelerometer_bandwidth", _bandwidth), ("imu", "gyro_bandwidth", _bandwidth), ("imu", "low_pass_shape", _shape))
-
-
-def guess(residual: Residual) -> tuple[float, float]:
-    """Take the first-order corner whose lag is that of the accelerometer channel that varies most."""
-    channel = int(np.argmax(residual.simulated[:, :3].std(axis=0)))
-    sample_s = residual.time_s[1] - residual.time_s[0]
-    lag = max(lag_of(residual.measured[:, channel], residual.simulated[:, channel], sample_s), 1e-4)
-    return 1.0 / (2.0 * np.pi * lag), 0.0
 
 
 def laws(place: Place) -> list[Law]:

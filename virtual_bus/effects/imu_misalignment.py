@@ -7,7 +7,6 @@ from scipy.spatial.transform import Rotation
 
 from virtual_bus.effects.effect import CALIBRATION, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, each, one
-from virtual_bus.effects.residual import Residual
 
 EFFECT = Effect(
     name="imu_misalignment",
@@ -33,16 +32,6 @@ def calibration(rx: float, ry: float, rz: float) -> tuple[np.ndarray, np.ndarray
     """Return the gain (2, 3, 3) of accelerometer and gyro, and a zero offset (6,)."""
     turned = Rotation.from_rotvec([rx, ry, rz]).as_matrix() if (rx, ry, rz) != (0.0, 0.0, 0.0) else np.eye(3)
     return np.stack([turned, turned]), np.zeros(6)
-
-
-def guess(residual: Residual) -> tuple[float, float, float]:
-    """Take the small rotation that turns the simulated specific force into the measured one."""
-    force, difference = residual.simulated[:, :3], residual.difference[:, :3]
-    zero = np.zeros(len(force))
-    x, y, z = force.T
-    rows = np.stack([np.stack([zero, z, -y], 1), np.stack([-z, zero, x], 1), np.stack([y, -x, zero], 1)], 1)
-    rotation = np.linalg.lstsq(rows.reshape(-1, 3), difference.reshape(-1), rcond=None)[0]
-    return float(rotation[0]), float(rotation[1]), float(rotation[2])
 
 
 def laws(place: Place) -> list[Law]:

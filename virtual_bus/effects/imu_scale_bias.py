@@ -6,7 +6,6 @@ import numpy as np
 
 from virtual_bus.effects.effect import CALIBRATION, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, each, one
-from virtual_bus.effects.residual import Residual, fitted
 
 EFFECT = Effect(
     name="imu_scale_bias",
@@ -35,18 +34,6 @@ EFFECT = Effect(
 def calibration(sx: float, sy: float, sz: float, bx: float, by: float, bz: float, sg: float, bg: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the gain (2, 3, 3) of accelerometer and gyro, and the offset (6,) after it."""
     return np.stack([np.diag([1.0 + sx, 1.0 + sy, 1.0 + sz]), (1.0 + sg) * np.eye(3)]), np.array([bx, by, bz, bg, bg, bg])
-
-
-def guess(residual: Residual) -> tuple[float, float, float, float, float, float, float, float]:
-    """Fit a line through each channel's difference over its simulation."""
-    lines = []
-    for k in range(6):
-        true, difference = residual.simulated[:, k], residual.difference[:, k]
-        spread = float(np.ptp(true)) > 1e-6
-        lines.append(fitted([true, np.ones_like(true)], difference) if spread else np.array([0.0, difference.mean()]))
-    scale, bias = np.array(lines).T
-    sx, sy, sz, bx, by, bz = (float(value) for value in (*scale[:3], *bias[:3]))
-    return sx, sy, sz, bx, by, bz, float(scale[3:].mean()), float(bias[3:].mean())
 
 
 def laws(place: Place) -> list[Law]:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from virtual_bus.effects.effect import SPRING_CHANGE, Effect, Parameter
 from virtual_bus.effects.law import Law, Place
-from virtual_bus.effects.residual import Residual, fitted
 
 EFFECT = Effect(
     name="joint_compliance",
@@ -36,12 +33,6 @@ def _damping(value: float, c: float, d: float) -> float:
 
 
 CHANGES = (("joint", "stiffness", _stiffness), ("joint", "damping", _damping))
-
-
-def guess(residual: Residual) -> tuple[float, float]:
-    """Take the part of the link's lag that follows the drive's effort."""
-    columns = [-residual.drive_effort, np.ones_like(residual.drive_effort)]
-    return float(fitted(columns, residual.difference)[0]), 0.0
 
 
 def laws(place: Place) -> list[Law]:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from virtual_bus.effects.effect import FRICTION, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, one
 from virtual_bus.effects.motion import JointState
-from virtual_bus.effects.residual import Residual, fitted
 
 EFFECT = Effect(
     name="load_dependent_friction",
@@ -27,12 +24,6 @@ EFFECT = Effect(
 def level(state: JointState, Kl: float) -> float:
     """Return the friction level [Nm or N]."""
     return Kl * state.load
-
-
-def guess(residual: Residual) -> tuple[float]:
-    """Take the missing effort against motion per effort of the drive, beside a Coulomb level."""
-    against = -np.sign(residual.speed)
-    return (float(fitted([against * np.abs(residual.drive_effort), against, np.ones_like(against)], residual.effort)[0]),)
 
 
 def laws(place: Place) -> list[Law]:

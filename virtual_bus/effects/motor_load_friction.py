@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from virtual_bus.effects.effect import FRICTION, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, one
 from virtual_bus.effects.motion import JointState
-from virtual_bus.effects.residual import Residual, fitted
 
 EFFECT = Effect(
     name="motor_load_friction",
@@ -28,13 +25,6 @@ EFFECT = Effect(
 def level(state: JointState, Km: float) -> float:
     """Return the friction level [Nm or N]."""
     return Km * state.motor
-
-
-def guess(residual: Residual) -> tuple[float]:
-    """Take the missing effort against motion per effort of the drive, beside Coulomb and viscous friction and a load."""
-    against = -np.sign(residual.speed)
-    columns = [against * np.abs(residual.drive_effort), against, -residual.speed, np.ones_like(against)]
-    return (float(fitted(columns, residual.effort)[0]),)
 
 
 def laws(place: Place) -> list[Law]:

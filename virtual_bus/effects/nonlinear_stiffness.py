@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from virtual_bus.effects.effect import ELASTIC, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, one
 from virtual_bus.effects.motion import JointMotion
-from virtual_bus.effects.residual import Residual, fitted
 
 EFFECT = Effect(
     name="nonlinear_stiffness",
@@ -68,12 +65,6 @@ def effort(motion: JointMotion, k3: float, bend: float, corner: float) -> float:
     if abs(u) < NEARLY_CUBIC:
         return -k3 * x * x * x * (1.0 - 0.4 * u * u)
     return -3.0 * k3 / bend * (x - math.tanh(u) / r)
-
-
-def guess(residual: Residual) -> tuple[float, float, float]:
-    """Take the cubic part of the missing effort over the spring's deflection."""
-    x = residual.other_position
-    return float(fitted([-(x**3), -x, np.ones_like(x)], residual.effort)[0]), FIRST_BEND / max(float((x**2).max()), 1e-11), 0.0
 
 
 def laws(place: Place) -> list[Law]:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from virtual_bus.effects.effect import BODY_CHANGE, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, one
-from virtual_bus.effects.residual import Residual, fitted
 
 EFFECT = Effect(
     name="payload",
@@ -26,12 +23,6 @@ def _mass(value: float, dm: float) -> float:
 
 
 CHANGES = (("body", "mass", _mass),)
-
-
-def guess(residual: Residual) -> tuple[float]:
-    """Take the inertia missing at the joint, at a lever of one metre."""
-    columns = [-residual.acceleration, -residual.speed, -np.sign(residual.speed), np.ones_like(residual.speed)]
-    return (float(fitted(columns, residual.effort)[0]),)
 
 
 def laws(place: Place) -> list[Law]:

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from virtual_bus.effects.effect import COUPLING, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, raised_wave
 from virtual_bus.effects.motion import PairMotion
-from virtual_bus.effects.residual import Residual, fitted
 
 EFFECT = Effect(
     name="pose_dependent_dynamics",
@@ -41,13 +38,6 @@ def terms(pair: PairMotion, dJ: float, phi: float) -> tuple[float, float, float,
     inertia = 0.5 * dJ * (1.0 + math.cos(pair.other_position + phi))
     slope = -0.5 * dJ * math.sin(pair.other_position + phi)
     return inertia, 0.0, -slope * pair.speed * pair.other_speed, 0.5 * slope * pair.speed * pair.speed
-
-
-def guess(residual: Residual) -> tuple[float, float]:
-    """Fit a cosine of the next axis's position to the missing inertia."""
-    a, q = residual.acceleration, residual.other_position
-    cosine, sine = fitted([-0.5 * a * np.cos(q), 0.5 * a * np.sin(q), -0.5 * a], residual.effort)[:2]
-    return math.hypot(cosine, sine), math.atan2(sine, cosine)
 
 
 def laws(place: Place) -> list[Law]:

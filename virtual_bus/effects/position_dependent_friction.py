@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from virtual_bus.effects.effect import FRICTION, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, raised_wave
 from virtual_bus.effects.motion import JointState
-from virtual_bus.effects.residual import Residual, harmonics
 
 EFFECT = Effect(
     name="position_dependent_friction",
@@ -47,14 +44,6 @@ EFFECT = Effect(
 def level(state: JointState, Fc: float, k: float, phi: float) -> float:
     """Return the friction level [Nm or N] at this position."""
     return 0.5 * Fc * (1.0 + math.cos(k * state.position + phi))
-
-
-def guess(residual: Residual) -> tuple[float, float, float]:
-    """Fit one period per turn to the level against motion over position."""
-    moving = residual.moves
-    against = -np.sign(residual.speed[moving]) * residual.effort[moving]
-    ((amplitude, phase),) = harmonics(residual.position[moving], against, (1,))
-    return 2.0 * amplitude, 1.0, phase
 
 
 def laws(place: Place) -> list[Law]:

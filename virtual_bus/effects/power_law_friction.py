@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from virtual_bus.effects.effect import FRICTION, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, one
 from virtual_bus.effects.motion import JointState
-from virtual_bus.effects.residual import Residual, fitted
 
 CREEP = 1e-3
 """rad/s or m/s: slower, a film is thick against its changes and viscous; a power of speed alone would have no slope at rest."""
@@ -45,13 +42,6 @@ def level(state: JointState, F1: float, p: float) -> float:
     """Return the friction level [Nm or N]."""
     effort: float = F1 * state.speed * math.hypot(state.speed, CREEP) ** (p - 1.0)
     return effort
-
-
-def guess(residual: Residual) -> tuple[float, float]:
-    """Take the part of the missing effort along the root of speed, beside viscous and Coulomb friction and a load."""
-    speed = residual.speed
-    sign = np.sign(speed)
-    return float(fitted([-sign * np.sqrt(np.abs(speed)), -speed, -sign, np.ones_like(speed)], residual.effort)[0]), 0.5
 
 
 def laws(place: Place) -> list[Law]:

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from virtual_bus.effects.effect import REACTION, Effect, Parameter
 from virtual_bus.effects.law import Law, Place
 from virtual_bus.effects.motion import ReactionState
-from virtual_bus.effects.residual import Residual, fitted
 
 EFFECT = Effect(
     name="presliding_hysteresis",
@@ -52,23 +49,6 @@ def react(state: ReactionState, Fc: float, Fs_minus_Fc: float, vs: float, sigma0
         end = state.first + (steady - state.first) * gone
         mean = steady + (state.first - steady) * gone / x
     return -(sigma0 * mean + sigma1 * (end - state.first) / state.step_s), end, 0.0
-
-
-def guess(residual: Residual) -> tuple[float, float, float, float, float]:
-    """Take the sliding level from the moving rows, and the stiffness from the rows in which the joint creeps.
-
-    The stiffness is the slope of effort over position there.
-    """
-    moving = residual.moves
-    level = abs(float(fitted([-np.sign(residual.speed[moving]), np.ones(moving.sum())], residual.effort[moving])[0]))
-    creeping = ~moving
-    slope = 0.0
-    if creeping.sum() > 2:
-        position = residual.position[creeping]
-        slope = float(fitted([-(position - position.mean()), np.ones(creeping.sum())], residual.effort[creeping])[0])
-    travel = float(np.ptp(residual.position))
-    stiffness = slope if slope > 0.0 else 100.0 * level / max(travel, 1e-9)
-    return level, 0.0, max(0.05 * float(np.abs(residual.speed).max(initial=0.0)), 1e-5), max(stiffness, 1.0), 0.0
 
 
 def laws(place: Place) -> list[Law]:

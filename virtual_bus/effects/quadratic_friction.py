@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from virtual_bus.effects.effect import FRICTION, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, one
 from virtual_bus.effects.motion import JointState
-from virtual_bus.effects.residual import Residual, fitted
 
 EFFECT = Effect(
     name="quadratic_friction",
@@ -24,12 +21,6 @@ EFFECT = Effect(
 def level(state: JointState, Fv2: float) -> float:
     """Return the friction level [Nm or N]."""
     return Fv2 * state.speed * state.speed
-
-
-def guess(residual: Residual) -> tuple[float]:
-    """Take the part of the missing effort along speed abs(speed), beside viscous and Coulomb friction and a load."""
-    speed = residual.speed
-    return (float(fitted([-speed * np.abs(speed), -speed, -np.sign(speed), np.ones_like(speed)], residual.effort)[0]),)
 
 
 def laws(place: Place) -> list[Law]:

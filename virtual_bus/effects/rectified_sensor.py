@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from virtual_bus.effects.effect import SIGN, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, fixed, one
-from virtual_bus.effects.residual import Residual
 
 EFFECT = Effect(
     name="rectified_sensor",
@@ -31,13 +28,6 @@ EFFECT = Effect(
 def signed(value: float, share: float, sign: float) -> float:
     """Return the channel before noise and lattice."""
     return sign * (value + share * (abs(value) - value))
-
-
-def guess(residual: Residual) -> tuple[float, float]:
-    """Choose what the channel follows best: the simulation, its magnitude, or the negative of either."""
-    simulated, measured = residual.simulated, residual.measured
-    errors = [float(np.sum((measured - candidate) ** 2)) for candidate in (simulated, np.abs(simulated), -simulated, -np.abs(simulated))]
-    return ((0.0, 1.0), (1.0, 1.0), (0.0, -1.0), (1.0, -1.0))[int(np.argmin(errors))]
 
 
 def laws(place: Place) -> list[Law]:

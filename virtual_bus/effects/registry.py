@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import inspect
-import math
 import pkgutil
 from functools import cache
 from pathlib import Path
@@ -12,7 +11,6 @@ from types import ModuleType
 
 from virtual_bus.effects.effect import MAX_PARAMETERS, Effect
 from virtual_bus.effects.readings import Readings, Shown
-from virtual_bus.effects.residual import Residual
 
 
 @cache
@@ -22,11 +20,11 @@ def _modules() -> dict[str, ModuleType]:
         module = importlib.import_module(f"{__package__}.{entry.name}")
         effect = getattr(module, "EFFECT", None)
         if isinstance(effect, Effect):
-            complete = all(hasattr(module, hook) for hook in (effect.kind.function, "guess", "laws"))
+            complete = all(hasattr(module, hook) for hook in (effect.kind.function, "laws"))
             if effect.name != entry.name or len(effect.parameters) > MAX_PARAMETERS or not complete:
                 raise ImportError(
                     f"{module.__name__}: EFFECT must be named {entry.name!r}, have at most {MAX_PARAMETERS} parameters and define "
-                    f"{effect.kind.function}, guess and laws"
+                    f"{effect.kind.function} and laws"
                 )
             found[effect.name] = module
     return found
@@ -69,16 +67,6 @@ def dispatcher_text(hook: str, function: str, nothing: str = "0.0") -> str:
         lines += [f"    if number == {number}:", f"        return _{function}_{effect.name}(state, {arguments})"]
     lines += [f"    return {nothing}", ""]
     return "\n".join(lines)
-
-
-def initial_guess(name: str, residual: Residual) -> dict[str, float]:
-    """Return where a fit of an effect may start: its file's guess, kept within the parameters' bounds."""
-    parameters = effects()[name].parameters
-    guessed = module_of(name).guess(residual)
-    return {
-        parameter.name: min(max(value if math.isfinite(value) else parameter.neutral, parameter.low), parameter.high)
-        for parameter, value in zip(parameters, guessed, strict=True)
-    }
 
 
 def in_readings(name: str, readings: Readings) -> Shown | None:

@@ -7,7 +7,6 @@ import numpy as np
 from virtual_bus.effects.effect import DROPOUT, Effect, Parameter
 from virtual_bus.effects.law import Law, Place
 from virtual_bus.effects.readings import Readings, Shown, held_readings, mean_run
-from virtual_bus.effects.residual import Residual
 
 EFFECT = Effect(
     name="sample_dropout",
@@ -50,13 +49,6 @@ def is_lost(sample: int, p: float, length: float, seed: float) -> bool:
     x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     x = x ^ (x >> np.uint64(31))
     return float(x >> np.uint64(11)) / 9007199254740992.0 < p
-
-
-def guess(residual: Residual) -> tuple[float, float, float]:
-    """Count the repeated readings while the simulation moves, and how many come in a row."""
-    repeated = (np.diff(residual.measured) == 0.0) & (np.abs(np.diff(residual.simulated)) > 0.0)
-    bursts = int(np.sum(np.diff(np.concatenate(([0], repeated.astype(int)))) == 1))
-    return float(repeated.mean()), float(max(repeated.sum() / max(bursts, 1), 1.0)), 0.0
 
 
 def in_readings(readings: Readings) -> Shown | None:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from virtual_bus.effects.effect import SHARED_FRICTION, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, each
 from virtual_bus.effects.motion import JointState
-from virtual_bus.effects.residual import Residual, fitted
 
 EFFECT = Effect(
     name="shared_motor_friction",
@@ -44,13 +41,6 @@ def level(state: JointState, Fc: float, Fv: float, c: float) -> float:
 def share(Fc: float, Fv: float, c: float) -> float:
     """Return how much the motor turns with the axis where the effect is, over how much with the next one."""
     return c
-
-
-def guess(residual: Residual) -> tuple[float, float, float]:
-    """Take what the missing effort has of the sum of both speeds, beside the axis's own friction and a load."""
-    own, both = residual.speed, residual.speed + residual.other_speed
-    weights = fitted([-np.sign(both), -both, -np.sign(own), -own, np.ones_like(own)], residual.effort)
-    return float(weights[0]), float(weights[1]), 1.0
 
 
 def laws(place: Place) -> list[Law]:

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from virtual_bus.effects.effect import FRICTION, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, one
 from virtual_bus.effects.motion import JointState
-from virtual_bus.effects.residual import Residual, fitted
 
 EFFECT = Effect(
     name="stribeck_friction",
@@ -34,14 +31,6 @@ EFFECT = Effect(
 def level(state: JointState, Fs_minus_Fc: float, vs: float, delta: float) -> float:
     """Return the friction level above Coulomb friction [Nm or N]."""
     return Fs_minus_Fc * math.exp(-((state.speed / vs) ** delta))
-
-
-def guess(residual: Residual) -> tuple[float, float, float]:
-    """Take the excess at low speed, for a Stribeck speed of a tenth of the top speed."""
-    vs = max(0.1 * float(np.abs(residual.speed).max(initial=0.0)), 1e-4)
-    excess = -np.exp(-((residual.speed / vs) ** 2)) * np.sign(residual.speed)
-    weights = fitted([excess, -np.sign(residual.speed), np.ones_like(excess)], residual.effort)
-    return float(weights[0]), vs, 2.0
 
 
 def laws(place: Place) -> list[Law]:

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from virtual_bus.effects.effect import REACTION, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, one
 from virtual_bus.effects.motion import ReactionState
-from virtual_bus.effects.residual import Residual, fitted, strongest_frequency_Hz
 
 EFFECT = Effect(
     name="structural_mode",
@@ -58,13 +55,6 @@ def react(state: ReactionState, J: float, f: float, zeta: float) -> tuple[float,
     end_speed = decay * (cos * v - sin * (w * w * x + zeta * w * v))
     mean = pull - (end_speed - state.second) / h  # of w^2 z + 2 zeta w z' over the step, from its own equation
     return J * mean, end, end_speed
-
-
-def guess(residual: Residual) -> tuple[float, float, float]:
-    """Take the peak of the missing effort's spectrum, and the inertia that is missing."""
-    f = strongest_frequency_Hz(residual.time_s, residual.effort)
-    inertia = float(fitted([-residual.acceleration, -residual.speed, np.ones_like(residual.speed)], residual.effort)[0])
-    return abs(inertia), f, 0.02
 
 
 def laws(place: Place) -> list[Law]:

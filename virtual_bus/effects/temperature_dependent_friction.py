@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from virtual_bus.effects.effect import REACTION, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, one
 from virtual_bus.effects.motion import ReactionState
-from virtual_bus.effects.residual import Residual, fitted
 
 EFFECT = Effect(
     name="temperature_dependent_friction",
@@ -52,22 +49,6 @@ def react(state: ReactionState, Fv0: float, a: float, R: float, tau: float) -> t
     final = R * coefficient * speed * speed
     warming = final + (state.first - final) * math.exp(-state.step_s / tau)
     return -coefficient * speed, warming, 0.0
-
-
-def guess(residual: Residual) -> tuple[float, float, float, float]:
-    """Compare the viscous part of the first and of the last third of the recording.
-
-    The guessed time constant is a third of the recording.
-    """
-    third = max(len(residual.speed) // 3, 1)
-    ends = []
-    for rows in (slice(0, third), slice(-third, None)):
-        speed = residual.speed[rows]
-        ends.append(float(fitted([-speed, -np.sign(speed), np.ones_like(speed)], residual.effort[rows])[0]))
-    cold = max(ends[0], 1e-9)
-    warm = min(max(ends[1], 1e-3 * cold), cold)
-    power = cold * float(np.mean(residual.speed**2))
-    return cold, 0.02, 50.0 * math.log(cold / warm) / max(power, 1e-9), (residual.time_s[-1] - residual.time_s[0]) / 3.0
 
 
 def laws(place: Place) -> list[Law]:

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from virtual_bus.effects.effect import ELASTIC, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, one
 from virtual_bus.effects.motion import JointMotion
-from virtual_bus.effects.residual import Residual, fitted
 
 EFFECT = Effect(
     name="thermal_bending",
@@ -36,13 +33,6 @@ EFFECT = Effect(
 def effort(motion: JointMotion, bend: float, tau: float, warm_for: float) -> float:
     """Return the effort [Nm or N] on the sprung joint."""
     return -motion.stiffness * bend * math.expm1(-(max(motion.time_s, 0.0) + warm_for) / tau)
-
-
-def guess(residual: Residual) -> tuple[float, float, float]:
-    """Take the drift of the missing effort over the recording, as if it had only begun."""
-    t = residual.time_s
-    drift = float(fitted([t - t.mean(), np.ones_like(t)], residual.effort)[0]) * float(np.ptp(t))
-    return drift, float(np.ptp(t)), 0.0
 
 
 def laws(place: Place) -> list[Law]:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from virtual_bus.effects.effect import CHANGE, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, one
-from virtual_bus.effects.residual import Residual, fitted
 
 EFFECT = Effect(
     name="torque_constant",
@@ -26,11 +23,6 @@ def _constant(value: float, eps: float) -> float:
 
 
 CHANGES = (("axis", "constant", _constant),)
-
-
-def guess(residual: Residual) -> tuple[float]:
-    """Take the missing effort per effort of the drive."""
-    return (float(fitted([residual.drive_effort, np.ones_like(residual.drive_effort)], residual.effort)[0]),)
 
 
 def laws(place: Place) -> list[Law]:

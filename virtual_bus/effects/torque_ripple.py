@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from virtual_bus.effects.effect import RIPPLE, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, wave
 from virtual_bus.effects.motion import DriveState
-from virtual_bus.effects.residual import Residual, harmonics, strongest_order
 
 EFFECT = Effect(
     name="torque_ripple",
@@ -43,16 +40,6 @@ def factor(state: DriveState, Np: float, A1: float, phi1: float, A2: float, phi2
     """Return the motor effort over its nominal value."""
     phase = Np * state.ratio * state.position
     return 1.0 + A1 * math.cos(phase + phi1) + A2 * math.cos(2.0 * phase + phi2)
-
-
-def guess(residual: Residual) -> tuple[float, float, float, float, float]:
-    """Take the strongest order of the missing effort per effort of the drive."""
-    pushing = np.abs(residual.drive_effort) > 0.1 * np.abs(residual.drive_effort).max(initial=0.0)
-    angle = residual.ratio * residual.position[pushing]
-    share = residual.effort[pushing] / residual.drive_effort[pushing]
-    order = strongest_order(angle, share)
-    (a1, phi1), (a2, phi2) = harmonics(order * angle, share)
-    return float(order), a1, phi1, a2, phi2
 
 
 def laws(place: Place) -> list[Law]:

@@ -7,7 +7,6 @@ import math
 from virtual_bus.effects.effect import TRANSMISSION, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, wave
 from virtual_bus.effects.motion import PairMotion
-from virtual_bus.effects.residual import Residual, harmonics, strongest_order
 
 EFFECT = Effect(
     name="transmission_error",
@@ -44,14 +43,6 @@ def terms(pair: PairMotion, k: float, e1: float, phi1: float, e2: float, phi2: f
     error = e1 * math.cos(phase + phi1) + e2 * math.cos(2.0 * phase + phi2)
     slope = -k * pair.ratio * (e1 * math.sin(phase + phi1) + 2.0 * e2 * math.sin(2.0 * phase + phi2))
     return 0.0, 0.0, pair.stiffness * (pair.other_position - error) * slope, pair.stiffness * error
-
-
-def guess(residual: Residual) -> tuple[float, float, float, float, float]:
-    """Take the strongest order of the link's error over the motor's turns."""
-    angle = residual.ratio * residual.position
-    order = strongest_order(angle, residual.difference)
-    (e1, phi1), (e2, phi2) = harmonics(order * angle, residual.difference)
-    return float(order), e1, phi1, e2, phi2
 
 
 def laws(place: Place) -> list[Law]:

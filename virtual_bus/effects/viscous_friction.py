@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from virtual_bus.effects.effect import CHANGE, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, one
-from virtual_bus.effects.residual import Residual, fitted
 
 EFFECT = Effect(
     name="viscous_friction",
@@ -28,12 +25,6 @@ def _damping(value: float, Fv: float) -> float:
 
 
 CHANGES = (("joint", "damping", _damping),)
-
-
-def guess(residual: Residual) -> tuple[float]:
-    """Take the slope of the missing effort over speed, beside a Coulomb level and a load."""
-    speed = residual.speed
-    return (float(fitted([-speed, -np.sign(speed), np.ones_like(speed)], residual.effort)[0]),)
 
 
 def laws(place: Place) -> list[Law]:

@@ -1,4 +1,4 @@
-"""Effects files, initial guesses and refusals, over the whole catalogue."""
+"""Effects files and refusals, over the whole catalogue."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ from virtual_bus.effects import nonlinear_stiffness
 from virtual_bus.effects.binding import bind_effects
 from virtual_bus.effects.motion import JointMotion
 from virtual_bus.effects.places import part_at
-from virtual_bus.effects.registry import effects, initial_guess
-from virtual_bus.effects.residual import Residual
+from virtual_bus.effects.registry import effects
 from virtual_bus.errors import EffectError
 from virtual_bus.physics import Physics
 from virtual_bus.plant.compiled import compile_plant
@@ -90,35 +89,6 @@ def test_a_part_is_an_axis_with_what_it_carries_up_to_the_next_drive() -> None:
     assert {part_at(at, EMPS.plant) for at in ("carriage", "position_carriage")} == {"carriage"}
 
 
-def residual_of(effort: np.ndarray, speed: np.ndarray, time_s: np.ndarray, imu: bool = False) -> Residual:
-    position = np.cumsum(speed) * (time_s[1] - time_s[0])
-    wave = np.stack([np.sin(3.0 * time_s + k) for k in range(6)], 1) if imu else position
-    acceleration = np.gradient(speed, time_s)
-    return Residual(
-        time_s, position, speed, acceleration, effort, effort, wave + 0.01, wave, 10.0 * acceleration + 1.0, position, speed, acceleration,
-        ratio=50.0, stiffness=1e5,
-    )  # fmt: skip
-
-
-@pytest.mark.parametrize("name", EXAMPLES)
-def test_every_guess_is_finite_and_within_bounds(name: str) -> None:
-    time_s = np.arange(2000) / 256.0
-    speed = 0.3 * np.sin(2.0 * np.pi * 0.4 * time_s) + 0.02
-    residual = residual_of(np.sin(5.0 * time_s) - np.sign(speed), speed, time_s, EXAMPLES[name].at == "imu" and name.startswith("imu"))
-    guessed = initial_guess(name, residual)
-    for parameter in effects()[name].parameters:
-        assert parameter.low <= guessed[parameter.name] <= parameter.high
-
-
-def test_friction_is_guessed_from_its_own_effort() -> None:
-    time_s = np.arange(4000) / 256.0
-    speed = 0.3 * np.sin(2.0 * np.pi * 0.4 * time_s)
-    moving = np.where(np.abs(speed) > 0.0, np.sign(speed), 0.0)
-    assert initial_guess("coulomb_friction", residual_of(-7.0 * moving, speed, time_s))["Fc"] == pytest.approx(7.0, rel=0.01)
-    viscous = residual_of(-40.0 * speed - 2.0 * moving, speed, time_s)
-    assert initial_guess("viscous_friction", viscous)["Fv"] == pytest.approx(40.0, rel=0.01)
-
-
 def test_a_joint_hangs_at_the_side_of_its_gap_that_its_load_chooses() -> None:
     gap = 2e-3
     pose = np.radians([0.0, 0.0])
@@ -183,13 +153,3 @@ def test_a_coupling_larger_than_what_it_couples_is_refused() -> None:
 def test_a_delay_longer_than_a_drive_remembers_is_refused() -> None:
     with pytest.raises(EffectError, match="remembers"):
         Physics(EMPS.with_effects((EffectSetting("delay", "carriage", {"Td": 0.02}),)).plant)
-
-
-def test_the_oil_of_a_small_guide_may_warm_by_kelvins_from_milliwatts() -> None:
-    """What a R is guessed to be explains a friction that halves; a bound on R that fits gearboxes would not let it."""
-    time_s = np.arange(2000) / 256.0
-    speed = 0.01 * np.sin(2.0 * np.pi * 2.0 * time_s)
-    viscous = 4.0 * 0.5 ** (time_s / time_s[-1])
-    guessed = initial_guess("temperature_dependent_friction", residual_of(-viscous * speed, speed, time_s))
-    power = guessed["Fv0"] * float(np.mean(speed**2))
-    assert guessed["a"] * guessed["R"] * power == pytest.approx(np.log(2.0) * 2.0 / 3.0, rel=0.05)  # of the first third to that of the last
