@@ -152,12 +152,9 @@ def take(sums: dict[str, Sums], machine: Machine, design: ObserverDesign, scan: 
 
 def own_noise(machine: Machine, model: ModalModel) -> ObserverNoise:
     """Return the noise of the file's sensors and of the shaken scans."""
-    found = {effect.at: effect.parameters for effect in machine.plant.effects if effect.name == "imu_scale_bias"}
     bias, noises = [], []
     for imu in sorted(machine.plant.imus, key=lambda imu: imu.body != machine.geometry.detector_body):  # type: ignore[union-attr]
-        more = found.get(imu.name, {})
-        bias += [imu.accelerometer_bias_m_s2 + [more.get(name, 0.0) for name in ("bx", "by", "bz")]]
-        bias += [imu.gyro_bias_rad_s + more.get("bg", 0.0)]
+        bias += [imu.accelerometer_bias_m_s2, imu.gyro_bias_rad_s]
         noises += [imu.accelerometer_noise_rms_m_s2, imu.gyro_noise_rms_rad_s]
     biases = np.concatenate(bias), np.zeros(6 * len(model.sensors))
     steps = encoder_steps(model, machine)

@@ -14,11 +14,12 @@ from controllers.observers.consistency import InnovationMonitor
 from controllers.observers.extended import linearised
 from controllers.observers.filter_step import filter_rows
 from controllers.observers.memory import EXTENDED, KALMAN, UNSCENTED, Memory
-from controllers.observers.modal_equations import MODE_SIGNALS, SENSOR_SIGNALS, Constants, Scheduled
+from controllers.observers.modal_equations import GAINS, MODE_SIGNALS, SENSOR_SIGNALS, Constants, Scheduled
 from controllers.observers.publish import GEOMETRY, TWIST, estimate_channels, publish
 from controllers.observers.settings import ObserverNoise
 
 FilterKind = Literal["kf", "ekf", "ukf"]
+GAIN_NAMES = ("turn_x", "turn_y", "turn_z", "scale_x", "scale_y", "scale_z", "scale_gyro")
 KINDS: dict[str, int] = {"kf": KALMAN, "ekf": EXTENDED, "ukf": UNSCENTED}
 
 START_SPEED = 1e-3
@@ -118,6 +119,10 @@ class ModalObserver:
             names += [f"offset_motor_{axis}" for axis in model.axes]
         if len(self.noise.offset_walk) > len(model.axes):
             names += [f"offset_detector_{name}" for name in TWIST]
+        if len(self.noise.offset_walk) > len(model.axes) + 6:
+            names += [f"offset_link_{axis}" for axis in model.axes]
+        if len(self.noise.initial_gain):
+            names += [f"{gain}_{sensor.channels[0]}" for sensor in model.sensors for gain in GAIN_NAMES]
         return names + [f"bias_{channel}" for sensor in model.sensors for channel in sensor.channels]
 
     def restart(self) -> None:
@@ -236,7 +241,8 @@ class ModalObserver:
         bend = np.abs(table[:, 2 : 2 + 2 * n]).reshape(model.modes, 2, n).max(axis=1).T @ deflection
         std = np.concatenate((
             np.maximum(bend, 1e-9), np.full(n, START_SPEED), deflection, deflection * np.sqrt(table[:, 0]) * 0.1, push,
-            noise.disturbance[in_band(noise)], np.full(len(self.adapted), noise.initial_adapted), noise.initial_offset, noise.initial_bias,
+            noise.disturbance[in_band(noise)], np.full(len(self.adapted), noise.initial_adapted), noise.initial_offset, noise.initial_gain,
+            noise.initial_bias,
         ))  # fmt: skip
         factor, constants = np.diag(std), self.constants
         for j in in_band(noise):  # as in steady state: P = UᵀU with P₁₁ = σ², P₁₂, P₂₂ of `_steady`
@@ -262,8 +268,12 @@ def _constants(model: ModalModel, noise: ObserverNoise, adapted: tuple[int, ...]
         values = np.asarray(getattr(noise, name), float)
         if values.shape != (length,) or np.isnan(values).any() or (values < 0.0).any():
             raise DesignError(f"observer noise: {name} must be {length} numbers, none negative, not {values}")
-    if len(noise.offset_walk) not in (0, n, n + 6) or len(noise.initial_offset) != len(noise.offset_walk):
-        raise DesignError(f"observer noise: offset_walk and initial_offset must both be {n} numbers, {n + 6} or none")
+    if len(noise.offset_walk) not in (0, n, n + 6, 2 * n + 6) or len(noise.initial_offset) != len(noise.offset_walk):
+        raise DesignError(f"observer noise: offset_walk and initial_offset must both be {n} numbers, {n + 6}, {2 * n + 6} or none")
+    if len(noise.initial_gain) not in (0, GAINS * sensors) or not (np.asarray(noise.initial_gain) >= 0.0).all():
+        raise DesignError(
+            f"observer noise: initial_gain must be {GAINS * sensors} numbers or none, none negative, not {noise.initial_gain}"
+        )
     if not (np.concatenate((noise.offset_walk, noise.initial_offset)) >= 0.0).all():
         raise DesignError("observer noise: offset_walk and initial_offset must not be negative")
     if len(noise.bias) not in (0, 6 * sensors) or not np.isfinite(noise.bias).all():
@@ -288,13 +298,13 @@ def _constants(model: ModalModel, noise: ObserverNoise, adapted: tuple[int, ...]
     kept, offset_std = _bounded(noise, period)
     std = np.concatenate((
         noise.command, drive, beside[band], np.full(len(adapted), root * noise.adapted_walk), offset_std,
-        root * noise.bias_walk,
+        np.zeros(len(noise.initial_gain)), root * noise.bias_walk,
     ))  # fmt: skip
     first_quadrature = 2 * (n + modes) + model.disturbances
     first_adapted = first_quadrature + len(band)
     quadrature = np.full(model.disturbances, -1, dtype=np.int64)
     quadrature[band] = first_quadrature + np.arange(len(band))
-    states = first_adapted + len(adapted) + len(noise.offset_walk) + 6 * sensors
+    states = first_adapted + len(adapted) + len(noise.offset_walk) + len(noise.initial_gain) + 6 * sensors
     chain = model.chain
     return Constants(
         sizes=np.array(
@@ -310,6 +320,7 @@ def _constants(model: ModalModel, noise: ObserverNoise, adapted: tuple[int, ...]
                 len(band),
                 len(noise.offset_walk),
                 _on_the_source(model),
+                len(noise.initial_gain),
             ],
             dtype=np.int64,
         ),
@@ -325,7 +336,7 @@ def _constants(model: ModalModel, noise: ObserverNoise, adapted: tuple[int, ...]
         effort_step=np.array(model.effort_step, dtype=float) if len(model.effort_step) else np.zeros(n),
         colour=colour,
         quadrature=quadrature,
-        kept=np.concatenate((np.ones(len(adapted)), kept, np.ones(6 * sensors))),
+        kept=np.concatenate((np.ones(len(adapted)), kept, np.ones(len(noise.initial_gain) + 6 * sensors))),
         noise_std=std,
         measurement_std=np.array(noise.measurement, dtype=float),
     )
@@ -392,7 +403,7 @@ def _bounded(noise: ObserverNoise, period: float) -> tuple[np.ndarray, np.ndarra
 
 
 def _memory(constants: Constants) -> tuple[Scheduled, Memory]:
-    n, modes, sensors, adapted, states, measurements, sources, disturbances, bands, _, _ = (int(size) for size in constants.sizes)
+    n, modes, sensors, adapted, states, measurements, sources, disturbances, bands, *_ = (int(size) for size in constants.sizes)
     moving = 2 * (n + modes) + disturbances + bands
     rows, signals = moving + n + 1, 2 * n + sensors * (3 * n + SENSOR_SIGNALS) + MODE_SIGNALS * adapted
     scheduled = Scheduled(

@@ -137,7 +137,7 @@ def test_an_offset_that_nothing_measures_fades_and_is_as_uncertain_as_ever() -> 
 
 
 def test_offsets_that_do_not_fit_are_one_clear_line() -> None:
-    with pytest.raises(DesignError, match="must both be 2 numbers, 8 or none"):
+    with pytest.raises(DesignError, match="must both be 2 numbers, 8, 10 or none"):
         ModalObserver(small_model(), replace(small_noise(), offset_walk=np.zeros(8)))
 
 
