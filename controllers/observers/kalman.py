@@ -30,13 +30,9 @@ def look_at_rigid(constants: Constants, scheduled: Scheduled, memory: Memory) ->
         rigid[k] = x[k]
     signals(constants, scheduled, rigid, u, sensed)
     readings(constants, scheduled, sensed, mean)
-    for j in range(measurements):
-        upper[j] = mean[j]
     for i in range(states):
         for j in range(measurements):
             seen[i, j] = 0.0
-        misread(constants, factor[i], upper, seen[i])
-    misread(constants, x, upper, mean)
     for k in range(gains):
         kept = rigid[k]
         rigid[k] = kept + SLOPE_STEP
@@ -52,3 +48,8 @@ def look_at_rigid(constants: Constants, scheduled: Scheduled, memory: Memory) ->
         for i in range(k + 1):
             for j in range(measurements):
                 seen[i, j] += factor[i, k] * slopes[j]
+    for j in range(measurements):  # gains multiply what a sensor reads of the bent machine
+        upper[j] = mean[j]
+    for i in range(states):
+        misread(constants, factor[i], upper, seen[i])
+    misread(constants, x, upper, mean)

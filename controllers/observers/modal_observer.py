@@ -10,7 +10,7 @@ from scipy.linalg import expm
 
 from controllers.errors import DesignError
 from controllers.models.modal import ModalModel, basis_at
-from controllers.observers.consistency import InnovationMonitor
+from controllers.observers.consistency import CorrectionMonitor, InnovationMonitor
 from controllers.observers.extended import linearised
 from controllers.observers.filter_step import filter_rows
 from controllers.observers.memory import EXTENDED, KALMAN, UNSCENTED, Memory
@@ -70,7 +70,7 @@ class ModalObserver:
         self._isocenter = np.zeros(3) if isocenter_m is None else np.asarray(isocenter_m, float)
         self.constants = _constants(model, noise, self.adapted)
         self._scheduled, self.memory = _memory(self.constants)
-        self._monitor = InnovationMonitor()
+        self._innovations, self._corrections = InnovationMonitor(), CorrectionMonitor()
         n = len(model.axes)
         self.channels = estimate_channels(model.axes, model.position_unit)
         self.estimate = np.full(len(self.channels), np.nan)
@@ -133,7 +133,8 @@ class ModalObserver:
         self.memory.innovation[:] = np.nan
         self._is_first = True
         self._has_command = False
-        self._monitor.reset()
+        self._innovations.reset()
+        self._corrections.reset()
         self.estimate[:] = np.nan
 
     def step(self, position: np.ndarray, link_position: np.ndarray, imu: np.ndarray, command: np.ndarray) -> None:
@@ -172,12 +173,11 @@ class ModalObserver:
             self._held[:] = command
         self._is_first = False
         publish(self.constants, self._scheduled.values, memory, self._isocenter, self.estimate)
-        mean, is_alarm = self._monitor.step(self._summary[0, 0], self._summary[0, 1])
         tail = 2 * self._values
         self.estimate[tail] = self._summary[0, 0]
         self.estimate[tail + 1] = self._summary[0, 1]
-        self.estimate[tail + 2] = mean
-        self.estimate[tail + 3] = is_alarm
+        self.estimate[tail + 2] = self._innovations.step(self._summary[0, 0], self._summary[0, 1])
+        self.estimate[tail + 3] = self._corrections.step(self.memory.corrected[0], self.memory.corrected[1])
 
     def skip(self, samples: int, command: np.ndarray) -> None:
         """Pass over samples without a SYNC: nothing was measured, and the command of the last sample went on acting.
@@ -426,6 +426,8 @@ def _memory(constants: Constants) -> tuple[Scheduled, Memory]:
         x=np.zeros(states),
         factor=np.zeros((states, states)),
         innovation=np.full(measurements, np.nan),
+        correction=np.zeros((1 + measurements, states)),
+        corrected=np.zeros((2, GEOMETRY)),
         bends=np.zeros((states, 2 * adapted)),
         seen=np.zeros((2 * states, measurements)),
         array=np.zeros((2 * states + measurements + sources, measurements + states)),

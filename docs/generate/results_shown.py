@@ -62,8 +62,10 @@ _VARIANCES = (
     Column("ratio", ("orientation_ratio",)),
     Column("NIS per measurement", ("nis_per_measurement",)),
     Column("in the 95 % band", ("share_in_band",)),
-    Column("alarms in ten minutes", ("alarms_in_ten_minutes",)),
     Column("rows in alarm", ("alarm_share",)),
+    Column("false alarms in ten minutes", ("false_alarms_in_ten_minutes",)),
+    Column("error passed twice the stated", ("passed_twice",)),
+    Column("alarm within 1 s", ("in_time",)),
 )
 _POSES = (
     Column("focal spot [mm]", ("source_m",), 1e3),
@@ -466,21 +468,42 @@ SHOWN = (
     Shown(
         "observer_variances.json",
         "What the observer states, against the truth",
-        "True error and stated deviation of the nine geometric parameters on both C-arms; the ratio of stated to true should be 1. "
-        "The observer's model has the machine file's own numbers, so that nothing is false but the effects of `carm-real`. An alarm counts "
-        "when it begins. Encoders state nothing.",
+        "True error and stated deviation of the nine geometric parameters on both C-arms; the ratio of stated to true is asked to lie "
+        "between 0.7 and 1.5. The observer's model has the machine file's own numbers, so that nothing is false but the effects of "
+        "`carm-real`, of which each seed draws the machine: every effect lies somewhere in the range that the file states, and the design "
+        "knows its root mean square. The propeller at 37 deg is between the design's poses. Encoders state nothing. An error of a sound "
+        "machine passes twice what is stated where one that no sensor shows, above all the turn of a warm detector, lies far out in its "
+        "range: no alarm can tell that.",
         "python benchmarks/observer_variances.py --own-model --json benchmarks/results/observer_variances.json",
-        (Figure("seeds per scan", ("seeds",)), Figure("model of the observer", ("model",))),
+        (
+            Figure("machines per scan", ("seeds",), asked="at least 20"),
+            Figure("model of the observer", ("model",)),
+        ),
         (Rows("machine, scan: method", ("rows",), _VARIANCES),),
     ),
     Shown(
-        "observer_variances_spread.json",
-        "The same over machines that differ from the design's",
-        "Every strength of every effect of `carm-real` differs from what its file says, by 30 % standard deviation, in each seed.",
-        "python benchmarks/observer_variances.py --own-model --machine carm-real --seeds 20 --spread 30 \\\n"
-        "    --json benchmarks/results/observer_variances_spread.json",
-        (Figure("seeds per scan", ("seeds",)),),
-        (Rows("machine, scan: method", ("rows",), _VARIANCES),),
+        "observer_alarms.json",
+        "What the observer's alarm tells",
+        "Faults on the same design and machines, in roll scans at 30 deg/s; those of sensors begin after 3 s. Asked: at most one false "
+        "alarm in ten minutes, and 90 % of alarms within 1 s where the true error passes twice what is stated. What is not told: the "
+        "detector's other weight, and a soft mount that nothing shakes, are there from the beginning as a turn that no sensor shows; the "
+        "alarm comes later, as the pose changes.",
+        "python benchmarks/observer_alarms.py --json benchmarks/results/observer_alarms.json",
+        (Figure("machines per fault", ("seeds",)),),
+        (
+            Rows(
+                "machine: fault",
+                ("rows",),
+                (
+                    Column("scans", ("scans",)),
+                    Column("error passed twice the stated", ("passed_twice",)),
+                    Column("alarm within 1 s", ("in_time",)),
+                    Column("share", ("in_time_share",)),
+                    Column("false alarms in ten minutes", ("false_alarms_in_ten_minutes",)),
+                    Column("rows in alarm", ("alarm_share",)),
+                ),
+            ),
+        ),
     ),
     Shown(
         "observer_tracking.json",

@@ -56,9 +56,9 @@ def test_turned_and_scaled_sensors_leave_their_filter_consistent(kind: FilterKin
         first = observer.state_names.index("turn_x_imu_x")
         error = observer.state[first : first + 7] - gains
         squares.append(error @ np.linalg.solve(observer.covariance[first : first + 7, first : first + 7], error) / 7.0)
-    assert np.mean(nis["told"]) == pytest.approx(1.0, abs=0.15 if kind == "kf" else 0.05)  # its readings are linear about the rigid machine
+    assert np.mean(nis["told"]) == pytest.approx(1.0, abs=0.05)
     assert np.mean(nis["untold"]) > 1.2
-    assert kind == "kf" or 0.5 < np.mean(squares) < 1.7  # of 42 degrees of freedom
+    assert 0.5 < np.mean(squares) < 1.7  # of 42 degrees of freedom
 
 
 def test_gains_that_do_not_fit_are_one_clear_line() -> None:
