@@ -473,7 +473,10 @@ SHOWN = (
         "`carm-real`, of which each seed draws the machine: every effect lies somewhere in the range that the file states, and the design "
         "knows its root mean square. The propeller at 37 deg is between the design's poses. Encoders state nothing. An error of a sound "
         "machine passes twice what is stated where one that no sensor shows, above all the turn of a warm detector, lies far out in its "
-        "range: no alarm can tell that.",
+        "range: no alarm can tell that."
+        "\n\nNot met, with the propeller at 37 deg: on `carm` what is stated is 0.57 to 0.59 of what is wrong, and on `carm-real` the "
+        "alarm is false 17 times in ten minutes. The model errs by some 30 urad there, more the farther the propeller is from 0 deg, at "
+        "the design's own poses, too, and with a denser grid; this is not counted. Without sensors, quiet scans are stated as if shaken.",
         "python benchmarks/observer_variances.py --own-model --json benchmarks/results/observer_variances.json",
         (
             Figure("machines per scan", ("seeds",), asked="at least 20"),
@@ -485,10 +488,11 @@ SHOWN = (
         "observer_alarms.json",
         "What the observer's alarm tells",
         "Faults on the same design and machines, in roll scans at 30 deg/s; those of sensors begin after 3 s. Asked: at most one false "
-        "alarm in ten minutes, and 90 % of alarms within 1 s where the true error passes twice what is stated. What is not told: the "
-        "detector's other weight, and a soft mount that nothing shakes, are there from the beginning as a turn that no sensor shows; the "
-        "alarm comes later, as the pose changes.",
-        "python benchmarks/observer_alarms.py --json benchmarks/results/observer_alarms.json",
+        "alarm in ten minutes, and 90 % of alarms within 1 s where the true error passes twice what is stated."
+        "\n\nNot met on `carm-real`: a detector half as heavy again bends from the beginning as a warm one may, and the alarm comes "
+        "later, as the pose changes; after a motor encoder's slip, which the link side puts right, the error passes later and by little. "
+        "And on sound machines, where an error is far out in its range by chance: no sensor shows that.",
+        "python benchmarks/observer_alarms.py --seeds 12 --json benchmarks/results/observer_alarms.json",
         (Figure("machines per fault", ("seeds",)),),
         (
             Rows(
