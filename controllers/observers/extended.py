@@ -7,7 +7,7 @@ import numpy as np
 from controllers.compiled import exactly_called, exactly_compiled
 from controllers.observers.kalman import SLOPE_STEP
 from controllers.observers.linear_part import prepare, signals, transition
-from controllers.observers.modal_equations import MODE_SIGNALS, Constants, Scheduled, adapted_step, moving, readings
+from controllers.observers.modal_equations import MODE_SIGNALS, Constants, Scheduled, adapted_step, misread, moving, readings
 
 
 @exactly_called
@@ -39,7 +39,7 @@ def next_and_read(
 ) -> None:
     """Write the state (states,) one sample after x while a command (axes,) acts, and the sensors' readings (measurements,) in x.
 
-    The readings are without biases; the model is the one last prepared.
+    The readings are without gains and biases (`misreading`); the model is the one last prepared.
     """
     seen = np.empty(scheduled.sees.shape[1])
     transition(constants, scheduled, x, command, after)
@@ -47,10 +47,15 @@ def next_and_read(
     readings(constants, scheduled, seen, read)
 
 
+@exactly_compiled
+def misreading(constants: Constants, x: np.ndarray, read: np.ndarray, misread_by: np.ndarray) -> None:
+    """Add to `misread_by` (measurements,) what the gains and biases of x make of readings (measurements,)."""
+    misread(constants, x, read, misread_by)
+
+
 def linearised(constants: Constants, scheduled: Scheduled, x: np.ndarray, F: np.ndarray, H: np.ndarray) -> None:
     """Write transition matrix F (states, states) and output rows H (measurements, states) at a state, by differences (5.12)."""
     u, shifted, measurements = scheduled.command, x.copy(), len(H)
-    n, biases = len(u), len(x) - (measurements - 2 * len(u))  # the last states are the biases of the readings behind the encoders
     prepare(constants, x, scheduled)
     u[:] = 0.0
     after, read = np.zeros((2, len(x))), np.zeros((2, measurements))
@@ -58,7 +63,7 @@ def linearised(constants: Constants, scheduled: Scheduled, x: np.ndarray, F: np.
         for sign, step in enumerate((SLOPE_STEP, -SLOPE_STEP)):
             shifted[k] = x[k] + step
             next_and_read(constants, scheduled, shifted, u, after[sign], read[sign])
-            read[sign, 2 * n :] += shifted[biases:]
+            misreading(constants, shifted, read[sign].copy(), read[sign])
         shifted[k] = x[k]
         F[:, k] = (after[0] - after[1]) / (2.0 * SLOPE_STEP)
         H[:, k] = (read[0] - read[1]) / (2.0 * SLOPE_STEP)

@@ -97,6 +97,7 @@ def correct(constants: Constants, scheduled: Scheduled, memory: Memory, kind: in
         look_at_rigid(constants, scheduled, memory)
     else:
         look_around(constants, scheduled, memory, kind)
+    memory.correction[:] = 0.0
     measured = 0
     for j in range(measurements):
         measured += z[j] == z[j]
@@ -130,7 +131,12 @@ def correct(constants: Constants, scheduled: Scheduled, memory: Memory, kind: in
     log_volume = 0.0
     for j in range(measured):
         log_volume += 2.0 * np.log(array[j, j])
-    return update(array, measured, states, whitened, memory.x, factor), measured, log_volume
+    nis = update(array, measured, states, whitened, memory.x, factor)
+    for j in range(measured):  # whitened innovations have unit variance
+        for k in range(states):
+            memory.correction[0, k] += array[j, measured + k] * whitened[j]
+            memory.correction[1 + j, k] = array[j, measured + k]
+    return nis, measured, log_volume
 
 
 @exactly_compiled

@@ -9,7 +9,7 @@ from __future__ import annotations
 from controllers.compiled import exactly_called
 from controllers.observers.linear_part import signals
 from controllers.observers.memory import Memory
-from controllers.observers.modal_equations import Constants, Scheduled, first_bias, readings
+from controllers.observers.modal_equations import Constants, Scheduled, first_gain, misread, readings
 
 SLOPE_STEP = 1e-4
 """Difference step of the Kalman filter's output rows, in units of the states: outputs are at most sines of a pose, so the error is 1e-9."""
@@ -24,7 +24,7 @@ def look_at_rigid(constants: Constants, scheduled: Scheduled, memory: Memory) ->
     n, states, measurements = constants.sizes[0], constants.sizes[4], constants.sizes[5]
     x, factor, seen, lines, u = memory.x, memory.factor, memory.seen, memory.lines, scheduled.command
     rigid, sensed, upper, lower, slopes, mean = lines[0], lines[1], lines[2], lines[3], lines[4], lines[5]
-    biases = first_bias(constants)
+    gains = first_gain(constants)
     rigid[:] = 0.0
     for k in range(2 * n):
         rigid[k] = x[k]
@@ -32,10 +32,8 @@ def look_at_rigid(constants: Constants, scheduled: Scheduled, memory: Memory) ->
     readings(constants, scheduled, sensed, mean)
     for i in range(states):
         for j in range(measurements):
-            seen[i, j] = factor[i, biases + j - 2 * n] if j >= 2 * n else 0.0
-    for j in range(2 * n, measurements):
-        mean[j] += x[biases + j - 2 * n]
-    for k in range(biases):
+            seen[i, j] = 0.0
+    for k in range(gains):
         kept = rigid[k]
         rigid[k] = kept + SLOPE_STEP
         signals(constants, scheduled, rigid, u, sensed)
@@ -50,3 +48,8 @@ def look_at_rigid(constants: Constants, scheduled: Scheduled, memory: Memory) ->
         for i in range(k + 1):
             for j in range(measurements):
                 seen[i, j] += factor[i, k] * slopes[j]
+    for j in range(measurements):  # gains multiply what a sensor reads of the bent machine
+        upper[j] = mean[j]
+    for i in range(states):
+        misread(constants, factor[i], upper, seen[i])
+    misread(constants, x, upper, mean)

@@ -303,11 +303,13 @@ def transition(constants: Constants, scheduled: Scheduled, x: np.ndarray, comman
 
 @exactly_inlined
 def others_seen(constants: Constants, x: np.ndarray, out: np.ndarray) -> None:
-    """Add the part of the signals that comes from states that move no other: motor sides' offsets, log frequency ratios."""
+    """Add the part of the signals that comes from states that move no other: encoders' offsets, log frequency ratios."""
     if constants.sizes[9] > 0:
         offsets = first_offset(constants)
         for i in range(constants.sizes[0]):
             out[i] += x[offsets + i]
+            if constants.sizes[9] > constants.sizes[0] + 6:
+                out[constants.sizes[0] + i] += x[offsets + constants.sizes[0] + 6 + i]
     for k in range(constants.sizes[3]):
         out[adapted_signals(constants) + MODE_SIGNALS * k + 3] += x[moving(constants) + k]
 

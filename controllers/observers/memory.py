@@ -15,6 +15,8 @@ class Memory(NamedTuple):
     x: np.ndarray  # (states,)
     factor: np.ndarray  # (states, states) U, P = UᵀU
     innovation: np.ndarray  # (measurements,) z - ẑ; NaN where nothing was measured
+    correction: np.ndarray  # (1 + measurements, states): what the last sample corrected, then its deviations, one per measurement
+    corrected: np.ndarray  # (2, 9): what it corrected of the geometric parameters, and the variances of that
     bends: np.ndarray  # (states, 2 adapted): deviation of the mean of a pair of sigma points, one sample ahead
     seen: np.ndarray  # (2 states, measurements)
     array: np.ndarray  # (2 states + measurements + noise sources, measurements + states)

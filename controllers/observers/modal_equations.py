@@ -1,8 +1,8 @@
 """The modal model as the filters use it: the state one sample later and the sensors' readings, (5.2), (5.3) with (5.30)-(5.35).
 
 State: [q_r, q_r', η, η', ξ, quadratures of those ξ that lie in a band, log frequency ratios of the adapted modes,
-offsets, sensor biases]. Offsets, where there are any: of the motor sides' encoders, and of the detector's twist that no mode contains
-(5.37).
+offsets, gains, sensor biases]. Offsets, where there are any: of the motor sides' encoders, of the detector's twist that no mode contains
+(5.37), and of the link sides' encoders. Gains, where there are any: how each sensor sits turned in its mount, and its errors of scale.
 
 All but two parts are linear in the state and stand in tables (`linear_part`). The two are the dependence of an adapted mode on its
 frequency ratio, and the sensors' readings (rotations, products of rates) as functions of a few signals. So a deviation is carried to the
@@ -19,6 +19,9 @@ from controllers.compiled import exactly_inlined
 from controllers.models.chain import chain_motion
 from controllers.models.vectors import cross, minus, plus, scaled
 
+GAINS = 7
+"""Gains per inertial sensor: a turn (3), the accelerometers' scales (3), the gyros' scale."""
+
 SENSOR_SIGNALS = 12
 """Signals per inertial sensor: acceleration and velocity by the modes, turn and turning rate by the modes."""
 
@@ -29,8 +32,8 @@ MODE_SIGNALS = 4
 class Constants(NamedTuple):
     """Constants of a compiled observer; nothing in them changes while it runs."""
 
-    sizes: np.ndarray  # (11,) int: axes, modes, sensors, adapted, states, measurements, noise sources, disturbances, in a band, offsets,
-    # and the sensor on the body of the focal spot, -1 without one
+    sizes: np.ndarray  # (12,) int: axes, modes, sensors, adapted, states, measurements, noise sources, disturbances, in a band, offsets,
+    # the sensor on the body of the focal spot, -1 without one, and gains
     harmonics: np.ndarray  # (axes,) int
     coefficients: np.ndarray  # (basis, rows): `ModalModel.all_rows`, transposed
     adapted: np.ndarray  # (adapted,) int: modes whose log frequency ratio is a state
@@ -43,8 +46,8 @@ class Constants(NamedTuple):
     effort_step: np.ndarray  # (axes,): step to which the drives round; 0: no rounding
     colour: np.ndarray  # (disturbances, 5): transition by rows, disturbance before quadrature; the disturbance's noise in the quadrature
     quadrature: np.ndarray  # (disturbances,) int: its place in the state, -1 where the disturbance is of first order
-    kept: np.ndarray  # (states - moving,): share of a ratio, an offset or a bias that a sample leaves
-    noise_std: np.ndarray  # (noise sources,): commands, disturbances, quadratures, adapted, offsets, biases
+    kept: np.ndarray  # (states - moving,): share of a ratio, an offset, a gain or a bias that a sample leaves
+    noise_std: np.ndarray  # (noise sources,): commands, disturbances, quadratures, adapted, offsets, gains, biases
     measurement_std: np.ndarray  # (measurements,)
 
 
@@ -86,9 +89,16 @@ def first_bias(constants: Constants) -> int:
 
 
 @exactly_inlined
+def first_gain(constants: Constants) -> int:
+    """Return the place of the sensors' gains in the state; what stands there and behind it only changes readings."""
+    place: int = first_bias(constants) - constants.sizes[11]
+    return place
+
+
+@exactly_inlined
 def first_offset(constants: Constants) -> int:
-    """Return the place of the offsets in the state: motor sides' encoders, then the detector's twist."""
-    place: int = first_bias(constants) - constants.sizes[9]
+    """Return the place of the offsets in the state: motor sides' encoders, the detector's twist, link sides' encoders."""
+    place: int = first_gain(constants) - constants.sizes[9]
     return place
 
 
@@ -154,6 +164,26 @@ def seen_of_mode(constants: Constants, scheduled: Scheduled, sensor: int, mode: 
         rows[3] * position + rows[4] * speed + rows[5] * force,
         rows[6] * position + rows[7] * speed + rows[8] * force,
     )
+
+
+@exactly_inlined
+def misread(constants: Constants, x: np.ndarray, read: np.ndarray, out: np.ndarray) -> None:
+    """Add to `out` (measurements,) what the gains and biases of a state, or of a deviation, make of readings (measurements,)."""
+    n, sensors = constants.sizes[0], constants.sizes[2]
+    biases = first_bias(constants)
+    for j in range(6 * sensors):
+        out[2 * n + j] += x[biases + j]
+    if constants.sizes[11] == 0:
+        return
+    for s in range(sensors):
+        gain, place = first_gain(constants) + GAINS * s, 2 * n + 6 * s
+        turn = x[gain], x[gain + 1], x[gain + 2]
+        force = read[place], read[place + 1], read[place + 2]
+        rate = read[place + 3], read[place + 4], read[place + 5]
+        turned, spun = cross(turn, force), cross(turn, rate)
+        for j in range(3):
+            out[place + j] += turned[j] + x[gain + 3 + j] * force[j]
+            out[place + 3 + j] += spun[j] + x[gain + 6] * rate[j]
 
 
 @exactly_inlined

@@ -10,15 +10,16 @@ from scipy.linalg import expm
 
 from controllers.errors import DesignError
 from controllers.models.modal import ModalModel, basis_at
-from controllers.observers.consistency import InnovationMonitor
+from controllers.observers.consistency import CorrectionMonitor, InnovationMonitor
 from controllers.observers.extended import linearised
 from controllers.observers.filter_step import filter_rows
 from controllers.observers.memory import EXTENDED, KALMAN, UNSCENTED, Memory
-from controllers.observers.modal_equations import MODE_SIGNALS, SENSOR_SIGNALS, Constants, Scheduled
+from controllers.observers.modal_equations import GAINS, MODE_SIGNALS, SENSOR_SIGNALS, Constants, Scheduled
 from controllers.observers.publish import GEOMETRY, TWIST, estimate_channels, publish
 from controllers.observers.settings import ObserverNoise
 
 FilterKind = Literal["kf", "ekf", "ukf"]
+GAIN_NAMES = ("turn_x", "turn_y", "turn_z", "scale_x", "scale_y", "scale_z", "scale_gyro")
 KINDS: dict[str, int] = {"kf": KALMAN, "ekf": EXTENDED, "ukf": UNSCENTED}
 
 START_SPEED = 1e-3
@@ -69,7 +70,7 @@ class ModalObserver:
         self._isocenter = np.zeros(3) if isocenter_m is None else np.asarray(isocenter_m, float)
         self.constants = _constants(model, noise, self.adapted)
         self._scheduled, self.memory = _memory(self.constants)
-        self._monitor = InnovationMonitor()
+        self._innovations, self._corrections = InnovationMonitor(), CorrectionMonitor()
         n = len(model.axes)
         self.channels = estimate_channels(model.axes, model.position_unit)
         self.estimate = np.full(len(self.channels), np.nan)
@@ -118,6 +119,10 @@ class ModalObserver:
             names += [f"offset_motor_{axis}" for axis in model.axes]
         if len(self.noise.offset_walk) > len(model.axes):
             names += [f"offset_detector_{name}" for name in TWIST]
+        if len(self.noise.offset_walk) > len(model.axes) + 6:
+            names += [f"offset_link_{axis}" for axis in model.axes]
+        if len(self.noise.initial_gain):
+            names += [f"{gain}_{sensor.channels[0]}" for sensor in model.sensors for gain in GAIN_NAMES]
         return names + [f"bias_{channel}" for sensor in model.sensors for channel in sensor.channels]
 
     def restart(self) -> None:
@@ -128,7 +133,8 @@ class ModalObserver:
         self.memory.innovation[:] = np.nan
         self._is_first = True
         self._has_command = False
-        self._monitor.reset()
+        self._innovations.reset()
+        self._corrections.reset()
         self.estimate[:] = np.nan
 
     def step(self, position: np.ndarray, link_position: np.ndarray, imu: np.ndarray, command: np.ndarray) -> None:
@@ -167,12 +173,11 @@ class ModalObserver:
             self._held[:] = command
         self._is_first = False
         publish(self.constants, self._scheduled.values, memory, self._isocenter, self.estimate)
-        mean, is_alarm = self._monitor.step(self._summary[0, 0], self._summary[0, 1])
         tail = 2 * self._values
         self.estimate[tail] = self._summary[0, 0]
         self.estimate[tail + 1] = self._summary[0, 1]
-        self.estimate[tail + 2] = mean
-        self.estimate[tail + 3] = is_alarm
+        self.estimate[tail + 2] = self._innovations.step(self._summary[0, 0], self._summary[0, 1])
+        self.estimate[tail + 3] = self._corrections.step(self.memory.corrected[0], self.memory.corrected[1])
 
     def skip(self, samples: int, command: np.ndarray) -> None:
         """Pass over samples without a SYNC: nothing was measured, and the command of the last sample went on acting.
@@ -236,7 +241,8 @@ class ModalObserver:
         bend = np.abs(table[:, 2 : 2 + 2 * n]).reshape(model.modes, 2, n).max(axis=1).T @ deflection
         std = np.concatenate((
             np.maximum(bend, 1e-9), np.full(n, START_SPEED), deflection, deflection * np.sqrt(table[:, 0]) * 0.1, push,
-            noise.disturbance[in_band(noise)], np.full(len(self.adapted), noise.initial_adapted), noise.initial_offset, noise.initial_bias,
+            noise.disturbance[in_band(noise)], np.full(len(self.adapted), noise.initial_adapted), noise.initial_offset, noise.initial_gain,
+            noise.initial_bias,
         ))  # fmt: skip
         factor, constants = np.diag(std), self.constants
         for j in in_band(noise):  # as in steady state: P = UᵀU with P₁₁ = σ², P₁₂, P₂₂ of `_steady`
@@ -262,8 +268,12 @@ def _constants(model: ModalModel, noise: ObserverNoise, adapted: tuple[int, ...]
         values = np.asarray(getattr(noise, name), float)
         if values.shape != (length,) or np.isnan(values).any() or (values < 0.0).any():
             raise DesignError(f"observer noise: {name} must be {length} numbers, none negative, not {values}")
-    if len(noise.offset_walk) not in (0, n, n + 6) or len(noise.initial_offset) != len(noise.offset_walk):
-        raise DesignError(f"observer noise: offset_walk and initial_offset must both be {n} numbers, {n + 6} or none")
+    if len(noise.offset_walk) not in (0, n, n + 6, 2 * n + 6) or len(noise.initial_offset) != len(noise.offset_walk):
+        raise DesignError(f"observer noise: offset_walk and initial_offset must both be {n} numbers, {n + 6}, {2 * n + 6} or none")
+    if len(noise.initial_gain) not in (0, GAINS * sensors) or not (np.asarray(noise.initial_gain) >= 0.0).all():
+        raise DesignError(
+            f"observer noise: initial_gain must be {GAINS * sensors} numbers or none, none negative, not {noise.initial_gain}"
+        )
     if not (np.concatenate((noise.offset_walk, noise.initial_offset)) >= 0.0).all():
         raise DesignError("observer noise: offset_walk and initial_offset must not be negative")
     if len(noise.bias) not in (0, 6 * sensors) or not np.isfinite(noise.bias).all():
@@ -288,13 +298,13 @@ def _constants(model: ModalModel, noise: ObserverNoise, adapted: tuple[int, ...]
     kept, offset_std = _bounded(noise, period)
     std = np.concatenate((
         noise.command, drive, beside[band], np.full(len(adapted), root * noise.adapted_walk), offset_std,
-        root * noise.bias_walk,
+        np.zeros(len(noise.initial_gain)), root * noise.bias_walk,
     ))  # fmt: skip
     first_quadrature = 2 * (n + modes) + model.disturbances
     first_adapted = first_quadrature + len(band)
     quadrature = np.full(model.disturbances, -1, dtype=np.int64)
     quadrature[band] = first_quadrature + np.arange(len(band))
-    states = first_adapted + len(adapted) + len(noise.offset_walk) + 6 * sensors
+    states = first_adapted + len(adapted) + len(noise.offset_walk) + len(noise.initial_gain) + 6 * sensors
     chain = model.chain
     return Constants(
         sizes=np.array(
@@ -310,6 +320,7 @@ def _constants(model: ModalModel, noise: ObserverNoise, adapted: tuple[int, ...]
                 len(band),
                 len(noise.offset_walk),
                 _on_the_source(model),
+                len(noise.initial_gain),
             ],
             dtype=np.int64,
         ),
@@ -325,7 +336,7 @@ def _constants(model: ModalModel, noise: ObserverNoise, adapted: tuple[int, ...]
         effort_step=np.array(model.effort_step, dtype=float) if len(model.effort_step) else np.zeros(n),
         colour=colour,
         quadrature=quadrature,
-        kept=np.concatenate((np.ones(len(adapted)), kept, np.ones(6 * sensors))),
+        kept=np.concatenate((np.ones(len(adapted)), kept, np.ones(len(noise.initial_gain) + 6 * sensors))),
         noise_std=std,
         measurement_std=np.array(noise.measurement, dtype=float),
     )
@@ -392,7 +403,7 @@ def _bounded(noise: ObserverNoise, period: float) -> tuple[np.ndarray, np.ndarra
 
 
 def _memory(constants: Constants) -> tuple[Scheduled, Memory]:
-    n, modes, sensors, adapted, states, measurements, sources, disturbances, bands, _, _ = (int(size) for size in constants.sizes)
+    n, modes, sensors, adapted, states, measurements, sources, disturbances, bands, *_ = (int(size) for size in constants.sizes)
     moving = 2 * (n + modes) + disturbances + bands
     rows, signals = moving + n + 1, 2 * n + sensors * (3 * n + SENSOR_SIGNALS) + MODE_SIGNALS * adapted
     scheduled = Scheduled(
@@ -415,6 +426,8 @@ def _memory(constants: Constants) -> tuple[Scheduled, Memory]:
         x=np.zeros(states),
         factor=np.zeros((states, states)),
         innovation=np.full(measurements, np.nan),
+        correction=np.zeros((1 + measurements, states)),
+        corrected=np.zeros((2, GEOMETRY)),
         bends=np.zeros((states, 2 * adapted)),
         seen=np.zeros((2 * states, measurements)),
         array=np.zeros((2 * states + measurements + sources, measurements + states)),

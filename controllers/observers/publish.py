@@ -148,6 +148,23 @@ def quasi_static(constants: Constants, values: np.ndarray, motor: np.ndarray, ro
                 out[place + j] += shift[j] * wound
 
 
+@exactly_called
+def _moved(constants: Constants, rows: np.ndarray, states: np.ndarray, out: np.ndarray) -> None:
+    """Write what rows of deviations of the state (N, states) move: motor sides, link sides, the displacements (N, moved)."""
+    n, modes = constants.sizes[0], constants.sizes[1]
+    for s in range(len(states)):
+        for r in range(len(rows)):
+            total = 0.0
+            for i in range(n):
+                total += rows[r, i] * states[s, i]
+            for i in range(modes):
+                total += rows[r, n + i] * states[s, 2 * n + i]
+            out[s, r] = total
+        if constants.sizes[9] > n:
+            for j in range(6):
+                out[s, 2 * n + j] += states[s, first_offset(constants) + n + j]
+
+
 @exactly_compiled
 def publish(constants: Constants, values: np.ndarray, memory: Memory, isocenter: np.ndarray, estimate: np.ndarray) -> None:
     """Write values and variances into `estimate[: 2 (2 axes + 21)]`."""
@@ -161,26 +178,19 @@ def publish(constants: Constants, values: np.ndarray, memory: Memory, isocenter:
     offset = np.zeros(moved - 2 * n)
     quasi_static(constants, values, x[:n], rows, offset)
     motion = np.zeros(moved)
-    deviations = np.zeros((states, moved))
+    corrections = memory.correction
+    deviations, by_sample = np.zeros((states, moved)), np.zeros((len(corrections), moved))
     for r in range(moved):
         for i in range(n):
             motion[r] += rows[r, i] * x[i]
         for i in range(modes):
             motion[r] += rows[r, n + i] * x[2 * n + i]
-    for s in range(states):
-        for r in range(moved):
-            total = 0.0
-            for i in range(n):
-                total += rows[r, i] * factor[s, i]
-            for i in range(modes):
-                total += rows[r, n + i] * factor[s, 2 * n + i]
-            deviations[s, r] = total
+    _moved(constants, rows, factor, deviations)
+    _moved(constants, rows, corrections, by_sample)
     if constants.sizes[9] > n:
         first = first_offset(constants) + n
         for j in range(6):
             motion[2 * n + j] += x[first + j]
-            for s in range(states):
-                deviations[s, 2 * n + j] += factor[s, first + j]
     for r in range(2 * n, moved):
         motion[r] += offset[r - 2 * n]
     for r in range(wide):
@@ -216,6 +226,7 @@ def publish(constants: Constants, values: np.ndarray, memory: Memory, isocenter:
             if g >= 6:  # an angle may wrap between the two
                 difference -= 2.0 * np.pi * np.round(difference / (2.0 * np.pi))
             gradient[g, r] = difference / (2.0 * GEOMETRY_STEP)
+    memory.corrected[:] = 0.0
     for g in range(GEOMETRY):
         variance = 0.0
         for s in range(states):
@@ -224,3 +235,11 @@ def publish(constants: Constants, values: np.ndarray, memory: Memory, isocenter:
                 total += gradient[g, r] * deviations[s, r]
             variance += total * total
         estimate[count + place + g] = variance
+        for s in range(len(by_sample)):
+            total = 0.0
+            for r in range(moved):
+                total += gradient[g, r] * by_sample[s, r]
+            if s == 0:
+                memory.corrected[0, g] = total
+            else:
+                memory.corrected[1, g] += total * total

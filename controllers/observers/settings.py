@@ -36,10 +36,14 @@ class ObserverNoise:
         Of the biases when the observer starts.
     initial_adapted : float
         Of the log frequency ratios when it starts.
-    offset_walk : (n_axes,) or (n_axes + 6,) array
-        Of the offsets of the motor sides' encoders, then of the detector's twist, per sqrt(s) [rad or m]. Empty: offsets are no states.
+    offset_walk : (n_axes,), (n_axes + 6,) or (2 n_axes + 6,) array
+        Of the offsets of the motor sides' encoders, then of the detector's twist, then of the link sides' encoders, per sqrt(s) [rad or m].
+        Empty: offsets are no states.
     initial_offset : array of the same length
         Of the offsets, at the start and at any time: they are processes of first order, over short times a random walk. Zero: no offset.
+    initial_gain : (7 sensors,) array
+        Of what does not change in a run and is expected to be zero: a sensor's turn in its mount (3) [rad], the scale of its
+        accelerometers (3) and of its gyros. Empty: no states.
     bias : (6 sensors,) array
         Expected value of the biases when it starts; empty: zero.
     """
@@ -57,3 +61,4 @@ class ObserverNoise:
     bias: np.ndarray = field(default_factory=lambda: np.zeros(0))
     offset_walk: np.ndarray = field(default_factory=lambda: np.zeros(0))
     initial_offset: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    initial_gain: np.ndarray = field(default_factory=lambda: np.zeros(0))

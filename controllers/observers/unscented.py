@@ -11,7 +11,7 @@ import numpy as np
 from controllers.compiled import exactly_called
 from controllers.observers.linear_part import carried, others_seen, signals
 from controllers.observers.memory import UNSCENTED, Memory
-from controllers.observers.modal_equations import Constants, Scheduled, first_bias, readings
+from controllers.observers.modal_equations import Constants, Scheduled, first_gain, misread, readings
 from controllers.observers.square_root import triangularise
 
 
@@ -47,16 +47,16 @@ def bent(constants: Constants, memory: Memory, distance: float) -> int:
 def look_around(constants: Constants, scheduled: Scheduled, memory: Memory, kind: int) -> None:
     """Write ẑ into lines[5], half a pair's difference into seen[i] and the deviation of its mean from ẑ into seen[states + i].
 
-    Serves EKF and UKF. The last deviations move biases alone, which only shift the readings.
+    Serves EKF and UKF. The last deviations move gains and biases alone, which only change the readings.
     """
-    n, states, measurements = constants.sizes[0], constants.sizes[4], constants.sizes[5]
+    states, measurements = constants.sizes[4], constants.sizes[5]
     x, factor, seen, lines, array = memory.x, memory.factor, memory.seen, memory.lines, memory.array
     here, moved, sensed, centre, mean = lines[1], lines[2], lines[3], lines[4], lines[5]
-    biases = first_bias(constants)
+    gains = first_gain(constants)
     distance = np.sqrt(float(states)) if kind == UNSCENTED else 1.0
     signals(constants, scheduled, x, scheduled.command, here)
     readings(constants, scheduled, here, mean)
-    for i in range(biases):
+    for i in range(gains):
         carried(constants, scheduled.sees, factor[i], i, moved)
         others_seen(constants, factor[i], moved)
         for sign in range(2):
@@ -69,21 +69,19 @@ def look_around(constants: Constants, scheduled: Scheduled, memory: Memory, kind
     if kind == UNSCENTED:
         weight = 0.5 / states
         for j in range(measurements):
-            total = 2.0 * (states - biases) * mean[j]
-            for i in range(2 * biases):
+            total = 2.0 * (states - gains) * mean[j]
+            for i in range(2 * gains):
                 total += array[i, j]
             mean[j] = total * weight
     half = 0.5 / distance
-    for i in range(biases):
+    for i in range(gains):
         for j in range(measurements):
             seen[i, j] = half * (array[2 * i, j] - array[2 * i + 1, j])
             seen[states + i, j] = half * (array[2 * i, j] + array[2 * i + 1, j] - 2.0 * mean[j])
-    for i in range(biases, states):
+    for i in range(gains, states):
         for j in range(measurements):
             seen[i, j] = 0.0
             seen[states + i, j] = 2.0 * half * (centre[j] - mean[j])  # both points of such a pair see the centre
-    for j in range(2 * n, measurements):
-        bias = biases + j - 2 * n
-        mean[j] += x[bias]
-        for i in range(states):
-            seen[i, j] += factor[i, bias]
+    for i in range(states):
+        misread(constants, factor[i], centre, seen[i])
+    misread(constants, x, centre, mean)

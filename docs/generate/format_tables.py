@@ -250,8 +250,12 @@ ESTIMATES = (
     Entry("estimate_orientation_x … _z", "rad", "Orientation of the detector in the world, extrinsic x, y, z angles."),
     Entry("…_variance", "squared", "Error variance of each of these, as the filter believes."),
     Entry("estimate_nis, estimate_measured", "", "Normalised innovation squared of the row, and of how many measurements it is."),
-    Entry("estimate_nis_window", "", "Mean of it per measurement over 64 rows; 1 for a consistent filter."),
-    Entry("estimate_alarm", "", "1 where that is more than chance: something acts that the model does not know."),
+    Entry(
+        "estimate_nis_window",
+        "",
+        "Mean of it per measurement over 64 rows; 1 for a consistent filter, more where something acts unknown to it.",
+    ),
+    Entry("estimate_alarm", "", "1 where sensors lately moved the geometric parameters by more than the stated variances allow."),
 )
 
 DESIGN = ArrayFile(

@@ -62,8 +62,10 @@ _VARIANCES = (
     Column("ratio", ("orientation_ratio",)),
     Column("NIS per measurement", ("nis_per_measurement",)),
     Column("in the 95 % band", ("share_in_band",)),
-    Column("alarms in ten minutes", ("alarms_in_ten_minutes",)),
     Column("rows in alarm", ("alarm_share",)),
+    Column("false alarms in ten minutes", ("false_alarms_in_ten_minutes",)),
+    Column("error passed twice the stated", ("passed_twice",)),
+    Column("alarm within 1 s", ("in_time",)),
 )
 _POSES = (
     Column("focal spot [mm]", ("source_m",), 1e3),
@@ -466,21 +468,46 @@ SHOWN = (
     Shown(
         "observer_variances.json",
         "What the observer states, against the truth",
-        "True error and stated deviation of the nine geometric parameters on both C-arms; the ratio of stated to true should be 1. "
-        "The observer's model has the machine file's own numbers, so that nothing is false but the effects of `carm-real`. An alarm counts "
-        "when it begins. Encoders state nothing.",
+        "True error and stated deviation of the nine geometric parameters on both C-arms; the ratio of stated to true is asked to lie "
+        "between 0.7 and 1.5. The observer's model has the machine file's own numbers, so that nothing is false but the effects of "
+        "`carm-real`, of which each seed draws the machine: every effect lies somewhere in the range that the file states, and the design "
+        "knows its root mean square. The propeller at 37 deg is between the design's poses. Encoders state nothing. An error of a sound "
+        "machine passes twice what is stated where one that no sensor shows, above all the turn of a warm detector, lies far out in its "
+        "range: no alarm can tell that."
+        "\n\nNot met, with the propeller at 37 deg: on `carm` what is stated is 0.57 to 0.59 of what is wrong, and on `carm-real` the "
+        "alarm is false 17 times in ten minutes. The model errs by some 30 urad there, more the farther the propeller is from 0 deg, at "
+        "the design's own poses, too, and with a denser grid; this is not counted. Without sensors, quiet scans are stated as if shaken.",
         "python benchmarks/observer_variances.py --own-model --json benchmarks/results/observer_variances.json",
-        (Figure("seeds per scan", ("seeds",)), Figure("model of the observer", ("model",))),
+        (
+            Figure("machines per scan", ("seeds",), asked="at least 20"),
+            Figure("model of the observer", ("model",)),
+        ),
         (Rows("machine, scan: method", ("rows",), _VARIANCES),),
     ),
     Shown(
-        "observer_variances_spread.json",
-        "The same over machines that differ from the design's",
-        "Every strength of every effect of `carm-real` differs from what its file says, by 30 % standard deviation, in each seed.",
-        "python benchmarks/observer_variances.py --own-model --machine carm-real --seeds 20 --spread 30 \\\n"
-        "    --json benchmarks/results/observer_variances_spread.json",
-        (Figure("seeds per scan", ("seeds",)),),
-        (Rows("machine, scan: method", ("rows",), _VARIANCES),),
+        "observer_alarms.json",
+        "What the observer's alarm tells",
+        "Faults on the same design and machines, in roll scans at 30 deg/s; those of sensors begin after 3 s. Asked: at most one false "
+        "alarm in ten minutes, and 90 % of alarms within 1 s where the true error passes twice what is stated."
+        "\n\nNot met on `carm-real`: a detector half as heavy again bends from the beginning as a warm one may, and the alarm comes "
+        "later, as the pose changes; after a motor encoder's slip, which the link side puts right, the error passes later and by little. "
+        "And on sound machines, where an error is far out in its range by chance: no sensor shows that.",
+        "python benchmarks/observer_alarms.py --seeds 12 --json benchmarks/results/observer_alarms.json",
+        (Figure("machines per fault", ("seeds",)),),
+        (
+            Rows(
+                "machine: fault",
+                ("rows",),
+                (
+                    Column("scans", ("scans",)),
+                    Column("error passed twice the stated", ("passed_twice",)),
+                    Column("alarm within 1 s", ("in_time",)),
+                    Column("share", ("in_time_share",)),
+                    Column("false alarms in ten minutes", ("false_alarms_in_ten_minutes",)),
+                    Column("rows in alarm", ("alarm_share",)),
+                ),
+            ),
+        ),
     ),
     Shown(
         "observer_tracking.json",

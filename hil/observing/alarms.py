@@ -35,7 +35,7 @@ OUTSIDE_rad = 0.02
 
 @dataclass(frozen=True)
 class Alarm:
-    """A time in which the innovations are too large for chance.
+    """A time in which sensors move the estimate by more than its variances allow.
 
     Attributes
     ----------

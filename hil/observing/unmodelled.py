@@ -1,18 +1,21 @@
 """Effects that a machine file states, as noise of its observer: how strong they are is known, what they do at an instant is not.
 
 A modal model has no dry friction, play, misaligned sensor or warm structure in it. Each enters where the filter has a state for it, so that
-the published variances count it: an effort at a drive or gear as a disturbance, a sensor's error that turns with the pose as a bias that
-walks, what two encoders of an axis differ by as an offset of the motor side, and a pose that no sensor sees as an offset of the detector's
-twist. Over the pose such an error changes within about a radian, which the machine turns in 1 / TURNING seconds.
+the published variances count it: an effort at a drive or gear as a disturbance, how an inertial sensor sits and scales as its gains, what
+two encoders of an axis differ by as an offset of the motor side, what a link side reads wrong as an offset of its own, and a turn that no
+sensor sees as an offset of the detector's twist. An encoder's error changes within about a radian, which the machine turns in 1 / TURNING
+seconds; a warm structure's as it warms.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
 from controllers.models.modal import ModalModel
+from controllers.observers.modal_equations import GAINS
 from controllers.observers.settings import ObserverNoise
 from hil.machine import Machine
 from hil.observing.geometry import placed_bodies
@@ -22,6 +25,9 @@ from virtual_bus.settings import EffectSetting
 
 TURNING_rad_s = 0.5
 """About 30 deg/s: a scan."""
+
+PASSING = np.sqrt(2.0 * TURNING_rad_s)
+"""Walk per sqrt(s) of a process of first order that changes within a radian, over its deviation."""
 
 LEVELS = {
     "coulomb_friction": ("Fc",),
@@ -45,6 +51,8 @@ sets the motor side apart and pushes only for the instant in which it is crossed
 RUN_s = 10.0
 """Length of a scan, at whose end a structure is warmer."""
 
+AXES = ("x", "y", "z")
+
 
 def with_unmodelled(noise: ObserverNoise, model: ModalModel, machine: Machine, effort_per_unit: np.ndarray | None = None) -> ObserverNoise:
     """Return the noise with the effects that the machine's file states; unchanged where it states none.
@@ -64,11 +72,12 @@ def with_unmodelled(noise: ObserverNoise, model: ModalModel, machine: Machine, e
     axes, n = machine.axes, len(machine.axes)
     unit = effort_gain(machine) if effort_per_unit is None else effort_per_unit
     stiffness = {joint.name: joint.stiffness for joint in machine.plant.tree.joints}
-    drive, gear, apart, turned = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(3)
+    drive, gear, apart, read = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+    turned, warming = np.zeros(3), np.zeros(3)
     _, to_detector = placed_bodies(machine.plant.tree.bodies)[machine.geometry.detector_body]  # type: ignore[union-attr]
     sensors = {imu.name: k for k, imu in enumerate(_in_order(model, machine))}
-    bias, walk = np.zeros((len(sensors), 2)), np.zeros((len(sensors), 2))
-    gravity = float(np.linalg.norm(machine.plant.tree.gravity_m_s2))
+    bias, gain = np.zeros((len(sensors), 6)), np.zeros((len(sensors), GAINS))
+    seen_at = {joint: k for k, axis in enumerate(axes) for joint in _link_joints(machine, axis)}
     for effect in machine.own_effects:
         if effect.at in axes:
             k = axes.index(effect.at)
@@ -79,35 +88,38 @@ def with_unmodelled(noise: ObserverNoise, model: ModalModel, machine: Machine, e
             apart[k] = np.hypot(apart[k], gap)
         elif effect.name == "encoder_eccentricity":
             k = next(k for k, axis in enumerate(axes) if effect.at.endswith(f"position_{axis}"))
-            apart[k] = np.hypot(apart[k], _size(effect, ("a", "b")))
-            if effect.at.startswith("link_"):  # the pose is as wrong as the encoder that it is taken from
-                turned = np.hypot(turned, effect.parameters["a"] / np.sqrt(2.0) * model.chain.axes[k])
+            side = read if effect.at.startswith("link_") else apart
+            side[k] = np.hypot(side[k], _size(effect, ("a", "b")) / np.sqrt(2.0))  # of cosines
         elif effect.name == "thermal_bending":
             warm = -np.expm1(-(effect.parameters["warm_for"] + RUN_s) / effect.parameters["tau"])
             body = next(body for body in machine.plant.tree.bodies if body.name == effect.at)
+            if body.joint.name in seen_at:  # type: ignore[union-attr]
+                k = seen_at[body.joint.name]  # type: ignore[union-attr]
+                apart[k] = np.hypot(apart[k], effect.parameters["bend"] * warm)
+                continue
             axis = to_detector.T @ placed_bodies(machine.plant.tree.bodies)[body.name][1] @ body.joint.axis  # type: ignore[union-attr]
             turned = np.hypot(turned, effect.parameters["bend"] * warm * axis)
-        elif effect.at in sensors and effect.name in ("imu_misalignment", "imu_scale_bias"):
-            names = ("rx", "ry", "rz") if effect.name == "imu_misalignment" else ("sx", "sy", "sz")
-            share = _size(effect, names) / np.sqrt(3.0)  # of each axis
-            off = share * np.array([gravity, TURNING_rad_s])
+            warming = np.hypot(warming, effect.parameters["bend"] * warm * axis * np.sqrt(2.0 / effect.parameters["tau"]))
+        elif effect.at in sensors and effect.name == "imu_misalignment":
+            gain[sensors[effect.at], :3] = _size(effect, [f"r{x}" for x in AXES]) / np.sqrt(3.0)
+        elif effect.at in sensors and effect.name == "imu_scale_bias":
             k = sensors[effect.at]
-            bias[k, 0] = np.hypot(bias[k, 0], off[0])  # at rest nothing turns
-            walk[k] = np.hypot(walk[k], off * np.sqrt([TURNING_rad_s, 1.0]))  # speeds change within a second
+            gain[k, 3:6], gain[k, 6] = _size(effect, [f"s{x}" for x in AXES]) / np.sqrt(3.0), abs(effect.parameters["sg"])
+            bias[k, :3], bias[k, 3:] = _size(effect, [f"b{x}" for x in AXES]) / np.sqrt(3.0), abs(effect.parameters["bg"])
     disturbance = noise.disturbance.copy()
     disturbance[:n] = np.hypot(disturbance[:n], drive / unit)
     gears = [j for j, place in enumerate(model.places) if place == "gear"]
     for number, j in enumerate(gears):
         disturbance[j] = np.hypot(disturbance[j], gear[number] if len(gears) == n else gear.max())
-    # a turn about the isocentre leaves it where it is in the detector's frame, so the shift that goes with a turn is not counted
-    offset = np.concatenate((np.hypot(noise.initial_offset[:n], apart), np.zeros(3), turned))
+    offset = np.concatenate((np.hypot(noise.initial_offset[:n], apart), np.zeros(3), turned, read))
+    walk = np.concatenate((np.hypot(noise.offset_walk[:n], offset[:n] * PASSING), np.zeros(3), warming, read * PASSING))
     return dataclasses.replace(
         noise,
         disturbance=disturbance,
-        initial_bias=np.hypot(noise.initial_bias, np.repeat(bias.ravel(), 3)),
-        bias_walk=np.hypot(noise.bias_walk, np.repeat(walk.ravel(), 3)),
+        initial_bias=np.hypot(noise.initial_bias, bias.ravel()),
+        initial_gain=gain.ravel(),
         initial_offset=offset,
-        offset_walk=np.hypot(np.concatenate((noise.offset_walk[:n], np.zeros(6))), offset * np.sqrt(2.0 * TURNING_rad_s)),
+        offset_walk=walk,
     )
 
 
@@ -124,5 +136,10 @@ def _effort(effect: EffectSetting) -> float:
     return level + (effect.parameters[PER_POSITION[effect.name]] if effect.name in PER_POSITION else 0.0)
 
 
-def _size(effect: EffectSetting, names: tuple[str, ...]) -> float:
+def _link_joints(machine: Machine, axis: str) -> tuple[str, ...]:
+    """Return the joints that an axis's link side sees."""
+    return next((encoder.joints for encoder in machine.plant.encoders if encoder.channel == f"link_position_{axis}"), ())
+
+
+def _size(effect: EffectSetting, names: Sequence[str]) -> float:
     return float(np.sqrt(sum(effect.parameters[name] ** 2 for name in names)))

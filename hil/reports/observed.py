@@ -17,7 +17,7 @@ from hil.reports.made_from import command_line, machine_fact, pose_of, was_emula
 
 BAND = 0.95
 FEW, MANY = 0.01, 0.10
-"""Shares of rows with an alarm: fewer are chance, more say that model and machine differ."""
+"""Shares of rows with an alarm: fewer are chance, more say that the estimates are worse than they state."""
 
 LEAST_NIS = 1e-3
 SECONDS = Scale("time [s]")
@@ -56,18 +56,16 @@ def _observed(source: Path, out: Path, design: Path | None) -> list[object]:
 
 
 def verdict(estimate: Estimate) -> Verdict:
-    """Return whether the innovations are as large as chance makes them."""
+    """Return whether the estimates are as good as they state."""
     nis, measured = estimate["estimate_nis"], estimate["estimate_measured"]
     mean = float(nis.sum() / max(measured.sum(), 1.0))
     alarm = float(np.mean(estimate["estimate_alarm"] > 0.0))
     shift = max(float(np.sqrt(np.mean(estimate[f"estimate_detector_{axis}"] ** 2))) for axis in "xyz")
     said = f"The detector was off by up to {1e3 * shift:.3g} mm rms along an axis; "
     if alarm <= FEW:
-        return Verdict(said + f"model and readings agree (squared innovations {mean:.2f} of what is expected).", "good")
-    share = (
-        f"the alarm that model and readings differ is on in {alarm:.1%} of the rows (squared innovations {mean:.2f} of what is expected)."
-    )
-    return Verdict(said + share, "unsure" if alarm <= MANY else "bad")
+        return Verdict(said + f"the sensors bear out its accuracy (squared innovations {mean:.2f} of what is expected).", "good")
+    said += f"by the alarm this is worse than stated in {alarm:.1%} of the rows "
+    return Verdict(said + f"(squared innovations {mean:.2f} of what is expected).", "unsure" if alarm <= MANY else "bad")
 
 
 def detector_charts(estimate: Estimate, pose: str) -> Charts:
@@ -85,7 +83,7 @@ def detector_charts(estimate: Estimate, pose: str) -> Charts:
 
 
 def consistency_charts(estimate: Estimate) -> Charts:
-    """Return the squared innovations per measurement with their 95 % band, and where they raise an alarm."""
+    """Return the squared innovations per measurement with their 95 % band, and where there is an alarm."""
     time, measured = estimate.time_s, np.maximum(estimate["estimate_measured"], 1.0)
     nis = np.maximum(estimate["estimate_nis"] / measured, LEAST_NIS)
     low, high = (stats.chi2.ppf(tail, measured) / measured for tail in ((1.0 - BAND) / 2.0, (1.0 + BAND) / 2.0))

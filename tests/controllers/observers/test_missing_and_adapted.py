@@ -89,14 +89,12 @@ def test_the_alarm_is_silent_on_chance_and_raised_by_what_is_not_modelled(drawn:
     assert not usual[100:, alarm].any()
     calm = replace(small_noise(), disturbance=0.1 * small_noise().disturbance)
     _, surprised = _run(ModalObserver(small_model(), calm, "ekf"), measured, commands)
-    assert surprised[100:, alarm].mean() > 0.5
+    assert surprised[100:, alarm].mean() > 0.25
 
 
 def test_the_monitor_needs_no_measurement_to_keep_still() -> None:
     monitor = InnovationMonitor()
-    mean, raised = monitor.step(0.0, 0)
-    assert np.isnan(mean)
-    assert not raised
+    assert np.isnan(monitor.step(0.0, 0))
 
 
 def test_with_all_sensors_little_is_hidden_and_without_the_imu_its_modes_and_biases_are_named() -> None:
