@@ -2,8 +2,9 @@
 
 States: [q, q', q'', η, η', ξ_d, b, ln Ω, ln Z, ln μ, ξ], the axes' motion, the modes, what else pushes them, the sensor's biases, the
 dynamic parameters as logarithms of ratios to the start, and the parameters of the chain. Extended Kalman filter (5.11)-(5.13), with
-(5.12)'s H̄ at the prediction (correction) and Q for the parameters too; images update it by iterations, since a machine is further from its
-drawing than one linearisation reaches. `unscented` images evaluate the chain at sigma points instead, (5.15)-(5.26) with κ = 0.
+Q for the parameters too. With respect to the chain's parameters all measurements are linearised about one point, `about`: each at the
+latest estimate, as (5.12) has it, would make combinations known that no measurement sees. Where an image moves the estimate further than
+that linearisation reaches, it says so, and the run begins anew about the new estimate (`run`). A machine is that far from its drawing.
 """
 
 from __future__ import annotations
@@ -17,8 +18,14 @@ from controllers.models.swinging_chain import Readings, swing_step
 from hil.calibration.data_driven.late_images import LateImages
 from hil.calibration.parameter_states.model import PoseImage, Randomness, SwingingMachine, pose_gap
 
+USED, REFUSED, FAR = "used", "refused", "far"
+"""What became of an image."""
+
 ROUNDS = 5
 """Iterations of an image's update; from the drawing's tolerance the third moves by less than the image's noise."""
+
+REACH = 0.1
+"""Share of an image's noise that its linearisation may be wrong by."""
 
 SURPRISE = float(chi2.ppf(1.0 - 1e-6, 9))
 """Limit of an image's normalised innovation: one in a million is beyond it where the image shows what it should."""
@@ -43,6 +50,10 @@ class ParameterStatesFilter(LateImages):
     random : Randomness
     encoder : (axes,) array
         First measured positions.
+    about : (p,) array, optional
+        The chain's parameters that measurements are linearised about; else the start.
+    unsure : (p, p) array, optional
+        Covariance of `about`.
 
     Attributes
     ----------
@@ -51,8 +62,17 @@ class ParameterStatesFilter(LateImages):
         kind; the chain's parameters.
     """
 
-    def __init__(self, machine: SwingingMachine, random: Randomness, encoder: np.ndarray) -> None:
+    def __init__(
+        self,
+        machine: SwingingMachine,
+        random: Randomness,
+        encoder: np.ndarray,
+        about: np.ndarray | None = None,
+        unsure: np.ndarray | None = None,
+    ) -> None:
         self.machine, self.random = machine, random
+        self.about = machine.chain.values if about is None else about
+        self.unsure = np.diag(random.parameters**2) if unsure is None else unsure
         n, m, p = machine.axes, machine.modes, len(machine.chain.names)
         ends = np.cumsum([3 * n, 3 * m, 6, 3 * m, p])
         self.axis, self.mode, self.bias, self.dynamic, self.fixed = (
@@ -143,7 +163,7 @@ class ParameterStatesFilter(LateImages):
             spots = np.arange(place.start, place.stop)
             self.covariance[spots, spots] += seconds * walk**2
 
-    def sense(self, encoder: np.ndarray, imu: np.ndarray, effort: np.ndarray, rows: Readings, k: int, about: np.ndarray) -> float:
+    def sense(self, encoder: np.ndarray, imu: np.ndarray, effort: np.ndarray, rows: Readings, k: int, motion: np.ndarray) -> float:
         """Take in the encoders (axes,) and the sensor (6,) at one sample.
 
         Parameters
@@ -154,9 +174,9 @@ class ParameterStatesFilter(LateImages):
             That acted until this sample.
         rows : Readings
         k : int
-            The sample's place in `rows`.
-        about : (3 axes + p,) array
-            The motion and the chain's parameters that `rows` are linearised about.
+            The sample's place in `rows`, which are linearised about `about`.
+        motion : (3 axes,) array
+            The motion that they are linearised about.
 
         Returns
         -------
@@ -172,8 +192,8 @@ class ParameterStatesFilter(LateImages):
         for j, slope in enumerate((rows.by_position[k], rows.by_speed[k], rows.by_acceleration[k])):
             seen[:, j * n : (j + 1) * n] = slope[:, :n]
         seen[:, self.bias], seen[:, self.fixed] = np.eye(6), rows.by_parameter[k]
-        expected[n:] += seen[:, self.axis] @ (self.x[self.axis] - about[: 3 * n])
-        expected[n:] += seen[:, self.fixed] @ (self.x[self.fixed] - about[3 * n :])
+        expected[n:] += seen[:, self.axis] @ (self.x[self.axis] - motion)
+        expected[n:] += seen[:, self.fixed] @ (self.x[self.fixed] - self.about)
         eta, speed, push = self.x[self.mode].reshape(3, m)
         ratio = self.ratios
         omega, damping = 2.0 * np.pi * machine.frequency_Hz * ratio[0], machine.damping * ratio[1]
@@ -208,31 +228,54 @@ class ParameterStatesFilter(LateImages):
         ten thousand samples would tell parameters what none of them knows.
         """
         fixed = seen[:3, self.fixed]
-        spread = float(np.trace(fixed @ self.covariance[self.fixed, self.fixed] @ fixed.T))
+        spread = float(np.trace(fixed @ self.unsure @ fixed.T))
         force, rate = float(np.linalg.norm(values[:3])), float(np.linalg.norm(values[3:]))
         left = 0.5 * spread / force**2
         wrong = np.repeat([left * force, left * rate], 3)
         spots = np.arange(self.bias.start, self.bias.stop)
         self.covariance[spots, spots] += np.where(wrong > NEGLECTED * self.random.imu, wrong**2, 0.0)
 
-    def see(self, number: int, image: PoseImage) -> bool:
-        """Take in an image exposed as `number`; False where it contradicts all else and was left out."""
-        prior, now = self.x.copy(), self.x.copy()
-        covariance = self.covariance
-        for turn in range(ROUNDS):
-            rest, gradient = self.gap(number, image, now)
-            innovation = rest - gradient @ (prior - now)
-            if turn == ROUNDS - 1 and self.surprise(innovation, gradient, image.covariance) > SURPRISE:
-                return False
-            spread = gradient @ covariance @ gradient.T + image.covariance
-            now = prior + np.linalg.solve(spread, gradient @ covariance).T @ innovation
-        self.update(innovation, gradient, image.covariance)
-        return True
+    def see(self, number: int, image: PoseImage, is_newest: bool = True) -> str:
+        """Take in an image exposed as `number`. `is_newest`: `about` does not know of it yet.
 
-    def gap(self, number: int, image: PoseImage, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return an image less what states x expect (9,), and the change (9, states) of what is expected."""
+        Returns
+        -------
+        str
+            `USED`; `REFUSED`: it contradicts all else and was left out; `FAR`: what it tells is further from `about` than one
+            linearisation reaches, and the estimate is that of iterations about itself.
+        """
+        prior, now = self.x.copy(), self.x.copy()
+        linear, slope = self.gap(number, image, prior, self.about)
+        if not is_newest:
+            if self.surprise(linear, slope, image.covariance) > SURPRISE:
+                return REFUSED
+            self.update(linear, slope, image.covariance)
+            return USED
+        for _ in range(ROUNDS):
+            rest, gradient = self.gap(number, image, now, now[self.fixed])
+            innovation = rest - gradient @ (prior - now)
+            spread = gradient @ self.covariance @ gradient.T + image.covariance
+            now = prior + np.linalg.solve(spread, gradient @ self.covariance).T @ innovation
+        if self.surprise(innovation, gradient, image.covariance) > SURPRISE:
+            return REFUSED
+        exact, _ = self.gap(number, image, now, now[self.fixed])
+        expected, _ = self.gap(number, image, now, self.about)
+        wrong = np.abs(exact - expected) / np.sqrt(np.diag(image.covariance))
+        tilt = slope[6:, self.fixed] @ (now[self.fixed] - self.about)
+        force = float(np.linalg.norm(self.machine.gravity_m_s2))
+        if wrong.max() > REACH or 0.5 * float(tilt @ tilt) * force > NEGLECTED * float(self.random.imu[:3].min()):
+            self.update(innovation, gradient, image.covariance)
+            return FAR
+        self.update(linear, slope, image.covariance)
+        return USED
+
+    def gap(self, number: int, image: PoseImage, x: np.ndarray, about: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return an image less what states x expect (9,), and the change (9, states) of what is expected.
+
+        Linear in the chain's parameters about `about` (p,).
+        """
         machine, n, place = self.machine, self.machine.axes, self.copies(number)
-        chain = machine.chain.with_values(x[self.fixed])
+        chain = machine.chain.with_values(about)
         position, deflection = x[place][None, :n], x[place][None, n:]
         rest = pose_gap(
             image.source[None], image.phantom[None], image.rotation[None], chain.poses(position, machine.swing(deflection))
@@ -242,7 +285,7 @@ class ParameterStatesFilter(LateImages):
         gradient = np.zeros((9, len(x)))
         gradient[:, self.fixed] = table[:, :p]
         gradient[:, place] = table[:, [*range(p, p + n), *(p + n + j for j in machine.swinging)]]
-        return rest, gradient
+        return rest - table[:, :p] @ (x[self.fixed] - about), gradient
 
     def geometry(self) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
         """Return the poses of focal spot and phantom now, as of `FlexibleChain.poses`, and their covariance (9, 9)."""

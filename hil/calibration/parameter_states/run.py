@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.signal import savgol_filter
 
-from controllers.models.swinging_chain import readings
-from hil.calibration.parameter_states.filter import ParameterStatesFilter
-from hil.calibration.parameter_states.model import Randomness, Run, SwingingMachine
+from controllers.models.swinging_chain import Readings, readings
+from hil.calibration.parameter_states.filter import FAR, REFUSED, USED, ParameterStatesFilter
+from hil.calibration.parameter_states.model import PoseImage, Randomness, Run, SwingingMachine
 
 SMOOTH_s, ORDER = 0.2, 4
 """The motion that readings are linearised about is a polynomial of this order through the encoders over this span."""
 
-CHUNK = 256
-"""Most samples between two linearisations where no image comes."""
+CHUNK = 1024
+"""Samples linearised at once."""
+
+MOST_BEGUN = 2
+"""Most beginnings for one image; the next image begins anew where these left the estimate out of reach."""
 
 
 @dataclass
@@ -75,47 +79,92 @@ def estimate(machine: SwingingMachine, random: Randomness, run: Run, withdrawn: 
     every : int
         Samples from one kept pose to the next.
     """
-    work = ParameterStatesFilter(machine, random, run.encoder[0])
-    result = Estimated((*machine.chain.names, *machine.dynamic_names), work)
-    result.keep()
-    period = float(np.median(np.diff(run.time_s)))
-    window = max(ORDER + 2, round(SMOOTH_s / period)) | 1
-    motion = [savgol_filter(run.encoder, window, ORDER, deriv=d, delta=period, axis=0) for d in range(3)]
     images = run.images if withdrawn is None else run.images[:withdrawn]
+    result = Estimated((*machine.chain.names, *machine.dynamic_names), ParameterStatesFilter(machine, random, run.encoder[0]))
+    result.keep()
     events = sorted([(each.time_s, 0, k) for k, each in enumerate(images)] + [(each.arrives_s, 1, k) for k, each in enumerate(images)])
-    now, row, next_event = float(run.time_s[0]), 0, 0
-    first, rows, about = 0, None, np.zeros(0)
-    effort = np.zeros(machine.axes)
-    while row < len(run.time_s):
-        event = events[next_event] if next_event < len(events) else (np.inf, 0, -1)
-        if event[0] < run.time_s[row]:
-            work.predict(event[0] - now, effort)
-            now = max(now, event[0])
-            next_event += 1
-            if event[1] == 0:
-                work.exposed(event[2])
-                continue
-            (result.used if work.see(event[2], images[event[2]]) else result.refused).append(event[2])
-            work.dropped(event[2])
+    way = _Way(result, run, images, events, every)
+    told = 0
+    while told <= len(events):
+        work = result.final
+        how = way.go(told)
+        told += 1
+        for _ in range(MOST_BEGUN):
+            if how != FAR:
+                break
+            work = result.final
+            unsure = work.covariance[work.fixed, work.fixed].copy()
+            result.final = ParameterStatesFilter(machine, random, run.encoder[0], work.x[work.fixed].copy(), unsure)
+            how = way.again(told)
+        if 0 < told <= len(events) and events[told - 1][1] == 1:
             result.keep()
-            rows = None
-            continue
-        if rows is None or row - first >= CHUNK:
-            upcoming = next((time for time, kind, _ in events[next_event:] if kind == 1), np.inf)
-            first, stop = row, min(row + CHUNK, max(row + 1, int(np.searchsorted(run.time_s, upcoming)) + 1))
-            about = work.x[work.fixed].copy()
-            chain = machine.chain.with_values(about)
-            rows = readings(chain, machine.imu, *(each[first:stop] for each in motion), machine.gravity_m_s2)
-        work.predict(float(run.time_s[row]) - now, effort)
-        now = float(run.time_s[row])
-        base = np.concatenate([*(each[row] for each in motion), about])
-        result.nis.append(work.sense(run.encoder[row], run.imu[row], effort, rows, row - first, base))
-        effort = run.effort[row]
-        if row % every == 0:
+    return result
+
+
+class _Way:
+    """A filter on its way through a run: up to an event, exposure or arrival of an image, and again from the start."""
+
+    def __init__(
+        self, result: Estimated, run: Run, images: Sequence[PoseImage], events: Sequence[tuple[float, int, int]], every: int
+    ) -> None:
+        self.result, self.run, self.images, self.events, self.every = result, run, images, events, every
+        self.begun, self.row, self.now, self.told_rows = 0, 0, float(run.time_s[0]), 0
+        self.effort = np.zeros(run.effort.shape[1])
+        period = float(np.median(np.diff(run.time_s)))
+        window = max(ORDER + 2, round(SMOOTH_s / period)) | 1
+        self.motion = [savgol_filter(run.encoder, window, ORDER, deriv=d, delta=period, axis=0) for d in range(3)]
+        self.rows: Readings | None = None
+        self.first = self.stop = 0
+
+    def again(self, told: int) -> str:
+        """Go from the start to event number `told` - 1; return what became of its image."""
+        self.begun += 1
+        self.row, self.now, self.rows = 0, float(self.run.time_s[0]), None
+        self.effort = np.zeros_like(self.effort)
+        self.result.used.clear()
+        self.result.refused.clear()
+        for number in range(told - 1):
+            self.go(number, is_newest=False)
+        return self.go(told - 1)
+
+    def go(self, number: int, is_newest: bool = True) -> str:
+        """Go to event `number`, or to the end of the run; return what became of its image."""
+        work, run = self.result.final, self.run
+        at, is_arrival, image = self.events[number] if number < len(self.events) else (np.inf, 0, -1)
+        while self.row < len(run.time_s) and run.time_s[self.row] <= at:
+            self._sample()
+        if image < 0:
+            return USED
+        work.predict(at - self.now, self.effort)
+        self.now = max(self.now, at)
+        if not is_arrival:
+            work.exposed(image)
+            return USED
+        how = work.see(image, self.images[image], is_newest)
+        (self.result.refused if how == REFUSED else self.result.used).append(image)
+        work.dropped(image)
+        return how
+
+    def _sample(self) -> None:
+        work, run, row, result = self.result.final, self.run, self.row, self.result
+        if self.rows is None or row >= self.stop:
+            self.first, self.stop = row, row + CHUNK
+            chain = work.machine.chain.with_values(work.about)
+            part = slice(self.first, self.stop)
+            self.rows = readings(chain, work.machine.imu, *(each[part] for each in self.motion), work.machine.gravity_m_s2)
+        work.predict(float(run.time_s[row]) - self.now, self.effort)
+        self.now = float(run.time_s[row])
+        motion = np.concatenate([each[row] for each in self.motion])
+        nis = work.sense(run.encoder[row], run.imu[row], self.effort, self.rows, row - self.first, motion)
+        self.effort = run.effort[row]
+        self.row += 1
+        if row < self.told_rows:  # told before this beginning
+            return
+        self.told_rows = row + 1
+        result.nis.append(nis)
+        if row % self.every == 0:
             poses, covariance = work.geometry()
-            result.at_s.append(now)
+            result.at_s.append(self.now)
             result.poses.append(poses)
             result.covariances.append(covariance)
             result.dynamic.append(work.x[work.dynamic].copy())
-        row += 1
-    return result
