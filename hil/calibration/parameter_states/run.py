@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.signal import savgol_filter
@@ -21,6 +21,15 @@ CHUNK = 1024
 MOST_BEGUN = 2
 """Most beginnings for one image; the next image begins anew where these left the estimate out of reach."""
 
+CONTRADICTED = 3
+"""Images that agree with the drawing in nothing, and no image that does: the machine is further from its drawing than was said."""
+
+MOST_WIDENED = 3
+"""Times that the tolerances are doubled."""
+
+MOST_BEGUN_IN_ALL = 20
+"""Where an axis stands still, combinations that nothing shows wander for ever; poses do not depend on them."""
+
 
 @dataclass
 class Estimated:
@@ -34,6 +43,8 @@ class Estimated:
         Before any image and after each; dynamic parameters as logarithms of ratios to the start.
     used, refused : lists of int
         Images.
+    widened : int
+        How often the drawing's tolerances were doubled, because no image agreed with it.
     at_s : list of float
         Instants of `poses`.
     poses : list of (source, phantom, rotation)
@@ -51,6 +62,7 @@ class Estimated:
     deviations: list[np.ndarray] = field(default_factory=list)
     used: list[int] = field(default_factory=list)
     refused: list[int] = field(default_factory=list)
+    widened: int = 0
     at_s: list[float] = field(default_factory=list)
     poses: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=list)
     covariances: list[np.ndarray] = field(default_factory=list)
@@ -84,20 +96,27 @@ def estimate(machine: SwingingMachine, random: Randomness, run: Run, withdrawn: 
     result.keep()
     events = sorted([(each.time_s, 0, k) for k, each in enumerate(images)] + [(each.arrives_s, 1, k) for k, each in enumerate(images)])
     way = _Way(result, run, images, events, every)
-    told = 0
-    while told <= len(events):
-        work = result.final
-        how = way.go(told)
-        told += 1
+    number, kept = 0, 0
+    while number <= len(events):
+        how = way.go(number)
         for _ in range(MOST_BEGUN):
-            if how != FAR:
+            if how != FAR or way.begun >= MOST_BEGUN_IN_ALL:
                 break
             work = result.final
             unsure = work.covariance[work.fixed, work.fixed].copy()
             result.final = ParameterStatesFilter(machine, random, run.encoder[0], work.x[work.fixed].copy(), unsure)
-            how = way.again(told)
-        if 0 < told <= len(events) and events[told - 1][1] == 1:
+            how = way.again(number)
+        if not result.used and len(result.refused) == CONTRADICTED and result.widened < MOST_WIDENED:
+            random = replace(random, parameters=2.0 * random.parameters)
+            result.widened += 1
+            result.final = ParameterStatesFilter(machine, random, run.encoder[0])
+            way.begin()
+            number = 0
+            continue
+        if number < len(events) and events[number][1] == 1 and number >= kept:
             result.keep()
+            kept = number + 1
+        number += 1
     return result
 
 
@@ -116,16 +135,20 @@ class _Way:
         self.rows: Readings | None = None
         self.first = self.stop = 0
 
-    def again(self, told: int) -> str:
-        """Go from the start to event number `told` - 1; return what became of its image."""
-        self.begun += 1
+    def begin(self) -> None:
+        """Go back to the start."""
         self.row, self.now, self.rows = 0, float(self.run.time_s[0]), None
         self.effort = np.zeros_like(self.effort)
         self.result.used.clear()
         self.result.refused.clear()
-        for number in range(told - 1):
-            self.go(number, is_newest=False)
-        return self.go(told - 1)
+
+    def again(self, number: int) -> str:
+        """Go from the start to event `number`; return what became of its image."""
+        self.begun += 1
+        self.begin()
+        for earlier in range(number):
+            self.go(earlier, is_newest=False)
+        return self.go(number)
 
     def go(self, number: int, is_newest: bool = True) -> str:
         """Go to event `number`, or to the end of the run; return what became of its image."""
