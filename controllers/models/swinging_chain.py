@@ -38,7 +38,7 @@ class PanelImu:
 
 @dataclass(frozen=True)
 class Readings:
-    """What the sensor measures at N instants while no mode swings, and how that changes; rows are specific force [m/s^2], then rates [rad/s].
+    """What the sensor measures at N instants while no mode swings, and how that changes: specific force [m/s^2], then rates [rad/s].
 
     Attributes
     ----------

@@ -76,10 +76,10 @@ def read_swinging(path: Path) -> SwingingMachine:
     )
 
 
-def vector(where: str, key: str, value: Any, size: int) -> np.ndarray:
+def vector(where: str, key: str, value: object, size: int) -> np.ndarray:
     """Return a vector from a file; raise UnusableInputError where it is none of this size."""
     try:
-        found = np.array(value, dtype=float)
+        found = np.asarray(value, dtype=float)
     except (TypeError, ValueError):
         found = np.zeros(0)
     if found.shape != (size,) or not np.isfinite(found).all():
@@ -128,6 +128,4 @@ def _flexible(chain: DenavitHartenberg, modes: list[dict[str, Any]], source: np.
         center_of_mass_m=np.array([line[4] - line[1] if line[3] else nothing for line in lines]),
         gravity_m_s2=gravity,
     )
-    return FlexibleChain(
-        chain, tuple(range(count)), source, elastic, np.array([float(mode["compliance_rad_Nm"]) for mode in modes]), tree
-    )
+    return FlexibleChain(chain, tuple(range(count)), source, elastic, np.array([float(mode["compliance_rad_Nm"]) for mode in modes]), tree)

@@ -98,7 +98,7 @@ def drawn_run(
         Time to the factor of all modes' frequencies: drift.
     """
     rng = np.random.default_rng(seed)
-    n, m, period = machine.axes, machine.modes, 1.0 / conditions.rate_Hz
+    n, period = machine.axes, 1.0 / conditions.rate_Hz
     time = np.arange(round(conditions.seconds * conditions.rate_Hz)) * period
     sweep = _sines(rng, n, 2, SWEEP_Hz)
     reach = np.broadcast_to(np.asarray(conditions.reach_rad, float), (n,))

@@ -277,9 +277,7 @@ class ParameterStatesFilter(LateImages):
         machine, n, place = self.machine, self.machine.axes, self.copies(number)
         chain = machine.chain.with_values(about)
         position, deflection = x[place][None, :n], x[place][None, n:]
-        rest = pose_gap(
-            image.source[None], image.phantom[None], image.rotation[None], chain.poses(position, machine.swing(deflection))
-        )[0]
+        rest = pose_gap(image.source[None], image.phantom[None], image.rotation[None], chain.poses(position, machine.swing(deflection)))[0]
         table = chain.jacobian_of_all(position)[0]
         p = len(chain.names)
         gradient = np.zeros((9, len(x)))

@@ -157,9 +157,7 @@ class Run:
     images: tuple[PoseImage, ...]
 
 
-def pose_gap(
-    source: np.ndarray, phantom: np.ndarray, rotation: np.ndarray, of: tuple[np.ndarray, np.ndarray, np.ndarray]
-) -> np.ndarray:
+def pose_gap(source: np.ndarray, phantom: np.ndarray, rotation: np.ndarray, of: tuple[np.ndarray, np.ndarray, np.ndarray]) -> np.ndarray:
     """Return poses less those of a model, (N, 9): source, phantom [m], rotation vector [rad], in detector coordinates."""
     from scipy.spatial.transform import Rotation
 

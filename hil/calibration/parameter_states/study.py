@@ -94,9 +94,7 @@ def randomness(machine: SwingingMachine, drifts: bool = False) -> Randomness:
     )
 
 
-def drawn_machine(
-    start: SwingingMachine, random: Randomness, seed: int, scale: float = 1.0, dynamic_scale: float = 1.0
-) -> SwingingMachine:
+def drawn_machine(start: SwingingMachine, random: Randomness, seed: int, scale: float = 1.0, dynamic_scale: float = 1.0) -> SwingingMachine:
     """Return a machine whose parameters are off the start by `scale` times their deviations, the dynamic ones by `dynamic_scale`."""
     rng = np.random.default_rng([seed, 1])
     values = start.chain.values + scale * rng.normal(0.0, random.parameters)

@@ -8,8 +8,9 @@ import mujoco
 import numpy as np
 import pytest
 from flexible_machine import soft_machine
+from scipy.linalg import expm
 
-from controllers.models.swinging_chain import PanelImu, Readings, readings
+from controllers.models.swinging_chain import PanelImu, Readings, readings, swing_step
 from hil.calibration.kinematic.nominal_chain import nominal_chain
 from hil.machine.mjcf import to_mjcf
 
@@ -98,3 +99,14 @@ def test_every_parameter_s_slope_is_a_difference_of_the_readings() -> None:
         ahead, behind = (along(CHAIN.with_values(values + sign * step)).values for sign in (1.0, -1.0))
         slope = (ahead - behind) / (2.0 * step[k])
         np.testing.assert_allclose(slopes[:, :, k], slope, atol=2e-4 + 2e-3 * np.abs(slope).max(), err_msg=name)
+
+
+def test_a_mode_s_step_is_the_matrix_exponential() -> None:
+    omega, damping, seconds = np.array([50.0, 88.0]), np.array([0.02, 0.3]), 0.011
+    phi, gamma = swing_step(omega, damping, seconds)
+    for k in range(2):
+        whole = np.zeros((3, 3))
+        whole[:2] = [[0.0, 1.0, 0.0], [-(omega[k] ** 2), -2.0 * damping[k] * omega[k], 1.0]]
+        exact = expm(whole * seconds)
+        np.testing.assert_allclose(phi[k], exact[:2, :2], rtol=1e-9)
+        np.testing.assert_allclose(gamma[k], exact[:2, 2], rtol=1e-9)
