@@ -112,9 +112,8 @@ class ParameterStatesFilter(LateImages):
         F = np.eye(len(self.x))
         after = self.x.copy()
         for i in range(n):
-            q, speed, acceleration = i, n + i, 2 * n + i
-            F[q, speed] = F[speed, acceleration] = seconds
-            F[q, acceleration] = 0.5 * seconds**2
+            F[i, n + i] = F[n + i, 2 * n + i] = seconds
+            F[i, 2 * n + i] = 0.5 * seconds**2
         after[self.axis] = F[self.axis, self.axis] @ self.x[self.axis]
         kept = np.exp(-seconds / random.push_s)
         eta, speed, push = self.x[self.mode].reshape(3, m)

@@ -174,7 +174,8 @@ class _Way:
             self.first, self.stop = row, row + CHUNK
             chain = work.machine.chain.with_values(work.about)
             part = slice(self.first, self.stop)
-            self.rows = readings(chain, work.machine.imu, *(each[part] for each in self.motion), work.machine.gravity_m_s2)
+            position, speed, acceleration = (each[part] for each in self.motion)
+            self.rows = readings(chain, work.machine.imu, position, speed, acceleration, work.machine.gravity_m_s2)
         work.predict(float(run.time_s[row]) - self.now, self.effort)
         self.now = float(run.time_s[row])
         motion = np.concatenate([each[row] for each in self.motion])
