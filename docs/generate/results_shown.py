@@ -804,13 +804,13 @@ SHOWN = (
         "Parameters as states of one filter with images",
         "Thesis Tables 5.1, 5.2 and Fig. 5.8 on drawn runs. Errors are of poses that no image showed; squared errors are over what the "
         "filter states, 1 where it is true. The thesis's recordings are not public. Its two tables differ by more in angles and ratios "
-        "than runs with this noise do, which is not explained. Where joints stand still, parameters wander along what nothing shows; poses do "
-        "not. Without an inertial sensor, two images a second do not tell frequencies.",
+        "than runs with this noise do, which is not explained. Where joints stand still, parameters wander along what nothing shows; poses "
+        "do not. Without an inertial sensor, two images a second do not tell frequencies.",
         "python benchmarks/calibration_states.py --json benchmarks/results/calibration_states.json",
         (
             Figure("images until the error stays below a single image's", ("tables", "converged"), asked="about 20 (thesis)"),
             Figure("phantom, after 20 images", ("tables", "after", "20", "held_out_m"), "mm", 1e3, asked="0.04"),
-            Figure("phantom, model-based from the same images", ("tables", "model_based", "held_out_m"), "mm", 1e3),
+            Figure("phantom, model-based from all 40 images at once", ("tables", "model_based", "held_out_m"), "mm", 1e3),
             Figure("phantom, between the printed tables", ("printed", "phantom_m"), "mm", 1e3),
             Figure("squared error, chain's parameters", ("tables", "nees", "chain"), asked="1"),
             Figure("squared error, modes' parameters", ("tables", "nees", "dynamic"), asked="1"),
