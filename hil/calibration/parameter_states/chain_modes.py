@@ -56,6 +56,8 @@ def read_swinging(path: Path) -> SwingingMachine:
             value = mode.get(key)
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < np.inf:
                 raise UnusableInputError(f"{where}: {key} = {value!r}: must be a positive number")
+        if mode["damping"] >= 1.0:
+            raise UnusableInputError(f"{where}: damping = {mode['damping']:g}: must be a ratio below 1; a mode swings")
         vector(where, "gain_rad_s2", mode.get("gain_rad_s2"), count)
         if not np.linalg.norm(mode["axis"]) > 0.0:
             raise UnusableInputError(f"{where}: axis = {mode['axis']}: must not be zero")

@@ -154,6 +154,7 @@ def test_the_chain_s_file_names_what_is_wrong(tmp_path: Path) -> None:
     for old, new, message in (
         ("row = 3", "row = 9", "mode 2: row = 9: must be a whole number from 0, the panel, to 5"),
         ("frequency_Hz = 14.0", "frequency_Hz = -1.0", "mode 1: frequency_Hz = -1.0: must be a positive number"),
+        ("damping = 0.01\n", "damping = 1.5\n", "mode 1: damping = 1.5: must be a ratio below 1"),
         ("axis = [0.4, 0.9165, 0.0]", "axis = [0.4, 0.9165]", r"mode 1: axis = \[0.4, 0.9165\]: must be 3 numbers"),
         ('name = "arm"', 'name = "detector_mount"', "mode 2: name = 'detector_mount': must be a text of its own"),
         ("gain_rad_s2 = [0.01, 0.02, 0.02, 0.01]", "gain_rad_s2 = 3", "mode 1: gain_rad_s2 = 3: must be 4 numbers"),
