@@ -138,3 +138,12 @@ def test_too_few_rows_are_said_to_be_too_few(rows: int) -> None:
     found = diagnose(MACHINE, short).diagnosis
     assert found.verdict == "inconclusive"
     assert f"{rows} rows" in found.reason and "record 100 at least" in found.reason
+
+
+def test_a_stop_that_every_repeat_meets_once_is_named() -> None:
+    """It shows in a twentieth of the recordings, and in all of them: a disturbance would show in one."""
+    farthest = float(np.max(reference(3.0)))
+    truth = {"at": lambda x: -3e4 * max(x - farthest + 1.5e-3, 0.0), "duration_s": 3.0, "seed": 11}
+    found = diagnose(MACHINE, repeats(**truth)).diagnosis
+    (stop,) = (finding for finding in found.findings if str(finding.effect) == "end_stop at carriage")
+    assert stop.parameters["at_position"].value == pytest.approx(farthest - 1.5e-3, abs=1e-3)  # its law is fitted beside others
