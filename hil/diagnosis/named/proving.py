@@ -208,8 +208,8 @@ def _steadiness(tuned: Tuned, fitted: Fitted, number: int, repeats: Sequence[Seq
     """Return how large what an effect alone explains is, in standard deviations by which repeats, and stretches of them, differ in it.
 
     A few loud disturbances speak in one repeat, and one at a steady frequency speaks in each of them otherwise: physics, even if it shows
-    in one stretch only, says the same there in all. It is the sandwich estimate (White 1982) of the size of what the effect changes, beside
-    all that numbers and the other effects may change instead.
+    in one stretch only, says the same there in all. It is the jackknife's estimate (Efron 1982; MacKinnon and White 1985, HC3) of the size
+    of what the effect changes, beside all that numbers and the other effects may change instead.
 
     Parameters
     ----------
@@ -237,7 +237,9 @@ def _steadiness(tuned: Tuned, fitted: Fitted, number: int, repeats: Sequence[Seq
         parts = differ or [np.zeros_like(rest)]
         stretches = np.array_split(np.arange(len(change)), count)
         scores = np.array([[change[inside] @ (rest[inside] + each[inside]) for inside in stretches] for each in parts]) / len(parts)
-        scattered += np.sum(scores**2), np.sum(scores.sum(axis=1) ** 2)
+        weights = np.array([change[inside] @ change[inside] for inside in stretches]) / size / len(parts)
+        of_repeats = np.sum((scores.sum(axis=1) / (1.0 - weights.sum())) ** 2) if differ else 0.0
+        scattered += np.sum((scores / np.maximum(1.0 - weights, 1e-12)) ** 2), of_repeats
     return size / float(np.sqrt(max(scattered.max(), 1e-300)))
 
 

@@ -156,8 +156,8 @@ def proposed(fitted: Fitted, of: Library, readings: int, dispersion: float) -> l
 def search(tuned: Tuned, laws: Library, baseline: Fitted, materiality: float = 1.0) -> list[Ranked]:
     """Return fitted sets, the answer first, then the likeliest; the empty set is among them.
 
-    The answer is the likeliest set. Where noise is known, effects that it can do without are left out, the least useful first: beside
-    others, whose laws may be a little off, those without which it is not sure to be less likely; a single one where none is likelier.
+    The answer is the likeliest set. Where noise is known, effects without which it is not sure to be less likely are left out, the least
+    useful first.
 
     Sets are sought from nothing on, one effect after the other, and from the engineer's first fit, whose effects are left out one after the
     other: two effects may show only together. Effects that are not everyday have to leave less by the factor
@@ -213,7 +213,7 @@ def search(tuned: Tuned, laws: Library, baseline: Fitted, materiality: float = 1
             for k in range(len(chosen.fitted.settings))
         ]
         sparer = min((ranked(each) for each in kept if each is not None), key=lambda each: each.cost)
-        if sparer.cost > chosen.cost + (NOT_TOLD_APART if len(chosen.fitted.settings) > 1 else 0.0):
+        if sparer.cost > chosen.cost + NOT_TOLD_APART:
             break
         chosen = sparer
     others = (each for names, each in found.items() if names != chosen.fitted.names)
