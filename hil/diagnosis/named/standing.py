@@ -165,7 +165,7 @@ def detection_limits(named: Named, of: Library) -> list[Limit]:
         if not strengths or (law.effect.family, law.at) in taken:
             continue
         asked = len(strengths) * math.log(tuned.readings) + 2.0 * math.log(of.places)
-        if best.settings and not named.levels.are_assumed:
+        if not named.levels.are_assumed:
             asked += NOT_TOLD_APART
         if not law.effect.everyday:
             asked += (named.materiality - 1.0) * best.squares / best.dispersion
