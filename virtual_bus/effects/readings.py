@@ -11,11 +11,10 @@ SURE = 20.0
 """Events of a kind that chance would have made, of which none is there: it makes none once in e^20."""
 APART = 1.5
 """Steps of the file's lattice between neighbouring readings, below which they are neighbours on it."""
-
-
 FASTEST = 4.0
 """Steps of a lattice, rms over NEARBY rows, from which on no change and a change by one step are as seldom."""
 NEARBY = 25
+"""Rows over which means are taken: few enough that a motion is nearly even over them."""
 MADE_UP = 1.5
 """Of the changes beside it: a position that was held for a row then changes by two rows' worth."""
 
@@ -59,6 +58,26 @@ class Shown:
     step: float
     held: tuple[np.ndarray, ...]
     said: str
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """Held readings of one channel of several recordings.
+
+    Attributes
+    ----------
+    readings : tuple of (N,) bool arrays
+        Which may be held.
+    count, most : int
+        How many were, and may have been, in rows in which it shows.
+    rows : int
+        In which it shows.
+    """
+
+    readings: tuple[np.ndarray, ...]
+    count: int
+    most: int
+    rows: int
 
 
 def coarser_lattice(readings: Readings) -> tuple[float, float, int] | None:
@@ -106,10 +125,8 @@ def _lattice(seen: np.ndarray, least: float, step: float) -> tuple[float, float,
         reach *= 2.0
 
 
-def held_readings(readings: Readings) -> tuple[tuple[np.ndarray, ...], int, int, int] | None:
-    """Return which readings (N,) of each recording may be held, how many were and may have been in rows in which it shows, and those rows.
-
-    None where none was held.
+def held_readings(readings: Readings) -> Held | None:
+    """Return which readings are held; None where none is.
 
     Where readings change by several steps of their lattice from row to row, whether they move or are noise, they change by none as seldom
     as by one. Held ones do so more often. What a position does not show it makes up for at once, by more than it changes before and after:
@@ -139,7 +156,7 @@ def held_readings(readings: Readings) -> tuple[tuple[np.ndarray, ...], int, int,
     expected = float(next_to_it)  # twice what chance makes: steps up and steps down
     if sure <= expected + SURE + 5.0 * np.sqrt(expected):
         return None
-    return tuple(held), count, most, rows
+    return Held(tuple(held), count, most, rows)
 
 
 def _changes_around(size: np.ndarray, still: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -160,7 +177,10 @@ def _nearby(values: np.ndarray) -> np.ndarray:
     return means
 
 
-def mean_run(held: Sequence[np.ndarray]) -> float:
-    """Return the mean number of held readings on end."""
-    begins = sum(int(np.sum(each & ~np.append(False, each[:-1]))) for each in held)
-    return float(sum(int(each.sum()) for each in held) / max(begins, 1))
+def runs(held: Sequence[np.ndarray]) -> np.ndarray:
+    """Return how many held readings there are on end, for each time that some are."""
+    lengths = []
+    for each in held:
+        ends = np.flatnonzero(np.diff(np.concatenate(([False], each, [False])).astype(int)))
+        lengths.append(ends[1::2] - ends[::2])
+    return np.concatenate(lengths)

@@ -6,7 +6,7 @@ import numpy as np
 
 from virtual_bus.effects.effect import DROPOUT, Effect, Parameter
 from virtual_bus.effects.law import Law, Place
-from virtual_bus.effects.readings import Readings, Shown, held_readings, mean_run
+from virtual_bus.effects.readings import Readings, Shown, held_readings, runs
 
 EFFECT = Effect(
     name="sample_dropout",
@@ -59,12 +59,19 @@ def in_readings(readings: Readings) -> Shown | None:
     found = held_readings(readings)
     if found is None:
         return None
-    held, count, most, rows = found
-    p = count / rows
-    length = max(mean_run(held) * (1.0 - p), 1.0)
-    unsure = 1.96 * float(np.sqrt(p * (1.0 - p) * length / rows))
-    values = {"p": (p, max(p - unsure, 0.0), min(most / rows + unsure, 1.0)), "length": (length, length, length), "seed": (0.0, 0.0, 0.0)}
-    return Shown(values, readings.step, held, f"{count} of {rows} readings that should differ from the last are the same")
+    p = found.count / found.rows
+    on_end = runs(found.readings)
+    length = max(float(np.mean(on_end)) * (1.0 - p), 1.0)
+    unsure = 1.96 * float(np.sqrt(p * (1.0 - p) * length / found.rows))
+    longer = 1.96 * float(np.std(on_end) / np.sqrt(len(on_end))) + 0.5  # bursts are whole samples long
+    seeds = next(parameter for parameter in EFFECT.parameters if parameter.name == "seed")
+    values = {
+        "p": (p, max(p - unsure, 0.0), min(found.most / found.rows + unsure, 1.0)),
+        "length": (length, max(length - longer, 1.0), length + longer),
+        "seed": (0.0, seeds.low, seeds.high),  # readings do not show it
+    }
+    said = f"{found.count} of {found.rows} readings that should differ from the last are the same"
+    return Shown(values, readings.step, found.readings, said)
 
 
 def laws(place: Place) -> list[Law]:

@@ -26,7 +26,10 @@ def changed(recordings: dict[str, Recording], by) -> dict[str, Recording]:
 
 def test_a_lattice_coarser_than_the_files_is_named_with_its_step() -> None:
     step = 17.0 * MACHINE.plant.encoders[0].resolution
-    coarse = lambda x, _: step * np.floor(x / step + 0.5)  # noqa: E731
+
+    def coarse(x: np.ndarray, _: np.random.Generator) -> np.ndarray:
+        return step * np.floor(x / step + 0.5)
+
     found = diagnose(MACHINE, changed(repeats(**TRUTH), coarse), changed(repeats(1, experiment=1, **TRUTH), coarse)).diagnosis
     assert [str(finding.effect) for finding in found.findings] == ["encoder_quantization at position_carriage"]
     assert found.verdict == "explained"

@@ -71,6 +71,9 @@ def test_held_readings_are_found_in_their_share(seed: int, share: float, length:
     assert low < value < high
     spread = 3.0 * np.sqrt(share * length / (3 * ROWS))  # by which drawn bursts differ from their probability
     assert low - spread < share < high + spread
+    burst, shortest, longest = found.values["length"]
+    assert burst == pytest.approx(length, rel=0.3)
+    assert shortest <= length <= longest
     assert value == pytest.approx(share, abs=spread, rel=0.3 if is_position else 0.0)  # of positions in slow motion it hardly shows
 
 
