@@ -30,6 +30,6 @@ def lag_s(time_s: float, t0: float, delta: float) -> float:
 
 
 def laws(place: Place) -> list[Law]:
-    """Return a tenth of a row, constant or at the recording's end."""
-    small = 0.1 * place.period_s
-    return [each(("t0",), min(small, 0.1), delta=0.0), each(("delta",), min(small / place.duration_s, 0.01), t0=0.0)]
+    """Return a tenth of a row: constant, growing to it until the recording's end, and both."""
+    late, growing = min(0.1 * place.period_s, 0.1), min(0.1 * place.period_s / place.duration_s, 0.01)
+    return [each(("t0",), late, delta=0.0), each(("delta",), growing, t0=0.0), each(("t0", "delta"), (late, growing))]

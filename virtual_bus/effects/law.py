@@ -145,13 +145,14 @@ def fixed(**parameters: float) -> Law:
     return Law((parameters,), lambda _: dict(parameters), 0.0, 1.0)
 
 
-def each(strengths: Sequence[str], value: float = 1.0, both_signs: bool = False, **others: float) -> Law:
-    """Return the law of several strengths, a column each, the others at their neutral value."""
+def each(strengths: Sequence[str], value: float | Sequence[float] = 1.0, both_signs: bool = False, **others: float) -> Law:
+    """Return the law of several strengths, a column each, the others at their neutral value; a column's strength is `value`."""
     rest = dict.fromkeys(strengths, 0.0)
-    columns = tuple({**others, **rest, strength: value} for strength in strengths)
+    values = dict(zip(strengths, np.broadcast_to(value, len(strengths)).tolist(), strict=True))
+    columns = tuple({**others, **rest, strength: its} for strength, its in values.items())
     return Law(
         columns,
-        lambda w: {**others, **{strength: value * float(weight) for strength, weight in zip(strengths, w, strict=True)}},
+        lambda w: {**others, **{strength: its * float(weight) for (strength, its), weight in zip(values.items(), w, strict=True)}},
         -math.inf if both_signs else 0.0,
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -28,6 +29,12 @@ class Column:
 
     efforts: dict[int, tuple[np.ndarray, np.ndarray]]
     readings: dict[int, np.ndarray]
+
+    @property
+    def size(self) -> float:
+        """Rms over rows of all that it changes, each in its own unit."""
+        parts = [at for at, _ in self.efforts.values()] + list(self.readings.values())
+        return math.sqrt(sum(float(np.mean(np.square(part, dtype=float))) for part in parts))
 
 
 def column(without: Signals, with_it: Signals, scale: float = 1.0) -> Column:

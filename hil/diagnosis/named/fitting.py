@@ -34,6 +34,8 @@ DETERMINED = 1.0
 """Square of a column, in units of noise, below which the recordings say less of a nuisance than its prior."""
 STEP = 0.02
 """Of a difference, as a share of a parameter: laws with corners need a step that is longer than a row."""
+MOST_CHANGED = 0.1
+"""Of an effect, by the step of one of its shapes."""
 SHAPE_STEP, STRENGTH_STEP, PHASE_STEP = 0.3, 1.0, 0.5
 """Longest step of a shape and of a strength, as shares of them, and of a phase [rad]: their effect is linear nearby only."""
 
@@ -62,6 +64,8 @@ class Fitted:
     form_squares : float
         Squares of the likeliest form errors, in standard deviations.
     readings : int
+    is_pressed : (P,) bool array
+        Which nuisances lie on a bound that the recordings press them against: no law has to be told apart from them.
     """
 
     settings: tuple[EffectSetting, ...]
@@ -74,6 +78,7 @@ class Fitted:
     form: FormError
     form_squares: float
     readings: int
+    is_pressed: np.ndarray
 
     @cached_property
     def dispersion(self) -> float:
@@ -155,7 +160,19 @@ def fit(
             break
     reduced, form_squares = form.taken_from(left)
     squares += float(sum(after @ after - before @ before for before, after in zip(left, reduced, strict=True)))
-    return Fitted(settings, offset, squares, reduced, columns, parameters, not tuned.levels.are_assumed, form, form_squares, tuned.readings)
+    pressed = _pressed(tuned, offset, columns, reduced, dispersion)
+    return Fitted(
+        settings, offset, squares, reduced, columns, parameters, not tuned.levels.are_assumed, form, form_squares, tuned.readings, pressed
+    )
+
+
+def _pressed(tuned: Tuned, offset: np.ndarray, columns: Sequence[np.ndarray], left: Sequence[np.ndarray], dispersion: float) -> np.ndarray:
+    """Return which nuisances (P,) lie on a bound and would leave less beyond it."""
+    low, high = tuned.bounds
+    moved = offset - tuned.offset
+    slopes = sum(each[:, : len(offset)].T @ rest for each, rest in zip(columns, left, strict=True)) / dispersion - offset
+    pressed: np.ndarray = ((moved <= low) & (slopes < 0.0)) | ((moved >= high) & (slopes > 0.0))
+    return pressed
 
 
 def _cost(left: Sequence[np.ndarray], squares: float, offset: np.ndarray, form: FormError) -> float:
@@ -263,22 +280,58 @@ def _columns(
     here, weaker = signals_of(tuned, one, settings), _weaker(tuned, one, settings)
     columns, rescaled = [], []
     for k, parameter in parameters:
-        value = settings[k].parameters[parameter.name]
-        step = difference(parameter, value)
-        if value + step > parameter.high:
-            step = -step
-        moved = (*settings[:k], changed(settings[k], {parameter.name: value + step}), *settings[k + 1 :])
         try:
-            columns.append(column(here, signals_of(tuned, one, moved), step))
-            rescaled.append((_weaker(tuned, one, moved) / weaker - 1.0) / step)
+            found = _change(tuned, one, settings, k, parameter, here)
         except EffectError:
             columns.append(column(here, here))
             rescaled.append(np.zeros_like(weaker))
-    found = _times(np.hstack([one.numbers, one.whiten(columns)]), 1.0 / weaker)
-    for number, change in enumerate(rescaled, one.numbers.shape[1]):
-        if change.any():
-            found[:, number] += _times(rest, change)
-    return found
+            continue
+        step, moved, change = found
+        columns.append(change)
+        rescaled.append((_weaker(tuned, one, moved) / weaker - 1.0) / step)
+    whole = _times(np.hstack([one.numbers, one.whiten(columns)]), 1.0 / weaker)
+    for number, gain in enumerate(rescaled, one.numbers.shape[1]):
+        if gain.any():
+            whole[:, number] += _times(rest, gain)
+    return whole
+
+
+def _change(
+    tuned: Tuned, one: Looked, settings: tuple[EffectSetting, ...], number: int, parameter: Parameter, here: Signals
+) -> tuple[float, tuple[EffectSetting, ...], Column]:
+    """Return a parameter's step, the effects with it, and what they then change per unit of it.
+
+    Steps of shapes are short enough that little of the effect itself changes: over a recording, a wave's frequency or order is known to a
+    small part of a period.
+    """
+    setting = settings[number]
+    value = setting.parameters[parameter.name]
+    step = difference(parameter, value)
+    if value + step > parameter.high:
+        step = -step
+    own = 0.0
+    if not parameter.is_strength and parameter.unit != PHASE:
+        own = column(signals_of(tuned, one, (*settings[:number], *settings[number + 1 :])), here).size
+    while True:
+        moved = (*settings[:number], changed(setting, {parameter.name: value + step}), *settings[number + 1 :])
+        change = column(here, signals_of(tuned, one, moved), step)
+        share = abs(step) * change.size / own if own > 0.0 else 0.0
+        if share <= MOST_CHANGED:
+            return step, moved, change
+        step *= 0.5 * MOST_CHANGED / share
+
+
+def shape_steps(tuned: Tuned, settings: tuple[EffectSetting, ...]) -> dict[tuple[int, str], float]:
+    """Return the steps by which effects' shapes are differentiated, by effect and name: the shortest along all recordings."""
+    steps: dict[tuple[int, str], float] = {}
+    for one in tuned.looked:
+        here = signals_of(tuned, one, settings)
+        for k, setting in enumerate(settings):
+            for parameter in free_parameters(setting):
+                step, _, _ = _change(tuned, one, settings, k, parameter, here)
+                if not parameter.is_strength and abs(step) < abs(steps.get((k, parameter.name), np.inf)):
+                    steps[k, parameter.name] = step
+    return steps
 
 
 def difference(parameter: Parameter, value: float) -> float:

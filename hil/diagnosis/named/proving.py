@@ -108,7 +108,7 @@ def neighbours(tuned: Tuned, best: Fitted, of: Library) -> Iterator[Neighbour]:
     """Yield what might stand in place of each effect of a set, and the set without it.
 
     Laws that would explain most beside what is kept are fitted with it: in place of one effect, or of two at one place. Two laws of one
-    family at one place are one law.
+    family at one place are one law, unless what was left out acts there instead.
     """
     count = len(best.settings)
     pairs = [(k, j) for k in range(count) for j in range(k) if best.settings[k].at == best.settings[j].at]
@@ -120,10 +120,11 @@ def neighbours(tuned: Tuned, best: Fitted, of: Library) -> Iterator[Neighbour]:
         if len(without) == 1:
             yield Neighbour(rest, without, has_another=False)
         taken = best.names | {(effects()[one.name].family, one.at) for one in kept}
-        waves = any(effects()[best.settings[k].name].several for k in without)
+        gone = {best.settings[k].name for k in without}
+        waves = any(effects()[name].several for name in gone)
         laws = library(tuned, rest) if waves else of  # orders and lines of what was left out
         for law, weights in proposed(rest, laws, tuned.readings, best.dispersion):
-            if {(law.effect.name, law.at), (law.effect.family, law.at)} & taken:
+            if (law.effect.name, law.at) in taken or ((law.effect.family, law.at) in taken and law.effect.name not in gone):
                 continue
             other = fit(tuned, (*kept, law.setting(weights)), rest.offset, best.dispersion)
             if other is not None:
@@ -230,6 +231,8 @@ def _steadiness(tuned: Tuned, fitted: Fitted, number: int, repeats: Sequence[Seq
     taken = bounded_least_squares(squares, pulls, low, high)
     own = [change - each @ taken for each, change in zip(beside, own, strict=True)]
     size = float(sum(change @ change for change in own))
+    if size == 0.0:
+        return 0.0
     rows = sum(len(change) for change in own)
     scattered = np.zeros(2)  # over stretches of repeats, and over whole repeats
     for change, rest, differ in zip(own, fitted.innovations, repeats, strict=True):

@@ -111,12 +111,14 @@ def _evened(scores: np.ndarray) -> np.ndarray:
 
 def beside_fit(fitted: Fitted, of: Library, dispersion: float) -> Iterator[tuple[Entry, np.ndarray, np.ndarray]]:
     """Yield every law with the squares (w, w) and the slopes (w,) that a fitted set's numbers and parameters leave of its columns."""
-    beside = fitted.with_form
-    own = np.sum([each.T @ each for each in beside], axis=0) + dispersion * np.diag(fitted.prior)
+    free = np.append(~fitted.is_pressed, np.ones(len(fitted.prior) - len(fitted.is_pressed), dtype=bool))
+    beside = [each[:, free] for each in fitted.with_form]
+    own = np.sum([each.T @ each for each in beside], axis=0) + dispersion * np.diag(fitted.prior[free])
     scale = np.sqrt(np.maximum(np.diag(own), 1e-300))
     root = np.linalg.inv(np.linalg.cholesky(own / scale[:, None] / scale + 1e-10 * np.eye(len(own))))
     slopes = sum(each.T @ rest for each, rest in zip(beside, fitted.innovations, strict=True))
-    slopes[: len(fitted.offset)] -= dispersion * fitted.offset
+    offset = fitted.offset[~fitted.is_pressed]
+    slopes[: len(offset)] -= dispersion * offset
     slopes[len(slopes) - fitted.form.count :] = 0.0  # form errors are at their likeliest
     across = (sum(_products(c, d) for c, d in zip(of.columns, beside, strict=True)) / scale) @ root.T
     taken = root @ (slopes / scale)
@@ -168,14 +170,18 @@ def search(tuned: Tuned, laws: Library, baseline: Fitted, materiality: float = 1
     assert start is not None
 
     def ranked(fitted: Fitted) -> Ranked:
-        bought = _price(fitted, start.cost(dispersion), dispersion, tuned.readings, laws.places)
+        sure = found.get(frozenset((one.name, one.at) for one in fitted.settings if effects()[one.name].is_exact))
+        unsure = start if sure is None else sure.fitted
+        bought = _price(fitted, unsure.cost(dispersion), dispersion, tuned.readings, laws.places)
         return Ranked(fitted, bought + (materiality ** _special(fitted) - 1.0) * fitted.squares / dispersion, dispersion)
 
     def whole(of: Ranked) -> Ranked:
         again = of.fitted if of.fitted.columns else fit(tuned, of.fitted.settings, of.fitted.offset, scatter)
         return of if again is None else ranked(again)
 
-    found: dict[frozenset[tuple[str, str]], Ranked] = {start.names: ranked(start)}
+    found: dict[frozenset[tuple[str, str]], Ranked] = {}
+    for each in (start, baseline):
+        found[each.names] = ranked(each.without_columns())
     beam = [start]
     shorter: Fitted | None = baseline
     while shorter is not None and shorter.settings:
@@ -220,8 +226,8 @@ def search(tuned: Tuned, laws: Library, baseline: Fitted, materiality: float = 1
     return [chosen, *sorted(others, key=lambda each: each.cost)]
 
 
-def _price(fitted: Fitted, cost_of_nothing: float, dispersion: float, readings: int, places: int) -> float:
-    """Return the price of a set of effects.
+def _price(fitted: Fitted, cost_of_exact: float, dispersion: float, readings: int, places: int) -> float:
+    """Return the price of a set of effects, of which those whose form is known alone cost `cost_of_exact`.
 
     It is the Bayesian information criterion, extended by the number of sets that there are (Chen and Chen 2008). An effect beside others
     must explain more than what their laws may be wrong by; only the everyday ones are free of that beside each other.
@@ -231,7 +237,7 @@ def _price(fitted: Fitted, cost_of_nothing: float, dispersion: float, readings: 
     special = _special(fitted)
     beside = special - 1 if special == size else special
     wrong = EXACT if fitted.is_noise_known else FORM
-    return bought + max(beside, 0) * wrong**2 * max(cost_of_nothing - fitted.cost(dispersion), 0.0)
+    return bought + max(beside, 0) * wrong**2 * max(cost_of_exact - fitted.cost(dispersion), 0.0)
 
 
 def _special(fitted: Fitted) -> int:

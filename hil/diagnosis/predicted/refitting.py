@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.diagnosis.named.fitting import HALVINGS, changed, difference, free_parameters, reach
+from hil.diagnosis.named.fitting import HALVINGS, changed, difference, free_parameters, reach, shape_steps
 from hil.diagnosis.named.naming import Named
 from hil.diagnosis.predicted.open_runs import AS_LARGE, HORIZONS_s, Machine, Runs
 from hil.diagnosis.tuned.bounded import bounded_least_squares
@@ -30,6 +30,7 @@ FEWEST = 20
 class _Point:
     offset: np.ndarray  # (P,) of the numbers
     settings: tuple[EffectSetting, ...]
+    steps: dict[tuple[int, str], float]  # of shapes' differences, by effect and name: as short as the recorded motion asks for
 
 
 def refitted(named: Named) -> Named:
@@ -45,7 +46,7 @@ def refitted(named: Named) -> Named:
     count = len(numbers.indices)
     spread = np.sqrt(np.nanmean(np.concatenate([(run.recorded - np.nanmean(run.recorded, axis=0)) ** 2 for run in runs]), axis=0))
     spread = np.where(spread > 0.0, spread, np.inf)
-    points = [_Point(fitted.offset[:count].copy(), fitted.settings) for _, fitted in named.sets]
+    points = [_Point(fitted.offset[:count].copy(), fitted.settings, shape_steps(tuned, fitted.settings)) for tuned, fitted in named.sets]
     horizon = max((_horizon(runs, numbers, point, spread) or 0.0 for point in points), default=0.0)
     if horizon == 0.0:
         return named
@@ -146,7 +147,7 @@ def _moved(point: _Point, parameters: Sequence[tuple[int, Parameter]], step: np.
     for (k, parameter), by in zip(parameters, step[count:], strict=True):
         changes[k][parameter.name] = point.settings[k].parameters[parameter.name] + float(by)
     settings = tuple(changed(setting, change) for setting, change in zip(point.settings, changes, strict=True))
-    return _Point(point.offset + step[:count], settings)
+    return replace(point, offset=point.offset + step[:count], settings=settings)
 
 
 def _normal_equations(
@@ -186,8 +187,8 @@ def _normal_equations(
 
 def _step(point: _Point, number: int, parameter: Parameter) -> float:
     value = point.settings[number].parameters[parameter.name]
-    step = difference(parameter, value)
-    return -step if value + step > parameter.high else step
+    step = point.steps.get((number, parameter.name), difference(parameter, value))
+    return -step if not parameter.low <= value + step <= parameter.high else step
 
 
 def _starts(run: Runs, horizon: float, machine: Machine, here: Sequence[np.ndarray]) -> list[list[np.ndarray]]:

@@ -10,7 +10,9 @@ from places import BENCHMARKS
 
 from hil.diagnosis.named.naming import name
 from hil.diagnosis.named.search import library
+from hil.diagnosis.named.settling import settled
 from hil.diagnosis.seen.see import see
+from hil.diagnosis.tuned.retuning import nominal_offset
 from hil.machine import machine_from_text
 from hil.simulation import compare, simulate
 from virtual_bus.settings import EffectSetting
@@ -78,7 +80,8 @@ def test_pieces_of_the_motors_record_begin_in_motion():
 def test_cogging_of_a_motor_is_found_at_its_first_order_and_not_at_twice_that():
     """Effort at 144 a turn stands out as well; started there alone, a fit would have no 72."""
     data = REAL_SETS["laas_anti_cogging"]()
-    named = name(see(data.machine, data.train))
-    of = library(named.tuned, named.plain)
+    seen = see(data.machine, data.train)
+    levels = name(seen).levels
+    of = library(*settled(seen.alongs, levels, nominal_offset(seen.alongs)))
     orders = {float(law.setting(np.ones(law.width)).parameters["Np"]) for law in of.laws if law.effect.name == "cogging"}
     assert min(abs(order - 72.0) for order in orders) < 0.5
