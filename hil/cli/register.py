@@ -30,6 +30,7 @@ from hil.cli import (
     physics,
     plot,
     reconstruct,
+    reconstruct_plane,
     roadmap,
     run,
     shape,
@@ -66,6 +67,7 @@ def commands(app: typer.Typer) -> None:
     roadmap.register(app)
     geometry.register(app)
     reconstruct.register(app)
+    reconstruct_plane.register(app)
     diagnose.register(app)
     app.add_typer(faults.app, name="faults")
     fleet_change.register(fleet.app)
