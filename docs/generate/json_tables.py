@@ -344,7 +344,7 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
             "`dome_height`, `dome_width`, `aspect_ratio` (height over neck), `bottleneck_factor` (dome over neck width), `sphericity`.",
         ),
     ),
-    "reconstruct-plane": (
+    "plane": (
         Entry("rays, views, bins", "text, number, number", "`parallel rays` or `a fan`, and the sinogram's shape."),
         Entry("size, spacing_m", "number", "Pixels along each edge of the image, and a pixel's edge."),
         Entry("discs", "list", "With `--disc`: `disc`, `mean_1_m` of the image in its inner half, and `true_1_m`, what was drawn there."),

@@ -28,9 +28,9 @@ from hil.cli import (
     machine,
     observe,
     physics,
+    plane,
     plot,
     reconstruct,
-    reconstruct_plane,
     roadmap,
     run,
     shape,
@@ -67,7 +67,7 @@ def commands(app: typer.Typer) -> None:
     roadmap.register(app)
     geometry.register(app)
     reconstruct.register(app)
-    reconstruct_plane.register(app)
+    plane.register(app)
     diagnose.register(app)
     app.add_typer(faults.app, name="faults")
     fleet_change.register(fleet.app)

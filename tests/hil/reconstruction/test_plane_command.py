@@ -1,4 +1,4 @@
-"""isocenter reconstruct-plane: discs come back from a fan and from parallel rays, where they were, and what it refuses."""
+"""isocenter plane: discs come back from a fan and from parallel rays, where they were, and what it refuses."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hil.cli import main
 
 def exit_of(*arguments: object) -> int:
     with pytest.raises(SystemExit) as leave:
-        main(["reconstruct-plane", *(str(argument) for argument in arguments)])
+        main(["plane", *(str(argument) for argument in arguments)])
     return int(leave.value.code or 0)
 
 

@@ -1,4 +1,4 @@
-"""isocenter reconstruct-plane: an image of a plane from its sinogram, and sinograms of discs (thesis Appendix B)."""
+"""isocenter plane: an image of a plane from its sinogram, and sinograms of discs (thesis Appendix B)."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ WINDOWS = ("ramp", "shepp-logan", "cosine", "hamming", "hann", "none")
 def register(app: typer.Typer) -> None:
     """Add the command."""
     app.command(
-        "reconstruct-plane",
+        "plane",
         short_help="An image of a plane from its sinogram.",
         help="An image of a plane from its sinogram by filtered backprojection, of parallel rays or of a fan over a whole turn (thesis"
         " Appendix B). SINOGRAM is an archive of NumPy arrays: projections (views, bins), angles_rad, and spacing_m of parallel bins or"
         " psi_rad (bins) and source_m of a fan. With --disc it is made first: a fan's exact line integrals of discs."
-        "\n\nExample:  isocenter reconstruct-plane discs.npz --disc 0,0,50,20 --disc 18,6,12,10 -o plane"
-        "\n\nFewer views leave streaks:  isocenter reconstruct-plane few.npz --disc 0,0,50,20 --views 30 -o few",
-    )(reconstruct_plane)
+        "\n\nExample:  isocenter plane discs.npz --disc 0,0,50,20 --disc 18,6,12,10 -o plane"
+        "\n\nFewer views leave streaks:  isocenter plane few.npz --disc 0,0,50,20 --views 30 -o few",
+    )(plane)
 
 
-def reconstruct_plane(
+def plane(
     sinogram_file: Annotated[Path, typer.Argument(metavar="SINOGRAM", help="Archive of arrays (.npz); written with --disc.")],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder for image.npz and image.png.")],
     disc: Annotated[
