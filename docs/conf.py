@@ -34,6 +34,8 @@ html_show_sourcelink = False
 html_show_copyright = False
 html_show_sphinx = False
 
+OWN = ("hil", "drivers", "controllers", "virtual_bus")
+
 _SECTION = re.compile(r"^-{3,}$")
 _CODE = re.compile(r"``?([^`]+)``?")
 
@@ -46,7 +48,12 @@ def _as_rst(text: str) -> str:
 
 
 def docstring_as_rst(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
-    """Prepare a docstring before numpydoc reads its sections; indented paragraphs of its text become blocks of code."""
+    """Prepare a docstring before numpydoc reads its sections; indented paragraphs of its text become blocks of code.
+
+    Sphinx reads the docstrings of imported members, too, before it leaves those members out: other packages' are not ours to prepare.
+    """
+    if getattr(obj, "__module__", None) and obj.__module__.partition(".")[0] not in OWN:
+        return
     section = next((number - 1 for number, line in enumerate(lines) if _SECTION.match(line.strip())), len(lines))
     written: list[str] = []
     in_block = False

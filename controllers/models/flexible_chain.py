@@ -20,8 +20,8 @@ SOURCE_NAMES = ("source_u", "source_v", "source_w")
 ROUNDS = 8
 """Iterations between deflection and gravity; each shrinks the error by gravity's stiffness over the joint's, a few hundredths at most."""
 
-LEAST_STEP = 1e-12
-"""Smallest difference step of a compliance [rad/Nm]: a few hundred Nm bend it by 1e-10 rad."""
+STEP = 1e-4
+"""Difference step of a coordinate [rad or m]: gravity's efforts are sines of it, so the error is 1e-9 of them."""
 
 IN_CHAIN, AT_PANEL, AT_TUBE = "in_chain", "at_panel", "at_tube"
 
@@ -126,26 +126,32 @@ class FlexibleChain:
             bent = self.compliance * effort
         return bent, effort
 
-    def _gains(self, positions: np.ndarray, bent: np.ndarray) -> np.ndarray:
-        """Return the change (N, e, e) of every deflection with each compliance, by differences.
+    def _yields(self, positions: np.ndarray, bent: np.ndarray, effort: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the change of every deflection with each compliance (N, e, e), and with each axis position (N, e, axes).
 
-        The change of gravity's effort with the deflection is included.
+        The change of gravity's effort with the deflections is included: bent = C effort(positions, bent), differentiated.
         """
-        result = np.empty((*bent.shape, len(self.elastic)))
-        for k, compliance in enumerate(self.compliance):
-            step = max(1e-4 * abs(compliance), LEAST_STEP)
-            other = self.compliance.copy()
-            other[k] += step
-            result[:, :, k] = (replace(self, compliance=other).deflections(positions)[0] - bent) / step
-        return result
+        count, axes, elastic = len(positions), positions.shape[1], len(self.elastic)
+        columns = [*range(axes), *(joint.coordinate for joint in self.elastic)]
+        coordinates = np.zeros((count, axes + elastic))
+        coordinates[:, columns] = np.concatenate([positions, bent], axis=1)
+        steps = STEP * np.eye(axes + elastic)[columns]
+        either = np.concatenate([steps, -steps])[:, None, :] + coordinates
+        efforts = self.tree.efforts(either.reshape(-1, axes + elastic)).reshape(2, axes + elastic, count, -1)
+        slopes = np.moveaxis((efforts[0] - efforts[1]) / (2.0 * STEP), 0, -1)[:, columns[axes:], :]  # (N, e, axes + e)
+        slopes = self.compliance[:, None] * slopes
+        stiffer = np.eye(elastic) - slopes[:, :, axes:]
+        return np.linalg.solve(stiffer, effort[:, :, None] * np.eye(elastic)), np.linalg.solve(stiffer, slopes[:, :, :axes])
 
-    def poses(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def poses(self, positions: np.ndarray, swing: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the poses of focal spot and phantom, seen from the panel.
 
         Parameters
         ----------
         positions : (N, axes) array
             Positions of the machine's axes [rad].
+        swing : (N, e) array, optional
+            Deflections of the elastic joints [rad or m] beyond those by gravity.
 
         Returns
         -------
@@ -154,15 +160,20 @@ class FlexibleChain:
         rotation : (N, 3, 3) array
             From phantom to detector coordinates.
         """
-        chain, tube = self._motions(positions, with_gains=False)
+        chain, tube = self._motions(positions, swing)
         end = frames_of(chain, len(positions))[-1]
         seen = frames_of(tube, len(positions))[-1]
         return seen[:, :3, :3] @ self.source_m + seen[:, :3, 3], end[:, :3, 3], end[:, :3, :3]
 
     def jacobian(self, positions: np.ndarray) -> np.ndarray:
         """Return the change (N, 9, p) of source [m], phantom [m] and rotation [rad, detector coordinates] per unit parameter (2.17)."""
-        chain, tube = self._motions(positions)
-        size, rigid = len(self.names), len(self.chain.names)
+        return self.jacobian_of_all(positions)[:, :, : len(self.names)]
+
+    def jacobian_of_all(self, positions: np.ndarray) -> np.ndarray:
+        """Return `jacobian`, then the change per axis position [rad] and per deflection of an elastic joint, (N, 9, p + axes + e)."""
+        positions = np.atleast_2d(np.asarray(positions, dtype=float))
+        chain, tube = self._motions(positions, with_gains=True)
+        size, rigid = len(self.names) + positions.shape[1] + len(self.elastic), len(self.chain.names)
         result = np.zeros((len(positions), 9, size))
         frames = frames_of(chain, len(positions))
         result[:, 3:] = motion_jacobian(chain, frames, frames[-1][:, :3, 3], size)
@@ -172,21 +183,36 @@ class FlexibleChain:
         result[:, :3, rigid : rigid + 3] = frames[-1][:, :3, :3]
         return result
 
-    def _motions(self, positions: np.ndarray, with_gains: bool = True) -> tuple[list[Motion], list[Motion]]:
+    def _motions(
+        self, positions: np.ndarray, swing: np.ndarray | None = None, with_gains: bool = False
+    ) -> tuple[list[Motion], list[Motion]]:
         """Return the motions from the panel to the phantom, and from the panel to the tube."""
         rows = self.chain.motions(self.angles(positions))
-        bent, _ = self.deflections(positions)
-        gains = self._gains(positions, bent) if with_gains else None
+        bent, effort = self.deflections(positions)
         first = len(self.chain.names) + len(SOURCE_NAMES)
+        axes, swings = len(self.names), len(self.names) + len(self.driven)
+        if with_gains:
+            gains, by_axes = self._yields(positions, bent, effort)
+            for axis, joint in enumerate(self.driven):
+                if joint >= 0:
+                    turn = rows[joint + 1][0]
+                    rows[joint + 1][0] = turn._replace(parameters=(*turn.parameters, (axes + axis, self.chain.table[joint, 4])))
         tube: list[Motion] = []
         for k in range(len(self.elastic) - 1, -1, -1):
-            joint = self.elastic[k]
+            elastic = self.elastic[k]
             # A joint that carries the panel by +q makes everything behind it move by -q; the tube itself moves by +q
-            sign = 1.0 if joint.place == AT_TUBE else -1.0
-            parameters = () if gains is None else tuple((first + j, sign * gains[:, k, j]) for j in range(len(self.elastic)))
-            motion = Motion(joint.revolute, joint.axis, sign * bent[:, k], parameters, joint.point_m)
-            if joint.place != AT_TUBE:
-                rows[joint.row].insert(0, motion)
-            if joint.place != IN_CHAIN:
+            sign = 1.0 if elastic.place == AT_TUBE else -1.0
+            parameters: tuple[tuple[int, np.ndarray | float], ...] = ()
+            if with_gains:
+                parameters = (
+                    *((first + j, sign * gains[:, k, j]) for j in range(len(self.elastic))),
+                    *((axes + axis, sign * by_axes[:, k, axis]) for axis in range(len(self.driven))),
+                    (swings + k, sign),
+                )
+            amount = bent[:, k] if swing is None else bent[:, k] + swing[:, k]
+            motion = Motion(elastic.revolute, elastic.axis, sign * amount, parameters, elastic.point_m)
+            if elastic.place != AT_TUBE:
+                rows[elastic.row].insert(0, motion)
+            if elastic.place != IN_CHAIN:
                 tube.insert(0, motion)
         return [motion for row in rows for motion in row], tube

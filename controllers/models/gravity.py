@@ -65,12 +65,13 @@ class GravityTree:
                 mass[self.parent[b]] += mass[b]
                 moment[self.parent[b]] += moment[b]
         result = np.zeros_like(coordinates, dtype=float)
+        crossed = np.cross(np.eye(3), self.gravity_m_s2)  # a vector's product with this is its cross product with gravity
         for b in range(bodies):
             if self.coordinate[b] < 0:
                 continue
             along = rotation[b] @ self.axis[b]
             load = mass[b] * self.gravity_m_s2
             if self.revolute[b]:
-                load = np.cross(moment[b] - mass[b] * origin[b], self.gravity_m_s2)
+                load = (moment[b] - mass[b] * origin[b]) @ crossed
             result[:, self.coordinate[b]] = np.sum(along * load, axis=1)
         return result

@@ -186,6 +186,11 @@ VOLUME_TEXT = """
 `volume.mha` of `isocenter reconstruct` is a MetaImage: attenuation [1/m] in single precision, voxels in millimetres.
 The voxels run along a frame of its own whose y is the scan's axis; `TransformMatrix` and `Offset` put it into the
 phantom's frame, as 3D Slicer and ITK-SNAP read it.
+
+A sinogram of `isocenter plane` is an `.npz` of `projections` (views, bins), line integrals without a unit,
+`angles_rad` (views,), and `spacing_m` of parallel bins, which count along (cos, sin) from the origin at bin bins // 2;
+or, of a fan, the source's `angles_rad`, its distance `source_m` from the origin, and `psi_rad` (bins,), each ray's angle
+from the central one, counterclockwise. Its `image.npz` has `image_1_m`, rows along y, and `spacing_m`.
 """
 
 MATRICES_TEXT = """

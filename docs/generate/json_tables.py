@@ -301,6 +301,26 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("poses, registered", "number, true or false", "Benchmark poses, and whether worlds were laid on each other."),
         Entry("overlay_m", "object", "Calibration to place on the image to `max`, `max_90` (of the best 90 %) and `mean`."),
     ),
+    "calibrate convergence": (
+        Entry("runs, images", "number", "Runs, and images of each."),
+        Entry("converged", "number", "Images until the median error stays below what one image is unsure by; null: never."),
+        Entry("convergence[]", "object", "After every image: median error of poses that no image showed, and the worst run's."),
+        Entry("model_based", "object", "The same of the model fitted to all images at once; null where no fit converged."),
+        Entry(
+            "parameters.NAME",
+            "object",
+            "Unit, start, `true` with `--true`, errors of filter and model, what is stated at the end.",
+        ),
+        Entry("curves.NAME", "object", "Of the first four after every image: mean and scatter of the error, and what is stated."),
+        Entry("nees", "object", "Squared errors over what is stated, of chain, modes, and poses along the runs; 1 where it is true."),
+        Entry(
+            "refused, widened",
+            "number",
+            "Images left out; runs in which no image agreed with the drawing: its tolerances were doubled.",
+        ),
+        Entry("along[]", "object", "Per part of the runs: error and stated deviation of the phantom, errors of the frequencies as shares."),
+        Entry("robustness.CONDITION", "object", "With `--robustness`, instead of all else: medians of the runs."),
+    ),
     "calibrate chain": (
         Entry("written", "text", "The chain that was written."),
         Entry(
@@ -323,6 +343,11 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
             "With `--neck` and `--dome`, each with `value`, standard `deviation` and `unit`: `volume`, `wall_area`, `neck_width`, "
             "`dome_height`, `dome_width`, `aspect_ratio` (height over neck), `bottleneck_factor` (dome over neck width), `sphericity`.",
         ),
+    ),
+    "plane": (
+        Entry("rays, views, bins", "text, number, number", "`parallel rays` or `a fan`, and the sinogram's shape."),
+        Entry("size, spacing_m", "number", "Pixels along each edge of the image, and a pixel's edge."),
+        Entry("discs", "list", "With `--disc`: `disc`, `mean_1_m` of the image in its inner half, and `true_1_m`, what was drawn there."),
     ),
     "diagnose": (Entry("", "", "The object of `diagnosis.json`, below."),),
     "machine list": (Entry("[].name, description, axes, hash", "", "One object per shipped machine."),),

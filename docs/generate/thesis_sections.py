@@ -130,7 +130,7 @@ ALSO = {
     "4.8": ("benchmarks/identification_sec48.py",),
     "5.2.1": ("hil/imaging/geometry.py:ConeBeam",),
     "5.2.2": ("hil/calibration/kinematic/geometric_model.py:GeometricModel",),
-    "5.5": ("benchmarks/calibration_convergence.py", "benchmarks/calibration_side_by_side.py"),
+    "5.5": ("benchmarks/calibration_states.py", "benchmarks/calibration_side_by_side.py"),
     "6.4.2": ("hil/calibration/data_driven/parameter_filter.py",),
     "6.5": ("benchmarks/imaging_markers.py", "benchmarks/imaging_repeats.py"),
     "6.6": ("benchmarks/imaging_patients.py",),

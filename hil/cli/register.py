@@ -10,6 +10,7 @@ from hil.cli import (
     bus,
     calibrate,
     calibrate_chain,
+    calibrate_convergence,
     calibrate_data,
     calibrate_model,
     calibrate_spot,
@@ -27,6 +28,7 @@ from hil.cli import (
     machine,
     observe,
     physics,
+    plane,
     plot,
     reconstruct,
     roadmap,
@@ -61,9 +63,11 @@ def commands(app: typer.Typer) -> None:
     calibrate_model.register(calibrate.app)
     calibrate_spot.register(calibrate.app)
     calibrate_chain.register(calibrate.app)
+    calibrate_convergence.register(calibrate.app)
     roadmap.register(app)
     geometry.register(app)
     reconstruct.register(app)
+    plane.register(app)
     diagnose.register(app)
     app.add_typer(faults.app, name="faults")
     fleet_change.register(fleet.app)

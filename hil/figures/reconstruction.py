@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from hil.reconstruction.fdk import Volume
+from hil.reconstruction.sinogram import Sinogram
 from hil.reconstruction.wire_profiles import WireQuality
 
 PLANES = (("z", 0, "x", "y"), ("y", 1, "x", "z"), ("x", 2, "y", "z"))
@@ -30,6 +31,25 @@ def volume_figure(volume: Volume, title: str) -> Figure:
             panel.set_ylabel(f"{up} [mm]")
     figure.colorbar(shown, ax=panels, label="attenuation [1/m]", shrink=0.7)
     figure.suptitle(f"{title}\nthe volume's own frame: its middle the isocentre, y along the scan's axis", fontsize=10)
+    return figure
+
+
+def plane_figure(sinogram: Sinogram, image: np.ndarray, spacing_m: float) -> Figure:
+    """Draw a sinogram, and the image of it in millimetres."""
+    figure = Figure(figsize=(10.0, 4.6), layout="constrained")
+    rays, plane = figure.subplots(1, 2)
+    across = 1e3 * sinogram.spacing_m * np.array([-0.5, 0.5]) * sinogram.projections.shape[1]
+    unit = "ray from the middle, at the origin [mm]"
+    if sinogram.psi is not None:
+        across, unit = np.degrees(sinogram.psi[[0, -1]]), "ray from the central one [deg]"
+    turned = np.degrees(np.unwrap(sinogram.angles)[[0, -1]])
+    shown = rays.imshow(sinogram.projections, cmap="gray", origin="lower", aspect="auto", extent=(*across, *turned))
+    rays.set(title="line integrals", xlabel=unit, ylabel="angle [deg]")
+    figure.colorbar(shown, ax=rays)
+    half = 0.5e3 * len(image) * spacing_m
+    shown = plane.imshow(image, cmap="gray", origin="lower", extent=(-half, half, -half, half))
+    plane.set(title="attenuation [1/m]", xlabel="x [mm]", ylabel="y [mm]")
+    figure.colorbar(shown, ax=plane)
     return figure
 
 

@@ -67,6 +67,8 @@ def fan_reconstruction(
 ) -> np.ndarray:
     """Return the image (size, size) [1/m], rows along y, columns along x, from a fan over a whole turn: (B.17).
 
+    It is 0 outside of the circle that every view sees.
+
     Parameters
     ----------
     projections : (n, bins) array
@@ -98,7 +100,8 @@ def fan_reconstruction(
         seen = np.arctan2(to_y, to_x) - angle - np.pi
         seen = (seen + np.pi) % (2.0 * np.pi) - np.pi
         image += np.interp(seen, psi, row, left=0.0, right=0.0) / (to_x**2 + to_y**2)
-    scaled: np.ndarray = image * abs(turn[0])
+    is_seen = np.hypot(x, y) <= source_m * np.sin(min(-psi[0], psi[-1], np.pi / 2.0))
+    scaled: np.ndarray = np.where(is_seen, image * abs(turn[0]), 0.0)
     return scaled
 
 

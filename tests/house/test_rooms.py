@@ -23,7 +23,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "identification": ("extras", "files", "recording"),
     "imaging": ("extras", "files", "machine"),
     "calibration": ("experiments", "files", "imaging", "machine", "processes", "recording"),
-    "reconstruction": ("extras", "imaging"),
+    "reconstruction": ("extras", "files", "imaging"),
     "shaping": ("experiments", "files", "identification", "machine"),
     "observing": ("calibration", "experiments", "files", "identification", "machine", "recording", "simulation"),
     "emulated": ("extras", "files", "imaging", "machine", "processes", "recording"),

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import chi2
 
+from hil.calibration.data_driven.late_images import LateImages
 from hil.calibration.data_driven.quasi_static import QuasiStatic
 from hil.calibration.data_driven.values import CHANGE, REFUSED, USED, Parameters
 
@@ -21,7 +22,7 @@ CHANGED = {size: float(chi2.ppf(1.0 - 1e-6, size)) for size in (6, 9)}
 """Limit of an image's normalised innovation by its size: beyond it the machine has changed, or the image shows something else."""
 
 
-class DataDrivenFilter:
+class DataDrivenFilter(LateImages):
     """States: p parameters, six errors of the observer's displacement, and six more for every image on its way.
 
     Parameters
@@ -41,11 +42,10 @@ class DataDrivenFilter:
         self.model, self.size = model, len(model.names)
         self.renewed_variance = np.asarray(displacement_std) ** 2
         count = self.size + 6
-        self.x, self.covariance = np.zeros(count), np.zeros((count, count))
+        super().__init__(np.zeros(count), np.zeros((count, count)), np.arange(self.size, count))
         self.x[: self.size] = start.values
         self.covariance[: self.size, : self.size] = start.covariance
         self.covariance[self.size :, self.size :] = np.diag(self.renewed_variance)
-        self._waiting: list[int] = []
 
     @property
     def parameters(self) -> Parameters:
@@ -60,21 +60,6 @@ class DataDrivenFilter:
         self.covariance[place, :] *= kept
         self.covariance[:, place] *= kept
         self.covariance[place, place] += (1.0 - kept**2) * np.diag(self.renewed_variance)
-
-    def exposed(self, number: int) -> None:
-        """Remember the displacement's error of an exposure until its image arrives."""
-        place = slice(self.size, self.size + 6)
-        self.x = np.concatenate([self.x, self.x[place]])
-        grown = np.vstack([self.covariance, self.covariance[place, :]])
-        self.covariance = np.hstack([grown, grown[:, place]])
-        self._waiting.append(number)
-
-    def dropped(self, number: int) -> None:
-        """Forget an exposure whose image will not come, or has been taken in."""
-        first = self.size + 6 + 6 * self._waiting.index(number)
-        keep = np.r_[0:first, first + 6 : len(self.x)]
-        self.x, self.covariance = self.x[keep], self.covariance[np.ix_(keep, keep)]
-        self._waiting.remove(number)
 
     def innovation(self, number: int, rows: np.ndarray, twist: np.ndarray, rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return what an image measures beyond what is expected, and how it depends on the states.
@@ -92,22 +77,8 @@ class DataDrivenFilter:
         """
         gradient = np.zeros((len(rest), len(self.x)))
         gradient[:, : self.size] = rows
-        first = self.size + 6 + 6 * self._waiting.index(number)
-        gradient[:, first : first + 6] = twist
+        gradient[:, self.copies(number)] = twist
         return rest - gradient @ self.x, gradient
-
-    def update(self, innovation: np.ndarray, gradient: np.ndarray, covariance: np.ndarray) -> None:
-        """Take an innovation in (Joseph's form, which keeps the covariance positive)."""
-        spread = gradient @ self.covariance @ gradient.T + covariance
-        gain = np.linalg.solve(spread, gradient @ self.covariance).T
-        rest = np.eye(len(self.x)) - gain @ gradient
-        self.x = self.x + gain @ innovation
-        self.covariance = rest @ self.covariance @ rest.T + gain @ covariance @ gain.T
-
-    def surprise(self, innovation: np.ndarray, gradient: np.ndarray, covariance: np.ndarray) -> float:
-        """Return the normalised innovation squared."""
-        spread = gradient @ self.covariance @ gradient.T + covariance
-        return float(innovation @ np.linalg.solve(spread, innovation))
 
     def forget_mount(self) -> None:
         """Make the mount unknown: the machine was moved against what is imaged."""
