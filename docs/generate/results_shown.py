@@ -265,6 +265,51 @@ SHOWN = (
         ),
     ),
     Shown(
+        "fleet_change.json",
+        "What changed in a fleet",
+        "Tracks of results of 200 C-arms, drawn with measured covariances, seasons, software updates and bad nights: years in which "
+        "nothing changes; and fleets over 60 nights, in each of which 20 machines hide a growth and 10 a step.",
+        "python benchmarks/fleet_change.py short WORK && python benchmarks/fleet_change.py score WORK",
+        (
+            Figure("machine-years in which nothing changes", ("sound", "machine_years"), asked="at least 2000"),
+            Figure("false alarms in 100 of them", ("sound", "per_100_machine_years"), asked="at most 1"),
+            Figure("one fleet over 60 nights, four of its machines recorded: of 30 changed found", ("found", "found"), asked="at least 27"),
+            Figure("machines that did not change and were named", ("found", "false_machines")),
+            Figure("forty drawn fleets: changed machines found, of 1200", ("short", "found"), asked="at least 1080"),
+            Figure("machines told right, changed or sound", ("short", "map_right"), "%", 1e2, asked="at least 95 %"),
+            Figure("false alarms in 100 machine-years of these", ("short", "per_100_machine_years"), asked="at most 1"),
+            Figure("the same at most, at 95 %", ("short", "upper_95")),
+        ),
+    ),
+    Shown(
+        "fleet_ruptures.json",
+        "What changed, beside the library ruptures",
+        "On white tracks of 60 nights with a step in the middle, where least squares with a penalty is right: share of 50 stepping "
+        "machines that are found, by the step's size in standard deviations, both at the same stated rate. Then a fleet with "
+        "seasons, carried scatter and bad nights, of which the library knows nothing.",
+        "python benchmarks/fleet_ruptures.py",
+        (
+            Figure("a fleet with 30 changes: false machines", ("found", "fleet", "false_machines")),
+            Figure("the same by the library", ("found", "library", "false_machines")),
+            Figure("sound years: false machines in 100 machine-years", ("sound", "fleet", "per_100_machine_years"), asked="at most 1"),
+            Figure("the same by the library", ("sound", "library", "per_100_machine_years")),
+        ),
+        (
+            Rows(
+                "step [standard deviations]",
+                ("white",),
+                (
+                    Column("found", ("fleet", "found_share")),
+                    Column("by the library", ("library", "found_share")),
+                    Column("false", ("fleet", "false")),
+                    Column("false by the library", ("library", "false")),
+                    Column("machines told alike", ("machines_told_alike",)),
+                ),
+                ("1", "1.5", "2", "3"),
+            ),
+        ),
+    ),
+    Shown(
         "supervisor_cost.json",
         "What the supervisor costs the sample loop",
         "The emulated C-arm stands under control at 256 Hz over UDP, on a computer of two processors that has other work, too: short runs "
