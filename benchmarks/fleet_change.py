@@ -5,7 +5,8 @@ Steps, each going on where it was stopped:
   sound      2000 machine-years in which nothing changes: eleven fleets of 200 machines over a year, with seasons that each machine follows
              by a factor of its own, a software update that shifts all, scatter that is carried from night to night, bad nights, gaps
   found      one fleet of 200 machines over 60 nights: 20 grow, 10 step; the four recorded machines are among them, where there is a store
-  score      all of it into OUT
+  short      forty such fleets, with thirty machines that change in each: machines that are named and did not; into OUT
+  score      the rest of it into OUT
 
 What is drawn was fixed before the first score; the constants below say it all.
 """
@@ -35,6 +36,8 @@ FIRST_NIGHT = np.datetime64("2026-01-01")
 
 FIRST_SOUND = 3000
 """Seed of the first sound fleet. Those of 1000 to 2009 were looked at while the method was made, and are scored no more."""
+
+FIRST_SHORT, SHORT_FLEETS = 6000, 40
 
 BUILT = 0.10
 """Standard deviation between machines, relative to a parameter's value: how far those of one make differ."""
@@ -130,9 +133,9 @@ def drawn(template: dict[str, Any], seed: int, nights: int) -> Tracks:
     return Tracks(named, FIRST_NIGHT + np.arange(nights), parameters, values, covariances, builds)
 
 
-def hide(tracks: Tracks, template: dict[str, Any], taken: int) -> dict[int, dict[str, Any]]:
+def hide(tracks: Tracks, template: dict[str, Any], taken: int, seed: int = 777) -> dict[int, dict[str, Any]]:
     """Hide growths and steps on machines, `taken` of each being recorded ones, and return what was hidden."""
-    random = np.random.default_rng([20260101, 777])
+    random = np.random.default_rng([20260101, seed])
     value = np.abs(template["values"])
     able = [j for j, parameter in enumerate(tracks.parameters) if kind_of(parameter.quantity) != "other"]
     machines = random.permutation(np.arange(4, MACHINES))[: GROWING + STEPPING - 2 * taken]
@@ -188,6 +191,29 @@ def sound(template: dict[str, Any], work: Path) -> None:
         tracks = drawn(template, FIRST_SOUND + seed, YEAR)
         found = fleet_change(tracks)
         keep(path, found, time.process_time() - started)
+
+
+def short(template: dict[str, Any], work: Path) -> dict[str, Any]:
+    """Watch fleets over `NIGHTS` nights in which thirty machines change, one file each, and return the figures."""
+    for seed in range(FIRST_SHORT, FIRST_SHORT + SHORT_FLEETS):
+        path = work / f"short_{seed}.json"
+        if path.exists():
+            continue
+        started = time.process_time()
+        tracks = drawn(template, seed, NIGHTS)
+        hidden = {tracks.machines[machine] for machine in hide(tracks, template, 0, seed)}
+        found = fleet_change(tracks)
+        named = {each.machine for each in found.changes}
+        keep(path, found, time.process_time() - started, hidden=len(hidden), right=len(named & hidden), false=sorted(named - hidden))
+    fleets = [json.loads((work / f"short_{seed}.json").read_text()) for seed in range(FIRST_SHORT, FIRST_SHORT + SHORT_FLEETS)]
+    years, false = sum(fleet["machine_years"] for fleet in fleets), sum(len(fleet["false"]) for fleet in fleets)
+    wrong = sum(fleet["hidden"] - fleet["right"] for fleet in fleets)
+    return {
+        "fleets": len(fleets), "hidden": sum(fleet["hidden"] for fleet in fleets), "found": sum(fleet["right"] for fleet in fleets),
+        "machine_years": round(years, 1), "false_machines": false, "per_100_machine_years": round(100.0 * false / years, 3),
+        "upper_95": round(100.0 * float(chi2.ppf(0.95, 2 * false + 2)) / 2.0 / years, 3),
+        "map_right": round(1.0 - (wrong + false) / MACHINES / len(fleets), 4),
+    }  # fmt: skip
 
 
 def keep(path: Path, found: FleetChange, seconds: float, **more: Any) -> None:
@@ -265,7 +291,7 @@ def score(work: Path) -> dict[str, Any]:
 def main() -> None:
     """Run a step."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("step", choices=("measured", "sound", "found", "score"))
+    parser.add_argument("step", choices=("measured", "sound", "found", "short", "score"))
     parser.add_argument("work", type=Path, help="folder that keeps what was done; for `measured` the store")
     parser.add_argument("--store", type=Path, default=Path("none"), help="results of fleet_recorded.py, for `found`")
     parser.add_argument("--json", type=Path, default=RESULTS)
@@ -275,12 +301,16 @@ def main() -> None:
         return
     arguments.work.mkdir(parents=True, exist_ok=True)
     if arguments.step == "score":
-        result = score(arguments.work)
+        before = json.loads(arguments.json.read_text()) if arguments.json.exists() else {}
+        result = before | score(arguments.work)
         arguments.json.write_text(json.dumps(result, indent=1) + "\n")
         print(json.dumps({part: {k: v for k, v in figures.items() if k not in ("cases",)} for part, figures in result.items()}, indent=1))
         return
     template = json.loads(MEASURED.read_text())
-    if arguments.step == "sound":
+    if arguments.step == "short":
+        before = json.loads(arguments.json.read_text()) if arguments.json.exists() else {}
+        arguments.json.write_text(json.dumps(before | {"short": short(template, arguments.work)}, indent=1) + "\n")
+    elif arguments.step == "sound":
         sound(template, arguments.work)
     else:
         find(template, arguments.work, arguments.store)

@@ -1,19 +1,22 @@
 """What a fleet's engine costs, how it scales, and what becomes of faults.
 
     python benchmarks/fleet_engine.py cost   --work WORK --json OUT
+    python benchmarks/fleet_engine.py overhead --work WORK --json OUT
     python benchmarks/fleet_engine.py diagnosis --work WORK --json OUT
     python benchmarks/fleet_engine.py faults --work WORK --json OUT
 
 Each keeps in OUT what the others measured. `cost` measures the time that the engine adds to a task, two workers beside one, a sample of a
-night of 200 machines with three recordings of 10 s each, and simulates 4 to 256 workers from the times that were measured. `diagnosis`
-measures the diagnosis of a machine's night. `faults` ends workers at random, fills the disk, restarts the scheduler, spoils recordings,
-starts two runs at once, and ends a run by Ctrl-C.
+night of 200 machines with three recordings of 10 s each, and simulates 4 to 256 workers from the times that were measured. `overhead`
+measures the first of these alone: on a busy computer under `chrt --rr 1`, so that it does not wait for a processor. `diagnosis` measures
+the diagnosis of a machine's night. `faults` ends workers at random, fills the disk, restarts the scheduler, spoils recordings, starts two
+runs at once, and ends a run by Ctrl-C.
 """
 
 from __future__ import annotations
 
 import argparse
 import heapq
+import itertools
 import json
 import os
 import random
@@ -36,7 +39,7 @@ from hil.fleet.job import Job, Needs
 
 MACHINES, SAMPLE, SETS = 200, 6, 2
 NEEDS = Needs(memory_GB=2.0, threads=1, time_s=600.0)
-EMPTY_JOBS = 200
+EMPTY_JOBS = 1000
 KILLED_AMONG = 24
 ROWS = 40
 """Rows that a check of the C-arm has."""
@@ -138,33 +141,39 @@ def fleet_of(work: Path, machines: int) -> Path:
     return folder
 
 
-def processor_s() -> float:
-    """Processor time of this process and all it has waited for."""
-    return sum(sum(resource.getrusage(who)[:2]) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-
-
 def overhead(work: Path) -> dict[str, float]:
-    """Time per task of giving a job to a worker, taking its answer and writing the rows, for jobs that do nothing."""
-    from hil.fleet.run import FleetRun, _keep
+    """Time per task of giving a job to a worker, taking its answer and writing the rows, for jobs that do nothing.
+
+    It is counted from the first answer, so that starting a cluster is not in it, until all is on the disk.
+    """
+    found = {}
+    for name in ("dask", "without_dask"):
+        wall_s, processor_s = empty_jobs(work / f"overhead_{name}", name)
+        found[f"{name}_wall_ms"] = 1e3 * wall_s / (EMPTY_JOBS - 1)
+        found[f"{name}_client_and_scheduler_processor_ms"] = 1e3 * processor_s / (EMPTY_JOBS - 1)
+    return found
+
+
+def empty_jobs(store: Path, name: str) -> tuple[float, float]:
+    """Do jobs that do nothing; return the time on the wall, and this process's own on its processor [s]."""
+    from hil.fleet.keep import Keeper
+    from hil.fleet.run import FleetRun, _rows_of
 
     argument = {"machine": "m", "night": "2026-11-27T00:00:00+00:00", "task": "check", "experiment": "e", "recordings": [], "held_out": []}
     argument["machine_file"] = {"text": hil.open_machine("carm").text, "hash": "h"}
-    jobs = {f"machine=m/date=2026-11-27/check-{number:032d}.parquet": job("", "nothing", argument) for number in range(EMPTY_JOBS)}
-    found = {}
-    for name, engine in (("dask", on(1)), ("without_dask", one_by_one)):
-        store = work / f"overhead_{name}"
-        shutil.rmtree(store, ignore_errors=True)
-        run, ended = FleetRun(store), []
-        here = time.process_time()
-        for outcome in engine([Job(key, one.function, one.argument, one.needs) for key, one in jobs.items()], threading.Event()):
-            _keep(store, jobs[outcome.name], outcome, run, print)
-            ended.append(time.perf_counter())
-            if len(ended) == 1:
-                here = time.process_time()
-        found[f"{name}_wall_ms"] = 1e3 * (ended[-1] - ended[0]) / (len(ended) - 1)
-        found[f"{name}_client_and_scheduler_processor_ms"] = 1e3 * (time.process_time() - here) / (len(ended) - 1)
-        found[f"{name}_median_wall_ms"] = 1e3 * float(np.median(np.diff(ended)))
-    return found
+    names = [f"machine=m/date=2026-11-27/check-{number:032d}.parquet" for number in range(EMPTY_JOBS)]
+    jobs = {each: job(each, "nothing", argument) for each in names}
+    shutil.rmtree(store, ignore_errors=True)
+    run = FleetRun(store)
+    outcomes = {"dask": on(1), "without_dask": one_by_one}[name](iter(jobs.values()), threading.Event())
+    with Keeper(store) as keeper:
+        for place, outcome in enumerate(itertools.islice(outcomes, EMPTY_JOBS)):
+            keeper.keep(outcome.name, _rows_of(jobs[outcome.name], outcome, run, print))
+            if place == 0:
+                began_s, here_s = time.perf_counter(), time.process_time()
+    wall_s, here_s = time.perf_counter() - began_s, time.process_time() - here_s
+    assert not list(outcomes)
+    return wall_s, here_s
 
 
 def two_beside_one() -> dict[str, float]:
@@ -396,7 +405,7 @@ def cancelled(work: Path) -> dict[str, Any]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("cost", "diagnosis", "faults"))
+    parser.add_argument("what", choices=("cost", "overhead", "diagnosis", "faults"))
     parser.add_argument("--work", type=Path, required=True, help="folder of recordings and stores")
     parser.add_argument("--json", type=Path, required=True, help="file of the results")
     options = parser.parse_args()
@@ -407,19 +416,20 @@ def main() -> None:
         print(name, json.dumps(value, indent=1), flush=True)
         options.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
 
+    if options.what in ("cost", "overhead"):
+        keep("overhead", {"own_processor": os.sched_getscheduler(0) != os.SCHED_OTHER, **overhead(options.work)})
     if options.what == "cost":
         keep("load_average", os.getloadavg()[0])
-        keep("overhead", overhead(options.work))
         keep("workers", two_beside_one())
         keep("night", night(options.work))
-        keep("overhead_again", {"load_average": os.getloadavg()[0], **overhead(options.work)})
     if options.what == "diagnosis":
         keep("diagnosis", diagnosis(options.work))
-    if "night" in found and "diagnosis" in found:
+    if "night" in found and "overhead" in found:
         serial_s = 1e-3 * found["overhead"]["dask_client_and_scheduler_processor_ms"]
-        each_s = found["diagnosis"]["processor_s"]
-        keep("simulated_efficiency", simulated(found["night"]["tasks"], serial_s, each_s, 0))
-        keep("simulated_efficiency_all_diagnosed", simulated(found["night"]["tasks"], serial_s, each_s, MACHINES))
+        keep("simulated_efficiency", simulated(found["night"]["tasks"], serial_s, 0.0, 0))
+        if "diagnosis" in found:
+            each_s = found["diagnosis"]["processor_s"]
+            keep("simulated_efficiency_all_diagnosed", simulated(found["night"]["tasks"], serial_s, each_s, MACHINES))
     if options.what != "faults":
         return
     keep("workers_killed", workers_killed(options.work))

@@ -28,7 +28,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--cases", type=_ranges, help="numbers, as in 0-39 or 3,5,8; all of the set by default")
     parser.add_argument("--strata", type=_strata, help="null, single, pair, off; comma between them; all by default")
     parser.add_argument("--jobs", type=int, default=2, help="processes at once")
-    parser.add_argument("--scheduler", help="run, mutate, calibrate, directions: a Dask scheduler, or `local`, in place of processes")
+    parser.add_argument("--scheduler", help="run, mutate, directions: a Dask scheduler, or `local`, in place of processes")
     parser.add_argument("--work", type=Path, default=Path(tempfile.gettempdir()) / "isocenter-concealed", help="folder of the cases")
     parser.add_argument("--results", type=Path, default=RESULTS, help="folder of the results")
     parser.add_argument("--keep", action="store_true", help="keep recordings and reports of the cases that were run")

@@ -6,9 +6,13 @@ import contextlib
 import os
 import secrets
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from hil.errors import RecordingError
+
+FLUSHED_AT_ONCE = 16
+"""Files that are flushed together: a file system with a journal commits them as one, in the time of one."""
 
 
 def write_atomically(files: Mapping[Path, bytes]) -> None:
@@ -23,8 +27,10 @@ def write_atomically(files: Mapping[Path, bytes]) -> None:
     drafts = {path: path.with_name(f".{path.name}.{own}.tmp") for path in files}
     at = next(iter(files))
     try:
-        for at, content in files.items():
-            _write(drafts[at], content)
+        with ThreadPoolExecutor(min(len(files), FLUSHED_AT_ONCE)) as pool:
+            written = {path: pool.submit(_write, drafts[path], content) for path, content in files.items()}
+        for at, each in written.items():  # noqa: B007, it names the file that failed
+            each.result()
         for at, draft in drafts.items():
             os.replace(draft, at)
     except BaseException as problem:
@@ -34,7 +40,8 @@ def write_atomically(files: Mapping[Path, bytes]) -> None:
         if not isinstance(problem, OSError):
             raise
         raise RecordingError(f"{at}: cannot be written: {problem.strerror or problem}") from None
-    _sync_folder(at.parent)
+    for folder in dict.fromkeys(path.parent for path in files):
+        _sync_folder(folder)
 
 
 def _write(draft: Path, content: bytes) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 GB = 1e9
@@ -48,8 +48,9 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a job: a value, or a failure in a line that is no answer of the function, such as a killed process."""
+    """What became of a job: a value, or a failure in a line that is no answer of the function, such as a killed process; and how long."""
 
     name: str
     value: Any = None
     failure: str = ""
+    wall_s: float = field(default=0.0, compare=False)

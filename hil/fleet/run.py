@@ -15,8 +15,9 @@ from hil.fleet.answers import FAILED, UNUSABLE, Number, failure
 from hil.fleet.engine import Engine, cancelled_by_key, one_by_one
 from hil.fleet.file import Fleet, read_fleet
 from hil.fleet.job import Job, Outcome
+from hil.fleet.keep import Keeper
 from hil.fleet.plan import Task, identity_of, plan_fleet
-from hil.fleet.store import names_in, query_fleet, remove_results, write_result
+from hil.fleet.store import names_in, query_fleet
 from hil.version import software_version
 
 Again = Literal["failed", "earlier"]
@@ -114,10 +115,10 @@ def run_fleet(
             older = _older(there | redone, by_name.values())
             before = run.done
             progress(what, 0, len(new))
-            for outcome in engine((task.job for task in new), cancelled):
-                _keep(folder, by_name[outcome.name].job, outcome, run, say)
-                remove_results(folder, older.get(outcome.name, ()))
-                progress(what, run.done - before, len(new))
+            with Keeper(folder) as keeper:
+                for outcome in engine((task.job for task in new), cancelled):
+                    keeper.keep(outcome.name, _rows_of(by_name[outcome.name].job, outcome, run, say), older.get(outcome.name, ()))
+                    progress(what, run.done - before, len(new))
             run.cancelled = cancelled.is_set()
 
         compute(first, "checking and identifying")
@@ -154,21 +155,21 @@ def _engine(fleet: Fleet, scheduler: str | None, workers: int | None, say: Calla
     return on_cluster(scheduler, workers or os.cpu_count() or 1, [fleet.needs[kind] for kind in kinds], say)
 
 
-def _keep(folder: Path, job: Job, outcome: Outcome, run: FleetRun, say: Callable[[str], None]) -> None:
-    """Write a result."""
+def _rows_of(job: Job, outcome: Outcome, run: FleetRun, say: Callable[[str], None]) -> list[dict[str, Any]]:
+    """Return the rows of a result, which is counted and, where it has no answer, said."""
     if outcome.failure:
         software, notes = software_version(), []
         numbers = failure(outcome.failure, FAILED)
     else:
         software, notes = outcome.value["software"], outcome.value["notes"]
         numbers = [Number(**{**row, "covariance": tuple(row["covariance"])}) for row in outcome.value["rows"]]
-    write_result(folder, outcome.name, list(_result_rows(job, numbers, software, notes)))
     run.done += 1
     run.by_verdict[numbers[0].verdict] += 1
     if numbers[0].verdict in (FAILED, UNUSABLE):
         line = f"{job.argument['machine']}, {job.argument['night'][:10]}: {job.argument['task']}: {numbers[0].message}"
         run.failures.append(line)
         say(line)
+    return list(_result_rows(job, numbers, software, notes))
 
 
 def _result_rows(job: Job, numbers: Sequence[Number], software: str, notes: Sequence[str]) -> Iterable[dict[str, Any]]:

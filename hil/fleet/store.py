@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import io
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -11,7 +12,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from hil.errors import UnusableInputError
+from hil.errors import RecordingError, UnusableInputError
 from hil.extras import extra_package
 from hil.files.atomic import write_atomically
 
@@ -61,29 +62,39 @@ class Table:
         return [{name: _plain(value) for name, value in zip(self.columns, row, strict=True)} for row in self.rows]
 
 
-def write_result(store: Path, name: str, rows: Sequence[Mapping[str, Any]]) -> Path:
-    """Write the rows of a task under its name, whole or not at all.
+def write_results(store: Path, results: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
+    """Write the rows of tasks under their names, each whole or not at all; they are flushed to the disk together.
 
     Raises
     ------
     RecordingError
-        The file cannot be written: disk full, no permission.
+        A file cannot be written: disk full, no permission. Those before it are.
     """
+    files = {store / RESULTS / name: _parquet(rows) for name, rows in results.items()}
+    for folder in dict.fromkeys(path.parent for path in files):
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as problem:
+            raise UnusableInputError(f"{folder}: cannot be made: {problem.strerror}; give another --store") from None
+    try:
+        write_atomically(files)
+    except RecordingError:
+        for path, content in files.items():  # what fits is kept
+            write_atomically({path: content})
+
+
+def _parquet(rows: Sequence[Mapping[str, Any]]) -> bytes:
     arrow = extra_package("pyarrow", "results of a fleet")
     parquet = extra_package("pyarrow.parquet", "results of a fleet")
-    table = arrow.Table.from_pylist([dict(row) for row in rows], schema=_schema(arrow))
     file = io.BytesIO()
-    parquet.write_table(table, file, compression="zstd")
-    path = store / RESULTS / name
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as problem:
-        raise UnusableInputError(f"{path.parent}: cannot be made: {problem.strerror}; give another --store") from None
-    write_atomically({path: file.getvalue()})
-    return path
+    columns = {name: [row[name] for row in rows] for name in COLUMNS}
+    parquet.write_table(arrow.Table.from_pydict(columns, schema=_schema()), file, compression="zstd")
+    return file.getvalue()
 
 
-def _schema(arrow: Any) -> Any:  # noqa: ANN401, no types
+@functools.cache
+def _schema() -> Any:  # noqa: ANN401, no types
+    arrow = extra_package("pyarrow", "results of a fleet")
     types = {
         "string": arrow.string(),
         "timestamp": arrow.timestamp("us", tz="UTC"),

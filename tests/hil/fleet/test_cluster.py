@@ -44,6 +44,17 @@ def test_the_answers_are_those_of_one_process_and_failures_are_the_same(tmp_path
             assert together[name].value["thirds"] == found.value["thirds"]
 
 
+def test_short_jobs_are_given_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[str] = []
+    submit = distributed.Client.submit
+    monkeypatch.setattr(
+        distributed.Client, "submit", lambda client, *called, **how: given.append(how["key"]) or submit(client, *called, **how)
+    )
+    found = outcomes(job("thirds", {"of": [1.0]}, called=f"thirds {number}") for number in range(300))
+    assert len(found) == 300
+    assert len(given) < 100
+
+
 def test_what_no_worker_offers_is_refused_instead_of_waited_for() -> None:
     from hil.fleet.cluster import on_cluster
 

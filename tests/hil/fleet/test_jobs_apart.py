@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from fleet_jobs import NEEDS, job
 
+from hil.fleet.apart import end_own, run_apart
 from hil.fleet.engine import one_by_one
 from hil.fleet.job import Job, Outcome
 
@@ -61,3 +62,13 @@ def test_a_cancelled_run_ends_what_hangs() -> None:
     timer = threading.Timer(0.5, cancelled.set)
     timer.start()
     assert list(one_by_one([job("hang"), SOUND], cancelled)) == []
+
+
+def test_jobs_given_together_have_each_its_own_answer_and_a_slow_one_leaves_the_rest_undone() -> None:
+    jobs = [replace(SOUND, name=str(number)) for number in range(3)]
+    try:
+        assert [found.name for found in run_apart(jobs, 60.0)] == ["0", "1", "2"]
+        [failed] = run_apart([job("hang", needs=replace(NEEDS, time_s=1.0)), *jobs], 0.5)
+    finally:
+        end_own()
+    assert "gave no answer within 1 s" in failed.failure
