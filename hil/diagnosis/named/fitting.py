@@ -36,8 +36,8 @@ STEP = 0.02
 """Of a difference, as a share of a parameter: laws with corners need a step that is longer than a row."""
 MOST_CHANGED = 0.1
 """Of an effect, by the step of one of its shapes."""
-SHAPE_STEP, STRENGTH_STEP, PHASE_STEP = 0.3, 1.0, 0.5
-"""Longest step of a shape and of a strength, as shares of them, and of a phase [rad]: their effect is linear nearby only."""
+SHAPE_STEPS, STRENGTH_STEP, PHASE_STEP = 15.0, 1.0, 0.5
+"""How far a shape goes at once, in its difference's steps; a strength, as a share of it; a phase [rad]: effects are linear nearby only."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,8 +147,10 @@ def fit(
     columns: tuple[np.ndarray, ...] = ()
     form = _form(tuned, settings, dispersion)
     for _ in range(ITERATIONS):
-        columns = tuple(_columns(tuned, one, settings, parameters, rest) for one, rest in zip(tuned.looked, left, strict=True))
-        step = _step(tuned, settings, offset, parameters, columns, left, 1.0 / dispersion, longest, form)
+        found = [_columns(tuned, one, settings, parameters, rest) for one, rest in zip(tuned.looked, left, strict=True)]
+        columns = tuple(each for each, _ in found)
+        reaches = [reach(p, settings[k].parameters[p.name], least) for (k, p), least in zip(parameters, _shortest(found), strict=True)]
+        step = _step(tuned, settings, offset, parameters, columns, left, 1.0 / dispersion, longest, form, reaches)
         cost = _cost(left, squares, offset, form)
         taken = _shortened(tuned, settings, offset, parameters, step, cost, form)
         if taken is None:
@@ -273,27 +275,33 @@ def signals_of(tuned: Tuned, one: Looked, settings: tuple[EffectSetting, ...]) -
 
 def _columns(
     tuned: Tuned, one: Looked, settings: tuple[EffectSetting, ...], parameters: Sequence[tuple[int, Parameter]], rest: np.ndarray
-) -> np.ndarray:
-    """Return what (N m, P + Q) the innovations `rest` (N m,) lose per unit of each nuisance and of each parameter, by differences."""
+) -> tuple[np.ndarray, list[float]]:
+    """Return what (N m, P + Q) the innovations `rest` (N m,) lose per unit of nuisances and parameters, by differences, and their steps."""
     if not parameters:
-        return one.numbers
+        return one.numbers, []
     here, weaker = signals_of(tuned, one, settings), _weaker(tuned, one, settings)
-    columns, rescaled = [], []
+    columns, rescaled, steps = [], [], []
     for k, parameter in parameters:
         try:
-            found = _change(tuned, one, settings, k, parameter, here)
+            step, moved, change = _change(tuned, one, settings, k, parameter, here)
         except EffectError:
+            steps.append(difference(parameter, settings[k].parameters[parameter.name]))
             columns.append(column(here, here))
             rescaled.append(np.zeros_like(weaker))
             continue
-        step, moved, change = found
+        steps.append(step)
         columns.append(change)
         rescaled.append((_weaker(tuned, one, moved) / weaker - 1.0) / step)
     whole = _times(np.hstack([one.numbers, one.whiten(columns)]), 1.0 / weaker)
     for number, gain in enumerate(rescaled, one.numbers.shape[1]):
         if gain.any():
             whole[:, number] += _times(rest, gain)
-    return whole
+    return whole, steps
+
+
+def _shortest(found: Sequence[tuple[np.ndarray, list[float]]]) -> list[float]:
+    """Return the size of the shortest step of each parameter's difference, of all recordings."""
+    return np.abs([steps for _, steps in found]).min(axis=0).tolist()  # type: ignore[no-any-return]
 
 
 def _change(
@@ -349,6 +357,7 @@ def changed(setting: EffectSetting, changes: dict[str, float]) -> EffectSetting:
 def _step(
     tuned: Tuned, settings: tuple[EffectSetting, ...], offset: np.ndarray, parameters: Sequence[tuple[int, Parameter]],
     columns: Sequence[np.ndarray], left: Sequence[np.ndarray], weight: float, longest: float, form: FormError,
+    reaches: Sequence[tuple[float, float]],
 ) -> np.ndarray:  # fmt: skip
     count = len(offset)
     left, _ = form.taken_from(left)
@@ -369,18 +378,19 @@ def _step(
     free = tuned.bounds
     low = list(np.maximum(free[0], -longest) + tuned.offset - offset)
     high = list(np.minimum(free[1], longest) + tuned.offset - offset)
-    for k, parameter in parameters:
-        below, above = reach(parameter, settings[k].parameters[parameter.name])
-        low.append(below)
-        high.append(above)
+    low += [below for below, _ in reaches]
+    high += [above for _, above in reaches]
     return bounded_least_squares(squares, slopes, np.array(low), np.array(high))
 
 
-def reach(parameter: Parameter, value: float) -> tuple[float, float]:
-    """Return how far down and up a parameter may go in one step."""
-    most = PHASE_STEP if parameter.unit == PHASE else (STRENGTH_STEP if parameter.is_strength else SHAPE_STEP) * abs(value)
-    if value == 0.0 and parameter.unit != PHASE:
+def reach(parameter: Parameter, value: float, step: float) -> tuple[float, float]:
+    """Return how far down and up a parameter may go at once that was differentiated by this step: a shape by fifteen of them."""
+    if parameter.unit == PHASE:
+        most = PHASE_STEP
+    elif value == 0.0:
         most = np.inf if parameter.is_strength else parameter.small
+    else:
+        most = STRENGTH_STEP * abs(value) if parameter.is_strength else SHAPE_STEPS * abs(step)
     return max(parameter.low - value, -most), min(parameter.high - value, most)
 
 

@@ -126,7 +126,10 @@ def _fit(runs: Sequence[Runs], numbers: Numbers, point: _Point, horizon: float, 
         slopes[:count] -= point.offset
         low = np.maximum(numbers.low - point.offset, -LONGEST)
         high = np.minimum(numbers.high - point.offset, LONGEST)
-        around = np.array([reach(parameter, point.settings[k].parameters[parameter.name]) for k, parameter in parameters]).reshape(-1, 2)
+        reaches = [
+            reach(parameter, point.settings[k].parameters[parameter.name], _step(point, k, parameter)) for k, parameter in parameters
+        ]
+        around = np.array(reaches).reshape(-1, 2)
         step = bounded_least_squares(squares, slopes, np.append(low, around[:, 0]), np.append(high, around[:, 1]))
         for halving in range(HALVINGS):
             further = _moved(point, parameters, 0.5**halving * step)
