@@ -149,7 +149,8 @@ def fit(
     for _ in range(ITERATIONS):
         found = [_columns(tuned, one, settings, parameters, rest) for one, rest in zip(tuned.looked, left, strict=True)]
         columns = tuple(each for each, _ in found)
-        reaches = [reach(p, settings[k].parameters[p.name], least) for (k, p), least in zip(parameters, _shortest(found), strict=True)]
+        shortest = zip(parameters, _shortest(found), strict=True)
+        reaches = [reach(parameter, settings[k].parameters[parameter.name], least) for (k, parameter), least in shortest]
         step = _step(tuned, settings, offset, parameters, columns, left, 1.0 / dispersion, longest, form, reaches)
         cost = _cost(left, squares, offset, form)
         taken = _shortened(tuned, settings, offset, parameters, step, cost, form)
@@ -310,7 +311,7 @@ def _change(
     """Return a parameter's step, the effects with it, and what they then change per unit of it.
 
     Steps of shapes are short enough that little of the effect itself changes: over a recording, a wave's frequency or order is known to a
-    small part of a period.
+    small part of a period. Not where noise is assumed: there, what other laws leave would bend waves.
     """
     setting = settings[number]
     value = setting.parameters[parameter.name]
@@ -318,7 +319,7 @@ def _change(
     if value + step > parameter.high:
         step = -step
     own = 0.0
-    if not parameter.is_strength and parameter.unit != PHASE:
+    if not parameter.is_strength and parameter.unit != PHASE and not tuned.levels.are_assumed:
         own = column(signals_of(tuned, one, (*settings[:number], *settings[number + 1 :])), here).size
     while True:
         moved = (*settings[:number], changed(setting, {parameter.name: value + step}), *settings[number + 1 :])
@@ -327,19 +328,6 @@ def _change(
         if share <= MOST_CHANGED:
             return step, moved, change
         step *= 0.5 * MOST_CHANGED / share
-
-
-def shape_steps(tuned: Tuned, settings: tuple[EffectSetting, ...]) -> dict[tuple[int, str], float]:
-    """Return the steps by which effects' shapes are differentiated, by effect and name: the shortest along all recordings."""
-    steps: dict[tuple[int, str], float] = {}
-    for one in tuned.looked:
-        here = signals_of(tuned, one, settings)
-        for k, setting in enumerate(settings):
-            for parameter in free_parameters(setting):
-                step, _, _ = _change(tuned, one, settings, k, parameter, here)
-                if not parameter.is_strength and abs(step) < abs(steps.get((k, parameter.name), np.inf)):
-                    steps[k, parameter.name] = step
-    return steps
 
 
 def difference(parameter: Parameter, value: float) -> float:

@@ -171,7 +171,7 @@ def search(tuned: Tuned, laws: Library, baseline: Fitted, materiality: float = 1
 
     def ranked(fitted: Fitted) -> Ranked:
         sure = found.get(frozenset((one.name, one.at) for one in fitted.settings if effects()[one.name].is_exact))
-        unsure = start if sure is None else sure.fitted
+        unsure = sure.fitted if sure is not None and fitted.is_noise_known else start
         bought = _price(fitted, unsure.cost(dispersion), dispersion, tuned.readings, laws.places)
         return Ranked(fitted, bought + (materiality ** _special(fitted) - 1.0) * fitted.squares / dispersion, dispersion)
 
@@ -230,7 +230,8 @@ def _price(fitted: Fitted, cost_of_exact: float, dispersion: float, readings: in
     """Return the price of a set of effects, of which those whose form is known alone cost `cost_of_exact`.
 
     It is the Bayesian information criterion, extended by the number of sets that there are (Chen and Chen 2008). An effect beside others
-    must explain more than what their laws may be wrong by; only the everyday ones are free of that beside each other.
+    must explain more than what their laws may be wrong by, all laws where noise is assumed; only the everyday ones are free of that beside
+    each other.
     """
     size = len(fitted.settings)
     bought = len(fitted.parameters) * math.log(readings) + 2.0 * math.log(math.comb(max(places, size), size))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.diagnosis.named.fitting import HALVINGS, changed, difference, free_parameters, reach, shape_steps
+from hil.diagnosis.named.fitting import HALVINGS, changed, difference, free_parameters, reach
 from hil.diagnosis.named.naming import Named
 from hil.diagnosis.predicted.open_runs import AS_LARGE, HORIZONS_s, Machine, Runs
 from hil.diagnosis.tuned.bounded import bounded_least_squares
@@ -30,7 +30,6 @@ FEWEST = 20
 class _Point:
     offset: np.ndarray  # (P,) of the numbers
     settings: tuple[EffectSetting, ...]
-    steps: dict[tuple[int, str], float]  # of shapes' differences, by effect and name: as short as the recorded motion asks for
 
 
 def refitted(named: Named) -> Named:
@@ -46,7 +45,7 @@ def refitted(named: Named) -> Named:
     count = len(numbers.indices)
     spread = np.sqrt(np.nanmean(np.concatenate([(run.recorded - np.nanmean(run.recorded, axis=0)) ** 2 for run in runs]), axis=0))
     spread = np.where(spread > 0.0, spread, np.inf)
-    points = [_Point(fitted.offset[:count].copy(), fitted.settings, shape_steps(tuned, fitted.settings)) for tuned, fitted in named.sets]
+    points = [_Point(fitted.offset[:count].copy(), fitted.settings) for _, fitted in named.sets]
     horizon = max((_horizon(runs, numbers, point, spread) or 0.0 for point in points), default=0.0)
     if horizon == 0.0:
         return named
@@ -126,10 +125,9 @@ def _fit(runs: Sequence[Runs], numbers: Numbers, point: _Point, horizon: float, 
         slopes[:count] -= point.offset
         low = np.maximum(numbers.low - point.offset, -LONGEST)
         high = np.minimum(numbers.high - point.offset, LONGEST)
-        reaches = [
-            reach(parameter, point.settings[k].parameters[parameter.name], _step(point, k, parameter)) for k, parameter in parameters
-        ]
-        around = np.array(reaches).reshape(-1, 2)
+        around = np.array([reach(one, point.settings[k].parameters[one.name], _step(point, k, one)) for k, one in parameters]).reshape(
+            -1, 2
+        )
         step = bounded_least_squares(squares, slopes, np.append(low, around[:, 0]), np.append(high, around[:, 1]))
         for halving in range(HALVINGS):
             further = _moved(point, parameters, 0.5**halving * step)
@@ -150,7 +148,7 @@ def _moved(point: _Point, parameters: Sequence[tuple[int, Parameter]], step: np.
     for (k, parameter), by in zip(parameters, step[count:], strict=True):
         changes[k][parameter.name] = point.settings[k].parameters[parameter.name] + float(by)
     settings = tuple(changed(setting, change) for setting, change in zip(point.settings, changes, strict=True))
-    return replace(point, offset=point.offset + step[:count], settings=settings)
+    return _Point(point.offset + step[:count], settings)
 
 
 def _normal_equations(
@@ -190,8 +188,8 @@ def _normal_equations(
 
 def _step(point: _Point, number: int, parameter: Parameter) -> float:
     value = point.settings[number].parameters[parameter.name]
-    step = point.steps.get((number, parameter.name), difference(parameter, value))
-    return -step if not parameter.low <= value + step <= parameter.high else step
+    step = difference(parameter, value)
+    return -step if value + step > parameter.high else step
 
 
 def _starts(run: Runs, horizon: float, machine: Machine, here: Sequence[np.ndarray]) -> list[list[np.ndarray]]:
