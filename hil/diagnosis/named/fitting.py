@@ -311,7 +311,7 @@ def _change(
     """Return a parameter's step, the effects with it, and what they then change per unit of it.
 
     Steps of shapes are short enough that little of the effect itself changes: over a recording, a wave's frequency or order is known to a
-    small part of a period. Not where noise is assumed: there, what other laws leave would bend waves.
+    small part of a period. Where noise is assumed they stay long: waves then stay where the lines of a spectrum put them.
     """
     setting = settings[number]
     value = setting.parameters[parameter.name]
