@@ -14,7 +14,7 @@ from typing import Any
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from concealed import directions, making, mutating, running, scoring, tables
+from concealed import directions, making, mutating, pairing, running, scoring, tables
 from hil.processes.workers import end_with_the_parent
 
 RESULTS = Path(__file__).resolve().parents[1] / "results" / "concealed"
@@ -23,7 +23,7 @@ RESULTS = Path(__file__).resolve().parents[1] / "results" / "concealed"
 def main(arguments: list[str]) -> int:
     """Run one step or all of them."""
     parser = argparse.ArgumentParser(prog="python benchmarks/concealed", description=making.__doc__)
-    parser.add_argument("step", choices=("make", "run", "score", "all", "mutate", "directions", "tables"))
+    parser.add_argument("step", choices=("make", "run", "score", "all", "mutate", "directions", "tables", "pair"))
     parser.add_argument("--seeds", choices=("development", "sealed"), default="development")
     parser.add_argument("--cases", type=_ranges, help="numbers, as in 0-39 or 3,5,8; all of the set by default")
     parser.add_argument("--strata", type=_strata, help="null, single, pair, off; comma between them; all by default")
@@ -37,11 +37,17 @@ def main(arguments: list[str]) -> int:
         "--judged", type=Path, help="a file of scores: its cases are taken as they were judged there, with their own truths"
     )
     parser.add_argument("--scores", type=Path, help="tables: the file of scores to print")
+    parser.add_argument("--earlier", type=Path, help="pair: answers of an earlier tool to the same cases")
     options = parser.parse_args(arguments)
     if options.step == "tables":
         print(tables.tables_of(options.scores or options.results / f"scores_{options.seeds}.json"))
         return 0
     places = making.Places(options.work, options.seeds)
+    if options.step == "pair":
+        if options.earlier is None:
+            parser.error("pair: --earlier FILE names the answers of the earlier tool")
+        print(pairing.pair(places, options.earlier, options.results / f"answers_{options.seeds}.jsonl", options.results))
+        return 0
     options.results.mkdir(parents=True, exist_ok=True)
     if options.step != "score":
         making.export_models(places)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import permutations
 from typing import Any
 
 import numpy as np
+
+from virtual_bus.effects.registry import effects as catalogue
 
 QUIET = ("consistent", "retuned", "inconclusive")
 """Verdicts that claim no missing physics."""
@@ -71,6 +73,7 @@ class Judgement:
     removed: float | None  # by simulating the tool's files
     removed_by_its_own_word: float | None
     holds_shown: bool | None = None  # holds what stands SHOWN from nothing; None where nothing does, or where a file of scores does not say
+    family_right: bool | None = None  # right but for the law within its family; None where a file of scores does not say
 
 
 def judge(answer: dict[str, Any], truth: dict[str, Any]) -> Judgement:
@@ -95,7 +98,8 @@ def judge(answer: dict[str, Any], truth: dict[str, Any]) -> Judgement:
     by_tuning = tuned and verdict == "retuned"
     sets = [findings] if findings else []
     ranked = [hypothesis["effects"] for hypothesis in diagnosis.get("hypotheses") or []]
-    right = by_tuning or (alarm and verdict != "unknown_physics" and named and bool(sets) and matches(findings, effects))
+    claims = alarm and verdict != "unknown_physics" and named and bool(sets)
+    right = by_tuning or (claims and matches(findings, effects))
     three = right or (alarm and named and any(matches(some, effects) for some in ranked[:3]))
     wrong = verdict == "explained" and any(not any(_accepts(effect, finding) for effect in effects) for finding in findings)
     possible = [*findings, *(other for finding in findings for other in finding.get("ambiguous_with", []))]
@@ -124,6 +128,7 @@ def judge(answer: dict[str, Any], truth: dict[str, Any]) -> Judgement:
         ambiguous=verdict == "ambiguous",
         holds_truth=named and all(held),
         holds_shown=named and all(shown) if shown else None,
+        family_right=right or (claims and matches(findings, effects, _accepts_family)),
         confidence=max((float(finding.get("confidence", 0.0)) for finding in findings[:1]), default=0.0),
         covered=tuple(_coverage(findings, truth)),
         channel_right=_channel_right(diagnosis, truth) if alarm and asked else None,
@@ -137,10 +142,20 @@ def _accepts(effect: dict[str, Any], finding: dict[str, Any]) -> bool:
     return finding["effect"] in effect["accepted"] and finding["at"] in effect["accepted_at"]
 
 
-def matches(findings: list[dict[str, Any]], effects: list[dict[str, Any]]) -> bool:
+def _accepts_family(effect: dict[str, Any], finding: dict[str, Any]) -> bool:
+    family = {name: law.family for name, law in catalogue().items()}
+    own = {family[name] for name in (effect["kind"], *effect["accepted"]) if name in family}
+    return family.get(finding["effect"]) in own and finding["at"] in effect["accepted_at"]
+
+
+def matches(
+    findings: list[dict[str, Any]],
+    effects: list[dict[str, Any]],
+    accepts: Callable[[dict[str, Any], dict[str, Any]], bool] = _accepts,
+) -> bool:
     """Every finding is an effect of its own, and what has no finding is a number of the machine file, left to re-tuning."""
     return len(findings) <= len(effects) and any(
-        all(_accepts(effect, finding) for effect, finding in zip(order, findings, strict=False))
+        all(accepts(effect, finding) for effect, finding in zip(order, findings, strict=False))
         and all(effect["tuned"] for effect in order[len(findings) :])
         for order in permutations(effects)
     )

@@ -132,24 +132,19 @@ def _bars(judged: list[Judgement]) -> list[dict[str, Any]]:
         "false alarms on nulls (no answer counts as one), one-sided upper bound",
         alarms,
         len(nulls),
-        "<= 5 % (upper bound)",
-        lambda *_: upper_bound(alarms, len(nulls)) <= 0.05,
+        "<= 3 % (upper bound)",
+        lambda *_: upper_bound(alarms, len(nulls)) <= 0.03,
     )
     bars[-1]["upper_bound"] = upper_bound(alarms, len(nulls))
     proportion("no answer: crashed or out of time", *_share(judged, lambda each: not each.answered), "none", lambda value, *_: value == 0.0)
-    for name, group in (("single effects", singles), ("pairs", pairs)):
-        proportion(
-            f"top name right, {name} the oracle separates",
-            *_share(group, lambda each: each.right),
-            ">= 85 %",
-            lambda value, *_: value >= 0.85,
-        )
-        proportion(
-            f"right among three, {name} the oracle separates",
-            *_share(group, lambda each: each.among_three),
-            ">= 95 %",
-            lambda value, *_: value >= 0.95,
-        )
+    for name, group, first, three in (("single effects", singles, 93, 97), ("pairs", pairs, 85, 93)):
+        for what, hit, asked in (
+            ("top name right", lambda each: each.right, first),
+            ("right among three", lambda each: each.among_three, three),
+            ("right but for the law in its family", lambda each: bool(each.family_right), 97),
+        ):
+            share = _share(group, hit)
+            proportion(f"{what}, {name} the oracle separates", *share, f">= {asked} %", lambda value, *_, least=asked: 100 * value >= least)
     proportion(
         "confidently wrong, effects of the catalogue", *_share(inside, lambda each: each.wrong), "<= 3 %", lambda value, *_: value <= 0.03
     )
@@ -159,7 +154,7 @@ def _bars(judged: list[Judgement]) -> list[dict[str, Any]]:
         ("off the catalogue, confidently misnamed", spanned_by_none),
         ("the same, with those that an effect spans as drawn", outside),
     ):
-        proportion(name, *_share(group, lambda each: each.confident), "<= 5 %", lambda value, *_: value <= 0.05)
+        proportion(name, *_share(group, lambda each: each.confident), "<= 3 %", lambda value, *_: value <= 0.03)
     proportion(
         "ambiguous sets hold the truth", *_share(ambiguous, lambda each: each.holds_truth), ">= 95 %", lambda value, *_: value >= 0.95
     )
@@ -169,7 +164,7 @@ def _bars(judged: list[Judgement]) -> list[dict[str, Any]]:
     shown = [each for each in ambiguous if each.holds_shown is not None]
     share = _share(shown, lambda each: bool(each.holds_shown))
     proportion("the same, but for effects that the recordings hardly show", *share, NOT_ASKED, lambda *_: False)
-    proportion("95 % intervals cover", sum(covered), len(covered), "90 to 98 %", lambda value, *_: 0.90 <= value <= 0.98)
+    proportion("95 % intervals cover", sum(covered), len(covered), "92 to 98 %", lambda value, *_: 0.92 <= value <= 0.98)
     located = [each for each in judged if each.channel_right is not None]
     proportion(
         "location: channel right", *_share(located, lambda each: bool(each.channel_right)), ">= 95 %", lambda value, *_: value >= 0.95

@@ -33,12 +33,13 @@ def _row(*cells: object) -> str:
     return f"| {' | '.join(map(str, cells))} |"
 
 
-def _table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+def table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A table in Markdown."""
     return "\n".join([_row(*heads), "|" + "---|" * len(heads), *(_row(*row) for row in rows)])
 
 
 def _bars(bars: Sequence[Case]) -> str:
-    return _table(("bar", "measured", "95 % interval", "asked", "met"), [_bar(bar) for bar in bars])
+    return table(("bar", "measured", "95 % interval", "asked", "met"), [_bar(bar) for bar in bars])
 
 
 def _bar(bar: Case) -> tuple[object, ...]:
@@ -63,7 +64,7 @@ def _bar(bar: Case) -> tuple[object, ...]:
 
 def _strata(strata: Sequence[Case]) -> str:
     heads = ("stratum", "condition", "cases", "alarms", "name asked", "right", "confidently wrong")
-    return _table(heads, [[row[key] for key in ("stratum", "condition", "n", "alarms", "asked", "right", "wrong")] for row in strata])
+    return table(heads, [[row[key] for key in ("stratum", "condition", "n", "alarms", "asked", "right", "wrong")] for row in strata])
 
 
 def _inside(kinds: Sequence[Case]) -> str:
@@ -73,7 +74,7 @@ def _inside(kinds: Sequence[Case]) -> str:
         if row["stratum"] == "single"
     ]
     heads = ("hidden", "name asked", "right", "among three", "confidently another", "called instead", "nothing")
-    return _table(heads, rows) if rows else ""
+    return table(heads, rows) if rows else ""
 
 
 def _outside(kinds: Sequence[Case]) -> str:
@@ -82,7 +83,7 @@ def _outside(kinds: Sequence[Case]) -> str:
         for row in kinds
         if row["stratum"] == "off"
     ]
-    return _table(("off the catalogue", "judged", "confidently misnamed", "called", "nothing"), rows) if rows else ""
+    return table(("off the catalogue", "judged", "confidently misnamed", "called", "nothing"), rows) if rows else ""
 
 
 def _instead(row: Case) -> str:

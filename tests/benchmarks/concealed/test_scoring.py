@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -63,6 +67,40 @@ def test_the_right_name_at_the_right_place_is_right() -> None:
 
     judged = judge(answer("explained", [finding("coulomb_friction", "roll")]), truth())
     assert (judged.asked, judged.right, judged.wrong, judged.covered) == (True, True, False, (True,))
+
+
+@pytest.mark.parametrize(
+    ("law", "at", "family_right"),
+    [("stribeck_friction", "roll", True), ("stribeck_friction", "propeller", False), ("viscous_friction", "roll", False)],
+)
+def test_another_law_of_the_family_at_the_place_is_right_but_for_the_law(law: str, at: str, family_right: bool) -> None:
+    from concealed.judging import judge
+
+    judged = judge(answer("explained", [finding(law, at)]), truth())
+    assert (judged.right, judged.family_right) == (False, family_right)
+
+
+def test_two_tools_are_told_apart_by_the_cases_that_one_alone_answers_well(tmp_path: Path) -> None:
+    """Six that the earlier alone has right and none the other way: 2 / 2**6 by chance."""
+    from concealed.making import Places, seal
+    from concealed.pairing import pair
+
+    places = Places(tmp_path, "sealed")
+    right, other = [finding("coulomb_friction", "roll")], [finding("viscous_friction", "roll")]
+    rows: dict[str, list[dict[str, Any]]] = {"earlier": [], "answers_sealed": []}
+    for number in range(8):
+        places.truth(number).parent.mkdir(parents=True, exist_ok=True)
+        places.truth(number).write_text(json.dumps(truth(number=number)))
+        for tool, found in (("earlier", right if number < 7 else other), ("answers_sealed", right if number == 6 else other)):
+            line = answer("ambiguous", found, commit=tool, truth_sha256=seal(places.truth(number)))
+            rows[tool].append(line | {"number": number})
+    for tool, lines in rows.items():
+        (tmp_path / f"{tool}.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    pair(places, tmp_path / "earlier.jsonl", tmp_path / "answers_sealed.jsonl", tmp_path)
+    written = json.loads((tmp_path / "paired_sealed.json").read_text())
+    asked = next(row for row in written["questions"] if row["question"].startswith("right, single"))
+    assert [asked[key] for key in ("n", "both", "first alone", "second alone", "neither")] == [8, 1, 6, 0, 1]
+    assert asked["p"] == pytest.approx(2.0 / 2**6)
 
 
 def test_an_amplitude_is_compared_at_its_own_joint_and_a_frequency_at_the_spring_behind_it_too() -> None:
