@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any
 
 from hil.diagnosis.answered.answer import NEXT_EXPERIMENT
 from hil.diagnosis.answered.machine_file import retuned_text
@@ -60,7 +59,7 @@ def write_answer(diagnosis: Diagnosis, folder: Path) -> None:
         raise UnusableInputError(f"{folder}: cannot be written to: {error.strerror}") from None
 
 
-def _finite(value: Any) -> Any:
+def _finite(value: object) -> object:
     """NaN and infinities as null: JSON has neither."""
     if isinstance(value, dict):
         return {key: _finite(entry) for key, entry in value.items()}

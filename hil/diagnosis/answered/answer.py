@@ -333,7 +333,7 @@ def _total(found: Predicted | None) -> Stages:
 def _removed(before: float | None, after: float | None) -> float | None:
     if before is None or after is None or before <= 1.0:
         return None
-    return (1.0 - (after / before) ** 2) / (1.0 - before**-2.0)  # without squares of what ran away
+    return float((1.0 - (after / before) ** 2) / (1.0 - before**-2.0))  # without squares of what ran away
 
 
 def _shares(named: Named) -> dict[int, float]:

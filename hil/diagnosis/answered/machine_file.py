@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import tomlkit
+from tomlkit.items import Table
 
 from hil.diagnosis.result import RetunedValue
 from hil.errors import BadAnswerError, MachineFileError
@@ -31,7 +31,7 @@ FEWEST_DIGITS, DIGITS, MOST_DIGITS = 4, 6, 12
 def retuned_text(
     machine: Machine, parameters: Sequence[PlantParameter], values: np.ndarray, intervals: Mapping[str, RetunedValue] | None = None
 ) -> str:
-    """The machine's file with these plant parameters.
+    """Return the machine's file with these plant parameters.
 
     Every number is multiplied by new over nominal value, so that it stays in the unit the file gives it in. Drives without a rotor get one.
     With `intervals`, by `OWNER.QUANTITY`, numbers have the digits that their interval supports.
@@ -84,7 +84,7 @@ def _digits(parameter: PlantParameter, value: float, intervals: Mapping[str, Ret
     return min(max(digits, FEWEST_DIGITS), MOST_DIGITS)
 
 
-def _scale(document: Any, parameter: PlantParameter, factor: float, digits: int) -> None:
+def _scale(document: tomlkit.TOMLDocument, parameter: PlantParameter, factor: float, digits: int) -> None:
     """Multiply what the file says of one parameter."""
     for body in document.get("body", []):
         joint = body.get("joint", {})
@@ -106,7 +106,7 @@ def _scale(document: Any, parameter: PlantParameter, factor: float, digits: int)
                 _scale_key(drive, rotor, factor, digits)
 
 
-def _fill_in(document: Any, parameter: PlantParameter, value: float, digits: int) -> None:
+def _fill_in(document: tomlkit.TOMLDocument, parameter: PlantParameter, value: float, digits: int) -> None:
     """Write a number that is zero in the file, or left out."""
     quantity, _, entry = parameter.quantity.rpartition("_")
     bodies = document.get("body", [])
@@ -127,7 +127,7 @@ def _fill_in(document: Any, parameter: PlantParameter, value: float, digits: int
     table[parameter.name.partition(".")[2]] = _rounded(value, digits)
 
 
-def _add_rotor(document: Any, machine: Machine, parameter: PlantParameter, value: float, digits: int) -> None:
+def _add_rotor(document: tomlkit.TOMLDocument, machine: Machine, parameter: PlantParameter, value: float, digits: int) -> None:
     """Give the drive of a joint a rotor, which the file leaves out."""
     for drive in machine.plant.drives:
         if drive.joint == parameter.owner:
@@ -137,13 +137,13 @@ def _add_rotor(document: Any, machine: Machine, parameter: PlantParameter, value
             table.value._insert_after("constant_unit", key, tomlkit.item(_rounded(value / drive.ratio**2, digits)))
 
 
-def _scale_key(table: Any, quantity: str, factor: float, digits: int) -> None:
+def _scale_key(table: Table, quantity: str, factor: float, digits: int) -> None:
     for key, value in list(table.items()):
         if _is(key, quantity) and isinstance(value, int | float):
             table[key] = _rounded(value * factor, digits)
 
 
-def _scale_entry(table: Any, quantity: str, place: int, factor: float, digits: int) -> None:
+def _scale_entry(table: Table, quantity: str, place: int, factor: float, digits: int) -> None:
     for key, value in list(table.items()):
         if _is(key, quantity) and isinstance(value, list):
             value[place] = _rounded(value[place] * factor, digits)

@@ -1,4 +1,4 @@
-"""The controller's law replayed over the recorded reference and position: is the recorded command what the machine file says?
+"""The controller's law replayed: whether the recorded command is what the file says of reference and position.
 
 The law is linear in its error and in its states at row 0, so that gain, delay and start are a linear regression, exact to the command's
 last digit. Where it is another law of the same order, its difference equation is one, too (Ljung 1999, chapter 4, without noise).

@@ -8,9 +8,9 @@ from typing import Literal
 
 import numpy as np
 
-from hil.diagnosis.audit.controller import UNEQUAL_STEP
 from hil.machine import Machine
 from hil.recording import Recording
+from hil.recording.model import UNEQUAL_STEP
 
 STEPS = 3.0
 """Lattice steps of both encoders together that a difference is at least."""

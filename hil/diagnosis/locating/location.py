@@ -213,7 +213,7 @@ def _runs(is_on: np.ndarray) -> list[tuple[int, int]]:
 
 
 def _joined(is_on: np.ndarray, width: int) -> np.ndarray:
-    """Runs with shorter gaps than `width` between them made one."""
+    """Make runs with shorter gaps than `width` between them one."""
     joined = is_on.copy()
     for (_, a), (b, _) in itertools.pairwise(_runs(is_on)):
         if b - a < width:
@@ -222,7 +222,7 @@ def _joined(is_on: np.ndarray, width: int) -> np.ndarray:
 
 
 def _fill_unvisited(is_on: np.ndarray, is_visited: np.ndarray) -> np.ndarray:
-    """A gap that nothing visited, between two places that have the mismatch, has it too."""
+    """Add gaps that nothing visited, between two places that have the mismatch."""
     filled = is_on.copy()
     visited = np.flatnonzero(is_visited)
     for a, b in itertools.pairwise(visited):

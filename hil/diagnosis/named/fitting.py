@@ -265,7 +265,8 @@ def _weaker(tuned: Tuned, one: Looked, settings: tuple[EffectSetting, ...]) -> n
 def _times(values: np.ndarray, factors: np.ndarray) -> np.ndarray:
     """Return innovations (N m,) or columns (N m, C) times a factor (m,) of each reading."""
     by_reading = values.reshape(-1, len(factors), *values.shape[1:])
-    return (by_reading * factors.reshape(-1, *(1 for _ in values.shape[1:]))).reshape(values.shape)
+    scaled: np.ndarray = by_reading * factors.reshape(-1, *(1 for _ in values.shape[1:]))
+    return scaled.reshape(values.shape)
 
 
 def signals_of(tuned: Tuned, one: Looked, settings: tuple[EffectSetting, ...]) -> Signals:

@@ -45,7 +45,8 @@ def _shapes(motion: Motion, joint: int, effort: np.ndarray) -> np.ndarray:
         parts += [legendre.legval(x, np.eye(1, n + 1, n)[0]) * np.sqrt(2 * n + 1) for n in range(1, DEGREE + 1)]
     shapes = np.column_stack(parts)
     shapes -= weights @ shapes / max(float(weights.sum()), 1e-300)
-    return (FORM / np.sqrt(2 * DEGREE) * shapes).astype(np.float32)
+    shapes *= FORM / np.sqrt(2 * DEGREE)
+    return shapes.astype(np.float32)
 
 
 class FormError:

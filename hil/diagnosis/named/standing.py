@@ -208,7 +208,7 @@ def scattered(fitted: Fitted) -> np.ndarray:
     squares = np.sum([each.T @ each for each in fitted.with_form], axis=0) / fitted.dispersion + np.diag(fitted.prior)
     scale = np.sqrt(np.maximum(np.diag(squares), 1e-300))
     inverse = np.linalg.pinv(squares / scale[:, None] / scale, hermitian=True)
-    deviations = np.sqrt(np.diag(inverse)) / scale
+    deviations: np.ndarray = np.sqrt(np.diag(inverse)) / scale
     return deviations[: len(deviations) - fitted.form.count]
 
 

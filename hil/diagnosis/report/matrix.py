@@ -22,7 +22,7 @@ def cosines(columns: np.ndarray) -> np.ndarray:
 
 
 def matrix_figure(columns: np.ndarray, names: Sequence[str]) -> Figure | None:
-    """The matrix as an image, with numbers below its diagonal; None with fewer than two numbers."""
+    """Draw the matrix as an image, with numbers below its diagonal; None with fewer than two numbers."""
     seen = np.flatnonzero(np.linalg.norm(columns, axis=0) > 0.0)
     if len(seen) < 2:
         return None

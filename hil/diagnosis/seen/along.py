@@ -231,7 +231,8 @@ class Along:
         self._module.rub(model, self._work, position, speed, deviation, efforts, less, unused)
         self._module.rub(model, self._work, position, speed, deviation, (1.0 + SLIGHTLY) * efforts, more, unused)
         taken = np.sum((more - less) * efforts, axis=0) / SLIGHTLY / np.maximum(np.sum(efforts**2, axis=0), 1e-300)
-        return np.maximum(1.0 - taken, LEAST_PASSED)
+        passed: np.ndarray = np.maximum(1.0 - taken, LEAST_PASSED)
+        return passed
 
     def _driven(self, motion: Motion, model: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the drives' mean efforts on the joints (N, n), currents (N, axes), and the plant's state with what drives remember."""

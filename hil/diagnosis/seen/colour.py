@@ -66,7 +66,7 @@ def colour_of(innovations: Sequence[np.ndarray]) -> np.ndarray:
 
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
-def whitened_by(filters, values):  # type: ignore[no-untyped-def]
+def whitened_by(filters: np.ndarray, values: np.ndarray) -> None:
     """Pass columns (N m, C) of innovations, row by row, through their channels' filters (m, p + 1), in place."""
     channels, lags = filters.shape
     rows = values.shape[0] // channels

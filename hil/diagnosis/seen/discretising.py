@@ -10,7 +10,18 @@ TAYLOR = 12
 
 
 @numba.njit(cache=True, fastmath=False)
-def discretised(period, inverses, stiffnesses, dampings, felt, through, corners, transition, of_effort, of_rise):  # type: ignore[no-untyped-def]
+def discretised(
+    period: float,
+    inverses: np.ndarray,
+    stiffnesses: np.ndarray,
+    dampings: np.ndarray,
+    felt: np.ndarray,
+    through: np.ndarray,
+    corners: np.ndarray,
+    transition: np.ndarray,
+    of_effort: np.ndarray,
+    of_rise: np.ndarray,
+) -> None:
     """Write what a period does to positions, speeds and low passes, and what efforts do that are held or rise over it.
 
     `felt` (L, i, 2n) and `through` (L, i, n) are what IMU channels feel of positions and speeds, and of efforts; `corners` (i,) are their

@@ -13,6 +13,7 @@ import numba
 import numpy as np
 
 from hil.diagnosis.seen.colour import whitened_by
+from hil.diagnosis.seen.propagating import propagated, times, times_transposed
 
 DETERMINED = 1e-12
 """Share of the largest pivot: a smaller one is rounding."""
@@ -142,53 +143,21 @@ def whitening(along: Linearised, present: np.ndarray, extra: np.ndarray | None =
     return Whitening(along, gains, roots, more, shocks, float(total), int(present.sum()))
 
 
-@numba.njit(cache=True, fastmath=True, nogil=True)
-def times(a, b, out):  # type: ignore[no-untyped-def]
-    """Write the product of two small matrices; their zeros cost nothing."""
-    for i in range(a.shape[0]):
-        out[i, :] = 0.0
-        for k in range(a.shape[1]):
-            weight = a[i, k]
-            if weight != 0.0:
-                for j in range(b.shape[1]):
-                    out[i, j] += weight * b[k, j]
-
-
-@numba.njit(cache=True, fastmath=True, nogil=True)
-def times_transposed(a, b, out):  # type: ignore[no-untyped-def]
-    """Write a b'."""
-    for i in range(a.shape[0]):
-        for j in range(b.shape[0]):
-            total = 0.0
-            for k in range(a.shape[1]):
-                total += a[i, k] * b[j, k]
-            out[i, j] = total
-
-
-@numba.njit(cache=True, fastmath=True, nogil=True)
-def propagated(p, transition, of_effort, process, extra, jolts, k, work, out):  # type: ignore[no-untyped-def]
-    """Write the covariance one row later, symmetric to the last bit."""
-    size = len(p)
-    times(transition, p, work)
-    times_transposed(work, transition, out)
-    for i in range(size):
-        for j in range(i):
-            mean = 0.5 * (out[i, j] + out[j, i])
-            out[i, j] = mean
-            out[j, i] = mean
-        out[i, i] += process[i]
-        if len(extra) > 1:
-            out[i, i] += extra[k, i]
-    if len(jolts) > 1:
-        for j in range(jolts.shape[1]):
-            if jolts[k, j] > 0.0:
-                for i in range(size):
-                    for c in range(size):
-                        out[i, c] += jolts[k, j] * of_effort[i, j] * of_effort[c, j]
-
-
 @numba.njit(cache=True, fastmath=False)
-def _covariances(stride, transition, of_effort, observation, noise, process, start, present, extra, jolts, gains, roots):  # type: ignore[no-untyped-def]
+def _covariances(
+    stride: int,
+    transition: np.ndarray,
+    of_effort: np.ndarray,
+    observation: np.ndarray,
+    noise: np.ndarray,
+    process: np.ndarray,
+    start: np.ndarray,
+    present: np.ndarray,
+    extra: np.ndarray,
+    jolts: np.ndarray,
+    gains: np.ndarray,
+    roots: np.ndarray,
+) -> float:
     rows, channels = present.shape
     states = transition.shape[1]
     p, work = np.zeros((states, states)), np.zeros((states, states))
@@ -243,10 +212,27 @@ def smooth_states(
 
 
 @numba.njit(cache=True, fastmath=False)
-def _smoothed(  # type: ignore[no-untyped-def]
-    stride, transition, of_effort, of_rise, observation, through, noise, process, start, extra, jolts, gains, roots, efforts, ends,
-    readings, present, states, deviations,
-):  # fmt: skip
+def _smoothed(
+    stride: int,
+    transition: np.ndarray,
+    of_effort: np.ndarray,
+    of_rise: np.ndarray,
+    observation: np.ndarray,
+    through: np.ndarray,
+    noise: np.ndarray,
+    process: np.ndarray,
+    start: np.ndarray,
+    extra: np.ndarray,
+    jolts: np.ndarray,
+    gains: np.ndarray,
+    roots: np.ndarray,
+    efforts: np.ndarray,
+    ends: np.ndarray,
+    readings: np.ndarray,
+    present: np.ndarray,
+    states: np.ndarray,
+    deviations: np.ndarray,
+) -> None:
     rows, channels = readings.shape
     size = transition.shape[1]
     covariances = np.zeros((rows, size, size))
@@ -332,7 +318,17 @@ def _smoothed(  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
-def _adjoint(stride, transition, of_effort, observation, through, gains, roots, whitened, out):  # type: ignore[no-untyped-def]
+def _adjoint(
+    stride: int,
+    transition: np.ndarray,
+    of_effort: np.ndarray,
+    observation: np.ndarray,
+    through: np.ndarray,
+    gains: np.ndarray,
+    roots: np.ndarray,
+    whitened: np.ndarray,
+    out: np.ndarray,
+) -> None:
     """Write the efforts' gradients (N, n) of the product of whitened columns and `whitened` (N, m); efforts are held over a row."""
     rows, channels = whitened.shape
     states, joints = transition.shape[1], out.shape[1]
@@ -361,7 +357,22 @@ def _adjoint(stride, transition, of_effort, observation, through, gains, roots, 
 
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
-def _columns(stride, transition, of_effort, of_rise, observation, through, gains, roots, efforts, ends, readings, first, state, out):  # type: ignore[no-untyped-def]
+def _columns(
+    stride: int,
+    transition: np.ndarray,
+    of_effort: np.ndarray,
+    of_rise: np.ndarray,
+    observation: np.ndarray,
+    through: np.ndarray,
+    gains: np.ndarray,
+    roots: np.ndarray,
+    efforts: np.ndarray,
+    ends: np.ndarray,
+    readings: np.ndarray,
+    first: int,
+    state: np.ndarray,
+    out: np.ndarray,
+) -> None:
     rows, channels, count = readings.shape
     states, joints = state.shape[0], efforts.shape[1]
     innovation, corrected = np.zeros((channels, count)), np.zeros((states, count))

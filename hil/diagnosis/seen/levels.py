@@ -132,4 +132,5 @@ def _lattices(along: Along) -> np.ndarray:
     """Return the standard deviations of rounding (m + axes,) of encoders and speed sensors."""
     steps = {sensor.channel: sensor.resolution for sensor in along.settings.joint_sensors}
     own = [steps.get(channel, 0.0) for channel in along.observed.channels] + [0.0] * len(along.settings.drives)
-    return np.array(own) / np.sqrt(12.0)
+    steps_each = np.array(own)
+    return steps_each / float(np.sqrt(12.0))

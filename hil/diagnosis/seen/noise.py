@@ -62,7 +62,20 @@ def levels_from(
 
 
 @numba.njit(cache=True, fastmath=False)
-def _scores(stride, transition, of_effort, of_rise, observation, through, gains, roots, efforts, ends, readings, present):  # type: ignore[no-untyped-def]
+def _scores(
+    stride: int,
+    transition: np.ndarray,
+    of_effort: np.ndarray,
+    of_rise: np.ndarray,
+    observation: np.ndarray,
+    through: np.ndarray,
+    gains: np.ndarray,
+    roots: np.ndarray,
+    efforts: np.ndarray,
+    ends: np.ndarray,
+    readings: np.ndarray,
+    present: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the sums over rows of adjoint squares less their variances: per state (s,) and per reading (m,)."""
     rows, channels = readings.shape
     size = transition.shape[1]

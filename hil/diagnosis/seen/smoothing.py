@@ -64,7 +64,16 @@ class Smoothed:
 
 
 @compiled_for_threads
-def _filter(gaps, samples, noise, jerk, spread, states, covariances, ahead):  # type: ignore[no-untyped-def]
+def _filter(
+    gaps: np.ndarray,
+    samples: np.ndarray,
+    noise: float,
+    jerk: float,
+    spread: np.ndarray,
+    states: np.ndarray,
+    covariances: np.ndarray,
+    ahead: np.ndarray,
+) -> float:
     """Run forward; return minus twice the log likelihood. States and covariances (N, 3), (N, 3, 3) after each row; `ahead` before it."""
     rows = len(samples)
     total = 0.0
@@ -119,7 +128,7 @@ def _filter(gaps, samples, noise, jerk, spread, states, covariances, ahead):  # 
 
 
 @compiled_for_threads
-def _smooth(gaps, jerk, states, covariances, ahead, scratch):  # type: ignore[no-untyped-def]
+def _smooth(gaps: np.ndarray, jerk: float, states: np.ndarray, covariances: np.ndarray, ahead: np.ndarray, scratch: np.ndarray) -> None:
     """Run backward, in place. `scratch` (4, 3, 3)."""
     f, predicted, gain, inverse = scratch[0], scratch[1], scratch[2], scratch[3]
     for k in range(len(gaps) - 1, -1, -1):

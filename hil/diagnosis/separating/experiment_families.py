@@ -46,7 +46,7 @@ class Family(Protocol):
         ...
 
     def experiment(self, machine: Machine, request: Request, point: np.ndarray) -> Experiment:
-        """The experiment of a point in the unit cube; ExperimentError where there is none."""
+        """Return the experiment of a point in the unit cube; raise ExperimentError where there is none."""
         ...
 
 
@@ -54,9 +54,11 @@ class Scans:
     """Centre and width of the way, speed, acceleration, and the other axes' pose."""
 
     def dimensions(self, machine: Machine) -> int:
+        """Return how many numbers make one."""
         return 4 + len(machine.axes) - 1
 
     def experiment(self, machine: Machine, request: Request, point: np.ndarray) -> Experiment:
+        """Return the experiment of a point in the unit cube; raise ExperimentError where there is none."""
         limit = machine.limits[request.axis]
         low, high = _range(machine, request.axis)
         half = 0.5 * (high - low) * _geometric(point[1], SMALLEST_SHARE, 1.0)
@@ -81,9 +83,11 @@ class Jogs:
     """Pose, amplitude and line of a sine."""
 
     def dimensions(self, machine: Machine) -> int:
+        """Return how many numbers make one."""
         return 2 + len(machine.axes)
 
     def experiment(self, machine: Machine, request: Request, point: np.ndarray) -> Experiment:
+        """Return the experiment of a point in the unit cube; raise ExperimentError where there is none."""
         jog = _jog(machine, request.axis, point[0], round(_geometric(point[1], 1.0, LARGEST_LINE)))
         pose = _pose(machine, list(range(len(machine.axes))), point[2:])
         axis = machine.axes[request.axis]
@@ -94,9 +98,11 @@ class Multisines:
     """Level, lower edge and width of the band, jog amplitude, and pose; the jog is on line 1."""
 
     def dimensions(self, machine: Machine) -> int:
+        """Return how many numbers make one."""
         return 4 + len(machine.axes)
 
     def experiment(self, machine: Machine, request: Request, point: np.ndarray) -> Experiment:
+        """Return the experiment of a point in the unit cube; raise ExperimentError where there is none."""
         drive = machine.plant.drives[request.axis]
         highest = HIGHEST_SHARE * machine.sample_rate_Hz
         low = _geometric(point[1], 2.5 / _period_s(machine), 0.5 * highest)

@@ -5,6 +5,8 @@ One mass with viscous and Coulomb friction and a disturbing force of its own in 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import scipy.signal
 
@@ -34,7 +36,18 @@ def disturbance(rows: int, rms_N: float, seed: int, corner_Hz: float = 4.0) -> n
     return rms_N * coloured / coloured.std()
 
 
-def run(wanted, *, mass=MASS_kg, damping=DAMPING, gain=GAIN, coulomb_N=0.0, force_N=None, load_N=0.0, at=lambda x: 0.0, noise_seed=0):
+def run(
+    wanted: np.ndarray,
+    *,
+    mass: float = MASS_kg,
+    damping: float = DAMPING,
+    gain: float = GAIN,
+    coulomb_N: float = 0.0,
+    force_N: np.ndarray | None = None,
+    load_N: float = 0.0,
+    at: Callable[[float], float] = lambda x: 0.0,
+    noise_seed: int = 0,
+) -> tuple[np.ndarray, np.ndarray]:
     """(position [m], command [V]) rows; `at` is a force [N] over position."""
     rows = len(wanted)
     force_N = np.zeros(rows) if force_N is None else force_N
@@ -61,7 +74,7 @@ def run(wanted, *, mass=MASS_kg, damping=DAMPING, gain=GAIN, coulomb_N=0.0, forc
     return position + 1e-7 * random.standard_normal(rows), commands + 2e-3 * random.standard_normal(rows)
 
 
-def recording(wanted, position, command) -> Recording:
+def recording(wanted: np.ndarray, position: np.ndarray, command: np.ndarray) -> Recording:
     """As the bench would have recorded it."""
     rows = len(wanted)
     channels = {
@@ -74,7 +87,14 @@ def recording(wanted, position, command) -> Recording:
     return Recording(channels, recording_metadata(MACHINE, experiment={"start_pose": [0.0]}))
 
 
-def repeats(count=4, duration_s=3.0, seed=0, disturbance_N=1.0, experiment=0, **truth) -> dict[str, Recording]:
+def repeats(
+    count: int = 4,
+    duration_s: float = 3.0,
+    seed: int = 0,
+    disturbance_N: float = 1.0,
+    experiment: int = 0,
+    **truth: float | Callable[[float], float],
+) -> dict[str, Recording]:
     """Repeats of one experiment, each with its own disturbance and noise."""
     wanted = reference(duration_s, experiment)
     found = {}

@@ -5,19 +5,21 @@ from __future__ import annotations
 import pytest
 from carriage import MACHINE, MASS_kg, repeats
 
+from hil.diagnosis.answered.values import Answered
 from hil.diagnosis.diagnose import diagnose
+from hil.recording import Recording
 
 COULOMB_N = 20.0
 DURATION_s = 2.0
 
 
 @pytest.fixture(scope="session")
-def with_friction():
+def with_friction() -> tuple[dict[str, Recording], dict[str, Recording]]:
     """Repeats and a held-out recording of a carriage that is 5 % heavier than its machine file says and has friction besides."""
     truth = {"mass": 1.05 * MASS_kg, "coulomb_N": COULOMB_N, "duration_s": DURATION_s}
     return repeats(**truth), repeats(1, experiment=1, **truth)
 
 
 @pytest.fixture(scope="session")
-def friction(with_friction):
+def friction(with_friction: tuple[dict[str, Recording], dict[str, Recording]]) -> Answered:
     return diagnose(MACHINE, *with_friction)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.signal import sosfilt
@@ -17,7 +19,14 @@ NOISE = np.array([0.02, 5e-6])  # V and m rms, white
 
 
 def pushed_mass(
-    reference, push, excitation=None, *, count=0.0, target_step=0.0, zero=0.0, begins=(0.0, 0.0)
+    reference: np.ndarray,
+    push: Callable[[float, float, float], float],
+    excitation: np.ndarray | None = None,
+    *,
+    count: float = 0.0,
+    target_step: float = 0.0,
+    zero: float = 0.0,
+    begins: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[np.ndarray, np.ndarray]:
     """Position and command (N,) along a reference (N,), pushed by `push(time, position, speed)` [N] besides its drive and damper.
 
@@ -46,7 +55,15 @@ def rounded(value: float, step: float) -> float:
     return step * np.floor(value / step + 0.5) if step else value
 
 
-def recorded(reference, push, seed: int, *, excitation=None, experiment=None, noise=1.0) -> Recording:
+def recorded(
+    reference: np.ndarray,
+    push: Callable[[float, float, float], float],
+    seed: int,
+    *,
+    excitation: np.ndarray | None = None,
+    experiment: dict[str, Any] | None = None,
+    noise: float = 1.0,
+) -> Recording:
     """A recording of it, with so many times NOISE."""
     position, command = pushed_mass(reference, push, excitation)
     rows = np.random.default_rng(seed).standard_normal((len(reference), 2)) * NOISE * noise

@@ -50,7 +50,8 @@ def answer(isocenter: Isocenter, folder: Path, *words: str, status: int = 0) -> 
 
 def test_the_command_names_friction_and_load_of_one_recording_after_a_first_answer(folder: Path, isocenter: Isocenter) -> None:
     found, said = answer(isocenter, folder, "train_run_0_0.csv", "--held-out", "held_run_1_0.csv")
-    assert "first answer: " in said and "provisional" in said
+    assert "first answer: " in said
+    assert "provisional" in said
     named = {finding["effect"]: finding for finding in found["findings"]}
     assert set(named) == {"coulomb_friction", "constant_load"}
     for effect, parameter, truth in (("coulomb_friction", "Fc", COULOMB_N), ("constant_load", "tau0", LOAD_N)):

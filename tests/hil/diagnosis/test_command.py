@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shutil
+from pathlib import Path
+from typing import Never
 
 import pytest
 from carriage import repeats
@@ -12,7 +14,7 @@ from hil.recording import write_recording
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The same names on two days."""
     monkeypatch.chdir(tmp_path)
     for seed, day in enumerate(("monday", "tuesday")):
@@ -46,7 +48,9 @@ REPEATS = ("monday/run_0_0.csv", "monday/run_0_1.csv")
         ((*REPEATS, "--held-out", "tuesday/run_0_0.csv", "--held-out", "tuesday/run_0_0.csv", "-o", "answer"), "is given twice"),
     ],
 )
-def test_recordings_given_twice_and_places_that_cannot_be_written_to_are_one_line(folder, capsys, monkeypatch, words, said):
+def test_recordings_given_twice_and_places_that_cannot_be_written_to_are_one_line(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], said: str
+) -> None:
     monkeypatch.setattr("hil.diagnosis.diagnose.see", lambda *_, **__: pytest.fail("it computed"))
     with pytest.raises(SystemExit) as left:
         main(["diagnose", "emps", *words])
@@ -56,8 +60,10 @@ def test_recordings_given_twice_and_places_that_cannot_be_written_to_are_one_lin
 
 
 @pytest.mark.parametrize("words", [("-o", "answer"), ("-o", "new/folder/answer"), ("-o", "monday", "--json", "a.json")])
-def test_a_place_where_nothing_may_be_written_is_refused_before_the_computation(folder, capsys, monkeypatch, words):
-    def refuse(dir):
+def test_a_place_where_nothing_may_be_written_is_refused_before_the_computation(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
+) -> None:
+    def refuse(dir: Path) -> Never:
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr("tempfile.TemporaryFile", refuse)  # who runs the tests may be allowed everything
@@ -66,11 +72,13 @@ def test_a_place_where_nothing_may_be_written_is_refused_before_the_computation(
         main(["diagnose", "emps", *REPEATS, *words])
     assert left.value.code == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
-    assert words[-1] in line and "Permission denied" in line
-    assert not (folder / "new").exists() and not (folder / "a.json").exists()
+    assert words[-1] in line
+    assert "Permission denied" in line
+    assert not (folder / "new").exists()
+    assert not (folder / "a.json").exists()
 
 
-def test_a_recording_of_another_machine_is_refused_by_its_machine_and_axes(folder, capsys):
+def test_a_recording_of_another_machine_is_refused_by_its_machine_and_axes(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as left:
         main(["diagnose", "carm", *REPEATS, "-o", "answer"])
     assert left.value.code == 2
@@ -78,18 +86,19 @@ def test_a_recording_of_another_machine_is_refused_by_its_machine_and_axes(folde
     assert "monday/run_0_0.csv: recorded of emps with axes carriage; carm has propeller, roll" in line
 
 
-def test_another_day_s_recording_of_the_same_name_may_be_held_out(folder, tmp_path):
+def test_another_day_s_recording_of_the_same_name_may_be_held_out(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(SystemExit) as left:
         main(["diagnose", "emps", *REPEATS, "--held-out", "tuesday/run_0_0.csv", "-o", "answer"])
     assert left.value.code == 0
     assert (tmp_path / "answer" / "diagnosis.json").exists()
 
 
-def test_the_experiment_of_an_earlier_answer_in_the_same_folder_is_removed(folder, tmp_path):
+def test_the_experiment_of_an_earlier_answer_in_the_same_folder_is_removed(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "answer").mkdir()
     (tmp_path / "answer" / "next_experiment.toml").write_text("of an ambiguous verdict")
     with pytest.raises(SystemExit) as left:
         main(["diagnose", "emps", *REPEATS, "-o", "answer"])
     assert left.value.code == 0
     names = {path.name for path in (tmp_path / "answer").iterdir()}
-    assert names >= {"diagnosis.json", "effects.toml", "machine.toml"} and "next_experiment.toml" not in names
+    assert names >= {"diagnosis.json", "effects.toml", "machine.toml"}
+    assert "next_experiment.toml" not in names

@@ -31,15 +31,20 @@ def test_coulomb_friction_is_named_with_its_strength(friction: Answered) -> None
     assert strength.ci95[0] < COULOMB_N < strength.ci95[1]
     assert strength.value == pytest.approx(COULOMB_N, rel=0.15)
     first, *others = diagnosis.hypotheses
-    assert first.is_confirmed and first.parameters == 1
+    assert first.is_confirmed
+    assert first.parameters == 1
     assert all(h.gained <= 1.01 * first.gained for h in others)
 
 
 def test_the_extended_machine_predicts_recordings_it_was_not_fitted_to_down_to_noise(friction: Answered) -> None:
     fit = friction.diagnosis.fit
-    assert fit.held_out is not None and fit.horizon_s == pytest.approx(1.0 / MACHINE.sample_rate_Hz)
+    assert fit.held_out is not None
+    assert fit.horizon_s == pytest.approx(1.0 / MACHINE.sample_rate_Hz)
     nominal, retuned, extended = fit.held_out.nominal, fit.held_out.retuned, fit.held_out.extended
-    assert nominal is not None and retuned is not None and extended is not None and fit.removed_share is not None
+    assert nominal is not None
+    assert retuned is not None
+    assert extended is not None
+    assert fit.removed_share is not None
     assert nominal > retuned > 2.0 * extended
     assert extended == pytest.approx(1.0, abs=0.1)
     assert fit.removed_share > 0.9
@@ -86,7 +91,8 @@ def test_nothing_is_found_where_nothing_is_missing() -> None:
     found = diagnose(MACHINE, repeats(seed=5, duration_s=4.0), repeats(1, experiment=1, seed=5, duration_s=4.0)).diagnosis
     assert found.verdict == "consistent"
     assert "a resonance above may hide" in found.reason
-    assert found.fit.held_out is not None and found.fit.held_out.nominal == pytest.approx(1.0, abs=0.1)
+    assert found.fit.held_out is not None
+    assert found.fit.held_out.nominal == pytest.approx(1.0, abs=0.1)
 
 
 def test_a_ripple_of_half_a_newton_beside_a_newton_of_disturbances_is_named() -> None:
@@ -137,7 +143,8 @@ def test_too_few_rows_are_said_to_be_too_few(rows: int) -> None:
     short = {name: one.part(slice(rows)) for name, one in repeats(3, duration_s=0.6).items()}
     found = diagnose(MACHINE, short).diagnosis
     assert found.verdict == "inconclusive"
-    assert f"{rows} rows" in found.reason and "record 100 at least" in found.reason
+    assert f"{rows} rows" in found.reason
+    assert "record 100 at least" in found.reason
 
 
 def test_a_stop_that_every_repeat_meets_once_is_named() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from carriage import MACHINE, disturbance, recording, reference, run
@@ -47,7 +49,7 @@ def test_a_form_error_is_a_tenth_of_its_law_and_the_same_both_ways() -> None:
     assert np.sqrt(np.mean(np.sum(there**2, axis=0))) == pytest.approx(FORM, rel=0.02)
 
 
-def carried(at=lambda x: 0.0, friction_N: float = 0.0, seeds: int = 0) -> dict[str, Recording]:
+def carried(at: Callable[[float], float] = lambda x: 0.0, friction_N: float = 0.0, seeds: int = 0) -> dict[str, Recording]:
     """Repeats of two experiments, disturbed by forces of their own."""
     found = {}
     for experiment in range(2):

@@ -60,7 +60,10 @@ def test_what_one_direction_alone_has_is_found_in_that_direction() -> None:
 
 def test_what_is_everywhere_is_localised_nowhere() -> None:
     location = located(4.0 * np.random.default_rng(1).standard_normal(ROWS))
-    assert not location.time_s and not location.position and not location.speed and not location.frequency_hz
+    assert not location.time_s
+    assert not location.position
+    assert not location.speed
+    assert not location.frequency_hz
 
 
 def test_periods_are_times_of_their_recording() -> None:
@@ -70,7 +73,8 @@ def test_periods_are_times_of_their_recording() -> None:
     found = Mismatch((("run", 2.0), ("run", 4.0)), TIME[:2000], white, 0.5, still, still, still)
     spans = locate(["carriage"], [found], {"a": 1.0}).time_s["run"]
     assert len(spans) == 2
-    assert spans[0] == pytest.approx((2.5, 2.7), abs=0.15) and spans[1] == pytest.approx((4.5, 4.7), abs=0.15)
+    assert spans[0] == pytest.approx((2.5, 2.7), abs=0.15)
+    assert spans[1] == pytest.approx((4.5, 4.7), abs=0.15)
 
 
 def test_friction_is_located_in_the_drives_effort(friction: Answered) -> None:

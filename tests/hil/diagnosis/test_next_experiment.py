@@ -81,13 +81,15 @@ def test_a_run_on_another_simulation_confirms_the_prediction(rivals: list[Model]
     right, other = rivals
     tuned = tuned_at(alongs, LEVELS, offset, right.effects)
     own, its = (fit(tuned, each.effects, offset) for each in (right, other))
-    assert own is not None and its is not None
+    assert own is not None
+    assert its is not None
     assert np.sqrt(max(its.cost() - own.cost(), 0.0)) == pytest.approx(predicted, rel=0.5, abs=2.0)
 
 
 def test_the_search_says_how_far_it_is(proposal: Proposal, told: list[float]) -> None:
     assert proposal.separations.shape == (1, 2)
-    assert told == sorted(told) and told[-1] == pytest.approx(1.0)
+    assert told == sorted(told)
+    assert told[-1] == pytest.approx(1.0)
 
 
 def test_its_file_is_an_experiment_within_the_machines_limits(proposal: Proposal) -> None:

@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from hil.cli.app import main
 from hil.diagnosis.diagnose import diagnose
-from hil.machine import load_machine
-from hil.recording import read_recording
+from hil.diagnosis.result import Diagnosis
+from hil.machine import Machine, load_machine
+from hil.recording import Recording, read_recording
 
 TABLE = "turntable"
 FRICTION = '[[effect]]\nname = "coulomb_friction"\nat = "turn"\nFc_Nm = 0.3\n'
 
 
-def recorded(path, machine, *experiment):
+def recorded(path: Path, machine: Machine, *experiment: object) -> Recording:
     with pytest.raises(SystemExit) as left:
         main([str(word) for word in ("run", *experiment, "-m", TABLE, "-b", "lockstep:", "-o", path)])
     assert left.value.code == 0
     return read_recording(path, machine)
 
 
-def answer(folder, hidden):
+def answer(folder: Path, hidden: tuple[object, ...]) -> Diagnosis:
     """Three jogs and a held-out one, as the documentation's commands record them, diagnosed."""
     machine = load_machine(TABLE)
     recordings = {}
@@ -32,7 +35,7 @@ def answer(folder, hidden):
 
 
 @pytest.mark.nightly
-def test_a_hidden_friction_comes_first_with_its_strength(tmp_path):
+def test_a_hidden_friction_comes_first_with_its_strength(tmp_path: Path) -> None:
     hidden = tmp_path / "hidden.toml"
     hidden.write_text(FRICTION)
     found = answer(tmp_path, ("--effects", hidden))
@@ -45,14 +48,14 @@ def test_a_hidden_friction_comes_first_with_its_strength(tmp_path):
 
 
 @pytest.mark.nightly
-def test_nothing_is_found_where_nothing_is_hidden(tmp_path):
+def test_nothing_is_found_where_nothing_is_hidden(tmp_path: Path) -> None:
     found = answer(tmp_path, ())
     assert found.verdict in ("consistent", "retuned")
     assert 0.5 < found.fit.held_out.nominal < 1.3
 
 
 @pytest.mark.slow
-def test_a_table_that_stands_is_no_spring(tmp_path):
+def test_a_table_that_stands_is_no_spring(tmp_path: Path) -> None:
     """Its encoder's reading never changes, and what the loop does within that count is seen on the link."""
     machine = load_machine(TABLE)
     still = {str(seed): recorded(tmp_path / f"{seed}.mf4", machine, "static", "--seconds", 4, "--seed", seed) for seed in (1, 2)}

@@ -14,6 +14,7 @@ from hil.diagnosis.named.settling import settled
 from hil.diagnosis.seen.see import see
 from hil.diagnosis.tuned.retuning import nominal_offset
 from hil.machine import machine_from_text
+from hil.recording import Recording
 from hil.simulation import compare, simulate
 from virtual_bus.settings import EffectSetting
 
@@ -25,12 +26,12 @@ pytestmark = pytest.mark.nightly
 present = pytest.mark.skipif(not DATA.is_dir(), reason=f"{DATA} is not here: these recordings are not part of the project")
 
 
-def judged(recording, simulated, channel: str) -> np.ndarray:
+def judged(recording: Recording, simulated: Recording, channel: str) -> np.ndarray:
     rows = slice(recording.experiment.get("settle_rows", 0), None)
     return simulated[channel][rows] - recording[channel][rows]
 
 
-def test_a_held_staircase_replaces_a_band_limited_signal():
+def test_a_held_staircase_replaces_a_band_limited_signal() -> None:
     """At the signal's frequency the staircase, held over each sample, has the signal's amplitude and phase."""
     rows, fine = np.arange(4000), 20
     omega = 0.7
@@ -42,7 +43,7 @@ def test_a_held_staircase_replaces_a_band_limited_signal():
 
 
 @present
-def test_the_silverbox_is_linear_with_a_cubic_spring():
+def test_the_silverbox_is_linear_with_a_cubic_spring() -> None:
     """Nominal as fitted; a softer spring that hardens, and an offset, meet the growing arrow to a millivolt (of 53 mV rms)."""
     data = REAL_SETS["silverbox"]()
     (train,), (arrow,) = data.train.values(), data.held_out.values()
@@ -58,7 +59,7 @@ def test_the_silverbox_is_linear_with_a_cubic_spring():
 
 
 @present
-def test_the_belts_pulley_turns_as_fast_as_its_magnitude_says():
+def test_the_belts_pulley_turns_as_fast_as_its_magnitude_says() -> None:
     data = REAL_SETS["coupled_electric_drives"]()
     z11 = data.train["z11"]
     lost = EffectSetting("rectified_sensor", "speed_motors", {"share": 1.0, "sign": 1.0})
@@ -69,7 +70,7 @@ def test_the_belts_pulley_turns_as_fast_as_its_magnitude_says():
 
 
 @present
-def test_pieces_of_the_motors_record_begin_in_motion():
+def test_pieces_of_the_motors_record_begin_in_motion() -> None:
     data = REAL_SETS["laas_anti_cogging"]()
     for recording in data.train.values():
         assert simulate(data.machine, recording)["speed_rotor"][0] == recording.metadata["initial"]["speeds"][0]
@@ -77,7 +78,7 @@ def test_pieces_of_the_motors_record_begin_in_motion():
 
 
 @present
-def test_cogging_of_a_motor_is_found_at_its_first_order_and_not_at_twice_that():
+def test_cogging_of_a_motor_is_found_at_its_first_order_and_not_at_twice_that() -> None:
     """Effort at 144 a turn stands out as well; started there alone, a fit would have no 72."""
     data = REAL_SETS["laas_anti_cogging"]()
     seen = see(data.machine, data.train)

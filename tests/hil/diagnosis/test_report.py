@@ -45,7 +45,8 @@ def test_a_mismatch_below_noise_has_no_waterfall() -> None:
 def test_the_missing_effort_of_friction_is_its_level_on_both_sides(friction: Answered) -> None:
     (shown,) = missing_charts(friction)
     over_speed = shown.cells[0]
-    assert over_speed.x.label == "speed of carriage [m/s]" and over_speed.y.label == "effort on carriage [N]"
+    assert over_speed.x.label == "speed of carriage [m/s]"
+    assert over_speed.y.label == "effort on carriage [N]"
     missing, named = over_speed.series
     for side in (-1.0, 1.0):
         far = side * missing.x > 0.5 * np.max(side * missing.x)
@@ -70,7 +71,8 @@ def test_an_answer_without_findings_says_so(friction: Answered, tmp_path: Path) 
         friction.diagnosis, findings=(), hypotheses=(), disturbance=DisturbanceShares(), verdict="consistent", reason="nothing"
     )
     bare = write_report(replace(friction, diagnosis=nothing, effects=()), tmp_path).read_text(encoding="utf-8")
-    assert "No effort is missing." in bare and "Consistent: nothing." in bare
+    assert "No effort is missing." in bare
+    assert "Consistent: nothing." in bare
     assert "No effect is named." in bare
 
 
@@ -86,7 +88,8 @@ def test_errors_are_in_units_of_noise_or_shares_of_the_motion(friction: Answered
 
 def test_no_column_is_empty(friction: Answered, tmp_path: Path) -> None:
     page = write_report(friction, tmp_path).read_text(encoding="utf-8")
-    assert "placebo" not in page and "held-out by" not in page
+    assert "placebo" not in page
+    assert "held-out by" not in page
 
 
 def test_wrong_recordings_have_shares_that_sum_to_one_and_no_word_of_a_search(tmp_path: Path) -> None:
@@ -97,9 +100,11 @@ def test_wrong_recordings_have_shares_that_sum_to_one_and_no_word_of_a_search(tm
         for run, position in ((first, missing), (second, 1000.0 * second["position_carriage"]))  # a gap, and millimetres
     ]
     answered = diagnose(MACHINE, dict(zip("ab", spoilt, strict=True)))
-    assert "a: position_carriage is missing" in answered.diagnosis.reason and "b: position_carriage is in mm" in answered.diagnosis.reason
+    assert "a: position_carriage is missing" in answered.diagnosis.reason
+    assert "b: position_carriage is in mm" in answered.diagnosis.reason
     assert answered.diagnosis.location.channels == pytest.approx({"position_carriage": 1.0})
     page = write_report(answered, tmp_path).read_text(encoding="utf-8")
-    assert "Misconfigured" in page and "No effect is named." in page
+    assert "Misconfigured" in page
+    assert "No effect is named." in page
     for untold in ("no repeats were recorded", "The answer leaves", "Free runs", "No recording has the reference", "None was computed"):
         assert untold not in page

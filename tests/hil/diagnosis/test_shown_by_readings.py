@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from hil.recording import Recording
 TRUTH = {"duration_s": 4.0, "seed": 5}
 
 
-def changed(recordings: dict[str, Recording], by) -> dict[str, Recording]:
+def changed(recordings: dict[str, Recording], by: Callable[[np.ndarray, np.random.Generator], np.ndarray]) -> dict[str, Recording]:
     """Recordings with other readings of the carriage's encoder."""
     found = {}
     for number, (name, one) in enumerate(recordings.items()):
@@ -34,7 +35,8 @@ def test_a_lattice_coarser_than_the_files_is_named_with_its_step() -> None:
     assert [str(finding.effect) for finding in found.findings] == ["encoder_quantization at position_carriage"]
     assert found.verdict == "explained"
     assert found.findings[0].parameters["q"].value == pytest.approx(step, rel=1e-3)
-    assert found.fit.held_out is not None and found.fit.held_out.extended == pytest.approx(1.0, abs=0.25)
+    assert found.fit.held_out is not None
+    assert found.fit.held_out.extended == pytest.approx(1.0, abs=0.25)
 
 
 def test_readings_that_were_lost_are_named_with_their_share_and_explain_no_physics() -> None:
