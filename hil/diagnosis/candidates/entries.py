@@ -98,7 +98,7 @@ def entries(
                         one = (setting_of(effect, at, dict(parameters)),)
                         columns.append(
                             [
-                                column(without, along.signals(motion, along.model(values, one), one))
+                                column(without, along.signals(motion, along.model(values, one), one, beside=without))
                                 for along, motion, without in zip(alongs, motions, nominal, strict=True)
                             ]
                         )
