@@ -97,9 +97,7 @@ def diagnose_audited(
     def say(baseline: Fitted) -> None:
         first(first_answer(machine, audited, seen, baseline, time.monotonic() - began))
 
-    named = name(seen, report, say)
-    report("weighing rivals", 0.9)
-    return answer(machine, audited, named, held_out, began, report)
+    return answer(machine, audited, name(seen, report, say), held_out, began, report)
 
 
 def check_axes(label: str | Path, recording: Recording, machine: Machine) -> None:

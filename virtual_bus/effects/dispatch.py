@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from functools import cache
 from types import ModuleType
 
 from virtual_bus.effects import motion
@@ -28,12 +29,14 @@ FUNCTIONS = {  # name in the generated module: hook of the effect files, what an
 }
 
 
+@cache
 def compiled_effects() -> ModuleType:
     """Return the module with the functions of FUNCTIONS, each `(number, state, row)`, compiled once and cached."""
     texts = [dispatcher_text(hook, function, nothing) for function, (hook, nothing) in FUNCTIONS.items()]
     return load_generated("effects", "\n\n".join([HEADER, *texts]), dispatch_sources())
 
 
+@cache
 def dispatch_sources() -> str:
     """Return the source of everything the dispatchers are compiled from."""
     return inspect.getsource(jit) + inspect.getsource(motion) + effect_sources()

@@ -78,12 +78,14 @@ def answer(
     report: Callable[[str, float], None] = lambda what, share: None,
 ) -> Answered:
     """Return the answer to what was named; held-out recordings are scored and decide nothing. `began` is when (`time.monotonic`)."""
+    report("weighing rivals", 0.9)
     noise = named.seen.noise
     before, named = {fitted.names: fitted for _, fitted in named.sets}, refitted(named)
     tuned, best, seen = named.tuned, named.best, named.seen
     along_motion = before.get(best.names, best)
     judged = replace(named, best=along_motion)  # rivals are weighed along the motion, where equations are linear
-    of = library(tuned, along_motion)
+    of = library(tuned, along_motion, named.of)
+    named, judged = replace(named, of=None), replace(judged, of=None)
     others = alternatives(judged, of) if best.settings else []
     spread = deviations(judged, best)
     values = tuned.numbers.values(best.offset[: len(tuned.numbers.indices)])

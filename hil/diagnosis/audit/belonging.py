@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Set
 from dataclasses import dataclass, replace
+from types import ModuleType
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -128,7 +129,8 @@ def belonging_faults(machine: Machine, label: str, recording: Recording, lawful:
     slow = weighing.slow(even)
     found: list[Fault] = []
     while len(found) < FAULTS:
-        gains = [(weighing.gain(error, even, slow), error) for error in _errors(machine, even, lawful)]
+        against = weighing.against(even, slow)
+        gains = [(weighing.gain(error, even, slow, against), error) for error in _errors(machine, even, lawful)]
         gain, error = max(gains, key=lambda pair: pair[0], default=(0.0, None))
         if error is None or gain < PRICE:
             break
@@ -204,21 +206,26 @@ class _Weighing:
     def __init__(self, machine: Machine, lawful: Set[str]) -> None:
         self.machine = machine
         self.lawful = lawful
-        self._plant: CompiledPlant | None = None
+        self._rigid: tuple[CompiledPlant, ModuleType] | None = None
         settings = machine.plant
         self._joints = [joint.name for joint in settings.tree.joints]
         self._encoders = {encoder.channel: encoder for encoder in settings.encoders}
         reach = {limits.axis: max(abs(limits.lower), abs(limits.upper)) for limits in machine.limits}
         self._reach = {axis: value for axis, value in reach.items() if np.isfinite(value)}
 
-    def gain(self, error: _Error, even: _Even, slow: _Slow | None) -> float:
-        """Return by how much twice the log likelihood rises when an error is undone.
+    def against(self, even: _Even, slow: _Slow | None) -> tuple[float, dict[str, _Balance]]:
+        """Return what ratios deny, and what the rigid equation says of each axis's effort."""
+        return self._denied_ratios(even), {} if slow is None else self._dynamics(slow)
+
+    def gain(self, error: _Error, even: _Even, slow: _Slow | None, against: tuple[float, dict[str, _Balance]]) -> float:
+        """Return by how much twice the log likelihood rises when an error is undone; `against` is what stands against the recording.
 
         Where efforts then say nothing any more, or something that the file still denies, they do not count.
         """
-        rise = self._denied_ratios(even) - self._denied_ratios(error.undone(even))
+        denied, before = against
+        rise = denied - self._denied_ratios(error.undone(even))
         if slow is not None:
-            before, after = self._dynamics(slow), self._dynamics(error.undone(slow))
+            after = self._dynamics(error.undone(slow))
             touched = {axis for _, axis in error.channels} | {error.other} - {""}
             sure = {axis for axis in touched & after.keys() if after[axis].is_sure and after[axis].denied < AGREES}
             says = bool(sure) and all(axis in sure for axis in touched & before.keys() if before[axis].is_sure)
@@ -324,7 +331,10 @@ class _Weighing:
         if slow is None:
             return
         settings = self.machine.plant
-        plant = self._plant = self._plant or compile_plant(replace(settings, substeps=1, effects=()))
+        if self._rigid is None:
+            plant = compile_plant(replace(settings, substeps=1, effects=()))
+            self._rigid = plant, along_module(plant)
+        plant, module = self._rigid
         model = plant.model(None, ())
         rows = len(next(iter(slow.values.values())))
         q, v, a, needed = (np.zeros((rows, len(self._joints))) for _ in range(4))
@@ -333,7 +343,7 @@ class _Weighing:
             q[:, joint] = slow.values["position", drive.axis]
             v[:, joint] = np.gradient(q[:, joint], slow.period_s)
             a[:, joint] = np.gradient(v[:, joint], slow.period_s)
-        along_module(plant).efforts(model, plant.new_work(), q, v, a, needed)
+        module.efforts(model, plant.new_work(), q, v, a, needed)
         gains = plant.drive_gains(model, q[0])
         for number, drive in enumerate(settings.drives):
             source = next((slow.values[kind, drive.axis] for kind in ("command", "current") if (kind, drive.axis) in slow.values), None)

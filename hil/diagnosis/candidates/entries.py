@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,23 +20,21 @@ from virtual_bus.settings import EffectSetting
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """One law of one effect at one place.
-
-    Attributes
-    ----------
-    columns : tuple of tuple of Column
-        Per recording, one a weight.
-    """
+    """One law of one effect at one place."""
 
     effect: Effect
     at: str
     law: Law
-    columns: tuple[tuple[Column, ...], ...]
 
     @property
     def width(self) -> int:
         """Number of weights."""
         return len(self.law.columns)
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """What its columns are made of: laws with the same key have the same ones beside one machine."""
+        return (self.effect.name, self.at, *(tuple(sorted(each.items())) for each in self.law.columns))
 
     def setting(self, weights: np.ndarray) -> EffectSetting:
         """Return the effect at these weights, its parameters within their bounds."""
@@ -79,31 +77,31 @@ def different_places(effect: Effect, along: Along) -> list[str]:
 def entries(
     alongs: Sequence[Along], motions: Sequence[Motion], nominal: Sequence[Signals], values: np.ndarray, missing: Sequence[np.ndarray],
     inertias: np.ndarray,
-) -> list[Entry]:  # fmt: skip
-    """Return the laws of all effects at all places that change anything in these recordings.
+) -> Iterator[Entry]:  # fmt: skip
+    """Yield the laws of all effects at all places.
 
     Parameters
     ----------
     nominal : sequence of Signals
         Along these motions with these values and no effect.
     """
-    found = []
     for name, effect in effects().items():
         for at in different_places(effect, alongs[0]):
             place = place_of(effect, at, alongs, motions, nominal, missing, inertias)
             for law in module_of(name).laws(place):
-                columns = []
-                try:
-                    for parameters in law.columns:
-                        one = (setting_of(effect, at, dict(parameters)),)
-                        columns.append(
-                            [
-                                column(without, along.signals(motion, along.model(values, one), one))
-                                for along, motion, without in zip(alongs, motions, nominal, strict=True)
-                            ]
-                        )
-                except EffectError:
-                    continue
-                if any(each.efforts or each.readings for per in columns for each in per):
-                    found.append(Entry(effect, at, law, tuple(tuple(per[g] for per in columns) for g in range(len(alongs)))))
-    return found
+                yield Entry(effect, at, law)
+
+
+def columns_of(
+    entry: Entry, alongs: Sequence[Along], motions: Sequence[Motion], nominal: Sequence[Signals], values: np.ndarray
+) -> list[list[Column]]:
+    """Return what a law changes, for every recording one column a weight; none where it changes nothing or the machine cannot take it."""
+    columns: list[list[Column]] = [[] for _ in alongs]
+    try:
+        for parameters in entry.law.columns:
+            one = (setting_of(entry.effect, entry.at, dict(parameters)),)
+            for own, along, motion, without in zip(columns, alongs, motions, nominal, strict=True):
+                own.append(column(without, along.signals(motion, along.model(values, one), one, beside=without)))
+    except EffectError:
+        return []
+    return columns if any(each.efforts or each.readings for own in columns for each in own) else []

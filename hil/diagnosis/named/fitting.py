@@ -141,13 +141,14 @@ def fit(
     offset = tuned.offset.copy() if offset is None else offset
     parameters = tuple((k, parameter) for k, setting in enumerate(settings) for parameter in free_parameters(setting))
     try:
-        left, squares = _left(tuned, settings, offset)
+        acting = _acting(tuned, settings)
     except EffectError:
         return None
+    left, squares = _left(tuned, acting, offset)
     columns: tuple[np.ndarray, ...] = ()
-    form = _form(tuned, settings, dispersion)
+    form = _form(tuned, acting, settings, dispersion)
     for _ in range(ITERATIONS):
-        found = [_columns(tuned, one, settings, parameters, rest) for one, rest in zip(tuned.looked, left, strict=True)]
+        found = [_columns(tuned, one, own, settings, parameters, rest) for one, own, rest in zip(tuned.looked, acting, left, strict=True)]
         columns = tuple(each for each, _ in found)
         shortest = zip(parameters, _shortest(found), strict=True)
         reaches = [reach(parameter, settings[k].parameters[parameter.name], least) for (k, parameter), least in shortest]
@@ -156,9 +157,9 @@ def fit(
         taken = _shortened(tuned, settings, offset, parameters, step, cost, form)
         if taken is None:
             break
-        settings, offset, left, squares = taken
+        settings, offset, acting, left, squares = taken
         gained = cost - _cost(left, squares, offset, form)
-        form = _form(tuned, settings, dispersion)
+        form = _form(tuned, acting, settings, dispersion)
         if gained < SETTLED:
             break
     reduced, form_squares = form.taken_from(left)
@@ -185,18 +186,18 @@ def _cost(left: Sequence[np.ndarray], squares: float, offset: np.ndarray, form: 
     return squares / form.dispersion + float(offset @ offset) + form_squares
 
 
-def _form(tuned: Tuned, settings: tuple[EffectSetting, ...], dispersion: float) -> FormError:
+def _form(tuned: Tuned, acting: Sequence[Acting], settings: tuple[EffectSetting, ...], dispersion: float) -> FormError:
     """Return the form errors of laws where noise is known; where it is assumed, they are part of what scatters."""
     if tuned.levels.are_assumed or not settings:
         return FormError([np.zeros((len(one.innovations), 0)) for one in tuned.looked], dispersion)
     columns = []
-    for one in tuned.looked:
+    for one, its in zip(tuned.looked, acting, strict=True):
         own: list[Column] = []
-        for setting in settings:
+        for setting, change in zip(settings, its.alone, strict=True):
             if not effects()[setting.name].is_exact:
-                own += form_columns(column(one.signals, signals_of(tuned, one, (setting,))), one.motion)
+                own += form_columns(change, one.motion)
         whitened = one.whiten(own) if own else np.zeros((len(one.innovations), 0))
-        columns.append(_times(whitened, 1.0 / _weaker(tuned, one, settings)) if own else whitened)
+        columns.append(_times(whitened, 1.0 / its.weaker) if own else whitened)
     return FormError(columns, dispersion)
 
 
@@ -212,22 +213,52 @@ def free_parameters(setting: EffectSetting) -> list[Parameter]:
     return [parameter for parameter in parameters if not parameter.is_strength or parameter in acting]
 
 
-def _left(tuned: Tuned, settings: tuple[EffectSetting, ...], offset: np.ndarray) -> tuple[tuple[np.ndarray, ...], float]:
+@dataclass(frozen=True, eq=False)
+class Acting:
+    """What a set of effects does along one recording.
+
+    Attributes
+    ----------
+    signals : Signals
+        With all of them.
+    together : Column
+        What they change.
+    alone : tuple of Column
+        What each by itself does.
+    weaker : (m + axes,) array
+        By how much less a drive's effort shows in each reading.
+    """
+
+    signals: Signals
+    together: Column
+    alone: tuple[Column, ...]
+    weaker: np.ndarray
+
+
+def _acting(tuned: Tuned, settings: tuple[EffectSetting, ...]) -> list[Acting]:
+    """Return what effects do along every recording."""
+    found = []
+    for one in tuned.looked:
+        signals = signals_of(tuned, one, settings) if settings else one.signals
+        together = column(one.signals, signals)
+        alone = [together] if len(settings) == 1 else [column(one.signals, signals_of(tuned, one, (each,))) for each in settings]
+        found.append(Acting(signals, together, tuple(alone), _weaker(one, signals)))
+    return found
+
+
+def _left(tuned: Tuned, acting: Sequence[Acting], offset: np.ndarray) -> tuple[tuple[np.ndarray, ...], float]:
     """Return the innovations that effects and a change of the nuisances leave, and their squares with what is unsure of them."""
     left = []
     moved = offset - tuned.offset
     unsure = 0.0
-    for one in tuned.looked:
-        unsure += float(tuned.energies(one) @ moved**2)
+    for one, its in zip(tuned.looked, acting, strict=True):
+        unsure += float(one.energies @ moved**2)
         rest = one.innovations - one.numbers @ moved
-        if settings:
-            together = signals_of(tuned, one, settings)
-            columns = [column(one.signals, together)]
-            if len(settings) > 1:
-                columns += [column(one.signals, signals_of(tuned, one, (setting,))) for setting in settings]
+        if its.alone:
+            columns = [its.together, *its.alone] if len(its.alone) > 1 else [its.together]
             whitened = one.whiten(columns)
             unsure += float(np.sum(whitened[:, min(1, len(columns) - 1) :] ** 2))
-            rest = _times(rest - whitened[:, 0], 1.0 / _weaker(tuned, one, settings))
+            rest = _times(rest - whitened[:, 0], 1.0 / its.weaker)
         left.append(rest)
     squares = ACCURACY**2 * unsure + float(sum(rest @ rest for rest in left))
     return tuple(left), squares
@@ -238,21 +269,21 @@ def alone(tuned: Tuned, fitted: Fitted, number: int) -> list[np.ndarray]:
     others = (*fitted.settings[:number], *fitted.settings[number + 1 :])
     changes = []
     for one in tuned.looked:
-        change = column(signals_of(tuned, one, others), signals_of(tuned, one, fitted.settings))
-        changes.append(_times(one.whiten([change]), 1.0 / _weaker(tuned, one, fitted.settings))[:, 0])
+        whole = signals_of(tuned, one, fitted.settings)
+        change = column(signals_of(tuned, one, others), whole)
+        changes.append(_times(one.whiten([change]), 1.0 / _weaker(one, whole))[:, 0])
     return changes
 
 
-def _weaker(tuned: Tuned, one: Looked, settings: tuple[EffectSetting, ...]) -> np.ndarray:
-    """Return by how much weaker (m + axes,) than the file's a set of effects makes the drives whose joints each reading shows.
+def _weaker(one: Looked, acting: Signals) -> np.ndarray:
+    """Return by how much weaker (m + axes,) than the file's what acts makes the drives whose joints each reading shows.
 
     Noise is known in the drives' units: otherwise every drive would be found weaker than it is, and every gear worse, since that makes all
     efforts smaller.
     """
     along = one.beside.along
-    model = along.model(tuned.values, settings)
-    gains = model[0]["effort_gain"] / one.beside.model[0]["effort_gain"]
-    passed = along.passed_by_friction(one.motion, model) / along.passed_by_friction(one.motion, one.beside.model)
+    gains = acting.model[0]["effort_gain"] / one.beside.model[0]["effort_gain"]
+    passed = along.passed_by_friction(one.motion, acting.model) / along.passed_by_friction(one.motion, one.beside.model)
     weaker = np.ones(one.beside.left.shape[1])
     joints = {sensor.channel: sensor.joints for sensor in along.settings.joint_sensors}
     for drive, gain in zip(along.settings.drives, gains, strict=False):
@@ -272,16 +303,17 @@ def _times(values: np.ndarray, factors: np.ndarray) -> np.ndarray:
 def signals_of(tuned: Tuned, one: Looked, settings: tuple[EffectSetting, ...]) -> Signals:
     """Return what the tuned machine does along a recording with these effects."""
     along = one.beside.along
-    return along.signals(one.motion, along.model(tuned.values, settings), settings)
+    return along.signals(one.motion, along.model(tuned.values, settings), settings, beside=one.signals)
 
 
 def _columns(
-    tuned: Tuned, one: Looked, settings: tuple[EffectSetting, ...], parameters: Sequence[tuple[int, Parameter]], rest: np.ndarray
-) -> tuple[np.ndarray, list[float]]:
+    tuned: Tuned, one: Looked, acting: Acting, settings: tuple[EffectSetting, ...], parameters: Sequence[tuple[int, Parameter]],
+    rest: np.ndarray,
+) -> tuple[np.ndarray, list[float]]:  # fmt: skip
     """Return what (N m, P + Q) the innovations `rest` (N m,) lose per unit of nuisances and parameters, by differences, and their steps."""
     if not parameters:
         return one.numbers, []
-    here, weaker = signals_of(tuned, one, settings), _weaker(tuned, one, settings)
+    here, weaker = acting.signals, acting.weaker
     columns, rescaled, steps = [], [], []
     for k, parameter in parameters:
         try:
@@ -293,7 +325,7 @@ def _columns(
             continue
         steps.append(step)
         columns.append(change)
-        rescaled.append((_weaker(tuned, one, moved) / weaker - 1.0) / step)
+        rescaled.append((_weaker(one, moved) / weaker - 1.0) / step)
     whole = _times(np.hstack([one.numbers, one.whiten(columns)]), 1.0 / weaker)
     for number, gain in enumerate(rescaled, one.numbers.shape[1]):
         if gain.any():
@@ -308,8 +340,8 @@ def _shortest(found: Sequence[tuple[np.ndarray, list[float]]]) -> list[float]:
 
 def _change(
     tuned: Tuned, one: Looked, settings: tuple[EffectSetting, ...], number: int, parameter: Parameter, here: Signals
-) -> tuple[float, tuple[EffectSetting, ...], Column]:
-    """Return a parameter's step, the effects with it, and what they then change per unit of it.
+) -> tuple[float, Signals, Column]:
+    """Return a parameter's step, what the machine does with it, and what that changes per unit of it.
 
     Steps of shapes are short enough that little of the effect itself changes: over a recording, a wave's frequency or order is known to a
     small part of a period. Where noise is assumed they stay long: waves then stay where the lines of a spectrum put them.
@@ -324,10 +356,11 @@ def _change(
         own = column(signals_of(tuned, one, (*settings[:number], *settings[number + 1 :])), here).size
     while True:
         moved = (*settings[:number], changed(setting, {parameter.name: value + step}), *settings[number + 1 :])
-        change = column(here, signals_of(tuned, one, moved), step)
+        there = signals_of(tuned, one, moved)
+        change = column(here, there, step)
         share = abs(step) * change.size / own if own > 0.0 else 0.0
         if share <= MOST_CHANGED:
-            return step, moved, change
+            return step, there, change
         step *= 0.5 * MOST_CHANGED / share
 
 
@@ -386,7 +419,7 @@ def reach(parameter: Parameter, value: float, step: float) -> tuple[float, float
 def _shortened(
     tuned: Tuned, settings: tuple[EffectSetting, ...], offset: np.ndarray, parameters: Sequence[tuple[int, Parameter]], step: np.ndarray,
     cost: float, form: FormError,
-) -> tuple[tuple[EffectSetting, ...], np.ndarray, tuple[np.ndarray, ...], float] | None:  # fmt: skip
+) -> tuple[tuple[EffectSetting, ...], np.ndarray, list[Acting], tuple[np.ndarray, ...], float] | None:  # fmt: skip
     """Return the first of the step and its halves that lowers the cost; None where none does."""
     for halving in range(HALVINGS):
         share = 0.5**halving
@@ -396,9 +429,10 @@ def _shortened(
         moved = tuple(changed(setting, change) for setting, change in zip(settings, changes, strict=True))
         further = offset + share * step[: len(offset)]
         try:
-            left, squares = _left(tuned, moved, further)
+            acting = _acting(tuned, moved)
         except EffectError:
             continue
+        left, squares = _left(tuned, acting, further)
         if _cost(left, squares, further, form) < cost:
-            return moved, further, left, squares
+            return moved, further, acting, left, squares
     return None

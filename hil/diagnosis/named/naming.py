@@ -10,7 +10,7 @@ from hil.diagnosis.named.everyday import everyday_effects
 from hil.diagnosis.named.fitting import LEVEL, Fitted, fit
 from hil.diagnosis.named.matching import matched
 from hil.diagnosis.named.proving import proved, slow_view, steady
-from hil.diagnosis.named.search import Ranked, library, search
+from hil.diagnosis.named.search import Library, Ranked, library, search
 from hil.diagnosis.named.settling import settled
 from hil.diagnosis.seen.along import Along
 from hil.diagnosis.seen.beside import Levels
@@ -47,6 +47,8 @@ class Named:
         The set that predicts: the likeliest one, where noise is known from repeats.
     sets : tuple of (Tuned, Fitted)
         Sets that free runs may decide between, that one first.
+    of : Library or None
+        That the sets were sought in, where it is of this machine.
     """
 
     seen: Seen
@@ -58,6 +60,7 @@ class Named:
     ranked: tuple[Ranked, ...]
     best: Fitted
     sets: tuple[tuple[Tuned, Fitted], ...]
+    of: Library | None
 
     @property
     def materiality(self) -> float:
@@ -95,35 +98,38 @@ def name(
     dispersion = baseline.dispersion
     if baseline.cost(dispersion) + len(baseline.parameters) * math.log(tuned.readings) < plain.cost(dispersion):
         starts.reverse()
-    tuned, best, ranked = _sought(alongs, levels, *starts[0], report)
+    of: Library | None
+    tuned, best, ranked, of = _sought(alongs, levels, *starts[0], report)
     if not levels.are_assumed and best.squares > (1.0 + LEVEL) * tuned.readings:  # the search may have ended where it began badly
         other = _sought(alongs, levels, *starts[1], report)
         if other[1].squares < best.squares:
-            tuned, best, ranked = other
+            tuned, best, ranked, of = other
     view = levels
     sets = [(tuned, best)]
     if levels.are_assumed:
         report("predicting what was left out", 0.75)
+        of = None  # of another view: it would fill the memory
         view = slow_view(alongs, levels)
         sets = proved(alongs, view, best.offset, best.settings, baseline.settings)
         tuned, best = sets[0]
     elif (kept := steady(seen, best)) is not None:
         sets = [kept]
         tuned, best = kept
-    return Named(seen, levels, view, plain, tuned, baseline, tuple(ranked), best, tuple(sets))
+    of = of if of is not None and of.tuned is tuned else None
+    return Named(seen, levels, view, plain, tuned, baseline, tuple(ranked), best, tuple(sets), of)
 
 
 def _sought(
     alongs: Sequence[Along], levels: Levels, tuned: Tuned, best: Fitted, report: Callable[[str, float], None]
-) -> tuple[Tuned, Fitted, list[Ranked]]:
-    """Return the machine, the fit and all sets where the search from a machine and a fit ends."""
-    ranked: list[Ranked] = []
+) -> tuple[Tuned, Fitted, list[Ranked], Library]:
+    """Return the machine, the fit and all sets where the search from a machine and a fit ends, and what it was among."""
     for turn in range(ROUNDS):
         report("searching", 0.35 + 0.4 * turn / ROUNDS)
-        ranked = search(tuned, library(tuned, best), best, MATERIAL if levels.are_assumed else 1.0)
+        of = library(tuned, best)
+        ranked = search(tuned, of, best, MATERIAL if levels.are_assumed else 1.0)
         is_settled = ranked[0].fitted.names == best.names
         best = ranked[0].fitted
         if is_settled:
             break
         tuned, best = settled(alongs, levels, best.offset, best.settings)
-    return tuned, best, ranked
+    return tuned, best, ranked, of

@@ -122,7 +122,7 @@ def neighbours(tuned: Tuned, best: Fitted, of: Library) -> Iterator[Neighbour]:
         taken = best.names | {(effects()[one.name].family, one.at) for one in kept}
         gone = {best.settings[k].name for k in without}
         waves = any(effects()[name].several for name in gone)
-        laws = library(tuned, rest) if waves else of  # orders and lines of what was left out
+        laws = library(tuned, rest, of) if waves else of  # orders and lines of what was left out
         for law, weights in proposed(rest, laws, tuned.readings, best.dispersion):
             if (law.effect.name, law.at) in taken or ((law.effect.family, law.at) in taken and law.effect.name not in gone):
                 continue

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.ndimage
 
-from hil.diagnosis.candidates.entries import Entry, entries
+from hil.diagnosis.candidates.columns import Column
+from hil.diagnosis.candidates.entries import Entry, columns_of, entries
 from hil.diagnosis.named.fitting import Fitted, fit
 from hil.diagnosis.named.form import FORM
 from hil.diagnosis.tuned.bounded import bounded_least_squares
@@ -56,6 +57,7 @@ class Library:
 
     Attributes
     ----------
+    tuned : Tuned
     laws : tuple of Entry
     columns : tuple of (N m, L) arrays
         Whitened, one array a recording, in single precision: they are the most that a diagnosis holds in memory.
@@ -63,6 +65,7 @@ class Library:
         Of each law's own columns.
     """
 
+    tuned: Tuned
     laws: tuple[Entry, ...]
     columns: tuple[np.ndarray, ...]
     squares: tuple[np.ndarray, ...]
@@ -72,33 +75,66 @@ class Library:
         """Number of effects and places."""
         return len({(law.effect.name, law.at) for law in self.laws})
 
+    @property
+    def parts(self) -> list[slice]:
+        """Which columns are each law's."""
+        ends = np.cumsum([law.width for law in self.laws]).tolist()
+        return [slice(end - law.width, end) for law, end in zip(self.laws, ends, strict=True)]
 
-def library(tuned: Tuned, fitted: Fitted | None = None) -> Library:
-    """Return the laws of all effects at all places, for these recordings; orders and lines are sought in what a fit leaves."""
+
+def library(tuned: Tuned, fitted: Fitted | None = None, beside: Library | None = None) -> Library:
+    """Return the laws of all effects at all places, for these recordings; orders and lines are sought in what a fit leaves.
+
+    Columns that another library of the same machine has, `beside`, are taken from there.
+    """
     alongs = [one.beside.along for one in tuned.looked]
     motions = [one.motion for one in tuned.looked]
     signals = [one.signals for one in tuned.looked]
     left = [one.innovations for one in tuned.looked] if fitted is None else fitted.innovations
     short = [_evened(one.whitening.scores(rest.reshape(one.beside.left.shape))) for one, rest in zip(tuned.looked, left, strict=True)]
     inertias = tuned.plant.inertias(tuned.looked[0].beside.model, motions[0].position[0])
-    laws = entries(alongs, motions, signals, tuned.values, short, inertias)
-    columns: list[np.ndarray] = []
-    squares = [np.zeros((law.width, law.width)) for law in laws]
-    for g, one in enumerate(tuned.looked):
-        whitened = np.empty((one.innovations.size, sum(law.width for law in laws)), dtype=np.float32)
+    known: dict[object, tuple[slice, np.ndarray]] = {}
+    if beside is not None and beside.tuned is tuned:
+        known = {law.key: (part, square) for law, part, square in zip(beside.laws, beside.parts, beside.squares, strict=True)}
+    every = list(entries(alongs, motions, signals, tuned.values, short, inertias))
+    most = sum(law.width for law in every)
+    columns = [np.empty((one.innovations.size, most), dtype=np.float32) for one in tuned.looked]
+    laws: list[Entry] = []
+    squares: list[np.ndarray] = []
+    waiting: list[tuple[slice, np.ndarray, list[list[Column]]]] = []
+    width = 0
+    for law in every:
+        part = slice(width, width + law.width)
+        if beside is not None and law.key in known:
+            its, square = known[law.key]
+            for own, others in zip(columns, beside.columns, strict=True):
+                own[:, part] = others[:, its]
+        elif changes := columns_of(law, alongs, motions, signals, tuned.values):
+            square = np.zeros((law.width, law.width))
+            waiting.append((part, square, changes))
+        else:
+            continue
+        width = part.stop
+        laws.append(law)
+        squares.append(square)
+        if len(waiting) == AT_ONCE:
+            _whiten(tuned, waiting, columns)
+            waiting.clear()
+    if waiting:
+        _whiten(tuned, waiting, columns)
+    return Library(tuned, tuple(laws), tuple(own[:, :width] for own in columns), tuple(squares))
+
+
+def _whiten(tuned: Tuned, laws: Sequence[tuple[slice, np.ndarray, list[list[Column]]]], columns: Sequence[np.ndarray]) -> None:
+    """Write the columns of some laws behind every recording's filter, and add to each law's squares."""
+    for g, (one, whole) in enumerate(zip(tuned.looked, columns, strict=True)):
+        filtered = one.whiten([column for _, _, changes in laws for column in changes[g]])
         first = 0
-        for begin in range(0, len(laws), AT_ONCE):
-            some = laws[begin : begin + AT_ONCE]
-            filtered = one.whiten([c for law in some for c in law.columns[g]])
-            at = 0
-            for k, law in enumerate(some, begin):
-                own = filtered[:, at : at + law.width]
-                squares[k] += own.T @ own
-                at += law.width
-            whitened[:, first : first + at] = filtered
-            first += at
-        columns.append(whitened)
-    return Library(tuple(laws), tuple(columns), tuple(squares))
+        for part, square, changes in laws:
+            own = filtered[:, first : first + len(changes[g])]
+            first += len(changes[g])
+            square += own.T @ own
+            whole[:, part] = own
 
 
 def _evened(scores: np.ndarray) -> np.ndarray:
@@ -123,10 +159,7 @@ def beside_fit(fitted: Fitted, of: Library, dispersion: float) -> Iterator[tuple
     across = (sum(_products(c, d) for c, d in zip(of.columns, beside, strict=True)) / scale) @ root.T
     taken = root @ (slopes / scale)
     pulls = np.sum([_products(c, rest) for c, rest in zip(of.columns, fitted.innovations, strict=True)], axis=0)
-    first = 0
-    for law, plain in zip(of.laws, of.squares, strict=True):
-        part = slice(first, first + law.width)
-        first = part.stop
+    for law, part, plain in zip(of.laws, of.parts, of.squares, strict=True):
         yield law, plain - across[part] @ across[part].T + OWN * np.diag(np.diag(plain)), pulls[part] - across[part] @ taken
 
 
@@ -185,10 +218,8 @@ def search(tuned: Tuned, laws: Library, baseline: Fitted, materiality: float = 1
     beam = [start]
     shorter: Fitted | None = baseline
     while shorter is not None and shorter.settings:
-        kept = [
-            fit(tuned, (*shorter.settings[:k], *shorter.settings[k + 1 :]), shorter.offset, scatter) for k in range(len(shorter.settings))
-        ]
-        fits = [ranked(each.without_columns()) for each in kept if each is not None and each.names not in found]
+        kept = _without_one(tuned, shorter, scatter)
+        fits = [ranked(each.without_columns()) for each in kept if each.names not in found]
         found |= {each.fitted.names: each for each in fits}
         shorter = min(fits, key=lambda each: each.cost).fitted if fits else None
     best = whole(min(found.values(), key=lambda each: each.cost)).fitted
@@ -214,16 +245,20 @@ def search(tuned: Tuned, laws: Library, baseline: Fitted, materiality: float = 1
         found = {names: ranked(each.fitted) for names, each in found.items()}
     chosen = whole(min(found.values(), key=lambda each: each.cost))
     while chosen.fitted.is_noise_known and chosen.fitted.settings:
-        kept = [
-            fit(tuned, (*chosen.fitted.settings[:k], *chosen.fitted.settings[k + 1 :]), chosen.fitted.offset, scatter)
-            for k in range(len(chosen.fitted.settings))
-        ]
-        sparer = min((ranked(each) for each in kept if each is not None), key=lambda each: each.cost)
+        sparer = min(map(ranked, _without_one(tuned, chosen.fitted, scatter)), key=lambda each: each.cost)
         if sparer.cost > chosen.cost + NOT_TOLD_APART:
             break
         chosen = sparer
     others = (each for names, each in found.items() if names != chosen.fitted.names)
     return [chosen, *sorted(others, key=lambda each: each.cost)]
+
+
+def _without_one(tuned: Tuned, fitted: Fitted, dispersion: float) -> Iterator[Fitted]:
+    """Yield the fits without each effect in turn: the columns of all of them together would fill the memory."""
+    for k in range(len(fitted.settings)):
+        one = fit(tuned, (*fitted.settings[:k], *fitted.settings[k + 1 :]), fitted.offset, dispersion)
+        if one is not None:
+            yield one
 
 
 def _price(fitted: Fitted, cost_of_exact: float, dispersion: float, readings: int, places: int) -> float:

@@ -39,7 +39,7 @@ def one_ahead(named: Named, seen: Seen, stages: Mapping[str, Stage]) -> Predicte
     for stage, (numbers, effects) in stages.items():
         offset = nominal_offset(seen.alongs)
         offset[: len(numbers)] = numbers
-        errors = _errors(tuned_at(seen.alongs, levels, offset, effects), len(numbers), effects)
+        errors = _errors(tuned_at(seen.alongs, levels, offset, effects), effects)
         for c, channel in enumerate(channels):
             table[channel][stage] = float(np.sqrt(np.nanmean(errors[:, c] ** 2)))
     for channel in channels:
@@ -47,11 +47,9 @@ def one_ahead(named: Named, seen: Seen, stages: Mapping[str, Stage]) -> Predicte
     return Predicted(seen.alongs[0].observed.period_s, table)
 
 
-def _errors(tuned: Tuned, count: int, effects: Sequence[EffectSetting]) -> np.ndarray:
+def _errors(tuned: Tuned, effects: Sequence[EffectSetting]) -> np.ndarray:
     """Return what is left (rows, channels) in units of noise, with the offsets of sensors that leave least."""
-    left = least_left(
-        [one.innovations - _done(one, tuned, effects) for one in tuned.looked], [one.numbers[:, count:] for one in tuned.looked]
-    )
+    left = least_left([one.innovations - _done(one, tuned, effects) for one in tuned.looked], [one.offsets for one in tuned.looked])
     rows = []
     for one, rest in zip(tuned.looked, left, strict=True):
         innovations = rest.reshape(one.beside.left.shape)

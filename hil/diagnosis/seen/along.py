@@ -20,7 +20,7 @@ from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.plant.drives import DRIVE_STATES
 from virtual_bus.plant.statics import resting_state
 from virtual_bus.sensors.effects import act_on_sensors, channel_names, new_memory
-from virtual_bus.sensors.measure import new_readings, sensor_model
+from virtual_bus.sensors.measure import new_readings, sensor_model, with_effects
 from virtual_bus.settings import EffectSetting
 
 FINE = 4
@@ -32,6 +32,23 @@ ROWS_OF_A_SHARE = 500
 """Over which a share of efforts is a mean: to a few per cent, as good as a law."""
 LEAST_PASSED = 0.05
 """Share of efforts: a gear that loses more is none."""
+OF_FRICTION = frozenset({"friction_first", "friction_rows", "shared_count", "shared_rows", "shared_joints", "share"})
+OF_DRIVES = frozenset(
+    {
+        "effort_gain", "has_drive_effects", "drive_ratio", "limit_rows", "ripple_rows", "delay_samples", "is_lagging", "lag_transition",
+        "lag_mean",
+    }
+)  # fmt: skip
+OF_IMUS = frozenset({"filter_weights", "is_filtered", "filter_lag", "second_weights"})
+OF_TERMS = frozenset(
+    {
+        "effort_count", "effort_rows", "effort_joint", "effort_ratio", "pair_count", "pair_rows", "pair_joints", "pair_ratio",
+        "pair_is_spring", "reaction_count", "reaction_rows", "reaction_joint", "reacts",
+    }
+)  # fmt: skip
+OF_JOINTS = frozenset({"stiffness", "damping", "rest_position"})
+OF_STEPS = frozenset({"inner_steps"})
+"""Parts of a plant's record: what a motion takes, what drives give and what IMUs read depend on some of them each."""
 PHASE_OF_A_STEP = 0.25
 """Largest product of a Runge-Kutta step and the fastest mode's frequency: the phase error of a step is its fifth power over 120."""
 
@@ -60,12 +77,21 @@ class Signals:
         In the drives at the rows.
     readings : (N, m) array
         Of the recorded channels, without noise or lattice.
+    model : record
+    driven, flowing : (N, n), (N, axes) arrays
+        Efforts of the drives with those of dry friction, and currents before their sensors.
+    imus : (N, 6 imus) array
+        What IMUs feel, behind their low passes.
     """
 
     needed: np.ndarray
     given: np.ndarray
     currents: np.ndarray
     readings: np.ndarray
+    model: np.ndarray
+    driven: np.ndarray
+    flowing: np.ndarray
+    imus: np.ndarray
 
 
 class Along:
@@ -92,6 +118,11 @@ class Along:
         self.joints = [joint.name for joint in self.settings.tree.joints]
         names = channel_names(self.settings)
         self._columns = [names.index(channel) for channel in observed.channels]
+        sensors = sensor_model(self.settings, ())
+        lattices = ("position_resolution", "link_resolution", "speed_resolution", "effort_resolution")
+        self._sensors = sensors._replace(
+            imu_resolution=np.zeros_like(sensors.imu_resolution), **{name: 0.0 * getattr(sensors, name) for name in lattices}
+        )
         self.smooth = self._smoothed()
 
     def of(self, observed: Observed) -> Along:
@@ -178,32 +209,57 @@ class Along:
         last = needed[-1:]
         return np.vstack([mean - 6.0 * moment, last]), np.vstack([mean + 6.0 * moment, last]), imus[::FINE]
 
-    def signals(self, motion: Motion, model: np.ndarray, effects: Sequence[EffectSetting] = (), imus: np.ndarray | None = None) -> Signals:
-        """Return what the machine does along a motion; `model` is of the same effects. `imus` are their readings where they are known."""
+    def signals(
+        self, motion: Motion, model: np.ndarray, effects: Sequence[EffectSetting] = (), imus: np.ndarray | None = None,
+        beside: Signals | None = None,
+    ) -> Signals:  # fmt: skip
+        """Return what the machine does along a motion; `model` is of the same effects.
+
+        `imus` are their readings where they are known. What another machine does along the same motion, `beside`, is not computed again as
+        far as the two are alike.
+        """
         effects = (*self.known, *effects)
         rows, axes = self.observed.rows, len(self.settings.drives)
-        needed = np.zeros_like(motion.position)
-        self._module.efforts(model, self._work, motion.position, motion.speed, motion.acceleration, needed)
-        given, currents, state = self._driven(motion, model)
-        if any(known_effects()[each.name].kind in (FRICTION, SHARED_FRICTION) for each in effects):
-            given = given - self._rubbed(motion, model, given)[0]
-        if imus is None:
+        if beside is not None and _alike(model, beside.model, OF_FRICTION | OF_DRIVES | OF_IMUS):
+            needed = beside.needed
+        else:
+            needed = self.needed(motion, model)
+        if beside is not None and _alike(model, beside.model, OF_FRICTION | OF_IMUS | OF_TERMS):
+            driven, flowing = beside.driven, beside.flowing
+        else:
+            driven, flowing = self._driven(motion, model)
+        if imus is None and beside is not None and _alike(model, beside.model, OF_FRICTION | OF_DRIVES | OF_TERMS | OF_JOINTS):
+            imus = beside.imus
+        elif imus is None:
             imus = np.zeros((rows, len(imu_channel_names(self.settings))))
             if imus.shape[1]:
                 self._module.readings(model, self._work, motion.position, motion.speed, motion.acceleration, imus)
+        given = self._with_friction(motion, model, effects, driven)
         if not imus.shape[1] and not act_on_sensors(effects):
-            return Signals(needed, given, currents, self._plain_readings(motion))
+            return Signals(needed, given, flowing, self._plain_readings(motion), model, driven, flowing, imus)
         out = np.zeros((rows, 4 * axes + imus.shape[1]))
-        sensors = sensor_model(self.settings, effects)
-        lattices = ("position_resolution", "link_resolution", "speed_resolution", "effort_resolution")
-        sensors = sensors._replace(
-            imu_resolution=np.zeros_like(sensors.imu_resolution), **{name: 0.0 * getattr(sensors, name) for name in lattices}
-        )
         self._module.sense(
-            motion.position, motion.speed, currents, imus, state, np.zeros(axes), np.zeros(axes + imus.shape[1]), sensors,
-            new_memory(self.settings), new_readings(self.settings), out,
+            motion.position, motion.speed, flowing, imus, self.plant.new_state(motion.position[0]), np.zeros(axes),
+            np.zeros(axes + imus.shape[1]), with_effects(self._sensors, self.settings, effects), new_memory(self.settings),
+            new_readings(self.settings), out,
         )  # fmt: skip
-        return Signals(needed, given, np.nan_to_num(out[:, 2 * axes : 3 * axes]), out[:, self._columns])
+        currents = np.nan_to_num(out[:, 2 * axes : 3 * axes])
+        return Signals(needed, given, currents, out[:, self._columns], model, driven, flowing, imus)
+
+    def needed(self, motion: Motion, model: np.ndarray) -> np.ndarray:
+        """Return the efforts (N, n) on the joints that a motion takes."""
+        needed = np.zeros_like(motion.position)
+        self._module.efforts(model, self._work, motion.position, motion.speed, motion.acceleration, needed)
+        return needed
+
+    def given(self, motion: Motion, model: np.ndarray, effects: Sequence[EffectSetting] = ()) -> np.ndarray:
+        """Return the mean efforts (N, n) of the drives along a motion, less those of dry friction, as `signals` does."""
+        return self._with_friction(motion, model, (*self.known, *effects), self._driven(motion, model)[0])
+
+    def _with_friction(self, motion: Motion, model: np.ndarray, effects: Sequence[EffectSetting], driven: np.ndarray) -> np.ndarray:
+        if any(known_effects()[each.name].kind in (FRICTION, SHARED_FRICTION) for each in effects):
+            driven = driven - self._rubbed(motion, model, driven)[0]
+        return driven
 
     def unknown_friction(self, motion: Motion, model: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the variances (N, n) of efforts of friction that stay, and of such as are others in every row.
@@ -221,6 +277,8 @@ class Along:
 
     def passed_by_friction(self, motion: Motion, model: np.ndarray) -> np.ndarray:
         """Return the share (n,) of a change of the drives' efforts that friction lets pass: 1, unless it grows with them."""
+        if model[0]["friction_first"][-1] == 0 and model[0]["shared_count"] == 0:
+            return np.ones(len(self.joints))
         rows = slice(None, None, max(1, self.observed.rows // ROWS_OF_A_SHARE))
         efforts = np.zeros_like(motion.position[rows])
         for axis, joint in enumerate(self.plant.driven_joints):
@@ -234,8 +292,8 @@ class Along:
         passed: np.ndarray = np.maximum(1.0 - taken, LEAST_PASSED)
         return passed
 
-    def _driven(self, motion: Motion, model: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the drives' mean efforts on the joints (N, n), currents (N, axes), and the plant's state with what drives remember."""
+    def _driven(self, motion: Motion, model: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the drives' mean efforts on the joints (N, n), and currents (N, axes)."""
         targets = self.observed.targets
         state = self.plant.new_state(motion.position[0])
         for axis in range(targets.shape[1]):
@@ -243,7 +301,7 @@ class Along:
             state[first] = state[first + 2 : first + DRIVE_STATES] = targets[0, axis]
         given, currents = np.zeros_like(motion.position), np.zeros_like(targets)
         self._module.drive(model, self._work, targets, motion.position, motion.speed, motion.acceleration, state, currents, given)
-        return given, currents, state
+        return given, currents
 
     def _rubbed(self, motion: Motion, model: np.ndarray, given: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the mean efforts of friction (N, n), against the motion, and their variances."""
@@ -269,6 +327,12 @@ class Along:
         gradients = [np.zeros((count, channels, n)) for _ in range(3)]
         self._module.linearise(model, self._work, q, v, a, *squares, *gradients)
         return (*squares, *gradients)
+
+
+def _alike(model: np.ndarray, other: np.ndarray, but: frozenset[str]) -> bool:
+    """Return whether the records of two machines are the same, some parts aside."""
+    names = [name for name in model.dtype.names or () if name not in but | OF_STEPS]
+    return all(model[name].tobytes() == other[name].tobytes() for name in names)
 
 
 def _finer(slow: np.ndarray, period_s: float) -> np.ndarray:

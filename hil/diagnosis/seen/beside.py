@@ -153,13 +153,16 @@ class Beside:
         return replace(self, signals=own, missing=self.missing + change, missing_ends=self.missing_ends + change)
 
     def linearised(self, levels: Levels) -> Linearised:
-        """Return the filter's matrices with these levels; those of the machine are computed once a corner."""
+        """Return the filter's matrices with these levels; those of the machine are computed once."""
+        n, decay = len(levels.disturbance), self._decay(levels)
         if levels.corner_Hz not in self.filters:
-            self.filters[levels.corner_Hz] = _linearised(self, levels.corner_Hz)
+            plain, felt = next(iter(self.filters.values()), None) or _linearised(self)
+            transition, disturbances = plain.transition.copy(), np.arange(2 * n, 3 * n)
+            transition[:, disturbances, disturbances] = decay
+            self.filters.clear()  # one corner's is as large as the recording
+            self.filters[levels.corner_Hz] = replace(plain, transition=transition), felt
         plain, felt = self.filters[levels.corner_Hz]
-        n = len(levels.disturbance)
         process, start = np.zeros(len(plain.process)), np.zeros(len(plain.process))
-        decay = self._decay(levels)
         process[2 * n : 3 * n] = levels.disturbance**2 * (1.0 - decay**2)
         start[:n], start[n : 2 * n], start[2 * n : 3 * n] = UNKNOWN_POSITION**2, UNKNOWN_SPEED**2, levels.disturbance**2
         for joint, motion in self.along.smooth.items():  # what is faster than the base motion
@@ -203,17 +206,20 @@ class Beside:
         """Return what all joints did by all sensors: the base motion and the smoothed deviations from it.
 
         Speeds of joints that an encoder of their own follows are by it alone where that is asked for: it does not take the equations' word
-        near a reversal.
+        near a reversal. What friction makes of a motion depends on how unsure its speeds are; where none is known, and equations are taken
+        about the motion, they are taken to be as unsure as by the encoders alone.
         """
-        states, deviations = smooth_states(filtered, self.missing, self.missing_ends, np.nan_to_num(self.left), self.present)
         n = self.missing.shape[1]
+        speeds = slice(n, 2 * n) if by_encoders or self.along.known else slice(0)
+        states, deviations = smooth_states(filtered, self.missing, self.missing_ends, np.nan_to_num(self.left), self.present, speeds)
         position = self.base.position + states[:, :n]
         speed = self.base.speed + states[:, n : 2 * n]
         acceleration = self.base.acceleration + np.gradient(states[:, n : 2 * n], self.along.observed.period_s, axis=0)
         if by_encoders:
             for joint, motion in self.along.smooth.items():
                 speed[:, joint] = motion.speed
-        return Motion(position, speed, acceleration, np.maximum(deviations[:, n : 2 * n], self.base.speed_deviation))
+        unsure = np.maximum(deviations, self.base.speed_deviation) if deviations.size else self.base.speed_deviation
+        return Motion(position, speed, acceleration, unsure)
 
 
 def beside(along: Along, values: np.ndarray | None = None) -> Beside:
@@ -247,8 +253,11 @@ def default_levels(along: Along) -> Levels:
     return Levels(np.zeros(len(along.joints)), 5.0, np.array(sensors))
 
 
-def _linearised(self: Beside, corner_Hz: float) -> tuple[Linearised, np.ndarray]:
-    """Return the filter's matrices, and what IMUs feel (channels, 3 n) of positions, speeds and disturbances at row 0."""
+def _linearised(self: Beside) -> tuple[Linearised, np.ndarray]:
+    """Return the filter's matrices, with disturbances that stay, and what IMUs feel (channels, 3 n) of the state at row 0.
+
+    Of it are positions, speeds and disturbances.
+    """
     along = self.along
     observed, settings = along.observed, along.settings
     n, period = len(along.joints), observed.period_s
@@ -262,8 +271,6 @@ def _linearised(self: Beside, corner_Hz: float) -> tuple[Linearised, np.ndarray]
     corners = np.where(is_filtered, 1.0 / np.maximum(self.model[0]["filter_lag"][:imus, 0], SHORTEST_LAG_S), 0.0)
     transition, of_effort, of_rise = np.zeros((count, size, size)), np.zeros((count, size, n)), np.zeros((count, size, n))
     discretised(period, inverses, stiffnesses, dampings, felt, at_once, corners, transition, of_effort, of_rise)
-    disturbances = np.arange(2 * n, 3 * n)
-    transition[:, disturbances, disturbances] = np.exp(-2.0 * np.pi * corner_Hz * period)
     observation, through = np.zeros((count, channels, size)), np.zeros((count, channels, n))
     sensors = {sensor.channel: sensor for sensor in settings.joint_sensors}
     speeds = {sensor.channel for sensor in settings.speeds}

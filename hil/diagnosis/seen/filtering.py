@@ -198,15 +198,19 @@ def _covariances(
 
 
 def smooth_states(
-    filtered: Whitening, efforts: np.ndarray, ends: np.ndarray, readings: np.ndarray, present: np.ndarray
+    filtered: Whitening, efforts: np.ndarray, ends: np.ndarray, readings: np.ndarray, present: np.ndarray, unsure: slice = slice(None)
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the smoothed states (N, s) of one column and their standard deviations (modified Bryson-Frazier; Bierman 1973)."""
+    """Return the smoothed states (N, s) of one column, and the standard deviations (N, u) of some of them.
+
+    Modified Bryson-Frazier (Bierman 1973). Most of the work is in the deviations: `unsure` are the states whose ones are asked for.
+    """
     lin = filtered.along
     rows, size = len(readings), lin.transition.shape[1]
-    states, deviations = np.zeros((rows, size)), np.zeros((rows, size))
+    first, last, _ = unsure.indices(size)
+    states, deviations = np.zeros((rows, size)), np.zeros((rows, last - first))
     _smoothed(
         lin.stride, lin.transition, lin.of_effort, lin.of_rise, lin.observation, lin.through, lin.noise, lin.process, lin.start,
-        filtered.extra, filtered.jolts, filtered.gains, filtered.roots, efforts, ends, readings, present, states, deviations,
+        filtered.extra, filtered.jolts, filtered.gains, filtered.roots, efforts, ends, readings, present, first, states, deviations,
     )  # fmt: skip
     return states, deviations
 
@@ -230,11 +234,12 @@ def _smoothed(
     ends: np.ndarray,
     readings: np.ndarray,
     present: np.ndarray,
+    first: int,
     states: np.ndarray,
     deviations: np.ndarray,
 ) -> None:
     rows, channels = readings.shape
-    size = transition.shape[1]
+    size, unsure = transition.shape[1], deviations.shape[1]
     covariances = np.zeros((rows, size, size))
     innovations = np.zeros((rows, channels))
     p, work = np.zeros((size, size)), np.zeros((size, size))
@@ -292,19 +297,22 @@ def _smoothed(
                 value -= seen[c, i] * innovations[k, c]
             moved[i] = value
         adjoint[:] = moved
-        times(back.T, weight, turned)
-        times(turned, back, weight)
         for i in range(size):
-            for j in range(size):
-                for c in range(channels):
-                    weight[i, j] += h[c, i] * seen[c, j]
-        times(covariances[k], weight, turned)
-        for i in range(size):
-            reduced = 0.0
             for j in range(size):
                 states[k, i] -= covariances[k, i, j] * adjoint[j]
-                reduced += turned[i, j] * covariances[k, j, i]
-            deviations[k, i] = np.sqrt(max(covariances[k, i, i] - reduced, 0.0))
+        if unsure > 0:
+            times(back.T, weight, turned)
+            times(turned, back, weight)
+            for i in range(size):
+                for j in range(size):
+                    for c in range(channels):
+                        weight[i, j] += h[c, i] * seen[c, j]
+            times(covariances[k, first : first + unsure], weight, turned[:unsure])
+            for i in range(unsure):
+                reduced = 0.0
+                for j in range(size):
+                    reduced += turned[i, j] * covariances[k, j, first + i]
+                deviations[k, i] = np.sqrt(max(covariances[k, first + i, first + i] - reduced, 0.0))
         if k > 0:
             a = transition[(k - 1) // stride]
             for i in range(size):
@@ -313,8 +321,9 @@ def _smoothed(
                     value += a[j, i] * adjoint[j]
                 moved[i] = value
             adjoint[:] = moved
-            times(a.T, weight, turned)
-            times(turned, a, weight)
+            if unsure > 0:
+                times(a.T, weight, turned)
+                times(turned, a, weight)
 
 
 @numba.njit(cache=True, fastmath=True, nogil=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -44,8 +45,9 @@ def repeat_levels(groups: Sequence[Group], alongs: Sequence[Along]) -> Levels | 
     hidden = _hidden(parts[0][0], found, replace(found, sensors=np.sqrt(np.maximum(variance, lattice))))
     loudness: dict[str, np.ndarray] = {}
     even = []
-    for name in dict.fromkeys(part[0].along.observed.name for part in parts):
-        own = [_innovations(part, found) for part in parts if part[0].along.observed.name == name]
+    for one, same in itertools.groupby(parts, key=lambda part: part[0]):
+        filtered, name = one.whitening(found), one.along.observed.name
+        own = [_innovations(part, filtered) for part in same]
         loudness[name] = np.where(hidden, 1.0, loudness_of(own))  # repeats do not show what a lattice hides
         even += [each / loudness[name] for each in own]
     colour = colour_of(even)
@@ -65,14 +67,14 @@ def log_likelihood(parts: Sequence[tuple[Beside, np.ndarray, np.ndarray, np.ndar
     """Return the log likelihood of noise alone, up to a constant."""
     total = 0.0
     for part in parts:
-        innovations = _innovations(part, levels)
-        total -= 0.5 * (float(np.sum(innovations**2)) + part[0].whitening(levels).log_determinant)
+        filtered = part[0].whitening(levels)
+        total -= 0.5 * (float(np.sum(_innovations(part, filtered) ** 2)) + filtered.log_determinant)
     return total
 
 
-def _innovations(part: tuple[Beside, np.ndarray, np.ndarray, np.ndarray], levels: Levels) -> np.ndarray:
+def _innovations(part: tuple[Beside, np.ndarray, np.ndarray, np.ndarray], filtered: Whitening) -> np.ndarray:
     one, missing, ends, left = part
-    return replace(one, missing=missing, missing_ends=ends, left=left).whitened(one.whitening(levels))
+    return replace(one, missing=missing, missing_ends=ends, left=left).whitened(filtered)
 
 
 def _differences(group: Group, along: Along) -> list[tuple[Beside, np.ndarray, np.ndarray, np.ndarray]]:

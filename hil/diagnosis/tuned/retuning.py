@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -34,8 +35,11 @@ class Looked:
     signals : Signals
         Along that motion, nominal physics with the tuned numbers.
     innovations : (N m,) array
-    numbers : (N m, P) array
-        Whitened columns of the nuisances: numbers, then offsets of sensors.
+    offsets : (N m, O) array
+        Whitened columns of the sensors' offsets.
+    of : Numbers
+    at : (P - O,) array
+        Where the numbers are, in standard deviations of their prior.
     """
 
     beside: Beside
@@ -43,7 +47,26 @@ class Looked:
     motion: Motion
     signals: Signals
     innovations: np.ndarray
-    numbers: np.ndarray
+    offsets: np.ndarray
+    of: Numbers
+    at: np.ndarray
+
+    @cached_property
+    def numbers(self) -> np.ndarray:
+        """Whitened columns (N m, P) of the nuisances: numbers, then offsets of sensors."""
+        along, columns = self.beside.along, []
+        for k in range(len(self.at)):
+            moved = self.at.copy()
+            moved[k] += STEP
+            with_it = along.signals(self.motion, along.model(self.of.values(moved)), beside=self.signals)
+            columns.append(column(self.signals, with_it, STEP))
+        return np.hstack([self.whiten(columns), self.offsets])
+
+    @cached_property
+    def energies(self) -> np.ndarray:
+        """Squares (P,) of the columns of nuisances."""
+        squares: np.ndarray = np.einsum("ij,ij->j", self.numbers, self.numbers)
+        return squares
 
     def whiten(self, columns: Sequence[Column]) -> np.ndarray:
         """Return whitened columns (N m, C)."""
@@ -76,20 +99,14 @@ class Tuned:
         """The plant whose numbers they are."""
         return self.numbers.plant
 
-    @property
+    @cached_property
     def values(self) -> np.ndarray:
         """The plant's parameters."""
         return self.numbers.values(self.offset[: len(self.numbers.indices)])
 
     def without_offsets(self) -> list[np.ndarray]:
         """Return what is left of every recording's innovations (N m,) with the offsets of sensors that leave least."""
-        count = len(self.numbers.indices)
-        return least_left([one.innovations for one in self.looked], [one.numbers[:, count:] for one in self.looked])
-
-    def energies(self, one: Looked) -> np.ndarray:
-        """Return the squares (P,) of a recording's columns of nuisances."""
-        squares: np.ndarray = np.einsum("ij,ij->j", one.numbers, one.numbers)
-        return squares
+        return least_left([one.innovations for one in self.looked], [one.offsets for one in self.looked])
 
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
@@ -128,7 +145,7 @@ def nominal_offset(alongs: Sequence[Along]) -> np.ndarray:
 def look(
     along: Along, numbers: Numbers, biases: Sequence[Bias | None], offset: np.ndarray, levels: Levels, effects: Sequence[EffectSetting] = ()
 ) -> Looked:
-    """Put a recording beside the equations with these nuisances, and find their columns.
+    """Put a recording beside the equations with these nuisances.
 
     Where friction acts, the effort on a joint is unknown up to its level while nothing says which way the joint moves.
     """
@@ -146,24 +163,18 @@ def look(
     motion = one.motion(filtered)
     model = along.model(numbers.values(offset[:count]), effects)
     if effects or along.known:
-        with_it = column(along.signals(motion, one.model), along.signals(motion, model, effects))
+        without = along.signals(motion, one.model)
+        with_it = column(without, along.signals(motion, model, effects, beside=without))
         unsure = along.unknown_friction(motion, model)
         motion = one.less(with_it.efforts, with_it.readings).motion(one.whitening(levels, unsure))
         filtered = one.whitening(levels, along.unknown_friction(motion, model))
-    given = along.signals(motion, model, effects).given
+    given = along.given(motion, model, effects)
     motion = _by_encoders(along, motion) if levels.are_assumed else _as_the_equations_say(along, one, motion, given)
     signals = along.signals(motion, one.model)
     one = one.given_along(signals)
-    columns = []
-    for k in range(count):
-        moved = offset[:count].copy()
-        moved[k] += STEP
-        columns.append(column(signals, along.signals(motion, along.model(numbers.values(moved))), STEP))
-    columns += constants
-    innovations = one.whitened(filtered)
     rows, channels = one.left.shape
-    whitened = Filtered(filtered, columns, one.missing.shape[1], channels).whole(rows)
-    return Looked(one, filtered, motion, signals, innovations.reshape(-1), whitened)
+    offsets = Filtered(filtered, constants, one.missing.shape[1], channels).whole(rows)
+    return Looked(one, filtered, motion, signals, one.whitened(filtered).reshape(-1), offsets, numbers, offset[:count])
 
 
 def _of_this_inertia(levels: Levels, along: Along, one: Beside) -> Levels:
@@ -181,7 +192,7 @@ def _as_the_equations_say(along: Along, one: Beside, motion: Motion, given: np.n
     Accelerations read off sensors hold the very disturbances that columns are compared with.
     """
     inertia, _ = along.plant.inertia_and_bias(one.model, motion.position, motion.speed)
-    needed = along.signals(motion, one.model).needed
+    needed = along.needed(motion, one.model)
     at_rows = 0.5 * (given + np.vstack([given[:1], given[:-1]]))
     further = np.linalg.solve(inertia, (at_rows - needed)[..., None])[..., 0]
     return replace(motion, acceleration=motion.acceleration + further)

@@ -1,0 +1,68 @@
+"""What a machine does along a motion is the same where parts of it are taken from another machine: every effect, every number."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hil.diagnosis.candidates.entries import entries, setting_of
+from hil.diagnosis.observed.rows import observed
+from hil.diagnosis.seen.along import Along, Motion, Signals
+from hil.machine import Machine, load_machine
+from hil.recording import Channel, Recording, recording_metadata
+
+TIME_s = np.arange(120) / 256.0
+SEED = 5
+
+
+@pytest.fixture(scope="module")
+def carm() -> Machine:
+    return load_machine("carm")
+
+
+@pytest.fixture(scope="module")
+def along(carm: Machine) -> Along:
+    channels = {"time": Channel("s", TIME_s)}
+    for k, axis in enumerate(carm.axes):
+        position = 0.2 * np.sin(9.0 * TIME_s + k)
+        channels |= {f"position_{axis}": Channel("rad", position), f"link_position_{axis}": Channel("rad", position)}
+        channels[f"command_{axis}"] = Channel("A", 2.0 * np.cos(11.0 * TIME_s + k))
+    channels |= {name: Channel("m/s^2", np.zeros(len(TIME_s))) for name in ("imu_x", "imu_y", "imu_z")}
+    channels |= {name: Channel("rad/s", np.zeros(len(TIME_s))) for name in ("gyro_x", "gyro_y", "gyro_z")}
+    return Along(observed(carm, "run", Recording(channels, recording_metadata(carm))))
+
+
+@pytest.fixture(scope="module")
+def motion(along: Along) -> Motion:
+    print(f"seed {SEED}")
+    phases = np.random.default_rng(SEED).uniform(0.0, 6.0, len(along.joints))
+    sines, cosines = (wave(9.0 * TIME_s[:, None] + phases) for wave in (np.sin, np.cos))
+    return Motion(0.2 * sines, 1.8 * cosines, -16.2 * sines, np.full_like(sines, 1e-3))
+
+
+def assert_same(found: Signals, right: Signals) -> None:
+    for name in ("needed", "given", "currents", "readings"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(right, name), err_msg=name)
+
+
+def test_with_any_effect(along: Along, motion: Motion) -> None:
+    values = along.plant.nominal
+    nominal = along.signals(motion, along.model(values))
+    inertias = along.plant.inertias(along.model(values), motion.position[0])
+    names = set()
+    for law in entries([along], [motion], [nominal], values, [np.sin(motion.position * 40.0)], inertias):
+        for parameters in law.law.columns:
+            effect = (setting_of(law.effect, law.at, dict(parameters)),)
+            model = along.model(values, effect)
+            assert_same(along.signals(motion, model, effect, beside=nominal), along.signals(motion, model, effect))
+            names.add(law.effect.name)
+    assert {"coulomb_friction", "imu_misalignment", "imu_bandwidth", "payload", "delay", "current_saturation", "structural_mode"} <= names
+
+
+def test_with_other_numbers(along: Along, motion: Motion) -> None:
+    nominal = along.signals(motion, along.model())
+    for k in range(len(along.plant.nominal)):
+        values = along.plant.nominal
+        values[k] = 1.1 * values[k] + 1e-6
+        model = along.model(values)
+        assert_same(along.signals(motion, model, beside=nominal), along.signals(motion, model))
