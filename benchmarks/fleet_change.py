@@ -170,7 +170,8 @@ def put_recorded(tracks: Tracks, store: Path) -> dict[int, dict[str, Any]]:
         tracks.values[number, :nights, places] = recorded.values[number, :nights].T
         for night in range(nights):
             tracks.covariances[number, night][np.ix_(places, places)] = recorded.covariances[number, night]
-    tracks.builds[: len(recorded.machines), :, 0] = np.where(np.isfinite(tracks.values[: len(recorded.machines)]).any(axis=2), 0, -1)
+    known = np.isfinite(tracks.values[: len(recorded.machines)]).any(axis=2)
+    tracks.builds[: len(recorded.machines)] = np.where(known, 0, -1)[..., None]
     hides = {
         "growing": {
             "kind": "growth", "quantity": "roll coulomb_friction level", "begins": GROWTH_FROM,

@@ -112,7 +112,7 @@ class KnownHashes:
 
 
 def list_recordings(url: str, known: KnownHashes, images: bool = False) -> tuple[list[StoredRecording], list[str]]:
-    """Return the recordings under a URL, with their images if wanted, and a line for each that has no date.
+    """Return the recordings under a URL, with images if wanted, and a line for each without a date and for images of no recording.
 
     Raises
     ------
@@ -124,6 +124,7 @@ def list_recordings(url: str, known: KnownHashes, images: bool = False) -> tuple
     scans = {str(PurePosixPath(name).parent) for name in inside if PurePosixPath(name).name == SCAN}
     wanted: dict[str, tuple[datetime, list[str], list[str]]] = {}
     wrong = []
+    alone = set(scans) if images else set()
     for name in sorted(inside):
         path = PurePosixPath(name)
         if path.suffix.lower() not in READABLE or str(path.parent) in scans:
@@ -133,8 +134,10 @@ def list_recordings(url: str, known: KnownHashes, images: bool = False) -> tuple
             continue
         beside = [str(path.with_suffix(".toml"))] if path.suffix.lower() == ".csv" else []
         scan = str(path.with_suffix(""))
+        alone.discard(scan)
         shown = sorted(one for one in inside if str(PurePosixPath(one).parent) == scan) if images and scan in scans else []
         wanted[name] = (night, [one for one in beside if one in inside], shown)
+    wrong += [f"{url}: {scan}: images of no recording; {scan}.mf4 beside them would be right" for scan in sorted(alone)]
     names = list(dict.fromkeys(one for name, (_, beside, shown) in wanted.items() for one in (name, *beside, *shown)))
     hashes = known.of([(system, inside[name]["name"], _key(url, inside[name])) for name in names])
     stored = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from itertools import groupby
 from pathlib import Path
@@ -66,7 +66,8 @@ def _tasks(fleet: Fleet, machine: FleetMachine, loaded: Machine, recordings: lis
     """Return the tasks of a machine, night by night."""
     by_date = sorted(recordings, key=lambda one: (one.night.date(), one.file.name))
     for _, group in groupby(by_date, key=lambda one: one.night.date()):
-        night = list(group)
+        scans = list(group)
+        night = [replace(one, images=()) for one in scans]
         held_out = [one for one in night if _is_of(one, machine.held_out)]
         train = [one for one in night if _is_of(one, machine.repeats) and one not in held_out]
         parts: list[tuple[TaskName, str, list[StoredRecording], list[StoredRecording]]] = []
@@ -76,7 +77,7 @@ def _tasks(fleet: Fleet, machine: FleetMachine, loaded: Machine, recordings: lis
             groups = [(pattern, [one for one in night if _is_of(one, [pattern])]) for pattern in machine.identified]
             parts += [("identify", pattern, of_pattern, []) for pattern, of_pattern in groups if of_pattern]
         if "calibrate" in machine.tasks:
-            parts += [("calibrate", _experiment(one, machine), [one], []) for one in night if one.images]
+            parts += [("calibrate", _experiment(one, machine), [one], []) for one in scans if one.images]
         if "diagnose" in machine.tasks and train:
             parts.append(("diagnose", ", ".join(machine.repeats), train, held_out))
         for part in parts:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -121,7 +122,7 @@ def run_fleet(
                     progress(what, run.done - before, len(new))
             run.cancelled = cancelled.is_set()
 
-        compute(first, "checking and identifying")
+        compute(first, "checking, identifying, calibrating")
         if later and not run.cancelled:
             differing = {(machine, date) for machine, date in _rows(folder, DIFFERS)}
             wanted = [task for task in later if (task.machine, task.date) in differing]
@@ -183,8 +184,8 @@ def _result_rows(job: Job, numbers: Sequence[Number], software: str, notes: Sequ
             "task": argument["task"],
             "experiment": argument["experiment"],
             "quantity": number.quantity,
-            "value": number.value,
-            "standard_deviation": number.standard_deviation,
+            "value": _known(number.value),
+            "standard_deviation": _known(number.standard_deviation),
             "unit": number.unit,
             "covariance_group": number.group or number.quantity,
             "covariance": list(number.covariance),
@@ -195,6 +196,11 @@ def _result_rows(job: Job, numbers: Sequence[Number], software: str, notes: Sequ
             "machine_file_hash": argument["machine_file"]["hash"],
             "recording_hashes": files,
         }
+
+
+def _known(value: float) -> float | None:
+    """Return None, NULL in SQL, for what is no number: SQL would count a NaN as the greatest of all."""
+    return value if math.isfinite(value) else None
 
 
 def _older(there: Iterable[str], tasks: Iterable[Task]) -> dict[str, list[str]]:

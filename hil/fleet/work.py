@@ -26,6 +26,9 @@ WELL_DAMPED = 0.5
 
 LOCAL = "file://"
 
+IMAGES = ("first", "middle", "last")
+"""Of a scan: where its geometry is said."""
+
 
 def work(argument: dict[str, Any]) -> dict[str, Any]:
     """Do a task; whatever keeps the recordings from an answer is named in a row of its own."""
@@ -140,13 +143,21 @@ def _diagnose(machine: Machine, argument: dict[str, Any], folder: Path) -> list[
 
 
 def _calibrate(machine: Machine, argument: dict[str, Any], folder: Path) -> list[Number]:
+    """Return the geometry where a scan's first, middle and last image were exposed: unlike the parameters, images determine it."""
+    from hil.imaging.geometry import DEVIATIONS
+    from hil.imaging.scan_folder import read_scan
     from hil.tasks.calibrate_data import calibrate_data
 
     [(_, recording)] = _recordings(argument, "recordings", machine, folder).items()
-    made = calibrate_data(machine, recording, folder / argument["recordings"][0]["scan"])
+    scan = read_scan(folder / argument["recordings"][0]["scan"])
+    made = calibrate_data(machine, recording, scan)
+    positions, _, load = made.observed.at(scan.middle_s[[0, len(scan) // 2, -1]])
+    rows = made.model.rows(positions, load).reshape(len(IMAGES) * len(DEVIATIONS), -1)
     found = made.found.parameters
+    names = [f"{name}, {image} image" for image in IMAGES for name in DEVIATIONS]
+    units = ["rad" if name.startswith("rotation") else "m" for name in names]
     said = f"{len(made.found.used)} of {made.offered} images used"
-    return of_parameters(made.model.names, made.model.units, found.values, found.covariance, said)
+    return of_parameters(names, units, rows @ found.values, rows @ found.covariance @ rows.T, said)
 
 
 _TASKS: dict[str, Callable[[Machine, dict[str, Any], Path], list[Number]]] = {

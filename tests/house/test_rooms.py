@@ -70,6 +70,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "figures",
         "files",
         "identification",
+        "imaging",
         "machine",
         "pages",
         "recording",

@@ -32,6 +32,10 @@ def test_images_go_with_the_recording_whose_name_their_folder_has(tmp_path: Path
     [found], wrong = list_recordings(str(tmp_path), KnownHashes(tmp_path / "store"), images=True)
     assert [one.name for one in found.images] == [f"2026-11-27/spin/{name}" for name in ("exposures.csv", "frames.tif", "scan.toml")]
     assert wrong == []
+    (night / "spin.mf4").rename(night / "other.mf4")
+    [found], wrong = list_recordings(str(tmp_path), KnownHashes(tmp_path / "store"), images=True)
+    assert (found.images, len(wrong)) == ((), 1)
+    assert "2026-11-27/spin: images of no recording; 2026-11-27/spin.mf4 beside them would be right" in wrong[0]
 
 
 def test_a_file_is_read_once_and_again_when_it_was_changed(tmp_path: Path) -> None:

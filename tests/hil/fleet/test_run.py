@@ -70,6 +70,11 @@ def test_the_rows_are_what_the_functions_for_one_machine_answer(recorded: Path, 
         assert (f"{channel.name} difference", channel.rms, channel.unit) in kept
 
 
+def test_a_row_that_only_says_a_verdict_has_no_number(done: Path) -> None:
+    assert rows(done, "select count(*), count(value) from results where quantity = 'verdict'") == ((4, 0),)
+    assert rows(done, "select isfinite(max(value)) from results") == ((True,),)
+
+
 def test_a_machine_that_is_not_as_its_file_says_differs(done: Path) -> None:
     verdicts = dict(
         rows(done, "select machine, list(distinct verdict) from results where task = 'check' and quantity = 'verdict' group by 1")
