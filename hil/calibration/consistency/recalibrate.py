@@ -139,7 +139,8 @@ class _Fit:
     def contradictions(self, x: np.ndarray) -> np.ndarray:
         moved = self._moved(x)
         first, second = said(self.known, self.pairs, moved[self.pairs.first], moved[self.pairs.second])
-        return first - second
+        apart: np.ndarray = first - second
+        return apart
 
     def misfit(self, x: np.ndarray, noise: float) -> np.ndarray:
         return np.concatenate([self.contradictions(x).ravel() / noise, x])
@@ -164,7 +165,8 @@ class _Fit:
                     ends.append(first - second)
                 rate = (ends[0] - ends[1]) / (2.0 * step[0, k])
                 slopes[:, :, :, k] += rate[..., None] * (self.along[image] * self.scale[:, k])[:, None]
-        return slopes.reshape(*slopes.shape[:2], -1) @ self.seen
+        of_shown: np.ndarray = slopes.reshape(*slopes.shape[:2], -1) @ self.seen
+        return of_shown
 
     def covariance(self, x: np.ndarray, noise: float) -> tuple[np.ndarray, float]:
         """Return the covariance of x, and by how much its noise is larger than that of independent contradictions, as a variance.
