@@ -441,11 +441,6 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
     "calibrate grid": (
         Entry("experiment, poses, seconds", "text, number, number", "The file that was written, its poses, and how long it takes."),
     ),
-    "calibrate consistency": (
-        Entry("images, pairs", "number", "That were compared."),
-        Entry("contradiction_before, contradiction_after", "number", "Rms over that of what an image says of planes."),
-        Entry("deviation, sigma", "list (N, 9)", "From the geometry before, in metres and radians, and standard deviations."),
-    ),
     "calibrate spot": (
         Entry("time_s, spot_m, sigma_m", "list", "Place of the focal spot over time."),
         Entry("drift_m", "(2,)", "Drift along columns and rows."),

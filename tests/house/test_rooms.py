@@ -22,7 +22,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "experiments": ("files", "machine", "simulation"),
     "identification": ("extras", "files", "recording"),
     "imaging": ("extras", "files", "machine"),
-    "calibration": ("experiments", "extras", "files", "imaging", "machine", "processes", "recording"),
+    "calibration": ("experiments", "files", "imaging", "machine", "processes", "recording"),
     "reconstruction": ("extras", "files", "imaging"),
     "shaping": ("experiments", "files", "identification", "machine"),
     "observing": ("calibration", "experiments", "files", "identification", "machine", "recording", "simulation"),
