@@ -41,13 +41,12 @@ from hil.imaging.geometry import ConeBeam
 from hil.imaging.markers import PLATES
 from hil.imaging.nominal import nominal_beam
 from hil.imaging.phantoms import dodecahedron
-from hil.imaging.pixels import line_integrals
 from hil.imaging.scan_folder import ImageScan, read_scan
 from hil.machine import Machine, load_machine
 from hil.observing import design_observer, observe, read_design, tune, write_design
 from hil.observing.observer_design import COARSE_GRID, GRID, STANDING_s, axis_grid
 from hil.observing.simulated_recordings import emulated_recording, emulated_responses
-from hil.reconstruction.fdk import reconstruct
+from hil.reconstruction.fdk import line_integrals, reconstruct
 from hil.reconstruction.wire_profiles import wire_quality
 from hil.recording import Channel, Recording, read_recording
 from hil.simulation import Simulator

@@ -12,8 +12,8 @@ OUT has the tracks of friction and modes, the processor seconds of a machine's n
 how much, beside what the diagnosis states and what the drawn fleets of fleet_change.py assume, how correlated dry and viscous friction
 are, and what of the scatter is carried to the next night, which should be none.
 
-A machine's night takes 13 s of a processor for recording and identification and, on the one that was tried, more than 90 s for a diagnosis
-that was not waited for: at least 7 hours of one core for four machines and 60 nights, and 1.1 GB of memory.
+A machine's night takes 13 s of a processor for recording and identification and more than 90 s for a diagnosis: at least seven hours of one
+core for four machines and 60 nights, and 1.1 GB of memory.
 """
 
 from __future__ import annotations

@@ -62,10 +62,9 @@ def reconstruct(
     from hil.emulated.scenes import scene
     from hil.figures.reconstruction import volume_figure, wires_figure
     from hil.imaging.nominal import nominal_beam
-    from hil.imaging.pixels import line_integrals
     from hil.imaging.scan_folder import read_scan
+    from hil.reconstruction.fdk import line_integrals, write_volume
     from hil.reconstruction.fdk import reconstruct as make
-    from hil.reconstruction.fdk import write_volume
     from hil.reconstruction.wire_profiles import wire_quality
     from virtual_bus.xray.objects import Rod
 

@@ -1,4 +1,4 @@
-"""Counts of pixels: single ones repaired, and line integrals."""
+"""Repair of single pixels before anything is measured in an image."""
 
 from __future__ import annotations
 
@@ -19,10 +19,3 @@ def without_dead_pixels(image: np.ndarray) -> np.ndarray:
         around = image[max(0, row - 1) : row + 2, max(0, column - 1) : column + 2]
         clean[row, column] = np.median(around)
     return clean
-
-
-def line_integrals(image: np.ndarray, open_beam: float | None = None) -> np.ndarray:
-    """Return -log of counts over the open beam's, dead pixels repaired; the open beam is the image's 98th percentile unless given."""
-    counts = np.maximum(without_dead_pixels(np.asarray(image, dtype=float)), 1.0).astype(np.float32)
-    integrals: np.ndarray = np.log(np.float32(open_beam if open_beam is not None else np.percentile(counts, 98.0))) - np.log(counts)
-    return integrals

@@ -12,7 +12,7 @@ from hil.diagnosis.result import EffectAt, Fit, Stages
 
 
 def left_above_noise(stages: Stages) -> list[float] | None:
-    """Show what is left of the nominal mismatch above noise after re-tuning and with the effects; None where nothing is above noise."""
+    """Return what is left of the nominal mismatch above noise after re-tuning and with the effects; None where nothing is above noise."""
     misfits = (stages.nominal, stages.retuned, stages.extended)
     known = [value for value in misfits if value is not None]
     if stages.noise_floor is None or len(known) < len(misfits) or not np.isfinite(known).all():

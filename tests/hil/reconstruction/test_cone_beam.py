@@ -18,8 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from hil.errors import UnusableInputError
 from hil.imaging import ConeBeam, Detector
-from hil.imaging.pixels import line_integrals
-from hil.reconstruction.fdk import Volume, ramp_filtered, reconstruct, short_scan_weights
+from hil.reconstruction.fdk import Volume, line_integrals, ramp_filtered, reconstruct, short_scan_weights
 from hil.reconstruction.wire_profiles import wire_quality
 from virtual_bus.xray.objects import Ball, Rod
 from virtual_bus.xray.render import Panel, View, attenuation
