@@ -17,8 +17,6 @@ from hil.diagnosis.seen.noise import levels_from
 
 CORNERS_Hz = (0.2, 1.0, 5.0, 30.0)
 """Of the disturbances' spectrum; the likeliest one is taken."""
-NEAR = 5
-"""Iterations after which the corners are compared."""
 FINEST = 0.05
 """Share of a sensor's noise by the machine file that its own noise is at least: less would be a share of one step of its lattice."""
 HIDDEN = 0.5
@@ -38,8 +36,7 @@ def repeat_levels(groups: Sequence[Group], alongs: Sequence[Along]) -> Levels | 
     begin = default_levels(alongs[0])
     lowest = FINEST * begin.sensors
     first = np.full(len(begin.disturbance), BEGUN * max(_largest_effort(alongs[0]), 1e-9))
-    near = [levels_from(parts, Levels(first, corner, begin.sensors), lowest, NEAR) for corner in CORNERS_Hz]
-    found = levels_from(parts, max(near, key=lambda levels: log_likelihood(parts[:1], levels)), lowest)
+    found, _ = max((levels_from(parts, Levels(first, corner, begin.sensors), lowest) for corner in CORNERS_Hz), key=lambda each: each[1])
     count = min(len(group.repeats) for group in groups)  # what was recorded once has all of a recording's noise
     variance, lattice = found.sensors**2, _lattices(alongs[0]) ** 2
     hidden = _hidden(parts[0][0], found, replace(found, sensors=np.sqrt(np.maximum(variance, lattice))))
@@ -61,15 +58,6 @@ def _hidden(one: Beside, shown: Levels, with_lattices: Levels) -> np.ndarray:
     without, those = (np.einsum("kcc->kc", one.whitening(levels).roots) ** 2 for levels in (shown, with_lattices))
     hidden: np.ndarray = those.mean(axis=0) < HIDDEN * without.mean(axis=0)
     return hidden
-
-
-def log_likelihood(parts: Sequence[tuple[Beside, np.ndarray, np.ndarray, np.ndarray]], levels: Levels) -> float:
-    """Return the log likelihood of noise alone, up to a constant."""
-    total = 0.0
-    for part in parts:
-        filtered = part[0].whitening(levels)
-        total -= 0.5 * (float(np.sum(_innovations(part, filtered) ** 2)) + filtered.log_determinant)
-    return total
 
 
 def _innovations(part: tuple[Beside, np.ndarray, np.ndarray, np.ndarray], filtered: Whitening) -> np.ndarray:

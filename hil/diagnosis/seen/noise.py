@@ -1,31 +1,38 @@
-"""Levels of the noise: of the disturbances on the joints and of the sensors, by expectation maximisation.
+"""Levels of the noise: of the disturbances on the joints and of the sensors, the likeliest ones.
 
-Shumway and Stoffer 1982; the smoothed noises come from the adjoint states of the Bryson-Frazier smoother.
+The likelihood's slopes come from the adjoint states of the Bryson-Frazier smoother (Segal and Weinstein 1989).
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numba
 import numpy as np
+import scipy.optimize
 
 from hil.diagnosis.seen.beside import Beside, Levels
 from hil.diagnosis.seen.filtering import whitening
 
-ITERATIONS = 8
-"""Of expectation maximisation: levels that are a hundred times off arrive within a few per cent."""
-LONG_STEP = 0.8
-"""Power of the variance's factor that a disturbance's level takes: its own step is 0.5, which is slow; 1 runs past and back for ever."""
 LONGEST_ROWS = 1200
 """Rows of a recording that levels are taken from: a level's error over so many is a thirtieth."""
+STEPS = 60
+"""Of the search for the likeliest levels, at most."""
+WIDEST = 1e4
+"""Factor by which a level may differ from where the search begins, either way."""
+SETTLED = 0.1
+"""Units of log likelihood below which a step ends the search."""
 
 
 def levels_from(
-    parts: Sequence[tuple[Beside, np.ndarray, np.ndarray, np.ndarray]], begin: Levels, lowest: np.ndarray, iterations: int = ITERATIONS
-) -> Levels:
-    """Return the likeliest levels.
+    parts: Sequence[tuple[Beside, np.ndarray, np.ndarray, np.ndarray]], begin: Levels, lowest: np.ndarray
+) -> tuple[Levels, float]:
+    """Return the likeliest levels at this corner, and the log likelihood of noise alone, up to a constant.
+
+    Logarithms of the levels are sought by a quasi-Newton method within bounds (L-BFGS-B, Byrd, Lu, Nocedal and Zhu 1995). Expectation
+    maximisation crawls where a disturbance is below what the sensors show in one row, and stays far from the likeliest levels.
 
     Parameters
     ----------
@@ -36,36 +43,37 @@ def levels_from(
     lowest : (m + axes,) array
         What a sensor's lattice alone makes of its noise.
     """
-    disturbance, sensors = begin.disturbance.copy(), begin.sensors.copy()
-    n = len(disturbance)
+    n = len(begin.disturbance)
     some = slice(0, LONGEST_ROWS)
     beside = []
     for one, same in itertools.groupby(parts, key=lambda part: part[0]):
         rows_of = zip(*((efforts[some], ends[some], left[some]) for _, efforts, ends, left in same), strict=True)
         efforts, ends, left = (np.stack(each) for each in rows_of)
         beside.append((one, efforts, ends, np.nan_to_num(left), ~np.isnan(left[0])))
-    for _ in range(iterations):
-        levels = Levels(disturbance, begin.corner_Hz, sensors)
-        process, reading, rows, counts = np.zeros(n), np.zeros(len(sensors)), 0, np.zeros(len(sensors))
+    first = np.concatenate([begin.disturbance, begin.sensors])
+    least = np.concatenate([begin.disturbance / WIDEST, np.maximum(lowest, begin.sensors / WIDEST)])
+
+    def less_likely(logs: np.ndarray) -> tuple[float, np.ndarray]:
+        found = np.exp(logs)
+        levels = replace(begin, disturbance=found[:n], sensors=found[n:])
+        value, slopes = 0.0, np.zeros(len(found))
         for one, efforts, ends, left, present in beside:
             lin = one.linearised(levels)
             filtered = whitening(lin, present)
-            p, r = _scores(
+            squares, start, process, reading = _scores(
                 lin.stride, lin.transition, lin.of_effort, lin.of_rise, lin.observation, lin.through, filtered.gains, filtered.roots,
                 efforts, ends, left, present,
             )  # fmt: skip
-            for each in range(len(left)):
-                process += p[each, 2 * n : 3 * n]
-                reading += r[each]
-                rows += len(present)
-                counts += present.sum(axis=0)
-        decay = np.exp(-2.0 * np.pi * begin.corner_Hz * parts[0][0].along.observed.period_s)
-        q = disturbance**2 * (1.0 - decay**2)
-        grown = 1.0 + q * process / max(rows, 1)
-        disturbance = disturbance * np.clip(grown, 0.01, 100.0) ** LONG_STEP
-        shrunk = 1.0 + sensors**2 * reading / np.maximum(counts, 1.0)
-        sensors = np.maximum(sensors * np.sqrt(np.clip(shrunk, 0.01, 100.0)), lowest)
-    return Levels(disturbance, begin.corner_Hz, sensors)
+            value += 0.5 * (squares + len(left) * filtered.log_determinant)
+            slopes[:n] -= lin.process[2 * n : 3 * n] * process[2 * n : 3 * n] + levels.disturbance**2 * start[2 * n : 3 * n]
+            slopes[n:] -= lin.noise * reading
+        return value, slopes
+
+    options = {"maxiter": STEPS, "ftol": SETTLED / max(abs(less_likely(np.log(first))[0]), 1.0)}
+    bounds = np.log(np.column_stack([least, np.maximum(first * WIDEST, least)]))
+    found = scipy.optimize.minimize(less_likely, np.log(np.maximum(first, least)), jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+    levels = np.exp(found.x)
+    return replace(begin, disturbance=levels[:n], sensors=levels[n:]), -float(found.fun)
 
 
 @numba.njit(cache=True, fastmath=False)
@@ -82,8 +90,11 @@ def _scores(
     ends: np.ndarray,
     readings: np.ndarray,
     present: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return every part's sums over rows of adjoint squares less their variances: per state (parts, s) and per reading (parts, m)."""
+) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+    """Return sums over parts: squared innovations, and over rows, of adjoint squares less their variances.
+
+    These are of the state at row 0 (s,), of what every later row adds to it (s,), and of the readings (m,).
+    """
     parts, rows, channels = readings.shape
     size = transition.shape[1]
     innovations = np.zeros((parts, rows, channels))
@@ -99,7 +110,8 @@ def _scores(
             x[part] = np.dot(transition[number], x[part] + np.dot(gains[k], v))
             x[part] += np.dot(of_effort[number], efforts[part, k]) + np.dot(of_rise[number], ends[part, k] - efforts[part, k])
     adjoint, weight = np.zeros((parts, size)), np.zeros((size, size))
-    process, reading = np.zeros((parts, size)), np.zeros((parts, channels))
+    start, process, reading = np.zeros(size), np.zeros(size), np.zeros(channels)
+    squares = 0.0
     for k in range(rows - 1, -1, -1):
         number = k // stride
         h = observation[number]
@@ -109,16 +121,18 @@ def _scores(
         back = np.eye(size) - np.dot(gain, h)
         a = transition[max(k - 1, 0) // stride]
         for part in range(parts):
-            u = np.dot(inverse, innovations[part, k]) + np.dot(gain.T.copy(), adjoint[part])
+            v = np.dot(inverse, innovations[part, k])
+            squares += np.dot(innovations[part, k], v)
+            u = v + np.dot(gain.T.copy(), adjoint[part])
             for c in range(channels):
                 if present[k, c]:
-                    reading[part, c] += u[c] * u[c] - variance[c, c]
-            adjoint[part] = np.dot(back.T.copy(), adjoint[part]) - np.dot(h.T.copy(), np.dot(inverse, innovations[part, k]))
+                    reading[c] += u[c] * u[c] - variance[c, c]
+            adjoint[part] = np.dot(back.T.copy(), adjoint[part]) - np.dot(h.T.copy(), v)
         weight = np.dot(np.dot(back.T.copy(), weight), back) + np.dot(np.dot(h.T.copy(), inverse), h)
-        if k > 0:
-            for part in range(parts):
-                for i in range(size):
-                    process[part, i] += adjoint[part, i] * adjoint[part, i] - weight[i, i]
-                adjoint[part] = np.dot(a.T.copy(), adjoint[part])
-            weight = np.dot(np.dot(a.T.copy(), weight), a)
-    return process, reading
+        added = process if k > 0 else start
+        for part in range(parts):
+            for i in range(size):
+                added[i] += adjoint[part, i] * adjoint[part, i] - weight[i, i]
+            adjoint[part] = np.dot(a.T.copy(), adjoint[part])
+        weight = np.dot(np.dot(a.T.copy(), weight), a)
+    return squares, start, process, reading
