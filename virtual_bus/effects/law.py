@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.fft
+import scipy.ndimage
 
 MOST_ORDERS = 200
 """Of a motor's turn: one of 36 slots and 48 poles has 144."""
@@ -19,6 +20,8 @@ FINER = 4
 """Orders for each that the travel tells apart."""
 TRIED = 4
 """Orders and lines that hypotheses begin from: among the strongest four is the right one, where it explains more than its neighbours."""
+SMOOTHED = 61
+"""Orders or lines over which what noise makes of them is averaged: smooth to an eighth."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,9 @@ class Place:
     is_prismatic : bool
         Whether the joint slides.
     position, missing : (N,) arrays
-        The joint's position, and how much the recordings ask for a further effort on it, in units of what noise makes of that.
+        The joint's position, and how much the recordings ask for a further effort on it.
+    noise : (D, N) array
+        How much they would ask for one by noise alone, drawn D times; with none, `missing` is in units of that already.
     """
 
     low: float
@@ -65,6 +70,7 @@ class Place:
     is_prismatic: bool
     position: np.ndarray
     missing: np.ndarray
+    noise: np.ndarray
 
     @property
     def travel(self) -> float:
@@ -84,8 +90,7 @@ class Place:
             return []
         bins = math.ceil(BINS * most / least)  # of the travel: a small part of the highest order's period
         at = np.minimum(((self.position - self.low) / self.travel * bins).astype(np.int64), bins - 1)
-        weights = np.bincount(np.maximum(at, 0), weights=self.missing - self.missing.mean(), minlength=bins)
-        power = np.abs(scipy.fft.rfft(weights, FINER * bins))
+        power = self._power(lambda asked: scipy.fft.rfft(np.bincount(np.maximum(at, 0), asked, minlength=bins), FINER * bins))
         orders = np.arange(len(power)) * least / FINER
         inside = (orders >= least) & (orders <= most)
         return _peaks(orders[inside], power[inside])
@@ -101,9 +106,18 @@ class Place:
     def lines_Hz(self) -> list[float]:
         """Return the frequencies of the strongest lines in what is missing, half a cycle of the longest recording apart."""
         frequencies = np.arange(1.0 / self.duration_s, 0.25 / self.period_s, 0.5 / self.duration_s)
-        power = np.abs(scipy.fft.rfft((self.missing - self.missing.mean()), 2 * len(self.missing)))
+        power = self._power(lambda asked: scipy.fft.rfft(asked, 2 * len(asked)))
         grid = np.arange(len(power)) * 0.5 / (len(self.missing) * self.period_s)
         return _peaks(frequencies, np.interp(frequencies, grid, power))
+
+    def _power(self, spectrum: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        """Return a spectrum's power in what is missing, over what noise makes of it: a matched filter's of waves."""
+        power: np.ndarray = np.abs(spectrum(self.missing - self.missing.mean())) ** 2
+        if not len(self.noise):
+            return power
+        noise = np.mean([np.abs(spectrum(each - each.mean())) ** 2 for each in self.noise], axis=0)
+        ratio: np.ndarray = power / np.maximum(scipy.ndimage.uniform_filter1d(noise, SMOOTHED, mode="nearest"), 1e-300)
+        return ratio
 
 
 def _peaks(values: np.ndarray, power: np.ndarray) -> list[float]:

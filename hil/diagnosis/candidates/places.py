@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hil.diagnosis.seen.along import Along, Motion, Signals
-from virtual_bus.effects.effect import Effect
+from virtual_bus.effects.effect import TRANSMISSION, Effect
 from virtual_bus.effects.law import Place
 from virtual_bus.effects.places import imu_channel_names, joint_at, spring_at
 
@@ -36,8 +36,8 @@ def place_of(
 
     Parameters
     ----------
-    missing : sequence of (N, n) arrays
-        How much the recordings ask for further efforts on the joints, one array a recording.
+    missing : sequence of (1 + D, N, n) arrays
+        How much the recordings ask for further efforts on the joints, one array a recording; then how much noise does, drawn D times.
     inertias : (n,) array
         Of what moves with each joint.
     """
@@ -46,13 +46,15 @@ def place_of(
     joint = joint_of(effect, at, first)
     axis = next((k for k, drive in enumerate(settings.drives) if drive.axis == at), None)
     j = 0 if joint is None else joint
-    position = np.concatenate([motion.position[:, j] for motion in motions])
-    speed = np.concatenate([motion.speed[:, j] for motion in motions])
+    of_motor = effect.kind is TRANSMISSION  # its law is one of the motor's position; what it does shows at the spring behind
+    moving = first.joints.index(joint_at(at, settings)) if of_motor else j
+    position = np.concatenate([motion.position[:, moving] for motion in motions])
+    speed = np.concatenate([motion.speed[:, moving] for motion in motions])
     effort = np.concatenate([each.needed[:, j] for each in signals])
-    short = np.concatenate([each[:, j] for each in missing])
+    short = np.concatenate([each[:, :, j] for each in missing], axis=1)
     current = 0.0 if axis is None else max(float(np.abs(along.observed.targets[:, axis]).max()) for along in alongs)
     lowest, highest = np.quantile(position, [0.0, 1.0])
-    if effect.kind.needs == "spring":
+    if effect.kind.needs == "spring" and not of_motor:
         largest = max(abs(float(lowest)), abs(float(highest)))
         lowest, highest = -largest, largest
     return Place(
@@ -67,9 +69,10 @@ def place_of(
         period_s=first.observed.period_s,
         duration_s=max(float(along.observed.time[-1]) for along in alongs),
         is_seen_twice=joint is not None and _seen_twice(first, joint),
-        is_prismatic=settings.tree.joints[j].kind == "prismatic",
+        is_prismatic=settings.tree.joints[moving].kind == "prismatic",
         position=position,
-        missing=short,
+        missing=short[0],
+        noise=short[1:],
     )
 
 

@@ -14,7 +14,8 @@ from hil.diagnosis.candidates.entries import Entry, columns_of, entries
 from hil.diagnosis.named.fitting import Fitted, fit
 from hil.diagnosis.named.form import FORM
 from hil.diagnosis.tuned.bounded import bounded_least_squares
-from hil.diagnosis.tuned.retuning import Tuned
+from hil.diagnosis.tuned.retuning import Looked, Tuned
+from virtual_bus.effects.law import SMOOTHED
 from virtual_bus.effects.registry import effects
 
 OWN = 1e-6
@@ -25,8 +26,8 @@ EXACT = 0.01
 are linear about them."""
 NOT_TOLD_APART = 20.0
 """In twice the log of the evidence: ten units of log likelihood."""
-SMOOTHED = 61
-"""Lines of a spectrum whose mean is what noise makes of one of them, to an eighth."""
+DRAWS = 4
+"""Of white innovations, whose spectra show what noise makes of waves: with the lines averaged, to a tenth."""
 ROWS, AT_ONCE = 8192, 64
 """Of columns that are in double precision at once, and laws that are filtered at once."""
 DEPTH = 3
@@ -91,7 +92,7 @@ def library(tuned: Tuned, fitted: Fitted | None = None, beside: Library | None =
     motions = [one.motion for one in tuned.looked]
     signals = [one.signals for one in tuned.looked]
     left = [one.innovations for one in tuned.looked] if fitted is None else fitted.innovations
-    short = [_evened(one.whitening.scores(rest.reshape(one.beside.left.shape))) for one, rest in zip(tuned.looked, left, strict=True)]
+    short = [_asked(one, rest, tuned.levels.are_assumed) for one, rest in zip(tuned.looked, left, strict=True)]
     inertias = tuned.plant.inertias(tuned.looked[0].beside.model, motions[0].position[0])
     known: dict[object, tuple[slice, np.ndarray]] = {}
     if beside is not None and beside.tuned is tuned:
@@ -137,12 +138,20 @@ def _whiten(tuned: Tuned, laws: Sequence[tuple[slice, np.ndarray, list[list[Colu
             whole[:, part] = own
 
 
-def _evened(scores: np.ndarray) -> np.ndarray:
-    """Return scores (N, n) in units of what noise alone makes of them at each frequency."""
-    spectra = np.fft.rfft(scores, axis=0)
+def _asked(one: Looked, left: np.ndarray, is_noise_assumed: bool) -> np.ndarray:
+    """Return how much (1 + D, N, n) innovations ask for further efforts, then white ones of D draws.
+
+    Where noise is assumed, there are no draws, and the first is in units of what is left beside single lines at each frequency.
+    """
+    shape = one.beside.left.shape
+    asked = one.whitening.scores(left.reshape(shape))
+    if not is_noise_assumed:
+        rng = np.random.default_rng(0)
+        return np.stack([asked, *(one.whitening.scores(rng.normal(size=shape)) for _ in range(DRAWS))])
+    spectra = np.fft.rfft(asked, axis=0)
     power = scipy.ndimage.uniform_filter1d(np.abs(spectra) ** 2, SMOOTHED, axis=0, mode="nearest")
-    evened: np.ndarray = np.fft.irfft(spectra / np.sqrt(np.maximum(power, 1e-300)), len(scores), axis=0)
-    return evened
+    evened: np.ndarray = np.fft.irfft(spectra / np.sqrt(np.maximum(power, 1e-300)), len(asked), axis=0)
+    return evened[None]
 
 
 def beside_fit(fitted: Fitted, of: Library, dispersion: float) -> Iterator[tuple[Entry, np.ndarray, np.ndarray]]:

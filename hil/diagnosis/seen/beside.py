@@ -45,6 +45,8 @@ class Levels:
         Standard deviations of rounding.
     single : Levels or None
         Of one recording, where these are of the mean of several.
+    jolts : (n,) array or None
+        Standard deviation of a further such effort, which is another one in every row.
     """
 
     disturbance: np.ndarray
@@ -55,6 +57,7 @@ class Levels:
     loudness: Mapping[str, np.ndarray] = field(default_factory=dict)
     lattice: np.ndarray | None = None
     single: Levels | None = None
+    jolts: np.ndarray | None = None
 
     def of(self, repeats: int) -> Levels:
         """Return the noise of the mean of some repeats; the same where it is assumed.
@@ -66,7 +69,8 @@ class Levels:
             return self
         one, variance = self.single, self.single.sensors**2
         sensors = np.sqrt(variance / repeats + np.maximum(self.single.lattice**2 - variance, 0.0))
-        return replace(self, disturbance=one.disturbance / np.sqrt(repeats), sensors=sensors)
+        jolts = None if one.jolts is None else one.jolts / np.sqrt(repeats)
+        return replace(self, disturbance=one.disturbance / np.sqrt(repeats), jolts=jolts, sensors=sensors)
 
     def with_readings(self, kept: Sequence[int]) -> Levels:
         """Return the noise of some of the readings (m + axes) alone."""
@@ -182,8 +186,10 @@ class Beside:
             n = stays.shape[1]
             extra = np.zeros((len(stays), self.linearised(levels).transition.shape[1]))
             extra[:, 2 * n : 3 * n] = stays * (1.0 - self._decay(levels) ** 2)
+        if levels.jolts is not None:
+            jolts = np.broadcast_to(levels.jolts**2, self.missing.shape)
         if unsure is not None and unsure[1].any():
-            jolts = unsure[1]
+            jolts = unsure[1] if jolts is None else jolts + unsure[1]
         plain = whitening(self.linearised(levels), self.present, extra, jolts)
         return replace(plain, colour=levels.colour, loudness=levels.loudness.get(self.along.observed.name))
 

@@ -20,8 +20,8 @@ LONGEST_ROWS = 1200
 """Rows of a recording that levels are taken from: a level's error over so many is a thirtieth."""
 STEPS = 60
 """Of the search for the likeliest levels, at most."""
-WIDEST = 1e4
-"""Factor by which a level may differ from where the search begins, either way."""
+LEAST, MOST = 1e-4, 500.0
+"""Factors by which a level may differ from where the search begins, which for a disturbance is a five-hundredth of all that a drive gives."""
 SETTLED = 0.1
 """Units of log likelihood below which a step ends the search."""
 
@@ -50,30 +50,33 @@ def levels_from(
         rows_of = zip(*((efforts[some], ends[some], left[some]) for _, efforts, ends, left in same), strict=True)
         efforts, ends, left = (np.stack(each) for each in rows_of)
         beside.append((one, efforts, ends, np.nan_to_num(left), ~np.isnan(left[0])))
-    first = np.concatenate([begin.disturbance, begin.sensors])
-    least = np.concatenate([begin.disturbance / WIDEST, np.maximum(lowest, begin.sensors / WIDEST)])
+    first = np.concatenate([begin.disturbance, begin.disturbance, begin.sensors])
+    least = np.concatenate([LEAST * first[: 2 * n], np.maximum(lowest, LEAST * begin.sensors)])
+
+    def at(logs: np.ndarray) -> Levels:
+        disturbance, jolts, sensors = np.split(np.exp(logs), [n, 2 * n])
+        return replace(begin, disturbance=disturbance, jolts=jolts, sensors=sensors)
 
     def less_likely(logs: np.ndarray) -> tuple[float, np.ndarray]:
-        found = np.exp(logs)
-        levels = replace(begin, disturbance=found[:n], sensors=found[n:])
-        value, slopes = 0.0, np.zeros(len(found))
+        levels = at(logs)
+        value, slopes = 0.0, np.zeros(len(logs))
         for one, efforts, ends, left, present in beside:
             lin = one.linearised(levels)
-            filtered = whitening(lin, present)
-            squares, start, process, reading = _scores(
+            filtered = whitening(lin, present, None, np.broadcast_to(levels.jolts**2, (len(present), n)))
+            squares, start, process, jolts, reading = _scores(
                 lin.stride, lin.transition, lin.of_effort, lin.of_rise, lin.observation, lin.through, filtered.gains, filtered.roots,
                 efforts, ends, left, present,
             )  # fmt: skip
             value += 0.5 * (squares + len(left) * filtered.log_determinant)
             slopes[:n] -= lin.process[2 * n : 3 * n] * process[2 * n : 3 * n] + levels.disturbance**2 * start[2 * n : 3 * n]
-            slopes[n:] -= lin.noise * reading
+            slopes[n : 2 * n] -= levels.jolts**2 * jolts
+            slopes[2 * n :] -= lin.noise * reading
         return value, slopes
 
     options = {"maxiter": STEPS, "ftol": SETTLED / max(abs(less_likely(np.log(first))[0]), 1.0)}
-    bounds = np.log(np.column_stack([least, np.maximum(first * WIDEST, least)]))
+    bounds = np.log(np.column_stack([least, np.maximum(MOST * first, least)]))
     found = scipy.optimize.minimize(less_likely, np.log(np.maximum(first, least)), jac=True, method="L-BFGS-B", bounds=bounds, options=options)
-    levels = np.exp(found.x)
-    return replace(begin, disturbance=levels[:n], sensors=levels[n:]), -float(found.fun)
+    return at(found.x), -float(found.fun)
 
 
 @numba.njit(cache=True, fastmath=False)
@@ -90,10 +93,10 @@ def _scores(
     ends: np.ndarray,
     readings: np.ndarray,
     present: np.ndarray,
-) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return sums over parts: squared innovations, and over rows, of adjoint squares less their variances.
 
-    These are of the state at row 0 (s,), of what every later row adds to it (s,), and of the readings (m,).
+    These are of the state at row 0 (s,), of what every later row adds to it (s,), of efforts held over a row (n,), and of readings (m,).
     """
     parts, rows, channels = readings.shape
     size = transition.shape[1]
@@ -111,6 +114,7 @@ def _scores(
             x[part] += np.dot(of_effort[number], efforts[part, k]) + np.dot(of_rise[number], ends[part, k] - efforts[part, k])
     adjoint, weight = np.zeros((parts, size)), np.zeros((size, size))
     start, process, reading = np.zeros(size), np.zeros(size), np.zeros(channels)
+    jolts = np.zeros(of_effort.shape[2])
     squares = 0.0
     for k in range(rows - 1, -1, -1):
         number = k // stride
@@ -119,7 +123,8 @@ def _scores(
         inverse = np.dot(roots[k].T.copy(), roots[k])
         variance = inverse + np.dot(np.dot(gain.T.copy(), weight), gain)
         back = np.eye(size) - np.dot(gain, h)
-        a = transition[max(k - 1, 0) // stride]
+        before = max(k - 1, 0) // stride
+        a, b = transition[before], of_effort[before]
         for part in range(parts):
             v = np.dot(inverse, innovations[part, k])
             squares += np.dot(innovations[part, k], v)
@@ -133,6 +138,10 @@ def _scores(
         for part in range(parts):
             for i in range(size):
                 added[i] += adjoint[part, i] * adjoint[part, i] - weight[i, i]
+            if k > 0:
+                pushed, unsure = np.dot(b.T.copy(), adjoint[part]), np.dot(np.dot(b.T.copy(), weight), b)
+                for j in range(len(jolts)):
+                    jolts[j] += pushed[j] * pushed[j] - unsure[j, j]
             adjoint[part] = np.dot(a.T.copy(), adjoint[part])
         weight = np.dot(np.dot(a.T.copy(), weight), a)
-    return squares, start, process, reading
+    return squares, start, process, jolts, reading

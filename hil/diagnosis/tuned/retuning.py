@@ -183,7 +183,8 @@ def _of_this_inertia(levels: Levels, along: Along, one: Beside) -> Levels:
     Otherwise every machine would be found lighter, and its drives weaker, than it is: the same motion would need smaller disturbances.
     """
     here, file = (along.plant.inertias(model, one.base.position[0]) for model in (one.model, along.model()))
-    return replace(levels, disturbance=levels.disturbance * here / file)
+    jolts = None if levels.jolts is None else levels.jolts * here / file
+    return replace(levels, disturbance=levels.disturbance * here / file, jolts=jolts)
 
 
 def _as_the_equations_say(along: Along, one: Beside, motion: Motion, given: np.ndarray) -> Motion:

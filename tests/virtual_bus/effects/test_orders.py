@@ -15,6 +15,7 @@ def place(position: np.ndarray, missing: np.ndarray) -> Place:
     return Place(
         low=float(position.min()), high=float(position.max()), speed=1.0, effort=1.0, current=1.0, ratio=1.0, stiffness=0.0, inertia=1.0,
         period_s=0.001, duration_s=0.001 * len(position), is_seen_twice=False, is_prismatic=False, position=position, missing=missing,
+        noise=np.zeros((0, len(position))),
     )  # fmt: skip
 
 
