@@ -15,7 +15,7 @@ from hil.diagnosis.seen.colour import colour_of, loudness_of
 from hil.diagnosis.seen.filtering import Whitening
 from hil.diagnosis.seen.noise import levels_from
 
-CORNERS_Hz = (0.2, 1.0, 5.0, 30.0)
+CORNERS_Hz = (0.04, 0.2, 1.0, 5.0, 30.0)
 """Of the disturbances' spectrum; the likeliest one is taken."""
 FINEST = 0.05
 """Share of a sensor's noise by the machine file that its own noise is at least: less would be a share of one step of its lattice."""
