@@ -24,6 +24,8 @@ LEAST, MOST = 1e-4, 500.0
 """Factors by which a level may differ from where the search begins, which for a disturbance is a five-hundredth of all that a drive gives."""
 SETTLED = 0.1
 """Units of log likelihood below which a step ends the search."""
+UNLIKELY = 1e6
+"""In the same units, of levels that the filter cannot be computed with."""
 
 
 def levels_from(
@@ -73,9 +75,18 @@ def levels_from(
             slopes[2 * n :] -= lin.noise * reading
         return value, slopes
 
-    options = {"maxiter": STEPS, "ftol": SETTLED / max(abs(less_likely(np.log(first))[0]), 1.0)}
+    def bounded(logs: np.ndarray) -> tuple[float, np.ndarray]:
+        try:
+            return less_likely(logs)
+        except np.linalg.LinAlgError:  # so uneven that a covariance is lost to rounding: the step was too long
+            return nowhere, np.zeros(len(logs))
+
+    start = np.log(np.maximum(first, least))
+    begun = less_likely(start)[0]
+    nowhere = begun + UNLIKELY
+    options = {"maxiter": STEPS, "ftol": SETTLED / max(abs(begun), 1.0)}
     bounds = np.log(np.column_stack([least, np.maximum(MOST * first, least)]))
-    found = scipy.optimize.minimize(less_likely, np.log(np.maximum(first, least)), jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+    found = scipy.optimize.minimize(bounded, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
     return at(found.x), -float(found.fun)
 
 
