@@ -21,7 +21,7 @@ LONGEST_ROWS = 1200
 STEPS = 60
 """Of the search for the likeliest levels, at most."""
 LEAST, MOST = 1e-4, 500.0
-"""Factors by which a level may differ from where the search begins, which for a disturbance is a five-hundredth of all that a drive gives."""
+"""Factors by which a level may differ from where the search begins; disturbances begin at a five-hundredth of all that a drive gives."""
 SETTLED = 0.1
 """Units of log likelihood below which a step ends the search."""
 UNLIKELY = 1e6
