@@ -187,7 +187,7 @@ class Beside:
             extra = np.zeros((len(stays), self.linearised(levels).transition.shape[1]))
             extra[:, 2 * n : 3 * n] = stays * (1.0 - self._decay(levels) ** 2)
         if levels.jolts is not None:
-            jolts = np.broadcast_to(levels.jolts**2, self.missing.shape)
+            jolts = np.tile(levels.jolts**2, (len(self.missing), 1))
         if unsure is not None and unsure[1].any():
             jolts = unsure[1] if jolts is None else jolts + unsure[1]
         plain = whitening(self.linearised(levels), self.present, extra, jolts)

@@ -64,7 +64,7 @@ def levels_from(
         value, slopes = 0.0, np.zeros(len(logs))
         for one, efforts, ends, left, present in beside:
             lin = one.linearised(levels)
-            filtered = whitening(lin, present, None, np.broadcast_to(levels.jolts**2, (len(present), n)))
+            filtered = whitening(lin, present, None, np.tile(levels.jolts**2, (len(present), 1)))
             squares, start, process, jolts, reading = _scores(
                 lin.stride, lin.transition, lin.of_effort, lin.of_rise, lin.observation, lin.through, filtered.gains, filtered.roots,
                 efforts, ends, left, present,
