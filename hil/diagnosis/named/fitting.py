@@ -12,6 +12,7 @@ from hil.diagnosis.candidates.columns import Column, column
 from hil.diagnosis.candidates.entries import setting_of
 from hil.diagnosis.named.form import FormError, form_columns
 from hil.diagnosis.seen.along import Signals
+from hil.diagnosis.seen.noise import ACCURACY
 from hil.diagnosis.tuned.bounded import bounded_least_squares
 from hil.diagnosis.tuned.retuning import Looked, Tuned
 from virtual_bus.effects.effect import PHASE, Parameter
@@ -19,9 +20,6 @@ from virtual_bus.effects.registry import effects
 from virtual_bus.errors import EffectError
 from virtual_bus.settings import EffectSetting
 
-ACCURACY = 1e-3
-"""Relative error of a column, since equations are linearised and motions smoothed: what a set of effects and changes of numbers would add
-up to, one by one, is as unsure as this. It keeps large changes that cancel each other from being fitted to noise."""
 ITERATIONS = 8
 HALVINGS = 4
 SETTLED = 0.3
@@ -147,11 +145,12 @@ def fit(
     left, squares = _left(tuned, acting, offset)
     columns: tuple[np.ndarray, ...] = ()
     form = _form(tuned, acting, settings, dispersion)
+    fastest = 0.5 / max(one.beside.along.observed.period_s for one in tuned.looked)
     for _ in range(ITERATIONS):
         found = [_columns(tuned, one, own, settings, parameters, rest) for one, own, rest in zip(tuned.looked, acting, left, strict=True)]
         columns = tuple(each for each, _ in found)
         shortest = zip(parameters, _shortest(found), strict=True)
-        reaches = [reach(parameter, settings[k].parameters[parameter.name], least) for (k, parameter), least in shortest]
+        reaches = [reach(parameter, settings[k].parameters[parameter.name], least, fastest) for (k, parameter), least in shortest]
         step = _step(tuned, settings, offset, parameters, columns, left, 1.0 / dispersion, longest, form, reaches)
         cost = _cost(left, squares, offset, form)
         taken = _shortened(tuned, settings, offset, parameters, step, cost, form)
@@ -405,15 +404,19 @@ def _step(
     return bounded_least_squares(squares, slopes, np.array(low), np.array(high))
 
 
-def reach(parameter: Parameter, value: float, step: float) -> tuple[float, float]:
-    """Return how far down and up a parameter may go at once that was differentiated by this step: a shape by fifteen of them."""
+def reach(parameter: Parameter, value: float, step: float, fastest_Hz: float = np.inf) -> tuple[float, float]:
+    """Return how far down and up a parameter may go at once that was differentiated by this step: a shape by fifteen of them.
+
+    A frequency stays below the fastest that rows show.
+    """
+    high = max(min(parameter.high, fastest_Hz), value) if parameter.unit == "Hz" and not parameter.is_strength else parameter.high
     if parameter.unit == PHASE:
         most = PHASE_STEP
     elif value == 0.0:
         most = np.inf if parameter.is_strength else parameter.small
     else:
         most = STRENGTH_STEP * abs(value) if parameter.is_strength else SHAPE_STEPS * abs(step)
-    return max(parameter.low - value, -most), min(parameter.high - value, most)
+    return max(parameter.low - value, -most), min(high - value, most)
 
 
 def _shortened(

@@ -10,6 +10,7 @@ import numpy as np
 from hil.diagnosis.seen.along import FINE, Along, Motion, Signals
 from hil.diagnosis.seen.discretising import discretised
 from hil.diagnosis.seen.filtering import Linearised, Whitening, smooth_states, whitening
+from hil.diagnosis.seen.tones import Tones
 from virtual_bus.effects.places import imu_channel_names
 
 POSES_PER_SECOND = 1000
@@ -47,6 +48,8 @@ class Levels:
         Of one recording, where these are of the mean of several.
     jolts : (n,) array or None
         Standard deviation of a further such effort, which is another one in every row.
+    tones : Tones or None
+        Further efforts, of a narrow band.
     """
 
     disturbance: np.ndarray
@@ -58,6 +61,7 @@ class Levels:
     lattice: np.ndarray | None = None
     single: Levels | None = None
     jolts: np.ndarray | None = None
+    tones: Tones | None = None
 
     def of(self, repeats: int) -> Levels:
         """Return the noise of the mean of some repeats; the same where it is assumed.
@@ -70,7 +74,8 @@ class Levels:
         one, variance = self.single, self.single.sensors**2
         sensors = np.sqrt(variance / repeats + np.maximum(self.single.lattice**2 - variance, 0.0))
         jolts = None if one.jolts is None else one.jolts / np.sqrt(repeats)
-        return replace(self, disturbance=one.disturbance / np.sqrt(repeats), jolts=jolts, sensors=sensors)
+        tones = None if one.tones is None else one.tones.times(np.full(len(one.disturbance), 1.0 / np.sqrt(repeats)))
+        return replace(self, disturbance=one.disturbance / np.sqrt(repeats), jolts=jolts, tones=tones, sensors=sensors)
 
     def with_readings(self, kept: Sequence[int]) -> Levels:
         """Return the noise of some of the readings (m + axes) alone."""
@@ -173,7 +178,8 @@ class Beside:
             start[joint] += np.mean((motion.position - motion.slow[:, 0]) ** 2)
             start[n + joint] += np.mean((motion.speed - motion.slow[:, 1]) ** 2)
         start[3 * n :] = felt**2 @ start[: 3 * n]  # what the low passes of an IMU hold
-        return replace(plain, noise=levels.sensors**2, process=process, start=start)
+        found = replace(plain, noise=levels.sensors**2, process=process, start=start)
+        return found if levels.tones is None else levels.tones.added_to(found, n, self.along.observed.period_s)
 
     def whitening(self, levels: Levels, unsure: tuple[np.ndarray, np.ndarray] | None = None) -> Whitening:
         """Return the filter with these levels.

@@ -14,6 +14,7 @@ from hil.diagnosis.seen.beside import Beside, Levels, beside, default_levels
 from hil.diagnosis.seen.colour import colour_of, loudness_of
 from hil.diagnosis.seen.filtering import Whitening
 from hil.diagnosis.seen.noise import levels_from
+from hil.diagnosis.seen.tones import tones_in
 
 CORNERS_Hz = (0.04, 0.2, 1.0, 5.0, 30.0)
 """Of the disturbances' spectrum; the likeliest one is taken."""
@@ -21,6 +22,8 @@ FINEST = 0.05
 """Share of a sensor's noise by the machine file that its own noise is at least: less would be a share of one step of its lattice."""
 HIDDEN = 0.5
 """Share of an innovation's precision that a lattice leaves, below which it hides the noise."""
+NUMBERS = 3
+"""Of a tone: its size, its frequency and its width."""
 BEGUN = 0.002
 """Share of what a drive can give at most, as the disturbances' first level."""
 
@@ -36,7 +39,10 @@ def repeat_levels(groups: Sequence[Group], alongs: Sequence[Along]) -> Levels | 
     begin = default_levels(alongs[0])
     lowest = FINEST * begin.sensors
     first = np.full(len(begin.disturbance), BEGUN * max(_largest_effort(alongs[0]), 1e-9))
-    found, _ = max((levels_from(parts, Levels(first, corner, begin.sensors), lowest) for corner in CORNERS_Hz), key=lambda each: each[1])
+    found, likely = max(
+        (levels_from(parts, Levels(first, corner, begin.sensors), lowest) for corner in CORNERS_Hz), key=lambda each: each[1]
+    )
+    found = _with_tones(parts, found, likely, lowest, first)
     count = min(len(group.repeats) for group in groups)  # what was recorded once has all of a recording's noise
     variance, lattice = found.sensors**2, _lattices(alongs[0]) ** 2
     hidden = _hidden(parts[0][0], found, replace(found, sensors=np.sqrt(np.maximum(variance, lattice))))
@@ -51,6 +57,21 @@ def repeat_levels(groups: Sequence[Group], alongs: Sequence[Along]) -> Levels | 
     colour[hidden] = np.eye(1, colour.shape[1])
     single = replace(found, lattice=np.sqrt(lattice))
     return replace(found, colour=colour, loudness=loudness, single=single).of(count)
+
+
+def _with_tones(
+    parts: Sequence[tuple[Beside, np.ndarray, np.ndarray, np.ndarray]], found: Levels, likely: float, lowest: np.ndarray, first: np.ndarray
+) -> Levels:
+    """Return levels with tones of the driven joints, where they are likelier by more than their numbers (Akaike 1974)."""
+    along = parts[0][0].along
+    filters = {one: one.whitening(found) for one in {id(part[0]): part[0] for part in parts}.values()}
+    own = [(filters[part[0]], _innovations(part, filters[part[0]])) for part in parts]
+    driven = [along.joints.index(drive.joint) for drive in along.settings.drives]
+    tones = tones_in(own, driven, first, along.observed.period_s)
+    if tones is None:
+        return found
+    other, likelier = levels_from(parts, replace(found, tones=tones), lowest)
+    return other if likelier - likely > NUMBERS * len(tones.joints) else found
 
 
 def _hidden(one: Beside, shown: Levels, with_lattices: Levels) -> np.ndarray:

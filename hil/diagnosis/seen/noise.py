@@ -18,12 +18,21 @@ from hil.diagnosis.seen.filtering import whitening
 
 LONGEST_ROWS = 1200
 """Rows of a recording that levels are taken from: a level's error over so many is a thirtieth."""
-STEPS = 60
+STEPS = 200
 """Of the search for the likeliest levels, at most."""
+ACCURACY = 1e-3
+"""Relative error of efforts and of columns, since equations are linearised and motions smoothed: what a set of effects and changes of
+numbers would add up to, one by one, is as unsure. It keeps large changes that cancel each other from being fitted to noise."""
 LEAST, MOST = 1e-4, 500.0
 """Factors by which a level may differ from where the search begins; disturbances begin at a five-hundredth of all that a drive gives."""
-SETTLED = 0.1
-"""Units of log likelihood below which a step ends the search."""
+SMALLEST = 1e-12
+"""Of a level whose logarithm is taken."""
+SETTLED = 1e-3
+"""Units of log likelihood below which a step ends the search: some steps of a quasi-Newton method bring little, and the next one much."""
+SHIFTED = 0.7
+"""By which the log of a tone's frequency or width may differ from the first one."""
+DIFFERENCE = 1e-5
+"""Of such a log."""
 UNLIKELY = 1e6
 """In the same units, of levels that the filter cannot be computed with."""
 
@@ -52,42 +61,70 @@ def levels_from(
         rows_of = zip(*((efforts[some], ends[some], left[some]) for _, efforts, ends, left in same), strict=True)
         efforts, ends, left = (np.stack(each) for each in rows_of)
         beside.append((one, efforts, ends, np.nan_to_num(left), ~np.isnan(left[0])))
-    first = np.concatenate([begin.disturbance, begin.disturbance, begin.sensors])
-    least = np.concatenate([LEAST * first[: 2 * n], np.maximum(lowest, LEAST * begin.sensors)])
-
-    def at(logs: np.ndarray) -> Levels:
-        disturbance, jolts, sensors = np.split(np.exp(logs), [n, 2 * n])
-        return replace(begin, disturbance=disturbance, jolts=jolts, sensors=sensors)
+    start = _logs(begin)
+    least, most = np.log(LEAST) + start, np.log(MOST) + start
+    least[2 * n : 2 * n + len(lowest)] = np.maximum(least[2 * n : 2 * n + len(lowest)], np.log(np.clip(lowest, SMALLEST, 1.0 / SMALLEST)))
+    needed = np.sqrt(np.mean([np.mean(one.signals.needed[some] ** 2, axis=0) for one, *_ in beside], axis=0))
+    least[:n] = np.maximum(least[:n], np.log(np.maximum(ACCURACY * needed, SMALLEST)))
+    shapes = np.arange(2 * n + len(lowest) + _tones(begin), len(start))
+    least[shapes], most[shapes] = start[shapes] - SHIFTED, start[shapes] + SHIFTED
+    start, most = np.maximum(start, least), np.maximum(most, least)
 
     def less_likely(logs: np.ndarray) -> tuple[float, np.ndarray]:
-        levels = at(logs)
+        levels = _with_logs(begin, logs)
         value, slopes = 0.0, np.zeros(len(logs))
         for one, efforts, ends, left, present in beside:
             lin = one.linearised(levels)
             filtered = whitening(lin, present, None, np.tile(levels.jolts**2, (len(present), 1)))
-            squares, start, process, jolts, reading = _scores(
+            squares, begun, process, jolts, reading = _scores(
                 lin.stride, lin.transition, lin.of_effort, lin.of_rise, lin.observation, lin.through, filtered.gains, filtered.roots,
                 efforts, ends, left, present,
             )  # fmt: skip
             value += 0.5 * (squares + len(left) * filtered.log_determinant)
-            slopes[:n] -= lin.process[2 * n : 3 * n] * process[2 * n : 3 * n] + levels.disturbance**2 * start[2 * n : 3 * n]
-            slopes[n : 2 * n] -= levels.jolts**2 * jolts
-            slopes[2 * n :] -= lin.noise * reading
+            states = lin.process * process + lin.start * begun
+            phasors = states[len(states) - 2 * _tones(begin) :].reshape(-1, 2).sum(axis=1)
+            slopes[: shapes[0] if len(shapes) else None] -= np.concatenate(
+                [states[2 * n : 3 * n], levels.jolts**2 * jolts, lin.noise * reading, phasors]
+            )
         return value, slopes
 
     def bounded(logs: np.ndarray) -> tuple[float, np.ndarray]:
         try:
-            return less_likely(logs)
+            value, slopes = less_likely(logs)
+            for shape in shapes:
+                further = np.where(np.arange(len(logs)) == shape, logs + DIFFERENCE, logs)
+                slopes[shape] = (less_likely(further)[0] - value) / DIFFERENCE
         except np.linalg.LinAlgError:  # so uneven that a covariance is lost to rounding: the step was too long
             return nowhere, np.zeros(len(logs))
+        return value, slopes
 
-    start = np.log(np.maximum(first, least))
-    begun = less_likely(start)[0]
-    nowhere = begun + UNLIKELY
-    options = {"maxiter": STEPS, "ftol": SETTLED / max(abs(begun), 1.0)}
-    bounds = np.log(np.column_stack([least, np.maximum(MOST * first, least)]))
+    first = less_likely(start)[0]
+    nowhere = first + UNLIKELY
+    options = {"maxiter": STEPS, "ftol": SETTLED / max(abs(first), 1.0)}
+    bounds = np.column_stack([least, most])
     found = scipy.optimize.minimize(bounded, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
-    return at(found.x), -float(found.fun)
+    return _with_logs(begin, found.x), -float(found.fun)
+
+
+def _tones(levels: Levels) -> int:
+    return 0 if levels.tones is None else len(levels.tones.joints)
+
+
+def _logs(levels: Levels) -> np.ndarray:
+    """Return logarithms of disturbances, jolts, sensors' noise, tones' sizes, and of their frequencies and widths."""
+    tones = [] if levels.tones is None else [levels.tones.sizes, levels.tones.frequencies_Hz, levels.tones.widths_Hz]
+    jolts = levels.disturbance if levels.jolts is None else levels.jolts
+    return np.log(np.clip(np.concatenate([levels.disturbance, jolts, levels.sensors, *tones]), SMALLEST, 1.0 / SMALLEST))
+
+
+def _with_logs(levels: Levels, logs: np.ndarray) -> Levels:
+    n, count = len(levels.disturbance), _tones(levels)
+    ends = np.cumsum([n, n, len(levels.sensors), count, count])
+    disturbance, jolts, sensors, sizes, frequencies, widths = np.split(np.exp(logs), ends)
+    tones = levels.tones
+    if tones is not None:
+        tones = replace(tones, sizes=sizes, frequencies_Hz=frequencies, widths_Hz=widths)
+    return replace(levels, disturbance=disturbance, jolts=jolts, sensors=sensors, tones=tones)
 
 
 @numba.njit(cache=True, fastmath=False)

@@ -184,7 +184,8 @@ def _of_this_inertia(levels: Levels, along: Along, one: Beside) -> Levels:
     """
     here, file = (along.plant.inertias(model, one.base.position[0]) for model in (one.model, along.model()))
     jolts = None if levels.jolts is None else levels.jolts * here / file
-    return replace(levels, disturbance=levels.disturbance * here / file, jolts=jolts)
+    tones = None if levels.tones is None else levels.tones.times(here / file)
+    return replace(levels, disturbance=levels.disturbance * here / file, jolts=jolts, tones=tones)
 
 
 def _as_the_equations_say(along: Along, one: Beside, motion: Motion, given: np.ndarray) -> Motion:

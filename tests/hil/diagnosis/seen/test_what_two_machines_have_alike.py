@@ -50,7 +50,7 @@ def test_with_any_effect(along: Along, motion: Motion) -> None:
     nominal = along.signals(motion, along.model(values))
     inertias = along.plant.inertias(along.model(values), motion.position[0])
     names = set()
-    for law in entries([along], [motion], [nominal], values, [np.sin(motion.position * 40.0)], inertias):
+    for law in entries([along], [motion], [nominal], values, [np.sin(motion.position * 40.0)[None]], inertias):
         for parameters in law.law.columns:
             effect = (setting_of(law.effect, law.at, dict(parameters)),)
             model = along.model(values, effect)
