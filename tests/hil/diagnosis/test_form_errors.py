@@ -78,13 +78,18 @@ def test_scores_are_the_adjoint_of_whitening(still_sound: Tuned) -> None:
         assert float(effort.astype(float) @ scores[:, joint]) == pytest.approx(float(whitened @ against), rel=1e-6)
 
 
+ONE_FRICTION = {"coulomb_friction", "asymmetric_friction"}
+"""Where the disturbances' mean is a small load, both are equal."""
+
+
 def names(found: Named) -> set[str]:
     return {setting.name for setting in found.best.settings}
 
 
 def test_a_wave_a_twentieth_as_large_as_the_friction_beside_it_is_found() -> None:
     found = name(see(MACHINE, carried(lambda x: 1.5 * np.cos(150.0 * x + 0.4), friction_N=30.0)))
-    assert names(found) == {"coulomb_friction", "cogging"}
+    assert len(found.best.settings) == 2
+    assert names(found) - ONE_FRICTION == {"cogging"}
     (wave,) = [setting for setting in found.best.settings if setting.name == "cogging"]
     assert wave.parameters["A1"] == pytest.approx(1.5, rel=0.15)
 
@@ -93,7 +98,7 @@ def test_friction_a_twentieth_off_the_law_is_one_friction() -> None:
     """It is 5 % more at one end of the rail and 5 % less at the other."""
     found = name(see(MACHINE, bent()))
     assert len(found.best.settings) == 1
-    assert names(found) <= {"coulomb_friction", "asymmetric_friction"}  # the motion is not symmetric: seen as both, they are equal
+    assert names(found) <= ONE_FRICTION
 
 
 def bent() -> dict[str, Recording]:
