@@ -21,7 +21,7 @@ from hil.errors import BadAnswerError, UnusableInputError
 from hil.extras import extra_package
 from hil.imaging.scan_folder import FRAMES, write_description, write_exposures
 from hil.machine import Machine
-from hil.processes.second_in_line import politely
+from hil.processes.second_in_line import POLITE, PROMPT, politely
 from hil.receiving import receiver
 from hil.receiving.panel_frames import RemotePanel
 from hil.receiving.receiver import STAMPS, TROUBLE, ReceiverOrder, received
@@ -79,7 +79,8 @@ def frames_beside(order: ReceiverOrder, panel: PanelOrder | None, say: Callable[
         panel.truth.unlink(missing_ok=True)  # an earlier run's motion is not to be exposed
     context = multiprocessing.get_context("spawn")
     is_over, is_exposed = context.Event(), context.Event()
-    started = [context.Process(target=politely, args=(receiver.serve, order, is_exposed), daemon=True)]
+    niceness = {"niceness": POLITE if order.live is None else PROMPT}
+    started = [context.Process(target=politely, args=(receiver.serve, order, is_exposed), kwargs=niceness, daemon=True)]
     if panel is not None:
         started.append(context.Process(target=politely, args=(emulated_panel.serve, panel, is_over), daemon=True))
     for process in started:

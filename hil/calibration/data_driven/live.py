@@ -21,7 +21,7 @@ from hil.calibration.data_driven.live_kernel import chain_of, deviation_from_nom
 from hil.calibration.data_driven.observed_beam import FLOOR_M, FLOOR_RAD, SLOW_Hz
 from hil.calibration.data_driven.parameter_filter import STRAYS_S, DataDrivenFilter, displacement_columns, place_sigma, take_in
 from hil.calibration.data_driven.quasi_static import QuasiStatic, marker_view
-from hil.calibration.data_driven.values import CHANGE, REFUSED
+from hil.calibration.data_driven.values import CHANGE, REFUSED, USED
 from hil.errors import UnusableInputError
 from hil.imaging.geometry import DEVIATIONS
 from hil.imaging.mailbox import Sighting
@@ -211,10 +211,19 @@ class LiveCalibration:
 
     @property
     def summary(self) -> dict[str, Any]:
-        """Return the run's images by what became of them, and how well the isocentre's place is known in the end."""
+        """Return the run's images by what became of them, how old they were, and how well the isocentre's place is known in the end.
+
+        An image's age is from the middle of its exposure to the row that took it in.
+        """
         fates = [arrival.fate for arrival in self.arrivals]
+        exposed_s = np.array([arrival.sighting.time_s for arrival in self.arrivals])
+        taken_s = self._period_s * np.array([arrival.row for arrival in self.arrivals])
+        used = np.array([fate in (USED, CHANGE) for fate in fates], dtype=bool)
+        age_s = (taken_s - exposed_s)[used]
+        p50, p95, oldest = np.percentile(age_s, [50.0, 95.0, 100.0]) if len(age_s) else [None] * 3
         return {
-            **{fate: fates.count(fate) for fate in ("used", CHANGE, REFUSED, "late", "withdrawn")},
+            **{fate: fates.count(fate) for fate in (USED, CHANGE, REFUSED, "late", "withdrawn")},
             "withdrawn_after": self.withdrawn_after,
+            "age_s": {"p50": p50, "p95": p95, "max": oldest},
             "place_sigma_m": place_sigma(self.filter, self._asked),
         }
