@@ -46,6 +46,7 @@ from hil.emulated.panel import PANEL_EPOCH_S
 from hil.emulated.pose_board import PoseBoard
 from hil.experiments import Scan, Static
 from hil.imaging.nominal import nominal_detector
+from hil.imaging.scan_folder import read_scan
 from hil.machine import load_machine
 from hil.observing import emulated_design, observe, read_design, write_design
 from hil.observing.simulated_recordings import emulated_recording
@@ -94,8 +95,9 @@ CASES = (
 
 
 def command(*words: object) -> None:
-    """Run a command of the project."""
-    subprocess.run([*ISOCENTER, *map(str, words)], check=True, stdout=subprocess.DEVNULL)
+    """Run a command of the project; its own error stands above where it fails."""
+    if subprocess.run([*ISOCENTER, *map(str, words)], check=False, stdout=subprocess.DEVNULL).returncode:
+        raise SystemExit(f"isocenter {' '.join(map(str, words))}: failed")
 
 
 def prepared(work: Path) -> tuple[Path, Path, Path]:
@@ -244,6 +246,7 @@ def measure(case: Case, work: Path, seconds: float) -> dict[str, object]:
             warnings.simplefilter("ignore", RecordingWarning)  # missed ticks are counted
             recording = read_recording(recorded)
         sightings = dict(np.load(images / SIGHTINGS)) if case.scene else None
+        exposures = int(read_scan(images).exposure_id[-1]) + 1 if case.scene else 0
     whole = recording["sync_lateness"] + recording["work_time"]
     p50, p99, p999 = np.percentile(whole[np.isfinite(whole)] * 1e6, [50.0, 99.0, 99.9])
     ticks = {"ticks": recording.rows, "missed": answer["recordings"][0]["timing"]["missed"], "p50_us": p50, "p99_us": p99, "p99.9_us": p999}
@@ -251,12 +254,12 @@ def measure(case: Case, work: Path, seconds: float) -> dict[str, object]:
     if sightings is not None:
         age_s = sightings["row"] / load_machine("carm").sample_rate_Hz - sightings["time_s"]
         taken = np.isin(sightings["fate"], ["used", "change"])
-        calibration = answer["calibration"]
-        sent = len(age_s) + calibration["skipped"] + calibration["unplaced"] + calibration["lost"]
-        p50, p95, oldest = np.percentile(1e3 * age_s[taken], [50.0, 95.0, 100.0])
-        fates = {name: calibration[name] for name in ("used", "change", "refused", "late", "skipped", "unplaced", "lost")}
-        in_time = float(np.sum(age_s[taken] < 1.0 / RATE_Hz)) / max(sent, 1)
-        result["images"] = {"looked_at": len(age_s), **fates, "in_time": in_time, "age_ms": {"p50": p50, "p95": p95, "max": oldest}}
+        fates = {name: answer["calibration"][name] for name in ("used", "change", "refused", "late", "skipped", "unplaced", "lost")}
+        in_time = float(np.sum(age_s[taken] < 1.0 / RATE_Hz)) / exposures
+        age_ms = (
+            dict(zip(("p50", "p95", "max"), np.percentile(1e3 * age_s[taken], [50.0, 95.0, 100.0]), strict=True)) if taken.any() else {}
+        )
+        result["images"] = {"exposures": exposures, **fates, "in_time": in_time, "age_ms": age_ms}
     return result
 
 

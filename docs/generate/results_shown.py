@@ -995,6 +995,7 @@ SHOWN = (
                 (),
                 (
                     Column("in time", ("images", "in_time")),
+                    Column("images", ("images", "exposures")),
                     Column("taken in", ("images", "used")),
                     Column("skipped", ("images", "skipped")),
                     *(Column(f"age, {name} [ms]", ("images", "age_ms", key)) for key, name in _SHARES.items()),

@@ -54,15 +54,15 @@ class ReceiverOrder:
     live: Live | None = None
 
 
-def serve(order: ReceiverOrder, is_over: Event) -> None:
-    """Take frames until the panel is done and all have been taken; leave an error in a file for the bench."""
+def serve(order: ReceiverOrder, is_over: Event, is_ready: Event) -> None:
+    """Say when frames may come and take them until the panel is done and all have been taken; leave an error in a file for the bench."""
     try:
-        _serve(order, is_over)
+        _serve(order, is_over, is_ready)
     except (DriverError, UnusableInputError, OSError) as error:
         (order.folder / TROUBLE).write_text(str(error), encoding="utf-8")
 
 
-def _serve(order: ReceiverOrder, is_over: Event) -> None:
+def _serve(order: ReceiverOrder, is_over: Event, is_ready: Event) -> None:
     tifffile = extra_package("tifffile", "images")
     folder = order.folder
     source: FrameSource = SpooledFrames(order.panel) if isinstance(order.panel, Path) else PanelFrames(order.panel)
@@ -77,6 +77,7 @@ def _serve(order: ReceiverOrder, is_over: Event) -> None:
     ):
         stamp_rows, marker_rows = csv.writer(stamps), csv.writer(markers)
         marker_rows.writerow(["exposure_id", *WATCHED, "points"])
+        is_ready.set()
         while True:
             over = is_over.is_set()
             frames = source.poll()

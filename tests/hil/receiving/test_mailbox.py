@@ -88,6 +88,6 @@ def test_of_frames_that_wait_only_the_newest_is_looked_at_unless_time_stands_sti
     is_over.set()
     scan = tmp_path / "scan"
     scan.mkdir()
-    serve(ReceiverOrder(tmp_path, scan, panel, None, None, Live(machine, box, skips=skips)), is_over)
+    serve(ReceiverOrder(tmp_path, scan, panel, None, None, Live(machine, box, skips=skips)), is_over, CONTEXT.Event())
     assert (end.looked_at, end.skipped) == (looked_at, 4 - looked_at)
     assert tifffile.imread(scan / FRAMES).shape == (4, panel.rows, panel.columns), "all are kept"
