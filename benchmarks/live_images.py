@@ -36,7 +36,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.bus_url import open_bus
-from drivers.imaging.panel_link import end_bytes, frame_bytes, read_command
+from drivers.imaging.panel_link import HEADER, MARK, end_bytes, read_command
 from hil.calibration.data_driven.live_file import SIGHTINGS
 from hil.emulated.beam import beam_of
 from hil.emulated.card import EmulatorCard, published
@@ -67,6 +67,7 @@ STANDS = "propeller=0,roll=20"
 PATIENT = {"overrun_ticks": "10000", "stale_ticks": "10000"}
 BUSY, LOWEST = 2, 19
 LOOKS_EVERY_S = 5e-4
+PANEL_PRIORITY = 10
 
 
 @dataclass(frozen=True)
@@ -138,7 +139,9 @@ def made(work: Path, scene: str, binning: int) -> Path:
 
 def _panel(board: PoseBoard, file: str, ready: Connection) -> None:
     """Serve the frames of a file to one host: each at the end of its exposure."""
-    frames = np.load(file)
+    frames = np.load(file).astype("<u2")
+    with contextlib.suppress(PermissionError):  # a device of its own: punctual, but after the loop
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PANEL_PRIORITY))
     with socket.create_server(("127.0.0.1", 0)) as listener:
         ready.send(listener.getsockname()[1])
         while True:
@@ -154,7 +157,9 @@ def _exposures(caller: socket.socket, board: PoseBoard, frames: np.ndarray) -> N
         start_s = first_s + count / RATE_Hz
         if board.now_s >= start_s + WIDTH_S and (span := board.around(start_s, start_s + WIDTH_S, 0)) is not None:
             sync = int(span.sync[np.searchsorted(span.time_s, start_s)])
-            caller.sendall(frame_bytes(count, sync, PANEL_EPOCH_S + start_s, WIDTH_S, frames[count % len(frames)]))
+            frame = frames[count % len(frames)]
+            caller.sendall(HEADER.pack(MARK, count, *frame.shape, sync, PANEL_EPOCH_S + start_s, WIDTH_S))
+            caller.sendall(frame.data.cast("B"))
             count += 1
         if not select.select([caller], [], [], LOOKS_EVERY_S)[0]:
             continue

@@ -24,7 +24,7 @@ from hil.calibration.data_driven.quasi_static import QuasiStatic, marker_view
 from hil.calibration.data_driven.values import CHANGE, REFUSED, USED
 from hil.errors import UnusableInputError
 from hil.imaging.geometry import DEVIATIONS
-from hil.imaging.mailbox import Sighting
+from hil.imaging.mailbox import KINDS, Sighting
 from hil.machine import Machine
 from hil.recording.channels import imu_channels
 
@@ -119,6 +119,15 @@ class LiveCalibration:
         pose_rows(*self._chain, self.gravity, poses[0].copy(), self._rows, self._nominal)
         deviation_from_nominal(self._chain[2], self._nominal, np.zeros(9), self._deviation)
         self._publish(0.0, np.zeros(9))
+        self._rehearse()
+
+    def _rehearse(self) -> None:
+        """Take an image of either kind in, so that no tick waits for what is done for the first time."""
+        self.restart(2)
+        self.fast[:], self._last = 0.0, 1
+        for kind, size in zip(KINDS, (9, 6), strict=True):
+            self._take(Sighting(0, 0, 0.5 * self._period_s, kind, self.poses[0], np.zeros(size), np.eye(size)))
+        self.restart(0)
 
     def restart(self, rows: int) -> None:
         """Prepare for row 0 of a plan of so many ticks."""
