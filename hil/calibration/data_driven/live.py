@@ -121,14 +121,6 @@ class LiveCalibration:
         self._publish(0.0, np.zeros(9))
         self._rehearse()
 
-    def _rehearse(self) -> None:
-        """Take an image of either kind in, so that no tick waits for what is done for the first time."""
-        self.restart(2)
-        self.fast[:], self._last = 0.0, 1
-        for kind, size in zip(KINDS, (9, 6), strict=True):
-            self._take(Sighting(0, 0, 0.5 * self._period_s, kind, self.poses[0], np.zeros(size), np.eye(size)))
-        self.restart(0)
-
     def restart(self, rows: int) -> None:
         """Prepare for row 0 of a plan of so many ticks."""
         self.filter = DataDrivenFilter(self.model, self._start, np.repeat([FLOOR_M, FLOOR_RAD], 3))
@@ -139,6 +131,15 @@ class LiveCalibration:
         self.positions, self.fast = np.full((rows, len(self._link)), np.nan), np.full((rows, 9), np.nan)
         self.live, self.covariance = np.full((rows, 9), np.nan), np.full((rows, 9, 9), np.nan)
         self.values[:] = np.nan
+
+    def _rehearse(self) -> None:
+        """Take an image of either kind in, so that no tick waits for what is done for the first time."""
+        self.restart(2)
+        self.fast[:] = 0.0
+        self._last = 1
+        for kind, size in zip(KINDS, (9, 6), strict=True):
+            self._take(Sighting(0, 0, 0.5 * self._period_s, kind, self.poses[0], np.zeros(size), np.eye(size)))
+        self.restart(0)
 
     def level(self, measured: np.ndarray) -> None:
         """Turn the detector's inertial reading in a row of the observer's measurements back by the offsets, in place.
