@@ -89,9 +89,9 @@ SCENES = ("dodecahedron", "clinical", "experimental")
 CASES = (
     Case(),
     *(Case(scene) for scene in SCENES),
-    *(Case(scene, binning) for binning in (4, 1) for scene in SCENES),
     Case(loaded=True),
     *(Case(scene, loaded=True) for scene in SCENES),
+    *(Case(scene, binning) for binning in (4, 1) for scene in SCENES),
 )
 
 
