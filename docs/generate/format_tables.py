@@ -471,8 +471,9 @@ SCAN = (
     Entry(
         "markers.csv",
         "CSV",
-        "Of a scan that was received during a run: a row per exposure with `exposure_id`, the six parameters of the plate [m, rad], "
-        "empty where it was not seen, and `points`, the number of crossings. The header alone where no plate is looked for.",
+        "Of a scan that was received during a run: a row per exposure that was looked at, with `exposure_id`, the six parameters of the "
+        "plate [m, rad], empty where it was not seen, and `points`, the number of crossings. The header alone where no plate is looked "
+        "for.",
     ),
 )
 

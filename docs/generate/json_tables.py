@@ -38,7 +38,8 @@ _RUN = (
     Entry(
         "calibration",
         "object",
-        "Only with `--data`: images by fate, `place_sigma_m`, `lost`, `unplaced`, `source` and the file `geometry`.",
+        "Only with `--data`: images by fate, `age_s` (`p50`, `p95`, `max`: from the middle of their exposures to the rows that took them "
+        "in), `place_sigma_m`, `lost`, `unplaced`, `skipped` (not looked at, as a newer one was there), `source` and the file `geometry`.",
     ),
     Entry(
         "faults",

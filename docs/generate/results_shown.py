@@ -93,6 +93,7 @@ _PARTS = (
     "feedback",
     "supervisor",
 )
+_SHARES = {"p50": "half", "p95": "95 %", "max": "oldest"}
 _CASES = {"quiet": "256 Hz", "loaded": "256 Hz beside a load of eight", "fast": "1 kHz"}
 
 DIAGNOSIS = (
@@ -978,6 +979,33 @@ SHOWN = (
             Figure("time of an image", ("step", "image_median_us"), "µs"),
         ),
         (Rows("geometry", (), _LIVE, _LIVE_ROWS),),
+    ),
+    Shown(
+        "live_images.json",
+        "Images beside the loop",
+        "Phantom (`dodecahedron`) or plate at 30 frames a second, found by a process beside the loop at 256 Hz on a UDP bus, two virtual "
+        "processors. Emulated machine and panel share them; the machine stands, and frames are made beforehand. Binning 2 is 1240 x 960 "
+        "pixels. An image is *in time* where it is taken in before the middle of the next exposure; its age counts from the middle of its "
+        "own. *No images* is the same loop and observer alone; *loaded*: two processes of lowest priority compute all the time. A tick "
+        "lasts from when it is due until the loop waits again.",
+        "python benchmarks/live_images.py --work WORK",
+        rows=(
+            Rows(
+                "in the beam",
+                (),
+                (
+                    Column("in time", ("images", "in_time")),
+                    Column("images", ("images", "exposures")),
+                    Column("taken in", ("images", "used")),
+                    Column("skipped", ("images", "skipped")),
+                    *(Column(f"age, {name} [ms]", ("images", "age_ms", key)) for key, name in _SHARES.items()),
+                    Column("ticks", ("tick", "ticks")),
+                    Column("missed", ("tick", "missed")),
+                    Column("tick, 99 % [µs]", ("tick", "p99_us")),
+                    Column("99.9 % [µs]", ("tick", "p99.9_us")),
+                ),
+            ),
+        ),
     ),
     Shown(
         "calibration_live_wall.json",

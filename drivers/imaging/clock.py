@@ -9,7 +9,6 @@ from 1, or a line that misses a period, means that the time stamps belong to oth
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import linprog
 
 from drivers.errors import DriverError
 
@@ -20,6 +19,8 @@ SLACK = 0.25
 """Share of a period by which a pulse may appear to lie outside of its period because of the line's own error."""
 
 FEWEST = 3
+
+SETTLED_s = 1e-12
 
 
 class ClocksDisagreeError(DriverError):
@@ -80,14 +81,7 @@ class PanelClock:
                 f"the panel's clock runs {1e6 * (1.0 / by_squares - 1.0):+.0f} ppm against the loop's; two clocks differ by 100"
             )
         self.rate_doubt = min(doubt, 2.0 * RATE_TRUST)
-        # least largest distance t: |middle - at - rate along| <= t
-        ones = np.ones(len(panel))
-        above, below = np.column_stack([ones, along, -ones]), np.column_stack([-ones, -along, -ones])
-        bounds = [(None, None), (1.0 - RATE_TRUST, 1.0 + RATE_TRUST), (0.0, None)]
-        scale = middles.mean()
-        limits = np.concatenate([middles - scale, scale - middles])
-        self._at, self.rate, _ = linprog([0.0, 0.0, 1.0], np.vstack([above, below]), limits, bounds=bounds).x
-        self._at += scale
+        self._at, self.rate = _narrowest(along, middles)
         error = middles - self.to_loop(panel)
         self.residual_s = float(np.sqrt(np.mean(error**2)))
         worst = int(np.argmax(np.abs(error)))
@@ -104,6 +98,34 @@ class PanelClock:
         """Return loop times of panel times."""
         loop_s: np.ndarray = self._at + self.rate * (np.asarray(panel_s, float) - self._origin)
         return loop_s
+
+
+def _narrowest(along: np.ndarray, middles: np.ndarray) -> tuple[float, float]:
+    """Return value at 0 and rate of the line with the smallest largest distance from the points, its rate within `RATE_TRUST` of 1.
+
+    The width that holds all points is convex and piecewise linear in the rate. The tangents at both ends of an interval cross below its
+    least value, and that is where it is asked for next (Kelley 1960): a few passes over the points.
+    """
+
+    def width(rate: float) -> tuple[float, float]:
+        rest = middles - rate * along
+        top, bottom = int(np.argmax(rest)), int(np.argmin(rest))
+        return float(rest[top] - rest[bottom]), float(along[bottom] - along[top])
+
+    low, high = 1.0 - RATE_TRUST, 1.0 + RATE_TRUST
+    (at_low, falls), (at_high, rises) = width(low), width(high)
+    rate = low if falls >= 0.0 else high
+    while falls < 0.0 < rises:
+        rate = (at_high - rises * high - at_low + falls * low) / (falls - rises)
+        here, slope = width(rate)
+        if here - at_low - falls * (rate - low) < SETTLED_s or slope == 0.0:
+            break
+        if slope < 0.0:
+            low, at_low, falls = rate, here, slope
+        else:
+            high, at_high, rises = rate, here, slope
+    rest = middles - rate * along
+    return 0.5 * float(rest.max() + rest.min()), rate
 
 
 def _rate(along: np.ndarray, middles: np.ndarray, period_s: float) -> tuple[float, float]:

@@ -28,7 +28,8 @@ CONNECT_TIMEOUT_S = 2.0
 GREETING_TIMEOUT_S = 5.0
 """Generous, because a panel may still be making an image for a previous host that is gone."""
 
-READ_BYTES = 1 << 20
+MOST_PIXELS = 2**27
+"""The largest flat panels have 16 million."""
 
 
 class PanelError(DriverError):
@@ -107,7 +108,9 @@ class PanelLink:
         if address is None:
             raise BusUnavailableError(f"panel {url}: its address reads tcp:HOST:PORT, e.g. tcp:192.168.0.7:4100")
         self.url, self.exposures = url, None
-        self._period_s, self._first, self._data = period_s, 0, bytearray()
+        self._period_s, self._first = period_s, 0
+        self._header, self._image = bytearray(HEADER.size), np.empty(0, dtype="<u2")
+        self._missing = memoryview(self._header)
         try:
             self._socket = socket.create_connection(address, CONNECT_TIMEOUT_S)
         except OSError as error:
@@ -140,11 +143,12 @@ class PanelLink:
         PanelError
             The panel has hung up, or sent something else than a frame.
         """
-        gone = self._read()
-        frames = []
-        while (frame := self._next()) is not None:
-            frames.append(frame)
-        if gone and not frames and self.exposures is None:
+        frames: list[Frame] = []
+        while not (gone := self._read()):
+            if self._missing:  # nothing more has come
+                return frames
+            frames += self._completed()
+        if not frames and self.exposures is None:
             raise PanelError(f"panel {self.url} is gone: {gone}")
         return frames
 
@@ -163,34 +167,36 @@ class PanelLink:
         self.exposures = None
 
     def _read(self) -> str:
-        """Read the data that have come; return why the connection has ended, or ''."""
-        while True:
+        """Read what is missing of a header or of an image, straight into it; return why the connection has ended, or ''."""
+        while self._missing:
             try:
-                data = self._socket.recv(READ_BYTES)
+                count = self._socket.recv_into(self._missing)
             except BlockingIOError:
                 return ""
             except OSError as error:
                 return error.strerror or str(error)
-            if not data:
+            if not count:
                 return "it hung up"
-            self._data += data
+            self._missing = self._missing[count:]
+        return ""
 
-    def _next(self) -> Frame | None:
-        data = self._data
-        if len(data) < HEADER.size:
-            return None
-        mark, number, rows, columns, sync, panel_s, width_s = HEADER.unpack_from(data)
-        if mark != MARK or not (np.isfinite([panel_s, width_s]).all() and width_s >= 0.0):
-            raise PanelError(f"panel {self.url}: what it sends is no frame; is it a panel, and of this version?")
-        size = HEADER.size + 2 * rows * columns
-        if len(data) < size:
-            return None
-        image = np.frombuffer(bytes(data[HEADER.size : size]), dtype="<u2").astype(np.uint16).reshape(rows, columns)
-        del data[:size]
+    def _completed(self) -> list[Frame]:
+        """Return the frame whose last byte has come; none after a header, whose image is awaited then."""
+        mark, number, rows, columns, sync, panel_s, width_s = HEADER.unpack(self._header)
+        if self._image.size == 0:
+            if mark != MARK or rows * columns > MOST_PIXELS or not (np.isfinite([panel_s, width_s]).all() and width_s >= 0.0):
+                raise PanelError(f"panel {self.url}: what it sends is no frame; is it a panel, and of this version?")
+            if rows * columns:
+                self._image = np.empty(rows * columns, dtype="<u2")
+                self._missing = self._image.data.cast("B")
+                return []
+        image, self._image = self._image, np.empty(0, dtype="<u2")
+        self._missing = memoryview(self._header)
         if not image.size:
             self.exposures = number
-            return None
-        return Frame(number, panel_s, width_s, (sync - self._first) * self._period_s, image)
+            return []
+        whole = image.astype(np.uint16, copy=False).reshape(rows, columns)
+        return [Frame(number, panel_s, width_s, (sync - self._first) * self._period_s, whole)]
 
     def _say(self, command: bytes) -> None:
         try:

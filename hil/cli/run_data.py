@@ -124,6 +124,11 @@ def leave(beside: DataBeside, images: Path, answer: Answer) -> dict[str, object]
     place = 1e3 * found["place_sigma_m"]
     left = ", ".join(f"{found[fate]} {said}" for fate, said in _LEFT.items() if found[fate])
     answer.say(f"{len(live.arrivals)} images seen live, {live.used} taken in{f'; {left}' if left else ''}; place known to {place:.3f} mm")
+    if live.used:
+        p50, p95, oldest = (1e3 * found["age_s"][name] for name in ("p50", "p95", "max"))
+        answer.say(f"from exposure to use it took {p50:.0f} ms, of 95 % up to {p95:.0f} ms, at most {oldest:.0f} ms")
+    if beside.inbox.skipped:
+        answer.say(f"{beside.inbox.skipped} were not looked at, as a newer one was there: looking takes longer than images are apart")
     if beside.inbox.lost:
         answer.say(f"{beside.inbox.lost} more were seen and lost: the loop takes images in while it knows where the axes are, and did not")
     if beside.inbox.unplaced:
@@ -134,7 +139,7 @@ def leave(beside: DataBeside, images: Path, answer: Answer) -> dict[str, object]
     if found["change"]:
         answer.say("the machine stands elsewhere than it did; the mount was found anew")
     answer.say(f"{images / GEOMETRY}: geometry of {int(np.isfinite(live.live[:, 0]).sum())} samples")
-    told = {"lost": beside.inbox.lost, "unplaced": beside.inbox.unplaced}
+    told = {"lost": beside.inbox.lost, "unplaced": beside.inbox.unplaced, "skipped": beside.inbox.skipped}
     return {**found, **told, "source": str(beside.source), "geometry": str(images / GEOMETRY)}
 
 

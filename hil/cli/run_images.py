@@ -98,7 +98,7 @@ def images_beside(
     url = _panel_url(spool, panel_url, bus, lockstep, scene_name)
     beam = beam_of(machine, scene_name) if spool is None else None
     with tempfile.TemporaryDirectory() as scratch:
-        live = None if beside is None else Live(machine, beside.mailbox, counts_syncs=bool(url))
+        live = None if beside is None else Live(machine, beside.mailbox, counts_syncs=bool(url), skips=not lockstep)
         source: Path | RemotePanel = spool or Path(scratch) / "spool"
         rows = None
         if url:

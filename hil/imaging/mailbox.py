@@ -27,7 +27,7 @@ WAITS_S = 1e-3
 
 KINDS = ("phantom", "marker")
 
-_HANDLED, _SENT, _TAKEN, _LOST, _UNPLACED = range(5)
+_HANDLED, _SENT, _TAKEN, _LOST, _UNPLACED, _SKIPPED = range(6)
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Mailbox:
     def __init__(self, context: BaseContext, axes: int) -> None:
         self.axes = axes
         self._width = 5 + axes + LARGEST + LARGEST**2
-        self._counters = context.RawArray("q", 5)
+        self._counters = context.RawArray("q", 6)
         self._poses = context.RawArray("d", POSES * (2 + axes))
         self._ticks = context.RawArray("q", POSES * 2)
         self._letters = context.RawArray("d", LETTERS * self._width)
@@ -79,7 +79,7 @@ class Mailbox:
 
     @property
     def counters(self) -> np.ndarray:
-        """Images looked at, letters sent, taken, lost because the box was full, and not sent as the pose was unknown, (5,)."""
+        """Images looked at; letters sent, taken, lost as the box was full, not sent as the pose was unknown; images skipped, (6,)."""
         return np.frombuffer(self._counters, dtype=np.int64)
 
     @property
@@ -109,6 +109,10 @@ class Mailbox:
         pose: np.ndarray = (1.0 - share) * found[0, 2:] + share * found[1, 2:]
         return pose
 
+    def newest(self, syncs: bool) -> int:
+        """Return the newest row that was told: by its tick of the plan, or by the count of SYNCs; -1 before the first."""
+        return int(self.ticks[:, 0].max() if syncs else self.poses[:, 0].max())
+
     def loop_time(self, synced_s: float, period_s: float) -> float:
         """Return the loop's time of a time in periods of SYNC since row 0: later by the lost ticks; NaN where unknown."""
         sync = int(np.floor(synced_s / period_s))
@@ -133,6 +137,10 @@ class Mailbox:
     def unplaced(self) -> None:
         """Count an image whose axis positions are unknown: of a lost row, or of one whose pose has been overwritten."""
         self.counters[_UNPLACED] += 1
+
+    def skipped(self) -> None:
+        """Count an image that was not looked at, since a newer one was there."""
+        self.counters[_SKIPPED] += 1
 
     def handled(self) -> None:
         """Count an image that has been looked at, and whose measurement was sent."""
@@ -201,6 +209,11 @@ class LoopEnd:
     def unplaced(self) -> int:
         """Images whose axis positions were unknown or had been overwritten: `POSES` rows are kept."""
         return int(self._counters[_UNPLACED])
+
+    @property
+    def skipped(self) -> int:
+        """Images that were not looked at, since newer ones were there."""
+        return int(self._counters[_SKIPPED])
 
 
 class LockstepEnd(LoopEnd):

@@ -12,10 +12,14 @@ POLITE = 10
 """Niceness of these processes, since the loop comes first."""
 
 
-def politely(serve: Callable[..., None], *arguments: object) -> None:
+PROMPT = 5
+"""Niceness of one that the loop's estimate waits for: before everything else of ours, but after the loop."""
+
+
+def politely(serve: Callable[..., None], *arguments: object, niceness: int = POLITE) -> None:
     """Run `serve(*arguments)` as such a process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the key that stops the run: the bench ends this process
     end_with_the_parent()
     if hasattr(os, "nice"):
-        os.nice(POLITE)
+        os.nice(niceness)
     serve(*arguments)

@@ -21,11 +21,13 @@ from hil.errors import BadAnswerError, UnusableInputError
 from hil.extras import extra_package
 from hil.imaging.scan_folder import FRAMES, write_description, write_exposures
 from hil.machine import Machine
-from hil.processes.second_in_line import politely
+from hil.processes.second_in_line import POLITE, PROMPT, politely
 from hil.receiving import receiver
 from hil.receiving.panel_frames import RemotePanel
 from hil.receiving.receiver import STAMPS, TROUBLE, ReceiverOrder, received
 from hil.recording import Recording
+
+READY_ASKED_S = 0.2
 
 
 @dataclass(frozen=True)
@@ -78,21 +80,24 @@ def frames_beside(order: ReceiverOrder, panel: PanelOrder | None, say: Callable[
     if panel is not None:
         panel.truth.unlink(missing_ok=True)  # an earlier run's motion is not to be exposed
     context = multiprocessing.get_context("spawn")
-    is_over, is_exposed = context.Event(), context.Event()
-    started = [context.Process(target=politely, args=(receiver.serve, order, is_exposed), daemon=True)]
+    is_over, is_exposed, is_ready = context.Event(), context.Event(), context.Event()
+    niceness = {"niceness": POLITE if order.live is None else PROMPT}
+    started = [context.Process(target=politely, args=(receiver.serve, order, is_exposed, is_ready), kwargs=niceness, daemon=True)]
     if panel is not None:
         started.append(context.Process(target=politely, args=(emulated_panel.serve, panel, is_over), daemon=True))
     for process in started:
         process.start()
     is_left = threading.Event()
-    if say is not None:
-        threading.Thread(target=_say_if_one_ends, args=(order, started, is_left, say), daemon=True).start()
 
     def check() -> None:
         if not all(process.is_alive() for process in started):
             raise BadAnswerError(_trouble(order) or f"a process that makes or receives frames ended early; {order.folder} is not whole")
 
     try:
+        while not is_ready.wait(READY_ASKED_S):  # the first run compiles; a loop would not wait for it
+            check()
+        if say is not None:
+            threading.Thread(target=_say_if_one_ends, args=(order, started, is_left, say), daemon=True).start()
         try:
             yield check
         finally:

@@ -17,10 +17,12 @@ from hil.imaging.detector import Detector
 from hil.imaging.markers import MarkerProjection
 from hil.imaging.scan_folder import FRAMES
 from hil.receiving.panel_frames import FrameSource, PanelFrames, RemotePanel, SpooledFrames
-from hil.receiving.sight import marker_in
+from hil.receiving.sight import marker_in, rehearse
 from hil.receiving.watch import Live, Watch
 
-LOOKS_EVERY_S = 0.05
+LOOKS_EVERY_S = 0.01
+"""A third of a frame's time at 30 a second; a panel on the network is heard at once."""
+
 STAMPS, MARKERS, TROUBLE = "stamps.csv", "markers.csv", "trouble.txt"
 WATCHED = ("focal_u [m]", "focal_v [m]", "focal_length [m]", "theta_x [rad]", "theta_y [rad]", "theta_z [rad]")
 
@@ -52,20 +54,22 @@ class ReceiverOrder:
     live: Live | None = None
 
 
-def serve(order: ReceiverOrder, is_over: Event) -> None:
-    """Take frames until the panel is done and all have been taken; leave an error in a file for the bench."""
+def serve(order: ReceiverOrder, is_over: Event, is_ready: Event) -> None:
+    """Say when frames may come and take them until the panel is done and all have been taken; leave an error in a file for the bench."""
     try:
-        _serve(order, is_over)
+        _serve(order, is_over, is_ready)
     except (DriverError, UnusableInputError, OSError) as error:
         (order.folder / TROUBLE).write_text(str(error), encoding="utf-8")
 
 
-def _serve(order: ReceiverOrder, is_over: Event) -> None:
+def _serve(order: ReceiverOrder, is_over: Event, is_ready: Event) -> None:
     tifffile = extra_package("tifffile", "images")
     folder = order.folder
     source: FrameSource = SpooledFrames(order.panel) if isinstance(order.panel, Path) else PanelFrames(order.panel)
     watch = None if order.live is None else Watch(order.live, order.detector, order.nominal)
     shape = order.detector.rows, order.detector.columns
+    if order.live is not None:
+        rehearse(order.detector, order.live.machine, order.plate, order.nominal)
     with (
         tifffile.TiffWriter(folder / FRAMES) as images,
         (folder / STAMPS).open("w", newline="", encoding="utf-8") as stamps,
@@ -73,24 +77,34 @@ def _serve(order: ReceiverOrder, is_over: Event) -> None:
     ):
         stamp_rows, marker_rows = csv.writer(stamps), csv.writer(markers)
         marker_rows.writerow(["exposure_id", *WATCHED, "points"])
+        is_ready.set()
         while True:
             over = is_over.is_set()
-            for frame in source.poll():
+            frames = source.poll()
+            for frame in frames:
                 if frame.image.shape != shape:
                     came = f"{frame.image.shape[1]} x {frame.image.shape[0]}"
                     whose = order.panel if isinstance(order.panel, Path) else f"panel {order.panel.url}"
                     raise UnusableInputError(f"{whose}: frame {frame.exposure_id} is {came} pixels; the panel has {shape[1]} x {shape[0]}")
-                images.write(frame.image, contiguous=True)
-                stamp_rows.writerow([frame.exposure_id, repr(frame.panel_s), repr(frame.width_s), repr(frame.pulse_s)])
+            # looked at before they are written, as the loop waits for what they show
+            skipped = len(frames) - 1 if order.live is not None and order.live.skips else 0
+            for k, frame in enumerate(frames):
+                if watch is not None and k < skipped:
+                    watch.skip(frame)
+                    continue
                 seen = None
                 if order.plate is not None and order.nominal is not None:
                     seen = marker_in(frame.image, order.detector, order.plate, order.nominal)
                     cells = [""] * len(WATCHED) + [0] if seen is None else [*(repr(float(value)) for value in seen[0]), seen[2]]
                     marker_rows.writerow([frame.exposure_id, *cells])
-                    markers.flush()
-                stamps.flush()
                 if watch is not None:
                     watch.take(frame, seen)
+            for frame in frames:
+                images.write(frame.image, contiguous=True)
+                stamp_rows.writerow([frame.exposure_id, repr(frame.panel_s), repr(frame.width_s), repr(frame.pulse_s)])
+            if frames:
+                markers.flush()
+                stamps.flush()
             if over and source.is_over:
                 return
             source.wait(LOOKS_EVERY_S)

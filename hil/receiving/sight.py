@@ -16,6 +16,9 @@ from hil.imaging.nominal import nominal_beam
 from hil.imaging.phantoms import dodecahedron
 from hil.machine import Machine
 
+BRIGHT = 1000
+"""Photons of a pixel in the image of the rehearsal."""
+
 
 def phantom_in(image: np.ndarray, detector: Detector, machine: Machine, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """Return nine deviations (9,) from nominal at axis positions (axes,) by the bullet phantom, and their covariance (9, 9).
@@ -45,3 +48,24 @@ def marker_in(image: np.ndarray, detector: Detector, name: str, nominal: MarkerP
     except UnusableInputError:
         return None
     return fit.projection.values[:6], fit.covariance[:6, :6], len(found.index)
+
+
+def rehearse(detector: Detector, machine: Machine, plate: str | None, nominal: MarkerProjection | None) -> None:
+    """Look at a drawn image of the plate of this name, without one of the phantom, so that all is compiled before the first frame comes."""
+    image = np.full((detector.rows, detector.columns), BRIGHT, dtype=np.uint16)
+    row, column = np.indices(image.shape)
+    if plate is not None and nominal is not None:
+        drawn = PLATES[plate]()
+        groove = 0.5 * drawn.groove_m * nominal.values[2] / nominal.values[8] / detector.pitch_m
+        for k, (first, last) in enumerate(detector.to_pixels(nominal.project(drawn.ends_m()))):
+            across, along = (column, row) if k < len(drawn.x_m) else (row, column)
+            one, other = (0, 1) if k < len(drawn.x_m) else (1, 0)
+            image[(np.abs(across - first[one]) < groove) & (along > first[other]) & (along < last[other])] = 2 * BRIGHT
+        marker_in(image, detector, plate, nominal)
+        return
+    zero = np.zeros(len(machine.axes))
+    phantom, beam = dodecahedron(), nominal_beam(machine, zero)
+    radius = phantom.radius_m * -beam.source_m[0, 2] / np.linalg.norm(beam.source_m[0] - beam.phantom_m[0]) / detector.pitch_m
+    for center in detector.to_pixels(beam.project(phantom.centers_m)[0]):
+        image[np.hypot(column - center[0], row - center[1]) < radius] = BRIGHT // 4
+    phantom_in(image, detector, machine, zero)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,17 +16,24 @@ from hil.imaging.nominal import nominal_beam
 from hil.machine import Machine
 from hil.receiving.sight import phantom_in
 
+TOLD_WITHIN_S = 0.1
+"""Longest wait for a row: the loop has stopped, or loses ticks."""
+
+ASKS_EVERY_S = 1e-3
+
 
 @dataclass(frozen=True)
 class Live:
     """What a receiver needs to serve a live calibration: the machine, and where its measurements go.
 
-    `counts_syncs` is a panel's whose pulses are in periods of SYNC, not in the loop's time.
+    `counts_syncs` is a panel's whose pulses are in periods of SYNC, not in the loop's time. With `skips`, a frame behind which a newer one
+    waits is not looked at, so that what is looked at is never old; in lockstep, where time stands still meanwhile, all are.
     """
 
     machine: Machine
     mailbox: Mailbox
     counts_syncs: bool = False
+    skips: bool = False
 
 
 class Watch:
@@ -61,9 +69,7 @@ class Watch:
         ------
         ClocksDisagreeError
         """
-        self._panel_s.append(frame.panel_s)
-        self._pulse_s.append(frame.pulse_s)
-        self._ids.append(frame.exposure_id)
+        self._stamp(frame)
         self._waiting.append((frame, plate))
         if len(self._panel_s) >= FEWEST:
             clock = PanelClock(np.array(self._panel_s), np.array(self._pulse_s), self._period_s, np.array(self._ids))
@@ -73,16 +79,33 @@ class Watch:
         self._mailbox.handled()
         self._handled += 1
 
+    def skip(self, frame: Frame) -> None:
+        """Leave a frame out, of which only the stamps count."""
+        self._stamp(frame)
+        self._mailbox.skipped()
+
+    def _stamp(self, frame: Frame) -> None:
+        self._panel_s.append(frame.panel_s)
+        self._pulse_s.append(frame.pulse_s)
+        self._ids.append(frame.exposure_id)
+
+    def _until_told(self, time_s: float) -> None:
+        """Wait until the loop has told the row after a time: a fast panel's image is there before it."""
+        row, given_up_s = int(time_s / self._period_s) + 1, time.monotonic() + TOLD_WITHIN_S
+        while self._mailbox.newest(syncs=self._counts_syncs) < row and time.monotonic() < given_up_s:
+            time.sleep(ASKS_EVERY_S)
+
     def _send(self, frame: Frame, plate: tuple[np.ndarray, np.ndarray, int] | None, clock: PanelClock) -> None:
         time_s = float(clock.to_loop(np.array(frame.panel_s))) + 0.5 * frame.width_s * clock.rate
         is_before_row_0 = time_s < 0.0
+        self._until_told(time_s)
         if self._counts_syncs:
             time_s = self._mailbox.loop_time(time_s, self._period_s)
-        here = soon = None
+        here = before = None
         if np.isfinite(time_s):
             here = self._mailbox.pose_at(time_s, self._period_s)
-            soon = self._mailbox.pose_at(time_s + self._period_s, self._period_s)
-        if here is None or soon is None:
+            before = self._mailbox.pose_at(max(time_s - self._period_s, 0.0), self._period_s)
+        if here is None or before is None:
             if not is_before_row_0:
                 self._mailbox.unplaced()
             return
@@ -94,6 +117,6 @@ class Watch:
         found = phantom_in(frame.image, self._detector, self._machine, here)
         if found is None:
             return
-        moving = nominal_beam(self._machine, soon).deviation_from(nominal_beam(self._machine, here))[0] / self._period_s
+        moving = nominal_beam(self._machine, here).deviation_from(nominal_beam(self._machine, before))[0] / self._period_s
         covariance = found[1] + clock.doubt_s**2 * np.outer(moving, moving)
         self._mailbox.send(Sighting(frame.exposure_id, self._handled, time_s, "phantom", here, found[0], covariance))

@@ -21,10 +21,10 @@ from hil.calibration.data_driven.live_kernel import chain_of, deviation_from_nom
 from hil.calibration.data_driven.observed_beam import FLOOR_M, FLOOR_RAD, SLOW_Hz
 from hil.calibration.data_driven.parameter_filter import STRAYS_S, DataDrivenFilter, displacement_columns, place_sigma, take_in
 from hil.calibration.data_driven.quasi_static import QuasiStatic, marker_view
-from hil.calibration.data_driven.values import CHANGE, REFUSED
+from hil.calibration.data_driven.values import CHANGE, REFUSED, USED
 from hil.errors import UnusableInputError
 from hil.imaging.geometry import DEVIATIONS
-from hil.imaging.mailbox import Sighting
+from hil.imaging.mailbox import KINDS, Sighting
 from hil.machine import Machine
 from hil.recording.channels import imu_channels
 
@@ -119,6 +119,7 @@ class LiveCalibration:
         pose_rows(*self._chain, self.gravity, poses[0].copy(), self._rows, self._nominal)
         deviation_from_nominal(self._chain[2], self._nominal, np.zeros(9), self._deviation)
         self._publish(0.0, np.zeros(9))
+        self._rehearse()
 
     def restart(self, rows: int) -> None:
         """Prepare for row 0 of a plan of so many ticks."""
@@ -130,6 +131,15 @@ class LiveCalibration:
         self.positions, self.fast = np.full((rows, len(self._link)), np.nan), np.full((rows, 9), np.nan)
         self.live, self.covariance = np.full((rows, 9), np.nan), np.full((rows, 9, 9), np.nan)
         self.values[:] = np.nan
+
+    def _rehearse(self) -> None:
+        """Take an image of either kind in, so that no tick waits for what is done for the first time."""
+        self.restart(2)
+        self.fast[:] = 0.0
+        self._last = 1
+        for kind, size in zip(KINDS, (9, 6), strict=True):
+            self._take(Sighting(0, 0, 0.5 * self._period_s, kind, self.poses[0], np.zeros(size), np.eye(size)))
+        self.restart(0)
 
     def level(self, measured: np.ndarray) -> None:
         """Turn the detector's inertial reading in a row of the observer's measurements back by the offsets, in place.
@@ -211,10 +221,19 @@ class LiveCalibration:
 
     @property
     def summary(self) -> dict[str, Any]:
-        """Return the run's images by what became of them, and how well the isocentre's place is known in the end."""
+        """Return the run's images by what became of them, how old they were, and how well the isocentre's place is known in the end.
+
+        An image's age is from the middle of its exposure to the row that took it in.
+        """
         fates = [arrival.fate for arrival in self.arrivals]
+        exposed_s = np.array([arrival.sighting.time_s for arrival in self.arrivals])
+        taken_s = self._period_s * np.array([arrival.row for arrival in self.arrivals])
+        used = np.array([fate in (USED, CHANGE) for fate in fates], dtype=bool)
+        age_s = (taken_s - exposed_s)[used]
+        p50, p95, oldest = np.percentile(age_s, [50.0, 95.0, 100.0]) if len(age_s) else [None] * 3
         return {
-            **{fate: fates.count(fate) for fate in ("used", CHANGE, REFUSED, "late", "withdrawn")},
+            **{fate: fates.count(fate) for fate in (USED, CHANGE, REFUSED, "late", "withdrawn")},
             "withdrawn_after": self.withdrawn_after,
+            "age_s": {"p50": p50, "p95": p95, "max": oldest},
             "place_sigma_m": place_sigma(self.filter, self._asked),
         }

@@ -9,7 +9,7 @@ from numba import njit
 from scipy import ndimage
 
 from hil.errors import UnusableInputError
-from hil.imaging.pixels import without_dead_pixels
+from hil.imaging.pixels import check_exposed, counted, without_dead_pixels
 
 SHADOW = 0.5
 """A pixel belongs to a bullet's core where it is darker than this share of the way from the background to a bullet's middle."""
@@ -22,6 +22,9 @@ COARSE_RADIUS = 1.75
 
 DARKEST = 20
 """How dark a bullet's middle is, so many pixels of the whole image tell: the darkest alone could be noise."""
+
+ROUGH = 4
+"""The background is found in so many coarse pixels put together, in each direction."""
 
 STEPS, SETTLED_PIXELS = 8, 1e-3
 """A soft disc is moved until it is centred."""
@@ -64,7 +67,10 @@ def find_bullets(image: np.ndarray, radius_pixels: float) -> Bullets:
     UnusableInputError
         The image is saturated, empty or not of two dimensions.
     """
-    full = _usable(image)
+    if image.ndim != 2:
+        raise UnusableInputError(f"an image has rows and columns; this one has shape {image.shape}")
+    check_exposed(image, 20.0, "a calibration needs a few hundred photons a pixel")
+    full = counted(image)
     factor = max(1, int(radius_pixels / COARSE_RADIUS))
     found = _looked_for(_put_together(full, factor), radius_pixels / factor, max(3, DARKEST // factor**2))
     pixels, variances, doubtful = [], [], [_finer(center, factor) for center in found.doubtful]
@@ -87,10 +93,19 @@ class _Shadows:
     background: np.ndarray
 
 
+@njit(cache=True)
 def _put_together(image: np.ndarray, factor: int) -> np.ndarray:
-    rows, columns = (size // factor for size in image.shape)
-    blocks = image[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor)
-    together: np.ndarray = blocks.mean(axis=(1, 3)) if factor > 1 else image
+    """Return the means (rows // factor, columns // factor) of blocks of pixels."""
+    together = np.zeros((image.shape[0] // factor, image.shape[1] // factor), dtype=np.float32)
+    sums = np.zeros(together.shape[1])
+    for row in range(together.shape[0]):
+        sums[:] = 0.0
+        for i in range(row * factor, (row + 1) * factor):
+            for column in range(together.shape[1]):
+                for j in range(column * factor, (column + 1) * factor):
+                    sums[column] += image[i, j]
+        for column in range(together.shape[1]):
+            together[row, column] = sums[column] / factor**2
     return together
 
 
@@ -103,15 +118,8 @@ def _finer(center: np.ndarray, factor: int) -> np.ndarray:
 def _looked_for(image: np.ndarray, radius_pixels: float, rank: int) -> _Shadows:
     clean = without_dead_pixels(image)
     wide = 2 * int(np.ceil(4.0 * radius_pixels)) + 1
-    coarse = 4
-    background = ndimage.zoom(
-        ndimage.percentile_filter(ndimage.uniform_filter(clean, coarse)[::coarse, ::coarse], 80, size=max(3, wide // coarse)),
-        coarse,
-        order=1,
-        grid_mode=True,
-        mode="nearest",
-    )[: image.shape[0], : image.shape[1]]
-    background = np.pad(background, ((0, image.shape[0] - background.shape[0]), (0, image.shape[1] - background.shape[1])), mode="edge")
+    rough = ndimage.percentile_filter(_put_together(clean, ROUGH), 80, size=max(3, wide // ROUGH))
+    background = _spread(rough, ROUGH, *image.shape)
     depth = np.log(np.maximum(background, 1.0)) - np.log(np.maximum(clean, 1.0))
     smooth = ndimage.gaussian_filter(depth, 0.25 * radius_pixels)
     noise = 1.4826 * float(np.median(np.abs(smooth - np.median(smooth))))
@@ -124,39 +132,50 @@ def _looked_for(image: np.ndarray, radius_pixels: float, rank: int) -> _Shadows:
     expected_area = np.pi * radius_pixels**2
     pixels: list[np.ndarray] = []
     doubtful: list[np.ndarray] = []
-    for slices in ndimage.find_objects(labels, count):
-        core = smooth[slices] > threshold
-        area = float(core.sum())
+    for area, spread, *center in _cores(labels, count):
         if area < SIZE_RANGE[0] * expected_area:
             continue
-        center, spread = _moments(core.astype(float), slices)
-        single = _inside(center, 2.0 * radius_pixels, image.shape) and area <= SIZE_RANGE[1] * expected_area and spread <= ROUND
-        (pixels if single else doubtful).append(center)
+        place = np.array(center)
+        single = _inside(place, 2.0 * radius_pixels, image.shape) and area <= SIZE_RANGE[1] * expected_area and spread <= ROUND
+        (pixels if single else doubtful).append(place)
     return _Shadows(np.array(pixels).reshape(-1, 2), np.array(doubtful).reshape(-1, 2), background)
 
 
-def _usable(image: np.ndarray) -> np.ndarray:
-    if image.ndim != 2:
-        raise UnusableInputError(f"an image has rows and columns; this one has shape {image.shape}")
-    values = np.ascontiguousarray(image, dtype=np.float32)
-    full = np.iinfo(image.dtype).max if np.issubdtype(image.dtype, np.integer) else np.inf
-    if np.mean(values[::4, ::4] >= full) > 0.05:
-        raise UnusableInputError(f"{np.mean(values >= full):.0%} of the pixels are saturated at {full}; expose less")
-    if values.max() <= 0.0 or np.median(values[::4, ::4]) < 20.0:
-        raise UnusableInputError(
-            f"the image is dark (median {np.median(values):g} counts); a calibration needs a few hundred photons a pixel"
-        )
-    return values
+@njit(cache=True)
+def _spread(rough: np.ndarray, factor: int, rows: int, columns: int) -> np.ndarray:
+    """Return an image (rows, columns), linear between the middles of blocks of pixels."""
+    result = np.zeros((rows, columns), dtype=np.float32)
+    for i in range(rows):
+        for j in range(columns):
+            result[i, j] = _between(rough, (i + 0.5) / factor - 0.5, (j + 0.5) / factor - 0.5)
+    return result
 
 
-def _moments(weights: np.ndarray, slices: tuple[slice, slice]) -> tuple[np.ndarray, float]:
-    """Return the centre (column, row) of a shadow, and the ratio of its long to short second moment (square rooted)."""
-    rows, columns = np.nonzero(weights > 0)
-    center = np.array([columns.mean() + slices[1].start, rows.mean() + slices[0].start])
-    if len(rows) < 3:
-        return center, 1.0
-    moments = np.linalg.eigvalsh(np.cov(np.vstack([columns, rows])) + np.eye(2) / 12.0)
-    return center, float(np.sqrt(moments[1] / moments[0]))
+@njit(cache=True, error_model="numpy")
+def _cores(labels: np.ndarray, count: int) -> np.ndarray:
+    """Return area, ratio of the long to the short second moment (square rooted), column and row of each labelled shadow (count, 4)."""
+    sums = np.zeros((count + 1, 6))
+    for i in range(labels.shape[0]):
+        for j in range(labels.shape[1]):
+            if labels[i, j] > 0:
+                each = sums[labels[i, j]]
+                each[0] += 1.0
+                each[1] += j
+                each[2] += i
+                each[3] += j * j
+                each[4] += i * i
+                each[5] += i * j
+    result = np.ones((count, 4))
+    for k in range(count):
+        area, by_u, by_v, uu, vv, uv = sums[k + 1]
+        u, v = by_u / area, by_v / area
+        result[k, 0], result[k, 2], result[k, 3] = area, u, v
+        if area >= 3.0:  # a pixel is itself 1/12 wide, squared
+            uu, vv = (uu - area * u * u) / (area - 1.0) + 1.0 / 12.0, (vv - area * v * v) / (area - 1.0) + 1.0 / 12.0
+            uv = (uv - area * u * v) / (area - 1.0)
+            half, apart = 0.5 * (uu + vv), np.hypot(0.5 * (uu - vv), uv)
+            result[k, 1] = np.sqrt((half + apart) / (half - apart))
+    return result
 
 
 def _inside(center: np.ndarray, margin: float, shape: tuple[int, int]) -> bool:
@@ -173,20 +192,18 @@ def _centered(image: np.ndarray, background: np.ndarray, factor: int, start: np.
     size = 2 * reach + 1
     position, variance = start.copy(), np.nan
     counts, depth, rim = np.zeros((size, size)), np.zeros((size, size)), np.zeros(size * size)
+    left = top = -size  # no window
     for _ in range(STEPS):
-        left, top = int(np.rint(position[0])) - reach, int(np.rint(position[1])) - reach
+        if left != int(np.rint(position[0])) - reach or top != int(np.rint(position[1])) - reach:
+            left, top = int(np.rint(position[0])) - reach, int(np.rint(position[1])) - reach
+            _deep(image, background, factor, left, top, counts, depth)
         on_rim = 0
         for i in range(size):
             for j in range(size):
-                row, column = top + i, left + j
-                counts[i, j] = 0.0
-                if row < 0 or column < 0 or row >= image.shape[0] or column >= image.shape[1]:
+                if counts[i, j] == 0.0:
                     continue
-                counts[i, j] = max(_repaired(image, row, column), 1.0)
-                depth[i, j] = np.log(max(_between(background, (row + 0.5) / factor - 0.5, (column + 0.5) / factor - 0.5), 1.0))
-                depth[i, j] -= np.log(counts[i, j])
-                distance = np.hypot(column - position[0], row - position[1])
-                if 1.6 * radius < distance < 2.2 * radius:
+                distance = (left + j - position[0]) ** 2 + (top + i - position[1]) ** 2
+                if (1.6 * radius) ** 2 < distance < (2.2 * radius) ** 2:
                     rim[on_rim] = depth[i, j]
                     on_rim += 1
         level = np.median(rim[:on_rim]) if on_rim else 0.0
@@ -210,6 +227,20 @@ def _centered(image: np.ndarray, background: np.ndarray, factor: int, start: np.
         if np.hypot(by_u, by_v) < SETTLED_PIXELS * total:
             break
     return position, variance
+
+
+@njit
+def _deep(image: np.ndarray, background: np.ndarray, factor: int, left: int, top: int, counts: np.ndarray, depth: np.ndarray) -> None:
+    """Overwrite counts and depth of a window; counts are 0 where it is outside of the image."""
+    for i in range(counts.shape[0]):
+        for j in range(counts.shape[1]):
+            row, column = top + i, left + j
+            counts[i, j] = 0.0
+            if row < 0 or column < 0 or row >= image.shape[0] or column >= image.shape[1]:
+                continue
+            counts[i, j] = max(_repaired(image, row, column), 1.0)
+            behind = max(_between(background, (row + 0.5) / factor - 0.5, (column + 0.5) / factor - 0.5), 1.0)
+            depth[i, j] = np.log(behind / counts[i, j])
 
 
 @njit(inline="always")

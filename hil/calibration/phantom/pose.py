@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from scipy.optimize import linear_sum_assignment
 
 from hil.errors import UnusableInputError
@@ -18,8 +19,6 @@ FEWEST = {"six": 5, "nine": 8}
 """Bullets an exposure needs: two coordinates each, at least four more than parameters, so that a wrong one shows."""
 
 STEPS = 12
-STEP_M, STEP_RAD = 1e-6, 1e-6
-"""Differences for the Jacobian: a micrometre and a microradian, 1e-3 pixel."""
 
 OUTLIER = 5.0
 """A bullet this many standard deviations off, robustly estimated, is left out: a wrong match or an undetected overlap."""
@@ -78,14 +77,23 @@ def match_bullets(seen: np.ndarray, predicted: np.ndarray, gate: float) -> np.nd
     if not len(seen):
         return matched
     offsets = (seen[:, None, :] - predicted[None, :, :]).reshape(-1, 2)
-    votes = (np.linalg.norm(offsets[:, None, :] - offsets[None, :, :], axis=2) < 0.5 * gate).sum(axis=1)
-    winner = np.flatnonzero(np.linalg.norm(offsets - offsets[np.argmax(votes)], axis=1) < 0.5 * gate)
+    winner = np.flatnonzero(np.linalg.norm(offsets - offsets[np.argmax(_votes(offsets, 0.5 * gate))], axis=1) < 0.5 * gate)
     shift = offsets[winner].mean(axis=0)
     cost = np.linalg.norm(seen[:, None, :] - predicted[None, :, :] - shift, axis=2) ** 2
     rows, columns = linear_sum_assignment(np.minimum(cost, gate**2))
     near = cost[rows, columns] < gate**2
     matched[columns[near]] = rows[near]
     return matched
+
+
+@njit(cache=True)
+def _votes(offsets: np.ndarray, reach: float) -> np.ndarray:
+    """Return how many of the offsets (n, 2) are nearer to each than `reach`."""
+    votes = np.zeros(len(offsets), dtype=np.int64)
+    for i in range(len(offsets)):
+        for j in range(len(offsets)):
+            votes[i] += (offsets[i, 0] - offsets[j, 0]) ** 2 + (offsets[i, 1] - offsets[j, 1]) ** 2 < reach**2
+    return votes
 
 
 def too_near(predicted: np.ndarray, radius_pixels: float) -> np.ndarray:
@@ -136,7 +144,7 @@ def fit_poses(points_m: np.ndarray, observed_m: np.ndarray, sigma_m: np.ndarray,
         weight = np.where(present & good[:, None], 1.0 / np.where(present, sigma_m, 1.0), 0.0)
         for _ in range(STEPS):
             residual = np.nan_to_num(observed_m - beam.project(points_m)) * weight[..., None]
-            jacobian = _jacobian(beam, points_m, fitted, size) * weight[..., None, None]
+            jacobian = _jacobian(beam, points_m, fitted) * weight[..., None, None]
             normal = np.einsum("npia,npib->nab", jacobian, jacobian) + 1e-9 * np.eye(size) * ~good[:, None, None]
             slope = np.einsum("npia,npi->na", jacobian, residual)
             change = np.zeros((count, 9))
@@ -159,15 +167,24 @@ def fit_poses(points_m: np.ndarray, observed_m: np.ndarray, sigma_m: np.ndarray,
     return PoseFit(beam, covariance, np.where(good, residual_m, np.nan), used, good)
 
 
-def _jacobian(beam: ConeBeam, points_m: np.ndarray, fitted: slice, size: int) -> np.ndarray:
-    """Return the change (N, P, 2, size) of the panel coordinates with each fitted deviation, by central differences."""
-    result = np.empty((len(beam), len(points_m), 2, size))
-    for k, column in enumerate(range(9)[fitted]):
-        step = STEP_M if column < 6 else STEP_RAD
-        change = np.zeros((len(beam), 9))
-        change[:, column] = step
-        result[..., k] = (beam.moved(change).project(points_m) - beam.moved(-change).project(points_m)) / (2.0 * step)
-    return result
+def _jacobian(beam: ConeBeam, points_m: np.ndarray, fitted: slice) -> np.ndarray:
+    """Return the change (N, P, 2, size) of the panel coordinates with each fitted deviation of `ConeBeam.moved`."""
+    arm = points_m @ beam.rotation  # from the phantom's origin, in the detector's frame
+    seen = arm + beam.phantom_m[:, None, :]
+    source = beam.source_m[:, None, :]
+    below = source[..., 2] - seen[..., 2]
+    share = source[..., 2] / below
+    aside = (seen[..., :2] - source[..., :2]) / below[..., None]
+    result = np.zeros((*seen.shape[:2], 2, 9))
+    for k in range(2):
+        result[..., k, k] = 1.0 - share
+        result[..., k, 3 + k] = share
+        result[..., k, 2] = aside[..., k] * (1.0 - share)
+        result[..., k, 5] = aside[..., k] * share
+    by_point = result[..., 3:6]
+    # a turn of the detector moves what it sees by the arm's cross product with it
+    result[..., 6:] = np.cross(by_point, arm[..., None, :])
+    return result[..., fitted]
 
 
 def observe(

@@ -94,7 +94,8 @@ def find_marker(image: np.ndarray, plate: MarkerPlate, expected: MarkerProjectio
     UnusableInputError
         The image is none of this detector, is dark or saturated, or shows too little of the plate.
     """
-    counts = usable(image, detector)
+    upright = usable(image, detector)
+    counts = upright, np.ascontiguousarray(upright.T)
     seen = Expected.of(plate, expected, detector)
     plane = _looked_for(counts, plate, seen, detector)
     shapes = {k: (float(seen.width[k]), FIRST_BLUR * float(seen.width[k])) for k in range(plate.lines)}
@@ -114,7 +115,11 @@ def find_marker(image: np.ndarray, plate: MarkerPlate, expected: MarkerProjectio
     return _points(widened(lines, plane), plate, refused, 1.0 - float(np.mean(np.concatenate(list(fitted.good.values())))))
 
 
-def _looked_for(counts: np.ndarray, plate: MarkerPlate, seen: Expected, detector: Detector) -> Plane:
+Both = tuple[np.ndarray, np.ndarray]
+"""An image (along, across) for the grooves along y, and turned over for those along x."""
+
+
+def _looked_for(counts: Both, plate: MarkerPlate, seen: Expected, detector: Detector) -> Plane:
     """Return the plane as windows about the expected grooves show it."""
     which, along, across = [], [], []
     for first in (0, seen.upright):
@@ -123,7 +128,7 @@ def _looked_for(counts: np.ndarray, plate: MarkerPlate, seen: Expected, detector
         if not windows:
             continue
         width = float(np.mean(seen.width[list(inside)]))
-        for k, (offset, slope) in look(counts, windows, first == 0, width, GATE_SHARE * seen.apart(first)).items():
+        for k, (offset, slope) in look(counts[first > 0], windows, width, GATE_SHARE * seen.apart(first)).items():
             ends = np.flatnonzero(inside[k])[[0, -1]]
             which += [k, k]
             along += list(ends)
@@ -140,7 +145,7 @@ def _values(line: CoarseLine) -> tuple[float, float]:
     return line.offset, line.slope
 
 
-def _gathered(counts: np.ndarray, plane: Plane, seen: Expected) -> dict[int, Profiles]:
+def _gathered(counts: Both, plane: Plane, seen: Expected) -> dict[int, Profiles]:
     """Return the profiles of every line that has pieces, about where the plane puts it."""
     lines = {}
     for k in range(len(seen.width)):
@@ -151,7 +156,7 @@ def _gathered(counts: np.ndarray, plane: Plane, seen: Expected) -> dict[int, Pro
     for k, line in lines.items():
         piece = split(seen.clear(k, lines), PIECE * seen.width[k])
         if piece.max() >= 0:
-            result[k] = profiles(counts, k < seen.upright, line.offset, line.slope, piece, REACH * seen.width[k])
+            result[k] = profiles(counts[k >= seen.upright], line.offset, line.slope, piece, REACH * seen.width[k])
     return result
 
 
@@ -224,28 +229,24 @@ def _enough(lines: dict[int, FineLine], plate: MarkerPlate, refused: dict[int, s
 def _points(lines: dict[int, FineLine], plate: MarkerPlate, refused: dict[int, str], spoilt: float) -> MarkerPoints:
     """Return the crossings, with the covariance of the lines carried over."""
     numbers = sorted(lines)
-    column_of = {k: 2 * place for place, k in enumerate(numbers)}
-    upright, flat = [k for k in numbers if k < len(plate.x_m)], [k for k in numbers if k >= len(plate.x_m)]
-    index, pixels, slopes = [], [], []
-    for i in upright:
-        for j in flat:
-            one, other = lines[i], lines[j]
-            # column = a + b (row - p), row = c + d (column - q)
-            through = 1.0 - one.slope * other.slope
-            column = (one.offset + one.slope * (other.offset - other.slope * other.middle - one.middle)) / through
-            row = other.offset + other.slope * (column - other.middle)
-            of_one = np.array([1.0, row - one.middle])
-            of_other = np.array([1.0, column - other.middle])
-            change = np.zeros((2, 2 * len(numbers)))
-            change[0, column_of[i] : column_of[i] + 2] = of_one / through
-            change[0, column_of[j] : column_of[j] + 2] = one.slope * of_other / through
-            change[1, column_of[i] : column_of[i] + 2] = other.slope * of_one / through
-            change[1, column_of[j] : column_of[j] + 2] = of_other / through
-            index.append(i * len(plate.y_m) + j - len(plate.x_m))
-            pixels.append((column, row))
-            slopes.append(change)
-    of_lines = np.zeros((2 * len(numbers), 2 * len(numbers)))
-    for k, place in column_of.items():
-        of_lines[place : place + 2, place : place + 2] = lines[k].covariance
-    change = np.concatenate(slopes)
-    return MarkerPoints(np.array(index), np.array(pixels), change @ of_lines @ change.T, lines, refused, spoilt)
+    upright, flat = (np.array([k for k in numbers if (k < len(plate.x_m)) == first]) for first in (True, False))
+    i, j = np.repeat(upright, len(flat)), np.tile(flat, len(upright))
+    offset, slope, middle = np.zeros((3, plate.lines))
+    for k, line in lines.items():
+        offset[k], slope[k], middle[k] = line.offset, line.slope, line.middle
+    # column = offset_i + slope_i (row - middle_i), row = offset_j + slope_j (column - middle_j)
+    through = 1.0 - slope[i] * slope[j]
+    column = (offset[i] + slope[i] * (offset[j] - slope[j] * middle[j] - middle[i])) / through
+    row = offset[j] + slope[j] * (column - middle[j])
+    of_one = np.stack([np.ones(len(i)), row - middle[i]], axis=1) / through[:, None]
+    of_other = np.stack([np.ones(len(j)), column - middle[j]], axis=1) / through[:, None]
+    change = np.zeros((len(i), 2, plate.lines, 2))
+    points = np.arange(len(i))
+    change[points, 0, i], change[points, 0, j] = of_one, slope[i, None] * of_other
+    change[points, 1, i], change[points, 1, j] = slope[j, None] * of_one, of_other
+    covariance = np.zeros((plate.lines, 2, plate.lines, 2))
+    for k, line in lines.items():
+        covariance[k, :, k] = line.covariance
+    by_lines = change.reshape(2 * len(i), -1)
+    of_points = by_lines @ covariance.reshape(2 * plate.lines, -1) @ by_lines.T
+    return MarkerPoints(i * len(plate.y_m) + j - len(plate.x_m), np.stack([column, row], axis=1), of_points, lines, refused, spoilt)

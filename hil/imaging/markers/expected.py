@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from hil.errors import UnusableInputError
 from hil.imaging.detector import Detector
 from hil.imaging.markers.plates import MarkerPlate
 from hil.imaging.markers.projection import MarkerProjection
+from hil.imaging.pixels import check_exposed, counted
 
 CLEAR_OF_CROSSINGS = 0.7
 """Beyond half a groove this far, in grooves' widths, from a crossing line's middle and from a line's end, scatter and blur have rounded
@@ -103,16 +105,16 @@ class Expected:
     def clear(self, k: int, lines: dict[int, CoarseLine]) -> np.ndarray:
         """Return which places on line k are `inside` and away from every crossing line: (along,) bool."""
         keep, line = self.inside(k), lines[k]
-        along, middle = np.arange(len(keep)), line.at(0.5 * len(keep))
+        middle = line.at(0.5 * len(keep))
         for other in self.family(len(self.width) - 1 if k < self.upright else 0):
-            crossing = lines.get(other, self.line(other))
-            there = crossing.at(line.at(crossing.at(middle)))
-            keep &= np.abs(along - there) > (0.5 + CLEAR_OF_CROSSINGS) * self.width[other]
+            crossing = lines[other] if other in lines else self.line(other)
+            there, margin = crossing.at(line.at(crossing.at(middle))), (0.5 + CLEAR_OF_CROSSINGS) * self.width[other]
+            keep[max(0, math.ceil(there - margin)) : max(0, math.floor(there + margin) + 1)] = False
         return keep
 
 
 def usable(image: np.ndarray, detector: Detector) -> np.ndarray:
-    """Return the image as float32.
+    """Return the image as `counted` does.
 
     Raises
     ------
@@ -121,9 +123,5 @@ def usable(image: np.ndarray, detector: Detector) -> np.ndarray:
     """
     if image.shape != (detector.rows, detector.columns):
         raise UnusableInputError(f"an image of shape {image.shape}; the detector has {detector.rows} rows and {detector.columns} columns")
-    full = np.iinfo(image.dtype).max if np.issubdtype(image.dtype, np.integer) else np.inf
-    if np.mean(image[::4, ::4] >= full) > 0.05:
-        raise UnusableInputError(f"{np.mean(image >= full):.0%} of the pixels are saturated at {full}; expose less")
-    if not np.isfinite(image[::4, ::4]).all() or float(np.median(image[::4, ::4])) < 5.0:
-        raise UnusableInputError(f"the image is dark (median {np.median(image):g} counts); lines need 5 counts a pixel behind the metal")
-    return np.ascontiguousarray(image, dtype=np.float32)
+    check_exposed(image, 5.0, "lines need 5 counts a pixel behind the metal")
+    return counted(image)

@@ -87,27 +87,29 @@ class Pieces:
     contrast_sigma: np.ndarray
 
 
+@njit(cache=True)
 def split(keep: np.ndarray, length: float) -> np.ndarray:
     """Return the number of the piece each place along a line belongs to, -1 where not kept; pieces are about `length` long."""
     number = np.full(len(keep), -1, dtype=np.int64)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], keep.astype(np.int8), [0]])))
-    count = 0
-    for first, last in zip(edges[::2], edges[1::2], strict=True):
-        parts = round((last - first) / length)
-        if parts:
-            number[first:last] = count + (np.arange(last - first) * parts) // (last - first)
-            count += parts
+    count = first = 0
+    for k in range(len(keep) + 1):
+        if k < len(keep) and keep[k]:
+            continue
+        parts = int(np.rint((k - first) / length))
+        for each in range(first, k if parts else first):
+            number[each] = count + ((each - first) * parts) // (k - first)
+        count += parts
+        first = k + 1
     return number
 
 
-def profiles(image: np.ndarray, upright: bool, offset: float, slope: float, piece: np.ndarray, reach: float, stride: int = 1) -> Profiles:
+def profiles(image: np.ndarray, offset: float, slope: float, piece: np.ndarray, reach: float, stride: int = 1) -> Profiles:
     """Gather profiles across a line.
 
     Parameters
     ----------
-    image : (rows, columns) float32 array
-    upright : bool
-        The line runs along the rows' growing index.
+    image : (along, across) array
+        Of 16 bits or float32, and contiguous: turned over for a line that runs along the columns' growing index.
     offset, slope : float
         across = offset + slope * along.
     piece : (along,) int array
@@ -117,12 +119,8 @@ def profiles(image: np.ndarray, upright: bool, offset: float, slope: float, piec
     stride : int
         Every so many places along are looked at.
     """
-    count = int(piece.max()) + 1
-    bins = math.ceil(2.0 * reach / BIN) + 1
-    counts, number, place, along = np.zeros((count, bins)), np.zeros((count, bins)), np.zeros((count, bins)), np.zeros((count, 2))
-    _gather(image, upright, offset, slope, piece, reach, stride, counts, number, place, along)
-    middle = along[:, 0] / np.maximum(along[:, 1], 1.0)
-    return Profiles(middle, offset + slope * middle, counts, number, place)
+    along, counts, number, place = _gather(image, offset, slope, piece, reach, stride)
+    return Profiles(along, offset + slope * along, counts, number, place)
 
 
 def fit_pieces(seen: Profiles, width: float, blur: float) -> Pieces:
@@ -148,56 +146,66 @@ def shape_of(seen: Profiles, pieces: Pieces, good: np.ndarray, width: float, blu
     return float(shape[0]), float(shape[1])
 
 
+@njit(cache=True)
 def _table(width: float, blur: float) -> np.ndarray:
     """Return the profile and its derivative on a grid of `TABLE_STEP` from 0 on, (n, 2)."""
-    from scipy.special import erf
-
-    d = TABLE_STEP * np.arange(int((0.5 * width + 6.0 * blur) / TABLE_STEP) + 3)
-    left, right = (d + 0.5 * width) / (math.sqrt(2.0) * blur), (d - 0.5 * width) / (math.sqrt(2.0) * blur)
-    slope = (np.exp(-(left**2)) - np.exp(-(right**2))) / (math.sqrt(2.0 * math.pi) * blur)
-    return np.stack([0.5 * (erf(left) - erf(right)), slope], axis=1)
-
-
-@njit(inline="always")
-def _middle3(a: float, b: float, c: float) -> float:
-    return max(min(a, b), min(max(a, b), c))
+    table = np.empty((int((0.5 * width + 6.0 * blur) / TABLE_STEP) + 3, 2))
+    for k in range(len(table)):
+        d, root = k * TABLE_STEP, math.sqrt(2.0) * blur
+        left, right = (d + 0.5 * width) / root, (d - 0.5 * width) / root
+        table[k, 0] = 0.5 * (math.erf(left) - math.erf(right))
+        table[k, 1] = (math.exp(-(left**2)) - math.exp(-(right**2))) / (math.sqrt(2.0 * math.pi) * blur)
+    return table
 
 
 @njit(cache=True, error_model="numpy")
 def _gather(
-    image: np.ndarray, upright: bool, offset: float, slope: float, piece: np.ndarray, reach: float, stride: int, counts: np.ndarray,
-    number: np.ndarray, place: np.ndarray, along_sums: np.ndarray,
-) -> None:  # fmt: skip
-    across_size = image.shape[1] if upright else image.shape[0]
-    along_size = len(piece)
-    for along in range(2, along_size - 2, stride):
+    image: np.ndarray, offset: float, slope: float, piece: np.ndarray, reach: float, stride: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return mean place of each piece; mean counts, number and mean place of the pixels in its bins.
+
+    Neighbouring pixels are two bins apart. So even and odd bins are kept apart: a row of pixels then goes to places that follow each
+    other, which the processor adds several at a time.
+    """
+    pieces, bins = piece.max() + 1, math.ceil(2.0 * reach / BIN) + 1
+    sums, along_sums = np.zeros((pieces, 2, 3, bins // 2 + 1)), np.zeros((pieces, 2))
+    limit, one, nothing = np.float32(OUTLIER**2), np.float32(1.0), np.float32(0.0)
+    keep, kept = np.empty(image.shape[1], dtype=np.float32), np.empty(image.shape[1], dtype=np.float32)
+    for along in range(2, len(piece) - 2, stride):
         k = piece[along]
         if k < 0:
             continue
         center = offset + slope * along
-        first, last = max(0, math.ceil(center - reach)), min(across_size - 1, math.floor(center + reach))
+        first, last = max(0, math.ceil(center - reach)), min(image.shape[1] - 1, math.floor(center + reach))
         along_sums[k, 0] += along
         along_sums[k, 1] += 1.0
-        for across in range(first, last + 1):
-            if upright:
-                seen = image[along, across]
-                a, b, c, d = image[along - 2, across], image[along - 1, across], image[along + 1, across], image[along + 2, across]
-            else:
-                seen = image[across, along]
-                a, b, c, d = image[across, along - 2], image[across, along - 1], image[across, along + 1], image[across, along + 2]
-            usual = _middle3(max(min(a, b), min(c, d)), min(max(a, b), max(c, d)), seen)
-            if (seen - usual) ** 2 > OUTLIER**2 * max(usual, 1.0):
-                continue
-            away = across - center
-            j = int((away + reach) / BIN)
-            counts[k, j] += seen
-            number[k, j] += 1.0
-            place[k, j] += away
-    for k in range(counts.shape[0]):
-        for j in range(counts.shape[1]):
-            if number[k, j] > 0.0:
-                counts[k, j] /= number[k, j]
-                place[k, j] /= number[k, j]
+        start, width = first - center, last + 1 - first
+        lowest = int((start + reach) / BIN)
+        odd, j = lowest % 2, lowest // 2
+        for n in range(width):
+            seen = np.float32(image[along, first + n])
+            a, b = np.float32(image[along - 2, first + n]), np.float32(image[along - 1, first + n])
+            c, d = np.float32(image[along + 1, first + n]), np.float32(image[along + 2, first + n])
+            low, high = max(min(a, b), min(c, d)), min(max(a, b), max(c, d))
+            usual = max(min(low, high), min(max(low, high), seen))
+            away = seen - usual
+            keep[n] = one if away * away <= limit * max(usual, one) else nothing
+            kept[n] = keep[n] * seen
+        for n in range(width):
+            sums[k, odd, 0, j + n] += keep[n]
+        for n in range(width):
+            sums[k, odd, 1, j + n] += kept[n]
+        for n in range(width):
+            sums[k, odd, 2, j + n] += keep[n] * (start + n)
+    middle, counts, number, place = np.zeros(pieces), np.zeros((pieces, bins)), np.zeros((pieces, bins)), np.zeros((pieces, bins))
+    for k in range(pieces):
+        middle[k] = along_sums[k, 0] / max(along_sums[k, 1], 1.0)
+        for each in range(bins):
+            number[k, each] = sums[k, each % 2, 0, each // 2]
+            if number[k, each] > 0.0:
+                counts[k, each] = sums[k, each % 2, 1, each // 2] / number[k, each]
+                place[k, each] = sums[k, each % 2, 2, each // 2] / number[k, each]
+    return middle, counts, number, place
 
 
 @njit(inline="always")

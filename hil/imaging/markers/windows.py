@@ -32,16 +32,15 @@ class Window:
     keep: np.ndarray
 
 
-def look(image: np.ndarray, windows: list[Window], upright: bool, width: float, gate: float) -> dict[int, tuple[float, float]]:
+def look(image: np.ndarray, windows: list[Window], width: float, gate: float) -> dict[int, tuple[float, float]]:
     """Return offset and slope of each groove by the shift and the turn that most pieces of all windows speak for.
 
     Parameters
     ----------
-    image : (rows, columns) float32 array
+    image : (along, across) array
+        As `profiles` takes it.
     windows : list of Window
         Of one direction, without those that have no place along them.
-    upright : bool
-        They run along the rows' growing index.
     width : float
         Of the grooves [pixel].
     gate : float
@@ -54,7 +53,7 @@ def look(image: np.ndarray, windows: list[Window], upright: bool, width: float, 
     box = max(1, round(0.5 * width / BIN))
     evidence, place = [], []
     for window in windows:
-        seen = profiles(image, upright, window.offset, window.slope, split(window.keep, PIECE * width), reach, STRIDE)
+        seen = profiles(image, window.offset, window.slope, split(window.keep, PIECE * width), reach, STRIDE)
         evidence.append(_evidence(seen.counts, seen.number, box))
         place.append((seen.along - middle) / half)
     center = round(reach / BIN)

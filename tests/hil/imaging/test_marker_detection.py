@@ -175,7 +175,7 @@ def test_a_narrow_groove_looked_for_beside_its_place_is_found_there_or_not_at_al
     whole = np.zeros(195, dtype=np.int64)
     found = 0
     for beside in np.arange(30.0, 70.0, 0.5):
-        piece = fit_pieces(profiles(counts, True, beside, 0.0, whole, 5.0), 3.0, 1.3)
+        piece = fit_pieces(profiles(counts, beside, 0.0, whole, 5.0), 3.0, 1.3)
         if abs(beside - 47.6) < 1.6 and np.isfinite(piece.variance[0]):
             assert abs(piece.across[0] - 47.6) < 0.05
             found += 1

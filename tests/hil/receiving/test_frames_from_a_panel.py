@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import isocenter
+from scipy.optimize import linprog
 
 from drivers.imaging import ClocksDisagreeError, Frame, FrameSpool, PanelClock, SpoolError, write_frame
 from hil.errors import BadAnswerError
@@ -38,6 +39,20 @@ def test_the_panels_clock_is_known_to_a_small_part_of_a_tick(count: int, rate: f
     assert np.abs(clock.to_loop(panel) - start).max() < limit_s
     assert abs(clock.residual_s - PERIOD / np.sqrt(12.0)) < 0.3 * PERIOD
     assert abs(1e6 * (1.0 / clock.rate - 1.0) - 20.0) < 1e6 * clock.rate_doubt <= 200.0
+
+
+def test_the_panels_clock_is_the_linear_programs_line() -> None:
+    """Least largest distance, as SciPy's solver finds it."""
+    random = np.random.default_rng(4)
+    for count in (3, 10, 200):
+        start = 0.1 + np.cumsum(random.uniform(0.02, 0.2, count))
+        panel, middles = start * (1.0 + 3e-5), PERIOD * np.ceil(start / PERIOD) - 0.5 * PERIOD
+        clock = PanelClock(5000.0 + panel, middles + 0.5 * PERIOD, PERIOD)
+        sides = np.column_stack([np.ones(count), panel, -np.ones(count)])
+        limits, bounds = np.concatenate([middles, -middles]), [(None, None), (1.0 - 1e-4, 1.0 + 1e-4), (0.0, None)]
+        least = linprog([0.0, 0.0, 1.0], np.vstack([sides, sides * [-1.0, -1.0, 1.0]]), limits, bounds=bounds).fun
+        assert np.abs(middles - clock.to_loop(5000.0 + panel)).max() == pytest.approx(least, abs=1e-9)
+        assert abs(clock.rate - 1.0) <= 1e-4
 
 
 def test_clocks_that_disagree_are_told() -> None:

@@ -1,14 +1,21 @@
 """Shared memory between the loop and who looks at images: what is told and sent comes whole, and what is lost is counted."""
 
 import multiprocessing
+from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
 
-from drivers.imaging import Frame
+from drivers.imaging import Frame, write_frame
+from drivers.imaging.clock import FEWEST
 from hil.imaging.detector import Detector
 from hil.imaging.mailbox import LETTERS, POSES, LoopEnd, Mailbox, Sighting
+from hil.imaging.nominal import nominal_detector
+from hil.imaging.scan_folder import FRAMES
 from hil.machine import load_machine
+from hil.receiving import watch as watch_module
+from hil.receiving.receiver import ReceiverOrder, serve
 from hil.receiving.watch import Live, Watch
 
 CONTEXT, PERIOD = multiprocessing.get_context("spawn"), 1.0 / 256.0
@@ -46,3 +53,41 @@ def test_an_image_of_a_row_that_is_kept_no_longer_is_counted_and_one_of_before_r
         pulse_s = np.ceil(start_s / PERIOD) * PERIOD
         watch.take(Frame(number, 5000.0 + start_s, 8e-3, pulse_s, np.full((12, 16), 2000, dtype=np.uint16)), None)
     assert (end.unplaced, end.looked_at, end.lost) == (3, 5, 0)
+
+
+@pytest.mark.parametrize("counts_syncs", [True, False])
+def test_an_image_that_is_there_before_its_row_waits_for_it(monkeypatch: pytest.MonkeyPatch, counts_syncs: bool) -> None:
+    machine = load_machine("carm")
+    box, panel = Mailbox(CONTEXT, 2), nominal_detector(machine, 8)
+    end, watch = LoopEnd(box), Watch(Live(machine, box, counts_syncs), panel, None)
+    told = 0
+
+    def tick(_seconds: float) -> None:
+        nonlocal told
+        end.tell(told, told * PERIOD, np.zeros(2))
+        told += 1
+
+    monkeypatch.setattr(watch_module.time, "sleep", tick)  # the loop goes on while the other process waits
+    for number in range(FEWEST):
+        pulse_s = (40 + 11 * number) * PERIOD
+        watch.take(Frame(number, 5000.0 + pulse_s - 0.5 * PERIOD, 8e-3, pulse_s, np.full((240, 310), 2000, dtype=np.uint16)), None)
+    assert (told, end.unplaced) == (64, 0), "the row after the middle of the last exposure, and no more"
+
+
+@pytest.mark.parametrize(("skips", "looked_at"), [(True, 1), (False, 4)])
+def test_of_frames_that_wait_only_the_newest_is_looked_at_unless_time_stands_still(tmp_path: Path, skips: bool, looked_at: int) -> None:
+    machine = load_machine("carm")
+    box, panel, is_over = Mailbox(CONTEXT, 2), nominal_detector(machine, 8), CONTEXT.Event()
+    end = LoopEnd(box)
+    for row in range(300):
+        end.tell(row, row * PERIOD, np.zeros(2))
+    for number in range(4):
+        pulse_s = (40 + 11 * number) * PERIOD
+        dark = np.full((panel.rows, panel.columns), number, dtype=np.uint16)
+        write_frame(tmp_path, Frame(number, 5000.0 + pulse_s - 0.5 * PERIOD, 8e-3, pulse_s, dark))
+    is_over.set()
+    scan = tmp_path / "scan"
+    scan.mkdir()
+    serve(ReceiverOrder(tmp_path, scan, panel, None, None, Live(machine, box, skips=skips)), is_over, CONTEXT.Event())
+    assert (end.looked_at, end.skipped) == (looked_at, 4 - looked_at)
+    assert tifffile.imread(scan / FRAMES).shape == (4, panel.rows, panel.columns), "all are kept"
