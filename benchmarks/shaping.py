@@ -195,6 +195,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--machine", action="append", help="carm, carm-real (both unless given)")
     parser.add_argument("--axis", action="append", help="both unless given")
+    parser.add_argument("--case", action="append", help="such as move, or raster; all unless given")
     parser.add_argument("--seeds", type=int, default=3, help="of a machine whose effects scatter")
     parser.add_argument("--json", metavar="FILE", type=Path, required=True, help="the answer; what is in it already is not measured again")
     options = parser.parse_args()
@@ -204,7 +205,7 @@ def main() -> None:
         scatters = any(effect.scatter for effect in machine.own_effects)
         for axis in options.axis or machine.axes:
             for label, case in cases(machine, axis).items():
-                if name in rows.get(f"{axis}, {label}: none", {}):
+                if (options.case and label not in options.case) or name in rows.get(f"{axis}, {label}: none", {}):
                     continue
                 for shaper, row in measured(case, machine.axis_index(axis), options.seeds if scatters else 1).items():
                     rows.setdefault(f"{axis}, {label}: {shaper}", {})[name] = row
