@@ -183,7 +183,8 @@ PARTS = (
         "Vibration left is that of a run without shaper; *stated* is what the design says of a linear machine after a move. On `carm`, "
         "0.2 mm/s² is what the drives' steps of command shake at standstill, which shapers come near. On `carm-real` the propeller's move "
         "ends with nine times the vibration, as dry friction stops the drive behind the shaper: ZV leaves most of it, harmonic shapers a "
-        "tenth. What is stated does not count friction. A row without scatter is of one run; what is not there was not measured yet.",
+        "tenth. Roll, whose gear is stiff, hardly changes. What is stated does not count friction. A shaper without a row would break the "
+        "limit of acceleration. One run a row; sweeps and rasters are not kept here yet.",
     ),
     Part(
         "identification_resonances.json",
@@ -193,9 +194,9 @@ PARTS = (
         _identification,
         "Stated bounds say what the same excitation finds again; without jog and friction they hold against the plant, too. On `carm-real` "
         "they do not. Dry friction damps like 4F/(aT) ([the jog](../explanation/experiments.md)): the gears' modes, 1 and 3, show it, "
-        "those of detector and mount hardly, and constant speed with short turns leaves little of it. Play softens gears that bear no "
-        "load: small motions, by which the plant is linearised, see a softer gear than the excitation. A wide jog averages modes over "
-        "its poses, and tells more modes than there are.",
+        "those of detector and mount hardly. Constant speed with short turns leaves a quarter of the damping too much, of which most is "
+        "the poses that the jog averages: it is there on `carm`, too. Play softens gears that bear no load: small motions, by which the "
+        "plant is linearised, see a softer gear than the excitation. What is not there was not measured yet; the last jog has one seed.",
     ),
     Part(
         "calibration_side_by_side.json",
