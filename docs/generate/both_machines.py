@@ -183,8 +183,8 @@ PARTS = (
         "Vibration left is that of a run without shaper; *stated* is what the design says of a linear machine after a move. On `carm`, "
         "0.2 mm/s² is what the drives' steps of command shake at standstill, which shapers come near. On `carm-real` the propeller's move "
         "ends with nine times the vibration, as dry friction stops the drive behind the shaper: ZV leaves most of it, harmonic shapers a "
-        "tenth. Roll, whose gear is stiff, hardly changes. What is stated does not count friction. A shaper without a row would break the "
-        "limit of acceleration. One run a row; sweeps and rasters are not kept here yet.",
+        "tenth. Roll, whose gear is stiff, hardly changes. What is stated does not count friction. A shaper without a row would take "
+        "more than 90 % of a drive's limit. One run a row; sweeps and rasters are not kept here yet.",
     ),
     Part(
         "identification_resonances.json",

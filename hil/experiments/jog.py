@@ -86,7 +86,7 @@ class Jog:
             "amplitude_rad": float(self.amplitude_rad),
             "line": line,
             "frequency_Hz": line * machine.sample_rate_Hz / period_samples,
-            "turn_share": float(self.turn_share),
+            **({} if self.turn_share == 1.0 else {"turn_share": float(self.turn_share)}),
         }
 
 
