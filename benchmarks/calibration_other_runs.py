@@ -1,6 +1,7 @@
-"""The side-by-side comparison's machine that does not repeat itself, in further scans: other disturbances, other photons, the same tour.
+"""A machine of the side-by-side comparison in further scans: other disturbances, other photons, the same tour.
 
     python benchmarks/calibration_other_runs.py --work FOLDER --json benchmarks/results/calibration_other_runs.json
+    python benchmarks/calibration_other_runs.py --kind real --scans 3 --work FOLDER --json -
 
 FOLDER is that of calibration_side_by_side.py, whose tour, observer and model are gone on from. One scan is one draw of photons and of
 disturbances; what a calibration is worth is its median over several. Each data-driven calibration goes on from two knowledges of the tour:
@@ -17,7 +18,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from calibration_side_by_side import FEW, UNSEEN, FEW_Hz, MODEL_Hz, RATE_Hz, Work, at, fitted, looked_at, plate, scored
+from calibration_side_by_side import FEW, KINDS, UNSEEN, FEW_Hz, MODEL_Hz, RATE_Hz, Work, at, fitted, looked_at, plate, scored
 
 from hil.calibration.data_driven.calibrate import calibrate_data
 from hil.calibration.data_driven.observed_beam import ObservedBeam, unobserved_beam
@@ -104,11 +105,12 @@ def another_scan(tours: Tours, seed: int) -> dict[str, dict[str, float]]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--work", metavar="FOLDER", type=Path, required=True, help="that of calibration_side_by_side.py, after its run")
+    parser.add_argument("--kind", choices=KINDS, default="not_repeatable", help="of that comparison's machines")
     parser.add_argument("--scans", metavar="N", type=int, default=6, help="further scans")
     parser.add_argument("--json", metavar="FILE", default="-", help="where to write the answer; - for standard output")
     options = parser.parse_args()
     to = Answer(options.json)
-    tours = Tours(Work(options.work, repeats=False))
+    tours = Tours(Work(options.work, options.kind))
     scans, not_run = [], []
     for seed in range(FIRST_SEED, FIRST_SEED + 2 * options.scans):
         if len(scans) == options.scans:

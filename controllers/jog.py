@@ -40,27 +40,43 @@ def jog_line(frequency_Hz: float, period_samples: int, sample_rate_Hz: float) ->
     return nearest
 
 
-def jog(amplitude: float, line: int, period_samples: int, settle_periods: int, periods: int) -> np.ndarray:
-    """Return a sine of `amplitude` about zero over all periods, ((settle_periods + periods) N,).
+def jog(amplitude: float, line: int, period_samples: int, settle_periods: int, periods: int, turn_share: float = 1.0) -> np.ndarray:
+    """Return a motion of `amplitude` about zero, there and back over all periods, ((settle_periods + periods) N,).
 
-    With settling periods it grows from standstill in the first of them.
+    The turn at each end takes `turn_share` of the way and has the speed of a cosine; between turns the speed is constant. With 1, the
+    default, that is a sine. With settling periods it grows from standstill in the first of them.
 
     Raises
     ------
     DesignError
-        A line outside 1 to below N/2.
+        A line outside 1 to below N/2, or a share outside 0 to 1.
     """
+    if not 0.0 < turn_share <= 1.0:
+        raise DesignError(f"jog: turn_share = {turn_share:g}: must be above 0 and at most 1, a sine")
     top = (period_samples + 1) // 2 - 1
     if not 1 <= line <= top:
         raise DesignError(f"jog on line {line}: a period of {period_samples} samples has the lines 1 to {top}")
     # whole periods repeat exactly: the phase is reduced in integers
     phase = np.arange(period_samples) * line % period_samples
-    whole = np.tile(amplitude * np.sin(2.0 * np.pi * phase / period_samples), settle_periods + periods)
+    whole = np.tile(amplitude * _there_and_back(phase / period_samples, turn_share), settle_periods + periods)
     if settle_periods:
         rise = round(FADE_SHARE * period_samples)
         t = np.arange(rise) / rise
         whole[:rise] *= t**4 * (35.0 - 84.0 * t + 70.0 * t**2 - 20.0 * t**3)  # ends with speed, acceleration and jerk zero
     return whole
+
+
+def _there_and_back(phase: np.ndarray, turn_share: float) -> np.ndarray:
+    """Return the jog of amplitude 1 at phases from 0 to below 1."""
+    if turn_share == 1.0:
+        return np.sin(2.0 * np.pi * phase)
+    turn = 0.5 * turn_share
+    from_middle = np.where(phase < 0.75, 0.25 - np.abs(phase - 0.25), phase - 1.0)  # of the way, -1/4 to 1/4 at the ends
+    size = np.abs(from_middle)
+    straight = 0.25 - 0.5 * turn
+    rounded = straight + turn / np.pi * np.cos(np.pi * (0.25 - size) / turn)
+    way = np.where(size < straight, size, rounded) / (straight + turn / np.pi)
+    return np.sign(from_middle) * way
 
 
 def odd_even_split(excited_lines: Iterable[int], jog_on_line: int | None) -> tuple[bool, str]:

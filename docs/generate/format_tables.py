@@ -516,6 +516,7 @@ EXPERIMENT_KEYS = {
     "frequency": "Frequency instead of a line.",
     'kind = "jog" jog': "The sine; without the table it has the defaults below.",
     "[jog] amplitude": "Amplitude of the sine.",
+    "turn_share": "Share of each way that the turn takes, with constant speed between turns; 1 is a sine.",
     "[jog] axes": "Axes that jog; empty: all axes of the experiment.",
 }
 """Meaning of every key of an experiment file."""

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from docs.generate import (
+    both_machines,
     command_line,
     effects,
     examples,
@@ -24,6 +25,7 @@ ROOT = Path(__file__).resolve().parents[2]
 GENERATED = ROOT / "docs" / "generated"
 
 GENERATORS = {
+    "both-machines.md": both_machines.page,
     "command-line.md": command_line.page,
     "effects.md": effects.page,
     "examples.md": examples.page,

@@ -1,4 +1,4 @@
-"""The page of results: the figures of benchmarks/results that `results_shown` names, each with its command.
+"""The page of results: the figures of benchmarks/results that `docs.generate.shown` names, each with its command.
 
 A results file that is not there is left out with its section. A figure that a file does not have is an error: the declaration is stale.
 """
@@ -12,7 +12,8 @@ from pathlib import Path
 
 from docs.generate.markdown import block, table
 from docs.generate.markdown import page as whole
-from docs.generate.results_shown import PROOF, PROOF_COMMAND, PROOF_TEXT, SHOWN, Figure, Rows, Shown
+from docs.generate.shown import PROOF, PROOF_COMMAND, PROOF_TEXT, SHOWN
+from docs.generate.shown.kinds import Figure, Rows, Shown
 
 FOLDER = Path(__file__).resolve().parents[2] / "benchmarks" / "results"
 
@@ -42,7 +43,7 @@ def figure(document: object, path: Sequence[str], file: str) -> object:
             document = document[-1]
             continue
         if not isinstance(document, dict) or key not in document:
-            raise StaleDeclarationError(f"benchmarks/results/{file}: no {' / '.join(path)}; see docs/generate/results_shown.py")
+            raise StaleDeclarationError(f"benchmarks/results/{file}: no {' / '.join(path)}; see docs/generate/shown")
         document = document[key]
     return document
 

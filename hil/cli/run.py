@@ -87,6 +87,10 @@ def multisine(
     jog_frequency: Annotated[
         float | None, typer.Option("--jog-frequency", metavar="HZ", help="Jog frequency; line 1 of the period unless given.")
     ] = None,
+    jog_turn: Annotated[
+        float,
+        typer.Option("--jog-turn", metavar="SHARE", help="Share of each way that the jog's turn takes, constant speed between; 1: sine."),
+    ] = 1.0,
 ) -> None:
     """Plan and run."""
     from hil.experiments import Jog, Multisine
@@ -95,7 +99,8 @@ def multisine(
     scale = edge_scale(machine, machine.axes[0])
     jog = None
     if jog_amplitude:
-        jog = Jog(amplitude_rad=jog_amplitude * scale, line=1 if jog_frequency is None else None, frequency_Hz=jog_frequency)
+        line = 1 if jog_frequency is None else None
+        jog = Jog(amplitude_rad=jog_amplitude * scale, line=line, frequency_Hz=jog_frequency, turn_share=jog_turn)
     chosen: Any = _lines(band, lines, every_line)
     weights = None
     rms: float | Mapping[str, float] = Multisine.amplitude_A  # the experiment's own default

@@ -46,6 +46,7 @@ class JogTable(Table):
     amplitude: Annotated[Positive | None, Quantity("angle", "length")] = None
     line: AtLeastOne | None = None
     frequency: Frequency = None
+    turn_share: Annotated[Positive, Field(le=1.0)] | None = None
     axes: tuple[Name, ...] | None = None
 
 

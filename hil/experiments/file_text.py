@@ -101,6 +101,8 @@ def _jog(jog: Jog, axes: tuple[str, ...], machine: Machine) -> dict[str, Any]:
         table["line"] = jog.line
     if jog.frequency_Hz is not None:
         table["frequency_Hz"] = float(jog.frequency_Hz)
+    if jog.turn_share != 1.0:
+        table["turn_share"] = float(jog.turn_share)
     return table | {"axes": list(jog.axes)}
 
 

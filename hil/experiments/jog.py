@@ -30,6 +30,8 @@ class Jog:
         Harmonic of the base period.
     frequency_Hz : float, optional
         Instead of `line`; 0.05 Hz when neither is given.
+    turn_share : float
+        Share of each way that the turn takes; between turns the speed is constant. 1, a sine, unless given.
     axes : tuple of str
         Axes that jog; empty: all axes of the experiment.
     """
@@ -37,6 +39,7 @@ class Jog:
     amplitude_rad: float = np.radians(2.0)
     line: int | None = None
     frequency_Hz: float | None = None
+    turn_share: float = 1.0
     axes: tuple[str, ...] = ()
 
     def on_line(self, machine: Machine, period_samples: int) -> int:
@@ -62,12 +65,13 @@ class Jog:
         Raises
         ------
         ExperimentError
-            The line is not one of the period.
+            The line is not one of the period, or the turns' share is none.
         """
         if not (np.isfinite(self.amplitude_rad) and self.amplitude_rad > 0.0):
             raise ExperimentError(f"jog: amplitude_rad = {self.amplitude_rad:g}: must be positive")
         try:
-            sine = jog(self.amplitude_rad, self.on_line(machine, period_samples), period_samples, settle_periods, periods)
+            line = self.on_line(machine, period_samples)
+            sine = jog(self.amplitude_rad, line, period_samples, settle_periods, periods, self.turn_share)
         except DesignError as error:
             raise ExperimentError(str(error)) from None
         deviation = np.zeros((len(sine), len(machine.axes)))
@@ -82,6 +86,7 @@ class Jog:
             "amplitude_rad": float(self.amplitude_rad),
             "line": line,
             "frequency_Hz": line * machine.sample_rate_Hz / period_samples,
+            **({} if self.turn_share == 1.0 else {"turn_share": float(self.turn_share)}),
         }
 
 

@@ -59,6 +59,26 @@ def test_a_jog_that_may_settle_grows_from_standstill_without_jerks() -> None:
     assert np.abs(np.diff(from_rest, 3)).max() * RATE_HZ**3 < 0.1
 
 
+def test_short_turns_leave_a_constant_speed_between_them() -> None:
+    reference = jog(0.1, 2, PERIOD, 0, 2, turn_share=0.1)
+    assert np.array_equal(reference[:PERIOD], reference[PERIOD:])
+    assert np.abs(reference).max() == pytest.approx(0.1, rel=1e-4)
+    speed = np.diff(reference) * RATE_HZ
+    top = np.abs(speed).max()
+    assert np.mean(np.abs(speed) > 0.999 * top) == pytest.approx(0.9, abs=0.02)
+    assert top == pytest.approx(0.1 / (10.0 * (0.25 - 0.025 + 0.05 / np.pi)), rel=1e-4)  # a period of 10 s
+    acceleration = np.diff(speed) * RATE_HZ
+    assert np.abs(acceleration).max() == pytest.approx(top * np.pi / 0.5, rel=1e-2)  # a cosine in half a second
+    nearly = jog(0.1, 2, PERIOD, 0, 1, turn_share=1.0 - 1e-9)
+    assert nearly == pytest.approx(jog(0.1, 2, PERIOD, 0, 1), abs=1e-8)
+
+
+@pytest.mark.parametrize("share", [0.0, -0.1, 1.5, float("nan")])
+def test_a_turn_of_no_share_is_refused(share: float) -> None:
+    with pytest.raises(DesignError, match="turn_share"):
+        jog(0.1, 1, PERIOD, 1, 1, turn_share=share)
+
+
 @pytest.mark.parametrize("line", [0, -1, 2560])
 def test_a_line_outside_the_period_is_refused(line: int) -> None:
     with pytest.raises(DesignError, match="1 to 2559"):

@@ -25,7 +25,14 @@ positive = st.floats(1e-6, 100.0)
 counts = st.integers(1, 20)
 poses = st.dictionaries(st.sampled_from(CARM.axes), numbers)
 axes = st.sampled_from([(), ("roll",), ("propeller", "roll")])
-jogs = st.builds(Jog, amplitude_rad=positive, line=st.none() | counts, frequency_Hz=st.none() | positive, axes=axes)
+jogs = st.builds(
+    Jog,
+    amplitude_rad=positive,
+    line=st.none() | counts,
+    frequency_Hz=st.none() | positive,
+    turn_share=st.floats(0.01, 1.0),
+    axes=axes,
+)
 bands = st.builds(
     Band,
     positive,

@@ -8,7 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hil.bench.open import open_bench
+from hil.bench.options import BenchOptions
 from hil.errors import MachineFileError
+from hil.experiments import Scan
 from hil.machine import load_machine, machine_from_text
 from hil.machine.effects_file import effects_from_text, effects_text
 from virtual_bus.physics import Physics
@@ -91,3 +94,11 @@ def test_a_wrong_effect_of_a_machine_file_is_told_in_one_line(wrong: str, says: 
         load_machine(path)
     assert str(path) in str(told.value)
     assert "\n" not in str(told.value)
+
+
+def test_its_own_judge_believes_its_encoders(tmp_path: Path) -> None:
+    """Friction, cables, play and error of the teeth set the encoders apart as far as the file allows."""
+    plan = Scan("propeller", -1.5, 1.5, speed=0.5).plans(REAL)[0]
+    with open_bench(REAL, BenchOptions("lockstep:", seed=3), plan.start_pose) as bench:
+        timing = bench.run(plan, tmp_path / "scan.mf4")
+    assert timing.judged == ()

@@ -1,0 +1,109 @@
+"""Results of how long things take on the bench."""
+
+from __future__ import annotations
+
+from docs.generate.shown.kinds import Column, Figure, Rows, Shown
+
+_PARTS = (
+    "observer and damping",
+    "frames",
+    "IMU",
+    "judges of sensors",
+    "loop",
+    "recorder",
+    "I/O",
+    "feedback",
+    "supervisor",
+)
+_CASES = {"quiet": "256 Hz", "loaded": "256 Hz beside a load of eight", "fast": "1 kHz"}
+
+TIMING = (
+    Shown(
+        "supervisor_cost.json",
+        "What the supervisor costs the sample loop",
+        "The emulated C-arm stands under control at 256 Hz over UDP, on a computer of two processors that has other work, too: short runs "
+        "in pairs, with the supervisor's process and without, their order turned from pair to pair. A whole tick lasts from the SYNC until "
+        "the loop is ready to wait again. Ratios are those of a pair.",
+        "python benchmarks/supervisor_cost.py",
+        (
+            Figure("whole tick, 99.9 %, with over without, median of the pairs", ("ratio", "p99.9", "median")),
+            Figure("smallest", ("ratio", "p99.9", "smallest")),
+            Figure("largest", ("ratio", "p99.9", "largest")),
+            Figure("added to a whole tick, 50 %, median of the pairs", ("added_us", "p50", "median"), "µs"),
+            Figure("of a processor, that the supervisor takes", ("processor_share", "median"), "%", 1e2),
+        ),
+        (
+            Rows(
+                "supervisor",
+                ("together",),
+                (
+                    Column("ticks", ("ticks",)),
+                    Column("missed", ("missed",)),
+                    *(Column(f"whole tick, {share} % [µs]", (f"p{share}_us",)) for share in ("50", "99", "99.9")),
+                ),
+            ),
+        ),
+    ),
+    Shown(
+        "wall_clock_udp.json",
+        "Timing on the wall clock, beside a bare python-can loop",
+        "Loop and emulated machine in two processes on a UDP bus, with shaper, observer and damping, two virtual processors with real-time "
+        "scheduling. *Bare* is a loop that exchanges the same frames with the same emulator and computes nothing, before and after the "
+        "bench in one run. A whole tick lasts from when it is due until the loop is ready to wait again.",
+        "python benchmarks/wall_clock.py",
+        tuple(
+            figure
+            for case, name in _CASES.items()
+            for figure in (
+                Figure(f"{name}: 99.9 % of the bench over that of the bare loop", (case, "ratio_p99.9"), asked="at most 1.5"),
+                Figure(f"{name}: 99.9 % as `doctor` predicts it", (case, "predicted", "p999_s"), "µs", 1e6),
+                Figure(f"{name}: 99.9 % as it was", (case, "bench", "p99.9_us"), "µs", 1.0),
+            )
+        ),
+        tuple(
+            Rows(
+                name,
+                (case,),
+                (
+                    Column("ticks", ("ticks",)),
+                    Column("missed", ("missed",)),
+                    *(Column(f"{share} [µs]", (f"p{share}_us",)) for share in ("50", "99", "99.9")),
+                    Column("longest [µs]", ("max_us",)),
+                ),
+                ("bench", "bare"),
+            )
+            for case, name in _CASES.items()
+        ),
+    ),
+    Shown(
+        "tick_shares.json",
+        "What a tick spends its time on",
+        "The same scan at 256 Hz. The process is interrupted as its processor time goes by, and the part at work counts. "
+        "`frames` are the drives' CANopen frames, sent and taken.",
+        "python benchmarks/tick_shares.py",
+        (Figure("median work of a tick", ("median_work_us",), "µs", 1.0),),
+        (Rows("part", ("us_a_tick",), (Column("a tick [µs]", ()),), _PARTS),),
+    ),
+    Shown(
+        "lockstep.json",
+        "Speed in lockstep",
+        "The whole CANopen stack of the C-arm in one process, with IMU, I/O, supervisor and journal. python-can's `virtual` bus alone, by "
+        "turns with it, carries SYNC, three frames up and two down a tick.",
+        "python benchmarks/lockstep.py --json benchmarks/results/lockstep.json",
+        (
+            Figure("times real time", ("times_real_time_processor", "median")),
+            Figure("of the rate of bare frames", ("share_of_bare", "median"), asked="at least 0.75"),
+        ),
+    ),
+    Shown(
+        "plot_opens.json",
+        "Time until a page of recordings is open",
+        "A minute at 256 Hz with 30 channels of `isocenter plot`, from disk in headless Chromium, until the last chart is drawn.",
+        "python benchmarks/plot_opens.py",
+        (
+            Figure("opens, median", ("opens_s", "median"), "s", asked="at most 1"),
+            Figure("zooms all charts, median", ("zooms_s", "median"), "s"),
+            Figure("size of the page", ("page_MB",), "MB"),
+        ),
+    ),
+)
