@@ -30,6 +30,8 @@ AGAIN = {
 
 DIFFERS = "select distinct machine, strftime(night, '%Y-%m-%d') from results where task = 'check' and verdict = 'differs'"
 
+NUMBERS = "select 1 from results where value is not null limit 1"
+
 
 @dataclass
 class FleetRun:
@@ -221,6 +223,8 @@ def _changed(folder: Path) -> set[tuple[str, str]]:
     """Return machines that changed, each with the night on which that was first said."""
     from hil.fleet.change import fleet_change, read_tracks
 
+    if not _rows(folder, NUMBERS):
+        return set()
     return {(change.machine, str(change.alarm)) for change in fleet_change(read_tracks(folder)).changes}
 
 

@@ -133,6 +133,13 @@ def test_a_machine_that_changed_is_diagnosed_on_the_night_that_names_it(folder: 
     assert run.failures[0].startswith(f"other, {change.alarm}: diagnose")
 
 
+def test_a_fleet_without_numbers_has_nothing_that_changed(folder: Path) -> None:
+    text = FLEET.replace('["check", "identify"]', '["diagnose"]').replace("[[machine]]", 'diagnose_when = "changed"\n[[machine]]', 1)
+    (folder / "fleet.toml").write_text(text, encoding="utf-8")
+    run = hil.run_fleet(folder / "fleet.toml", workers=0)
+    assert (run.planned, run.unneeded, run.done) == (2, 2, 0)
+
+
 def test_a_rerun_does_nothing(folder: Path) -> None:
     first = hil.run_fleet(folder / "fleet.toml", workers=0)
     made = {name: (first.store / "results" / name).stat().st_mtime_ns for name in names_in(first.store)}
