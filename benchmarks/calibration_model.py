@@ -16,6 +16,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from on_engine import add_scheduler, answers
 from scipy.spatial.transform import Rotation
 
 from controllers.models.denavit_hartenberg import DenavitHartenberg
@@ -70,14 +71,25 @@ def held_out(model: DenavitHartenberg, moving: str = "1234") -> tuple[float, flo
     return float(np.sqrt(np.mean(np.sum(difference[:, :3] ** 2, axis=1)))), float(np.sqrt(np.mean(np.sum(difference[:, 3:] ** 2, axis=1))))
 
 
-def measure(poses: int, draws: int, starts: int) -> dict[str, object]:
+def values_of(poses: int, seed: int) -> list[float]:
+    """Parameters of a fit that begins at the true ones, by one draw of the noise."""
+    return [float(each) for each in fitted(angles("1234", poses, 1), seed, TRUE).model.values]
+
+
+def reached_from(poses: int, start: list[float]) -> tuple[float, float]:
+    """Where a fit from other parameters ends, as held-out rms."""
+    return held_out(fitted(angles("1234", poses, 1), 2, NOMINAL.with_values(np.array(start))).model)
+
+
+def measure(poses: int, draws: int, starts: int, scheduler: str | None) -> dict[str, object]:
     """All of it."""
     q = angles("1234", poses, 1)
     began = time.process_time()
     one = fitted(q, 2)
     seconds = time.process_time() - began
     position, angle = held_out(one.model)
-    scatter = np.array([fitted(q, 1000 + k, TRUE).model.values for k in range(draws)]) - TRUE.values
+    drawn = answers(values_of, [{"poses": poses, "seed": 1000 + k} for k in range(draws)], scheduler)
+    scatter = np.array(drawn) - TRUE.values
     sigma = np.sqrt(np.mean(scatter**2, axis=0))
     ratio = np.abs(one.model.values - TRUE.values) / sigma
     reported = np.sqrt(np.diag(one.covariance))
@@ -96,9 +108,8 @@ def measure(poses: int, draws: int, starts: int) -> dict[str, object]:
     exact = angles("1234", 300, 5)
     at_nominal = identify_kinematics(NOMINAL, exact, *NOMINAL.poses(exact), NOISE)
     rng = np.random.default_rng(6)
-    reached = [
-        held_out(fitted(q, 2, NOMINAL.with_values(NOMINAL.values + SPREAD * rng.uniform(-1.0, 1.0, 24))).model) for _ in range(starts)
-    ]
+    begun = [{"poses": poses, "start": (NOMINAL.values + SPREAD * rng.uniform(-1.0, 1.0, 24)).tolist()} for _ in range(starts)]
+    reached = answers(reached_from, begun, scheduler)
     return {
         "poses": poses,
         "held_out": {"position_m": position, "angle_rad": angle},
@@ -127,7 +138,8 @@ if __name__ == "__main__":
     parser.add_argument("--poses", type=int, default=1200)
     parser.add_argument("--draws", type=int, default=100)
     parser.add_argument("--starts", type=int, default=100)
+    add_scheduler(parser)
     given = parser.parse_args()
-    text = json.dumps(measure(given.poses, given.draws, given.starts), indent=2)
+    text = json.dumps(measure(given.poses, given.draws, given.starts, given.scheduler), indent=2)
     given.out.write_text(text + "\n")
     print(text)

@@ -4,7 +4,7 @@ Steps, each going on where it was stopped:
   measured   STORE of fleet_recorded.py: the covariances of a night's results, into benchmarks/results/fleet_change_measured.json
   sound      2000 machine-years in which nothing changes: eleven fleets of 200 machines over a year, with seasons that each machine follows
              by a factor of its own, a software update that shifts all, scatter that is carried from night to night, bad nights, gaps
-  found      one fleet of 200 machines over 60 nights: 20 grow, 10 step; the four recorded machines are among them, where there is a store
+  found      one fleet of 200 machines over 60 nights: 20 grow, 10 step
   short      forty such fleets, with thirty machines that change in each: machines that are named and did not; into OUT
   score      the rest of it into OUT
 
@@ -17,11 +17,13 @@ import argparse
 import json
 import time
 from collections import Counter
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from fleet_recorded import GROWTH_FROM, STEP_ON, GROWTH_Nm_per_night, STEP_Nm
+from fleet_recorded import CHANGED, GROWTH_FROM, STEP_ON, GROWTH_Nm_per_night, STEP_Nm
+from on_engine import add_scheduler, answers
 from scipy.stats import chi2
 
 from hil.fleet.change import FleetChange, Parameter, Tracks, fleet_change, fleet_sentence, read_tracks
@@ -45,6 +47,7 @@ BUILT = 0.10
 OWN_NIGHT = {"friction": 0.01, "frequency": 0.0005, "damping": 0.02, "other": 0.005}
 """Standard deviation between nights of one machine beyond the measured covariance, relative; half its variance is carried over nights."""
 
+DRY = "coulomb_friction"
 CARRIED = 0.6  # correlation of that half from night to night
 SEASON = {"friction": 0.06, "frequency": 0.001, "damping": 0.03, "other": 0.0}
 """Half swing over a year, relative: friction of greased bearings falls by some tenths over a room's seasons."""
@@ -62,6 +65,10 @@ GROWTH = {"friction": 0.25, "frequency": -0.02, "damping": 0.30}
 STEP = {"friction": 0.12, "frequency": -0.01, "damping": 0.20}
 """Relative; a growth has reached it on the last night. Dry friction from 6.1 to 8.4 Nm would be 0.38."""
 
+SHOWN = 3.0
+"""Standard deviations of a night's result that a step must be of, for a change to be hidden there: a C-arm's frictions, frequencies and
+dampings are; a turntable's viscous friction is not, which cannot be told from the damping that its file states."""
+
 GROWS_FROM, STEPS_ON, SIZE_VARIES = (15, 30), (20, 45), 0.2
 
 
@@ -71,8 +78,8 @@ def kind_of(quantity: str) -> str:
 
 
 def measured(store: Path) -> dict[str, Any]:
-    """Return values, deviations and correlations of a night's results: medians over all nights and machines."""
-    tracks = read_tracks(store)
+    """Return values, deviations and correlations of a night's results that have them: medians over all nights and machines."""
+    tracks = with_deviations(read_tracks(store))
     known = np.isfinite(tracks.values)
     covariances = np.where(known[..., None] & known[..., None, :], tracks.covariances, np.nan)
     typical = np.nanmedian(covariances, axis=(0, 1))
@@ -88,6 +95,14 @@ def measured(store: Path) -> dict[str, Any]:
         "correlation": np.round(correlation, 6).tolist(),
         "machine_nights": int(known.any(axis=2).sum()),
     }
+
+
+def with_deviations(tracks: Tracks) -> Tracks:
+    """Return the parameters that state a deviation."""
+    own = [j for j in range(len(tracks.parameters)) if np.any(tracks.covariances[:, :, j, j] > 0.0)]
+    parameters = [tracks.parameters[j] for j in own]
+    covariances = tracks.covariances[:, :, own][..., own]
+    return Tracks(tracks.machines, tracks.nights, parameters, tracks.values[..., own], covariances, tracks.builds)
 
 
 def drawn(template: dict[str, Any], seed: int, nights: int) -> Tracks:
@@ -137,7 +152,8 @@ def hide(tracks: Tracks, template: dict[str, Any], taken: int, seed: int = 777) 
     """Hide growths and steps on machines, `taken` of each being recorded ones, and return what was hidden."""
     random = np.random.default_rng([20260101, seed])
     value = np.abs(template["values"])
-    able = [j for j, parameter in enumerate(tracks.parameters) if kind_of(parameter.quantity) != "other"]
+    steps = [STEP.get(kind_of(parameter.quantity), 0.0) for parameter in tracks.parameters]
+    able = np.flatnonzero(np.abs(steps) * value > SHOWN * np.array(template["deviations"])).tolist()
     machines = random.permutation(np.arange(4, MACHINES))[: GROWING + STEPPING - 2 * taken]
     hidden = {}
     night = np.arange(len(tracks.nights))
@@ -161,7 +177,7 @@ def hide(tracks: Tracks, template: dict[str, Any], taken: int, seed: int = 777) 
 
 def put_recorded(tracks: Tracks, store: Path) -> dict[int, dict[str, Any]]:
     """Put the recorded machines in place of the first four, and return what they hide."""
-    recorded = read_tracks(store)
+    recorded = with_deviations(read_tracks(store))
     places = [list(tracks.parameters).index(parameter) for parameter in recorded.parameters]
     nights = min(len(recorded.nights), len(tracks.nights))
     for number, machine in enumerate(recorded.machines):
@@ -172,40 +188,41 @@ def put_recorded(tracks: Tracks, store: Path) -> dict[int, dict[str, Any]]:
             tracks.covariances[number, night][np.ix_(places, places)] = recorded.covariances[number, night]
     known = np.isfinite(tracks.values[: len(recorded.machines)]).any(axis=2)
     tracks.builds[: len(recorded.machines)] = np.where(known, 0, -1)[..., None]
+    dry = {axis: parameter.quantity for parameter in recorded.parameters for axis, law in [parameter.quantity.split()[:2]] if law == DRY}
+    growing, stepping = (dry.get(axis) or next(iter(dry.values())) for axis in CHANGED.values())
     hides = {
-        "growing": {
-            "kind": "growth", "quantity": "roll coulomb_friction level", "begins": GROWTH_FROM,
-            "size": GROWTH_Nm_per_night * (nights - GROWTH_FROM),
-        },
-        "stepping": {"kind": "step", "quantity": "propeller coulomb_friction level", "begins": STEP_ON, "size": STEP_Nm},
-    }  # fmt: skip
+        "growing": {"kind": "growth", "quantity": growing, "begins": GROWTH_FROM, "size": GROWTH_Nm_per_night * (nights - GROWTH_FROM)},
+        "stepping": {"kind": "step", "quantity": stepping, "begins": STEP_ON, "size": STEP_Nm},
+    }
     return {number: hides[machine] for number, machine in enumerate(recorded.machines) if machine in hides}
 
 
-def sound(template: dict[str, Any], work: Path) -> None:
-    """Watch fleets in which nothing changes, one file each."""
-    for seed in range(FLEETS):
-        path = work / f"sound_{seed}.json"
-        if path.exists():
-            continue
-        started = time.process_time()
-        tracks = drawn(template, FIRST_SOUND + seed, YEAR)
-        found = fleet_change(tracks)
-        keep(path, found, time.process_time() - started)
+def sound(seed: int, work: str) -> None:
+    """Watch a fleet in which nothing changes for a year; into a file."""
+    started = time.process_time()
+    found = fleet_change(drawn(json.loads(MEASURED.read_text()), FIRST_SOUND + seed, YEAR))
+    keep(Path(work) / f"sound_{seed}.json", found, time.process_time() - started)
 
 
-def short(template: dict[str, Any], work: Path) -> dict[str, Any]:
-    """Watch fleets over `NIGHTS` nights in which thirty machines change, one file each, and return the figures."""
-    for seed in range(FIRST_SHORT, FIRST_SHORT + SHORT_FLEETS):
-        path = work / f"short_{seed}.json"
-        if path.exists():
-            continue
-        started = time.process_time()
-        tracks = drawn(template, seed, NIGHTS)
-        hidden = {tracks.machines[machine] for machine in hide(tracks, template, 0, seed)}
-        found = fleet_change(tracks)
-        named = {each.machine for each in found.changes}
-        keep(path, found, time.process_time() - started, hidden=len(hidden), right=len(named & hidden), false=sorted(named - hidden))
+def short(seed: int, work: str) -> None:
+    """Watch a fleet over `NIGHTS` nights in which thirty machines change; into a file."""
+    started, template = time.process_time(), json.loads(MEASURED.read_text())
+    tracks = drawn(template, seed, NIGHTS)
+    hidden = {tracks.machines[machine] for machine in hide(tracks, template, 0, seed)}
+    found = fleet_change(tracks)
+    named = {each.machine for each in found.changes}
+    path = Path(work) / f"short_{seed}.json"
+    keep(path, found, time.process_time() - started, hidden=len(hidden), right=len(named & hidden), false=sorted(named - hidden))
+
+
+def each_missing(step: Callable[[int, str], None], seeds: Iterable[int], work: Path, scheduler: str | None) -> None:
+    """Watch the fleets that have no file yet."""
+    missing = [seed for seed in seeds if not (work / f"{step.__name__}_{seed}.json").exists()]
+    answers(step, [{"seed": seed, "work": str(work.absolute())} for seed in missing], scheduler)
+
+
+def short_figures(work: Path) -> dict[str, Any]:
+    """Return the figures of all fleets over `NIGHTS` nights."""
     fleets = [json.loads((work / f"short_{seed}.json").read_text()) for seed in range(FIRST_SHORT, FIRST_SHORT + SHORT_FLEETS)]
     years, false = sum(fleet["machine_years"] for fleet in fleets), sum(len(fleet["false"]) for fleet in fleets)
     wrong = sum(fleet["hidden"] - fleet["right"] for fleet in fleets)
@@ -232,16 +249,15 @@ def keep(path: Path, found: FleetChange, seconds: float, **more: Any) -> None:
     print(path.name, len(alarms), "alarms in", round(found.watched_years, 1), "machine-years", round(seconds, 1), "s", flush=True)
 
 
-def find(template: dict[str, Any], work: Path, store: Path) -> None:
-    """Watch the fleet in which thirty machines change."""
+def find(template: dict[str, Any], path: Path, store: Path | None = None) -> None:
+    """Watch a fleet in which thirty machines change; with a store, the recorded machines are four of it. Into a file."""
     started = time.process_time()
     tracks = drawn(template, 1, NIGHTS)
-    recorded = store.is_dir()
-    hidden = hide(tracks, template, int(recorded))
-    if recorded:
+    hidden = hide(tracks, template, int(store is not None))
+    if store is not None:
         hidden |= put_recorded(tracks, store)
     found = fleet_change(tracks)
-    recorded_nights = int(np.isfinite(tracks.values[0]).any(axis=1).sum()) if recorded else 0
+    recorded_nights = int(np.isfinite(tracks.values[0]).any(axis=1).sum()) if store is not None else 0
     named = {each.machine: each for each in found.changes}
     cases = []
     for machine, truth in sorted(hidden.items()):
@@ -252,7 +268,7 @@ def find(template: dict[str, Any], work: Path, store: Path) -> None:
                       "named_kind": None if change is None else change.kind})  # fmt: skip
     false = sorted(set(named) - {tracks.machines[machine] for machine in hidden})
     said = {"sentences": sentences(found), "answer": fleet_sentence(found)}
-    keep(work / "found.json", found, time.process_time() - started, cases=cases, false=false, recorded_nights=recorded_nights, **said)
+    keep(path, found, time.process_time() - started, cases=cases, false=false, recorded_nights=recorded_nights, **said)
 
 
 def delays(cases: list[dict[str, Any]], kind: str) -> dict[str, float]:
@@ -261,31 +277,40 @@ def delays(cases: list[dict[str, Any]], kind: str) -> dict[str, float]:
     return dict(zip(("least", "median", "most"), np.percentile(nights, (0, 50, 100)).tolist(), strict=True)) if nights else {}
 
 
-def score(work: Path) -> dict[str, Any]:
-    """Return the figures."""
+def sound_figures(work: Path) -> dict[str, Any]:
+    """Return the figures of the years in which nothing changes."""
     fleets = [json.loads(path.read_text()) for path in sorted(work.glob("sound_*.json"))]
     years, alarms = sum(fleet["machine_years"] for fleet in fleets), sum(len(fleet["alarms"]) for fleet in fleets)
-    result: dict[str, Any] = {
-        "sound": {
-            "machine_years": round(years, 1), "false_alarms": alarms, "per_100_machine_years": round(100.0 * alarms / years, 3),
-            "upper_95": round(100.0 * float(chi2.ppf(0.95, 2 * alarms + 2)) / 2.0 / years, 3), "stated": 100.0 * STATED_PER_MACHINE_YEAR,
-            "quantities": Counter(alarm["quantity"] for fleet in fleets for alarm in fleet["alarms"]),
-            "processor_s_per_fleet_year": round(float(np.mean([fleet["processor_s"] for fleet in fleets])), 1),
-        }
+    return {
+        "machine_years": round(years, 1), "false_alarms": alarms, "per_100_machine_years": round(100.0 * alarms / years, 3),
+        "upper_95": round(100.0 * float(chi2.ppf(0.95, 2 * alarms + 2)) / 2.0 / years, 3), "stated": 100.0 * STATED_PER_MACHINE_YEAR,
+        "quantities": Counter(alarm["quantity"] for fleet in fleets for alarm in fleet["alarms"]),
+        "processor_s_per_fleet_year": round(float(np.mean([fleet["processor_s"] for fleet in fleets])), 1),
     }  # fmt: skip
-    found = json.loads((work / "found.json").read_text())
+
+
+def found_figures(path: Path) -> dict[str, Any]:
+    """Return the figures of one fleet in which thirty machines change."""
+    found = json.loads(path.read_text())
     cases = found["cases"]
     got = [case for case in cases if case["found"]]
     early = [case for case in got if case["delay_nights"] < 0]
-    result["found"] = {
+    return {
         "hidden": len(cases), "found": len(got), "before_it_began": len(early), "false_machines": len(found["false"]),
-        "map_right": round(1.0 - (len(cases) - len(got) + len(found["false"])) / MACHINES, 4),
+        "named_although_sound": found["false"], "map_right": round(1.0 - (len(cases) - len(got) + len(found["false"])) / MACHINES, 4),
         "parameter_right": sum(case["named"] == case["quantity"] for case in got),
         "kind_right": sum(case["named_kind"] == case["kind"] for case in got),
         "delay_nights": {kind: delays(got, kind) for kind in ("step", "growth")},
         "threshold": round(found["threshold"], 3), "nights_before_anything_is_said": SETTLING, "recorded_nights": found["recorded_nights"],
         "answer": found["answer"], "sentences": found["sentences"][:6], "cases": cases,
     }  # fmt: skip
+
+
+def score(work: Path) -> dict[str, Any]:
+    """Return the figures of what is there."""
+    result = {"found": found_figures(work / "found.json")} if (work / "found.json").exists() else {}
+    if any(work.glob("sound_*.json")):
+        result["sound"] = sound_figures(work)
     return result
 
 
@@ -294,8 +319,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("step", choices=("measured", "sound", "found", "short", "score"))
     parser.add_argument("work", type=Path, help="folder that keeps what was done; for `measured` the store")
-    parser.add_argument("--store", type=Path, default=Path("none"), help="results of fleet_recorded.py, for `found`")
     parser.add_argument("--json", type=Path, default=RESULTS)
+    add_scheduler(parser)
     arguments = parser.parse_args()
     if arguments.step == "measured":
         MEASURED.write_text(json.dumps(measured(arguments.work)) + "\n")
@@ -307,14 +332,14 @@ def main() -> None:
         arguments.json.write_text(json.dumps(result, indent=1) + "\n")
         print(json.dumps({part: {k: v for k, v in figures.items() if k not in ("cases",)} for part, figures in result.items()}, indent=1))
         return
-    template = json.loads(MEASURED.read_text())
     if arguments.step == "short":
+        each_missing(short, range(FIRST_SHORT, FIRST_SHORT + SHORT_FLEETS), arguments.work, arguments.scheduler)
         before = json.loads(arguments.json.read_text()) if arguments.json.exists() else {}
-        arguments.json.write_text(json.dumps(before | {"short": short(template, arguments.work)}, indent=1) + "\n")
+        arguments.json.write_text(json.dumps(before | {"short": short_figures(arguments.work)}, indent=1) + "\n")
     elif arguments.step == "sound":
-        sound(template, arguments.work)
+        each_missing(sound, range(FLEETS), arguments.work, arguments.scheduler)
     else:
-        find(template, arguments.work, arguments.store)
+        find(json.loads(MEASURED.read_text()), arguments.work / "found.json")
 
 
 if __name__ == "__main__":

@@ -234,8 +234,8 @@ def night(work: Path) -> dict[str, Any]:
     }
 
 
-def diagnosis(work: Path) -> dict[str, float]:
-    """The diagnosis of a night of one machine, in a process that has just begun."""
+def diagnosis(work: Path) -> dict[str, dict[str, Any]]:
+    """The friction fit of a night of one machine, in a process that has just begun, and then its diagnosis."""
     from dataclasses import replace
 
     from hil.fleet.file import read_fleet
@@ -243,12 +243,16 @@ def diagnosis(work: Path) -> dict[str, float]:
 
     folder = fleet_of(work, 1)
     file = folder / "fleet.toml"
-    text = file.read_text(encoding="utf-8").replace('["check", "identify"]', '["diagnose"]')
+    text = file.read_text(encoding="utf-8").replace('["check", "identify"]', '["friction", "diagnose"]')
     file.write_text(text.replace('repeats = ["shake_*"]', 'repeats = ["shake_*"]\nheld_out = ["scan"]'), encoding="utf-8")
-    [task] = plan_fleet(read_fleet(file), folder / "store").tasks
-    [outcome] = one_by_one([replace(task.job, function=f"{Path(__file__).stem}:measured")], threading.Event())
-    said = {"verdict": outcome.value["rows"][0]["verdict"]} if not outcome.failure else {"failure": outcome.failure}
-    return {**said, **{key: outcome.value[key] for key in ("wall_s", "processor_s", "peak_GB")}}
+    tasks = plan_fleet(read_fleet(file), folder / "store").tasks
+    jobs = [replace(task.job, function=f"{Path(__file__).stem}:measured") for task in tasks]
+    values = [outcome.value for outcome in one_by_one(jobs, threading.Event())]
+    kept = ("wall_s", "processor_s", "peak_GB")
+    return {
+        task.kind: {"verdict": one["rows"][0]["verdict"], **{key: one[key] for key in kept}}
+        for task, one in zip(tasks, values, strict=True)
+    }
 
 
 def simulated(tasks: dict[str, dict[str, float]], serial_s: float, diagnosis_s: float, diagnosed: int) -> dict[str, float]:
@@ -428,7 +432,7 @@ def main() -> None:
         serial_s = 1e-3 * found["overhead"]["dask_client_and_scheduler_processor_ms"]
         keep("simulated_efficiency", simulated(found["night"]["tasks"], serial_s, 0.0, 0))
         if "diagnosis" in found:
-            each_s = found["diagnosis"]["processor_s"]
+            each_s = found["diagnosis"]["diagnose"]["processor_s"]
             keep("simulated_efficiency_all_diagnosed", simulated(found["night"]["tasks"], serial_s, each_s, MACHINES))
     if options.what != "faults":
         return

@@ -1,19 +1,19 @@
-"""Four emulated C-arms through recordings, identification and diagnosis every night, by the fleet's own engine.
+"""Four emulated turntables through recordings, friction and diagnosis, night by night, by the fleet's own engine.
 
-    python benchmarks/fleet_nights.py WORK [--nights 60] [--machines NAME ...] [--json OUT]
+    python benchmarks/fleet_nights.py WORK [--nights 60] [--scheduler local] [--json OUT]
 
-The machines hide what those of fleet_recorded.py hide: on `growing` roll's dry friction rises from night 20 on, on `stepping` propeller's
-jumps on night 30, two are sound. A night is a multisine on a jog in two experiments, which are to be identified and explained, and a scan
-to judge the diagnosis by. After each night `isocenter fleet run` does what is new, with a diagnosis of every night, and OUT takes what was
-found. A night that is there is not recorded again, so the script goes on where it was stopped; several processes may each take a machine,
-with a WORK of their own.
+Every machine hides its own Coulomb and viscous friction, as those of fleet_recorded.py do: on `growing` dry friction rises from night 20
+on, on `stepping` it jumps on night 30, two are sound. A night is three recordings of 10 s: a multisine on a jog, twice, and a scan.
+`isocenter fleet run` checks each, fits friction to all, and diagnoses the night on which `isocenter fleet change` first names a machine;
+every tenth night is diagnosed in any case, at the end. What is there is not done again, so the script goes on where it was stopped.
 
-OUT has the tracks of friction and modes, the processor seconds of a machine's night, and how friction scatters about what was hidden: by
-how much, beside what the diagnosis states and what the drawn fleets of fleet_change.py assume, how correlated dry and viscous friction
-are, and what of the scatter is carried to the next night, which should be none.
+OUT has what was found of these machines alone, and as four of a fleet of 200 whose others are drawn by the covariances that were measured
+on them; 20 of the 200 grow and 10 step, in dry friction, since of viscous friction a night shows little. And how friction scatters about
+what was hidden: by how much, beside what the fit states, how correlated dry and viscous friction are, and what of the scatter is carried
+to the next night, which should be none.
 
-A machine's night takes 13 s of a processor for recording and identification and more than 90 s for a diagnosis: at least seven hours of one
-core for four machines and 60 nights, and 1.1 GB of memory.
+A machine's night takes 3 s of a processor, and 6 s more where it is diagnosed: a C-arm's takes 16 s and 44 s more, which 240 times is too
+much for a computer with two processors.
 """
 
 from __future__ import annotations
@@ -22,46 +22,54 @@ import argparse
 import datetime
 import json
 import math
-import re
-import resource
 import shutil
-import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from fleet_change import MEASURED
-from fleet_recorded import AXES, FIRST_NIGHT, MACHINES, NIGHTS, NOMINAL, hidden
+from fleet_change import find, found_figures, measured
+from fleet_recorded import FIRST_NIGHT, MACHINES, NIGHTS, hidden
+from on_engine import LOCAL, add_scheduler, each
 
 import hil
 from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
 from hil.experiments import Experiment, Jog, Multisine, Scan
+from hil.fleet.change import fleet_change, read_tracks
+from hil.fleet.change.sentences import sentences
 from hil.machine import load_machine
 
 RESULTS = Path(__file__).resolve().parent / "results" / "fleet_nights.json"
+AT_ONCE, EVERY = 15, 10
+"""Nights that are recorded before they are worked on, and of which one is diagnosed in any case."""
+
+MACHINE, AXIS = "turntable", "turn"
+NOMINAL = {"coulomb_friction": ("Fc", {AXIS: 6.1}), "viscous_friction": ("Fv", {AXIS: 3.0})}
+CHANGED = {"growing": AXIS, "stepping": AXIS}
 EXPERIMENTS: dict[str, Experiment] = {
-    "shake": Multisine(period_s=4.0, periods=2, jog=Jog(math.radians(4.0), line=1)),
-    "scan": Scan(axis="roll", start=-0.3, stop=0.3, pose={"propeller": 0.2}),
+    "shake": Multisine(period_s=2.0, periods=4, settle_periods=1, jog=Jog(math.radians(3.5), line=1)),
+    "again": Multisine(period_s=2.0, periods=4, settle_periods=1, jog=Jog(math.radians(3.5), line=1)),
+    "scan": Scan(axis=AXIS, start=-0.75, stop=0.75, sweeps=2),
 }
 FLEET = """format = 1
 [every]
-file = "carm"
-recordings = "recordings/{name}"
-repeats = ["shake_*"]
-held_out = ["scan_*"]
-tasks = ["check", "identify", "diagnose"]
-diagnose_when = "always"
+file = "turntable"
+recordings = "recordings/{name}{of}"
+repeats = ["shake_*", "again_*", "scan_*"]
+tasks = TASKS
+diagnose_when = "WHEN"
+[limits.friction]
+time_s = 36000.0
 [limits.diagnose]
 time_s = 36000.0
 """
-"""The limit of time is that of a computer that has other work, too."""
+"""The limits of time are those of a computer that has other work, too."""
 
-NUMBERS = "select machine, night, quantity, value, standard_deviation from results where value is not null and (task = 'identify' or "
-NUMBERS += "quantity like '%friction%everyday') order by night, machine, quantity"
-VERDICTS = (
-    "select machine, night, verdict, message from results where task = 'diagnose' and quantity in ('verdict', 'failure') order by 2, 1"
-)
+WATCHED, DIAGNOSED = ('["check", "friction", "diagnose"]', "changed"), ('["diagnose"]', "always")
+NUMBERS = "select machine, night, quantity, value, standard_deviation from results where value is not null and task = 'friction' "
+NUMBERS += "order by night, machine, quantity"
+FOUND = "select machine, night, quantity, verdict, message, value, standard_deviation from results where task = 'diagnose' and "
+FOUND += "quantity <> 'unexplained share' order by night, machine"
 
 
 class Number(NamedTuple):
@@ -74,51 +82,47 @@ class Number(NamedTuple):
     deviation: float | None
 
 
-def record(work: Path, machine: str, night: int) -> Path:
-    """Record a machine's night, whole or not at all, and return its folder."""
-    folder = work / "recordings" / machine / str(FIRST_NIGHT + datetime.timedelta(night))
-    if folder.exists():
-        return folder
-    carm = load_machine("carm")
-    really, seed = carm.with_effects(tuple(hidden(machine, night))), 10 * (1000 * MACHINES.index(machine) + night)
-    draft = work / f"draft_{machine}"
+def folder_of(work: str, machine: str, night: int) -> Path:
+    """Return the folder of a machine's night."""
+    return Path(work) / "recordings" / machine / str(FIRST_NIGHT + datetime.timedelta(night))
+
+
+def record(work: str, machine: str, night: int) -> None:
+    """Record a machine's night, whole or not at all."""
+    table, folder = load_machine(MACHINE), folder_of(work, machine, night)
+    really, seed = table.with_effects(tuple(hidden(machine, night, NOMINAL, CHANGED))), 10 * (1000 * MACHINES.index(machine) + night)
+    draft = Path(work) / f"draft_{machine}_{night}"
     shutil.rmtree(draft, ignore_errors=True)
     draft.mkdir(parents=True)
     for place, (name, experiment) in enumerate(EXPERIMENTS.items()):
-        for number, plan in enumerate(experiment.plans(carm)):
-            with open_bench(carm, BenchOptions("lockstep:", seed=seed + 5 * place + number, emulated=really)) as bench:
+        for number, plan in enumerate(experiment.plans(table)):
+            with open_bench(table, BenchOptions("lockstep:", seed=seed + 5 * place + number, emulated=really)) as bench:
                 bench.run(plan, draft / f"{name}_{number}.mf4")
     folder.parent.mkdir(parents=True, exist_ok=True)
     draft.rename(folder)
-    return folder
 
 
-def processor_s() -> float:
-    """Return what this process and the ended ones of the fleet's tasks have taken [s]."""
-    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(one.ru_utime + one.ru_stime for one in used)
+def run(work: Path, name: str, tasks: tuple[str, str], scheduler: str | None, nights: str = "") -> None:
+    """Do what is new of the machines' recordings."""
+    entries = "".join(f'[[machine]]\nname = "{machine}"\n' for machine in MACHINES)
+    (work / name).write_text(FLEET.replace("TASKS", tasks[0]).replace("WHEN", tasks[1]).replace("{of}", nights) + entries, encoding="utf-8")
+    where = {"workers": 0} if scheduler is None else {} if scheduler == LOCAL else {"scheduler": scheduler}
+    hil.run_fleet(work / name, say=print, **where)
 
 
-def take(work: Path, machines: list[str], night: int) -> dict[str, float] | None:
-    """Record and work on a night; return what a machine's took, None where all was done before."""
-    began_s, wall_s = processor_s(), time.monotonic()
-    for machine in machines:
-        record(work, machine, night)
-    recorded_s = processor_s() - began_s
-    entries = "".join(f'[[machine]]\nname = "{name}"\n' for name in machines)
-    (work / "fleet.toml").write_text(FLEET + entries, encoding="utf-8")
-    run = hil.run_fleet(work / "fleet.toml", workers=0, say=print)
-    if not run.done:
-        return None
-    count = len(machines)
-    return {
-        "night": night, "recording_s": round(recorded_s / count, 1), "work_s": round((processor_s() - began_s - recorded_s) / count, 1),
-        "wall_s": round((time.monotonic() - wall_s) / count, 1),
-    }  # fmt: skip
+def watch(work: Path, nights: int, scheduler: str | None) -> None:
+    """Record some nights, work on them, and so on."""
+    for first in range(0, nights, AT_ONCE):
+        these = [(night, machine) for night in range(first, min(first + AT_ONCE, nights)) for machine in MACHINES]
+        missing = [each for each in these if not folder_of(str(work), each[1], each[0]).exists()]
+        for _ in each(record, [{"work": str(work), "machine": machine, "night": night} for night, machine in missing], scheduler):
+            pass
+        run(work, "fleet.toml", WATCHED, scheduler)
+        print(datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"), "nights", len(these) // len(MACHINES) + first, flush=True)
 
 
 def numbers(store: Path) -> list[Number]:
-    """Return what was found of friction and modes."""
+    """Return what was found of friction."""
     rows = hil.query_fleet(store, NUMBERS).rows
     return [Number(machine, (when.date() - FIRST_NIGHT).days, *rest) for machine, when, *rest in rows]
 
@@ -133,64 +137,28 @@ def tracks(found: list[Number]) -> dict[str, dict[str, list[list[float | None]]]
 
 
 def compared(found: list[Number]) -> dict[str, dict[str, Any]]:
-    """Return how friction scatters about what was hidden, each machine's mean error taken off, beside what the drawn fleets assume."""
-    template = json.loads(MEASURED.read_text(encoding="utf-8"))
-    drawn = {name[2]: place for place, name in enumerate(template["parameters"])}
+    """Return how friction scatters about what was hidden, each machine's mean error taken off."""
     answer: dict[str, dict[str, Any]] = {}
-    for axis in AXES:
-        scatters = {}
-        for law in NOMINAL:
-            of = f"{axis} {law}"
-            these = [one for one in found if one.quantity.startswith(of)]
-            if not these:
-                continue
-            errors = {(one.machine, one.night): one.value - true(one, law, axis) for one in these}
-            bias = {machine: np.mean([error for (name, _), error in errors.items() if name == machine]) for machine, _ in errors}
-            scatter = scatters[law] = {key: float(error - bias[key[0]]) for key, error in errors.items()}
-            answer[of] = {
-                "machine_nights": len(these),
-                "mean_error": {machine: float(error) for machine, error in bias.items()},
-                "scatter": float(np.sqrt(np.mean(np.square(list(scatter.values()))))),
-                "stated_deviation": float(np.nanmedian([math.nan if one.deviation is None else one.deviation for one in these])),
-                "drawn_deviation": template["deviations"][drawn[f"{of} level"]],
-                "carried_to_the_next_night": correlation([(x, scatter.get((m, n + 1))) for (m, n), x in scatter.items()]),
-            }
-        if len(scatters) == len(NOMINAL):
-            dry, viscous = (scatters[law] for law in NOMINAL)
-            places = [drawn[f"{axis} {law} level"] for law in NOMINAL]
-            answer[f"{axis}, correlation of dry and viscous friction"] = {
-                "scatter": correlation([(x, viscous.get(key)) for key, x in dry.items()]),
-                "drawn": template["correlation"][places[0]][places[1]],
-            }
-    return answer
-
-
-def compared_modes(found: list[Number]) -> dict[str, dict[str, Any]]:
-    """Return how frequencies and dampings scatter about each machine's own mean, which is the same every night, beside what is drawn."""
-    template = json.loads(MEASURED.read_text(encoding="utf-8"))
-    answer = {}
-    for named, deviation in zip(template["parameters"], template["deviations"], strict=True):
-        if not (match := re.fullmatch(r"mode ([\d.]+) Hz (\w+)", named[2])):
-            continue
-        nominal_Hz, kind = float(match[1]), match[2]
-        of_mode = {one.quantity: one.value for one in found if re.fullmatch(r"mode \d+ frequency", one.quantity)}
-        if not of_mode:
-            continue
-        nearest = min(of_mode, key=lambda name: abs(of_mode[name] - nominal_Hz)).removesuffix("frequency")
-        these = [one for one in found if one.quantity == nearest + kind]
-        mean = {each.machine: np.mean([one.value for one in these if one.machine == each.machine]) for each in these}
-        answer[named[2]] = {
+    scatters = {}
+    for law, (parameter, _) in NOMINAL.items():
+        these = [one for one in found if one.quantity == f"{AXIS} {law} {parameter}"]
+        errors = {(one.machine, one.night): one.value - true(one, law) for one in these}
+        bias = {machine: np.mean([error for (name, _), error in errors.items() if name == machine]) for machine, _ in errors}
+        scatter = scatters[law] = {key: float(error - bias[key[0]]) for key, error in errors.items()}
+        answer[law] = {
             "machine_nights": len(these),
-            "scatter": float(np.sqrt(np.mean([(one.value - mean[one.machine]) ** 2 for one in these]))),
-            "stated_deviation": float(np.median([one.deviation for one in these if one.deviation is not None])),
-            "drawn_deviation": deviation,
+            "mean_error": {machine: float(error) for machine, error in bias.items()},
+            "scatter": float(np.sqrt(np.mean(np.square(list(scatter.values()))))),
+            "stated_deviation": float(np.nanmedian([math.nan if one.deviation is None else one.deviation for one in these])),
+            "carried_to_the_next_night": correlation([(x, scatter.get((m, n + 1))) for (m, n), x in scatter.items()]),
         }
-    return answer
+    dry, viscous = (scatters[law] for law in NOMINAL)
+    return answer | {"dry and viscous friction": {"correlation": correlation([(x, viscous.get(key)) for key, x in dry.items()])}}
 
 
-def true(one: Number, law: str, axis: str) -> float:
+def true(one: Number, law: str) -> float:
     """Return what a machine hid on a night."""
-    [effect] = [each for each in hidden(one.machine, one.night) if (each.name, each.at) == (law, axis)]
+    [effect] = [each for each in hidden(one.machine, one.night, NOMINAL, CHANGED) if each.name == law]
     return effect.parameters[NOMINAL[law][0]]
 
 
@@ -200,34 +168,47 @@ def correlation(pairs: list[tuple[float, float | None]]) -> float | None:
     return float(np.corrcoef(known.T)[0, 1]) if len(known) >= 3 else None
 
 
+def scored(store: Path) -> dict[str, Any]:
+    """Return what was found of the nights that are there, of these machines alone and as four of a fleet of 200."""
+    found, change = numbers(store), fleet_change(read_tracks(store))
+    find(measured(store), store / "of_200.json", store)
+    diagnosed: dict[tuple[str, int], dict[str, Any]] = {}
+    for machine, when, quantity, verdict, message, value, deviation in hil.query_fleet(store, FOUND).rows:
+        one = diagnosed.setdefault((machine, (when.date() - FIRST_NIGHT).days), {})
+        one.update({"verdict": verdict, "said": message} if value is None else {quantity: [value, deviation]})
+    return {
+        "machine_nights": len({(one.machine, one.night) for one in found}),
+        "changes": [
+            {
+                "machine": each.machine, "quantity": each.parameter.quantity, "kind": each.kind, "sigma": round(each.sigma, 2),
+                "alarm_on_night": int((each.alarm - np.datetime64(FIRST_NIGHT)).astype(int)),
+            }
+            for each in change.changes
+        ],
+        "sentences": sentences(change), "of_200": found_figures(store / "of_200.json"),
+        "diagnoses": [{"machine": machine, "night": night, **one} for (machine, night), one in diagnosed.items()],
+        "compared": compared(found), "tracks": tracks(found),
+    }  # fmt: skip
+
+
 def main() -> None:
     """Work on the nights in order."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("work", type=Path, help="folder of recordings and results")
     parser.add_argument("--nights", type=int, default=NIGHTS)
-    parser.add_argument("--machines", nargs="+", choices=MACHINES, default=list(MACHINES))
+    parser.add_argument("--score", action="store_true", help="score what is there, and do no more")
     parser.add_argument("--json", type=Path, default=RESULTS)
+    add_scheduler(parser)
     arguments = parser.parse_args()
-    work, kept = arguments.work, arguments.work / "costs.json"
-    costs = json.loads(kept.read_text(encoding="utf-8")) if kept.exists() else []
-    for night in range(arguments.nights):
-        if (cost := take(work, arguments.machines, night)) is None:
-            continue
-        costs.append(cost)
-        kept.write_text(json.dumps(costs), encoding="utf-8")
-        print(cost, flush=True)
-    found = numbers(work / "fleet-results")
-    verdicts = hil.query_fleet(work / "fleet-results", VERDICTS).rows
-    result = {
-        "nights": arguments.nights, "machines": arguments.machines,
-        "processor_s_of_a_machine_and_night": {
-            kind: float(np.median([cost[f"{kind}_s"] for cost in costs])) for kind in ("recording", "work") if costs
-        },
-        "diagnoses": [[machine, (when.date() - FIRST_NIGHT).days, verdict] for machine, when, verdict in verdicts],
-        "compared": compared(found) | compared_modes(found), "tracks": tracks(found),
-    }  # fmt: skip
+    work = arguments.work.absolute()
+    work.mkdir(parents=True, exist_ok=True)
+    if not arguments.score:
+        watch(work, arguments.nights, arguments.scheduler)
+        for night in range(0, arguments.nights, EVERY):
+            run(work, "diagnosed.toml", DIAGNOSED, arguments.scheduler, f"/{FIRST_NIGHT + datetime.timedelta(night)}/*.mf4")
+    result = scored(work / "fleet-results")
     arguments.json.write_text(json.dumps(result) + "\n", encoding="utf-8")
-    print(json.dumps({name: figures for name, figures in result.items() if name not in ("tracks", "diagnoses")}, indent=1))
+    print(json.dumps({name: figures for name, figures in result.items() if name != "tracks"}, indent=1))
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ import argparse
 import datetime
 import math
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +40,7 @@ FIRST_NIGHT = datetime.date(2026, 1, 1)
 NIGHTS = 60
 MACHINES = ("growing", "stepping", "sound_1", "sound_2")
 AXES = ("propeller", "roll")
+CHANGED = {"growing": "roll", "stepping": "propeller"}
 NOMINAL = {"coulomb_friction": ("Fc", {"propeller": 8.0, "roll": 6.1}), "viscous_friction": ("Fv", {"propeller": 4.0, "roll": 3.0})}
 BUILT, NIGHTLY, SEASON = 0.10, 0.01, 0.06
 """Relative: standard deviation between machines, between nights of one machine, and the half swing of the season."""
@@ -58,19 +60,19 @@ STANDING_rad_s = 0.02
 """Rows below this speed are left out: there friction has no direction."""
 
 
-def hidden(machine: str, night: int) -> list[EffectSetting]:
-    """Return what a machine hides on a night."""
+def hidden(
+    machine: str, night: int, nominal: Mapping[str, tuple[str, Mapping[str, float]]] = NOMINAL, changed: Mapping[str, str] = CHANGED
+) -> list[EffectSetting]:
+    """Return what a machine hides on a night: each law's parameter at each axis, and at which axis dry friction changes."""
     built = np.random.default_rng([1, MACHINES.index(machine)])
     nightly = np.random.default_rng([2, MACHINES.index(machine), night])
     season = SEASON * math.sin(2.0 * math.pi * night / 365.25)
     effects = []
-    for name, (parameter, nominal) in NOMINAL.items():
-        for axis in AXES:
-            value = nominal[axis] * (1.0 + BUILT * built.standard_normal()) * (1.0 - season + NIGHTLY * nightly.standard_normal())
-            if name == "coulomb_friction" and (machine, axis) == ("growing", "roll"):
-                value += GROWTH_Nm_per_night * max(0, night - GROWTH_FROM)
-            if name == "coulomb_friction" and (machine, axis) == ("stepping", "propeller") and night >= STEP_ON:
-                value += STEP_Nm
+    for name, (parameter, of_axis) in nominal.items():
+        for axis, typical in of_axis.items():
+            value = typical * (1.0 + BUILT * built.standard_normal()) * (1.0 - season + NIGHTLY * nightly.standard_normal())
+            if name == "coulomb_friction" and axis == changed.get(machine):
+                value += STEP_Nm * (night >= STEP_ON) if machine == "stepping" else GROWTH_Nm_per_night * max(0, night - GROWTH_FROM)
             effects.append(EffectSetting(name, axis, {parameter: value}))
     return effects
 

@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from on_engine import add_scheduler, each
 
 from hil.identification import (
     ArbitraryRecords,
@@ -139,21 +140,31 @@ def case(name: str, scale: float, periods: int, draws: int) -> dict[str, float]:
     return {key: round(value, 4) for key, value in result.items()}
 
 
+def key(name: str, scale: float, periods: int, draws: int) -> str:
+    """Return what a case is called in the report."""
+    return f"{name}, noise x {scale:g}, P = {periods}, {draws} draws"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "identification_coverage.json")
     parser.add_argument("--draws", type=int, default=500)
     parser.add_argument("--methods", default=",".join(METHODS), help="those to run, separated by commas")
+    add_scheduler(parser)
     arguments = parser.parse_args()
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     report = json.loads(arguments.out.read_text()) if arguments.out.exists() else {}
-    for name in arguments.methods.split(","):
-        for scale, periods in CONDITIONS:
-            key = f"{name}, noise x {scale:g}, P = {periods}, {arguments.draws} draws"
-            if key not in report:
-                report[key] = case(name, scale, periods, arguments.draws)
-                arguments.out.write_text(json.dumps(report, indent=1) + "\n")
-            print(key, " ".join(f"{value:.3f}" for value in report[key].values()), flush=True)
+    cases = [
+        {"name": name, "scale": scale, "periods": periods, "draws": arguments.draws}
+        for name in arguments.methods.split(",")
+        for scale, periods in CONDITIONS
+    ]
+    for one, answer in each(case, [one for one in cases if key(**one) not in report], arguments.scheduler, named=lambda one: key(**one)):
+        report[key(**one)] = answer
+        arguments.out.write_text(json.dumps(report, indent=1) + "\n")
+        print(key(**one), " ".join(f"{value:.3f}" for value in answer.values()), flush=True)
+    first = {key(**one): report[key(**one)] for one in cases if key(**one) in report}
+    arguments.out.write_text(json.dumps(first | report, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -11,11 +11,13 @@ squares alone. Seconds are the process's.
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import time
 from pathlib import Path
 
 import numpy as np
+from on_engine import add_scheduler, answers
 
 from hil.calibration.marker.tube_to_panel import LINEAR, NONLINEAR, fit_marker
 from hil.emulated.marker_images import expected_image
@@ -31,9 +33,17 @@ SPREAD = np.array([4e-3, 4e-3, 4e-3, 5e-3, 5e-3, 8e-3, 0.0, 0.0, 0.0])
 OPTICS = {"panel blur": {"spot_m": 0.0, "spread_m": 0.6e-3}, "focal spot": {"spot_m": 0.6e-3, "spread_m": 0.2e-3}}
 
 
+@functools.cache
+def compiled() -> None:
+    """Find a marker, so that all is compiled and imported before the clock runs."""
+    plate, optics = experimental_plate(), Optics(photons=2000.0, **OPTICS["panel blur"])
+    find_marker(exposed(expected_image(plate, NOMINAL, DETECTOR, optics), optics, np.random.default_rng(7)), plate, NOMINAL, DETECTOR)
+
+
 def crossings(name: str, photons: float, blur: str, draws: int) -> dict[str, float | int]:
     """Errors [pixel] and seconds over the draws."""
     plate, optics = PLATES[name](), Optics(photons=photons, **OPTICS[blur])
+    compiled()
     rng = np.random.default_rng(7)
     fine, coarse, predicted, worst, seconds, refused = [], [], [], [], [], 0
     for _ in range(draws):
@@ -92,21 +102,25 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results/imaging_markers.json"))
     parser.add_argument("--draws", type=int, default=12)
     parser.add_argument("--poses", type=int, default=100)
+    add_scheduler(parser)
     arguments = parser.parse_args()
-    crossings("experimental", 2000.0, "panel blur", 1)  # compiled and imported before the clock runs
     document: dict[str, object] = {"crossings": {}, "poses": {}}
-    for name in PLATES:
-        for blur in OPTICS:
-            for photons in (2000.0, 200.0):
-                key = f"{name}, {blur}, {photons:g} photons"
-                figures = crossings(name, photons, blur, arguments.draws)
-                document["crossings"][key] = figures
-                print(
-                    f"{key:40s} rms {figures['rms_pixels']:.4f} px (predicted {figures['predicted_pixels']:.4f}, largest"
-                    f" {figures['largest_pixels']:.3f}), edges {figures['edges_rms_pixels']:.3f}; {figures['median_s']:.3f} s"
-                )
-    for photons in (2000.0, 200.0):
-        document["poses"][f"{photons:g} photons"] = measured = poses(photons, arguments.poses)
+    sweep = [
+        {"name": name, "photons": photons, "blur": blur, "draws": arguments.draws}
+        for name in PLATES
+        for blur in OPTICS
+        for photons in (2000.0, 200.0)
+    ]
+    for one, figures in zip(sweep, answers(crossings, sweep, arguments.scheduler), strict=True):
+        key = f"{one['name']}, {one['blur']}, {one['photons']:g} photons"
+        document["crossings"][key] = figures
+        print(
+            f"{key:40s} rms {figures['rms_pixels']:.4f} px (predicted {figures['predicted_pixels']:.4f}, largest"
+            f" {figures['largest_pixels']:.3f}), edges {figures['edges_rms_pixels']:.3f}; {figures['median_s']:.3f} s"
+        )
+    levels = [{"photons": photons, "draws": arguments.poses} for photons in (2000.0, 200.0)]
+    for photons, measured in zip((2000.0, 200.0), answers(poses, levels, arguments.scheduler), strict=True):
+        document["poses"][f"{photons:g} photons"] = measured
         for name, figures in measured.items():
             micro = [f"{1e6 * value:.1f}" for value in figures["deviation"]]
             print(f"{photons:g} photons, {name}: deviation {', '.join(micro)} um, urad;", end=" ")

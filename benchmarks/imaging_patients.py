@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from on_engine import add_scheduler, answers
 from scipy.spatial.transform import Rotation
 
 from hil.calibration.marker.tube_to_panel import NONLINEAR, fit_marker
@@ -68,8 +69,9 @@ def uncovered(name: str, true: MarkerProjection, detector: Detector, anatomy: np
     return result
 
 
-def one(name: str, seed: int, detector: Detector) -> dict[str, object]:
+def one(name: str, seed: int, binning: int) -> dict[str, object]:
     """One image: found or not, errors and deviations [pixel] of its crossings."""
+    detector = nominal_detector(load_machine("carm"), binning)
     rng = np.random.default_rng([seed, 57])
     true = MarkerProjection(NOMINAL.values + SPREAD * rng.uniform(-1.0, 1.0, 9))
     turned = Rotation.from_euler("xy", [rng.uniform(-120.0, 120.0), rng.uniform(-90.0, 90.0)], degrees=True).as_matrix()
@@ -184,11 +186,13 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=60)
     parser.add_argument("--distance-draws", type=int, default=10)
     parser.add_argument("--binning", type=int, default=4)
+    add_scheduler(parser)
     arguments = parser.parse_args()
     detector = nominal_detector(load_machine("carm"), arguments.binning)
     document: dict[str, object] = {"binning": arguments.binning, "patients": {}, "distance": {}}
     for name in PLATES:
-        images = [one(name, seed, detector) for seed in range(arguments.draws)]
+        each = [{"name": name, "seed": seed, "binning": arguments.binning} for seed in range(arguments.draws)]
+        images = answers(one, each, arguments.scheduler)
         document["patients"][name] = (
             summed(images)
             | {  # type: ignore[index]

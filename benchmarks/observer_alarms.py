@@ -11,12 +11,15 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import functools
 import sys
 
 from drawn_machines import drawn, typical
 from observer_scan import SKIPPED_S, ShakenScan, shaken_scan
 from observer_variances import FIRST_SEED, Told, errors_and_variances, nine, own_design, scans, told
+from on_engine import add_scheduler, answers
 
+from hil.experiments.plan import Plan
 from hil.machine import Machine, load_machine
 from hil.observing import ObserverDesign, observe
 from hil.recording import Recording
@@ -85,32 +88,47 @@ def row(found: list[Told], rate_Hz: float) -> dict[str, float | None]:
     }
 
 
+@functools.cache
+def designed(name: str) -> tuple[Machine, ObserverDesign, Plan]:
+    """Return a machine, its own design and the scan."""
+    machine = load_machine(name)
+    return machine, own_design(typical(machine), told=True), scans(machine)["roll 30 deg/s, quiet"][0]
+
+
+def told_of(name: str, number: int, seeds: int) -> dict[str, tuple[int, ...]]:
+    """Return what the alarm tells of every fault of one drawn machine."""
+    machine, design, plan = designed(name)
+    each, seed = drawn(machine, number, seeds), FIRST_SEED + number
+    found: dict[str, Told] = {}
+    for loudness, kind in ((0.0, "quiet"), (1.0, "shaken")):
+        scan = shaken_scan(each, plan, seed, loudness)
+        found[f"nothing, {kind}"] = judged(machine, design, scan, scan.recording, 0.0)
+        for fault, added in SENSORS.items():
+            if all(channel in scan.recording for channel in added):
+                found[f"{fault}, {kind}"] = judged(machine, design, scan, spoilt(scan.recording, added), AT_s)
+    for fault, (loudness, stiffness, mass) in STRUCTURE.items():
+        scan = shaken_scan(changed(each, stiffness, mass), plan, seed, loudness)
+        found[fault] = judged(machine, design, scan, scan.recording, 0.0)
+    print(f"{name}, {number} of {seeds}", file=sys.stderr, flush=True)
+    return {fault: dataclasses.astuple(one) for fault, one in found.items()}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--machine", action="append", help="carm, carm-real (both unless given)")
     parser.add_argument("--seeds", type=int, default=20, help="and machines, per fault")
     parser.add_argument("--json", metavar="FILE", default="-", help="where to write the answer; - for standard output")
+    add_scheduler(parser)
     options = parser.parse_args()
     to = Answer(options.json)
     rows: dict[str, dict[str, float | None]] = {}
     for name in options.machine or ["carm", "carm-real"]:
-        machine = load_machine(name)
-        design, plan = own_design(typical(machine), told=True), scans(machine)["roll 30 deg/s, quiet"][0]
+        draws = [{"name": name, "number": number, "seeds": options.seeds} for number in range(options.seeds)]
         found: dict[str, list[Told]] = {}
-        for number in range(options.seeds):
-            each, seed = drawn(machine, number, options.seeds), FIRST_SEED + number
-            for loudness, kind in ((0.0, "quiet"), (1.0, "shaken")):
-                scan = shaken_scan(each, plan, seed, loudness)
-                found.setdefault(f"nothing, {kind}", []).append(judged(machine, design, scan, scan.recording, 0.0))
-                for fault, added in SENSORS.items():
-                    if all(channel in scan.recording for channel in added):
-                        recording = spoilt(scan.recording, added)
-                        found.setdefault(f"{fault}, {kind}", []).append(judged(machine, design, scan, recording, AT_s))
-            for fault, (loudness, stiffness, mass) in STRUCTURE.items():
-                scan = shaken_scan(changed(each, stiffness, mass), plan, seed, loudness)
-                found.setdefault(fault, []).append(judged(machine, design, scan, scan.recording, 0.0))
-            print(f"{name}, {number} of {options.seeds}", file=sys.stderr, flush=True)
-        rows |= {f"{name}: {fault}": row(scans_of, machine.sample_rate_Hz) for fault, scans_of in found.items()}
+        for of_machine in answers(told_of, draws, options.scheduler):
+            for fault, values in of_machine.items():
+                found.setdefault(fault, []).append(Told(*values))
+        rows |= {f"{name}: {fault}": row(scans_of, load_machine(name).sample_rate_Hz) for fault, scans_of in found.items()}
     to.write({"seeds": options.seeds, "rows": rows})
 
 

@@ -22,8 +22,10 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import functools
 import json
 import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +43,7 @@ from observer_scan import (
     without,
 )
 from observer_truth import GRID, true_model
+from on_engine import add_scheduler, each
 from scipy.spatial.transform import Rotation
 
 from controllers.models.modal import ModalModel
@@ -257,6 +260,30 @@ def own_design(machine: Machine, counts: tuple[int, ...] = GRID, *, told: bool =
     return ObserverDesign(model, noise, isocenter, machine.name, machine.hash, ("the file's own numbers",))
 
 
+@functools.cache
+def designed(name: str, tuned: str | None) -> tuple[Machine, ObserverDesign, ObserverDesign | None]:
+    """Return a machine, its observer by a file or by the machine's own numbers, and that with noise of nothing but its own."""
+    machine = load_machine(name)
+    if tuned is not None:
+        return machine, read_design(Path(tuned)), None
+    design = own_design(typical(machine), told=True)
+    return machine, design, dataclasses.replace(design, noise=own_noise(machine, design.model)) if machine.own_effects else None
+
+
+def key_of(name: str, scan: str, number: int, seeds: int, tuned: str | None = None) -> str:
+    """Return what a scan of a drawn machine is called where it is kept."""
+    return f"{name}, {scan}, {number} of {seeds}"
+
+
+def measured(name: str, scan: str, number: int, seeds: int, tuned: str | None) -> dict[str, dict[str, object]]:
+    """Return the sums of every method over one scan of a drawn machine."""
+    machine, design, untold = designed(name, tuned)
+    plan, loudness = scans(machine)[scan]
+    of_scan: dict[str, Sums] = {}
+    take(of_scan, machine, design, shaken_scan(drawn(machine, number, seeds), plan, FIRST_SEED + number, loudness), untold)
+    return {method: found.kept() for method, found in of_scan.items()}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--machine", action="append", help="carm, carm-real (both unless given)")
@@ -266,7 +293,14 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=20, help="and machines, per scan")
     parser.add_argument("--kept", metavar="FILE", type=Path, help="where what is measured is kept, a line per scan")
     parser.add_argument("--json", metavar="FILE", default="-", help="where to write the answer; - for standard output")
+    add_scheduler(parser)
     options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        measure(options, options.save_design or Path(folder))
+
+
+def measure(options: argparse.Namespace, folder: Path) -> None:
+    """Draw, measure, write; designs go into the folder."""
     to = Answer(options.json)
     given = dict(each.split("=", 1) for each in options.design)
     rows: dict[str, dict[str, object]] = {}
@@ -276,31 +310,26 @@ def main() -> None:
     for name in options.machine or ["carm", "carm-real"]:
         machine = load_machine(name)
         judged = scans(machine)
-        untold = None
-        if options.own_model:
-            design = own_design(typical(machine), told=True)
-            untold = dataclasses.replace(design, noise=own_noise(machine, design.model)) if machine.own_effects else None
-        else:
+        tuned = None
+        if not options.own_model:
             design = read_design(Path(given[name])) if name in given else emulated_design(typical(machine))
             plans = [judged["roll 30 deg/s, shaken"][0], judged["propeller 30 deg/s, reversed, quiet"][0]]
             training = [shaken_scan(typical(machine), plan, TRAINING_SEED + i).recording for i, plan in enumerate(plans)]
             design = dataclasses.replace(design, noise=tune(design.model, design.noise, training).noise)
-        if options.save_design:
-            write_design(design, options.save_design / f"{name}.observer.npz")
-        for scan, (plan, loudness) in judged.items():
+            tuned = str(Path(folder).absolute() / f"{name}.observer.npz")
+            write_design(design, Path(tuned))
+        draws = [{"name": name, "scan": scan, "number": k, "seeds": options.seeds} for scan in judged for k in range(options.seeds)]
+        missing = [draw | {"tuned": tuned} for draw in draws if key_of(**draw) not in before]
+        for draw, found in each(measured, missing, options.scheduler, named=lambda draw: key_of(**draw)):
+            before[key_of(**draw)] = found
+            if options.kept:
+                with options.kept.open("a") as file:
+                    file.write(json.dumps({key_of(**draw): found}) + "\n")
+            print(key_of(**draw), file=sys.stderr, flush=True)
+        for scan in judged:
             sums: dict[str, Sums] = {}
             for number in range(options.seeds):
-                key = f"{name}, {scan}, {number} of {options.seeds}"
-                if key not in before:
-                    of_scan: dict[str, Sums] = {}
-                    made = shaken_scan(drawn(machine, number, options.seeds), plan, FIRST_SEED + number, loudness)
-                    take(of_scan, machine, design, made, untold)
-                    before[key] = {method: found.kept() for method, found in of_scan.items()}
-                    if options.kept:
-                        with options.kept.open("a") as file:
-                            file.write(json.dumps({key: before[key]}) + "\n")
-                    print(key, file=sys.stderr, flush=True)
-                for method, kept in before[key].items():
+                for method, kept in before[key_of(name, scan, number, options.seeds)].items():
                     sums.setdefault(method, Sums()).add_kept(kept)
             rows |= {f"{name}, {scan}: {method}": found.table() for method, found in sums.items()}
     to.write(

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from on_engine import LOCAL, each
+
 from concealed.making import Places
 from hil.fleet.child import function_of
-from hil.fleet.cluster import on_cluster
-from hil.fleet.job import Job, Needs
 
-LOCAL = "local"
-NEEDS = Needs(memory_GB=4.0, threads=1, time_s=3600.0)
-"""A case has 900 s for its diagnosis, and is made and simulated besides."""
+__all__ = ["LOCAL", "each_on_cluster"]
 
 
 def each_on_cluster(
@@ -29,16 +26,12 @@ def each_on_cluster(
         "seeds": places.seeds,
         "work": str(places.work),
     }
-    engine = on_cluster(None if scheduler == LOCAL else scheduler, jobs, [NEEDS], say)
-    calls = (Job(str(number), f"{__name__}:call", {**what, "number": number}, NEEDS) for number in numbers)
-    for outcome in engine(calls, threading.Event()):
-        if outcome.failure:
-            say(f"case {outcome.name}: {outcome.failure}")
-        else:
-            then(int(outcome.name), outcome.value)
+    cases = ({**what, "number": number} for number in numbers)
+    for argument, row in each(case, cases, scheduler, jobs=jobs, named=lambda argument: f"case {argument['number']}", say=say):
+        then(argument["number"], row)
 
 
-def call(argument: dict[str, Any]) -> Any:
+def case(task: str, options: dict[str, Any], seeds: str, work: str, number: int) -> Any:
     """Do a task for one case."""
-    task: Callable[..., Any] = function_of(argument["task"])
-    return task(Places(Path(argument["work"]), argument["seeds"]), argument["number"], **argument["options"])
+    called: Callable[..., Any] = function_of(task)
+    return called(Places(Path(work), seeds), number, **options)

@@ -73,7 +73,7 @@ def run(
         done = run_fleet(fleet, store=store, scheduler=scheduler, workers=workers, again=again, progress=follow, say=say)
     answer.say(
         f"{done.store}: {done.done} new results, {done.present} were there"
-        + (f"; {done.unneeded} nights agree with the simulation and need no diagnosis" if done.unneeded else "")
+        + (f"; {done.unneeded} nights need no diagnosis" if done.unneeded else "")
     )
     if done.by_verdict:
         answer.say("  " + ", ".join(f"{count} {verdict}" for verdict, count in done.by_verdict.most_common()))

@@ -10,13 +10,13 @@ import numpy as np
 
 from hil.diagnosis.answered.answer import answer
 from hil.diagnosis.answered.early import first_answer, nothing_seen, play_seen, wrong_recordings
-from hil.diagnosis.answered.values import Answered
+from hil.diagnosis.answered.values import Answered, Everyday, everyday_of
 from hil.diagnosis.audit.audit import Audit, audit
 from hil.diagnosis.audit.recordings import faults
 from hil.diagnosis.named.fitting import Fitted
-from hil.diagnosis.named.naming import name
+from hil.diagnosis.named.naming import engineers_fit, name
 from hil.diagnosis.result import Diagnosis
-from hil.diagnosis.seen.see import see
+from hil.diagnosis.seen.see import Seen, see
 from hil.errors import RecordingError
 from hil.machine import Machine
 from hil.processes.kept_memory import keep_memory
@@ -85,19 +85,47 @@ def diagnose_audited(
     """Diagnose a machine from audited recordings; as `diagnose`, with their audit by `audit_recordings`."""
     began = time.monotonic()
     keep_memory()
-    if audited.faults:
-        return wrong_recordings(machine, audited, {**recordings, **held_out}, time.monotonic() - began)
     report("reading the motion", 0.0)
-    seen = see(machine, recordings)
-    if seen.is_still:
-        return nothing_seen(machine, audited, seen, time.monotonic() - began)
-    if audited.has_play:
-        return play_seen(machine, audited, seen, time.monotonic() - began)
+    seen = _see(machine, recordings, held_out, audited, began)
+    if isinstance(seen, Answered):
+        return seen
 
     def say(baseline: Fitted) -> None:
         first(first_answer(machine, audited, seen, baseline, time.monotonic() - began))
 
     return answer(machine, audited, name(seen, report, say), held_out, began, report)
+
+
+def fit_everyday(machine: Machine, recordings: Mapping[str, Recording]) -> Everyday:
+    """Fit the machine's numbers and the everyday effects at every driven joint to recordings, by name, and seek nothing else.
+
+    Raises
+    ------
+    RecordingError
+        As `audit_recordings` does.
+    """
+    began = time.monotonic()
+    keep_memory()
+    audited = audit_recordings(machine, recordings, {})
+    seen = _see(machine, recordings, {}, audited, began)
+    if isinstance(seen, Answered):
+        return Everyday(seen.diagnosis)
+    *_, fitted = engineers_fit(seen)
+    return everyday_of(machine, first_answer(machine, audited, seen, fitted, time.monotonic() - began), fitted)
+
+
+def _see(
+    machine: Machine, recordings: Mapping[str, Recording], held_out: Mapping[str, Recording], audited: Audit, began: float
+) -> Seen | Answered:
+    """Return what is seen along the recordings' motion, or the answer where that needs no fit."""
+    if audited.faults:
+        return wrong_recordings(machine, audited, {**recordings, **held_out}, time.monotonic() - began)
+    seen = see(machine, recordings)
+    if seen.is_still:
+        return nothing_seen(machine, audited, seen, time.monotonic() - began)
+    if audited.has_play:
+        return play_seen(machine, audited, seen, time.monotonic() - began)
+    return seen
 
 
 def check_axes(label: str | Path, recording: Recording, machine: Machine) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from hil.diagnosis.answered.values import Everyday
     from hil.diagnosis.result import Diagnosis, Estimate, RetunedValue
     from hil.identification import Resonances
     from hil.simulation import Comparison
@@ -107,15 +108,13 @@ def _nearest(found_Hz: Sequence[float], expected_Hz: Sequence[float]) -> list[st
 
 
 def of_diagnosis(diagnosis: Diagnosis) -> list[Number]:
-    """Return the verdict, what was found and re-tuned, and the everyday effects of every driven joint, which each night has."""
+    """Return the verdict, and what was found and re-tuned."""
     verdict = diagnosis.verdict
     rows = [Number("verdict", math.nan, "", verdict, diagnosis.reason)]
-    for kind, findings in (("", diagnosis.findings), (" everyday", diagnosis.baseline)):
-        for finding in findings:
-            number = f" {finding.effect.number}" if finding.effect.number > 1 else ""
-            for name, estimate in finding.parameters.items():
-                quantity = f"{finding.effect.at} {finding.effect.effect}{number} {name}{kind}"
-                rows.append(_of_interval(quantity, estimate, verdict))
+    for finding in diagnosis.findings:
+        number = f" {finding.effect.number}" if finding.effect.number > 1 else ""
+        for name, estimate in finding.parameters.items():
+            rows.append(_of_interval(f"{finding.effect.at} {finding.effect.effect}{number} {name}", estimate, verdict))
     for name, value in diagnosis.retuned.items():
         rows.append(_of_interval(name, value, verdict))
     rows.append(Number("unexplained share", diagnosis.unexplained_share, "1", verdict))
@@ -128,10 +127,19 @@ def _of_interval(quantity: str, estimate: Estimate | RetunedValue, verdict: str)
     return Number(quantity, estimate.value, estimate.unit, verdict, covariance=known)
 
 
-def of_parameters(names: Sequence[str], units: Sequence[str], values: np.ndarray, covariance: np.ndarray, said: str) -> list[Number]:
+def of_friction(fitted: Everyday) -> list[Number]:
+    """Return friction and constant load of every driven joint, which each night has; only the verdict where nothing was fitted."""
+    if not fitted.names:
+        return [Number("verdict", math.nan, "", fitted.diagnosis.verdict, fitted.diagnosis.reason)]
+    return of_parameters("friction", "fitted", "", fitted.names, fitted.units, fitted.values, fitted.covariance)
+
+
+def of_parameters(
+    group: str, verdict: str, said: str, names: Sequence[str], units: Sequence[str], values: np.ndarray, covariance: np.ndarray
+) -> list[Number]:
     """Return jointly estimated parameters."""
-    rows = [Number("verdict", math.nan, "", "calibrated", said)]
+    rows = [Number("verdict", math.nan, "", verdict, said)]
     for place, (name, unit) in enumerate(zip(names, units, strict=True)):
         row = tuple(float(one) for one in covariance[place])
-        rows.append(Number(name, float(values[place]), unit, "calibrated", "", "geometry", row, place))
+        rows.append(Number(name, float(values[place]), unit, verdict, "", group, row, place))
     return rows

@@ -17,13 +17,14 @@ from hil.fleet.job import Needs
 from hil.machine.messages import ComplaintError, from_validation, one_line
 from hil.machine.table import Positive, Table, Text, Whole
 
-TaskName = Literal["check", "identify", "diagnose", "calibrate"]
-When = Literal["differs", "always"]
+TaskName = Literal["check", "identify", "friction", "diagnose", "calibrate"]
+When = Literal["differs", "changed", "always"]
 Texts = tuple[Text, ...]
 
 NEEDS: Mapping[TaskName, Needs] = {
     "check": Needs(memory_GB=2.0, threads=1, time_s=300.0),
     "identify": Needs(memory_GB=2.0, threads=1, time_s=600.0),
+    "friction": Needs(memory_GB=4.0, threads=1, time_s=600.0),
     "diagnose": Needs(memory_GB=4.0, threads=1, time_s=1800.0),
     "calibrate": Needs(memory_GB=4.0, threads=1, time_s=1800.0),
 }
@@ -51,6 +52,7 @@ class LimitsTable(Table):
 
     check: LimitTable = LimitTable()
     identify: LimitTable = LimitTable()
+    friction: LimitTable = LimitTable()
     diagnose: LimitTable = LimitTable()
     calibrate: LimitTable = LimitTable()
 
@@ -71,7 +73,8 @@ class EveryTable(Table):
     tasks: tuple[TaskName, ...] = ("check",)
     """What to do with each night's recordings."""
     diagnose_when: When = "differs"
-    """`"differs"`: where a check of the night differs from the simulation; `"always"`."""
+    """`"differs"`: where a check of the night differs from the simulation; `"changed"`: on the night on which `fleet change` first names
+    the machine; `"always"`."""
 
 
 class MachineEntry(EveryTable):
@@ -169,6 +172,6 @@ def _machine(place: int, entry: MachineEntry, every: EveryTable, folder: Path) -
         file = str(folder / file)
     if "://" not in recordings:
         recordings = str((folder / recordings).absolute())
-    if "diagnose" in said["tasks"] and not said["repeats"]:
-        raise ComplaintError(("machine", place), 'is diagnosed, so it needs `repeats`, such as repeats = ["scan_*"]')
+    if explained := [task for task in ("friction", "diagnose") if task in said["tasks"] and not said["repeats"]]:
+        raise ComplaintError(("machine", place), f'has the task "{explained[0]}", so it needs `repeats`, such as repeats = ["scan_*"]')
     return FleetMachine(entry.name, file, recordings, identified=said["repeats"] if identified is None else identified, **said)

@@ -11,7 +11,7 @@ from itertools import groupby
 from pathlib import Path
 
 from hil.errors import UnusableInputError
-from hil.fleet.file import Fleet, FleetMachine, TaskName
+from hil.fleet.file import Fleet, FleetMachine, TaskName, When
 from hil.fleet.job import Job
 from hil.fleet.listing import KnownHashes, StoredRecording, list_recordings
 from hil.machine.load import load_machine
@@ -26,14 +26,14 @@ IDENTITY_DIGITS, CONTENT_DIGITS = 12, 20
 
 @dataclass(frozen=True)
 class Task:
-    """A task of one machine and night; `name` is the path of its result under the store's folder of results."""
+    """A task of one machine and night, and when it is done; `name` is the path of its result under the store's folder of results."""
 
     machine: str
     date: str
     kind: TaskName
     name: str
     job: Job
-    only_if_differs: bool = False
+    when: When = "always"
 
 
 @dataclass
@@ -78,6 +78,8 @@ def _tasks(fleet: Fleet, machine: FleetMachine, loaded: Machine, recordings: lis
             parts += [("identify", pattern, of_pattern, []) for pattern, of_pattern in groups if of_pattern]
         if "calibrate" in machine.tasks:
             parts += [("calibrate", _experiment(one, machine), [one], []) for one in scans if one.images]
+        if "friction" in machine.tasks and train:
+            parts.append(("friction", ", ".join(machine.repeats), train, []))
         if "diagnose" in machine.tasks and train:
             parts.append(("diagnose", ", ".join(machine.repeats), train, held_out))
         for part in parts:
@@ -114,8 +116,10 @@ def _task(
     identity = _digits([machine.name, date, kind, experiment, of], IDENTITY_DIGITS)
     read = [[[one.file.name, *one.hashes] for one in group] for group in (train, held)]
     name = f"machine={machine.name}/date={date}/{kind}-{identity}{_digits([loaded.hash, *read], CONTENT_DIGITS)}.parquet"
-    waits = kind == "diagnose" and machine.diagnose_when == "differs" and "check" in machine.tasks
-    return Task(machine.name, date, kind, name, Job(name, WORK, argument, needs), waits)
+    when = machine.diagnose_when if kind == "diagnose" else "always"
+    if when == "differs" and "check" not in machine.tasks:
+        when = "always"
+    return Task(machine.name, date, kind, name, Job(name, WORK, argument, needs), when)
 
 
 def _experiment(recording: StoredRecording, machine: FleetMachine) -> str:

@@ -30,6 +30,8 @@ AGAIN = {
 
 DIFFERS = "select distinct machine, strftime(night, '%Y-%m-%d') from results where task = 'check' and verdict = 'differs'"
 
+NUMBERS = "select 1 from results where value is not null limit 1"
+
 
 @dataclass
 class FleetRun:
@@ -37,7 +39,8 @@ class FleetRun:
 
     Attributes
     ----------
-    planned : tasks that the recordings make; of those, `present` had a result and `unneeded` are diagnoses of nights that do not differ.
+    planned : tasks that the recordings make; of those, `present` had a result and `unneeded` are diagnoses of
+        nights on which nothing differs, or changed.
     done : results that were written, failures among them.
     failures : a line for each result without an answer that was written.
     wrong : a line for everything that could not be used: machine files, folders, recordings without a date.
@@ -101,8 +104,8 @@ def run_fleet(
     engine = _engine(read, scheduler, workers, say)
     plan = plan_fleet(read, folder, lambda done, total: progress("listing recordings", done, total))
     run = FleetRun(folder, planned=len(plan.tasks), wrong=plan.wrong)
-    first = [task for task in plan.tasks if not task.only_if_differs]
-    later = [task for task in plan.tasks if task.only_if_differs]
+    first = [task for task in plan.tasks if task.when == "always"]
+    later = [task for task in plan.tasks if task.when != "always"]
     redone = frozenset(_files(folder, AGAIN[again])) if again is not None else frozenset()
     with cancelled_by_key() as cancelled:
 
@@ -124,8 +127,8 @@ def run_fleet(
 
         compute(first, "checking, identifying, calibrating")
         if later and not run.cancelled:
-            differing = {(machine, date) for machine, date in _rows(folder, DIFFERS)}
-            wanted = [task for task in later if (task.machine, task.date) in differing]
+            nights = {when: _NIGHTS[when](folder) for when in {task.when for task in later}}
+            wanted = [task for task in later if (task.machine, task.date) in nights[task.when]]
             run.unneeded = len(later) - len(wanted)
             compute(wanted, "diagnosing")
     return run
@@ -209,6 +212,23 @@ def _older(there: Iterable[str], tasks: Iterable[Task]) -> dict[str, list[str]]:
     for name in there:
         of_identity.setdefault(identity_of(name), []).append(name)
     return {task.name: [name for name in of_identity.get(identity_of(task.name), []) if name != task.name] for task in tasks}
+
+
+def _differing(folder: Path) -> set[tuple[str, str]]:
+    """Return machines and nights of which a check differs."""
+    return {(machine, date) for machine, date in _rows(folder, DIFFERS)}
+
+
+def _changed(folder: Path) -> set[tuple[str, str]]:
+    """Return machines that changed, each with the night on which that was first said."""
+    from hil.fleet.change import fleet_change, read_tracks
+
+    if not _rows(folder, NUMBERS):
+        return set()
+    return {(change.machine, str(change.alarm)) for change in fleet_change(read_tracks(folder)).changes}
+
+
+_NIGHTS = {"differs": _differing, "changed": _changed}
 
 
 def _rows(folder: Path, sql: str) -> tuple[tuple[Any, ...], ...]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from hil.errors import RecordingError, in_one_line
 from hil.extras import extra_package
-from hil.fleet.answers import Number, failure, of_comparison, of_diagnosis, of_parameters, of_resonances
+from hil.fleet.answers import Number, failure, of_comparison, of_diagnosis, of_friction, of_parameters, of_resonances
 from hil.machine.load import machine_from_text
 from hil.machine.model import Machine
 from hil.recording import Recording, read_recording
@@ -133,6 +133,13 @@ def _modes_Hz(text: str, path: str | None, pose: tuple[float, ...]) -> tuple[flo
     return tuple(float(one) for one in np.sort(np.abs(light)) / (2.0 * np.pi))
 
 
+def _friction(machine: Machine, argument: dict[str, Any], folder: Path) -> list[Number]:
+    from hil.tasks.diagnose import fit_friction
+    from hil.tasks.recordings import Recordings
+
+    return of_friction(fit_friction(machine, Recordings(_recordings(argument, "recordings", machine, folder))))
+
+
 def _diagnose(machine: Machine, argument: dict[str, Any], folder: Path) -> list[Number]:
     from hil.tasks.diagnose import diagnose
     from hil.tasks.recordings import Recordings
@@ -157,12 +164,13 @@ def _calibrate(machine: Machine, argument: dict[str, Any], folder: Path) -> list
     names = [f"{name}, {image} image" for image in IMAGES for name in DEVIATIONS]
     units = ["rad" if name.startswith("rotation") else "m" for name in names]
     said = f"{len(made.found.used)} of {made.offered} images used"
-    return of_parameters(names, units, rows @ found.values, rows @ found.covariance @ rows.T, said)
+    return of_parameters("geometry", "calibrated", said, names, units, rows @ found.values, rows @ found.covariance @ rows.T)
 
 
 _TASKS: dict[str, Callable[[Machine, dict[str, Any], Path], list[Number]]] = {
     "check": _check,
     "identify": _identify,
+    "friction": _friction,
     "diagnose": _diagnose,
     "calibrate": _calibrate,
 }

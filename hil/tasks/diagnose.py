@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from hil.diagnosis.answered.values import Everyday
 from hil.diagnosis.diagnose import diagnose as diagnose_recordings
+from hil.diagnosis.diagnose import fit_everyday
 from hil.diagnosis.files import write_diagnosis
 from hil.diagnosis.result import Diagnosis
 from hil.errors import RecordingError
 from hil.machine import Machine
+from hil.recording import Recording
 from hil.simulation import in_effort
 from hil.tasks.errors import as_bench_errors
 from hil.tasks.recordings import Several, every_one
@@ -52,12 +55,40 @@ def diagnose(
     RecordingError
         Recordings of another machine, copies of each other, or without what is needed.
     """
-    train, held = every_one(recordings), every_one(held_out, "held out")
-    if not train:
-        raise RecordingError("no recordings given; three repeats or more of one experiment would be right")
-    train = {name: in_effort(recording, machine) for name, recording in train.items()}
+    train, held = _to_explain(machine, recordings), every_one(held_out, "held out")
     held = {name if name not in train else f"{name} (held out)": in_effort(recording, machine) for name, recording in held.items()}
     outcome = diagnose_recordings(machine, train, held, report=progress)
     if out is not None:
         write_diagnosis(outcome, machine, Path(out))
     return outcome.diagnosis
+
+
+@as_bench_errors()
+def fit_friction(machine: Machine, recordings: Several) -> Everyday:
+    """Fit friction and constant load of every driven joint, with the machine's numbers, as an engineer would; no other physics is sought.
+
+    It is what `diagnose` begins with, in a fifth of its time.
+
+    Parameters
+    ----------
+    machine : Machine
+    recordings : Recording, Recordings or several of them
+        As `diagnose` takes them.
+
+    Returns
+    -------
+    Everyday
+
+    Raises
+    ------
+    RecordingError
+        As `diagnose` does.
+    """
+    return fit_everyday(machine, _to_explain(machine, recordings))
+
+
+def _to_explain(machine: Machine, recordings: Several) -> dict[str, Recording]:
+    train = every_one(recordings)
+    if not train:
+        raise RecordingError("no recordings given; three repeats or more of one experiment would be right")
+    return {name: in_effort(recording, machine) for name, recording in train.items()}

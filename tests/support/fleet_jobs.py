@@ -8,6 +8,8 @@ import threading
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from hil.fleet.job import Job, Needs
 
 FAILING = 13
@@ -74,3 +76,10 @@ def case(places: object, number: int, keep: bool) -> dict[str, Any]:
     if number == FAILING:
         raise RuntimeError("this case fails")
     return {"number": number, "keep": keep, "places": repr(places)}
+
+
+def draw(seed: int, scale: float) -> dict[str, Any]:
+    """A draw of a Monte Carlo, with all its digits."""
+    if seed == FAILING:
+        raise RuntimeError("this draw fails")
+    return {"seed": seed, "values": (scale * np.random.default_rng(seed).standard_normal(3)).tolist()}

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from hil.diagnosis.named.fitting import Fitted
 from hil.diagnosis.named.naming import Named
-from hil.diagnosis.named.standing import scattered
+from hil.diagnosis.named.standing import covariance_of, scattered
 from hil.diagnosis.result import Diagnosis, EffectAt, Estimate, Finding, NoiseKind
 from hil.diagnosis.seen.see import Seen
 from hil.diagnosis.separating.next_experiment import Proposal
@@ -49,6 +49,40 @@ class Answered:
     values: np.ndarray
     effects: tuple[EffectSetting, ...]
     proposal: Proposal | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Everyday:
+    """The engineer's fit: everyday effects at every driven joint, fitted together with the machine's numbers.
+
+    Attributes
+    ----------
+    diagnosis : Diagnosis
+        A first answer with that fit as its baseline; where there is none, why.
+    names, units : tuples of str
+        Of the effects' parameters, as `roll coulomb_friction Fc`.
+    values : (K,) array
+    covariance : (K, K) array
+    """
+
+    diagnosis: Diagnosis
+    names: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()
+    values: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+
+
+def everyday_of(machine: Machine, diagnosis: Diagnosis, fitted: Fitted) -> Everyday:
+    """Return the engineer's fit with its covariance, beside its first answer."""
+    of = [(fitted.settings[k], parameter) for k, parameter in fitted.parameters]
+    own = slice(len(fitted.offset), None)
+    return Everyday(
+        diagnosis,
+        tuple(f"{setting.at} {setting.name} {parameter.name}" for setting, parameter in of),
+        tuple(unit_of(parameter, setting.at, machine.plant) for setting, parameter in of),
+        np.array([setting.parameters[parameter.name] for setting, parameter in of], dtype=float),
+        covariance_of(fitted)[own, own],
+    )
 
 
 def baseline_of(machine: Machine, fitted: Fitted, noise: NoiseKind) -> tuple[Finding, ...]:

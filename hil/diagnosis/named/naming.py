@@ -83,12 +83,9 @@ def name(
     first : callable, optional
         Told the engineer's first fit as soon as there is one.
     """
-    alongs, levels = seen.alongs, seen.levels
+    alongs = seen.alongs
     report("fitting numbers and friction", 0.1)
-    with_friction, baseline = settled(alongs, levels, nominal_offset(alongs), everyday_effects(alongs[0]))
-    if levels.are_assumed:
-        levels = matched(levels, with_friction, baseline)
-        with_friction, baseline = settled(alongs, levels, baseline.offset, baseline.settings)
+    levels, with_friction, baseline = engineers_fit(seen)
     first(baseline)
     report("fitting numbers alone", 0.25)
     tuned, plain = settled(alongs, levels, nominal_offset(alongs))
@@ -117,6 +114,16 @@ def name(
         tuned, best = kept
     of = of if of is not None and of.tuned is tuned else None
     return Named(seen, levels, view, plain, tuned, baseline, tuple(ranked), best, tuple(sets), of)
+
+
+def engineers_fit(seen: Seen) -> tuple[Levels, Tuned, Fitted]:
+    """Return numbers and everyday effects at every driven joint fitted together, the machine with them, and the levels of what scatters."""
+    alongs, levels = seen.alongs, seen.levels
+    with_friction, baseline = settled(alongs, levels, nominal_offset(alongs), everyday_effects(alongs[0]))
+    if levels.are_assumed:
+        levels = matched(levels, with_friction, baseline)
+        with_friction, baseline = settled(alongs, levels, baseline.offset, baseline.settings)
+    return levels, with_friction, baseline
 
 
 def _sought(

@@ -205,11 +205,18 @@ def _is_within(parameter: Parameter, value: float) -> bool:
 
 def scattered(fitted: Fitted) -> np.ndarray:
     """Return standard deviations (P + Q,) of nuisances and parameters, by what scatters (White 1982)."""
+    deviations: np.ndarray = np.sqrt(np.diag(covariance_of(fitted)))
+    return deviations
+
+
+def covariance_of(fitted: Fitted) -> np.ndarray:
+    """Return the covariance (P + Q, P + Q) of nuisances and parameters, by what scatters."""
     squares = np.sum([each.T @ each for each in fitted.with_form], axis=0) / fitted.dispersion + np.diag(fitted.prior)
     scale = np.sqrt(np.maximum(np.diag(squares), 1e-300))
     inverse = np.linalg.pinv(squares / scale[:, None] / scale, hermitian=True)
-    deviations: np.ndarray = np.sqrt(np.diag(inverse)) / scale
-    return deviations[: len(deviations) - fitted.form.count]
+    own = slice(len(scale) - fitted.form.count)
+    covariance: np.ndarray = (inverse / scale[:, None] / scale)[own, own]
+    return covariance
 
 
 def _coordinates(fitted: Fitted) -> np.ndarray:

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import os
-import sys
 from typing import TYPE_CHECKING
 
 import pytest
-from places import BENCHMARKS
 
 if TYPE_CHECKING:
     from concealed.truth.plant import Machine
 
-sys.path.insert(0, str(BENCHMARKS))
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 pytest.importorskip("mujoco")
 

@@ -50,7 +50,7 @@ def test_what_every_machine_has_is_said_once(tmp_path: Path) -> None:
         ('"check", "diagnose"', '"chek"', "tasks"),
         ("repeats =", "repeat =", "did you mean repeats?"),
         ('file = "carm"', "", "needs `file`, here or in [every]"),
-        ('repeats = ["scan_*"]', "", "is diagnosed, so it needs `repeats`"),
+        ('repeats = ["scan_*"]', "", 'has the task "diagnose", so it needs `repeats`'),
         ("time_s = 60.0", "time_s = -1.0", "limits.diagnose.time_s = -1.0: must be positive"),
         ("format = 1", "format = = 1", "no valid TOML"),
     ],

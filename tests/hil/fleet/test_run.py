@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import shutil
 import threading
+from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 import hil
-from hil.fleet.store import names_in
+from hil.fleet.change import fleet_change, read_tracks
+from hil.fleet.store import COLUMNS, names_in, write_results
 
 pytest.importorskip("duckdb")
 
@@ -87,6 +91,53 @@ def test_every_row_says_what_it_was_made_of(recorded: Path, done: Path) -> None:
     asked = "select distinct machine_file_hash, strftime(night, '%Y-%m-%d'), len(recording_hashes) from results where task = 'identify'"
     assert rows(done, asked) == ((machine.hash, "2026-11-27", 4),)
     assert rows(done, "select count(*) from results where software_version not like 'isocenter%'") == ((0,),)
+
+
+def test_friction_of_a_night_is_what_acted_with_the_covariance_of_what_was_fitted_together(folder: Path) -> None:
+    (folder / "friction.toml").write_text(FLEET.replace('["check", "identify"]', '["friction"]'), encoding="utf-8")
+    run = hil.run_fleet(folder / "friction.toml", workers=0)
+    assert run.by_verdict == {"fitted": 2}
+    asked = "select machine, quantity, value, standard_deviation, covariance, covariance_index from results where value is not null"
+    found: dict[tuple[object, object], list[Any]] = {(machine, quantity): rest for machine, quantity, *rest in rows(run.store, asked)}
+    for machine, really_Nm in (("one", 0.0), ("other", 0.5)):
+        value, deviation, covariance, place = found[machine, "turn coulomb_friction Fc"]
+        assert value == pytest.approx(really_Nm, abs=0.06)
+        assert covariance[place] == pytest.approx(deviation**2)
+        viscous = found[machine, "turn viscous_friction Fv"]
+        assert covariance[viscous[3]] == pytest.approx(viscous[2][place])
+        assert covariance[viscous[3]] != 0.0
+
+
+def test_a_machine_that_changed_is_diagnosed_on_the_night_that_names_it(folder: Path) -> None:
+    def row(machine: str, night: datetime, value: float) -> dict[str, object]:
+        told = {"task": "friction", "experiment": "jog", "quantity": "turn friction", "value": value, "standard_deviation": 0.1}
+        whose = {"machine": machine, "night": night, "software_version": "1", "machine_file_hash": "h"}
+        return dict.fromkeys(COLUMNS) | told | whose | {"covariance_group": "", "covariance": [0.01], "covariance_index": 0}
+
+    store, random = folder / "fleet-results", np.random.default_rng(3)
+    nights = [datetime(2026, 11, 27) - timedelta(number) for number in range(30)]
+    machines = ["one", "other", *(f"further_{number}" for number in range(8))]
+    tracks = [(machine, night, random.normal(6.0, 0.1)) for machine in machines for night in sorted(nights)]
+    stepped = [row(*each[:2], each[2] + (each[0] == "other" and each[1] > nights[9])) for each in tracks]
+    write_results(store, {f"machine={each['machine']}/date={each['night']:%Y-%m-%d}/friction-0.parquet": [each] for each in stepped})
+    [change] = fleet_change(read_tracks(store)).changes
+    assert change.machine == "other"
+    for machine in ("one", "other"):  # recordings of the night that names it, and of the one before
+        recorded = folder / "recordings" / machine / "2026-11-27"
+        shutil.copytree(recorded, recorded.parent / str(change.alarm - 1))
+        recorded.rename(recorded.parent / str(change.alarm))
+    text = FLEET.replace('["check", "identify"]', '["diagnose"]').replace("[[machine]]", 'diagnose_when = "changed"\n[[machine]]', 1)
+    (folder / "fleet.toml").write_text(f"{text}[limits.diagnose]\ntime_s = 0.001\n", encoding="utf-8")  # which night counts, not its answer
+    run = hil.run_fleet(folder / "fleet.toml", workers=0)
+    assert (run.planned, run.unneeded, run.done) == (4, 3, 1)
+    assert run.failures[0].startswith(f"other, {change.alarm}: diagnose")
+
+
+def test_a_fleet_without_numbers_has_nothing_that_changed(folder: Path) -> None:
+    text = FLEET.replace('["check", "identify"]', '["diagnose"]').replace("[[machine]]", 'diagnose_when = "changed"\n[[machine]]', 1)
+    (folder / "fleet.toml").write_text(text, encoding="utf-8")
+    run = hil.run_fleet(folder / "fleet.toml", workers=0)
+    assert (run.planned, run.unneeded, run.done) == (2, 2, 0)
 
 
 def test_a_rerun_does_nothing(folder: Path) -> None:

@@ -1,0 +1,9 @@
+"""Benchmarks are imported by their names."""
+
+from __future__ import annotations
+
+import sys
+
+from places import BENCHMARKS
+
+sys.path.insert(0, str(BENCHMARKS))
