@@ -52,7 +52,8 @@ FLEET = (
         "Machines recorded every night, in a fleet",
         "Four emulated turntables, one with friction that grows and one with friction that steps, through three recordings of 10 s a "
         "night, checked, fitted and diagnosed by `isocenter fleet run`; as four of a fleet of 200 over 60 nights, whose others are drawn "
-        "with the covariances measured on them. Scatter is about what was hidden, each machine's mean error taken off.",
+        "with the covariances measured on them. The growth begins on night 20, the step on night 30: fewer recorded nights cannot show "
+        "them. Scatter is about what was hidden, each machine's mean error taken off.",
         "python benchmarks/fleet_nights.py WORK",
         (
             Figure("machine-nights recorded and fitted, of 240", ("machine_nights",)),
