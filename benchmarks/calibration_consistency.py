@@ -4,7 +4,7 @@
 
 Begins from the drawing, and from a phantom calibration of the machine before its mount moved by 0.3 mm. A scan's place and size are not
 in its images: errors are left after both are fitted. `after_mm` is of what the command leaves, which is the start where it writes no table;
-`found_mm` of what it would have written. Draws of machines hold the stated deviation to the truth. Steps whose files are in FOLDER are not
+`found_mm` of what it would have written. Steps whose files are in FOLDER are not
 done again.
 """
 
@@ -102,6 +102,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--work", type=Path, required=True)
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--drawn", type=Path, help="result of draws of machines, which hold the stated deviation to the truth")
     options = parser.parse_args()
     work = Work(options.work, repeats=False)
     work.run("earlier", UNSEEN, 1)
@@ -134,7 +135,9 @@ def main() -> None:
             rows[f"{name}, {start}"] = row
             print(f"{name}, {start}: {row}", flush=True)
     if options.json:
-        options.json.write_text(json.dumps({"scans": rows, "drawn": coverage(work.carm)}, indent=1) + "\n", encoding="utf-8")
+        options.json.write_text(json.dumps({"scans": rows}, indent=1) + "\n", encoding="utf-8")
+    if options.drawn:
+        options.drawn.write_text(json.dumps({"drawn": coverage(work.carm)}, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
