@@ -442,6 +442,14 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
     "calibrate grid": (
         Entry("experiment, poses, seconds", "text, number, number", "The file that was written, its poses, and how long it takes."),
     ),
+    "calibrate consistency": (
+        Entry("images, pairs", "number", "That were compared."),
+        Entry("changed", "true or false", "Whether the images say that the geometry has changed; only then there is a table."),
+        Entry("gain", "number", "Twice the logarithm of odds that it has; 12 is sure."),
+        Entry("moved_mm, stated_mm", "number", "By how much shadows moved on the panel (rms), and how sure that is."),
+        Entry("contradiction_before, contradiction_after", "number", "Rms over what noise explains."),
+        Entry("deviation, sigma", "list (N, 9)", "From the geometry before, in metres and radians, and standard deviations."),
+    ),
     "calibrate spot": (
         Entry("time_s, spot_m, sigma_m", "list", "Place of the focal spot over time."),
         Entry("drift_m", "(2,)", "Drift along columns and rows."),

@@ -10,6 +10,7 @@ from hil.cli import (
     bus,
     calibrate,
     calibrate_chain,
+    calibrate_consistency,
     calibrate_convergence,
     calibrate_data,
     calibrate_model,
@@ -62,6 +63,7 @@ def commands(app: typer.Typer) -> None:
     calibrate_data.register(calibrate.app)
     calibrate_model.register(calibrate.app)
     calibrate_spot.register(calibrate.app)
+    calibrate_consistency.register(calibrate.app)
     calibrate_chain.register(calibrate.app)
     calibrate_convergence.register(calibrate.app)
     roadmap.register(app)

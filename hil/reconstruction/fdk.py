@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from hil.errors import UnusableInputError
 from hil.extras import extra_package
+from hil.imaging.circular import advancing, scan_circle
 from hil.imaging.detector import Detector
 from hil.imaging.geometry import ConeBeam
 from hil.imaging.pixels import without_dead_pixels
@@ -62,26 +63,6 @@ def bytes_needed(size: int, projections: tuple[int, int, int]) -> float:
     return 4.0 * (3 * size**3 + 6 * float(np.prod(projections)))
 
 
-def scan_axis(beam: ConeBeam) -> tuple[np.ndarray, float]:
-    """Return the axis (3,) that the panel's normals turn about, and the arc [rad] that they cover.
-
-    Raises
-    ------
-    UnusableInputError
-        The exposures do not turn about one axis.
-    """
-    normals = beam.rotation[:, :, 2]
-    _, spread, directions = np.linalg.svd(normals, full_matrices=False)
-    axis = directions[2]
-    if spread[2] > 0.2 * spread[1]:
-        raise UnusableInputError("the exposures do not turn about one axis; a cone-beam reconstruction needs a circular scan")
-    first = normals[0] - (normals[0] @ axis) * axis
-    first /= np.linalg.norm(first)
-    second = np.cross(axis, first)
-    angles = np.unwrap(np.arctan2(normals @ second, normals @ first))
-    return axis, float(np.ptp(angles))
-
-
 def reconstruct(
     projections: np.ndarray, detector: Detector, beam: ConeBeam, size: int = 128, spacing_m: float = 1e-3, hann: float = 0.0
 ) -> Volume:
@@ -117,10 +98,11 @@ def reconstruct(
         raise UnusableInputError(f"the panel's pixels are skewed by {detector.skew:g} columns a row; straighten the images")
     if len(beam) < FEWEST:
         raise UnusableInputError(f"{len(beam)} projections; a reconstruction needs {FEWEST} at least, 100 to be of use")
-    axis, arc = scan_axis(beam)
+    axis, angle = scan_circle(beam)
+    arc = float(np.ptp(angle))
     if np.degrees(arc) < LEAST_ARC_deg:
         raise UnusableInputError(f"the scan covers {np.degrees(arc):.0f} degrees; a reconstruction needs {LEAST_ARC_deg:.0f} at least")
-    chosen = _moving(beam, axis)
+    chosen = advancing(angle)
     projections, beam = projections[chosen], beam[chosen]
     to_volume = _turned_to_y(axis)
     turned = beam.referred_to(np.zeros(3), to_volume)
@@ -134,22 +116,6 @@ def reconstruct(
     frames = np.stack([turned.source_in_phantom_m, turned.detector_in_phantom_m, u, v], axis=1)
     values = _fdk(*_with_dark_ends(projections, frames), (pitch_u, pitch_v), size, spacing_m, hann)
     return Volume(values, spacing_m, to_volume)
-
-
-def _moving(beam: ConeBeam, axis: np.ndarray) -> np.ndarray:
-    """Return the exposures to use, without those at standstill or in which a sweep turns back, which show nothing new."""
-    first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    first /= np.linalg.norm(first)
-    normals = beam.rotation[:, :, 2]
-    angle = np.unwrap(np.arctan2(normals @ np.cross(axis, first), normals @ first))
-    if angle[-1] < angle[0]:
-        angle = -angle
-    least = 0.3 * np.ptp(angle) / len(angle)
-    chosen = [0]
-    for k in range(1, len(angle)):
-        if angle[k] - angle[chosen[-1]] > least:
-            chosen.append(k)
-    return np.array(chosen)
 
 
 def short_scan_weights(beam: ConeBeam, u: np.ndarray, pitch_m: float, columns: int, arc: float) -> np.ndarray:
