@@ -13,6 +13,7 @@ from hil.diagnosis.candidates.columns import Column
 from hil.diagnosis.candidates.entries import Entry, columns_of, entries
 from hil.diagnosis.named.fitting import Fitted, fit
 from hil.diagnosis.named.form import FORM
+from hil.diagnosis.seen.tones import DRAWS
 from hil.diagnosis.tuned.bounded import bounded_least_squares
 from hil.diagnosis.tuned.retuning import Looked, Tuned
 from virtual_bus.effects.law import SMOOTHED
@@ -26,8 +27,6 @@ EXACT = 0.01
 are linear about them."""
 NOT_TOLD_APART = 20.0
 """In twice the log of the evidence: ten units of log likelihood."""
-DRAWS = 4
-"""Of white innovations, whose spectra show what noise makes of waves: with the lines averaged, to a tenth."""
 ROWS, AT_ONCE = 8192, 64
 """Of columns that are in double precision at once, and laws that are filtered at once."""
 DEPTH = 3

@@ -22,8 +22,6 @@ FINEST = 0.05
 """Share of a sensor's noise by the machine file that its own noise is at least: less would be a share of one step of its lattice."""
 HIDDEN = 0.5
 """Share of an innovation's precision that a lattice leaves, below which it hides the noise."""
-NUMBERS = 3
-"""Of a tone: its size, its frequency and its width."""
 BEGUN = 0.002
 """Share of what a drive can give at most, as the disturbances' first level."""
 
@@ -71,7 +69,7 @@ def _with_tones(
     if tones is None:
         return found
     other, likelier = levels_from(parts, replace(found, tones=tones), lowest)
-    return other if likelier - likely > NUMBERS * len(tones.joints) else found
+    return other if likelier - likely > tones.numbers else found
 
 
 def _hidden(one: Beside, shown: Levels, with_lattices: Levels) -> np.ndarray:

@@ -18,23 +18,11 @@ from hil.diagnosis.seen.filtering import whitening
 
 LONGEST_ROWS = 1200
 """Rows of a recording that levels are taken from: a level's error over so many is a thirtieth."""
-STEPS = 200
-"""Of the search for the likeliest levels, at most."""
 ACCURACY = 1e-3
 """Relative error of efforts and of columns, since equations are linearised and motions smoothed: what a set of effects and changes of
 numbers would add up to, one by one, is as unsure. It keeps large changes that cancel each other from being fitted to noise."""
-LEAST, MOST = 1e-4, 500.0
-"""Factors by which a level may differ from where the search begins; disturbances begin at a five-hundredth of all that a drive gives."""
-SMALLEST = 1e-12
-"""Of a level whose logarithm is taken."""
-SETTLED = 1e-3
-"""Units of log likelihood below which a step ends the search: some steps of a quasi-Newton method bring little, and the next one much."""
-SHIFTED = 0.7
-"""By which the log of a tone's frequency or width may differ from the first one."""
-DIFFERENCE = 1e-5
-"""Of such a log."""
-UNLIKELY = 1e6
-"""In the same units, of levels that the filter cannot be computed with."""
+MOST = 500.0
+"""Factor by which a level may differ from where the search begins; disturbances begin at a five-hundredth of all that a drive gives."""
 
 
 def levels_from(
@@ -62,20 +50,20 @@ def levels_from(
         efforts, ends, left = (np.stack(each) for each in rows_of)
         beside.append((one, efforts, ends, np.nan_to_num(left), ~np.isnan(left[0])))
     start = _logs(begin)
-    least, most = np.log(LEAST) + start, np.log(MOST) + start
-    least[2 * n : 2 * n + len(lowest)] = np.maximum(least[2 * n : 2 * n + len(lowest)], np.log(np.clip(lowest, SMALLEST, 1.0 / SMALLEST)))
+    least, most = start - np.log(MOST), start + np.log(MOST)
+    least[2 * n : 2 * n + len(lowest)] = np.maximum(least[2 * n : 2 * n + len(lowest)], np.log(_positive(lowest)))
     needed = np.sqrt(np.mean([np.mean(one.signals.needed[some] ** 2, axis=0) for one, *_ in beside], axis=0))
-    least[:n] = np.maximum(least[:n], np.log(np.maximum(ACCURACY * needed, SMALLEST)))
+    least[:n] = np.maximum(least[:n], np.log(_positive(ACCURACY * needed)))
     shapes = np.arange(2 * n + len(lowest) + _tones(begin), len(start))
-    least[shapes], most[shapes] = start[shapes] - SHIFTED, start[shapes] + SHIFTED
+    least[shapes], most[shapes] = start[shapes] - np.log(2.0), start[shapes] + np.log(2.0)  # an octave
     start, most = np.maximum(start, least), np.maximum(most, least)
 
     def less_likely(logs: np.ndarray) -> tuple[float, np.ndarray]:
-        levels = _with_logs(begin, logs)
+        levels, jolted = _with_logs(begin, logs), np.exp(2.0 * logs[n : 2 * n])
         value, slopes = 0.0, np.zeros(len(logs))
         for one, efforts, ends, left, present in beside:
             lin = one.linearised(levels)
-            filtered = whitening(lin, present, None, np.tile(levels.jolts**2, (len(present), 1)))
+            filtered = whitening(lin, present, None, np.tile(jolted, (len(present), 1)))
             squares, begun, process, jolts, reading = _scores(
                 lin.stride, lin.transition, lin.of_effort, lin.of_rise, lin.observation, lin.through, filtered.gains, filtered.roots,
                 efforts, ends, left, present,
@@ -84,7 +72,7 @@ def levels_from(
             states = lin.process * process + lin.start * begun
             phasors = states[len(states) - 2 * _tones(begin) :].reshape(-1, 2).sum(axis=1)
             slopes[: shapes[0] if len(shapes) else None] -= np.concatenate(
-                [states[2 * n : 3 * n], levels.jolts**2 * jolts, lin.noise * reading, phasors]
+                [states[2 * n : 3 * n], jolted * jolts, lin.noise * reading, phasors]
             )
         return value, slopes
 
@@ -92,17 +80,16 @@ def levels_from(
         try:
             value, slopes = less_likely(logs)
             for shape in shapes:
-                further = np.where(np.arange(len(logs)) == shape, logs + DIFFERENCE, logs)
-                slopes[shape] = (less_likely(further)[0] - value) / DIFFERENCE
+                further = np.where(np.arange(len(logs)) == shape, logs + step, logs)
+                slopes[shape] = (less_likely(further)[0] - value) / step
         except np.linalg.LinAlgError:  # so uneven that a covariance is lost to rounding: the step was too long
             return nowhere, np.zeros(len(logs))
         return value, slopes
 
-    first = less_likely(start)[0]
-    nowhere = first + UNLIKELY
-    options = {"maxiter": STEPS, "ftol": SETTLED / max(abs(first), 1.0)}
+    first, step = less_likely(start)[0], float(np.sqrt(np.finfo(float).eps))
+    nowhere = first + abs(first) + 1.0
     bounds = np.column_stack([least, most])
-    found = scipy.optimize.minimize(bounded, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+    found = scipy.optimize.minimize(bounded, start, jac=True, method="L-BFGS-B", bounds=bounds)
     return _with_logs(begin, found.x), -float(found.fun)
 
 
@@ -114,7 +101,15 @@ def _logs(levels: Levels) -> np.ndarray:
     """Return logarithms of disturbances, jolts, sensors' noise, tones' sizes, and of their frequencies and widths."""
     tones = [] if levels.tones is None else [levels.tones.sizes, levels.tones.frequencies_Hz, levels.tones.widths_Hz]
     jolts = levels.disturbance if levels.jolts is None else levels.jolts
-    return np.log(np.clip(np.concatenate([levels.disturbance, jolts, levels.sensors, *tones]), SMALLEST, 1.0 / SMALLEST))
+    every = np.concatenate([levels.disturbance, jolts, levels.sensors, *tones])
+    logs: np.ndarray = np.log(_positive(every))
+    return logs
+
+
+def _positive(levels: np.ndarray) -> np.ndarray:
+    """Return levels whose logarithms are finite."""
+    shown: np.ndarray = np.clip(levels, np.finfo(float).tiny, np.finfo(float).max)
+    return shown
 
 
 def _with_logs(levels: Levels, logs: np.ndarray) -> Levels:

@@ -9,15 +9,12 @@ import numpy as np
 import scipy.ndimage
 
 from hil.diagnosis.seen.filtering import Linearised, Whitening
+from virtual_bus.effects.law import SMOOTHED
 
 DRAWS = 4
-"""Of white innovations, whose spectra show what noise without a tone makes of each line."""
-SMOOTHED, AVERAGED = 61, 5
-"""Lines that what such noise makes of them is averaged over, and those that a tone may fill."""
-SURE = 5.0
-"""In the log of a chance: a line as high by chance alone comes once in 150 spectra."""
-WIDTH = 0.05
-"""Of a tone at first, as a share of its frequency."""
+"""Of white innovations, whose spectra show what noise alone makes of waves: with the lines averaged, to a tenth."""
+AVERAGED = 5
+"""Lines that a tone fills at first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +34,11 @@ class Tones:
     sizes: np.ndarray
     frequencies_Hz: np.ndarray
     widths_Hz: np.ndarray
+
+    @property
+    def numbers(self) -> int:
+        """How many there are."""
+        return len(self.sizes) + len(self.frequencies_Hz) + len(self.widths_Hz)
 
     def times(self, factors: np.ndarray) -> Tones:
         """Return the same with other sizes; factors (n,) of all joints."""
@@ -95,10 +97,11 @@ def tones_in(
     for joint in joints:
         line = int(np.argmax(ratio[:, joint]))
         freedom = AVERAGED * len(innovations)
-        if freedom * (ratio[line, joint] - 1.0 - np.log(max(ratio[line, joint], 1e-300))) > np.log(rows / 2) + SURE:  # Chernoff's bound
+        if freedom * (ratio[line, joint] - 1.0 - np.log(max(ratio[line, joint], 1e-300))) > 2.0 * np.log(rows):  # Chernoff's bound: chance
             found.append((joint, line / (rows * period_s)))
     if not found:
         return None
     places = np.array([joint for joint, _ in found])
     frequencies = np.array([frequency for _, frequency in found])
-    return Tones(places, sizes[places], frequencies, WIDTH * frequencies)
+    widths = np.full(len(places), 0.5 * AVERAGED / (rows * period_s))
+    return Tones(places, sizes[places], frequencies, widths)
