@@ -69,8 +69,8 @@ def consistency(
     begun = lookup or f"the drawing of {machine.name}"
     if not found.sure:
         answer.say(
-            f"{found.pairs} pairs of {found.images} images say nothing more than {begun}: a change explains them {odds(found.gain)}"
-            " as well as none. No table is written; keep what you have"
+            f"{found.pairs} pairs of {found.images} images say nothing more than {begun}: a change of {1e3 * found.moved_m:.3f} mm, sure to"
+            f" {1e3 * found.stated_m:.3f} mm, explains them {odds(found.gain)} as well as none. No table is written; keep what you have"
         )
         raise typer.Exit(1)
     speed = [float(each) if np.isfinite(each) else None for each in sweep_speed(scan.middle_s, positions)]

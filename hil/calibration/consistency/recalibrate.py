@@ -68,8 +68,11 @@ class Consistent:
 
     @property
     def sure(self) -> bool:
-        """Whether the images say that the geometry has changed."""
-        return self.gain > SURE
+        """Whether the images say that the geometry has changed, and a table of the change is nearer to it than none.
+
+        What is found holds its own error: of a found size m and an error s a change of m^2 - s^2 is left, and taking it up leaves s.
+        """
+        return self.gain > SURE and self.moved_m**2 > 2.0 * self.stated_m**2
 
 
 def recalibrate(

@@ -7,7 +7,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from conftest import BENCHMARKS
+from places import BENCHMARKS
 
 from hil.machine.load import machine_from_text
 

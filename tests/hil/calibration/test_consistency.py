@@ -121,7 +121,7 @@ def test_an_image_knows_by_how_much_the_integral_over_a_plane_changes() -> None:
     np.testing.assert_allclose(first, expected, atol=0.07 * size)
     np.testing.assert_allclose(second, expected, atol=0.07 * size)
     furthest = np.linalg.norm(CENTRES_m, axis=1).max()
-    assert furthest < object_radius(images, beam) < furthest + 6.0 * WIDTH_m
+    assert furthest < object_radius(images, beam) < furthest + 8.0 * WIDTH_m  # without noise a cloud is seen to six; and its margin
 
 
 def test_what_is_seen_has_the_variance_that_photons_leave_and_nothing_else_is_seen() -> None:
