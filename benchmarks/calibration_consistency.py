@@ -104,7 +104,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     parser.add_argument("--drawn", type=Path, help="result of draws of machines, which hold the stated deviation to the truth")
     options = parser.parse_args()
-    work = Work(options.work, repeats=False)
+    work = Work(options.work, "not_repeatable")
     work.run("earlier", UNSEEN, 1)
     work.run("unseen", UNSEEN, 2, after=True)
     table = calibrate_phantom_scan(work.carm, work.images("earlier", "phantom", WIRES_Hz)).table
