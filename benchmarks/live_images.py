@@ -34,6 +34,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
+from wall_clock import load
 
 from drivers.bus_url import open_bus
 from drivers.imaging.panel_link import HEADER, MARK, end_bytes, read_command
@@ -216,30 +217,12 @@ def emulated(machine_file: Path, file: Path | None, scene: str) -> Iterator[None
         process.join()
 
 
-def _compute() -> None:
-    os.nice(LOWEST)
-    while True:
-        sum(range(10_000))
-
-
-@contextlib.contextmanager
-def load(processes: int) -> Iterator[None]:
-    """Run so many processes that only compute."""
-    burning = [multiprocessing.get_context("spawn").Process(target=_compute, daemon=True) for _ in range(processes)]
-    for process in burning:
-        process.start()
-    try:
-        yield
-    finally:
-        for process in burning:
-            process.kill()
-
-
 def measure(case: Case, work: Path, seconds: float) -> dict[str, object]:
     """Run one case."""
     machine_file, observer, known = prepared(work)
     file = made(work, case.scene, case.binning) if case.scene else None
-    with tempfile.TemporaryDirectory(dir=work) as scratch, load(BUSY if case.loaded else 0), emulated(machine_file, file, case.scene):
+    busy = load(BUSY if case.loaded else 0, LOWEST)
+    with tempfile.TemporaryDirectory(dir=work) as scratch, busy, emulated(machine_file, file, case.scene):
         images, recorded, told = (Path(scratch) / name for name in ("images", "run.mf4", "run.json"))
         words = ["run", "static", "-m", machine_file, "-b", BUS, "--pose", STANDS, "--seconds", seconds, "--observer", observer]
         if case.scene:

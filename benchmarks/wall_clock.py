@@ -168,15 +168,16 @@ def doctor(file: Path, seconds: float) -> dict[str, float] | None:
     return json.loads(answer)["prediction"] if answer else None
 
 
-def _compute() -> None:
+def _compute(niceness: int) -> None:
+    os.nice(niceness)
     while True:
         sum(range(10_000))
 
 
 @contextlib.contextmanager
-def load(processes: int) -> Iterator[None]:
+def load(processes: int, niceness: int = 0) -> Iterator[None]:
     """Run so many processes that only compute."""
-    burning = [multiprocessing.get_context("spawn").Process(target=_compute, daemon=True) for _ in range(processes)]
+    burning = [multiprocessing.get_context("spawn").Process(target=_compute, args=(niceness,), daemon=True) for _ in range(processes)]
     for process in burning:
         process.start()
     try:

@@ -82,6 +82,12 @@ ONE_FRICTION = {"coulomb_friction", "asymmetric_friction"}
 """Where the disturbances' mean is a small load, both are equal."""
 
 
+def friction_levels(found: Named) -> list[float]:
+    """Coulomb friction [N], one or both ways."""
+    (friction,) = [setting for setting in found.best.settings if setting.name in ONE_FRICTION]
+    return [value for key, value in friction.parameters.items() if key.startswith("Fc")]
+
+
 def names(found: Named) -> set[str]:
     return {setting.name for setting in found.best.settings}
 
@@ -90,6 +96,7 @@ def test_a_wave_a_twentieth_as_large_as_the_friction_beside_it_is_found() -> Non
     found = name(see(MACHINE, carried(lambda x: 1.5 * np.cos(150.0 * x + 0.4), friction_N=30.0)))
     assert len(found.best.settings) == 2
     assert names(found) - ONE_FRICTION == {"cogging"}
+    assert friction_levels(found) == pytest.approx([30.0] * len(friction_levels(found)), rel=0.06)
     (wave,) = [setting for setting in found.best.settings if setting.name == "cogging"]
     assert wave.parameters["A1"] == pytest.approx(1.5, rel=0.15)
 
@@ -99,6 +106,7 @@ def test_friction_a_twentieth_off_the_law_is_one_friction() -> None:
     found = name(see(MACHINE, bent()))
     assert len(found.best.settings) == 1
     assert names(found) <= ONE_FRICTION
+    assert friction_levels(found) == pytest.approx([30.0] * len(friction_levels(found)), rel=0.06)
 
 
 def bent() -> dict[str, Recording]:
