@@ -51,7 +51,7 @@ ARRIVED_COUNTS = 20.0
 
 BRIDGE_S = 1.0
 BRIDGED_SHARE = 0.05
-"""Share of the tracking error that stops the motors: 2.6 mrad on the C-arm, where commissioning moves an axis by half a milliradian."""
+"""Share of the tracking error that stops the motors, by which an axis may coast beyond the travel of its first-move check."""
 
 
 Beside = contextlib.AbstractContextManager[None]
@@ -344,7 +344,7 @@ class Bench:
         """
         for axis, limit in enumerate(self.machine.limits):
             stands, begins = self.pose[axis], first.reference[0, axis]
-            allowed = BRIDGED_SHARE * limit.tracking_error
+            allowed = BRIDGED_SHARE * limit.tracking_error + self.wiring.link.settings.homings[axis].direction_check_travel
             if not abs(stands - begins) <= allowed:
                 raise MotionRefusedError(
                     f"{limit.axis}: stands at {stands:+.5f} {limit.unit}, its way was planned from {begins:+.5f}: it moved by "
