@@ -98,8 +98,9 @@ def measured(store: Path) -> dict[str, Any]:
 
 
 def with_deviations(tracks: Tracks) -> Tracks:
-    """Return the parameters that state a deviation."""
-    own = [j for j in range(len(tracks.parameters)) if np.any(tracks.covariances[:, :, j, j] > 0.0)]
+    """Return the parameters that state a deviation, of the tasks of every night: a diagnosis is now and then."""
+    nightly = np.isfinite(tracks.values).mean(axis=(0, 1)) > 0.5
+    own = [j for j in range(len(tracks.parameters)) if nightly[j] and np.any(tracks.covariances[:, :, j, j] > 0.0)]
     parameters = [tracks.parameters[j] for j in own]
     covariances = tracks.covariances[:, :, own][..., own]
     return Tracks(tracks.machines, tracks.nights, parameters, tracks.values[..., own], covariances, tracks.builds)
