@@ -13,6 +13,7 @@ from hil.diagnosis.answered.early import first_answer, nothing_seen, play_seen, 
 from hil.diagnosis.answered.values import Answered, Everyday, everyday_of
 from hil.diagnosis.audit.audit import Audit, audit
 from hil.diagnosis.audit.recordings import faults
+from hil.diagnosis.free_runs.runs import free_runs
 from hil.diagnosis.named.fitting import Fitted
 from hil.diagnosis.named.naming import engineers_fit, name
 from hil.diagnosis.result import Diagnosis
@@ -93,7 +94,7 @@ def diagnose_audited(
     def say(baseline: Fitted) -> None:
         first(first_answer(machine, audited, seen, baseline, time.monotonic() - began))
 
-    return answer(machine, audited, name(seen, report, say), held_out, began, report)
+    return answer(machine, audited, name(seen, free_runs(seen, audited), report, say), held_out, began, report)
 
 
 def fit_everyday(machine: Machine, recordings: Mapping[str, Recording]) -> Everyday:

@@ -9,9 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from hil.machine import Machine
+from hil.recording.channels import imu_channels
 from hil.simulation.simulator import Outputs
-
-IMU_CHANNELS = ("imu_x", "imu_y", "imu_z", "gyro_x", "gyro_y", "gyro_z")
 
 LARGEST_STEP_s = 1.0 / 500.0
 """Of the plant's integration."""
@@ -54,8 +53,8 @@ def _columns(machine: Machine) -> dict[str, tuple[str, int]]:
         columns[f"position_{units.axis}"] = "position", i
         columns[f"link_position_{units.axis}"] = "link_position", i
         columns[f"speed_{units.axis}"] = "speed", i
-    if machine.plant.imus:
-        columns.update((name, ("imu", column)) for column, name in enumerate(IMU_CHANNELS))
+    names = [name for imu in machine.plant.imus for name in imu_channels(imu.name)]
+    columns.update((name, ("imu", column)) for column, name in enumerate(names))
     return columns
 
 

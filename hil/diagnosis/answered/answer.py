@@ -11,8 +11,9 @@ import numpy as np
 
 from hil.diagnosis.answered.values import LARGEST, WITHIN_95, Answered, baseline_of, estimates_of, names_of, shown_findings, unit_of
 from hil.diagnosis.audit.audit import Audit
+from hil.diagnosis.free_runs.runs import FreeRuns
 from hil.diagnosis.locating.answered import where_it_is
-from hil.diagnosis.named.fitting import LEVEL, Fitted
+from hil.diagnosis.named.fitting import LEVEL, Fitted, fit
 from hil.diagnosis.named.naming import Named
 from hil.diagnosis.named.search import NOT_TOLD_APART, library
 from hil.diagnosis.named.standing import (
@@ -50,7 +51,7 @@ from hil.diagnosis.result import (
 from hil.diagnosis.seen.see import Seen, see
 from hil.diagnosis.separating.next_experiment import Proposal, propose
 from hil.diagnosis.separating.separation import Model
-from hil.diagnosis.tuned.retuning import Tuned
+from hil.diagnosis.tuned.retuning import Tuned, tuned_at
 from hil.machine import Machine
 from hil.recording import Recording
 from virtual_bus.effects.effect import FRICTION
@@ -100,6 +101,7 @@ def answer(
         reason = "; ".join([reason, what_may_hide(_recordings(seen)), *_never_shown(limits)])
     train = _predicted(named, seen)
     held = _predicted(named, see(machine, held_out, seen)) if held_out else None
+    along, there = (tuned, along_motion) if isinstance(tuned, Tuned) else _along(named)
     missing = {seen.alongs[0].joints[joint]: share for joint, share in _shares(named).items()}
     proposal = None
     if verdict == "ambiguous":
@@ -114,7 +116,7 @@ def answer(
         retuned=retuned,
         frozen=frozen,
         noise=noise,
-        location=Location() if verdict in ("consistent", "retuned") else where_it_is(seen, tuned, along_motion),
+        location=Location() if verdict in ("consistent", "retuned") else where_it_is(seen, along, there),
         fit=_fit(train, held, held_out != {}),
         unexplained_share=unexplained(judged),
         seconds=time.monotonic() - began,
@@ -127,6 +129,13 @@ def answer(
     )
     settings_of_all = (*best.settings, *(one.setting for one in seen.shown))
     return Answered(machine, diagnosis, names_of(seen), named, values, settings_of_all, proposal)
+
+
+def _along(named: Named) -> tuple[Tuned, Fitted]:
+    """Return the answer of free runs along the recorded motion."""
+    best = named.best
+    tuned = tuned_at(named.seen.alongs, named.levels, best.offset, best.settings)
+    return tuned, fit(tuned, best.settings, best.offset, longest=0.0) or best
 
 
 def _proposed(machine: Machine, named: Named, others: Sequence[Alternative], report: Callable[[str, float], None]) -> Proposal | None:
@@ -272,7 +281,7 @@ def _hypotheses(
     return tuple(sorted(sets, key=lambda each: -each.confidence))
 
 
-def _numbers(tuned: Tuned, fitted: Fitted, spread: np.ndarray) -> tuple[dict[str, RetunedValue], dict[str, str]]:
+def _numbers(tuned: Tuned | FreeRuns, fitted: Fitted, spread: np.ndarray) -> tuple[dict[str, RetunedValue], dict[str, str]]:
     """Return the numbers that the recordings show, and what became of the others."""
     numbers = tuned.numbers
     values = numbers.values(fitted.offset[: len(numbers.indices)])

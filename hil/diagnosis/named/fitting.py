@@ -128,8 +128,9 @@ class Fitted:
 
 
 def fit(
-    tuned: Tuned, settings: Sequence[EffectSetting], offset: np.ndarray | None = None, dispersion: float = 1.0, longest: float = np.inf
-) -> Fitted | None:
+    tuned: Tuned, settings: Sequence[EffectSetting], offset: np.ndarray | None = None, dispersion: float = 1.0,
+    longest: float = np.inf,
+) -> Fitted | None:  # fmt: skip
     """Fit a set of effects from these parameters; None where the machine cannot take them together.
 
     Squared innovations count in units of `dispersion` beside the numbers' prior. `longest` is how far a nuisance may go from where the

@@ -6,16 +6,20 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
+from hil.diagnosis.free_runs.runs import FreeRuns
 from hil.diagnosis.named.everyday import everyday_effects
 from hil.diagnosis.named.fitting import LEVEL, Fitted, fit
+from hil.diagnosis.named.freely import arrived, fit_to
 from hil.diagnosis.named.matching import matched
 from hil.diagnosis.named.proving import proved, slow_view, steady
 from hil.diagnosis.named.search import Library, Ranked, library, search
-from hil.diagnosis.named.settling import settled
+from hil.diagnosis.named.settling import LONGEST, settled
 from hil.diagnosis.seen.along import Along
 from hil.diagnosis.seen.beside import Levels
 from hil.diagnosis.seen.see import Seen
-from hil.diagnosis.tuned.retuning import Tuned, nominal_offset
+from hil.diagnosis.tuned.retuning import Tuned, nominal_offset, tuned_at
 
 ROUNDS = 3
 """Searches: once the best set is known the machine is seen with it, and what is missing beside it shows."""
@@ -37,7 +41,7 @@ class Named:
         By which the answer was judged: those, or with weaker disturbances where they are assumed.
     plain : Fitted
         Numbers alone.
-    tuned : Tuned
+    tuned : Tuned or FreeRuns
         The machine where it was last seen, in that view: its numbers are those of `best`.
     baseline : Fitted
         With the everyday effects at every driven joint.
@@ -55,11 +59,11 @@ class Named:
     levels: Levels
     view: Levels
     plain: Fitted
-    tuned: Tuned
+    tuned: Tuned | FreeRuns
     baseline: Fitted
     ranked: tuple[Ranked, ...]
     best: Fitted
-    sets: tuple[tuple[Tuned, Fitted], ...]
+    sets: tuple[tuple[Tuned | FreeRuns, Fitted], ...]
     of: Library | None
 
     @property
@@ -70,6 +74,7 @@ class Named:
 
 def name(
     seen: Seen,
+    free: FreeRuns | None = None,
     report: Callable[[str, float], None] = lambda what, share: None,
     first: Callable[[Fitted], None] = lambda baseline: None,
 ) -> Named:
@@ -78,11 +83,15 @@ def name(
     Parameters
     ----------
     seen : Seen
+    free : FreeRuns, optional
+        By which sets are judged.
     report : callable, optional
         Told what is being done, and the share of the whole that is done.
     first : callable, optional
         Told the engineer's first fit as soon as there is one.
     """
+    if free is not None:
+        return _named_freely(seen, free, report, first)
     alongs = seen.alongs
     report("fitting numbers and friction", 0.1)
     levels, with_friction, baseline = engineers_fit(seen)
@@ -102,18 +111,17 @@ def name(
         if other[1].squares < best.squares:
             tuned, best, ranked, of = other
     view = levels
-    sets = [(tuned, best)]
+    sets: list[tuple[Tuned | FreeRuns, Fitted]] = [(tuned, best)]
     if levels.are_assumed:
         report("predicting what was left out", 0.75)
         of = None  # of another view: it would fill the memory
         view = slow_view(alongs, levels)
-        sets = proved(alongs, view, best.offset, best.settings, baseline.settings)
-        tuned, best = sets[0]
+        sets = [*proved(alongs, view, best.offset, best.settings, baseline.settings)]
     elif (kept := steady(seen, best)) is not None:
         sets = [kept]
-        tuned, best = kept
-    of = of if of is not None and of.tuned is tuned else None
-    return Named(seen, levels, view, plain, tuned, baseline, tuple(ranked), best, tuple(sets), of)
+    last, best = sets[0]
+    of = of if of is not None and of.tuned is last else None
+    return Named(seen, levels, view, plain, last, baseline, tuple(ranked), best, tuple(sets), of)
 
 
 def engineers_fit(seen: Seen) -> tuple[Levels, Tuned, Fitted]:
@@ -124,6 +132,53 @@ def engineers_fit(seen: Seen) -> tuple[Levels, Tuned, Fitted]:
         levels = matched(levels, with_friction, baseline)
         with_friction, baseline = settled(alongs, levels, baseline.offset, baseline.settings)
     return levels, with_friction, baseline
+
+
+def _named_freely(seen: Seen, free: FreeRuns, report: Callable[[str, float], None], first: Callable[[Fitted], None]) -> Named:
+    """Name what a simulation lacks by free runs of the closed loop."""
+    report("fitting numbers alone", 0.1)
+    plain = arrived(free, fit_to(free, ()))
+    report("fitting numbers and friction", 0.2)
+    baseline = arrived(free, fit_to(free, everyday_effects(seen.alongs[0]), plain.offset, plain.dispersion))
+    first(baseline)
+    is_better = baseline.cost(plain.dispersion) + len(baseline.parameters) * math.log(free.readings) < plain.cost(plain.dispersion)
+    best = baseline if is_better else plain
+    for turn in range(ROUNDS):
+        report("searching", 0.3 + 0.6 * turn / ROUNDS)
+        free = free.about(seen.alongs, (best.offset, best.settings), best.columns)
+        of = library(free, best)
+        ranked = search(free, of, best if turn else baseline)
+        is_settled = ranked[0].fitted.names == best.names
+        best = arrived(free, ranked[0].fitted)
+        if is_settled:
+            break
+    if (kept := steady(seen, best, free)) is not None:
+        _, best = kept
+    best = _agreed(seen, free, best)
+    return Named(seen, seen.levels, seen.levels, plain, free, baseline, tuple(ranked), best, ((free, best),), of)
+
+
+def _agreed(seen: Seen, free: FreeRuns, best: Fitted) -> Fitted:
+    """Return the fit with the effects that the recorded motion shows, too: by more than their parameters (Akaike 1974).
+
+    What is wrong in free runs is not wrong along the motion, and the other way round.
+    """
+    while best.settings:
+        tuned = tuned_at(seen.alongs, seen.levels, best.offset, best.settings)
+        whole = fit(tuned, best.settings, best.offset, longest=LONGEST)
+        if whole is None:
+            return best
+        gains = []
+        for k in range(len(best.settings)):
+            without = fit(tuned, (*best.settings[:k], *best.settings[k + 1 :]), best.offset, longest=LONGEST)
+            lost = math.inf if without is None else without.cost() - whole.cost()
+            gains.append(lost - 2.0 * sum(number == k for number, _ in whole.parameters))
+        worst = int(np.argmin(gains))
+        if gains[worst] > 0.0:
+            return best
+        kept = (*best.settings[:worst], *best.settings[worst + 1 :])
+        best = arrived(free, fit_to(free, kept, best.offset, best.dispersion))
+    return best
 
 
 def _sought(

@@ -13,7 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.stats
 
-from hil.diagnosis.named.fitting import BLOCKS, Fitted, alone, fit
+from hil.diagnosis.free_runs.runs import FreeRuns
+from hil.diagnosis.named.fitting import BLOCKS, Fitted, alone
+from hil.diagnosis.named.freely import alone_freely, arrived, fit_to
 from hil.diagnosis.named.search import Library, library, proposed
 from hil.diagnosis.named.settling import settled
 from hil.diagnosis.seen.along import Along
@@ -104,7 +106,7 @@ class Neighbour:
     has_another: bool
 
 
-def neighbours(tuned: Tuned, best: Fitted, of: Library) -> Iterator[Neighbour]:
+def neighbours(tuned: Tuned | FreeRuns, best: Fitted, of: Library) -> Iterator[Neighbour]:
     """Yield what might stand in place of each effect of a set, and the set without it.
 
     Laws that would explain most beside what is kept are fitted with it: in place of one effect, or of two at one place. Two laws of one
@@ -114,7 +116,7 @@ def neighbours(tuned: Tuned, best: Fitted, of: Library) -> Iterator[Neighbour]:
     pairs = [(k, j) for k in range(count) for j in range(k) if best.settings[k].at == best.settings[j].at]
     for without in [*((k,) for k in range(count)), *pairs]:
         kept = tuple(setting for k, setting in enumerate(best.settings) if k not in without)
-        rest = fit(tuned, kept, best.offset, best.dispersion)
+        rest = fit_to(tuned, kept, best.offset, best.dispersion)
         if rest is None:
             continue
         if len(without) == 1:
@@ -126,7 +128,7 @@ def neighbours(tuned: Tuned, best: Fitted, of: Library) -> Iterator[Neighbour]:
         for law, weights in proposed(rest, laws, tuned.readings, best.dispersion):
             if (law.effect.name, law.at) in taken or ((law.effect.family, law.at) in taken and law.effect.name not in gone):
                 continue
-            other = fit(tuned, (*kept, law.setting(weights)), rest.offset, best.dispersion)
+            other = fit_to(tuned, (*kept, law.setting(weights)), rest.offset, best.dispersion)
             if other is not None:
                 yield Neighbour(other, without, has_another=True)
 
@@ -187,25 +189,33 @@ def _least_useful(tuned: Tuned, fitted: Fitted) -> int | None:
     return None if found is None else found[1]
 
 
-def steady(seen: Seen, fitted: Fitted) -> tuple[Tuned, Fitted] | None:
+def steady(seen: Seen, fitted: Fitted, free: FreeRuns | None = None) -> tuple[Tuned | FreeRuns, Fitted] | None:
     """Return the machine and the fit with the effects that repeats and stretches of the recordings agree on; None where all do."""
-    found: tuple[Tuned, Fitted] | None = None
+    found: tuple[Tuned | FreeRuns, Fitted] | None = None
     while fitted.settings:
-        tuned = found[0] if found is not None else tuned_at(seen.alongs, seen.levels, fitted.offset, fitted.settings)
-        repeats = [
-            [each.innovations(one.whitening) for each in deviations(group, along)]
-            for group, along, one in zip(seen.groups, seen.alongs, tuned.looked, strict=True)
-        ]
+        tuned = free or (found[0] if found is not None else tuned_at(seen.alongs, seen.levels, fitted.offset, fitted.settings))
+        repeats = tuned.repeats if isinstance(tuned, FreeRuns) else _repeats(seen, tuned)
         sizes = [_steadiness(tuned, fitted, number, repeats) for number in range(len(fitted.settings))]
         worst = int(np.argmin(sizes))
         if sizes[worst] >= STEADY:
             break
-        found = settled(seen.alongs, seen.levels, fitted.offset, [*fitted.settings[:worst], *fitted.settings[worst + 1 :]])
+        kept = (*fitted.settings[:worst], *fitted.settings[worst + 1 :])
+        if isinstance(tuned, FreeRuns):
+            found = tuned, arrived(tuned, fit_to(tuned, kept, fitted.offset, fitted.dispersion))
+        else:
+            found = settled(seen.alongs, seen.levels, fitted.offset, kept)
         fitted = found[1]
     return found
 
 
-def _steadiness(tuned: Tuned, fitted: Fitted, number: int, repeats: Sequence[Sequence[np.ndarray]]) -> float:
+def _repeats(seen: Seen, tuned: Tuned) -> list[list[np.ndarray]]:
+    return [
+        [each.innovations(one.whitening) for each in deviations(group, along)]
+        for group, along, one in zip(seen.groups, seen.alongs, tuned.looked, strict=True)
+    ]
+
+
+def _steadiness(tuned: Tuned | FreeRuns, fitted: Fitted, number: int, repeats: Sequence[Sequence[np.ndarray]]) -> float:
     """Return how large what an effect alone explains is, in standard deviations by which repeats, and stretches of them, differ in it.
 
     A few loud disturbances speak in one repeat, and one at a steady frequency speaks in each of them otherwise: physics, even if it shows
@@ -214,14 +224,14 @@ def _steadiness(tuned: Tuned, fitted: Fitted, number: int, repeats: Sequence[Seq
 
     Parameters
     ----------
-    tuned : Tuned
+    tuned : Tuned or FreeRuns
     fitted : Fitted
     number : int
         Of the effect.
     repeats : sequence of sequence of (N m,) arrays
         What each repeat's innovations differ from those of the mean by, one sequence a group; none where there was one recording.
     """
-    own = alone(tuned, fitted, number)
+    own = alone_freely(tuned, fitted, number) if isinstance(tuned, FreeRuns) else alone(tuned, fitted, number)
     count = len(fitted.offset)
     others = [*range(count), *(count + k for k, (of, _) in enumerate(fitted.parameters) if of != number)]
     beside = [each[:, others] for each in fitted.columns]
@@ -279,7 +289,7 @@ def _left_out(tuned: Tuned, fitted: Fitted, blocks: Sequence[tuple[np.ndarray, n
     return np.array(left)
 
 
-def _room(tuned: Tuned, fitted: Fitted) -> tuple[np.ndarray, np.ndarray]:
+def _room(tuned: Tuned | FreeRuns, fitted: Fitted) -> tuple[np.ndarray, np.ndarray]:
     """Return how far down and up nuisances and parameters (P + Q,) may go."""
     low, high = (bound + tuned.offset - fitted.offset for bound in tuned.bounds)
     values = [(parameter, fitted.settings[number].parameters[parameter.name]) for number, parameter in fitted.parameters]

@@ -11,8 +11,10 @@ import scipy.ndimage
 
 from hil.diagnosis.candidates.columns import Column
 from hil.diagnosis.candidates.entries import Entry, columns_of, entries
+from hil.diagnosis.free_runs.runs import FreeRuns
 from hil.diagnosis.named.fitting import Fitted, fit
 from hil.diagnosis.named.form import FORM
+from hil.diagnosis.named.freely import fit_to, tried
 from hil.diagnosis.seen.tones import DRAWS
 from hil.diagnosis.tuned.bounded import bounded_least_squares
 from hil.diagnosis.tuned.retuning import Looked, Tuned
@@ -57,7 +59,7 @@ class Library:
 
     Attributes
     ----------
-    tuned : Tuned
+    tuned : Tuned or FreeRuns
     laws : tuple of Entry
     columns : tuple of (N m, L) arrays
         Whitened, one array a recording, in single precision: they are the most that a diagnosis holds in memory.
@@ -65,7 +67,7 @@ class Library:
         Of each law's own columns.
     """
 
-    tuned: Tuned
+    tuned: Tuned | FreeRuns
     laws: tuple[Entry, ...]
     columns: tuple[np.ndarray, ...]
     squares: tuple[np.ndarray, ...]
@@ -82,11 +84,14 @@ class Library:
         return [slice(end - law.width, end) for law, end in zip(self.laws, ends, strict=True)]
 
 
-def library(tuned: Tuned, fitted: Fitted | None = None, beside: Library | None = None) -> Library:
+def library(tuned: Tuned | FreeRuns, fitted: Fitted | None = None, beside: Library | None = None) -> Library:
     """Return the laws of all effects at all places, for these recordings; orders and lines are sought in what a fit leaves.
 
     Columns that another library of the same machine has, `beside`, are taken from there.
     """
+    if isinstance(tuned, FreeRuns):
+        assert fitted is not None
+        return _library_freely(tuned, fitted, beside)
     alongs = [one.beside.along for one in tuned.looked]
     motions = [one.motion for one in tuned.looked]
     signals = [one.signals for one in tuned.looked]
@@ -123,6 +128,36 @@ def library(tuned: Tuned, fitted: Fitted | None = None, beside: Library | None =
     if waiting:
         _whiten(tuned, waiting, columns)
     return Library(tuned, tuple(laws), tuple(own[:, :width] for own in columns), tuple(squares))
+
+
+def _library_freely(free: FreeRuns, fitted: Fitted, beside: Library | None) -> Library:
+    """Return the laws in free runs about a fit."""
+    along = free.along
+    alongs, motions, signals = zip(*((one.beside.along, one.motion, one.signals) for one in along.looked), strict=True)
+    here = fit(along, fitted.settings, fitted.offset, longest=0.0)
+    left = [one.innovations for one in along.looked] if here is None else here.innovations
+    short = [_asked(one, rest, is_noise_assumed=False) for one, rest in zip(along.looked, left, strict=True)]
+    inertias = along.plant.inertias(along.looked[0].beside.model, motions[0].position[0])
+    known: dict[object, tuple[slice, np.ndarray]] = {}
+    if beside is not None and beside.tuned is free:
+        known = {law.key: (part, square) for law, part, square in zip(beside.laws, beside.parts, beside.squares, strict=True)}
+    new: list[tuple[Entry, list[list[Column]]]] = []
+    old: list[Entry] = []
+    for law in entries(alongs, motions, signals, along.values, short, inertias):
+        if law.key in known:
+            old.append(law)
+        elif changes := columns_of(law, alongs, motions, signals, along.values):
+            new.append((law, changes))
+    columns = tried(free, fitted, new)
+    if old:
+        assert beside is not None
+        taken = np.concatenate([np.arange(known[law.key][0].start, known[law.key][0].stop) for law in old])
+        columns = [np.hstack([own, others[:, taken]]) for own, others in zip(columns, beside.columns, strict=True)]
+    laws = [*(law for law, _ in new), *old]
+    ends = np.cumsum([law.width for law in laws])
+    parts = [[own[:, end - law.width : end].astype(float) for own in columns] for law, end in zip(laws, ends, strict=True)]
+    squares = tuple(np.sum([each.T @ each for each in own], axis=0) for own in parts)
+    return Library(free, tuple(laws), tuple(columns), squares)
 
 
 def _whiten(tuned: Tuned, laws: Sequence[tuple[slice, np.ndarray, list[list[Column]]]], columns: Sequence[np.ndarray]) -> None:
@@ -196,7 +231,7 @@ def proposed(fitted: Fitted, of: Library, readings: int, dispersion: float) -> l
     return [(law, weights) for gain, law, weights in ordered[:PROPOSED] if gain > 0.0]
 
 
-def search(tuned: Tuned, laws: Library, baseline: Fitted, materiality: float = 1.0) -> list[Ranked]:
+def search(tuned: Tuned | FreeRuns, laws: Library, baseline: Fitted, materiality: float = 1.0) -> list[Ranked]:
     """Return fitted sets, the answer first, then the likeliest; the empty set is among them.
 
     The answer is the likeliest set. Where noise is known, effects without which it is not sure to be less likely are left out, the least
@@ -207,7 +242,7 @@ def search(tuned: Tuned, laws: Library, baseline: Fitted, materiality: float = 1
     `materiality` each.
     """
     dispersion = scatter = baseline.dispersion
-    start = fit(tuned, (), None, scatter)
+    start = fit_to(tuned, (), None, scatter)
     assert start is not None
 
     def ranked(fitted: Fitted) -> Ranked:
@@ -217,7 +252,7 @@ def search(tuned: Tuned, laws: Library, baseline: Fitted, materiality: float = 1
         return Ranked(fitted, bought + (materiality ** _special(fitted) - 1.0) * fitted.squares / dispersion, dispersion)
 
     def whole(of: Ranked) -> Ranked:
-        again = of.fitted if of.fitted.columns else fit(tuned, of.fitted.settings, of.fitted.offset, scatter)
+        again = of.fitted if of.fitted.columns else fit_to(tuned, of.fitted.settings, of.fitted.offset, scatter)
         return of if again is None else ranked(again)
 
     found: dict[frozenset[tuple[str, str]], Ranked] = {}
@@ -241,7 +276,7 @@ def search(tuned: Tuned, laws: Library, baseline: Fitted, materiality: float = 1
                 names = fitted.names | {(law.effect.name, law.at)}
                 if names in found:
                     continue
-                longer = fit(tuned, (*fitted.settings, law.setting(weights)), fitted.offset, scatter)
+                longer = fit_to(tuned, (*fitted.settings, law.setting(weights)), fitted.offset, scatter)
                 if longer is None:
                     continue
                 found[names] = ranked(longer.without_columns())
@@ -261,10 +296,10 @@ def search(tuned: Tuned, laws: Library, baseline: Fitted, materiality: float = 1
     return [chosen, *sorted(others, key=lambda each: each.cost)]
 
 
-def _without_one(tuned: Tuned, fitted: Fitted, dispersion: float) -> Iterator[Fitted]:
+def _without_one(tuned: Tuned | FreeRuns, fitted: Fitted, dispersion: float) -> Iterator[Fitted]:
     """Yield the fits without each effect in turn: the columns of all of them together would fill the memory."""
     for k in range(len(fitted.settings)):
-        one = fit(tuned, (*fitted.settings[:k], *fitted.settings[k + 1 :]), fitted.offset, dispersion)
+        one = fit_to(tuned, (*fitted.settings[:k], *fitted.settings[k + 1 :]), fitted.offset, dispersion)
         if one is not None:
             yield one
 

@@ -9,12 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.diagnosis.candidates.entries import Entry
-from hil.diagnosis.named.fitting import BLOCKS, LEVEL, Fitted, fit
+from hil.diagnosis.free_runs.runs import FreeRuns
+from hil.diagnosis.named.fitting import BLOCKS, LEVEL, Fitted
+from hil.diagnosis.named.freely import fit_to
 from hil.diagnosis.named.naming import Named
 from hil.diagnosis.named.proving import SURE, left_out, neighbours
 from hil.diagnosis.named.search import EXACT, NOT_TOLD_APART, Library, beside_fit
 from hil.diagnosis.named.settling import settled
-from hil.diagnosis.tuned.retuning import nominal_offset, tuned_at
+from hil.diagnosis.tuned.retuning import Tuned, nominal_offset, tuned_at
 from virtual_bus.effects.effect import Parameter
 from virtual_bus.effects.registry import effects
 from virtual_bus.settings import EffectSetting
@@ -69,7 +71,7 @@ class Limit:
 def unexplained(named: Named) -> float:
     """Return the share that the answer leaves of what its numbers leave without effects."""
     best = named.best
-    empty = fit(named.tuned, (), best.offset, best.dispersion)
+    empty = fit_to(named.tuned, (), best.offset, best.dispersion)
     return 1.0 if empty is None else min(1.0, best.squares / max(empty.squares, 1e-300))
 
 
@@ -81,7 +83,7 @@ def is_spanned(named: Named) -> bool:
     best = named.best
     if named.levels.are_assumed:
         return True
-    empty = fit(named.tuned, (), best.offset, best.dispersion)
+    empty = fit_to(named.tuned, (), best.offset, best.dispersion)
     explained = 0.0 if empty is None else max(empty.squares - best.squares, 0.0)
     stretches = np.array([float(np.mean(part**2)) for rest in best.innovations for part in np.array_split(rest, BLOCKS)])
     sure = float(stretches.mean() - SURE * stretches.std(ddof=1) / math.sqrt(len(stretches)))
@@ -98,17 +100,22 @@ def times_noise(named: Named) -> float:
 def gained_by(named: Named) -> float:
     """Return by how much the answer's effects lower the squares, in units of what scatters."""
     best = named.best
-    empty = fit(named.tuned, (), best.offset, best.dispersion)
+    empty = fit_to(named.tuned, (), best.offset, best.dispersion)
     return 0.0 if empty is None else empty.cost(best.dispersion) - best.cost(best.dispersion)
 
 
 def numbers_help(named: Named) -> bool:
     """Return whether other numbers in the machine file, and no effect, explain what the file's do not."""
-    nominal = tuned_at(named.seen.alongs, named.view, nominal_offset(named.seen.alongs))
-    before = sum(float(rest @ rest) for rest in nominal.without_offsets())
-    moved = int(np.sum(np.abs(named.best.offset[: len(nominal.numbers.indices)]) > MOVED))
+    nominal = nominal_offset(named.seen.alongs)
+    left: Sequence[np.ndarray] | None
+    if isinstance(named.tuned, FreeRuns):
+        (left,) = named.tuned.left([(nominal, ())])
+    else:
+        left = tuned_at(named.seen.alongs, named.view, nominal).without_offsets()
+    before = math.inf if left is None else sum(float(rest @ rest) for rest in left)
+    moved = int(np.sum(np.abs(named.best.offset[: len(named.tuned.numbers.indices)]) > MOVED))
     gained = (before - named.best.squares) / named.best.dispersion - float(named.best.offset @ named.best.offset)
-    return gained > max(moved, 1) * math.log(nominal.readings)
+    return gained > max(moved, 1) * math.log(named.tuned.readings)
 
 
 def alternatives(named: Named, of: Library) -> list[Alternative]:
@@ -118,11 +125,11 @@ def alternatives(named: Named, of: Library) -> list[Alternative]:
     """
     tuned, best = named.tuned, named.best
     unit = best.dispersion
-    empty = fit(tuned, (), best.offset, unit)
+    empty = fit_to(tuned, (), best.offset, unit)
     nothing = math.inf if empty is None else empty.cost(unit)
 
     def evidence(fitted: Fitted) -> float:
-        if named.levels.are_assumed:
+        if isinstance(tuned, Tuned) and named.levels.are_assumed:
             return float(left_out(tuned, fitted).sum()) / unit
         return fitted.cost(unit) + len(fitted.parameters) * math.log(tuned.readings)
 

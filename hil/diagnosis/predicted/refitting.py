@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.diagnosis.named.fitting import HALVINGS, changed, difference, free_parameters, reach
+from hil.diagnosis.named.fitting import HALVINGS, ITERATIONS, STEP, changed, difference, free_parameters, reach
 from hil.diagnosis.named.naming import Named
 from hil.diagnosis.predicted.open_runs import AS_LARGE, HORIZONS_s, Machine, Runs
 from hil.diagnosis.tuned.bounded import bounded_least_squares
@@ -15,11 +15,8 @@ from hil.diagnosis.tuned.numbers import Numbers
 from virtual_bus.effects.effect import Parameter
 from virtual_bus.settings import EffectSetting
 
-ITERATIONS = 6
 SETTLED = 0.01
 """Share by which a step must lower the cost, or the fit has ended."""
-STEP = 0.01
-"""Of a number's difference, in standard deviations of its prior."""
 LONGEST = 1.0
 """Step of a number, in the same."""
 FEWEST = 20

@@ -47,8 +47,12 @@ def run(
     load_N: float = 0.0,
     at: Callable[[float], float] = lambda x: 0.0,
     noise_seed: int = 0,
+    feeds_back: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(position [m], command [V]) rows; `at` is a force [N] over position."""
+    """(position [m], command [V]) rows; `at` is a force [N] over position.
+
+    With `feeds_back` the encoder's noise is in the loop, and commands are exact.
+    """
     rows = len(wanted)
     force_N = np.zeros(rows) if force_N is None else force_N
     h = 1.0 / (RATE_Hz * STEPS)
@@ -56,13 +60,16 @@ def run(
     x, v, command = 0.0, 0.0, 0.0
     history = [0.0, 0.0]
     position, commands = np.zeros(rows), np.zeros(rows)
+    random = np.random.default_rng(1000 + noise_seed)
+    noise = 1e-7 * random.standard_normal(rows)
     for k in range(rows):
         effort = command
         position[k] = x
-        command = 38995.821 * wanted[k] - 160720.821 * x + 121725.0 * history[0]
+        read = x + noise[k] if feeds_back else x
+        command = 38995.821 * wanted[k] - 160720.821 * read + 121725.0 * history[0]
         command = min(max(command, -10.0), 10.0)
         commands[k] = command
-        history = [history[1], x]
+        history = [history[1], read]
         push = gain * effort + force_N[k] + load_N + at(x)
         for _ in range(STEPS):  # speed exactly at constant effort, friction held implicitly
             free = v * decay + (1.0 - decay) * push / damping
@@ -70,8 +77,7 @@ def run(
             new = np.sign(free) * max(abs(free) - slip, 0.0)
             x += 0.5 * h * (v + new)
             v = new
-    random = np.random.default_rng(1000 + noise_seed)
-    return position + 1e-7 * random.standard_normal(rows), commands + 2e-3 * random.standard_normal(rows)
+    return position + noise, commands if feeds_back else commands + 2e-3 * random.standard_normal(rows)
 
 
 def recording(wanted: np.ndarray, position: np.ndarray, command: np.ndarray) -> Recording:

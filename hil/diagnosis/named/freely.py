@@ -1,0 +1,174 @@
+"""A set of effects fitted to free runs, with the machine's numbers, and the library of laws beside a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hil.diagnosis.candidates.columns import Column
+from hil.diagnosis.candidates.entries import Entry
+from hil.diagnosis.free_runs.runs import FreeRuns, Trial
+from hil.diagnosis.named.fitting import HALVINGS, ITERATIONS, SETTLED, STEP, Fitted, changed, difference, fit, free_parameters, reach
+from hil.diagnosis.named.form import FormError
+from hil.diagnosis.named.settling import LONGEST
+from hil.diagnosis.tuned.bounded import bounded_least_squares
+from hil.diagnosis.tuned.retuning import Tuned
+from virtual_bus.effects.effect import Parameter
+from virtual_bus.plant.lanes import LANES
+from virtual_bus.settings import EffectSetting
+
+
+def fit_to(
+    view: Tuned | FreeRuns, settings: Sequence[EffectSetting], offset: np.ndarray | None = None, dispersion: float = 1.0
+) -> Fitted | None:
+    """Fit a set of effects along the recorded motion or to free runs; None where the machine cannot take them together."""
+    return fit(view, settings, offset, dispersion) if isinstance(view, Tuned) else fit_freely(view, settings, offset, dispersion)
+
+
+def fit_freely(free: FreeRuns, settings: Sequence[EffectSetting], offset: np.ndarray | None, dispersion: float) -> Fitted | None:
+    """Fit a set of effects from these parameters, as `fit` does along a motion; None where the machine cannot run with them."""
+    settings = tuple(settings)
+    offset = free.offset.copy() if offset is None else offset
+    (left,) = free.left([(offset, settings)])
+    if left is None:
+        return None
+    parameters: list[tuple[int, Parameter]] = []
+    columns: tuple[np.ndarray, ...] = ()
+    fastest = 0.5 / max(run.simulator.machine.plant.sample_period_s for run in free.runs)
+    for _ in range(ITERATIONS):
+        parameters = [(k, parameter) for k, setting in enumerate(settings) for parameter in free_parameters(setting)]
+        steps = [_step(settings[k], parameter) for k, parameter in parameters]
+        columns = _columns(free, offset, settings, parameters, steps, left)
+        reaches = [reach(one, settings[k].parameters[one.name], by, fastest) for (k, one), by in zip(parameters, steps, strict=True)]
+        unit = max(dispersion, sum(float(rest @ rest) for rest in left) / free.readings)  # while far off, errors count as noise
+        step = _solved(free, offset, columns, left, unit, reaches)
+        cost = _cost(left, offset, unit)
+        shares = 0.5 ** np.arange(HALVINGS)
+        trials = [_moved(offset, settings, parameters, share * step) for share in shares]
+        further = free.left(trials)
+        costs = [np.inf if each is None else _cost(each, trial[0], unit) for trial, each in zip(trials, further, strict=True)]
+        best = int(np.argmin(costs))
+        if not costs[best] < cost:
+            break
+        (offset, settings), there = trials[best], further[best]
+        assert there is not None
+        left = there
+        if cost - costs[best] < SETTLED:
+            break
+    low, high = free.bounds
+    moved = offset - free.offset
+    slopes = sum(each[:, : len(offset)].T @ rest for each, rest in zip(columns, left, strict=True)) / dispersion - offset
+    pressed = ((moved <= low) & (slopes < 0.0)) | ((moved >= high) & (slopes > 0.0))
+    none = FormError([np.zeros((len(rest), 0)) for rest in left], dispersion)
+    squares = float(sum(rest @ rest for rest in left))
+    return Fitted(settings, offset, squares, left, columns, tuple(parameters), True, none, 0.0, free.readings, pressed)
+
+
+def _columns(
+    free: FreeRuns, offset: np.ndarray, settings: tuple[EffectSetting, ...], parameters: Sequence[tuple[int, Parameter]],
+    steps: Sequence[float], left: tuple[np.ndarray, ...],
+) -> tuple[np.ndarray, ...]:  # fmt: skip
+    """Return what (N C, P + Q) misfits lose per unit of nuisances and parameters."""
+    by = np.append(np.full(len(offset), STEP), steps)
+    known = 0 if free.nuisances is None else len(offset)
+    columns = [np.zeros((len(rest), len(by))) for rest in left]
+    if free.nuisances is not None:
+        for own, its in zip(columns, free.nuisances, strict=True):
+            own[:, :known] = its
+    trials = [_moved(offset, settings, parameters, np.where(np.arange(len(by)) == k, by[k], 0.0)) for k in range(known, len(by))]
+    for k, there in enumerate(free.left(trials), known):
+        if there is not None:
+            for own, before, after in zip(columns, left, there, strict=True):
+                own[:, k] = (before - after) / by[k]
+    return tuple(columns)
+
+
+def _step(setting: EffectSetting, parameter: Parameter) -> float:
+    value = setting.parameters[parameter.name]
+    step = difference(parameter, value)
+    return -step if value + step > parameter.high else step
+
+
+def _solved(
+    free: FreeRuns, offset: np.ndarray, columns: Sequence[np.ndarray], left: Sequence[np.ndarray], dispersion: float,
+    reaches: Sequence[tuple[float, float]],
+) -> np.ndarray:  # fmt: skip
+    count = len(offset)
+    squares = np.sum([each.T @ each for each in columns], axis=0) / dispersion
+    slopes = np.sum([each.T @ rest for each, rest in zip(columns, left, strict=True)], axis=0) / dispersion
+    squares[range(count), range(count)] += 1.0
+    slopes[:count] -= offset
+    low, high = (bound + free.offset - offset for bound in free.bounds)
+    low, high = np.maximum(low, -LONGEST), np.minimum(high, LONGEST)
+    below, above = np.array(reaches).reshape(-1, 2).T
+    return bounded_least_squares(squares, slopes, np.append(low, below), np.append(high, above))
+
+
+def _moved(offset: np.ndarray, settings: tuple[EffectSetting, ...], parameters: Sequence[tuple[int, Parameter]], step: np.ndarray) -> Trial:
+    changes: list[dict[str, float]] = [{} for _ in settings]
+    for (k, parameter), by in zip(parameters, step[len(offset) :], strict=True):
+        changes[k][parameter.name] = settings[k].parameters[parameter.name] + float(by)
+    return offset + step[: len(offset)], tuple(changed(setting, change) for setting, change in zip(settings, changes, strict=True))
+
+
+def _cost(left: Sequence[np.ndarray], offset: np.ndarray, dispersion: float) -> float:
+    return float(sum(rest @ rest for rest in left)) / dispersion + float(offset @ offset)
+
+
+def arrived(free: FreeRuns, fitted: Fitted | None) -> Fitted:
+    """Return a set where it fits best, all that numbers change computed anew until nothing is gained."""
+    assert fitted is not None
+    free = replace(free, nuisances=None)
+    for _ in range(ITERATIONS):
+        further = fit_freely(free, fitted.settings, fitted.offset, fitted.dispersion)
+        if further is None or not fitted.cost() - further.cost() > SETTLED:
+            return fitted if further is None or further.cost() > fitted.cost() else further
+        fitted = further
+    return fitted
+
+
+def alone_freely(free: FreeRuns, fitted: Fitted, number: int) -> list[np.ndarray]:
+    """Return what (N C,) one effect of a fitted set takes of every run's misfit beside the others; nothing where none runs without it."""
+    (without,) = free.left([(fitted.offset, (*fitted.settings[:number], *fitted.settings[number + 1 :]))])
+    before = fitted.innovations if without is None else without
+    return [far - near for far, near in zip(before, fitted.innovations, strict=True)]
+
+
+def tried(free: FreeRuns, fitted: Fitted, laws: Sequence[tuple[Entry, Sequence[Sequence[Column]]]]) -> list[np.ndarray]:
+    """Return what one unit of each weight of laws, one after the other, changes of every run beside a fitted set (N C, L).
+
+    Parameters
+    ----------
+    laws : sequence of (Entry, columns)
+        With what they change along the recorded motion, by which they are tried small: equations are linear nearby only.
+    """
+    sizes = [_small(free, columns) for _, columns in laws]
+    trials: list[Trial] = [(fitted.offset, fitted.settings)]
+    for (law, _), own in zip(laws, sizes, strict=True):
+        trials += [(fitted.offset, (*fitted.settings, law.setting(weights))) for weights in np.diag(own)]
+    (here,) = free.left(trials[:1])
+    assert here is not None
+    every = np.concatenate([np.zeros(0), *sizes])
+    found = [np.zeros((len(rest), len(every)), dtype=np.float32) for rest in here]
+    for first in range(1, len(trials), LANES):
+        for number, there in enumerate(free.left(trials[first : first + LANES]), first - 1):
+            if there is not None:
+                for columns, before, after in zip(found, here, there, strict=True):
+                    columns[:, number] = (before - after) / every[number]
+    return found
+
+
+def _small(free: FreeRuns, columns: Sequence[Sequence[Column]]) -> np.ndarray:
+    """Return the weights (w,) at which a law changes STEP of an effort, or of a reading, at most."""
+    most = np.zeros(len(columns[0]))
+    for one, own in zip(free.along.looked, columns, strict=True):
+        efforts = np.sqrt(np.mean(one.signals.needed**2, axis=0)) + 1e-12
+        values = np.hstack([one.beside.along.observed.readings, one.beside.along.observed.currents])
+        readings = [float(np.nanstd(each)) + 1e-12 if np.isfinite(each).any() else np.inf for each in values.T]
+        for k, column in enumerate(own):
+            shares = [float(np.sqrt(np.mean(np.square(at, dtype=float)))) / efforts[joint] for joint, (at, _) in column.efforts.items()]
+            shares += [float(np.sqrt(np.mean(np.square(change, dtype=float)))) / readings[c] for c, change in column.readings.items()]
+            most[k] = max([most[k], *shares])
+    return np.asarray(STEP / np.maximum(most, 1e-12))

@@ -1,0 +1,86 @@
+"""Effects judged by free runs of the closed loop: an independent recursion's friction is named, if the controller is the file's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from carriage import MACHINE, disturbance, recording, reference, run
+
+from controllers.feedback import Feedback
+from hil.diagnosis.diagnose import audit_recordings
+from hil.diagnosis.free_runs.runs import FreeRuns, free_runs
+from hil.diagnosis.named.naming import name
+from hil.diagnosis.seen.see import see
+from hil.machine import Machine
+from hil.recording import Recording
+from hil.simulation import simulate
+from hil.simulation.smooth import smooth
+from virtual_bus.settings import EffectSetting
+
+FRICTION_N = 4.0
+DRAG = EffectSetting("quadratic_friction", "carriage", {"Fv2": 5000.0})
+
+
+def recorded(count: int = 3, coulomb_N: float = 0.0, duration_s: float = 4.0) -> dict[str, Recording]:
+    """Repeats whose commands are the law's own."""
+    print(f"seeds 0 to {count - 1}")
+    wanted = reference(duration_s)
+    found = {}
+    for seed in range(count):
+        force = disturbance(len(wanted), 2.0, seed)
+        one = recording(wanted, *run(wanted, coulomb_N=coulomb_N, force_N=force, noise_seed=seed, feeds_back=True))
+        states = {
+            axis: {name: values.tolist() for name, values in each.items()} for axis, each in Feedback(MACHINE.controllers).states.items()
+        }
+        found[f"run_{seed}"] = Recording(one.channels, {**one.metadata, "initial": {"controller_states": states}})
+    return found
+
+
+def freely(recordings: dict[str, Recording], machine: Machine = MACHINE) -> FreeRuns | None:
+    """Free runs beside recordings."""
+    return free_runs(see(machine, recordings), audit_recordings(machine, recordings, {}))
+
+
+def test_friction_that_disturbances_hide_in_each_row_is_named_with_its_level() -> None:
+    recordings = recorded(coulomb_N=FRICTION_N)
+    free = freely(recordings)
+    assert free is not None
+    best = name(see(MACHINE, recordings), free).best
+    assert [(one.name, one.at) for one in best.settings] == [("coulomb_friction", "carriage")]
+    assert best.settings[0].parameters["Fc"] == pytest.approx(FRICTION_N, rel=0.1)
+    assert best.squares / free.readings == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_sound_machine_has_no_effect_and_leaves_noise() -> None:
+    recordings = recorded()
+    free = freely(recordings)
+    assert free is not None
+    best = name(see(MACHINE, recordings), free).best
+    assert best.settings == ()
+    assert best.squares / free.readings == pytest.approx(1.0, abs=0.1)
+
+
+def test_without_repeats_or_under_another_controller_there_are_none() -> None:
+    assert freely(recorded(count=1)) is None
+    sections = MACHINE.controllers[0].position_sections.copy()
+    sections[0, :3] *= 0.8
+    slower = replace(MACHINE.controllers[0], position_sections=sections)
+    assert freely(recorded(), replace(MACHINE, controllers=(slower,))) is None
+
+
+def test_steps_of_the_plant_do_not_show() -> None:
+    """A recording in steps eight times finer is met to a tenth of what the steps do."""
+    recordings = recorded()
+    free = freely(recordings)
+    assert free is not None
+    (here,) = free.runs
+    fine = simulate(smooth(MACHINE, 8), recordings["run_0"], [DRAG])
+    coarse = simulate(smooth(MACHINE), recordings["run_0"], [DRAG])
+    here = replace(here, mean=np.column_stack([fine[channel] for channel in here.channels]))
+    offset = np.zeros_like(free.offset)
+    (left,) = here.about(free.numbers, (offset, (DRAG,))).left(free.numbers, [(offset, (DRAG,))])
+    assert left is not None
+    steps = here.scatter.whiten(np.column_stack([fine[channel] - coarse[channel] for channel in here.channels]))
+    assert left @ left < 0.01 * (steps @ steps)
