@@ -54,6 +54,10 @@ def diagnose(
         str | None,
         typer.Option("--stop-after", metavar="STEP", help="`audit`: controllers and encoders alone. `seen`: also what each joint lacks."),
     ] = None,
+    freely: Annotated[
+        bool,
+        typer.Option("--free-runs", help="Judge by free runs of the closed loop, too, where repeats and the controller are known; slower."),
+    ] = False,
     json_to: JsonOption = None,
 ) -> None:
     """Diagnose and write DIR."""
@@ -83,7 +87,7 @@ def diagnose(
             write_answer(diagnosis, out)
             bars.print(f"first answer: {_found(diagnosis.findings)} (provisional; {diagnosis.seconds:.1f} s)", style="dim")
 
-        outcome = diagnose_audited(machine, train, held, audited, report=report, first=first)
+        outcome = diagnose_audited(machine, train, held, audited, freely=freely, report=report, first=first)
     _finish(answer, outcome, machine, out, {**train, **held})
 
 

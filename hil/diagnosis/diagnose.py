@@ -80,10 +80,14 @@ def diagnose_audited(
     held_out: Mapping[str, Recording],
     audited: Audit,
     *,
+    freely: bool = False,
     report: Report = lambda what, share: None,
     first: Callable[[Diagnosis], None] = lambda diagnosis: None,
 ) -> Answered:
-    """Diagnose a machine from audited recordings; as `diagnose`, with their audit by `audit_recordings`."""
+    """Diagnose a machine from audited recordings; as `diagnose`, with their audit by `audit_recordings`.
+
+    With `freely` effects are judged by free runs of the closed loop where there can be some.
+    """
     began = time.monotonic()
     keep_memory()
     report("reading the motion", 0.0)
@@ -94,7 +98,8 @@ def diagnose_audited(
     def say(baseline: Fitted) -> None:
         first(first_answer(machine, audited, seen, baseline, time.monotonic() - began))
 
-    return answer(machine, audited, name(seen, free_runs(seen, audited), report, say), held_out, began, report)
+    free = free_runs(seen, audited) if freely else None
+    return answer(machine, audited, name(seen, free, report, say), held_out, began, report)
 
 
 def fit_everyday(machine: Machine, recordings: Mapping[str, Recording]) -> Everyday:
