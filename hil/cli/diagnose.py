@@ -56,7 +56,7 @@ def diagnose(
     ] = None,
     freely: Annotated[
         bool,
-        typer.Option("--free-runs", help="Judge by free runs of the closed loop, too, where repeats and the controller are known; slower."),
+        typer.Option("--free-runs", help="Judge by free runs of the closed loop, too; slower. Needs repeats and the file's controller."),
     ] = False,
     json_to: JsonOption = None,
 ) -> None:

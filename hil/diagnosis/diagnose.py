@@ -34,6 +34,7 @@ def diagnose(
     *,
     report: Report = lambda what, share: None,
     first: Callable[[Diagnosis], None] = lambda diagnosis: None,
+    freely: bool = False,
 ) -> Answered:
     """Diagnose a machine from its recordings.
 
@@ -47,14 +48,17 @@ def diagnose(
         Told what is being done, and the share that is done.
     first : callable
         Told a first answer as soon as there is one.
+    freely : bool
+        Whether effects are judged by free runs of the closed loop.
 
     Raises
     ------
     RecordingError
-        Recordings that cannot be used.
+        Recordings that cannot be used, or that free runs are not possible beside.
     """
     held_out = held_out or {}
-    return diagnose_audited(machine, recordings, held_out, audit_recordings(machine, recordings, held_out), report=report, first=first)
+    audited = audit_recordings(machine, recordings, held_out)
+    return diagnose_audited(machine, recordings, held_out, audited, freely=freely, report=report, first=first)
 
 
 def audit_recordings(machine: Machine, recordings: Mapping[str, Recording], held_out: Mapping[str, Recording]) -> Audit:
@@ -84,10 +88,7 @@ def diagnose_audited(
     report: Report = lambda what, share: None,
     first: Callable[[Diagnosis], None] = lambda diagnosis: None,
 ) -> Answered:
-    """Diagnose a machine from audited recordings; as `diagnose`, with their audit by `audit_recordings`.
-
-    With `freely` effects are judged by free runs of the closed loop where there can be some.
-    """
+    """Diagnose a machine from audited recordings; as `diagnose`, with their audit by `audit_recordings`."""
     began = time.monotonic()
     keep_memory()
     report("reading the motion", 0.0)

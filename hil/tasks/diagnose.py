@@ -26,6 +26,7 @@ def diagnose(
     *,
     out: str | Path | None = None,
     jobs: int | None = None,
+    free_runs: bool = False,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> Diagnosis:
     """Find where the simulation of a machine and its recordings differ, which physics was left out, and how sure that is.
@@ -42,6 +43,8 @@ def diagnose(
         Folder for the report, `diagnosis.json`, `effects.toml` and the re-tuned `machine.toml`.
     jobs : int, optional
         Processors that it may use; it takes one.
+    free_runs : bool
+        Whether effects are judged by free runs of the closed loop, too.
     progress : callable
         Told what is being done, and the share of the whole that is done.
 
@@ -53,11 +56,11 @@ def diagnose(
     Raises
     ------
     RecordingError
-        Recordings of another machine, copies of each other, or without what is needed.
+        Recordings of another machine, copies of each other, or without what is needed, by free runs too where they are asked for.
     """
     train, held = _to_explain(machine, recordings), every_one(held_out, "held out")
     held = {name if name not in train else f"{name} (held out)": in_effort(recording, machine) for name, recording in held.items()}
-    outcome = diagnose_recordings(machine, train, held, report=progress)
+    outcome = diagnose_recordings(machine, train, held, report=progress, freely=free_runs)
     if out is not None:
         write_diagnosis(outcome, machine, Path(out))
     return outcome.diagnosis

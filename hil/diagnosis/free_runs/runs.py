@@ -21,7 +21,7 @@ from hil.diagnosis.seen.beside import Levels
 from hil.diagnosis.seen.see import Seen
 from hil.diagnosis.tuned.numbers import Numbers, numbers_of
 from hil.diagnosis.tuned.retuning import Tuned, ZERO_m, ZERO_rad, biases_of, bounds_of, nominal_offset, tuned_at
-from hil.errors import BenchError
+from hil.errors import BenchError, RecordingError
 from hil.recording.ticks import on_every_tick
 from hil.simulation import Inputs, Simulator
 from hil.simulation.simulate import inputs_of
@@ -170,29 +170,36 @@ class FreeRuns:
         return [None if any(one is None for one in parts) else parts for parts in zip(*each, strict=True)]
 
 
-def free_runs(seen: Seen, audit: Audit) -> FreeRuns | None:
-    """Return free runs beside what was seen; None where there can be none.
+def free_runs(seen: Seen, audit: Audit) -> FreeRuns:
+    """Return free runs beside what was seen.
 
-    There are some where every experiment has repeats, the controller and its states at row 0 are known, and the file's machine runs to the
-    end.
+    Raises
+    ------
+    RecordingError
+        An experiment has no repeats, a controller or its states at row 0 are not known, or the file's machine cannot run.
     """
     machine = audit.machine
-    if machine.controllers and (len(audit.axes) < len(machine.axes) or any(axis.status != "as_filed" for axis in audit.axes)):
-        return None
-    if seen.noise == "assumed" or any(len(group.repeats) < 2 for group in seen.groups):
-        return None
-    begun = [repeat.recording.metadata.get("initial", {}) for group in seen.groups for repeat in group.repeats]
-    if machine.controllers and not all("controller_states" in one for one in begun):
-        return None
+    if single := [group.names[0] for group in seen.groups if len(group.repeats) < 2]:
+        raise RecordingError(f"{single[0]}: free runs need repeats of its experiment; record some, or judge without free runs")
+    if machine.controllers:
+        known = {axis.axis for axis in audit.axes if axis.status == "as_filed"}
+        if unknown := [axis for axis in machine.axes if axis not in known]:
+            needs = "free runs need the controller that recorded, and its reference, command and position"
+            raise RecordingError(f"{unknown[0]}: {needs}; correct the machine file, or judge without free runs")
+        for repeat in (repeat for group in seen.groups for repeat in group.repeats):
+            if "controller_states" not in repeat.recording.metadata.get("initial", {}):
+                needs = "free runs need metadata initial.controller_states, which the bench writes"
+                raise RecordingError(f"{repeat.name}: {needs}; judge without free runs")
+    numbers, offset = numbers_of(seen.alongs[0].plant), nominal_offset(seen.alongs)
     try:
-        numbers, offset = numbers_of(seen.alongs[0].plant), nominal_offset(seen.alongs)
         runs = tuple(_free_run(seen, number, group).about(numbers, (offset, ())) for number, group in enumerate(seen.groups))
-    except (BenchError, EmulatorError, ControlError):
-        return None
+    except (BenchError, EmulatorError, ControlError) as error:
+        raise RecordingError(f"no free runs of {machine.name}: {error}; judge without them") from None
     along = tuned_at(seen.alongs, seen.levels, offset)
     found = FreeRuns(numbers, offset, runs, sum(run.mean.size for run in runs), seen.levels, along)
-    (nominal,) = found.left([(found.offset, ())])
-    return found if nominal is not None else None
+    if found.left([(offset, ())]) == [None]:
+        raise RecordingError(f"free runs of {machine.name} run away; judge without them")
+    return found
 
 
 def _free_run(seen: Seen, number: int, group: Group) -> FreeRun:

@@ -15,6 +15,7 @@ from hil.diagnosis.free_runs.runs import FreeRuns
 from hil.diagnosis.named.fitting import Fitted, fit
 from hil.diagnosis.named.form import FORM
 from hil.diagnosis.named.freely import fit_to, tried
+from hil.diagnosis.seen.along import Along, Motion, Signals
 from hil.diagnosis.seen.tones import DRAWS
 from hil.diagnosis.tuned.bounded import bounded_least_squares
 from hil.diagnosis.tuned.retuning import Looked, Tuned
@@ -92,16 +93,9 @@ def library(tuned: Tuned | FreeRuns, fitted: Fitted | None = None, beside: Libra
     if isinstance(tuned, FreeRuns):
         assert fitted is not None
         return _library_freely(tuned, fitted, beside)
-    alongs = [one.beside.along for one in tuned.looked]
-    motions = [one.motion for one in tuned.looked]
-    signals = [one.signals for one in tuned.looked]
-    left = [one.innovations for one in tuned.looked] if fitted is None else fitted.innovations
-    short = [_asked(one, rest, tuned.levels.are_assumed) for one, rest in zip(tuned.looked, left, strict=True)]
-    inertias = tuned.plant.inertias(tuned.looked[0].beside.model, motions[0].position[0])
-    known: dict[object, tuple[slice, np.ndarray]] = {}
-    if beside is not None and beside.tuned is tuned:
-        known = {law.key: (part, square) for law, part, square in zip(beside.laws, beside.parts, beside.squares, strict=True)}
-    every = list(entries(alongs, motions, signals, tuned.values, short, inertias))
+    alongs, motions, signals = _along(tuned)
+    every = _every_law(tuned, [one.innovations for one in tuned.looked] if fitted is None else fitted.innovations)
+    known = _known(tuned, beside)
     most = sum(law.width for law in every)
     columns = [np.empty((one.innovations.size, most), dtype=np.float32) for one in tuned.looked]
     laws: list[Entry] = []
@@ -130,20 +124,37 @@ def library(tuned: Tuned | FreeRuns, fitted: Fitted | None = None, beside: Libra
     return Library(tuned, tuple(laws), tuple(own[:, :width] for own in columns), tuple(squares))
 
 
+def _along(tuned: Tuned) -> tuple[list[Along], list[Motion], list[Signals]]:
+    """Return what the machine did along every recording."""
+    looked = tuned.looked
+    return [one.beside.along for one in looked], [one.motion for one in looked], [one.signals for one in looked]
+
+
+def _every_law(tuned: Tuned, left: Sequence[np.ndarray]) -> list[Entry]:
+    """Return the laws of all effects at all places; orders and lines are sought in what is left (N m,) of every recording."""
+    alongs, motions, signals = _along(tuned)
+    short = [_asked(one, rest, tuned.levels.are_assumed) for one, rest in zip(tuned.looked, left, strict=True)]
+    inertias = tuned.plant.inertias(tuned.looked[0].beside.model, motions[0].position[0])
+    return list(entries(alongs, motions, signals, tuned.values, short, inertias))
+
+
+def _known(tuned: Tuned | FreeRuns, beside: Library | None) -> dict[object, tuple[slice, np.ndarray]]:
+    """Return where another library of the same machine has each law's columns, and their squares."""
+    if beside is None or beside.tuned is not tuned:
+        return {}
+    return {law.key: (part, square) for law, part, square in zip(beside.laws, beside.parts, beside.squares, strict=True)}
+
+
 def _library_freely(free: FreeRuns, fitted: Fitted, beside: Library | None) -> Library:
     """Return the laws in free runs about a fit."""
     along = free.along
-    alongs, motions, signals = zip(*((one.beside.along, one.motion, one.signals) for one in along.looked), strict=True)
+    alongs, motions, signals = _along(along)
     here = fit(along, fitted.settings, fitted.offset, longest=0.0)
-    left = [one.innovations for one in along.looked] if here is None else here.innovations
-    short = [_asked(one, rest, is_noise_assumed=False) for one, rest in zip(along.looked, left, strict=True)]
-    inertias = along.plant.inertias(along.looked[0].beside.model, motions[0].position[0])
-    known: dict[object, tuple[slice, np.ndarray]] = {}
-    if beside is not None and beside.tuned is free:
-        known = {law.key: (part, square) for law, part, square in zip(beside.laws, beside.parts, beside.squares, strict=True)}
+    every = _every_law(along, [one.innovations for one in along.looked] if here is None else here.innovations)
+    known = _known(free, beside)
     new: list[tuple[Entry, list[list[Column]]]] = []
     old: list[Entry] = []
-    for law in entries(alongs, motions, signals, along.values, short, inertias):
+    for law in every:
         if law.key in known:
             old.append(law)
         elif changes := columns_of(law, alongs, motions, signals, along.values):

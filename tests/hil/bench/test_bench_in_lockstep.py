@@ -334,3 +334,12 @@ def test_after_an_interrupt_the_time_to_standstill_is_told(folder: Path) -> None
     stopping = CARM.bus.motions[ROLL]
     assert 0.02 < took < 1.0, said
     assert max(event["standstill_s"] for event in events) == pytest.approx(took, abs=0.006), stopping
+
+
+@pytest.mark.slow
+def test_a_turntable_that_coasts_from_its_first_move_check_is_led_to_its_way(tmp_path: Path) -> None:
+    table = load_machine("turntable")
+    friction = (EffectSetting("coulomb_friction", "turn", {"Fc": 5.214}), EffectSetting("viscous_friction", "turn", {"Fv": 3.211}))
+    with open_bench(table, BenchOptions("lockstep:", seed=1, emulated=table.with_effects(friction))) as bench:
+        bench.run(Static(1.0, {"turn": 0.0}).plans(table)[0], tmp_path / "run.mf4")
+        assert abs(bench.pose[0]) < np.radians(0.4)  # the check's travel

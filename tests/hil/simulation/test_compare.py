@@ -161,6 +161,19 @@ def test_rounding_of_a_sensor_is_noise() -> None:
     assert current.noise == pytest.approx(step / np.sqrt(12.0), rel=0.3)
 
 
+def test_the_zero_that_homing_set_is_no_difference_but_a_link_that_drifts_from_its_motor_is() -> None:
+    motor = {"position_roll": ("rad", SINE)}
+    apart = compare(recording(**motor, link_position_roll=("rad", SINE + 0.5)), recording(**motor, link_position_roll=("rad", SINE)))
+    assert apart["link_position_roll"].rms == pytest.approx(0.0, abs=1e-12)
+    drifting = SINE + np.linspace(0.0, 0.5, len(SINE))
+    assert not compare(
+        recording(**motor, link_position_roll=("rad", drifting)), recording(**motor, link_position_roll=("rad", SINE))
+    ).agrees
+    alone = compared(SINE + 0.5, SINE, name="link_position_roll")
+    assert alone.rms == pytest.approx(0.5)
+    assert not alone.agrees
+
+
 def test_the_table_fits_a_hundred_columns() -> None:
     comparison = compare(
         recording(link_position_propeller=("rad", SINE), imu_y=("m/s^2", NOISE)),

@@ -13,6 +13,7 @@ from hil.diagnosis.diagnose import audit_recordings
 from hil.diagnosis.free_runs.runs import FreeRuns, free_runs
 from hil.diagnosis.named.naming import name
 from hil.diagnosis.seen.see import see
+from hil.errors import RecordingError
 from hil.machine import Machine
 from hil.recording import Recording
 from hil.simulation import simulate
@@ -38,7 +39,7 @@ def recorded(count: int = 3, coulomb_N: float = 0.0, duration_s: float = 4.0) ->
     return found
 
 
-def freely(recordings: dict[str, Recording], machine: Machine = MACHINE) -> FreeRuns | None:
+def freely(recordings: dict[str, Recording], machine: Machine = MACHINE) -> FreeRuns:
     """Free runs beside recordings."""
     return free_runs(see(machine, recordings), audit_recordings(machine, recordings, {}))
 
@@ -46,7 +47,6 @@ def freely(recordings: dict[str, Recording], machine: Machine = MACHINE) -> Free
 def test_friction_that_disturbances_hide_in_each_row_is_named_with_its_level() -> None:
     recordings = recorded(coulomb_N=FRICTION_N)
     free = freely(recordings)
-    assert free is not None
     best = name(see(MACHINE, recordings), free).best
     assert [(one.name, one.at) for one in best.settings] == [("coulomb_friction", "carriage")]
     assert best.settings[0].parameters["Fc"] == pytest.approx(FRICTION_N, rel=0.1)
@@ -56,25 +56,28 @@ def test_friction_that_disturbances_hide_in_each_row_is_named_with_its_level() -
 def test_a_sound_machine_has_no_effect_and_leaves_noise() -> None:
     recordings = recorded()
     free = freely(recordings)
-    assert free is not None
     best = name(see(MACHINE, recordings), free).best
     assert best.settings == ()
     assert best.squares / free.readings == pytest.approx(1.0, abs=0.1)
 
 
-def test_without_repeats_or_under_another_controller_there_are_none() -> None:
-    assert freely(recorded(count=1)) is None
+def test_without_repeats_the_files_controller_or_its_states_they_are_refused() -> None:
+    with pytest.raises(RecordingError, match="run_0: free runs need repeats"):
+        freely(recorded(count=1))
     sections = MACHINE.controllers[0].position_sections.copy()
     sections[0, :3] *= 0.8
     slower = replace(MACHINE.controllers[0], position_sections=sections)
-    assert freely(recorded(), replace(MACHINE, controllers=(slower,))) is None
+    with pytest.raises(RecordingError, match="carriage: free runs need the controller that recorded"):
+        freely(recorded(), replace(MACHINE, controllers=(slower,)))
+    without = {name: Recording(one.channels, {**one.metadata, "initial": {}}) for name, one in recorded().items()}
+    with pytest.raises(RecordingError, match=r"run_0: free runs need metadata initial\.controller_states"):
+        freely(without)
 
 
 def test_steps_of_the_plant_do_not_show() -> None:
     """A recording in steps eight times finer is met to a tenth of what the steps do."""
     recordings = recorded()
     free = freely(recordings)
-    assert free is not None
     (here,) = free.runs
     fine = simulate(smooth(MACHINE, 8), recordings["run_0"], [DRAG])
     coarse = simulate(smooth(MACHINE), recordings["run_0"], [DRAG])
