@@ -151,7 +151,8 @@ def _gathered(counts: Both, plane: Plane, seen: Expected) -> dict[int, Profiles]
     for k in range(len(seen.width)):
         first, last = 0.0, float(seen.length(k) - 1)
         start, end = plane.across(np.array([k, k]), np.array([first, last]))
-        lines[k] = CoarseLine(float(start), float((end - start) / (last - first)))
+        if np.isfinite([start, end]).all():  # a plane that was fitted to another plate may cut a groove's image nowhere
+            lines[k] = CoarseLine(float(start), float((end - start) / (last - first)))
     result = {}
     for k, line in lines.items():
         piece = split(seen.clear(k, lines), PIECE * seen.width[k])

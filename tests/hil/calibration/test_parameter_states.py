@@ -56,6 +56,7 @@ def test_a_step_s_derivatives_are_its_differences() -> None:
         np.testing.assert_allclose(found, np.outer(difference, difference), atol=1e-5 * np.abs(found).max(), err_msg=str(k))
 
 
+@pytest.mark.nightly
 def test_what_is_stated_is_true_of_drawn_machines(draws: list[Draw]) -> None:
     nees = np.array([each.nees() for each in draws])
     assert 0.5 < nees[:, 0].mean() < 1.5  # 29 parameters, four draws: 0.74 to 1.29 at 95 %, less what jerk is stated too large
@@ -92,6 +93,7 @@ def images_leave(each: Draw) -> float:
     return float(np.sqrt(np.quantile(squares, 0.999)))
 
 
+@pytest.mark.nightly
 def test_images_correct_chain_and_modes_together(draws: list[Draw]) -> None:
     left = []
     for each in draws:
@@ -110,6 +112,7 @@ def test_images_correct_chain_and_modes_together(draws: list[Draw]) -> None:
     assert np.median(left) < 0.1e-3
 
 
+@pytest.mark.nightly
 def test_gear_ratios_and_compliances_are_found_apart(draws: list[Draw]) -> None:
     names = draws[0].found.names
     for name in ("beta_j2", "beta_j4", "compliance_detector_mount"):

@@ -92,6 +92,7 @@ def names(found: Named) -> set[str]:
     return {setting.name for setting in found.best.settings}
 
 
+@pytest.mark.nightly
 def test_a_wave_a_twentieth_as_large_as_the_friction_beside_it_is_found() -> None:
     found = name(see(MACHINE, carried(lambda x: 1.5 * np.cos(150.0 * x + 0.4), friction_N=30.0)))
     assert len(found.best.settings) == 2
@@ -101,6 +102,7 @@ def test_a_wave_a_twentieth_as_large_as_the_friction_beside_it_is_found() -> Non
     assert wave.parameters["A1"] == pytest.approx(1.5, rel=0.15)
 
 
+@pytest.mark.nightly
 def test_friction_a_twentieth_off_the_law_is_one_friction() -> None:
     """It is 5 % more at one end of the rail and 5 % less at the other."""
     found = name(see(MACHINE, bent()))

@@ -25,7 +25,7 @@ LATE = 0.1
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ROWS)
+@pytest.mark.parametrize("name", [ROWS[0], pytest.param(ROWS[1], marks=pytest.mark.nightly)])
 def test_it_ends_as_in_lockstep(name: str, tmp_path: Path) -> None:
     machine = machine_from_text(patient_text('5000\noverrun = "wait"'))  # none of these faults is found by a time-out
     (row,) = trials(machine, "roll", [name])

@@ -177,7 +177,7 @@ def test_a_machine_file_is_not_written_over(isocenter: Isocenter, tmp_path: Path
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rate_Hz", [128.0, 512.0])
+@pytest.mark.parametrize("rate_Hz", [128.0, pytest.param(512.0, marks=pytest.mark.nightly)])
 def test_the_c_arm_moves_at_other_rates_as_at_its_own(isocenter: Isocenter, tmp_path: Path, rate_Hz: float) -> None:
     own = tmp_path / "carm.toml"
     own.write_text(converted_text(CARM, rate_Hz)[0])

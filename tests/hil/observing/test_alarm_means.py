@@ -53,12 +53,12 @@ def test_sums_over_a_while_find_a_pull_that_no_single_correction_shows() -> None
     assert not raised[0]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_sound_machine_raises_none(machine: Machine, design: ObserverDesign, scan: ShakenScan) -> None:
     assert not observe(scan.recording, design.observer())["estimate_alarm"].any()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("fault", [name for name in SENSORS if "motor" not in name])
 def test_a_false_sensor_is_told_within_a_second_of_spoiling_the_estimate(
     machine: Machine, design: ObserverDesign, scan: ShakenScan, fault: str

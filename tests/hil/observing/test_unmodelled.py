@@ -59,7 +59,14 @@ def test_each_effect_enters_where_the_filter_has_a_state_for_it(machine: Machine
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["roll 30 deg/s, quiet", "roll 30 deg/s, shaken", "propeller 30 deg/s, reversed, quiet"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "roll 30 deg/s, quiet",
+        pytest.param("roll 30 deg/s, shaken", marks=pytest.mark.nightly),
+        pytest.param("propeller 30 deg/s, reversed, quiet", marks=pytest.mark.nightly),
+    ],
+)
 def test_over_machines_what_is_stated_is_what_is_wrong(machine: Machine, name: str) -> None:
     plan, loudness = scans(machine)[name]
     known = own_design(typical(machine), (5, 9), told=True)

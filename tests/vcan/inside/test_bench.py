@@ -80,9 +80,10 @@ def test_devices_answer_as_in_lockstep_to_the_same_frames_byte_for_byte(
     candump: Callable[[str], Candump],
     tmp_path: Path,
 ) -> None:
-    """At 256 Hz wherever it runs: what is late on vcan, or stops the run, is in its frames."""
+    """At 256 Hz wherever it runs: what is late on vcan, or stops a run, is in its frames. Runs that were stopped count with their length."""
     file = can_alone(load_machine(SHIPPED), tmp_path)
     machine = load_machine(file)
+    answered = 0
     for attempt in range(ATTEMPTS):
         witness = candump(interface)
         emulate(file, "--bus", f"socketcan:{interface}", "--seed", "3")
@@ -90,12 +91,13 @@ def test_devices_answer_as_in_lockstep_to_the_same_frames_byte_for_byte(
         stamped = witness.stamped_frames()
         on_vcan = answers([frame for _, frame in stamped], machine)
         in_lockstep = answers(answered_in_lockstep(stamped, machine, 3), machine)
-        long_enough = len(on_vcan.get("181", [])) > 7 * 256
-        if long_enough and on_vcan == in_lockstep:
+        if on_vcan == in_lockstep:
+            answered += len(on_vcan.get("181", []))
+        if answered > 7 * 256:
             return
         unlike = {name: len(said) for name, said in on_vcan.items() if said != in_lockstep.get(name)}
         print(f"attempt {attempt}: {len(stamped)} frames, unlike those of lockstep {unlike}, {done.stderr}", flush=True)
-    pytest.fail("no run on vcan0 was answered as in lockstep")
+    pytest.fail(f"of all runs on vcan0, {answered} of the first drive's answers are in runs that were answered as in lockstep")
 
 
 def can_alone(machine: Machine, folder: Path) -> str:
