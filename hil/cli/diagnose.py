@@ -48,16 +48,21 @@ def diagnose(
     ] = None,
     jobs: Annotated[
         int | None,
-        typer.Option("--jobs", "-j", metavar="N", min=1, help="Processors that it may use; it takes one. Same answer."),
+        typer.Option("--jobs", "-j", metavar="N", min=1, help="Processors that simulations may use; all by default. Same answer."),
     ] = None,
     stop_after: Annotated[
         str | None,
         typer.Option("--stop-after", metavar="STEP", help="`audit`: controllers and encoders alone. `seen`: also what each joint lacks."),
     ] = None,
     freely: Annotated[
-        bool,
-        typer.Option("--free-runs", help="Judge by free runs of the closed loop, too; slower. Needs repeats and the file's controller."),
-    ] = False,
+        bool | None,
+        typer.Option(
+            "--free-runs/--along-the-motion",
+            help="Judge by free runs of the closed loop, or along the recorded motion alone; by default freely where that is possible: "
+            "with repeats of every experiment, recorded by the file's controller.",
+            show_default=False,
+        ),
+    ] = None,
     json_to: JsonOption = None,
 ) -> None:
     """Diagnose and write DIR."""
@@ -87,7 +92,7 @@ def diagnose(
             write_answer(diagnosis, out)
             bars.print(f"first answer: {_found(diagnosis.findings)} (provisional; {diagnosis.seconds:.1f} s)", style="dim")
 
-        outcome = diagnose_audited(machine, train, held, audited, freely=freely, report=report, first=first)
+        outcome = diagnose_audited(machine, train, held, audited, freely=freely, jobs=jobs, report=report, first=first)
     _finish(answer, outcome, machine, out, {**train, **held})
 
 

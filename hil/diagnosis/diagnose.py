@@ -34,7 +34,8 @@ def diagnose(
     *,
     report: Report = lambda what, share: None,
     first: Callable[[Diagnosis], None] = lambda diagnosis: None,
-    freely: bool = False,
+    freely: bool | None = None,
+    jobs: int | None = None,
 ) -> Answered:
     """Diagnose a machine from its recordings.
 
@@ -48,8 +49,10 @@ def diagnose(
         Told what is being done, and the share that is done.
     first : callable
         Told a first answer as soon as there is one.
-    freely : bool
-        Whether effects are judged by free runs of the closed loop.
+    freely : bool, optional
+        Whether effects are judged by free runs of the closed loop; where these are possible unless given.
+    jobs : int, optional
+        Processors that simulations may use; all of them unless given.
 
     Raises
     ------
@@ -58,7 +61,7 @@ def diagnose(
     """
     held_out = held_out or {}
     audited = audit_recordings(machine, recordings, held_out)
-    return diagnose_audited(machine, recordings, held_out, audited, freely=freely, report=report, first=first)
+    return diagnose_audited(machine, recordings, held_out, audited, freely=freely, jobs=jobs, report=report, first=first)
 
 
 def audit_recordings(machine: Machine, recordings: Mapping[str, Recording], held_out: Mapping[str, Recording]) -> Audit:
@@ -84,7 +87,8 @@ def diagnose_audited(
     held_out: Mapping[str, Recording],
     audited: Audit,
     *,
-    freely: bool = False,
+    freely: bool | None = None,
+    jobs: int | None = None,
     report: Report = lambda what, share: None,
     first: Callable[[Diagnosis], None] = lambda diagnosis: None,
 ) -> Answered:
@@ -92,14 +96,21 @@ def diagnose_audited(
     began = time.monotonic()
     keep_memory()
     report("reading the motion", 0.0)
-    seen = _see(machine, recordings, held_out, audited, began)
+    seen = _see(machine, recordings, held_out, audited, began, freely=freely is not False)
     if isinstance(seen, Answered):
         return seen
+    free = None
+    if seen.freely:
+        try:
+            free = free_runs(seen, audited, jobs)
+        except RecordingError:
+            if freely:
+                raise
+            seen = see(machine, recordings)
 
     def say(baseline: Fitted) -> None:
         first(first_answer(machine, audited, seen, baseline, time.monotonic() - began))
 
-    free = free_runs(seen, audited) if freely else None
     return answer(machine, audited, name(seen, free, report, say), held_out, began, report)
 
 
@@ -122,12 +133,13 @@ def fit_everyday(machine: Machine, recordings: Mapping[str, Recording]) -> Every
 
 
 def _see(
-    machine: Machine, recordings: Mapping[str, Recording], held_out: Mapping[str, Recording], audited: Audit, began: float
-) -> Seen | Answered:
+    machine: Machine, recordings: Mapping[str, Recording], held_out: Mapping[str, Recording], audited: Audit, began: float, *,
+    freely: bool = False,
+) -> Seen | Answered:  # fmt: skip
     """Return what is seen along the recordings' motion, or the answer where that needs no fit."""
     if audited.faults:
         return wrong_recordings(machine, audited, {**recordings, **held_out}, time.monotonic() - began)
-    seen = see(machine, recordings)
+    seen = see(machine, recordings, freely=freely)
     if seen.is_still:
         return nothing_seen(machine, audited, seen, time.monotonic() - began)
     if audited.has_play:

@@ -202,7 +202,8 @@ class Fit:
     """How far every stage is from the recordings.
 
     `channels` (held-out where there is one) are with repeats rms errors of rows that are predicted from those before them, in units of
-    noise: 1 is noise alone. Where noise is assumed they are NRMSE of free runs: rms error over the rms of the recording about its mean.
+    noise: 1 is noise alone. Where noise is assumed, or free runs judged, they are NRMSE of free runs: rms error over the rms of the
+    recording about its mean.
     `train` and `held_out` are root mean squares over channels of the same errors in units of that channel's noise.
     """
 

@@ -56,13 +56,14 @@ class SideBySide:
         self._model = side_by_side.model_record(plant.joints, self._axes, self._imus, plant.constant_count)
         self._side = side_by_side.work_record(plant.joints, self._imus)
         self._loop = loop_record(self._axes, self._imus, sections)
-        axes, channels = self._axes, 6 * self._imus
         self._works = plant.new_work()
         self._sensors = compiled_sensors()
-        self._scratch = (np.zeros((LANES, axes)), np.zeros(axes), np.zeros(channels), np.zeros(axes), np.zeros(axes + channels))
 
     def run(self, inputs: Inputs, runs: Sequence[Prepared]) -> list[Taken]:
-        """Run at most LANES simulations of equal inner steps; lanes beyond them repeat the last, without the part of its effects."""
+        """Run at most LANES simulations of equal inner steps; lanes beyond them repeat the last, without the part of its effects.
+
+        Threads may do so at once.
+        """
         settings = self._plant.settings
         filled = [*runs, *[runs[-1]] * (LANES - len(runs))]
         states = np.array([one.state for one in filled])
@@ -80,11 +81,12 @@ class SideBySide:
         affected = np.flatnonzero(effects.switches[: len(runs), ANY])
         for lane in affected.tolist():
             self._sensors.start(states[lane], filled[lane].sensors, SensorMemory(*(part[lane] for part in memory)))
-        count, axes = inputs.excitation.shape
+        (count, axes), channels = inputs.excitation.shape, 6 * self._imus
+        scratch = (np.zeros((LANES, axes)), np.zeros(axes), np.zeros(channels), np.zeros(axes), np.zeros(axes + channels))
         rows = np.empty((LANES, count, 5 * axes + 6 * self._imus))
         self._kernel.run(
             inputs.command is None, states, models, works, self._models(models), side, loop, filled[0].sensors, effects, memory,
-            new_readings(settings), self._scratch, _acting(models[: len(runs)], affected), self._given(inputs, first), rows,
+            new_readings(settings), scratch, _acting(models[: len(runs)], affected), self._given(inputs, first), rows,
         )  # fmt: skip
         starts = [axes * k for k in range(1, 6)]
         found = []

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby, islice
@@ -102,6 +103,13 @@ class Simulator:
         Several machines run at a time in the processor's vectors (see virtual_bus/plant/lanes.py). The results of a machine differ by
         rounding from those of `run`, and do not depend on the other machines.
         """
+        with ThreadPoolExecutor(1) as threads:
+            return self.begin_all(inputs, trials, threads)()
+
+    def begin_all(
+        self, inputs: Inputs, trials: Sequence[tuple[np.ndarray | None, Sequence[EffectSetting] | None]], threads: ThreadPoolExecutor
+    ) -> Callable[[], list[Outputs | BenchError | EmulatorError | ControlError]]:
+        """Begin `run_all` in threads; return what waits for it and returns the same."""
         found: list[Any] = []
         for values, effects in trials:
             try:
@@ -110,14 +118,22 @@ class Simulator:
                 found.append(error)
         ready = [k for k, one in enumerate(found) if isinstance(one, Prepared) and can_be_side_by_side(one, len(self.machine.plant.imus))]
         ready.sort(key=lambda k: int(found[k].model["inner_steps"][0]))
-        for _, alike in groupby(ready, key=lambda k: int(found[k].model["inner_steps"][0])):
-            for together in _batched(alike, LANES):
-                for k, own in zip(together, self._side_by_side.run(inputs, [found[k] for k in together]), strict=True):
+        begun = [
+            (together, threads.submit(self._side_by_side.run, inputs, [found[k] for k in together]))
+            for _, alike in groupby(ready, key=lambda k: int(found[k].model["inner_steps"][0]))
+            for together in _batched(alike, LANES)
+        ]
+
+        def ended() -> list[Outputs | BenchError | EmulatorError | ControlError]:
+            for together, taken in begun:
+                for k, own in zip(together, taken.result(), strict=True):
                     found[k] = self._of_lane(own, inputs)
-        for k, one in enumerate(found):
-            if isinstance(one, Prepared):
-                found[k] = self.run_or_error(inputs, *trials[k])
-        return found
+            for k, one in enumerate(found):
+                if isinstance(one, Prepared):
+                    found[k] = self.run_or_error(inputs, *trials[k])
+            return found
+
+        return ended
 
     def run_or_error(
         self, inputs: Inputs, values: np.ndarray | None, effects: Sequence[EffectSetting] | None

@@ -26,7 +26,7 @@ def diagnose(
     *,
     out: str | Path | None = None,
     jobs: int | None = None,
-    free_runs: bool = False,
+    free_runs: bool | None = None,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> Diagnosis:
     """Find where the simulation of a machine and its recordings differ, which physics was left out, and how sure that is.
@@ -42,9 +42,10 @@ def diagnose(
     out : str or Path, optional
         Folder for the report, `diagnosis.json`, `effects.toml` and the re-tuned `machine.toml`.
     jobs : int, optional
-        Processors that it may use; it takes one.
-    free_runs : bool
-        Whether effects are judged by free runs of the closed loop, too.
+        Processors that simulations may use; all of them unless given.
+    free_runs : bool, optional
+        Whether effects are judged by free runs of the closed loop, or along the recorded motion alone; freely where that is possible unless
+        given: with repeats of every experiment, recorded by the file's controller.
     progress : callable
         Told what is being done, and the share of the whole that is done.
 
@@ -60,7 +61,7 @@ def diagnose(
     """
     train, held = _to_explain(machine, recordings), every_one(held_out, "held out")
     held = {name if name not in train else f"{name} (held out)": in_effort(recording, machine) for name, recording in held.items()}
-    outcome = diagnose_recordings(machine, train, held, report=progress, freely=free_runs)
+    outcome = diagnose_recordings(machine, train, held, report=progress, freely=free_runs, jobs=jobs)
     if out is not None:
         write_diagnosis(outcome, machine, Path(out))
     return outcome.diagnosis

@@ -11,7 +11,8 @@ import numpy as np
 
 from hil.diagnosis.answered.values import LARGEST, WITHIN_95, Answered, baseline_of, estimates_of, names_of, shown_findings, unit_of
 from hil.diagnosis.audit.audit import Audit
-from hil.diagnosis.free_runs.runs import FreeRuns
+from hil.diagnosis.audit.audit import audit as audit_of
+from hil.diagnosis.free_runs.runs import FreeRuns, lacking
 from hil.diagnosis.locating.answered import where_it_is
 from hil.diagnosis.named.fitting import LEVEL, Fitted, fit
 from hil.diagnosis.named.naming import Named
@@ -30,6 +31,7 @@ from hil.diagnosis.named.standing import (
 )
 from hil.diagnosis.observed.known import known_effects
 from hil.diagnosis.observed.shaken import what_may_hide
+from hil.diagnosis.predicted.closed_runs import closed_runs
 from hil.diagnosis.predicted.one_ahead import one_ahead
 from hil.diagnosis.predicted.open_runs import Predicted, predicted
 from hil.diagnosis.predicted.refitting import refitted
@@ -99,8 +101,8 @@ def answer(
     verdict, reason = _verdict(audit, judged, findings, others, _unseen(machine, seen, limits))
     if not findings and verdict != "inconclusive":
         reason = "; ".join([reason, what_may_hide(_recordings(seen)), *_never_shown(limits)])
-    train = _predicted(named, seen)
-    held = _predicted(named, see(machine, held_out, seen)) if held_out else None
+    train = _predicted(named, seen, audit)
+    held = _predicted(named, see(machine, held_out, seen), audit_of(machine, list(held_out.values()))) if held_out else None
     along, there = (tuned, along_motion) if isinstance(tuned, Tuned) else _along(named)
     missing = {seen.alongs[0].joints[joint]: share for joint, share in _shares(named).items()}
     proposal = None
@@ -197,12 +199,12 @@ def _verdict(
     if rivals or doubted:
         said = "; ".join(dict.fromkeys(_words(other.settings) for other in [*rivals, *doubted]))
         return "ambiguous", f"{names}, which these recordings do not tell apart from {said}"
-    if (power := times_noise(named)) > 1.0 + LEVEL and not named.levels.are_assumed:
+    if (power := times_noise(named)) > 1.0 + LEVEL and named.is_noise_known:
         return (
             "ambiguous",
             f"{names}, beside which something may act that no known effect explains: what is left has {power:.2f} times the power of noise",
         )
-    if named.levels.are_assumed and not named.seen.alongs[0].followed.all():
+    if not named.is_noise_known and not named.seen.alongs[0].followed.all():
         return "ambiguous", f"{names}, if disturbances at joints that no encoder follows are small: record repeats, which show them"
     return "explained", f"{names}: no other law or place explains these recordings as well"
 
@@ -302,12 +304,17 @@ def _numbers(tuned: Tuned | FreeRuns, fitted: Fitted, spread: np.ndarray) -> tup
     return shown, {name: why for name, why in frozen.items() if name not in shown or why.startswith("lies")}
 
 
-def _predicted(named: Named, seen: Seen) -> Predicted | None:
-    """Return the errors of the machine at every stage: row by row where noise is known, else in free runs by the recorded efforts."""
+def _predicted(named: Named, seen: Seen, audit: Audit) -> Predicted | None:
+    """Return the errors of the machine at every stage: in free runs of the closed loop where these judged and the controller is known.
+
+    Else row by row where noise is known, and in free runs by the recorded efforts where it is not.
+    """
     numbers = named.tuned.numbers
     count = len(numbers.indices)
     fits = {"retuned": named.plain, "baseline": named.baseline, "extended": named.best}
     stages = {"nominal": (np.zeros(count), ()), **{name: (each.offset[:count], each.settings) for name, each in fits.items()}}
+    if isinstance(named.tuned, FreeRuns) and not lacking(seen, audit):
+        return closed_runs(named.tuned, seen, stages)
     if not named.levels.are_assumed:
         return one_ahead(named, seen, stages)
     scales = dict(zip(named.seen.alongs[0].observed.channels, named.levels.sensors.tolist(), strict=False))  # efforts follow the channels

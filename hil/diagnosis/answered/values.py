@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hil.diagnosis.named.covariance import covariance_of, scattered
 from hil.diagnosis.named.fitting import Fitted
 from hil.diagnosis.named.naming import Named
-from hil.diagnosis.named.standing import covariance_of, scattered
 from hil.diagnosis.result import Diagnosis, EffectAt, Estimate, Finding, NoiseKind
 from hil.diagnosis.seen.see import Seen
 from hil.diagnosis.separating.next_experiment import Proposal

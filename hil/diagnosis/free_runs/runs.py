@@ -6,10 +6,13 @@ run, so that no sensor's noise bends an equation, and no law has to be linear ab
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.fft
 
 from controllers.errors import ControlError
 from hil.diagnosis.audit.audit import Audit
@@ -20,7 +23,7 @@ from hil.diagnosis.seen.along import Along
 from hil.diagnosis.seen.beside import Levels
 from hil.diagnosis.seen.see import Seen
 from hil.diagnosis.tuned.numbers import Numbers, numbers_of
-from hil.diagnosis.tuned.retuning import Tuned, ZERO_m, ZERO_rad, biases_of, bounds_of, nominal_offset, tuned_at
+from hil.diagnosis.tuned.retuning import DETERMINED, Tuned, ZERO_m, ZERO_rad, biases_of, bounds_of, nominal_offset, tuned_at
 from hil.errors import BenchError, RecordingError
 from hil.recording.ticks import on_every_tick
 from hil.simulation import Inputs, Simulator
@@ -31,6 +34,15 @@ from virtual_bus.errors import EmulatorError
 from virtual_bus.plant.compiled import CompiledPlant
 from virtual_bus.plant.lanes import LANES
 from virtual_bus.settings import EffectSetting
+
+Machine = tuple[np.ndarray, tuple[EffectSetting, ...]]
+"""The plant's parameters, and effects."""
+
+White = np.ndarray | None
+"""A whitened misfit (N C,); None where a run ends early."""
+
+TOGETHER = LANES * LANES
+"""Machines whose outputs are in memory at once."""
 
 Trial = tuple[np.ndarray, tuple[EffectSetting, ...]]
 """Nuisances (P,) in standard deviations of their prior, and effects."""
@@ -87,26 +99,26 @@ class FreeRun:
         coarse, fine = (self._simulated(one.run(self.inputs, values, (*self.known, *settings))) for one in (self.simulator, self.finer))
         return replace(self, step_error=4.0 / 3.0 * (coarse - fine))
 
-    def left(self, numbers: Numbers, trials: Sequence[Trial]) -> list[np.ndarray | None]:
-        """Return the whitened misfits (N C,) of some machines; None where a run ends early."""
-        count = len(numbers.indices)
-        found: list[np.ndarray | None] = []
-        for first in range(0, len(trials), LANES):  # a few at a time: their outputs would fill the memory
-            together = trials[first : first + LANES]
-            runs = [(numbers.values(offset[:count]), (*self.known, *settings)) for offset, settings in together]
-            outputs = self.simulator.run_all(self.inputs, runs)
-            found += [self._left_by(offset[count:], one) for (offset, _), one in zip(together, outputs, strict=True)]
-        return found
+    def begin(self, machines: Sequence[Machine], zeros: Sequence[np.ndarray], threads: ThreadPoolExecutor) -> Callable[[], list[White]]:
+        """Begin to run some machines, of given zeros; return what waits for them and returns misfits."""
+        runs = [(values, (*self.known, *settings)) for values, settings in machines]
+        outputs = self.simulator.begin_all(self.inputs, runs, threads)
+        return lambda: self._left_by(zeros, outputs())
 
-    def _left_by(self, zeros: np.ndarray, outputs: object) -> np.ndarray | None:
-        if not isinstance(outputs, Outputs):
-            return None
-        misfit = self.mean - (self._simulated(outputs) - self.step_error + self.biases @ zeros)
-        left = self.scatter.whiten(_filled(misfit, self.is_missing))
-        return left if np.isfinite(left).all() else None
+    def _left_by(self, zeros: Sequence[np.ndarray], outputs: Sequence[object]) -> list[White]:
+        whole = {k: one for k, one in enumerate(outputs) if isinstance(one, Outputs)}
+        if not whole:
+            return [None] * len(outputs)
+        shifts = np.array([zeros[k] for k in whole]) @ self.biases.reshape(-1, self.biases.shape[-1]).T
+        misfits = self.mean + self.step_error - shifts.reshape(-1, *self.mean.shape)
+        for misfit, one in zip(misfits, whole.values(), strict=True):
+            misfit -= self._simulated(one)
+            _fill(misfit, self.is_missing)
+        left = dict(zip(whole, self.scatter.whiten(misfits), strict=True))
+        return [left[k] if k in left and np.isfinite(left[k]).all() else None for k in range(len(outputs))]
 
     def _simulated(self, outputs: Outputs) -> np.ndarray:
-        return _readings(self.simulator, outputs, self.parts, self.channels)
+        return readings_of(self.simulator, outputs, self.parts, self.channels)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,8 +135,10 @@ class FreeRuns:
     levels : Levels
     along : Tuned
         The machine as it is seen along the recorded motion: what its places did there is where laws begin from.
-    nuisances : tuple of (N C, P) arrays, or None
-        What misfits lose per unit of each nuisance, beside a fit; they are computed at every step of a fit until there is one.
+    are_shown : (P,) bool array
+        Which nuisances the recordings say more of than their prior does; the others stay where they are.
+    jobs : int or None
+        Processors that simulations take at most; all of them with None.
     """
 
     numbers: Numbers
@@ -133,16 +147,17 @@ class FreeRuns:
     readings: int
     levels: Levels
     along: Tuned
-    nuisances: tuple[np.ndarray, ...] | None = None
+    are_shown: np.ndarray
+    jobs: int | None = None
 
     def about(self, alongs: Sequence[Along], trial: Trial, columns: Sequence[np.ndarray]) -> FreeRuns:
         """Return the same, seen at a machine; `columns` (N C, P, at least) are what misfits lose there per unit of each nuisance."""
         offset, settings = trial
         along = tuned_at(alongs, self.levels, offset, settings)
-        nuisances = tuple(each[:, : len(offset)] for each in columns)
-        return replace(
-            self, offset=offset, along=along, nuisances=nuisances, runs=tuple(run.about(self.numbers, trial) for run in self.runs)
-        )
+        nuisances = [each[:, : len(offset)] for each in columns]
+        are_shown = np.sum([np.einsum("ij,ij->j", each, each) for each in nuisances], axis=0) > DETERMINED
+        runs = tuple(run.about(self.numbers, trial) for run in self.runs)
+        return replace(self, offset=offset, along=along, are_shown=are_shown, runs=runs)
 
     @property
     def plant(self) -> CompiledPlant:
@@ -166,12 +181,20 @@ class FreeRuns:
 
     def left(self, trials: Sequence[Trial]) -> list[tuple[np.ndarray, ...] | None]:
         """Return the whitened misfits of some machines, one array (N C,) a run; None where a run ends early."""
-        each = [run.left(self.numbers, trials) for run in self.runs]
-        return [None if any(one is None for one in parts) else parts for parts in zip(*each, strict=True)]
+        count = len(self.numbers.indices)
+        found: list[tuple[np.ndarray, ...] | None] = []
+        with ThreadPoolExecutor(self.jobs or os.cpu_count()) as threads:
+            for first in range(0, len(trials), TOGETHER):
+                some = trials[first : first + TOGETHER]
+                machines = [(self.numbers.values(offset[:count]), settings) for offset, settings in some]
+                begun = [run.begin(machines, [offset[count:] for offset, _ in some], threads) for run in self.runs]
+                each = [ended() for ended in begun]
+                found += [None if any(one is None for one in parts) else parts for parts in zip(*each, strict=True)]
+        return found
 
 
-def free_runs(seen: Seen, audit: Audit) -> FreeRuns:
-    """Return free runs beside what was seen.
+def free_runs(seen: Seen, audit: Audit, jobs: int | None = None) -> FreeRuns:
+    """Return free runs beside what was seen; with `jobs`, simulations take no more processors.
 
     Raises
     ------
@@ -181,41 +204,61 @@ def free_runs(seen: Seen, audit: Audit) -> FreeRuns:
     machine = audit.machine
     if single := [group.names[0] for group in seen.groups if len(group.repeats) < 2]:
         raise RecordingError(f"{single[0]}: free runs need repeats of its experiment; record some, or judge without free runs")
-    if machine.controllers:
-        known = {axis.axis for axis in audit.axes if axis.status == "as_filed"}
-        if unknown := [axis for axis in machine.axes if axis not in known]:
-            needs = "free runs need the controller that recorded, and its reference, command and position"
-            raise RecordingError(f"{unknown[0]}: {needs}; correct the machine file, or judge without free runs")
-        for repeat in (repeat for group in seen.groups for repeat in group.repeats):
-            if "controller_states" not in repeat.recording.metadata.get("initial", {}):
-                needs = "free runs need metadata initial.controller_states, which the bench writes"
-                raise RecordingError(f"{repeat.name}: {needs}; judge without free runs")
+    if lacks := lacking(seen, audit):
+        raise RecordingError(lacks)
     numbers, offset = numbers_of(seen.alongs[0].plant), nominal_offset(seen.alongs)
     try:
         runs = tuple(_free_run(seen, number, group).about(numbers, (offset, ())) for number, group in enumerate(seen.groups))
     except (BenchError, EmulatorError, ControlError) as error:
         raise RecordingError(f"no free runs of {machine.name}: {error}; judge without them") from None
     along = tuned_at(seen.alongs, seen.levels, offset)
-    found = FreeRuns(numbers, offset, runs, sum(run.mean.size for run in runs), seen.levels, along)
+    found = FreeRuns(numbers, offset, runs, sum(run.mean.size for run in runs), seen.levels, along, np.ones(len(offset), dtype=bool), jobs)
     if found.left([(offset, ())]) == [None]:
         raise RecordingError(f"free runs of {machine.name} run away; judge without them")
     return found
 
 
-def _free_run(seen: Seen, number: int, group: Group) -> FreeRun:
+def lacking(seen: Seen, audit: Audit) -> str:
+    """Return what free runs of the closed loop lack beside recordings; '' where they are possible."""
+    machine = audit.machine
+    if not machine.controllers:
+        return ""
+    known = {axis.axis for axis in audit.axes if axis.status == "as_filed"}
+    if unknown := [axis for axis in machine.axes if axis not in known]:
+        needs = "free runs need the controller that recorded, and its reference, command and position"
+        return f"{unknown[0]}: {needs}; correct the machine file, or judge without free runs"
+    for repeat in (repeat for group in seen.groups for repeat in group.repeats):
+        if "controller_states" not in repeat.recording.metadata.get("initial", {}):
+            return f"{repeat.name}: free runs need metadata initial.controller_states, which the bench writes; judge without free runs"
+    return ""
+
+
+def measured_by(group: Group) -> tuple[tuple[str, ...], tuple[slice, ...], np.ndarray]:
+    """Return the readings and measured efforts of repeats: channels, each one's rows of the recording, and values (R, N, C)."""
     first = group.repeats[0]
-    whole = on_every_tick(first.recording)
-    simulator, finer = Simulator(smooth(first.machine)), Simulator(smooth(first.machine, 2))
     efforts = [f"{'current' if units.effort == 'A' else 'effort'}_{units.axis}" for units in first.machine.units]
     measured = ~np.isnan(np.mean([each.currents for each in group.repeats], axis=0)).all(axis=0)
     channels = (*first.channels, *(name for name, is_there in zip(efforts, measured, strict=True) if is_there))
-    readings = np.stack([np.hstack([each.readings, each.currents[:, measured]]) for each in group.repeats])
+    parts = tuple(_rows(each) if group.are_periods else _rows(first) for each in group.repeats)
+    return channels, parts, np.stack([np.hstack([each.readings, each.currents[:, measured]]) for each in group.repeats])
+
+
+def _free_run(seen: Seen, number: int, group: Group) -> FreeRun:
+    """Return the repeats of a group, their last few rows left out where spectra of all rows would be slow."""
+    first = group.repeats[0]
+    whole = on_every_tick(first.recording)
+    simulator, finer = Simulator(smooth(first.machine)), Simulator(smooth(first.machine, 2))
+    channels, parts, readings = measured_by(group)
+    rows = scipy.fft.prev_fast_len(readings.shape[1], real=True)
+    parts, readings = tuple(slice(part.start, part.start + rows) for part in parts), readings[:, :rows]
     along = seen.alongs[number]
     encoder_steps = {sensor.channel: sensor.resolution for sensor in along.settings.joint_sensors}
     are_there = np.isfinite(readings)
     mean = np.where(are_there, readings, 0.0).sum(axis=0) / np.maximum(are_there.sum(axis=0), 1)
     is_missing = ~are_there.any(axis=0)
-    deviations = np.stack([_filled(each - mean, ~there) for each, there in zip(readings, are_there, strict=True)])
+    deviations = readings - mean
+    for each, there in zip(deviations, are_there, strict=True):
+        _fill(each, ~there)
     biases = biases_of(seen.alongs)
     zeros = np.zeros((*mean.shape, len(biases)))
     for k, bias in enumerate(biases):
@@ -226,10 +269,9 @@ def _free_run(seen: Seen, number: int, group: Group) -> FreeRun:
             zeros[:, own.channel, k] = ZERO_m if kind == "prismatic" else ZERO_rad
             if bias.recording is not None:  # each repeat has its own zero
                 deviations[:, :, own.channel] -= deviations[:, :, own.channel].mean(axis=1, keepdims=True)
-    parts = tuple(_rows(each) if group.are_periods else _rows(first) for each in group.repeats)
     inputs, known, none = inputs_of(first.machine, whole), tuple(along.known), np.zeros_like(mean)
     stepped = replace(first.machine, plant=replace(first.machine.plant, substeps=simulator.machine.plant.substeps))
-    with_lattices, without = (_readings(one, one.run(inputs, effects=known), parts, channels) for one in (Simulator(stepped), simulator))
+    with_lattices, without = (readings_of(one, one.run(inputs, effects=known), parts, channels) for one in (Simulator(stepped), simulator))
     steps = np.array([encoder_steps.get(name, 0.0) for name in channels])
     apart = np.mean(deviations**2, axis=(0, 1)) / np.maximum(steps**2, 1e-300)
     alike = float(np.max(np.exp(-2.0 * np.pi**2 * apart), where=steps > 0.0, initial=0.0))
@@ -237,7 +279,7 @@ def _free_run(seen: Seen, number: int, group: Group) -> FreeRun:
     return FreeRun(simulator, finer, inputs, known, parts, channels, mean, is_missing, deviations, scatter, zeros, none)
 
 
-def _readings(simulator: Simulator, outputs: Outputs, parts: Sequence[slice], channels: Sequence[str]) -> np.ndarray:
+def readings_of(simulator: Simulator, outputs: Outputs, parts: Sequence[slice], channels: Sequence[str]) -> np.ndarray:
     """Return the readings (N, C) of a run, the mean over what are repeats."""
     whole = simulated_matrix(simulator.machine, outputs, channels)
     readings: np.ndarray = np.mean([whole[part] for part in parts], axis=0)
@@ -249,10 +291,9 @@ def _rows(one: Observed) -> slice:
     return slice(begin, begin + one.rows)
 
 
-def _filled(values: np.ndarray, are_missing: np.ndarray) -> np.ndarray:
-    """Return values (N, C) with those that are missing interpolated: what is missing says nothing."""
-    rows, filled = np.arange(len(values)), values.copy()
+def _fill(values: np.ndarray, are_missing: np.ndarray) -> None:
+    """Interpolate values (N, C) that are missing: what is missing says nothing."""
+    rows = np.arange(len(values))
     for column in np.flatnonzero(are_missing.any(axis=0)):
         missing = are_missing[:, column]
-        filled[missing, column] = 0.0 if missing.all() else np.interp(rows[missing], rows[~missing], values[~missing, column])
-    return filled
+        values[missing, column] = 0.0 if missing.all() else np.interp(rows[missing], rows[~missing], values[~missing, column])

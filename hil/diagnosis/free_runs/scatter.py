@@ -43,10 +43,11 @@ class Scatter:
         self._roots = np.sqrt(repeats) * unbiased * roots / scale[:, None, :]
 
     def whiten(self, misfit: np.ndarray) -> np.ndarray:
-        """Return a misfit (N, C) of the mean as (N C,) white values."""
-        spectrum = np.fft.rfft(misfit * self._window, axis=0)
-        white = np.fft.irfft(np.einsum("kcd,kd->kc", self._roots, spectrum), len(misfit), axis=0)
-        return np.asarray(np.sqrt(len(misfit)) * white).reshape(-1)
+        """Return misfits (..., N, C) of the mean as (..., N C) white values."""
+        *several, rows, channels = misfit.shape
+        spectra = np.fft.rfft((misfit * self._window).reshape(-1, rows, channels), axis=1)
+        white = np.fft.irfft(np.einsum("kcd,tkd->tkc", self._roots, spectra, optimize=True), rows, axis=1)
+        return np.asarray(np.sqrt(rows) * white).reshape(*several, rows * channels)
 
 
 def _windows(lines: int, aside: int) -> np.ndarray:

@@ -14,7 +14,7 @@ from hil.diagnosis.named.form import FormError, form_columns
 from hil.diagnosis.seen.along import Signals
 from hil.diagnosis.seen.noise import ACCURACY
 from hil.diagnosis.tuned.bounded import bounded_least_squares
-from hil.diagnosis.tuned.retuning import Looked, Tuned
+from hil.diagnosis.tuned.retuning import DETERMINED, Looked, Tuned
 from virtual_bus.effects.effect import PHASE, Parameter
 from virtual_bus.effects.registry import effects
 from virtual_bus.errors import EffectError
@@ -28,8 +28,6 @@ LEVEL = 0.16
 """Of the noise's squares, by which repeats may miss them: two differ by chance, and sound machines leave so much."""
 BLOCKS = 20
 """Stretches of all recordings: fewer would show the scatter badly, more would cut through what errs together."""
-DETERMINED = 1.0
-"""Square of a column, in units of noise, below which the recordings say less of a nuisance than its prior."""
 STEP = 0.02
 """Of a difference, as a share of a parameter: laws with corners need a step that is longer than a row."""
 MOST_CHANGED = 0.1

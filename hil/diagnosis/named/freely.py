@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -14,10 +13,14 @@ from hil.diagnosis.named.fitting import HALVINGS, ITERATIONS, SETTLED, STEP, Fit
 from hil.diagnosis.named.form import FormError
 from hil.diagnosis.named.settling import LONGEST
 from hil.diagnosis.tuned.bounded import bounded_least_squares
+from hil.diagnosis.tuned.retuning import STEP as NEARBY
 from hil.diagnosis.tuned.retuning import Tuned
 from virtual_bus.effects.effect import Parameter
 from virtual_bus.plant.lanes import LANES
 from virtual_bus.settings import EffectSetting
+
+SHARES = tuple(0.5**k for k in range(HALVINGS))
+"""Of a step, that are tried together."""
 
 
 def fit_to(
@@ -28,7 +31,11 @@ def fit_to(
 
 
 def fit_freely(free: FreeRuns, settings: Sequence[EffectSetting], offset: np.ndarray | None, dispersion: float) -> Fitted | None:
-    """Fit a set of effects from these parameters, as `fit` does along a motion; None where the machine cannot run with them."""
+    """Fit a set of effects from these parameters, as `fit` does along a motion; None where the machine cannot run with them.
+
+    Numbers that stand in for each other lie in a curved valley: steps are bent as misfits' second derivative along them asks (geodesic
+    acceleration: Transtrum and Sethna 2012).
+    """
     settings = tuple(settings)
     offset = free.offset.copy() if offset is None else offset
     (left,) = free.left([(offset, settings)])
@@ -42,12 +49,19 @@ def fit_freely(free: FreeRuns, settings: Sequence[EffectSetting], offset: np.nda
         steps = [_step(settings[k], parameter) for k, parameter in parameters]
         columns = _columns(free, offset, settings, parameters, steps, left)
         reaches = [reach(one, settings[k].parameters[one.name], by, fastest) for (k, one), by in zip(parameters, steps, strict=True)]
+        room = _room(free, offset, reaches)
         unit = max(dispersion, sum(float(rest @ rest) for rest in left) / free.readings)  # while far off, errors count as noise
-        step = _solved(free, offset, columns, left, unit, reaches)
+        step = _solved(columns, left, unit, offset, room)
         cost = _cost(left, offset, unit)
-        shares = 0.5 ** np.arange(HALVINGS)
-        trials = [_moved(offset, settings, parameters, share * step) for share in shares]
+        promised = [rest - each @ step for each, rest in zip(columns, left, strict=True)]
+        if cost - _cost(promised, offset + step[: len(offset)], unit) < SETTLED:
+            break
+        trials = [_moved(offset, settings, parameters, share * step) for share in SHARES]
         further = free.left(trials)
+        if (bend := _bend(columns, left, unit, step, further)) is not None:
+            bent = [np.clip(share * step + share**2 * bend, *room) for share in SHARES]
+            trials += [_moved(offset, settings, parameters, one) for one in bent]
+            further += free.left(trials[len(SHARES) :])
         costs = [np.inf if each is None else _cost(each, trial[0], unit) for trial, each in zip(trials, further, strict=True)]
         best = int(np.argmin(costs))
         if not costs[best] < cost:
@@ -70,15 +84,15 @@ def _columns(
     free: FreeRuns, offset: np.ndarray, settings: tuple[EffectSetting, ...], parameters: Sequence[tuple[int, Parameter]],
     steps: Sequence[float], left: tuple[np.ndarray, ...],
 ) -> tuple[np.ndarray, ...]:  # fmt: skip
-    """Return what (N C, P + Q) misfits lose per unit of nuisances and parameters."""
-    by = np.append(np.full(len(offset), STEP), steps)
-    known = 0 if free.nuisances is None else len(offset)
-    columns = [np.zeros((len(rest), len(by))) for rest in left]
-    if free.nuisances is not None:
-        for own, its in zip(columns, free.nuisances, strict=True):
-            own[:, :known] = its
-    trials = [_moved(offset, settings, parameters, np.where(np.arange(len(by)) == k, by[k], 0.0)) for k in range(known, len(by))]
-    for k, there in enumerate(free.left(trials), known):
+    """Return what (N C, P + Q) misfits lose per unit of nuisances and parameters.
+
+    Numbers are moved by little: those that stand in for each other almost cancel, and what is left must be no error of their columns.
+    """
+    by = np.append(np.full(len(offset), NEARBY), steps)
+    columns = [np.zeros((len(by), len(rest))).T for rest in left]  # one column after the other in memory
+    sought = [*np.flatnonzero(free.are_shown).tolist(), *range(len(offset), len(by))]
+    trials = [_moved(offset, settings, parameters, np.where(np.arange(len(by)) == k, by[k], 0.0)) for k in sought]
+    for k, there in zip(sought, free.left(trials), strict=True):
         if there is not None:
             for own, before, after in zip(columns, left, there, strict=True):
                 own[:, k] = (before - after) / by[k]
@@ -91,19 +105,37 @@ def _step(setting: EffectSetting, parameter: Parameter) -> float:
     return -step if value + step > parameter.high else step
 
 
+def _room(free: FreeRuns, offset: np.ndarray, reaches: Sequence[tuple[float, float]]) -> tuple[np.ndarray, np.ndarray]:
+    """Return how far down and up a step of nuisances and parameters (P + Q,) may go."""
+    low, high = (bound + free.offset - offset for bound in free.bounds)
+    below, above = np.array(reaches).reshape(-1, 2).T
+    return np.append(np.maximum(low, -LONGEST), below), np.append(np.minimum(high, LONGEST), above)
+
+
+def _bend(
+    columns: Sequence[np.ndarray], left: Sequence[np.ndarray], dispersion: float, step: np.ndarray,
+    further: Sequence[tuple[np.ndarray, ...] | None],
+) -> np.ndarray | None:  # fmt: skip
+    """Return what a step (P + Q,) is bent by at its whole length, from half a step; None where there is none, or where it is longer."""
+    share, there = SHARES[1], further[1]
+    if there is None:
+        return None
+    second = [(far - rest + share * (each @ step)) / share**2 for far, rest, each in zip(there, left, columns, strict=True)]
+    anywhere = np.full(len(step), np.inf)
+    bend = _solved(columns, second, dispersion, np.zeros(len(step)), (-anywhere, anywhere))
+    return bend if np.linalg.norm(bend) < np.linalg.norm(step) else None
+
+
 def _solved(
-    free: FreeRuns, offset: np.ndarray, columns: Sequence[np.ndarray], left: Sequence[np.ndarray], dispersion: float,
-    reaches: Sequence[tuple[float, float]],
-) -> np.ndarray:  # fmt: skip
+    columns: Sequence[np.ndarray], left: Sequence[np.ndarray], dispersion: float, offset: np.ndarray, room: tuple[np.ndarray, np.ndarray]
+) -> np.ndarray:
+    """Return the step (P + Q,) to the least squares; `offset` are the nuisances, which the prior pulls to zero."""
     count = len(offset)
     squares = np.sum([each.T @ each for each in columns], axis=0) / dispersion
     slopes = np.sum([each.T @ rest for each, rest in zip(columns, left, strict=True)], axis=0) / dispersion
     squares[range(count), range(count)] += 1.0
     slopes[:count] -= offset
-    low, high = (bound + free.offset - offset for bound in free.bounds)
-    low, high = np.maximum(low, -LONGEST), np.minimum(high, LONGEST)
-    below, above = np.array(reaches).reshape(-1, 2).T
-    return bounded_least_squares(squares, slopes, np.append(low, below), np.append(high, above))
+    return bounded_least_squares(squares, slopes, *room)
 
 
 def _moved(offset: np.ndarray, settings: tuple[EffectSetting, ...], parameters: Sequence[tuple[int, Parameter]], step: np.ndarray) -> Trial:
@@ -115,18 +147,6 @@ def _moved(offset: np.ndarray, settings: tuple[EffectSetting, ...], parameters: 
 
 def _cost(left: Sequence[np.ndarray], offset: np.ndarray, dispersion: float) -> float:
     return float(sum(rest @ rest for rest in left)) / dispersion + float(offset @ offset)
-
-
-def arrived(free: FreeRuns, fitted: Fitted | None) -> Fitted:
-    """Return a set where it fits best, all that numbers change computed anew until nothing is gained."""
-    assert fitted is not None
-    free = replace(free, nuisances=None)
-    for _ in range(ITERATIONS):
-        further = fit_freely(free, fitted.settings, fitted.offset, fitted.dispersion)
-        if further is None or not fitted.cost() - further.cost() > SETTLED:
-            return fitted if further is None or further.cost() > fitted.cost() else further
-        fitted = further
-    return fitted
 
 
 def alone_freely(free: FreeRuns, fitted: Fitted, number: int) -> list[np.ndarray]:

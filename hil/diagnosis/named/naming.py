@@ -9,11 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.diagnosis.free_runs.runs import FreeRuns
+from hil.diagnosis.named.covariance import away_from
 from hil.diagnosis.named.everyday import everyday_effects
 from hil.diagnosis.named.fitting import LEVEL, Fitted, fit
-from hil.diagnosis.named.freely import arrived, fit_to
+from hil.diagnosis.named.freely import fit_to
 from hil.diagnosis.named.matching import matched
-from hil.diagnosis.named.proving import proved, slow_view, steady
+from hil.diagnosis.named.proving import STEADY, proved, slow_view, steady
 from hil.diagnosis.named.search import Library, Ranked, library, search
 from hil.diagnosis.named.settling import LONGEST, settled
 from hil.diagnosis.seen.along import Along
@@ -67,9 +68,14 @@ class Named:
     of: Library | None
 
     @property
+    def is_noise_known(self) -> bool:
+        """Whether the noise by which the answer was judged is known from repeats."""
+        return self.seen.noise != "assumed"
+
+    @property
     def materiality(self) -> float:
         """Factor by which what is left must be less with an effect that is not everyday."""
-        return MATERIAL if self.levels.are_assumed else 1.0
+        return 1.0 if self.is_noise_known else MATERIAL
 
 
 def name(
@@ -137,9 +143,11 @@ def engineers_fit(seen: Seen) -> tuple[Levels, Tuned, Fitted]:
 def _named_freely(seen: Seen, free: FreeRuns, report: Callable[[str, float], None], first: Callable[[Fitted], None]) -> Named:
     """Name what a simulation lacks by free runs of the closed loop."""
     report("fitting numbers alone", 0.1)
-    plain = arrived(free, fit_to(free, ()))
+    plain = fit_to(free, ())
+    assert plain is not None
+    free = free.about(seen.alongs, (plain.offset, ()), plain.columns)
     report("fitting numbers and friction", 0.2)
-    baseline = arrived(free, fit_to(free, everyday_effects(seen.alongs[0]), plain.offset, plain.dispersion))
+    baseline = fit_to(free, everyday_effects(seen.alongs[0]), plain.offset, plain.dispersion) or plain
     first(baseline)
     is_better = baseline.cost(plain.dispersion) + len(baseline.parameters) * math.log(free.readings) < plain.cost(plain.dispersion)
     best = baseline if is_better else plain
@@ -149,7 +157,7 @@ def _named_freely(seen: Seen, free: FreeRuns, report: Callable[[str, float], Non
         of = library(free, best)
         ranked = search(free, of, best if turn else baseline)
         is_settled = ranked[0].fitted.names == best.names
-        best = arrived(free, ranked[0].fitted)
+        best = ranked[0].fitted
         if is_settled:
             break
     if (kept := steady(seen, best, free)) is not None:
@@ -159,25 +167,24 @@ def _named_freely(seen: Seen, free: FreeRuns, report: Callable[[str, float], Non
 
 
 def _agreed(seen: Seen, free: FreeRuns, best: Fitted) -> Fitted:
-    """Return the fit with the effects that the recorded motion shows, too: by more than their parameters (Akaike 1974).
+    """Return the fit without effects that the recorded motion speaks against: there none is STEADY deviations likelier than their strength.
 
     What is wrong in free runs is not wrong along the motion, and the other way round.
     """
     while best.settings:
         tuned = tuned_at(seen.alongs, seen.levels, best.offset, best.settings)
-        whole = fit(tuned, best.settings, best.offset, longest=LONGEST)
-        if whole is None:
+        along = fit(tuned, best.settings, best.offset, longest=LONGEST)
+        if along is None:
             return best
-        gains = []
-        for k in range(len(best.settings)):
-            without = fit(tuned, (*best.settings[:k], *best.settings[k + 1 :]), best.offset, longest=LONGEST)
-            lost = math.inf if without is None else without.cost() - whole.cost()
-            gains.append(lost - 2.0 * sum(number == k for number, _ in whole.parameters))
-        worst = int(np.argmin(gains))
-        if gains[worst] > 0.0:
+        strengths = [setting.parameters for setting in best.settings]
+        against = [away_from(along, number, strengths[number]) - away_from(along, number) for number in range(len(strengths))]
+        worst = int(np.argmax(against))
+        if against[worst] < STEADY**2:
             return best
         kept = (*best.settings[:worst], *best.settings[worst + 1 :])
-        best = arrived(free, fit_to(free, kept, best.offset, best.dispersion))
+        sparer = fit_to(free, kept, best.offset, best.dispersion)
+        assert sparer is not None  # it runs with more
+        best = sparer
     return best
 
 

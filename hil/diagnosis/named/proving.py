@@ -15,7 +15,7 @@ import scipy.stats
 
 from hil.diagnosis.free_runs.runs import FreeRuns
 from hil.diagnosis.named.fitting import BLOCKS, Fitted, alone
-from hil.diagnosis.named.freely import alone_freely, arrived, fit_to
+from hil.diagnosis.named.freely import alone_freely, fit_to
 from hil.diagnosis.named.search import Library, library, proposed
 from hil.diagnosis.named.settling import settled
 from hil.diagnosis.seen.along import Along
@@ -201,7 +201,9 @@ def steady(seen: Seen, fitted: Fitted, free: FreeRuns | None = None) -> tuple[Tu
             break
         kept = (*fitted.settings[:worst], *fitted.settings[worst + 1 :])
         if isinstance(tuned, FreeRuns):
-            found = tuned, arrived(tuned, fit_to(tuned, kept, fitted.offset, fitted.dispersion))
+            sparer = fit_to(tuned, kept, fitted.offset, fitted.dispersion)
+            assert sparer is not None  # it runs with more
+            found = tuned, sparer
         else:
             found = settled(seen.alongs, seen.levels, fitted.offset, kept)
         fitted = found[1]

@@ -10,6 +10,7 @@ import numpy as np
 
 from hil.diagnosis.candidates.entries import Entry
 from hil.diagnosis.free_runs.runs import FreeRuns
+from hil.diagnosis.named.covariance import scattered
 from hil.diagnosis.named.fitting import BLOCKS, LEVEL, Fitted
 from hil.diagnosis.named.freely import fit_to
 from hil.diagnosis.named.naming import Named
@@ -60,12 +61,15 @@ class Limit:
     effect, at, parameter : str
     strength : float
         Of that parameter; infinite where no strength that it may have would show. It is a size where the parameter's neutral value is zero.
+    setting : EffectSetting or None
+        The effect at that strength; None where none shows.
     """
 
     effect: str
     at: str
     parameter: Parameter
     strength: float
+    setting: EffectSetting | None
 
 
 def unexplained(named: Named) -> float:
@@ -81,7 +85,7 @@ def is_spanned(named: Named) -> bool:
     It leaves more where most stretches of the recordings do: a few loud disturbances are no physics.
     """
     best = named.best
-    if named.levels.are_assumed:
+    if not named.is_noise_known:
         return True
     empty = fit_to(named.tuned, (), best.offset, best.dispersion)
     explained = 0.0 if empty is None else max(empty.squares - best.squares, 0.0)
@@ -129,7 +133,7 @@ def alternatives(named: Named, of: Library) -> list[Alternative]:
     nothing = math.inf if empty is None else empty.cost(unit)
 
     def evidence(fitted: Fitted) -> float:
-        if isinstance(tuned, Tuned) and named.levels.are_assumed:
+        if isinstance(tuned, Tuned) and not named.is_noise_known:
             return float(left_out(tuned, fitted).sum()) / unit
         return fitted.cost(unit) + len(fitted.parameters) * math.log(tuned.readings)
 
@@ -150,7 +154,7 @@ def deviations(named: Named, other: Fitted) -> np.ndarray:
     """
     best = named.best
     scatter = scattered(best)
-    if not named.levels.are_assumed or not best.settings:
+    if named.is_noise_known or not best.settings:
         return scatter
     _, fast = settled(named.seen.alongs, named.levels, best.offset, best.settings)
     views = [_coordinates(each) for each in (best, fast, other)]
@@ -172,7 +176,7 @@ def detection_limits(named: Named, of: Library) -> list[Limit]:
         if not strengths or (law.effect.family, law.at) in taken:
             continue
         asked = len(strengths) * math.log(tuned.readings) + 2.0 * math.log(of.places)
-        if not named.levels.are_assumed:
+        if named.is_noise_known:
             asked += NOT_TOLD_APART
         if not law.effect.everyday:
             asked += (named.materiality - 1.0) * best.squares / best.dispersion
@@ -186,20 +190,20 @@ def detection_limits(named: Named, of: Library) -> list[Limit]:
 def _limit(law: Entry, strengths: Sequence[Parameter], squares: np.ndarray, asked: float) -> Limit:
     """Return the least strength of a law that shows, whichever of its weights it has."""
     first = strengths[0]
-    least: tuple[float, float] | None = None
+    found: list[EffectSetting | None] = []
+
+    def beyond(setting: EffectSetting | None) -> float:
+        return math.inf if setting is None else abs(setting.parameters[first.name] - first.neutral)
+
     for number, square in enumerate(np.diag(squares)):
         weights = np.zeros(len(squares))
         weights[number] = math.sqrt(asked / max(float(square), 1e-300))
         settings = [law.setting(weights), law.setting(-weights)]
-        values = [
-            setting.parameters[first.name]
-            for setting in settings
-            if all(_is_within(each, setting.parameters[each.name]) for each in strengths)
-        ]
-        shown = min(((abs(value - first.neutral), value) for value in values if value != first.neutral), default=(math.inf, math.inf))
-        least = shown if least is None else max(least, shown)
-    value = math.inf if least is None else least[1]
-    return Limit(law.effect.name, law.at, first, value if first.neutral else abs(value))
+        able = [one for one in settings if all(_is_within(each, one.parameters[each.name]) for each in strengths) and beyond(one)]
+        found.append(min(able, key=beyond, default=None))
+    setting = max(found, key=beyond, default=None)
+    value = math.inf if setting is None else setting.parameters[first.name]
+    return Limit(law.effect.name, law.at, first, value if first.neutral else abs(value), setting)
 
 
 def _beyond(limit: Limit) -> float:
@@ -208,22 +212,6 @@ def _beyond(limit: Limit) -> float:
 
 def _is_within(parameter: Parameter, value: float) -> bool:
     return value == parameter.neutral or parameter.low < value < parameter.high
-
-
-def scattered(fitted: Fitted) -> np.ndarray:
-    """Return standard deviations (P + Q,) of nuisances and parameters, by what scatters (White 1982)."""
-    deviations: np.ndarray = np.sqrt(np.diag(covariance_of(fitted)))
-    return deviations
-
-
-def covariance_of(fitted: Fitted) -> np.ndarray:
-    """Return the covariance (P + Q, P + Q) of nuisances and parameters, by what scatters."""
-    squares = np.sum([each.T @ each for each in fitted.with_form], axis=0) / fitted.dispersion + np.diag(fitted.prior)
-    scale = np.sqrt(np.maximum(np.diag(squares), 1e-300))
-    inverse = np.linalg.pinv(squares / scale[:, None] / scale, hermitian=True)
-    own = slice(len(scale) - fitted.form.count)
-    covariance: np.ndarray = (inverse / scale[:, None] / scale)[own, own]
-    return covariance
 
 
 def _coordinates(fitted: Fitted) -> np.ndarray:

@@ -35,7 +35,7 @@ def refitted(named: Named) -> Named:
     Where noise is known from repeats, the answer is the likeliest one, and stays. Each window counts as one reading, since its errors
     go together. Where it begins is known as well as the smoother knows it. A fit that does not predict better is not kept.
     """
-    if not named.levels.are_assumed:
+    if named.is_noise_known:
         return named
     runs = [Runs(along) for along in named.seen.alongs]
     numbers = named.tuned.numbers

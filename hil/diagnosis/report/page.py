@@ -94,6 +94,8 @@ def _what_it_shows(answered: Answered) -> list[Section]:
 def _how_predicted(diagnosis: Diagnosis) -> str:
     """Return in words by what the answer was judged."""
     horizon = diagnosis.fit.horizon_s
+    if diagnosis.noise != "assumed" and horizon is None:
+        return "Free runs of the closed loop over whole recordings: their rms errors as shares of each channel's rms about its mean."
     if diagnosis.noise != "assumed":
         return "Every row predicted from those before it, in units of the noise that repeats show: 1 is noise alone."
     if not diagnosis.fit.channels:

@@ -61,11 +61,13 @@ class Seen:
     alongs : tuple of Along
         One a group.
     levels : Levels
-        Noise: from repeats, or assumed.
+        Noise along the motion: from repeats, or assumed.
     by : int
         Recorded rows that are one row here.
     shown : tuple of ShownAt
         What readings show by themselves: held ones are left out, and coarser lattices known.
+    freely : bool
+        Whether free runs judge, which know their noise from repeats.
     """
 
     groups: tuple[Group, ...]
@@ -73,11 +75,12 @@ class Seen:
     levels: Levels
     by: int = 1
     shown: tuple[ShownAt, ...] = ()
+    freely: bool = False
 
     @property
     def noise(self) -> NoiseKind:
-        """From what noise is known."""
-        if self.levels.are_assumed:
+        """From what the noise is known by which effects are judged."""
+        if self.levels.are_assumed and not self.freely:
             return "assumed"
         repeated = [group for group in self.groups if len(group.repeats) > 1]
         return "periods" if all(group.are_periods for group in repeated) else "repeats"
@@ -125,7 +128,7 @@ class Seen:
         return found
 
 
-def see(machine: Machine, recordings: Mapping[str, Recording], beside: Seen | None = None) -> Seen:
+def see(machine: Machine, recordings: Mapping[str, Recording], beside: Seen | None = None, *, freely: bool = False) -> Seen:
     """See what recordings of a machine show beside its equations.
 
     Parameters
@@ -134,6 +137,8 @@ def see(machine: Machine, recordings: Mapping[str, Recording], beside: Seen | No
     recordings : mapping of str to Recording
     beside : Seen, optional
         Others, on whose rows and by whose noise these are seen.
+    freely : bool
+        Whether free runs will judge: noise along the motion is then assumed, which is quick.
 
     Raises
     ------
@@ -150,13 +155,13 @@ def see(machine: Machine, recordings: Mapping[str, Recording], beside: Seen | No
         raise RecordingError(f"{name}: no encoder of {machine.name} follows a driven joint by itself; record position_{machine.axes[0]}")
     if beside is not None:
         alongs = [Along(along.observed.coarser(beside.by)) for along in alongs]
-        return Seen(found, tuple(alongs), beside.levels, beside.by, beside.shown)
-    levels, by = repeat_levels(found, alongs), 1
+        return Seen(found, tuple(alongs), beside.levels, beside.by, beside.shown, beside.freely)
+    levels, by = None if freely else repeat_levels(found, alongs), 1
     if levels is None:
         by = coarsest(alongs)
         alongs = [Along(along.observed.coarser(by)) for along in alongs] if by > 1 else alongs
         levels = assumed_levels(alongs)
-    return Seen(found, tuple(alongs), levels, by, shown)
+    return Seen(found, tuple(alongs), levels, by, shown, freely)
 
 
 def _step(along: Along, joint: int) -> float:

@@ -18,6 +18,8 @@ from virtual_bus.settings import EffectSetting
 
 STEP = 1e-3
 """Of a column's difference, in standard deviations of a number: half the digits of a double are left."""
+DETERMINED = 1.0
+"""Square of a column, in units of noise, below which the recordings say less of a nuisance than its prior."""
 ZERO_rad, ZERO_m = 0.01, 1e-3
 """Standard deviation of an encoder's zero: of a disc set on a shaft by hand, or of a stop that homing runs onto."""
 

@@ -80,7 +80,7 @@ def test_devices_answer_as_in_lockstep_to_the_same_frames_byte_for_byte(
     candump: Callable[[str], Candump],
     tmp_path: Path,
 ) -> None:
-    """At 256 Hz wherever it runs: what is late on vcan, or stops a run, is in its frames. Runs that were stopped count with their length."""
+    """At 256 Hz wherever it runs: what is late on vcan, or stops a run, is in its frames. Stopped runs count, too."""
     file = can_alone(load_machine(SHIPPED), tmp_path)
     machine = load_machine(file)
     answered = 0

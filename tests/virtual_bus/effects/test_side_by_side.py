@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import gc
-from dataclasses import replace
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import astuple, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -77,6 +78,19 @@ def drawn(simulator: Simulator, seed: int) -> np.ndarray:
     """Plant parameters within a hundredth of the nominal ones."""
     nominal = simulator.plant.nominal
     return nominal * (1.0 + 0.01 * np.random.default_rng(seed).uniform(-1.0, 1.0, len(nominal)))
+
+
+def test_threads_change_nothing(simulator: Simulator, inputs: Inputs) -> None:
+    trials = [(drawn(simulator, seed), ()) for seed in range(3 * LANES)]
+    alone = simulator.run_all(inputs, trials)
+    with ThreadPoolExecutor(4) as threads:
+        together = [simulator.begin_all(inputs, trials, threads) for _ in range(2)]
+        for ended in together:
+            for one, other in zip(alone, ended(), strict=True):
+                assert isinstance(one, Outputs)
+                assert isinstance(other, Outputs)
+                for values, others in zip(astuple(one), astuple(other), strict=True):
+                    np.testing.assert_array_equal(values, others)
 
 
 @pytest.mark.nightly

@@ -9,10 +9,11 @@ import pytest
 from carriage import MACHINE, disturbance, recording, reference, run
 
 from controllers.feedback import Feedback
-from hil.diagnosis.diagnose import audit_recordings
+from hil.diagnosis.diagnose import audit_recordings, diagnose
 from hil.diagnosis.free_runs.runs import FreeRuns, free_runs
+from hil.diagnosis.named.freely import fit_to
 from hil.diagnosis.named.naming import name
-from hil.diagnosis.seen.see import see
+from hil.diagnosis.seen.see import Seen, see
 from hil.errors import RecordingError
 from hil.machine import Machine
 from hil.recording import Recording
@@ -41,13 +42,18 @@ def recorded(count: int = 3, coulomb_N: float = 0.0, duration_s: float = 4.0) ->
 
 def freely(recordings: dict[str, Recording], machine: Machine = MACHINE) -> FreeRuns:
     """Free runs beside recordings."""
-    return free_runs(see(machine, recordings), audit_recordings(machine, recordings, {}))
+    return free_runs(seen(recordings, machine), audit_recordings(machine, recordings, {}))
+
+
+def seen(recordings: dict[str, Recording], machine: Machine = MACHINE) -> Seen:
+    """What is seen of them, where free runs judge."""
+    return see(machine, recordings, freely=True)
 
 
 def test_friction_that_disturbances_hide_in_each_row_is_named_with_its_level() -> None:
     recordings = recorded(coulomb_N=FRICTION_N)
     free = freely(recordings)
-    best = name(see(MACHINE, recordings), free).best
+    best = name(seen(recordings), free).best
     assert [(one.name, one.at) for one in best.settings] == [("coulomb_friction", "carriage")]
     assert best.settings[0].parameters["Fc"] == pytest.approx(FRICTION_N, rel=0.1)
     assert best.squares / free.readings == pytest.approx(1.0, abs=0.1)
@@ -56,9 +62,39 @@ def test_friction_that_disturbances_hide_in_each_row_is_named_with_its_level() -
 def test_a_sound_machine_has_no_effect_and_leaves_noise() -> None:
     recordings = recorded()
     free = freely(recordings)
-    best = name(see(MACHINE, recordings), free).best
+    best = name(seen(recordings), free).best
     assert best.settings == ()
     assert best.squares / free.readings == pytest.approx(1.0, abs=0.1)
+
+
+def test_fits_end_at_the_same_cost_from_wherever_they_begin() -> None:
+    """Mass, drive constant and damping stand in for a drag and for each other: the valley between them is narrow and curved."""
+    recordings = recorded()
+    free = freely(recordings)
+    (run,) = free.runs
+    drag = replace(DRAG, parameters={"Fv2": 2500.0})
+    dragged, sound = (simulate(smooth(MACHINE), recordings["run_0"], effects) for effects in ([drag], []))
+    change = np.column_stack([dragged[channel] - sound[channel] for channel in run.channels])
+    there = replace(free, runs=(replace(run, mean=run.mean + change[: len(run.mean)]),))
+    fits = [fit_to(there, (replace(drag, parameters={"Fv2": strength}),)) for strength in (1250.0, 2500.0, 5000.0)]
+    costs = [one.cost() for one in fits if one is not None]
+    assert costs == pytest.approx([min(costs)] * 3, abs=1.0)
+    assert min(costs) / free.readings == pytest.approx(1.0, abs=0.1)
+
+
+def test_what_the_recorded_motion_speaks_against_is_not_named() -> None:
+    """Free runs that lack a friction, beside recordings of a motion without."""
+    assert name(seen(recorded()), freely(recorded(coulomb_N=FRICTION_N))).best.settings == ()
+
+
+def test_held_out_errors_are_those_of_the_closed_loop() -> None:
+    train, held = recorded(coulomb_N=FRICTION_N), recorded(1, coulomb_N=FRICTION_N, duration_s=3.0)
+    fit = diagnose(MACHINE, train, {"held": held["run_0"]}, freely=True).diagnosis.fit
+    assert fit.held_out is not None
+    assert fit.horizon_s is None
+    assert fit.held_out.extended == pytest.approx(1.0, abs=0.3)
+    assert fit.held_out.nominal is not None
+    assert fit.held_out.nominal > 1.5
 
 
 def test_without_repeats_the_files_controller_or_its_states_they_are_refused() -> None:
@@ -81,9 +117,11 @@ def test_steps_of_the_plant_do_not_show() -> None:
     (here,) = free.runs
     fine = simulate(smooth(MACHINE, 8), recordings["run_0"], [DRAG])
     coarse = simulate(smooth(MACHINE), recordings["run_0"], [DRAG])
-    here = replace(here, mean=np.column_stack([fine[channel] for channel in here.channels]))
+    rows = len(here.mean)
+    here = replace(here, mean=np.column_stack([fine[channel] for channel in here.channels])[:rows])
     offset = np.zeros_like(free.offset)
-    (left,) = here.about(free.numbers, (offset, (DRAG,))).left(free.numbers, [(offset, (DRAG,))])
-    assert left is not None
-    steps = here.scatter.whiten(np.column_stack([fine[channel] - coarse[channel] for channel in here.channels]))
+    (found,) = replace(free, runs=(here.about(free.numbers, (offset, (DRAG,))),)).left([(offset, (DRAG,))])
+    assert found is not None
+    (left,) = found
+    steps = here.scatter.whiten(np.column_stack([fine[channel] - coarse[channel] for channel in here.channels])[:rows])
     assert left @ left < 0.01 * (steps @ steps)

@@ -9,10 +9,10 @@ import pytest
 from carriage import DAMPING, MACHINE, RATE_Hz, disturbance, recording, reference, repeats, run
 from scipy.interpolate import CubicSpline
 
+from hil.diagnosis.named.covariance import scattered
 from hil.diagnosis.named.fitting import fit
 from hil.diagnosis.named.naming import name
 from hil.diagnosis.named.search import library, proposed
-from hil.diagnosis.named.standing import scattered
 from hil.diagnosis.seen.see import see
 from hil.recording import Channel, Recording
 

@@ -1,0 +1,72 @@
+"""Errors of free runs of the closed loop beside recordings, by channel and stage."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from hil.diagnosis.free_runs.runs import FreeRuns, Trial, measured_by, readings_of
+from hil.diagnosis.predicted.open_runs import Predicted
+from hil.diagnosis.seen.see import Seen
+from hil.recording.ticks import on_every_tick
+from hil.simulation import Simulator
+from hil.simulation.simulate import inputs_of
+from hil.simulation.simulator import Outputs
+from hil.simulation.smooth import smooth
+
+
+def closed_runs(free: FreeRuns, seen: Seen, stages: Mapping[str, Trial]) -> Predicted:
+    """Return rms errors of whole recordings, or of means of repeats, over the rms of the recording about its mean.
+
+    The zero of an encoder, which differs from one recording to another, is fitted in every stage.
+
+    Parameters
+    ----------
+    free : FreeRuns
+        Its repeats tell the noise.
+    seen : Seen
+        The recordings that are predicted: held-out ones, or those of the answer; their controller is the file's.
+    stages : mapping of str to (numbers, effects)
+    """
+    scatter = _scatter(free)
+    rows: dict[str, dict[str, list[np.ndarray]]] = {}
+    for along, group in zip(seen.alongs, seen.groups, strict=True):
+        first, encoders = group.repeats[0], {encoder.channel for encoder in along.settings.encoders}
+        simulator = Simulator(smooth(first.machine))
+        inputs = inputs_of(first.machine, on_every_tick(first.recording))
+        channels, parts, each = measured_by(group)
+        mean = np.nanmean(each, axis=0)
+        machines = [(free.numbers.values(offset[: len(free.numbers.indices)]), (*along.known, *own)) for offset, own in stages.values()]
+        for stage, outputs in zip(stages, simulator.run_all(inputs, machines), strict=True):
+            for c, channel in enumerate(channels):
+                if channel in scatter:
+                    table = rows.setdefault(channel, {})
+                    off = np.full(len(mean), np.inf)
+                    if isinstance(outputs, Outputs):
+                        off = mean[:, c] - readings_of(simulator, outputs, parts, channels)[:, c]
+                        off -= np.nanmean(off) if channel in encoders else 0.0
+                    table.setdefault(stage, []).append(off)
+                    table.setdefault("about its mean", []).append(mean[:, c] - np.nanmean(mean[:, c]))
+    fewest = min(len(group.repeats) for group in seen.groups)
+    errors = {channel: {stage: _rms(parts) for stage, parts in table.items()} for channel, table in rows.items()}
+    found = {}
+    for channel, of_stages in errors.items():
+        if (spread := of_stages.pop("about its mean")) > 0.0:
+            of_stages["noise"] = float(scatter[channel] / np.sqrt(fewest))
+            found[channel] = {stage: error / spread for stage, error in of_stages.items()}
+    return Predicted(None, found)
+
+
+def _scatter(free: FreeRuns) -> dict[str, float]:
+    """Return the standard deviation of one recording by channel, as repeats scatter."""
+    channels = [channel for channel in free.runs[0].channels if all(channel in run.channels for run in free.runs)]
+    found = {}
+    for channel in channels:
+        parts = [(run.deviations[:, :, run.channels.index(channel)], len(run.deviations)) for run in free.runs]
+        found[channel] = float(np.sqrt(np.mean([np.mean(own**2) * count / (count - 1) for own, count in parts])))
+    return {channel: deviation for channel, deviation in found.items() if deviation > 0.0}
+
+
+def _rms(parts: list[np.ndarray]) -> float:
+    return float(np.sqrt(np.nanmean(np.concatenate(parts) ** 2)))
