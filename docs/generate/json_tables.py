@@ -522,8 +522,8 @@ DIAGNOSIS = (
     Entry(
         "fit.channels.CHANNEL",
         "stages",
-        "With repeats the rms error of rows predicted from those before them, in units of noise: 1 is noise alone. Where noise is "
-        "`assumed`, NRMSE of free runs: rms of recorded less simulated, over the rms of the recorded channel about its mean.",
+        "NRMSE of free runs: rms of recorded less simulated, over the rms of the recorded channel about its mean. With `fit.of_rows` the "
+        "rms error of rows in units of noise: 1 is noise alone.",
     ),
     Entry("fit.train", "stages", "E: root mean square over channels of these errors in units of that channel's noise, in training."),
     Entry("fit.held_out", "stages or null", "The same held out."),
@@ -532,9 +532,9 @@ DIAGNOSIS = (
     Entry(
         "fit.horizon_s",
         "s or null",
-        "What `fit` was measured by: with repeats a row's period, each row being predicted from those before it; else the length of free "
-        "runs, null for whole recordings.",
+        "What `fit` was measured by: the length of free runs, null for whole recordings; with `fit.of_rows` a row's period.",
     ),
+    Entry("fit.of_rows", "bool", "Whether every row was predicted from those before it, not in free runs."),
     Entry("predicted_separations", "list", "What the next experiment should show, of the likeliest set against each rival."),
     Entry("predicted_separations[].rival", "list", "Effects of the rival."),
     Entry(

@@ -15,6 +15,7 @@ from hil.diagnosis.audit.audit import audit as audit_of
 from hil.diagnosis.free_runs.runs import FreeRuns, lacking
 from hil.diagnosis.locating.answered import where_it_is
 from hil.diagnosis.named.fitting import LEVEL, Fitted, fit
+from hil.diagnosis.named.matching import matched
 from hil.diagnosis.named.naming import Named
 from hil.diagnosis.named.search import NOT_TOLD_APART, library
 from hil.diagnosis.named.standing import (
@@ -54,6 +55,7 @@ from hil.diagnosis.seen.see import Seen, see
 from hil.diagnosis.separating.next_experiment import Proposal, propose
 from hil.diagnosis.separating.separation import Model
 from hil.diagnosis.tuned.retuning import Tuned, tuned_at
+from hil.errors import RecordingError
 from hil.machine import Machine
 from hil.recording import Recording
 from virtual_bus.effects.effect import FRICTION
@@ -101,8 +103,7 @@ def answer(
     verdict, reason = _verdict(audit, judged, findings, others, _unseen(machine, seen, limits))
     if not findings and verdict != "inconclusive":
         reason = "; ".join([reason, what_may_hide(_recordings(seen)), *_never_shown(limits)])
-    train = _predicted(named, seen, audit)
-    held = _predicted(named, see(machine, held_out, seen), audit_of(machine, list(held_out.values()))) if held_out else None
+    train, *held = _predicted(machine, named, held_out)
     along, there = (tuned, along_motion) if isinstance(tuned, Tuned) else _along(named)
     missing = {seen.alongs[0].joints[joint]: share for joint, share in _shares(named).items()}
     proposal = None
@@ -119,7 +120,7 @@ def answer(
         frozen=frozen,
         noise=noise,
         location=Location() if verdict in ("consistent", "retuned") else where_it_is(seen, along, there),
-        fit=_fit(train, held, held_out != {}),
+        fit=_fit(train, held[0] if held else None, held_out != {}),
         unexplained_share=unexplained(judged),
         seconds=time.monotonic() - began,
         disturbance=DisturbanceShares(joints=missing),
@@ -153,7 +154,8 @@ def _proposed(machine: Machine, named: Named, others: Sequence[Alternative], rep
     def say(share: float) -> None:
         report("looking for the next experiment", 0.95 + 0.05 * share)
 
-    return propose(machine, models, named.levels.of(1), channels, named.seen.by, say)
+    levels = matched(named.levels, *_along(named)) if isinstance(named.tuned, FreeRuns) else named.levels
+    return propose(machine, models, levels.of(1), channels, named.seen.by, say)
 
 
 def _separations(proposal: Proposal) -> tuple[PredictedSeparation, ...]:
@@ -304,21 +306,27 @@ def _numbers(tuned: Tuned | FreeRuns, fitted: Fitted, spread: np.ndarray) -> tup
     return shown, {name: why for name, why in frozen.items() if name not in shown or why.startswith("lies")}
 
 
-def _predicted(named: Named, seen: Seen, audit: Audit) -> Predicted | None:
-    """Return the errors of the machine at every stage: in free runs of the closed loop where these judged and the controller is known.
+def _predicted(machine: Machine, named: Named, held_out: Mapping[str, Recording]) -> tuple[Predicted | None, ...]:
+    """Return the errors of the machine at every stage, in training and held out, by the same measure.
 
-    Else row by row where noise is known, and in free runs by the recorded efforts where it is not.
+    In free runs of the closed loop where these judged and the held-out controller is known; else row by row where noise is known, and in
+    free runs by the recorded efforts where it is not.
     """
+    sets = [named.seen, *([see(machine, held_out, named.seen)] if held_out else [])]
     numbers = named.tuned.numbers
     count = len(numbers.indices)
     fits = {"retuned": named.plain, "baseline": named.baseline, "extended": named.best}
     stages = {"nominal": (np.zeros(count), ()), **{name: (each.offset[:count], each.settings) for name, each in fits.items()}}
-    if isinstance(named.tuned, FreeRuns) and not lacking(seen, audit):
-        return closed_runs(named.tuned, seen, stages)
+    if isinstance(named.tuned, FreeRuns) and not (held_out and lacking(sets[-1], audit_of(machine, list(held_out.values())))):
+        try:
+            return tuple(closed_runs(named.tuned, seen, stages) for seen in sets)
+        except RecordingError:
+            pass
     if not named.levels.are_assumed:
-        return one_ahead(named, seen, stages)
+        return tuple(one_ahead(named, seen, stages) for seen in sets)
     scales = dict(zip(named.seen.alongs[0].observed.channels, named.levels.sensors.tolist(), strict=False))  # efforts follow the channels
-    return predicted(seen.alongs, scales, {name: (numbers.values(offset), own) for name, (offset, own) in stages.items()}, "extended")
+    machines = {name: (numbers.values(offset), own) for name, (offset, own) in stages.items()}
+    return tuple(predicted(seen.alongs, scales, machines, "extended") for seen in sets)
 
 
 def _fit(train: Predicted | None, held: Predicted | None, has_held_out: bool) -> Fit:
@@ -327,8 +335,9 @@ def _fit(train: Predicted | None, held: Predicted | None, has_held_out: bool) ->
     on_held_out = _total(held) if has_held_out else None
     best = on_held_out or on_train
     channels = {} if judged is None else {name: _stages(table) for name, table in judged.channels.items()}
-    horizon = None if judged is None else judged.horizon_s
-    return Fit(channels, on_train, on_held_out, _removed(best.retuned, best.extended), _removed(best.nominal, best.extended), horizon)
+    horizon, of_rows = (None, False) if judged is None else (judged.horizon_s, judged.of_rows)
+    shares = _removed(best.retuned, best.extended), _removed(best.nominal, best.extended)
+    return Fit(channels, on_train, on_held_out, *shares, of_rows=of_rows, horizon_s=horizon)
 
 
 def _stages(table: Mapping[str, float]) -> Stages:

@@ -16,6 +16,7 @@ import scipy.fft
 
 from controllers.errors import ControlError
 from hil.diagnosis.audit.audit import Audit
+from hil.diagnosis.audit.controller import controllers_of
 from hil.diagnosis.free_runs.scatter import Scatter
 from hil.diagnosis.observed.groups import Group
 from hil.diagnosis.observed.rows import Observed
@@ -25,6 +26,7 @@ from hil.diagnosis.seen.see import Seen
 from hil.diagnosis.tuned.numbers import Numbers, numbers_of
 from hil.diagnosis.tuned.retuning import DETERMINED, Tuned, ZERO_m, ZERO_rad, biases_of, bounds_of, nominal_offset, tuned_at
 from hil.errors import BenchError, RecordingError
+from hil.machine import Machine
 from hil.recording.ticks import on_every_tick
 from hil.simulation import Inputs, Simulator
 from hil.simulation.simulate import inputs_of
@@ -35,14 +37,11 @@ from virtual_bus.plant.compiled import CompiledPlant
 from virtual_bus.plant.lanes import LANES
 from virtual_bus.settings import EffectSetting
 
-Machine = tuple[np.ndarray, tuple[EffectSetting, ...]]
-"""The plant's parameters, and effects."""
-
 White = np.ndarray | None
 """A whitened misfit (N C,); None where a run ends early."""
 
 TOGETHER = LANES * LANES
-"""Machines whose outputs are in memory at once."""
+"""Machines whose outputs are in memory at once: enough that no thread waits for another, some ten MB a run."""
 
 Trial = tuple[np.ndarray, tuple[EffectSetting, ...]]
 """Nuisances (P,) in standard deviations of their prior, and effects."""
@@ -95,12 +94,15 @@ class FreeRun:
         It changes little from one machine to the next.
         """
         offset, settings = trial
-        values = numbers.values(offset[: len(numbers.indices)])
-        coarse, fine = (self._simulated(one.run(self.inputs, values, (*self.known, *settings))) for one in (self.simulator, self.finer))
+        machine = numbers.values(offset[: len(numbers.indices)]), (*self.known, *settings)
+        runs = [one.run_or_error(self.inputs, *machine) for one in (self.simulator, self.finer)]
+        coarse, fine = (self._simulated(one) if isinstance(one, Outputs) else np.zeros_like(self.mean) for one in runs)
         return replace(self, step_error=4.0 / 3.0 * (coarse - fine))
 
-    def begin(self, machines: Sequence[Machine], zeros: Sequence[np.ndarray], threads: ThreadPoolExecutor) -> Callable[[], list[White]]:
-        """Begin to run some machines, of given zeros; return what waits for them and returns misfits."""
+    def begin(
+        self, machines: Sequence[tuple[np.ndarray, tuple[EffectSetting, ...]]], zeros: Sequence[np.ndarray], threads: ThreadPoolExecutor
+    ) -> Callable[[], list[White]]:
+        """Begin to run machines of some values and effects, beside sensors' zeros; return what waits for them and returns misfits."""
         runs = [(values, (*self.known, *settings)) for values, settings in machines]
         outputs = self.simulator.begin_all(self.inputs, runs, threads)
         return lambda: self._left_by(zeros, outputs())
@@ -136,7 +138,7 @@ class FreeRuns:
     along : Tuned
         The machine as it is seen along the recorded motion: what its places did there is where laws begin from.
     are_shown : (P,) bool array
-        Which nuisances the recordings say more of than their prior does; the others stay where they are.
+        Which nuisances the recordings say more of than their prior does; the others stay at the file's numbers.
     jobs : int or None
         Processors that simulations take at most; all of them with None.
     """
@@ -243,22 +245,33 @@ def measured_by(group: Group) -> tuple[tuple[str, ...], tuple[slice, ...], np.nd
     return channels, parts, np.stack([np.hstack([each.readings, each.currents[:, measured]]) for each in group.repeats])
 
 
+def mean_of(readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mean (N, C) over repeats (R, N, C) of the samples that are there, and where none is."""
+    are_there = np.isfinite(readings)
+    mean = np.where(are_there, readings, 0.0).sum(axis=0) / np.maximum(are_there.sum(axis=0), 1)
+    return mean, ~are_there.any(axis=0)
+
+
+def simulated_loop(first: Observed) -> Machine:
+    """Return the machine under the controller that a recording was made with."""
+    return controllers_of(first.machine, first.recording)
+
+
 def _free_run(seen: Seen, number: int, group: Group) -> FreeRun:
     """Return the repeats of a group, their last few rows left out where spectra of all rows would be slow."""
     first = group.repeats[0]
     whole = on_every_tick(first.recording)
-    simulator, finer = Simulator(smooth(first.machine)), Simulator(smooth(first.machine, 2))
+    machine = simulated_loop(first)
+    simulator, finer = Simulator(smooth(machine)), Simulator(smooth(machine, 2))
     channels, parts, readings = measured_by(group)
     rows = scipy.fft.prev_fast_len(readings.shape[1], real=True)
     parts, readings = tuple(slice(part.start, part.start + rows) for part in parts), readings[:, :rows]
     along = seen.alongs[number]
     encoder_steps = {sensor.channel: sensor.resolution for sensor in along.settings.joint_sensors}
-    are_there = np.isfinite(readings)
-    mean = np.where(are_there, readings, 0.0).sum(axis=0) / np.maximum(are_there.sum(axis=0), 1)
-    is_missing = ~are_there.any(axis=0)
+    mean, is_missing = mean_of(readings)
     deviations = readings - mean
-    for each, there in zip(deviations, are_there, strict=True):
-        _fill(each, ~there)
+    for each in deviations:
+        _fill(each, ~np.isfinite(each))
     biases = biases_of(seen.alongs)
     zeros = np.zeros((*mean.shape, len(biases)))
     for k, bias in enumerate(biases):
@@ -269,8 +282,8 @@ def _free_run(seen: Seen, number: int, group: Group) -> FreeRun:
             zeros[:, own.channel, k] = ZERO_m if kind == "prismatic" else ZERO_rad
             if bias.recording is not None:  # each repeat has its own zero
                 deviations[:, :, own.channel] -= deviations[:, :, own.channel].mean(axis=1, keepdims=True)
-    inputs, known, none = inputs_of(first.machine, whole), tuple(along.known), np.zeros_like(mean)
-    stepped = replace(first.machine, plant=replace(first.machine.plant, substeps=simulator.machine.plant.substeps))
+    inputs, known, none = inputs_of(machine, whole), tuple(along.known), np.zeros_like(mean)
+    stepped = replace(machine, plant=replace(machine.plant, substeps=simulator.machine.plant.substeps))
     with_lattices, without = (readings_of(one, one.run(inputs, effects=known), parts, channels) for one in (Simulator(stepped), simulator))
     steps = np.array([encoder_steps.get(name, 0.0) for name in channels])
     apart = np.mean(deviations**2, axis=(0, 1)) / np.maximum(steps**2, 1e-300)
@@ -287,7 +300,7 @@ def readings_of(simulator: Simulator, outputs: Outputs, parts: Sequence[slice], 
 
 
 def _rows(one: Observed) -> slice:
-    begin = round(one.begin_s / one.period_s)
+    begin = round((one.begin_s - float(one.recording.time[0])) / one.period_s)
     return slice(begin, begin + one.rows)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from hil.diagnosis.candidates.columns import Column
 from hil.diagnosis.candidates.entries import Entry
-from hil.diagnosis.free_runs.runs import FreeRuns, Trial
+from hil.diagnosis.free_runs.runs import TOGETHER, FreeRuns, Trial
 from hil.diagnosis.named.fitting import HALVINGS, ITERATIONS, SETTLED, STEP, Fitted, changed, difference, fit, free_parameters, reach
 from hil.diagnosis.named.form import FormError
 from hil.diagnosis.named.settling import LONGEST
@@ -16,7 +16,6 @@ from hil.diagnosis.tuned.bounded import bounded_least_squares
 from hil.diagnosis.tuned.retuning import STEP as NEARBY
 from hil.diagnosis.tuned.retuning import Tuned
 from virtual_bus.effects.effect import Parameter
-from virtual_bus.plant.lanes import LANES
 from virtual_bus.settings import EffectSetting
 
 SHARES = tuple(0.5**k for k in range(HALVINGS))
@@ -58,7 +57,7 @@ def fit_freely(free: FreeRuns, settings: Sequence[EffectSetting], offset: np.nda
             break
         trials = [_moved(offset, settings, parameters, share * step) for share in SHARES]
         further = free.left(trials)
-        if (bend := _bend(columns, left, unit, step, further)) is not None:
+        if (bend := _bend(columns, left, unit, step, room, further)) is not None:
             bent = [np.clip(share * step + share**2 * bend, *room) for share in SHARES]
             trials += [_moved(offset, settings, parameters, one) for one in bent]
             further += free.left(trials[len(SHARES) :])
@@ -113,17 +112,18 @@ def _room(free: FreeRuns, offset: np.ndarray, reaches: Sequence[tuple[float, flo
 
 
 def _bend(
-    columns: Sequence[np.ndarray], left: Sequence[np.ndarray], dispersion: float, step: np.ndarray,
+    columns: Sequence[np.ndarray], left: Sequence[np.ndarray], dispersion: float, step: np.ndarray, room: tuple[np.ndarray, np.ndarray],
     further: Sequence[tuple[np.ndarray, ...] | None],
 ) -> np.ndarray | None:  # fmt: skip
-    """Return what a step (P + Q,) is bent by at its whole length, from half a step; None where there is none, or where it is longer."""
+    """Return what a step (P + Q,) is bent by at its whole length, from half a step; None where none is, or it is too long."""
     share, there = SHARES[1], further[1]
     if there is None:
         return None
     second = [(far - rest + share * (each @ step)) / share**2 for far, rest, each in zip(there, left, columns, strict=True)]
     anywhere = np.full(len(step), np.inf)
     bend = _solved(columns, second, dispersion, np.zeros(len(step)), (-anywhere, anywhere))
-    return bend if np.linalg.norm(bend) < np.linalg.norm(step) else None
+    width = np.maximum(room[1] - room[0], 1e-300)
+    return bend if np.linalg.norm(np.clip(bend, *room) / width) < np.linalg.norm(step / width) else None
 
 
 def _solved(
@@ -149,11 +149,10 @@ def _cost(left: Sequence[np.ndarray], offset: np.ndarray, dispersion: float) -> 
     return float(sum(rest @ rest for rest in left)) / dispersion + float(offset @ offset)
 
 
-def alone_freely(free: FreeRuns, fitted: Fitted, number: int) -> list[np.ndarray]:
-    """Return what (N C,) one effect of a fitted set takes of every run's misfit beside the others; nothing where none runs without it."""
+def alone_freely(free: FreeRuns, fitted: Fitted, number: int) -> list[np.ndarray] | None:
+    """Return what (N C,) one effect of a fitted set takes of every run's misfit beside the others; None where none runs without it."""
     (without,) = free.left([(fitted.offset, (*fitted.settings[:number], *fitted.settings[number + 1 :]))])
-    before = fitted.innovations if without is None else without
-    return [far - near for far, near in zip(before, fitted.innovations, strict=True)]
+    return None if without is None else [far - near for far, near in zip(without, fitted.innovations, strict=True)]
 
 
 def tried(free: FreeRuns, fitted: Fitted, laws: Sequence[tuple[Entry, Sequence[Sequence[Column]]]]) -> list[np.ndarray]:
@@ -172,8 +171,8 @@ def tried(free: FreeRuns, fitted: Fitted, laws: Sequence[tuple[Entry, Sequence[S
     assert here is not None
     every = np.concatenate([np.zeros(0), *sizes])
     found = [np.zeros((len(rest), len(every)), dtype=np.float32) for rest in here]
-    for first in range(1, len(trials), LANES):
-        for number, there in enumerate(free.left(trials[first : first + LANES]), first - 1):
+    for first in range(1, len(trials), TOGETHER):
+        for number, there in enumerate(free.left(trials[first : first + TOGETHER]), first - 1):
             if there is not None:
                 for columns, before, after in zip(found, here, there, strict=True):
                     columns[:, number] = (before - after) / every[number]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -153,6 +153,8 @@ def _named_freely(seen: Seen, free: FreeRuns, report: Callable[[str, float], Non
     best = baseline if is_better else plain
     for turn in range(ROUNDS):
         report("searching", 0.3 + 0.6 * turn / ROUNDS)
+        everything = replace(free, are_shown=np.ones_like(free.are_shown))
+        best = fit_to(everything, best.settings, best.offset, best.dispersion) or best
         free = free.about(seen.alongs, (best.offset, best.settings), best.columns)
         of = library(free, best)
         ranked = search(free, of, best if turn else baseline)
@@ -183,7 +185,8 @@ def _agreed(seen: Seen, free: FreeRuns, best: Fitted) -> Fitted:
             return best
         kept = (*best.settings[:worst], *best.settings[worst + 1 :])
         sparer = fit_to(free, kept, best.offset, best.dispersion)
-        assert sparer is not None  # it runs with more
+        if sparer is None:
+            return best
         best = sparer
     return best
 

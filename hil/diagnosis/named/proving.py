@@ -202,7 +202,8 @@ def steady(seen: Seen, fitted: Fitted, free: FreeRuns | None = None) -> tuple[Tu
         kept = (*fitted.settings[:worst], *fitted.settings[worst + 1 :])
         if isinstance(tuned, FreeRuns):
             sparer = fit_to(tuned, kept, fitted.offset, fitted.dispersion)
-            assert sparer is not None  # it runs with more
+            if sparer is None:
+                break
             found = tuned, sparer
         else:
             found = settled(seen.alongs, seen.levels, fitted.offset, kept)
@@ -234,6 +235,8 @@ def _steadiness(tuned: Tuned | FreeRuns, fitted: Fitted, number: int, repeats: S
         What each repeat's innovations differ from those of the mean by, one sequence a group; none where there was one recording.
     """
     own = alone_freely(tuned, fitted, number) if isinstance(tuned, FreeRuns) else alone(tuned, fitted, number)
+    if own is None:
+        return np.inf
     count = len(fitted.offset)
     others = [*range(count), *(count + k for k, (of, _) in enumerate(fitted.parameters) if of != number)]
     beside = [each[:, others] for each in fitted.columns]

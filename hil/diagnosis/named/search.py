@@ -272,7 +272,7 @@ def search(tuned: Tuned | FreeRuns, laws: Library, baseline: Fitted, materiality
         found[each.names] = ranked(each.without_columns())
     beam = [start]
     shorter: Fitted | None = baseline
-    while shorter is not None and shorter.settings:
+    while shorter is not None and len(shorter.settings) > 1:
         shorter = _sparer(tuned, shorter, scatter)
         if shorter is not None:
             found[shorter.names] = ranked(shorter.without_columns())

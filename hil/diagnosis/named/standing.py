@@ -61,15 +61,12 @@ class Limit:
     effect, at, parameter : str
     strength : float
         Of that parameter; infinite where no strength that it may have would show. It is a size where the parameter's neutral value is zero.
-    setting : EffectSetting or None
-        The effect at that strength; None where none shows.
     """
 
     effect: str
     at: str
     parameter: Parameter
     strength: float
-    setting: EffectSetting | None
 
 
 def unexplained(named: Named) -> float:
@@ -203,7 +200,7 @@ def _limit(law: Entry, strengths: Sequence[Parameter], squares: np.ndarray, aske
         found.append(min(able, key=beyond, default=None))
     setting = max(found, key=beyond, default=None)
     value = math.inf if setting is None else setting.parameters[first.name]
-    return Limit(law.effect.name, law.at, first, value if first.neutral else abs(value), setting)
+    return Limit(law.effect.name, law.at, first, value if first.neutral else abs(value))
 
 
 def _beyond(limit: Limit) -> float:

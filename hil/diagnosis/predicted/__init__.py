@@ -1,1 +1,1 @@
-"""What a machine is predicted to do: every row from those before it, or free runs from recorded states by recorded efforts."""
+"""What a machine is predicted to do: every row from those before it, or free runs, of the closed loop or by recorded efforts."""

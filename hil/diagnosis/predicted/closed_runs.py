@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from hil.diagnosis.free_runs.runs import FreeRuns, Trial, measured_by, readings_of
+from hil.diagnosis.free_runs.runs import FreeRuns, Trial, mean_of, measured_by, readings_of, simulated_loop
 from hil.diagnosis.predicted.open_runs import Predicted
 from hil.diagnosis.seen.see import Seen
 from hil.recording.ticks import on_every_tick
@@ -19,24 +19,31 @@ from hil.simulation.smooth import smooth
 def closed_runs(free: FreeRuns, seen: Seen, stages: Mapping[str, Trial]) -> Predicted:
     """Return rms errors of whole recordings, or of means of repeats, over the rms of the recording about its mean.
 
-    The zero of an encoder, which differs from one recording to another, is fitted in every stage.
+    The zero of an encoder, which differs from one recording to another, is fitted in every stage. Noise is what repeats show: what lattices
+    make alike in all of them is left in the errors.
 
     Parameters
     ----------
     free : FreeRuns
         Its repeats tell the noise.
     seen : Seen
-        The recordings that are predicted: held-out ones, or those of the answer; their controller is the file's.
+        The recordings that are predicted: held-out ones, or those of the answer.
     stages : mapping of str to (numbers, effects)
+
+    Raises
+    ------
+    RecordingError
+        A recording has not all that the loop was given.
     """
     scatter = _scatter(free)
     rows: dict[str, dict[str, list[np.ndarray]]] = {}
     for along, group in zip(seen.alongs, seen.groups, strict=True):
         first, encoders = group.repeats[0], {encoder.channel for encoder in along.settings.encoders}
-        simulator = Simulator(smooth(first.machine))
-        inputs = inputs_of(first.machine, on_every_tick(first.recording))
+        simulator = Simulator(smooth(simulated_loop(first)))
+        inputs = inputs_of(simulator.machine, on_every_tick(first.recording))
         channels, parts, each = measured_by(group)
-        mean = np.nanmean(each, axis=0)
+        mean, is_missing = mean_of(each)
+        mean[is_missing] = np.nan
         machines = [(free.numbers.values(offset[: len(free.numbers.indices)]), (*along.known, *own)) for offset, own in stages.values()]
         for stage, outputs in zip(stages, simulator.run_all(inputs, machines), strict=True):
             for c, channel in enumerate(channels):

@@ -28,18 +28,21 @@ Machine = tuple[np.ndarray | None, tuple[EffectSetting, ...]]
 
 @dataclass(frozen=True)
 class Predicted:
-    """Errors of free runs.
+    """Errors of free runs, or of rows that are predicted from those before them.
 
     Attributes
     ----------
     horizon_s : float or None
         Length of the runs; None: whole recordings.
     channels : mapping of str to mapping of str to float
-        By channel and machine: rms error over the rms of the recording about its mean; infinite where a simulation ended.
+        By channel and machine: rms error over the rms of the recording about its mean, or in units of noise where it is of rows; infinite
+        where a simulation ended.
+    of_rows : bool
     """
 
     horizon_s: float | None
     channels: Mapping[str, Mapping[str, float]]
+    of_rows: bool = False
 
 
 def predicted(alongs: Sequence[Along], noise: Mapping[str, float], machines: Mapping[str, Machine], judged: str) -> Predicted | None:

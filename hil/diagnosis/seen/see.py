@@ -80,9 +80,9 @@ class Seen:
     @property
     def noise(self) -> NoiseKind:
         """From what the noise is known by which effects are judged."""
-        if self.levels.are_assumed and not self.freely:
-            return "assumed"
         repeated = [group for group in self.groups if len(group.repeats) > 1]
+        if not repeated or (self.levels.are_assumed and not self.freely):
+            return "assumed"
         return "periods" if all(group.are_periods for group in repeated) else "repeats"
 
     @property
