@@ -48,21 +48,16 @@ def diagnose(
     ] = None,
     jobs: Annotated[
         int | None,
-        typer.Option("--jobs", "-j", metavar="N", min=1, help="Processors that simulations may use; all by default. Same answer."),
+        typer.Option("--jobs", "-j", metavar="N", min=1, help="Processors that free runs may use; all by default. Same answer."),
     ] = None,
     stop_after: Annotated[
         str | None,
         typer.Option("--stop-after", metavar="STEP", help="`audit`: controllers and encoders alone. `seen`: also what each joint lacks."),
     ] = None,
     freely: Annotated[
-        bool | None,
-        typer.Option(
-            "--free-runs/--along-the-motion",
-            help="Judge by free runs of the closed loop, or along the recorded motion alone; by default freely where that is possible: "
-            "with repeats of every experiment, recorded by the file's controller.",
-            show_default=False,
-        ),
-    ] = None,
+        bool,
+        typer.Option("--free-runs", help="Judge by free runs of the closed loop. Needs repeats, recorded by the file's controller."),
+    ] = False,
     json_to: JsonOption = None,
 ) -> None:
     """Diagnose and write DIR."""

@@ -34,7 +34,7 @@ def diagnose(
     *,
     report: Report = lambda what, share: None,
     first: Callable[[Diagnosis], None] = lambda diagnosis: None,
-    freely: bool | None = None,
+    freely: bool = False,
     jobs: int | None = None,
 ) -> Answered:
     """Diagnose a machine from its recordings.
@@ -49,10 +49,10 @@ def diagnose(
         Told what is being done, and the share that is done.
     first : callable
         Told a first answer as soon as there is one.
-    freely : bool, optional
-        Whether effects are judged by free runs of the closed loop; where these are possible unless given.
+    freely : bool
+        Whether effects are judged by free runs of the closed loop.
     jobs : int, optional
-        Processors that simulations may use; all of them unless given.
+        Processors that free runs may use; all of them unless given.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def diagnose_audited(
     held_out: Mapping[str, Recording],
     audited: Audit,
     *,
-    freely: bool | None = None,
+    freely: bool = False,
     jobs: int | None = None,
     report: Report = lambda what, share: None,
     first: Callable[[Diagnosis], None] = lambda diagnosis: None,
@@ -96,17 +96,10 @@ def diagnose_audited(
     began = time.monotonic()
     keep_memory()
     report("reading the motion", 0.0)
-    seen = _see(machine, recordings, held_out, audited, began, freely=freely is not False)
+    seen = _see(machine, recordings, held_out, audited, began, freely=freely)
     if isinstance(seen, Answered):
         return seen
-    free = None
-    if seen.freely:
-        try:
-            free = free_runs(seen, audited, jobs)
-        except RecordingError:
-            if freely:
-                raise
-            seen = see(machine, recordings)
+    free = free_runs(seen, audited, jobs) if freely else None
 
     def say(baseline: Fitted) -> None:
         first(first_answer(machine, audited, seen, baseline, time.monotonic() - began))

@@ -26,7 +26,7 @@ def diagnose(
     *,
     out: str | Path | None = None,
     jobs: int | None = None,
-    free_runs: bool | None = None,
+    free_runs: bool = False,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> Diagnosis:
     """Find where the simulation of a machine and its recordings differ, which physics was left out, and how sure that is.
@@ -42,10 +42,9 @@ def diagnose(
     out : str or Path, optional
         Folder for the report, `diagnosis.json`, `effects.toml` and the re-tuned `machine.toml`.
     jobs : int, optional
-        Processors that simulations may use; all of them unless given.
-    free_runs : bool, optional
-        Whether effects are judged by free runs of the closed loop, or along the recorded motion alone; freely where that is possible unless
-        given: with repeats of every experiment, recorded by the file's controller.
+        Processors that free runs may use; all of them unless given.
+    free_runs : bool
+        Whether effects are judged by free runs of the closed loop: they need repeats, recorded by the file's controller.
     progress : callable
         Told what is being done, and the share of the whole that is done.
 
