@@ -522,8 +522,8 @@ DIAGNOSIS = (
     Entry(
         "fit.channels.CHANNEL",
         "stages",
-        "NRMSE of free runs: rms of recorded less simulated, over the rms of the recorded channel about its mean. With `fit.of_rows` the "
-        "rms error of rows in units of noise: 1 is noise alone.",
+        "NRMSE of free runs: rms of recorded less simulated, over the rms of the recorded channel about its mean. Of `rows` the "
+        "rms error in units of noise: 1 is noise alone.",
     ),
     Entry("fit.train", "stages", "E: root mean square over channels of these errors in units of that channel's noise, in training."),
     Entry("fit.held_out", "stages or null", "The same held out."),
@@ -532,9 +532,13 @@ DIAGNOSIS = (
     Entry(
         "fit.horizon_s",
         "s or null",
-        "What `fit` was measured by: the length of free runs, null for whole recordings; with `fit.of_rows` a row's period.",
+        "What `fit` was measured by: the length of free runs, null for whole recordings; of `rows` their period.",
     ),
-    Entry("fit.of_rows", "bool", "Whether every row was predicted from those before it, not in free runs."),
+    Entry(
+        "fit.errors_of",
+        "text",
+        "`rows` that are predicted from those before them, or free runs: of the `closed_loop`, or driven by the recorded `efforts`.",
+    ),
     Entry("predicted_separations", "list", "What the next experiment should show, of the likeliest set against each rival."),
     Entry("predicted_separations[].rival", "list", "Effects of the rival."),
     Entry(

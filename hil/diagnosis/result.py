@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
 Verdict = Literal["inconclusive", "misconfigured", "unknown_physics", "ambiguous", "explained", "retuned", "consistent"]
 NoiseKind = Literal["repeats", "periods", "assumed"]
+ErrorsOf = Literal["rows", "closed_loop", "efforts"]
+"""Rows that are predicted from those before them, in units of noise; or free runs, of the closed loop or driven by the recorded efforts."""
 Span = tuple[float, float]
 
 READ_OFF = 0.99
@@ -202,7 +204,7 @@ class Fit:
     """How far every stage is from the recordings.
 
     `channels` (held-out where there is one) are NRMSE of free runs: rms error over the rms of the recording about its mean. With
-    `of_rows` they are rms errors of rows that are predicted from those before them, in units of noise: 1 is noise alone.
+    `errors_of` rows they are rms errors of rows that are predicted from those before them, in units of noise: 1 is noise alone.
     `train` and `held_out` are root mean squares over channels of the same errors in units of that channel's noise.
     """
 
@@ -211,7 +213,7 @@ class Fit:
     held_out: Stages | None
     removed_share: float | None
     removed_share_from_nominal: float | None
-    of_rows: bool = False  # each predicted from those before it, errors in units of noise; else of free runs
+    errors_of: ErrorsOf = "efforts"
     horizon_s: float | None = None  # of predictions: a row's period, or the length of free runs; None: whole recordings
 
     def document(self) -> dict[str, Any]:
@@ -223,7 +225,7 @@ class Fit:
             "removed_share": self.removed_share,
             "removed_share_from_nominal": self.removed_share_from_nominal,
             "horizon_s": self.horizon_s,
-            "of_rows": self.of_rows,
+            "errors_of": self.errors_of,
         }
 
 

@@ -335,9 +335,9 @@ def _fit(train: Predicted | None, held: Predicted | None, has_held_out: bool) ->
     on_held_out = _total(held) if has_held_out else None
     best = on_held_out or on_train
     channels = {} if judged is None else {name: _stages(table) for name, table in judged.channels.items()}
-    horizon, of_rows = (None, False) if judged is None else (judged.horizon_s, judged.of_rows)
     shares = _removed(best.retuned, best.extended), _removed(best.nominal, best.extended)
-    return Fit(channels, on_train, on_held_out, *shares, of_rows=of_rows, horizon_s=horizon)
+    fit = Fit(channels, on_train, on_held_out, *shares)
+    return fit if judged is None else replace(fit, errors_of=judged.errors_of, horizon_s=judged.horizon_s)
 
 
 def _stages(table: Mapping[str, float]) -> Stages:

@@ -40,9 +40,6 @@ from virtual_bus.settings import EffectSetting
 White = np.ndarray | None
 """A whitened misfit (N C,); None where a run ends early."""
 
-TOGETHER = LANES * LANES
-"""Machines whose outputs are in memory at once: enough that no thread waits for another, some ten MB a run."""
-
 Trial = tuple[np.ndarray, tuple[EffectSetting, ...]]
 """Nuisances (P,) in standard deviations of their prior, and effects."""
 
@@ -96,8 +93,8 @@ class FreeRun:
         offset, settings = trial
         machine = numbers.values(offset[: len(numbers.indices)]), (*self.known, *settings)
         runs = [one.run_or_error(self.inputs, *machine) for one in (self.simulator, self.finer)]
-        coarse, fine = (self._simulated(one) if isinstance(one, Outputs) else np.zeros_like(self.mean) for one in runs)
-        return replace(self, step_error=4.0 / 3.0 * (coarse - fine))
+        whole = [self._simulated(one) for one in runs if isinstance(one, Outputs)]
+        return replace(self, step_error=4.0 / 3.0 * (whole[0] - whole[1]) if len(whole) == 2 else np.zeros_like(self.mean))
 
     def begin(
         self, machines: Sequence[tuple[np.ndarray, tuple[EffectSetting, ...]]], zeros: Sequence[np.ndarray], threads: ThreadPoolExecutor
@@ -162,6 +159,11 @@ class FreeRuns:
         return replace(self, offset=offset, along=along, are_shown=are_shown, runs=runs)
 
     @property
+    def together(self) -> int:
+        """How many machines' outputs are in memory at once: no more than its processors run."""
+        return LANES * (self.jobs or os.cpu_count() or 1)
+
+    @property
     def plant(self) -> CompiledPlant:
         """The plant whose numbers they are."""
         return self.numbers.plant
@@ -186,8 +188,8 @@ class FreeRuns:
         count = len(self.numbers.indices)
         found: list[tuple[np.ndarray, ...] | None] = []
         with ThreadPoolExecutor(self.jobs or os.cpu_count()) as threads:
-            for first in range(0, len(trials), TOGETHER):
-                some = trials[first : first + TOGETHER]
+            for first in range(0, len(trials), self.together):
+                some = trials[first : first + self.together]
                 machines = [(self.numbers.values(offset[:count]), settings) for offset, settings in some]
                 begun = [run.begin(machines, [offset[count:] for offset, _ in some], threads) for run in self.runs]
                 each = [ended() for ended in begun]
@@ -229,6 +231,9 @@ def lacking(seen: Seen, audit: Audit) -> str:
     if unknown := [axis for axis in machine.axes if axis not in known]:
         needs = "free runs need the controller that recorded, and its reference, command and position"
         return f"{unknown[0]}: {needs}; correct the machine file, or judge without free runs"
+    for group in seen.groups:
+        if len({str(repeat.recording.metadata.get("machine", {}).get("text")) for repeat in group.repeats}) > 1:
+            return f"{group.names[0]}: its repeats were recorded by several machine files; free runs need one; judge without free runs"
     for repeat in (repeat for group in seen.groups for repeat in group.repeats):
         if "controller_states" not in repeat.recording.metadata.get("initial", {}):
             return f"{repeat.name}: free runs need metadata initial.controller_states, which the bench writes; judge without free runs"
@@ -295,6 +300,8 @@ def _free_run(seen: Seen, number: int, group: Group) -> FreeRun:
 def readings_of(simulator: Simulator, outputs: Outputs, parts: Sequence[slice], channels: Sequence[str]) -> np.ndarray:
     """Return the readings (N, C) of a run, the mean over what are repeats."""
     whole = simulated_matrix(simulator.machine, outputs, channels)
+    if max(part.stop for part in parts) > len(whole):
+        raise RecordingError(f"{simulator.machine.name}: a recording has more rows than ticks; free runs need one row a tick")
     readings: np.ndarray = np.mean([whole[part] for part in parts], axis=0)
     return readings
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from hil.diagnosis.candidates.columns import Column
 from hil.diagnosis.candidates.entries import Entry
-from hil.diagnosis.free_runs.runs import TOGETHER, FreeRuns, Trial
+from hil.diagnosis.free_runs.runs import FreeRuns, Trial
 from hil.diagnosis.named.fitting import HALVINGS, ITERATIONS, SETTLED, STEP, Fitted, changed, difference, fit, free_parameters, reach
 from hil.diagnosis.named.form import FormError
 from hil.diagnosis.named.settling import LONGEST
@@ -171,8 +171,8 @@ def tried(free: FreeRuns, fitted: Fitted, laws: Sequence[tuple[Entry, Sequence[S
     assert here is not None
     every = np.concatenate([np.zeros(0), *sizes])
     found = [np.zeros((len(rest), len(every)), dtype=np.float32) for rest in here]
-    for first in range(1, len(trials), TOGETHER):
-        for number, there in enumerate(free.left(trials[first : first + TOGETHER]), first - 1):
+    for first in range(1, len(trials), free.together):
+        for number, there in enumerate(free.left(trials[first : first + free.together]), first - 1):
             if there is not None:
                 for columns, before, after in zip(found, here, there, strict=True):
                     columns[:, number] = (before - after) / every[number]

@@ -12,7 +12,6 @@ import scipy.ndimage
 from hil.diagnosis.candidates.columns import Column
 from hil.diagnosis.candidates.entries import Entry, columns_of, entries
 from hil.diagnosis.free_runs.runs import FreeRuns
-from hil.diagnosis.named.covariance import away_from
 from hil.diagnosis.named.fitting import Fitted, fit
 from hil.diagnosis.named.form import FORM
 from hil.diagnosis.named.freely import fit_to, tried
@@ -272,10 +271,11 @@ def search(tuned: Tuned | FreeRuns, laws: Library, baseline: Fitted, materiality
         found[each.names] = ranked(each.without_columns())
     beam = [start]
     shorter: Fitted | None = baseline
-    while shorter is not None and len(shorter.settings) > 1:
-        shorter = _sparer(tuned, shorter, scatter)
-        if shorter is not None:
-            found[shorter.names] = ranked(shorter.without_columns())
+    while shorter is not None and shorter.settings:
+        kept = _without_one(tuned, shorter, scatter)
+        fits = [ranked(each.without_columns()) for each in kept if each.names not in found]
+        found |= {each.fitted.names: each for each in fits}
+        shorter = min(fits, key=lambda each: each.cost).fitted if fits else None
     best = whole(min(found.values(), key=lambda each: each.cost)).fitted
     beam += [best] if best.names != start.names else []
     for _ in range(DEPTH):
@@ -299,19 +299,20 @@ def search(tuned: Tuned | FreeRuns, laws: Library, baseline: Fitted, materiality
         found = {names: ranked(each.fitted) for names, each in found.items()}
     chosen = whole(min(found.values(), key=lambda each: each.cost))
     while chosen.fitted.is_noise_known and chosen.fitted.settings:
-        fewer = _sparer(tuned, chosen.fitted, scatter)
-        if fewer is None or ranked(fewer).cost > chosen.cost + NOT_TOLD_APART:
+        sparer = min(map(ranked, _without_one(tuned, chosen.fitted, scatter)), key=lambda each: each.cost)
+        if sparer.cost > chosen.cost + NOT_TOLD_APART:
             break
-        chosen = ranked(fewer)
+        chosen = sparer
     others = (each for names, each in found.items() if names != chosen.fitted.names)
     return [chosen, *sorted(others, key=lambda each: each.cost)]
 
 
-def _sparer(tuned: Tuned | FreeRuns, fitted: Fitted, dispersion: float) -> Fitted | None:
-    """Return the fit without the effect whose strengths are least away from none; None where the machine cannot run without it."""
-    sizes = [away_from(fitted, number) for number in range(len(fitted.settings))]
-    least = int(np.argmin(sizes))
-    return fit_to(tuned, (*fitted.settings[:least], *fitted.settings[least + 1 :]), fitted.offset, dispersion)
+def _without_one(tuned: Tuned | FreeRuns, fitted: Fitted, dispersion: float) -> Iterator[Fitted]:
+    """Yield the fits without each effect in turn: the columns of all of them together would fill the memory."""
+    for k in range(len(fitted.settings)):
+        one = fit_to(tuned, (*fitted.settings[:k], *fitted.settings[k + 1 :]), fitted.offset, dispersion)
+        if one is not None:
+            yield one
 
 
 def _price(fitted: Fitted, cost_of_exact: float, dispersion: float, readings: int, places: int) -> float:

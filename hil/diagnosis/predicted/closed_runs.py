@@ -62,7 +62,7 @@ def closed_runs(free: FreeRuns, seen: Seen, stages: Mapping[str, Trial]) -> Pred
         if (spread := of_stages.pop("about its mean")) > 0.0:
             of_stages["noise"] = float(scatter[channel] / np.sqrt(fewest))
             found[channel] = {stage: error / spread for stage, error in of_stages.items()}
-    return Predicted(None, found)
+    return Predicted(None, found, errors_of="closed_loop")
 
 
 def _scatter(free: FreeRuns) -> dict[str, float]:

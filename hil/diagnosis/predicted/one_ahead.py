@@ -44,7 +44,7 @@ def one_ahead(named: Named, seen: Seen, stages: Mapping[str, Stage]) -> Predicte
             table[channel][stage] = float(np.sqrt(np.nanmean(errors[:, c] ** 2)))
     for channel in channels:
         table[channel]["noise"] = 1.0
-    return Predicted(seen.alongs[0].observed.period_s, table, of_rows=True)
+    return Predicted(seen.alongs[0].observed.period_s, table, errors_of="rows")
 
 
 def _errors(tuned: Tuned, effects: Sequence[EffectSetting]) -> np.ndarray:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hil.diagnosis.result import ErrorsOf
 from hil.diagnosis.seen.along import Along
 from hil.diagnosis.seen.assumed import efforts_by_encoders
 from hil.errors import BenchError
@@ -37,12 +38,12 @@ class Predicted:
     channels : mapping of str to mapping of str to float
         By channel and machine: rms error over the rms of the recording about its mean, or in units of noise where it is of rows; infinite
         where a simulation ended.
-    of_rows : bool
+    errors_of : ErrorsOf
     """
 
     horizon_s: float | None
     channels: Mapping[str, Mapping[str, float]]
-    of_rows: bool = False
+    errors_of: ErrorsOf = "efforts"
 
 
 def predicted(alongs: Sequence[Along], noise: Mapping[str, float], machines: Mapping[str, Machine], judged: str) -> Predicted | None:

@@ -94,11 +94,11 @@ def _what_it_shows(answered: Answered) -> list[Section]:
 def _how_predicted(diagnosis: Diagnosis) -> str:
     """Return in words by what the answer was judged."""
     horizon = diagnosis.fit.horizon_s
-    if diagnosis.fit.of_rows:
+    if diagnosis.fit.errors_of == "rows":
         return "Every row predicted from those before it, in units of the noise that repeats show: 1 is noise alone."
     if not diagnosis.fit.channels:
         return "Free runs driven by the recorded efforts stay near the recordings over no horizon."
-    if diagnosis.noise != "assumed" and horizon is None:
+    if diagnosis.fit.errors_of == "closed_loop":
         return "Free runs of the closed loop over whole recordings: their rms errors as shares of each channel's rms about its mean."
     runs = "over whole recordings" if horizon is None else f"of {horizon:g} s, begun again and again from the recorded state"
     return f"Free runs driven by the recorded efforts, {runs}: their rms errors as shares of each channel's rms about its mean."

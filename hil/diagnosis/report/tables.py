@@ -93,7 +93,7 @@ def falling(shares: Mapping[str, float]) -> list[tuple[str, float]]:
 def fit_table(diagnosis: Diagnosis) -> Table:
     """Return how far every stage is from the recordings: errors of rows in units of noise, or of free runs as shares of the motion."""
     fit = diagnosis.fit
-    heading, numbers = ("NRMSE of free runs", _percent) if not fit.of_rows else ("rms error in units of noise", _numbers)
+    heading, numbers = ("NRMSE of free runs", _percent) if fit.errors_of != "rows" else ("rms error in units of noise", _numbers)
     rows = [(name, *numbers(stages)) for name, stages in fit.channels.items()]
     rows.append(("E, training (units of noise)", *_numbers(fit.train)))
     if fit.held_out is not None:

@@ -16,6 +16,8 @@ from hil.recording import read_recording
 
 BUS = "udp:239.74.163.61"
 TIMEOUT_S = 120.0
+ATTEMPTS = 3
+"""On a computer that others use a limit of the machine file stops a run now and then, which may then stay to serve a hold."""
 
 
 @pytest.fixture
@@ -25,21 +27,20 @@ def patient_carm(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.mark.slow
-def test_a_run_over_udp_finds_the_emulators_ports_and_records_what_the_truth_says_and_what_the_panel_shows(
-    patient_carm: Path, tmp_path: Path
-) -> None:
-    command = [sys.executable, "-m", "hil"]
-    truth, recorded, images = tmp_path / "truth.csv", tmp_path / "run.csv", tmp_path / "images"
+def emulated_and_run(
+    command: list[str], machine: Path, truth: Path, recorded: Path, images: Path
+) -> subprocess.CompletedProcess[str] | None:
+    """Run beside a fresh emulator; None where the run did not end."""
     emulator = subprocess.Popen(
         [
-            *[*command, "emulate", str(patient_carm), "--bus", BUS, "--pose", "roll=30", "--panel", "dodecahedron"],
+            *[*command, "emulate", str(machine), "--bus", BUS, "--pose", "roll=30", "--panel", "dodecahedron"],
             *["--truth", str(truth), "--no-real-time", "--json", "-"],
         ],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
+    done: subprocess.CompletedProcess[str] | None = None
     try:
         assert emulator.stdout is not None
         assert emulator.stderr is not None
@@ -51,19 +52,41 @@ def test_a_run_over_udp_finds_the_emulators_ports_and_records_what_the_truth_say
         assert ready["imu"]
         assert ready["io"].startswith("tcp:127.0.0.1:")
         assert ready["panel"].startswith("tcp:127.0.0.1:")
-        run = [*command, "run", "static", "-m", str(patient_carm), "-b", BUS, "--pose", "roll=30", "--seconds", "1", "--no-real-time"]
+        run = [*command, "run", "static", "-m", str(machine), "-b", BUS, "--pose", "roll=30", "--seconds", "1", "--no-real-time"]
         run += ["--images", str(images), "--image-binning", "20"]
-        done = subprocess.run([*run, "-o", str(recorded), "--json", "-"], capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
-        assert done.returncode == 0, done.stderr
-        (answer,) = json.loads(done.stdout)["recordings"]
-        timing = answer["timing"]
-        assert timing["lateness_max_us"] >= 0.0
-        assert timing["work_time_p99_us"] > 0.0
-        assert 0 < timing["ticks"] <= 256 <= timing["ticks"] + timing["missed"], "what a loaded computer skipped is counted"
+        given = [*run, "-o", str(recorded), "--json", "-"]
+        done = subprocess.run(given, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+    except subprocess.TimeoutExpired:
+        pass
     finally:
         emulator.terminate()
         said = emulator.communicate(timeout=TIMEOUT_S)
     assert emulator.returncode == 0, said
+    return done
+
+
+@pytest.mark.slow
+def test_a_run_over_udp_finds_the_emulators_ports_and_records_what_the_truth_says_and_what_the_panel_shows(
+    patient_carm: Path, tmp_path: Path
+) -> None:
+    command = [sys.executable, "-m", "hil"]
+    done: subprocess.CompletedProcess[str] | None = None
+    for attempt in range(ATTEMPTS):
+        folder = tmp_path / str(attempt)
+        folder.mkdir()
+        truth, recorded, images = folder / "truth.csv", folder / "run.csv", folder / "images"
+        done = emulated_and_run(command, patient_carm, truth, recorded, images)
+        if done is not None and done.returncode == 0:
+            break
+        print(f"attempt {attempt}: {f'no end within {TIMEOUT_S:g} s' if done is None else done.stderr}", flush=True)
+    else:
+        pytest.fail("no run came to its end")
+    assert done is not None
+    (answer,) = json.loads(done.stdout)["recordings"]
+    timing = answer["timing"]
+    assert timing["lateness_max_us"] >= 0.0
+    assert timing["work_time_p99_us"] > 0.0
+    assert 0 < timing["ticks"] <= 256 <= timing["ticks"] + timing["missed"], "what a loaded computer skipped is counted"
     recording = read_recording(recorded)
     assert recording.rows == timing["ticks"]
     assert (recording["work_time"] > 0.0).all()

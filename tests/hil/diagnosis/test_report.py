@@ -14,7 +14,7 @@ from hil.diagnosis.answered.values import Answered
 from hil.diagnosis.diagnose import diagnose
 from hil.diagnosis.report.page import missing_charts, write_report
 from hil.diagnosis.report.waterfall import left_above_noise, waterfall_figure
-from hil.diagnosis.result import DisturbanceShares, EffectAt, Stages
+from hil.diagnosis.result import DisturbanceShares, EffectAt, ErrorsOf, Stages
 from hil.recording import Channel
 
 COULOMB_N = 20.0  # of the friction in conftest.py
@@ -79,8 +79,13 @@ def test_an_answer_without_findings_says_so(friction: Answered, tmp_path: Path) 
 def test_errors_are_in_units_of_noise_or_shares_of_the_motion(friction: Answered, tmp_path: Path) -> None:
     stages = Stages(nominal=12.5, retuned=8.0, extended=1.25, placebo=None, noise_floor=1.0)
     fit = replace(friction.diagnosis.fit, channels={"position_carriage": stages})
-    for of_rows, heading, shown in ((True, "rms error in units of noise", "12.5"), (False, "NRMSE of free runs", "1.25e+03 %")):
-        diagnosis = replace(friction.diagnosis, fit=replace(fit, of_rows=of_rows))
+    of: tuple[tuple[ErrorsOf, str, str], ...] = (
+        ("rows", "rms error in units of noise", "12.5"),
+        ("efforts", "NRMSE of free runs", "1.25e+03 %"),
+        ("closed_loop", "NRMSE of free runs", "1.25e+03 %"),
+    )
+    for errors_of, heading, shown in of:
+        diagnosis = replace(friction.diagnosis, fit=replace(fit, errors_of=errors_of))
         page = write_report(replace(friction, diagnosis=diagnosis), tmp_path).read_text(encoding="utf-8")
         assert f">{heading}</th>" in page
         assert f'position_carriage</td><td class="number" data-head="nominal">{shown}</td>' in page
