@@ -187,19 +187,19 @@ def detection_limits(named: Named, of: Library) -> list[Limit]:
 def _limit(law: Entry, strengths: Sequence[Parameter], squares: np.ndarray, asked: float) -> Limit:
     """Return the least strength of a law that shows, whichever of its weights it has."""
     first = strengths[0]
-    found: list[EffectSetting | None] = []
-
-    def beyond(setting: EffectSetting | None) -> float:
-        return math.inf if setting is None else abs(setting.parameters[first.name] - first.neutral)
-
+    least: tuple[float, float] | None = None
     for number, square in enumerate(np.diag(squares)):
         weights = np.zeros(len(squares))
         weights[number] = math.sqrt(asked / max(float(square), 1e-300))
         settings = [law.setting(weights), law.setting(-weights)]
-        able = [one for one in settings if all(_is_within(each, one.parameters[each.name]) for each in strengths) and beyond(one)]
-        found.append(min(able, key=beyond, default=None))
-    setting = max(found, key=beyond, default=None)
-    value = math.inf if setting is None else setting.parameters[first.name]
+        values = [
+            setting.parameters[first.name]
+            for setting in settings
+            if all(_is_within(each, setting.parameters[each.name]) for each in strengths)
+        ]
+        shown = min(((abs(value - first.neutral), value) for value in values if value != first.neutral), default=(math.inf, math.inf))
+        least = shown if least is None else max(least, shown)
+    value = math.inf if least is None else least[1]
     return Limit(law.effect.name, law.at, first, value if first.neutral else abs(value))
 
 
