@@ -1,4 +1,4 @@
-"""A demonstration on the emulator: run, record, identify, simulate, compare, show."""
+"""A demonstration on the emulator: something is hidden, recorded, and named by the diagnosis."""
 
 from hil.demo.story import run_demo
 

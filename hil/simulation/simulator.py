@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import groupby, islice
 from typing import Any
 
 import numpy as np
@@ -111,18 +111,25 @@ class Simulator:
     ) -> Callable[[], list[Outputs | BenchError | EmulatorError | ControlError]]:
         """Begin `run_all` in threads; return what waits for it and returns the same."""
         found: list[Any] = []
-        for values, effects in trials:
+        begun: list[tuple[list[int], Future[list[Taken]]]] = []
+        waiting: defaultdict[int, list[int]] = defaultdict(list)
+
+        def begin(together: list[int]) -> None:
+            begun.append((together, threads.submit(self._side_by_side.run, inputs, [found[k] for k in together])))
+
+        for k, (values, effects) in enumerate(trials):
             try:
                 found.append(self._prepared(inputs, values, effects))
             except (BenchError, EmulatorError, ControlError) as error:
                 found.append(error)
-        ready = [k for k, one in enumerate(found) if isinstance(one, Prepared) and can_be_side_by_side(one, len(self.machine.plant.imus))]
-        ready.sort(key=lambda k: int(found[k].model["inner_steps"][0]))
-        begun = [
-            (together, threads.submit(self._side_by_side.run, inputs, [found[k] for k in together]))
-            for _, alike in groupby(ready, key=lambda k: int(found[k].model["inner_steps"][0]))
-            for together in _batched(alike, LANES)
-        ]
+                continue
+            if can_be_side_by_side(found[k], len(self.machine.plant.imus)):
+                alike = int(found[k].model["inner_steps"][0])
+                waiting[alike].append(k)
+                if len(waiting[alike]) == LANES:
+                    begin(waiting.pop(alike))
+        for rest in waiting.values():
+            begin(rest)
 
         def ended() -> list[Outputs | BenchError | EmulatorError | ControlError]:
             for together, taken in begun:
@@ -235,9 +242,3 @@ class Simulator:
     def _feedback(self) -> Feedback:
         """Feedback for all runs, reloaded for each; a run advances copies of its states."""
         return Feedback(self.machine.controllers)
-
-
-def _batched(numbers: Iterable[int], size: int) -> Iterator[tuple[int, ...]]:
-    rest = iter(numbers)
-    while together := tuple(islice(rest, size)):
-        yield together

@@ -370,7 +370,11 @@ def _largest(inverses: np.ndarray, diagonal: np.ndarray) -> float:
     acting = np.flatnonzero(diagonal)
     roots = np.sqrt(np.abs(diagonal[acting]))
     products = roots[:, None] * inverses[:, acting[:, None], acting] * roots
-    return float(np.linalg.eigvalsh(products).max(initial=0.0))
+    if not products.size:
+        return 0.0
+    at_most = np.sqrt(np.einsum("pij,pij->p", products, products))  # every eigenvalue is within the Frobenius norm
+    at_least = np.einsum("pii->pi", products).max()  # and one is no smaller than an entry of the diagonal
+    return float(np.linalg.eigvalsh(products[at_most >= at_least]).max(initial=0.0))
 
 
 @lru_cache(maxsize=16)

@@ -186,14 +186,22 @@ class FreeRuns:
     def left(self, trials: Sequence[Trial]) -> list[tuple[np.ndarray, ...] | None]:
         """Return the whitened misfits of some machines, one array (N C,) a run; None where a run ends early."""
         count = len(self.numbers.indices)
+        begun: list[list[Callable[[], list[White]]]] = []
         found: list[tuple[np.ndarray, ...] | None] = []
+
+        def end(some: list[Callable[[], list[White]]]) -> None:
+            each = [ended() for ended in some]
+            found.extend(None if any(one is None for one in parts) else parts for parts in zip(*each, strict=True))
+
         with ThreadPoolExecutor(self.jobs or os.cpu_count()) as threads:
             for first in range(0, len(trials), self.together):
                 some = trials[first : first + self.together]
                 machines = [(self.numbers.values(offset[:count]), settings) for offset, settings in some]
-                begun = [run.begin(machines, [offset[count:] for offset, _ in some], threads) for run in self.runs]
-                each = [ended() for ended in begun]
-                found += [None if any(one is None for one in parts) else parts for parts in zip(*each, strict=True)]
+                begun.append([run.begin(machines, [offset[count:] for offset, _ in some], threads) for run in self.runs])
+                if len(begun) > 1:  # threads are busy with the next ones meanwhile
+                    end(begun.pop(0))
+            for rest in begun:
+                end(rest)
         return found
 
 

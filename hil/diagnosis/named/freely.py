@@ -20,20 +20,26 @@ from virtual_bus.settings import EffectSetting
 
 SHARES = tuple(0.5**k for k in range(HALVINGS))
 """Of a step, that are tried together."""
+KEPT = 0.5
+"""Share of what columns promise, below which they are computed anew."""
 
 
 def fit_to(
-    view: Tuned | FreeRuns, settings: Sequence[EffectSetting], offset: np.ndarray | None = None, dispersion: float = 1.0
-) -> Fitted | None:
+    view: Tuned | FreeRuns, settings: Sequence[EffectSetting], offset: np.ndarray | None = None, dispersion: float = 1.0,
+    near: Fitted | None = None,
+) -> Fitted | None:  # fmt: skip
     """Fit a set of effects along the recorded motion or to free runs; None where the machine cannot take them together."""
-    return fit(view, settings, offset, dispersion) if isinstance(view, Tuned) else fit_freely(view, settings, offset, dispersion)
+    return fit(view, settings, offset, dispersion) if isinstance(view, Tuned) else fit_freely(view, settings, offset, dispersion, near)
 
 
-def fit_freely(free: FreeRuns, settings: Sequence[EffectSetting], offset: np.ndarray | None, dispersion: float) -> Fitted | None:
+def fit_freely(
+    free: FreeRuns, settings: Sequence[EffectSetting], offset: np.ndarray | None, dispersion: float, near: Fitted | None = None
+) -> Fitted | None:
     """Fit a set of effects from these parameters, as `fit` does along a motion; None where the machine cannot run with them.
 
     Numbers that stand in for each other lie in a curved valley: steps are bent as misfits' second derivative along them asks (geodesic
-    acceleration: Transtrum and Sethna 2012).
+    acceleration: Transtrum and Sethna 2012). What misfits lose per unit of each number is that of a set `near` it, or of an earlier step,
+    as long as it keeps what it promises; the last is computed anew.
     """
     settings = tuple(settings)
     offset = free.offset.copy() if offset is None else offset
@@ -42,34 +48,38 @@ def fit_freely(free: FreeRuns, settings: Sequence[EffectSetting], offset: np.nda
         return None
     parameters: list[tuple[int, Parameter]] = []
     columns: tuple[np.ndarray, ...] = ()
+    numbers = None if near is None else near.columns
     fastest = 0.5 / max(run.simulator.machine.plant.sample_period_s for run in free.runs)
-    for _ in range(ITERATIONS):
+    for _ in range(2 * ITERATIONS):
         parameters = [(k, parameter) for k, setting in enumerate(settings) for parameter in free_parameters(setting)]
         steps = [_step(settings[k], parameter) for k, parameter in parameters]
-        columns = _columns(free, offset, settings, parameters, steps, left)
+        is_new = not numbers
+        columns = _columns(free, offset, settings, parameters, steps, left, numbers)
         reaches = [reach(one, settings[k].parameters[one.name], by, fastest) for (k, one), by in zip(parameters, steps, strict=True)]
         room = _room(free, offset, reaches)
         unit = max(dispersion, sum(float(rest @ rest) for rest in left) / free.readings)  # while far off, errors count as noise
         step = _solved(columns, left, unit, offset, room)
         cost = _cost(left, offset, unit)
-        promised = [rest - each @ step for each, rest in zip(columns, left, strict=True)]
-        if cost - _cost(promised, offset + step[: len(offset)], unit) < SETTLED:
+        rest = [each - own @ step for own, each in zip(columns, left, strict=True)]
+        promised = cost - _cost(rest, offset + step[: len(offset)], unit)
+        gained = 0.0
+        if promised >= SETTLED:
+            trials = [_moved(offset, settings, parameters, share * step) for share in SHARES]
+            further = free.left(trials)
+            if is_new and (bend := _bend(columns, left, unit, step, room, further)) is not None:
+                bent = [np.clip(share * step + share**2 * bend, *room) for share in SHARES]
+                trials += [_moved(offset, settings, parameters, one) for one in bent]
+                further += free.left(trials[len(SHARES) :])
+            costs = [np.inf if each is None else _cost(each, trial[0], unit) for trial, each in zip(trials, further, strict=True)]
+            best = int(np.argmin(costs))
+            gained = cost - costs[best]
+            if gained > 0.0:
+                (offset, settings), there = trials[best], further[best]
+                assert there is not None
+                left = there
+        if is_new and gained < SETTLED:
             break
-        trials = [_moved(offset, settings, parameters, share * step) for share in SHARES]
-        further = free.left(trials)
-        if (bend := _bend(columns, left, unit, step, room, further)) is not None:
-            bent = [np.clip(share * step + share**2 * bend, *room) for share in SHARES]
-            trials += [_moved(offset, settings, parameters, one) for one in bent]
-            further += free.left(trials[len(SHARES) :])
-        costs = [np.inf if each is None else _cost(each, trial[0], unit) for trial, each in zip(trials, further, strict=True)]
-        best = int(np.argmin(costs))
-        if not costs[best] < cost:
-            break
-        (offset, settings), there = trials[best], further[best]
-        assert there is not None
-        left = there
-        if cost - costs[best] < SETTLED:
-            break
+        numbers = columns if gained > max(SETTLED, KEPT * promised) else None
     low, high = free.bounds
     moved = offset - free.offset
     slopes = sum(each[:, : len(offset)].T @ rest for each, rest in zip(columns, left, strict=True)) / dispersion - offset
@@ -81,15 +91,17 @@ def fit_freely(free: FreeRuns, settings: Sequence[EffectSetting], offset: np.nda
 
 def _columns(
     free: FreeRuns, offset: np.ndarray, settings: tuple[EffectSetting, ...], parameters: Sequence[tuple[int, Parameter]],
-    steps: Sequence[float], left: tuple[np.ndarray, ...],
+    steps: Sequence[float], left: tuple[np.ndarray, ...], numbers: Sequence[np.ndarray] | None,
 ) -> tuple[np.ndarray, ...]:  # fmt: skip
-    """Return what (N C, P + Q) misfits lose per unit of nuisances and parameters.
+    """Return what (N C, P + Q) misfits lose per unit of nuisances and parameters; of nuisances as in `numbers` where that is given.
 
     Numbers are moved by little: those that stand in for each other almost cancel, and what is left must be no error of their columns.
     """
     by = np.append(np.full(len(offset), NEARBY), steps)
     columns = [np.zeros((len(by), len(rest))).T for rest in left]  # one column after the other in memory
-    sought = [*np.flatnonzero(free.are_shown).tolist(), *range(len(offset), len(by))]
+    sought = [*(np.flatnonzero(free.are_shown).tolist() if not numbers else ()), *range(len(offset), len(by))]
+    for own, known in zip(columns, numbers or (), strict=False):
+        own[:, : len(offset)] = known[:, : len(offset)]
     trials = [_moved(offset, settings, parameters, np.where(np.arange(len(by)) == k, by[k], 0.0)) for k in sought]
     for k, there in zip(sought, free.left(trials), strict=True):
         if there is not None:

@@ -147,16 +147,16 @@ def _named_freely(seen: Seen, free: FreeRuns, report: Callable[[str, float], Non
     assert plain is not None
     free = free.about(seen.alongs, (plain.offset, ()), plain.columns)
     report("fitting numbers and friction", 0.2)
-    baseline = fit_to(free, everyday_effects(seen.alongs[0]), plain.offset, plain.dispersion) or plain
+    baseline = fit_to(free, everyday_effects(seen.alongs[0]), plain.offset, plain.dispersion, plain) or plain
     first(baseline)
     is_better = baseline.cost(plain.dispersion) + len(baseline.parameters) * math.log(free.readings) < plain.cost(plain.dispersion)
-    best = baseline if is_better else plain
+    best, of = (baseline if is_better else plain), None
     for turn in range(ROUNDS):
         report("searching", 0.3 + 0.6 * turn / ROUNDS)
         everything = replace(free, are_shown=np.ones_like(free.are_shown))
         best = fit_to(everything, best.settings, best.offset, best.dispersion) or best
         free = free.about(seen.alongs, (best.offset, best.settings), best.columns)
-        of = library(free, best)
+        of = library(free, best, of)
         ranked = search(free, of, best if turn else baseline)
         is_settled = ranked[0].fitted.names == best.names
         best = ranked[0].fitted

@@ -116,7 +116,7 @@ def neighbours(tuned: Tuned | FreeRuns, best: Fitted, of: Library) -> Iterator[N
     pairs = [(k, j) for k in range(count) for j in range(k) if best.settings[k].at == best.settings[j].at]
     for without in [*((k,) for k in range(count)), *pairs]:
         kept = tuple(setting for k, setting in enumerate(best.settings) if k not in without)
-        rest = fit_to(tuned, kept, best.offset, best.dispersion)
+        rest = fit_to(tuned, kept, best.offset, best.dispersion, best)
         if rest is None:
             continue
         if len(without) == 1:
@@ -128,7 +128,7 @@ def neighbours(tuned: Tuned | FreeRuns, best: Fitted, of: Library) -> Iterator[N
         for law, weights in proposed(rest, laws, tuned.readings, best.dispersion):
             if (law.effect.name, law.at) in taken or ((law.effect.family, law.at) in taken and law.effect.name not in gone):
                 continue
-            other = fit_to(tuned, (*kept, law.setting(weights)), rest.offset, best.dispersion)
+            other = fit_to(tuned, (*kept, law.setting(weights)), rest.offset, best.dispersion, rest)
             if other is not None:
                 yield Neighbour(other, without, has_another=True)
 

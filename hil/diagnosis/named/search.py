@@ -12,6 +12,7 @@ import scipy.ndimage
 from hil.diagnosis.candidates.columns import Column
 from hil.diagnosis.candidates.entries import Entry, columns_of, entries
 from hil.diagnosis.free_runs.runs import FreeRuns
+from hil.diagnosis.named.covariance import away_from
 from hil.diagnosis.named.fitting import Fitted, fit
 from hil.diagnosis.named.form import FORM
 from hil.diagnosis.named.freely import fit_to, tried
@@ -88,7 +89,8 @@ class Library:
 def library(tuned: Tuned | FreeRuns, fitted: Fitted | None = None, beside: Library | None = None) -> Library:
     """Return the laws of all effects at all places, for these recordings; orders and lines are sought in what a fit leaves.
 
-    Columns that another library of the same machine has, `beside`, are taken from there.
+    Columns that another library of the same machine has, `beside`, are taken from there; of free runs, about whichever fit, all but those
+    of orders and lines: each takes a run, and columns propose, fits decide.
     """
     if isinstance(tuned, FreeRuns):
         assert fitted is not None
@@ -138,7 +140,7 @@ def _every_law(tuned: Tuned, left: Sequence[np.ndarray]) -> list[Entry]:
     return list(entries(alongs, motions, signals, tuned.values, short, inertias))
 
 
-def _known(tuned: Tuned | FreeRuns, beside: Library | None) -> dict[object, tuple[slice, np.ndarray]]:
+def _known(tuned: Tuned, beside: Library | None) -> dict[object, tuple[slice, np.ndarray]]:
     """Return where another library of the same machine has each law's columns, and their squares."""
     if beside is None or beside.tuned is not tuned:
         return {}
@@ -151,18 +153,15 @@ def _library_freely(free: FreeRuns, fitted: Fitted, beside: Library | None) -> L
     alongs, motions, signals = _along(along)
     here = fit(along, fitted.settings, fitted.offset, longest=0.0)
     every = _every_law(along, [one.innovations for one in along.looked] if here is None else here.innovations)
-    known = _known(free, beside)
-    new: list[tuple[Entry, list[list[Column]]]] = []
-    old: list[Entry] = []
+    old = () if beside is None else tuple(law for law in beside.laws if not law.effect.several)
+    new = []
     for law in every:
-        if law.key in known:
-            old.append(law)
-        elif changes := columns_of(law, alongs, motions, signals, along.values):
+        if (beside is None or law.effect.several) and (changes := columns_of(law, alongs, motions, signals, along.values)):
             new.append((law, changes))
     columns = tried(free, fitted, new)
     if old:
         assert beside is not None
-        taken = np.concatenate([np.arange(known[law.key][0].start, known[law.key][0].stop) for law in old])
+        taken = np.concatenate([np.arange(part.start, part.stop) for law, part in zip(beside.laws, beside.parts, strict=True) if not law.effect.several])
         columns = [np.hstack([own, others[:, taken]]) for own, others in zip(columns, beside.columns, strict=True)]
     laws = [*(law for law, _ in new), *old]
     ends = np.cumsum([law.width for law in laws])
@@ -272,7 +271,8 @@ def search(tuned: Tuned | FreeRuns, laws: Library, baseline: Fitted, materiality
     beam = [start]
     shorter: Fitted | None = baseline
     while shorter is not None and shorter.settings:
-        kept = _without_one(tuned, shorter, scatter)
+        least = _least_sure(shorter) if isinstance(tuned, FreeRuns) else None  # a fit of free runs takes as long as many along a motion
+        kept = _without_one(tuned, shorter, scatter, least)
         fits = [ranked(each.without_columns()) for each in kept if each.names not in found]
         found |= {each.fitted.names: each for each in fits}
         shorter = min(fits, key=lambda each: each.cost).fitted if fits else None
@@ -287,7 +287,7 @@ def search(tuned: Tuned | FreeRuns, laws: Library, baseline: Fitted, materiality
                 names = fitted.names | {(law.effect.name, law.at)}
                 if names in found:
                     continue
-                longer = fit_to(tuned, (*fitted.settings, law.setting(weights)), fitted.offset, scatter)
+                longer = fit_to(tuned, (*fitted.settings, law.setting(weights)), fitted.offset, scatter, fitted)
                 if longer is None:
                     continue
                 found[names] = ranked(longer.without_columns())
@@ -307,10 +307,15 @@ def search(tuned: Tuned | FreeRuns, laws: Library, baseline: Fitted, materiality
     return [chosen, *sorted(others, key=lambda each: each.cost)]
 
 
-def _without_one(tuned: Tuned | FreeRuns, fitted: Fitted, dispersion: float) -> Iterator[Fitted]:
-    """Yield the fits without each effect in turn: the columns of all of them together would fill the memory."""
-    for k in range(len(fitted.settings)):
-        one = fit_to(tuned, (*fitted.settings[:k], *fitted.settings[k + 1 :]), fitted.offset, dispersion)
+def _least_sure(fitted: Fitted) -> int:
+    """Return the effect of a set whose strengths are the least of their standard deviations from none."""
+    return int(np.argmin([away_from(fitted, number) for number in range(len(fitted.settings))]))
+
+
+def _without_one(tuned: Tuned | FreeRuns, fitted: Fitted, dispersion: float, only: int | None = None) -> Iterator[Fitted]:
+    """Yield the fits without each effect in turn, or one of them: the columns of all of them together would fill the memory."""
+    for k in range(len(fitted.settings)) if only is None else (only,):
+        one = fit_to(tuned, (*fitted.settings[:k], *fitted.settings[k + 1 :]), fitted.offset, dispersion, fitted)
         if one is not None:
             yield one
 

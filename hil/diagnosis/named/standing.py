@@ -61,12 +61,15 @@ class Limit:
     effect, at, parameter : str
     strength : float
         Of that parameter; infinite where no strength that it may have would show. It is a size where the parameter's neutral value is zero.
+    setting : EffectSetting or None
+        The effect as strong as that; None where no strength would show.
     """
 
     effect: str
     at: str
     parameter: Parameter
     strength: float
+    setting: EffectSetting | None = None
 
 
 def unexplained(named: Named) -> float:
@@ -122,7 +125,8 @@ def numbers_help(named: Named) -> bool:
 def alternatives(named: Named, of: Library) -> list[Alternative]:
     """Return what might stand in place of effects of the answer, and the answer without one; the least far behind first.
 
-    Where noise is assumed, sets are weighed by how well they predict stretches left out, else by the Bayesian information criterion.
+    Where noise is assumed, sets are weighed by how well they predict stretches left out, else by the Bayesian information criterion; what
+    laws may be wrong by then tells no two sets apart.
     """
     tuned, best = named.tuned, named.best
     unit = best.dispersion
@@ -135,10 +139,13 @@ def alternatives(named: Named, of: Library) -> list[Alternative]:
         return fitted.cost(unit) + len(fitted.parameters) * math.log(tuned.readings)
 
     own = evidence(best)
+    wrong = EXACT**2 * max(nothing - best.cost(unit), 0.0) if named.is_noise_known and math.isfinite(nothing) else 0.0
     found = []
     for each in neighbours(tuned, best, of):
         one = each.fitted
         gained, behind = nothing - one.cost(unit), evidence(one) - own
+        if each.has_another and behind > 0.0:
+            behind = max(behind - wrong, 0.0)
         found.append(Alternative(one.settings, behind, each.without, each.has_another, gained, len(one.parameters)))
     return sorted(found, key=lambda each: each.behind)
 
@@ -187,20 +194,23 @@ def detection_limits(named: Named, of: Library) -> list[Limit]:
 def _limit(law: Entry, strengths: Sequence[Parameter], squares: np.ndarray, asked: float) -> Limit:
     """Return the least strength of a law that shows, whichever of its weights it has."""
     first = strengths[0]
-    least: tuple[float, float] | None = None
+    least: EffectSetting | None = None
+    off = -1.0
     for number, square in enumerate(np.diag(squares)):
         weights = np.zeros(len(squares))
         weights[number] = math.sqrt(asked / max(float(square), 1e-300))
         settings = [law.setting(weights), law.setting(-weights)]
-        values = [
-            setting.parameters[first.name]
-            for setting in settings
-            if all(_is_within(each, setting.parameters[each.name]) for each in strengths)
-        ]
-        shown = min(((abs(value - first.neutral), value) for value in values if value != first.neutral), default=(math.inf, math.inf))
-        least = shown if least is None else max(least, shown)
-    value = math.inf if least is None else least[1]
-    return Limit(law.effect.name, law.at, first, value if first.neutral else abs(value))
+        shown = {
+            abs(setting.parameters[first.name] - first.neutral): setting
+            for setting in reversed(settings)
+            if setting.parameters[first.name] != first.neutral
+            and all(_is_within(each, setting.parameters[each.name]) for each in strengths)
+        }
+        by = min(shown, default=math.inf)
+        if by > off:
+            off, least = by, shown.get(by)
+    value = math.inf if least is None else least.parameters[first.name]
+    return Limit(law.effect.name, law.at, first, value if first.neutral else abs(value), least)
 
 
 def _beyond(limit: Limit) -> float:

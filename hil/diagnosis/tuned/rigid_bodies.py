@@ -35,8 +35,11 @@ class RigidBodies:
         """
         if not len(self.places):
             return values
+        inertias = np.where(self.places < 0, 0.0, values[self.places])
+        traces = np.trace(inertias, axis1=1, axis2=2)
+        least = np.linalg.eigvalsh(0.5 * traces[:, None, None] * np.eye(3) - inertias)[:, 0]
         found = values.copy()
-        for places in self.places:
+        for places in self.places[least < -ROUNDING * traces]:
             for is_alike in (False, True):
                 inertia = np.where(places < 0, 0.0, found[places])
                 trace = float(np.trace(inertia))

@@ -1,0 +1,92 @@
+"""The demo's detection limits, and what its answers are worth over seeds that were fixed beforehand.
+
+python benchmarks/demo_seeds.py limits                       write hil/demo/limits.toml
+python benchmarks/demo_seeds.py score [--jobs N]             run what is missing of the fifty seeds, and print the score
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from hil.demo.hidden import LIMITS, Envelope
+from hil.demo.story import answered_by, demo_machine, recorded
+from hil.diagnosis.named.search import library
+from hil.diagnosis.named.standing import detection_limits
+from hil.machine.effects_file import effects_text
+from hil.terminal.progress import progress
+
+SEEDS = range(1001, 1051)
+"""Fixed before the first of them was run."""
+RESULTS = Path(__file__).parent / "results" / "demo_seeds.json"
+
+
+def write_limits() -> None:
+    """Record the machine without anything hidden, and write every effect at its detection limit."""
+    with tempfile.TemporaryDirectory() as folder, progress() as bars:
+        machine = demo_machine(Path(folder))
+        paths, _ = recorded(machine, Envelope(0, (), ()), Path(folder), bars)
+        named = answered_by(machine, paths, bars).named
+        assert named is not None
+        if named.best.settings:
+            sys.exit(f"a machine that hides nothing: {', '.join(one.name for one in named.best.settings)} is named")
+        found = detection_limits(named, library(named.tuned, named.best))
+        shown = [limit.setting for limit in found if limit.setting is not None]
+        header = "# Effects that the demo's recordings could show, at their detection limits. Written by benchmarks/demo_seeds.py limits.\n"
+        LIMITS.write_text(header + effects_text(shown, machine), encoding="utf-8")
+    print(f"{LIMITS}: {len(shown)} effects and places")
+
+
+def score(results: Path, jobs: int) -> None:
+    """Run the demo by seeds that are not in the results yet, and print the score."""
+    done = json.loads(results.read_text(encoding="utf-8")) if results.exists() else {}
+    with ThreadPoolExecutor(jobs) as threads:
+        for seed, one in threads.map(told, [seed for seed in SEEDS if str(seed) not in done]):
+            done[str(seed)] = one
+            results.write_text(json.dumps(dict(sorted(done.items())), indent=1) + "\n", encoding="utf-8")
+            hidden, named = (", ".join(f"{each['effect']} at {each['at']}" for each in one.get(key, ())) for key in ("hidden", "findings"))
+            print(f"{seed}: {one['worth']}: {hidden}; named {named or 'nothing'}; {one['process_s']:.0f} s", flush=True)
+    counts = Counter((len(one.get("hidden", ())), one["worth"]) for one in done.values())
+    for (hidden, worth), count in sorted(counts.items()):
+        print(f"{hidden} hidden, {worth}: {count}")
+    print(f"right: {sum(one['worth'] == 'right' for one in done.values())} of {len(done)}")
+    times = sorted(one["process_s"] for one in done.values())
+    print(f"seconds of a whole process: median {times[len(times) // 2]:.0f}, longest {times[-1]:.0f}")
+
+
+def told(seed: int) -> tuple[int, dict[str, Any]]:
+    """Run the demo once, in a process of its own; return its seed and what is kept of its answer."""
+    with tempfile.TemporaryDirectory() as folder:
+        began = time.monotonic()
+        command = [sys.executable, "-m", "hil", "demo", "--seed", str(seed), "--out", folder, "--json", "-"]
+        ran = subprocess.run(command, capture_output=True, text=True, check=False)
+        seconds = {"process_s": round(time.monotonic() - began, 1)}
+    if ran.returncode:
+        return seed, {"worth": "failed", "said": ran.stderr.strip().splitlines()[-1:]} | seconds
+    document = json.loads(ran.stdout)
+    return seed, {key: document[key] for key in ("hidden", "worth", "verdict", "findings", "held_out", "seal")} | seconds
+
+
+def main() -> None:
+    """Run what is asked."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=("limits", "score"))
+    parser.add_argument("--results", type=Path, default=RESULTS)
+    parser.add_argument("--jobs", type=int, default=1, help="demos at a time; times are those of a demo alone with one only")
+    asked = parser.parse_args()
+    if asked.what == "limits":
+        write_limits()
+    else:
+        score(asked.results, asked.jobs)
+
+
+if __name__ == "__main__":
+    main()
