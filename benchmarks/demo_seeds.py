@@ -13,16 +13,22 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from hil.demo.hidden import LIMITS, Envelope
-from hil.demo.story import answered_by, demo_machine, recorded
+from drivers.errors import DriverError
+from hil.bench.open import open_bench
+from hil.bench.options import BenchOptions
+from hil.demo.hidden import LIMITS, TIMES, Envelope, stronger
+from hil.demo.story import HELD_OUT, TOUR, answered_by, demo_machine, recorded
 from hil.diagnosis.named.search import library
 from hil.diagnosis.named.standing import detection_limits
+from hil.errors import BenchError
 from hil.machine.effects_file import effects_text
 from hil.terminal.progress import progress
+from virtual_bus.errors import EmulatorError
+from virtual_bus.settings import EffectSetting
 
 SEEDS = range(1001, 1051)
 """Fixed before the first of them was run."""
@@ -40,9 +46,30 @@ def write_limits() -> None:
             sys.exit(f"a machine that hides nothing: {', '.join(one.name for one in named.best.settings)} is named")
         found = detection_limits(named, library(named.tuned, named.best))
         shown = [limit.setting for limit in found if limit.setting is not None]
-        header = "# Effects that the demo's recordings could show, at their detection limits. Written by benchmarks/demo_seeds.py limits.\n"
-        LIMITS.write_text(header + effects_text(shown, machine), encoding="utf-8")
+    with ProcessPoolExecutor() as workers:  # a load that the bench refuses to move is in no recording
+        moves = list(workers.map(can_be_moved, shown))
+    shown = [one for one, can_move in zip(shown, moves, strict=True) if can_move]
+    print(f"not taken: {moves.count(False)} that the catalogue does not have, or the bench does not move, at {TIMES[1]:g} limits")
+    header = "# Effects that the demo's recordings could show, at their detection limits. Written by benchmarks/demo_seeds.py limits.\n"
+    LIMITS.write_text(header + effects_text(shown, machine), encoding="utf-8")
     print(f"{LIMITS}: {len(shown)} effects and places")
+
+
+def can_be_moved(limit: EffectSetting) -> bool:
+    """Return whether the bench brings a machine to the demo's poses that has an effect as strong as the demo draws it at most."""
+    strong = stronger(limit, TIMES[1])
+    if strong is None:
+        return stronger(limit, TIMES[0]) is not None
+    with tempfile.TemporaryDirectory() as folder:
+        machine = demo_machine(Path(folder))
+    try:
+        for experiment in (TOUR, HELD_OUT):
+            start = experiment.plans(machine)[0].start_pose
+            with open_bench(machine, BenchOptions("lockstep:", seed=0, emulated=machine.with_effects([strong])), start):
+                pass
+    except (BenchError, DriverError, EmulatorError):
+        return False
+    return True
 
 
 def score(results: Path, jobs: int) -> None:

@@ -23,7 +23,7 @@ def register(app: typer.Typer) -> None:
 
 
 def demo(
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where recordings, the diagnosis and the page go.")] = Path("isocenter-demo"),
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where recordings, diagnosis and page go.")] = Path("isocenter-demo"),
     seed: Annotated[int, typer.Option(min=0, metavar="N", help="Draws what the emulated machine hides.")] = 1,
     json_to: JsonOption = None,
 ) -> None:

@@ -60,18 +60,18 @@ class Envelope:
 
 def drawn(machine: Machine, seed: int) -> Envelope:
     """Return what a seed hides: one effect or two, evenly over every effect and place that the recordings could show."""
-    able = [one for one in read_effects_file(LIMITS, machine) if _stronger(one, TIMES[0]) is not None]
+    able = [one for one in read_effects_file(LIMITS, machine) if stronger(one, TIMES[0]) is not None]
     rng = np.random.default_rng(seed)
     count = 1 + int(rng.integers(MOST))
     while True:
         times = tuple(float(round(each, 3)) for each in rng.uniform(*TIMES, count))
-        hidden = [_stronger(able[k], by) for k, by in zip(rng.choice(len(able), count, replace=False), times, strict=True)]
+        hidden = [stronger(able[k], by) for k, by in zip(rng.choice(len(able), count, replace=False), times, strict=True)]
         whole = tuple(one for one in hidden if one is not None)
         if len(whole) == count and _can_run(machine, whole):
             return Envelope(seed, whole, times)
 
 
-def _stronger(setting: EffectSetting, by: float) -> EffectSetting | None:
+def stronger(setting: EffectSetting, by: float) -> EffectSetting | None:
     """Return an effect that is `by` times as strong; None where the catalogue does not go so far."""
     values = dict(setting.parameters)
     for parameter in effects()[setting.name].parameters:

@@ -161,12 +161,13 @@ def _library_freely(free: FreeRuns, fitted: Fitted, beside: Library | None) -> L
     columns = tried(free, fitted, new)
     if old:
         assert beside is not None
-        taken = np.concatenate([np.arange(part.start, part.stop) for law, part in zip(beside.laws, beside.parts, strict=True) if not law.effect.several])
+        parts = [part for law, part in zip(beside.laws, beside.parts, strict=True) if not law.effect.several]
+        taken = np.concatenate([np.arange(part.start, part.stop) for part in parts])
         columns = [np.hstack([own, others[:, taken]]) for own, others in zip(columns, beside.columns, strict=True)]
     laws = [*(law for law, _ in new), *old]
     ends = np.cumsum([law.width for law in laws])
-    parts = [[own[:, end - law.width : end].astype(float) for own in columns] for law, end in zip(laws, ends, strict=True)]
-    squares = tuple(np.sum([each.T @ each for each in own], axis=0) for own in parts)
+    each_law = [[own[:, end - law.width : end].astype(float) for own in columns] for law, end in zip(laws, ends, strict=True)]
+    squares = tuple(np.sum([each.T @ each for each in own], axis=0) for own in each_law)
     return Library(free, tuple(laws), tuple(columns), squares)
 
 

@@ -1,36 +1,115 @@
-"""The demo's story, told with a shorter experiment."""
+"""The demo: what a seed hides, what an answer to it is worth, and the whole story."""
 
 from __future__ import annotations
 
+import hashlib
 import json
+from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from command_line import Isocenter
 
-from hil.experiments import Jog, Multisine
+from hil.demo.hidden import LIMITS, TIMES, drawn
+from hil.demo.judged import judged
+from hil.demo.story import KNOWN_TO, TOLERANCE, demo_machine
+from hil.diagnosis.result import Diagnosis, DisturbanceShares, EffectAt, Finding, Fit, Location, Stages, Verdict
+from hil.machine import Machine
+from hil.machine.effects_file import read_effects_file
+from virtual_bus.effects.registry import effects
+from virtual_bus.plant.parameters import plant_parameters
+from virtual_bus.settings import EffectSetting
+
+DRAWS = 3000
 
 
-@pytest.mark.slow
-def test_the_demo_leaves_a_page_and_finds_the_friction_it_has_hidden(
-    isocenter: Isocenter, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    experiment = Multisine(
-        pose={"roll": 0.5}, lines=(3, 5, 7, 9), amplitude_A=0.4, period_s=4.0, periods=2, realisations=2,
-        jog=Jog(np.radians(0.5), line=1), seed=20,
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory: pytest.TempPathFactory) -> Machine:
+    return demo_machine(tmp_path_factory.mktemp("demo"))
+
+
+def hidden(*names: tuple[str, str]) -> tuple[EffectSetting, ...]:
+    return tuple(EffectSetting(name, at, {}) for name, at in names)
+
+
+def answer(verdict: Verdict, *names: tuple[str, str], instead: tuple[tuple[str, str], ...] = ()) -> Diagnosis:
+    others = (tuple(EffectAt(*one) for one in instead),) if instead else ()
+    findings = tuple(Finding(EffectAt(*one), 0.5, {}, ambiguous_sets=others) for one in names)
+    nothing = Stages(None, None, None, None, None)
+    return Diagnosis(
+        verdict, "", findings, (), {}, {}, "repeats", Location(), Fit({}, nothing, None, None, None), 0.0, 0.0, DisturbanceShares()
     )  # fmt: skip
-    monkeypatch.setattr("hil.demo.story.EXPERIMENT", experiment)
-    told = isocenter("demo", "--out", tmp_path / "demo", "--json", "-")
+
+
+def test_every_number_that_a_diagnosis_retunes_is_known_to_one_percent(machine: Machine) -> None:
+    known = {one.name: one for one in plant_parameters(machine.plant) if one.value != 0.0 and one.quantity.startswith(KNOWN_TO)}
+    assert len(known) > 60
+    for one in known.values():
+        assert one.tolerance == pytest.approx(TOLERANCE * abs(one.value), rel=1e-5), one.name
+
+
+def test_a_seed_draws_evenly_and_within_the_strengths_that_it_says(machine: Machine) -> None:
+    limits = {(one.name, one.at): one for one in read_effects_file(LIMITS, machine)}
+    seen: Counter[tuple[str, str]] = Counter()
+    counts: Counter[int] = Counter()
+    for seed in range(DRAWS):
+        envelope = drawn(machine, seed)
+        counts[len(envelope.effects)] += 1
+        for one, times in zip(envelope.effects, envelope.times, strict=True):
+            seen[one.name, one.at] += 1
+            assert TIMES[0] <= times <= TIMES[1]
+            for parameter in effects()[one.name].parameters:
+                value, least = one.parameters[parameter.name], limits[one.name, one.at].parameters[parameter.name]
+                if parameter.is_strength:
+                    assert value - parameter.neutral == pytest.approx(times * (least - parameter.neutral), rel=1e-9, abs=1e-30)
+                else:
+                    assert value == least
+    assert set(counts) == {1, 2}
+    assert abs(counts[1] - counts[2]) < 5.0 * DRAWS**0.5
+    expected = sum(seen.values()) / len(seen)
+    assert len(seen) > 0.9 * len(limits)
+    assert max(abs(count - expected) for count in seen.values()) < 6.0 * expected**0.5, "a Poisson count is within six deviations"
+
+
+def test_the_seal_is_of_what_the_envelope_holds(machine: Machine) -> None:
+    envelope = drawn(machine, 7)
+    assert hashlib.sha256(envelope.text.encode()).hexdigest() == envelope.seal == drawn(machine, 7).seal
+    assert envelope.seal not in {drawn(machine, 8).seal, replace(envelope, times=tuple(2.0 * each for each in envelope.times)).seal}
+    assert json.loads(envelope.text)["hidden"][0]["effect"] == envelope.effects[0].name
+
+
+def test_what_an_answer_is_worth() -> None:
+    rubs, other_law = ("coulomb_friction", "roll"), ("stribeck_friction", "roll")
+    elsewhere, bends = ("coulomb_friction", "propeller"), ("joint_compliance", "detector")
+    both = hidden(rubs, bends)
+    assert judged(answer("explained", rubs), hidden(rubs)).worth == "right"
+    assert judged(answer("explained", rubs), hidden(other_law)).worth == "right", "laws of a family at one place"
+    assert judged(answer("ambiguous", rubs, instead=(bends,)), hidden(rubs)).worth == "right"
+    assert judged(answer("ambiguous", rubs, instead=(bends,)), hidden(bends)).worth == "listed"
+    assert judged(answer("explained", rubs, instead=(bends,)), hidden(bends)).worth == "wrong", "it was not called ambiguous"
+    assert judged(answer("explained", elsewhere), hidden(rubs)).worth == "wrong"
+    assert judged(answer("explained", rubs, bends), hidden(rubs)).worth == "wrong", "one effect too many"
+    assert judged(answer("explained", rubs, bends), both).worth == "right"
+    assert judged(answer("explained", rubs), both).worth == "in part"
+    assert judged(answer("consistent"), both).worth == "silent"
+
+
+@pytest.mark.nightly
+def test_the_demo_names_what_it_has_hidden_and_opens_the_envelope(isocenter: Isocenter, tmp_path: Path) -> None:
+    folder = tmp_path / "demo"
+    told = isocenter("demo", "--seed", "2", "--out", folder, "--json", "-")
     assert told.status == 0, told.err
     document = json.loads(told.out)
-    page = (tmp_path / "demo" / "index.html").read_text(encoding="utf-8")
-    assert page.count("<figure") == 4 + 2 * 10 + 4 + 3  # motors' own elements, all of them, two axes, and the friction
+    assert document["worth"] == "right"
+    assert hashlib.sha256((folder / "envelope.json").read_bytes()).hexdigest() == document["seal"]
+    said = told.err
+    assert said.index(document["seal"]) < said.index("recorded") < said.index("blind") < said.index("the envelope is open"), said
+    page = (folder / "index.html").read_text(encoding="utf-8")
     assert "EMULATED" in page
-    assert page.index("Fc = 12 Nm") < page.index("isocenter diagnose carm") < page.index("<figure")
-    before, after = (document[key]["channels"]["current_roll"]["nrmse"] for key in ("nominal", "with_friction"))
-    assert after < 0.3 * before
-    assert document["lines"] == 4
+    assert page.count("<figure") == 2
+    assert page.index("Right: ") < page.index("What was in the envelope") < page.index(document["seal"])
+    held = document["held_out"]
+    assert held["extended"] < 0.5 * held["nominal"]
     assert len(document["recordings"]) == 4
-    with np.load(tmp_path / "demo" / "carm.frf.npz") as frf:
-        assert frf["G"].shape == (4, 5, 2)
+    assert (folder / "diagnosis" / "report.html").exists()
