@@ -14,8 +14,11 @@ import tempfile
 import time
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from drivers.errors import DriverError
 from hil.bench.open import open_bench
@@ -57,19 +60,18 @@ def write_limits() -> None:
 
 def can_be_moved(limit: EffectSetting) -> bool:
     """Return whether the bench brings a machine to the demo's poses that has an effect as strong as the demo draws it at most."""
-    strong = stronger(limit, TIMES[1])
+    drawn = (stronger(limit, times) for times in np.linspace(TIMES[1], TIMES[0], 7))
+    strong = next((one for one in drawn if one is not None), None)
     if strong is None:
-        return stronger(limit, TIMES[0]) is not None
-    with tempfile.TemporaryDirectory() as folder:
-        machine = demo_machine(Path(folder))
-    try:
-        for experiment in (TOUR, HELD_OUT):
-            start = experiment.plans(machine)[0].start_pose
-            with open_bench(machine, BenchOptions("lockstep:", seed=0, emulated=machine.with_effects([strong])), start):
-                pass
-    except (BenchError, DriverError, EmulatorError):
         return False
-    return True
+    with tempfile.TemporaryDirectory() as folder, suppress(BenchError, DriverError, EmulatorError):
+        machine = demo_machine(Path(folder))
+        for experiment in (TOUR, HELD_OUT):
+            plan = experiment.plans(machine)[0]
+            with open_bench(machine, BenchOptions("lockstep:", seed=0, emulated=machine.with_effects((strong,))), plan.start_pose) as bench:
+                bench.run(plan, Path(folder) / "run.mf4")
+        return True
+    return False
 
 
 def score(results: Path, jobs: int) -> None:

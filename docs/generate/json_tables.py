@@ -72,10 +72,17 @@ _FLEET_CHANGE = (
 COMMANDS: dict[str, tuple[Entry, ...]] = {
     "demo": (
         Entry("page", "text", "The page that was written."),
-        Entry("seconds, lockstep_times_real_time", "number", "Time of the whole, and speed of the emulated machine."),
-        Entry("recordings, frf", "list, text", "Files that were written."),
-        Entry("lines", "number", "Excited lines."),
-        Entry("nominal, with_friction", "object", "Comparisons as of `compare`."),
+        Entry("seconds", "number", "Time of the whole."),
+        Entry("seed, seal", "number, text", "What drew, and SHA-256 of what was drawn, said before the first run."),
+        Entry("envelope, recordings, diagnosis", "text, list", "Files that were written."),
+        Entry("hidden[].effect, at, parameters", "text, object", "What the emulated machine had."),
+        Entry("verdict, findings, held_out", "text, list, object", "The answer, as of `diagnose`; errors as in its `fit`."),
+        Entry(
+            "worth",
+            "text",
+            "`right`: named are the hidden effects, or laws of their families, at their places, and nothing else; `listed`: among the sets "
+            "of an ambiguous answer; `in part`: some of them, and nothing else; `silent`: nothing; `wrong`.",
+        ),
     ),
     "effects": (
         Entry("[].name, kind, equation, convention, source", "text", "One object per effect, as on the page of [effects](effects.md)."),
