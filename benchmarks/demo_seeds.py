@@ -24,7 +24,7 @@ from drivers.errors import DriverError
 from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
 from hil.demo.hidden import LIMITS, TIMES, Envelope, stronger
-from hil.demo.story import HELD_OUT, TOUR, answered_by, demo_machine, recorded
+from hil.demo.recorded import HELD_OUT, TOUR, answered_by, demo_machine, recorded
 from hil.diagnosis.named.search import library
 from hil.diagnosis.named.standing import detection_limits
 from hil.errors import BenchError

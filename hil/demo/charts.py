@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hil.demo.story import Story
+from hil.demo.told import Story
 from hil.machine import load_machine
 from hil.pages import Chart, Charts, Scale, Series
 from hil.reports.made_from import pose_of

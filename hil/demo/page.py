@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from hil.demo.charts import held_out_charts
-from hil.demo.story import HELD_OUT, REPEATS, TOLERANCE, TOUR, Story
+from hil.demo.recorded import HELD_OUT, REPEATS, TOLERANCE, TOUR
+from hil.demo.told import Story
 from hil.diagnosis.report.tables import findings, fit_table
 from hil.pages import Page, Section, Table, Text, Verdict, write_page
 from hil.pages.contents import Block, Kind

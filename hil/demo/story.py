@@ -3,88 +3,22 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from hil.bench.open import open_bench
-from hil.bench.options import BenchOptions
-from hil.demo.hidden import Envelope, drawn
-from hil.demo.judged import Judged, judged
-from hil.diagnosis.answered.values import Answered
-from hil.diagnosis.diagnose import diagnose
+from hil.demo.hidden import drawn
+from hil.demo.judged import judged
+from hil.demo.page import write_demo_page
+from hil.demo.recorded import answered_by, demo_machine, recorded
+from hil.demo.told import Story
 from hil.diagnosis.files import write_diagnosis
-from hil.errors import UnusableInputError
-from hil.experiments import Tour
-from hil.machine import Machine, load_machine
-from hil.machine.load import text_of
-from hil.recording import Recording, read_recording
+from hil.recording import read_recording
 from hil.terminal.output import Answer
-from hil.terminal.progress import Bars, follower, progress
-from virtual_bus.plant.parameters import possible_parameters
-
-MACHINE = "carm"
-TOLERANCE = 0.01
-"""Of the machine file's numbers, as after an identification; with its default of 15 % they would take most of what is hidden."""
-KNOWN_TO = (
-    "mass",
-    "center_of_mass",
-    "inertia",
-    "stiffness",
-    "damping",
-    "armature",
-    "constant",
-    "accelerometer_bandwidth",
-    "gyro_bandwidth",
-)
-"""Quantities that have a tolerance: those that a diagnosis re-tunes."""
-REPEATS = 3
-"""The noise is what repeats differ by; with three, one that differs stands out."""
-
-
-def _stops(*poses_deg: tuple[float, float]) -> tuple[dict[str, float], ...]:
-    return tuple({"propeller": float(np.radians(propeller)), "roll": float(np.radians(roll))} for propeller, roll in poses_deg)
-
-
-TOUR = Tour(_stops((0, 0), (45, 35), (-35, -40), (0, 0)), pace=0.8, dwell_s=0.1)
-"""Both axes at once, far, fast and through standstill both ways: gravity, friction, springs and inertia all change."""
-HELD_OUT = Tour(_stops((10, -10), (-35, 30), (25, -25)), pace=0.6, dwell_s=0.3)
-"""Another way, on which the answer is judged."""
-
-
-@dataclass(frozen=True, eq=False)
-class Story:
-    """What happened.
-
-    Attributes
-    ----------
-    machine : Machine
-        As its file says.
-    envelope : Envelope
-    paths : tuple of Path
-        Recordings, the held-out one last.
-    held_out : Recording
-    answered : Answered
-    judged : Judged
-    recorded_s : float
-        Of machine time.
-    """
-
-    machine: Machine
-    envelope: Envelope
-    paths: tuple[Path, ...]
-    held_out: Recording
-    answered: Answered
-    judged: Judged
-    recorded_s: float
+from hil.terminal.progress import progress
 
 
 def run_demo(out: Path, answer: Answer, seed: int) -> dict[str, Any]:
     """Run the demo into the folder `out`; return the JSON document."""
-    from hil.demo.page import write_demo_page
-
     began = time.perf_counter()
     machine = demo_machine(out)
     answer.say(f"{machine.name}: {machine.description}, EMULATED")
@@ -119,60 +53,3 @@ def run_demo(out: Path, answer: Answer, seed: int) -> dict[str, Any]:
         "findings": [finding.effect.document() for finding in diagnosis.findings],
         "held_out": None if diagnosis.fit.held_out is None else diagnosis.fit.held_out.document(),
     }
-
-
-def demo_machine(out: Path) -> Machine:
-    """Write the demo's machine file, the shipped one with tolerances, into a folder and load it.
-
-    Raises
-    ------
-    UnusableInputError
-        The folder cannot be written to.
-    """
-    path = out / "machine.toml"
-    lines = ["", f"# Added for the demo: every number is known to {TOLERANCE:.0%}."]
-    known: dict[str, list[str]] = {}
-    for parameter in possible_parameters(load_machine(MACHINE).plant):
-        if parameter.value != 0.0 and parameter.quantity.startswith(KNOWN_TO):
-            known.setdefault(parameter.owner, []).append(f"{parameter.name.partition('.')[2]} = {TOLERANCE * abs(parameter.value):.6g}")
-    for owner, numbers in known.items():
-        lines += ["", f"[tolerances.{owner}]", *numbers]
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        path.write_text(text_of(MACHINE) + "\n".join(lines) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise UnusableInputError(f"{path}: cannot be written: {error.strerror}") from None
-    return load_machine(path)
-
-
-def recorded(machine: Machine, envelope: Envelope, out: Path, bars: Bars) -> tuple[list[Path], float]:
-    """Record the tour, again and again, and the held-out one, on an emulated machine with what the envelope hides.
-
-    Each run is a session of its own, with noise of its own: what goes by the clock, such as a shaking base, repeats.
-    """
-    runs = [*((TOUR, out / f"tour_{number}.mf4") for number in range(1, REPEATS + 1)), (HELD_OUT, out / "held_out.mf4")]
-    plans = [(experiment.plans(machine)[0], path) for experiment, path in runs]
-    total = sum(plan.rows for plan, _ in plans)
-    secret = machine.with_effects(envelope.effects)
-    task, done = bars.add_task("recording", total=total), 0
-    for number, (plan, path) in enumerate(plans):
-        path.unlink(missing_ok=True)
-        options = BenchOptions("lockstep:", seed=len(plans) * envelope.seed + number, emulated=secret)
-        with open_bench(machine, options, plan.start_pose) as bench:
-            bench.run(plan, path, follower(bars, task, done))
-        done += plan.rows
-        bars.update(task, completed=done)
-    return [path for _, path in plans], total / machine.sample_rate_Hz
-
-
-def answered_by(machine: Machine, paths: list[Path], bars: Bars) -> Answered:
-    """Diagnose what was recorded, from the files alone."""
-    *train, held = ({path.stem: read_recording(path)} for path in paths)
-    task = bars.add_task("diagnosing", total=1.0)
-
-    def report(what: str, share: float) -> None:
-        bars.update(task, description=what, completed=share)
-
-    answered = diagnose(machine, {name: one for each in train for name, one in each.items()}, held, report=report, freely=True)
-    bars.update(task, description="diagnosed", completed=1.0)
-    return answered

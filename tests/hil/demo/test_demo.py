@@ -13,7 +13,7 @@ from command_line import Isocenter
 
 from hil.demo.hidden import LIMITS, TIMES, drawn
 from hil.demo.judged import judged
-from hil.demo.story import KNOWN_TO, TOLERANCE, demo_machine
+from hil.demo.recorded import KNOWN_TO, TOLERANCE, demo_machine
 from hil.diagnosis.result import Diagnosis, DisturbanceShares, EffectAt, Finding, Fit, Location, Stages, Verdict
 from hil.machine import Machine
 from hil.machine.effects_file import read_effects_file
