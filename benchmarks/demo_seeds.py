@@ -13,6 +13,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
@@ -76,19 +77,39 @@ def can_be_moved(limit: EffectSetting) -> bool:
 
 def score(results: Path, jobs: int) -> None:
     """Run the demo by seeds that are not in the results yet, and print the score."""
-    done = json.loads(results.read_text(encoding="utf-8")) if results.exists() else {}
+    done = json.loads(results.read_text(encoding="utf-8"))["runs"] if results.exists() else {}
     with ThreadPoolExecutor(jobs) as threads:
         for seed, one in threads.map(told, [seed for seed in SEEDS if str(seed) not in done]):
             done[str(seed)] = one
-            results.write_text(json.dumps(dict(sorted(done.items())), indent=1) + "\n", encoding="utf-8")
-            hidden, named = (", ".join(f"{each['effect']} at {each['at']}" for each in one.get(key, ())) for key in ("hidden", "findings"))
-            print(f"{seed}: {one['worth']}: {hidden}; named {named or 'nothing'}; {one['process_s']:.0f} s", flush=True)
-    counts = Counter((len(one.get("hidden", ())), one["worth"]) for one in done.values())
-    for (hidden, worth), count in sorted(counts.items()):
-        print(f"{hidden} hidden, {worth}: {count}")
-    print(f"right: {sum(one['worth'] == 'right' for one in done.values())} of {len(done)}")
+            document = {"score": scored(done), "runs": dict(sorted(done.items()))}
+            results.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+            print(
+                f"{seed}: {one['worth']}: {_words(one, 'hidden')}; named {_words(one, 'findings') or 'nothing'}; {one['process_s']:.0f} s",
+                flush=True,
+            )
+    for name, value in scored(done).items():
+        print(f"{name}: {value}")
+
+
+def scored(done: Mapping[str, Any]) -> dict[str, float]:
+    """Return how many answers are worth what, and how long demos took."""
+    told = Counter(one["worth"] for one in done.values())
     times = sorted(one["process_s"] for one in done.values())
-    print(f"seconds of a whole process: median {times[len(times) // 2]:.0f}, longest {times[-1]:.0f}")
+    wrong = [one for one in done.values() if one["worth"] in ("wrong", "in part")]
+    alone = [one for one in done.values() if len(one.get("hidden", ())) == 1]
+    return {
+        "seeds": len(done),
+        **{worth: told[worth] for worth in ("right", "listed", "in part", "silent", "wrong", "failed")},
+        "one hidden": len(alone),
+        "right of these": sum(one["worth"] == "right" for one in alone),
+        "wrong or in part, and explained": sum(one["verdict"] == "explained" for one in wrong),
+        "median_s": times[len(times) // 2],
+        "longest_s": times[-1],
+    }
+
+
+def _words(one: Mapping[str, Any], key: str) -> str:
+    return ", ".join(f"{each['effect']} at {each['at']}" for each in one.get(key, ()))
 
 
 def told(seed: int) -> tuple[int, dict[str, Any]]:

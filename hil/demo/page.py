@@ -17,14 +17,14 @@ KIND: dict[str, Kind] = {"right": "good", "listed": "unsure", "in part": "unsure
 INTRODUCTION = (
     "This is a demonstration. A seed drew what the emulated machine hides, evenly over every effect and place that these recordings could"
     " show, at two to five times its detection limit. The draw was sealed before anything was recorded. The tool had the machine file,"
-    " whose numbers it held to {tolerance:.0%}, and the recordings. How often it is right, on machines and recordings that it did not"
+    " whose numbers it held to {tolerance}, and the recordings. How often it is right, on machines and recordings that it did not"
     " draw, is in the documentation, under “Proof of the diagnosis”."
 )
 RECORDED = (
     "{repeats} runs of one tour through {stops} poses, both axes at once, and one run of another tour, which is held out: nothing is fitted"
     " to it. {seconds:.0f} s of machine time; every CAN frame, serial byte and Modbus message was encoded and decoded."
 )
-SEAL = "Sealed before the first run: SHA-256 {seal}. `sha256sum envelope.json` prints the same."
+SEAL = "Sealed before the first run: SHA-256 {seal}. The opened one is envelope.json, whose sum is the same."
 
 
 def write_demo_page(story: Story, folder: Path) -> Path:
@@ -46,7 +46,7 @@ def page_of(story: Story, folder: Path) -> Page:
         "Demo: what does the simulation of this C-arm lack?",
         Verdict(f"{story.judged.sentence}{fell}.", KIND[story.judged.worth]),
         [
-            Section("What was done", [Text(INTRODUCTION.format(tolerance=TOLERANCE)), Text(recorded)]),
+            Section("What was done", [Text(INTRODUCTION.format(tolerance=f"{100.0 * TOLERANCE:g} %")), Text(recorded)]),
             Section("What the tool said, blind", [*said, *findings(diagnosis, None)]),
             Section("What was in the envelope", [_hidden(story), Text(SEAL.format(seal=story.envelope.seal))]),
             Section(f"How well it predicts the tour through {len(HELD_OUT.stops)} other poses", predicted),
@@ -74,7 +74,7 @@ def _hidden(story: Story) -> Table:
             name = f"{parameter.name} [{parameter.unit}]" if parameter.unit else parameter.name
             strong = f"{times:.3g}" if parameter.is_strength else "-"
             rows.append((f"{setting.name} at {setting.at}", name, f"{setting.parameters[parameter.name]:.4g}", beside, strong))
-    head = ("hidden", "parameter", "value", "found (95 % interval)", "detection limits")
+    head = ("hidden", "parameter", "value", "found (95 % interval)", "times the limit")
     return Table(head, rows, frozenset((2, 3, 4)))
 
 

@@ -19,8 +19,8 @@ from hil.simulation.smooth import smooth
 def closed_runs(free: FreeRuns, seen: Seen, stages: Mapping[str, Trial]) -> Predicted:
     """Return rms errors of whole recordings, or of means of repeats, over the rms of the recording about its mean.
 
-    The zero of an encoder, which differs from one recording to another, is fitted in every stage. Noise is what repeats show: what lattices
-    make alike in all of them is left in the errors.
+    The zero of an encoder, which differs from one recording to another, is fitted in every stage. Noise is what repeats show, and that of an
+    encoder's steps, a twelfth of their square (Widrow 1956), which repeats may have alike.
 
     Parameters
     ----------
@@ -35,10 +35,11 @@ def closed_runs(free: FreeRuns, seen: Seen, stages: Mapping[str, Trial]) -> Pred
     RecordingError
         A recording has not all that the loop was given.
     """
-    scatter = _scatter(free)
+    scatter, steps = _scatter(free), dict[str, float]()
     rows: dict[str, dict[str, list[np.ndarray]]] = {}
     for along, group in zip(seen.alongs, seen.groups, strict=True):
         first, encoders = group.repeats[0], {encoder.channel for encoder in along.settings.encoders}
+        steps |= {sensor.channel: sensor.resolution for sensor in along.settings.joint_sensors}
         simulator = Simulator(smooth(simulated_loop(first)))
         inputs = inputs_of(simulator.machine, on_every_tick(first.recording))
         channels, parts, each = measured_by(group)
@@ -59,8 +60,8 @@ def closed_runs(free: FreeRuns, seen: Seen, stages: Mapping[str, Trial]) -> Pred
     errors = {channel: {stage: _rms(parts) for stage, parts in table.items()} for channel, table in rows.items()}
     found = {}
     for channel, of_stages in errors.items():
-        if (spread := of_stages.pop("about its mean")) > 0.0:
-            of_stages["noise"] = float(scatter[channel] / np.sqrt(fewest))
+        of_stages["noise"] = float(np.sqrt(scatter[channel] ** 2 / fewest + steps.get(channel, 0.0) ** 2 / 12.0))
+        if (spread := of_stages.pop("about its mean")) > 0.0 and of_stages["noise"] > 0.0:
             found[channel] = {stage: error / spread for stage, error in of_stages.items()}
     return Predicted(None, found, errors_of="closed_loop")
 
@@ -72,7 +73,7 @@ def _scatter(free: FreeRuns) -> dict[str, float]:
     for channel in channels:
         parts = [(run.deviations[:, :, run.channels.index(channel)], len(run.deviations)) for run in free.runs]
         found[channel] = float(np.sqrt(np.mean([np.mean(own**2) * count / (count - 1) for own, count in parts])))
-    return {channel: deviation for channel, deviation in found.items() if deviation > 0.0}
+    return found
 
 
 def _rms(parts: list[np.ndarray]) -> float:
