@@ -96,6 +96,14 @@ def test_what_an_answer_is_worth() -> None:
 
 
 @pytest.mark.nightly
+def test_a_rival_that_laws_wrong_by_one_percent_do_not_tell_apart_is_said(isocenter: Isocenter, tmp_path: Path) -> None:
+    told = isocenter("demo", "--seed", "1", "--out", tmp_path / "demo", "--json", "-")
+    document = json.loads(told.out)
+    assert document["hidden"][0]["effect"] == "imu_bandwidth", "a delay of the IMU fits almost as well"
+    assert (document["worth"], document["verdict"]) in {("right", "ambiguous"), ("right", "explained"), ("listed", "ambiguous")}
+
+
+@pytest.mark.nightly
 def test_the_demo_names_what_it_has_hidden_and_opens_the_envelope(isocenter: Isocenter, tmp_path: Path) -> None:
     folder = tmp_path / "demo"
     told = isocenter("demo", "--seed", "2", "--out", folder, "--json", "-")
@@ -110,6 +118,6 @@ def test_the_demo_names_what_it_has_hidden_and_opens_the_envelope(isocenter: Iso
     assert page.count("<figure") == 2
     assert page.index("Right: ") < page.index("What was in the envelope") < page.index(document["seal"])
     held = document["held_out"]
-    assert held["extended"] < 0.5 * held["nominal"]
+    assert 0.5 < held["extended"] < held["nominal"] < 1e4, "in units of noise, an encoder's steps among it"
     assert len(document["recordings"]) == 4
     assert (folder / "diagnosis" / "report.html").exists()
