@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -60,7 +61,7 @@ def write_limits() -> None:
 
 
 def can_be_moved(limit: EffectSetting) -> bool:
-    """Return whether the bench brings a machine to the demo's poses that has an effect as strong as the demo draws it at most."""
+    """Return whether the bench brings a machine to the demo's poses that has an effect about as strong as the demo draws it at most."""
     drawn = (stronger(limit, times) for times in np.linspace(TIMES[1], TIMES[0], 7))
     strong = next((one for one in drawn if one is not None), None)
     if strong is None:
@@ -94,7 +95,7 @@ def score(results: Path, jobs: int) -> None:
 def scored(done: Mapping[str, Any]) -> dict[str, float]:
     """Return how many answers are worth what, and how long demos took."""
     told = Counter(one["worth"] for one in done.values())
-    times = sorted(one["process_s"] for one in done.values())
+    times = [one["process_s"] for one in done.values() if one["worth"] != "failed"]
     wrong = [one for one in done.values() if one["worth"] in ("wrong", "in part")]
     alone = [one for one in done.values() if len(one.get("hidden", ())) == 1]
     return {
@@ -103,8 +104,8 @@ def scored(done: Mapping[str, Any]) -> dict[str, float]:
         "one hidden": len(alone),
         "right of these": sum(one["worth"] == "right" for one in alone),
         "wrong or in part, and explained": sum(one["verdict"] == "explained" for one in wrong),
-        "median_s": times[len(times) // 2],
-        "longest_s": times[-1],
+        "median_s": statistics.median(times),
+        "longest_s": max(times),
     }
 
 

@@ -76,7 +76,11 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("seed, seal", "number, text", "What drew, and SHA-256 of what was drawn, said before the first run."),
         Entry("envelope, recordings, diagnosis", "text, list", "Files that were written."),
         Entry("hidden[].effect, at, parameters", "text, object", "What the emulated machine had."),
-        Entry("verdict, findings, held_out", "text, list, object", "The answer, as of `diagnose`; errors as in its `fit`."),
+        Entry(
+            "verdict, findings, held_out",
+            "text, list, object",
+            "The answer; findings by effect and place, errors as of `diagnose`.",
+        ),
         Entry(
             "worth",
             "text",

@@ -59,7 +59,10 @@ class Envelope:
 
 
 def drawn(machine: Machine, seed: int) -> Envelope:
-    """Return what a seed hides: one effect or two, evenly over every effect and place that the recordings could show."""
+    """Return what a seed hides: one effect or two, over every effect and place that the recordings could show.
+
+    Evenly, but for those that the catalogue bounds below five limits, which are drawn anew where they would be stronger.
+    """
     able = [one for one in read_effects_file(LIMITS, machine) if stronger(one, TIMES[0]) is not None]
     rng = np.random.default_rng(seed)
     count = 1 + int(rng.integers(MOST))

@@ -24,9 +24,9 @@ class Judged:
     Attributes
     ----------
     worth : Worth
-        `right`: what is named is of the hidden effects' families, at their places, no more and no less. `listed`: not so, but the answer
-        calls itself ambiguous, and one of its sets is right. `in part`: it names some of what is hidden, and nothing else. `silent`: it
-        names nothing.
+        `right`: what is named, `explained` or `ambiguous`, is of the hidden effects' families, at their places, no more and no less.
+        `listed`: not so, but the answer calls itself ambiguous, and one of its sets is right. `in part`: it names some of what is hidden,
+        and nothing else. `silent`: it names nothing.
     sentence : str
     """
 
@@ -38,21 +38,21 @@ def judged(diagnosis: Diagnosis, hidden: tuple[EffectSetting, ...]) -> Judged:
     """Return what a diagnosis is worth beside what was hidden."""
     named = [finding.effect for finding in diagnosis.findings]
     truth, said = _acting((one.name, one.at) for one in hidden), _acting_at(named)
-    was = _words(f"{one.name} at {one.at}" for one in hidden)
-    names = _words(map(str, named))
-    if said == truth:
-        laws = {(one.name, one.at) for one in hidden} == {(one.effect, one.at) for one in named}
-        alike = "" if laws else f": {was} {'is' if len(hidden) == 1 else 'are'} of the same {'family' if len(hidden) == 1 else 'families'}"
-        return Judged("right", f"Right: from recordings alone, the tool named {names}{alike}")
+    was = " and ".join(f"{one.name} at {one.at}" for one in hidden) + (" was hidden" if len(hidden) == 1 else " were hidden")
+    names = " and ".join(map(str, named))
+    is_ambiguous = diagnosis.verdict == "ambiguous"
+    if said == truth and (is_ambiguous or diagnosis.verdict == "explained"):
+        doubt = ", and called it ambiguous" if is_ambiguous else ""
+        is_law = {(one.name, one.at) for one in hidden} == {(one.effect, one.at) for one in named}
+        law = "" if is_law else f"; {was}, of the same {'family' if len(hidden) == 1 else 'families'}"
+        return Judged("right", f"Right: from the machine file and the recordings, the tool named {names}{doubt}{law}")
     if not named:
-        return Judged("silent", f"Missed: the tool named nothing, and {was} was hidden")
-    if diagnosis.verdict == "ambiguous" and any(
-        _acting_at(one) == truth for finding in diagnosis.findings for one in finding.ambiguous_sets
-    ):
-        return Judged("listed", f"Not sure, and rightly so: the tool named {names}, and {was}, which was hidden, among what else it may be")
-    if not said - truth:
-        return Judged("in part", f"Half of it: the tool named {names}; hidden were {was}")
-    return Judged("wrong", f"Wrong: the tool named {names}, and {was} was hidden")
+        return Judged("silent", f"Missed: the tool named nothing; {was}")
+    if is_ambiguous and any(_acting_at(one) == truth for finding in diagnosis.findings for one in finding.ambiguous_sets):
+        return Judged("listed", f"Not sure, and rightly so: the tool named {names}, and what was hidden among what else it may be; {was}")
+    if said < truth:
+        return Judged("in part", f"Half of it: the tool named {names}; {was}")
+    return Judged("wrong", f"Wrong: the tool named {names}; {was}")
 
 
 def _acting_at(named: Iterable[EffectAt]) -> Counter[Acting]:
@@ -61,7 +61,3 @@ def _acting_at(named: Iterable[EffectAt]) -> Counter[Acting]:
 
 def _acting(named: Iterable[tuple[str, str]]) -> Counter[Acting]:
     return Counter((effects()[name].family, at) for name, at in named)
-
-
-def _words(names: Iterable[str]) -> str:
-    return " and ".join(names) or "nothing"

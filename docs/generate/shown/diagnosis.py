@@ -55,7 +55,7 @@ DIAGNOSIS = (
             Figure("that the bench did not record", ("score", "failed"), asked="0"),
             Figure("of wrong and half answers, `explained`", ("score", "wrong or in part, and explained"), asked="0"),
             Figure("of those with one effect", ("score", "one hidden")),
-            Figure("right", ("score", "right of these")),
+            Figure("of these right", ("score", "right of these")),
             Figure("time, median", ("score", "median_s"), "s", asked="60"),
             Figure("time, longest", ("score", "longest_s"), "s", asked="60"),
         ),

@@ -89,7 +89,7 @@ def answer(
     tuned, best, seen = named.tuned, named.best, named.seen
     along_motion = before.get(best.names, best)
     judged = replace(named, best=along_motion)  # rivals are weighed along the motion, where equations are linear
-    of = library(tuned, along_motion, named.of)
+    of = library(tuned, along_motion, named.of if isinstance(tuned, Tuned) else None)  # limits are beside the answer
     named, judged = replace(named, of=None), replace(judged, of=None)
     others = alternatives(judged, of) if best.settings else []
     spread = deviations(judged, best)
@@ -145,7 +145,7 @@ def _proposed(machine: Machine, named: Named, others: Sequence[Alternative], rep
     """Return the experiment that separates the answer from sets that are nearly as likely."""
     offset = named.best.offset[: len(named.tuned.numbers.indices)]
     values = named.tuned.numbers.values(offset)
-    near = [other for other in others if other.behind < NOT_TOLD_APART]
+    near = [other for other in others if other.told_apart < NOT_TOLD_APART]
     own, shares = _weights(near)
     rivals = [Model(values, offset, other.settings, share) for other, share in zip(near, shares, strict=True)]
     models = [Model(values, offset, named.best.settings, own), *rivals[:MOST_RIVALS]]
@@ -195,9 +195,9 @@ def _verdict(
         if numbers_help(named):
             return "retuned", f"other numbers in the machine file explain the difference; {NOTHING_MISSING}"
         return "consistent", NOTHING_MISSING
-    near = [other for other in others if other.has_another and other.behind < NOT_TOLD_APART]
-    rivals = [other for other in near if other.behind < 0.0 or not _is_variant(named.best, other)]  # a likelier law of the family, too
-    doubted = [other for other in others if not other.has_another and other.behind < NOT_TOLD_APART]
+    near = [other for other in others if other.has_another and other.told_apart < NOT_TOLD_APART]
+    rivals = [other for other in near if other.told_apart < 0.0 or not _is_variant(named.best, other)]  # a likelier law of the family, too
+    doubted = [other for other in others if not other.has_another and other.told_apart < NOT_TOLD_APART]
     if rivals or doubted:
         said = "; ".join(dict.fromkeys(_words(other.settings) for other in [*rivals, *doubted]))
         return "ambiguous", f"{names}, which these recordings do not tell apart from {said}"
@@ -234,9 +234,9 @@ def _is_variant(best: Fitted, other: Alternative) -> bool:
 
 def _weights(others: Sequence[Alternative]) -> tuple[float, list[float]]:
     """Return the shares of the answer and of each alternative: their evidences, which sum to one."""
-    least = min([0.0, *(other.behind for other in others)])
+    least = min([0.0, *(other.told_apart for other in others)])
     own = math.exp(0.5 * least)
-    each = [math.exp(-0.5 * min(other.behind - least, 1400.0)) for other in others]
+    each = [math.exp(-0.5 * min(other.told_apart - least, 1400.0)) for other in others]
     total = own + sum(each)
     return own / total, [one / total for one in each]
 
@@ -252,7 +252,7 @@ def _findings(best: Fitted, others: Sequence[Alternative], estimates: Sequence[M
         for other, share in zip(mine, shares, strict=True):
             if other.has_another and _is_variant(best, other):
                 variants.append((EffectAt(other.settings[-1].name, other.settings[-1].at), cap * share))
-            elif other.has_another and other.behind < NOT_TOLD_APART:
+            elif other.has_another and other.told_apart < NOT_TOLD_APART:
                 rivals.append(other)
             elif not other.has_another:
                 missing = other.behind

@@ -160,7 +160,7 @@ class FreeRuns:
 
     @property
     def together(self) -> int:
-        """How many machines' outputs are in memory at once: no more than its processors run."""
+        """How many machines are run together: as many as its processors take; as many again wait in memory."""
         return LANES * (self.jobs or os.cpu_count() or 1)
 
     @property

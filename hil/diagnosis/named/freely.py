@@ -20,7 +20,7 @@ from virtual_bus.settings import EffectSetting
 
 SHARES = tuple(0.5**k for k in range(HALVINGS))
 """Of a step, that are tried together."""
-KEPT = 0.5
+WORTH = 0.5
 """Share of what columns promise, below which they are computed anew."""
 
 
@@ -79,7 +79,9 @@ def fit_freely(
                 left = there
         if is_new and gained < SETTLED:
             break
-        numbers = columns if gained > max(SETTLED, KEPT * promised) else None
+        numbers = columns if gained > max(SETTLED, WORTH * promised) else None
+    else:
+        columns = _columns(free, offset, settings, parameters, [_step(settings[k], one) for k, one in parameters], left, None)
     low, high = free.bounds
     moved = offset - free.offset
     slopes = sum(each[:, : len(offset)].T @ rest for each, rest in zip(columns, left, strict=True)) / dispersion - offset
@@ -100,8 +102,9 @@ def _columns(
     by = np.append(np.full(len(offset), NEARBY), steps)
     columns = [np.zeros((len(by), len(rest))).T for rest in left]  # one column after the other in memory
     sought = [*(np.flatnonzero(free.are_shown).tolist() if not numbers else ()), *range(len(offset), len(by))]
-    for own, known in zip(columns, numbers or (), strict=False):
-        own[:, : len(offset)] = known[:, : len(offset)]
+    if numbers:
+        for own, known in zip(columns, numbers, strict=True):
+            own[:, : len(offset)] = known[:, : len(offset)]
     trials = [_moved(offset, settings, parameters, np.where(np.arange(len(by)) == k, by[k], 0.0)) for k in sought]
     for k, there in zip(sought, free.left(trials), strict=True):
         if there is not None:

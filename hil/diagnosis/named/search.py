@@ -249,8 +249,8 @@ def search(tuned: Tuned | FreeRuns, laws: Library, baseline: Fitted, materiality
     useful first.
 
     Sets are sought from nothing on, one effect after the other, and from the engineer's first fit, whose effects are left out one after the
-    other: two effects may show only together. Effects that are not everyday have to leave less by the factor
-    `materiality` each.
+    other, in free runs the least sure first: two effects may show only together. Effects that are not everyday have to leave less by the
+    factor `materiality` each.
     """
     dispersion = scatter = baseline.dispersion
     start = fit_to(tuned, (), None, scatter)
@@ -273,10 +273,12 @@ def search(tuned: Tuned | FreeRuns, laws: Library, baseline: Fitted, materiality
     shorter: Fitted | None = baseline
     while shorter is not None and shorter.settings:
         least = _least_sure(shorter) if isinstance(tuned, FreeRuns) else None  # a fit of free runs takes as long as many along a motion
-        kept = _without_one(tuned, shorter, scatter, least)
-        fits = [ranked(each.without_columns()) for each in kept if each.names not in found]
-        found |= {each.fitted.names: each for each in fits}
-        shorter = min(fits, key=lambda each: each.cost).fitted if fits else None
+        kept, shorter, cheapest = _without_one(tuned, shorter, scatter, least), None, math.inf
+        for each in kept:
+            if each.names not in found:
+                found[each.names] = ranked(each.without_columns())
+                if found[each.names].cost < cheapest:
+                    shorter, cheapest = each, found[each.names].cost
     best = whole(min(found.values(), key=lambda each: each.cost)).fitted
     beam += [best] if best.names != start.names else []
     for _ in range(DEPTH):

@@ -35,6 +35,8 @@ class Alternative:
     settings : tuple of EffectSetting
     behind : float
         How far it is behind the answer, in twice the log of its evidence; negative where it is likelier.
+    allowed : float
+        How far laws that are wrong by EXACT may put it behind.
     without : tuple of int
         Which effects of the answer it has not.
     has_another : bool
@@ -50,6 +52,12 @@ class Alternative:
     has_another: bool
     gained: float
     parameters: int
+    allowed: float = 0.0
+
+    @property
+    def told_apart(self) -> float:
+        """How far it is behind beyond what is allowed; negative where it is likelier."""
+        return self.behind if self.behind <= 0.0 else max(self.behind - self.allowed, 0.0)
 
 
 @dataclass(frozen=True)
@@ -144,9 +152,8 @@ def alternatives(named: Named, of: Library) -> list[Alternative]:
     for each in neighbours(tuned, best, of):
         one = each.fitted
         gained, behind = nothing - one.cost(unit), evidence(one) - own
-        if each.has_another and behind > 0.0:
-            behind = max(behind - wrong, 0.0)
-        found.append(Alternative(one.settings, behind, each.without, each.has_another, gained, len(one.parameters)))
+        allowed = wrong if each.has_another else 0.0
+        found.append(Alternative(one.settings, behind, each.without, each.has_another, gained, len(one.parameters), allowed))
     return sorted(found, key=lambda each: each.behind)
 
 

@@ -19,8 +19,8 @@ from hil.simulation.smooth import smooth
 def closed_runs(free: FreeRuns, seen: Seen, stages: Mapping[str, Trial]) -> Predicted:
     """Return rms errors of whole recordings, or of means of repeats, over the rms of the recording about its mean.
 
-    The zero of an encoder, which differs from one recording to another, is fitted in every stage. Noise is what repeats show, and that of an
-    encoder's steps, a twelfth of their square (Widrow 1956), which repeats may have alike.
+    The zero of an encoder, which differs from one recording to another, is fitted in every stage. Noise is what repeats show, and for a
+    sensor of joints no less than its steps make, a twelfth of their square (Widrow 1956): repeats may have these alike.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def closed_runs(free: FreeRuns, seen: Seen, stages: Mapping[str, Trial]) -> Pred
     errors = {channel: {stage: _rms(parts) for stage, parts in table.items()} for channel, table in rows.items()}
     found = {}
     for channel, of_stages in errors.items():
-        of_stages["noise"] = float(np.sqrt(scatter[channel] ** 2 / fewest + steps.get(channel, 0.0) ** 2 / 12.0))
+        of_stages["noise"] = float(np.sqrt(max(scatter[channel] ** 2 / fewest, steps.get(channel, 0.0) ** 2 / 12.0)))
         if (spread := of_stages.pop("about its mean")) > 0.0 and of_stages["noise"] > 0.0:
             found[channel] = {stage: error / spread for stage, error in of_stages.items()}
     return Predicted(None, found, errors_of="closed_loop")
