@@ -65,6 +65,8 @@ class FreeRun:
         Where none is.
     deviations : (R, N, C) array
         What each repeat differs from it by.
+    alike : (N, C) array
+        What sensors' steps make, in the loop too, alike in all of them.
     scatter : Scatter
     biases : (N, C, O) array
         What one standard deviation of each sensor's zero adds.
@@ -81,6 +83,7 @@ class FreeRun:
     mean: np.ndarray
     is_missing: np.ndarray
     deviations: np.ndarray
+    alike: np.ndarray
     scatter: Scatter
     biases: np.ndarray
     step_error: np.ndarray
@@ -301,8 +304,9 @@ def _free_run(seen: Seen, number: int, group: Group) -> FreeRun:
     steps = np.array([encoder_steps.get(name, 0.0) for name in channels])
     apart = np.mean(deviations**2, axis=(0, 1)) / np.maximum(steps**2, 1e-300)
     alike = float(np.max(np.exp(-2.0 * np.pi**2 * apart), where=steps > 0.0, initial=0.0))
-    scatter = Scatter(deviations, alike * (with_lattices - without))
-    return FreeRun(simulator, finer, inputs, known, parts, channels, mean, is_missing, deviations, scatter, zeros, none)
+    common = alike * (with_lattices - without)
+    scatter = Scatter(deviations, common)
+    return FreeRun(simulator, finer, inputs, known, parts, channels, mean, is_missing, deviations, common, scatter, zeros, none)
 
 
 def readings_of(simulator: Simulator, outputs: Outputs, parts: Sequence[slice], channels: Sequence[str]) -> np.ndarray:

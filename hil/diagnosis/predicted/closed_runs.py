@@ -19,8 +19,8 @@ from hil.simulation.smooth import smooth
 def closed_runs(free: FreeRuns, seen: Seen, stages: Mapping[str, Trial]) -> Predicted:
     """Return rms errors of whole recordings, or of means of repeats, over the rms of the recording about its mean.
 
-    The zero of an encoder, which differs from one recording to another, is fitted in every stage. Noise is what repeats show, and for a
-    sensor of joints no less than its steps make, a twelfth of their square (Widrow 1956): repeats may have these alike.
+    The zero of an encoder, which differs from one recording to another, is fitted in every stage. Noise is what repeats show, and
+    what sensors' steps make alike in all of them.
 
     Parameters
     ----------
@@ -35,11 +35,10 @@ def closed_runs(free: FreeRuns, seen: Seen, stages: Mapping[str, Trial]) -> Pred
     RecordingError
         A recording has not all that the loop was given.
     """
-    scatter, steps = _scatter(free), dict[str, float]()
+    scatter = _scatter(free)
     rows: dict[str, dict[str, list[np.ndarray]]] = {}
     for along, group in zip(seen.alongs, seen.groups, strict=True):
         first, encoders = group.repeats[0], {encoder.channel for encoder in along.settings.encoders}
-        steps |= {sensor.channel: sensor.resolution for sensor in along.settings.joint_sensors}
         simulator = Simulator(smooth(simulated_loop(first)))
         inputs = inputs_of(simulator.machine, on_every_tick(first.recording))
         channels, parts, each = measured_by(group)
@@ -60,19 +59,21 @@ def closed_runs(free: FreeRuns, seen: Seen, stages: Mapping[str, Trial]) -> Pred
     errors = {channel: {stage: _rms(parts) for stage, parts in table.items()} for channel, table in rows.items()}
     found = {}
     for channel, of_stages in errors.items():
-        of_stages["noise"] = float(np.sqrt(max(scatter[channel] ** 2 / fewest, steps.get(channel, 0.0) ** 2 / 12.0)))
+        own, common = scatter[channel]
+        of_stages["noise"] = float(np.sqrt(own / fewest + common))
         if (spread := of_stages.pop("about its mean")) > 0.0 and of_stages["noise"] > 0.0:
             found[channel] = {stage: error / spread for stage, error in of_stages.items()}
     return Predicted(None, found, errors_of="closed_loop")
 
 
-def _scatter(free: FreeRuns) -> dict[str, float]:
-    """Return the standard deviation of one recording by channel, as repeats scatter."""
-    channels = [channel for channel in free.runs[0].channels if all(channel in run.channels for run in free.runs)]
+def _scatter(free: FreeRuns) -> dict[str, tuple[float, float]]:
+    """Return the variance of one recording by channel, as repeats scatter, and the mean square that all have alike."""
     found = {}
-    for channel in channels:
-        parts = [(run.deviations[:, :, run.channels.index(channel)], len(run.deviations)) for run in free.runs]
-        found[channel] = float(np.sqrt(np.mean([np.mean(own**2) * count / (count - 1) for own, count in parts])))
+    for channel in [channel for channel in free.runs[0].channels if all(channel in run.channels for run in free.runs)]:
+        own = [(run.deviations[:, :, run.channels.index(channel)], len(run.deviations)) for run in free.runs]
+        common = [run.alike[:, run.channels.index(channel)] for run in free.runs]
+        scattered = np.mean([np.mean(deviations**2) * count / (count - 1) for deviations, count in own])
+        found[channel] = float(scattered), float(np.mean([np.mean(each**2) for each in common]))
     return found
 
 
