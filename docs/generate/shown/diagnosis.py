@@ -42,8 +42,8 @@ DIAGNOSIS = (
         "demo_seeds.json",
         "The demo's answers",
         "The emulated C-arm with one effect or two that a seed draws, at two to five detection limits; its numbers are those of the file, "
-        "which states them to 1 %. Right names their families and places, and nothing else. Whole processes, alone on two cores, from a "
-        "warm start.",
+        "which states them to 1 %. Right names their families and places, and nothing else. Whole processes on two "
+        "cores that other work shared, from a warm start.",
         "python benchmarks/demo_seeds.py score",
         (
             Figure("seeds", ("score", "seeds")),
