@@ -63,7 +63,7 @@ def drawn(machine: Machine, seed: int) -> Envelope:
 
     Evenly, but for those that the catalogue bounds below five limits, which are drawn anew where they would be stronger.
     """
-    able = [one for one in read_effects_file(LIMITS, machine) if stronger(one, TIMES[0]) is not None]
+    able = read_effects_file(LIMITS, machine)
     rng = np.random.default_rng(seed)
     count = 1 + int(rng.integers(MOST))
     while True:

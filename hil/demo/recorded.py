@@ -11,6 +11,7 @@ from hil.bench.options import BenchOptions
 from hil.demo.hidden import Envelope
 from hil.diagnosis.answered.values import Answered
 from hil.diagnosis.diagnose import diagnose
+from hil.diagnosis.tuned.numbers import TUNED
 from hil.errors import UnusableInputError
 from hil.experiments import Tour
 from hil.machine import Machine, load_machine
@@ -22,20 +23,10 @@ from virtual_bus.plant.parameters import possible_parameters
 MACHINE = "carm"
 TOLERANCE = 0.01
 """Of the machine file's numbers, as after an identification; with its default of 15 % they would take most of what is hidden."""
-KNOWN_TO = (
-    "mass",
-    "center_of_mass",
-    "inertia",
-    "stiffness",
-    "damping",
-    "armature",
-    "constant",
-    "accelerometer_bandwidth",
-    "gyro_bandwidth",
-)
-"""Quantities that have a tolerance: those that a diagnosis re-tunes."""
 REPEATS = 3
 """The noise is what repeats differ by; with three, one that differs stands out."""
+
+RECORDINGS = (*(f"tour_{number}.mf4" for number in range(1, REPEATS + 1)), "held_out.mf4")
 
 
 def _stops(*poses_deg: tuple[float, float]) -> tuple[dict[str, float], ...]:
@@ -60,7 +51,7 @@ def demo_machine(out: Path) -> Machine:
     lines = ["", f"# Added for the demo: every number is known to {TOLERANCE:.0%}."]
     known: dict[str, list[str]] = {}
     for parameter in possible_parameters(load_machine(MACHINE).plant):
-        if parameter.value != 0.0 and parameter.quantity.startswith(KNOWN_TO):
+        if parameter.value != 0.0 and parameter.quantity.startswith(TUNED):
             known.setdefault(parameter.owner, []).append(f"{parameter.name.partition('.')[2]} = {TOLERANCE * abs(parameter.value):.6g}")
     for owner, numbers in known.items():
         lines += ["", f"[tolerances.{owner}]", *numbers]
@@ -77,8 +68,8 @@ def recorded(machine: Machine, envelope: Envelope, out: Path, bars: Bars) -> tup
 
     Each run is a session of its own, with noise of its own: what goes by the clock, such as a shaking base, repeats.
     """
-    runs = [*((TOUR, out / f"tour_{number}.mf4") for number in range(1, REPEATS + 1)), (HELD_OUT, out / "held_out.mf4")]
-    plans = [(experiment.plans(machine)[0], path) for experiment, path in runs]
+    experiments = [TOUR] * REPEATS + [HELD_OUT]
+    plans = [(experiment.plans(machine)[0], out / name) for experiment, name in zip(experiments, RECORDINGS, strict=True)]
     total = sum(plan.rows for plan, _ in plans)
     secret = machine.with_effects(envelope.effects)
     task, done = bars.add_task("recording", total=total), 0

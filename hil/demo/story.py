@@ -11,7 +11,7 @@ from drivers.errors import DriverError
 from hil.demo.hidden import drawn
 from hil.demo.judged import judged
 from hil.demo.page import write_demo_page
-from hil.demo.recorded import answered_by, demo_machine, recorded
+from hil.demo.recorded import RECORDINGS, answered_by, demo_machine, recorded
 from hil.demo.told import Story
 from hil.diagnosis.files import write_diagnosis
 from hil.errors import BenchError, UnusableInputError
@@ -37,7 +37,7 @@ def run_demo(out: Path, answer: Answer, seed: int) -> dict[str, Any]:
     machine = demo_machine(out)
     answer.say(f"{machine.name}: {machine.description}, EMULATED")
     envelope = drawn(machine, seed)
-    (out / SEAL).write_text(f"{envelope.seal}  envelope.json\n", encoding="utf-8")
+    _write(out / SEAL, f"{envelope.seal}  envelope.json\n")
     answer.say(f"sealed what seed {seed} hides in the emulated machine: SHA-256 {envelope.seal}")
     with progress() as bars:
         try:
@@ -50,7 +50,7 @@ def run_demo(out: Path, answer: Answer, seed: int) -> dict[str, Any]:
     diagnosis = answered.diagnosis
     write_diagnosis(answered, machine, out / "diagnosis", is_emulated=True)
     answer.say(f"blind, from these recordings: {diagnosis.verdict}: {diagnosis.reason}")
-    (out / "envelope.json").write_bytes(envelope.text.encode())  # the same bytes on every system: their sum is the seal
+    _write(out / "envelope.json", envelope.text)
     story = Story(
         machine, envelope, tuple(paths), read_recording(paths[-1]), answered, judged(diagnosis, envelope.effects), recorded_s
     )  # fmt: skip
@@ -80,8 +80,16 @@ def _cleared(out: Path) -> None:
         return
     if not (out / SEAL).exists():
         raise UnusableInputError(f"{out}: holds files that are no demo's; give --out an empty folder or a new one")
-    for name in ("index.html", "envelope.json", "diagnosis"):
-        path = out / name
-        shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
-    for path in out.glob("*.mf4"):
-        path.unlink()
+    for path in (out / name for name in ("index.html", "envelope.json", "diagnosis", *RECORDINGS)):
+        try:
+            shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+        except OSError as error:
+            raise UnusableInputError(f"{path}: an earlier demo's, cannot be removed: {error.strerror}; give another --out") from None
+
+
+def _write(path: Path, text: str) -> None:
+    """Write a text with the same bytes on every system: the envelope's have the sum that is its seal."""
+    try:
+        path.write_bytes(text.encode())
+    except OSError as error:
+        raise UnusableInputError(f"{path}: cannot be written: {error.strerror}; give --out another folder") from None

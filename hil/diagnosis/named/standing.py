@@ -133,8 +133,8 @@ def numbers_help(named: Named) -> bool:
 def alternatives(named: Named, of: Library) -> list[Alternative]:
     """Return what might stand in place of effects of the answer, and the answer without one; the least far behind first.
 
-    Where noise is assumed, sets are weighed by how well they predict stretches left out, else by the Bayesian information criterion; what
-    laws may be wrong by then tells no two sets apart.
+    Where noise is assumed, sets are weighed by how well they predict stretches left out, else by the Bayesian information criterion, and
+    laws are then allowed to be wrong by EXACT.
     """
     tuned, best = named.tuned, named.best
     unit = best.dispersion

@@ -12,10 +12,12 @@ import pytest
 import scipy.stats
 from command_line import Isocenter
 
+from drivers.errors import DriverError
 from hil.demo.hidden import LIMITS, TIMES, Envelope, drawn, stronger
 from hil.demo.judged import judged
-from hil.demo.recorded import KNOWN_TO, TOLERANCE, answered_by, demo_machine, recorded
+from hil.demo.recorded import TOLERANCE, answered_by, demo_machine, recorded
 from hil.diagnosis.result import Diagnosis, DisturbanceShares, EffectAt, Finding, Fit, Location, Stages, Verdict
+from hil.diagnosis.tuned.numbers import TUNED
 from hil.machine import Machine
 from hil.machine.effects_file import read_effects_file
 from hil.terminal.progress import progress
@@ -45,7 +47,7 @@ def answer(verdict: Verdict, *names: tuple[str, str], instead: tuple[tuple[str, 
 
 
 def test_every_number_that_a_diagnosis_retunes_is_known_to_one_percent(machine: Machine) -> None:
-    known = {one.name: one for one in plant_parameters(machine.plant) if one.value != 0.0 and one.quantity.startswith(KNOWN_TO)}
+    known = {one.name: one for one in plant_parameters(machine.plant) if one.value != 0.0 and one.quantity.startswith(TUNED)}
     assert len(known) > 60
     for one in known.values():
         assert one.tolerance == pytest.approx(TOLERANCE * abs(one.value), rel=1e-5), one.name
@@ -118,6 +120,23 @@ def test_a_folder_with_other_files_is_left_as_it_is(isocenter: Isocenter, tmp_pa
     assert "no demo's" in told.err
     assert (tmp_path / "machine.toml").read_text() == "mine"
     assert [path.name for path in tmp_path.iterdir()] == ["machine.toml"]
+
+
+def test_an_earlier_demo_makes_room_and_what_is_beside_it_stays(
+    isocenter: Isocenter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object) -> None:
+        raise DriverError("roll: moved the wrong way")
+
+    monkeypatch.setattr("hil.demo.story.recorded", refused)
+    (tmp_path / "envelope.sha256").write_text("of an earlier one")
+    for name in ("envelope.json", "index.html", "tour_3.mf4", "mine.mf4"):
+        (tmp_path / name).write_text("old")
+    told = isocenter("demo", "--seed", "3", "--out", tmp_path)
+    assert told.status == 1
+    assert "seed 3: the bench does not record what it hides; another --seed hides something else: roll: moved the wrong way" in told.err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["envelope.sha256", "machine.toml", "mine.mf4"]
+    assert (tmp_path / "envelope.sha256").read_text() != "of an earlier one"
 
 
 @pytest.mark.nightly
