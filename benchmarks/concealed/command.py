@@ -14,7 +14,7 @@ from typing import Any
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from concealed import directions, making, mutating, pairing, running, scoring, tables
+from concealed import directions, making, mutating, pairing, running, scoring, tables, trees
 from hil.processes.workers import end_with_the_parent
 
 RESULTS = Path(__file__).resolve().parents[1] / "results" / "concealed"
@@ -23,7 +23,7 @@ RESULTS = Path(__file__).resolve().parents[1] / "results" / "concealed"
 def main(arguments: list[str]) -> int:
     """Run one step or all of them."""
     parser = argparse.ArgumentParser(prog="python benchmarks/concealed", description=making.__doc__)
-    parser.add_argument("step", choices=("make", "run", "score", "all", "mutate", "directions", "tables", "pair"))
+    parser.add_argument("step", choices=("make", "run", "score", "all", "mutate", "directions", "tables", "compare"))
     parser.add_argument("--seeds", choices=("development", "sealed"), default="development")
     parser.add_argument("--cases", type=_ranges, help="numbers, as in 0-39 or 3,5,8; all of the set by default")
     parser.add_argument("--strata", type=_strata, help="null, single, pair, off; comma between them; all by default")
@@ -37,18 +37,19 @@ def main(arguments: list[str]) -> int:
         "--judged", type=Path, help="a file of scores: its cases are taken as they were judged there, with their own truths"
     )
     parser.add_argument("--scores", type=Path, help="tables: the file of scores to print")
-    parser.add_argument("--earlier", type=Path, help="pair: answers of an earlier tool to the same cases")
+    parser.add_argument("--trees", type=_commits, help="compare: two commits, comma between them")
+    parser.add_argument("--carm", type=int, help="compare: so many cases of the C-arm, drawn by lot; all by default")
     options = parser.parse_args(arguments)
     if options.step == "tables":
         print(tables.tables_of(options.scores or options.results / f"scores_{options.seeds}.json"))
         return 0
     places = making.Places(options.work, options.seeds)
-    if options.step == "pair":
-        if options.earlier is None:
-            parser.error("pair: --earlier FILE names the answers of the earlier tool")
-        print(pairing.pair(places, options.earlier, options.results / f"answers_{options.seeds}.jsonl", options.results))
-        return 0
     options.results.mkdir(parents=True, exist_ok=True)
+    if options.step == "compare":
+        if options.trees is None:
+            parser.error("compare: --trees names two commits, as in --trees f4f32099,8b2b6f32")
+        _compare(places, options)
+        return 0
     if options.step != "score":
         making.export_models(places)
     numbers = _numbers(options)
@@ -66,6 +67,36 @@ def main(arguments: list[str]) -> int:
     if options.step in ("score", "all"):
         print(scoring.score(places, options.results, numbers, partial=options.partial, judged_before=options.judged))
     return 0
+
+
+def _compare(places: making.Places, options: argparse.Namespace) -> None:
+    """Let both commits answer what they have not answered yet, and print how they compare."""
+    making.export_models(places)
+    for commit in options.trees:
+        trees.built(commit, places.work)
+    answered = {commit: frozenset(trees.answers(options.results, commit)) for commit in options.trees}
+    numbers = trees.order(places, _numbers(options), options.carm)
+    left = [number for number in numbers if any(number not in done for done in answered.values())]
+
+    def keep(_number: int, rows: list[dict[str, Any]]) -> None:
+        for row in rows:
+            for path, kept in (
+                (trees.kept(options.results, row["commit"]), trees.in_short(row)),
+                (trees.kept(places.work, row["commit"]), row),
+            ):
+                with path.open("a", encoding="utf-8") as stream:
+                    stream.write(json.dumps(kept, separators=(",", ":")) + "\n")
+
+    _each(partial(trees.answer, places, options.trees, answered), left, options.jobs, "compare", keep)
+    print(pairing.write(options.results, options.trees))
+
+
+def _commits(text: str) -> tuple[str, ...]:
+    """Two commits by their full names."""
+    names = text.split(",")
+    if len(names) != 2:
+        raise argparse.ArgumentTypeError(f"{text!r}: two commits are right, as in f4f32099,8b2b6f32")
+    return tuple(map(trees.commit_of, names))
 
 
 def _numbers(options: argparse.Namespace) -> list[int]:

@@ -3,79 +3,147 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from scipy.stats import binomtest
 
-from concealed.judging import Judgement, judge
-from concealed.making import Places, seal
+from concealed.judging import Judgement
 from concealed.tables import table
+from concealed.trees import both, judged
 
-QUESTIONS: tuple[tuple[str, Callable[[Judgement], bool], Callable[[Judgement], bool]], ...] = (
+Asked = Callable[[Judgement], bool]
+
+QUESTIONS: tuple[tuple[str, Asked, Asked], ...] = (
     ("no alarm, nothing hidden", lambda each: each.stratum == "null", lambda each: each.answered and not each.alarm),
     ("right, single effects the oracle separates", lambda each: each.stratum == "single" and each.asked, lambda each: each.right),
-    ("among three, the same", lambda each: each.stratum == "single" and each.asked, lambda each: each.among_three),
+    ("among three, single", lambda each: each.stratum == "single" and each.asked, lambda each: each.among_three),
+    ("family right, single", lambda each: each.stratum == "single" and each.asked, lambda each: bool(each.family_right)),
     ("right, pairs the oracle separates", lambda each: each.stratum == "pair" and each.asked, lambda each: each.right),
-    ("among three, the same", lambda each: each.stratum == "pair" and each.asked, lambda each: each.among_three),
+    ("among three, pairs", lambda each: each.stratum == "pair" and each.asked, lambda each: each.among_three),
     ("not confidently wrong, something hidden", lambda each: each.stratum in ("single", "pair"), lambda each: not each.wrong),
+    ("right channel", lambda each: each.stratum in ("single", "pair") and each.asked, lambda each: bool(each.channel_right)),
     ("alarm, off the catalogue", lambda each: each.stratum == "off" and each.asked, lambda each: each.alarm),
     ("not confidently misnamed, off the catalogue", lambda each: each.stratum == "off" and each.asked, lambda each: not each.confident),
 )
 """A question, the cases that it is asked of, and what answers it well."""
 
+SEPARATIONS = (5.0, 10.0, 20.0, 50.0)
+"""Edges of the bins of separation [standard deviations]."""
 
-def pair(places: Places, first: Path, second: Path, results: Path) -> str:
-    """Judge two files of answers on the cases that both have; write `paired_SEEDS.json` and return its table as text.
+
+@dataclass(frozen=True)
+class Pair:
+    """One case as two tools answered it."""
+
+    first: Judgement
+    second: Judgement
+    machine: str
+    colour: str
+
+    @property
+    def separation(self) -> str:
+        """The bin of the distance to the nearest other name."""
+        below = sum(self.first.separation >= edge for edge in SEPARATIONS)
+        edges = ("0", *(f"{edge:g}" for edge in SEPARATIONS))
+        return f"{edges[below]} to {edges[below + 1]}" if below < len(SEPARATIONS) else f"over {edges[below]}"
+
+
+GROUPS: dict[str, Callable[[Pair], str]] = {
+    "machine": lambda pair: pair.machine,
+    "separation": lambda pair: pair.separation,
+    "colour": lambda pair: pair.colour,
+    "condition": lambda pair: pair.first.condition,
+}
+
+
+def pairs(results: Path, commits: tuple[str, str]) -> list[Pair]:
+    """The cases that both commits have answered, judged."""
+    return [Pair(judged(first), judged(second), first["machine"], first["colour"]) for first, second in both(results, commits)]
+
+
+def compare(results: Path, commits: tuple[str, str]) -> dict[str, Any]:
+    """Every question over all cases that both have, and over groups of them.
 
     McNemar's exact test: of the cases where one tool alone answers well, either is as likely by chance.
     """
-    answers = [_answers(path) for path in (first, second)]
-    numbers = sorted(set(answers[0]) & set(answers[1]))
-    judged = [tuple(_judged(places, rows[number]) for rows in answers) for number in numbers]
-    rows = [_row(question, judged, asked, well) for question, asked, well in QUESTIONS]
-    commits = [sorted({rows[number]["commit"] for number in numbers}) for rows in answers]
-    document = {"seeds": places.seeds, "cases": numbers, "commits": commits, "questions": rows}
-    (results / f"paired_{places.seeds}.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-    return table_of(document)
-
-
-def table_of(document: dict[str, Any]) -> str:
-    """The table of what `pair` wrote, in Markdown."""
-    heads = ("question", "cases", "well by both", "earlier alone", "today alone", "by neither", "p by chance")
-    keys = ("question", "n", "both", "first alone", "second alone", "neither")
-    return table(heads, [(*(row[key] for key in keys), f"{row['p']:.2g}") for row in document["questions"]])
-
-
-def _answers(path: Path) -> dict[int, dict[str, Any]]:
-    try:
-        return {row["number"]: row for row in map(json.loads, path.read_text(encoding="utf-8").splitlines())}
-    except (OSError, ValueError, KeyError) as error:
-        raise SystemExit(f"{path}: no file of answers as `run` writes it ({type(error).__name__}: {error})") from None
-
-
-def _judged(places: Places, answer: dict[str, Any]) -> Judgement:
-    path = places.truth(answer["number"])
-    if not path.exists() or seal(path) != answer["truth_sha256"]:
-        raise SystemExit(f"{path}: the truth that was sealed when case {answer['number']} was answered is not here")
-    return judge(answer, json.loads(path.read_text(encoding="utf-8")))
-
-
-def _row(
-    question: str,
-    judged: Sequence[tuple[Judgement, ...]],
-    asked: Callable[[Judgement], bool],
-    well: Callable[[Judgement], bool],
-) -> dict[str, Any]:
-    both = [(well(first), well(second)) for first, second in judged if asked(first)]
-    first, second = both.count((True, False)), both.count((False, True))
-    return {
-        "question": question,
-        "n": len(both),
-        "both": both.count((True, True)),
-        "first alone": first,
-        "second alone": second,
-        "neither": both.count((False, False)),
-        "p": float(binomtest(first, first + second).pvalue) if first + second else 1.0,
+    answered = pairs(results, commits)
+    rows = list(both(results, commits))
+    groups = {
+        name: {
+            value: list(_rows([pair for pair in answered if key(pair) == value], "null", "single", "pair"))
+            for value in sorted({key(pair) for pair in answered})
+        }
+        for name, key in GROUPS.items()
     }
+    return {
+        "commits": [commit[:8] for commit in commits],
+        "cases": len(answered),
+        "questions": list(_rows(answered)),
+        "groups": groups,
+        "explained": [_explained([getattr(pair, name) for pair in answered]) for name in ("first", "second")],
+        "seconds": [_middle([row[place].get("processor_s") or row[place]["wall_s"] for row in rows]) for place in (0, 1)],
+    }
+
+
+def _middle(values: Sequence[float]) -> float | None:
+    return sorted(values)[len(values) // 2] if values else None
+
+
+def _explained(judged: Sequence[Judgement]) -> dict[str, int]:
+    """How often an answer was given with assurance, and how often that was right, wrong, or half."""
+    said = [each for each in judged if each.confident]
+    return {
+        "said": len(said),
+        "right": sum(each.right for each in said),
+        "wrong": sum(each.wrong or each.stratum == "off" for each in said),
+    }
+
+
+def _rows(answered: Sequence[Pair], *strata: str) -> Iterable[dict[str, Any]]:
+    for question, asked, well in QUESTIONS:
+        here = [(well(pair.first), well(pair.second)) for pair in answered if asked(pair.first)]
+        if not here or (strata and not question.startswith(("no alarm", "right, ", "not confidently wrong"))):
+            continue
+        first, second = here.count((True, False)), here.count((False, True))
+        yield {
+            "question": question,
+            "n": len(here),
+            "both": here.count((True, True)),
+            "first alone": first,
+            "second alone": second,
+            "neither": here.count((False, False)),
+            "p": round(float(binomtest(first, first + second).pvalue), 4) if first + second else 1.0,
+        }
+
+
+def text(document: dict[str, Any]) -> str:
+    """What `compare` returns, as tables in Markdown."""
+    first, second = document["commits"]
+    heads = ("question", "cases", f"{first}", f"{second}", f"{first} alone", f"{second} alone", "p by chance")
+
+    def rows(questions: Iterable[dict[str, Any]], *before: str) -> list[tuple[object, ...]]:
+        return [
+            (*before, row["question"], row["n"], row["both"] + row["first alone"], row["both"] + row["second alone"],
+             row["first alone"], row["second alone"], f"{row['p']:.2g}")
+            for row in questions
+        ]  # fmt: skip
+
+    parts = [f"{document['cases']} cases that both answered.", table(heads, rows(document["questions"]))]
+    for name, groups in document["groups"].items():
+        parts.append(table((name, *heads), [row for value, questions in groups.items() for row in rows(questions, value)]))
+    for commit, said, seconds in zip(document["commits"], document["explained"], document["seconds"], strict=True):
+        parts.append(
+            f"{commit}: `explained` {said['said']} times, right {said['right']}, wrong {said['wrong']}; {seconds} s in the median."
+        )
+    return "\n\n".join(parts)
+
+
+def write(results: Path, commits: tuple[str, str]) -> str:
+    """Write `paired_FIRST_SECOND.json` and return its tables."""
+    document = compare(results, commits)
+    path = results / f"paired_{commits[0][:8]}_{commits[1][:8]}.json"
+    path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    return text(document)

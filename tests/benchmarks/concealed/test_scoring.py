@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -82,25 +81,55 @@ def test_another_law_of_the_family_at_the_place_is_right_but_for_the_law(law: st
 
 def test_two_tools_are_told_apart_by_the_cases_that_one_alone_answers_well(tmp_path: Path) -> None:
     """Six that the earlier alone has right and none the other way: 2 / 2**6 by chance."""
-    from concealed.making import Places, seal
-    from concealed.pairing import pair
+    from dataclasses import asdict
 
-    places = Places(tmp_path, "sealed")
+    from concealed.judging import judge
+    from concealed.pairing import write
+    from concealed.trees import in_short, kept
+
+    earlier, today = "a" * 40, "b" * 40
     right, other = [finding("coulomb_friction", "roll")], [finding("viscous_friction", "roll")]
-    rows: dict[str, list[dict[str, Any]]] = {"earlier": [], "answers_sealed": []}
-    for number in range(8):
-        places.truth(number).parent.mkdir(parents=True, exist_ok=True)
-        places.truth(number).write_text(json.dumps(truth(number=number)))
-        for tool, found in (("earlier", right if number < 7 else other), ("answers_sealed", right if number == 6 else other)):
-            line = answer("ambiguous", found, commit=tool, truth_sha256=seal(places.truth(number)))
-            rows[tool].append(line | {"number": number})
-    for tool, lines in rows.items():
-        (tmp_path / f"{tool}.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
-    pair(places, tmp_path / "earlier.jsonl", tmp_path / "answers_sealed.jsonl", tmp_path)
-    written = json.loads((tmp_path / "paired_sealed.json").read_text())
+    for tool, rights in ((earlier, range(7)), (today, range(6, 7))):
+        lines = []
+        for number in range(8):
+            given = answer("ambiguous", right if number in rights else other, commit=tool) | {"number": number, "processor_s": 2.0 + number}
+            given |= {"machine": "carm", "colour": "white", "judged": asdict(judge(given, truth(number=number)))}
+            lines.append(json.dumps(in_short(given)))
+        kept(tmp_path, tool).write_text("\n".join(lines) + "\n")
+    text = write(tmp_path, (earlier, today))
+    written = json.loads((tmp_path / "paired_aaaaaaaa_bbbbbbbb.json").read_text())
     asked = next(row for row in written["questions"] if row["question"].startswith("right, single"))
     assert [asked[key] for key in ("n", "both", "first alone", "second alone", "neither")] == [8, 1, 6, 0, 1]
-    assert asked["p"] == pytest.approx(2.0 / 2**6)
+    assert asked["p"] == pytest.approx(2.0 / 2**6, abs=1e-4)
+    assert written["groups"]["separation"].keys() == {"5 to 10"}  # the nearest other name is 9 deviations away
+    assert "| right, single effects the oracle separates | 8 | 7 | 1 | 6 | 0 | 0.031 |" in text
+
+
+def test_the_order_of_cases_is_by_lot_and_the_arm_comes_last(tmp_path: Path) -> None:
+    from concealed.making import Places, case_of, export_models
+    from concealed.trees import order
+
+    places = Places(tmp_path, "development")
+    export_models(places)
+    drawn = order(places, range(60), 3)
+    assert drawn == order(places, range(59, -1, -1), 3)
+    is_arm = [case_of(places, number).machine == "carm" for number in drawn]
+    assert is_arm == [False] * (len(drawn) - 3) + [True] * 3
+    assert drawn[:10] != sorted(drawn[:10])
+
+
+def test_a_tree_answers_as_its_command_does_and_a_late_answer_is_none() -> None:
+    from concealed.trees import ROOT, Answering, commit_of
+
+    ask = Answering(ROOT)
+    assert ask("machine", "show", "turntable")["exit_status"] == 0
+    refused = ask("machine", "show", "no_such_machine")
+    assert refused["exit_status"] == 2
+    assert "no_such_machine" in refused["said"]
+    assert ask("machine", "check", "carm", limit_s=0.01)["exit_status"] is None
+    ask.close()
+    with pytest.raises(SystemExit, match="no commit of this repository"):
+        commit_of("no-such-commit")
 
 
 def test_an_amplitude_is_compared_at_its_own_joint_and_a_frequency_at_the_spring_behind_it_too() -> None:
