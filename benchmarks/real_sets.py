@@ -1,25 +1,35 @@
 """What is named on recordings that other people measured, beside an engineer's fit of each set.
 
-`python benchmarks/real_sets.py [SET...] [--splits WORDS] [--json FILE]`: for every set and split, what is named, how its rivals stand, and
-the errors of the nominal machine and of the answer on training and held-out parts, by the engineer's metric, beside the engineer's own
-(benchmarks/experts). A split whose result is kept is not run again: delete it from the file to have it run.
+`python benchmarks/real_sets.py [SET...] [--splits WORDS] [--free-runs] [--json FILE]`: for every set and split, what is named, how its
+rivals stand, and the errors of the nominal machine and of the answer on training and held-out parts, by the engineer's metric, beside the
+engineer's own (benchmarks/experts). With `--free-runs` it is the search over sets that free runs judge, which no command has yet. A split
+whose result is kept is not run again: delete it from the file to have it run.
 """
 
 from __future__ import annotations
 
 import argparse
 import importlib
+import inspect
 import json
 import time
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
-from real_data import DATA
+from real.common import ControllerSide
+from real_data import DATA, RealSet
 
+from hil.diagnosis.candidates.entries import setting_of
 from hil.diagnosis.named.naming import Named, name
 from hil.diagnosis.predicted.refitting import refitted
 from hil.diagnosis.seen.see import see
+from hil.diagnosis.selection.select import Selected, select
+from hil.diagnosis.unknowns.unknowns import Machine as Trial
+from virtual_bus.effects.registry import effects
 from virtual_bus.settings import EffectSetting
 
 RESULTS = Path(__file__).resolve().parent / "results"
@@ -54,6 +64,80 @@ def entry(named: Named, errors: dict[str, Any], seconds: float) -> dict[str, Any
     }
 
 
+Errors = dict[str, dict[str, float]]
+
+
+def along_the_motion(module: ModuleType, split: str, data: RealSet) -> dict[str, Any]:
+    """Return what the results hold of one split."""
+    begun = time.monotonic()
+    named = refitted(name(see(data.machine, data.train)))
+    seconds = time.monotonic() - begun
+    values = named.tuned.numbers.values(named.best.offset[: len(named.tuned.numbers.indices)])
+    errors = {
+        "nominal": module.errors(split, data.machine, None, ()),
+        "answer": module.errors(split, data.machine, values, named.best.settings),
+    }
+    return entry(named, by_channel(errors), seconds)
+
+
+def by_free_runs(module: ModuleType, split: str, data: RealSet) -> dict[str, Any]:
+    """Return the same of the search that free runs judge."""
+    begun = time.monotonic()
+    found = select(data.machine, data.train)
+    seconds = time.monotonic() - begun
+    machines = {"engineer's set": found.baseline, "answer": found.fit}
+    errors = {"nominal": module.errors(split, data.machine, None, ())}
+    errors |= {stage: with_side(module, split, data, found.fitting.unknowns.machine(fit.point)) for stage, fit in machines.items()}
+    return entry_of(found, by_channel(errors), seconds)
+
+
+def with_side(module: ModuleType, split: str, data: RealSet, trial: Trial) -> Errors:
+    """Return the errors of a machine with what is said of its controller's side."""
+    machine, settings = data.machine, trial.effects
+    if "side" in inspect.signature(module.errors).parameters:
+        limit = dict(trial.speed_limit).get(0, np.inf)
+        zero, lag = trial.effort_zero.get(0, 0.0), trial.effort_lag_s.get(0, 0.0)
+        side = ControllerSide(float(trial.gain[0]), trial.lateness_s, zero, lag, limit)
+        return dict(module.errors(split, machine, trial.values, settings, side=side))
+    if machine.controllers:
+        gains = [np.array([gain, gain, gain, 1.0, 1.0, 1.0]) for gain in trial.gain]
+        scaled = [
+            replace(each, position_sections=np.vstack([each.position_sections[:1] * gain, each.position_sections[1:]]))
+            for each, gain in zip(machine.controllers, gains, strict=True)
+        ]
+        machine = replace(machine, controllers=tuple(scaled))
+    elif trial.lateness_s > 0.0:
+        settings = (*settings, *(setting_of(effects()["delay"], axis, {"Td": trial.lateness_s}) for axis in machine.axes))
+    return dict(module.errors(split, machine, trial.values, settings))
+
+
+def by_channel(errors: dict[str, Errors]) -> dict[str, Any]:
+    """Return errors by channel, stage and part."""
+    found: dict[str, dict[str, Any]] = {}
+    for stage, channels in errors.items():
+        for channel, parts in channels.items():
+            found.setdefault(channel, {})[stage] = {part: float(f"{value:.4g}") for part, value in parts.items()}
+    return found
+
+
+def entry_of(found: Selected, errors: dict[str, Any], seconds: float) -> dict[str, Any]:
+    """Return what the results hold of one split."""
+    point = found.fit.point
+    numbers = {
+        unknown.name: float(np.round(at, 2))
+        for unknown, at in zip(found.fitting.unknowns.each, point.numbers, strict=True)
+        if abs(at) > 0.1
+    }
+    return {
+        "named": words(point.settings),
+        "numbers in standard deviations of their prior": numbers,
+        "horizons_s": list(found.fitting.judge.horizons),
+        "gain over the engineer's set": round(found.baseline_score - found.score, 1),
+        "channels": errors,
+        "seconds": round(seconds, 1),
+    }
+
+
 def table(results: dict[str, Any]) -> dict[str, Any]:
     """Return for every set and split what was named, and its largest held-out error over the nominal machine's and the engineer's."""
     rows = {}
@@ -78,8 +162,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("sets", nargs="*", choices=[*SETS, []], help="which sets; all by default")
     parser.add_argument("--splits", default="", help="only splits whose name has these words")
-    parser.add_argument("--json", type=Path, default=RESULTS / "real_sets.json")
+    parser.add_argument("--free-runs", action="store_true", help="judge sets of effects by free runs")
+    parser.add_argument("--json", type=Path, help="result file")
     arguments = parser.parse_args()
+    judge: Callable[[ModuleType, str, RealSet], dict[str, Any]] = by_free_runs if arguments.free_runs else along_the_motion
+    arguments.json = arguments.json or RESULTS / ("real_sets_free_runs.json" if arguments.free_runs else "real_sets.json")
     if not DATA.is_dir():
         raise SystemExit(f"{DATA} is not here: these recordings are not part of the project")
     results = json.loads(arguments.json.read_text()) if arguments.json.exists() else {}
@@ -88,20 +175,11 @@ def main() -> None:
         for split, data in module.splits().items():
             if arguments.splits not in split or split in results.get(of, {}):
                 continue
-            begun = time.monotonic()
-            named = refitted(name(see(data.machine, data.train)))
-            seconds = time.monotonic() - begun
-            values = named.tuned.numbers.values(named.best.offset[: len(named.tuned.numbers.indices)])
-            answers = {"nominal": (None, ()), "answer": (values, named.best.settings)}
-            errors: dict[str, dict[str, Any]] = {}
-            for stage, (numbers, settings) in answers.items():
-                for channel, found in module.errors(split, data.machine, numbers, settings).items():
-                    errors.setdefault(channel, {})[stage] = {part: float(f"{value:.4g}") for part, value in found.items()}
-            results.setdefault(of, {})[split] = entry(named, errors, seconds)
+            answer = results.setdefault(of, {})[split] = judge(module, split, data)
             arguments.json.write_text(json.dumps(results, indent=1) + "\n")
             arguments.json.with_stem(f"{arguments.json.stem}_table").write_text(json.dumps(table(results), indent=1) + "\n")
-            print(f"{of}, {split}: {'; '.join(results[of][split]['named']) or 'nothing'} ({seconds:.0f} s)")
-            for channel, found in errors.items():
+            print(f"{of}, {split}: {'; '.join(answer['named']) or 'nothing'} ({answer['seconds']:.0f} s)")
+            for channel, found in answer["channels"].items():
                 print("  " + channel + ": held out " + ", ".join(f"{stage} {value['held_out']}" for stage, value in found.items()))
 
 

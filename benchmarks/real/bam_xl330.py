@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from real.common import DATA, RealSet, machine_of, nrmse, on_rows, recording_of
+from real.common import AS_FILED, DATA, ControllerSide, RealSet, machine_of, nrmse, on_rows, recording_of
 
 from hil.machine import Machine
 from hil.recording import Recording
@@ -94,7 +94,9 @@ def recording(motor: str, trajectory: str, kp: int) -> Recording:
     return recording_of(machine, run.time_s[rows], columns, initial, experiment={"start_pose": [start]})
 
 
-def errors(split: str, machine: Machine, values: np.ndarray | None, effects: Sequence[EffectSetting]) -> dict[str, dict[str, float]]:
+def errors(
+    split: str, machine: Machine, values: np.ndarray | None, effects: Sequence[EffectSetting], side: ControllerSide = AS_FILED
+) -> dict[str, dict[str, float]]:
     """Return the baselines' error of an answer: NRMSE of position and command in free runs of the closed loop, at 200 Hz.
 
     Where recordings go on after the motor is switched off, the error of the position from there is the channel "position, motor off".
@@ -109,6 +111,7 @@ def errors(split: str, machine: Machine, values: np.ndarray | None, effects: Seq
         Plant parameters; None: the machine's own. The joint's damping is back-EMF, and ends with the motor's voltage.
     effects : sequence of EffectSetting
         Besides the machine's own.
+    side : ControllerSide
     """
     found: dict[str, dict[str, float]] = {"position": {}, "command": {}, "position, motor off": {}}
     fast = on_rows(machine, LOOP_Hz, 1)
@@ -116,7 +119,7 @@ def errors(split: str, machine: Machine, values: np.ndarray | None, effects: Seq
     for part, names in zip(("train", "held_out"), README if split.startswith("readme") else BY_GAIN, strict=True):
         pairs: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {channel: [] for channel in found}
         for run in (runs()[name] for name in names):
-            for channel, pair in _free_run(simulators, run, values, (*machine.plant.effects, *effects)).items():
+            for channel, pair in _free_run(simulators, run, values, (*machine.plant.effects, *effects), side).items():
                 pairs[channel].append(pair)
         for channel, both in pairs.items():
             if both:
@@ -125,7 +128,7 @@ def errors(split: str, machine: Machine, values: np.ndarray | None, effects: Seq
 
 
 def _free_run(
-    simulators: Sequence[Simulator], run: Run, values: np.ndarray | None, effects: Sequence[EffectSetting]
+    simulators: Sequence[Simulator], run: Run, values: np.ndarray | None, effects: Sequence[EffectSetting], side: ControllerSide
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Return what simulation and recording have in every channel, at 200 Hz; the simulators are those of the motor on and off."""
     judged_s = np.arange(run.time_s[0], run.time_s[-1], 1.0 / JUDGED_Hz)
@@ -133,8 +136,8 @@ def _free_run(
     on = int(np.sum(is_on > 0.5))  # the first rows: it is never switched on again
     stride = round(LOOP_Hz / JUDGED_Hz)
     fine_s = run.time_s[0] + np.arange(on * stride + 1) / LOOP_Hz
-    goal = np.interp(fine_s + GOAL_EARLY_s, run.time_s, run.goal)[:, None]
-    machine, law = simulators[0].machine, np.array([[V_PER_RAD * run.kp, 0.0, 0.0, 1.0, 0.0, 0.0]])
+    goal = np.interp(fine_s + GOAL_EARLY_s - side.lateness_s, run.time_s, run.goal)[:, None]
+    machine, law = simulators[0].machine, np.array([[side.gain * V_PER_RAD * run.kp, 0.0, 0.0, 1.0, 0.0, 0.0]])
     controlled = Simulator(replace(machine, controllers=(replace(machine.controllers[0], position_sections=law),)))
     start, nothing = np.array([run.position[:FIRST_ROWS].mean()]), np.zeros_like(goal)
     states = {AXIS: {"position": [[0.0, 0.0]]}}

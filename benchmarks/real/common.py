@@ -6,7 +6,7 @@ Scripts that use a set have the folder `benchmarks` on their path: `from real.tx
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,13 +24,50 @@ from virtual_bus.plant.compiled import CompiledPlant
 from virtual_bus.settings import EffectSetting
 
 __all__ = [
-    "DATA", "OpenLoop", "RealSet", "free_run", "friction_along", "machine_of", "mean_efforts",
-    "nrmse", "on_rows", "recording_of", "without_delay",
+    "AS_FILED",
+    "DATA",
+    "ControllerSide",
+    "OpenLoop",
+    "RealSet",
+    "free_run",
+    "friction_along",
+    "machine_of",
+    "mean_efforts",
+    "nrmse",
+    "on_rows",
+    "recording_of",
+    "without_delay",
 ]  # fmt: skip
 
 HERE = Path(__file__).resolve().parent
 PASSES = 8
 """In which friction that is a third of the drives' efforts is found to a ten-thousandth."""
+
+
+@dataclass(frozen=True)
+class ControllerSide:
+    """What an answer says of the controller's side of a machine: numbers that no machine file of today holds.
+
+    Attributes
+    ----------
+    gain : float
+        Of the controller, in units of the file's.
+    lateness_s : float
+        By how much references, or measured efforts, act later than they were recorded.
+    effort_zero, effort_lag_s : float
+        What a measured effort is too large by, and the time constant that it follows the effort with.
+    speed_limit : float
+        Largest speed of a reference [rad/s or m/s].
+    """
+
+    gain: float = 1.0
+    lateness_s: float = 0.0
+    effort_zero: float = 0.0
+    effort_lag_s: float = 0.0
+    speed_limit: float = np.inf
+
+
+AS_FILED = ControllerSide()
 
 
 def machine_of(file: str, **changes: str) -> Machine:

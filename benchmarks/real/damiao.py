@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import scipy.integrate
-from real.common import DATA, RealSet, machine_of, nrmse, on_rows, recording_of
+import scipy.signal
+from real.common import AS_FILED, DATA, ControllerSide, RealSet, machine_of, nrmse, on_rows, recording_of
 
 from hil.machine import Machine
 from hil.recording import Recording
@@ -76,7 +78,9 @@ def read(machine: Machine, motor: int, number: int) -> Recording:
     return recording_of(machine, seconds[rows], columns, initial, experiment={"start_pose": [float(turned[0])]})
 
 
-def errors(split: str, machine: Machine, values: np.ndarray | None, effects: Sequence[EffectSetting]) -> dict[str, dict[str, float]]:
+def errors(
+    split: str, machine: Machine, values: np.ndarray | None, effects: Sequence[EffectSetting], side: ControllerSide = AS_FILED
+) -> dict[str, dict[str, float]]:
     """Return the baselines' error of an answer: NRMSE of torque and speed in free runs of the closed loop, at all recorded rows.
 
     Parameters
@@ -89,13 +93,14 @@ def errors(split: str, machine: Machine, values: np.ndarray | None, effects: Seq
         Plant parameters; None: the machine's own.
     effects : sequence of EffectSetting
         Besides the machine's own.
+    side : ControllerSide
     """
     data = splits()[split]
     simulator = Simulator(on_rows(machine, machine.sample_rate_Hz, machine.plant.substeps))
     motor = split.rsplit(" ", 1)[1]
     found: dict[str, dict[str, float]] = {f"motor_{motor}_{channel}": {} for channel in ("torque", "speed")}
     for part, recordings in (("train", data.train), ("held_out", data.held_out)):
-        runs = [(free_run(simulator, recording, values, effects), recording) for recording in recordings.values()]
+        runs = [(free_run(simulator, recording, values, effects, side), recording) for recording in recordings.values()]
         for column, (channel, name) in enumerate((("torque", f"effort_{AXIS}"), ("speed", f"speed_{AXIS}"))):
             error = nrmse([simulated[column] for simulated, _ in runs], [recording[name] for _, recording in runs])
             found[f"motor_{motor}_{channel}"][part] = error
@@ -103,19 +108,32 @@ def errors(split: str, machine: Machine, values: np.ndarray | None, effects: Seq
 
 
 def free_run(
-    simulator: Simulator, recording: Recording, values: np.ndarray | None, effects: Sequence[EffectSetting]
+    simulator: Simulator, recording: Recording, values: np.ndarray | None, effects: Sequence[EffectSetting], side: ControllerSide = AS_FILED
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return torque and speed (rows,) at the recorded rows, from the commands, by straight lines, and the first speed alone."""
     machine = simulator.machine
     fine_s = np.arange(0.0, recording.time[-1] + 2.0 / machine.sample_rate_Hz, 1.0 / machine.sample_rate_Hz)
-    command = np.interp(fine_s, recording.time, recording[SPEED_COMMAND])
+    machine = replace(
+        machine,
+        controllers=tuple(
+            replace(each, position_sections=each.position_sections * np.array([*[side.gain] * 3, 1.0, 1.0, 1.0]))
+            for each in machine.controllers
+        ),
+    )
+    simulator = Simulator(machine)
+    command = np.interp(fine_s - side.lateness_s, recording.time, recording[SPEED_COMMAND])
+    command = np.clip(command, -side.speed_limit, side.speed_limit)
     start, speed = float(recording[f"position_{AXIS}"][0]), float(recording[f"speed_{AXIS}"][0])
     reference = start + scipy.integrate.cumulative_trapezoid(command, fine_s, initial=0.0)
     nothing = np.zeros((len(fine_s), 1))
     states = _states(machine, command[0] - speed)
     inputs = Inputs(reference[:, None], nothing, nothing, None, np.array([start]), states, np.array([speed]))
     outputs = simulator.run(inputs, values, (*machine.plant.effects, *effects))
-    torque, turning = (np.interp(recording.time, fine_s, column[:, 0]) for column in (outputs.effort, outputs.speed))
+    read = outputs.effort
+    if side.effort_lag_s > 0.0:
+        left = float(np.exp(-1.0 / (side.effort_lag_s * machine.sample_rate_Hz)))
+        read = scipy.signal.lfilter([1.0 - left], [1.0, -left], read, axis=0, zi=left * read[:1])[0]
+    torque, turning = (np.interp(recording.time, fine_s, column[:, 0]) for column in (read + side.effort_zero, outputs.speed))
     torque[0] = recording[f"effort_{AXIS}"][0]  # the metric's first reading is the recorded one
     return torque, turning
 

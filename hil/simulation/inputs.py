@@ -13,6 +13,24 @@ COMPILED_FOR: Final = ("C_CONTIGUOUS", "WRITEABLE")
 
 
 @dataclass(frozen=True)
+class Restarts:
+    """Rows at which a simulation goes on from a given state: the windows of a recording, one after the other, in one run.
+
+    Attributes
+    ----------
+    rows : (R,) int array
+    joints : (F,) int array
+        Which joints are set; the others, such as springs that no sensor follows, keep their simulated state.
+    position, speed : (R, F) arrays
+    """
+
+    rows: np.ndarray
+    joints: np.ndarray
+    position: np.ndarray
+    speed: np.ndarray
+
+
+@dataclass(frozen=True)
 class Inputs:
     """The inputs of a simulation; arrays (N, n_axes) in axis order.
 
@@ -36,6 +54,8 @@ class Inputs:
         As `Feedback.states`; None: integrators at the holding effort.
     first_effort : (n_axes,) array or None
         Beside a command: acts from row 0 on, until the first command does; None: what holds the machine there.
+    restarts : Restarts or None
+        Of machines that run side by side.
     """
 
     reference: np.ndarray | None
@@ -47,6 +67,7 @@ class Inputs:
     start_speed: np.ndarray | None = None
     deviation: np.ndarray | None = None
     first_effort: np.ndarray | None = None
+    restarts: Restarts | None = None
 
     @property
     def standing_pose(self) -> np.ndarray:

@@ -32,6 +32,9 @@ class Given(NamedTuple):
     rows: np.ndarray  # (n, 3) as `controllers.feedback.feedback_step` takes them
     limit: np.ndarray  # (n,)
     target_resolution: np.ndarray  # (n,)
+    restart: np.ndarray  # (N,) which of the states below joints are set to at the row, -1 for none; (0,) where there is no restart
+    begins: np.ndarray  # (R, joints, 2): positions and speeds
+    is_set: np.ndarray  # (joints,) which joints a restart sets
 
 
 class Acting(NamedTuple):
@@ -45,10 +48,11 @@ class Acting(NamedTuple):
     joints: np.ndarray  # (joints,) 1: a lane has friction or an effect with a memory there
 
 
-def loop_record(axes: int, imus: int, sections: int) -> LaneRecord:
-    """Return the record of controllers, sensors and targets of the lanes."""
+def loop_record(joints: int, axes: int, imus: int, sections: int) -> LaneRecord:
+    """Return the record of controllers, sensors and targets of the lanes, and of how far each begins from a restart's state."""
     shapes: dict[str, tuple[int, ...]] = {"state": (max(sections, 1), 2), "imu": (max(6 * imus, 1),)}
-    names = ("target", "effort", "current", "position", "link_position", "speed", "measured_effort", "command")
+    shapes |= {"begin_position": (joints,), "begin_speed": (joints,)}
+    names = ("target", "effort", "current", "position", "link_position", "speed", "measured_effort", "command", "gain")
     return LaneRecord(shapes | {name: (axes,) for name in names})
 
 
@@ -74,7 +78,7 @@ JOINTS, AXES = SIZES
 mass_and_bias, imu = compiled(mass_and_bias_of_one.py_func), compiled(imu_of_one.py_func)
 model_of = side_by_side.model_record(JOINTS, AXES, IMUS, CONSTANTS).view
 side_of = side_by_side.work_record(JOINTS, IMUS).view
-loop_of = lane_kernel.loop_record(AXES, IMUS, SECTIONS).view
+loop_of = lane_kernel.loop_record(JOINTS, AXES, IMUS, SECTIONS).view
 
 
 @compiled
@@ -118,6 +122,26 @@ def see(lane, no_noise, no_rise, imu_motion, currents, state, sensors, effects, 
         loop.imu[k, lane] = readings.imu[k]
 
 
+@compiled
+def begin(state, is_set, acting, states, side, loop):
+    """Set joints to a state, each machine as far from it as its own record says."""
+    for j in range(JOINTS):
+        if is_set[j]:
+            side.position[j] = loop.begin_position[j] + state[j, 0]
+            side.speed[j] = loop.begin_speed[j] + state[j, 1]
+    tell(acting.drives, states, side)
+    tell(acting.sensors, states, side)
+
+
+@compiled
+def tell(lanes, states, side):
+    """Copy positions and speeds to the machines' own states."""
+    for lane in lanes:
+        for j in range(JOINTS):
+            states[lane, j] = side.position[j, lane]
+            states[lane, JOINTS + j] = side.speed[j, lane]
+
+
 @compiled_for_threads
 def run(
     closed, states, models, works, model_memory, side_memory, loop_memory, sensors, effects, memory, readings, scratch, acting, given, rows
@@ -127,6 +151,8 @@ def run(
     efforts, currents, imu_motion, no_rise, no_noise = scratch
     period_s = models[0].steps * models[0].step_s
     for k in range(given.excitation.shape[0]):
+        if given.restart.shape[0] > 0 and given.restart[k] >= 0:
+            begin(given.begins[given.restart[k]], given.is_set, acting, states, side, loop)
         for i in range(AXES):
             loop.effort[i] = quantised(loop.target[i], given.target_resolution[i])
             loop.current[i] = loop.effort[i]
@@ -159,6 +185,7 @@ def run(
                 ahead = filtered(given.sections, first, middle, 0.0 * loop.position[i] + given.reference[k, i], loop)
                 loop.command[i] = ahead - filtered(given.sections, middle, end, loop.position[i], loop)
             if closed:
+                loop.command[i] *= loop.gain[i]
                 loop.command[i] += given.excitation[k, i] + given.feedforward[k, i]
             loop.command[i] = min(max(loop.command[i], -given.limit[i]), given.limit[i])
             loop.target[i] = loop.command[i]
@@ -175,14 +202,8 @@ def run(
             AXIS_JOINTS, IMUS, FIRST_DRIVE, mass_and_bias, friction_of, reaction_of, effort_of, terms_of, limited_by, ripple_of, imu,
             k * period_s, loop.effort, efforts, acting, states, models, works, model, side,
         )
-        for lane in acting.drives:
-            for j in range(JOINTS):
-                states[lane, j] = side.position[j, lane]
-                states[lane, JOINTS + j] = side.speed[j, lane]
-        for lane in acting.sensors:
-            for j in range(JOINTS):
-                states[lane, j] = side.position[j, lane]
-                states[lane, JOINTS + j] = side.speed[j, lane]
+        tell(acting.drives, states, side)
+        tell(acting.sensors, states, side)
 '''
 
 

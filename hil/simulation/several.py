@@ -31,6 +31,23 @@ class Taken(NamedTuple):
 
 
 @dataclass(frozen=True)
+class Own:
+    """What a machine beside others has for itself besides its numbers and effects.
+
+    Attributes
+    ----------
+    gain : (axes,) array
+        Of its controllers, in units of the file's.
+    position, speed : (joints,) arrays
+        How far it begins from the states of restarts.
+    """
+
+    gain: np.ndarray
+    position: np.ndarray
+    speed: np.ndarray
+
+
+@dataclass(frozen=True)
 class Prepared:
     """A prepared run."""
 
@@ -39,6 +56,7 @@ class Prepared:
     target: np.ndarray  # (n,) targets of the drives before row 0
     loop: Loop
     sensors: SensorModel
+    own: Own | None = None
 
 
 def can_be_side_by_side(prepared: Prepared, imus: int) -> bool:
@@ -55,7 +73,7 @@ class SideBySide:
         self._axes, self._imus = len(plant.settings.drives), len(plant.settings.imus)
         self._model = side_by_side.model_record(plant.joints, self._axes, self._imus, plant.constant_count)
         self._side = side_by_side.work_record(plant.joints, self._imus)
-        self._loop = loop_record(self._axes, self._imus, sections)
+        self._loop = loop_record(plant.joints, self._axes, self._imus, sections)
         self._works = plant.new_work()
         self._sensors = compiled_sensors()
 
@@ -73,6 +91,12 @@ class SideBySide:
         works = np.zeros(LANES, self._works.dtype)
         loop, side = self._loop.new(), self._begun(states)
         self._loop.field(loop, "target")[:] = np.array([one.target for one in filled]).T
+        self._loop.field(loop, "gain")[:] = 1.0
+        for lane, one in enumerate(filled):
+            if one.own is not None:
+                self._loop.field(loop, "gain")[:, lane] = one.own.gain
+                self._loop.field(loop, "begin_position")[:, lane] = one.own.position
+                self._loop.field(loop, "begin_speed")[:, lane] = one.own.speed
         first = filled[0].loop
         if len(first.sections):
             self._loop.field(loop, "state")[:] = np.moveaxis(np.array([one.loop.state for one in filled]), 0, -1)
@@ -110,7 +134,20 @@ class SideBySide:
         return Given(
             filled(inputs.reference), filled(inputs.excitation), filled(inputs.feedforward), filled(inputs.command),
             loop.sections, loop.rows, loop.limit, np.array([drive.resolution for drive in self._plant.settings.drives]),
+            *self._restarts(inputs),
         )  # fmt: skip
+
+    def _restarts(self, inputs: Inputs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        joints, of = self._plant.joints, inputs.restarts
+        is_set = np.zeros(joints, dtype=np.bool_)
+        if of is None:
+            return np.zeros(0, dtype=np.int64), np.zeros((0, joints, 2)), is_set
+        numbers = np.full(len(inputs.excitation), -1, dtype=np.int64)
+        numbers[of.rows] = np.arange(len(of.rows))
+        begins = np.zeros((len(of.rows), joints, 2))
+        begins[:, of.joints, 0], begins[:, of.joints, 1] = of.position, of.speed
+        is_set[of.joints] = True
+        return numbers, begins, is_set
 
     def _begun(self, states: np.ndarray) -> np.ndarray:
         n, channels = self._plant.joints, 6 * self._imus

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -17,7 +17,7 @@ from hil.errors import BadAnswerError, BenchError, ExperimentError
 from hil.machine import Machine
 from hil.simulation.inputs import COMPILED_FOR, Inputs
 from hil.simulation.kernel import Loop, Rows, closed_loop_kernel, new_scratch
-from hil.simulation.several import Prepared, SideBySide, Taken, can_be_side_by_side
+from hil.simulation.several import Own, Prepared, SideBySide, Taken, can_be_side_by_side
 from virtual_bus.errors import EmulatorError
 from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.plant.lanes import LANES
@@ -96,18 +96,25 @@ class Simulator:
         return Outputs(rows.command, rows.effort, rows.position, rows.link_position, rows.speed, rows.imu)
 
     def run_all(
-        self, inputs: Inputs, trials: Sequence[tuple[np.ndarray | None, Sequence[EffectSetting] | None]]
+        self,
+        inputs: Inputs,
+        trials: Sequence[tuple[np.ndarray | None, Sequence[EffectSetting] | None]],
+        own: Sequence[Own] | None = None,
     ) -> list[Outputs | BenchError | EmulatorError | ControlError]:
         """Run several machines with their values and effects; return what `run` would return or raise for each.
 
         Several machines run at a time in the processor's vectors (see virtual_bus/plant/lanes.py). The results of a machine differ by
-        rounding from those of `run`, and do not depend on the other machines.
+        rounding from those of `run`, and do not depend on the other machines. `own` is what each has for itself, where one has.
         """
         with ThreadPoolExecutor(1) as threads:
-            return self.begin_all(inputs, trials, threads)()
+            return self.begin_all(inputs, trials, threads, own)()
 
     def begin_all(
-        self, inputs: Inputs, trials: Sequence[tuple[np.ndarray | None, Sequence[EffectSetting] | None]], threads: ThreadPoolExecutor
+        self,
+        inputs: Inputs,
+        trials: Sequence[tuple[np.ndarray | None, Sequence[EffectSetting] | None]],
+        threads: ThreadPoolExecutor,
+        own: Sequence[Own] | None = None,
     ) -> Callable[[], list[Outputs | BenchError | EmulatorError | ControlError]]:
         """Begin `run_all` in threads; return what waits for it and returns the same."""
         found: list[Any] = []
@@ -119,7 +126,7 @@ class Simulator:
 
         for k, (values, effects) in enumerate(trials):
             try:
-                found.append(self._prepared(inputs, values, effects))
+                found.append(replace(self._prepared(inputs, values, effects), own=None if own is None else own[k]))
             except (BenchError, EmulatorError, ControlError) as error:
                 found.append(error)
                 continue
@@ -137,6 +144,8 @@ class Simulator:
                     found[k] = self._of_lane(own, inputs)
             for k, one in enumerate(found):
                 if isinstance(one, Prepared):
+                    if own is not None or inputs.restarts is not None:
+                        raise ValueError(f"{self.machine.name}: an IMU without a low pass runs alone, and takes no restarts")
                     found[k] = self.run_or_error(inputs, *trials[k])
             return found
 

@@ -8,7 +8,10 @@ import pytest
 from places import ROOT
 from test_floors import imports_of
 
-STEPS = ("audit", "observed", "seen", "candidates", "tuned", "free_runs", "named", "predicted", "locating", "separating", "answered")
+STEPS = (
+    "audit", "observed", "seen", "candidates", "tuned", "free_runs", "named", "unknowns", "simulation", "likelihood", "selection",
+    "predicted", "locating", "separating", "answered",
+)  # fmt: skip
 """Folders of `hil/diagnosis`; `report` and the files beside them but LEAVES stand on all."""
 
 LEAVES = ("__init__", "result")

@@ -22,6 +22,10 @@ FEWEST_ROWS = 50
 """Fewer rows say nothing about a motion of second order in several joints."""
 
 
+WIDEST_GAP = 2.5
+"""Between two samples [periods], across which a reading is a straight line."""
+
+
 @dataclass(frozen=True, eq=False)
 class Observed:
     """One recording on N rows.
@@ -103,6 +107,28 @@ class Observed:
     def settings(self) -> PlantSettings:
         """The plant with one step a row."""
         return replace(self.machine.plant, sample_period_s=self.period_s, substeps=1)
+
+
+def between_samples(one: Observed) -> Observed:
+    """Return the same with readings of encoders and speed sensors along straight lines between the samples of an uneven recording.
+
+    The nearest sample is off by what the machine moves in up to half a period.
+    """
+    time = one.recording.time - one.recording.time[0]
+    if one.rows == one.recording.rows and np.allclose(time, one.time + one.begin_s - one.recording.time[0]):
+        return one
+    readings = one.readings.copy()
+    at = one.time + one.begin_s - one.recording.time[0]
+    continuous = {sensor.channel for sensor in one.machine.plant.joint_sensors}
+    for c, channel in enumerate(one.channels):
+        if channel not in continuous:
+            continue
+        values = one.recording[channel]
+        there = np.isfinite(values)
+        after = np.clip(np.searchsorted(time[there], at), 1, int(there.sum()) - 1)
+        is_near = time[there][after] - time[there][after - 1] < WIDEST_GAP * one.period_s
+        readings[:, c] = np.where(is_near, np.interp(at, time[there], values[there]), np.nan)
+    return replace(one, readings=readings)
 
 
 def sensor_channels(machine: Machine) -> tuple[str, ...]:

@@ -1,0 +1,93 @@
+"""Where a fit of free runs begins: the machine whose equations take, along the smoothed motion, what the drives gave.
+
+Errors of the inverse model have no false minima, but noise of accelerations in them: numbers come out biased, and near.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hil.diagnosis.likelihood.fitting import REACH, prior
+from hil.diagnosis.seen.along import Along, Motion
+from hil.diagnosis.seen.assumed import efforts_by_encoders
+from hil.diagnosis.tuned.bounded import bounded_least_squares
+from hil.diagnosis.unknowns.unknowns import Point, Unknowns
+from virtual_bus.errors import EffectError
+
+ITERATIONS = 20
+SETTLED = 1e-3
+"""Share of the cost that a further step must gain."""
+ROWS = 4000
+"""Of all recordings, at most: neighbouring rows say the same."""
+INDEPENDENT = 0.05
+"""Share of the rows that are independent readings: errors of a smoothed motion go together."""
+DAMPINGS = (0.0, 1e-2, 1.0, 100.0)
+
+
+class Inverse:
+    """The inverse model of some recordings.
+
+    Parameters
+    ----------
+    alongs : sequence of Along
+    unknowns : Unknowns
+    """
+
+    def __init__(self, alongs: Sequence[Along], unknowns: Unknowns) -> None:
+        self.unknowns = unknowns
+        self.alongs, self.motions = list(alongs), [_slow(along) for along in alongs]
+        self._joints = sorted(alongs[0].smooth)
+        self._every = max(1, sum(along.observed.rows for along in alongs) // ROWS)
+
+    def errors(self, point: Point) -> np.ndarray:
+        """Return what the motion takes less what is given (rows, followed joints)."""
+        machine = self.unknowns.machine(point)
+        found = []
+        for along, motion in zip(self.alongs, self.motions, strict=True):
+            signals = along.signals(motion, along.model(machine.values, machine.effects), machine.effects)
+            found.append((signals.needed - signals.given)[:: self._every, self._joints])
+        return np.vstack(found)
+
+    def fit(self, point: Point) -> Point:
+        """Return the point that leaves least, from another one on."""
+        errors = self.errors(point)
+        floor = 1e-6 * np.mean(errors**2, axis=0) + 1e-300
+        for _ in range(ITERATIONS):
+            weight = 1.0 / (np.mean(errors**2, axis=0) + floor)
+            steps = point.steps()
+            columns = np.zeros((len(steps), *errors.shape))
+            for k, step in enumerate(steps):
+                try:
+                    moved = self.errors(point.moved(np.where(np.arange(len(steps)) == k, step, 0.0)))
+                except EffectError:
+                    continue
+                columns[k] = (moved - errors) / step
+            squares = INDEPENDENT * np.einsum("pnj,qnj,j->pq", columns, columns, weight, optimize=True)
+            slopes = -INDEPENDENT * np.einsum("pnj,nj,j->p", columns, errors, weight, optimize=True)
+            pull, stiffness = prior(point)
+            cost, tried = self._cost(errors, floor, point), []
+            whole = squares + np.diag(stiffness)
+            for damping in DAMPINGS:
+                step = bounded_least_squares(whole + damping * np.diag(np.diag(whole)), slopes - pull, *point.room(self.unknowns, REACH))
+                there = point.moved(step)
+                its = self.errors(there)
+                tried.append((self._cost(its, floor, there), there, its))
+            best, there, its = min(tried, key=lambda each: each[0])
+            if not best < cost - SETTLED * abs(cost):
+                return there if best < cost else point
+            point, errors = there, its
+        return point
+
+    def _cost(self, errors: np.ndarray, floor: np.ndarray, point: Point) -> float:
+        mean = np.mean(errors**2, axis=0) + floor
+        return float(0.5 * INDEPENDENT * len(errors) * np.sum(np.log(mean)) + np.sum(np.log1p(point.numbers**2)))
+
+
+def _slow(along: Along) -> Motion:
+    """Return the motion with the slow accelerations that encoders show: what is faster is noise for the most part."""
+    motion = efforts_by_encoders(along)[0]
+    for joint, one in along.smooth.items():
+        motion.acceleration[:, joint] = one.slow[:, 2]
+    return motion

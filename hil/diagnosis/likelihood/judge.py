@@ -1,0 +1,175 @@
+"""Errors of free runs over several horizons: each horizon and channel counts by the logarithm of its mean square.
+
+No weight between channels is needed, and none between horizons: a factor in any of them counts alike. What each window begins from is
+known only as well as sensors tell it; what that makes of a window is no error of the machine.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from hil.diagnosis.simulation.windows import MOST_ROWS, Errors, Simulated, Starts
+from hil.diagnosis.unknowns.unknowns import Machine
+
+FOLDS = 4
+"""Blocks of the recordings that are left out in turn."""
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """One recording over one horizon: W windows of L rows, of which some are looked at.
+
+    Attributes
+    ----------
+    run : Simulated
+    horizon : int
+        Which one.
+    window_rows : int or None
+        None: whole recordings.
+    rows, windows : int
+        L and W.
+    picked : (l,) int array
+        Rows of a window that errors are computed at.
+    fold : (W,) int array
+        Which fold each window is in.
+    """
+
+    run: Simulated
+    horizon: int
+    window_rows: int | None
+    rows: int
+    windows: int
+    picked: np.ndarray
+    fold: np.ndarray
+
+    def shaped(self, errors: np.ndarray) -> np.ndarray:
+        """Return errors (W, l, C) of the whole windows of a run (N, C)."""
+        return errors[: self.windows * self.rows].reshape(self.windows, self.rows, -1)[:, self.picked]
+
+
+@dataclass(frozen=True, eq=False)
+class Left:
+    """What one machine leaves: errors (W, l, C) of every block, zero where nothing was read."""
+
+    errors: tuple[np.ndarray, ...]
+
+
+class Judge:
+    """Free runs of machines beside recordings, over some horizons.
+
+    Parameters
+    ----------
+    runs : sequence of Simulated
+    horizons : sequence of float or None
+        [s]; None: whole recordings.
+    jobs : int or None
+        Processors that simulations take at most.
+    """
+
+    def __init__(self, runs: Sequence[Simulated], horizons: Sequence[float | None], jobs: int | None = None) -> None:
+        self.runs, self.horizons, self.jobs = tuple(runs), tuple(horizons), jobs
+        blocks = []
+        every = sum(run.rows for run in runs)
+        for h, horizon in enumerate(horizons):
+            passed = 0
+            for run in runs:
+                whole = run.rows if run.starts else run.rows // FOLDS  # blocks of one run, where it does not begin anew
+                rows = whole if horizon is None else min(run.rows, max(2, round(horizon / run.period_s)))
+                windows = run.rows // rows
+                stride = max(1, every // MOST_ROWS)
+                picked = np.arange(min(stride, rows - 1), rows, stride)
+                middle = passed + (np.arange(windows) + 0.5) * rows
+                fold = np.minimum((middle * FOLDS / every).astype(np.int64), FOLDS - 1)
+                blocks.append(Block(run, h, None if horizon is None else rows, rows, windows, picked, fold))
+                passed += run.rows
+        self.blocks = tuple(blocks)
+        self.present = tuple(np.isfinite(block.shaped(block.run.recorded)) for block in self.blocks)
+        self.noise = np.sqrt(np.mean([run.noise**2 for run in runs], axis=0))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Horizons and channels."""
+        return len(self.horizons), len(self.runs[0].channels)
+
+    @cached_property
+    def counts(self) -> np.ndarray:
+        """Readings (H, C) that errors are computed at."""
+        found = np.zeros(self.shape)
+        for block, present in zip(self.blocks, self.present, strict=True):
+            found[block.horizon] += present.sum(axis=(0, 1))
+        return np.maximum(found, 1.0)
+
+    @cached_property
+    def counts_of_folds(self) -> np.ndarray:
+        """The same (FOLDS, H, C) of the windows of each fold."""
+        found = np.zeros((FOLDS, *self.shape))
+        for block, present in zip(self.blocks, self.present, strict=True):
+            np.add.at(found[:, block.horizon], block.fold, present.sum(axis=1).astype(float))
+        return found
+
+    @cached_property
+    def moved(self) -> np.ndarray:
+        """Mean square (H, C) of what was read, about the first reading of its window."""
+        found = np.zeros(self.shape)
+        for block, present in zip(self.blocks, self.present, strict=True):
+            values = block.shaped(block.run.recorded)
+            filled = np.where(present, values, np.nan)
+            first = np.nanmean(np.where(np.cumsum(present, axis=1) == 1, filled, np.nan), axis=1, keepdims=True) if len(values) else values
+            found[block.horizon] += np.nansum((filled - first) ** 2, axis=(0, 1))
+        mean: np.ndarray = np.maximum(found / self.counts, 1e-300)
+        return mean
+
+    def left(self, machines: Sequence[Machine], starts: Sequence[Starts | None] | None = None) -> list[Left | None]:
+        """Return what machines leave; None where a simulation ended early."""
+        begun: list[Callable[[], list[Errors]]] = []
+        from_there = [None] * len(machines) if starts is None else starts
+        with ThreadPoolExecutor(self.jobs or os.cpu_count()) as threads:
+            for k, run in enumerate(self.runs):
+                lengths = [block.window_rows for block in self.blocks[k :: len(self.runs)]]
+                begun.append(run.begin(machines, from_there, lengths, threads))
+            every = [ended() for ended in begun]
+        found: list[Left | None] = []
+        for k in range(len(machines)):
+            own = [errors[k] for errors in every]
+            if any(one is None for one in own):
+                found.append(None)
+                continue
+            parts = [one[h] for h in range(len(self.horizons)) for one in own if one is not None]
+            shaped = [
+                np.where(present, block.shaped(part), 0.0) for block, part, present in zip(self.blocks, parts, self.present, strict=True)
+            ]
+            found.append(Left(tuple(shaped)) if all(np.isfinite(one).all() for one in shaped) else None)
+        return found
+
+    def squares(self, errors: Sequence[np.ndarray], fold: int | None = None) -> np.ndarray:
+        """Return sums of squares (H, C), of the windows of one fold where one is given."""
+        found = np.zeros(self.shape)
+        for block, own in zip(self.blocks, errors, strict=True):
+            used = own if fold is None else own[block.fold == fold]
+            found[block.horizon] += np.einsum("wlc,wlc->c", used, used)
+        return found
+
+    def mean_squares(self, errors: Sequence[np.ndarray]) -> np.ndarray:
+        """Return mean squares (H, C) of errors, and of what sensors are known to err by."""
+        mean: np.ndarray = self.squares(errors) / self.counts + self.noise**2
+        return mean
+
+    def weights_of(self, errors: Sequence[np.ndarray]) -> np.ndarray:
+        """Return how many independent readings (H, C) errors count as: horizons alike, so that none outweighs the others.
+
+        Errors that keep their sign for long say one thing for long. Windows of several lengths show the same rows.
+        """
+        found = np.zeros(self.shape)
+        for block, own, present in zip(self.blocks, errors, self.present, strict=True):
+            centred = own - own.sum(axis=1, keepdims=True) / np.maximum(present.sum(axis=1, keepdims=True), 1)
+            crossed = (centred[:, 1:] * centred[:, :-1] < 0.0).sum(axis=(0, 1))
+            found[block.horizon] += np.minimum(crossed + block.windows, present.sum(axis=(0, 1)))
+        alike: np.ndarray = np.exp(np.mean(np.log(np.maximum(found, 1.0)), axis=0)) / len(self.horizons)
+        every: np.ndarray = np.tile(np.maximum(alike, 1.0), (len(self.horizons), 1))
+        return every

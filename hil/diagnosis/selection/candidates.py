@@ -1,0 +1,257 @@
+"""Laws that a machine may lack, and what each would explain beside what it has: simulated, one small trial a column."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.ndimage
+
+from hil.diagnosis.candidates.columns import Column
+from hil.diagnosis.candidates.entries import Entry, columns_of, entries
+from hil.diagnosis.likelihood.fitting import REACH, Fit, Fitting, prior
+from hil.diagnosis.likelihood.inverse import Inverse
+from hil.diagnosis.tuned.bounded import bounded_least_squares
+from hil.diagnosis.unknowns.unknowns import Machine, Point
+from virtual_bus.effects.law import SMOOTHED
+from virtual_bus.errors import EffectError
+
+SMALL = 0.02
+"""Of an effort, or of a reading's scatter, that a law is tried at: equations are linear nearby only."""
+OWN = 1e-6
+"""Share of a column's square that must be its own."""
+
+
+def library(inverse: Inverse, machine: Machine) -> list[tuple[Entry, np.ndarray]]:
+    """Return the laws of all effects at all places beside a machine, with weights at which each is small."""
+    alongs, motions = inverse.alongs, inverse.motions
+    signals = [
+        along.signals(motion, along.model(machine.values, machine.effects), machine.effects)
+        for along, motion in zip(alongs, motions, strict=True)
+    ]
+    asked = [_evened(each.given - each.needed)[None] for each in signals]
+    inertias = alongs[0].plant.inertias(alongs[0].model(machine.values), motions[0].position[0])
+    plain = [along.signals(motion, along.model(machine.values)) for along, motion in zip(alongs, motions, strict=True)]
+    found = []
+    for law in entries(alongs, motions, plain, machine.values, asked, inertias):
+        columns = columns_of(law, alongs, motions, plain, machine.values)
+        if columns:
+            efforts = [np.sqrt(np.mean(each.needed**2, axis=0)) + 1e-12 for each in plain]
+            readings = [np.nanstd(np.hstack([a.observed.readings, a.observed.currents]), axis=0) for a in alongs]
+            found.append((law, _small(columns, efforts, readings)))
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """A fitted machine with laws beside it, as far as equations are linear.
+
+    Attributes
+    ----------
+    fit : Fit
+    laws : tuple of Entry
+    parts : tuple of slice
+        Which unknowns are each law's weights.
+    squares, slopes : (FOLDS, P + Q, P + Q), (FOLDS, P + Q) arrays
+        Normal equations of each fold's windows, of the machine's own unknowns and parameters and then of the laws'.
+    """
+
+    fit: Fit
+    laws: tuple[Entry, ...]
+    parts: tuple[slice, ...]
+    squares: np.ndarray
+    slopes: np.ndarray
+
+    @property
+    def own(self) -> int:
+        """Number of the machine's own unknowns and parameters."""
+        return len(self.fit.point.steps())
+
+
+def beside(fitting: Fitting, here: Fit, laws: Sequence[tuple[Entry, np.ndarray]]) -> Beside:
+    """Simulate what each law changes beside a fitted machine."""
+    here = here if here.slopes is not None else fitting.with_slopes(here)
+    base = fitting.unknowns.machine(here.point)
+    machines: list[Machine] = []
+    sizes: list[float] = []
+    parts: list[slice] = []
+    used: list[Entry] = []
+    own = len(here.columns[0])
+    for law, weights in laws:
+        if (law.effect.name, law.at) in here.point.names and not law.effect.several:
+            continue
+        trials = [law.setting(np.where(np.arange(len(weights)) == k, weight, 0.0)) for k, weight in enumerate(weights)]
+        parts.append(slice(own + len(machines), own + len(machines) + len(trials)))
+        machines += [replace(base, effects=(*base.effects, trial)) for trial in trials]
+        sizes += weights.tolist()
+        used.append(law)
+    columns = [np.zeros((own + len(machines), *errors.shape), dtype=np.float32) for errors in here.left.errors]
+    for whole, known in zip(columns, here.columns, strict=True):
+        whole[:own] = known
+    for begin in range(0, len(machines), AT_ONCE):
+        try:
+            found = fitting.judge.left(machines[begin : begin + AT_ONCE])
+        except EffectError:
+            continue
+        for k, one in enumerate(found, begin):
+            if one is not None:
+                for whole, before, after in zip(columns, here.left.errors, one.errors, strict=True):
+                    whole[own + k] = (after - before) / sizes[k]
+    slopes = fitting.slopes_of(here, columns)
+    return Beside(here, tuple(used), tuple(parts), slopes.squares, slopes.slopes)
+
+
+def gain_left_out(
+    squares: np.ndarray, slopes: np.ndarray, kept: np.ndarray, held: np.ndarray, point: Point, own: int, room: tuple[np.ndarray, np.ndarray]
+) -> float:
+    """Return what log likelihood of left-out windows gains by fitting some unknowns, as far as equations are linear.
+
+    Parameters
+    ----------
+    squares, slopes : (FOLDS, M, M), (FOLDS, M) arrays
+    kept : (K,) int array
+        Unknowns that are fitted.
+    held : (M,) array
+        What the others change by.
+    point : Point
+    own : int
+        The first so many unknowns are the point's.
+    room : pair of (M,) arrays
+    """
+    pull, stiffness = prior(point)
+    pulls, stiff = np.zeros(len(held)), np.zeros(len(held))
+    pulls[:own], stiff[:own] = pull, stiffness
+    whole_squares, whole_slopes = squares.sum(axis=0), slopes.sum(axis=0)
+    gained = 0.0
+    for fold in range(len(squares)):
+        others_squares = whole_squares - squares[fold] + np.diag(stiff)
+        others_slopes = whole_slopes - slopes[fold] - pulls - others_squares @ held
+        inner = others_squares[np.ix_(kept, kept)]
+        inner = inner + OWN * np.diag(np.diag(inner)) + 1e-300 * np.eye(len(kept))
+        step = held.copy()
+        try:
+            step[kept] += bounded_least_squares(inner, others_slopes[kept], room[0][kept], room[1][kept])
+        except np.linalg.LinAlgError:  # columns that are each other's, to single precision
+            return -np.inf
+        gained += float(slopes[fold] @ step - 0.5 * step @ squares[fold] @ step)
+    return gained
+
+
+def added(of: Beside, room: tuple[np.ndarray, np.ndarray], worth: float, most: int) -> list[tuple[Entry, np.ndarray, float]]:
+    """Return laws that would predict better what is left out, one after the other, with their weights and what each gains."""
+    own, size = of.own, of.squares.shape[1]
+    low, high = (np.concatenate([side, np.zeros(size - own)]) for side in room)
+    for law, part in zip(of.laws, of.parts, strict=True):
+        low[part], high[part] = law.law.lowest, law.law.highest
+    none = np.zeros(size)
+    kept = np.arange(own)
+    best = gain_left_out(of.squares, of.slopes, kept, none, of.fit.point, own, (low, high))
+    chosen: list[tuple[int, float]] = []
+    promising = list(range(len(of.laws)))
+    while len(chosen) < most and promising:
+        gains = {}
+        for number in promising:
+            columns = np.arange(of.parts[number].start, of.parts[number].stop)
+            gains[number] = gain_left_out(of.squares, of.slopes, np.append(kept, columns), none, of.fit.point, own, (low, high)) - best
+        number = max(gains, key=lambda each: gains[each])
+        if gains[number] < worth:
+            break
+        chosen.append((number, gains[number]))
+        best += gains[number]
+        kept = np.append(kept, np.arange(of.parts[number].start, of.parts[number].stop))
+        name = (of.laws[number].effect.name, of.laws[number].at)
+        promising = [
+            other
+            for other in promising
+            if gains[other] > 0.0
+            and other != number
+            and ((of.laws[other].effect.name, of.laws[other].at) != name or of.laws[other].effect.several)
+        ]
+    step = _weights(of, kept, (low, high))
+    return [(of.laws[number], step[of.parts[number]], gain) for number, gain in chosen]
+
+
+def alone_laws(of: Beside, room: tuple[np.ndarray, np.ndarray], worth: float, most: int) -> list[tuple[Entry, np.ndarray]]:
+    """Return the laws that alone would predict best what is left out, one an effect and place, with their weights."""
+    own, size = of.own, of.squares.shape[1]
+    low, high = (np.concatenate([side, np.zeros(size - own)]) for side in room)
+    none, kept = np.zeros(size), np.arange(own)
+    for law, part in zip(of.laws, of.parts, strict=True):
+        low[part], high[part] = law.law.lowest, law.law.highest
+    before = gain_left_out(of.squares, of.slopes, kept, none, of.fit.point, own, (low, high))
+    best: dict[tuple[str, str], tuple[float, int]] = {}
+    for number, (law, part) in enumerate(zip(of.laws, of.parts, strict=True)):
+        columns = np.append(kept, np.arange(part.start, part.stop))
+        gain = gain_left_out(of.squares, of.slopes, columns, none, of.fit.point, own, (low, high)) - before
+        name = (law.effect.name, law.at)
+        if gain > worth and (name not in best or gain > best[name][0]):
+            best[name] = gain, number
+    found = []
+    for _, number in sorted(best.values(), reverse=True)[:most]:
+        part = of.parts[number]
+        found.append((of.laws[number], _weights(of, np.append(kept, np.arange(part.start, part.stop)), (low, high))[part]))
+    return found
+
+
+def _weights(of: Beside, kept: np.ndarray, room: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Return the step (M,) of some unknowns that fits all windows best, as far as equations are linear."""
+    own = of.own
+    pull, stiffness = prior(of.fit.point)
+    squares, slopes = of.squares.sum(axis=0), of.slopes.sum(axis=0)
+    squares[range(own), range(own)] += stiffness
+    slopes[:own] -= pull
+    inner = squares[np.ix_(kept, kept)]
+    step = np.zeros(len(slopes))
+    step[kept] = bounded_least_squares(
+        inner + OWN * np.diag(np.diag(inner)) + 1e-300 * np.eye(len(kept)), slopes[kept], room[0][kept], room[1][kept]
+    )
+    return step
+
+
+def missed(fitting: Fitting, fit: Fit) -> list[float]:
+    """Return what log likelihood of left-out windows loses without each effect, all numbers free, as far as equations are linear."""
+    fit = fitting.with_slopes(replace(fit, point=replace(fit.point, held=frozenset())))
+    assert fit.slopes is not None
+    point = fit.point
+    own, free = len(point.steps()), len(point.free)
+    room = point.room(fitting.unknowns, REACH)
+    squares, slopes = fit.slopes.squares, fit.slopes.slopes
+    everything = gain_left_out(squares, slopes, np.arange(own), np.zeros(own), point, own, room)
+    found = []
+    for number in range(len(point.settings)):
+        kept, held = list(range(free)), np.zeros(own)
+        for k, (which, parameter) in enumerate(point.parameters, free):
+            if which != number:
+                kept.append(k)
+            elif parameter.is_strength:
+                held[k] = parameter.neutral - point.settings[which].parameters[parameter.name]
+        found.append(everything - gain_left_out(squares, slopes, np.array(kept), held, point, own, room))
+    return found
+
+
+AT_ONCE = 64
+"""Machines whose errors are in memory together."""
+
+
+def _small(columns: Sequence[Sequence[Column]], efforts: Sequence[np.ndarray], readings: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the weights (w,) at which a law changes SMALL of an effort, or of a reading's scatter, at most."""
+    most = np.zeros(len(columns[0]))
+    for own, effort, reading in zip(columns, efforts, readings, strict=True):
+        for k, column in enumerate(own):
+            shares = [float(np.sqrt(np.mean(np.square(at, dtype=float)))) / effort[joint] for joint, (at, _) in column.efforts.items()]
+            shares += [
+                float(np.sqrt(np.mean(np.square(change, dtype=float)))) / reading[c]
+                for c, change in column.readings.items()
+                if reading[c] > 0.0
+            ]
+            most[k] = max([most[k], *shares])
+    return np.asarray(SMALL / np.maximum(most, 1e-12))
+
+
+def _evened(missing: np.ndarray) -> np.ndarray:
+    """Return missing efforts (N, n) in units of what is missing beside single lines at each frequency."""
+    spectra = np.fft.rfft(missing, axis=0)
+    power = scipy.ndimage.uniform_filter1d(np.abs(spectra) ** 2, SMOOTHED, axis=0, mode="nearest")
+    evened: np.ndarray = np.fft.irfft(spectra / np.sqrt(np.maximum(power, 1e-300)), len(missing), axis=0)
+    return evened

@@ -1,0 +1,116 @@
+"""The search over sets of effects: laws are added while they predict better what is left out, and left out where they are not missed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hil.diagnosis.candidates.entries import Entry
+from hil.diagnosis.likelihood.fitting import REACH, Fit, Fitting
+from hil.diagnosis.likelihood.inverse import Inverse
+from hil.diagnosis.selection.candidates import added, alone_laws, beside, library, missed
+from virtual_bus.effects.registry import effects
+from virtual_bus.settings import EffectSetting
+
+ROUNDS = 4
+"""In which laws are added and left out."""
+MOST_ALONE = 4
+"""Laws that are tried each alone, where those that promise most together do not keep it."""
+MOST_AT_ONCE = 6
+"""Laws that are added together."""
+TESTED = 3.0
+"""Times what an effect must bring: one that promises to be missed by less is left out for a trial."""
+MATERIAL = 1.1
+"""Factor by which errors must become smaller with an effect that is not everyday: laws are right to a tenth, and so is what is left of
+them."""
+WORTH = 3.0
+"""Gain of log likelihood, by what was left out, that an effect must bring: one in twenty by chance, where log likelihood is as it says."""
+
+
+class Search:
+    """Sets of effects beside each other, by what each left out.
+
+    Parameters
+    ----------
+    fitting : Fitting
+    inverse : Inverse
+        Along whose motion laws begin.
+    say : callable
+        Told what was tried.
+    """
+
+    def __init__(self, fitting: Fitting, inverse: Inverse, say: Callable[[str], None]) -> None:
+        self.fitting, self.inverse, self.say = fitting, inverse, say
+        self._scores: dict[int, np.ndarray] = {}
+        self._fits: list[Fit] = []  # kept, so that an identity is one fit's
+        self._material = float(np.sum(fitting.weights)) * math.log(MATERIAL)
+
+    def scores(self, fit: Fit) -> np.ndarray:
+        """Return the negative log likelihood of each fold that was left out, computed once."""
+        if id(fit) not in self._scores:
+            self._scores[id(fit)] = self.fitting.scores(fit)
+            self._fits.append(fit)
+        return self._scores[id(fit)]
+
+    def score(self, fit: Fit) -> float:
+        """Return that of all folds."""
+        return float(self.scores(fit).sum())
+
+    def is_better(self, one: Fit, other: Fit, worth: float) -> bool:
+        """Return whether a fit predicts better than another, by so much and by more than folds differ about it."""
+        gains = self.scores(other) - self.scores(one)
+        return bool(gains.sum() > max(worth, float(np.sqrt(len(gains)) * gains.std(ddof=1))))
+
+    def worth(self, setting: EffectSetting) -> float:
+        """Return the gain of log likelihood that an effect must bring."""
+        return WORTH if effects()[setting.name].everyday else max(WORTH, self._material)
+
+    def best(self, start: Fit) -> Fit:
+        """Add laws that predict better what is left out, leave out those that are not missed, until nothing changes."""
+        best = self.without_needless(start)
+        for _ in range(ROUNDS):
+            longer = self.with_further(best)
+            longer = best if longer is best else self.without_needless(longer)
+            if longer.point.names == best.point.names or not self.is_better(longer, best, 0.0):
+                return best
+            best = longer
+        return best
+
+    def with_further(self, fit: Fit) -> Fit:
+        """Return the fit with laws that promise most: all that do, or else the best of the first few alone."""
+        of = beside(self.fitting, fit, library(self.inverse, self.fitting.unknowns.machine(fit.point)))
+        room = fit.point.room(self.fitting.unknowns, REACH)
+        found = added(of, room, self._material, MOST_AT_ONCE)
+        self.say("promising: " + ", ".join(f"{law.effect.name}@{law.at} {gain:.1f}" for law, _, gain in found))
+        if len(found) > 1 and (longer := self._longer(fit, [(law, weights) for law, weights, _ in found])) is not None:
+            return longer
+        alone = [self._longer(fit, [each]) for each in alone_laws(of, room, self._material, MOST_ALONE)]
+        return min((each for each in alone if each is not None), key=self.score, default=fit)
+
+    def _longer(self, fit: Fit, laws: Sequence[tuple[Entry, np.ndarray]]) -> Fit | None:
+        """Return the fit with further laws; None where it does not predict better what is left out, by as much as laws must."""
+        settings = (*fit.point.settings, *(law.setting(weights) for law, weights in laws))
+        longer = self.fitting.fit(self.fitting.based(replace(fit.point, settings=settings)))
+        if longer is None:
+            return None
+        self.say(f"  with {', '.join(law.effect.name for law, _ in laws)}: score {self.score(longer) - self.score(fit):.1f}")
+        return longer if self.is_better(longer, fit, self._material) else None
+
+    def without_needless(self, fit: Fit) -> Fit:
+        """Return the fit without the laws that what is left out does not miss."""
+        while fit.point.settings:
+            settings = fit.point.settings
+            losses = [loss / self.worth(settings[k]) for k, loss in enumerate(missed(self.fitting, fit))]
+            least = int(np.argmin(losses))
+            if losses[least] > TESTED:
+                return fit
+            sparer = self.fitting.fit(self.fitting.based(replace(fit.point, settings=(*settings[:least], *settings[least + 1 :]))))
+            if sparer is None or self.is_better(fit, sparer, self.worth(settings[least])):
+                return fit
+            gone = f"{settings[least].name} at {settings[least].at}"
+            self.say(f"  without {gone}: foretold {losses[least]:.1f}, score {self.score(sparer) - self.score(fit):.1f}")
+            fit = sparer
+        return fit

@@ -1,0 +1,178 @@
+"""The machine that predicts best what it was not fitted to: sets of effects are proposed, fitted and judged by free runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hil.diagnosis.likelihood.fitting import Fit, Fitting
+from hil.diagnosis.likelihood.inverse import Inverse
+from hil.diagnosis.likelihood.judge import Judge
+from hil.diagnosis.named.everyday import everyday_effects
+from hil.diagnosis.observed.rows import between_samples, observed
+from hil.diagnosis.seen.along import Along
+from hil.diagnosis.selection.search import MATERIAL, Search
+from hil.diagnosis.simulation.closed_loop import ClosedLoop
+from hil.diagnosis.simulation.windows import OpenLoop, Simulated
+from hil.diagnosis.tuned.retuning import ZERO_m, ZERO_rad
+from hil.diagnosis.unknowns.unknowns import Kind, Point, Unknown, Unknowns, numbers_of
+from hil.machine import Machine
+from hil.recording import Recording
+
+HORIZONS_s = (0.1, 0.3, 1.0, 2.0, 6.0)
+"""Of windows in open loop: each longer one begins from what the shorter ones found."""
+NEAR = 0.5
+"""Error of a horizon, as a share of what moves within it, above which a simulation says little more than its drift."""
+FEWEST_WINDOWS, FEWEST_ROWS = 4, 8
+STAMPS = 0.2
+"""Standard deviation of an effort's lateness against a position's in the same row [rows]."""
+STARTS = ((Kind.LATENESS, 0.0), (Kind.LATENESS, 1.0 / STAMPS), (Kind.LATENESS, 2.0 / STAMPS), (Kind.SPEED_LIMIT, 2.0))
+"""From which fits of a closed loop begin: a reference as recorded, one and two rows later, and limited to three quarters of its speed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Selected:
+    """What was found.
+
+    Attributes
+    ----------
+    fitting : Fitting
+    fit : Fit
+    score : float
+        Negative log likelihood of what was left out.
+    baseline : Fit
+        The engineer's.
+    baseline_score : float
+    plain : Fit
+        Numbers alone.
+    """
+
+    fitting: Fitting
+    fit: Fit
+    score: float
+    baseline: Fit
+    baseline_score: float
+    plain: Fit
+    plain_score: float
+
+
+def select(machine: Machine, recordings: Mapping[str, Recording], say: Callable[[str], None] = lambda what: None) -> Selected:
+    """Select effects and numbers by free runs."""
+    every = [between_samples(observed(machine, name, recording)) for name, recording in recordings.items()]
+    alongs = [Along(one) for one in every]
+    closed = bool(machine.controllers) and all(f"reference_{axis}" in one.recording for one in every for axis in machine.axes)
+    runs: list[Simulated] = [
+        ClosedLoop(k, one) if closed else OpenLoop(k, one, along) for k, (one, along) in enumerate(zip(every, alongs, strict=True))
+    ]
+    unknowns = _unknowns(machine, runs, alongs, closed)
+    inverse = Inverse(alongs, unknowns)
+    everyday = everyday_effects(alongs[0])
+    numbers_alone, engineers = inverse.fit(unknowns.start()), inverse.fit(unknowns.start(everyday))
+    say(f"inverse: {_words(unknowns, engineers)}")
+    fitting, fits = _grown(runs, unknowns, [engineers, numbers_alone], closed, say)
+    baseline, plain = fits
+    assert baseline is not None
+    plain = plain if plain is not None else baseline
+    search = Search(fitting, inverse, say)
+    scores = [search.score(one) for one in (baseline, plain)]
+    best = search.best(baseline)
+    return Selected(fitting, best, search.score(best), baseline, scores[0], plain, scores[1])
+
+
+def _unknowns(machine: Machine, runs: Sequence[Simulated], alongs: Sequence[Along], closed: bool) -> Unknowns:
+    found = numbers_of(runs[0].simulator.plant)  # type: ignore[attr-defined]
+    held = {f"{drive.axis}.constant" for drive in machine.plant.drives}
+    kept = [one for one in found.each if one.name not in held or found.plant.parameters[one.place].tolerance is not None]
+    further = [Unknown("lateness", Kind.LATENESS, 0, 0.0, STAMPS * runs[0].period_s)]
+    encoders = {encoder.channel: encoder for encoder in machine.plant.encoders}
+    kinds = {joint.name: joint.kind for joint in machine.plant.tree.joints}
+    for run in runs:
+        for c, channel in enumerate(run.channels):
+            if channel in encoders and not closed:
+                unit = ZERO_m if kinds[encoders[channel].joints[0]] == "prismatic" else ZERO_rad
+                further.append(Unknown(f"{channel}.zero", Kind.ZERO, c, 0.0, unit, recording=run.number))
+    if closed:
+        for axis, name in enumerate(machine.axes):
+            further.append(Unknown(f"{name}.controller_gain", Kind.GAIN, axis, 1.0, 0.15, is_log=True))
+            values = np.concatenate([run.recorded[:, c] for run in runs for c, a in run.axis_of.items() if a == axis])  # type: ignore[attr-defined]
+            fastest = max(float(np.abs(np.diff(run.recorded_reference[:, axis]) / np.diff(run.recorded_time)).max()) for run in runs)  # type: ignore[attr-defined]
+            if fastest > 0.0:
+                further.append(Unknown(f"{name}.speed_limit", Kind.SPEED_LIMIT, axis, fastest, -0.15, is_log=True))
+            if len(values):
+                size = max(float(np.nanstd(values)), 1e-9)
+                further.append(Unknown(f"{name}.effort_zero", Kind.EFFORT_ZERO, axis, 0.0, 0.1 * size))
+                further.append(Unknown(f"{name}.effort_lag", Kind.EFFORT_LAG, axis, 0.0, runs[0].period_s, is_left_out=True))
+    return replace(found, each=(*kept, *further))
+
+
+def _grown(
+    runs: Sequence[Simulated], unknowns: Unknowns, points: Sequence[Point], closed: bool, say: Callable[[str], None]
+) -> tuple[Fitting, list[Fit | None]]:
+    """Fit machines to longer and longer windows; return the last fits.
+
+    A longer window is kept while its error stays below NEAR of what moves in it, and shorter ones do not become worse for it: where a
+    machine falls, a long window tells more of where it began than of its laws.
+    """
+    total, longest = sum(run.rows * run.period_s for run in runs), max(run.rows * run.period_s for run in runs)
+    grid: list[float | None] = [None]
+    if not closed:
+        fits_in = [h for h in HORIZONS_s if h >= FEWEST_ROWS * runs[0].period_s and h * FEWEST_WINDOWS <= total and h < longest]
+        grid = [*fits_in, *([None] if longest < HORIZONS_s[-1] else [])] or [None]
+    points, kept = list(points), None
+    which: tuple[float | None, ...] = ()
+    for horizon in grid:
+        judge = Judge(runs, (*which, horizon))
+        fitting = Fitting(judge, unknowns, np.full(judge.shape, 50.0))
+        (first,) = fitting.at(points[:1])
+        if first is None:
+            break
+        fitting = fitting.with_weights(judge.weights_of(first.reduced))
+        before = fitting.at(points[:1])[0]
+        assert before is not None
+        if kept is None:
+            held = fitting.with_base_numbers(before).point.held
+            points = [replace(point, held=held) for point in points]
+        found = [_best(fitting, point, closed) for point in points]
+        if found[0] is None:
+            break
+        relative = np.sqrt(found[0].mean_squares / judge.moved)
+        worse = float(np.sqrt(np.max((found[0].mean_squares / before.mean_squares)[:-1], initial=0.0)))
+        say(f"horizon {horizon}: errors {relative.round(4).tolist()}, weights {fitting.weights.round(0).tolist()}, shorter x {worse:.2f}")
+        if kept is not None and (float(relative[-1].max()) > NEAR or worse > MATERIAL):
+            break
+        which = judge.horizons
+        kept = fitting, found
+        points = [point if one is None else one.point for one, point in zip(found, points, strict=True)]
+    assert kept is not None
+    fitting, found = kept
+    assert found[0] is not None
+    fitting = fitting.with_weights(fitting.judge.weights_of(found[0].reduced))
+    return fitting, [None if one is None else fitting.fit(one.point) for one in found]
+
+
+def _best(fitting: Fitting, point: Point, closed: bool) -> Fit | None:
+    """Return the best fit from a point on and, in closed loop, from others whose reference is later or limited.
+
+    Inertias imitate a lateness and the other way round, and a limit does nothing before it is reached.
+    """
+    which = {one.kind: k for k, one in enumerate(fitting.unknowns.each) if k not in point.held}
+    found = []
+    for kind, shift in STARTS if closed else ((Kind.LATENESS, 0.0),):
+        numbers = point.numbers.copy()
+        if kind in which:
+            numbers[which[kind]] += shift
+        elif shift:
+            continue
+        fit = fitting.fit(replace(point, numbers=numbers))
+        found += [] if fit is None else [fit]
+    return min(found, key=lambda each: each.cost, default=None)
+
+
+def _words(unknowns: Unknowns, point: Point) -> str:
+    numbers = {one.name: round(float(at), 2) for one, at in zip(unknowns.each, point.numbers, strict=True) if abs(at) > 0.5}
+    laws = [
+        f"{each.name}@{each.at} " + ", ".join(f"{key} {value:.3g}" for key, value in each.parameters.items()) for each in point.settings
+    ]
+    return f"{numbers} {laws}"

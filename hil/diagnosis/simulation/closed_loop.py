@@ -1,0 +1,143 @@
+"""Free runs of the closed loop beside one recording, from its reference on: nothing else that was recorded enters a run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import scipy.signal
+
+from hil.diagnosis.audit.controller import controllers_of
+from hil.diagnosis.observed.rows import Observed
+from hil.diagnosis.simulation.windows import Errors, Starts
+from hil.diagnosis.unknowns.unknowns import Machine
+from hil.machine import Machine as Bench
+from hil.recording import Recording
+from hil.simulation import Inputs, Outputs, Simulator
+from hil.simulation.several import Own
+from hil.simulation.smooth import simulated_matrix, smooth
+
+HELD = ("excitation", "feedforward", "damping")
+"""Channels of an axis that act besides its reference."""
+
+
+class ClosedLoop:
+    """Free runs of the machine under the controller that a recording was made with.
+
+    Parameters
+    ----------
+    number : int
+        Of the recording.
+    observed : Observed
+    """
+
+    def __init__(self, number: int, observed: Observed) -> None:
+        recording = observed.recording
+        self.number = number
+        self.simulator = Simulator(smooth(controllers_of(observed.machine, recording)))
+        machine = self.simulator.machine
+        self.known = observed.machine.plant.effects
+        self.recorded_time = recording.time - recording.time[0]
+        rate = machine.sample_rate_Hz
+        self._ticks = np.arange(int(np.floor(self.recorded_time[-1] * rate + 1e-6)) + 1) / rate
+        sensors = [sensor.channel for sensor in machine.plant.joint_sensors]
+        efforts = [f"{'current' if units.effort == 'A' else 'effort'}_{units.axis}" for units in machine.units]
+        commands = [f"command_{axis}" for axis in machine.axes]
+        given = [effort if _has(recording, effort) else command for effort, command in zip(efforts, commands, strict=True)]
+        self.channels = tuple(name for name in (*sensors, *given) if _has(recording, name))
+        self.axis_of = {c: given.index(name) for c, name in enumerate(self.channels) if name in given}
+        self.recorded = np.column_stack([recording[name] for name in self.channels])
+        self.rows, self.period_s = recording.rows, float(np.median(np.diff(self.recorded_time)))
+        self.noise = np.array([max(_rounding(machine, name), 1e-6 * float(np.nanstd(recording[name]))) for name in self.channels])
+        self.starts: tuple[Starts, ...] = ()
+        initial = recording.metadata.get("initial", {})
+        self._states = initial.get("controller_states")
+        self._speed = None if initial.get("speeds") is None else np.array(initial["speeds"], dtype=float)
+        pose = recording.experiment.get("start_pose")
+        self._pose = np.array(pose, dtype=float) if pose is not None else _first(machine.axes, recording)
+        self.recorded_reference = np.column_stack([recording[f"reference_{axis}"] for axis in machine.axes])
+        self._besides = {
+            name: np.column_stack(
+                [recording[f"{name}_{axis}"] if f"{name}_{axis}" in recording else 0.0 * self.recorded_time for axis in machine.axes]
+            )
+            for name in HELD
+        }
+
+    def _on_ticks(self, columns: np.ndarray, lateness_s: float) -> np.ndarray:
+        return np.column_stack([np.interp(self._ticks - lateness_s, self.recorded_time, column) for column in columns.T])
+
+    def begin(
+        self, machines: Sequence[Machine], starts: Sequence[Starts | None], windows: Sequence[int | None], threads: ThreadPoolExecutor
+    ) -> Callable[[], list[Errors]]:
+        """Begin to run machines over the whole recording; return what waits for their errors."""
+        if tuple(windows) != (None,):
+            raise ValueError(f"a closed loop runs through whole recordings, not through windows of {windows} rows")
+        groups: dict[tuple[float, tuple[tuple[int, float], ...]], list[int]] = {}
+        for k, machine in enumerate(machines):
+            groups.setdefault((machine.lateness_s, machine.speed_limit), []).append(k)
+        waiting = []
+        joints = self.simulator.plant.joints
+        for (lateness, limits), members in groups.items():
+            besides = {name: self._on_ticks(values, lateness) for name, values in self._besides.items()}
+            reference = _limited(self._on_ticks(self.recorded_reference, lateness), limits, self.simulator.machine.sample_rate_Hz)
+            excitation = besides["excitation"] + besides["damping"]
+            inputs = Inputs(reference, excitation, besides["feedforward"], None, self._pose, self._states, self._speed)
+            trials = [(machines[k].values, (*self.known, *machines[k].effects)) for k in members]
+            own = [Own(machines[k].gain, np.zeros(joints), np.zeros(joints)) for k in members]
+            waiting.append((members, self.simulator.begin_all(inputs, trials, threads, own)))
+
+        def ended() -> list[Errors]:
+            found: list[Errors] = [None] * len(machines)
+            for members, outputs in waiting:
+                for k, one in zip(members, outputs(), strict=True):
+                    found[k] = self._off(machines[k], one)
+            return found
+
+        return ended
+
+    def _off(self, machine: Machine, outputs: object) -> Errors:
+        if not isinstance(outputs, Outputs):
+            return None
+        simulated = simulated_matrix(self.simulator.machine, outputs, self.channels)
+        off = np.empty_like(self.recorded)
+        for c in range(len(self.channels)):
+            values = simulated[:, c]
+            if c in self.axis_of:
+                lag = machine.effort_lag_s.get(self.axis_of[c], 0.0)
+                if lag > 0.0:
+                    left = float(np.exp(-1.0 / (lag * self.simulator.machine.sample_rate_Hz)))
+                    values = scipy.signal.lfilter([1.0 - left], [1.0, -left], values, zi=[left * values[0]])[0]
+                values = values + machine.effort_zero.get(self.axis_of[c], 0.0)
+            off[:, c] = np.interp(self.recorded_time, self._ticks, values) + machine.zeros.get((self.number, c), 0.0) - self.recorded[:, c]
+        return (off,)
+
+
+def _limited(reference: np.ndarray, limits: Sequence[tuple[int, float]], rate_Hz: float) -> np.ndarray:
+    """Return references (N, axes) whose steps are no faster than their axis' limit: what is cut off is not made up for."""
+    for axis, limit in limits:
+        steps = np.diff(reference[:, axis])
+        most = limit / rate_Hz
+        if np.abs(steps).max(initial=0.0) > most:
+            reference[1:, axis] = reference[0, axis] + np.cumsum(np.clip(steps, -most, most))
+    return reference
+
+
+def _has(recording: Recording, name: str) -> bool:
+    return name in recording and bool(np.isfinite(recording[name]).any())
+
+
+def _rounding(machine: Bench, name: str) -> float:
+    """Return the rms error of a channel's steps."""
+    for sensor in (*machine.plant.joint_sensors, *machine.plant.currents):
+        if sensor.channel == name:
+            return float(sensor.resolution / np.sqrt(12.0))
+    return 0.0
+
+
+def _first(axes: Sequence[str], recording: Recording) -> np.ndarray:
+    pose = np.zeros(len(axes))
+    for i, axis in enumerate(axes):
+        values = recording[f"position_{axis}"]
+        pose[i] = values[np.isfinite(values)][0]
+    return pose
