@@ -13,6 +13,7 @@ from hil.diagnosis.result import Diagnosis, EffectAt, Estimate, Finding, NoiseKi
 from hil.diagnosis.seen.see import Seen
 from hil.diagnosis.separating.next_experiment import Proposal
 from hil.machine import Machine
+from virtual_bus.effects.bounds import effect_at
 from virtual_bus.effects.effect import Parameter
 from virtual_bus.effects.places import drive_unit, is_prismatic
 from virtual_bus.effects.registry import effects
@@ -100,7 +101,7 @@ def estimates_of(settings: PlantSettings, fitted: Fitted, spread: np.ndarray) ->
     tables = []
     for k, setting in enumerate(fitted.settings):
         table = {}
-        for parameter in effects()[setting.name].parameters:
+        for parameter in effect_at(setting.name, setting.at, settings).parameters:
             value = float(setting.parameters[parameter.name])
             reach = WITHIN_95 * free.get((k, parameter.name), 0.0)
             low, high = max(value - reach, parameter.low), min(value + reach, parameter.high)

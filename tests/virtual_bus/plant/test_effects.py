@@ -43,7 +43,7 @@ def test_effects_are_bound_with_the_units_of_their_joint() -> None:
         ({"name": "coulomb_frction", "at": "rail", "Fc_N": 1.0}, "did you mean coulomb_friction"),
         ({"at": "rail", "Fc_N": 1.0}, "no such effect"),
         ({"name": "coulomb_friction", "Fc_N": 1.0}, "rail"),
-        ({"name": "coulomb_friction", "at": "block", "Fc_N": 1.0}, "acts at an axis"),
+        ({"name": "coulomb_friction", "at": "imu", "Fc_N": 1.0}, "acts at an axis or body"),
         ({"name": "coulomb_friction", "at": "rail", "Fc_Nm": 1.0}, "it takes Fc_N"),
         ({"name": "coulomb_friction", "at": "rail"}, "Fc_N is missing"),
         ({"name": "coulomb_friction", "at": "rail", "Fc_N": -1.0}, "from 0 to 2000 N"),
