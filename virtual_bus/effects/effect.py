@@ -115,7 +115,7 @@ class Parameter:
     default: float | None = None  # of a file that leaves it out; None where it must not
     fixed: bool = False  # a choice, not a number that could be fitted
     small: float = 1e-6  # a step from zero that shows, and changes little
-    sought: tuple[float, float] | None = None  # where the search along the motion was measured with narrower bounds: those
+    sought: tuple[float, float] | None = None  # where the search was measured with narrower bounds: those
 
     def unit_at(self, prismatic: bool, drive_unit: str = DRIVE_UNIT) -> str:
         """Return the unit at a joint that turns or one that slides, behind a drive that counts in `drive_unit`."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hil.diagnosis.candidates.entries import effect_sought
 from hil.diagnosis.named.covariance import covariance_of, scattered
 from hil.diagnosis.named.fitting import Fitted
 from hil.diagnosis.named.naming import Named
@@ -13,7 +14,6 @@ from hil.diagnosis.result import Diagnosis, EffectAt, Estimate, Finding, NoiseKi
 from hil.diagnosis.seen.see import Seen
 from hil.diagnosis.separating.next_experiment import Proposal
 from hil.machine import Machine
-from virtual_bus.effects.bounds import effect_at
 from virtual_bus.effects.effect import Parameter
 from virtual_bus.effects.places import drive_unit, is_prismatic
 from virtual_bus.effects.registry import effects
@@ -101,7 +101,7 @@ def estimates_of(settings: PlantSettings, fitted: Fitted, spread: np.ndarray) ->
     tables = []
     for k, setting in enumerate(fitted.settings):
         table = {}
-        for parameter in effect_at(setting.name, setting.at, settings).parameters:
+        for parameter in effect_sought(setting.name).parameters:
             value = float(setting.parameters[parameter.name])
             reach = WITHIN_95 * free.get((k, parameter.name), 0.0)
             low, high = max(value - reach, parameter.low), min(value + reach, parameter.high)

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 
 from hil.diagnosis.candidates.columns import Column, column
 from hil.diagnosis.candidates.places import joint_of, place_of
 from hil.diagnosis.seen.along import Along, Motion, Signals
-from virtual_bus.effects.bounds import effect_at
 from virtual_bus.effects.effect import Effect, Parameter
 from virtual_bus.effects.law import Law
 from virtual_bus.effects.places import places
 from virtual_bus.effects.registry import effects, module_of
 from virtual_bus.errors import EffectError
-from virtual_bus.plant.same import Same
-from virtual_bus.settings import EffectSetting, PlantSettings
+from virtual_bus.settings import EffectSetting
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +43,7 @@ class Entry:
 
 
 def setting_of(effect: Effect, at: str, parameters: dict[str, float]) -> EffectSetting:
-    """Return an effect with all its parameters, kept within their bounds; `effect` is of the place, see `effect_sought`."""
+    """Return an effect with all its parameters, kept within their bounds."""
     values = {}
     for parameter in effect.parameters:
         value = parameters.get(parameter.name, parameter.neutral if parameter.default is None else parameter.default)
@@ -53,14 +51,13 @@ def setting_of(effect: Effect, at: str, parameters: dict[str, float]) -> EffectS
     return EffectSetting(effect.name, at, values)
 
 
-def effect_sought(name: str, at: str, settings: PlantSettings) -> Effect:
-    """Return an effect with the bounds within which its parameters are sought at a place; one that is not sought there is a choice."""
-    return _effect_sought(name, at, Same(settings))
+@cache
+def effect_sought(name: str) -> Effect:
+    """Return an effect with the bounds within which its parameters are sought; one that is not sought is a choice.
 
-
-@lru_cache(maxsize=1024)
-def _effect_sought(name: str, at: str, of: Same[PlantSettings]) -> Effect:
-    effect = effect_at(name, at, of.it)
+    They are the catalogue's own for machines of any size, as the search was measured, and not those of `virtual_bus.effects.bounds`.
+    """
+    effect = effects()[name]
     return replace(effect, parameters=tuple(_sought(parameter) for parameter in effect.parameters))
 
 
@@ -116,7 +113,7 @@ def entries(
     for name, effect in effects().items():
         for at in different_places(effect, alongs[0]):
             place = place_of(effect, at, alongs, motions, nominal, missing, inertias)
-            own = effect_sought(name, at, alongs[0].settings)
+            own = effect_sought(name)
             for law in module_of(name).laws(place):
                 if _is_sought(own, law):
                     yield Entry(own, at, law)

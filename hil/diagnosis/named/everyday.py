@@ -12,7 +12,7 @@ def everyday_effects(along: Along) -> tuple[EffectSetting, ...]:
     """Return all everyday effects at all axes, without strength."""
     axes = {drive.axis for drive in along.settings.drives}
     return tuple(
-        setting_of(effect_sought(effect.name, at, along.settings), at, {})
+        setting_of(effect_sought(effect.name), at, {})
         for effect in effects().values()
         if effect.everyday
         for at in different_places(effect, along)

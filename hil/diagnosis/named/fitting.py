@@ -18,7 +18,7 @@ from hil.diagnosis.tuned.retuning import DETERMINED, Looked, Tuned
 from virtual_bus.effects.effect import PHASE, Parameter
 from virtual_bus.effects.registry import effects
 from virtual_bus.errors import EffectError
-from virtual_bus.settings import EffectSetting, PlantSettings
+from virtual_bus.settings import EffectSetting
 
 ITERATIONS = 8
 HALVINGS = 4
@@ -136,7 +136,7 @@ def fit(
     """
     settings = tuple(settings)
     offset = tuned.offset.copy() if offset is None else offset
-    parameters = tuple((k, parameter) for k, setting in enumerate(settings) for parameter in free_parameters(setting, tuned.plant.settings))
+    parameters = tuple((k, parameter) for k, setting in enumerate(settings) for parameter in free_parameters(setting))
     try:
         acting = _acting(tuned, settings)
     except EffectError:
@@ -199,12 +199,12 @@ def _form(tuned: Tuned, acting: Sequence[Acting], settings: tuple[EffectSetting,
     return FormError(columns, dispersion)
 
 
-def free_parameters(setting: EffectSetting, plant: PlantSettings) -> list[Parameter]:
-    """Return the parameters of an effect that are fitted, with their bounds on this machine.
+def free_parameters(setting: EffectSetting) -> list[Parameter]:
+    """Return the parameters of an effect that are fitted.
 
     A strength that a law leaves at its neutral value stays there, unless all do.
     """
-    parameters = [parameter for parameter in effect_sought(setting.name, setting.at, plant).parameters if not parameter.fixed]
+    parameters = [parameter for parameter in effect_sought(setting.name).parameters if not parameter.fixed]
     acting = [parameter for parameter in parameters if parameter.is_strength and setting.parameters[parameter.name] != parameter.neutral]
     if not acting:
         return parameters
@@ -353,7 +353,7 @@ def _change(
     if not parameter.is_strength and parameter.unit != PHASE and not tuned.levels.are_assumed:
         own = column(signals_of(tuned, one, (*settings[:number], *settings[number + 1 :])), here).size
     while True:
-        moved = (*settings[:number], changed(setting, {parameter.name: value + step}, tuned.plant.settings), *settings[number + 1 :])
+        moved = (*settings[:number], changed(setting, {parameter.name: value + step}), *settings[number + 1 :])
         there = signals_of(tuned, one, moved)
         change = column(here, there, step)
         share = abs(step) * change.size / own if own > 0.0 else 0.0
@@ -369,9 +369,9 @@ def difference(parameter: Parameter, value: float) -> float:
     return STEP * abs(value) if value != 0.0 else parameter.small
 
 
-def changed(setting: EffectSetting, changes: dict[str, float], plant: PlantSettings) -> EffectSetting:
-    """Return an effect with other values of some parameters, within their bounds on this machine."""
-    return setting_of(effect_sought(setting.name, setting.at, plant), setting.at, {**setting.parameters, **changes})
+def changed(setting: EffectSetting, changes: dict[str, float]) -> EffectSetting:
+    """Return an effect with other values of some parameters, within their bounds."""
+    return setting_of(effect_sought(setting.name), setting.at, {**setting.parameters, **changes})
 
 
 def _step(
@@ -428,7 +428,7 @@ def _shortened(
         changes: list[dict[str, float]] = [{} for _ in settings]
         for (k, parameter), by in zip(parameters, step[len(offset) :], strict=True):
             changes[k][parameter.name] = settings[k].parameters[parameter.name] + share * float(by)
-        moved = tuple(changed(setting, change, tuned.plant.settings) for setting, change in zip(settings, changes, strict=True))
+        moved = tuple(changed(setting, change) for setting, change in zip(settings, changes, strict=True))
         further = offset + share * step[: len(offset)]
         try:
             acting = _acting(tuned, moved)

@@ -51,9 +51,7 @@ def fit_freely(
     numbers = None if near is None else near.columns
     fastest = 0.5 / max(run.simulator.machine.plant.sample_period_s for run in free.runs)
     for _ in range(2 * ITERATIONS):
-        parameters = [
-            (k, parameter) for k, setting in enumerate(settings) for parameter in free_parameters(setting, free.numbers.plant.settings)
-        ]
+        parameters = [(k, parameter) for k, setting in enumerate(settings) for parameter in free_parameters(setting)]
         steps = [_step(settings[k], parameter) for k, parameter in parameters]
         is_new = not numbers
         columns = _columns(free, offset, settings, parameters, steps, left, numbers)
@@ -66,11 +64,11 @@ def fit_freely(
         promised = cost - _cost(rest, offset + step[: len(offset)], unit)
         gained = 0.0
         if promised >= SETTLED:
-            trials = [_moved(free, offset, settings, parameters, share * step) for share in SHARES]
+            trials = [_moved(offset, settings, parameters, share * step) for share in SHARES]
             further = free.left(trials)
             if is_new and (bend := _bend(columns, left, unit, step, room, further)) is not None:
                 bent = [np.clip(share * step + share**2 * bend, *room) for share in SHARES]
-                trials += [_moved(free, offset, settings, parameters, one) for one in bent]
+                trials += [_moved(offset, settings, parameters, one) for one in bent]
                 further += free.left(trials[len(SHARES) :])
             costs = [np.inf if each is None else _cost(each, trial[0], unit) for trial, each in zip(trials, further, strict=True)]
             best = int(np.argmin(costs))
@@ -107,7 +105,7 @@ def _columns(
     if numbers:
         for own, known in zip(columns, numbers, strict=True):
             own[:, : len(offset)] = known[:, : len(offset)]
-    trials = [_moved(free, offset, settings, parameters, np.where(np.arange(len(by)) == k, by[k], 0.0)) for k in sought]
+    trials = [_moved(offset, settings, parameters, np.where(np.arange(len(by)) == k, by[k], 0.0)) for k in sought]
     for k, there in zip(sought, free.left(trials), strict=True):
         if there is not None:
             for own, before, after in zip(columns, left, there, strict=True):
@@ -155,14 +153,11 @@ def _solved(
     return bounded_least_squares(squares, slopes, *room)
 
 
-def _moved(
-    free: FreeRuns, offset: np.ndarray, settings: tuple[EffectSetting, ...], parameters: Sequence[tuple[int, Parameter]], step: np.ndarray
-) -> Trial:
-    plant = free.numbers.plant.settings
+def _moved(offset: np.ndarray, settings: tuple[EffectSetting, ...], parameters: Sequence[tuple[int, Parameter]], step: np.ndarray) -> Trial:
     changes: list[dict[str, float]] = [{} for _ in settings]
     for (k, parameter), by in zip(parameters, step[len(offset) :], strict=True):
         changes[k][parameter.name] = settings[k].parameters[parameter.name] + float(by)
-    return offset + step[: len(offset)], tuple(changed(setting, change, plant) for setting, change in zip(settings, changes, strict=True))
+    return offset + step[: len(offset)], tuple(changed(setting, change) for setting, change in zip(settings, changes, strict=True))
 
 
 def _cost(left: Sequence[np.ndarray], offset: np.ndarray, dispersion: float) -> float:

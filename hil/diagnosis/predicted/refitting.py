@@ -112,9 +112,7 @@ def _fit(runs: Sequence[Runs], numbers: Numbers, point: _Point, horizon: float, 
     unit = begin / max(sum(int(np.sum(some)) for some in used), 1)  # of a window's mean square: its error at first
     cost = begin / unit + float(point.offset @ point.offset)
     for _ in range(ITERATIONS):
-        parameters = [
-            (k, parameter) for k, setting in enumerate(point.settings) for parameter in free_parameters(setting, numbers.plant.settings)
-        ]
+        parameters = [(k, parameter) for k, setting in enumerate(point.settings) for parameter in free_parameters(setting)]
         system = _normal_equations(runs, numbers, point, parameters, horizon, spread, used)
         if system is None:
             break
@@ -129,7 +127,7 @@ def _fit(runs: Sequence[Runs], numbers: Numbers, point: _Point, horizon: float, 
         )
         step = bounded_least_squares(squares, slopes, np.append(low, around[:, 0]), np.append(high, around[:, 1]))
         for halving in range(HALVINGS):
-            further = _moved(numbers, point, parameters, 0.5**halving * step)
+            further = _moved(point, parameters, 0.5**halving * step)
             there = _squares(runs, numbers, further, horizon, spread, used) / unit + float(further.offset @ further.offset)
             if there < cost:
                 break
@@ -141,12 +139,12 @@ def _fit(runs: Sequence[Runs], numbers: Numbers, point: _Point, horizon: float, 
     return point
 
 
-def _moved(numbers: Numbers, point: _Point, parameters: Sequence[tuple[int, Parameter]], step: np.ndarray) -> _Point:
+def _moved(point: _Point, parameters: Sequence[tuple[int, Parameter]], step: np.ndarray) -> _Point:
     count = len(point.offset)
     changes: list[dict[str, float]] = [{} for _ in point.settings]
     for (k, parameter), by in zip(parameters, step[count:], strict=True):
         changes[k][parameter.name] = point.settings[k].parameters[parameter.name] + float(by)
-    settings = tuple(changed(setting, change, numbers.plant.settings) for setting, change in zip(point.settings, changes, strict=True))
+    settings = tuple(changed(setting, change) for setting, change in zip(point.settings, changes, strict=True))
     return _Point(point.offset + step[:count], settings)
 
 
@@ -157,7 +155,7 @@ def _normal_equations(
     """Return squares and slopes of the windows' mean squares, without what other first positions and speeds would make of them."""
     count = len(point.offset)
     steps = np.append(np.full(count, STEP), [_step(point, k, parameter) for k, parameter in parameters])
-    moved = [_moved(numbers, point, parameters, np.where(np.arange(len(steps)) == number, step, 0.0)) for number, step in enumerate(steps)]
+    moved = [_moved(point, parameters, np.where(np.arange(len(steps)) == number, step, 0.0)) for number, step in enumerate(steps)]
     squares, slopes = np.zeros((len(steps), len(steps))), np.zeros(len(steps))
     for run, some in zip(runs, used, strict=True):
         here = run.off(horizon, _machine(numbers, point))

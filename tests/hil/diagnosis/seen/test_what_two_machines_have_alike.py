@@ -71,7 +71,7 @@ def test_only_what_the_search_was_measured_with_is_sought(along: Along, motion: 
         for column in law.law.columns:
             assert column.get("Fs_minus_Fc", 0.0) >= 0.0
             assert column.get("k2", 0.0) == 0.0
-    stribeck, spring = (effect_sought(*at, along.settings) for at in (("stribeck_friction", "roll"), ("nonlinear_stiffness", "roll")))
+    stribeck, spring = (effect_sought(name) for name in ("stribeck_friction", "nonlinear_stiffness"))
     assert stribeck.parameters[0].low == 0.0
     assert [each.name for each in spring.parameters if not each.fixed] == ["k3", "bend", "corner"]
 
