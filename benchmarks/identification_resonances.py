@@ -73,7 +73,7 @@ def measured(machine: Machine, pose: dict[str, float], seed: int, way: dict) -> 
     recordings = []
     for number, plan in enumerate(experiment.plans(machine)):
         run = 100 * seed + number
-        settings = replace(machine.plant, effects=drawn(machine.plant.effects, run))
+        settings = replace(machine.plant, effects=drawn(machine.plant.effects, run, machine.plant))
         recordings.append(emulated_recording(machine, plan, run, Simulator(replace(machine, plant=settings))))
     return identify(recordings, "robust_bla", outputs=OUTPUTS)
 

@@ -52,7 +52,7 @@ class Physics:
 
     def __init__(self, settings: PlantSettings, seed: int = 0, noise: bool = True) -> None:
         if noise:
-            settings = replace(settings, effects=drawn(settings.effects, seed))
+            settings = replace(settings, effects=drawn(settings.effects, seed, settings))
         self.settings = settings
         self.axes = tuple(drive.axis for drive in settings.drives)
         self.plant = compile_plant(settings)

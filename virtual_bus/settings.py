@@ -163,6 +163,7 @@ class PlantSettings:
         return (*self.encoders, *self.speeds)
 
     effects: tuple[EffectSetting, ...] = field(default=())
+    strokes: tuple[tuple[str, float], ...] = ()  # of axes by name: how far their positions may lie apart [rad or m], where it is known
     tolerances: tuple[tuple[str, float], ...] = ()  # of numbers by name (`arm.center_of_mass_y_m`), in their units
 
 

@@ -53,6 +53,10 @@ An effect may act once at a place, unless its section says that several may. Par
 effect off: with all of them at the neutral value the machine is the same bit for bit. Time in an effect counts from
 row 0 in `simulate`, and from the emulator's start on a bus, so an effect that depends on time has another phase
 there.
+
+Ranges are those that every machine takes. Where a joint has more effort, inertia or travel, they reach further: as far
+as ten times the effort that drives and weight bring to it or the inertia that moves with it, a damper that stops that
+inertia within a row, and a spring on which it swings at half the rows' rate.
 """
 
 KINDS_TEXT = """
@@ -75,12 +79,14 @@ def page() -> str:
 
 
 def _effect(effect: Effect) -> Iterator[str]:
+    yield effect.plain
     yield " ".join(paragraphs(module_of(effect.name))[:1])
     facts = [
         ("law", code(effect.equation)),
         ("acts at", _places(effect)),
         ("kind", effect.kind.name),
         ("convention", effect.convention),
+        ("sought by `diagnose`", _sought(effect)),
         ("mistaken for", ", ".join(f"[{code(name)}](#{name.replace('_', '-')})" for name in effect.neighbours)),
         ("source", effect.source),
     ]
@@ -107,6 +113,11 @@ def _parameter(parameter: Parameter) -> tuple[str, ...]:
 def _places(effect: Effect) -> str:
     needs = {"spring": " with a sprung joint", "neighbour": " with a further axis"}.get(effect.kind.needs, "")
     return ", ".join(effect.kind.allowed_at) + needs
+
+
+def _sought(effect: Effect) -> str:
+    at = effect.kind.allowed_at if effect.sought_at is None else effect.sought_at
+    return "no" if effect.is_slow or not at else "at: " + ", ".join(at)
 
 
 def _kinds(all_effects: Iterable[Effect]) -> Iterator[tuple[str, str, str]]:

@@ -89,7 +89,9 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         ),
     ),
     "effects": (
-        Entry("[].name, kind, equation, convention, source", "text", "One object per effect, as on the page of [effects](effects.md)."),
+        Entry(
+            "[].name, plain, kind, equation, convention, source", "text", "One object per effect, as on the page of [effects](effects.md)."
+        ),
         Entry("[].at, neighbours", "list", "Kinds of place, and effects it is mistaken for."),
         Entry("[].needs", "text", "`spring` or `neighbour`, where the place needs one."),
         Entry("[].several", "text", "Parameter in which several at one place differ."),

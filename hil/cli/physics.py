@@ -18,7 +18,8 @@ def register(app: typer.Typer) -> None:
     """Add the commands."""
     app.command(
         short_help="The catalogue of physics.",
-        help="The catalogue of physics: names and parameters with units; with --json also equations, bounds, and where each may act."
+        help="The catalogue of physics: names, parameters with units and what they are in plain words; with --json also equations, bounds, "
+        "and where each may act."
         "\n\nExample:  isocenter effects --json effects.json",
     )(effects)
     app.command(
@@ -44,7 +45,7 @@ def effects(
         described = entry["parameters"]
         assert isinstance(described, list)
         parameters = ", ".join(f"{p['name']} [{p['unit']}]" for p in described)
-        answer.say(f"{entry['name']:28s} {parameters}")
+        answer.say(f"{entry['name']:28s} {parameters}\n    {entry['plain']}")
     answer.write(entries)
 
 

@@ -86,6 +86,7 @@ def build_plant(table: MachineTable) -> PlantSettings:
         substeps=table.timing.substeps,
         watched_bodies=watched,
         speeds=tuple(speeds),
+        strokes=tuple((axis, limits.range[1] - limits.range[0]) for axis, limits in table.limits.items()),
     )
     return replace(plant, tolerances=tuple(_tolerances(table, plant)), effects=_effects(table, plant))
 

@@ -13,6 +13,7 @@ ROWS = 384
 EXAMPLES = {
     setting.name: setting
     for setting in (
+        EffectSetting("added_inertia", "roll", {"J": 12.0}),
         EffectSetting("asymmetric_friction", "roll", {"Fc_plus": 10.0, "Fc_minus": 4.0, "Fv_plus": 20.0, "Fv_minus": 5.0}),
         EffectSetting("axis_coupling", "propeller", {"J12": 20.0, "phi": 0.3}),
         EffectSetting("backlash", "roll", {"b": 1e-4, "flank": 0.0}),
@@ -40,9 +41,10 @@ EXAMPLES = {
         EffectSetting("joint_compliance", "roll", {"c": 2e-6, "d": 20.0}),
         EffectSetting("load_dependent_friction", "roll", {"Kl": 0.05}),
         EffectSetting("motor_load_friction", "roll", {"Km": 0.05}),
-        EffectSetting("nonlinear_stiffness", "propeller", {"k3": 5e10, "bend": 0.0, "corner": 0.0}),
+        EffectSetting("nonlinear_stiffness", "propeller", {"k3": 5e10, "bend": 0.0, "corner": 0.0, "k2": 0.0}),
         EffectSetting("payload", "detector", {"dm": 5.0}),
         EffectSetting("pose_dependent_dynamics", "propeller", {"dJ": 40.0, "phi": 0.1}),
+        EffectSetting("position_dependent_damping", "roll", {"D1": 80.0, "D2": 100.0, "A": 40.0, "k": 30.0, "phi": 0.2}),
         EffectSetting("position_dependent_friction", "roll", {"Fc": 12.0, "k": 30.0, "phi": 0.1}),
         EffectSetting("power_law_friction", "roll", {"F1": 40.0, "p": 0.5}),
         EffectSetting("presliding_hysteresis", "roll", {"Fc": 8.0, "Fs_minus_Fc": 3.0, "vs": 0.01, "sigma0": 3e4, "sigma1": 50.0}),
@@ -52,11 +54,15 @@ EXAMPLES = {
         EffectSetting("shared_motor_friction", "propeller", {"Fc": 8.0, "Fv": 30.0, "c": 0.7}),
         EffectSetting("stribeck_friction", "roll", {"Fs_minus_Fc": 4.0, "vs": 0.02, "delta": 1.5}),
         EffectSetting("structural_mode", "roll", {"J": 6.0, "f": 17.0, "zeta": 0.02}),
+        EffectSetting("supply_resistance", "roll", {"sag": 0.05, "ke": 1.0}),
         EffectSetting("temperature_dependent_friction", "roll", {"Fv0": 60.0, "a": 0.05, "R": 20.0, "tau": 3.0}),
         EffectSetting("thermal_bending", "roll", {"bend": 1e-3, "tau": 0.7, "warm_for": 0.2}),
         EffectSetting("torque_constant", "roll", {"eps": 0.05}),
         EffectSetting("torque_ripple", "roll", {"Np": 0.1, "A1": 0.05, "phi1": 0.2, "A2": 0.02, "phi2": 0.0}),
         EffectSetting("transmission_error", "roll", {"k": 0.05, "e1": 5e-5, "phi1": 0.1, "e2": 1e-5, "phi2": 0.0}),
+        EffectSetting(
+            "transmitted_load_friction", "roll", {"Km": 0.05, "Kg": 0.03, "Km_rest": 0.04, "Kg_rest": 0.02, "vs": 0.02, "delta": 1.8}
+        ),
         EffectSetting("viscous_friction", "roll", {"Fv": 60.0}),
     )
 }

@@ -8,6 +8,7 @@ from virtual_bus.effects.motion import JointState
 
 EFFECT = Effect(
     name="asymmetric_friction",
+    plain="The joint rubs more one way than the other.",
     kind=FRICTION,
     parameters=(
         Parameter("Fc_plus", unit="Nm", low=0.0, high=2000.0, description="Coulomb level of motion towards positive position"),
@@ -24,6 +25,7 @@ EFFECT = Effect(
     source="Armstrong-Hélouvry, Dupont, Canudas de Wit 1994, Sec. 2.1",
     family="dry_friction",
     parent="coulomb_friction",
+    sought_at=("axis",),
 )
 
 

@@ -10,6 +10,7 @@ from virtual_bus.effects.motion import PairMotion
 
 EFFECT = Effect(
     name="axis_coupling",
+    plain="When one axis speeds up, it pushes another one along, because a mass is shared between them.",
     kind=COUPLING,
     parameters=(
         Parameter("J12", unit="kg m^2", low=-500.0, high=500.0, description="coupling inertia where the next axis's position + phi = 0"),

@@ -8,6 +8,7 @@ from virtual_bus.effects.motion import JointMotion
 
 EFFECT = Effect(
     name="backlash",
+    plain="There is play in the gear: after a reversal the motor turns a little before the load follows.",
     kind=ELASTIC,
     parameters=(
         Parameter("b", unit="rad", low=0.0, high=0.1, description="half of the gap"),

@@ -10,6 +10,7 @@ from virtual_bus.effects.motion import JointMotion
 
 EFFECT = Effect(
     name="base_motion",
+    plain="The floor or the ceiling shakes the machine at one frequency.",
     kind=EFFORT,
     parameters=(
         Parameter("A", unit="Nm", low=0.0, high=100000.0, description="amplitude"),

@@ -6,6 +6,7 @@ import difflib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 
+from virtual_bus.effects.bounds import effect_at
 from virtual_bus.effects.effect import Effect, Parameter
 from virtual_bus.effects.places import drive_unit, is_prismatic, places
 from virtual_bus.effects.registry import effects
@@ -72,7 +73,8 @@ def _bind(entry: Mapping[str, object], settings: PlantSettings, where: str) -> E
         raise EffectError(f"{where}: {name}: at = {at!r}: acts at an {kinds} of the machine; {there}")
     assert isinstance(at, str)
     where = f"{where}: {name} at {at!r}"
-    return EffectSetting(name, at, _parameters(effect, entry, _keys(effect, at, settings), where), _scatter(entry, where))
+    keys = _keys(effect_at(name, at, settings), at, settings)
+    return EffectSetting(name, at, _parameters(entry, keys, where), _scatter(entry, where))
 
 
 def _scatter(entry: Mapping[str, object], where: str) -> float:
@@ -88,7 +90,7 @@ def _keys(effect: Effect, at: str, settings: PlantSettings) -> dict[str, tuple[P
     return {parameter.key(prismatic, unit): (parameter, parameter.unit_at(prismatic, unit)) for parameter in effect.parameters}
 
 
-def _parameters(effect: Effect, entry: Mapping[str, object], keys: Mapping[str, tuple[Parameter, str]], where: str) -> dict[str, float]:
+def _parameters(entry: Mapping[str, object], keys: Mapping[str, tuple[Parameter, str]], where: str) -> dict[str, float]:
     for key in entry:
         if key not in keys and key not in RESERVED:
             raise EffectError(f"{where}: no parameter {key!r}; {_listed('it takes', keys)}")

@@ -10,6 +10,7 @@ from virtual_bus.effects.motion import ReactionState
 
 EFFECT = Effect(
     name="bouc_wen_hysteresis",
+    plain="A spring that rubs inside: it does not come back the way it went, and so takes energy out of every swing.",
     kind=REACTION,
     parameters=(
         Parameter("k", unit="Nm/rad", low=0.0, high=100000000.0, description="effort per hysteretic displacement"),

@@ -12,6 +12,7 @@ from virtual_bus.effects.motion import JointMotion
 
 EFFECT = Effect(
     name="cable_spring",
+    plain="Cables and hoses pull the joint back, harder the further it is from where they hang loose.",
     kind=EFFORT,
     parameters=(
         Parameter("kc", unit="Nm/rad", low=0.0, high=100000.0, description="stiffness"),

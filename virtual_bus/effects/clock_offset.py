@@ -7,6 +7,7 @@ from virtual_bus.effects.law import Law, Place, each
 
 EFFECT = Effect(
     name="clock_offset",
+    plain="Readings are stamped later than they were taken, and ever later where two clocks run apart.",
     kind=CLOCK,
     parameters=(
         Parameter("t0", unit="s", low=0.0, high=0.1, description="age of the channel's values at the start"),
@@ -15,12 +16,14 @@ EFFECT = Effect(
     equation="y(t - t0 - delta t)",
     convention=(
         "the reading at SYNC k is the channel's noise-free value t0 + delta t_k earlier, a cubic through four samples between them; before "
-        "the start it stood still; an age beyond 63 samples stays there"
+        "the start it stood still; an age beyond 63 samples stays there. At an axis, all its encoders and its speed sensor are so old, not "
+        "its current, and what a channel has besides is added"
     ),
     neighbours=("delay", "imu_bandwidth"),
     source="IEEE Std 1588, offset and skew",
     family="timing",
     is_exact=True,
+    sought_at=("channel",),
 )
 
 

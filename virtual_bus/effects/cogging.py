@@ -12,6 +12,7 @@ from virtual_bus.effects.motion import JointMotion
 
 EFFECT = Effect(
     name="cogging",
+    plain="Magnets pull the motor towards certain positions, even without current, so that it runs in small steps.",
     kind=EFFORT,
     parameters=(
         Parameter(

@@ -8,6 +8,7 @@ from virtual_bus.effects.motion import JointMotion
 
 EFFECT = Effect(
     name="constant_load",
+    plain="Something pushes always the same way with the same effort, such as a wrong balance weight or an offset of the drive.",
     kind=EFFORT,
     parameters=(Parameter("tau0", unit="Nm", low=-5000.0, high=5000.0, description="the effort"),),
     equation="tau0",

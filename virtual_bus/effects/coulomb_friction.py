@@ -8,6 +8,7 @@ from virtual_bus.effects.motion import JointState
 
 EFFECT = Effect(
     name="coulomb_friction",
+    plain="The joint rubs with the same effort at every speed, as dry bearings and seals do.",
     kind=FRICTION,
     parameters=(Parameter("Fc", unit="Nm", low=0.0, high=2000.0, description="friction level, the same at every speed and both ways"),),
     equation="Fc sign(speed)",
@@ -16,6 +17,7 @@ EFFECT = Effect(
     source="Armstrong-Hélouvry, Dupont, Canudas de Wit 1994, eq. (3)",
     family="dry_friction",
     everyday=True,
+    sought_at=("axis",),
 )
 
 

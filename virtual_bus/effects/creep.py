@@ -10,6 +10,7 @@ from virtual_bus.effects.motion import ReactionState
 
 EFFECT = Effect(
     name="creep",
+    plain="Under a steady load the machine goes on giving way slowly, as rubber does, and comes back as slowly.",
     kind=REACTION,
     parameters=(
         Parameter("k1", unit="Nm/rad", low=0.0, high=1e9, description="stiffness that relaxes, beside the joint's spring"),

@@ -8,6 +8,7 @@ from virtual_bus.effects.motion import DriveState
 
 EFFECT = Effect(
     name="current_saturation",
+    plain="The drive cannot give as much current as it is asked for: at high effort or speed it falls short.",
     kind=LIMIT,
     parameters=(
         Parameter(

@@ -7,6 +7,7 @@ from virtual_bus.effects.law import Law, Place, one
 
 EFFECT = Effect(
     name="delay",
+    plain="The drive acts later on what it is told than it should.",
     kind=DELAY,
     parameters=(
         Parameter(

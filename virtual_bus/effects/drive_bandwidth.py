@@ -12,6 +12,7 @@ from virtual_bus.effects.law import Law, Place
 
 EFFECT = Effect(
     name="drive_bandwidth",
+    plain="The drive follows fast changes of its command only in part and late.",
     kind=LAG,
     parameters=(
         Parameter("fc", unit="Hz", low=0.0, high=50000.0, description="natural frequency; 0: at once, no effect"),

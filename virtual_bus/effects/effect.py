@@ -12,6 +12,9 @@ PRISMATIC_UNITS = {
     "Nm/rad": "N/m",
     "Nm/rad^3": "N/m^3",
     "1/rad^2": "1/m^2",
+    "Nm/rad^2": "N/m^2",
+    "Nm s/rad^2": "N s/m^2",
+    "Nm s/rad^3": "N s/m^3",
     "rad/Nm": "m/N",
     "Nm s/rad": "N s/m",
     "Nm s^2/rad^2": "N s^2/m^2",
@@ -35,8 +38,9 @@ class EffectKind:
 
 
 FRICTION = EffectKind(
-    "friction", "level", ("axis",),
-    "level(state: JointState, *parameters) -> effort [Nm or N], not negative, that opposes the joint's motion; at rest, the most it holds",
+    "friction", "level", ("axis", "body"),
+    "level(state: JointState, *parameters) -> effort [Nm or N] that opposes the joint's motion; at rest, the most it holds; a joint's "
+    "frictions together are never less than nothing",
 )  # fmt: skip
 SHARED_FRICTION = EffectKind(
     "shared friction", "level", ("axis",),
@@ -63,6 +67,12 @@ REACTION = EffectKind(
 LIMIT = EffectKind(
     "drive limit", "limited", ("axis",), "limited(state: DriveState, *parameters) -> current that flows [drive's unit]", before_current=True
 )
+SUPPLY = EffectKind(
+    "drive supply", "limited", ("axis",),
+    "limited(state: DriveState, *parameters), as of a drive limit, which acts after it; target(current, *parameters) -> what to ask for so "
+    "that it flows at rest",
+    before_current=True,
+)  # fmt: skip
 RIPPLE = EffectKind("drive ripple", "factor", ("axis",), "factor(state: DriveState, *parameters) -> motor effort over its nominal value")
 LAG = EffectKind(
     "drive lag",
@@ -73,6 +83,7 @@ LAG = EffectKind(
 )
 DELAY = EffectKind("drive delay", "delay_s", ("axis",), "delay_s(*parameters) -> how much later the drive acts [s]", before_current=True)
 CHANGE = EffectKind("change", "CHANGES", ("axis",), "CHANGES: what becomes of numbers of the machine file")
+JOINT_CHANGE = EffectKind("change", "CHANGES", ("axis", "body"), "CHANGES: what becomes of the joint's numbers")
 BODY_CHANGE = EffectKind("change", "CHANGES", ("body",), "CHANGES: what becomes of numbers of the machine file")
 SPRING_CHANGE = EffectKind("change", "CHANGES", ("axis", "body"), "CHANGES: what becomes of the sprung joint behind the axis", "spring")
 IMU_CHANGE = EffectKind("change", "CHANGES", ("imu",), "CHANGES: what becomes of the sensor's numbers")
@@ -83,13 +94,16 @@ CALIBRATION = EffectKind(
     "calibration(*parameters) -> gain (2, 3, 3) of accelerometer and gyro, and offset (6,) after it",
 )  # fmt: skip
 SIGN = EffectKind("channel sign", "signed", ("channel",), "signed(value, *parameters) -> the channel before noise and lattice")
-CLOCK = EffectKind("channel clock", "lag_s", ("channel",), "lag_s(time_s, *parameters) -> how old the channel's value is [s]")
+CLOCK = EffectKind(
+    "channel clock", "lag_s", ("axis", "channel"),
+    "lag_s(time_s, *parameters) -> how old the channel's value is [s]; at an axis, that of all its encoders and its speed sensor",
+)  # fmt: skip
 DROPOUT = EffectKind("channel dropout", "is_lost", ("channel",), "is_lost(sample, *parameters) -> is the last reading repeated?")
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of an effect, with the bounds a real machine keeps."""
+    """One number of an effect, with bounds that every machine has; those of a large one are wider: see `bounds.py`."""
 
     name: str
     unit: str  # at a revolute joint and a drive in A; `unit_at` has its counterparts
@@ -101,6 +115,7 @@ class Parameter:
     default: float | None = None  # of a file that leaves it out; None where it must not
     fixed: bool = False  # a choice, not a number that could be fitted
     small: float = 1e-6  # a step from zero that shows, and changes little
+    sought: tuple[float, float] | None = None  # where the search was measured with narrower bounds: those
 
     def unit_at(self, prismatic: bool, drive_unit: str = DRIVE_UNIT) -> str:
         """Return the unit at a joint that turns or one that slides, behind a drive that counts in `drive_unit`."""
@@ -111,6 +126,8 @@ class Parameter:
             return drive_unit
         if unit == "A s/rad":
             return f"{drive_unit} s/{'m' if prismatic else 'rad'}"
+        if unit == "1/A":
+            return f"1/{drive_unit}"
         return unit
 
     def key(self, prismatic: bool = False, drive_unit: str = DRIVE_UNIT) -> str:
@@ -124,6 +141,7 @@ class Effect:
     """One kind of physics by name. Its file is virtual_bus/effects/<name>.py and holds EFFECT, the kind's hook and `laws`."""
 
     name: str
+    plain: str  # what it is, in at most 25 words for a reader who is no specialist
     kind: EffectKind
     parameters: tuple[Parameter, ...]
     equation: str
@@ -137,3 +155,8 @@ class Effect:
     is_exact: bool = False  # a law of mechanics or of a sensor, whose form is known: not an empirical curve
     is_slow: bool = False  # takes minutes: recordings of seconds show next to nothing of it, so a diagnosis does not look for it
     several: str = ""  # the parameter in which several at one place differ; "" where there is but one
+    sought_at: tuple[str, ...] | None = None
+    """Kinds of places where a diagnosis looks for it; None: wherever it may act.
+
+    The search along the motion was measured without effects and places that were added since: it answers otherwise when it is offered more.
+    """

@@ -11,6 +11,7 @@ from virtual_bus.effects.law import Law, Place, one, wave
 
 EFFECT = Effect(
     name="encoder_eccentricity",
+    plain="The encoder's disc is not centred: over each turn it reads a little too much, then too little.",
     kind=ENCODER_ERROR,
     parameters=(
         Parameter("a", unit="rad", low=0.0, high=0.1, description="amplitude of the error once per turn"),

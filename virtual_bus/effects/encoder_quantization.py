@@ -10,6 +10,7 @@ from virtual_bus.effects.readings import Readings, Shown, coarser_lattice
 
 EFFECT = Effect(
     name="encoder_quantization",
+    plain="The encoder counts in coarser steps than its data sheet says.",
     kind=LATTICE,
     parameters=(Parameter("q", unit="rad", low=0.0, high=0.1, description="step of the lattice, at the joint"),),
     equation="y = q floor(y / q + 1/2)",

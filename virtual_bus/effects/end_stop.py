@@ -8,6 +8,7 @@ from virtual_bus.effects.motion import JointMotion
 
 EFFECT = Effect(
     name="end_stop",
+    plain="The joint hits a buffer, which pushes it back.",
     kind=EFFORT,
     parameters=(
         Parameter("K", unit="Nm/rad", low=0.0, high=10000000.0, description="stiffness"),

@@ -7,6 +7,7 @@ from virtual_bus.effects.law import Law, Place, one
 
 EFFECT = Effect(
     name="gear_ratio",
+    plain="The gear turns the load by more or less per turn of the motor than the machine file says.",
     kind=CHANGE,
     parameters=(Parameter("beta", unit="", low=-0.1, high=0.1, description="relative error of the ratio"),),
     equation="N (1 + beta)",

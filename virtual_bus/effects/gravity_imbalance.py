@@ -10,6 +10,7 @@ from virtual_bus.effects.motion import JointMotion
 
 EFFECT = Effect(
     name="gravity_imbalance",
+    plain="The axis is not balanced: its weight pulls it to one side, by an amount that changes with the position.",
     kind=EFFORT,
     parameters=(
         Parameter("mgr", unit="Nm", low=0.0, high=5000.0, description="weight times lever"),

@@ -7,6 +7,7 @@ from virtual_bus.effects.law import Law, Place, fixed
 
 EFFECT = Effect(
     name="imu_bandwidth",
+    plain="The acceleration sensor smooths fast vibrations away that it should show.",
     kind=IMU_CHANGE,
     parameters=(
         Parameter(

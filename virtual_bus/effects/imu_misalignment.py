@@ -10,6 +10,7 @@ from virtual_bus.effects.law import Law, Place, each, one
 
 EFFECT = Effect(
     name="imu_misalignment",
+    plain="The acceleration sensor is mounted at an angle, so that each of its axes reads a bit of the others.",
     kind=CALIBRATION,
     parameters=(
         Parameter("rx", unit="phase", low=-0.5, high=0.5, description="rotation vector's x component, in the sensor's frame"),

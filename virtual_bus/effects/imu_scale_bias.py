@@ -9,6 +9,7 @@ from virtual_bus.effects.law import Law, Place, each, one
 
 EFFECT = Effect(
     name="imu_scale_bias",
+    plain="The acceleration sensor reads a few per cent too much or too little, or something while at rest.",
     kind=CALIBRATION,
     parameters=(
         Parameter("sx", unit="", low=-0.2, high=0.2, description="relative scale error of the accelerometer's x"),

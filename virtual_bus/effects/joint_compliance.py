@@ -7,6 +7,7 @@ from virtual_bus.effects.law import Law, Place
 
 EFFECT = Effect(
     name="joint_compliance",
+    plain="Shaft or gear is softer than expected: the load lags behind the motor when it is pushed.",
     kind=SPRING_CHANGE,
     parameters=(
         Parameter("c", unit="rad/Nm", low=0.0, high=0.001, description="compliance in series with the spring behind the axis"),

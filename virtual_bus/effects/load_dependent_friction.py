@@ -8,6 +8,7 @@ from virtual_bus.effects.motion import JointState
 
 EFFECT = Effect(
     name="load_dependent_friction",
+    plain="The joint rubs the more, the more it has to carry.",
     kind=FRICTION,
     parameters=(Parameter("Kl", unit="", low=0.0, high=0.5, description="friction per effort carried"),),
     equation="Kl abs(load) sign(speed)",
@@ -18,12 +19,13 @@ EFFECT = Effect(
     neighbours=("position_dependent_friction", "gravity_imbalance", "coulomb_friction"),
     source="Bittencourt and Gunnarsson 2012, eq. (5)",
     family="dry_friction",
+    sought_at=("axis",),
 )
 
 
 def level(state: JointState, Kl: float) -> float:
     """Return the friction level [Nm or N]."""
-    return Kl * state.load
+    return Kl * abs(state.load)
 
 
 def laws(place: Place) -> list[Law]:

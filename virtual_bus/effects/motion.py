@@ -18,8 +18,8 @@ class JointState(NamedTuple):
     speed: float  # magnitude [rad/s or m/s]
     direction: float  # +1 or -1: of the motion, or of the motion that is about to begin
     position: float  # [rad or m]
-    load: float  # magnitude of the effort that gravity, velocities and added efforts ask of the joint [Nm or N]
-    motor: float = 0.0  # magnitude of the drive's effort on the joint less the joint's damper [Nm or N]
+    load: float  # effort that gravity, velocities and added efforts ask of the joint [Nm or N]
+    motor: float = 0.0  # effort on the joint of its drive, or where it has none of its spring, less the joint's damper [Nm or N]
 
 
 class JointMotion(NamedTuple):

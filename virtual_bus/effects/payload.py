@@ -7,6 +7,7 @@ from virtual_bus.effects.law import Law, Place, one
 
 EFFECT = Effect(
     name="payload",
+    plain="Somebody has added a mass: it is heavier to hold and harder to accelerate.",
     kind=BODY_CHANGE,
     parameters=(Parameter("dm", unit="kg", low=0.0, high=500.0, description="mass added"),),
     equation="inertia and gravity of dm at the body's centre of mass",

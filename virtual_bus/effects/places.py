@@ -85,21 +85,34 @@ def next_axis(at: str, settings: PlantSettings) -> str:
     return axes[(axes.index(at) + 1) % len(axes)]
 
 
-def places(kind: EffectKind, settings: PlantSettings) -> list[str]:
-    """Return the names of the machine's places where effects of a kind may act."""
+def joint_of_place(kind: EffectKind, at: str, settings: PlantSettings) -> str | None:
+    """Return the name of the joint that effects of a kind act at, or whose motion the sensor there reads; None for other sensors."""
+    if kind.needs == "spring":
+        return spring_at(at, settings)
+    sensors = {sensor.channel: sensor.joints[0] for sensor in settings.joint_sensors}
+    if at in sensors:
+        return sensors[at]
+    is_axis = any(drive.axis == at for drive in settings.drives)
+    is_carried = any(body.name == at and body.joint is not None for body in settings.tree.bodies)
+    return joint_at(at, settings) if is_axis or is_carried else None
+
+
+def places(kind: EffectKind, settings: PlantSettings, among: tuple[str, ...] | None = None) -> list[str]:
+    """Return the names of the machine's places where effects of a kind may act; `among` are kinds of places, all by default."""
     found: list[str] = []
-    if "axis" in kind.allowed_at:
+    allowed = [each for each in kind.allowed_at if among is None or each in among]
+    if "axis" in allowed:
         found += [drive.axis for drive in settings.drives]
-    if "body" in kind.allowed_at:
+    if "body" in allowed:
         needs_mass = kind.allowed_at == ("body",)
         bodies = settings.tree.bodies
         found += [body.name for body in bodies if (body.mass_kg > 0.0 if needs_mass else body.joint is not None) and body.name not in found]
-    if "encoder" in kind.allowed_at or "channel" in kind.allowed_at:
+    if "encoder" in allowed or "channel" in allowed:
         found += [encoder.channel for encoder in settings.encoders]
-    if "channel" in kind.allowed_at:
+    if "channel" in allowed:
         found += [current.channel for current in settings.currents] + imu_channel_names(settings)
         found += [sensor.channel for sensor in settings.speeds]
-    if "imu" in kind.allowed_at or "channel" in kind.allowed_at:
+    if "imu" in allowed or "channel" in allowed:
         found += [imu.name for imu in settings.imus]
     if kind.needs == "spring":
         found = [at for at in found if spring_at(at, settings) is not None]

@@ -10,6 +10,7 @@ from virtual_bus.effects.motion import PairMotion
 
 EFFECT = Effect(
     name="pose_dependent_dynamics",
+    plain="The axis is harder to accelerate in some poses of the next axis than in others.",
     kind=COUPLING,
     parameters=(
         Parameter("dJ", unit="kg m^2", low=0.0, high=1000.0, description="largest inertia added; none half a turn of the next axis on"),

@@ -10,6 +10,7 @@ from virtual_bus.effects.motion import JointState
 
 EFFECT = Effect(
     name="position_dependent_friction",
+    plain="The joint rubs more at some positions than at others, as where a guide is worn or tight.",
     kind=FRICTION,
     parameters=(
         Parameter("Fc", unit="Nm", low=0.0, high=2000.0, description="largest level; it falls to 0 half a period on"),
@@ -38,6 +39,7 @@ EFFECT = Effect(
     neighbours=("load_dependent_friction", "coulomb_friction"),
     source="Armstrong-Hélouvry, Dupont, Canudas de Wit 1994, Sec. 2.1",
     family="dry_friction",
+    sought_at=("axis",),
 )
 
 

@@ -13,6 +13,7 @@ CREEP = 1e-3
 
 EFFECT = Effect(
     name="power_law_friction",
+    plain="Grease drags: friction grows with speed, at first steeply and then less and less.",
     kind=FRICTION,
     parameters=(
         Parameter("F1", unit="Nm", low=0.0, high=5000.0, description="effort at a speed of one: 1 rad/s or 1 m/s"),
@@ -35,6 +36,7 @@ EFFECT = Effect(
     source="Harris and Kotzalas 2006, ch. 10 (after Palmgren 1959: (viscosity x speed)^(2/3)); square root: an intermediate exponent",
     family="viscous_friction",
     parent="viscous_friction",
+    sought_at=("axis",),
 )
 
 

@@ -10,11 +10,12 @@ from virtual_bus.effects.motion import ReactionState
 
 EFFECT = Effect(
     name="presliding_hysteresis",
+    plain="Before it slides, the joint gives way a little like a spring, as bristles bend before they slip.",
     kind=REACTION,
     parameters=(
         Parameter("Fc", unit="Nm", low=0.0, high=2000.0, description="level of steady sliding"),
         Parameter("Fs_minus_Fc", unit="Nm", low=0.0, high=2000.0, description="break-away level above the sliding level"),
-        Parameter("vs", unit="rad/s", low=1e-05, high=1.0, description="Stribeck speed", is_strength=False),
+        Parameter("vs", unit="rad/s", low=1e-05, high=1.0, description="Stribeck speed", is_strength=False, sought=(1e-05, 1.0)),
         Parameter("sigma0", unit="Nm/rad", low=0.01, high=1000000000.0, description="stiffness of the bristles", is_strength=False),
         Parameter("sigma1", unit="Nm s/rad", low=0.0, high=100000.0, description="damping of the bristles", is_strength=False),
     ),

@@ -8,6 +8,7 @@ from virtual_bus.effects.motion import JointState
 
 EFFECT = Effect(
     name="quadratic_friction",
+    plain="Friction grows with the square of speed, as the drag of air or oil does.",
     kind=FRICTION,
     parameters=(Parameter("Fv2", unit="Nm s^2/rad^2", low=0.0, high=5000.0, description="effort per squared speed"),),
     equation="Fv2 speed abs(speed)",
@@ -15,6 +16,7 @@ EFFECT = Effect(
     neighbours=("viscous_friction",),
     source="Armstrong-Hélouvry, Dupont, Canudas de Wit 1994, Sec. 2.1",
     family="viscous_friction",
+    sought_at=("axis",),
 )
 
 

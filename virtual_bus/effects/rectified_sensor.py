@@ -7,6 +7,7 @@ from virtual_bus.effects.law import Law, Place, fixed, one
 
 EFFECT = Effect(
     name="rectified_sensor",
+    plain="A sensor has lost its sign: it shows how much, but not which way.",
     kind=SIGN,
     parameters=(
         Parameter("share", unit="", low=0.0, high=1.0, description="0: sign kept, 1: magnitude only"),

@@ -80,6 +80,7 @@ def catalogue() -> list[dict[str, object]]:
     return [
         {
             "name": effect.name,
+            "plain": effect.plain,
             "kind": effect.kind.name,
             "at": list(effect.kind.allowed_at),
             "needs": effect.kind.needs,

@@ -10,6 +10,7 @@ from virtual_bus.effects.readings import Readings, Shown, held_readings, runs
 
 EFFECT = Effect(
     name="sample_dropout",
+    plain="Readings get lost now and then, and the last one is repeated.",
     kind=DROPOUT,
     parameters=(
         Parameter("p", unit="", low=0.0, high=1.0, description="share of the time in which samples are lost"),

@@ -8,6 +8,7 @@ from virtual_bus.effects.motion import JointState
 
 EFFECT = Effect(
     name="shared_motor_friction",
+    plain="One motor turns with two axes, as in a robot's wrist, and rubs against the motion of both.",
     kind=SHARED_FRICTION,
     parameters=(
         Parameter("Fc", unit="Nm", low=0.0, high=2000.0, description="Coulomb level, on the next axis"),

@@ -10,6 +10,7 @@ from virtual_bus.effects.motion import ReactionState
 
 EFFECT = Effect(
     name="structural_mode",
+    plain="A part of the machine swings on its own, like a mass on a spring.",
     kind=REACTION,
     parameters=(
         Parameter("J", unit="kg m^2", low=0.0, high=500.0, description="inertia that hangs on the spring"),

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from virtual_bus.effects.effect import COUPLING, FRICTION, MAX_PARAMETERS, SHARED_FRICTION, TRANSMISSION
+from virtual_bus.effects.effect import COUPLING, FRICTION, LIMIT, MAX_PARAMETERS, SHARED_FRICTION, SUPPLY, TRANSMISSION
 from virtual_bus.effects.places import joint_at, next_axis, spring_at
 from virtual_bus.effects.registry import effect_number, effects, module_of
 from virtual_bus.errors import EffectError
@@ -17,14 +17,21 @@ MAX_EFFORTS = 32
 MAX_PAIRS = 8
 MAX_SHARED = 8
 MAX_REACTIONS = 8
+LIMITS = 2  # of a drive's current: what its supply gives, then what its amplifier passes
 HELD_SAMPLES = 16  # targets that a delayed drive remembers
 ROW = 1 + MAX_PARAMETERS  # effect number, then its parameters
+
+
+def values_of(setting: EffectSetting) -> list[float]:
+    """Return an effect's parameters in its own order; what is left out has its default."""
+    given, parameters = setting.parameters, effects()[setting.name].parameters
+    return [given[each.name] if each.default is None else given.get(each.name, each.default) for each in parameters]
 
 
 def effect_row(setting: EffectSetting) -> np.ndarray:
     """Return effect number, then the effect's parameters in its own order, then zeros: (ROW,)."""
     row = np.zeros(ROW)
-    values = [setting.parameters[parameter.name] for parameter in effects()[setting.name].parameters]
+    values = values_of(setting)
     row[0] = effect_number(setting.name)
     row[1 : 1 + len(values)] = values
     return row
@@ -50,8 +57,7 @@ def changed_values(by_quantity: dict[tuple[str, str], float], chosen: Sequence[E
     Keys of `by_quantity` are (owner, quantity).
     """
     for setting in with_hook(chosen, "CHANGES"):
-        effect = effects()[setting.name]
-        values = [setting.parameters[parameter.name] for parameter in effect.parameters]
+        effect, values = effects()[setting.name], values_of(setting)
         for owner_kind, quantity, change in module_of(setting.name).CHANGES:
             owner: str | None = setting.at
             if owner_kind == "joint":
@@ -84,7 +90,7 @@ def fill_shared(record: np.record, chosen: Sequence[EffectSetting], settings: Pl
         joints = [settings.tree.joint_index(joint_at(at, settings)) for at in (next_axis(setting.at, settings), setting.at)]
         record["shared_rows"][k] = row
         record["shared_joints"][k] = joints
-        record["share"][k] = module_of(setting.name).share(*setting.parameters.values())
+        record["share"][k] = module_of(setting.name).share(*values_of(setting))
         record["reacts"][joints] = 1
 
 
@@ -134,12 +140,13 @@ def fill_drives(record: np.record, chosen: Sequence[EffectSetting], ratio_of_axi
     """
     axes = [drive.axis for drive in settings.drives]
     record["drive_ratio"][: len(axes)] = [ratio_of_axis[axis] for axis in axes]
-    record["limit_rows"][:, 0] = record["ripple_rows"][:, 0] = -1.0
+    record["limit_rows"][..., 0] = -1.0
+    record["ripple_rows"][:, 0] = -1.0
     for setting in chosen:
-        module = module_of(setting.name)
-        values = [setting.parameters[parameter.name] for parameter in effects()[setting.name].parameters]
+        module, values = module_of(setting.name), values_of(setting)
         if hasattr(module, "limited"):
-            record["limit_rows"][axes.index(setting.at)] = effect_row(setting)
+            order = (SUPPLY, LIMIT).index(effects()[setting.name].kind)
+            record["limit_rows"][axes.index(setting.at), order] = effect_row(setting)
         elif hasattr(module, "factor"):
             record["ripple_rows"][axes.index(setting.at)] = effect_row(setting)
         elif hasattr(module, "delay_s"):
@@ -156,3 +163,13 @@ def fill_drives(record: np.record, chosen: Sequence[EffectSetting], ratio_of_axi
         else:
             continue
         record["has_drive_effects"] = 1
+
+
+def targets_at_rest(model: np.ndarray, currents: np.ndarray) -> np.ndarray:
+    """Return what drives (axes,) must be asked for, so that these currents flow at rest through what supplies them."""
+    targets = currents.copy()
+    for axis, row in enumerate(model["limit_rows"][0, : len(currents), 0]):
+        if row[0] >= 0.0:
+            effect = list(effects().values())[int(row[0])]
+            targets[axis] = module_of(effect.name).target(float(currents[axis]), *row[1 : 1 + len(effect.parameters)].tolist())
+    return targets

@@ -10,6 +10,7 @@ from virtual_bus.effects.motion import ReactionState
 
 EFFECT = Effect(
     name="temperature_dependent_friction",
+    plain="Grease gets thinner as it warms up: the same motion takes less effort after a while.",
     kind=REACTION,
     parameters=(
         Parameter(

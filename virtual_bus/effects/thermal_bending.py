@@ -10,6 +10,7 @@ from virtual_bus.effects.motion import JointMotion
 
 EFFECT = Effect(
     name="thermal_bending",
+    plain="The machine bends a little as it warms up.",
     kind=ELASTIC,
     parameters=(
         Parameter("bend", unit="rad", low=-0.1, high=0.1, description="how far the unloaded spring has moved when all is warm"),

@@ -7,6 +7,7 @@ from virtual_bus.effects.law import Law, Place, one
 
 EFFECT = Effect(
     name="torque_constant",
+    plain="The motor gives more or less effort per ampere than its plate says.",
     kind=CHANGE,
     parameters=(Parameter("eps", unit="", low=-0.5, high=1.0, description="relative error of the constant"),),
     equation="Kt (1 + eps)",

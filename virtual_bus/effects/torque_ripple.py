@@ -10,6 +10,7 @@ from virtual_bus.effects.motion import DriveState
 
 EFFECT = Effect(
     name="torque_ripple",
+    plain="The motor's effort per ampere goes up and down as it turns.",
     kind=RIPPLE,
     parameters=(
         Parameter(

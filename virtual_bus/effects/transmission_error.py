@@ -10,6 +10,7 @@ from virtual_bus.effects.motion import PairMotion
 
 EFFECT = Effect(
     name="transmission_error",
+    plain="Teeth that are not perfect: the load runs ahead and behind a little in every turn of a gear.",
     kind=TRANSMISSION,
     parameters=(
         Parameter(

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from virtual_bus.effects.effect import CHANGE, Effect, Parameter
+from virtual_bus.effects.effect import JOINT_CHANGE, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, one
 
 EFFECT = Effect(
     name="viscous_friction",
-    kind=CHANGE,
+    plain="The joint resists motion in proportion to its speed, as thick oil does.",
+    kind=JOINT_CHANGE,
     parameters=(
         Parameter("Fv", unit="Nm s/rad", low=0.0, high=2000.0, description="viscous coefficient, added to the damping of the machine file"),
     ),
@@ -17,6 +18,7 @@ EFFECT = Effect(
     source="Armstrong-Hélouvry, Dupont, Canudas de Wit 1994, eq. (4)",
     family="viscous_friction",
     everyday=True,
+    sought_at=("axis",),
 )
 
 

@@ -288,6 +288,7 @@ class CompiledPlant:
         record["steps"] = settings.substeps
         for quantity in ("stiffness", "damping", "rest_position", "brake_effort"):
             record[quantity] = [by_quantity[joint.name, quantity] for joint in tree.joints]
+        record["passive_stiffness"][self.free_joints] = record["stiffness"][self.free_joints]
         for k, drive in enumerate(settings.drives):
             record["effort_gain"][k] = by_quantity[drive.axis, "constant"] * by_quantity[drive.axis, "ratio"]
         sensors = [(imu.name, sensor) for imu in settings.imus for sensor in ("accelerometer_bandwidth", "gyro_bandwidth")]
@@ -300,7 +301,12 @@ class CompiledPlant:
         table.fill_reactions(record, effects, settings)
         table.fill_shared(record, effects, settings)
         table.fill_drives(record, effects, ratio_of_axis, settings)
-        record["inner_steps"] = self._known_inner_steps(model)
+        try:
+            record["inner_steps"] = self._known_inner_steps(model)
+        except PlantError:
+            if all(by_quantity[joint.name, "armature"] >= joint.armature for joint in tree.joints):
+                raise
+            raise EffectError("no joint-space inertia is like this: an added_inertia takes away all that its joint has") from None
         return model
 
     def _known_inner_steps(self, model: np.ndarray) -> int:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from virtual_bus.effects.motion import DriveState, LimitedBy, RippleOf
-from virtual_bus.effects.table import HELD_SAMPLES
+from virtual_bus.effects.table import HELD_SAMPLES, LIMITS
 from virtual_bus.plant.jit import compiled
 
 DRIVE_STATES = 2 + HELD_SAMPLES
@@ -63,11 +63,12 @@ def target_at_sync(axis: int, first: int, state: np.ndarray, effort: np.ndarray,
 
 @compiled
 def flowing(axis: int, current: float, speed: float, position: float, limited_by: LimitedBy, model: np.record) -> float:
-    """Return the part of a current that passes the drive's limit."""
-    if model.limit_rows[axis, 0] < 0.0:
-        return current
-    drive = DriveState(current, speed, position, model.drive_ratio[axis])
-    return limited_by(int(model.limit_rows[axis, 0]), drive, model.limit_rows[axis])
+    """Return the part of a current that passes the drive's supply and limit."""
+    for row in range(LIMITS):
+        if model.limit_rows[axis, row, 0] >= 0.0:
+            drive = DriveState(current, speed, position, model.drive_ratio[axis])
+            current = limited_by(int(model.limit_rows[axis, row, 0]), drive, model.limit_rows[axis, row])
+    return current
 
 
 @compiled

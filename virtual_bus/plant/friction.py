@@ -27,12 +27,13 @@ def friction_level(j: int, speed: float, direction: float, friction_of: Friction
 
     `speed` is a magnitude. At 0 the level is the most that the joint holds against that direction.
     """
-    motor = abs(work.effort[j] - model.damping[j] * speed * direction)
-    state = JointState(speed, direction, work.position[j], abs(work.bias[j]), motor)
+    wound = model.passive_stiffness[j] * (work.position[j] - model.rest_position[j])
+    motor = work.effort[j] - wound - model.damping[j] * speed * direction
+    state = JointState(speed, direction, work.position[j], work.bias[j], motor)
     total: float = work.brake[j]
     for row in range(model.friction_first[j], model.friction_first[j + 1]):
         total += friction_of(int(model.friction_rows[row, 0]), state, model.friction_rows[row])
-    return total
+    return max(total, 0.0)  # one that is lower at rest may take away no more than the others have
 
 
 @compiled
@@ -101,7 +102,7 @@ def shared_speed(row: int, speeds: np.ndarray, model: np.record) -> float:
 def shared_level(row: int, speed: float, direction: float, friction_of: FrictionOf, model: np.record, work: np.record) -> float:
     """Return the effort [Nm or N] of a shared friction against its speed, as `friction_level` does of a joint's own."""
     j = model.shared_joints[row, 0]
-    state = JointState(speed, direction, work.position[j], abs(work.bias[j]), abs(work.effort[j]))
+    state = JointState(speed, direction, work.position[j], work.bias[j], work.effort[j])
     return friction_of(int(model.shared_rows[row, 0]), state, model.shared_rows[row])
 
 

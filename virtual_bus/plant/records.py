@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from virtual_bus.effects.table import MAX_EFFORTS, MAX_FRICTIONS, MAX_PAIRS, MAX_REACTIONS, MAX_SHARED, ROW
+from virtual_bus.effects.table import LIMITS, MAX_EFFORTS, MAX_FRICTIONS, MAX_PAIRS, MAX_REACTIONS, MAX_SHARED, ROW
 
 Equations = Callable[[np.record, np.record], None]  # a generated function of `model` and `work`
 
@@ -28,6 +28,7 @@ def model_dtype(joints: int, axes: int, imus: int, constants: int) -> np.dtype:
             ("stiffness", "f8", (n,)),  # per joint [Nm/rad or N/m]
             ("damping", "f8", (n,)),
             ("rest_position", "f8", (n,)),
+            ("passive_stiffness", "f8", (n,)),  # the same, of joints without a drive; 0 of others
             ("brake_effort", "f8", (n,)),  # what the joint's brake holds [Nm or N]
             ("effort_gain", "f8", (max(axes, 1),)),  # joint effort per unit of drive effort
             ("filter_weights", "f8", (max(6 * imus, 1), 3)),  # low pass over one plant step: old output, input at start, input at end
@@ -59,7 +60,7 @@ def model_dtype(joints: int, axes: int, imus: int, constants: int) -> np.dtype:
             ),  # of the second joint's speed in the speed that it acts against, beside the whole of the first's
             ("has_drive_effects", "u1"),  # 0: targets are currents
             ("drive_ratio", "f8", (max(axes, 1),)),
-            ("limit_rows", "f8", (max(axes, 1), ROW)),  # effect number -1: none
+            ("limit_rows", "f8", (max(axes, 1), LIMITS, ROW)),  # in the order in which they act; effect number -1: none
             ("ripple_rows", "f8", (max(axes, 1), ROW)),
             ("delay_samples", "f8", (max(axes, 1),)),
             ("is_lagging", "u1", (max(axes, 1),)),

@@ -9,6 +9,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from virtual_bus.effects.table import targets_at_rest
 from virtual_bus.errors import PlantError
 from virtual_bus.plant.compiled import CompiledPlant
 from virtual_bus.plant.drives import DRIVE_STATES
@@ -115,7 +116,7 @@ def _is_stable(gradient: np.ndarray) -> bool:
 def holding_effort(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndarray) -> np.ndarray:
     """Return the drive efforts (axes,) in the drives' units that hold the machine at rest at these positions."""
     q = equilibrium(plant, model, axis_positions)
-    return _drives_effort(static_effort(plant, model, q)[plant.driven_joints], plant.drive_gains(model, q))
+    return targets_at_rest(model, _drives_effort(static_effort(plant, model, q)[plant.driven_joints], plant.drive_gains(model, q)))
 
 
 def _drives_effort(effort: np.ndarray, gains: np.ndarray) -> np.ndarray:
@@ -141,7 +142,8 @@ def resting_state(plant: CompiledPlant, model: np.ndarray, axis_positions: np.nd
         state[3 * n + held] = static_effort(plant, model, q)[held]
     else:
         drive_states = state[plant.first_drive_state :][: len(held) * DRIVE_STATES].reshape(len(held), DRIVE_STATES)
-        drive_states[:] = _drives_effort(static_effort(plant, model, q)[held], plant.drive_gains(model, q))[:, None]
+        needed = _drives_effort(static_effort(plant, model, q)[held], plant.drive_gains(model, q))
+        drive_states[:] = targets_at_rest(model, needed)[:, None]
         drive_states[:, 1] = 0.0  # the currents' rates
     state[4 * n : plant.first_drive_state - 1] = plant.imu_motion(model, q, np.zeros(n), np.zeros(n))
     return state

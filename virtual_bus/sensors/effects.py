@@ -12,8 +12,8 @@ import numpy as np
 
 from virtual_bus.effects.motion import EncoderErrorOf, LagOf, LostBy, SignedBy
 from virtual_bus.effects.places import imu_channel_names
-from virtual_bus.effects.registry import effects, module_of
-from virtual_bus.effects.table import ROW, effect_row, with_hook
+from virtual_bus.effects.registry import module_of
+from virtual_bus.effects.table import ROW, effect_row, values_of, with_hook
 from virtual_bus.plant.jit import compiled
 from virtual_bus.sensors.encoder import quantised
 from virtual_bus.settings import EffectSetting, PlantSettings
@@ -34,7 +34,7 @@ class SensorEffects(NamedTuple):
     imu_offset: np.ndarray  # (6 imus,)
     switches: np.ndarray  # (6,) 1: there are effects of that kind, ANY to DROPOUTS
     sign_rows: np.ndarray  # (channels, ROW)
-    clock_rows: np.ndarray  # (channels, ROW)
+    clock_rows: np.ndarray  # (channels, 2, ROW) of the axis or IMU that a channel belongs to, and its own: their ages add up
     dropout_rows: np.ndarray  # (channels, ROW)
     period_s: np.ndarray  # (1,)
 
@@ -85,7 +85,7 @@ def sensor_effects(settings: PlantSettings, chosen: Sequence[EffectSetting]) -> 
 
     def channels(at: str) -> list[int]:
         if at in axes:
-            return [axes.index(at)]  # the motor's encoder
+            return [axes.index(at), len(axes) + axes.index(at), len(names) - len(axes) + axes.index(at)]
         imus = [imu.name for imu in settings.imus]
         if at in imus:
             first = 3 * len(axes) + 6 * imus.index(at)
@@ -95,33 +95,32 @@ def sensor_effects(settings: PlantSettings, chosen: Sequence[EffectSetting]) -> 
     errors = with_hook(chosen, "error")
     lattice = np.zeros(2 * len(axes))
     for setting in with_hook(chosen, "resolution"):
-        lattice[channels(setting.at)[0]] = module_of(setting.name).resolution(*_values(setting))
+        lattice[channels(setting.at)[0]] = module_of(setting.name).resolution(*values_of(setting))
     gain, offset = np.tile(np.eye(3), (2 * len(settings.imus), 1, 1)), np.zeros(6 * len(settings.imus))
     calibrations = with_hook(chosen, "calibration")
     for setting in calibrations:
         number = [imu.name for imu in settings.imus].index(setting.at)
-        turned, shift = module_of(setting.name).calibration(*_values(setting))
+        turned, shift = module_of(setting.name).calibration(*values_of(setting))
         both, six = slice(2 * number, 2 * number + 2), slice(6 * number, 6 * number + 6)
         offset[six] = np.einsum("kij,kj->ki", turned, offset[six].reshape(2, 3)).reshape(6) + shift
         gain[both] = turned @ gain[both]
+    clocks = np.full((len(names), 2, ROW), -1.0)
+    for setting in with_hook(chosen, "lag_s"):
+        clocks[channels(setting.at), 1 if setting.at in names else 0] = effect_row(setting)
     rows = {}
-    for hook in ("signed", "lag_s", "is_lost"):
+    for hook in ("signed", "is_lost"):
         rows[hook] = np.full((len(names), ROW), -1.0)
         for setting in with_hook(chosen, hook):
             rows[hook][channels(setting.at)] = effect_row(setting)
-    kinds = [len(errors), len(calibrations), *((rows[hook][:, 0] >= 0.0).any() for hook in ("lag_s", "signed", "is_lost"))]
+    kinds = [len(errors), len(calibrations), *((each[..., 0] >= 0.0).any() for each in (clocks, rows["signed"], rows["is_lost"]))]
     switches = np.array([any(kinds) or lattice.any(), *kinds]) != 0
     return SensorEffects(
         np.array([channels(setting.at)[0] for setting in errors], dtype=np.int64),
         np.array([effect_row(setting) for setting in errors]).reshape(len(errors), ROW),
         np.array([name not in absolute for name in names[: 2 * len(axes)]], dtype=np.int64),
         lattice, gain, offset, switches.astype(np.int64),
-        rows["signed"], rows["lag_s"], rows["is_lost"], np.array([settings.sample_period_s]),
+        rows["signed"], clocks, rows["is_lost"], np.array([settings.sample_period_s]),
     )  # fmt: skip
-
-
-def _values(setting: EffectSetting) -> list[float]:
-    return [setting.parameters[parameter.name] for parameter in effects()[setting.name].parameters]
 
 
 @compiled
@@ -184,10 +183,11 @@ def age_channels(lag_of: LagOf, sensors: SensorEffects, memory: SensorMemory) ->
     now = memory.samples[0]
     for channel in range(len(memory.values)):
         memory.raw[channel] = memory.values[channel]
-        if sensors.clock_rows[channel, 0] < 0.0:
-            continue
-        time_s = now * sensors.period_s[0]
-        age = lag_of(int(sensors.clock_rows[channel, 0]), time_s, sensors.clock_rows[channel]) / sensors.period_s[0]
+        age = 0.0
+        for row in range(2):
+            if sensors.clock_rows[channel, row, 0] >= 0.0:
+                time_s = now * sensors.period_s[0]
+                age += lag_of(int(sensors.clock_rows[channel, row, 0]), time_s, sensors.clock_rows[channel, row]) / sensors.period_s[0]
         age = min(age, HISTORY - 1.0)
         if age > 0.0:
             memory.values[channel] = value_before(channel, age, memory)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hil.diagnosis.candidates.entries import effect_sought
 from hil.diagnosis.named.covariance import covariance_of, scattered
 from hil.diagnosis.named.fitting import Fitted
 from hil.diagnosis.named.naming import Named
@@ -100,7 +101,7 @@ def estimates_of(settings: PlantSettings, fitted: Fitted, spread: np.ndarray) ->
     tables = []
     for k, setting in enumerate(fitted.settings):
         table = {}
-        for parameter in effects()[setting.name].parameters:
+        for parameter in effect_sought(setting.name).parameters:
             value = float(setting.parameters[parameter.name])
             reach = WITHIN_95 * free.get((k, parameter.name), 0.0)
             low, high = max(value - reach, parameter.low), min(value + reach, parameter.high)

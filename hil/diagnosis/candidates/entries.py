@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
 from hil.diagnosis.candidates.columns import Column, column
 from hil.diagnosis.candidates.places import joint_of, place_of
 from hil.diagnosis.seen.along import Along, Motion, Signals
-from virtual_bus.effects.effect import Effect
+from virtual_bus.effects.effect import Effect, Parameter
 from virtual_bus.effects.law import Law
 from virtual_bus.effects.places import places
 from virtual_bus.effects.registry import effects, module_of
@@ -50,6 +51,30 @@ def setting_of(effect: Effect, at: str, parameters: dict[str, float]) -> EffectS
     return EffectSetting(effect.name, at, values)
 
 
+@cache
+def effect_sought(name: str) -> Effect:
+    """Return an effect with the bounds within which its parameters are sought; one that is not sought is a choice.
+
+    They are the catalogue's own for machines of any size, as the search was measured, and not those of `virtual_bus.effects.bounds`.
+    """
+    effect = effects()[name]
+    return replace(effect, parameters=tuple(_sought(parameter) for parameter in effect.parameters))
+
+
+def _sought(parameter: Parameter) -> Parameter:
+    if parameter.sought is None:
+        return parameter
+    low, high = max(parameter.low, parameter.sought[0]), min(parameter.high, parameter.sought[1])
+    is_free = low < high
+    return replace(parameter, low=low, high=high, fixed=not is_free, is_strength=parameter.is_strength and is_free)
+
+
+def _is_sought(effect: Effect, law: Law) -> bool:
+    """Return whether a law keeps to the bounds within which the parameters are sought."""
+    narrow = [parameter for parameter in effect.parameters if parameter.sought is not None]
+    return all(p.low <= column.get(p.name, p.low) <= p.high for column in law.columns for p in narrow)
+
+
 def different_places(effect: Effect, along: Along) -> list[str]:
     """Return the places of an effect, each joint once: an axis and the body that its joint carries are the same place.
 
@@ -65,7 +90,7 @@ def different_places(effect: Effect, along: Along) -> list[str]:
 
     if effect.is_slow or (effect.kind.before_current and along.observed.are_measured.all()):
         return []
-    for at in places(effect.kind, along.settings):
+    for at in places(effect.kind, along.settings, effect.sought_at):
         found.setdefault(place(at), at)
     if not effect.several:
         for one in along.known:
@@ -88,8 +113,10 @@ def entries(
     for name, effect in effects().items():
         for at in different_places(effect, alongs[0]):
             place = place_of(effect, at, alongs, motions, nominal, missing, inertias)
+            own = effect_sought(name)
             for law in module_of(name).laws(place):
-                yield Entry(effect, at, law)
+                if _is_sought(own, law):
+                    yield Entry(own, at, law)
 
 
 def columns_of(

@@ -9,23 +9,13 @@ import numpy as np
 from hil.diagnosis.seen.along import Along, Motion, Signals
 from virtual_bus.effects.effect import TRANSMISSION, Effect
 from virtual_bus.effects.law import Place
-from virtual_bus.effects.places import imu_channel_names, joint_at, spring_at
+from virtual_bus.effects.places import imu_channel_names, joint_at, joint_of_place
 
 
 def joint_of(effect: Effect, at: str, along: Along) -> int | None:
     """Return the number of the joint that an effect acts at; None for a sensor that no joint carries."""
-    settings = along.settings
-    if effect.kind.needs == "spring":
-        name = spring_at(at, settings)
-        return None if name is None else along.joints.index(name)
-    sensors = {sensor.channel: sensor.joints[0] for sensor in settings.joint_sensors}
-    if at in sensors:
-        return along.joints.index(sensors[at])
-    axes = {drive.axis for drive in settings.drives}
-    bodies = {body.name for body in settings.tree.bodies if body.joint is not None}
-    if at in axes or at in bodies:
-        return along.joints.index(joint_at(at, settings))
-    return None
+    name = joint_of_place(effect.kind, at, along.settings)
+    return None if name is None else along.joints.index(name)
 
 
 def place_of(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hil.diagnosis.candidates.entries import different_places, setting_of
+from hil.diagnosis.candidates.entries import different_places, effect_sought, setting_of
 from hil.diagnosis.seen.along import Along
 from virtual_bus.effects.registry import effects
 from virtual_bus.settings import EffectSetting
@@ -12,7 +12,7 @@ def everyday_effects(along: Along) -> tuple[EffectSetting, ...]:
     """Return all everyday effects at all axes, without strength."""
     axes = {drive.axis for drive in along.settings.drives}
     return tuple(
-        setting_of(effect, at, {})
+        setting_of(effect_sought(effect.name), at, {})
         for effect in effects().values()
         if effect.everyday
         for at in different_places(effect, along)

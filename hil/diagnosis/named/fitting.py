@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from hil.diagnosis.candidates.columns import Column, column
-from hil.diagnosis.candidates.entries import setting_of
+from hil.diagnosis.candidates.entries import effect_sought, setting_of
 from hil.diagnosis.named.form import FormError, form_columns
 from hil.diagnosis.seen.along import Signals
 from hil.diagnosis.seen.noise import ACCURACY
@@ -204,7 +204,7 @@ def free_parameters(setting: EffectSetting) -> list[Parameter]:
 
     A strength that a law leaves at its neutral value stays there, unless all do.
     """
-    parameters = [parameter for parameter in effects()[setting.name].parameters if not parameter.fixed]
+    parameters = [parameter for parameter in effect_sought(setting.name).parameters if not parameter.fixed]
     acting = [parameter for parameter in parameters if parameter.is_strength and setting.parameters[parameter.name] != parameter.neutral]
     if not acting:
         return parameters
@@ -371,7 +371,7 @@ def difference(parameter: Parameter, value: float) -> float:
 
 def changed(setting: EffectSetting, changes: dict[str, float]) -> EffectSetting:
     """Return an effect with other values of some parameters, within their bounds."""
-    return setting_of(effects()[setting.name], setting.at, {**setting.parameters, **changes})
+    return setting_of(effect_sought(setting.name), setting.at, {**setting.parameters, **changes})
 
 
 def _step(

@@ -46,7 +46,7 @@ OF_TERMS = frozenset(
         "pair_is_spring", "reaction_count", "reaction_rows", "reaction_joint", "reacts",
     }
 )  # fmt: skip
-OF_JOINTS = frozenset({"stiffness", "damping", "rest_position"})
+OF_JOINTS = frozenset({"stiffness", "passive_stiffness", "damping", "rest_position"})
 OF_STEPS = frozenset({"inner_steps"})
 """Parts of a plant's record: what a motion takes, what drives give and what IMUs read depend on some of them each."""
 PHASE_OF_A_STEP = 0.25

@@ -51,7 +51,7 @@ def test_the_silverbox_is_linear_with_a_cubic_spring() -> None:
     assert compare(arrow, simulate(data.machine, arrow))["position_mass"].nrmse == pytest.approx(0.281, abs=0.005)
     softer = data.machine.text.replace("stiffness_N_m = 1.033249", "stiffness_N_m = 0.990136").replace("5.411172e-6", "5.372434e-6")
     effects = (
-        EffectSetting("nonlinear_stiffness", "oscillator", {"k3": 3.908, "bend": 0.0, "corner": 0.0}),
+        EffectSetting("nonlinear_stiffness", "oscillator", {"k3": 3.908, "bend": 0.0, "corner": 0.0, "k2": 0.0}),
         EffectSetting("constant_load", "mass", {"tau0": -0.005332}),
     )
     found = simulate(machine_from_text(softer), arrow, effects)

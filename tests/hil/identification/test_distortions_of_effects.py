@@ -49,7 +49,7 @@ def test_the_plain_machine_shows_none_beyond_chance() -> None:
     ("name", "parameters"),
     [
         ("coulomb_friction", {"Fc": 3.0}),
-        ("nonlinear_stiffness", {"k3": 3e12, "bend": 0.0, "corner": 0.0}),
+        ("nonlinear_stiffness", {"k3": 3e12, "bend": 0.0, "corner": 0.0, "k2": 0.0}),
     ],
 )
 def test_odd_effects_reach_odd_lines_only(name: str, parameters: dict[str, float]) -> None:
@@ -69,6 +69,8 @@ def test_friction_that_differs_with_direction_reaches_even_lines() -> None:
 
 def test_a_wound_up_cubic_spring_reaches_both() -> None:
     """Away from balance its holding effort adds a square to the cube."""
-    even, odd = distortion_of_roll(EffectSetting("nonlinear_stiffness", "roll", {"k3": 3e12, "bend": 0.0, "corner": 0.0}), roll_deg=0.0)
+    even, odd = distortion_of_roll(
+        EffectSetting("nonlinear_stiffness", "roll", {"k3": 3e12, "bend": 0.0, "corner": 0.0, "k2": 0.0}), roll_deg=0.0
+    )
     assert even > 5.0
     assert odd > 50.0

@@ -11,6 +11,7 @@ import scipy.signal
 from scipy.integrate import solve_ivp
 from small_plants import BLOCK_MASS_kg, block, run
 
+from virtual_bus.errors import EffectError
 from virtual_bus.physics import Physics
 from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.plant.linearise import linearised
@@ -71,6 +72,23 @@ def touching(t: float, x: float, v: float, z: np.ndarray) -> tuple[float, list[f
     return -300.0 * (beyond - np.tanh(20.0 * beyond) / 20.0), []
 
 
+def uneven(t: float, x: float, v: float, z: np.ndarray) -> tuple[float, list[float]]:
+    """Of k2 = 900 N/m^2 and k3 = 4e4 N/m^3 that become straight at a twentieth of a metre: the integral of the slope 2 k2 s + 3 k3 s^2."""
+    s = np.tanh(20.0 * x) / 20.0
+    return -(2.0 * 900.0 * np.log(np.cosh(20.0 * x)) / 400.0 + 3.0 * 4e4 * (x - s) / 400.0), []
+
+
+def commanded(t: float) -> float:
+    return float(FORCES[min(int(t / PERIOD_s + 1e-9), ROWS - 1)])
+
+
+def sagging(t: float, x: float, v: float, z: np.ndarray) -> tuple[float, list[float]]:
+    """A motor of 1 ohm and 1 N/A behind a bridge, on 20 V through 2 ohm: what is missing of the command's effort."""
+    duty = commanded(t) / 20.0
+    current = (commanded(t) - 4.0 * v) / (1.0 + 2.0 * abs(duty))
+    return current + 4.0 * v - commanded(t), []  # the back-EMF is in the plant's damper
+
+
 CASES: dict[str, tuple[dict[str, float], Extra, int]] = {
     "viscous_friction": ({"Fv": 5.0}, lambda t, x, v, z: (-5.0 * v, []), 0),
     "quadratic_friction": ({"Fv2": 20.0}, lambda t, x, v, z: (-20.0 * v * abs(v), []), 0),
@@ -86,7 +104,19 @@ CASES: dict[str, tuple[dict[str, float], Extra, int]] = {
         lambda t, x, v, z: (1.5 * np.cos(60.0 * x + 0.4) + 0.5 * np.cos(120.0 * x - 0.2), []),
         0,
     ),
-    "nonlinear_stiffness": ({"k3": 4e4, "bend": 400.0, "corner": 0.01}, touching, 0),
+    "nonlinear_stiffness": ({"k3": 4e4, "bend": 400.0, "corner": 0.01, "k2": 0.0}, touching, 0),
+    "nonlinear_stiffness one way": ({"k3": 4e4, "bend": 400.0, "corner": 0.0, "k2": 900.0}, uneven, 0),
+    "nonlinear_stiffness of squares": (
+        {"k3": 2e4, "bend": 0.0, "corner": 0.0, "k2": 900.0},
+        lambda t, x, v, z: (-900.0 * x**2 - 2e4 * x**3, []),
+        0,
+    ),
+    "position_dependent_damping": (
+        {"D1": 30.0, "D2": 400.0, "A": 1.5, "k": 40.0, "phi": 0.3},
+        lambda t, x, v, z: (-(30.0 * x + 400.0 * x**2 + 1.5 * np.cos(40.0 * x + 0.3)) * v, []),
+        0,
+    ),
+    "supply_resistance": ({"sag": 2.0 / 20.0, "ke": 4.0}, sagging, 0),
     "backlash": ({"b": 0.01, "flank": 0.005}, lambda t, x, v, z: (STIFFNESS * np.clip(x / 1.5, -0.01, 0.01), []), 0),
     "end_stop": (
         {"K": 5000.0, "D": 10.0, "at_position": 0.03, "side": 1.0},
@@ -94,7 +124,7 @@ CASES: dict[str, tuple[dict[str, float], Extra, int]] = {
         0,
     ),
     "base_motion": ({"A": 4.0, "f": 5.0, "phi": 0.3}, lambda t, x, v, z: (4.0 * np.sin(2.0 * np.pi * 5.0 * t + 0.3), []), 0),
-    "torque_constant": ({"eps": 0.2}, lambda t, x, v, z: (0.2 * FORCES[min(int(t / PERIOD_s + 1e-9), ROWS - 1)], []), 0),
+    "torque_constant": ({"eps": 0.2}, lambda t, x, v, z: (0.2 * commanded(t), []), 0),
     "structural_mode": ({"J": 0.4, "f": 4.0, "zeta": 0.05}, mode, 2),
     "presliding_hysteresis": (BRISTLE, lugre, 1),
     "bouc_wen_hysteresis": ({"k": 200.0, "A": 0.9, "z_max": 0.02, "beta_share": 0.7, "n": 1.5}, wen, 1),
@@ -108,7 +138,8 @@ CASES: dict[str, tuple[dict[str, float], Extra, int]] = {
 }
 
 
-def positions(name: str, parameters: dict[str, float], substeps: int) -> np.ndarray:
+def positions(case: str, parameters: dict[str, float], substeps: int) -> np.ndarray:
+    name = case.split()[0]
     at = "block" if name in ("payload", "nonlinear_stiffness", "backlash", "thermal_bending") else "rail"
     effect = EffectSetting(name, at, parameters)
     return run(block(stiffness=STIFFNESS, damping=DAMPING, effects=(effect,), substeps=substeps), FORCES[:, None])[:, 0]
@@ -128,14 +159,50 @@ def test_it_moves_as_its_equation_says_and_halving_the_step_converges(name: str)
     assert np.abs(nothing - exact).max() > 0.01 * scale
 
 
-def test_a_payload_is_inertia() -> None:
-    exact = integrated(lambda t, x, v, z: (0.0, []), inertia=M + 0.7)
-    np.testing.assert_allclose(positions("payload", {"dm": 0.7}, 16), exact, rtol=0, atol=1e-7)
+@pytest.mark.parametrize(
+    ("name", "parameters", "added"),
+    [("payload", {"dm": 0.7}, 0.7), ("added_inertia", {"J": 0.7}, 0.7), ("added_inertia", {"J": -1.2}, -1.2)],
+)
+def test_what_is_added_is_inertia(name: str, parameters: dict[str, float], added: float) -> None:
+    exact = integrated(lambda t, x, v, z: (0.0, []), inertia=M + added)
+    np.testing.assert_allclose(positions(name, parameters, 16), exact, rtol=0, atol=1e-6 if added < 0.0 else 1e-7)
 
 
-def latched(effect: EffectSetting, forces: np.ndarray, group: str = "effort", stiffness: float = 0.0) -> np.ndarray:
+def test_an_added_inertia_that_takes_away_all_there_is_is_refused() -> None:
+    with pytest.raises(EffectError, match="added_inertia"):
+        compile_plant(block(effects=(EffectSetting("added_inertia", "rail", {"J": -1.01 * M}),))).model()
+
+
+def test_a_motor_on_a_weak_supply_holds_a_weight_with_the_command_that_its_circuit_asks_for() -> None:
+    """I = u / (1 + 2 u / 20) in the circuit of `sagging` at rest; no command gives 10 A or more."""
+    acting = (EffectSetting("constant_load", "rail", {"tau0": -4.0}), EffectSetting("supply_resistance", "rail", {"sag": 0.1, "ke": 4.0}))
+    physics = Physics(block(effects=acting), noise=False)
+    command = physics.holding_effort(np.zeros(1))
+    assert command[0] / (1.0 + 2.0 * command[0] / 20.0) == pytest.approx(4.0)
+    physics.hold(command)
+    physics.advance()
+    assert physics.joint_speeds[0] == pytest.approx(0.0, abs=1e-12)
+    assert physics.latch_exactly().effort[0] == pytest.approx(4.0)
+    too_heavy = EffectSetting("constant_load", "rail", {"tau0": -10.5})
+    assert Physics(block(effects=(too_heavy, acting[1])), noise=False).holding_effort(np.zeros(1))[0] == np.inf
+
+
+def test_an_amplifier_s_limit_cuts_what_the_supply_gives() -> None:
+    acting = (
+        EffectSetting("current_saturation", "rail", {"imax": 5.0, "droop": 0.0}),
+        EffectSetting("supply_resistance", "rail", {"sag": 0.1}),
+    )
+    for command, flows in ((9.0, 9.0 / 1.9), (20.0, 5.0)):
+        physics = Physics(block(effects=acting), noise=False)
+        physics.apply(np.array([command]))
+        assert physics.latch_exactly().effort[0] == pytest.approx(flows)
+
+
+def latched(
+    effect: EffectSetting, forces: np.ndarray, group: str = "effort", stiffness: float = 0.0, *further: EffectSetting
+) -> np.ndarray:
     """Readings of a free block, lattices off."""
-    settings = block(stiffness=stiffness, effects=(effect,), substeps=16)
+    settings = block(stiffness=stiffness, effects=(effect, *further), substeps=16)
     settings = replace(settings, encoders=tuple(replace(encoder, resolution=0.0) for encoder in settings.encoders))
     physics = Physics(settings, noise=False)
     physics.set_brakes(np.zeros(1, dtype=bool))
@@ -218,6 +285,18 @@ def test_a_late_clock_reads_the_past_between_its_samples(samples: float) -> None
     moves = past > 3.0 * PERIOD_s  # between the first samples and what stood still before them nothing is known
     np.testing.assert_allclose(got[moves], expected[moves], rtol=0, atol=1e-3)
     np.testing.assert_array_equal(got[past == 0.0], np.full(np.sum(past == 0.0), FORCES[0]))
+
+
+@pytest.mark.parametrize("group", ["position", "link_position"])
+def test_an_axis_is_read_late_by_all_its_encoders_and_not_by_its_current(group: str) -> None:
+    """And what one of them has besides is added."""
+    late = EffectSetting("clock_offset", "rail", {"t0": 3.0 * PERIOD_s, "delta": 0.0})
+    true = latched(EffectSetting("constant_load", "rail", {"tau0": 0.0}), FORCES, group)
+    np.testing.assert_allclose(latched(late, FORCES, group), true[np.maximum(np.arange(ROWS) - 3, 0)], rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(latched(late, FORCES), FORCES)
+    further = EffectSetting("clock_offset", "link_position_rail", {"t0": 2.0 * PERIOD_s, "delta": 0.0})
+    age = 5 if group == "link_position" else 3
+    np.testing.assert_allclose(latched(late, FORCES, group, 0.0, further), true[np.maximum(np.arange(ROWS) - age, 0)], rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize(("samples", "read"), [(1.0, 1), (4.0, 4), (63.0, 63), (200.0, 63)])

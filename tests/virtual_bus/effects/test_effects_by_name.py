@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 from effect_examples import EXAMPLES
 from places import CONCEALED_MACHINES
+from small_plants import block
 
 from hil.machine import load_machine
 from hil.machine.effects_file import effects_from_text, effects_text
 from virtual_bus.effects import nonlinear_stiffness
 from virtual_bus.effects.binding import bind_effects
+from virtual_bus.effects.bounds import effect_at
 from virtual_bus.effects.motion import JointMotion
 from virtual_bus.effects.places import part_at
 from virtual_bus.effects.registry import effects
@@ -21,7 +23,7 @@ from virtual_bus.errors import EffectError
 from virtual_bus.physics import Physics
 from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.plant.statics import equilibrium, static_effort, static_stiffness
-from virtual_bus.settings import EffectSetting
+from virtual_bus.settings import Body, Drive, EffectSetting, Joint, Tree
 
 CARM, EMPS = load_machine("carm"), load_machine("emps")
 SLIDER = load_machine(CONCEALED_MACHINES / "slider.toml")
@@ -69,13 +71,67 @@ def test_a_softening_spring_softens_no_further_than_to_nothing(bend: float, corn
     """Its slope is K - 3 abs(k3) tanh^2(r x) / bend, x beyond the corner; what softens it grows no more where that would be negative."""
     stiffness, k3 = 200.0, -1e4
     deflections = np.linspace(0.0, 0.5, 2001)
-    softened = [nonlinear_stiffness.effort(JointMotion(x, 0.0, 0.0, 1.0, stiffness, x), k3, bend, corner) for x in deflections.tolist()]
+    softened = [
+        nonlinear_stiffness.effort(JointMotion(x, 0.0, 0.0, 1.0, stiffness, x), k3, bend, corner, 0.0) for x in deflections.tolist()
+    ]
     slopes = stiffness - np.diff(softened) / np.diff(deflections)
     middles = np.maximum(0.5 * (deflections[1:] + deflections[:-1]) - corner, 0.0)
     wanted = stiffness + 3.0 * k3 * (middles**2 if bend == 0.0 else np.tanh(np.sqrt(bend) * middles) ** 2 / bend)
     clear = np.abs(wanted) > 2.0  # of the corner
     assert np.any(wanted < 0.0) == (bend < 150.0)
     assert slopes[clear] == pytest.approx(np.where(wanted > 0.0, wanted, stiffness)[clear], abs=0.5)
+
+
+@pytest.mark.parametrize("bend", [0.0, 25.0, 1200.0])
+@pytest.mark.parametrize(("k3", "k2"), [(0.0, 1500.0), (-4e3, -900.0), (1e4, 4000.0), (1e4, 2000.0)])
+def test_a_spring_that_softens_one_way_softens_no_further_than_to_nothing(k3: float, k2: float, bend: float) -> None:
+    """Its slope is K + 2 k2 s + 3 k3 s^2, s = tanh(r x) / r, up to where that is first zero to either side, and K beyond."""
+    stiffness = 200.0
+    deflections = np.linspace(-0.5, 0.5, 4001)
+    efforts = [nonlinear_stiffness.effort(JointMotion(x, 0.0, 0.0, 1.0, stiffness, x), k3, bend, 0.0, k2) for x in deflections.tolist()]
+    slopes = stiffness - np.diff(efforts) / np.diff(deflections)
+    x = 0.5 * (deflections[1:] + deflections[:-1])
+    s = x if bend == 0.0 else np.tanh(np.sqrt(bend) * x) / np.sqrt(bend)
+    wanted = stiffness + 2.0 * k2 * s + 3.0 * k3 * s**2
+    clear = np.abs(wanted) > 5.0
+    for side in (x > 0.0, x < 0.0):
+        outwards = np.flatnonzero(side)[np.argsort(np.abs(x[side]))]
+        gone = np.cumsum(wanted[outwards] <= 0.0) > 0
+        wanted[outwards[gone]] = stiffness
+        clear[outwards[gone][:1]] = False  # the knee is in it, or in the one before, which is not clear
+    assert slopes[clear] == pytest.approx(wanted[clear], abs=2.5)
+
+
+def test_bounds_are_wider_on_a_machine_of_more_effort() -> None:
+    """As far as ten times what its drive gives: a damper of 18 kN is no friction of a small rail."""
+    damper = {"name": "coulomb_friction", "at": "rail", "Fc_N": 18e3}
+    with pytest.raises(EffectError, match="from 0 to 2000 N"):
+        bind_effects([damper], block())
+    strong = replace(block(), drives=(replace(block().drives[0], limit=2e4),))
+    assert bind_effects([damper], strong) == (EffectSetting("coulomb_friction", "rail", {"Fc": 18e3}),)
+    with pytest.raises(EffectError, match="from 0 to 200000 N"):
+        bind_effects([damper | {"Fc_N": 2.1e5}], strong)
+
+
+def test_bounds_of_what_hangs_behind_a_joint_are_by_the_drives_that_reach_it() -> None:
+    """Effort over the root of the inertia: a slide of 4 kg on a shaft of 0.04 kg m^2 and 5000 Nm sees 50 kN, and ten times that at most."""
+    turn = Joint("turn", "revolute", np.array([0.0, 0.0, 1.0]))
+    slide = Joint("slide", "prismatic", np.array([1.0, 0.0, 0.0]), 1e5)
+    bodies = (
+        Body("shaft", "world", np.zeros(3), np.eye(3), 0.0, np.zeros(3), 0.04 * np.eye(3), turn),
+        Body("slide", "shaft", np.zeros(3), np.eye(3), 4.0, np.zeros(3), np.zeros((3, 3)), slide),
+    )
+    plant = replace(block(), tree=Tree(bodies, np.zeros(3)), drives=(Drive("turn", "turn", "Nm", 1.0, 1.0, 5000.0, 0.0, 5000.0),))
+    (level,) = effect_at("coulomb_friction", "slide", plant).parameters
+    assert level.high == pytest.approx(5e5)
+    (inertia,) = effect_at("added_inertia", "slide", plant).parameters
+    assert (inertia.low, inertia.high) == (-1000.0, 1000.0)
+
+
+def test_a_drive_of_large_commands_is_not_limited_by_a_neutral_limit() -> None:
+    strong = replace(block(), drives=(replace(block().drives[0], limit=2e4),))
+    limit = effect_at("current_saturation", "rail", strong).parameters[0]
+    assert (limit.neutral, limit.high) == (2e5, 2e5)
 
 
 def test_a_part_is_an_axis_with_what_it_carries_up_to_the_next_drive() -> None:

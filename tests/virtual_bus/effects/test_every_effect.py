@@ -114,6 +114,8 @@ def test_the_catalogue_is_complete_for_a_reader() -> None:
     for entry in entries.values():
         assert entry["equation"]
         assert entry["convention"]
+        assert 0 < len(entry["plain"].split()) <= 25
+        assert entry["plain"].endswith(".")
         assert entry["source"]
         assert entry["at"]
         assert set(entry["neighbours"]) <= set(entries)

@@ -31,9 +31,19 @@ SLIDE = load_machine("emps")
 FRICTION = EffectSetting("coulomb_friction", "carriage", {"Fc": 20.0})
 OTHERS = (
     EffectSetting("delay", "carriage", {"Td": 0.0013}),
+    EffectSetting("supply_resistance", "carriage", {"sag": 0.05, "ke": 4.0}),
+    EffectSetting("transmitted_load_friction", "carriage", {"Km": 0.1, "Kg": 0.05}),
+    EffectSetting("clock_offset", "carriage", {"t0": 0.0027, "delta": 0.0}),
     EffectSetting("cogging", "carriage", {"Np": 100.0, "A1": 3.0, "phi1": 0.2, "A2": 1.0, "phi2": 0.0}),
     EffectSetting("end_stop", "carriage", {"K": 2e4, "D": 50.0, "at_position": 0.03, "side": 1.0}),
 )
+PASSIVE = (
+    EffectSetting("coulomb_friction", "c_arc", {"Fc": 5.0}),
+    EffectSetting("motor_load_friction", "c_arc", {"Km": 0.1}),
+    EffectSetting("viscous_friction", "detector", {"Fv": 5.0}),
+    EffectSetting("clock_offset", "roll", {"t0": 0.006, "delta": 0.0}),
+)
+"""At joints without a drive, behind springs, and at all encoders of an axis."""
 UNSTABLE = EffectSetting("viscous_friction", "carriage", {"Fv": -1e6})
 PARTS = ("command", "effort", "position", "link_position", "speed", "imu")
 
@@ -95,7 +105,8 @@ def test_threads_change_nothing(simulator: Simulator, inputs: Inputs) -> None:
 
 @pytest.mark.nightly
 def test_every_effect_of_the_catalogue_does_beside_others_what_it_does_alone(arm: Simulator, jogged: Inputs) -> None:
-    trials = [(drawn(arm, seed), (setting,)) for seed, setting in enumerate(EXAMPLES.values())]
+    settings = (*EXAMPLES.values(), *PASSIVE)
+    trials = [(drawn(arm, seed), (setting,)) for seed, setting in enumerate(settings)]
     together = arm.run_all(jogged, trials)
     for (values, effects), answer in zip(trials, together, strict=True):
         assert difference(answer, arm.run(jogged, values, effects)) < 1e-7, effects

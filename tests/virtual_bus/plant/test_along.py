@@ -85,6 +85,55 @@ def test_friction_of_a_motor_is_a_share_of_its_effort_less_the_joints_damper(pai
     np.testing.assert_allclose(rubbed[:, 1], 0.0)
 
 
+def test_friction_behind_a_spring_is_a_share_of_what_the_spring_transmits(pair: CompiledPlant) -> None:
+    effects = (EffectSetting("motor_load_friction", "rider", {"Km": 0.2}),)
+    q, v, efforts, rubbed = (np.zeros((4, 2)) for _ in range(4))
+    v[:, 1], q[:, 1] = [0.3, 0.3, -0.3, -0.3], [0.01, 0.01, 0.02, 0.02]
+    along_module(pair).rub(pair.model(None, effects), pair.new_work(), q, v, np.full((4, 2), 1e-9), efforts, rubbed, np.zeros((4, 2)))
+    transmitted = [STIFFNESS * 0.01 + DAMPING * 0.3, STIFFNESS * 0.02 - DAMPING * 0.3]
+    np.testing.assert_allclose(rubbed[[0, 2], 1], [0.2 * transmitted[0], -0.2 * transmitted[1]], atol=1e-6)
+    np.testing.assert_allclose(rubbed[:, 0], 0.0)
+
+
+def test_a_gear_rubs_by_its_motor_and_its_load(pair: CompiledPlant) -> None:
+    """A load of 4 N towards positive position asks the drive for -4 N."""
+    shares = {"Km": 0.2, "Kg": 0.1, "Km_rest": 0.3, "Kg_rest": 0.0, "vs": 0.1, "delta": 1.0}
+    acting = (EffectSetting("constant_load", "cart", {"tau0": 4.0}), EffectSetting("transmitted_load_friction", "cart", shares))
+    q, v, efforts, rubbed = (np.zeros((2, 2)) for _ in range(4))
+    v[:, 0], efforts[:, 0] = 0.3, 5.0
+    along_module(pair).rub(pair.model(None, acting), pair.new_work(), q, v, np.full((2, 2), 1e-9), efforts, rubbed, np.zeros((2, 2)))
+    motor = 5.0 - 9.0 * 0.3
+    assert rubbed[0, 0] == pytest.approx(abs(0.2 * motor - 0.1 * 4.0) + 0.3 * abs(motor) * np.exp(-3.0), abs=1e-6)
+
+
+def test_a_motion_takes_added_inertia_and_damping_that_varies_on_top(pair: CompiledPlant) -> None:
+    damping = {"D1": 3.0, "D2": 20.0, "A": 2.0, "k": 50.0, "phi": 0.4}
+    added = (EffectSetting("added_inertia", "cart", {"J": 0.7}), EffectSetting("position_dependent_damping", "cart", damping))
+    q, v, a = motion()
+    module, work, needed = along_module(pair), pair.new_work(), np.zeros((2, ROWS, 2))
+    for model, out in zip((pair.model(), pair.model(None, added)), needed, strict=True):
+        module.efforts(model, work, q, v, a, out)
+    x = q[:, 0]
+    expected = 0.7 * a[:, 0] + (3.0 * x + 20.0 * x**2 + 2.0 * np.cos(50.0 * x + 0.4)) * v[:, 0]
+    np.testing.assert_allclose(needed[1, :, 0] - needed[0, :, 0], expected, rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(needed[1, :, 1], needed[0, :, 1])
+
+
+def test_what_flows_from_a_weak_supply_along_a_motion_solves_the_motor_s_circuit(pair: CompiledPlant) -> None:
+    """R i + abs(u) / U Rs i = u - ke v, of R = 1 ohm, Rs = 2 ohm and U = 20 V; what acts is R i + ke v."""
+    acting = (EffectSetting("supply_resistance", "cart", {"sag": 2.0 / 20.0, "ke": 4.0}),)
+    q, v, a = motion()
+    targets = 9.0 * np.cos(np.arange(ROWS) / 30.0)[:, None]
+    currents, efforts = np.zeros((ROWS, 1)), np.zeros((ROWS, 2))
+    state = pair.new_state(q[0])
+    along_module(pair).drive(pair.model(None, acting), pair.new_work(), targets, q, v, a, state, currents, efforts)
+    u, speed = targets[:, 0], v[:, 0]
+    flowing = (u - 4.0 * speed) / (1.0 + 2.0 * np.abs(u) / 20.0)
+    np.testing.assert_allclose(currents[:, 0], flowing + 4.0 * speed, rtol=1e-12)
+    middle = speed + 0.5 * PERIOD_s * a[:, 0]
+    np.testing.assert_allclose(efforts[:, 0], (u - 4.0 * middle) / (1.0 + 2.0 * np.abs(u) / 20.0) + 4.0 * middle, rtol=1e-9)
+
+
 @pytest.mark.parametrize(("start", "end", "deviation"), [(0.3, -0.1, 0.05), (0.02, 0.021, 0.05), (-0.2, -0.1, 0.3), (0.0, 0.0, 0.1)])
 def test_the_mean_sign_is_that_of_drawn_speeds(start: float, end: float, deviation: float) -> None:
     rng = np.random.default_rng(2)

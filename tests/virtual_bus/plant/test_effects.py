@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import mujoco
+import numpy as np
 import pytest
 from small_plants import block
 
 from hil.machine.load import load_machine
+from hil.machine.mjcf import to_mjcf
 from virtual_bus.effects import catalogue
 from virtual_bus.effects.binding import as_entries, bind_effects
 from virtual_bus.errors import EffectError
@@ -43,7 +46,7 @@ def test_effects_are_bound_with_the_units_of_their_joint() -> None:
         ({"name": "coulomb_frction", "at": "rail", "Fc_N": 1.0}, "did you mean coulomb_friction"),
         ({"at": "rail", "Fc_N": 1.0}, "no such effect"),
         ({"name": "coulomb_friction", "Fc_N": 1.0}, "rail"),
-        ({"name": "coulomb_friction", "at": "block", "Fc_N": 1.0}, "acts at an axis"),
+        ({"name": "coulomb_friction", "at": "imu", "Fc_N": 1.0}, "acts at an axis or body"),
         ({"name": "coulomb_friction", "at": "rail", "Fc_Nm": 1.0}, "it takes Fc_N"),
         ({"name": "coulomb_friction", "at": "rail"}, "Fc_N is missing"),
         ({"name": "coulomb_friction", "at": "rail", "Fc_N": -1.0}, "from 0 to 2000 N"),
@@ -80,3 +83,21 @@ def test_a_wave_over_position_may_act_at_a_place_with_several_orders() -> None:
 def test_another_choice_of_effects_is_the_same_compiled_plant() -> None:
     without, with_friction = compile_plant(block()), compile_plant(block(effects=(EffectSetting("coulomb_friction", "rail", {"Fc": 1.0}),)))
     assert without.module is with_friction.module
+
+
+@pytest.mark.parametrize(("at", "joint", "added"), [("roll", "roll", 12.0), ("roll", "roll", -20.0), ("c_arc", "roll_gear", 5.0)])
+def test_an_added_inertia_moves_the_machine_as_mujoco_s_armature_does(at: str, joint: str, added: float) -> None:
+    """In a pose in motion, under gravity, of the C-arm: which accelerations its drives give it."""
+    settings = load_machine("carm").plant
+    model = mujoco.MjModel.from_xml_string(to_mjcf(settings, "carm"))
+    model.dof_armature[settings.tree.joint_index(joint)] += added
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(6)
+    data.qpos[:], data.qvel[:], data.ctrl[:] = 0.2 * rng.normal(size=model.nq), 0.3 * rng.normal(size=model.nv), [2.0, -3.0]
+    mujoco.mj_forward(model, data)
+    plant = compile_plant(settings)
+    state, work = plant.new_state(data.qpos), plant.new_work()
+    state[plant.joints : 2 * plant.joints] = data.qvel
+    effects = (EffectSetting("added_inertia", at, {"J": added}),)
+    plant.joint_acceleration(state, data.ctrl.copy(), np.zeros(2), plant.model(None, effects), work)
+    np.testing.assert_allclose(work["acceleration"][0], data.qacc, rtol=1e-9, atol=1e-9)

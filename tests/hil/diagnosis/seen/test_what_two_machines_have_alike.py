@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from effect_examples import EXAMPLES
 
-from hil.diagnosis.candidates.entries import entries, setting_of
+from hil.diagnosis.candidates.entries import Entry, effect_sought, entries, setting_of
 from hil.diagnosis.observed.rows import observed
 from hil.diagnosis.seen.along import Along, Motion, Signals
 from hil.machine import Machine, load_machine
 from hil.recording import Channel, Recording, recording_metadata
+from virtual_bus.effects.effect import CLOCK, FRICTION
 
 TIME_s = np.arange(120) / 256.0
 SEED = 5
@@ -45,12 +47,40 @@ def assert_same(found: Signals, right: Signals) -> None:
         np.testing.assert_array_equal(getattr(found, name), getattr(right, name), err_msg=name)
 
 
+def laws(along: Along, motion: Motion) -> list[Entry]:
+    """Of all effects that a diagnosis looks for."""
+    values = along.plant.nominal
+    inertias = along.plant.inertias(along.model(values), motion.position[0])
+    missing = np.sin(motion.position * 40.0)[None]
+    return list(entries([along], [motion], [along.signals(motion, along.model(values))], values, [missing], inertias))
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_with_the_example_of_any_effect(name: str, along: Along, motion: Motion) -> None:
+    nominal, effect = along.signals(motion, along.model()), (EXAMPLES[name],)
+    model = along.model(None, effect)
+    assert_same(along.signals(motion, model, effect, beside=nominal), along.signals(motion, model, effect))
+
+
+def test_only_what_the_search_was_measured_with_is_sought(along: Along, motion: Motion) -> None:
+    axes = {drive.axis for drive in along.settings.drives}
+    for law in laws(along, motion):
+        assert law.effect.sought_at != ()
+        if law.effect.kind in (FRICTION, CLOCK):
+            assert (law.at in axes) == (law.effect.kind is FRICTION)
+        for column in law.law.columns:
+            assert column.get("Fs_minus_Fc", 0.0) >= 0.0
+            assert column.get("k2", 0.0) == 0.0
+    stribeck, spring = (effect_sought(name) for name in ("stribeck_friction", "nonlinear_stiffness"))
+    assert stribeck.parameters[0].low == 0.0
+    assert [each.name for each in spring.parameters if not each.fixed] == ["k3", "bend", "corner"]
+
+
 def test_with_any_effect(along: Along, motion: Motion) -> None:
     values = along.plant.nominal
     nominal = along.signals(motion, along.model(values))
-    inertias = along.plant.inertias(along.model(values), motion.position[0])
     names = set()
-    for law in entries([along], [motion], [nominal], values, [np.sin(motion.position * 40.0)[None]], inertias):
+    for law in laws(along, motion):
         for parameters in law.law.columns:
             effect = (setting_of(law.effect, law.at, dict(parameters)),)
             model = along.model(values, effect)
