@@ -20,7 +20,8 @@ def register(app: typer.Typer) -> None:
     app.command(
         "scan-bus",
         short_help="Which nodes are on the bus.",
-        help="Which nodes are on the bus, what they are, in which state.\n\nExample:  isocenter scan-bus --bus socketcan:vcan0",
+        help="Which nodes are on the bus, what they are, in which state. Its questions end a run there."
+        "\n\nExample:  isocenter scan-bus --bus socketcan:vcan0",
     )(scan_bus)
     app.command(
         short_help="The first careful motion.",
