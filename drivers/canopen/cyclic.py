@@ -321,7 +321,7 @@ class CyclicExchange:
         if not is_data_frame(message):
             self._network.pass_over(message)
             return
-        self._network.notify(identifier, message.data, message.timestamp)
+        self._network.hand_on(message)
 
     def _grow_ages(self, sample: Sample, outstanding: int) -> None:
         missed = self._clock.missed

@@ -89,12 +89,16 @@ class PolledNetwork(canopen.Network):
         if message is None:
             return False
         if is_data_frame(message):
-            if self._last_request is not None and self._last_request == (message.arbitration_id, bytes(message.data)):
-                self._echoes, self._last_request = self._echoes + 1, None
-            self.notify(message.arbitration_id, message.data, message.timestamp)
+            self.hand_on(message)
         else:
             self.pass_over(message)
         return True
+
+    def hand_on(self, message: can.Message) -> None:
+        """Hand a data frame to its subscribers, and see whether it is an echo of what was sent last."""
+        if self._last_request is not None and self._last_request == (message.arbitration_id, bytes(message.data)):
+            self._echoes, self._last_request = self._echoes + 1, None
+        self.notify(message.arbitration_id, message.data, message.timestamp)
 
     @property
     def echoes(self) -> bool:
