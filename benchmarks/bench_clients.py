@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import http.client
 import json
 import os
 import re
@@ -29,6 +30,8 @@ import urllib.request
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
+from urllib.parse import urlsplit
 
 import numpy as np
 
@@ -41,7 +44,28 @@ HEADER = struct.Struct("<IIIId")
 NICENESS = 10
 
 
-def read_rows(address: str, readers: int) -> None:
+class Entered(NamedTuple):
+    """The page's address, and the session that the token in the printed one was exchanged for."""
+
+    address: str
+    cookie: str
+
+    @property
+    def headers(self) -> dict[str, str]:
+        return {"Cookie": self.cookie}
+
+
+def enter(printed: str) -> Entered:
+    """Exchange the token."""
+    parts = urlsplit(printed)
+    line = http.client.HTTPConnection(parts.hostname, parts.port)
+    line.request("GET", f"{parts.path}?{parts.query}")
+    cookie = line.getresponse().headers["Set-Cookie"].split(";")[0]
+    line.close()
+    return Entered(f"{parts.scheme}://{parts.netloc}/", cookie)
+
+
+def read_rows(page: Entered, readers: int) -> None:
     """Read rows at full rate on so many lines until standard input ends; print how many came and were lost."""
     from websockets.sync.client import connect
 
@@ -49,7 +73,8 @@ def read_rows(address: str, readers: int) -> None:
     rows, lost = [0] * readers, [0] * readers
 
     def read(place: int) -> None:
-        with contextlib.suppress(Exception), connect(address.replace("http", "ws") + "rows", origin=address.rstrip("/")) as line:
+        where, own = page.address.replace("http", "ws") + "rows", page.address.rstrip("/")
+        with contextlib.suppress(Exception), connect(where, origin=own, additional_headers=page.headers) as line:
             for message in line:
                 if isinstance(message, bytes):
                     _, count, _, lost[place], _ = HEADER.unpack(message[: HEADER.size])
@@ -63,7 +88,7 @@ def read_rows(address: str, readers: int) -> None:
 
 
 @contextlib.contextmanager
-def watched(address: str) -> Iterator[dict[str, object]]:
+def watched(page: Entered) -> Iterator[dict[str, object]]:
     """Ten clients for the length of the block; the answer is complete behind it."""
     found: dict[str, object] = {"browser": False}
     chromium = shutil.which("chromium")
@@ -76,9 +101,12 @@ def watched(address: str) -> Iterator[dict[str, object]]:
             playwright = stack.enter_context(sync_playwright())
             browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-dev-shm-usage"])
             stack.callback(browser.close)
-            browser.new_page().goto(f"{address}#scope")
+            opened = browser.new_page()
+            name, _, value = page.cookie.partition("=")
+            opened.context.add_cookies([{"name": name, "value": value, "url": page.address}])
+            opened.goto(f"{page.address}#scope")
             found["browser"] = True
-        words = [sys.executable, __file__, "--read", address, str(READERS if chromium else READERS + 1)]
+        words = [sys.executable, __file__, "--read", *page, str(READERS if chromium else READERS + 1)]
         reader = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         assert reader.stdout is not None and reader.stdout.readline(), "the readers did not start"
         yield found
@@ -88,11 +116,11 @@ def watched(address: str) -> Iterator[dict[str, object]]:
 class Controller:
     """A client that starts runs and answers pings, of which none is a reader."""
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, page: Entered) -> None:
         from websockets.sync.client import connect
 
-        self._address = address.rstrip("/")
-        self._line = connect(address.replace("http", "ws") + "control", origin=self._address)
+        self._page, self._address = page, page.address.rstrip("/")
+        self._line = connect(page.address.replace("http", "ws") + "control", origin=self._address, additional_headers=page.headers)
         self._socket = self._line.__enter__()
         self._client = json.loads(self._socket.recv())["client"]
         self._work: dict[str, object] = {"state": "idle"}
@@ -107,7 +135,7 @@ class Controller:
     def run(self, seconds: float) -> dict[str, object]:
         """Run a recording at rest; return the state of the work at its end."""
         body = json.dumps({"kind": "static", "values": {"seconds": seconds}}).encode()
-        headers = {"Content-Type": "application/json", "Origin": self._address, "X-Client": self._client}
+        headers = {"Content-Type": "application/json", "Origin": self._address, "X-Client": self._client, **self._page.headers}
         said = json.load(urllib.request.urlopen(urllib.request.Request(f"{self._address}/api/run", body, headers, method="POST")))
         assert not said, said
         while self._work["state"] != "running":
@@ -135,12 +163,12 @@ def process(ready: Path, *words: str) -> Iterator[dict[str, object]]:
         running.wait()
 
 
-def one(how: str, controller: Controller, address: str, seconds: float, folder: Path) -> dict[str, object]:
+def one(how: str, controller: Controller, page: Entered, seconds: float, folder: Path) -> dict[str, object]:
     """Return timing and whole ticks [s] of one run."""
     from hil.recording import RecordingWarning, read_recording
 
     warnings.simplefilter("ignore", RecordingWarning)  # missed ticks are counted
-    with watched(address) if how == WITH else contextlib.nullcontext({}) as clients:
+    with watched(page) if how == WITH else contextlib.nullcontext({}) as clients:
         work = controller.run(seconds)
     answer = max(folder.glob("static-*.json"), key=lambda path: path.stat().st_mtime)
     said = json.loads(answer.read_text())
@@ -177,13 +205,13 @@ def measure(pairs: int, seconds: float, results: Path) -> None:
         stack.enter_context(process(folder / "emulator", "emulate", str(machine), "--bus", BUS))
         out = ["-o", str(folder / "out"), "--port", "0"]
         bench = stack.enter_context(process(folder / "bench", "bench", str(machine), "--bus", BUS, *out))
-        address = str(bench["address"])
-        controller = Controller(address)
+        page = enter(str(bench["address"]))
+        controller = Controller(page)
         stack.callback(controller.close)
         for pair in range(pairs):
             row: dict[str, object] = {"load_average": Path("/proc/loadavg").read_text().strip()}
             for how in (WITH, WITHOUT) if pair % 2 == 0 else (WITHOUT, WITH):
-                made = one(how, controller, address, seconds, folder / "out")
+                made = one(how, controller, page, seconds, folder / "out")
                 ticks[how].append(made["whole_tick_s"])
                 row[how] = {"ticks": len(made["whole_tick_s"]), "missed": made["missed"], **percentiles(made["whole_tick_s"])}
                 if how == WITH:
@@ -215,10 +243,10 @@ def main() -> None:
     parser.add_argument("--pairs", type=int, default=6)
     parser.add_argument("--seconds", type=float, default=20.0, help="of each run")
     parser.add_argument("--results", type=Path, default=Path(__file__).parent / "results" / "bench_clients.json")
-    parser.add_argument("--read", nargs=2, metavar=("ADDRESS", "READERS"), help=argparse.SUPPRESS)
+    parser.add_argument("--read", nargs=3, metavar=("ADDRESS", "COOKIE", "READERS"), help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.read:
-        read_rows(arguments.read[0], int(arguments.read[1]))
+        read_rows(Entered(*arguments.read[:2]), int(arguments.read[2]))
     else:
         measure(arguments.pairs, arguments.seconds, arguments.results)
 

@@ -20,12 +20,12 @@ import socket
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
-
-import can
-from can.interfaces import BACKENDS
+from typing import TYPE_CHECKING, Any
 
 from drivers.errors import BusUnavailableError
+
+if TYPE_CHECKING:
+    import can
 
 DEFAULT_VIRTUAL_CHANNEL = "isocenter"
 DEFAULT_UDP_GROUP = "239.74.163.2"  # python-can's administratively scoped IPv4 group: not routed beyond the site
@@ -53,6 +53,20 @@ def parse_bus_url(url: str) -> BusUrl:
     BusUnavailableError
         The colon is missing, the interface is unknown, or the channel is invalid.
     """
+    parsed = split_bus_url(url)
+    if parsed.interface != "lockstep":
+        _check_interface(url, parsed.interface)
+    return parsed
+
+
+def split_bus_url(url: str) -> BusUrl:
+    """Split a bus URL into its parts, whether python-can knows its interface or not: importing that takes half a second.
+
+    Raises
+    ------
+    BusUnavailableError
+        The colon is missing, or the channel is invalid.
+    """
     scheme, colon, rest = url.strip().partition(":")
     scheme = scheme.lower()
     if not colon or not scheme:
@@ -65,11 +79,8 @@ def parse_bus_url(url: str) -> BusUrl:
         return BusUrl(url, "virtual", rest or DEFAULT_VIRTUAL_CHANNEL)
     if scheme in ("udp", "udp_multicast"):
         return _udp(url, rest)
-    if scheme not in BACKENDS:
-        close = difflib.get_close_matches(scheme, [*BACKENDS, "udp", "lockstep"], n=3, cutoff=0.5)
-        hint = f"did you mean {' or '.join(close)}?" if close else f"known: lockstep, udp, {', '.join(sorted(BACKENDS))}"
-        raise BusUnavailableError(f"{url}: no CAN interface is called {scheme!r}; {hint}")
     if not rest:
+        _check_interface(url, scheme)
         raise BusUnavailableError(f"{url}: the channel is missing after the colon; for example {_example(scheme)}")
     if scheme == "slcan":
         return _slcan(url, rest)
@@ -115,10 +126,21 @@ def open_bus(url: str, bitrate: int, *, stamped: bool = False) -> can.BusABC:
             from drivers.socketcan_bus import SocketcanBus
 
             return SocketcanBus(str(parsed.channel))
+        import can
+
         return can.Bus(interface=parsed.interface, channel=parsed.channel, ignore_config=True, **arguments)
     except Exception as error:  # back ends raise whatever their vendor's library does, NameError of a missing library included
         reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
         raise BusUnavailableError(f"{url}: {reason}; {_remedy(parsed.interface)}") from error
+
+
+def _check_interface(url: str, scheme: str) -> None:
+    from can.interfaces import BACKENDS
+
+    if scheme not in BACKENDS:
+        close = difflib.get_close_matches(scheme, [*BACKENDS, "udp", "lockstep"], n=3, cutoff=0.5)
+        hint = f"did you mean {' or '.join(close)}?" if close else f"known: lockstep, udp, {', '.join(sorted(BACKENDS))}"
+        raise BusUnavailableError(f"{url}: no CAN interface is called {scheme!r}; {hint}")
 
 
 def _udp(url: str, rest: str) -> BusUrl:

@@ -48,6 +48,7 @@ class Node:
     writes: tuple[tuple[int, int, int], ...] = ()  # further (index, subindex, value) of the file, written and read back
     sensor: str = ""  # which IMU of the machine
     stopped_by: str = ""  # what stops a drive that cannot stop by itself when the bench is gone
+    foreign_sdo: str = ""  # who else may send it SDO requests
 
 
 @dataclass(frozen=True)

@@ -131,10 +131,9 @@ class TickingMachine:
             if self._imu is not None:
                 self._imu.configure(self.clock.wait)
             self.supervision.boot(self.settings.nodes)
-            notes = [note for note in self.notes if note.endswith(SET_SO)]
-            for node in self.settings.nodes:
-                notes += self._configure(node)
-            self.notes = tuple(notes)
+            kept = [note for note in self.notes if note.endswith(SET_SO)]
+            self.notes = (*kept, *[note for node in self.settings.nodes for note in self._configure(node)])
+            self._cyclic.settings_watch.begin(self._nodes.values())
             self._resting.rests, self.modes = (), [None] * len(self.axes)
             holding = [axis for axis in range(len(self.axes)) if self._is_powered(axis)]
             for axis, output in enumerate(self._cyclic.outputs):
@@ -416,6 +415,7 @@ class TickingMachine:
         attempts = Attempts()
         if self._ticking:
             self._resting.stop_all(attempts, self.attendant)
+            attempts.make("reading settings back", self._cyclic.settings_watch.verify)
         else:
             attempts.make("closing the brakes", self.command_brakes, dict.fromkeys(self.axes, False))
         self._ticking = False

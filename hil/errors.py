@@ -5,6 +5,7 @@ BenchError                 base: one line that names what is wrong, where, and w
 |   |-- MachineFileError       carm.toml: drives.roll.rated_current_A = -3.0: must be positive
 |   |-- RecordingError         a CSV with a hole, an unknown unit, a recording without metadata
 |   `-- ExperimentError        a jog off the grid, an excitation that would saturate, a pose outside the limits
+|-- NothingRunsError            exit status 3: nothing ran that could be stopped
 `-- BadAnswerError              exit status 1: it ran and the answer is bad (a limit tripped, a check failed)
     `-- LoopAbortedError            the sample loop stopped the motors: overrun, lost device, limit, hold-to-run released
 """
@@ -13,6 +14,8 @@ from __future__ import annotations
 
 TRACEBACK_VARIABLE = "ISOCENTER_TRACEBACK"
 """Environment variable that shows the traceback of an error."""
+INTERRUPTED = "interrupted"
+"""What is said of a Ctrl-C."""
 
 
 class BenchError(Exception):
@@ -37,6 +40,12 @@ class RecordingError(UnusableInputError):
 
 class ExperimentError(UnusableInputError):
     """An experiment that must not or cannot be run on this machine."""
+
+
+class NothingRunsError(BenchError):
+    """There is nothing to stop."""
+
+    exit_status = 3
 
 
 class BadAnswerError(BenchError):

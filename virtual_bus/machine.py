@@ -93,6 +93,7 @@ class EmulatedMachine:
         self.until_sync_s = period_s if bus.produces_sync else math.inf  # until the machine's own producer sends the next
         self._put: Emit = nowhere
         for node in self._nodes:
+            node.resolution_s = period_s
             node.on_routes = self._collect_routes
 
     # ---- life -----------------------------------------------------------------------------------------

@@ -24,6 +24,7 @@ STATUS_TEXT = """
 | 0 | done |
 | 1 | it ran, and the answer is bad: a check failed, a limit stopped the machine, a simulation diverged |
 | 2 | unusable input; one line on standard error says what is wrong, where, and what would be right |
+| 3 | of `stop` alone: nothing runs that could be stopped |
 
 Every command takes `--json FILE`; without a file, or with `-`, the answer goes to standard output and nothing else
 does. The keys are in [JSON answers](json.md). `ISOCENTER_TRACEBACK=1` shows where in the code an error arose.

@@ -176,7 +176,7 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("answer_from", "text", "Where the time of the devices' answers in the prediction is from."),
     ),
     "bench": (
-        Entry("address", "text", "The address to open, with its one-time token where one is set. One line, as soon as the page is served."),
+        Entry("address", "text", "The address to open, with its one-time token. One line, as soon as the page is served."),
         Entry("machine, bus", "text", "Machine and bus."),
         Entry("folder", "text", "Where recordings and answers go."),
     ),
@@ -204,7 +204,11 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
             "and the `frames` of a failure: `time_s`, `id`, `data` in hexadecimal, `sent` (by the tester), `remote`.",
         ),
     ),
-    "stop": (Entry("bus", "text", "The bus."), Entry("seen", "list of text", "What the supervisor saw, in order.")),
+    "stop": (
+        Entry("bus", "text", "The bus."),
+        Entry("ended", "text", "How it ended: `no torque`, `held` by a drive, or `bench ended`."),
+        Entry("seen", "list of text", "What the supervisor saw, in order."),
+    ),
     "move": (
         Entry("machine, bus", "text", "Machine and bus."),
         Entry("emulated", "true or false", "Whether an emulator of this host was the machine."),

@@ -22,6 +22,9 @@ class State(Enum):
     UNDEFINED = "undefined"  # a bit pattern that the standard gives to no state
 
 
+MODES_OF_OPERATION, MODES_DISPLAY = 0x6060, 0x6061
+
+
 class Mode(IntEnum):
     """Modes of operation, objects 6060h and 6061h."""
 

@@ -16,6 +16,7 @@ from drivers.canopen.foreign_sync import ForeignSync
 from drivers.canopen.network import PolledNetwork, is_data_frame, receive_frame, send_frame
 from drivers.canopen.one_master import OneMaster
 from drivers.canopen.process_data import AxisInput, AxisOutput, Tpdo, check_inputs, drives
+from drivers.canopen.settings_watch import SettingsWatch
 from drivers.canopen.supervision import HEARTBEAT_TOLERANCE, Supervision
 from drivers.canopen.units import MotionUnits, units_in_data_sheet
 from drivers.errors import MotionRefusedError, ProtocolError
@@ -93,6 +94,7 @@ class CyclicExchange:
         self._take: Callable[[float], can.Message | None] = self._foreign.take if self._foreign else partial(receive_frame, self._bus)
         self._flood_frames = self._one_master.flood_frames
         self._others = self._last_other = 0  # frames of others in this tick, and the last one's identifier
+        self.settings_watch = SettingsWatch(network, settings)
         self.late_frames = 0  # process data that came after the end of its tick
         self.syncs = 0  # ticks since the owner set this to 0: SYNCs, where the bench sends them
 
@@ -133,6 +135,7 @@ class CyclicExchange:
         if self._heartbeat_ticks and self._tick % self._heartbeat_ticks == 0:
             self._network.send_heartbeat()
         self._tick = self._one_master.tick = self._tick + 1
+        self.settings_watch.tick()  # all is sent, and the SYNC is not yet due
         if self._foreign is not None:
             self._late = 0
             sample.lateness_s = self._foreign.wait(partial(self._drop, sample), before_sync)
@@ -192,7 +195,7 @@ class CyclicExchange:
 
     @property
     def remarks(self) -> list[str]:
-        """What was unusual of the TPDOs, in words: it was bridged, or does no harm."""
+        """What was unusual of TPDOs and settings, in words: it was bridged, put right, or does no harm."""
         found = [f"{tpdo.who}: {tpdo.unanswered} SYNCs were not answered in time" for tpdo in self._tpdos if tpdo.unanswered]
         found += [
             f"{tpdo.who}: {tpdo.longer} frames were longer than the {tpdo.size} bytes that it maps; the rest was ignored"
@@ -201,7 +204,7 @@ class CyclicExchange:
         ]
         if self._foreign is not None and self._foreign.left_out:
             found.append(f"{self._foreign.who}: {self._foreign.left_out} SYNCs did not come")
-        return found
+        return [*found, *self.settings_watch.remarks]
 
     def _clear(self, sample: Sample) -> None:
         sample.position.fill(nan)
@@ -318,7 +321,7 @@ class CyclicExchange:
         if not is_data_frame(message):
             self._network.pass_over(message)
             return
-        self._network.notify(identifier, message.data, message.timestamp)
+        self._network.hand_on(message)
 
     def _grow_ages(self, sample: Sample, outstanding: int) -> None:
         missed = self._clock.missed

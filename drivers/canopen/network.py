@@ -50,6 +50,7 @@ class PolledNetwork(canopen.Network):
         self.passed_over: dict[str, int] = {}  # frames that CANopen gives no meaning here, by what they are
         self.intruder = ""  # who else sends what only the bench or one device may send, in words
         self.heartbeats_sent = 0
+        self.sent: dict[int, int] = {}  # frames that `send_message` has sent, by identifier
         self._requests = self._echoes = 0
         self._last_request: tuple[int, bytes] | None = None  # whose echo has not come
         self._heartbeat: can.Message | None = None
@@ -67,6 +68,7 @@ class PolledNetwork(canopen.Network):
         """
         send_frame(self.can_bus, can.Message(arbitration_id=can_id, is_extended_id=False, data=data, is_remote_frame=remote))
         self._requests += 1
+        self.sent[can_id] = self.sent.get(can_id, 0) + 1
         self._last_request = can_id, bytes(data)
 
     def command_nmt(self, command: int, node_id: int) -> None:
@@ -87,12 +89,16 @@ class PolledNetwork(canopen.Network):
         if message is None:
             return False
         if is_data_frame(message):
-            if self._last_request is not None and self._last_request == (message.arbitration_id, bytes(message.data)):
-                self._echoes, self._last_request = self._echoes + 1, None
-            self.notify(message.arbitration_id, message.data, message.timestamp)
+            self.hand_on(message)
         else:
             self.pass_over(message)
         return True
+
+    def hand_on(self, message: can.Message) -> None:
+        """Hand a data frame to its subscribers, and see whether it is an echo of what was sent last."""
+        if self._last_request is not None and self._last_request == (message.arbitration_id, bytes(message.data)):
+            self._echoes, self._last_request = self._echoes + 1, None
+        self.notify(message.arbitration_id, message.data, message.timestamp)
 
     @property
     def echoes(self) -> bool:

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from drivers.canopen import cia402
-from drivers.canopen.cia402 import Mode, State
+from drivers.canopen.cia402 import MODES_DISPLAY, MODES_OF_OPERATION, Mode, State
 from drivers.canopen.emcy import describe_code
 from drivers.canopen.process_data import AxisInput
 from drivers.canopen.sdo import SdoNode
@@ -30,7 +30,7 @@ BRAKE_TIMEOUT_S = 1.0  # Modbus poll, relay, armature, feedback, Modbus poll
 HOLD_BEFORE_RELEASE_S = 0.05  # current controllers settle within milliseconds; the brake must not open before
 SETTLED_TICKS = 2  # after a controlword goes out its effect is in the statusword of the next SYNC; one more to be sure
 
-MODES_OF_OPERATION, MODES_DISPLAY, ERROR_CODE = 0x6060, 0x6061, 0x603F
+ERROR_CODE = 0x603F
 
 Hold = Callable[[Sample], np.ndarray]
 """Command that holds the axes, as a function of the newest sample: a constant effort, or the loop's feedback."""
@@ -178,8 +178,9 @@ def set_mode(machine: Machine, axis: int, mode: Mode) -> None:
     """
     sdo = machine.sdo(axis)
     machine.modes[axis] = None
+    sdo.settings.pop((MODES_DISPLAY, 0), None)
     if sdo.read_integer(MODES_DISPLAY) == mode:
-        machine.modes[axis] = mode
+        machine.modes[axis], sdo.settings[MODES_DISPLAY, 0] = mode, (mode, 0)
         return
     sdo.write_integer(MODES_OF_OPERATION, 0, mode)
     deadline = machine.clock.now() + MODE_TIMEOUT_S
@@ -189,7 +190,7 @@ def set_mode(machine: Machine, axis: int, mode: Mode) -> None:
                 f"{sdo.who}: stays in mode {shown}, mode {int(mode)} ({mode.name.lower().replace('_', ' ')}) was asked for"
             )
         sdo.network.pump_for(0.01)
-    machine.modes[axis] = mode
+    machine.modes[axis], sdo.settings[MODES_DISPLAY, 0] = mode, (mode, 0)
     machine.resume_ticks()
 
 

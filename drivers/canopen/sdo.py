@@ -35,6 +35,8 @@ class PolledSdoClient(SdoClient):
         self._who = who
         self._answers: deque[bytes] = deque()
         self._answers_owed = 0
+        self._asked: Address | None = None  # a question whose answer nobody waits for
+        self._asked_s = 0.0
         self._segments = 0  # of the transfer under way
         network.subscribe(self.tx_cobid, self.on_response)
 
@@ -86,7 +88,42 @@ class PolledSdoClient(SdoClient):
         """Tell the server that this transfer is over."""
         self.send_request(struct.pack("<BHBI", 0x80, 0, 0, abort_code))  # type: ignore[no-untyped-call]
 
+    def ask(self, index: int, subindex: int) -> None:
+        """Ask for the value of an object without waiting for it; `answer` has it later."""
+        self._asked, self._asked_s = (index, subindex), self.network.clock.now()
+        self._answers_owed += 1
+        self.send_request(struct.pack("<BHB4x", 0x40, index, subindex))  # type: ignore[no-untyped-call]
+
+    def answer(self) -> bytes | None:
+        """Return the frame that answers `ask`, b"" where none came in time or somebody else's transfer took its place, None: not yet."""
+        if self._asked is None:
+            return b""
+        multiplexer = struct.pack("<HB", *self._asked)
+        while self._answers:
+            response = self._answers.popleft()
+            self._answers_owed -= 1
+            if response[1:4] == multiplexer:
+                self._asked = None
+                return response
+        if self.network.clock.now() - self._asked_s > RESPONSE_TIMEOUT_S:
+            self._asked = None
+            return b""
+        return None
+
+    def owe_another(self) -> None:
+        """Expect an answer to a request that somebody else has sent."""
+        self._answers_owed += 1
+
+    def write_unheard(self, index: int, subindex: int, data: bytes) -> None:
+        """Write an object of up to four bytes and do not wait for the answer."""
+        self._answers_owed += 1
+        command = 0x23 | 4 - len(data) << 2
+        self.send_request(struct.pack("<BHB", command, index, subindex) + data.ljust(4, b"\0"))  # type: ignore[no-untyped-call]
+
     def _expect_silence(self) -> None:
+        while self.answer() is None and self.network.pump(RESPONSE_TIMEOUT_S):
+            pass
+        self._asked = None
         self.network.drain()
         twice = len(self._answers) > max(0, self._answers_owed)
         self._answers.clear()
@@ -116,6 +153,9 @@ class SdoNode:
         self.who = f"{name} (node {node_id})" if name else f"node {node_id}"
         self.dictionary = dictionary if dictionary is not None else canopen.ObjectDictionary()  # type: ignore[no-untyped-call]
         self._client = PolledSdoClient(network, node_id, self.dictionary, self.who)
+        self.settings: dict[Address, tuple[int, int]] = {}
+        """What each object should hold that was written, and the bits of it that do not matter."""
+        self.ask, self.answer, self.owe_another = self._client.ask, self._client.answer, self._client.owe_another
 
     def close(self) -> None:
         """Stop listening for this node's answers."""
@@ -149,10 +189,10 @@ class SdoNode:
             return bytes(self._client.upload(index, subindex))
         except SdoAbortedError as error:
             raise ConfigurationRefusedError(
-                f"{self.who}: reading {self._named(index, subindex)} refused: {abort_in_words(error)}"
+                f"{self.who}: reading {self.named(index, subindex)} refused: {abort_in_words(error)}"
             ) from error
         except SdoCommunicationError as error:
-            raise NodeAbsentError(f"{self.who}: reading {self._named(index, subindex)}: {error}; is it powered and on this bus?") from error
+            raise NodeAbsentError(f"{self.who}: reading {self.named(index, subindex)}: {error}; is it powered and on this bus?") from error
 
     def read_if_present(self, index: int, subindex: int = 0) -> bytes | None:
         """Read the raw value, or return None when the node has no such object."""
@@ -165,12 +205,12 @@ class SdoNode:
 
     def read_integer(self, index: int, subindex: int = 0) -> int:
         """Read the value of an integer object, signed where the data sheet says so."""
-        return self._to_integer(index, subindex, self.read(index, subindex))
+        return self.to_integer(index, subindex, self.read(index, subindex))
 
     def integer_if_present(self, index: int, subindex: int = 0) -> int | None:
         """Read the same, or return None where data sheet or node have no such object."""
         data = self.read_if_present(index, subindex) if self.knows(index, subindex) else None
-        return None if data is None else self._to_integer(index, subindex, data)
+        return None if data is None else self.to_integer(index, subindex, data)
 
     def read_text(self, index: int, subindex: int = 0) -> str:
         """Read the text of a visible string; '' when the node has none."""
@@ -189,11 +229,12 @@ class SdoNode:
         data = self._to_bytes(index, subindex, value)
         try:
             self._client.download(index, subindex, data)
+            self.settings[index, subindex] = value, 0
         except SdoAbortedError as error:
-            what = f"writing {_hex(value)} to {self._named(index, subindex)}"
+            what = f"writing {_hex(value)} to {self.named(index, subindex)}"
             raise ConfigurationRefusedError(f"{self.who}: {what} refused: {abort_in_words(error)}") from error
         except SdoCommunicationError as error:
-            raise NodeAbsentError(f"{self.who}: writing {self._named(index, subindex)}: {error}; is it powered and on this bus?") from error
+            raise NodeAbsentError(f"{self.who}: writing {self.named(index, subindex)}: {error}; is it powered and on this bus?") from error
 
     def write_checked(self, index: int, subindex: int, value: int, *, ignore_bits: int = 0) -> None:
         """Write an integer object and read it back.
@@ -204,18 +245,25 @@ class SdoNode:
             As `write_integer`, or the value that comes back differs outside `ignore_bits`.
         """
         self.write_integer(index, subindex, value)
+        self.settings[index, subindex] = value, ignore_bits
         back = self.read_integer(index, subindex)
         if (back ^ value) & ~ignore_bits:
             raise ConfigurationRefusedError(
-                f"{self.who}: {self._named(index, subindex)} reads back {_hex(back)} after {_hex(value)} was written; "
+                f"{self.who}: {self.named(index, subindex)} reads back {_hex(back)} after {_hex(value)} was written; "
                 "the device does not take this value"
             )
 
-    def _named(self, index: int, subindex: int) -> str:
+    def write_unheard(self, index: int, subindex: int, value: int) -> None:
+        """Write an integer object and do not wait for the answer."""
+        self._client.write_unheard(index, subindex, self._to_bytes(index, subindex, value))
+
+    def named(self, index: int, subindex: int) -> str:
+        """Return an object in words, with its name where the data sheet has it."""
         variable = self.dictionary.get_variable(index, subindex)
         return f"{index:04X}h:{subindex:02X}{f' ({variable.qualname})' if variable is not None else ''}"
 
-    def _to_integer(self, index: int, subindex: int, data: bytes) -> int:
+    def to_integer(self, index: int, subindex: int, data: bytes) -> int:
+        """Return the value of an integer object, signed where the data sheet says so."""
         variable = self.dictionary.get_variable(index, subindex)
         signed = variable is not None and variable.data_type in datatypes.SIGNED_TYPES
         return int.from_bytes(data, "little", signed=signed)
@@ -228,13 +276,13 @@ class SdoNode:
             )
         if variable.data_type not in datatypes.INTEGER_TYPES and variable.data_type != datatypes.BOOLEAN:
             raise ConfigurationRefusedError(
-                f"{self.who}: {self._named(index, subindex)} is no integer object; only integers can be configured"
+                f"{self.who}: {self.named(index, subindex)} is no integer object; only integers can be configured"
             )
         try:
             return value.to_bytes(len(variable) // 8, "little", signed=variable.data_type in datatypes.SIGNED_TYPES)
         except OverflowError as error:
             raise ConfigurationRefusedError(
-                f"{self.who}: {value} does not fit {self._named(index, subindex)} of {len(variable)} bits"
+                f"{self.who}: {value} does not fit {self.named(index, subindex)} of {len(variable)} bits"
             ) from error
 
 

@@ -191,9 +191,7 @@ class _Rounds:
             self._values[ASKED] = 1.0
 
     def _seen(self) -> str:
-        supervisor = self._supervisor
-        torque = "torque on" if supervisor.powered else "no torque" if supervisor.known else "unknown"
-        return f"{torque}\n{supervisor.reason}"
+        return f"{self._supervisor.torque}\n{self._supervisor.reason}"
 
     def _judge(self, now_s: float) -> None:
         supervisor, values = self._supervisor, self._values

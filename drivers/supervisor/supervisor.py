@@ -174,6 +174,12 @@ class _Axis:
         """Return the time between two readings; frames that were held up come together, but were sampled a period apart."""
         return max(now_s - before_s, self._period_s)
 
+    @property
+    def holds(self) -> bool:
+        """Whether the drive stops by itself, tells its position, and the axis stands."""
+        stands = not self.motor.speed and (self.link is None or not self.link.speed)
+        return stands and not self.enabled and self.unanswered < SPEED_STEPS
+
     def wrong(self) -> str:
         """Return what is wrong with the motion, in words; '' where nothing is."""
         limits, unit = self.limits, self.scaling.position_unit
@@ -235,14 +241,11 @@ class Supervisor:
         self.refuse(-inf, "no bench runs")
 
     @property
-    def powered(self) -> bool:
-        """Whether any drive may apply torque."""
-        return any(axis.powered for axis in self._axes)
-
-    @property
-    def known(self) -> bool:
-        """Whether every drive has told its state in this session."""
-        return all(axis.known for axis in self._axes)
+    def torque(self) -> str:
+        """What the drives' torque does: "torque on", "held" where it only holds axes that stand, "no torque", or "unknown"."""
+        if any(axis.powered for axis in self._axes):
+            return "torque on" if any(axis.powered and not axis.holds for axis in self._axes) else "held"
+        return "no torque" if all(axis.known for axis in self._axes) else "unknown"
 
     def frame(self, time_s: float, can_id: int, data: bytes) -> None:
         """Take a data frame with an 11-bit identifier, whoever sent it."""

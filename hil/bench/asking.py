@@ -13,14 +13,16 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from drivers.bus_url import parse_bus_url
-from hil.errors import BadAnswerError, UnusableInputError
+from drivers.bus_url import parse_bus_url, split_bus_url
+from hil.errors import BadAnswerError, NothingRunsError
 from hil.processes.private_folder import check_own, made_private_folder, private_folder
 
 ANSWER_S = 1.0  # a supervisor answers within a period
 STOP_S = 15.0
-"""Longest time that is waited for the drives' torque to go: a stop with all its proofs takes ten seconds at most."""
+"""Longest time that is waited for the drives' torque to go: a stop with all its proofs takes ten seconds at most. Then a drive holds."""
 AGAIN_S = 0.2
+NO_TORQUE, HELD, BENCH_ENDED = "no torque", "held", "bench ended"
+"""How a stop ended; the first two are a supervisor's words."""
 
 
 def stop_socket(bus_url: str, *, make: bool = False) -> Path:
@@ -32,13 +34,13 @@ def stop_socket(bus_url: str, *, make: bool = False) -> Path:
         The folder is not this user's own.
     """
     folder = made_private_folder() if make else private_folder()
-    bus = parse_bus_url(bus_url)
+    bus = split_bus_url(bus_url)
     name = f"{bus.interface}:{bus.channel}:{bus.options}"
     return folder / f"stop-{hashlib.sha256(name.encode()).hexdigest()[:16]}.socket"
 
 
-def ask_to_stop(bus_url: str, say: Callable[[str], None], asker: str = "`isocenter stop`") -> None:
-    """Ask for a stop, and stay until no drive has torque.
+def ask_to_stop(bus_url: str, say: Callable[[str], None], asker: str = "`isocenter stop`") -> str:
+    """Ask for a stop, and stay until no drive has torque, or those that have hold their axes when every proof should be over.
 
     Parameters
     ----------
@@ -48,12 +50,17 @@ def ask_to_stop(bus_url: str, say: Callable[[str], None], asker: str = "`isocent
     asker : str
         Who asks, for the audit trail.
 
+    Returns
+    -------
+    str
+        How it ended: "no torque", "held" or "bench ended".
+
     Raises
     ------
-    UnusableInputError
+    NothingRunsError
         No bench of this user runs on the bus.
     BadAnswerError
-        A drive keeps its torque.
+        A drive keeps its torque and does not hold, or nobody knows.
     """
     path = stop_socket(bus_url)
     who = f"{asker} (user {_user()}, process {os.getpid()})"
@@ -67,22 +74,27 @@ def ask_to_stop(bus_url: str, say: Callable[[str], None], asker: str = "`isocent
         line.settimeout(ANSWER_S)
         seen = _ask(line, path, who)
         if seen is None:
-            raise UnusableInputError(f"{bus_url}: no bench of yours runs on this bus; stop the machine at its emergency stop")
+            parse_bus_url(bus_url)  # which may say that there is no such bus
+            raise NothingRunsError(f"{bus_url}: no bench of yours runs on this bus; stop the machine at its emergency stop")
         if not seen:
             raise BadAnswerError(f"{bus_url}: {silent}; stop the machine at its emergency stop")
         say(f"{bus_url}: the supervisor was told")
         give_up = time.monotonic() + STOP_S
-        while seen is not None and not seen.startswith("no torque"):
+        while seen is not None and not seen.startswith(NO_TORQUE):
             if not seen:
                 raise BadAnswerError(f"{bus_url}: the supervisor answers no more; nobody knows whether the motors stand")
             if time.monotonic() > give_up:
+                if seen.startswith(HELD):
+                    say(f"{bus_url}: a drive holds its axis, whose brake is not proven; the terminal of the run says how to release it")
+                    return HELD
                 raise BadAnswerError(
-                    f"{bus_url}: a drive has torque or tells nothing after {STOP_S:g} s: it holds an axis whose brake is not proven, "
-                    "or does not obey; the terminal of the run says which"
+                    f"{bus_url}: a drive has torque and does not hold, or tells nothing, after {STOP_S:g} s; stop the machine at its "
+                    "emergency stop"
                 )
             time.sleep(AGAIN_S)
             seen = _ask(line, path, who)
     say(f"{bus_url}: " + ("the bench has ended" if seen is None else "no drive has torque"))
+    return BENCH_ENDED if seen is None else NO_TORQUE
 
 
 def _user() -> str:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
 import typer
 
-from hil.errors import TRACEBACK_VARIABLE, UnusableInputError, in_one_line
+from hil.errors import INTERRUPTED, TRACEBACK_VARIABLE, UnusableInputError, in_one_line
 from hil.version import software_version
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ _ClickException: type[Any] = _UsageError.__bases__[0]
 
 _BUSES = "`--bus lockstep:` for the emulated machine in this process, `--bus socketcan:can0` for a real one"
 _COMPLETING = "_ISOCENTER_COMPLETE"  # environment variable with which a shell asks for completions
-_INTERRUPTED = 130  # what Typer makes of Ctrl-C
+_BY_CTRL_C = 130  # what Typer makes of Ctrl-C
 
 app = typer.Typer(
     name="isocenter",
@@ -110,7 +110,7 @@ def main(arguments: list[str] | None = None) -> None:
     except typer.Exit as leave:
         status = leave.exit_code
     except (typer.Abort, KeyboardInterrupt):
-        status = _INTERRUPTED
+        status = _BY_CTRL_C
     except _ClickException as error:
         status = _say_usage(error)
     except BrokenPipeError:
@@ -118,8 +118,8 @@ def main(arguments: list[str] | None = None) -> None:
         status = 1
     except Exception as error:
         status = _say_error(error)
-    if status == _INTERRUPTED:
-        status = _say("interrupted", 1)
+    if status == _BY_CTRL_C:
+        status = _say(INTERRUPTED, 1)
     sys.exit(status if isinstance(status, int) else 0)
 
 

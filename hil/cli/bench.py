@@ -26,7 +26,7 @@ def bench(
     machine_name: MachineArgument,
     bus: BusOption,
     out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder for recordings and answers.")] = Path("isocenter-bench"),
-    host: Annotated[str, typer.Option("--host", help="Address to listen at; any but this computer's own needs --token.")] = "127.0.0.1",
+    host: Annotated[str, typer.Option("--host", help="Address to listen at; nothing that goes to others is encrypted.")] = "127.0.0.1",
     port: Annotated[int, typer.Option("--port", min=0, max=65_535, help="Port to listen at; 0: any that is free.")] = 8710,
     token: Annotated[
         str,
@@ -34,7 +34,7 @@ def bench(
             "--token",
             metavar="TEXT",
             envvar="ISOCENTER_BENCH_TOKEN",
-            help="Let only browsers in that bring it, once, for a session; on a computer or network that you share.",
+            help="What a browser brings once, for a session, in the address that is printed; drawn by chance unless given.",
         ),
     ] = "",
     imu: ImuOption = "",
@@ -52,6 +52,7 @@ def bench(
         raise UnusableInputError("isocenter bench: its stop reaches a run by ways that this system lacks; use Linux or macOS")
     for package in ("starlette", "uvicorn", "websockets"):
         extra_package(package, "pages of the bench")
+    from hil.console.admission import drawn_token
     from hil.console.facts import facts_of
     from hil.console.serve import Place, serve
 
@@ -62,7 +63,7 @@ def bench(
         raise UnusableInputError(f"{machine.name}: its file has no [controller], so its loop cannot be closed")
     if not bus.startswith("lockstep:"):
         parse_bus_url(bus)
-    place = Place(host, port, token)
+    place = Place(host, port, token or drawn_token())
     place.check()
     folder_can_be_written(out)
     out.mkdir(parents=True, exist_ok=True)

@@ -20,7 +20,8 @@ def register(app: typer.Typer) -> None:
     app.command(
         "scan-bus",
         short_help="Which nodes are on the bus.",
-        help="Which nodes are on the bus, what they are, in which state.\n\nExample:  isocenter scan-bus --bus socketcan:vcan0",
+        help="Which nodes are on the bus, what they are, in which state. Its questions end a run there."
+        "\n\nExample:  isocenter scan-bus --bus socketcan:vcan0",
     )(scan_bus)
     app.command(
         short_help="The first careful motion.",
@@ -34,8 +35,9 @@ def register(app: typer.Typer) -> None:
     )(move)
     app.command(
         short_help="Stop what runs on a bus.",
-        help="Stop the motors of the bench that runs on a bus, from any terminal, and stay until no drive has torque. No substitute for an"
-        " emergency stop.\n\nExample:  isocenter stop --bus socketcan:vcan0",
+        help="Stop the motors of the bench that runs on a bus, from any terminal, and stay until no drive has torque, or one holds its"
+        " axis. Status 0: at rest or held; 1: not stopped, or nobody knows; 3: nothing runs there. No substitute for an emergency stop."
+        "\n\nExample:  isocenter stop --bus socketcan:vcan0",
     )(stop)
 
 
@@ -122,14 +124,6 @@ def _refuse_judged(judged: Sequence[str], answer: Answer) -> None:
 
 def stop(bus: BusOption, json_to: JsonOption = None) -> None:
     """Say what the supervisor sees."""
-    from hil.bench.asking import ask_to_stop
+    from hil.cli.stop import stop_at_once
 
-    answer = Answer(json_to)
-    said: list[str] = []
-
-    def say(text: str) -> None:
-        said.append(text)
-        answer.say(text)
-
-    ask_to_stop(bus, say)
-    answer.write({"bus": bus, "seen": said})
+    raise typer.Exit(stop_at_once(bus, json_to))

@@ -14,13 +14,18 @@ MOST_INVITATIONS = 8
 MOST_SESSIONS = 32
 
 
+def drawn_token() -> str:
+    """Return a token that nobody guesses."""
+    return secrets.token_urlsafe(24)
+
+
 class Admission:
     """Tokens that are still good, and the sessions that were given for others.
 
     Parameters
     ----------
     token : str
-        The first one-time token; "": everybody who reaches the server is let in.
+        The first one-time token.
 
     Raises
     ------
@@ -29,12 +34,11 @@ class Admission:
     """
 
     def __init__(self, token: str) -> None:
-        if token and (len(token) < SHORTEST_TOKEN or not token.replace("-", "").replace("_", "").isalnum() or not token.isascii()):
+        if len(token) < SHORTEST_TOKEN or not token.replace("-", "").replace("_", "").isalnum() or not token.isascii():
             raise UnusableInputError(
                 f"--token: must be at least {SHORTEST_TOKEN} letters, digits, - or _, drawn by chance, such as {secrets.token_hex(8)}"
             )
-        self.needed = bool(token)
-        self._tokens = [token] if token else []
+        self._tokens = [token]
         self._sessions: list[str] = []
 
     def enter(self, token: str) -> str | None:
@@ -48,9 +52,9 @@ class Admission:
 
     def invite(self) -> str:
         """Return a new one-time token, for one more browser; of more than a few the oldest is void."""
-        self._tokens = [*self._tokens[1 - MOST_INVITATIONS :], secrets.token_urlsafe(24)]
+        self._tokens = [*self._tokens[1 - MOST_INVITATIONS :], drawn_token()]
         return self._tokens[-1]
 
     def knows(self, session: str) -> bool:
         """Return whether a session was given."""
-        return not self.needed or any([hmac.compare_digest(each.encode(), session.encode()) for each in self._sessions])
+        return any([hmac.compare_digest(each.encode(), session.encode()) for each in self._sessions])

@@ -95,7 +95,7 @@ class _Pages:
         return response
 
     async def bench(self, request: Request) -> Response:
-        return JSONResponse(self._desk.described() | {"token": self._admission.needed})
+        return JSONResponse(self._desk.described())
 
     async def files(self, request: Request) -> Response:
         return JSONResponse(await asyncio.to_thread(self._desk.listing.entries))
@@ -160,8 +160,6 @@ class _Pages:
 
     async def invite(self, request: Request) -> Response:
         """Return an address for one more browser."""
-        if not self._admission.needed:
-            return PlainTextResponse("this bench asks for no token\n", 409)
         return JSONResponse({"address": f"{request.url.scheme}://{request.headers['host']}{ENTRANCE}?token={self._admission.invite()}"})
 
     async def control(self, socket: WebSocket) -> None:

@@ -26,7 +26,7 @@ from hil.console.steps import missing_before, step_named, steps_of
 from hil.console.wire import WireWatch
 from hil.console.work import Work
 from hil.emulated.card import find
-from hil.errors import UnusableInputError, in_one_line
+from hil.errors import NothingRunsError, UnusableInputError, in_one_line
 
 LOOK_S = 0.05
 """Interval at which rows are looked for: the recorder writes them as often."""
@@ -221,7 +221,7 @@ class Desk:
             await asyncio.to_thread(ask_to_stop, self.facts.bus, stop["lines"].append, who)
         except Exception as error:  # whatever it is, it must be seen, and the lead be let go
             said = in_one_line(error)[0]
-            if ran and isinstance(error, UnusableInputError):
+            if ran and isinstance(error, NothingRunsError):
                 stop["lines"].append(said)  # no bench on the bus: what runs here has not come so far
             else:
                 stop["trouble"] = said

@@ -109,7 +109,10 @@ class Guard:
         if (changes and origin is None) or (origin is not None and not _is_own(origin, host)):
             return 403, "a page of another origin may not ask this server; open the address that `isocenter bench` has printed"
         if scope["path"] != ENTRANCE and not self._admission.knows(session_of(headers)):
-            return 401, "this bench asks for a token: open the address with /enter?token=... that `isocenter bench` has printed, once"
+            return (
+                401,
+                "open, once, the address with a token that `isocenter bench` has printed; a page that is in makes another",
+            )
         return 200, ""
 
 

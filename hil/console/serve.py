@@ -14,7 +14,7 @@ from types import FrameType
 
 from hil.console.admission import Admission
 from hil.console.facts import Facts
-from hil.console.guard import ENTRANCE, MOST_BYTES, Hosts, is_loopback
+from hil.console.guard import ENTRANCE, MOST_BYTES, Hosts
 from hil.console.starter import Starter
 from hil.errors import BadAnswerError, UnusableInputError
 from hil.processes.second_in_line import politely
@@ -37,17 +37,13 @@ class Place:
     token: str
 
     def check(self) -> None:
-        """Refuse a place that others on the network reach where nobody is asked for a token.
+        """Refuse a token that could be guessed.
 
         Raises
         ------
         UnusableInputError
         """
         Admission(self.token)
-        if not self.token and not is_loopback(self.host):
-            raise UnusableInputError(
-                f"--host {self.host}: others on the network could move the machine; give --token as well, or leave --host out"
-            )
 
     def bind(self) -> socket.socket:
         """Return a socket that listens there.
@@ -73,8 +69,7 @@ class Place:
     def address(self, listening: socket.socket) -> str:
         """Return what a user opens."""
         host = socket.gethostname() if self.host in WILDCARDS else f"[{self.host}]" if ":" in self.host else self.host
-        path = f"{ENTRANCE}?token={self.token}" if self.token else "/"
-        return f"http://{host}:{listening.getsockname()[1]}{path}"
+        return f"http://{host}:{listening.getsockname()[1]}{ENTRANCE}?token={self.token}"
 
 
 def serve(facts: Facts, folder: Path, place: Place, ready: Callable[[str], None]) -> None:

@@ -3,7 +3,8 @@
 A real machine needs none of this: its serial device and I/O address are in the machine file or on the command line.
 
 A bench believes a card when it opens brakes at the address in it. So cards lie in a folder that only their user can enter, and a folder or
-card that somebody else owns, or can write to, or has put a link in place of, is refused.
+card that somebody else owns, or can write to, or has put a link in place of, is refused. An emulator holds its card for as long as it
+lives; one that nobody holds was left by an emulator that was killed, whoever has its process number now.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from hil.errors import UnusableInputError
+from hil.files.held import hold, is_held
 from hil.processes.private_folder import REMEDY, check_own, made_private_folder, private_folder
 
 MAX_PID = 2**31 - 1
@@ -57,16 +59,19 @@ def published(card: EmulatorCard) -> Iterator[None]:
         made_private_folder()
         fresh = path.with_suffix(f".{card.pid}")
         fresh.unlink(missing_ok=True)
-        with os.fdopen(os.open(fresh, _NEW, CARD_MODE), "w", encoding="utf-8") as file:
-            file.write(json.dumps(asdict(card)))
+        file = os.fdopen(os.open(fresh, _NEW, CARD_MODE), "w", encoding="utf-8")
+        hold(file.fileno())
+        file.write(json.dumps(asdict(card)))
+        file.flush()
         fresh.replace(path)
     except OSError as error:
         raise UnusableInputError(f"{path}: the emulator's card cannot be written: {error.strerror}; {REMEDY}") from None
-    try:
-        yield
-    finally:
-        with contextlib.suppress(FileNotFoundError):
-            path.unlink()
+    with file:
+        try:
+            yield
+        finally:
+            with contextlib.suppress(FileNotFoundError):
+                path.unlink()
 
 
 def card_from_text(text: str) -> EmulatorCard | None:
@@ -103,11 +108,9 @@ def find(bus_url: str) -> EmulatorCard | None:
     try:
         with os.fdopen(os.open(path, _OLD), "rb") as file:
             check_own(path, os.fstat(file.fileno()), stat.S_ISREG)
-            card = card_from_text(file.read(MOST_BYTES).decode())
+            card = card_from_text(file.read(MOST_BYTES).decode()) if is_held(file) else None
         if card is None or card.bus != bus_url:
             return None
-        if os.name == "posix":  # elsewhere a signal 0 is a Ctrl-C
-            os.kill(card.pid, 0)
     except (OSError, ValueError):
         return None
     return card

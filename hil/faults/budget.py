@@ -54,7 +54,7 @@ def budget_use(machine: Machine, axis: str, trial: FaultTrial, log: MotionLog, o
     only once the run needs what it took away.
     """
     kind = fault_kinds()[trial.kind]
-    name = kind.budget
+    name: Budget = "bench_silent" if trial.killed else "io_silent" if trial.without_brake else kind.budget
     stated = machine.budgets.get(axis, {}).get(name)
     if stated is None:
         return None

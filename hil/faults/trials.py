@@ -19,6 +19,11 @@ FAST_SHARE = 0.9
 SLOW_SHARE = 0.5
 """The same for what a stop finds already broken, in a motion without a standstill before it."""
 
+KILLED_AFTER_S = 0.02
+"""From a fault to the death of all processes, in rows that have both: what a tick shows has been acted on by then, and no stop is over."""
+KILLED = (("bus_silent", "bus"), ("io_hangs", "io"))
+"""What the machine sees of dead processes: nothing comes, and the I/O's outputs stay as they are until its watchdog drops them."""
+
 _STATE_OF: dict[Phase, str] = {
     "operational": "operational",
     "first move": "enabled",
@@ -45,6 +50,8 @@ class FaultTrial:
         The fault, and behind it what ends the run where its phase asks for a stop.
     without_brake : bool
         The axis's brake fails as well: where the drive loses its effort, the axis cannot be held.
+    killed : bool
+        All processes of the bench are killed afterwards.
     """
 
     name: str
@@ -54,6 +61,7 @@ class FaultTrial:
     during: Phase
     settings: tuple[FaultSetting, ...]
     without_brake: bool = False
+    killed: bool = False
 
 
 def trials(machine: Machine, axis: str, only: Collection[str] = (), motion: MotionName = "scan") -> tuple[FaultTrial, ...]:
@@ -108,21 +116,27 @@ def _rows(kind: FaultKind, places: FaultPlaces, at: tuple[str, ...], axis: str, 
             if (trial.during == "stop" and not places.io) or (trial.without_brake and axis not in places.of("brake")):
                 continue
             if motion == "scan" or trial.during != "settled":
-                yield _row(kind, place, trial, axis, speed, stands=motion == "scan")
+                yield _row(kind, places, place, trial, axis, speed, stands=motion == "scan")
 
 
-def _row(kind: FaultKind, at: str, trial: Trial, axis: str, speed: float, *, stands: bool) -> FaultTrial:
+def _row(kind: FaultKind, places: FaultPlaces, at: str, trial: Trial, axis: str, speed: float, *, stands: bool) -> FaultTrial:
     values = {parameter.name: trial.values.get(parameter.name, parameter.default) for parameter in kind.parameters}
     lasting = float("inf") if trial.for_s is None else trial.for_s
     settings = [FaultSetting(kind.name, at, values, _when(trial.during, axis, speed, stands=stands), 0.0, lasting)]
     if trial.during == "stop":
         settings.append(FaultSetting("hold_to_run_released", "io", {}, _when("sweep", axis, speed, stands=stands)))
+    if trial.killed:
+        settings += [
+            FaultSetting(dead, place, {}, settings[0].when, KILLED_AFTER_S) for dead, place in KILLED if place != "io" or places.io
+        ]
     if trial.without_brake:
         settings.insert(0, FaultSetting("brake_stays_open", axis, {}, _when("stop", axis, speed, stands=stands)))
-    more = [f"{name}={value:g}" for name, value in trial.values.items()] + ([f"for_s={trial.for_s:g}"] if trial.for_s is not None else [])
-    more += ["without_brake"] if trial.without_brake else []
+    more = [f"{name}={int(value):04X}h" if name == "index" else f"{name}={value:g}" for name, value in trial.values.items()] + (
+        [f"for_s={trial.for_s:g}"] if trial.for_s is not None else []
+    )
+    more += [word for word, so in (("without_brake", trial.without_brake), ("killed", trial.killed)) if so]
     name = "/".join((kind.name, at, trial.during.replace(" ", "_"), *more))
-    return FaultTrial(name, kind.name, at, kind.group, trial.during, tuple(settings), trial.without_brake)
+    return FaultTrial(name, kind.name, at, kind.group, trial.during, tuple(settings), trial.without_brake, trial.killed)
 
 
 def _when(during: Phase, axis: str, speed: float, *, stands: bool) -> Condition | None:

@@ -215,6 +215,7 @@ def _node(name: str, node: NodeTable, folder: Path | None) -> Node:
         writes=tuple((write.index, write.subindex, write.value) for write in node.write),
         sensor=node.sensor or "",
         stopped_by=node.stopped_by,
+        foreign_sdo=node.foreign_sdo,
     )
 
 

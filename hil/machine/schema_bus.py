@@ -81,6 +81,9 @@ class NodeTable(Table):
     stopped_by: Text = ""
     """What stops the motor when the bench is gone, in words, of a drive that lacks the heartbeat consumer (1016h) or its reaction (6007h,
     605Eh). Without it such a drive is refused."""
+    foreign_sdo: Text = ""
+    """Who else may send it SDO requests while the machine runs, in words, such as the maker's tool that logs its temperature. Without it
+    such a request ends the run. What was configured is read back in either case."""
 
 
 class HomingTable(Table):

@@ -20,16 +20,11 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 
 from hil.errors import UnusableInputError
-
-try:
-    import fcntl
-except ImportError:  # not on Windows
-    fcntl = None  # type: ignore[assignment]
+from hil.files.held import hold, is_held
 
 _COUNTERS = 3
 """Sequence, row, bytes of the names."""
@@ -78,9 +73,7 @@ class EstimateBoard:
         self._path = _path(bus_url)
         handle, made = tempfile.mkstemp(prefix=f"{self._path.name}.", dir=self._path.parent)
         try:
-            if fcntl is not None:
-                with contextlib.suppress(OSError):  # a file system without locks
-                    fcntl.flock(handle, fcntl.LOCK_EX)
+            hold(handle)
             os.ftruncate(handle, first + 8 * len(names))
             self._memory = mmap.mmap(handle, first + 8 * len(names))
         except BaseException:
@@ -122,7 +115,7 @@ def latest_estimate(bus_url: str) -> LatestEstimate:
     try:
         with path.open("rb") as file:
             memory = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-            is_written = _has_writer(file)
+            is_written = is_held(file)
     except (OSError, ValueError):
         raise UnusableInputError(f"{bus_url}: no observer runs there; `isocenter run ... --observer FILE` starts one") from None
     with memory:
@@ -150,21 +143,9 @@ def remove_abandoned() -> int:
         with contextlib.suppress(OSError), path.open("rb") as file:
             page = os.fstat(file.fileno())
             is_in_place = path.suffix == ".estimate"
-            if not _has_writer(file) and (is_in_place or time.time() - page.st_mtime > FRESH_S):
+            if not is_held(file) and (is_in_place or time.time() - page.st_mtime > FRESH_S):
                 removed += _remove(path, page.st_ino)
     return removed
-
-
-def _has_writer(file: IO[bytes]) -> bool:
-    """Tell whether a page's lock is held; where that cannot be found out, assume that it is."""
-    if fcntl is None:
-        return True
-    try:
-        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except OSError:
-        return True
-    fcntl.flock(file, fcntl.LOCK_UN)
-    return False
 
 
 def _remove(path: Path, inode: int) -> bool:

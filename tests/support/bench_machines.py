@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import can
 import numpy as np
 from places import EDS_FILES
 
-from controllers import loop_shaping
 from hil.bench.bench import Bench
 from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
@@ -100,33 +101,18 @@ class LosingBus(LockstepBus):
         return None
 
 
-NOTCHES = {"propeller": loop_shaping.notch(9.0, 0.375, 0.8, 256.0), "roll": loop_shaping.notch(22.0, 0.2, 1.0, 256.0)}
-LOOPS = {"propeller": (4.0, 60.0, 60.0, 0.5), "roll": (4.0, 160.0, 320.0, 1.0)}
-"""Gains of position, velocity and integral, and the share of the speed filter: 44 degrees and 13 dB of margin or more at twelve poses."""
+LOOPS: dict[str, dict[str, Any]] = {axis: drive["loops"] for axis, drive in tomllib.loads(load_machine("carm-csp").text)["drives"].items()}
+"""The gains of drives that close loops of their own, by axis."""
 
 
 def carm_text_in(mode: str) -> str:
-    """Return the C-arm's file with drives that are commanded in "velocity" or "position": their own loops and notches, the speed ahead.
+    """Return the C-arm's file with drives that are commanded in "velocity" or "position".
 
     In "profile_velocity" and "profile_position" nothing else is mapped: such a drive takes no effort.
     """
-    if mode.startswith("profile_"):
-        cyclic = mode.removeprefix("profile_")
-        text = carm_text_in(cyclic).replace(f'mode = "{cyclic}"', f'mode = "{mode}"')
-        return text.replace(', "torque_offset"]', "]")
-    text = CARM.text
-    target = {"velocity": "target_velocity", "position": "target_position"}[mode]
-    text = edited(r'^map = \["controlword", "target_torque"\]', f'map = ["controlword", "{target}", "torque_offset"]', text)
-    for axis, (position_gain, velocity_gain, integral_gain, share) in LOOPS.items():
-        loops = f"position_gain = {position_gain}, velocity_gain = {velocity_gain}, velocity_integral_gain = {integral_gain}"
-        loops += f", speed_filter = {share}, torque_sections = {NOTCHES[axis].tolist()}"
-        text = edited(rf"(\[drives.{axis}\]\n)", rf'\g<1>mode = "{mode}"\nloops = {{ {loops} }}\n', text)
-        per_s = position_gain if mode == "velocity" else 0.0
-        ahead = CARM.sample_rate_Hz / (1.0 if mode == "velocity" else position_gain)  # the reference's speed, as a speed or as a target
-        law = f"position_sections = [[{per_s}, 0.0, 0.0, 1.0, 0.0, 0.0]]\n"
-        law += f"reference_sections = [[{per_s + ahead}, {-ahead}, 0.0, 1.0, 0.0, 0.0]]\n"
-        text = edited(rf"(\[controller.{axis}\]\n)position_sections = \[(?:.|\n)*?\n\]\n", rf"\g<1>{law}", text)
-    return text
+    cyclic = mode.removeprefix("profile_")
+    text = load_machine({"velocity": "carm-csv", "position": "carm-csp"}[cyclic]).text
+    return text if mode == cyclic else text.replace(f'mode = "{cyclic}"', f'mode = "{mode}"').replace(', "torque_offset"]', "]")
 
 
 def homing_at_switch_text(text: str = CARM.text) -> str:

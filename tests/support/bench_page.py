@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import http.client
 import json
 import os
 import signal
@@ -13,15 +14,21 @@ import urllib.request
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 START_S = 90.0
 
 
 class BenchPage:
-    """A running bench: its address, its folder."""
+    """A running bench: its address, its folder, and the session that the token in the printed address was exchanged for."""
 
-    def __init__(self, address: str, folder: Path, process: subprocess.Popen[str]) -> None:
-        self.address, self.folder, self.process = address.rstrip("/"), folder, process
+    def __init__(self, printed: str, folder: Path, process: subprocess.Popen[str]) -> None:
+        parts = urlsplit(printed)
+        self.address, self.folder, self.process = f"{parts.scheme}://{parts.netloc}", folder, process
+        line = http.client.HTTPConnection(parts.netloc)
+        line.request("GET", f"{parts.path}?{parts.query}")
+        self.cookie = line.getresponse().headers["Set-Cookie"].split(";")[0]
+        line.close()
 
     @property
     def sockets(self) -> str:
@@ -43,7 +50,7 @@ class BenchPage:
 
     def post(self, path: str, what: dict[str, Any], client: str = "") -> tuple[int, str]:
         """Status and text of a request as the page makes it."""
-        headers = {"Content-Type": "application/json", "Origin": self.address, "X-Client": client}
+        headers = {"Content-Type": "application/json", "Origin": self.address, "X-Client": client, "Cookie": self.cookie}
         request = urllib.request.Request(self.address + path, json.dumps(what).encode(), headers, method="POST")
         try:
             with urllib.request.urlopen(request, timeout=30.0) as answer:
@@ -86,7 +93,8 @@ class Watcher:
     def __init__(self, bench: BenchPage, client: str = "") -> None:
         from websockets.sync.client import connect
 
-        self._line = connect(f"{bench.sockets}/control?client={client}", origin=bench.address)
+        own = {"Cookie": bench.cookie}
+        self._line = connect(f"{bench.sockets}/control?client={client}", origin=bench.address, additional_headers=own)
         self._socket = self._line.__enter__()
         self.client = json.loads(self._socket.recv())["client"]
 

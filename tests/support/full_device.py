@@ -38,6 +38,7 @@ def full_device_eds() -> str:
     text = "[DeviceInfo]\nVendorName=Test\nProductName=Full device\nGranularity=8\nNrOfRXPDO=2\nNrOfTXPDO=2\nLSS_Supported=1\n\n"
     text += "[DummyUsage]\n" + "".join(f"Dummy{i:04d}={int(i > 1)}\n" for i in range(1, 8)) + "\n"
     text += entry("1000", U32, "ro", 0) + entry("1001", U8, "ro", 0, 1) + entry("1005", U32, "rw", "0x80") + entry("1006", U32, "rw", 0)
+    text += entry("1007", U32, "rw", 0) + record(0x1020, (1, U32, "rw", 0), (2, U32, "rw", 0), object_type=8)
     text += record(0x1003, *((i, U32, "ro", 0) for i in range(1, 5)), object_type=8)
     text += (
         entry("1008", TEXT, "const", "Full device for tests") + entry("1009", TEXT, "const", "A1") + entry("100A", TEXT, "const", "1.02")

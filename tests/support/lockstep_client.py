@@ -16,7 +16,7 @@ from virtual_bus.machine import EmulatedMachine
 from virtual_bus.settings import EmulatedBus
 
 SYNC = 0x080
-OFF = 1 << 31
+OFF, NO_RTR = 1 << 31, 1 << 30
 
 
 class Master:
@@ -62,6 +62,7 @@ class Master:
         return int.from_bytes(answer[4 : 8 - (answer[0] >> 2 & 3)], "little", signed=signed)
 
     def map_pdo(self, node: int, communication: int, cob_id: int, mapped: Sequence[int]) -> None:
+        cob_id |= NO_RTR if communication >= 0x1800 else 0
         self.write(node, communication, 1, u32(cob_id | OFF))
         self.write(node, communication + 0x200, 0, b"\0")
         for subindex, entry in enumerate(mapped, 1):

@@ -7,7 +7,7 @@ import warnings
 from pathlib import Path
 
 import canopen
-from bench_machines import CARM, LOOPS, NOTCHES, edited
+from bench_machines import CARM, LOOPS, edited
 
 from drivers.canopen.eds import load_object_dictionary
 
@@ -84,9 +84,9 @@ def carm_text_with(file: Path, mode: str) -> str:
         text = edited(r"^encoder_counts_per_motor_turn = .*$", f"encoder_counts_per_motor_turn = {counts}\n{said}", text)
     if mode == "torque":
         return text
-    for axis, (position_gain, velocity_gain, integral_gain, share) in LOOPS.items():
-        loops = f"position_gain = {position_gain}, velocity_gain = {velocity_gain}, velocity_integral_gain = {integral_gain}"
-        loops += f", speed_filter = {share}, torque_sections = {NOTCHES[axis].tolist()}"
+    for axis, gains in LOOPS.items():
+        position_gain = gains["position_gain"]
+        loops = ", ".join(f"{name} = {value}" for name, value in gains.items())
         text = edited(rf"^(\[drives\.{axis}\])$", rf'\g<1>\nmode = "{mode}"\nloops = {{ {loops} }}', text)
         per_s = position_gain if mode.endswith("velocity") else 0.0
         ahead = CARM.sample_rate_Hz / (1.0 if mode.endswith("velocity") else position_gain)

@@ -73,6 +73,8 @@ class Node:
         self.state = NmtState.INITIALISING
         self.now_s = 0.0
         self.deadline_s = math.inf  # nothing is due before
+        self.resolution_s = 0.0  # of its time: in a machine nobody knows when between two samples a frame came
+        self.window_closes_s = math.inf  # synchronous RPDOs that come later wait for no SYNC (1007h)
         self.malformed = 0  # frames dropped because they are none of their protocol
         self.routes: dict[int, Handler] = {}
         self.on_routes: Callable[[], None] = lambda: None  # called when `routes` has been rebuilt
@@ -94,6 +96,7 @@ class Node:
         self._sync_tpdos: list[Tpdo] = []
         self._event_tpdos: list[Tpdo] = []
         self._sync_length = 0
+        self._window_s = math.inf
 
     def _pdo_numbers(self, communication_base: int, mapping_base: int) -> list[int]:
         return [n for n in range(512) if communication_base + n in self.objects and mapping_base + n in self.objects]
@@ -106,6 +109,7 @@ class Node:
             pdo_rules.install(self.objects, tpdo.communication, tpdo.mapping, receive=False, changed=self._configure)
         for index in (0x1005, 0x1019):
             self.objects.effects[key_of(index)] = lambda value: self._sync_settings_changed()
+        self.objects.effects[key_of(0x1007)] = lambda value: self._configure()
         self.objects.effects[key_of(0x1012)] = lambda value: self.routes_changed()
 
     def _sync_settings_changed(self) -> None:
@@ -259,6 +263,7 @@ class Node:
             self.emergency.clear_error(_SYNC_LENGTH_ERROR)
         for rpdo in self._sync_rpdos:
             rpdo.on_sync()
+        self.window_closes_s = self.now_s + max(self._window_s, self.resolution_s)
         return data[0] if data else None
 
     def end_sync(self, counter: int | None) -> None:
@@ -347,6 +352,8 @@ class Node:
         self._sync_tpdos = [tpdo for tpdo in self._tpdos if tpdo.alive and tpdo.synchronous]
         self._event_tpdos = [tpdo for tpdo in self._tpdos if tpdo.alive and not tpdo.synchronous]
         self._sync_length = 1 if self.objects.number(0x1019) else 0
+        self._window_s = 1e-6 * self.objects.number(0x1007) or math.inf
+        self.window_closes_s = math.inf
         self.routes_changed()
 
     def routes_changed(self) -> None:

@@ -140,7 +140,7 @@ class Objects:
     Hooks
     -----
     `checks[key](value)` runs before a write over the bus and may raise SdoAbortError; `effects[key](value)` runs after any write that
-    came over the bus; `readings[key]()` gives the value for a read, or raises.
+    came over the bus; `readings[key]()` gives the value for a read, or raises; `changed(entry)` runs when an SDO has changed a value.
     """
 
     def __init__(self, dictionary: canopen.ObjectDictionary) -> None:
@@ -155,6 +155,7 @@ class Objects:
         self.checks: dict[int, Callable[[Value], None]] = {}
         self.effects: dict[int, Callable[[Value], None]] = {}
         self.readings: dict[int, Callable[[], Value]] = {}
+        self.changed: Callable[[Entry], None] = lambda entry: None
 
     def _add(self, variable: ODVariable) -> None:
         entry = Entry(variable)
@@ -197,6 +198,11 @@ class Objects:
         entry = self.entries.get(index << 8 | subindex)
         return entry.value if entry is not None and isinstance(entry.value, int) else otherwise
 
+    def default(self, index: int, subindex: int = 0) -> int:
+        """Return an integer's default; 0 where the device has no such object."""
+        entry = self.get(index, subindex)
+        return entry.default if entry is not None and isinstance(entry.default, int) else 0
+
     def read(self, index: int, subindex: int) -> bytes:
         """Return what an SDO upload transfers."""
         entry = self.find(index, subindex)
@@ -219,6 +225,8 @@ class Objects:
         entry.check_limits(value)
         if check := self.checks.get(entry.key):
             check(value)
-        entry.value = value
+        before, entry.value = entry.value, value
+        if value != before:
+            self.changed(entry)
         if effect := self.effects.get(entry.key):
             effect(value)

@@ -109,6 +109,8 @@ class Rpdo:
     def receive(self, data: bytes) -> None:
         """Take a frame with this PDO's identifier."""
         layout, node = self._layout, self._node
+        if self.synchronous and node.now_s > node.window_closes_s:
+            return  # too late for the next SYNC (1007h), and as if it had not come
         if len(data) != layout.length or self._length_error:
             self._judge_length(len(data))
             if len(data) < layout.length:

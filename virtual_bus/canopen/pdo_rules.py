@@ -20,6 +20,8 @@ def install(objects: Objects, communication: int, mapping: int, *, receive: bool
         return not objects.number(communication, 1) & cob_id.INVALID
 
     def check_cob_id(value: Value) -> None:
+        if not receive and objects.default(communication, 1) & cob_id.NO_RTR and not int(value) & cob_id.NO_RTR:
+            raise SdoAbortError(abort.INVALID_VALUE)  # RTR cannot be allowed where the device has none
         cob_id.check_change(objects.number(communication, 1), int(value), exists=exists())
 
     def check_transmission_type(value: Value) -> None:

@@ -21,6 +21,7 @@ class Port(Protocol):
     """A node as its parts see it (`virtual_bus.canopen.node.Node`)."""
 
     now_s: float
+    window_closes_s: float
 
     @property
     def objects(self) -> Objects:

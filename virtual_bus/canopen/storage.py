@@ -21,6 +21,7 @@ _PROFILE = range(0x6000, 0xA000)
 _ALL = range(0x1000, 0x10000)
 _GROUPS = {1: _ALL, 2: COMMUNICATION, 3: _PROFILE, 4: _MANUFACTURER}
 _NEVER_STORED = frozenset({0x1003, 0x1010, 0x1011})
+VERIFY_CONFIGURATION = 0x1020  # date and time of a configuration, by which a manager knows it: no longer so once a parameter differs
 _LAYER_SETTINGS = "LSS"  # their name in the file, where objects are INDEX:SUBINDEX
 _STORES_ON_COMMAND = 1  # bit 0 of 1010h: saved on command only; of 1011h: can be restored
 
@@ -60,6 +61,7 @@ class Storage:
         self._restore_requested: list[range] = []
         self.layer_settings: LayerSettings | None = None
         self._kept: dict[int, bytes] = self._read_file()
+        objects.changed = self._changed
         for index, signature, action in ((0x1010, SAVE, self._save), (0x1011, LOAD, self._request_restore)):
             for entry in [entry for entry in objects if entry.index == index and entry.subindex]:
                 self._install(entry, signature, action)
@@ -97,10 +99,19 @@ class Storage:
         self.layer_settings = settings
         self._write_file()
 
+    def _is_parameter(self, entry: Entry) -> bool:
+        return (entry.writable and entry.index not in self._volatile) or entry.index in self._kept_read_only
+
+    def _changed(self, entry: Entry) -> None:
+        """Forget by what a manager knows the configuration (CiA 301, 7.5.2.23)."""
+        if entry.index != VERIFY_CONFIGURATION and self._is_parameter(entry):
+            for subindex in (1, 2):
+                if (told := self._objects.get(VERIFY_CONFIGURATION, subindex)) is not None:
+                    told.value = 0
+
     def _save(self, group: range) -> None:
         for entry in self._objects:
-            parameter = (entry.writable and entry.index not in self._volatile) or entry.index in self._kept_read_only
-            if parameter and entry.index in group:
+            if self._is_parameter(entry) and entry.index in group:
                 self._kept[entry.key] = entry.encode(entry.value)
         self._write_file()
 

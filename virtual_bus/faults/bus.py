@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 
 from virtual_bus.canopen.nmt import NmtCommand, NmtState
 from virtual_bus.faults.fault import FaultKind, Parameter, Trial, Values
 from virtual_bus.faults.machine import FaultyMachine, Frame
-from virtual_bus.faults.nodes import node_of
+from virtual_bus.faults.nodes import (
+    INDEX,
+    NO_ABORT_REACTION,
+    NO_HEARTBEAT_CONSUMER,
+    NO_QUICK_STOP,
+    OTHER_MODE,
+    SLOW_QUICK_STOP,
+    SUBINDEX,
+    VALUE,
+    node_of,
+)
 from virtual_bus.faults.pdo_ids import rpdos, tpdo_ids
 from virtual_bus.faults.seam import Undo, both
 from virtual_bus.special_frames import ERROR, ERROR_BUS_ERROR, ERROR_BUS_OFF, ERROR_BYTES, EXTENDED, REMOTE
 
-NMT, HEARTBEAT = 0x000, 0x700
+NMT, SDO_REQUEST, HEARTBEAT = 0x000, 0x600, 0x700
 FLOOD_ID = 0x7F0  # of lower priority than everything CANopen uses
 URGENT_ID = 0x001  # of higher priority than everything but NMT
 EVERY = Parameter("every", "", 1.0, 1.0, 1e6, "SYNC in which it sends", whole=True)
@@ -73,6 +84,19 @@ def foreign_torque(machine: FaultyMachine, at: str, values: Values) -> Undo:
 def foreign_nmt(machine: FaultyMachine, at: str, values: Values) -> Undo:
     """Let somebody else command a node's NMT state, once."""
     machine.intrude(NMT, bytes((int(values["command"]), node_of(machine, at).node_id)))
+    return lambda: None
+
+
+def foreign_sdo(machine: FaultyMachine, at: str, values: Values) -> Undo:
+    """Let somebody else write an object of a drive over SDO, once, or read it."""
+    node = machine.drives[at]
+    index, subindex = int(values["index"]), int(values["subindex"])
+    if values["reads"]:
+        command, data = 0x40, b""
+    else:
+        data = node.objects.find(index, subindex).encode(int(values["value"]))
+        command = 0x23 | 4 - len(data) << 2
+    machine.intrude(SDO_REQUEST + node.node_id, struct.pack("<BHB", command, index, subindex) + data.ljust(4, b"\0"))
     return lambda: None
 
 
@@ -179,6 +203,12 @@ KINDS = (
     FaultKind("foreign_nmt", "Somebody else commands the node's NMT state.", "bus", "node", foreign_nmt,
               (Parameter("command", "", float(NmtCommand.STOP), 0.0, 255.0, "NMT command specifier", whole=True),),
               (Trial(), Trial(values={"command": float(NmtCommand.RESET_NODE)})), budget="bench_silent"),
+    FaultKind("foreign_sdo", "Somebody else writes an object of the drive over SDO, or reads it.", "bus", "drive", foreign_sdo,
+              (INDEX, SUBINDEX, VALUE, Parameter("reads", "", 0.0, 0.0, 1.0, "1: it is read only", whole=True)),
+              (Trial(values={"reads": 1.0}),
+               *(Trial(values=written, without_brake=without_brake, killed=killed)
+                 for written in (NO_HEARTBEAT_CONSUMER, NO_ABORT_REACTION, NO_QUICK_STOP, SLOW_QUICK_STOP, OTHER_MODE)
+                 for without_brake in (False, True) for killed in (False, True)))),
     FaultKind("bus_flooded", "The bus carries many frames that mean nothing.", "bus", "bus", flooded,
               (Parameter("frames", "", 64.0, 1.0, 10_000.0, "per SYNC", whole=True),
                Parameter("id", "", float(FLOOD_ID), 0.0, 2047.0, "their identifier", whole=True)),

@@ -70,6 +70,7 @@ class Trial:
     values: Mapping[str, float] = field(default_factory=dict)
     for_s: float | None = None  # None: for ever
     without_brake: bool = False  # the axis's brake stays open from standstill on: where the drive's effort is lost, nothing can hold it
+    killed: bool = False  # all processes of the bench are killed shortly afterwards: nothing reaches bus and I/O any more
 
 
 @dataclass(frozen=True)

@@ -85,6 +85,14 @@ def pdos_long(machine: FaultyMachine, at: str, values: Values) -> Undo:
     return machine.said.add(node.node_id, lambda can_id, data: [(can_id, data.ljust(8, b"\0") if can_id in ids else data)])
 
 
+def setting_changes(machine: FaultyMachine, at: str, values: Values) -> Undo:
+    """Change an object inside the device, as a maker's tool on its service port does: nothing is on the bus."""
+    objects = node_of(machine, at).objects
+    entry = objects.find(int(values["index"]), int(values["subindex"]))
+    objects.write(entry.index, entry.subindex, entry.encode(int(values["value"])))
+    return lambda: None
+
+
 def leaves_operational(machine: FaultyMachine, at: str, values: Values) -> Undo:
     """Fall back to pre-operational by itself."""
     node = node_of(machine, at)
@@ -132,6 +140,15 @@ def babbles(machine: FaultyMachine, at: str, values: Values) -> Undo:
     return machine.intruders.add("", babble)
 
 
+INDEX = Parameter("index", "", float(0x605A), float(0x1000), 65_535.0, "of the object", whole=True)
+SUBINDEX = Parameter("subindex", "", 0.0, 0.0, 255.0, "of the object", whole=True)
+VALUE = Parameter("value", "", 0.0, -(2.0**31), 2.0**32 - 1.0, "that it has from then on", whole=True)
+NO_HEARTBEAT_CONSUMER = {"index": float(0x1016), "subindex": 1.0}
+NO_ABORT_REACTION = {"index": float(0x6007)}
+NO_QUICK_STOP = {"index": float(0x605A)}
+SLOW_QUICK_STOP = {"index": float(0x6085), "value": 100.0}
+OTHER_MODE = {"index": float(0x6060), "value": 9.0}  # cyclic synchronous velocity, whose target nobody sends
+
 KINDS = (
     FaultKind("heartbeat_lost", "The node sends no heartbeat; its PDOs go on.", "bus", "node", heartbeat_lost,
               trials=(Trial(), Trial(for_s=0.12)), budget="node_silent"),
@@ -145,6 +162,9 @@ KINDS = (
               trials=(Trial(), Trial("settled")), budget="runaway"),
     FaultKind("pdos_short", "The node's PDOs are one byte short.", "bus", "node", pdos_short, budget="position_lost"),
     FaultKind("pdos_long", "The node's PDOs have eight bytes whatever is mapped.", "bus", "short PDO", pdos_long),
+    FaultKind("setting_changes", "An object of the drive changes inside it, without a frame on the bus.", "drive", "drive", setting_changes,
+              (INDEX, SUBINDEX, VALUE),
+              (Trial("settled", NO_QUICK_STOP), Trial("settled", SLOW_QUICK_STOP), Trial("settled", NO_HEARTBEAT_CONSUMER))),
     FaultKind("node_leaves_operational", "The node falls back to pre-operational by itself.", "drive", "node", leaves_operational,
               budget="bench_silent"),
     FaultKind("node_stops", "The node goes to NMT stopped by itself.", "drive", "node", stops, budget="bench_silent"),

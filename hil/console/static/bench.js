@@ -150,12 +150,9 @@ worker.onmessage = (event) => heed(event.data);
 worker.postMessage({ client: sessionStorage.getItem("client") || "", address: `${scheme}://${location.host}/control` });
 scope.open(`${scheme}://${location.host}/rows`);
 
-if (bench.described.token) {
-  at("invite-place").hidden = false;
-  at("invite").onclick = async () => {
-    at("invitation").textContent = (await ask("/api/invite", {}, bench.client)).address;
-  };
-}
+at("invite").onclick = async () => {
+  at("invitation").textContent = (await ask("/api/invite", {}, bench.client)).address;
+};
 at("plot").onclick = () => look("plot");
 at("diagnose").onclick = () => look("diagnose");
 

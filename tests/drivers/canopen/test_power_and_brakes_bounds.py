@@ -24,7 +24,7 @@ class Objects:
     """The object dictionary of a drive; it shows a mode some time after it was written."""
 
     def __init__(self, who: str) -> None:
-        self.who, self.objects, self.log = who, {0x6061: 0}, []
+        self.who, self.objects, self.log, self.settings = who, {0x6061: 0}, [], {}
         self.shown_after_s, self.now_s = 0.0, 0.0
         self.network = SimpleNamespace(pump_for=self._pump)
         self._due: list[tuple[float, int]] = []

@@ -231,15 +231,17 @@ def test_a_sync_that_stops_while_a_drive_has_torque(machine: Machine) -> None:
 @pytest.mark.parametrize("status", [QUICK_STOP_ACTIVE, FAULT_REACTION])
 def test_a_drive_that_stops_has_torque(machine: Machine, status: int) -> None:
     machine.status = status
-    machine.tick()
-    assert machine.supervisor.powered
+    machine.move(0.1, 0.1)
+    assert machine.supervisor.torque == "torque on"
+    machine.ticks(10)
+    assert machine.supervisor.torque == "held"
     assert not machine.supervisor.check(machine.time_s + 10.0)
 
 
 def test_a_machine_without_torque_may_be_silent(machine: Machine) -> None:
     machine.status = SWITCHED_ON
     machine.tick()
-    assert not machine.supervisor.powered
+    assert machine.supervisor.torque == "no torque"
     assert machine.supervisor.check(machine.time_s + 100.0)
 
 
@@ -373,19 +375,19 @@ def test_before_the_first_sync_nothing_is_silent() -> None:
     for node in SETTINGS.nodes:
         for pdo in node.tpdos:
             machine.supervisor.frame(0.0, pdo.cob_id, machine._packed(pdo.entries, machine._values(node.axis)))
-    assert machine.supervisor.powered
+    assert machine.supervisor.torque == "torque on"
     assert machine.supervisor.check(100.0)
     assert math.isinf(machine.supervisor._released_at_s)
 
 
 @pytest.mark.parametrize("role", ["drive", "encoder"])
 def test_what_comes_behind_the_objects_that_a_frame_maps_tells_nothing(machine: Machine, role: str) -> None:
-    assert machine.supervisor.powered
+    assert machine.supervisor.torque == "torque on"
     for node in SETTINGS.nodes:
         for pdo in node.tpdos if node.role == role and node.axis == "roll" else ():
             data = machine._packed(pdo.entries, machine._values("roll"))
             for behind in (b"\0", b"\xff\xff"):
                 machine.supervisor.frame(machine.time_s, pdo.cob_id, data + behind)
-    assert machine.supervisor.powered
+    assert machine.supervisor.torque == "torque on"
     assert machine.supervisor.check(machine.time_s)
     assert machine.move(0.2, 1.0)

@@ -238,6 +238,26 @@ def test_an_axis_that_goes_on_is_stopped_by_its_network_after_its_time() -> None
     assert line.supervisor.stops_nodes(line.time_s + 2.0 * rules.NMT_EVERY_S) == (1,)
 
 
+def test_a_drive_in_quick_stop_holds_while_both_encoders_stand_and_are_told() -> None:
+    line = Line()
+    line.tick(status=ON)
+    assert line.supervisor.torque == "torque on"
+    line.tick(status=QUICK_STOP)
+    assert line.supervisor.torque == "held"
+    for motor, link in ((10, 0), (0, 10)):
+        for number in range(1, 6):
+            line.tick(number * motor, number * link, QUICK_STOP)
+        assert line.supervisor.torque == "torque on"
+        for _ in range(5):
+            line.tick(number * motor, number * link, QUICK_STOP)
+        assert line.supervisor.torque == "held"
+    for silent in range(1, rules.SPEED_STEPS + 1):
+        line.sync()
+        assert line.supervisor.torque == ("held" if silent < rules.SPEED_STEPS else "torque on")
+    line.tick(status=OFF)
+    assert line.supervisor.torque == "no torque"
+
+
 def test_an_axis_whose_brake_is_open_is_watched_without_torque() -> None:
     line = Line()
     line.tick(0, status=OFF)
@@ -252,13 +272,13 @@ def test_an_axis_whose_brake_is_open_is_watched_without_torque() -> None:
 
 def test_nothing_is_permitted_between_sessions_and_each_begins_with_what_it_sees() -> None:
     line = Line()
-    assert not line.supervisor.known
+    assert line.supervisor.torque == "unknown"
     line.tick()
-    assert line.supervisor.known
+    assert line.supervisor.torque == "torque on"
     line.supervisor.end()
     assert (line.supervisor.reason, line.supervisor.answer(line.time_s, 1)) == ("no bench runs", None)
     line.supervisor.begin()
-    assert not line.supervisor.powered
+    assert line.supervisor.torque == "unknown"
     assert line.supervisor.answer(line.time_s + 100.0, 1) is not None
 
 

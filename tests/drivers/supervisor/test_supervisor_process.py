@@ -200,7 +200,7 @@ class Told:
     def __init__(self, settings: object) -> None:
         self.states: list[tuple[bool, bool]] = []
         self.asks: list[tuple[bool, str]] = []
-        self.reason, self.asked_by, self.powered, self.known = "", "", True, True
+        self.reason, self.asked_by, self.torque = "", "", "torque on"
         self.held = 0
         self.stops: tuple[int, ...] = ()
         Told.newest = self

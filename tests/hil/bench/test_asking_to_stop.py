@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import socket
 import tempfile
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from asked_supervisor import Supervisor
@@ -81,13 +83,52 @@ def test_a_drive_that_keeps_its_torque_is_a_bad_answer(
     ended.append(Supervisor(BUS, "torque on\n"))
     outcome = isocenter("stop", "--bus", BUS)
     assert outcome.status == 1
-    assert "a drive has torque or tells nothing after" in outcome.line
+    assert "a drive has torque and does not hold, or tells nothing, after" in outcome.line
+
+
+def test_a_drive_that_holds_has_stopped_once_every_proof_should_be_over(
+    isocenter: Isocenter, ended: list[Supervisor], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(asking, "STOP_S", -1.0)
+    ended.append(Supervisor(BUS, "held\n"))
+    outcome = isocenter("stop", "--json", "-", "--bus", BUS)
+    assert outcome.status == 0
+    assert "a drive holds its axis, whose brake is not proven" in outcome.err.splitlines()[-1]
+    assert json.loads(outcome.out) == {"bus": BUS, "ended": "held", "seen": outcome.err.splitlines()}
+
+
+def test_a_drive_that_holds_may_yet_prove_its_brake(isocenter: Isocenter, ended: list[Supervisor], tmp_path: Path) -> None:
+    ended.append(Supervisor(BUS, "held\n", "no torque\n"))
+    outcome = isocenter("stop", f"--bus={BUS}", "--json", tmp_path / "stop.json")
+    assert (outcome.status, outcome.out.splitlines()[-1]) == (0, f"{BUS}: no drive has torque")
+    assert json.loads((tmp_path / "stop.json").read_text())["ended"] == "no torque"
+
+
+def test_a_file_that_cannot_be_written_keeps_nobody_from_stopping(isocenter: Isocenter, ended: list[Supervisor], tmp_path: Path) -> None:
+    ended.append(Supervisor(BUS, "no torque\n"))
+    outcome = isocenter("stop", "--bus", BUS, "--json", tmp_path / "none" / "stop.json")
+    assert outcome.status == 2
+    assert "stop.json: No such file" in outcome.line
+    assert ended[0].heard
+
+
+@pytest.mark.parametrize("words", [(), ("--bus",), ("--bus", BUS, "--hurry"), ("--bus", BUS, BUS), ("--bus", BUS, "-b", BUS), ("here",)])
+def test_an_order_that_is_not_understood_is_explained(isocenter: Isocenter, words: tuple[str, ...]) -> None:
+    outcome = isocenter("stop", *words)
+    if words == ("--bus", BUS, "-b", BUS):
+        assert outcome.status == 3  # the last one counts, as of every command
+    else:
+        assert outcome.status == 2
+        assert "--help)" in outcome.line
 
 
 def test_a_bus_without_a_bench_is_told(isocenter: Isocenter) -> None:
     outcome = isocenter("stop", "--bus", BUS)
-    assert outcome.status == 2
+    assert outcome.status == 3
     assert "no bench of yours runs on this bus" in outcome.line
+    outcome = isocenter("stop", "--bus", "sockercan:vcan0")
+    assert outcome.status == 2
+    assert "did you mean socketcan" in outcome.line
 
 
 def test_without_a_temporary_folder_it_tells_the_supervisor_all_the_same(isocenter: Isocenter, monkeypatch: pytest.MonkeyPatch) -> None:

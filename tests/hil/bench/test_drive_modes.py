@@ -170,11 +170,15 @@ def test_check_judges_the_whole_cascade(mode: str) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        (r"^loops = .*$", "", "drives.propeller.loops: is missing; in position mode they are part of the feedback"),
+        (
+            r"^\[drives.propeller.loops\](?:.*\n)*?\]\n",
+            "",
+            "drives.propeller.loops: is missing; in position mode they are part of the feedback",
+        ),
         (r'"torque_offset"\]', '"target_torque"]', "torque_offset is mapped nowhere; a drive in position mode needs it in an RPDO"),
         (r'"target_position"', '"target_velocity"', "target_position is mapped nowhere; a drive in position mode needs it in an RPDO"),
         (r"^mode = .*$", 'mode = "profile"', "drives.propeller.mode"),
-        (r"torque_sections = \[\[", "torque_sections = [[1", "has a static gain of"),
+        (r"torque_sections = \[\n    \[", "torque_sections = [[1", "has a static gain of"),
         (r"position_gain = 4.0", "position_gain = -4.0", "drives.propeller.loops.position_gain"),
         (r"(?<=\[controller.roll\]\n)position_sections = .*$", "position_sections = [[1.0, 0.0, 0.0, 1.0, -1.0, 0.0]]", "controller.roll"),
     ],

@@ -19,10 +19,10 @@ from hil.simulation import in_effort
 SPEED_rad_s = 0.2
 LOST_AT = 300  # in the middle of the scan
 PERIOD_S, COUNT_rad = 1.0 / 256.0, 2.0 * np.pi / (4096 * 500)
-_, VELOCITY_GAIN, _, SHARE = LOOPS["roll"]
+POSITION_GAIN, VELOCITY_GAIN, SHARE = (LOOPS["roll"][name] for name in ("position_gain", "velocity_gain", "speed_filter"))
 COUNT_A = VELOCITY_GAIN * SHARE * COUNT_rad / PERIOD_S  # what one count makes of the effort, in the next tick
 STEP_A = 0.005
-HELD_A = VELOCITY_GAIN * LOOPS["roll"][0] * SPEED_rad_s * 3 * PERIOD_S  # what a target makes that stands for three ticks
+HELD_A = VELOCITY_GAIN * POSITION_GAIN * SPEED_rad_s * 3 * PERIOD_S  # what a target makes that stands for three ticks
 EVERYBODY, ROLL = (0x181, 0x182, 0x18B, 0x18C), (0x182,)
 
 
@@ -72,7 +72,7 @@ def test_targets_go_on_and_the_effort_is_expected_within_little(lossy: tuple[str
     speed = np.diff(reference)[around] / PERIOD_S
     assert speed == pytest.approx(SPEED_rad_s, rel=1e-6)
     ahead = recording["command_roll"][around] - (0.0 if mode == "velocity" else reference[around])
-    usual = SPEED_rad_s if mode == "velocity" else SPEED_rad_s / LOOPS["roll"][0]
+    usual = SPEED_rad_s if mode == "velocity" else SPEED_rad_s / POSITION_GAIN
     assert ahead == pytest.approx(usual, rel=0.05)
     assert np.nanmax(np.abs(off)) < most
 

@@ -32,6 +32,8 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BenchPage]:
 
 
 def opened(page: Page, bench: BenchPage, view: str) -> None:
+    name, _, value = bench.cookie.partition("=")
+    page.context.add_cookies([{"name": name, "value": value, "url": bench.address}])
     page.goto(f"{bench.address}/#{view}")
     page.locator("#link", has_text="connected").wait_for(state="attached")  # a narrow page shows it only where it is lost
 

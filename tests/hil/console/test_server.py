@@ -10,6 +10,8 @@ import socket
 import subprocess
 import sys
 import time
+import urllib.error
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -106,12 +108,30 @@ def test_who_answers_no_ping_starts_nothing(bench: BenchPage) -> None:
 
 def test_messages_that_are_too_long_close_the_line(bench: BenchPage) -> None:
     for path in ("/control", "/rows"):
-        with connect(bench.sockets + path, origin=bench.address) as socket:  # type: ignore[arg-type]
+        with connect(bench.sockets + path, origin=bench.address, additional_headers={"Cookie": bench.cookie}) as socket:  # type: ignore[arg-type]
             socket.send("x" * (MOST_BYTES + 1))
             with pytest.raises(ConnectionClosed) as closed:
                 list(socket)
             assert closed.value.rcvd is not None
             assert closed.value.rcvd.code == 1009
+
+
+def test_another_user_of_this_computer_sees_nothing_and_changes_nothing(bench: BenchPage) -> None:
+    """Who reaches the port, knows the page, and has no token."""
+    cookie, bench.cookie = bench.cookie, ""
+    try:
+        for path in ("/api/run", "/api/stop", "/api/invite", "/api/release", "/api/step"):
+            assert bench.post(path, {})[0] == 401
+    finally:
+        bench.cookie = cookie
+    for path in ("/", "/api/bench", "/api/files", "/static/bench.js"):
+        with pytest.raises(urllib.error.HTTPError) as refused:
+            urllib.request.urlopen(bench.address + path)
+        assert refused.value.code == 401
+    for path in ("/control", "/rows"):
+        with pytest.raises(InvalidStatus):
+            connect(bench.sockets + path, origin=bench.address)  # type: ignore[arg-type]
+    assert bench.post("/api/invite", {})[0] == 200
 
 
 def test_lines_of_other_origins_are_refused(bench: BenchPage) -> None:

@@ -59,7 +59,8 @@ def slide() -> Machine:
 
 
 def test_both_shipped_machines_are_listed() -> None:
-    assert set(list_shipped()) == {"carm", "carm-real", "coupled_electric_drives", "emps", "laas_anti_cogging", "silverbox", "turntable"}
+    others = {"coupled_electric_drives", "emps", "laas_anti_cogging", "silverbox", "turntable"}
+    assert set(list_shipped()) == {"carm", "carm-csp", "carm-csv", "carm-real", *others}
 
 
 def test_the_c_arm_has_the_contracts_axes_rate_and_units() -> None:

@@ -96,7 +96,9 @@ def test_a_mistake_gets_one_line_that_names_it(old: str, new: str, words: list[s
 
 
 def test_a_missing_file_names_what_is_shipped(tmp_path: Path) -> None:
-    with pytest.raises(MachineFileError, match=r"nothing\.toml: No such file.*carm, carm-real, coupled_electric_drives, emps"):
+    with pytest.raises(
+        MachineFileError, match=r"nothing\.toml: No such file.*carm, carm-csp, carm-csv, carm-real, coupled_electric_drives, emps"
+    ):
         load_machine(tmp_path / "nothing.toml")
 
 

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import gc
+import json
 import os
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
 
 from hil.cli.running import RunOptions, stepped_over
 from hil.emulated.card import EmulatorCard, find, published
+from hil.processes.private_folder import private_folder
 from hil.processes.real_time import real_time
 
 BUS = "udp:239.74.163.77"
@@ -32,11 +34,14 @@ def test_an_emulators_ports_are_found_by_its_bus_as_long_as_it_lives() -> None:
     assert find(BUS) is None
 
 
-def test_the_card_of_an_emulator_that_was_killed_is_not_believed() -> None:
-    dead = subprocess.Popen([sys.executable, "-c", ""])
-    dead.wait()
-    with published(EmulatorCard(BUS, dead.pid, "/dev/pts/7", "")):
-        assert find(BUS) is None
+def test_the_card_of_an_emulator_that_was_killed_is_not_believed_whoever_has_its_number() -> None:
+    card = EmulatorCard(BUS, os.getpid(), "/dev/pts/7", "")
+    words = "import os, sys; from hil.emulated.card import *; held = published(card_from_text(sys.argv[1])); held.__enter__(); os._exit(0)"
+    subprocess.run([sys.executable, "-c", words, json.dumps(asdict(card))], check=True)
+    assert list(private_folder().glob("*.json"))
+    assert find(BUS) is None
+    with published(card):
+        assert find(BUS) == card
 
 
 def test_ticks_lost_on_an_emulated_machine_are_told_to_who_observes_it(tmp_path: Path) -> None:

@@ -104,6 +104,8 @@ KNOWN_DIFFERENCES = {
     159,  # a block acknowledge of 128 segments: they say unknown command, we say invalid sequence number (0504 0003h)
     16372,  # they refuse to switch on a PDO that maps nothing; CiA 301 does not ask for that
     *range(16420, 16437, 2),  # so that PDO is on with us, and its mapping may not be written: 0601 0000h comes before 0604 0042h
+    *(16868, 16913, 16950, 16988, 17031, 17062),  # they let remote requests of TPDOs be allowed, and have none: 0609 0030h with us
+    *(17482, 17490, 17496, 17502, 17582, 17590, 17596, 17602),  # the same
 }
 
 
@@ -123,7 +125,7 @@ def test_answers_agree_with_the_traced_devices(exchanges: list[Exchange]) -> Non
 
 def test_most_answers_are_the_same_to_the_byte(exchanges: list[Exchange]) -> None:
     same = sum(exchange.ours == exchange.theirs for exchange in exchanges)
-    assert same >= 7190, f"{same} of {len(exchanges)}"
+    assert same >= 7180, f"{same} of {len(exchanges)}"
 
 
 def test_every_abort_code_of_the_trace_is_ours_too(exchanges: list[Exchange]) -> None:

@@ -96,7 +96,7 @@ def test_the_cyclic_timer_sends_the_position(encoder: tuple[Wire, RemoteNode, Ci
 def test_the_position_comes_with_every_sync(encoder: tuple[Wire, RemoteNode, Cia406Encoder]) -> None:  # type: ignore[no-untyped-def]
     wire, remote, device = encoder
     remote.sdo.download(0x1801, 2, u8(1))
-    remote.sdo.download(0x1801, 1, u32(0x284))
+    remote.sdo.download(0x1801, 1, u32(0x40000284))
     wire.command(0x01)
     for counts in (1, -1):
         device.latch(counts)

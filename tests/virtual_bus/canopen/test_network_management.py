@@ -7,6 +7,7 @@ from pathlib import Path
 import canopen
 import pytest
 from device_wires import DRIVE_EDS, ENCODER_EDS, Wire, abort_code, bare_wire, u16, u32
+from full_device import full_device_eds
 
 from virtual_bus.canopen.bare import bare_device
 from virtual_bus.errors import EmulatorError
@@ -280,6 +281,32 @@ def test_saving_one_group_leaves_the_others(tmp_path: Path) -> None:
     _, again = bare_wire(DRIVE_EDS, 4, memory)
     assert again.sdo[0x1017].raw == 250
     assert again.sdo[0x6085].raw == 200000
+
+
+@pytest.mark.parametrize(
+    ("index", "subindex", "data", "changed"),
+    [
+        (0x1017, 0, u16(50), True),
+        (0x1017, 0, u16(0), False),  # what it has
+        (0x2120, 2, u16(9), True),
+        (0x1020, 2, u32(34), False),
+        (0x1003, 0, b"\0", False),
+    ],
+)
+def test_a_configuration_is_known_by_its_time_until_a_parameter_differs(
+    tmp_path: Path, index: int, subindex: int, data: bytes, changed: bool
+) -> None:
+    """CiA 301, 7.5.2.23, also after it was stored."""
+    eds = tmp_path / "full.eds"
+    eds.write_text(full_device_eds())
+    wire, remote = bare_wire(eds, memory=tmp_path / "memory.json")
+    for place, value in ((1, 12), (2, 34)):
+        remote.sdo.download(0x1020, place, u32(value))
+    remote.sdo.download(0x1010, 1, b"save")
+    wire.command(RESET_NODE)
+    assert [remote.sdo[0x1020][place].raw for place in (1, 2)] == [12, 34]
+    remote.sdo.download(index, subindex, data)
+    assert [remote.sdo[0x1020][place].raw for place in (1, 2)] == ([0, 0] if changed else [12, 34])
 
 
 def test_a_memory_file_of_something_else_is_named(tmp_path: Path) -> None:

@@ -8,6 +8,8 @@ from pathlib import Path
 import canopen
 import pytest
 from device_wires import DRIVE_EDS, Wire, abort_code, bare_wire, client, u8, u16, u32
+from full_device import NODE as FULL_NODE
+from full_device import full_device_eds
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -18,7 +20,7 @@ from virtual_bus.canopen.pdo import Layout, dummy_entry
 
 START, STOP, PRE_OPERATIONAL = 0x01, 0x02, 0x80
 SYNC = 0x080
-OFF = 1 << 31
+OFF, NO_RTR = 1 << 31, 1 << 30
 STATUSWORD, POSITION, CURRENT, MODE_DISPLAY = 0x60410010, 0x60640020, 0x60780010, 0x60610008
 CONTROLWORD, TARGET_TORQUE, HOME_OFFSET = 0x60400010, 0x60710010, 0x607C0020
 
@@ -30,6 +32,7 @@ def drive() -> tuple[Wire, canopen.RemoteNode]:
 
 def configure(remote: canopen.RemoteNode, communication: int, mapped: list[int], cob_id: int, transmission_type: int) -> None:
     mapping = communication + 0x200
+    cob_id |= NO_RTR if communication >= 0x1800 else 0
     remote.sdo.download(communication, 1, u32(cob_id | OFF))
     remote.sdo.download(mapping, 0, u8(0))
     for subindex, entry in enumerate(mapped, 1):
@@ -66,7 +69,7 @@ def test_the_librarys_own_configuration_is_accepted_and_its_pdos_flow(drive: tup
     [
         ([], (0x1A00, 0, u8(0)), 0x06010000),  # mapping of a living PDO
         ([], (0x1A00, 1, u32(STATUSWORD)), 0x06010000),
-        ([], (0x1800, 1, u32(0x1A4)), 0x06090030),  # another identifier for a living PDO
+        ([], (0x1800, 1, u32(0x1A4 | NO_RTR)), 0x06090030),  # another identifier for a living PDO
         ([], (0x1800, 3, u16(10)), 0x06090030),  # inhibit time of a living PDO
         (["off"], (0x1A00, 1, u32(STATUSWORD)), 0x06010000),  # entry while the count is not 0
         (["off", "clear"], (0x1A00, 1, u32(0x50000010)), 0x06020000),  # no such object
@@ -77,8 +80,10 @@ def test_the_librarys_own_configuration_is_accepted_and_its_pdos_flow(drive: tup
         (["off", "clear"], (0x1600, 1, u32(STATUSWORD)), 0x06010000),  # the RPDO is still on
         (["off", "clear", "three positions"], (0x1A00, 0, u8(3)), 0x06040042),  # 12 bytes
         (["off", "clear"], (0x1A00, 0, u8(8)), 0x06040042),  # 22 bytes with what the slots still hold, or empty slots
-        (["off"], (0x1800, 1, u32(0x20000184)), 0x06090030),  # 29-bit identifier
-        (["off"], (0x1800, 1, u32(0x604)), 0x06090030),  # SDO's identifier
+        (["off"], (0x1800, 1, u32(0x20000184 | NO_RTR)), 0x06090030),  # 29-bit identifier
+        (["off"], (0x1800, 1, u32(0x604 | NO_RTR)), 0x06090030),  # SDO's identifier
+        ([], (0x1800, 1, u32(0x184)), 0x06090030),  # allows RTR, which the device does not have
+        ([], (0x1800, 1, u32(0x184 | OFF)), 0x06090030),
         ([], (0x1800, 2, u8(241)), 0x06090030),  # reserved transmission type
         ([], (0x1800, 2, u8(252)), 0x06090030),  # needs RTR
         ([], (0x1800, 4, u8(0)), 0x06090011),
@@ -89,7 +94,7 @@ def test_what_the_mapping_procedure_forbids_is_refused(
 ) -> None:
     _, remote = drive
     if "off" in prepare:
-        remote.sdo.download(0x1800, 1, u32(0x184 | OFF))
+        remote.sdo.download(0x1800, 1, u32(0x184 | OFF | NO_RTR))
     if "clear" in prepare:
         remote.sdo.download(0x1A00, 0, u8(0))
     if "three positions" in prepare:
@@ -149,7 +154,7 @@ def test_an_acyclic_pdo_comes_with_the_sync_after_a_change(drive: tuple[Wire, ca
 def test_the_sync_counter_says_when_to_start(drive: tuple[Wire, canopen.RemoteNode]) -> None:
     wire, remote = drive
     remote.sdo[0x1019].raw = 10
-    remote.sdo.download(0x1800, 1, u32(0x184 | OFF))
+    remote.sdo.download(0x1800, 1, u32(0x184 | OFF | NO_RTR))
     remote.sdo.download(0x1800, 6, u8(3))
     configure(remote, 0x1800, [MODE_DISPLAY], 0x184, 4)
     wire.command(START)
@@ -186,7 +191,7 @@ def test_an_event_driven_pdo_comes_on_entering_operational_and_on_every_change(
 
 def test_the_inhibit_time_gathers_changes(drive: tuple[Wire, canopen.RemoteNode]) -> None:
     wire, remote = drive
-    remote.sdo.download(0x1800, 1, u32(0x184 | OFF))
+    remote.sdo.download(0x1800, 1, u32(0x184 | OFF | NO_RTR))
     remote.sdo.download(0x1800, 3, u16(200))  # 20 ms
     configure(remote, 0x1800, [HOME_OFFSET], 0x184, 255)
     wire.command(START)
@@ -226,7 +231,7 @@ def test_a_pdo_that_is_switched_off_is_silent(drive: tuple[Wire, canopen.RemoteN
     wire, remote = drive
     configure(remote, 0x1800, [MODE_DISPLAY], 0x184, 1)
     wire.command(START)
-    remote.sdo.download(0x1800, 1, u32(0x184 | OFF))
+    remote.sdo.download(0x1800, 1, u32(0x184 | OFF | NO_RTR))
     wire.forget()
     wire.frame(SYNC)
     assert wire.sent == []
@@ -312,6 +317,33 @@ def test_bits_and_odd_widths_travel_in_a_pdo(tmp_path: Path) -> None:
     wire.command(START)
     wire.frame(SYNC)
     assert wire.heard(0x184) == [(1 | 0xFFFFFE << 1 | 1 << 25).to_bytes(4, "little")]
+
+
+@pytest.mark.parametrize("window_us", [0, 5000])
+def test_a_synchronous_rpdo_that_comes_after_the_window_waits_for_no_sync(tmp_path: Path, window_us: int) -> None:
+    """CiA 301, 7.5.2.7: until the next SYNC; what is not synchronous is taken at any time."""
+    path = tmp_path / "full.eds"
+    path.write_text(full_device_eds())
+    wire, remote = bare_wire(path, FULL_NODE)
+    remote.sdo.download(0x1007, 0, u32(window_us))
+    remote.sdo.download(0x1400, 5, u16(100))
+    wire.command(START)
+
+    def taken_after(seconds: float, value: int) -> bool:
+        wire.frame(SYNC)
+        wire.pass_time(seconds, 0.001)
+        wire.frame(0x200 + FULL_NODE, struct.pack("<hB", value, 3))
+        wire.frame(0x300 + FULL_NODE, struct.pack("<I", value))
+        assert remote.sdo[0x2102].raw == value
+        wire.frame(SYNC)
+        return bool(remote.sdo[0x2101].raw == value)
+
+    assert taken_after(0.005, 1)
+    assert taken_after(0.006, 2) is (not window_us)
+    assert taken_after(0.0, 3), "the window opens with every SYNC"
+    for number in range(4, 20):  # frames that are late are missing
+        taken_after(0.01, number)
+    assert any(data[:2] == b"\x50\x82" for data in wire.heard(0x80 + FULL_NODE)) is bool(window_us)
 
 
 def test_a_dummy_is_as_wide_as_its_type() -> None:
