@@ -21,6 +21,7 @@ from hil.recording.mat73 import MARK, hdf5_arrays
 from hil.recording.metadata import machine_table
 from hil.recording.model import Recording
 from hil.recording.naming import Column, Columns, Target, is_channel, named_channels
+from hil.recording.rasters import channels_in_order
 from hil.recording.said import listed, source_table
 
 if TYPE_CHECKING:
@@ -60,6 +61,7 @@ def read_mat(path: Path, machine: Machine | None, names: Mapping[str, Target] | 
     else:
         wanted = _known_names(variables, found, machine, path)
     channels, _ = named_channels(found, wanted, machine, path)
+    channels, order = channels_in_order(channels, path)
     constants = {
         name: value.item() for name, value in variables.items() if isinstance(value, np.ndarray) and value.size == 1 and name not in wanted
     }
@@ -68,7 +70,7 @@ def read_mat(path: Path, machine: Machine | None, names: Mapping[str, Target] | 
     not_taken += [*whole, *(f"{name}, {what}" for name, what in found.others.items() if what not in (_TEXT, _NUMBER))]
     renamed = {name: one.channel for name, one in wanted.items() if name != one.channel}
     try:
-        source = source_table(path, not_taken, (), renamed, constants=constants)
+        source = source_table(path, not_taken, order, renamed, constants=constants)
         return Recording(channels, {"machine": machine_table(machine), "source": source})
     except RecordingError as problem:
         raise RecordingError(f"{path}: {problem}") from None
