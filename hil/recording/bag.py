@@ -34,6 +34,9 @@ from hil.recording.zstd import PACKED, ZSTD_MARK, unpacked_file, unpacked_messag
 if TYPE_CHECKING:
     from hil.machine.model import Machine
 
+_MOST_NS = 2**62
+"""Of a time of day: in the year 2116."""
+
 _MOST_FIELDS = 1000
 """Of one message in JSON."""
 
@@ -139,6 +142,8 @@ def _messages(base: sqlite3.Connection, path: Path) -> Iterator[tuple[str, str, 
 
 def _sort(bag: Bag, path: Path, topic: str, encoding: str, kind: str, origin: tuple[int, int], data: bytes) -> None:
     """Put a message where it belongs; `origin` is its time of logging [ns] and its channel."""
+    if not 0 <= origin[0] < _MOST_NS:
+        raise RecordingError(f"{path}: damaged: topic {topic}: a message logged at {origin[0]} ns, which is no time")
     if encoding == "cdr" and kind in JOINT_STATE_TYPES:
         data = unpacked_message(data, path) if data.startswith(ZSTD_MARK) else data
         bag.cdr[topic].append((*origin, data))

@@ -7,7 +7,7 @@ import math
 import sqlite3
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, cast
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import can
 
@@ -40,6 +40,7 @@ class Group(Protocol):
 class _Named(Protocol):
     name: str
     bit_count: int
+    conversion: Any
 
 
 class _Head(Protocol):

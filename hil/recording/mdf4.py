@@ -137,6 +137,7 @@ def _recording(
     wanted, not_taken = named_or_own(found, names or {}, path)
     channels, notes = channels_on_one_raster(found, wanted, machine, path)
     not_taken += [f"{name}: {what}" for name, what in found.others.items()]
+    notes = [*found.notes, *notes]
     if not_taken or notes or names:
         renamed = {name: wanted_as.channel for name, wanted_as in (names or {}).items()}
         metadata = metadata | {"source": source_table(path, not_taken, notes, renamed)}

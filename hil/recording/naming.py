@@ -86,11 +86,14 @@ class Columns:
         A name that stands for several columns -> their names.
     others : mapping
         Name of what is no column of numbers -> what it is.
+    notes : sequence of str
+        What of the columns could not be taken.
     """
 
     columns: Mapping[str, Column]
     several: Mapping[str, Sequence[str]] = field(default_factory=dict)
     others: Mapping[str, str] = field(default_factory=dict)
+    notes: Sequence[str] = ()
 
 
 def target(text: str, where: str) -> Target:

@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from asammdf import MDF, Signal
+from asammdf.blocks.conversion_utils import from_dict
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -158,6 +159,25 @@ def test_texts_and_arrays_of_an_mf4_are_listed(carm: Machine, tmp_path: Path) ->
 
 
 # ---- Parquet and MCAP ------------------------------------------------------------------------------------------------------------
+
+
+def test_readings_that_a_conversion_table_makes_texts_are_missing_and_said(carm: Machine, tmp_path: Path) -> None:
+    counts = np.array([0, 10, 32767, 30, 32767, 50, -32768, 70], dtype=np.int16)
+    table = from_dict(
+        {
+            "lower_0": -1000, "upper_0": 1000, "text_0": {"a": 0.1, "b": 0.0},
+            "lower_1": 32767, "upper_1": 32767, "text_1": b"no signal",
+            "lower_2": -32768, "upper_2": -32768, "text_2": b"fault",
+        }
+    )  # fmt: skip
+    signal = Signal(counts, np.arange(8) / 256.0, unit="deg", name="position_roll", conversion=table)
+    path = mf4(tmp_path / "log.mf4", [signal])
+    with pytest.warns(
+        RecordingWarning, match=r"position_roll: 3 of 8 readings are texts .*: 'no signal' \(2\), 'fault' \(1\), first sample 2"
+    ):
+        recording = read_recording(path, carm)
+    expected = [0.0, 1.0, np.nan, 3.0, np.nan, 5.0, np.nan, 7.0]
+    np.testing.assert_allclose(np.degrees(recording["position_roll"]), expected)
 
 
 @pytest.fixture
