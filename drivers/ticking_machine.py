@@ -202,14 +202,10 @@ class TickingMachine:
     def dropped(self) -> str:
         """What has come malformed since the nodes were started, and was dropped, in words; '' when nothing has."""
         counts = [now - before for now, before in zip(self._malformed(), self._malformed_before, strict=True)]
-        firsts = (self.network.first_malformed, "", *(getattr(one, "first_malformed", "") for one in (self._imu, self._io)))
+        firsts = (getattr(one, "first_malformed", "") for one in (self.network, None, self._imu, self._io))
         names = ("frames", "datagrams", "messages of the IMU", "answers of the I/O")
-        said = ", ".join(
-            f"{count} {name}{f' (first: {first})' if first else ''}"
-            for count, name, first in zip(counts, names, firsts, strict=True)
-            if count
-        )
-        return f"dropped because malformed: {said}" if said else ""
+        found = [f"{n} {name}" + (f" (first: {why})" if why else "") for n, name, why in zip(counts, names, firsts, strict=True) if n]
+        return f"dropped because malformed: {', '.join(found)}" if found else ""
 
     @property
     def remarks(self) -> tuple[str, ...]:
