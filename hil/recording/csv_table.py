@@ -18,11 +18,11 @@ import numpy as np
 from hil.errors import RecordingError
 from hil.files.atomic import write_atomically
 from hil.files.regular import check_regular
-from hil.recording.channels import check_name, is_whole, unit_and_factor
+from hil.recording.channels import check_name, is_whole
 from hil.recording.csv_dialect import Clock, Numbers, decoded, is_number, laid_out, row_of_units
 from hil.recording.metadata import machine_table, metadata_text, parse_metadata
 from hil.recording.model import CAN_FRAMES, Channel, Recording
-from hil.recording.naming import Column, Columns, Target, header_name, is_header_cell, machine_unit, picked
+from hil.recording.naming import Column, Columns, Target, header_name, is_header_cell, picked, with_unit
 from hil.recording.said import source_table
 from hil.recording.stamps import DisorderError, rows_in_order
 
@@ -283,12 +283,9 @@ def _targets(
             continue
         try:
             if one := names.get(cell.strip(), names.get(name)):
-                unit = one.unit if one.unit is not None else unit
-                unit = machine_unit(one.channel, machine, path) if unit is None and machine is not None else unit
-                unit_and_factor(one.channel, unit or "")
-                targets.append(one._replace(unit=unit or ""))
+                targets.append(with_unit(one, unit, machine, path))
             else:
-                targets.append(_own(cell, name, unit, taken, named=bool(names)))
+                targets.append(with_unit(_own(cell, name, unit, taken, named=bool(names)), None, machine, path))
                 taken.add(name)
         except RecordingError as problem:
             if not names or cell.strip() in names or name in names:
@@ -305,7 +302,7 @@ def _own(cell: str, name: str, unit: str | None, taken: set[str], *, named: bool
     """Return the target of a column that keeps its name."""
     if not is_header_cell(cell):
         raise RecordingError(f"header cell {cell!r} is not `name [unit]`")
-    unit_and_factor(check_name(name), unit or "")
+    check_name(name)
     if name in taken:
         raise RecordingError(f"another column is to be {name}" if named else f"channel {name} stands there twice")
     return Target(name, unit or "")

@@ -134,7 +134,7 @@ def _recording(
     found: Columns, names: Mapping[str, Target] | None, metadata: dict[str, Any], machine: Machine | None, path: Path
 ) -> Recording:
     """Return the signals as channels: under the given names, others under their own."""
-    wanted, not_taken = named_or_own(found, names or {}, path)
+    wanted, not_taken = named_or_own(found, names or {}, path, machine)
     channels, notes = channels_on_one_raster(found, wanted, machine, path)
     not_taken += [f"{name}: {what}" for name, what in found.others.items()]
     notes = [*found.notes, *notes]

@@ -140,6 +140,9 @@ class Machine:
 
     name, text, hash, axes = "carm", 'name = "carm"', "ab", ("roll",)
 
+    def axis_of_channel(self, name: str) -> str | None:
+        """It knows no channels."""
+
 
 def test_a_csv_without_metadata_needs_the_machine(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"

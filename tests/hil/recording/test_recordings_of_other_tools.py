@@ -131,7 +131,7 @@ def test_a_name_in_two_groups_is_refused_with_the_names_that_tell_them_apart(car
     path = mf4(
         tmp_path / "twice.mf4",
         [Signal(rows, rows, unit="deg", name="angle")],
-        [Signal(2 * rows, rows, unit="deg", name="angle"), Signal(rows, rows, unit="1/min", name="speed_roll")],
+        [Signal(2 * rows, rows, unit="deg", name="angle"), Signal(rows, rows, unit="knot", name="speed_roll")],
     )
     for names in (None, {"angle": "position_roll"}):
         with pytest.raises(RecordingError, match="angle@0; angle@1"):
@@ -141,7 +141,8 @@ def test_a_name_in_two_groups_is_refused_with_the_names_that_tell_them_apart(car
     assert source["names"] == {"angle@1": "position_roll"}
     assert "angle@0" in recording
     assert source["not_taken"] == [
-        "speed_roll: channel speed_roll: unknown unit [1/min]; [rad/s] or [deg/s] or [m/s] or [mm/s] would be right"
+        "speed_roll: channel speed_roll: unknown unit [knot]; [rad/s] or [deg/s] or [mrad/s] or [rev/s] or [rpm] would be right;"
+        ' a file of names takes any other with its scale: "NAME" = { channel = "speed_roll", unit = "...", scale = ... } (--map FILE)'
     ]
 
 
