@@ -27,6 +27,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+import can  # noqa: F401  # isort: skip  # before asammdf: python-can meets it half imported otherwise, and takes it for missing
 import numpy as np
 from asammdf import MDF, Signal
 from asammdf.blocks.v4_blocks import HeaderBlock

@@ -193,12 +193,12 @@ def _clock_set(
     time_s, notes, back_s = stamps_s.copy(), [], 0.0
     for place in (1 + np.flatnonzero((np.diff(stamps_s) < 0.0) | (np.diff(stamps_s) > LOST * step))).tolist():
         jump_s = stamps_s[place] - stamps_s[place - 1]
-        if jump_s >= 0.0 and not (back_s and abs(jump_s - back_s) <= LOST * step):
+        if jump_s >= 0.0 and not (back_s and abs(jump_s - step - back_s) <= LOST * step):
             continue
         _check_seam(values, place, runs, words, what, numbers)
         went_on_s = _since(other_s, place, step) if beat is None else _on_beat(time_s, beat, place, step)
         time_s[place:] += went_on_s - (time_s[place] - time_s[place - 1])
-        back_s = back_s - jump_s if jump_s < 0.0 else 0.0
+        back_s = back_s + went_on_s - jump_s if jump_s < 0.0 else 0.0
         notes.append(
             f"the clock was set {'back' if jump_s < 0.0 else 'on again'} by {abs(went_on_s - jump_s):.6g} s at {what} {numbers[place]}"
             f" (its stamp follows by {jump_s:.6g} s); what comes then is taken to go on {went_on_s:.6g} s later"
