@@ -28,7 +28,7 @@ from hil.recording.metadata import machine_table
 from hil.recording.model import Recording
 from hil.recording.naming import Columns, Target, is_channel
 from hil.recording.rasters import channels_on_one_raster
-from hil.recording.said import listed, source_table
+from hil.recording.said import listed, printable, source_table
 from hil.recording.zstd import PACKED, ZSTD_MARK, unpacked_file, unpacked_message
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ def _bag_of_sqlite(paths: Sequence[Path]) -> Bag:
                 for topic, kind, encoding, time_ns, data in _messages(base, path):
                     _sort(bag, path, topic, encoding, kind, (time_ns, 0), data)
         except (sqlite3.Error, OverflowError, UnicodeDecodeError) as problem:
-            raise RecordingError(f"{path}: no bag of ROS 2, or damaged: {problem}") from None
+            raise RecordingError(f"{path}: no bag of ROS 2, or damaged: {printable(str(problem))}") from None
     return bag
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 
@@ -17,6 +18,9 @@ COPY = 0.2
 
 ANOTHER = 0.6
 """Part of a period from which a second answer of a node belongs to another SYNC, which was lost."""
+
+UNANSWERED = 1.5
+"""Of three SYNCs within this many periods, the middle one is another sender's if no node answers it."""
 
 SYNCHRONOUS = 240
 """Largest transmission type of a PDO that comes once at every so many SYNCs (CiA 301)."""
@@ -69,21 +73,31 @@ def _once(frames: Sequence[CanFrame], bus: BusSettings, copies: int) -> tuple[li
     kept: list[CanFrame] = []
     latest: CanFrame | None = None  # SYNC
     given: dict[int, CanFrame] = {}  # answers to it
-    lost = rows = 0
+    lost = rows = extra = latest_place = 0
+    answered_s = -math.inf  # SYNC
     twice: dict[int, list[int]] = {}  # COB-ID -> rows
     for frame in frames:
         if frame.can_id == sync:
             if latest is not None and not given and frame.data == latest.data and frame.time_s - latest.time_s < COPY * period_s:
                 copies += 1
                 continue
-            latest, given = frame, {}
+            is_extra = latest is not None and not given and frame.time_s - answered_s < UNANSWERED * period_s
+            if is_extra and answers:
+                kept.pop(latest_place)
+                extra += 1
+                rows -= 1
+            elif given and latest is not None:
+                answered_s = latest.time_s
+            latest, latest_place, given = frame, len(kept), {}
             rows += 1
         elif (before := given.get(frame.can_id)) is not None and latest is not None:
             if frame.data == before.data and frame.time_s - before.time_s < COPY * period_s:
                 copies += 1
                 continue
             if frame.time_s - before.time_s >= ANOTHER * period_s:
-                latest, given = latest._replace(time_s=latest.time_s + period_s), {frame.can_id: frame}
+                answered_s = latest.time_s
+                latest, latest_place = latest._replace(time_s=latest.time_s + period_s), len(kept)
+                given = {frame.can_id: frame}
                 kept.append(latest)
                 lost += 1
                 rows += 1
@@ -93,6 +107,7 @@ def _once(frames: Sequence[CanFrame], bus: BusSettings, copies: int) -> tuple[li
             given[frame.can_id] = frame
         kept.append(frame)
     notes = _said_copies(copies)
+    notes += [f"{counted(extra, 'SYNC')} between two of the period, which no node answered: left out, of another sender"] if extra else []
     notes += [f"{counted(lost, 'SYNC')} missing between answers a period apart: put in"] if lost else []
     for cob_id, those in twice.items():
         words = f"{cob_id:03X} comes twice to a SYNC, with other contents, in {len(those)} of {rows} rows, first row {those[0]}"

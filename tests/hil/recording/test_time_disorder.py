@@ -298,3 +298,14 @@ def test_rows_that_are_missing_in_a_bag_are_said(carm: Machine, tmp_path: Path) 
     recording, said = read(bag(tmp_path / "bag", messages), carm)
     assert recording is not None
     assert "about 10 rows of 0.005 s missing in 1 place, first 0.055 s after row 19" in said
+
+
+@pytest.mark.parametrize("phase", [0.3, 0.7])
+def test_syncs_of_another_sender_that_nobody_answers_are_left_out(carm: Machine, tmp_path: Path, phase: float) -> None:
+    path = candump(tmp_path, [(3906 * k, k) for k in range(50)], carm)
+    extra = [f"({1760000000 + (k + phase) * 3906e-6:.6f}) can0 080#" for k in range(49)]
+    path.write_text("\n".join(sorted([*path.read_text().splitlines(), *extra])) + "\n")
+    recording, said = read(path, carm)
+    assert recording is not None
+    np.testing.assert_array_equal(np.rint(numbers(recording, carm)), np.arange(50))
+    assert "SYNCs between two of the period, which no node answered" in said
