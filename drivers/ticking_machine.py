@@ -201,10 +201,10 @@ class TickingMachine:
     def dropped(self) -> str:
         """What has come malformed since the nodes were started, and was dropped, in words; '' when nothing has."""
         counts = [now - before for now, before in zip(self._malformed(), self._malformed_before, strict=True)]
-        first = self.network.first_malformed
-        names = (f"frames{f' (first: {first})' if first else ''}", "datagrams", "messages of the IMU", "answers of the I/O")
-        said = ", ".join(f"{count} {name}" for count, name in zip(counts, names, strict=True) if count)
-        return f"dropped because malformed: {said}" if said else ""
+        firsts = (getattr(one, "first_malformed", "") for one in (self.network, None, self._imu, self._io))
+        names = ("frames", "datagrams", "messages of the IMU", "answers of the I/O")
+        found = [f"{n} {name}" + (f" (first: {why})" if why else "") for n, name, why in zip(counts, names, firsts, strict=True) if n]
+        return f"dropped because malformed: {', '.join(found)}" if found else ""
 
     @property
     def remarks(self) -> tuple[str, ...]:

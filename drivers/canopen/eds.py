@@ -16,7 +16,8 @@ from pathlib import Path
 import canopen
 from canopen.objectdictionary import datatypes
 
-from drivers.canopen.eds_repairs import Repairs, Section, Sections, standard_type
+from drivers.canopen.eds_modules import connect_modules, tell_others
+from drivers.canopen.eds_repairs import RECORDS, Repairs, Section, Sections, standard_type
 from drivers.errors import DataSheetWarning, ProtocolError
 
 _OBJECT = re.compile(r"^([0-9A-F]{4})(?:SUB([0-9A-F]{1,2}))?$")
@@ -31,7 +32,11 @@ _MOST_ENTRIES = 16_384
 """Most objects and subindices of a file, compact arrays written out: real devices have some thousands. A line of a compact array stands
 for 254 of them, so that a small file could stand for millions."""
 
+_MOST_NODES = 127
 _VARIABLE, _DOMAIN_OBJECT = 0x07, 0x02
+_FIRST_OBJECT = 0x1000
+"""Below are types, which are taken where an object has them."""
+
 _MANY = (0x08, 0x09)  # array and record: their type is that of their elements
 _TEXT_KEYS = frozenset({"ParameterName", "AccessType", "VendorName", "ProductName", "OrderCode", "StorageLocation", "Denotation"})
 _FREE_TEXT = _TEXT_KEYS - {"AccessType"}
@@ -41,7 +46,7 @@ _LIMIT_KEYS = frozenset({"LowLimit", "HighLimit"})
 _NUMBER_KEYS = frozenset(
     {"ObjectType", "DataType", "PDOMapping", "SubNumber", "CompactSubObj", "NodeID", "Baudrate", "VendorNumber", "ProductNumber"}
     | {"RevisionNumber", "SimpleBootUpMaster", "SimpleBootUpSlave", "Granularity", "DynamicChannelsSupported", "GroupMessaging"}
-    | {"NrOfRXPDO", "NrOfTXPDO", "LSS_Supported"}
+    | {"NrOfRXPDO", "NrOfTXPDO", "LSS_Supported", "Count", "ObjExtend"}
     | {f"BaudRate_{rate}" for rate in (10, 20, 50, 125, 250, 500, 800, 1000)}
 )
 _CANONICAL_KEYS = {key.lower(): key for key in _TEXT_KEYS | _VALUE_KEYS | _NUMBER_KEYS}
@@ -84,17 +89,28 @@ def load_object_dictionary(path: str | Path, node_id: int | None = None) -> cano
     ProtocolError
         The file cannot be used; one line names the file, the section and the fault.
     """
-    path = Path(path)
+    return parse_object_dictionary(_text_of(Path(path)), node_id, str(path))
+
+
+def own_node_id(path: str | Path) -> int | None:
+    """Return the node id in a DCF's [DeviceComissioning]; None where the file has none. ProtocolError as in `load_object_dictionary`."""
+    repairs = Repairs()
+    try:
+        return _own_node_id(_sections(_text_of(Path(path)), repairs), repairs)
+    except ProtocolError as error:
+        raise ProtocolError(str(error) if str(error).startswith(str(path)) else f"{path}: {error}") from None
+
+
+def _text_of(path: Path) -> str:
     try:
         status = path.stat()
         if not stat.S_ISREG(status.st_mode):
             raise ProtocolError(f"{path}: is a folder, device or pipe: an EDS or DCF is a regular file")
         if status.st_size > _MAX_FILE_BYTES:
             raise ProtocolError(f"{path}: {status.st_size} bytes: no EDS or DCF file is that large")
-        text = _decode(path.read_bytes())
+        return _decode(path.read_bytes())
     except OSError as error:
         raise ProtocolError(f"{path}: cannot be read: {error.strerror or error}") from error
-    return parse_object_dictionary(text, node_id, str(path))
 
 
 def parse_object_dictionary(text: str, node_id: int | None = None, name: str = "EDS") -> canopen.ObjectDictionary:
@@ -102,8 +118,12 @@ def parse_object_dictionary(text: str, node_id: int | None = None, name: str = "
     repairs = Repairs()
     try:
         sections = _sections(text, repairs)
+        own = _own_node_id(sections, repairs)
         if node_id is None:
-            node_id = _own_node_id(sections)
+            node_id = own
+        elif own is not None and own != node_id:
+            line = sections["DeviceComissioning"].line_of("NodeID")
+            repairs.add(f"NodeID={own} is this file's, read here for node {node_id}; what follows the node id follows this one", line)
         clean = _Reader(sections, node_id, repairs).clean()
         dictionary: canopen.ObjectDictionary = canopen.objectdictionary.eds.import_eds(  # type: ignore[no-untyped-call]
             io.StringIO(clean), node_id
@@ -113,7 +133,7 @@ def parse_object_dictionary(text: str, node_id: int | None = None, name: str = "
         raise ProtocolError(f"{name}: {error}") from None
     except Exception as error:  # whatever error the library raises, the user needs to know one thing: the file is broken
         raise ProtocolError(f"{name}: not a usable EDS or DCF file: {type(error).__name__}: {error}".replace("\n", " ")) from error
-    if not any(index >= 0x1000 for index in dictionary):
+    if not any(index >= _FIRST_OBJECT for index in dictionary):
         raise ProtocolError(f"{name}: no object from 1000h on: not an EDS or DCF file")
     if repairs:
         warnings.warn(f"{name}: {repairs}", DataSheetWarning, stacklevel=2)
@@ -159,9 +179,14 @@ def _refuse_too_many(entries: int) -> None:
         raise ProtocolError(f"{entries} objects and subindices, compact arrays written out: a data sheet has at most {_MOST_ENTRIES}")
 
 
-def _own_node_id(sections: Sections) -> int | None:
-    text = sections.get("DeviceComissioning", Section(0)).get("NodeID", "")
-    return _integer(text, None, "[DeviceComissioning] NodeID") if text else None
+def _own_node_id(sections: Sections, repairs: Repairs) -> int | None:
+    section = sections.get("DeviceComissioning", Section(0))
+    text = section.get("NodeID", "")
+    number = _integer(text, None, "[DeviceComissioning] NodeID") if text else None
+    if number is not None and not 1 <= number <= _MOST_NODES:
+        repairs.add(f"NodeID={text[:40]} is no node id (1 to {_MOST_NODES}) and was left out", section.line_of("NodeID"))
+        return None
+    return number
 
 
 class _Reader:
@@ -182,6 +207,8 @@ class _Reader:
     def clean(self) -> str:
         """Return the text."""
         sections = self._sections
+        connect_modules(sections, self._repairs, lambda value, where: _integer(value, None, where))
+        tell_others(sections, self._repairs, lambda value, where: _integer(value, None, where))
         self._resolve_own_types()
         self._emit("DeviceInfo", _plain_numbers(sections.get("DeviceInfo", Section(0)), "DeviceInfo"))
         self._emit_dummies(sections.get("DUMMYUSAGE", Section(0)))
@@ -190,10 +217,20 @@ class _Reader:
         _refuse_too_many(len(objects) + sum(self._compact_count(head) for _, subindex, head in objects if subindex < 0))
         for index, subindex, head in objects:
             name = index if subindex < 0 else f"{index}sub{subindex:X}"
+            self._tell_dropped(sections[head], head)
             self._emit(name, self._object_keys(sections[head], name))
             if subindex < 0 and sections[head].get("CompactSubObj"):
                 self._emit_compact_array(index)
         return self._out.getvalue()
+
+    def _tell_dropped(self, keys: Section, head: str) -> None:
+        """Tell what of an object is not taken: contents in other files, and all of one that holds no value."""
+        for key in ("UploadFile", "DownloadFile"):
+            if keys.get(key):
+                self._repairs.add(f"{key} was not taken", keys.line_of(key))
+        object_type = _integer(keys.get("ObjectType") or "7", None, f"[{head}] ObjectType")
+        if object_type not in (_VARIABLE, _DOMAIN_OBJECT, *_MANY) and int(head[:4], 16) >= _FIRST_OBJECT:
+            self._repairs.add(f"an object with ObjectType={object_type} holds no value and was left out", keys.line)
 
     def _adopt_orphans(self) -> None:
         """Give subindices whose object is missing a record of their own."""
@@ -222,6 +259,8 @@ class _Reader:
             text = keys.get("DataType", "")
             standard = standard_type(int(match.group(1), 16), int(match.group(2) or "0", 16)) if match.group(2) or text else None
             data_type = _integer(text, None, f"[{head}] DataType") if text else None
+            if data_type in RECORDS and keys.get("CompactSubObj"):
+                continue  # its elements have the types of that record
             if data_type is not None and data_type > _LAST_BASIC_TYPE:
                 definition = self._sections.get(f"{data_type:X}SUB1", Section(0)).get("DefaultValue", "")
                 keys["DataType"] = definition or str(datatypes.DOMAIN)
@@ -249,9 +288,17 @@ class _Reader:
         names: dict[str, str] = sections.get(f"{index}NAME", Section(0))
         values: dict[str, str] = sections.get(f"{index}VALUE", Section(0))
         size = {"ParameterName": "Number of entries", "DataType": "5", "AccessType": "ro", "DefaultValue": str(count)}
-        self._emit(f"{index}sub0", self._object_keys(Section(keys.line, size), f"{index}sub0"))
+        if f"{index}SUB0" not in sections:
+            self._emit(f"{index}sub0", self._object_keys(Section(keys.line, size), f"{index}sub0"))
+        record = _integer(keys.get("DataType") or "0", None, f"[{index}] DataType")
         for i in range(1, count + 1):
+            if f"{index}SUB{i:X}" in sections:
+                continue
             element = Section(keys.line, {key: value for key, value in keys.items() if key not in ("CompactSubObj", "ObjectType")})
+            if record in RECORDS:
+                element["DataType"] = str(RECORDS[record].get(i, RECORDS[record][0]))
+            elif not element.get("DataType") and (standard := standard_type(int(index, 16), i)) is not None:
+                element["DataType"] = str(standard)
             element["ParameterName"] = names.get(str(i)) or f"{keys.get('ParameterName', index)} {i}"
             if str(i) in values:
                 element["ParameterValue"] = values[str(i)]

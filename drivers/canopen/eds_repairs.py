@@ -71,6 +71,14 @@ _WHOLE: dict[int, int] = {0x1000: _U32, 0x1001: _U8, 0x1005: _U32, 0x1006: _U32,
 _ELEMENTS: dict[int, int] = {0x1003: _U32, 0x1010: _U32, 0x1011: _U32, 0x1016: _U32, 0x1018: _U32, 0x1029: _U8}
 _PDO_COMMUNICATION: dict[int, int] = {1: _U32, 2: _U8, 3: _U16, 5: _U16, 6: _U8}
 
+RECORDS: dict[int, dict[int, int]] = {
+    0x20: {0: _U8, **_PDO_COMMUNICATION, 4: _U8},
+    0x21: {0: _U32},
+    0x22: {0: _U32, 3: _U8},
+    0x23: {0: _U32},
+}
+"""Types of the elements of CiA 301's records (7.4.7: PDO communication and mapping, SDO parameters, identity); at 0 that of all others."""
+
 
 def standard_type(index: int, subindex: int) -> int | None:
     """Return the data type that CiA 301 (7.5.2) gives an object of the communication profile; None where it gives none."""

@@ -82,6 +82,7 @@ class IoDriver:
     ) -> None:
         self.state = IoState(len(axes))
         self.malformed = 0  # polls whose answer was none
+        self.first_malformed = ""  # why the first was none
         self._map = io_map
         self._transport = transport
         self._axes = axes
@@ -161,8 +162,9 @@ class IoDriver:
             self._next_poll_s = now_s + self._map.poll_period_s
             try:
                 self.poll_once(now_s)
-            except ProtocolError:
+            except ProtocolError as error:
                 self.malformed += 1
+                self.first_malformed = self.first_malformed or str(error)
 
     def update(self, sample: Sample) -> None:
         """Copy the newest state into the sample, aged by the last `poll_due`."""

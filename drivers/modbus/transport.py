@@ -7,13 +7,14 @@ import os
 import re
 import socket
 import struct
+import time
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 import serial
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 from pymodbus.exceptions import ModbusException
-from pymodbus.framer import FramerSocket
+from pymodbus.framer import FramerRTU, FramerSocket
 from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
 
 from drivers.errors import BusTimeoutError, BusUnavailableError, ConfigurationRefusedError, ProtocolError
@@ -22,10 +23,32 @@ from drivers.tcp_url import parse_tcp_url, why_not_reached
 
 ANSWER_TIMEOUT_S = 0.2  # an I/O device answers within some 10 ms
 RETRIES = 1
-REQUEST_AT_MOST_S = ANSWER_TIMEOUT_S * (1 + 2 * (1 + RETRIES))  # connecting; every try, whose time an answer in pieces doubles
+REQUEST_AT_MOST_S = ANSWER_TIMEOUT_S * (2 + 2 * (1 + RETRIES))
+"""Waiting for late answers; connecting; every try, whose time an answer in pieces doubles."""
+
 MBAP_UNIT_OFFSET = 6
 PSEUDO_TERMINALS = "/dev/pts/"
+MOST_STRAY_BYTES = 8
+"""Before an answer: a line without bias reads some while no one drives it."""
+
 STANDARD_FRAMING = "8E1"  # data bits, parity, stop bits: the default of Modbus over Serial Line V1.02, 2.5.1
+SHORTEST_ANSWER, WRITE_ANSWER, LAST_READ = 5, 8, 0x04
+"""Bytes of an exception's answer, unit and check with it, to which a read adds what it read; of a write's; the last function that reads."""
+
+SILENCE_S, MOST_BYTES = 0.005, 256
+"""A message is over after that much silence; most bytes of one."""
+
+_ADDRESSES = "compare unit_id and addresses with the device's manual"
+WAY_OUT: dict[int, str] = {
+    **dict.fromkeys((ExceptionCode.ILLEGAL_FUNCTION, ExceptionCode.ILLEGAL_DATA_ADDRESS, ExceptionCode.ILLEGAL_DATA_VALUE), _ADDRESSES),
+    ExceptionCode.SERVER_DEVICE_FAILURE: "read the device's own diagnosis",
+    ExceptionCode.ACKNOWLEDGE: "it has begun and needs longer than an answer may take",
+    ExceptionCode.SERVER_DEVICE_BUSY: "it works on another request: a longer poll_period_s asks less often",
+    ExceptionCode.GATEWAY_PATH_UNAVAILABLE: "compare unit_id with the gateway's table",
+    ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND: "compare unit_id, baud rate and parity behind the gateway",
+}
+"""What helps where a device refuses."""
+
 UNREADABLE = (ModbusException, struct.error, ValueError, IndexError, TypeError, AttributeError)
 """What pymodbus raises over bytes that are no message; the last five are its decoder's, on messages that are cut off or too long."""
 
@@ -91,6 +114,9 @@ class ClientTransport:
     An adapter whose receiver stays on hands back every request. It is recognised by the first request that comes back before an answer,
     and from then on that is taken away: the answer to some writes equals the request, so an echo must not be mistaken for it.
 
+    On a serial line nothing tells an answer to this request from one to the last. So answers that are still due, because a request was
+    repeated or given up, are waited for and thrown away before the next request. Stray bytes before an answer are passed over.
+
     Parameters
     ----------
     url : str
@@ -111,18 +137,26 @@ class ClientTransport:
             self._client = self._serial_client(echoes=False)
             self._open = lambda: serial.Serial(line.place, line.number, 8, line.parity, line.stop_bits).close()
             self._unit_offset = 0
-        self._may_echo = line.kind == "rtu"
+        self._is_serial = self._may_echo = line.kind == "rtu"
+        self._tries = self._due = 0  # of this request; answers that may still come
+        self._tried_s = 0.0
 
     def request(self, pdu: ModbusPDU) -> ModbusPDU:
         """Send a request and return its answer; connects when needed."""
         self._received = b""
+        self._throw_late_answers_away()
+        self._tries = 0
         if not self._client.connect():
             raise BusUnavailableError(f"{self.name}: cannot connect: {self._why_not()}; check address, cable and power")
         try:
             answer = self._client.execute(False, pdu)
+            self._due = self._tries - 1
         except (*UNREADABLE, OSError) as error:
-            self.close()
+            self._due = self._tries
+            if not self._due or not self._is_serial:
+                self.close()
             if self._may_echo and self._sent and self._received.startswith(self._sent):
+                self.close()
                 self._may_echo, self._client = False, self._serial_client(echoes=True)
                 return self.request(pdu)
             raise self._explained(pdu.dev_id) from error
@@ -131,6 +165,23 @@ class ClientTransport:
     def close(self) -> None:
         """Close the connection; the next request opens it again."""
         self._client.close()  # type: ignore[no-untyped-call]
+
+    def _throw_late_answers_away(self) -> None:
+        """Wait for answers to earlier tries, at most as long again as they had."""
+        line = self._client.socket
+        if self._due and self._is_serial and isinstance(line, serial.Serial):
+            try:
+                while self._due and (left_s := self._tried_s + 2.0 * self._timeout_s - time.monotonic()) > 0.0:
+                    line.timeout = left_s
+                    if line.read(1):
+                        line.timeout = SILENCE_S
+                        while line.read(MOST_BYTES):
+                            pass
+                        self._due -= 1
+                line.timeout = self._timeout_s
+            except OSError:
+                self.close()
+        self._due = 0
 
     def _serial_client(self, *, echoes: bool) -> ModbusSerialClient:
         line = self._line
@@ -143,9 +194,12 @@ class ClientTransport:
         """Keep what pymodbus has sent and received, which distinguishes a silent device from one that answers wrongly."""
         if sending:
             self._sent = data
-        else:
-            self._received = data
-        return data
+            self._tries += 1
+            self._tried_s = time.monotonic()
+            return data
+        self._received = data
+        is_echo = self._may_echo and data.startswith(self._sent)
+        return data[_stray_bytes(data, self._sent) :] if self._is_serial and not is_echo else data
 
     def _why_not(self) -> str:
         """Ask the system again why connecting failed, because pymodbus logs the reason and returns False."""
@@ -161,11 +215,33 @@ class ClientTransport:
             return BusTimeoutError(
                 f"{self.name}: no answer from unit {unit_id} in {self._timeout_s:g} s; check unit_id, baud rate, parity and cable"
             )
-        if len(received) > self._unit_offset and received[self._unit_offset] != unit_id:
+        is_whole = not self._is_serial or _length(received) is not None
+        if is_whole and len(received) > self._unit_offset and received[self._unit_offset] != unit_id:
             return ProtocolError(f"{self.name}: unit {received[self._unit_offset]} answers where unit_id = {unit_id} was asked")
         return ProtocolError(
             f"{self.name}: a damaged answer ({received[:16].hex(' ')}), its check is wrong; check wiring, baud rate and parity"
         )
+
+
+def _stray_bytes(received: bytes, sent: bytes) -> int:
+    """Return how many bytes lie before a whole answer to what was sent; 0 where none is found."""
+    for stray in range(min(len(received), MOST_STRAY_BYTES + 1)):
+        rest = received[stray:]
+        if rest[:1] == sent[:1] and _length(rest) is not None and rest[1] & 0x7F == sent[1]:
+            return stray
+    return 0
+
+
+def _length(received: bytes) -> int | None:
+    """Return the bytes of the answer that begins here; None where it is not whole or its check is wrong."""
+    if len(received) < SHORTEST_ANSWER:
+        return None
+    function = received[1]
+    length = SHORTEST_ANSWER if function & 0x80 else SHORTEST_ANSWER + received[2] if function <= LAST_READ else WRITE_ANSWER
+    if len(received) < length:
+        return None
+    check = FramerRTU.compute_CRC(received[: length - 2])
+    return length if check == int.from_bytes(received[length - 2 : length], "big") else None
 
 
 def _without_exception(name: str, request: ModbusPDU, answer: ModbusPDU) -> ModbusPDU:
@@ -177,7 +253,7 @@ def _without_exception(name: str, request: ModbusPDU, answer: ModbusPDU) -> Modb
         last = request.address + max(1, request.count, len(request.bits)) - 1
         raise ConfigurationRefusedError(
             f"{name}: unit {request.dev_id} refuses function {request.function_code} at {request.address} to {last}:"
-            f" {reason} ({answer.exception_code}); compare unit_id and addresses with the device's manual"
+            f" {reason} ({answer.exception_code}); {WAY_OUT.get(answer.exception_code, 'its manual says what this means')}"
         )
     if answer.function_code != request.function_code:
         raise ProtocolError(f"{name}: an answer to function {answer.function_code} where function {request.function_code} was asked")

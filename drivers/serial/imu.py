@@ -36,6 +36,9 @@ from drivers.serial.xbus import (
 )
 from drivers.settings import ImuPort
 
+NEEDED = ("packet counter (1020h)", "sample time fine (1060h)", "acceleration (4020h)", "rate of turn (8020h)")
+"""What every message has to bring, in the order of a `Reading`."""
+
 ANSWER_TIMEOUT_S = 0.5  # the slowest acknowledge, SetOutputConfiguration, writes the device's flash
 ANSWER_STEP_S = 0.001
 GO_TO_CONFIG_ATTEMPTS = 3  # a device busy streaming, or just powered, may miss the first
@@ -79,6 +82,8 @@ class ImuDriver:
     checksum_errors : int
     malformed : int
         Messages with a right checksum whose content is no reading.
+    first_malformed : str
+        Why the first of them was none.
     """
 
     def __init__(self, port: ImuPort, stream: ByteStream) -> None:
@@ -87,6 +92,7 @@ class ImuDriver:
         self.lost_packets = 0
         self.late_packets = 0
         self.malformed = 0
+        self.first_malformed = ""
         self._stream = stream
         self._parser = StreamParser()
         self._rehearsal = StreamParser()
@@ -127,6 +133,7 @@ class ImuDriver:
         self._counter = self._time_ticks = -1
         self._fault = ""
         self.lost_packets = self.late_packets = self.malformed = 0
+        self.first_malformed = ""
         return self.identity
 
     def before_sync(self) -> None:
@@ -188,11 +195,11 @@ class ImuDriver:
             if message.message_id == MessageId.MTDATA2:
                 try:
                     reading = decode_reading(message.data)
-                except ProtocolError:
-                    self.malformed += 1
+                except ProtocolError as error:
+                    self._drop(str(error))
                     continue
                 if None in reading[:4]:
-                    self.malformed += 1
+                    self._drop(f"without {', '.join(what for what, field in zip(NEEDED, reading, strict=False) if field is None)}")
                 else:
                     readings.append(reading)
             elif message.message_id == MessageId.ERROR:
@@ -200,6 +207,11 @@ class ImuDriver:
             elif message.message_id == MessageId.WAKE_UP:
                 self._report("has started anew: its configuration is lost")
         return readings
+
+    def _drop(self, why: str) -> None:
+        """Count a message that is no reading, and keep why the first was none."""
+        self.malformed += 1
+        self.first_malformed = self.first_malformed or why
 
     def _report(self, fault: str) -> None:
         self._fault = self._fault or f"{self._line}: {fault}"

@@ -34,9 +34,9 @@ def register(app: typer.Typer) -> None:
 
 
 def conform(
-    node: Annotated[int, typer.Option("--node", metavar="N", help="Node id.")],
     eds: Annotated[Path, typer.Option("--eds", metavar="FILE", help="Its data sheet, EDS or DCF.")],
     bus: BusOption,
+    node: Annotated[int | None, typer.Option("--node", metavar="N", help="Node id, unless given a DCF's own.")] = None,
     writes: Annotated[
         bool, typer.Option("--writes", help="Also what alters stored and manufacturer's parameters; they are put back as far as possible.")
     ] = False,
@@ -44,16 +44,19 @@ def conform(
     json_to: JsonOption = None,
 ) -> None:
     """Print the report."""
-    from drivers.canopen.eds import load_object_dictionary
+    from drivers.canopen.eds import load_object_dictionary, own_node_id
     from drivers.errors import ProtocolError
     from hil.conform.check import FAILED
     from hil.conform.report import document, lines, summary
     from hil.conform.run import conform as check
     from hil.errors import BadAnswerError, UnusableInputError
 
-    if not 1 <= node <= 127:
+    if node is not None and not 1 <= node <= 127:
         raise UnusableInputError(f"--node {node}: must be 1 to 127")
     try:
+        node = own_node_id(eds) if node is None else node
+        if node is None:
+            raise UnusableInputError(f"--node N: is needed: {eds} names no node id, as a DCF would")
         dictionary = load_object_dictionary(eds, node)
     except ProtocolError as error:
         raise UnusableInputError(str(error)) from None

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from hil.imaging.detector import Detector
+    from hil.imaging.exchange.read_vectors import Vectors
     from hil.imaging.geometry import ConeBeam
     from hil.machine import Machine
 
@@ -23,6 +24,8 @@ FAR = 1.25
 """Ratio of focal lengths beyond which matrices are of other pixels: binning goes in steps of 1.5 and more."""
 
 SUFFIXES = (".npz", ".csv", ".json", ".xml", ".dcm")
+READABLE = (*SUFFIXES, ".npy")
+ENHANCED = "enhanced-xa"
 
 
 @dataclass(frozen=True)
@@ -40,14 +43,14 @@ def register(geometry: typer.Typer) -> None:
         "convert",
         short_help="Geometry between programs' files.",
         help="Geometry of exposures from one file to another: a scan's folder, .npz tables, .csv and .json 3 x 4 matrices [mm to pixels],"
-        " .xml of RTK, .dcm attributes of X-ray angiography; with --for the vectors of ASTRA, LEAP or TIGRE as .npz."
+        " .xml of RTK, .dcm attributes of X-ray angiography, .npz and .npy vectors of ASTRA, LEAP or TIGRE, which --for writes."
         "\n\nExample:  isocenter geometry convert carm scan scan.xml --with carm.model.npz",
     )(convert)
 
 
 def convert(
     machine_name: MachineArgument,
-    source: Annotated[Path, typer.Argument(metavar="IN", help="Folder of a scan, or .npz, .csv, .json, .xml, .dcm.")],
+    source: Annotated[Path, typer.Argument(metavar="IN", help="Folder of a scan, or .npz, .npy, .csv, .json, .xml, .dcm.")],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="To write: .npz, .csv, .json, .xml or .dcm.")],
     calibration: Annotated[
         Path | None, typer.Option("--with", metavar="FILE", help="For a scan's folder: look-up table or model; nominal unless given.")
@@ -55,7 +58,9 @@ def convert(
     binning: Annotated[int, typer.Option("--binning", min=1, help="Pixels read as one, where IN does not say.")] = 4,
     rows_up: Annotated[bool, typer.Option("--rows-up", help="Of .xml: for images flipped up-down, with positive distances.")] = False,
     images: Annotated[bool, typer.Option("--images", help="Of .dcm: with the scan's images.")] = False,
-    program: Annotated[str, typer.Option("--for", metavar="PROGRAM", help="Of .npz: that program's arrays, astra, leap or tigre.")] = "",
+    program: Annotated[
+        str, typer.Option("--for", metavar="PROGRAM", help="Of .npz: arrays of astra, leap or tigre; of .dcm: enhanced-xa.")
+    ] = "",
     json_to: JsonOption = None,
 ) -> None:
     """Read, write, say what was lost."""
@@ -67,13 +72,15 @@ def convert(
     not_an_input(target, source)
     if calibration is not None and not source.is_dir():
         raise UnusableInputError(f"--with {calibration}: {source.name} has a geometry of its own; --with is for a scan's folder")
-    if program and (program not in PROGRAMS or target.suffix.lower() != ".npz" or rows_up or images):
-        raise UnusableInputError(f"--for {program}: must be {', '.join(PROGRAMS)}, and OUT end in .npz, without --rows-up and --images")
+    fits = target.suffix.lower() == (".dcm" if program == ENHANCED else ".npz") and not rows_up and not (images and program != ENHANCED)
+    if program and (program not in (*PROGRAMS, ENHANCED) or not fits):
+        wanted = f"{', '.join(PROGRAMS)} for .npz, without --rows-up and --images, or {ENHANCED} for .dcm"
+        raise UnusableInputError(f"--for {program}: must be {wanted}")
     read = _read(source, machine, calibration, binning)
-    if program:
+    if program and program != ENHANCED:
         notes = [*read.notes, *write_vectors(target, read.beam, read.detector, program)]
     else:
-        notes = [*read.notes, *_write(target, read, machine, rows_up, images)]
+        notes = [*read.notes, *_write(target, read, machine, rows_up, images, enhanced=program == ENHANCED)]
     answer.say(f"{target}: geometry of {len(read.beam)} exposures from {source.name}")
     for note in notes:
         answer.say(f"  {note}")
@@ -81,10 +88,10 @@ def convert(
 
 
 def _read(path: Path, machine: Machine, calibration: Path | None, binning: int) -> _Geometry:
-    import numpy as np
-
     from hil.calibration.kinematic.geometric_model import read_calibration
     from hil.calibration.use.lookup_table import LookUp
+    from hil.files.arrays import read_arrays
+    from hil.imaging.exchange.read_vectors import program_of, read_bare_vectors, read_vectors
     from hil.imaging.nominal import nominal_beam, nominal_detector
 
     if path.is_dir():
@@ -98,7 +105,12 @@ def _read(path: Path, machine: Machine, calibration: Path | None, binning: int) 
         return _Geometry(beam, scan.detector, positions, path)
     detector = nominal_detector(machine, binning)
     suffix = path.suffix.lower()
+    if suffix == ".npy":
+        return _vectors(path, machine, read_bare_vectors(path, detector))
     if suffix == ".npz":
+        arrays = read_arrays(path, "an archive of vectors or a look-up table")
+        if program_of(arrays):
+            return _vectors(path, machine, read_vectors(path, arrays, detector))
         table = read_calibration(path, machine)
         if not isinstance(table, LookUp):
             raise UnusableInputError(f"{path}: a model has no exposures of its own; convert a scan's folder --with it")
@@ -107,28 +119,44 @@ def _read(path: Path, machine: Machine, calibration: Path | None, binning: int) 
         from hil.imaging.exchange.matrices import read_matrices
 
         beam, detector = read_matrices(path, detector)
-        expected = -nominal_beam(machine, np.zeros((1, len(machine.axes)))).source_m[0, 2]
-        ratio = float(np.median(-beam.source_m[:, 2])) / expected
-        if not 1.0 / FAR < ratio < FAR:
-            raise UnusableInputError(
-                f"{path}: puts the focal spot {ratio * expected:.3g} m from the panel, {machine.name} has {expected:.3g} m;"
-                f" is --binning {binning} that of the images?"
-            )
+        _check_distance(path, machine, beam, f"is --binning {binning} that of the images?")
         return _Geometry(beam, detector)
     if suffix == ".xml":
         from hil.imaging.exchange.rtk_xml import read_rtk
 
         beam, flipped = read_rtk(path)
-        return _Geometry(beam, detector, notes=("its images are to be flipped up-down",) if flipped else ())
+        return _Geometry(beam, detector, notes=_flip_note(flipped))
     if suffix == ".dcm":
-        from hil.imaging.exchange.dicom_xa import read_xa
+        from hil.imaging.exchange.dicom_file import read_xa
 
         found = read_xa(path)
-        return _Geometry(found.beam, found.detector or detector)
-    raise UnusableInputError(f"{path}: must be a scan's folder or end in {', '.join(SUFFIXES)}")
+        return _Geometry(found.beam, found.detector or detector, notes=found.notes)
+    raise UnusableInputError(f"{path}: must be a scan's folder or end in {', '.join(READABLE)}")
 
 
-def _write(path: Path, read: _Geometry, machine: Machine, rows_up: bool, images: bool) -> list[str]:
+def _check_distance(path: Path, machine: Machine, beam: ConeBeam, question: str) -> None:
+    """Refuse a geometry whose focal spot is at another distance from the panel than the machine's."""
+    import numpy as np
+
+    from hil.imaging.nominal import nominal_beam
+
+    expected = -nominal_beam(machine, np.zeros((1, len(machine.axes)))).source_m[0, 2]
+    ratio = float(np.median(-beam.source_m[:, 2])) / expected
+    if not 1.0 / FAR < ratio < FAR:
+        where = f"puts the focal spot {ratio * expected:.3g} m from the panel, {machine.name} has {expected:.3g} m"
+        raise UnusableInputError(f"{path}: {where}; {question}")
+
+
+def _vectors(path: Path, machine: Machine, read: Vectors) -> _Geometry:
+    _check_distance(path, machine, read.beam, f"{read.program.upper()}'s lengths are taken in mm")
+    return _Geometry(read.beam, read.detector, notes=(*read.notes, *_flip_note(read.flipped)))
+
+
+def _flip_note(flipped: bool) -> tuple[str, ...]:
+    return ("its images are to be flipped up-down",) if flipped else ()
+
+
+def _write(path: Path, read: _Geometry, machine: Machine, rows_up: bool, images: bool, *, enhanced: bool) -> list[str]:
     """Write the geometry; return what was lost."""
     import numpy as np
 
@@ -158,10 +186,11 @@ def _write(path: Path, read: _Geometry, machine: Machine, rows_up: bool, images:
 
         write_rtk(path, read.beam, rows_up)
         return ["for images flipped up-down"] if rows_up else []
+    from hil.imaging.exchange.dicom_enhanced import write_enhanced_xa
     from hil.imaging.exchange.dicom_xa import positioner_of, write_xa
 
-    positioner, lost = positioner_of(read.beam, read.detector)
-    write_xa(path, positioner, _images(read.images) if images and read.images is not None else None)
+    positioner, lost = positioner_of(read.beam, read.detector, each_distance=enhanced)
+    (write_enhanced_xa if enhanced else write_xa)(path, positioner, _images(read.images) if images and read.images is not None else None)
     largest = np.abs(lost).max(axis=0)
     return [
         "DICOM's attributes hold no offsets and no turn in the panel's plane: lost up to"

@@ -58,7 +58,10 @@ def emulate(
         typer.Option("--as", metavar="ROLE:AXIS", help="The machine instead (carm without M), its drive or encoder of AXIS with that EDS."),
     ] = "",
     node: Annotated[
-        int | None, typer.Option("--node", metavar="N", help="Its node id, 1 without it; 255: it waits for one over LSS. Not with --as.")
+        int | None,
+        typer.Option(
+            "--node", metavar="N", help="Its node id, unless given a DCF's own or 1; 255: it waits for one over LSS. Not with --as."
+        ),
     ] = None,
     memory: Annotated[
         Path | None, typer.Option("--memory", metavar="FILE", help="Keep in FILE what that device is told to store (1010h, LSS).")
@@ -112,7 +115,7 @@ def emulate(
         answer.write_at_once(found)
 
     if eds is not None:
-        emulate_eds(eds, 1 if node is None else node, bus, ready, memory)
+        emulate_eds(eds, node, bus, ready, memory)
         return
     assert machine_name is not None
     machine = load(machine_name, effects_file)

@@ -15,6 +15,7 @@ import can
 import numpy as np
 
 from drivers.bus_url import open_bus
+from drivers.canopen.eds import own_node_id
 from drivers.errors import BusUnavailableError, ProtocolError
 from drivers.modbus.transport import parse_io_url
 from drivers.serial.stream import SerialStream
@@ -317,10 +318,12 @@ def _io_line(text: str, machine: Machine, stack: ExitStack) -> tuple[Pty | _Seri
     return stack.enter_context(closing(_SerialPort(line.place, line.number, line.parity, line.stop_bits))), line.number
 
 
-def emulate_eds(eds: Path, node_id: int, bus_url: str, on_ready: Callable[[dict[str, object]], None], memory: Path | None = None) -> None:
+def emulate_eds(
+    eds: Path, node_id: int | None, bus_url: str, on_ready: Callable[[dict[str, object]], None], memory: Path | None = None
+) -> None:
     """Emulate one bare CiA 301 device of an EDS on a bus until SIGTERM or SIGINT.
 
-    The file of its `memory` keeps what 1010h and LSS store. Node id 255 waits for another over LSS.
+    The file of its `memory` keeps what 1010h and LSS store. Without a node id it has that of a DCF, else 1; 255 waits for another over LSS.
 
     Raises
     ------
@@ -331,6 +334,11 @@ def emulate_eds(eds: Path, node_id: int, bus_url: str, on_ready: Callable[[dict[
     EmulatorError
         The memory is none of a device, or the bus was lost.
     """
+    if node_id is None:
+        try:
+            node_id = own_node_id(eds) or 1
+        except ProtocolError as error:
+            raise UnusableInputError(str(error)) from None
     if not (1 <= node_id <= 127 or node_id == UNCONFIGURED):
         raise UnusableInputError(f"--node {node_id}: must be 1 to 127, or 255 for a device that waits for its node id over LSS")
     try:

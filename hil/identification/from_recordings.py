@@ -59,12 +59,11 @@ def records_from(
         _same(details, key)
     first = details[0]
     machine_axes = recordings[0].axes
-    chosen_axes, channels, inputs = _chosen(recordings, axes, outputs, plant_input)
-    excitations = tuple(f"excitation_{axis}" for axis in chosen_axes)
+    chosen_axes, excitations, channels, inputs = _chosen(recordings, axes, outputs, plant_input)
 
     order = _arrangement(details)
     rows = min(_row_numbers(recording)[-1] + 1 for recording in recordings)
-    notes = _notes(recordings, machine_axes, chosen_axes, rows, first["period_samples"])
+    notes = (*_by_reference(excitations), *_notes(recordings, machine_axes, chosen_axes, rows, first["period_samples"]))
     stacked = {
         kind: np.stack([[_matrix(recordings[index], names, rows) for index in experiments] for experiments in order])
         for kind, names in (("outputs", channels), ("inputs", inputs), ("excitation", excitations))
@@ -98,11 +97,11 @@ def arbitrary_records(
         raise IdentificationError("no recordings given")
     recordings = [on_every_tick(recording) for recording in recordings]
     machine_axes = recordings[0].axes
-    chosen_axes, channels, inputs = _chosen(recordings, axes, outputs, plant_input)
+    chosen_axes, excitations, channels, inputs = _chosen(recordings, axes, outputs, plant_input)
     rows = min(_row_numbers(recording)[-1] + 1 for recording in recordings)
-    notes = [*_idle(machine_axes, chosen_axes), *_saturated(recordings, chosen_axes)]
-    references = [recording[name] for recording in recordings for axis in machine_axes if (name := f"reference_{axis}") in recording]
-    if any(np.ptp(reference) > 0.0 for reference in references):
+    notes = [*_by_reference(excitations), *_idle(machine_axes, chosen_axes), *_saturated(recordings, chosen_axes)]
+    others = [name for axis in machine_axes if (name := f"reference_{axis}") not in excitations]
+    if any(_moves(recording, name) for recording in recordings for name in others):
         notes.append("the reference moves: what it does to the outputs counts as noise")
 
     def stacked(names: Sequence[str]) -> np.ndarray:
@@ -111,7 +110,7 @@ def arbitrary_records(
     return ArbitraryRecords(
         outputs=stacked(channels),
         inputs=stacked(inputs),
-        excitation=stacked([f"excitation_{axis}" for axis in chosen_axes]),
+        excitation=stacked(excitations),
         sample_rate_Hz=_sample_rate_Hz(recordings[0]),
         output_names=channels,
         input_names=inputs,
@@ -165,19 +164,39 @@ def _arrangement(details: Sequence[Details]) -> list[list[int]]:
 
 def _chosen(
     recordings: Sequence[Recording], axes: Sequence[str] | None, outputs: Sequence[str] | None, plant_input: PlantInput
-) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
-    """Return excited axes, output channels and plant input channels."""
+) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
+    """Return excited axes, the channels that excite them, output channels and plant input channels.
+
+    Where nothing is added to the command, the reference is what excites the loop from outside.
+    """
     machine_axes = recordings[0].axes
-    chosen = tuple(axes) if axes else tuple(a for a in machine_axes if any(_is_excited(r, a) for r in recordings))
+    excited = tuple(a for a in machine_axes if any(_is_excited(r, a) for r in recordings))
+    by = "excitation" if excited else "reference"
+    excited = excited or tuple(a for a in machine_axes if any(_moves(r, f"reference_{a}") for r in recordings))
+    chosen = tuple(axes) if axes else excited
     if not chosen:
-        raise IdentificationError("no axis is excited in any recording: the channels excitation_<axis> are zero or missing")
+        found = ", ".join(name for name in recordings[0].channels if name != "time")
+        raise IdentificationError(
+            "no axis is excited in any recording: excitation_<axis> and reference_<axis> are constant or missing;"
+            f" name the channel that excites with `isocenter convert --map NAME=excitation_<axis>`, of {found}"
+        )
+    excitations = tuple(f"{by}_{axis}" for axis in chosen)
     channels = tuple(outputs) if outputs else _default_outputs(recordings[0], machine_axes)
-    return chosen, channels, tuple(_input_channel(recordings[0], axis, plant_input) for axis in chosen)
+    return chosen, excitations, channels, tuple(_input_channel(recordings[0], axis, plant_input) for axis in chosen)
 
 
 def _is_excited(recording: Recording, axis: str) -> bool:
     name = f"excitation_{axis}"
     return name in recording and bool(np.nanmax(np.abs(recording[name]), initial=0.0) > 0.0)
+
+
+def _moves(recording: Recording, name: str) -> bool:
+    return name in recording and bool(np.nanmax(np.abs(recording[name] - recording[name][0]), initial=0.0) > 0.0)
+
+
+def _by_reference(excitations: Sequence[str]) -> list[str]:
+    names = [name for name in excitations if name.startswith("reference_")]
+    return [f"nothing is added to the command: {', '.join(names)} taken as what excites the loop"] if names else []
 
 
 def _default_outputs(recording: Recording, axes: Sequence[str]) -> tuple[str, ...]:
@@ -209,7 +228,7 @@ def _matrix(recording: Recording, names: Sequence[str], rows: int) -> np.ndarray
     values = np.full((rows, len(names)), np.nan)
     values[numbers[kept]] = recording.matrix(names)[kept]
     samples = recording.experiment.get("period_samples")
-    if names[0].startswith("excitation_") and samples:
+    if names[0].startswith(("excitation_", "reference_")) and samples:
         for start in range(samples, rows, samples):
             part = values[start : start + samples]
             missing = np.isnan(part)

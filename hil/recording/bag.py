@@ -18,22 +18,24 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from hil.errors import RecordingError
 from hil.files.regular import check_regular
+from hil.recording.bag_topic import Signals, Topic, signals_of
 from hil.recording.can_frames import counted
 from hil.recording.joint_states import JOINT_STATE_TYPES, QUANTITIES, joint_states
 from hil.recording.mcap_stream import mcap_package, mcap_records
 from hil.recording.metadata import machine_table
 from hil.recording.model import Recording
-from hil.recording.naming import Column, Columns, Target, is_channel
+from hil.recording.naming import Columns, Target, is_channel
 from hil.recording.rasters import channels_on_one_raster
-from hil.recording.said import listed, source_table
+from hil.recording.said import listed, printable, source_table
 from hil.recording.zstd import PACKED, ZSTD_MARK, unpacked_file, unpacked_message
 
 if TYPE_CHECKING:
     from hil.machine.model import Machine
+
+_MOST_NS = 2**62
+"""Of a time of day: in the year 2116."""
 
 _MOST_FIELDS = 1000
 """Of one message in JSON."""
@@ -46,17 +48,17 @@ class Bag:
     Parameters
     ----------
     rows : dict
-        Topic of JSON -> (time of logging [ns], message).
+        Topic of JSON -> (time of logging [ns], the file's channel, message).
     cdr : dict
-        Topic of joint states -> (time of logging [ns], message in CDR).
+        Topic of joint states -> (time of logging [ns], the file's channel, message in CDR).
     other : Counter
         Topic and type of what is not read -> messages.
     schemas, attachments : dict
         Topic -> its schema; name -> attachment.
     """
 
-    rows: dict[str, list[tuple[int, dict[str, Any]]]] = field(default_factory=lambda: defaultdict(list))
-    cdr: dict[str, list[tuple[int, bytes]]] = field(default_factory=lambda: defaultdict(list))
+    rows: dict[str, list[tuple[int, int, dict[str, Any]]]] = field(default_factory=lambda: defaultdict(list))
+    cdr: dict[str, list[tuple[int, int, bytes]]] = field(default_factory=lambda: defaultdict(list))
     other: Counter[str] = field(default_factory=Counter)
     schemas: dict[str, bytes] = field(default_factory=dict)
     attachments: dict[str, bytes] = field(default_factory=dict)
@@ -92,6 +94,7 @@ def bag_of_mcap(paths: Sequence[Path]) -> Bag:
     for path in paths:
         channels: dict[int, Any] = {}
         schemas: dict[int, Any] = {}
+        first: dict[str, dict[int, int]] = {}  # topic -> channel -> its number, the same in all files of a bag
         for record in mcap_records(path):
             if isinstance(record, records.Schema):
                 schemas[record.id] = record
@@ -107,7 +110,8 @@ def bag_of_mcap(paths: Sequence[Path]) -> Bag:
                     raise RecordingError(f"{path}: damaged: a message of channel {record.channel_id}, which was not announced")
                 schema = schemas.get(channel.schema_id)
                 kind = schema.name if schema is not None else "no type"
-                _sort(bag, path, channel.topic, channel.message_encoding, kind, record.log_time, record.data)
+                number = first.setdefault(channel.topic, {}).setdefault(channel.id, len(first[channel.topic]))
+                _sort(bag, path, channel.topic, channel.message_encoding, kind, (record.log_time, number), record.data)
     return bag
 
 
@@ -118,9 +122,9 @@ def _bag_of_sqlite(paths: Sequence[Path]) -> Bag:
         try:
             with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)) as base:
                 for topic, kind, encoding, time_ns, data in _messages(base, path):
-                    _sort(bag, path, topic, encoding, kind, time_ns, data)
+                    _sort(bag, path, topic, encoding, kind, (time_ns, 0), data)
         except (sqlite3.Error, OverflowError, UnicodeDecodeError) as problem:
-            raise RecordingError(f"{path}: no bag of ROS 2, or damaged: {problem}") from None
+            raise RecordingError(f"{path}: no bag of ROS 2, or damaged: {printable(str(problem))}") from None
     return bag
 
 
@@ -136,18 +140,20 @@ def _messages(base: sqlite3.Connection, path: Path) -> Iterator[tuple[str, str, 
         yield name, kind, str(encoding), time_ns, data
 
 
-def _sort(bag: Bag, path: Path, topic: str, encoding: str, kind: str, time_ns: int, data: bytes) -> None:
-    """Put a message where it belongs."""
+def _sort(bag: Bag, path: Path, topic: str, encoding: str, kind: str, origin: tuple[int, int], data: bytes) -> None:
+    """Put a message where it belongs; `origin` is its time of logging [ns] and its channel."""
+    if not 0 <= origin[0] < _MOST_NS:
+        raise RecordingError(f"{path}: damaged: topic {topic}: a message logged at {origin[0]} ns, which is no time")
     if encoding == "cdr" and kind in JOINT_STATE_TYPES:
         data = unpacked_message(data, path) if data.startswith(ZSTD_MARK) else data
-        bag.cdr[topic].append((time_ns, data))
+        bag.cdr[topic].append((*origin, data))
     elif encoding == "json":
         try:
             message = json.loads(data)
         except (ValueError, RecursionError) as problem:
             raise RecordingError(f"{path}: topic {topic}: a message that is no JSON: {problem}") from None
         if isinstance(message, dict):
-            bag.rows[topic].append((time_ns, message))
+            bag.rows[topic].append((*origin, message))
         else:
             bag.other[f"{topic}, JSON without names"] += 1
     else:
@@ -174,22 +180,18 @@ def recording_of_bag(bag: Bag, path: Path, machine: Machine | None, names: Mappi
     """
     if machine is None:
         raise RecordingError(f"{path}: a bag says neither machine nor units; name the machine with --machine")
-    samples: dict[str, list[tuple[int, float]]] = {}
-    for topic, messages in bag.cdr.items():
-        samples |= joint_states(topic, messages, path)
-    for topic, rows in bag.rows.items():
-        samples |= _fields(topic, rows, bag.other)
-    first_ns = min((time_ns for those in samples.values() for time_ns, _ in those), default=0)
-    columns, repeated = {}, 0
-    for name, those in samples.items():
-        columns[name], more = _column(those, first_ns)
-        repeated += more
-    notes: list[str] = []
-    wanted = dict(names) if names else _known_names(columns, machine, path, notes)
-    channels, resampled = channels_on_one_raster(Columns(columns), wanted, machine, path)
+    topics = [joint_states(topic, messages, path) for topic, messages in bag.cdr.items()]
+    topics += [_fields(topic, rows, bag.other) for topic, rows in bag.rows.items()]
+    signals = signals_of(topics)
+    columns, notes = signals.columns, list(signals.notes)
+    wanted = dict(names) if names else _known_names(signals, machine, path, notes)
+    if lost := [signals.disorder[name] for name in wanted if name in signals.disorder and name not in signals.several]:
+        raise RecordingError(f"{path}: {lost[0]}; nothing in the file tells them apart: record one of them alone")
+    channels, resampled = channels_on_one_raster(Columns(columns, signals.several, signals.disorder), wanted, machine, path)
     not_taken = [name for name in columns if name not in wanted]
     not_taken += [f"{what} ({counted(number, 'message')})" for what, number in bag.other.items()]
-    not_taken += [f"{counted(repeated, 'sample')} at the time of another"] if repeated else []
+    not_taken += [why for name, why in signals.disorder.items() if not any(one in wanted for one in signals.several.get(name, ()))]
+    not_taken += [f"{counted(signals.repeated, 'sample')} at the time of another"] if signals.repeated else []
     source = source_table(path, not_taken, [*notes, *resampled], {name: one.channel for name, one in wanted.items()})
     try:
         return Recording(channels, {"machine": machine_table(machine), "source": source})
@@ -197,11 +199,12 @@ def recording_of_bag(bag: Bag, path: Path, machine: Machine | None, names: Mappi
         raise RecordingError(f"{path}: {problem}") from None
 
 
-def _known_names(columns: Mapping[str, Column], machine: Machine, path: Path, notes: list[str]) -> dict[str, Target]:
+def _known_names(signals: Signals, machine: Machine, path: Path, notes: list[str]) -> dict[str, Target]:
     """Return the signals whose names are channels' or quantities of the machine's axes."""
+    columns = signals.columns
     wanted: dict[str, Target] = {}
     efforts: set[str] = set()
-    for name in columns:
+    for name in [*columns, *signals.disorder]:
         match = re.fullmatch(r"(.+)\.(\w+)\[(.+)\]", name)
         channel = name.rpartition(".")[2]
         if match and match[2] in QUANTITIES and match[3] in machine.axes:
@@ -212,6 +215,8 @@ def _known_names(columns: Mapping[str, Column], machine: Machine, path: Path, no
                 efforts.add(f"{name} is taken in {effort}, the drive's unit, where ROS has Nm or N; {instead} takes it so")
         elif match or not is_channel(channel, machine) or channel == "time":
             continue
+        if name in signals.disorder:
+            raise RecordingError(f"{path}: {signals.disorder[name]}; {_way_out(name, channel, signals)}")
         same = [other for other, one in wanted.items() if one.channel == channel]
         if same:
             raise RecordingError(f"{path}: {same[0]} and {name} would both be {channel}; say with --map which is")
@@ -223,10 +228,19 @@ def _known_names(columns: Mapping[str, Column], machine: Machine, path: Path, no
     return wanted
 
 
-def _fields(topic: str, rows: Sequence[tuple[int, dict[str, Any]]], other: Counter[str]) -> dict[str, list[tuple[int, float]]]:
+def _way_out(name: str, channel: str, signals: Signals) -> str:
+    """Return how a signal of several senders can be taken."""
+    if name not in signals.several:
+        return "nothing in the file tells them apart: record one of them alone, or take other signals with --map"
+    ways = [f"'{part}={channel}' ({counted(signals.columns[part].values.size, 'sample')})" for part in signals.several[name]]
+    return f"take one with --map {' or '.join(ways)}"
+
+
+def _fields(topic: str, rows: Sequence[tuple[int, int, dict[str, Any]]], other: Counter[str]) -> Topic:
     """Return the numbers in messages of JSON, by topic and path of names; what is none goes to `other`."""
-    samples: dict[str, list[tuple[int, float]]] = defaultdict(list)
-    for time_ns, message in rows:
+    found = Topic(topic)
+    for number, (logged_ns, channel, message) in enumerate(rows):
+        found.add(0, logged_ns, channel)
         waiting: list[tuple[str, Any]] = [(topic, message)]
         for _ in range(_MOST_FIELDS):
             if not waiting:
@@ -237,20 +251,12 @@ def _fields(topic: str, rows: Sequence[tuple[int, dict[str, Any]]], other: Count
             elif isinstance(value, list):
                 waiting.extend((f"{name}[{place}]", inner) for place, inner in enumerate(value))
             elif isinstance(value, int | float):
-                samples[name].append((time_ns, float(value)))
+                found.samples[name].append((number, float(value)))
             elif value is not None:
                 other[f"{name}, no number"] += 1
         if waiting:
             other[f"{topic}, fields beyond {_MOST_FIELDS}"] += 1
-    return dict(samples)
-
-
-def _column(samples: Sequence[tuple[int, float]], first_ns: int) -> tuple[Column, int]:
-    """Return a column in order of time, and how many samples had the time of another."""
-    times_ns = np.array([time_ns for time_ns, _ in samples], dtype=np.int64)
-    times_ns, places = np.unique(times_ns, return_index=True)
-    values = np.array([value for _, value in samples])[places]
-    return Column(values, None, (times_ns - first_ns) * 1e-9), len(samples) - len(times_ns)
+    return found
 
 
 def _kind(path: Path) -> str:

@@ -43,7 +43,7 @@ def read_blf(path: Path) -> CanLog:
         raise RecordingError(f"{path}: no BLF, or damaged: {str(problem).partition(chr(10))[0] or type(problem).__name__}") from None
     frames = [frame for frame in found if frame is not None]
     errors = len(found) - len(frames)
-    return CanLog(sorted(frames, key=lambda frame: frame.time_s), [counted(errors, "error frame")] if errors else [])
+    return CanLog(frames, [counted(errors, "error frame")] if errors else [])
 
 
 def _frames(reader: can.BLFReader) -> Iterator[CanFrame | None]:

@@ -20,6 +20,7 @@ from hil.errors import RecordingError
 from hil.recording import can_commands
 from hil.recording.blf import read_blf
 from hil.recording.can_frames import CanFrame, CanLog, counted
+from hil.recording.can_order import in_order
 from hil.recording.can_tables import read_frames_csv, read_frames_sqlite
 from hil.recording.can_text import read_asc, read_trc
 from hil.recording.candump import read_candump
@@ -94,9 +95,9 @@ _READERS = {
 
 
 def _frame_table(log: CanLog, path: Path) -> Recording:
-    frames = log.frames
-    if any(np.isnan(frame.time_s) for frame in frames):
+    if any(np.isnan(frame.time_s) for frame in log.frames):
         raise RecordingError("has no time stamps: let `candump -t a` print them, or name a machine, whose SYNCs are counted")
+    frames, order = in_order(log.frames)
     widest = max(len(frame.data) for frame in frames)
     bytes_ = np.full((len(frames), widest), np.nan)
     for row, frame in enumerate(frames):
@@ -113,7 +114,7 @@ def _frame_table(log: CanLog, path: Path) -> Recording:
     columns |= {f"byte_{place}": bytes_[:, place] for place in range(widest)}
     channels = {"time": Channel("s", np.array([frame.time_s - start_s for frame in frames]))}
     channels |= {name: Channel("", np.asarray(values, dtype=np.float64)) for name, values in columns.items()}
-    source = source_table(path, log.not_taken, log.notes)
+    source = source_table(path, log.not_taken, [*log.notes, *order])
     return Recording(channels, {"kind": CAN_FRAMES, "buses": sorted({frame.channel for frame in frames}), "source": source})
 
 
@@ -121,6 +122,7 @@ def _signals(log: CanLog, machine: Machine, path: Path) -> Recording:
     if machine.bus is None:
         raise RecordingError(f"machine {machine.name} has no bus, so its file does not say what the frames mean")
     frames, others = _of_one_bus(log.frames, machine.bus)
+    frames, order = in_order(frames, machine.bus)
     syncs, raw, unknown = _rows(frames, machine.bus)
     ticks, lateness = _ticks(np.array(syncs), machine.bus.sync_period_s, path)
     channels = {"time": Channel("s", ticks * machine.bus.sync_period_s)}
@@ -145,7 +147,7 @@ def _signals(log: CanLog, machine: Machine, path: Path) -> Recording:
             if (quantity, units.axis) in columns:
                 channels[_channel_name(quantity, units)] = columns[quantity, units.axis]
     channels["sync_lateness"] = Channel("s", lateness)
-    source = source_table(path, [*log.not_taken, *others, *unknown], log.notes)
+    source = source_table(path, [*log.not_taken, *others, *unknown], [*log.notes, *order])
     metadata = {"machine": machine_table(machine), "can_log": {"position_offsets": offsets}, "source": source}
     if any(scaling.mode != "torque" for scaling in machine.bus.scalings):
         metadata["commands"] = {

@@ -7,7 +7,7 @@ import math
 import sqlite3
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, cast
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import can
 
@@ -15,6 +15,7 @@ from hil.errors import RecordingError
 from hil.files.regular import check_regular
 from hil.recording.can_frames import CanFrame, CanLog, counted
 from hil.recording.can_text import WatchedText, messages_of_text, text_of
+from hil.recording.said import printable
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -40,6 +41,7 @@ class Group(Protocol):
 class _Named(Protocol):
     name: str
     bit_count: int
+    conversion: Any
 
 
 class _Head(Protocol):
@@ -69,7 +71,9 @@ def read_frames_sqlite(path: Path) -> CanLog:
             rows = base.execute("SELECT ts, arbitration_id, extended, remote, error, dlc, data FROM messages").fetchall()
             return _log((_message(*row) for row in rows), path)
     except (sqlite3.Error, OverflowError, TypeError, ValueError) as problem:
-        raise RecordingError(f"{path}: no SQLite file of CAN frames as python-can writes it, or damaged: {problem}") from None
+        raise RecordingError(
+            f"{path}: no SQLite file of CAN frames as python-can writes it, or damaged: {printable(str(problem))}"
+        ) from None
 
 
 def _message(time_s: float, can_id: int, extended: int, remote: int, error: int, length: int, data: bytes | None) -> can.Message:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
 
 from hil.errors import RecordingError
@@ -12,21 +12,74 @@ from hil.errors import RecordingError
 _DEG = math.pi / 180.0
 _STANDARD_GRAVITY = 9.80665
 
-TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
-ANGLE = {"rad": 1.0, "mrad": 1e-3, "deg": _DEG}
-LENGTH = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
+_TURN = 2.0 * math.pi
+
+TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
+ANGLE = {"rad": 1.0, "mrad": 1e-3, "deg": _DEG, "rev": _TURN}
+LENGTH = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "cm": 1e-2, "inch": 0.0254}
 POSITION = ANGLE | LENGTH
-EFFORT = {"A": 1.0, "mA": 1e-3, "V": 1.0, "mV": 1e-3, "Nm": 1.0, "N": 1.0, "kN": 1e3}
-CURRENT = {"A": 1.0, "mA": 1e-3}
-ACCELERATION = {"m/s^2": 1.0, "g": _STANDARD_GRAVITY}
-ANGULAR_RATE = {"rad/s": 1.0, "deg/s": _DEG}
-SPEED = ANGULAR_RATE | {"m/s": 1.0, "mm/s": 1e-3}
+CURRENT = {"A": 1.0, "mA": 1e-3, "uA": 1e-6}
+VOLTAGE = {"V": 1.0, "mV": 1e-3}
+TORQUE = {"Nm": 1.0, "mNm": 1e-3, "Ncm": 1e-2, "kNm": 1e3}
+FORCE = {"N": 1.0, "mN": 1e-3, "kN": 1e3}
+EFFORT = CURRENT | VOLTAGE | TORQUE | FORCE
+ACCELERATION = {"m/s^2": 1.0, "g": _STANDARD_GRAVITY, "mg": 1e-3 * _STANDARD_GRAVITY, "mm/s^2": 1e-3}
+ANGULAR_RATE = {"rad/s": 1.0, "deg/s": _DEG, "mrad/s": 1e-3, "rev/s": _TURN, "rpm": _TURN / 60.0}
+SPEED = ANGULAR_RATE | {"m/s": 1.0, "mm/s": 1e-3, "um/s": 1e-6, "cm/s": 1e-2, "mm/min": 1e-3 / 60.0}
 TEMPERATURE = {"degC": 1.0}
 NUMBER = {"": 1.0}
 
-SI_OF = {"ms": "s", "us": "s", "mrad": "rad", "deg": "rad", "deg/s": "rad/s", "mm/s": "m/s", "mm": "m", "um": "m", "g": "m/s^2"}
-SI_OF |= {"mA": "A", "mV": "V", "kN": "N"}
+SI_OF = {
+    unit: si
+    for si, units in {
+        "s": TIME, "rad": ANGLE, "m": LENGTH, "A": CURRENT, "V": VOLTAGE, "Nm": TORQUE, "N": FORCE, "m/s^2": ACCELERATION,
+        "rad/s": ANGULAR_RATE, "m/s": SPEED.keys() - ANGULAR_RATE.keys(),
+    }.items()
+    for unit in units
+    if unit != si
+}  # fmt: skip
 """Unit of a value after reading, where it differs from the unit in the file."""
+
+COUNTS, COUNTS_PER_S, PERCENT, PERMILLE = "counts", "counts/s", "%", "permille"
+OF_THE_MACHINE = (COUNTS, COUNTS_PER_S, PERCENT, PERMILLE)
+"""Units whose size a machine file says: an encoder's counts, parts of what a drive is rated for."""
+
+SPELLED = {
+    "s": ("sec", "secs", "second", "seconds"),
+    "ms": ("msec", "msecs", "millisecond", "milliseconds"),
+    "us": ("usec", "usecs", "microsecond", "microseconds"),
+    "ns": ("nsec", "nanosecond", "nanoseconds"),
+    "min": ("minute", "minutes"),
+    "rad": ("rads", "radian", "radians"),
+    "deg": ("degs", "degree", "degrees"),
+    "rev": ("revs", "revolution", "revolutions", "turn", "turns", "rot", "rotation", "rotations", "r"),
+    "um": ("micron", "microns", "micrometer", "micrometre"),
+    "inch": ("in", "inches"),
+    "A": ("a", "amp", "amps", "ampere", "amperes"),
+    "mA": ("ma", "milliamp", "milliamps"),
+    "Nm": ("nm", "n.m", "newtonmeter", "newtonmetre", "newton-meter", "newton-metre"),
+    "mNm": ("mnm", "mn.m", "nmm", "n.mm"),
+    "Ncm": ("ncm", "n.cm"),
+    "m/s^2": ("m/s2", "m/s/s", "m/sec^2", "m/sec2", "ms^-2", "ms-2"),
+    "mm/s^2": ("mm/s2", "mm/s/s"),
+    "rad/s": ("rads/s", "rad/sec", "radians/s", "radian/s", "rads^-1", "rads-1"),
+    "deg/s": ("degs/s", "deg/sec", "degree/s", "degrees/s", "dps"),
+    "rev/s": ("revs/s", "rev/sec", "turn/s", "turns/s", "turns/sec", "r/s", "rps"),
+    "rpm": ("rev/min", "revs/min", "r/min", "u/min", "1/min", "min^-1", "min-1", "turns/min"),
+    "m/s": ("m/sec",),
+    "mm/s": ("mm/sec",),
+    "degC": ("c", "degc", "celsius", "degcelsius"),
+    COUNTS: ("count", "cts", "cnt", "cnts", "inc", "incs", "increment", "increments", "pulses", "qc"),
+    COUNTS_PER_S: ("count/s", "counts/sec", "cts/s", "inc/s", "increments/s"),
+    PERCENT: ("percent", "pct"),
+    PERMILLE: ("‰", "promille", "permil"),
+}
+"""Units as other tools write them, in lower case, without spaces and signs of multiplication."""
+
+_SIGNS = str.maketrans({"µ": "u", "μ": "u", "°": "deg", "²": "^2", "⁻": "-", "¹": "1", " ": "", "·": "", "*": "", "⋅": ""})
+_SPELLINGS = {other: unit for unit, others in SPELLED.items() for other in (unit.lower(), *others)}
+_LEAST_LETTERS = 3
+"""Of a unit by which a row of units is known: shorter ones may be names."""
 
 NO_UNIT = ("", "-", "1")
 """Units by which files mark a plain number."""
@@ -90,8 +143,25 @@ def check_name(name: str) -> str:
     return name
 
 
-def unit_and_factor(name: str, unit: str) -> tuple[str, float]:
+def spelled(unit: str, known: Container[str]) -> str:
+    """Return a unit as it is written here, where another spelling is of one of the known ones."""
+    if unit in known:
+        return unit
+    found = _SPELLINGS.get(unit.strip().translate(_SIGNS).lower(), unit)
+    return found if found in known else unit
+
+
+def is_unit(text: str) -> bool:
+    """Return whether a text can only be a unit, as in a row of units below a header."""
+    return any(text in kind.units for kind in KINDS if text) or (
+        len(text) >= _LEAST_LETTERS and text.translate(_SIGNS).lower() in _SPELLINGS
+    )
+
+
+def unit_and_factor(name: str, unit: str, like: str = "") -> tuple[str, float]:
     """Return the unit in memory of a channel given in `unit`, and the factor to it.
+
+    `like` is the unit in memory that the machine's axis has, of which the message names the others.
 
     Raises
     ------
@@ -102,8 +172,10 @@ def unit_and_factor(name: str, unit: str) -> tuple[str, float]:
     kind = kind_of(name)
     if kind is None:
         return unit, 1.0
+    unit = spelled(unit, kind.units)
     if unit not in kind.units:
-        wanted = " or ".join(f"[{known}]" for known in kind.units) if kind.units is not NUMBER else "no unit"
+        offered = [known for known in kind.units if not like or SI_OF.get(known, known) == like] or list(kind.units)
+        wanted = " or ".join(f"[{known}]" for known in offered) if kind.units is not NUMBER else "no unit"
         raise RecordingError(f"channel {name}: {f'unknown unit [{unit}]' if unit else 'no unit'}; {wanted} would be right")
     return SI_OF.get(unit, unit), kind.units[unit]
 

@@ -11,7 +11,7 @@ from datetime import datetime
 import numpy as np
 
 from hil.errors import RecordingError
-from hil.recording.channels import KINDS
+from hil.recording.channels import is_unit
 
 SEPARATORS = ";\t|"
 """In order of preference; commas separate where none of these is in the header: no channel's name has one of them in it."""
@@ -19,7 +19,6 @@ SEPARATORS = ";\t|"
 MISSING = frozenset({"", "NA", "N/A", "#N/A", "<NA>", "NULL", "null", "None", "-", "--"})
 """What tools write where a number is missing, beside NaN."""
 
-_UNITS = frozenset(unit for kind in KINDS for unit in kind.units if unit)
 _UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _COMMENT = re.compile(r"[#%]")
 _SPACES = "'\u2019 \u00a0\u2009\u202f"
@@ -105,7 +104,7 @@ def row_of_units(cells: Sequence[str]) -> list[str] | None:
     Such a row has no number in it, and a unit that a channel can have.
     """
     units = [re.sub(r"^[\[(](.*)[\])]$", r"\1", cell.strip()) for cell in cells]
-    return units if _UNITS.intersection(units) and not any(is_number(unit) for unit in units if unit not in ("-", "1")) else None
+    return units if any(map(is_unit, units)) and not any(is_number(unit) for unit in units if unit not in ("-", "1")) else None
 
 
 @dataclass

@@ -18,12 +18,13 @@ import numpy as np
 from hil.errors import RecordingError
 from hil.files.atomic import write_atomically
 from hil.files.regular import check_regular
-from hil.recording.channels import check_name, is_whole, unit_and_factor
+from hil.recording.channels import check_name, is_whole
 from hil.recording.csv_dialect import Clock, Numbers, decoded, is_number, laid_out, row_of_units
 from hil.recording.metadata import machine_table, metadata_text, parse_metadata
 from hil.recording.model import CAN_FRAMES, Channel, Recording
-from hil.recording.naming import Column, Columns, Target, header_name, is_header_cell, machine_unit, picked
+from hil.recording.naming import Column, Columns, Target, header_name, is_header_cell, picked, with_unit
 from hil.recording.said import source_table
+from hil.recording.stamps import DisorderError, rows_in_order
 
 if TYPE_CHECKING:
     from _csv import Reader
@@ -85,6 +86,13 @@ def read_csv(path: Path, machine: Machine | None = None, names: Mapping[str, Tar
     if rows is not None and rows != len(values):
         beside = metadata_path(path).name
         raise RecordingError(f"{path}: {len(values)} rows, but {beside} says rows = {rows}; the file was cut off or edited")
+    if not metadata_path(path).exists():
+        place = next(place for place, one in enumerate(table.targets) if one.channel == "time")
+        try:
+            values, order = rows_in_order(values, place, "line", lines)
+        except DisorderError as problem:
+            raise RecordingError(f"{path}: {problem}; keep the lines of one, or put them in order") from None
+        notes = [*notes, *order]
     channels = {one.channel: Channel(one.unit or "", values[:, column]) for column, one in enumerate(table.targets)}
     _check_time(path, channels["time"].values, lines, may_repeat=metadata.get("kind") == CAN_FRAMES)
     if names or table.not_taken or notes:
@@ -151,6 +159,7 @@ def _parse(path: Path, text: str, names: Mapping[str, Target], machine: Machine 
     if header is None:
         raise RecordingError(f"{path}: line 1: empty; a header of `name [unit]` cells is first")
     first = next(records, None)
+    first_line = reader.line_num
     units: list[str] | None = None
     if not strict and first is not None:
         header, first, units = _foreign_head(header, first)
@@ -164,7 +173,7 @@ def _parse(path: Path, text: str, names: Mapping[str, Target], machine: Machine 
     either: dict[str, int] = {}  # mark of decimals or of thousands -> line of the first
     no_numbers: dict[int, str] = {}  # place of a column that may be left out -> its first cell that is no number
     for cells in itertools.chain([] if first is None else [first], records):
-        line = reader.line_num + layout.skipped if rows or first is None else 2 + layout.skipped + (units is not None)
+        line = layout.skipped + (reader.line_num if cells is not first else first_line)
         if not cells:
             continue
         if len(cells) == len(header) + 1 and not strict and not cells[-1].strip():  # a delimiter behind each row, as spreadsheets write it
@@ -274,12 +283,9 @@ def _targets(
             continue
         try:
             if one := names.get(cell.strip(), names.get(name)):
-                unit = one.unit if one.unit is not None else unit
-                unit = machine_unit(one.channel, machine, path) if unit is None and machine is not None else unit
-                unit_and_factor(one.channel, unit or "")
-                targets.append(one._replace(unit=unit or ""))
+                targets.append(with_unit(one, unit, machine, path))
             else:
-                targets.append(_own(cell, name, unit, taken, named=bool(names)))
+                targets.append(with_unit(_own(cell, name, unit, taken, named=bool(names)), None, machine, path))
                 taken.add(name)
         except RecordingError as problem:
             if not names or cell.strip() in names or name in names:
@@ -296,7 +302,7 @@ def _own(cell: str, name: str, unit: str | None, taken: set[str], *, named: bool
     """Return the target of a column that keeps its name."""
     if not is_header_cell(cell):
         raise RecordingError(f"header cell {cell!r} is not `name [unit]`")
-    unit_and_factor(check_name(name), unit or "")
+    check_name(name)
     if name in taken:
         raise RecordingError(f"another column is to be {name}" if named else f"channel {name} stands there twice")
     return Target(name, unit or "")

@@ -55,7 +55,7 @@ def read_recording(path: str | Path, machine: Machine | None = None, names: Name
     targets = {name: target(one, f"{path}: {name}") if isinstance(one, str) else one for name, one in (names or {}).items()}
     part = part_path(path)
     if path.is_dir() and (path / BAG_MARK).exists():
-        return _read(path, machine, targets)
+        return _said_gaps(path, _read(path, machine, targets))
     if path.is_dir():
         raise RecordingError(f"{path}: is a folder; give the recordings in it")
     check_regular(path, RecordingError)
@@ -70,9 +70,13 @@ def read_recording(path: str | Path, machine: Machine | None = None, names: Name
         return recording
     if part.exists():
         warnings.warn(f"{path}: an unfinished recording of the same name is beside it: {part.name}", RecordingWarning, stacklevel=2)
-    recording = _read(path, machine, targets)
+    return _said_gaps(path, _read(path, machine, targets))
+
+
+def _said_gaps(path: Path, recording: Recording) -> Recording:
+    """Return the recording; warn of rows that are missing in it."""
     if words := gap_words(recording):
-        warnings.warn(f"{path}: {words}", RecordingWarning, stacklevel=2)
+        warnings.warn(f"{path}: {words}", RecordingWarning, stacklevel=3)
     return recording
 
 

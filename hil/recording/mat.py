@@ -15,12 +15,14 @@ import numpy as np
 
 from hil.errors import RecordingError
 from hil.recording import octave_text
-from hil.recording.mat4 import is_level_4, level_4_arrays
+from hil.recording.mat4 import is_level_4, level_4_arrays, level_4_matrices
 from hil.recording.mat5 import MatError, Value, numeric_arrays
 from hil.recording.mat73 import MARK, hdf5_arrays
 from hil.recording.metadata import machine_table
 from hil.recording.model import Recording
+from hil.recording.modelica import Modelica, is_modelica, modelica_result
 from hil.recording.naming import Column, Columns, Target, is_channel, named_channels
+from hil.recording.rasters import channels_in_order
 from hil.recording.said import listed, source_table
 
 if TYPE_CHECKING:
@@ -54,12 +56,15 @@ def read_mat(path: Path, machine: Machine | None, names: Mapping[str, Target] | 
     if machine is None:
         raise RecordingError(f"{path}: a .mat says neither machine nor units; name the machine with --machine")
     variables = _load(path)
+    if isinstance(variables, Modelica):
+        return _of_modelica(variables, path, machine, names or {})
     found = _columns(variables)
     if names:
         wanted = {_as_stored(name, one.channel, variables, found): one for name, one in names.items()}
     else:
         wanted = _known_names(variables, found, machine, path)
     channels, _ = named_channels(found, wanted, machine, path)
+    channels, order = channels_in_order(channels, path)
     constants = {
         name: value.item() for name, value in variables.items() if isinstance(value, np.ndarray) and value.size == 1 and name not in wanted
     }
@@ -68,7 +73,7 @@ def read_mat(path: Path, machine: Machine | None, names: Mapping[str, Target] | 
     not_taken += [*whole, *(f"{name}, {what}" for name, what in found.others.items() if what not in (_TEXT, _NUMBER))]
     renamed = {name: one.channel for name, one in wanted.items() if name != one.channel}
     try:
-        source = source_table(path, not_taken, (), renamed, constants=constants)
+        source = source_table(path, not_taken, order, renamed, constants=constants)
         return Recording(channels, {"machine": machine_table(machine), "source": source})
     except RecordingError as problem:
         raise RecordingError(f"{path}: {problem}") from None
@@ -79,7 +84,7 @@ _HDF5 = b"\x89HDF"
 """First bytes of an HDF5 file; MATLAB's have its own text before them."""
 
 
-def _load(path: Path) -> dict[str, Value]:
+def _load(path: Path) -> dict[str, Value] | Modelica:
     try:
         with path.open("rb") as file:
             if file.read(len(MARK)) == MARK:
@@ -91,10 +96,33 @@ def _load(path: Path) -> dict[str, Value]:
             )
         if content.startswith(octave_text.MARK):
             return octave_text.octave_arrays(content)
-        return level_4_arrays(content) if is_level_4(content) else numeric_arrays(content)
+        if not is_level_4(content):
+            return numeric_arrays(content)
+        return modelica_result(matrices) if is_modelica(matrices := level_4_matrices(content)) else level_4_arrays(content)
     except OSError as problem:
         raise RecordingError(f"{path}: cannot be read: {problem.strerror}") from None
     except MatError as problem:
+        raise RecordingError(f"{path}: {problem}") from None
+
+
+def _of_modelica(result: Modelica, path: Path, machine: Machine, names: Mapping[str, Target]) -> Recording:
+    """Return the trajectories that are named, or have channels' names, over the result's time."""
+    found = result.columns
+    wanted = dict(names) or {name: Target(name) for name in found.columns if is_channel(name, machine)}
+    if not any(one.channel == "time" for one in wanted.values()):
+        wanted = {"time": Target("time")} | wanted
+    if len(wanted) == 1:
+        others = listed([name for name in found.columns if name != "time"])
+        raise RecordingError(
+            f"{path}: a Modelica result with no channel's name; say which is which, such as --map NAME=position_<axis>: {others}"
+        )
+    channels, _ = named_channels(found, wanted, machine, path)
+    channels, order = channels_in_order(channels, path)
+    not_taken = [*(name for name in found.columns if name not in wanted), *result.left_out]
+    renamed = {name: one.channel for name, one in wanted.items() if name != one.channel}
+    try:
+        return Recording(channels, {"machine": machine_table(machine), "source": source_table(path, not_taken, order, renamed)})
+    except RecordingError as problem:
         raise RecordingError(f"{path}: {problem}") from None
 
 

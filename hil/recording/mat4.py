@@ -28,6 +28,22 @@ def is_level_4(content: bytes) -> bool:
 def level_4_arrays(content: bytes) -> dict[str, Value]:
     """Return every variable of a file, None for complex and sparse ones; MatError says what is wrong with the bytes."""
     variables: dict[str, Value] = {}
+    for name, (what, values) in _matrices(content).items():
+        if what == _TEXT and values is not None:
+            variables[name] = bytes(np.clip(values, 0, 255).astype(np.uint8).tobytes()).decode("latin-1") if len(values) == 1 else None
+        else:
+            variables[name] = None if what == _SPARSE else values
+    return variables
+
+
+def level_4_matrices(content: bytes) -> dict[str, np.ndarray]:
+    """Return every real full matrix of a file, those of letters as their codes; MatError as `level_4_arrays`."""
+    return {name: values for name, (what, values) in _matrices(content).items() if values is not None and what != _SPARSE}
+
+
+def _matrices(content: bytes) -> dict[str, tuple[int, np.ndarray | None]]:
+    """Return the kind of every matrix of a file and its values, None for complex ones."""
+    matrices: dict[str, tuple[int, np.ndarray | None]] = {}
     place = 0
     while place < len(content):
         header = _header(content, place)
@@ -43,11 +59,8 @@ def level_4_arrays(content: bytes) -> dict[str, Value]:
         if place > len(content):
             raise MatError(f"damaged: cut off in variable {name} of {rows} x {columns}")
         values = np.frombuffer(content[begin : begin + size], dtype=dtype).reshape((rows, columns), order="F")
-        if what == _TEXT:
-            variables[name] = bytes(np.clip(values, 0, 255).astype(np.uint8).tobytes()).decode("latin-1") if rows == 1 else None
-        else:
-            variables[name] = None if imaginary or what == _SPARSE else values
-    return variables
+        matrices[name] = what, None if imaginary else values
+    return matrices
 
 
 def _header(content: bytes, place: int) -> tuple[str, int, int, int, int, int, int] | None:

@@ -70,7 +70,7 @@ def read_mcap(path: Path, machine: Machine | None = None, names: Mapping[str, Ta
         return recording_of_bag(bag, path, machine, names)
     metadata = parse_metadata(text.decode(errors="replace"), f"{path}: {ATTACHMENT}")
     rows = metadata.pop("rows", None)
-    messages = [message for _, message in bag.rows[TOPIC]]
+    messages = [message for _, _, message in bag.rows[TOPIC]]
     if rows != len(messages):
         raise RecordingError(f"{path}: {len(messages)} rows, but its {ATTACHMENT} says rows = {rows}; the file was cut off or edited")
     columns = {name: Column(_values(messages, name, path), unit) for name, unit in _units(bag.schemas.get(TOPIC, b""), path).items()}

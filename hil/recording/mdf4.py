@@ -27,6 +27,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+import can  # noqa: F401  # isort: skip  # before asammdf: python-can meets it half imported otherwise, and takes it for missing
 import numpy as np
 from asammdf import MDF, Signal
 from asammdf.blocks.v4_blocks import HeaderBlock
@@ -134,9 +135,10 @@ def _recording(
     found: Columns, names: Mapping[str, Target] | None, metadata: dict[str, Any], machine: Machine | None, path: Path
 ) -> Recording:
     """Return the signals as channels: under the given names, others under their own."""
-    wanted, not_taken = named_or_own(found, names or {}, path)
+    wanted, not_taken = named_or_own(found, names or {}, path, machine)
     channels, notes = channels_on_one_raster(found, wanted, machine, path)
     not_taken += [f"{name}: {what}" for name, what in found.others.items()]
+    notes = [*found.notes, *notes]
     if not_taken or notes or names:
         renamed = {name: wanted_as.channel for name, wanted_as in (names or {}).items()}
         metadata = metadata | {"source": source_table(path, not_taken, notes, renamed)}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import cast
 
@@ -11,6 +12,9 @@ from asammdf import MDF, Signal
 
 from hil.recording.can_tables import Group, is_of_frames
 from hil.recording.naming import Column, Columns
+
+_MOST_TEXTS = 4
+"""Different texts in one message."""
 
 _UNFIT = re.compile(r'[,"\[\]\x00-\x1f\x7f]')
 
@@ -22,7 +26,8 @@ def mdf4_columns(mdf: MDF) -> Columns:
     for number, group in enumerate(cast(Sequence[Group], mdf.groups)):
         if is_of_frames(group) and group.channel_group.cycles_nr:
             others[f"CAN frames of group {number}"] = f"{group.channel_group.cycles_nr} of them, beside signals"
-    for place, signal in _signals(mdf):
+    notes: list[str] = []
+    for place, index, signal in _signals(mdf):
         name = _UNFIT.sub("_", signal.name).strip()
         if signal.samples.ndim != 1 or signal.samples.dtype.kind not in "fiub":
             others[name] = "text or an array"
@@ -30,6 +35,7 @@ def mdf4_columns(mdf: MDF) -> Columns:
             others[name] = "without samples"
         else:
             found.setdefault(name, []).append((place, _column(signal)))
+            notes += _said_texts(mdf, place, index, signal, name)
     columns: dict[str, Column] = {}
     several: dict[str, list[str]] = {}
     for name, those in found.items():
@@ -40,7 +46,26 @@ def mdf4_columns(mdf: MDF) -> Columns:
         once = len(set(groups)) == len(groups)
         several[name] = [f"{name}@{group}" if once else f"{name}@{group}.{place}" for place, group in enumerate(groups)]
         columns |= dict(zip(several[name], (column for _, column in those), strict=True))
-    return Columns(columns, several, others)
+    return Columns(columns, several, others, notes)
+
+
+def _said_texts(mdf: MDF, group: int, index: int, signal: Signal, name: str) -> list[str]:
+    """Return a note on readings that the channel's conversion table makes texts, as of an error code: they are missing as numbers."""
+    conversion = cast(Sequence[Group], mdf.groups)[group].channels[index].conversion
+    if conversion is None or signal.samples.dtype.kind != "f" or not np.isnan(signal.samples).any():
+        return []
+    raw = mdf.get(group=group, index=index, raw=True)
+    texts = {place: one for place, one in enumerate(conversion.convert(raw.samples, as_object=True)) if isinstance(one, bytes | str)}
+    if not texts:
+        return []
+    first, counts = min(texts), Counter(texts.values())
+    words = ", ".join(f"{_text(text)!r} ({number})" for text, number in counts.most_common(_MOST_TEXTS))
+    words += ", ..." if len(counts) > _MOST_TEXTS else ""
+    return [f"{name}: {len(texts)} of {signal.samples.size} readings are texts and missing as numbers: {words}, first sample {first}"]
+
+
+def _text(text: bytes | str) -> str:
+    return text.decode("utf-8", errors="replace") if isinstance(text, bytes) else text
 
 
 def _column(signal: Signal) -> Column:
@@ -50,8 +75,8 @@ def _column(signal: Signal) -> Column:
     return Column(values, signal.unit or None, np.asarray(signal.timestamps, dtype=np.float64), signal.samples.dtype.kind in "iub")
 
 
-def _signals(mdf: MDF) -> Iterator[tuple[int, Signal]]:
-    """Yield every channel that is no time base, with its group's number and its invalidation bits, in one pass over the file."""
+def _signals(mdf: MDF) -> Iterator[tuple[int, int, Signal]]:
+    """Yield every channel that is no time base, with its group's number, its own and its invalidation bits, in one pass over the file."""
     wanted = [
         (None, number, index)
         for number, group in enumerate(cast(Sequence[Group], mdf.groups))
@@ -59,5 +84,5 @@ def _signals(mdf: MDF) -> Iterator[tuple[int, Signal]]:
         if index != mdf.masters_db.get(number) and not is_of_frames(group)
     ]
     signals = mdf.select(wanted, validate=False, copy_master=False) if wanted else ()
-    for (_, number, _), signal in zip(wanted, signals, strict=True):
-        yield number, signal
+    for (_, number, index), signal in zip(wanted, signals, strict=True):
+        yield number, index, signal

@@ -6,6 +6,7 @@ import difflib
 import math
 import re
 import tomllib
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,9 +16,10 @@ import numpy as np
 
 from hil.errors import RecordingError
 from hil.files.regular import check_regular
-from hil.recording.channels import check_name, kind_of, unit_and_factor
+from hil.recording.channels import COUNTS, OF_THE_MACHINE, PERCENT, PERMILLE, check_name, kind_of, spelled, unit_and_factor
 from hil.recording.model import Channel
-from hil.recording.said import listed
+from hil.recording.said import listed, printable
+from hil.recording.warning import RecordingWarning
 
 if TYPE_CHECKING:
     from hil.machine.model import Machine
@@ -38,6 +40,7 @@ FIXED_UNITS = {
 """Units of channels that belong to no axis."""
 
 _AXIS_UNITS = {"statusword": "", "temperature": "degC", "data_age": "s"}
+_EFFORTS = ("excitation", "feedforward", "command", "current", "effort")
 _POSITIONS = ("reference", "reference_raw", "position", "link_position")
 _TARGET = re.compile(r"\s*(?P<channel>[^\[\]]*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?\s*")
 _KEYS = ("channel", "unit", "scale", "offset")
@@ -86,11 +89,14 @@ class Columns:
         A name that stands for several columns -> their names.
     others : mapping
         Name of what is no column of numbers -> what it is.
+    notes : sequence of str
+        What of the columns could not be taken.
     """
 
     columns: Mapping[str, Column]
     several: Mapping[str, Sequence[str]] = field(default_factory=dict)
     others: Mapping[str, str] = field(default_factory=dict)
+    notes: Sequence[str] = ()
 
 
 def target(text: str, where: str) -> Target:
@@ -191,8 +197,8 @@ def named_channels(
     sources: dict[str, Column] = {}
     for name, wanted in names.items():
         column = found.columns[name]
-        unit = wanted.unit if wanted.unit is not None else column.unit
-        unit = machine_unit(wanted.channel, machine, path) if unit is None and machine is not None else unit or ""
+        wanted = with_unit(wanted, column.unit, machine, path)
+        unit = wanted.unit or ""
         values = column.values.astype(np.float64)
         if (wanted.scale, wanted.offset) != (1.0, 0.0):
             values = wanted.scale * values + wanted.offset
@@ -201,7 +207,9 @@ def named_channels(
     return channels, sources
 
 
-def named_or_own(found: Columns, names: Mapping[str, Target], path: Path) -> tuple[dict[str, Target], list[str]]:
+def named_or_own(
+    found: Columns, names: Mapping[str, Target], path: Path, machine: Machine | None = None
+) -> tuple[dict[str, Target], list[str]]:
     """Return `names` and, under their own names, the columns that they leave out; and which of these are no channel.
 
     For files whose columns have units.
@@ -225,7 +233,7 @@ def named_or_own(found: Columns, names: Mapping[str, Target], path: Path) -> tup
         try:
             if name in taken:
                 raise RecordingError(f"another one is to be {name}")
-            unit_and_factor(check_name(name), column.unit or "")
+            with_unit(Target(check_name(name), column.unit or ""), None, machine, path)
             wanted[name] = Target(name, column.unit or "")
         except RecordingError as problem:
             if not names:
@@ -234,6 +242,65 @@ def named_or_own(found: Columns, names: Mapping[str, Target], path: Path) -> tup
     if not wanted:
         raise RecordingError(f"{path}: holds no numeric signals")
     return wanted, not_taken
+
+
+def with_unit(wanted: Target, in_file: str | None, machine: Machine | None, path: Path) -> Target:
+    """Return what a column becomes, with its unit: from the name, else from the file, else from the machine.
+
+    Counts become what the machine file's encoder counts, parts of the rated effort become that effort; that is said in a warning.
+
+    Raises
+    ------
+    RecordingError
+        The channel cannot be measured in that unit; the message names those that it can, and the factor of a file of names.
+    """
+    channel = wanted.channel
+    unit = wanted.unit if wanted.unit is not None else in_file
+    if unit is None and machine is not None:
+        unit = machine_unit(channel, machine, path)
+    of_machine = spelled(unit or "", OF_THE_MACHINE)
+    if of_machine in OF_THE_MACHINE and (size := _size(channel, of_machine, machine)) is not None:
+        unit, factor = size
+        words = f"{channel}: [{of_machine}] taken as {factor:.6g} {unit} each, by the machine file"
+        warnings.warn(f"{path}: {words}", RecordingWarning, stacklevel=2)
+        return Target(channel, unit, wanted.scale * factor, wanted.offset * factor)
+    try:
+        unit_and_factor(channel, unit or "")
+    except RecordingError as problem:
+        if not unit:
+            raise
+        way_out = f'"NAME" = {{ channel = "{channel}", unit = "...", scale = ... }} (--map FILE)'
+        said = _narrower(channel, unit, machine, path) or str(problem)
+        raise RecordingError(f"{said}; a file of names takes any other with its scale: {way_out}") from None
+    return wanted._replace(unit=unit or "")
+
+
+def _narrower(channel: str, unit: str, machine: Machine | None, path: Path) -> str:
+    """Return why a unit is wrong, with those that the machine's axis can have; "" for what is no channel of the machine."""
+    if machine is None or machine.axis_of_channel(channel) is None or not is_channel(channel, machine):
+        return ""
+    try:
+        unit_and_factor(channel, unit, machine_unit(channel, machine, path))
+    except RecordingError as problem:
+        return str(problem)
+    return ""
+
+
+def _size(channel: str, unit: str, machine: Machine | None) -> tuple[str, float] | None:
+    """Return unit and size of a count or a part of the rated effort; None where the machine file does not say it for this channel."""
+    axis = None if machine is None else machine.axis_of_channel(channel)
+    if machine is None or axis is None:
+        return None
+    quantity, units = channel.removesuffix(f"_{axis}"), machine.units[machine.axis_index(axis)]
+    if unit in (PERCENT, PERMILLE):
+        rated = next((drive.rated for drive in machine.plant.drives if drive.axis == axis), 0.0)
+        fits = rated > 0.0 and quantity in _EFFORTS and not (quantity == "current" and units.effort != "A")
+        return (units.effort, rated / (100.0 if unit == PERCENT else 1000.0)) if fits else None
+    if quantity not in ((*_POSITIONS, "command") if unit == COUNTS else ("speed",)):
+        return None
+    source = f"{'link_position' if quantity == 'link_position' else 'position'}_{axis}"
+    resolution = next((encoder.resolution for encoder in machine.plant.encoders if encoder.channel == source), 0.0)
+    return (units.position if unit == COUNTS else f"{units.position}/s", resolution) if resolution > 0.0 else None
 
 
 def machine_unit(channel: str, machine: Machine, path: Path | str) -> str:
@@ -260,6 +327,6 @@ def is_channel(name: str, machine: Machine) -> bool:
 
 
 def _instead(name: str, known: Iterable[str]) -> str:
-    known = list(known)
+    known = [printable(one) for one in known]
     close = difflib.get_close_matches(name, known, n=3)
     return f"did you mean {' or '.join(close)}?" if close else f"it has {', '.join(known[:20])}{', ...' if len(known) > 20 else ''}"

@@ -22,6 +22,7 @@ from hil.recording.channels import is_whole
 from hil.recording.metadata import machine_table, metadata_text, parse_metadata
 from hil.recording.model import Recording
 from hil.recording.naming import Column, Columns, Target, header_name, is_channel, named_channels
+from hil.recording.rasters import channels_in_order
 from hil.recording.said import source_table
 
 if TYPE_CHECKING:
@@ -126,10 +127,11 @@ def _foreign(arrow: ModuleType, table: Any, path: Path, machine: Machine | None,
         has = ", ".join([*columns, *others])
         raise RecordingError(f"{path}: no column is time; it has {has}; say which is which, such as --map t=time")
     channels, _ = named_channels(found, wanted, machine, path)
+    channels, order = channels_in_order(channels, path)
     not_taken = [name for name in columns if name not in wanted] + [f"{name}, {what}" for name, what in others.items()]
     renamed = {name: one.channel for name, one in wanted.items() if name != one.channel}
     try:
-        return Recording(channels, {"machine": machine_table(machine), "source": source_table(path, not_taken, (), renamed)})
+        return Recording(channels, {"machine": machine_table(machine), "source": source_table(path, not_taken, order, renamed)})
     except RecordingError as problem:
         raise RecordingError(f"{path}: {problem}") from None
 

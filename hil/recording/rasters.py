@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,15 +19,13 @@ from hil.errors import RecordingError
 from hil.recording.channels import is_whole
 from hil.recording.model import UNEQUAL_STEP, Channel
 from hil.recording.naming import Column, Columns, Target, named_channels
+from hil.recording.stamps import LOST, DisorderError, rows_in_order, said_twice, straightened
 
 if TYPE_CHECKING:
     from hil.machine.model import Machine
 
 SAME_RATE = 0.01
 """Rates that differ by less than this share are the same."""
-
-LOST = 1.5
-"""Neighbouring samples further apart than this many of the usual steps have lost one between them."""
 
 
 def channels_on_one_raster(
@@ -53,6 +52,18 @@ def channels_on_one_raster(
     return {"time": Channel("s", time_s)} | {name: Channel(channels[name].unit, values[name]) for name in channels}, notes
 
 
+def channels_in_order(channels: dict[str, Channel], path: Path) -> tuple[dict[str, Channel], list[str]]:
+    """Return the channels of one table in order of its time, and what was done; RecordingError where `stamps` refuses."""
+    if "time" not in channels or len({channel.values.size for channel in channels.values()}) > 1:
+        return channels, []  # what is wrong is told elsewhere
+    table = np.column_stack([channel.values for channel in channels.values()])
+    try:
+        table, notes = rows_in_order(table, list(channels).index("time"))
+    except DisorderError as problem:
+        raise RecordingError(f"{path}: {problem}; keep the rows of one, or put them in order") from None
+    return {name: Channel(channel.unit, table[:, place]) for place, (name, channel) in enumerate(channels.items())}, notes
+
+
 def on_one_raster(columns: Mapping[str, Column], machine: Machine | None) -> tuple[np.ndarray, dict[str, np.ndarray], list[str]]:
     """Put columns with times onto one raster.
 
@@ -73,17 +84,13 @@ def on_one_raster(columns: Mapping[str, Column], machine: Machine | None) -> tup
     Raises
     ------
     RecordingError
-        There are several rasters, and the times of one do not increase.
+        A time is missing, or times go back in a way that `stamps` cannot repair.
     """
+    columns, notes = _straight(columns)
     rasters = _rasters(columns)
-    for names in rasters if len(rasters) > 1 else ():
-        own = times(columns[names[0]])
-        if not (np.isfinite(own).all() and np.all(np.diff(own) > 0.0)):
-            raise RecordingError(f"{names[0]}: time does not increase from sample to sample")
     base = _base([times(columns[names[0]]) for names in rasters], [len(names) for names in rasters], machine) if rasters[1:] else 0
     time_s = times(columns[rasters[base][0]])
     values: dict[str, np.ndarray] = {name: columns[name].values for name in rasters[base]}
-    notes = []
     for place, names in enumerate(rasters):
         if place != base:
             values |= {name: resampled(columns[name], time_s) for name in names}
@@ -93,6 +100,25 @@ def on_one_raster(columns: Mapping[str, Column], machine: Machine | None) -> tup
             how += ", whole numbers held" if how == "interpolated" and any(columns[name].whole for name in names) else ""
             notes.append(f"{', '.join(names)} ({rates}) put onto the rows of {rasters[base][0]} ({rate_Hz(time_s):.4g} Hz): {how}")
     return time_s, {name: values[name] for name in columns}, notes
+
+
+def _straight(columns: Mapping[str, Column]) -> tuple[dict[str, Column], list[str]]:
+    """Return the columns in order of time, those that share their times together, and what was done."""
+    straight: dict[str, Column] = dict(columns)
+    notes: list[str] = []
+    for names in _rasters(columns):
+        own = times(columns[names[0]])
+        if own.size and np.isfinite(own).all() and np.all(np.diff(own) > 0.0):
+            continue
+        if not np.isfinite(own).all():
+            raise RecordingError(f"{names[0]}: sample {int(np.argmin(np.isfinite(own)))} has no time")
+        try:
+            made = straightened(own, np.column_stack([columns[name].values.astype(np.float64) for name in names]), what="sample")
+        except DisorderError as problem:
+            raise RecordingError(f"{names[0]}: {problem}") from None
+        notes += [f"{', '.join(names)}: {note}" for note in [*made.notes, *said_twice(made.twice)]]
+        straight |= {name: replace(columns[name], values=columns[name].values[made.places], time_s=made.time_s) for name in names}
+    return straight, notes
 
 
 def times(column: Column) -> np.ndarray:

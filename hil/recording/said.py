@@ -43,4 +43,9 @@ def listed(names: Sequence[str]) -> str:
     """Return names in one line, `?` for what cannot be printed; of very many the first."""
     more = len(names) - MOST_NAMED
     line = "; ".join(names[:MOST_NAMED]) + (f"; and {more} more" if more > 0 else "")
-    return "".join(letter if letter.isprintable() else "?" for letter in line)
+    return printable(line)
+
+
+def printable(text: str) -> str:
+    """Return a text with `?` for what cannot be printed."""
+    return "".join(letter if letter.isprintable() else "?" for letter in text)

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.recording.model import Channel, Recording
+from hil.recording.model import CAN_FRAMES, Channel, Recording
+from hil.recording.stamps import LOST, is_even, usual_step
 
 PLANNED = ("reference_", "excitation_", "feedforward_", "damping_")
 """Channels that drive a simulation. Damping was not planned, but is an input of the simulation as well."""
 
 
 def gap_words(recording: Recording) -> str:
-    """Return one line on the missing ticks; '' where none is missing."""
+    """Return one line on the missing ticks of a run, or the missing rows of another recording; '' where none is missing."""
+    if "bench" not in recording.metadata:
+        return _lost_words(recording.time) if recording.metadata.get("kind") != CAN_FRAMES else ""
     steps = np.diff(recording.ticks)
     gaps = np.flatnonzero(steps > 1)
     if not gaps.size:
@@ -20,6 +23,19 @@ def gap_words(recording: Recording) -> str:
     ticks = int((steps - 1).sum())
     missing = f"{ticks} tick{' is' if ticks == 1 else 's are'} missing in {gaps.size} place{'' if gaps.size == 1 else 's'}"
     return f"{missing}, first after row {row} ({recording.time[row]:.6g} s): the drives held their command there"
+
+
+def _lost_words(time_s: np.ndarray) -> str:
+    """Return one line on the gaps in rows that else come at one rate."""
+    if not is_even(time_s):
+        return ""
+    steps, step = np.diff(time_s), usual_step(time_s)
+    gaps = np.flatnonzero(steps > LOST * step)
+    if not gaps.size:
+        return ""
+    row, rows = int(gaps[0]), int(np.rint(steps[gaps] / step).sum()) - gaps.size
+    places = f"{gaps.size} place{'' if gaps.size == 1 else 's'}, first {steps[row]:.6g} s after row {row} ({time_s[row]:.6g} s)"
+    return f"about {rows} row{'' if rows == 1 else 's'} of {step:.6g} s missing in {places}: lost, or the clock was set on there"
 
 
 def on_every_tick(recording: Recording) -> Recording:

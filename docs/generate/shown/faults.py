@@ -169,4 +169,30 @@ FAULTS = (
             ),
         ),
     ),
+    Shown(
+        "field_inputs.json",
+        "Inputs that people bring",
+        "Logs whose stamps and order disagree, data sheets with rare sections, files that are not what their name says, columns in other "
+        "units, and geometry of other programs, made with known content. Right is what comes out as it went in, with a word on what was "
+        "done or not taken; a refusal counts where its one line names what was seen and the way out.",
+        "python benchmarks/field_inputs",
+        (
+            Figure("inputs", ("total", "inputs")),
+            Figure("right", ("total", "right")),
+            Figure("refused with the way out", ("total", "refused")),
+            Figure("wrong", ("total", "wrong"), asked="0"),
+        ),
+        (
+            Rows(
+                "kind",
+                ("kinds",),
+                (
+                    Column("inputs", ("inputs",)),
+                    Column("right", ("right",)),
+                    Column("refused with the way out", ("refused",)),
+                    Column("wrong", ("wrong",)),
+                ),
+            ),
+        ),
+    ),
 )

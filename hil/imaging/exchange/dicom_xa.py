@@ -18,7 +18,6 @@ from scipy.spatial.transform import Rotation
 
 from hil.errors import UnusableInputError
 from hil.extras import extra_package
-from hil.files.regular import check_regular
 from hil.imaging.detector import Detector
 from hil.imaging.geometry import ConeBeam
 
@@ -36,36 +35,45 @@ class Positioner:
     Attributes
     ----------
     primary_rad, secondary_rad : (N,) arrays
-    source_to_patient_m, source_to_detector_m : float
+    source_to_patient_m, source_to_detector_m : float or (N,) arrays
         Focal spot to isocentre, and to the panel.
     detector : Detector or None
         None where the file names no pixels.
+    notes : tuple of str
+        What the file holds and is not taken.
     """
 
     primary_rad: np.ndarray
     secondary_rad: np.ndarray
-    source_to_patient_m: float
-    source_to_detector_m: float
+    source_to_patient_m: float | np.ndarray
+    source_to_detector_m: float | np.ndarray
     detector: Detector | None
+    notes: tuple[str, ...] = ()
 
     @property
     def beam(self) -> ConeBeam:
         """Return the geometry of a machine without errors, in the world's directions about the isocentre."""
         turn = Rotation.from_euler("XY", -np.column_stack([self.primary_rad, self.secondary_rad])).as_matrix()
         normal = turn[:, :, 2]
-        source = -self.source_to_patient_m * normal
-        return ConeBeam.from_frames(source, source + self.source_to_detector_m * normal, turn)
+        to_patient, to_detector = (np.atleast_1d(one)[:, None] for one in (self.source_to_patient_m, self.source_to_detector_m))
+        source = -to_patient * normal
+        return ConeBeam.from_frames(source, source + to_detector * normal, turn)
 
 
-def positioner_of(beam: ConeBeam, detector: Detector | None) -> tuple[Positioner, np.ndarray]:
-    """Return the attributes nearest to a geometry, and the deviation (N, 9) that they lose, as `ConeBeam.moved` takes it."""
+def positioner_of(beam: ConeBeam, detector: Detector | None, *, each_distance: bool = False) -> tuple[Positioner, np.ndarray]:
+    """Return the attributes nearest to a geometry, and the deviation (N, 9) that they lose, as `ConeBeam.moved` takes it.
+
+    With `each_distance` every exposure has its own distances, as Enhanced XA allows.
+    """
+    to_detector = -beam.source_m[:, 2]
     ray = beam.detector_in_phantom_m - beam.source_in_phantom_m
     ray = ray / np.linalg.norm(ray, axis=1)[:, None]
+    to_patient = -np.sum(beam.source_in_phantom_m * ray, axis=1)
     found = Positioner(
         primary_rad=np.arctan2(ray[:, 1], ray[:, 2]),
         secondary_rad=np.arcsin(np.clip(-ray[:, 0], -1.0, 1.0)),
-        source_to_patient_m=float(np.mean(-np.sum(beam.source_in_phantom_m * ray, axis=1))),
-        source_to_detector_m=float(np.mean(-beam.source_m[:, 2])),
+        source_to_patient_m=to_patient if each_distance else float(np.mean(to_patient)),
+        source_to_detector_m=to_detector if each_distance else float(np.mean(to_detector)),
         detector=detector,
     )
     return found, beam.deviation_from(found.beam)
@@ -79,31 +87,42 @@ def write_xa(path: Path, positioner: Positioner, images: np.ndarray | None = Non
     UnusableInputError
         No pydicom, or the file cannot be written.
     """
-    pydicom = _pydicom()
+    pydicom = pydicom_package()
+    data = new_dataset(XA_IMAGE_STORAGE, patient)
+    data.PositionerMotion = "DYNAMIC" if len(positioner.primary_rad) > 1 else "STATIC"
+    data.NumberOfFrames = len(positioner.primary_rad)
+    data.DistanceSourceToDetector = decimal(1e3 * float(np.mean(positioner.source_to_detector_m)))
+    data.DistanceSourceToPatient = decimal(1e3 * float(np.mean(positioner.source_to_patient_m)))
+    for name, angles in (("Primary", positioner.primary_rad), ("Secondary", positioner.secondary_rad)):
+        degrees = np.degrees(angles)
+        setattr(data, f"Positioner{name}Angle", decimal(degrees[0]))
+        if len(degrees) > 1:  # increments are from the first frame (C.8.7.5.1.3)
+            setattr(data, f"Positioner{name}AngleIncrement", [decimal(value) for value in degrees - degrees[0]])
+    if positioner.detector is not None:
+        panel = positioner.detector
+        data.Rows, data.Columns = panel.rows, panel.columns
+        data.ImagerPixelSpacing = [decimal(1e3 * panel.pitch_m * panel.aspect), decimal(1e3 * panel.pitch_m)]
+    write_dataset(path, data, images, pydicom)
+
+
+def new_dataset(sop_class_uid: str, patient: str) -> Dataset:
+    """Return an empty angiography of this SOP class."""
     from pydicom.dataset import Dataset, FileMetaDataset
     from pydicom.uid import UID, generate_uid
 
     meta = FileMetaDataset()
-    meta.MediaStorageSOPClassUID, meta.TransferSyntaxUID = UID(XA_IMAGE_STORAGE), UID(EXPLICIT_LITTLE_ENDIAN)
+    meta.MediaStorageSOPClassUID, meta.TransferSyntaxUID = UID(sop_class_uid), UID(EXPLICIT_LITTLE_ENDIAN)
     meta.MediaStorageSOPInstanceUID = generate_uid()
     data = Dataset()
     data.file_meta = meta
     data.SOPClassUID, data.SOPInstanceUID = meta.MediaStorageSOPClassUID, meta.MediaStorageSOPInstanceUID
     data.StudyInstanceUID, data.SeriesInstanceUID = generate_uid(), generate_uid()
     data.Modality, data.PatientName, data.PatientID = "XA", patient, patient
-    data.PositionerMotion = "DYNAMIC" if len(positioner.primary_rad) > 1 else "STATIC"
-    data.NumberOfFrames = len(positioner.primary_rad)
-    data.DistanceSourceToDetector = _decimal(1e3 * positioner.source_to_detector_m)
-    data.DistanceSourceToPatient = _decimal(1e3 * positioner.source_to_patient_m)
-    for name, angles in (("Primary", positioner.primary_rad), ("Secondary", positioner.secondary_rad)):
-        degrees = np.degrees(angles)
-        setattr(data, f"Positioner{name}Angle", _decimal(degrees[0]))
-        if len(degrees) > 1:  # increments are from the first frame (C.8.7.5.1.3)
-            setattr(data, f"Positioner{name}AngleIncrement", [_decimal(value) for value in degrees - degrees[0]])
-    if positioner.detector is not None:
-        panel = positioner.detector
-        data.Rows, data.Columns = panel.rows, panel.columns
-        data.ImagerPixelSpacing = [_decimal(1e3 * panel.pitch_m * panel.aspect), _decimal(1e3 * panel.pitch_m)]
+    return data
+
+
+def write_dataset(path: Path, data: Dataset, images: np.ndarray | None, pydicom: ModuleType) -> None:
+    """Write a dataset, with images (N, rows, columns) uint16 where they are given."""
     if images is not None:
         data.SamplesPerPixel, data.PhotometricInterpretation, data.PixelIntensityRelationship = 1, "MONOCHROME2", "LIN"
         data.BitsAllocated, data.BitsStored, data.HighBit, data.PixelRepresentation = 16, 16, 15, 0
@@ -114,31 +133,8 @@ def write_xa(path: Path, positioner: Positioner, images: np.ndarray | None = Non
         raise UnusableInputError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
-def read_xa(path: Path) -> Positioner:
-    """Read the attributes of a file.
-
-    Raises
-    ------
-    UnusableInputError
-        No pydicom, no DICOM file, or an attribute is missing or malformed.
-    """
-    pydicom = _pydicom()
-    check_regular(path)
-    try:
-        data = pydicom.dcmread(path, stop_before_pixels=True)
-    except OSError as error:
-        raise UnusableInputError(f"{path}: {error.strerror or error}") from None
-    except pydicom.errors.InvalidDicomError:
-        raise UnusableInputError(f"{path}: no DICOM file") from None
-    try:
-        return _positioner(path, data)
-    except UnusableInputError:
-        raise
-    except (TypeError, ValueError, ZeroDivisionError) as error:
-        raise UnusableInputError(f"{path}: an attribute is no number, or not as many as it should be ({error})") from None
-
-
-def _positioner(path: Path, data: Dataset) -> Positioner:
+def classic_positioner(path: Path, data: Dataset) -> Positioner:
+    """Return the attributes of a classic object; UnusableInputError names the one that is missing."""
     count = int(data.get("NumberOfFrames") or 1)
     detector = None
     if data.get("Rows") and data.get("Columns") and data.get("ImagerPixelSpacing"):
@@ -169,17 +165,24 @@ def _angles(path: Path, data: Dataset, name: str, count: int) -> np.ndarray:
 def _number(path: Path, data: Dataset, name: str) -> float:
     value = data.get(name)
     if value is None or value == "":
-        raise UnusableInputError(f"{path}: no {name}; is it an X-ray angiography image?")
+        raise UnusableInputError(f"{path}: no {name} in this {sop_class(data)}")
     return float(value)
 
 
-def _decimal(value: float) -> str:
+def sop_class(data: Dataset) -> str:
+    """Return what a file is by its SOP class, in words."""
+    uid = data.get("SOPClassUID")
+    return "file without a SOP class" if uid is None else str(getattr(uid, "name", uid))
+
+
+def decimal(value: float) -> str:
     """Write a number as a decimal string of at most 16 characters."""
     from pydicom.valuerep import format_number_as_ds
 
     return format_number_as_ds(float(value))
 
 
-def _pydicom() -> ModuleType:
+def pydicom_package() -> ModuleType:
+    """Import pydicom; UnusableInputError names the extra where it is missing."""
     extra_package("pydicom.errors", "DICOM files")
     return extra_package("pydicom", "DICOM files")

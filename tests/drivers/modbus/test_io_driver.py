@@ -259,6 +259,8 @@ def test_a_good_serial_answer_is_read() -> None:
         (rtu_frame(5, b"\x02\x01\x03"), ProtocolError, r"unit 5 answers where unit_id = 17 was asked"),
         (rtu_frame(UNIT, b"\x82\x06"), ConfigurationRefusedError, r"refuses function 2 at 8 to 9: server device busy \(6\)"),
         (rtu_frame(UNIT, b"\x82\x55"), ConfigurationRefusedError, r"unknown exception \(85\)"),
+        (rtu_frame(UNIT, b"\x82\x05"), ConfigurationRefusedError, r"acknowledge \(5\); it has begun"),
+        (b"\x05" + GOOD[:-1], ProtocolError, r"a damaged answer \(05 11 02 .*\), its check is wrong"),
     ],
 )
 def test_bad_serial_answers_are_told_apart(
@@ -266,6 +268,34 @@ def test_bad_serial_answers_are_told_apart(
 ) -> None:
     with SerialDevice(answer) as transport, pytest.raises(error, match=words):
         transport.request(ReadDiscreteInputsRequest(**REQUEST))
+
+
+@pytest.mark.parametrize("stray", [b"\x00", b"\xff", b"\x00\x00\xfe", b"\x11", b"\x11\x02"])
+@pytest.mark.parametrize("behind", [b"", b"\x00"])
+def test_stray_bytes_around_an_answer_are_passed_over(stray: bytes, behind: bytes) -> None:
+    with SerialDevice(stray + GOOD + behind) as transport:
+        for _ in range(3):
+            assert transport.request(ReadDiscreteInputsRequest(**REQUEST)).bits[:2] == [True, True]
+
+
+class LateDevice(SerialDevice):
+    """A device that answers the first try only when the second comes, and the second a little later; its inputs count the tries."""
+
+    def serve(self) -> None:
+        tries = 0
+        while not self.stop.is_set():
+            if self.pty.wait(0.01) and self.pty.read():
+                tries += 1
+                for number in (1, 2) if tries == 2 else range(tries, tries + (tries > 2)):
+                    self.pty.write(rtu_frame(UNIT, bytes((2, 1, number))))
+                    self.stop.wait(0.02)
+
+
+def test_a_late_answer_is_not_taken_for_that_to_the_next_request() -> None:
+    with LateDevice(b"") as transport:
+        answers = [transport.request(ReadDiscreteInputsRequest(**REQUEST)).bits[:4] for _ in range(3)]
+    numbers = [sum(bit << place for place, bit in enumerate(bits)) for bits in answers]
+    assert numbers == [1, 3, 4]
 
 
 class EchoingLine(SerialDevice):

@@ -141,3 +141,10 @@ def test_device_faults_stand_in_the_sample_in_words_until_the_device_is_configur
     bench.driver.configure(no_wait)
     bench.driver.poll(bench.sample)
     assert bench.sample.imu_fault == ""
+
+
+def test_messages_that_lack_a_field_are_counted_and_the_field_is_named(bench: Bench) -> None:
+    without_time = Reading(3, None, (0.0, 0.0, 9.81), (0.0, 0.0, 0.0), None)
+    bench.device_end.write(encode_reading(without_time))
+    assert not bench.driver.poll(bench.sample)
+    assert (bench.driver.malformed, bench.driver.first_malformed) == (1, "without sample time fine (1060h)")

@@ -300,5 +300,5 @@ def test_conform_opens_a_stamped_bus(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(bus_url, "open_bus", refuse)
     with pytest.raises(BusUnavailableError):
-        conform_command(5, DRIVE_EDS, "socketcan:can0")
+        conform_command(DRIVE_EDS, "socketcan:can0", 5)
     assert asked == [{"stamped": True}]

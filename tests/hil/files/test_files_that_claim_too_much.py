@@ -23,7 +23,7 @@ from hil.errors import RecordingError, UnusableInputError
 from hil.experiments.file import read_experiment
 from hil.files.arrays import read_arrays
 from hil.imaging.detector import Detector
-from hil.imaging.exchange.dicom_xa import read_xa
+from hil.imaging.exchange.dicom_file import read_xa
 from hil.imaging.exchange.rtk_xml import read_rtk
 from hil.imaging.scan_folder import EXPOSURES, FRAMES, read_scan, write_description
 from hil.machine import load_machine

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from hil.errors import UnusableInputError
 from hil.imaging import ConeBeam, Detector
-from hil.imaging.exchange.dicom_xa import positioner_of, read_xa, write_xa
+from hil.imaging.exchange.dicom_file import read_xa
+from hil.imaging.exchange.dicom_xa import positioner_of, write_xa
 from hil.imaging.exchange.matrices import read_matrices, write_matrices
 from hil.imaging.exchange.rtk_xml import read_rtk, write_rtk
 from hil.imaging.nominal import nominal_beam

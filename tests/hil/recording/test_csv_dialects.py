@@ -115,7 +115,7 @@ def test_a_column_without_a_name_is_left_out_and_said(carm: Machine, tmp_path: P
     [
         ("t,i\n0,1\nlater,2\n", "line 3: t = 'later' is no number"),
         ("t,i\n12:00:00,1\n0.1,2\n", "line 3: t = '0.1' is no number"),
-        ("# rig\nt,i\n0,1\n0,2\n", "line 4: time 0 follows 0"),
+        ("# rig\nt,i\n0,1\n0,2\n", "lines 3 and 4 have the same stamp and other values"),
         ("t,i\ns,mA\n0,1\n0.1,two\n", "line 4: i = 'two' is no number"),
         (b"t,i\n0,\x81\n", "no UTF-8 text"),
         ('t,i\n"1,000",5\n"1,004",7\n', "line 2: '1,000' is 1 or 1000, and no number in the table says which; one like '0,5' would"),

@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from asammdf import MDF, Signal
+from asammdf.blocks.conversion_utils import from_dict
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -130,7 +131,7 @@ def test_a_name_in_two_groups_is_refused_with_the_names_that_tell_them_apart(car
     path = mf4(
         tmp_path / "twice.mf4",
         [Signal(rows, rows, unit="deg", name="angle")],
-        [Signal(2 * rows, rows, unit="deg", name="angle"), Signal(rows, rows, unit="1/min", name="speed_roll")],
+        [Signal(2 * rows, rows, unit="deg", name="angle"), Signal(rows, rows, unit="knot", name="speed_roll")],
     )
     for names in (None, {"angle": "position_roll"}):
         with pytest.raises(RecordingError, match="angle@0; angle@1"):
@@ -140,7 +141,8 @@ def test_a_name_in_two_groups_is_refused_with_the_names_that_tell_them_apart(car
     assert source["names"] == {"angle@1": "position_roll"}
     assert "angle@0" in recording
     assert source["not_taken"] == [
-        "speed_roll: channel speed_roll: unknown unit [1/min]; [rad/s] or [deg/s] or [m/s] or [mm/s] would be right"
+        "speed_roll: channel speed_roll: unknown unit [knot]; [rad/s] or [deg/s] or [mrad/s] or [rev/s] or [rpm] would be right;"
+        ' a file of names takes any other with its scale: "NAME" = { channel = "speed_roll", unit = "...", scale = ... } (--map FILE)'
     ]
 
 
@@ -158,6 +160,25 @@ def test_texts_and_arrays_of_an_mf4_are_listed(carm: Machine, tmp_path: Path) ->
 
 
 # ---- Parquet and MCAP ------------------------------------------------------------------------------------------------------------
+
+
+def test_readings_that_a_conversion_table_makes_texts_are_missing_and_said(carm: Machine, tmp_path: Path) -> None:
+    counts = np.array([0, 10, 32767, 30, 32767, 50, -32768, 70], dtype=np.int16)
+    table = from_dict(
+        {
+            "lower_0": -1000, "upper_0": 1000, "text_0": {"a": 0.1, "b": 0.0},
+            "lower_1": 32767, "upper_1": 32767, "text_1": b"no signal",
+            "lower_2": -32768, "upper_2": -32768, "text_2": b"fault",
+        }
+    )  # fmt: skip
+    signal = Signal(counts, np.arange(8) / 256.0, unit="deg", name="position_roll", conversion=table)
+    path = mf4(tmp_path / "log.mf4", [signal])
+    with pytest.warns(
+        RecordingWarning, match=r"position_roll: 3 of 8 readings are texts .*: 'no signal' \(2\), 'fault' \(1\), first sample 2"
+    ):
+        recording = read_recording(path, carm)
+    expected = [0.0, 1.0, np.nan, 3.0, np.nan, 5.0, np.nan, 7.0]
+    np.testing.assert_allclose(np.degrees(recording["position_roll"]), expected)
 
 
 @pytest.fixture

@@ -1,0 +1,219 @@
+"""Geometry that other programs wrote: vectors of ASTRA, LEAP and TIGRE, and Enhanced XA, in both directions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hil.cli import main
+from hil.errors import UnusableInputError
+from hil.imaging import ConeBeam, Detector
+from hil.imaging.exchange.dicom_enhanced import write_enhanced_xa
+from hil.imaging.exchange.dicom_file import read_xa
+from hil.imaging.exchange.dicom_xa import Positioner, positioner_of, write_xa
+from hil.imaging.exchange.read_vectors import Vectors, program_of, read_bare_vectors, read_vectors
+from hil.imaging.exchange.vectors import write_vectors
+from hil.imaging.nominal import nominal_beam
+from hil.machine import load_machine
+
+if TYPE_CHECKING:
+    from pydicom.dataset import Dataset
+
+CARM = load_machine("carm")
+PANEL = Detector(columns=620, rows=480, pitch_m=0.6e-3, aspect=1.01)
+SKEWED = Detector(columns=620, rows=480, pitch_m=0.6e-3, aspect=1.01, skew=0.002)
+POINTS = np.random.default_rng(3).uniform(-0.08, 0.08, (20, 3))
+
+
+def beam(seed: int, exposures: int = 7) -> ConeBeam:
+    """The C-arm with every parameter off by millimetres and milliradians."""
+    rng = np.random.default_rng(seed)
+    positions = np.radians(np.column_stack([rng.uniform(-80.0, 80.0, exposures), rng.uniform(-90.0, 90.0, exposures)]))
+    return nominal_beam(CARM, positions).moved(rng.normal(0.0, 5e-3, (exposures, 9)))
+
+
+def pixels(of: ConeBeam, detector: Detector) -> np.ndarray:
+    """Columns and rows (N, P, 2) of the points."""
+    seen = np.einsum("nij,pj->npi", of.matrices(detector), np.column_stack([POINTS, np.ones(len(POINTS))]))
+    found: np.ndarray = seen[..., :2] / seen[..., 2:]
+    return found
+
+
+def read_back(path: Path) -> Vectors:
+    return read_vectors(path, dict(np.load(path)), Detector(1, 1, 1e-3))
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**20), program=st.sampled_from(["astra", "leap", "tigre"]))
+def test_vectors_read_back_with_their_panel(tmp_path_factory: pytest.TempPathFactory, seed: int, program: str) -> None:
+    path = tmp_path_factory.mktemp("vectors") / f"{program}.npz"
+    ours, detector = beam(seed), SKEWED if program == "astra" else PANEL
+    write_vectors(path, ours, detector, program)
+    found = read_back(path)
+    assert found.program == program_of(dict(np.load(path))) == program
+    assert (found.detector.columns, found.detector.rows) == (620, 480)
+    assert found.flipped == (program == "tigre")  # as its images are, which were flipped for it
+    np.testing.assert_allclose(pixels(found.beam, found.detector), pixels(ours, detector), atol=2e-2 if program == "leap" else 1e-6)
+
+
+def test_astra_s_documented_circle_is_read_from_a_bare_array(tmp_path: Path) -> None:
+    """Source and panel go round the z axis, u in the plane of the circle, v along z, as its documentation of cone_vec has them."""
+    angles = np.linspace(0.0, 3.0, 9)
+    c, s, nil = np.cos(angles), np.sin(angles), np.zeros(9)
+    rows = np.column_stack([810 * s, -810 * c, nil, -350 * s, 350 * c, nil, 0.6 * c, 0.6 * s, nil, nil, nil, 0.7 + nil])
+    np.save(tmp_path / "a.npy", rows)
+    found = read_bare_vectors(tmp_path / "a.npy", PANEL)
+    panel = found.detector
+    assert (panel.columns, panel.rows, panel.pitch_m, panel.aspect, panel.skew) == (
+        620,
+        480,
+        pytest.approx(0.6e-3),
+        pytest.approx(0.7 / 0.6),
+        0.0,
+    )
+    k, point = 4, np.array([0.03, -0.02, 0.05])
+    source, center, u, v = (rows[k, start : start + 3] for start in (0, 3, 6, 9))
+    steps = np.linalg.solve(np.column_stack([u, v, source - 1e3 * point]), source - center)[:2]
+    seen = found.beam.matrices(panel)[k] @ [*point, 1.0]
+    row = seen[1] / seen[2]
+    assert seen[0] / seen[2] == pytest.approx(309.5 + steps[0], abs=1e-9)
+    assert (479.0 - row if found.flipped else row) == pytest.approx(239.5 + steps[1], abs=1e-9)
+
+
+def test_tigre_s_plain_scan_has_angles_about_z_and_single_numbers(tmp_path: Path) -> None:
+    """As its first demo describes one: DSO, DSD, nDetector, dDetector, angles of one number each."""
+    arrays = {"DSO": 810.0, "DSD": 1160.0, "nDetector": [480, 620], "dDetector": [0.6, 0.6], "angles": np.radians([0.0, 90.0])}
+    found = read_vectors(tmp_path / "a.npz", {name: np.asarray(one) for name, one in arrays.items()}, PANEL)
+    np.testing.assert_allclose(1e3 * found.beam.source_in_phantom_m, [[810, 0, 0], [0, 810, 0]], atol=1e-9)
+    np.testing.assert_allclose(1e3 * found.beam.detector_in_phantom_m, [[-350, 0, 0], [0, -350, 0]], atol=1e-9)
+    moved = read_vectors(tmp_path / "a.npz", {name: np.asarray(one) for name, one in (arrays | {"offOrigin": [0, 0, 5]}).items()}, PANEL)
+    assert moved.notes == ("offOrigin is the volume's place and was not taken",)
+
+
+VECTORS = np.tile([0.0, -810, 0, 0, 350, 0, 0.6, 0, 0, 0, 0, 0.6], (3, 1))
+
+
+@pytest.mark.parametrize(
+    ("arrays", "line"),
+    [
+        ({"vectors": VECTORS[:, :6]}, "fan beam, fanflat_vec; cone_vec has (N, 12)"),
+        ({"vectors": np.vstack([VECTORS[:2], 2.0 * VECTORS[:1]])}, "exposure 2 has pixels of another size"),
+        ({"vectors": np.full((2, 12), np.nan)}, "not finite"),
+        ({"vectors": VECTORS, "det_row_count": 0}, "det_row_count must be one number above 0"),
+        ({"DSO": 810.0, "DSD": 1160.0, "angles": [0.0], "COR": 2.0}, "COR is not 0"),
+        ({"DSO": 810.0, "DSD": 1160.0, "angles": [0.0], "mode": "parallel"}, "mode = parallel; cone is read"),
+        (dict.fromkeys(("sourcePositions", "moduleCenters", "rowVectors", "colVectors"), np.ones((2, 3))), "without pixelheight"),
+    ],
+)  # fmt: skip
+def test_vectors_that_a_flat_panel_cannot_have_are_refused_in_one_line(tmp_path: Path, arrays: dict[str, Any], line: str) -> None:
+    with pytest.raises(UnusableInputError) as refused:
+        read_vectors(tmp_path / "a.npz", {name: np.asarray(one) for name, one in arrays.items()}, PANEL)
+    assert line in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_lengths_of_another_unit_are_refused_by_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    np.save(tmp_path / "cm.npy", VECTORS / 10.0)
+    with pytest.raises(SystemExit) as left:
+        main(["geometry", "convert", "carm", str(tmp_path / "cm.npy"), str(tmp_path / "o.csv")])
+    assert left.value.code == 2
+    assert "puts the focal spot 0.116 m from the panel, carm has 1.16 m; ASTRA's lengths are taken in mm" in capsys.readouterr().err
+
+
+def test_the_command_reads_what_it_wrote(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_vectors(tmp_path / "a.npz", beam(1), PANEL, "astra")
+    for arguments in (["a.npz", "b.npz", "--for", "tigre"], ["b.npz", "c.npz", "--for", "leap"], ["c.npz", "d.json"]):
+        with pytest.raises(SystemExit) as left:
+            main(["geometry", "convert", "carm", str(tmp_path / arguments[0]), str(tmp_path / arguments[1]), *arguments[2:]])
+        assert left.value.code == 0
+    assert "flipped up-down" in capsys.readouterr().out
+
+
+# ---- Enhanced XA -----------------------------------------------------------------------------------------
+
+
+def test_enhanced_xa_holds_what_the_classic_object_does_frame_by_frame(tmp_path: Path) -> None:
+    pytest.importorskip("pydicom")
+    positioner, lost = positioner_of(beam(5), PANEL, each_distance=True)
+    write_enhanced_xa(tmp_path / "e.dcm", positioner)
+    found = read_xa(tmp_path / "e.dcm")
+    np.testing.assert_allclose(found.beam.deviation_from(positioner.beam), 0.0, atol=1e-7)
+    assert np.ptp(found.source_to_patient_m) > 1e-3  # each frame has its own
+    assert found.detector is not None
+    assert (found.detector.columns, found.detector.rows, found.detector.aspect) == (620, 480, pytest.approx(1.01))
+    assert np.abs(lost[:, 2]).max() < 1e-9 < np.abs(positioner_of(beam(5), PANEL)[1][:, 2]).max()
+
+
+def test_groups_may_be_shared_and_equal_the_classic_object(tmp_path: Path) -> None:
+    pydicom = pytest.importorskip("pydicom")
+    classic = Positioner(np.radians([-30.0, 0.0, 30.0]), np.radians([5.0, 5.0, 5.0]), 0.81, 1.16, PANEL)
+    write_xa(tmp_path / "c.dcm", classic)
+    write_enhanced_xa(tmp_path / "e.dcm", classic)
+    data = pydicom.dcmread(tmp_path / "e.dcm")
+    frames = data.PerFrameFunctionalGroupsSequence
+    data.SharedFunctionalGroupsSequence[0].XRayGeometrySequence = frames[0].XRayGeometrySequence
+    for frame in frames:
+        del frame.XRayGeometrySequence
+    frames[1].IsocenterReferenceSystemSequence = [pydicom.Dataset()]
+    data.save_as(tmp_path / "e.dcm")
+    found = read_xa(tmp_path / "e.dcm")
+    np.testing.assert_allclose(found.beam.deviation_from(read_xa(tmp_path / "c.dcm").beam), 0.0, atol=1e-7)
+    assert found.notes == ("not taken: IsocenterReferenceSystemSequence",)
+
+
+def _no_group(data: Dataset) -> None:
+    del data.PerFrameFunctionalGroupsSequence[1].PositionerPositionSequence
+
+
+def _no_attribute(data: Dataset) -> None:
+    del data.PerFrameFunctionalGroupsSequence[2].XRayGeometrySequence[0].DistanceSourceToIsocenter
+
+
+def _few_items(data: Dataset) -> None:
+    del data.PerFrameFunctionalGroupsSequence[2]
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (_no_group, "frame 2 of 3 has no PositionerPositionSequence, of this Enhanced XA Image Storage"),
+        (_no_attribute, "frame 3 of 3 has no DistanceSourceToIsocenter in XRayGeometrySequence"),
+        (_few_items, "2 items of PerFrameFunctionalGroupsSequence for 3 frames"),
+    ],
+)
+def test_what_a_frame_lacks_is_named(tmp_path: Path, change: Callable[[Dataset], None], line: str) -> None:
+    pydicom = pytest.importorskip("pydicom")
+    write_enhanced_xa(tmp_path / "e.dcm", Positioner(np.zeros(3), np.zeros(3), 0.81, 1.16, PANEL))
+    data = pydicom.dcmread(tmp_path / "e.dcm")
+    change(data)
+    data.save_as(tmp_path / "e.dcm")
+    with pytest.raises(UnusableInputError) as refused:
+        read_xa(tmp_path / "e.dcm")
+    assert line in str(refused.value)
+
+
+def test_a_dicom_file_of_another_kind_is_named(tmp_path: Path) -> None:
+    pydicom = pytest.importorskip("pydicom")
+    write_xa(tmp_path / "c.dcm", Positioner(np.zeros(1), np.zeros(1), 0.81, 1.16, PANEL))
+    data = pydicom.dcmread(tmp_path / "c.dcm")
+    data.SOPClassUID = "1.2.840.10008.5.1.4.1.1.2"
+    del data.PositionerPrimaryAngle
+    data.save_as(tmp_path / "c.dcm", enforce_file_format=False)
+    with pytest.raises(UnusableInputError, match="no PositionerPrimaryAngle in this CT Image Storage"):
+        read_xa(tmp_path / "c.dcm")
+
+
+def test_the_command_writes_enhanced_xa(tmp_path: Path) -> None:
+    pydicom = pytest.importorskip("pydicom")
+    write_vectors(tmp_path / "a.npz", beam(1), PANEL, "astra")
+    for suffix, code in ((".dcm", 0), (".csv", 2)):
+        with pytest.raises(SystemExit) as left:
+            main(["geometry", "convert", "carm", str(tmp_path / "a.npz"), str(tmp_path / f"o{suffix}"), "--for", "enhanced-xa"])
+        assert left.value.code == code
+    assert pydicom.dcmread(tmp_path / "o.dcm").SOPClassUID.name == "Enhanced XA Image Storage"
