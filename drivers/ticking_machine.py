@@ -23,7 +23,7 @@ from drivers.canopen.configuration import configure_node
 from drivers.canopen.cyclic import CyclicExchange
 from drivers.canopen.eds import load_object_dictionary
 from drivers.canopen.identity import check_identity
-from drivers.canopen.network import NMT_PRE_OPERATIONAL, NMT_START, NMT_STOP, PolledNetwork
+from drivers.canopen.network import NMT_PRE_OPERATIONAL, NMT_RESET_NODE, NMT_START, NMT_STOP, PolledNetwork
 from drivers.canopen.own_limits import SET_SO
 from drivers.canopen.process_data import drives
 from drivers.canopen.resting import Resting
@@ -273,6 +273,10 @@ class TickingMachine:
     def stop_node(self, axis: int) -> None:
         """Stop the communication of an axis's drive (NMT), on which it stops by itself as its abort connection option says (6007h)."""
         self.network.command_nmt(NMT_STOP, self.drives[axis].node_id)
+
+    def reset_node(self, axis: int) -> None:
+        """Reset an axis's drive (NMT), whose power stage is off after that (CiA 402, transition 0)."""
+        self.network.command_nmt(NMT_RESET_NODE, self.drives[axis].node_id)
 
     def stand(self, axis: int) -> None:
         """Let a drive's own loops stand: without speed, or, unless it is enabled, at the position where it is."""

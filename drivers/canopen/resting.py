@@ -29,6 +29,9 @@ class Machine(power_and_brakes.Machine, Protocol):
     def stop_node(self, axis: int) -> None:
         """Stop the communication of an axis's drive (NMT)."""
 
+    def reset_node(self, axis: int) -> None:
+        """Reset an axis's drive (NMT)."""
+
     def stand(self, axis: int) -> None:
         """Let a drive's own loops stand, where it does not obey or is enabled anew."""
 
@@ -132,7 +135,7 @@ class Resting:
                 efforts[stop.axis] = stop.effort
             self._tick(efforts)
 
-        from_machine = machine.io_is_fresh, self._to_torque, machine.stop_node
+        from_machine = machine.io_is_fresh, self._to_torque, machine.stop_node, machine.reset_node
         return Stops(stops, machine.clock, machine.sample, tick, self._close_brakes, *from_machine)
 
     def _close_brakes(self, axes: Sequence[str]) -> None:

@@ -72,6 +72,8 @@ class Stops:
         Brings the drive of an axis into cyclic synchronous torque mode; returns whether it did.
     stop_node : callable
         Stops the communication of an axis's drive.
+    reset_node : callable
+        Resets an axis's drive.
     """
 
     def __init__(
@@ -84,11 +86,13 @@ class Stops:
         io_is_fresh: Callable[[], bool],
         to_torque: Callable[[int], bool],
         stop_node: Callable[[int], object],
+        reset_node: Callable[[int], object],
     ) -> None:
         self.axes = axes
         self._clock, self._sample, self._tick = clock, sample, tick
         self._close_brakes, self._io_is_fresh, self._to_torque = close_brakes, io_is_fresh, to_torque
-        self._stop_node = stop_node
+        self._stop_node, self._reset_node = stop_node, reset_node
+        self._missed = clock.missed
 
     def run(self) -> None:
         """Step, tick by tick, until every axis is at rest, held, or given up. The brakes are told first: a bus may be dead."""
@@ -100,14 +104,18 @@ class Stops:
     def step(self) -> None:
         """Make one tick."""
         self._tick()
-        fresh = self._io_is_fresh()
+        fresh, missed, before = self._io_is_fresh(), self._clock.missed, self._missed
         for axis in self.axes:
-            axis.step(self._sample, io_is_fresh=fresh)
+            axis.step(self._sample, io_is_fresh=fresh, ticks=1 + max(0, missed - before))
+        self._missed = missed
         self._order_brakes()
         for axis in self.axes:
             if axis.orders_node:
                 self._stop_node(axis.axis)
                 axis.orders_node = False
+            if axis.orders_reset:
+                self._reset_node(axis.axis)
+                axis.orders_reset = False
             if axis.asks_for_torque:
                 axis.torque_mode(self._to_torque(axis.axis))
 

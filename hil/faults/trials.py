@@ -11,7 +11,7 @@ from hil.machine import Machine
 from hil.machine.faults_file import places_of
 from virtual_bus.faults.binding import FaultPlaces
 from virtual_bus.faults.condition import Comparison, Condition, InState
-from virtual_bus.faults.fault import FaultKind, FaultSetting, Group, Phase, Trial
+from virtual_bus.faults.fault import Brake, FaultKind, FaultSetting, Group, Phase, Trial
 from virtual_bus.faults.registry import fault_kinds
 
 FAST_SHARE = 0.9
@@ -26,6 +26,7 @@ _STATE_OF: dict[Phase, str] = {
     "settled": "settled",
     "stop": "settled",
 }
+_BRAKE_FAULTS: dict[Brake, tuple[str, dict[str, float]]] = {"weak": ("brake_weak", {"share": 0.2}), "absent": ("brake_stays_open", {})}
 _NEEDS_METHOD = {"limit_switch_stuck": (17, 18), "index_pulse_missing": (33, 34), "homing_wrong_direction": (17, 18, 33, 34)}
 """Faults that only show where the axis is homed by one of these methods."""
 
@@ -43,8 +44,8 @@ class FaultTrial:
         Of the run.
     settings : tuple of FaultSetting
         The fault, and behind it what ends the run where its phase asks for a stop.
-    without_brake : bool
-        The axis's brake fails as well: where the drive loses its effort, the axis cannot be held.
+    brake : Brake
+        The axis's brake fails as well: where the drive does not hold, an axis without one cannot be held.
     """
 
     name: str
@@ -53,7 +54,7 @@ class FaultTrial:
     group: Group
     during: Phase
     settings: tuple[FaultSetting, ...]
-    without_brake: bool = False
+    brake: Brake = "good"
 
 
 def trials(machine: Machine, axis: str, only: Collection[str] = (), motion: MotionName = "scan") -> tuple[FaultTrial, ...]:
@@ -105,7 +106,7 @@ def _at(kind: FaultKind, machine: Machine, axis: str) -> tuple[str, ...]:
 def _rows(kind: FaultKind, places: FaultPlaces, at: tuple[str, ...], axis: str, speed: float, motion: MotionName) -> Iterator[FaultTrial]:
     for place in at:
         for trial in kind.trials:
-            if (trial.during == "stop" and not places.io) or (trial.without_brake and axis not in places.of("brake")):
+            if (trial.during == "stop" and not places.io) or (trial.brake != "good" and axis not in places.of("brake")):
                 continue
             if motion == "scan" or trial.during != "settled":
                 yield _row(kind, place, trial, axis, speed, stands=motion == "scan")
@@ -117,12 +118,13 @@ def _row(kind: FaultKind, at: str, trial: Trial, axis: str, speed: float, *, sta
     settings = [FaultSetting(kind.name, at, values, _when(trial.during, axis, speed, stands=stands), 0.0, lasting)]
     if trial.during == "stop":
         settings.append(FaultSetting("hold_to_run_released", "io", {}, _when("sweep", axis, speed, stands=stands)))
-    if trial.without_brake:
-        settings.insert(0, FaultSetting("brake_stays_open", axis, {}, _when("stop", axis, speed, stands=stands)))
+    if trial.brake != "good":
+        name, fails = _BRAKE_FAULTS[trial.brake]
+        settings.insert(0, FaultSetting(name, axis, fails, _when("stop", axis, speed, stands=stands)))
     more = [f"{name}={value:g}" for name, value in trial.values.items()] + ([f"for_s={trial.for_s:g}"] if trial.for_s is not None else [])
-    more += ["without_brake"] if trial.without_brake else []
+    more += {"good": [], "weak": ["weak_brake"], "absent": ["without_brake"]}[trial.brake]
     name = "/".join((kind.name, at, trial.during.replace(" ", "_"), *more))
-    return FaultTrial(name, kind.name, at, kind.group, trial.during, tuple(settings), trial.without_brake)
+    return FaultTrial(name, kind.name, at, kind.group, trial.during, tuple(settings), trial.brake)
 
 
 def _when(during: Phase, axis: str, speed: float, *, stands: bool) -> Condition | None:

@@ -139,11 +139,11 @@ def test_a_brake_that_nobody_reports_closed_leaves_the_drive_holding_after_a_sec
 
 def test_an_axis_that_creeps_has_five_seconds_to_stand() -> None:
     stopping = Stopping()
-    at = 0
+    number = 0
     while stopping.stop.rest is None:
-        at += 2
-        stopping.tick(motor=at, link=at)
-    assert at == 2 * SETTLING
+        number += 1
+        stopping.tick(motor=number // 2 * 2, link=number // 2 * 2)
+    assert number == SETTLING
     assert stopping.words == "not proven at rest: its drive is told to hold it and IT MOVES: it had not come to stand"
     stopping.ticks(SWING)
     assert stopping.words == "held by its drive: it had not come to stand", "then, but now it does"

@@ -27,12 +27,15 @@ class Axis:
     end: AxisRest = SAFE
     orders_brake: bool = True
     orders_node: bool = False
+    orders_reset: bool = False
     asks_for_torque: bool = False
     rest: AxisRest | None = None
     log: list[object] = field(default_factory=list)
+    passed: list[int] = field(default_factory=list)
 
-    def step(self, sample: Sample, *, io_is_fresh: bool) -> None:
+    def step(self, sample: Sample, *, io_is_fresh: bool, ticks: int) -> None:
         assert isinstance(sample, Sample)
+        self.passed.append(ticks)
         self.log.append(io_is_fresh)
         self.steps -= 1
         if self.steps <= 0:
@@ -58,8 +61,10 @@ class Served:
         self.now_s, self.told, self.said, self.held_s = 100.0, [], [], []
         self.leaves_after_s, self.confirms_after_s = 1e9, 1e9
         self.fresh = True
+        self.missed = 5
         self.cut_off: list[int] = []
-        drives = lambda: self.fresh, lambda axis: axis == 1, self.cut_off.append
+        self.switched_off: list[int] = []
+        drives = lambda: self.fresh, lambda axis: axis == 1, self.cut_off.append, self.switched_off.append
         self.stops = Stops(axes, self, Sample(2), self.tick, self.told.append, *drives)  # type: ignore[arg-type]
 
     def now(self) -> float:
@@ -111,6 +116,24 @@ def test_the_communication_of_a_drive_is_stopped_once_where_its_stop_orders_it()
     served.stops.run()
     assert served.cut_off == [1]
     assert not axis.orders_node
+
+
+def test_a_drive_is_reset_once_where_its_stop_orders_it() -> None:
+    axis, other = Axis(orders_reset=True), Axis(axis=0, name="propeller")
+    served = Served(axis, other)
+    served.stops.run()
+    assert (served.switched_off, served.cut_off) == ([1], [])
+    assert not axis.orders_reset
+
+
+def test_lost_ticks_count_as_time_that_has_passed() -> None:
+    axis = Axis(steps=9)
+    served = Served(axis)
+    served.stops.step()
+    served.missed += 3
+    served.stops.step()
+    served.stops.step()
+    assert axis.passed == [1, 4, 1]
 
 
 def test_a_hold_is_reported_and_tried_again_every_five_seconds() -> None:
