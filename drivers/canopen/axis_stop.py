@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from math import isfinite, nan
 
 from drivers.canopen import cia402
+from drivers.canopen.axis_rest import NOT_PROVEN, POWERED, AxisRest
 from drivers.canopen.cia402 import State
 from drivers.canopen.encoder_path import EncoderPath
 from drivers.canopen.hold import ANSWER_S, Hold
+from drivers.canopen.network import NMT_RESET_NODE, NMT_STOP
 from drivers.interface import Sample
 from drivers.settings import AxisScaling, HomingSettings, MotionLimits
 
@@ -36,24 +37,6 @@ REST_WATCH_S = 1.0
 VOLTAGE_OFF_S = 0.2  # a drive that still has its voltage after this does not obey
 RETAKE_S = 0.5  # three transitions of CiA 402, each with its answer, and lost frames
 STOP_AT_MOST_S = 10.0  # of all steps together: a feedback that flickers must not keep a stop from ending
-
-NOT_PROVEN = "not proven at rest"
-"""How an axis that nobody knows to stand, or that moves, is told."""
-POWERED = frozenset(
-    {State.READY_TO_SWITCH_ON, State.SWITCHED_ON, State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE}
-)
-
-
-@dataclass(frozen=True)
-class AxisRest:
-    """How the stop of an axis ended, as far as it was seen."""
-
-    axis: str
-    safe: bool  # stands, without voltage, and held by what was checked
-    held: bool  # the drive holds it, because the brake is not proven
-    words: str
-    steps: tuple[tuple[str, float], ...] = ()  # of its stop, in order: what was waited for, and how long [s]
-    stood_s: float = nan  # from the beginning of the stop until its position changed no more; NaN where it was not seen to stand
 
 
 class AxisStop:
@@ -83,10 +66,9 @@ class AxisStop:
         Both for the next tick, in the drive's unit.
     orders_brake : bool
         Whether the brake is to be told to close; whoever tells it clears this.
-    orders_node : bool
-        Whether the communication of a drive that answers no SYNC is to be stopped, on which it stops itself (6007h); cleared likewise.
-    orders_reset : bool
-        Whether a drive that keeps its voltage against its order is to be reset, on which it loses it; cleared likewise.
+    orders_node : int
+        NMT command that its drive is to be sent, 0: none; cleared likewise. The communication of one that answers no SYNC is stopped, on
+        which it stops by itself (6007h). One that keeps its voltage against its order is reset, on which it loses it.
     asks_for_torque : bool
         Whether the drive must be brought into cyclic synchronous torque mode for the proof; answered by `torque_mode`.
     """
@@ -106,7 +88,8 @@ class AxisStop:
         self.axis, self.name = axis, scaling.axis
         self.controlword = cia402.QUICK_STOP
         self.effort = 0.0
-        self.orders_brake = self.orders_node = self.orders_reset = self.asks_for_torque = False
+        self.orders_brake = self.asks_for_torque = False
+        self.orders_node = 0
         self._unit, self._period_s = scaling.position_unit, period_s
         self._braked, self._takes_torque, self._pushes = braked, takes_torque, pushes
         self._flicker = STANDSTILL_COUNTS * scaling.position_resolution
@@ -287,7 +270,8 @@ class AxisStop:
     def _closing(self) -> None:
         """Wait for brake and standstill; the drive holds meanwhile, if it can."""
         self.controlword, self.effort = cia402.QUICK_STOP, 0.0
-        self.orders_node |= self._silent == self._in_ticks(ANSWER_S)
+        if self._silent == self._in_ticks(ANSWER_S):
+            self.orders_node = NMT_STOP
         if not self._flickers() and (self._closed or not self._braked) and self._stands():
             if self._state is State.QUICK_STOP_ACTIVE:
                 self._go(self._swinging)
@@ -427,7 +411,8 @@ class AxisStop:
         self.controlword, self.effort = cia402.DISABLE_VOLTAGE, 0.0
         drove = f"its drive did not hold it, {self._drove}"
         if self._state in POWERED or self._state is State.UNDEFINED:
-            self.orders_reset |= self._ticks == self._in_ticks(ANSWER_S)
+            if self._ticks == self._in_ticks(ANSWER_S):
+                self.orders_node = NMT_RESET_NODE
             if self._after(VOLTAGE_OFF_S):
                 keeps = "does not answer" if self._state is State.UNDEFINED else f"keeps its voltage ({self._state.value})"
                 self._end(False, f"{NOT_PROVEN}: {drove}, and {keeps}; {self._brake_words}; {self._motion_words}")

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from drivers.canopen.axis_stop import AxisRest, AxisStop
+from drivers.canopen.axis_rest import AxisRest
+from drivers.canopen.axis_stop import AxisStop
 from drivers.interface import Clock, Sample
 
 SAY_EVERY_S = 5.0
@@ -70,10 +71,8 @@ class Stops:
     io_is_fresh : callable
     to_torque : callable
         Brings the drive of an axis into cyclic synchronous torque mode; returns whether it did.
-    stop_node : callable
-        Stops the communication of an axis's drive.
-    reset_node : callable
-        Resets an axis's drive.
+    command_node : callable
+        Sends an NMT command to an axis's drive.
     """
 
     def __init__(
@@ -85,13 +84,12 @@ class Stops:
         close_brakes: Callable[[Sequence[str]], object],
         io_is_fresh: Callable[[], bool],
         to_torque: Callable[[int], bool],
-        stop_node: Callable[[int], object],
-        reset_node: Callable[[int], object],
+        command_node: Callable[[int, int], object],
     ) -> None:
         self.axes = axes
         self._clock, self._sample, self._tick = clock, sample, tick
         self._close_brakes, self._io_is_fresh, self._to_torque = close_brakes, io_is_fresh, to_torque
-        self._stop_node, self._reset_node = stop_node, reset_node
+        self._command_node = command_node
         self._missed = clock.missed
 
     def run(self) -> None:
@@ -111,11 +109,8 @@ class Stops:
         self._order_brakes()
         for axis in self.axes:
             if axis.orders_node:
-                self._stop_node(axis.axis)
-                axis.orders_node = False
-            if axis.orders_reset:
-                self._reset_node(axis.axis)
-                axis.orders_reset = False
+                self._command_node(axis.axis, axis.orders_node)
+                axis.orders_node = 0
             if axis.asks_for_torque:
                 axis.torque_mode(self._to_torque(axis.axis))
 

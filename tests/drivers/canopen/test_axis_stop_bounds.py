@@ -272,15 +272,15 @@ def test_the_communication_of_a_drive_that_answers_no_sync_is_stopped_once() -> 
     for _ in range(4 * ANSWER):
         stopping.tick(-1)
         ordered.append(stopping.stop.orders_node)
-        stopping.stop.orders_node = False
-    assert ordered == [False] * (ANSWER - 1) + [True] + [False] * (3 * ANSWER)
+        stopping.stop.orders_node = 0
+    assert ordered == [0] * (ANSWER - 1) + [0x02] + [0] * (3 * ANSWER)
 
 
 def test_a_drive_that_answers_in_time_is_left_to_talk() -> None:
     stopping = Stopping()
     stopping.ticks(ANSWER - 1, -1)
     stopping.ticks(ANSWER, QUICK)
-    assert not stopping.stop.orders_node
+    assert stopping.stop.orders_node == 0
 
 
 def let_go() -> Stopping:

@@ -149,7 +149,7 @@ def test_a_held_axis_that_is_pushed_later_is_held_no_more() -> None:
 def test_a_drive_that_keeps_its_voltage_is_reset_and_that_is_told() -> None:
     stopping = Stopping()
     pushed(stopping, 60, QUICK)
-    assert stopping.stop.orders_reset
+    assert stopping.stop.orders_node == 0x81
     stopping.until(lambda: stopping.stop.rest is not None)
     assert ", and keeps its voltage (quick stop active); " in stopping.words
     silent = Stopping()
