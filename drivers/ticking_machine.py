@@ -16,14 +16,14 @@ import canopen
 import numpy as np
 
 from drivers.canopen import cia402
-from drivers.canopen.axis_stop import POWERED, AxisRest
+from drivers.canopen.axis_rest import POWERED, AxisRest
 from drivers.canopen.cia402 import Mode
 from drivers.canopen.cia406 import check_alarms
 from drivers.canopen.configuration import configure_node
 from drivers.canopen.cyclic import CyclicExchange
 from drivers.canopen.eds import load_object_dictionary
 from drivers.canopen.identity import check_identity
-from drivers.canopen.network import NMT_PRE_OPERATIONAL, NMT_START, NMT_STOP, PolledNetwork
+from drivers.canopen.network import NMT_PRE_OPERATIONAL, NMT_START, PolledNetwork
 from drivers.canopen.own_limits import SET_SO
 from drivers.canopen.process_data import drives
 from drivers.canopen.resting import Resting
@@ -269,9 +269,9 @@ class TickingMachine:
         """Set the position or velocity that a drive's own loops follow from the next tick on [rad or m; rad/s or m/s]."""
         self._cyclic.outputs[axis].lead_to(target)
 
-    def stop_node(self, axis: int) -> None:
-        """Stop the communication of an axis's drive (NMT), on which it stops by itself as its abort connection option says (6007h)."""
-        self.network.command_nmt(NMT_STOP, self.drives[axis].node_id)
+    def command_node(self, axis: int, command: int) -> None:
+        """Send an NMT command to an axis's drive."""
+        self.network.command_nmt(command, self.drives[axis].node_id)
 
     def stand(self, axis: int) -> None:
         """Let a drive's own loops stand: without speed, or, unless it is enabled, at the position where it is."""

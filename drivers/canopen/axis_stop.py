@@ -1,7 +1,8 @@
 """The stop of one axis: quick stop and brake at once, standstill, proof of the brake, voltage off. One step per tick.
 
 An axis with gravity on it is held by its drive or by its brake. So the drive keeps its voltage until the brake is proven: its feedback says
-closed, and the link stays where it is while the drive lets go and pushes a little. Where that fails, the drive goes on holding.
+closed, and the link stays where it is while the drive lets go and pushes a little. Where that fails, the drive goes on holding, for as long
+as that is a hold (`drivers.canopen.hold`): a drive that pushes loses its voltage, whatever the brake says.
 
 The brake does not wait for the standstill: it shortens the travel, and it is all there is where the drive does not obey.
 """
@@ -10,17 +11,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from math import isfinite, nan
 
 from drivers.canopen import cia402
+from drivers.canopen.axis_rest import NOT_PROVEN, POWERED, AxisRest
 from drivers.canopen.cia402 import State
 from drivers.canopen.encoder_path import EncoderPath
+from drivers.canopen.hold import ANSWER_S, Hold
+from drivers.canopen.network import NMT_RESET_NODE, NMT_STOP
 from drivers.interface import Sample
 from drivers.settings import AxisScaling, HomingSettings, MotionLimits
-
-ANSWER_S = 0.03
-"""Time in which a drive shows that it obeys: two ticks from a controlword to its statusword, and as many again for lost frames."""
 
 CLOSING_S = 1.0  # Modbus poll, relay, armature, feedback, Modbus poll
 SETTLING_S = 5.0  # a drive's own velocity loop creeps for seconds before its counter stands
@@ -32,27 +32,11 @@ PUSH_SHARE = 0.25
 """Share of the load, beyond the load itself, that a proven brake holds: linings wear, and the next load may be a patient's."""
 RAMP_S = 0.1  # in which the drive lets go, and in which it pushes: slower than the structure swings
 WATCH_S = 0.1  # after voltage off; a heavy arm falls ten times the travel that is noticed
+REST_WATCH_S = 1.0
+"""After a stop in which the brake was not pushed: a load that exceeds it by a thousandth of its weight shows itself by then."""
 VOLTAGE_OFF_S = 0.2  # a drive that still has its voltage after this does not obey
 RETAKE_S = 0.5  # three transitions of CiA 402, each with its answer, and lost frames
 STOP_AT_MOST_S = 10.0  # of all steps together: a feedback that flickers must not keep a stop from ending
-
-NOT_PROVEN = "not proven at rest"
-"""How an axis that nobody knows to stand, or that moves, is told."""
-POWERED = frozenset(
-    {State.READY_TO_SWITCH_ON, State.SWITCHED_ON, State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE}
-)
-
-
-@dataclass(frozen=True)
-class AxisRest:
-    """How the stop of an axis ended, as far as it was seen."""
-
-    axis: str
-    safe: bool  # stands, without voltage, and held by what was checked
-    held: bool  # the drive holds it, because the brake is not proven
-    words: str
-    steps: tuple[tuple[str, float], ...] = ()  # of its stop, in order: what was waited for, and how long [s]
-    stood_s: float = nan  # from the beginning of the stop until its position changed no more; NaN where it was not seen to stand
 
 
 class AxisStop:
@@ -82,8 +66,9 @@ class AxisStop:
         Both for the next tick, in the drive's unit.
     orders_brake : bool
         Whether the brake is to be told to close; whoever tells it clears this.
-    orders_node : bool
-        Whether the communication of a drive that answers no SYNC is to be stopped, on which it stops itself (6007h); cleared likewise.
+    orders_node : int
+        NMT command that its drive is to be sent, 0: none; cleared likewise. The communication of one that answers no SYNC is stopped, on
+        which it stops by itself (6007h). One that keeps its voltage against its order is reset, on which it loses it.
     asks_for_torque : bool
         Whether the drive must be brought into cyclic synchronous torque mode for the proof; answered by `torque_mode`.
     """
@@ -103,7 +88,8 @@ class AxisStop:
         self.axis, self.name = axis, scaling.axis
         self.controlword = cia402.QUICK_STOP
         self.effort = 0.0
-        self.orders_brake = self.orders_node = self.asks_for_torque = False
+        self.orders_brake = self.asks_for_torque = False
+        self.orders_node = 0
         self._unit, self._period_s = scaling.position_unit, period_s
         self._braked, self._takes_torque, self._pushes = braked, takes_torque, pushes
         self._flicker = STANDSTILL_COUNTS * scaling.position_resolution
@@ -111,12 +97,14 @@ class AxisStop:
         self._stale_ticks = limits.stale_ticks
         self._push, self._travel = homing.direction_check_effort, homing.direction_check_travel
         self._motor, self._link = EncoderPath(self._in_ticks(SWING_S)), EncoderPath(self._in_ticks(SWING_S))
+        self._hold_judge = Hold(limits, scaling.position_unit, period_s)
         self._marked: EncoderPath | None = None  # by which the proof of the brake is judged
         self._anchor, self._held_effort, self._still_ticks = nan, nan, 0
         self._silent = self._lost = 0  # ticks without a statusword, without any position
         self._state = State.UNDEFINED
         self._closed: bool | None = None  # what the brake's feedback says; None: nobody knows
-        self._proof = self._held_for = self._held_because = ""
+        self._proof = self._held_for = self._held_because = self._drove = ""
+        self._rested_ticks = 0  # without voltage
         self._retries, self._watched, self._let_go_again = False, True, braked and not pushes
         self._rest: AxisRest | None = None
         self._ticks = self._all_ticks = 0
@@ -164,16 +152,17 @@ class AxisStop:
             self._held_for, self._proof, self._watched = "", "released by the operator", False
             self._go(self._letting_go)
 
-    def step(self, sample: Sample, *, io_is_fresh: bool) -> None:
-        """Take one tick's sample; set controlword, effort and brake for the next."""
+    def step(self, sample: Sample, *, io_is_fresh: bool, ticks: int = 1) -> None:
+        """Take a sample, `ticks` after the one before; set controlword, effort and brake for the next."""
         self._see(sample, io_is_fresh)
+        self._judge_hold(sample, ticks)
         self._ticks += 1
         if self.rest is None:
             self._all_ticks += 1
             if self._stood_s != self._stood_s and self._stands():
                 moved = self._all_ticks - (self._still_ticks if self._motor.fresh(self._stale_ticks) else 0)
                 self._stood_s = max(moved, 0) * self._period_s
-            if self._flickers() and self._phase != self._closing:
+            if self._flickers() and self._phase not in (self._closing, self._taking_voltage):
                 self._close()
         self._phase()
 
@@ -200,6 +189,16 @@ class AxisStop:
             before = self._held_effort if isfinite(self._held_effort) else effort
             self._held_effort = before + (effort - before) / self._in_ticks(STANDSTILL_S)
         self._closed = (not bool(sample.brakes_open[axis]) if io_is_fresh else None) if self._braked else None
+
+    def _judge_hold(self, sample: Sample, ticks: int) -> None:
+        """Take the voltage from a drive that may push while it is told to hold."""
+        holds = self._phase in (self._closing, self._swinging, self._taking_over, self._pushing, self._holding)
+        if not holds or not (self._state in POWERED or self._state is State.UNDEFINED):
+            self._hold_judge.begin()
+        elif drove := self._hold_judge.step(float(sample.position[self.axis]), float(sample.link_position[self.axis]), ticks):
+            self._drove, self._held_for = drove, ""
+            self.orders_brake, self.asks_for_torque = True, False
+            self._go(self._taking_voltage)
 
     def _in_ticks(self, seconds: float) -> int:
         return math.ceil(seconds / self._period_s)
@@ -271,7 +270,8 @@ class AxisStop:
     def _closing(self) -> None:
         """Wait for brake and standstill; the drive holds meanwhile, if it can."""
         self.controlword, self.effort = cia402.QUICK_STOP, 0.0
-        self.orders_node |= self._silent == self._in_ticks(ANSWER_S)
+        if self._silent == self._in_ticks(ANSWER_S):
+            self.orders_node = NMT_STOP
         if not self._flickers() and (self._closed or not self._braked) and self._stands():
             if self._state is State.QUICK_STOP_ACTIVE:
                 self._go(self._swinging)
@@ -405,6 +405,25 @@ class AxisStop:
             fault = f", its drive in {self._state.value}" if self._state is State.FAULT else ""
             brake = "brake closed by its feedback" if self._braked else "it stands without a brake of the bench's"
             self._end(True, f"at rest: {brake}, no voltage{fault}")
+
+    def _taking_voltage(self) -> None:
+        """Without voltage, see whether the brake holds the axis, for as long as a weak one takes to end the motion."""
+        self.controlword, self.effort = cia402.DISABLE_VOLTAGE, 0.0
+        drove = f"its drive did not hold it, {self._drove}"
+        if self._state in POWERED or self._state is State.UNDEFINED:
+            if self._ticks == self._in_ticks(ANSWER_S):
+                self.orders_node = NMT_RESET_NODE
+            if self._after(VOLTAGE_OFF_S):
+                keeps = "does not answer" if self._state is State.UNDEFINED else f"keeps its voltage ({self._state.value})"
+                self._end(False, f"{NOT_PROVEN}: {drove}, and {keeps}; {self._brake_words}; {self._motion_words}")
+            return
+        rests = self._stands() and (self._closed or not self._braked)
+        self._rested_ticks = self._rested_ticks + 1 if rests else 0
+        if self._rested_ticks > self._in_ticks(REST_WATCH_S):
+            brake = "brake closed by its feedback, not pushed" if self._braked else "it stands without a brake of the bench's"
+            self._end(True, f"at rest: {brake}: {drove}, voltage off")
+        elif not rests and self._after(SETTLING_S if self._closed else CLOSING_S):
+            self._end(False, f"{NOT_PROVEN}: {drove}, voltage off; {self._brake_words}; {self._motion_words}")
 
     def _hold(self, reason: str) -> None:
         self.controlword, self.effort = cia402.QUICK_STOP, 0.0

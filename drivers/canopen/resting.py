@@ -8,7 +8,8 @@ from typing import Protocol
 import numpy as np
 
 from drivers.canopen import power_and_brakes
-from drivers.canopen.axis_stop import AxisRest, AxisStop
+from drivers.canopen.axis_rest import AxisRest
+from drivers.canopen.axis_stop import AxisStop
 from drivers.canopen.cia402 import Mode
 from drivers.canopen.stopping import Attempts, Attendant, Stops, in_words
 from drivers.errors import DriverError, MotionRefusedError
@@ -26,8 +27,8 @@ class Machine(power_and_brakes.Machine, Protocol):
     def io_is_fresh(self) -> bool:
         """Return whether the I/O's newest state is recent enough."""
 
-    def stop_node(self, axis: int) -> None:
-        """Stop the communication of an axis's drive (NMT)."""
+    def command_node(self, axis: int, command: int) -> None:
+        """Send an NMT command to an axis's drive."""
 
     def stand(self, axis: int) -> None:
         """Let a drive's own loops stand, where it does not obey or is enabled anew."""
@@ -132,7 +133,7 @@ class Resting:
                 efforts[stop.axis] = stop.effort
             self._tick(efforts)
 
-        from_machine = machine.io_is_fresh, self._to_torque, machine.stop_node
+        from_machine = machine.io_is_fresh, self._to_torque, machine.command_node
         return Stops(stops, machine.clock, machine.sample, tick, self._close_brakes, *from_machine)
 
     def _close_brakes(self, axes: Sequence[str]) -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from drivers.canopen.axis_stop import AxisRest, AxisStop
+from drivers.canopen.axis_rest import AxisRest
+from drivers.canopen.axis_stop import AxisStop
 from drivers.interface import Clock, Sample
 
 SAY_EVERY_S = 5.0
@@ -70,8 +71,8 @@ class Stops:
     io_is_fresh : callable
     to_torque : callable
         Brings the drive of an axis into cyclic synchronous torque mode; returns whether it did.
-    stop_node : callable
-        Stops the communication of an axis's drive.
+    command_node : callable
+        Sends an NMT command to an axis's drive.
     """
 
     def __init__(
@@ -83,12 +84,13 @@ class Stops:
         close_brakes: Callable[[Sequence[str]], object],
         io_is_fresh: Callable[[], bool],
         to_torque: Callable[[int], bool],
-        stop_node: Callable[[int], object],
+        command_node: Callable[[int, int], object],
     ) -> None:
         self.axes = axes
         self._clock, self._sample, self._tick = clock, sample, tick
         self._close_brakes, self._io_is_fresh, self._to_torque = close_brakes, io_is_fresh, to_torque
-        self._stop_node = stop_node
+        self._command_node = command_node
+        self._missed = clock.missed
 
     def run(self) -> None:
         """Step, tick by tick, until every axis is at rest, held, or given up. The brakes are told first: a bus may be dead."""
@@ -100,14 +102,15 @@ class Stops:
     def step(self) -> None:
         """Make one tick."""
         self._tick()
-        fresh = self._io_is_fresh()
+        fresh, missed, before = self._io_is_fresh(), self._clock.missed, self._missed
         for axis in self.axes:
-            axis.step(self._sample, io_is_fresh=fresh)
+            axis.step(self._sample, io_is_fresh=fresh, ticks=1 + max(0, missed - before))
+        self._missed = missed
         self._order_brakes()
         for axis in self.axes:
             if axis.orders_node:
-                self._stop_node(axis.axis)
-                axis.orders_node = False
+                self._command_node(axis.axis, axis.orders_node)
+                axis.orders_node = 0
             if axis.asks_for_torque:
                 axis.torque_mode(self._to_torque(axis.axis))
 

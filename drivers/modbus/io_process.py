@@ -26,8 +26,8 @@ from drivers.modbus.io import IoDriver, IoState, brake_requests
 from drivers.modbus.published import published_block, state_values, take_state, values_of
 from drivers.modbus.shared_block import Block
 from drivers.modbus.transport import REQUEST_AT_MOST_S, ClientTransport, parse_io_url
+from drivers.oversight.answers import AnswerReader
 from drivers.settings import IoMap
-from drivers.supervisor.blocks import AnswerReader
 
 SLICE_S = 0.01  # how soon a brake command or the loop's death is noticed
 START_TIMEOUT_S = 60.0  # a new Python process on a loaded machine; one that fails is noticed at once

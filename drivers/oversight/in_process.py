@@ -7,7 +7,7 @@ from typing import Protocol
 
 from drivers.modbus.io import IoState
 from drivers.settings import BusSettings
-from drivers.supervisor.supervisor import NMT, NMT_STOP, Supervisor
+from drivers.supervisor.supervisor import NMT, Supervisor
 
 
 def took_back(reason: str) -> str:
@@ -62,8 +62,8 @@ class SupervisorInProcess:
         supervisor = self._supervisor
         supervisor.frame(time_s, can_id, data)
         if can_id == self._sync_id and not supervisor.check(time_s):
-            for node in supervisor.stops_nodes(time_s):
-                self._send(NMT, bytes((NMT_STOP, node)))
+            for command in supervisor.commands(time_s):
+                self._send(NMT, bytes(command))
 
     def refresh(self, state: IoState) -> int | None:
         """Take a state of the I/O; return the word that refreshes its outputs, None without permission."""

@@ -132,9 +132,9 @@ class SupervisorProcess:
             return f"the supervisor does not answer for {self._silent_s:.2f} s"
         if seen[SESSION] != self._told[WANTED_SESSION]:
             return ""  # it has yet to hear of this session
-        if not seen[PERMITS]:
-            return took_back(self._own.text)
-        return f"asked to stop by {self._own.text}" if seen[ASKED] else ""
+        if seen[PERMITS] or not (text := self._own.text):
+            return ""  # hold-to-run and door, which end the permission without a text, are the loop's to see
+        return f"asked to stop by {text}" if seen[ASKED] else took_back(text)
 
     def close(self) -> None:
         """End it. Never raises; any number of times."""

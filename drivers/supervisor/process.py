@@ -21,7 +21,7 @@ from drivers.modbus.published import published_block, state_values, take_state
 from drivers.modbus.shared_block import Block
 from drivers.settings import BusSettings
 from drivers.supervisor.blocks import ANSWER, ASKED, END, FRAME, ORDERS, OWN, PERMITS, ROUNDS, SESSION, WANTED_SESSION, WORD, blocks_of
-from drivers.supervisor.supervisor import NMT, NMT_STOP, Supervisor
+from drivers.supervisor.supervisor import NMT, Supervisor
 
 HELD_UP_ROUNDS = 8.0  # of a round's time, after which the process was held up: frames have come together meanwhile
 MOST_FRAMES = 64  # taken in a round, those of 9 ticks: who judges with frames unread calls a bus silent, who never does is silent itself
@@ -188,7 +188,6 @@ class _Rounds:
         if self._who:
             self._asks.asked(self._seen)
             self._supervisor.ask_to_stop(time.monotonic(), self._who)
-            self._values[ASKED] = 1.0
 
     def _seen(self) -> str:
         return f"{self._supervisor.torque}\n{self._supervisor.reason}"
@@ -201,9 +200,9 @@ class _Rounds:
         answer = supervisor.answer(now_s, self._state.word)
         values[ROUNDS] += 1.0
         values[SESSION] = self._told[WANTED_SESSION]
-        values[PERMITS] = answer is not None
+        values[PERMITS], values[ASKED] = answer is not None, bool(supervisor.asked_by) and not supervisor.reason
         values[WORD], values[ANSWER] = self._state.word, answer or 0
         self._own.write(values, supervisor.reason or supervisor.asked_by)
-        for node in supervisor.stops_nodes(now_s):
+        for command in supervisor.commands(now_s):
             with contextlib.suppress(can.CanError, OSError):
-                self._line.send(NMT, bytes((NMT_STOP, node)))
+                self._line.send(NMT, bytes(command))

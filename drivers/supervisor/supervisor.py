@@ -1,18 +1,20 @@
 """What the supervisor judges: frames of the bus and states of the I/O go in, a permission comes out.
 
-It shares no code with the sample loop, has no model and no clock of its own. The permission, once taken back, stays so until the next
-session. Without it no refresh reaches the I/O device, whose outputs then fall: brakes close, whatever loop, recorder and poller do.
+It shares no code with the sample loop, has no model and no clock of its own. The permission ends in the round in which hold-to-run, door
+or a user ask for a stop, or something is wrong, and stays so until the next session. Without it no refresh reaches the I/O device, whose
+outputs then fall: brakes close, whatever loop, recorder and poller do.
 
 Of an axis whose drive may apply torque, or whose brake reports open, this is watched: SYNC goes on, and no faster than it may; torques,
-velocities and ways asked for keep to their limits; the drive sends its position; no encoder is faster than the limit and a half; with a
-link encoder, both move alike and within the range; and after hold-to-run, door or a user asked for a stop the axis does not move on.
+velocities and ways asked for keep to their limits; the drive sends its position, and measures no more torque than it was asked for; no
+encoder is faster than the limit and a half; with a link encoder, both move alike and within the range. Without permission no drive leads
+its axis on, or its communication is stopped; one that is told to hold its axis and does not is reset, on which it has no voltage.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Collection, Iterable
-from math import inf, isfinite, nan
+from math import copysign, inf, isfinite, nan
 from statistics import median
 
 from drivers.canopen.units import velocity_units
@@ -33,15 +35,18 @@ JUMP = 4.0
 COUNTS = 2.0  # of an encoder, by which a position may flicker
 LEAD_S = 1.0
 """Time at the speed limit by which a cyclic target position may lead: a position loop follows by the reciprocal of its gain."""
-ASKED_S = 1.0  # from the question for a stop to standstill: a quick stop from the speed limit and a brake take half of it
-OBEYED_S = 0.3  # from the end of the permission to the command to a drive's communication to stop: a loop that works stops its axes
-NMT_EVERY_S = 0.1  # between two such commands: somebody may go on commanding
-NMT, NMT_STOP = 0x000, 0x02  # identifier and command that stop a node's communication (CiA 301)
+EFFORT_OFF = 300  # per mille of the rated torque beyond all that was asked for: current sensors of drives are off by a tenth of it
+OBEYED_S = 0.15  # from the end of the permission to the command to a drive's communication to stop: a loop that works takes three SYNCs
+HOLD_MARGIN = 1.5  # multiple of the tracking error by which a drive may miss what a hold is: the loop judges by the tracking error itself
+HELD_AFRESH_S, CREEP_S = 5.0, 50.0  # after which an axis is held where it is that takes so long for its tracking error: own loops creep
+NMT_EVERY_S = 0.1  # between two commands of its own: somebody may go on commanding
+WRITES_MODE, TORQUE_MODE = b"\x2f\x60\x60\x00", 10  # an SDO request that chooses the mode of operation that follows: a drive may home
+NMT, NMT_STOP, NMT_RESET = 0x000, 0x02, 0x81  # identifier, and commands that stop a node's communication, and reset it (CiA 301)
 _TORQUE_ON = 0x04  # of the statusword: the drive may apply torque, in operation enabled, quick stop and fault reaction active
-_ENABLED_MASK, _ENABLED = 0x6F, 0x27  # of a statusword in operation enabled; a drive in quick stop holds, and is left to hold
-_SEEN = _STATUSWORD, _POSITION, _LINK_POSITION = 0x6041, 0x6064, 0x6004
+_ENABLED_MASK, _ENABLED = 0x6F, 0x27  # of a statusword in operation enabled; a drive with torque in another state is to hold
+_SEEN = _STATUSWORD, _POSITION, _LINK_POSITION, _CURRENT, _TORQUE = 0x6041, 0x6064, 0x6004, 0x6078, 0x6077
 _ASKED = {0x6071: ("torque", "per mille"), 0x60B2: ("torque", "per mille"), 0x60FF: ("velocity", "counts/s"), 0x607A: ("way", "counts")}
-_SIGNED = (_POSITION, *_ASKED)
+_SIGNED = (_POSITION, _CURRENT, _TORQUE, *_ASKED)
 
 
 class _Field:
@@ -76,6 +81,7 @@ class _Encoder:
         self._times: deque[float] = deque(maxlen=SPEED_STEPS)  # s that they took
         self._fastest, self._furthest = fastest, furthest
         self._last: int | None = None
+        self.hold(-inf)
 
     def take(self, counts: int, bits: int, took_s: float) -> None:
         """Take a reading, `took_s` after the one before."""
@@ -93,6 +99,18 @@ class _Encoder:
         """Return how many counts the last reading is away, the shorter way round; NaN before there is one."""
         half = 1 << bits - 1
         return nan if self._last is None else (counts - self._last + half) % (2 * half) - half
+
+    def hold(self, time_s: float) -> None:
+        """Judge from here on whether it comes to rest and stays."""
+        self.held_at_s, self._held_from, self._held_speed, self._way = time_s, self.moved, self.speed, 0.0
+
+    def strays(self, time_s: float, deceleration: float) -> float:
+        """Return how far it is beyond where that deceleration brings it since `hold`, or back from the furthest place on that way."""
+        speed = abs(self._held_speed)
+        ramp_s = min(time_s - self.held_at_s, speed / deceleration)
+        way, most = copysign(1.0, self._held_speed) * (self.moved - self._held_from), ramp_s * (speed - 0.5 * deceleration * ramp_s)
+        self._way = max(self._way, min(way, most))
+        return max(way - most, self._way - way)
 
     @property
     def too_fast(self) -> bool:
@@ -118,15 +136,21 @@ class _Axis:
         self.link_at = nan  # rad or m
         self.torque_permille = min(32767, round(scaling.limit / scaling.rated * 1000.0))
         self.fastest_counts_s, self.counts_per_unit = fastest / scaling.position_resolution, 1.0 / units_per_count
-        self.powered = self.enabled = self.brake_open = self.known = False
+        self.encoders = {"motor": self.motor} | ({"link": self.link} if self.link is not None else {})
+        self.powered = self.enabled = self.holds = self.brake_open = self.known = False
+        self.mode = TORQUE_MODE if scaling.mode == "torque" else 0
+        self._torques, self._off = deque([0] * SPEED_STEPS, SPEED_STEPS), deque([0] * SPEED_STEPS, SPEED_STEPS)  # asked for; beyond that
+        self._deceleration = min(limits.acceleration, limits.quick_stop or limits.acceleration)
         self.unanswered = 0  # SYNCs since the last position
         self.seen_at_s = self.link_seen_at_s = -inf  # when each encoder was read last
-        self.stood_at = nan  # how far the motor side had moved when it was to stand
+        self._led_from: dict[str, float] = {}  # how far each encoder had moved when the axis was to be led no more
         self._target: int | None = None  # position asked for last
         self._period_s = period_s
 
     def asks(self, kind: str, value: int, bits: int) -> tuple[float, float]:
         """Return how much is asked for, and how much is allowed; of a new position, that is the way there of an enabled drive."""
+        if kind == "torque":
+            self._torques.append(value)
         if kind != "way":
             return (value, self.torque_permille) if kind == "torque" else (value * self.counts_per_unit, self.fastest_counts_s)
         new, self._target = value != self._target, value
@@ -136,26 +160,40 @@ class _Axis:
             most = most if isfinite(most) else limits.upper - limits.lower  # where no link encoder tells
         return way, (most + limits.tracking_error) / self.motor.resolution if new and self.enabled else inf
 
-    def status(self, word: int) -> None:
+    def status(self, time_s: float, word: int) -> None:
         """Take a statusword; from the moment at which torque is on, the encoders count from zero."""
-        powered = bool(word & _TORQUE_ON)
-        if powered and not self.powered:
-            self.rebase()
-        self.powered, self.known = powered, True
-        self.enabled = word & _ENABLED_MASK == _ENABLED
+        powered, self.enabled = bool(word & _TORQUE_ON), word & _ENABLED_MASK == _ENABLED
+        holds = powered and not self.enabled
+        if (powered and not self.powered) or (holds and not self.holds):
+            self.rebase(time_s, anew=not self.powered)
+        self.powered, self.holds, self.known = powered, holds, True
 
-    def rebase(self) -> None:
-        """Count both encoders from here."""
-        self.stood_at = nan
-        self.motor.moved = 0.0
-        if self.link is not None:
-            self.link.moved = 0.0
+    def rebase(self, time_s: float, *, anew: bool = True) -> None:
+        """Judge from here on whether the axis is held or led on; `anew`: whether both encoders move alike, too."""
+        self._led_from = {}
+        for encoder in self.encoders.values():
+            encoder.moved = 0.0 if anew else encoder.moved
+            encoder.hold(time_s)
+
+    def strays(self, time_s: float) -> str:
+        """Return which encoder shows that a drive which is to hold the axis does not; '' where none does."""
+        for side, encoder in self.encoders.items() if self.holds else ():
+            if time_s - encoder.held_at_s > HELD_AFRESH_S and abs(encoder.speed) * CREEP_S <= self.limits.tracking_error:
+                encoder.hold(time_s)
+            if encoder.strays(time_s, self._deceleration) > HOLD_MARGIN * self.limits.tracking_error:
+                return side
+        return ""
+
+    def effort(self, permille: int) -> None:
+        """Take a measured torque: a drive in torque mode gives no more than was asked for in its last SYNCs."""
+        low, high = min(0, *self._torques) - EFFORT_OFF, max(0, *self._torques) + EFFORT_OFF
+        self._off.append(permille if self.enabled and self.mode == TORQUE_MODE and not low <= permille <= high else 0)
 
     def position(self, time_s: float, counts: int, bits: int) -> None:
         self.motor.take(counts, bits, self._took(time_s, self.seen_at_s))
         self.seen_at_s, self.unanswered = time_s, 0
         if self.motor.jumped:
-            self.rebase()
+            self.rebase(time_s)
 
     def link_position(self, time_s: float, counts: int, bits: int) -> None:
         assert self.link is not None
@@ -164,27 +202,28 @@ class _Axis:
         half = 1 << bits - 1
         self.link_at = self.scaling.link_resolution * ((counts - self.scaling.link_zero_counts + half) % (2 * half) - half)
 
-    def moves_on(self) -> bool:
-        """Whether the axis has moved by more than its tracking error since this was first asked."""
-        if not isfinite(self.stood_at):
-            self.stood_at = self.motor.moved
-        return abs(self.motor.moved - self.stood_at) > self.limits.tracking_error
+    def led_on(self) -> bool:
+        """Whether an encoder of an enabled axis has moved by more than the tracking error since this was first asked."""
+        now = {side: encoder.moved for side, encoder in self.encoders.items()}
+        self._led_from = self._led_from if self.enabled and self._led_from else now
+        return max(abs(now[side] - self._led_from[side]) for side in now) > self.limits.tracking_error
 
     def _took(self, now_s: float, before_s: float) -> float:
         """Return the time between two readings; frames that were held up come together, but were sampled a period apart."""
         return max(now_s - before_s, self._period_s)
 
     @property
-    def holds(self) -> bool:
-        """Whether the drive stops by itself, tells its position, and the axis stands."""
-        stands = not self.motor.speed and (self.link is None or not self.link.speed)
-        return stands and not self.enabled and self.unanswered < SPEED_STEPS
+    def stands(self) -> bool:
+        """Whether the drive holds the axis, tells its position, and the axis stands."""
+        return self.holds and not self.motor.speed and not (self.link and self.link.speed) and self.unanswered < SPEED_STEPS
 
     def wrong(self) -> str:
         """Return what is wrong with the motion, in words; '' where nothing is."""
         limits, unit = self.limits, self.scaling.position_unit
-        for side, encoder in (("motor", self.motor), ("link", self.link)):
-            if encoder is not None and encoder.too_fast:
+        if sum(map(bool, self._off)) > SPEED_STEPS // 2:
+            return f"{self.name}: its drive measures a torque of {max(self._off, key=abs)} per mille, {self._torques[-1]} was asked for"
+        for side, encoder in self.encoders.items():
+            if encoder.too_fast:
                 allowed = f"{SPEED_MARGIN * limits.speed:.2f} {unit}/s"
                 return f"{self.name}: its {side} shows more than the {allowed} allowed in most of its last {SPEED_STEPS} readings"
         if self.link is None:
@@ -200,17 +239,7 @@ class _Axis:
 
 
 class Supervisor:
-    """Judges a machine by what passes on its bus and by the state of its I/O.
-
-    Parameters
-    ----------
-    settings : BusSettings
-
-    Attributes
-    ----------
-    reason : str
-        Why the permission was taken back, in words; '' while it is given.
-    """
+    """Judges a machine by what passes on its bus and by the state of its I/O; `reason` says what was wrong, '' where nothing was."""
 
     def __init__(self, settings: BusSettings) -> None:
         self._sync_id, self._period_s = settings.sync_cob_id, settings.sync_period_s
@@ -224,12 +253,13 @@ class Supervisor:
         settings = self._settings
         self.reason = ""
         self._sync_s: deque[float] = deque(maxlen=FAST_SYNCS + 1)
-        self._asked_at_s = self._released_at_s = self._refused_at_s = inf
+        self._ended_at_s = inf  # of the permission
         self._nmt_at_s = -inf
         self.asked_by = ""
         self._axes = [_Axis(*each, settings.sync_period_s) for each in zip(settings.scalings, settings.motions, self._units, strict=True)]
         self._axis_of = {axis.name: axis for axis in self._axes}
         self._drives = [(self._axis_of[node.axis], node.node_id) for node in settings.nodes if node.role == "drive"]
+        self._requests = {0x600 + node: axis for axis, node in self._drives}
         self._sent = self._fields(((node.axis, pdo) for node in settings.nodes for pdo in node.tpdos), _SEEN)
         self._asked = self._fields(((node.axis, pdo) for node in settings.nodes for pdo in node.rpdos), _ASKED)
 
@@ -244,13 +274,15 @@ class Supervisor:
     def torque(self) -> str:
         """What the drives' torque does: "torque on", "held" where it only holds axes that stand, "no torque", or "unknown"."""
         if any(axis.powered for axis in self._axes):
-            return "torque on" if any(axis.powered and not axis.holds for axis in self._axes) else "held"
+            return "torque on" if any(axis.powered and not axis.stands for axis in self._axes) else "held"
         return "no torque" if all(axis.known for axis in self._axes) else "unknown"
 
     def frame(self, time_s: float, can_id: int, data: bytes) -> None:
         """Take a data frame with an 11-bit identifier, whoever sent it."""
         if can_id == self._sync_id:
-            self._sync(time_s)
+            self._sync_s.append(time_s)
+            for axis in self._axes:
+                axis.unanswered += 1
         elif (asked := self._asked.get(can_id)) is not None:
             axis, fields = asked
             for field, (kind, unit) in zip(fields, _ASKED.values(), strict=True):
@@ -258,10 +290,14 @@ class Supervisor:
                 much, most = (0.0, 0.0) if value is None else axis.asks(kind, value, field.bits)
                 if abs(much) > most:
                     self.refuse(time_s, f"{axis.name}: a {kind} of {much:.0f} {unit} was asked for, {most:.0f} are allowed")
+        elif data[:4] == WRITES_MODE and can_id in self._requests:
+            self._requests[can_id].mode = data[4]
         elif (sent := self._sent.get(can_id)) is not None:
-            axis, (status, position, link) = sent
+            axis, (status, position, link, current, torque) = sent
             if (word := status.read(data)) is not None:
-                axis.status(word)
+                axis.status(time_s, word)
+            if (effort := current.read(data) if current.bits else torque.read(data)) is not None:
+                axis.effort(effort)
             if (counts := position.read(data)) is not None:
                 axis.position(time_s, counts, position.bits)
             if axis.link is not None and (counts := link.read(data)) is not None:
@@ -271,19 +307,16 @@ class Supervisor:
         """Take a state of the I/O; `brakes_open` in the order of the axes, empty where it is not known."""
         for axis, brake_open in zip(self._axes, brakes_open, strict=False):
             axis.brake_open = bool(brake_open)
-        self._released_at_s = inf if hold_to_run and door_closed else min(self._released_at_s, time_s)
+        if not (hold_to_run and door_closed) and any(axis.powered or axis.brake_open for axis in self._axes):
+            self._ended_at_s = min(self._ended_at_s, time_s)
 
     def ask_to_stop(self, time_s: float, who: str) -> None:
-        """Take note that somebody asked for a stop; the loop has to obey within `ASKED_S`."""
-        if not self.asked_by:
-            self._asked_at_s, self.asked_by = time_s, who
+        """Take the permission back because somebody asks for a stop."""
+        self.asked_by, self._ended_at_s = self.asked_by or who, min(self._ended_at_s, time_s)
 
     def refuse(self, time_s: float, reason: str) -> None:
         """Take the permission back; the first reason stays."""
-        if not self.reason:
-            self.reason, self._refused_at_s = reason, time_s
-            for axis in self._axes:
-                axis.stood_at = nan
+        self.reason, self._ended_at_s = self.reason or reason, min(self._ended_at_s, time_s)
 
     def held_up(self) -> None:
         """Take note that frames were not taken for a while: SYNCs that come together now are no second producer."""
@@ -292,32 +325,30 @@ class Supervisor:
 
     def check(self, time_s: float) -> bool:
         """Judge, and return whether motion is permitted; call it at least every period."""
-        watched = [axis for axis in self._axes if axis.powered or axis.brake_open]
-        if not self.reason and watched:
+        if not self.reason and (watched := [axis for axis in self._axes if axis.powered or axis.brake_open]):
             self._check(time_s, watched)
-        return not self.reason
+        return self._ended_at_s == inf
 
     def answer(self, time_s: float, word: int) -> int | None:
         """Return the word that refreshes a device which shows this one; None without permission."""
         return following_word(word) if self.check(time_s) else None
 
-    def stops_nodes(self, time_s: float) -> tuple[int, ...]:
-        """Return the nodes whose communication the supervisor now stops itself (NMT), because the loop does not stop their axes.
+    def commands(self, time_s: float) -> list[tuple[int, int]]:
+        """Return what the supervisor now commands itself (NMT), as command and node, because the loop does not stop these axes.
 
-        Those are drives in operation enabled: where SYNC is silent, or the axis moves on. A drive that holds is left to hold.
+        A drive in operation enabled loses its communication where SYNC is silent or the axis is led on; one that does not hold is reset.
         """
-        if not self.reason or time_s - self._nmt_at_s < NMT_EVERY_S:
-            return ()
+        if self._ended_at_s == inf or time_s - self._nmt_at_s < NMT_EVERY_S:
+            return []
         silent = bool(self._sync_s) and time_s - self._sync_s[-1] > self._silent_s
-        overdue = time_s - self._refused_at_s > OBEYED_S
-        nodes = tuple(node for axis, node in self._drives if axis.enabled and (silent or (overdue and axis.moves_on())))
-        self._nmt_at_s = time_s if nodes else self._nmt_at_s
-        return nodes
-
-    def _sync(self, time_s: float) -> None:
-        self._sync_s.append(time_s)
-        for axis in self._axes:
-            axis.unanswered += 1
+        overdue = time_s - self._ended_at_s > OBEYED_S
+        found = [(NMT_STOP, node) for axis, node in self._drives if (axis.led_on() and overdue) or (silent and axis.enabled)]
+        for axis, node in self._drives:
+            if axis.strays(time_s):
+                found.append((NMT_RESET, node))
+                axis.rebase(time_s, anew=False)
+        self._nmt_at_s = time_s if found else self._nmt_at_s
+        return found
 
     def _check(self, time_s: float, watched: list[_Axis]) -> None:
         silent_s = time_s - self._sync_s[-1] if self._sync_s else 0.0
@@ -325,14 +356,13 @@ class Supervisor:
             self.refuse(time_s, f"no SYNC for {silent_s:.2f} s while a drive has torque or a brake is open")
         if len(self._sync_s) > FAST_SYNCS and (self._sync_s[-1] - self._sync_s[0]) < FAST_SHARE * FAST_SYNCS * self._period_s:
             self.refuse(time_s, "SYNC comes faster than it may: a second producer")
-        asked = min(self._asked_at_s, self._released_at_s)
         for axis in watched:
             if axis.unanswered * self._period_s > self._silent_s:
                 self.refuse(time_s, f"{axis.name}: its drive sends no position while it has torque or the brake is open")
             if wrong := axis.wrong():
                 self.refuse(time_s, wrong)
-            if time_s - asked <= ASKED_S:
-                axis.stood_at = nan
-            elif axis.moves_on():
+            if side := axis.strays(time_s):
+                self.refuse(time_s, f"{axis.name}: its drive does not hold it, as its {side} shows; its voltage is taken")
+            if self._ended_at_s < inf and axis.led_on() and time_s - self._ended_at_s > OBEYED_S:
                 who = self.asked_by or "hold-to-run or the door"
-                self.refuse(time_s, f"{axis.name}: it still moves {time_s - asked:.1f} s after {who} asked for a stop")
+                self.refuse(time_s, f"{axis.name}: it is still led {time_s - self._ended_at_s:.1f} s after {who} asked for a stop")

@@ -48,13 +48,15 @@ def standing(machine: Machine, axis: str) -> float:
 
 
 def budget_use(machine: Machine, axis: str, trial: FaultTrial, log: MotionLog, onset_s: float) -> BudgetUse | None:
-    """Return what the stop of a trial took; None where the machine file states no budget for its class.
+    """Return what the stop of a trial took; None where the machine file states no budget for its class, or drive and brake fail both.
 
     Time counts from the fault in a sweep and at a settled axis, and from the stop where the fault shows by what the axis then does, or
     only once the run needs what it took away.
     """
     kind = fault_kinds()[trial.kind]
-    name: Budget = "bench_silent" if trial.killed else "io_silent" if trial.without_brake else kind.budget
+    if trial.brake != "good" and kind.group != "bus":
+        return None
+    name: Budget = "bench_silent" if trial.killed else "io_silent" if trial.brake == "absent" else kind.budget
     stated = machine.budgets.get(axis, {}).get(name)
     if stated is None:
         return None

@@ -81,6 +81,7 @@ OF_AN_AXIS: tuple[tuple[str, Check | None], ...] = (
     (r"at rest: (.*), (voltage off|no voltage)(, its drive in .*)?", lambda w, axis: w.stays(axis) and w.unpowered(axis)),
     (r"held by its drive: .*", lambda w, axis: w.stays(axis) and w.drives(axis)),
     (r"not proven at rest: its drive is told to hold it and IT MOVES.*", lambda w, axis: w.moved(axis)),
+    (r"not proven at rest: its drive did not hold it, .*, voltage off", lambda w, axis: w.unpowered(axis)),
     (r"not proven at rest: its drive .*", None),
     (r"nobody knows whether it stands: the stop broke off", None),
 )  # fmt: skip

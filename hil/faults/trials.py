@@ -11,7 +11,7 @@ from hil.machine import Machine
 from hil.machine.faults_file import places_of
 from virtual_bus.faults.binding import FaultPlaces
 from virtual_bus.faults.condition import Comparison, Condition, InState
-from virtual_bus.faults.fault import FaultKind, FaultSetting, Group, Phase, Trial
+from virtual_bus.faults.fault import Brake, FaultKind, FaultSetting, Group, Phase, Trial
 from virtual_bus.faults.registry import fault_kinds
 
 FAST_SHARE = 0.9
@@ -31,6 +31,7 @@ _STATE_OF: dict[Phase, str] = {
     "settled": "settled",
     "stop": "settled",
 }
+_BRAKE_FAULTS: dict[Brake, tuple[str, dict[str, float]]] = {"weak": ("brake_weak", {"share": 0.2}), "absent": ("brake_stays_open", {})}
 _NEEDS_METHOD = {"limit_switch_stuck": (17, 18), "index_pulse_missing": (33, 34), "homing_wrong_direction": (17, 18, 33, 34)}
 """Faults that only show where the axis is homed by one of these methods."""
 
@@ -48,8 +49,8 @@ class FaultTrial:
         Of the run.
     settings : tuple of FaultSetting
         The fault, and behind it what ends the run where its phase asks for a stop.
-    without_brake : bool
-        The axis's brake fails as well: where the drive loses its effort, the axis cannot be held.
+    brake : Brake
+        The axis's brake fails as well: where the drive does not hold, an axis without one cannot be held.
     killed : bool
         All processes of the bench are killed afterwards.
     """
@@ -60,7 +61,7 @@ class FaultTrial:
     group: Group
     during: Phase
     settings: tuple[FaultSetting, ...]
-    without_brake: bool = False
+    brake: Brake = "good"
     killed: bool = False
 
 
@@ -113,7 +114,7 @@ def _at(kind: FaultKind, machine: Machine, axis: str) -> tuple[str, ...]:
 def _rows(kind: FaultKind, places: FaultPlaces, at: tuple[str, ...], axis: str, speed: float, motion: MotionName) -> Iterator[FaultTrial]:
     for place in at:
         for trial in kind.trials:
-            if (trial.during == "stop" and not places.io) or (trial.without_brake and axis not in places.of("brake")):
+            if (trial.during == "stop" and not places.io) or (trial.brake != "good" and axis not in places.of("brake")):
                 continue
             if motion == "scan" or trial.during != "settled":
                 yield _row(kind, places, place, trial, axis, speed, stands=motion == "scan")
@@ -129,14 +130,15 @@ def _row(kind: FaultKind, places: FaultPlaces, at: str, trial: Trial, axis: str,
         settings += [
             FaultSetting(dead, place, {}, settings[0].when, KILLED_AFTER_S) for dead, place in KILLED if place != "io" or places.io
         ]
-    if trial.without_brake:
-        settings.insert(0, FaultSetting("brake_stays_open", axis, {}, _when("stop", axis, speed, stands=stands)))
-    more = [f"{name}={int(value):04X}h" if name == "index" else f"{name}={value:g}" for name, value in trial.values.items()] + (
-        [f"for_s={trial.for_s:g}"] if trial.for_s is not None else []
-    )
-    more += [word for word, so in (("without_brake", trial.without_brake), ("killed", trial.killed)) if so]
+    if trial.brake != "good":
+        name, fails = _BRAKE_FAULTS[trial.brake]
+        settings.insert(0, FaultSetting(name, axis, fails, _when("stop", axis, speed, stands=stands)))
+    more = [f"{name}={int(value):04X}h" if name == "index" else f"{name}={value:g}" for name, value in trial.values.items()]
+    more += [] if trial.for_s is None else [f"for_s={trial.for_s:g}"]
+    more += {"good": [], "weak": ["weak_brake"], "absent": ["without_brake"]}[trial.brake]
+    more += ["killed"] if trial.killed else []
     name = "/".join((kind.name, at, trial.during.replace(" ", "_"), *more))
-    return FaultTrial(name, kind.name, at, kind.group, trial.during, tuple(settings), trial.without_brake, trial.killed)
+    return FaultTrial(name, kind.name, at, kind.group, trial.during, tuple(settings), trial.brake, trial.killed)
 
 
 def _when(during: Phase, axis: str, speed: float, *, stands: bool) -> Condition | None:

@@ -206,9 +206,9 @@ KINDS = (
     FaultKind("foreign_sdo", "Somebody else writes an object of the drive over SDO, or reads it.", "bus", "drive", foreign_sdo,
               (INDEX, SUBINDEX, VALUE, Parameter("reads", "", 0.0, 0.0, 1.0, "1: it is read only", whole=True)),
               (Trial(values={"reads": 1.0}),
-               *(Trial(values=written, without_brake=without_brake, killed=killed)
+               *(Trial(values=written, brake=brake, killed=killed)
                  for written in (NO_HEARTBEAT_CONSUMER, NO_ABORT_REACTION, NO_QUICK_STOP, SLOW_QUICK_STOP, OTHER_MODE)
-                 for without_brake in (False, True) for killed in (False, True)))),
+                 for brake in ("good", "absent") for killed in (False, True)))),
     FaultKind("bus_flooded", "The bus carries many frames that mean nothing.", "bus", "bus", flooded,
               (Parameter("frames", "", 64.0, 1.0, 10_000.0, "per SYNC", whole=True),
                Parameter("id", "", float(FLOOD_ID), 0.0, 2047.0, "their identifier", whole=True)),

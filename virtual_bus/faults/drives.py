@@ -16,6 +16,8 @@ STATUSWORD, QUICK_STOP_OPTION, FAULT_REACTION_OPTION = 0x6041, 0x605A, 0x605E
 WARNING_BIT, VOLTAGE_BIT = 1 << 7, 1 << 4
 OVERCURRENT, OVERVOLTAGE, UNDERVOLTAGE, OVERTEMPERATURE, ENCODER_ERROR, FOLLOWING_ERROR = 0x2310, 0x3210, 0x3220, 0x4310, 0x7305, 0x8611
 SHARE = Parameter("share", "", 0.2, -1.0, 5.0, "of the effort that is left")
+BAD_BRAKES = (Trial(brake="weak"), Trial(brake="absent"))
+"""What a wrong torque is tried with besides: the stop must not leave the axis to a drive that pushes."""
 
 
 def drive_of(machine: FaultyMachine, at: str) -> Cia402Drive:
@@ -184,33 +186,36 @@ _CODES = (OVERCURRENT, OVERVOLTAGE, UNDERVOLTAGE, OVERTEMPERATURE, ENCODER_ERROR
 
 KINDS = (
     FaultKind("torque_lost", "The power stage applies no effort; the drive says nothing.", "drive", "drive", _stage(_lost),
-              trials=(Trial(), Trial("settled"), Trial("first move"), Trial(without_brake=True)), budget="torque_lost"),
+              trials=(Trial(), Trial("settled"), Trial("first move"), *BAD_BRAKES), budget="torque_lost"),
     FaultKind("torque_share", "The power stage applies a share of the effort.", "drive", "drive", _stage(_share), (SHARE,),
-              budget="torque_lost"),
+              (Trial(), *BAD_BRAKES), budget="torque_lost"),
     FaultKind("torque_inverted", "The power stage applies the effort in the other direction.", "drive", "drive", _stage(_inverted),
-              trials=(Trial(), Trial("settled"), Trial("first move")), budget="runaway"),
+              trials=(Trial(), Trial("settled"), Trial("first move"), *BAD_BRAKES), budget="runaway"),
     FaultKind("torque_stuck_at_maximum", "The power stage applies its greatest effort whatever is asked.", "drive", "drive",
               _stage(_at_maximum), (Parameter("direction", "", 1.0, -1.0, 1.0, "sign of the effort", whole=True),),
-              (Trial(), Trial(values={"direction": -1.0}), Trial("settled")), budget="runaway"),
+              (Trial(), Trial(values={"direction": -1.0}), Trial("settled"), *BAD_BRAKES,
+               *(Trial(values={"direction": -1.0}, brake=brake) for brake in ("weak", "absent"))), budget="runaway"),
     FaultKind("torque_stuck", "The power stage goes on with the effort of one instant.", "drive", "drive", _stage(_frozen),
-              budget="runaway"),
+              trials=(Trial(), *BAD_BRAKES), budget="runaway"),
     FaultKind("torque_offset", "The power stage adds a share of the rated effort.", "drive", "drive", _stage(_offset),
-              (Parameter("share", "", 0.3, -5.0, 5.0, "of the rated effort that is added"),), budget="runaway"),
+              (Parameter("share", "", 0.3, -5.0, 5.0, "of the rated effort that is added"),), (Trial(), *BAD_BRAKES),
+              budget="runaway"),
     FaultKind("torque_late", "The power stage applies the effort some samples late.", "drive", "drive", _stage(_late),
-              (Parameter("samples", "", 10.0, 1.0, 1000.0, "by which it is late", whole=True),), budget="runaway"),
+              (Parameter("samples", "", 10.0, 1.0, 1000.0, "by which it is late", whole=True),),
+              (Trial(), *BAD_BRAKES), budget="runaway"),
     FaultKind("torque_noisy", "The power stage adds noise.", "drive", "drive", _stage(_ripples),
-              (Parameter("share", "", 0.3, 0.0, 5.0, "rms over the rated effort"),), budget="runaway"),
+              (Parameter("share", "", 0.3, 0.0, 5.0, "rms over the rated effort"),), (Trial(), *BAD_BRAKES), budget="runaway"),
     FaultKind("drive_deaf", "The drive ignores RPDOs and goes on with the last effort.", "drive", "drive", deaf,
               trials=(Trial(), Trial("settled")), budget="bench_silent"),
     FaultKind("drive_hangs", "The drive neither hears nor says anything and goes on with the last effort.", "drive", "drive", hangs,
               budget="runaway"),
     FaultKind("drive_loses_power", "The drive is off: no effort, no frames.", "drive", "drive", loses_power,
-              trials=(Trial(), Trial(for_s=0.5), Trial(without_brake=True)), budget="drive_fault"),
+              trials=(Trial(), Trial(for_s=0.5), Trial(brake="absent")), budget="drive_fault"),
     FaultKind("drive_loses_mains", "The drive's power supply is off, its electronics' is not: no effort, bit 4 of the statusword.", "drive",
               "drive", loses_mains, budget="drive_fault"),
     FaultKind("drive_reports_fault", "The drive sends an EMCY and goes to fault.", "drive", "drive", reports_fault, (CODE, PERSISTENT),
               (*(Trial(values={"code": float(code)}) for code in _CODES), Trial(values={"persistent": 1.0}), Trial("settled"),
-               Trial(without_brake=True)), budget="drive_fault"),
+               Trial(brake="absent")), budget="drive_fault"),
     FaultKind("drive_reboots", "The drive boots anew.", "drive", "drive", reboots, trials=(Trial(), Trial("settled"), Trial("homing")),
               budget="drive_fault"),
     FaultKind("drive_statusword_frozen", "The drive reports the statusword of one instant for ever.", "drive", "drive", statusword_frozen,

@@ -42,6 +42,9 @@ Budget = Literal["asked", "position_lost", "drive_fault", "node_silent", "torque
 Phase = Literal["start", "operational", "first move", "homing", "settled", "sweep", "stop"]
 """Part of a run in which the table of faults tries a fault; "stop": from the start of a sweep that hold-to-run ends."""
 
+Brake = Literal["good", "weak", "absent"]
+"""The axis's brake in a trial: with a fifth of its torque, or open for ever, from standstill on. Without drive and brake nothing holds."""
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -69,7 +72,7 @@ class Trial:
     during: Phase = "sweep"
     values: Mapping[str, float] = field(default_factory=dict)
     for_s: float | None = None  # None: for ever
-    without_brake: bool = False  # the axis's brake stays open from standstill on: where the drive's effort is lost, nothing can hold it
+    brake: Brake = "good"
     killed: bool = False  # all processes of the bench are killed shortly afterwards: nothing reaches bus and I/O any more
 
 

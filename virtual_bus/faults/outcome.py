@@ -16,6 +16,9 @@ from virtual_bus.faults.motion_log import HOLDING, MotionLog
 SWING_S = 0.25
 """Time that tells standstill from a turning point: two periods of the slowest vibration."""
 
+SHAKE = 1e-3
+"""rad or m: range within which an axis that a drive holds is at rest though it is faster than `STILL_SPEED`; a noisy one shakes it."""
+
 Ending = Literal["moving", "held by its brake", "held by its drive", "held by both", "at rest, held by nothing"]
 
 
@@ -121,7 +124,8 @@ def standstill_of(log: MotionLog, axis: str, onset_s: float, moved: float, *, fr
 def outcome_of(log: MotionLog, onset_s: float) -> FaultOutcome:
     """Return what became of every axis from a time on.
 
-    An axis is at rest from the last instant at which it was faster than `STILL_SPEED`, if that is `REST_S` or more before the log ends.
+    An axis is at rest from the last instant at which it was faster than `STILL_SPEED`, if that is `REST_S` or more before the log ends; one
+    that its drive holds also from when it is within `SHAKE`.
 
     Raises
     ------
@@ -146,9 +150,13 @@ def _axis_outcome(axis: str, time_s: np.ndarray, position: np.ndarray, speed: np
     fast = np.flatnonzero(np.abs(speed) > STILL_SPEED)
     last = int(fast[-1]) if len(fast) else 0
     at_rest = not len(fast) or time_s[-1] - time_s[last] >= REST_S
+    by_brake, by_drive = brake > 0.0, drive in HOLDING
+    if by_drive and not at_rest:
+        away = np.flatnonzero(np.abs(position - position[-1]) > 0.5 * SHAKE)
+        last = int(away[-1]) if len(away) else 0
+        at_rest = bool(time_s[-1] - time_s[last] >= REST_S)
     until = min(last + 1, len(time_s) - 1) if at_rest else len(time_s) - 1
     way = position[: until + 1]
-    by_brake, by_drive = brake > 0.0, drive in HOLDING
     return AxisOutcome(
         axis,
         _ending(at_rest, by_brake, by_drive),

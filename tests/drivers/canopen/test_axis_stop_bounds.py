@@ -139,11 +139,11 @@ def test_a_brake_that_nobody_reports_closed_leaves_the_drive_holding_after_a_sec
 
 def test_an_axis_that_creeps_has_five_seconds_to_stand() -> None:
     stopping = Stopping()
-    at = 0
+    number = 0
     while stopping.stop.rest is None:
-        at += 2
-        stopping.tick(motor=at, link=at)
-    assert at == 2 * SETTLING
+        number += 1
+        stopping.tick(motor=number // 2 * 2, link=number // 2 * 2)
+    assert number == SETTLING
     assert stopping.words == "not proven at rest: its drive is told to hold it and IT MOVES: it had not come to stand"
     stopping.ticks(SWING)
     assert stopping.words == "held by its drive: it had not come to stand", "then, but now it does"
@@ -272,15 +272,15 @@ def test_the_communication_of_a_drive_that_answers_no_sync_is_stopped_once() -> 
     for _ in range(4 * ANSWER):
         stopping.tick(-1)
         ordered.append(stopping.stop.orders_node)
-        stopping.stop.orders_node = False
-    assert ordered == [False] * (ANSWER - 1) + [True] + [False] * (3 * ANSWER)
+        stopping.stop.orders_node = 0
+    assert ordered == [0] * (ANSWER - 1) + [0x02] + [0] * (3 * ANSWER)
 
 
 def test_a_drive_that_answers_in_time_is_left_to_talk() -> None:
     stopping = Stopping()
     stopping.ticks(ANSWER - 1, -1)
     stopping.ticks(ANSWER, QUICK)
-    assert not stopping.stop.orders_node
+    assert stopping.stop.orders_node == 0
 
 
 def let_go() -> Stopping:

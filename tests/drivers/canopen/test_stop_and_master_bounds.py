@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import pytest
 from scripted_nodes import machine_settings
 
-from drivers.canopen.axis_stop import AxisRest
+from drivers.canopen.axis_rest import AxisRest
 from drivers.canopen.one_master import LATE_TICKS, OneMaster
 from drivers.canopen.stopping import SAY_EVERY_S, Attempts, Stops, Unattended, in_words
 from drivers.interface import Sample
@@ -26,13 +26,15 @@ class Axis:
     steps: int = 3
     end: AxisRest = SAFE
     orders_brake: bool = True
-    orders_node: bool = False
+    orders_node: int = 0
     asks_for_torque: bool = False
     rest: AxisRest | None = None
     log: list[object] = field(default_factory=list)
+    passed: list[int] = field(default_factory=list)
 
-    def step(self, sample: Sample, *, io_is_fresh: bool) -> None:
+    def step(self, sample: Sample, *, io_is_fresh: bool, ticks: int) -> None:
         assert isinstance(sample, Sample)
+        self.passed.append(ticks)
         self.log.append(io_is_fresh)
         self.steps -= 1
         if self.steps <= 0:
@@ -58,8 +60,9 @@ class Served:
         self.now_s, self.told, self.said, self.held_s = 100.0, [], [], []
         self.leaves_after_s, self.confirms_after_s = 1e9, 1e9
         self.fresh = True
-        self.cut_off: list[int] = []
-        drives = lambda: self.fresh, lambda axis: axis == 1, self.cut_off.append
+        self.missed = 5
+        self.commanded: list[tuple[int, int]] = []
+        drives = lambda: self.fresh, lambda axis: axis == 1, lambda *command: self.commanded.append(command)
         self.stops = Stops(axes, self, Sample(2), self.tick, self.told.append, *drives)  # type: ignore[arg-type]
 
     def now(self) -> float:
@@ -105,12 +108,22 @@ def test_a_brake_that_is_ordered_again_is_told_again_and_torque_is_asked_for() -
     assert served.stops.rests == []
 
 
-def test_the_communication_of_a_drive_is_stopped_once_where_its_stop_orders_it() -> None:
-    axis, other = Axis(orders_node=True), Axis(axis=0, name="propeller")
+def test_a_drive_is_sent_once_what_its_stop_orders() -> None:
+    axis, other = Axis(orders_node=0x81), Axis(axis=0, name="propeller")
     served = Served(axis, other)
     served.stops.run()
-    assert served.cut_off == [1]
-    assert not axis.orders_node
+    assert served.commanded == [(1, 0x81)]
+    assert axis.orders_node == 0
+
+
+def test_lost_ticks_count_as_time_that_has_passed() -> None:
+    axis = Axis(steps=9)
+    served = Served(axis)
+    served.stops.step()
+    served.missed += 3
+    served.stops.step()
+    served.stops.step()
+    assert axis.passed == [1, 4, 1]
 
 
 def test_a_hold_is_reported_and_tried_again_every_five_seconds() -> None:

@@ -84,10 +84,10 @@ def test_only_what_it_says_of_this_session_counts(both: Both) -> None:
     assert both.supervisor.trouble() == ""
     both.writes(session=1.0, permits=False, text="the door was opened")
     assert both.supervisor.trouble() == "the supervisor took its permission back: the door was opened"
-    both.writes(session=1.0, asked=True, text="isocenter stop")
-    assert both.supervisor.trouble() == "asked to stop by isocenter stop"
     both.writes(session=1.0, asked=True, permits=False, text="isocenter stop")
-    assert both.supervisor.trouble() == "the supervisor took its permission back: isocenter stop"
+    assert both.supervisor.trouble() == "asked to stop by isocenter stop"
+    both.writes(session=1.0, permits=False, text="")
+    assert both.supervisor.trouble() == "", "hold-to-run and door are the loop's to see"
     both.supervisor.end()
     assert both.supervisor.trouble() == ""
 

@@ -23,8 +23,9 @@ from drivers.modbus.io import IoState
 from drivers.modbus.published import published_block, state_values, values_of
 from drivers.modbus.refresh import FIRST_WORD, following_word
 from drivers.modbus.shared_block import Block
+from drivers.oversight.answers import AnswerReader
 from drivers.supervisor import process
-from drivers.supervisor.blocks import ANSWER, ASKED, END, FRAME, ORDERS, OWN, PERMITS, ROUNDS, SESSION, WORD, AnswerReader, blocks_of
+from drivers.supervisor.blocks import ANSWER, ASKED, END, FRAME, ORDERS, OWN, PERMITS, ROUNDS, SESSION, WORD, blocks_of
 
 assert CARM.bus is not None
 SETTINGS = CARM.bus
@@ -202,7 +203,7 @@ class Told:
         self.asks: list[tuple[bool, str]] = []
         self.reason, self.asked_by, self.torque = "", "", "torque on"
         self.held = 0
-        self.stops: tuple[int, ...] = ()
+        self.orders: list[tuple[int, int]] = []
         Told.newest = self
 
     newest: Told
@@ -226,8 +227,8 @@ class Told:
     def answer(self, time_s: float, word: int) -> int | None:
         return None
 
-    def stops_nodes(self, time_s: float) -> tuple[int, ...]:
-        return self.stops
+    def commands(self, time_s: float) -> list[tuple[int, int]]:
+        return self.orders
 
 
 @pytest.mark.parametrize(("pressed", "closed"), [(True, False), (False, True)])
@@ -287,7 +288,7 @@ def test_who_asks_for_a_stop_is_heard_answered_and_remembered_over_sessions(tmp_
 
         bench.run(during=ask, rounds=5)
     assert answers == [b"unknown\n"]
-    assert (bench.seen[ASKED], bench.own.text, bench.seen[PERMITS], bench.seen[SESSION]) == (1, "somebody", 1, 2)
+    assert (bench.seen[ASKED], bench.own.text, bench.seen[PERMITS], bench.seen[SESSION]) == (1, "somebody", 0, 2)
     assert not (tmp_path / "stop.socket").exists()
     bench.close()
 
@@ -533,8 +534,8 @@ def test_a_command_that_cannot_be_sent_ends_nothing(bench: Bench, monkeypatch: p
 
     monkeypatch.setattr(process, "Supervisor", Told)
     monkeypatch.setattr(process._Tap, "send", fail)
-    bench.run(rounds=3, during=lambda number: setattr(Told.newest, "stops", (2, 5)))
-    assert sent[:2] == [(0, b"\x02\x02"), (0, b"\x02\x05")]
+    bench.run(rounds=3, during=lambda number: setattr(Told.newest, "orders", [(2, 2), (0x81, 5)]))
+    assert sent[:2] == [(0, b"\x02\x02"), (0, b"\x81\x05")]
     assert bench.seen[ROUNDS] == 4
 
 

@@ -61,7 +61,7 @@ def test_nothing_is_compared_where_no_tolerance_is_stated() -> None:
     ("name", "verdict", "says"),
     [
         ("brake_drags/roll/sweep", "noted", "drive_roll: its mean effort over 0.5 s is -"),
-        ("torque_offset/roll_drive/sweep", "noted", "drive_roll: its drive measures "),
+        ("torque_offset/roll_drive/sweep", "stopped", "its drive measures "),
         ("io_inputs_frozen/io/sweep", "stopped", "the I/O has given no valid state for 0.50 s"),
     ],
 )

@@ -57,6 +57,16 @@ def test_an_axis_that_was_still_only_just_before_the_end_is_not_at_rest() -> Non
     assert outcome.of("roll").ending == "moving"
 
 
+@pytest.mark.parametrize(
+    ("drive", "amplitude", "ending"), [(ENABLED, 2e-4, "held by its drive"), (ENABLED, 1e-3, "moving"), (OFF, 2e-4, "moving")]
+)
+def test_an_axis_that_its_drive_shakes_in_its_place_is_held(drive: int, amplitude: float, ending: str) -> None:
+    log, rate = MotionLog(("roll",)), 40.0
+    for time_s in np.arange(0.0, 4.0, PERIOD_S).tolist():
+        log.add(time_s, [amplitude * math.sin(rate * time_s)], [amplitude * rate * math.cos(rate * time_s)], [1.0], [0.0], [drive])
+    assert outcome_of(log, 1.0).of("roll").ending == ending
+
+
 def test_a_swing_counts_along_its_path() -> None:
     log = MotionLog(("roll",))
     for time_s in np.arange(0.0, 4.0, PERIOD_S):

@@ -1,0 +1,107 @@
+"""What a hold is: the axis comes to rest as fast as its limits say, and then stays in its place. A drive under which it does not pushes it.
+
+Each encoder is followed for itself. In the direction in which it moved when the hold began, it may go as far as the limit of acceleration
+takes to end that speed; back from the furthest place it may not go; both but for a window.
+"""
+
+from __future__ import annotations
+
+from math import copysign, isfinite, nan
+
+from drivers.settings import MotionLimits
+
+ANSWER_S = 0.03
+"""Time in which a drive shows that it obeys: two ticks from a controlword to its statusword, and as many again for lost frames."""
+
+OUTSIDE_TICKS = 3  # in a row: a damaged frame makes one
+JUMP = 6.0
+"""Multiple of the speed limit that is a counter which was set, not a motion, unless the next step goes on as far."""
+
+CREEP_S = 5.0
+CREEP_SHARE = 0.1
+"""Share of the window by which an axis may creep in `CREEP_S`, to be held from there on: a velocity loop does not know its place."""
+
+
+class _Path:
+    """One encoder's way since the hold began."""
+
+    def __init__(self, limits: MotionLimits, period_s: float) -> None:
+        self._window = limits.tracking_error
+        self._deceleration = min(limits.acceleration, limits.quick_stop or limits.acceleration)
+        self._period_s, self._jump = period_s, JUMP * limits.speed * period_s
+        self.begin()
+
+    def begin(self) -> None:
+        self._last, self._since = nan, 0  # ticks since the last position
+        self._jumped = 0.0  # the last step, where it was too long
+        self._moved = self._moved_s = self._time_s = 0.0
+        self._anchored_s = nan  # NaN: the drive has yet to answer
+        self._zero = self._speed = self._furthest = 0.0
+        self._seen_s = self._seen_at = 0.0  # when and where it was seen not to creep
+        self._outside = 0
+
+    def step(self, position: float, ticks: int) -> float:
+        """Take a position, `ticks` after the one before; return how far the axis has left what a hold is, 0 where it has not."""
+        self._time_s += ticks * self._period_s
+        self._since += ticks
+        if isfinite(position):
+            step = position - self._last if isfinite(self._last) else 0.0
+            jumped = step if abs(step) > self._jump * self._since else 0.0
+            if not jumped or jumped * self._jumped > 0.0:
+                self._moved += step
+                self._moved_s += self._since * self._period_s if isfinite(self._last) else 0.0
+            self._jumped, self._last, self._since = jumped, position, 0
+        if self._time_s <= ANSWER_S:
+            return 0.0
+        if not isfinite(self._anchored_s):
+            self._anchor(self._moved / self._moved_s if self._moved_s > 0.0 else 0.0)
+        along = copysign(1.0, self._speed) * (self._moved - self._zero)
+        allowed = self._allowed()
+        self._furthest = max(self._furthest, min(along, allowed))
+        beyond = along - allowed if along > allowed else along - self._furthest
+        self._outside = self._outside + ticks if abs(beyond) > self._window else 0
+        leaves = beyond * copysign(1.0, self._speed) if self._outside >= OUTSIDE_TICKS else 0.0
+        if self._time_s - self._seen_s >= CREEP_S:
+            if abs(self._moved - self._seen_at) <= CREEP_SHARE * self._window:
+                self._anchor(0.0)
+            self._seen_s, self._seen_at = self._time_s, self._moved
+        return leaves
+
+    def _anchor(self, speed: float) -> None:
+        self._anchored_s, self._zero, self._speed, self._furthest = self._time_s, self._moved, speed, 0.0
+
+    def _allowed(self) -> float:
+        speed = abs(self._speed)
+        ramp_s = min(self._time_s - self._anchored_s, speed / self._deceleration)
+        return ramp_s * (speed - 0.5 * self._deceleration * ramp_s) if ramp_s > 0.0 else 0.0
+
+
+class Hold:
+    """Whether a drive that is told to stop and to hold its axis does.
+
+    Parameters
+    ----------
+    limits : MotionLimits
+    unit : str
+        Of its positions, for messages.
+    period_s : float
+        Between ticks.
+    """
+
+    def __init__(self, limits: MotionLimits, unit: str, period_s: float) -> None:
+        self._unit = unit
+        self._paths = (("its motor side", _Path(limits, period_s)), ("its link", _Path(limits, period_s)))
+        self._window = limits.tracking_error
+
+    def begin(self) -> None:
+        """Begin anew: the drive has just been told."""
+        for _, path in self._paths:
+            path.begin()
+
+    def step(self, motor: float, link: float, ticks: int) -> str:
+        """Take both encoders' positions, NaN where none came, `ticks` after those before; return why this is no hold, or ''."""
+        found = ""
+        for (name, path), position in zip(self._paths, (motor, link), strict=True):
+            if (beyond := path.step(position, ticks)) and not found:
+                found = f"{name} is {beyond:+.1e} {self._unit} from where a stop brings it, {self._window:.1e} {self._unit} are allowed"
+        return found
