@@ -120,7 +120,7 @@ OTHERS = (
         "With `--machine` for axes and units. Variables bear the names of channels, or `--map` says which is which: `q`, `log.time`, "
         "`log.signals(2).values`, `runs{3}`, `data(:,2)`, `data(2,:)`. Simulink's structures with time whose labels are channels, and the "
         "variables of the EMPS benchmark, are known. Scalars are kept in the metadata under `source.constants`. Versions 4 to 7.3, and "
-        "the text that Octave saves.",
+        "the text that Octave saves. Of a Modelica tool's result the trajectories by their names, in the units of their descriptions.",
     ),
     (
         "CAN log: candump (`.log`), Vector `.blf` and `.asc`, PEAK `.trc`, python-can's `.csv` and `.db`, MDF 4 with nothing but frames",
@@ -142,7 +142,16 @@ OTHERS = (
     (
         "File of names, `--map FILE`",
         'TOML, a table `[channels]`: name in the file to `"CHANNEL [unit]"`, or to a table of `channel`, `unit`, `scale` and `offset`: '
-        "channel = scale × signal + offset, in that unit. Without a unit it is the file's, else the machine's.",
+        "channel = scale × signal + offset, in that unit. Without a unit it is the file's, else the machine's. Units may be spelled as "
+        "other tools do (`°`, `RPM`, `N·m`); `counts` have the size of the machine file's encoder, `%` and `permille` are of the rated "
+        "effort.",
+    ),
+    (
+        "Order and time stamps of any log of another tool",
+        "Both are kept. Samples that stand elsewhere than their stamps say are put in their order where that makes an even raster; long "
+        "stretches behind stamps that go back are a clock that was set, and go on one step later, or by the other clock of a bag. Copies "
+        "are taken once, stamps coarser than the samples spread, a SYNC that was lost put in, gaps told. Two senders of a signal (told by "
+        "channel, frame, joints or rate) are refused; of a bag `--map 'SIGNAL@1=CHANNEL'` takes the first of them.",
     ),
 )
 
@@ -198,7 +207,8 @@ MATRICES_TEXT = """
 and rows times the depth from the focal spot [mm]; other scales and signs are read. A `.csv` has the header
 `exposure_id,m00,m01,...,m23` and a row per exposure. A `.json` has `format` 1, `unit` "mm", `detector` (as in
 `scan.toml`, optional) and `matrices` (N, 3, 4). `.xml` is RTK's geometry, `.dcm` has the attributes of X-ray
-angiography.
+angiography, or of Enhanced XA frame by frame. `.npz` may have the arrays of ASTRA's cone_vec (a `.npy` its vectors
+alone), LEAP's modular beam or TIGRE's geometry by their names, lengths in mm; `--for` writes them.
 """
 
 PANEL_TEXT = """

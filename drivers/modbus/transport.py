@@ -114,8 +114,9 @@ class ClientTransport:
     An adapter whose receiver stays on hands back every request. It is recognised by the first request that comes back before an answer,
     and from then on that is taken away: the answer to some writes equals the request, so an echo must not be mistaken for it.
 
-    On a serial line nothing tells an answer to this request from one to the last. So answers that are still due, because a request was
-    repeated or given up, are waited for and thrown away before the next request. Stray bytes before an answer are passed over.
+    On a serial line nothing tells the answer to a request from one to an earlier request with the same function. So answers that are still
+    due, because a request was repeated or given up, are waited for and thrown away before the next request with that function; those to
+    other functions are passed over when they come, as are stray bytes before an answer.
 
     Parameters
     ----------
@@ -138,22 +139,23 @@ class ClientTransport:
             self._open = lambda: serial.Serial(line.place, line.number, 8, line.parity, line.stop_bits).close()
             self._unit_offset = 0
         self._is_serial = self._may_echo = line.kind == "rtu"
-        self._tries = self._due = 0  # of this request; answers that may still come
+        self._tries = 0  # of this request
         self._tried_s = 0.0
+        self._due: dict[int, tuple[int, float]] = {}  # function -> answers that may still come, and until when
 
     def request(self, pdu: ModbusPDU) -> ModbusPDU:
         """Send a request and return its answer; connects when needed."""
         self._received = b""
-        self._throw_late_answers_away()
+        self._throw_late_answers_away(pdu.function_code)
         self._tries = 0
         if not self._client.connect():
             raise BusUnavailableError(f"{self.name}: cannot connect: {self._why_not()}; check address, cable and power")
         try:
             answer = self._client.execute(False, pdu)
-            self._due = self._tries - 1
+            self._await_later(pdu.function_code, self._tries - 1)
         except (*UNREADABLE, OSError) as error:
-            self._due = self._tries
-            if not self._due or not self._is_serial:
+            self._await_later(pdu.function_code, self._tries)
+            if not self._tries or not self._is_serial:
                 self.close()
             if self._may_echo and self._sent and self._received.startswith(self._sent):
                 self.close()
@@ -166,22 +168,28 @@ class ClientTransport:
         """Close the connection; the next request opens it again."""
         self._client.close()  # type: ignore[no-untyped-call]
 
-    def _throw_late_answers_away(self) -> None:
-        """Wait for answers to earlier tries, at most as long again as they had."""
+    def _await_later(self, function: int, answers: int) -> None:
+        """Keep how many answers may still come to tries that were given up, and until when: as long again as they had."""
+        if answers and self._is_serial:
+            self._due[function] = answers, self._tried_s + 2.0 * self._timeout_s
+
+    def _throw_late_answers_away(self, function: int) -> None:
+        """Wait for answers to earlier tries with this function, at most until they are no longer due."""
+        answers, until_s = self._due.pop(function, (0, 0.0))
         line = self._client.socket
-        if self._due and self._is_serial and isinstance(line, serial.Serial):
-            try:
-                while self._due and (left_s := self._tried_s + 2.0 * self._timeout_s - time.monotonic()) > 0.0:
-                    line.timeout = left_s
-                    if line.read(1):
-                        line.timeout = SILENCE_S
-                        while line.read(MOST_BYTES):
-                            pass
-                        self._due -= 1
-                line.timeout = self._timeout_s
-            except OSError:
-                self.close()
-        self._due = 0
+        if not answers or not isinstance(line, serial.Serial):
+            return
+        try:
+            while answers and (left_s := until_s - time.monotonic()) > 0.0:
+                line.timeout = left_s
+                if line.read(1):
+                    line.timeout = SILENCE_S
+                    while line.read(MOST_BYTES):
+                        pass
+                    answers -= 1
+            line.timeout = self._timeout_s
+        except OSError:
+            self.close()
 
     def _serial_client(self, *, echoes: bool) -> ModbusSerialClient:
         line = self._line
@@ -224,12 +232,15 @@ class ClientTransport:
 
 
 def _stray_bytes(received: bytes, sent: bytes) -> int:
-    """Return how many bytes lie before a whole answer to what was sent; 0 where none is found."""
-    for stray in range(min(len(received), MOST_STRAY_BYTES + 1)):
+    """Return how many bytes lie before the answer to what was sent: late answers to other functions, and strays."""
+    start = 0
+    while (length := _length(received[start:])) is not None and received[start] == sent[0] and received[start + 1] & 0x7F != sent[1]:
+        start += length
+    for stray in range(start, min(len(received), start + MOST_STRAY_BYTES + 1)):
         rest = received[stray:]
         if rest[:1] == sent[:1] and _length(rest) is not None and rest[1] & 0x7F == sent[1]:
             return stray
-    return 0
+    return start
 
 
 def _length(received: bytes) -> int | None:

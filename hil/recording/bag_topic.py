@@ -100,7 +100,7 @@ def _add(found: Signals, topic: Topic, names: list[str], first_ns: int) -> None:
     def straight(places: np.ndarray) -> Straight:
         mine = None if other_s is None else other_s[places]
         mine = mine if mine is not None and np.all(np.diff(mine) > 0.0) else None
-        return straightened(time_s[places], values[places], other_s=mine, what="message")
+        return straightened(time_s[places], values[places], other_s=mine, names=names, what="message")
 
     words, parts = _senders(topic, messages)
     whole = np.arange(messages.size)

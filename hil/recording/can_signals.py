@@ -215,7 +215,7 @@ def _rows(frames: Sequence[CanFrame], bus: BusSettings) -> tuple[list[float], di
                 values = codec.unpack(frame.data)
             except ProtocolError as problem:
                 where = f"frame {frame.can_id:03X} after SYNC {len(syncs) - 1}"
-                raise RecordingError(f"{where}: {problem}; is it the log of this machine?") from None
+                raise RecordingError(f"{where}: {problem}, by the machine file's map of that COB-ID") from None
             for place, key in wanted:
                 raw[key][len(syncs) - 1] = values[place]
     if all(np.isnan(values).all() for values in raw.values()):

@@ -87,9 +87,8 @@ def read_csv(path: Path, machine: Machine | None = None, names: Mapping[str, Tar
         beside = metadata_path(path).name
         raise RecordingError(f"{path}: {len(values)} rows, but {beside} says rows = {rows}; the file was cut off or edited")
     if not metadata_path(path).exists():
-        place = next(place for place, one in enumerate(table.targets) if one.channel == "time")
         try:
-            values, order = rows_in_order(values, place, "line", lines)
+            values, order = rows_in_order(values, [one.channel for one in table.targets], "line", lines)
         except DisorderError as problem:
             raise RecordingError(f"{path}: {problem}; keep the lines of one, or put them in order") from None
         notes = [*notes, *order]

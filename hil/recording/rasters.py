@@ -58,7 +58,7 @@ def channels_in_order(channels: dict[str, Channel], path: Path) -> tuple[dict[st
         return channels, []  # what is wrong is told elsewhere
     table = np.column_stack([channel.values for channel in channels.values()])
     try:
-        table, notes = rows_in_order(table, list(channels).index("time"))
+        table, notes = rows_in_order(table, list(channels))
     except DisorderError as problem:
         raise RecordingError(f"{path}: {problem}; keep the rows of one, or put them in order") from None
     return {name: Channel(channel.unit, table[:, place]) for place, (name, channel) in enumerate(channels.items())}, notes
@@ -108,12 +108,11 @@ def _straight(columns: Mapping[str, Column]) -> tuple[dict[str, Column], list[st
     notes: list[str] = []
     for names in _rasters(columns):
         own = times(columns[names[0]])
-        if own.size and np.isfinite(own).all() and np.all(np.diff(own) > 0.0):
-            continue
         if not np.isfinite(own).all():
             raise RecordingError(f"{names[0]}: sample {int(np.argmin(np.isfinite(own)))} has no time")
         try:
-            made = straightened(own, np.column_stack([columns[name].values.astype(np.float64) for name in names]), what="sample")
+            values = np.column_stack([columns[name].values.astype(np.float64) for name in names])
+            made = straightened(own, values, names=names, what="sample")
         except DisorderError as problem:
             raise RecordingError(f"{names[0]}: {problem}") from None
         notes += [f"{', '.join(names)}: {note}" for note in [*made.notes, *said_twice(made.twice)]]

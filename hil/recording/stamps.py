@@ -7,6 +7,7 @@ long stretches, each in order. What neither explains is refused, with its rows.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -31,6 +32,9 @@ OFTEN = 0.02
 
 IN_TURN = 0.34
 """Share of such samples from which even stamps are those of two senders, too, which take turns."""
+
+_POSITION = re.compile(r"(?:^|[._])position(?:_|\[|$)|^reference_")
+"""Names of positions, of channels as of joints in a bag."""
 
 _COARSE = 0.1
 """Share of samples with the stamp of the one before, from which a clock is coarser than the samples."""
@@ -80,6 +84,7 @@ def straightened(
     *,
     other_s: np.ndarray | None = None,
     beat: np.ndarray | None = None,
+    names: Sequence[str] = (),
     what: str = "row",
     numbers: Sequence[int] | None = None,
 ) -> Straight:
@@ -95,6 +100,8 @@ def straightened(
         Times by another clock, which tells a clock that was set from samples that were lost.
     beat : ndarray of bool, shape (N,), optional
         Samples that come at an even rate; all unless given.
+    names : sequence of str, optional
+        Of the K values: positions among them cannot jump there and back, by which a second sender is known.
     what : str
         What a message calls a sample.
     numbers : sequence of int, optional
@@ -113,7 +120,7 @@ def straightened(
     else:
         straight = _sorted(stamps_s, what, numbers)
     straight = _forward(straight, other_s, what, numbers)
-    return straight if values is None else _apart(straight, values, what, numbers)
+    return straight if values is None else _apart(straight, values, names, what, numbers)
 
 
 def said_twice(number: int) -> list[str]:
@@ -122,13 +129,15 @@ def said_twice(number: int) -> list[str]:
 
 
 def rows_in_order(
-    table: np.ndarray, time_place: int, what: str = "row", numbers: Sequence[int] | None = None
+    table: np.ndarray, names: Sequence[str], what: str = "row", numbers: Sequence[int] | None = None
 ) -> tuple[np.ndarray, list[str]]:
-    """Return a table's rows (N, K) in order of the time in one of its columns, and what was done; DisorderError as in `straightened`."""
+    """Return a table's rows (N, K) in order of its column `time`, and what was done; DisorderError as in `straightened`."""
+    time_place = names.index("time")
     time_s = table[:, time_place]
-    if np.all(np.diff(time_s) > 0.0) or not np.isfinite(time_s).all():  # a hole in time is told elsewhere
+    if not np.isfinite(time_s).all():  # told elsewhere
         return table, []
-    made = straightened(time_s, np.delete(table, time_place, axis=1), what=what, numbers=numbers)
+    others = [name for name in names if name != "time"]
+    made = straightened(time_s, np.delete(table, time_place, axis=1), names=others, what=what, numbers=numbers)
     ordered = table[made.places]
     ordered[:, time_place] = made.time_s
     return ordered, [*made.notes, *said_twice(made.twice)]
@@ -221,13 +230,14 @@ def _forward(straight: Straight, other_s: np.ndarray | None, what: str, numbers:
     return straight._replace(time_s=time_s, notes=tuple(notes))
 
 
-def _apart(straight: Straight, values: np.ndarray, what: str, numbers: Sequence[int]) -> Straight:
+def _apart(straight: Straight, values: np.ndarray, names: Sequence[str], what: str, numbers: Sequence[int]) -> Straight:
     """Leave out what stands there twice, spread what a coarse clock stamped alike, and refuse what two senders said in turn."""
     places, time_s = straight.places, straight.time_s
     if time_s.size < 2:
         return straight
     said = values[places]
-    leaves = _there_and_back(said)
+    steady = said[:, [bool(_POSITION.search(name)) for name in names]] if names else said
+    leaves = _there_and_back(steady)
     if leaves.sum() >= max(2.0, OFTEN * leaves.size):
         words = f"the values jump there and back {leaves.sum()} times, first at {what} {numbers[places[np.argmax(leaves)]]}"
         if not is_even(time_s) or np.mean(leaves) > IN_TURN:
@@ -245,8 +255,8 @@ def _apart(straight: Straight, values: np.ndarray, what: str, numbers: Sequence[
         note = f"the stamps are coarser than the {what}s, {np.count_nonzero(alike)} have that of the one before: spread evenly between them"
         return straight._replace(time_s=spread, notes=(*straight.notes, note))
     differ = np.flatnonzero(alike & ~same)
-    scale = _usual_change(said)
-    far = [place for place in differ.tolist() if np.any(np.abs(said[place] - said[place - 1]) > FAR * scale)]
+    scale = _usual_change(steady)
+    far = [place for place in differ.tolist() if np.any(np.abs(steady[place] - steady[place - 1]) > FAR * scale)]
     if far or differ.size > OFTEN * time_s.size:
         far = far or differ.tolist()
         words = f"{what}s {numbers[places[far[0] - 1]]} and {numbers[places[far[0]]]} have the same stamp and other values"

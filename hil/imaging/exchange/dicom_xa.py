@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 XA_IMAGE_STORAGE = "1.2.840.10008.5.1.4.1.1.12.1"
 EXPLICIT_LITTLE_ENDIAN = "1.2.840.10008.1.2.1"
+_MOST_LETTERS = 16
+"""Of a decimal string (PS3.5 6.2)."""
 
 
 @dataclass(frozen=True)
@@ -179,7 +181,9 @@ def decimal(value: float) -> str:
     """Write a number as a decimal string of at most 16 characters."""
     from pydicom.valuerep import format_number_as_ds
 
-    return format_number_as_ds(float(value))
+    text = format_number_as_ds(float(value))
+    # of a number that rounds up to another power of ten it makes a letter too many
+    return text if len(text) <= _MOST_LETTERS else format_number_as_ds(float(f"{value:.10g}"))
 
 
 def pydicom_package() -> ModuleType:

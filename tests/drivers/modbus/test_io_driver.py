@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from modbus_wiring import AXES, WIRING, ServedRtu, ServedTcp, emulated_io, io_map
 from pymodbus.pdu.bit_message import ReadDiscreteInputsRequest
-from pymodbus.pdu.register_message import WriteSingleRegisterRequest
+from pymodbus.pdu.register_message import ReadInputRegistersRequest, WriteSingleRegisterRequest
 from pyModbusTCP.server import ModbusServer
 
 from drivers.errors import BusTimeoutError, BusUnavailableError, ConfigurationRefusedError, ProtocolError
@@ -296,6 +296,26 @@ def test_a_late_answer_is_not_taken_for_that_to_the_next_request() -> None:
         answers = [transport.request(ReadDiscreteInputsRequest(**REQUEST)).bits[:4] for _ in range(3)]
     numbers = [sum(bit << place for place, bit in enumerate(bits)) for bits in answers]
     assert numbers == [1, 3, 4]
+
+
+class LosesOne(SerialDevice):
+    """A device to whose first request the answer comes only after the second, which has another function."""
+
+    def serve(self) -> None:
+        late = b""
+        while not self.stop.is_set():
+            if self.pty.wait(0.01) and (request := self.pty.read()):
+                answer = rtu_frame(UNIT, b"\x02\x01\x01") if request[1] == 2 else rtu_frame(UNIT, b"\x04\x02\x00\x07")
+                if not late and request[1] == 2:
+                    late = answer
+                else:
+                    self.pty.write((late if request[1] == 4 else b"") + answer)
+
+
+def test_a_late_answer_to_another_function_is_passed_over() -> None:
+    with LosesOne(b"") as transport:
+        assert transport.request(ReadDiscreteInputsRequest(**REQUEST)).bits[0]
+        assert transport.request(ReadInputRegistersRequest(address=0, count=1, dev_id=UNIT)).registers == [7]
 
 
 class EchoingLine(SerialDevice):

@@ -16,7 +16,7 @@ from hil.errors import UnusableInputError
 from hil.imaging import ConeBeam, Detector
 from hil.imaging.exchange.dicom_enhanced import write_enhanced_xa
 from hil.imaging.exchange.dicom_file import read_xa
-from hil.imaging.exchange.dicom_xa import Positioner, positioner_of, write_xa
+from hil.imaging.exchange.dicom_xa import Positioner, decimal, positioner_of, write_xa
 from hil.imaging.exchange.read_vectors import Vectors, program_of, read_bare_vectors, read_vectors
 from hil.imaging.exchange.vectors import write_vectors
 from hil.imaging.nominal import nominal_beam
@@ -148,6 +148,13 @@ def test_enhanced_xa_holds_what_the_classic_object_does_frame_by_frame(tmp_path:
     assert found.detector is not None
     assert (found.detector.columns, found.detector.rows, found.detector.aspect) == (620, 480, pytest.approx(1.01))
     assert np.abs(lost[:, 2]).max() < 1e-9 < np.abs(positioner_of(beam(5), PANEL)[1][:, 2]).max()
+
+
+@pytest.mark.parametrize("value", [-9.999999999999998, 9.999999999999998, -99.99999999999999, 1e-15, -0.1 / 3.0, 1160.0, -0.0])
+def test_decimal_strings_have_at_most_sixteen_letters(value: float) -> None:
+    pytest.importorskip("pydicom")
+    assert len(decimal(value)) <= 16
+    assert float(decimal(value)) == pytest.approx(value, rel=1e-9, abs=1e-300)
 
 
 def test_groups_may_be_shared_and_equal_the_classic_object(tmp_path: Path) -> None:

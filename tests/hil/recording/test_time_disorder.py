@@ -309,3 +309,25 @@ def test_syncs_of_another_sender_that_nobody_answers_are_left_out(carm: Machine,
     assert recording is not None
     np.testing.assert_array_equal(np.rint(numbers(recording, carm)), np.arange(50))
     assert "SYNCs between two of the period, which no node answered" in said
+
+
+@pytest.mark.parametrize("form", ["csv", "mf4"])
+def test_rows_of_two_senders_in_a_table_are_refused(form: str, carm: Machine, tmp_path: Path) -> None:
+    mine = [(5000 * k, k) for k in range(200)]
+    path = WRITERS[form](tmp_path, sorted([*mine, *((stamp + 1300, 9000) for stamp, _ in mine[::4])]), carm)
+    recording, said = read(path, carm)
+    assert recording is None
+    assert "the values jump there and back 50 times, first at" in said
+
+
+def test_a_noisy_column_is_no_second_sender(carm: Machine, tmp_path: Path) -> None:
+    """Uneven stamps, a position that creeps, and a measured time with spikes."""
+    rng = np.random.default_rng(8)
+    stamps = np.cumsum(rng.uniform(0.001, 0.02, 300))
+    spikes = np.where(rng.random(300) < 0.1, 0.5, 1e-4 * rng.random(300))
+    position = np.round(1e3 * np.cumsum(rng.normal(0.0, 1e-4, 300))) * 1e-3
+    rows = "".join(f"{t!r},{q!r},{w!r}\n" for t, q, w in zip(stamps.tolist(), position.tolist(), spikes.tolist(), strict=True))
+    (tmp_path / "log.csv").write_text(f"time [s],position_roll [rad],work_time [s]\n{rows}")
+    recording, said = read(tmp_path / "log.csv", carm)
+    assert recording is not None
+    assert said == ""
