@@ -64,11 +64,12 @@ class Resting:
     def stop_all(self, attempts: Attempts, attendant: Attendant) -> None:
         """Stop every axis; where a brake is not proven the drive holds, until the attendant lets it."""
         stops = self._stops(range(len(self._machine.axes)))
+        stops.alarm = attendant.say
         attempts.make("stopping", stops.run)
         attempts.make("holding", stops.serve_hold, attendant)
         ended = {rest.axis: rest for rest in stops.rests}
         unknown = "nobody knows whether it stands: the stop broke off"
-        self.rests = tuple(ended.get(axis, AxisRest(axis, False, True, unknown)) for axis in self._machine.axes)
+        self.rests = tuple(ended.get(axis, AxisRest(axis, False, True, unknown, may_move=True)) for axis in self._machine.axes)
 
     def take_over(self, axes: Sequence[int]) -> None:
         """Bring to rest what drives held before this bench came.
