@@ -141,7 +141,7 @@ def contradictions(said: str, witness: Witness) -> list[str]:
     found, axes = [], tuple[str, ...]()
     if ("IT MOVES" in said or NOT_PROVEN in said) and not said.startswith(f"{KEEP_AWAY}: "):
         found.append("nobody is told to keep away")
-    if KEEP_AWAY in said and re.search("release|support the axis", said):
+    if KEEP_AWAY in said and re.search("type release|upport the axis", said):
         found.append("somebody is sent to an axis that may move")
     said = said.removeprefix(f"{KEEP_AWAY}: ")
     names = "|".join(map(re.escape, witness.log.axes))
