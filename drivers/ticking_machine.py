@@ -186,7 +186,7 @@ class TickingMachine:
             if self.supervision.left_operational:
                 raise DeviceFaultError("; ".join(filter(None, (self.supervision.left_operational, sample.fault))))
             self._check_answers(sample)
-            self.supervision.check_one(self.clock.now(), self.clock.missed * self.period_s)
+            self.supervision.check_one(self.clock.now(), self.clock.missed * self.period_s + getattr(self.clock, "waited_s", 0.0))
         except BaseException:
             self.stop()
             raise

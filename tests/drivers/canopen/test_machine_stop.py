@@ -123,7 +123,10 @@ def test_an_axis_without_a_brake_whose_position_is_lost_is_not_taken_for_standin
     rig.machine.enable()
     rig.drives[0].mute_pdo = rig.encoders[0].mute_pdo = True
     rig.machine.stop()
-    assert "propeller not proven at rest: its drive does not answer; the bench commands no brake of it; nobody knows" in rig.machine.outcome
+    assert (
+        "propeller not proven at rest: its drive does not answer (its node is stopped); the bench commands no brake of it; nobody"
+        in rig.machine.outcome
+    )
 
 
 LOAD = 100.0
