@@ -82,7 +82,7 @@ class TickingMachine:
         self.clock = clock
         self.period_s = settings.sync_period_s
         self.network = PolledNetwork(bus, clock)
-        self.supervision = Supervision(self.network, settings.nodes)
+        self.supervision = Supervision(self.network, settings.nodes, self.period_s)
         self._cyclic = CyclicExchange(self.network, settings, self.supervision)
         self.scalings = settings.scalings
         self.axes = tuple(scaling.axis for scaling in settings.scalings)
@@ -185,7 +185,7 @@ class TickingMachine:
             if self.supervision.left_operational:
                 raise DeviceFaultError("; ".join(filter(None, (self.supervision.left_operational, sample.fault))))
             self._check_answers(sample)
-            self.supervision.check_one(self.clock.now(), self.clock.missed * self.period_s)
+            self.supervision.check_one(self.clock.now(), self.clock.missed * self.period_s + getattr(self.clock, "waited_s", 0.0))
         except BaseException:
             self.stop()
             raise

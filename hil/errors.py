@@ -59,6 +59,7 @@ class LoopAbortedError(BadAnswerError):
 def in_one_line(error: Exception) -> tuple[str, int]:
     """Return what a command says of an error that ended it, and its exit status: 1 a bad answer, 2 unusable input."""
     from controllers.errors import ControlError
+    from drivers.canopen.axis_rest import KEEP_AWAY
     from drivers.errors import DriverError
     from virtual_bus.errors import EmulatorError
 
@@ -68,4 +69,6 @@ def in_one_line(error: Exception) -> tuple[str, int]:
         line, status = f"{f'{error.filename}: ' if error.filename else ''}{error.strerror or error}", 2
     else:
         line, status = f"a fault of isocenter itself: {error!r}; {TRACEBACK_VARIABLE}=1 shows where", 1
+    if KEEP_AWAY in line:  # stands first, whatever the line tells besides
+        line = f"{KEEP_AWAY}: {line.replace(f'{KEEP_AWAY}: ', '')}"
     return " ".join(line.split("\n")), status

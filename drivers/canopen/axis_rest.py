@@ -7,6 +7,8 @@ from math import nan
 
 from drivers.canopen.cia402 import State
 
+KEEP_AWAY = "KEEP AWAY, PRESS THE EMERGENCY STOP"
+"""First in what is said while an axis moves or may move: nobody must go there, and nothing of this program holds it."""
 NOT_PROVEN = "not proven at rest"
 """How an axis that nobody knows to stand, or that moves, is told."""
 POWERED = frozenset(
@@ -24,3 +26,4 @@ class AxisRest:
     words: str
     steps: tuple[tuple[str, float], ...] = ()  # of its stop, in order: what was waited for, and how long [s]
     stood_s: float = nan  # from the beginning of the stop until its position changed no more; NaN where it was not seen to stand
+    may_move: bool = False  # it moves, or nobody knows that it does not

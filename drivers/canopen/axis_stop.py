@@ -26,7 +26,7 @@ CLOSING_S = 1.0  # Modbus poll, relay, armature, feedback, Modbus poll
 SETTLING_S = 5.0  # a drive's own velocity loop creeps for seconds before its counter stands
 STANDSTILL_S = 0.05  # a motor whose position has not changed for this long stands still
 STANDSTILL_COUNTS = 1.5  # a position held by its drive may flicker by a count
-SWING_S = 0.125  # of the link before its brake is proven: a period at 8 Hz, the slowest mode of such a structure
+SWING_S = 0.25  # of the link before its brake is proven: a whole period at 4 Hz, slower than any mode of such a structure
 STANDING_SHARE = 0.1  # of the tracking error: how far a standing link may swing
 PUSH_SHARE = 0.25
 """Share of the load, beyond the load itself, that a proven brake holds: linings wear, and the next load may be a patient's."""
@@ -69,6 +69,8 @@ class AxisStop:
     orders_node : int
         NMT command that its drive is to be sent, 0: none; cleared likewise. The communication of one that answers no SYNC is stopped, on
         which it stops by itself (6007h). One that keeps its voltage against its order is reset, on which it loses it.
+    alarm : str
+        What an operator must be told at once; cleared likewise.
     asks_for_torque : bool
         Whether the drive must be brought into cyclic synchronous torque mode for the proof; answered by `torque_mode`.
     """
@@ -89,7 +91,7 @@ class AxisStop:
         self.controlword = cia402.QUICK_STOP
         self.effort = 0.0
         self.orders_brake = self.asks_for_torque = False
-        self.orders_node = 0
+        self.orders_node, self.alarm = 0, ""
         self._unit, self._period_s = scaling.position_unit, period_s
         self._braked, self._takes_torque, self._pushes = braked, takes_torque, pushes
         self._flicker = STANDSTILL_COUNTS * scaling.position_resolution
@@ -118,8 +120,9 @@ class AxisStop:
     def rest(self) -> AxisRest | None:
         """How the stop ended; None while it is under way."""
         if self._held_for:
-            seen = "held by its drive" if self._stands() else f"{NOT_PROVEN}: its drive is told to hold it and {self._motion_words}"
-            return AxisRest(self.name, False, True, f"{seen}: {self._held_for}", tuple(self._steps), self._stood_s)
+            stands = self._stands()
+            seen = "held by its drive" if stands else f"{NOT_PROVEN}: its drive is told to hold it and {self._motion_words}"
+            return AxisRest(self.name, False, True, f"{seen}: {self._held_for}", tuple(self._steps), self._stood_s, not stands)
         return self._rest
 
     def prove(self, effort: float) -> None:
@@ -147,8 +150,8 @@ class AxisStop:
             self._hold("its drive does not change to torque mode, so nothing can push against its brake")
 
     def release(self) -> None:
-        """Take the voltage from a held axis: an operator has confirmed that it is supported."""
-        if self._held_for:
+        """Take the voltage from a held axis that stands: an operator has confirmed that it is supported."""
+        if self._held_for and self._stands():
             self._held_for, self._proof, self._watched = "", "released by the operator", False
             self._go(self._letting_go)
 
@@ -197,6 +200,7 @@ class AxisStop:
             self._hold_judge.begin()
         elif drove := self._hold_judge.step(float(sample.position[self.axis]), float(sample.link_position[self.axis]), ticks):
             self._drove, self._held_for = drove, ""
+            self.alarm = f"its drive does not hold it, {drove}; its voltage is taken"
             self.orders_brake, self.asks_for_torque = True, False
             self._go(self._taking_voltage)
 
@@ -224,16 +228,15 @@ class AxisStop:
     def _slipped(self) -> str:
         """Return which side is outside its swing of before, and how far, in words; '' where none is.
 
-        The motor side may wind up the gear of a brake behind it; what is more than that, the link's encoder must have shown, or is frozen.
+        A brake that slips moves both sides alike. One side alone may swing, or wind up the gear, by as much as a standing axis may.
         """
-        linked = self._link.fresh(self._stale_ticks)
-        for name, path, allowed in (
-            ("its link", self._link, self._travel),
-            ("its motor side", self._motor, max(self._travel, self._apart) if linked else self._travel),
-        ):
-            beyond = path.beyond() if path.fresh(self._stale_ticks) else 0.0
-            if abs(beyond) > allowed:
-                return f"{name} moved by {beyond:+.1e} {self._unit}"
+        sides = (("its link", self._link), ("its motor side", self._motor))
+        moved = [(name, path.beyond()) for name, path in sides if path.fresh(self._stale_ticks)]
+        for name, beyond in moved:
+            if all(beyond * other > 0.0 and abs(other) > self._travel for _, other in moved):
+                return f"its brake slips: {name} moved by {beyond:+.1e} {self._unit}"
+            if abs(beyond) > max(self._travel, self._apart):
+                return f"{name} alone moved by {beyond:+.1e} {self._unit}"
         return ""
 
     @property
@@ -353,7 +356,7 @@ class AxisStop:
         if self._state not in (State.QUICK_STOP_ACTIVE, State.OPERATION_ENABLED):
             self._close()
         elif moved:
-            self._hold(f"its brake slips: {moved} when the drive let go")
+            self._hold(f"{moved} when the drive let go")
         elif self._braked and not self._closed:
             self._close()
         elif self._lost > self._stale_ticks or (self._phase != self._swinging and self._judge is not self._marked):
@@ -401,7 +404,7 @@ class AxisStop:
         self.controlword = cia402.DISABLE_VOLTAGE
         if not self._stands() or (self._braked and not self._closed):
             self._close()
-        elif self._after(WATCH_S):
+        elif self._after(REST_WATCH_S if self._braked else WATCH_S):
             fault = f", its drive in {self._state.value}" if self._state is State.FAULT else ""
             brake = "brake closed by its feedback" if self._braked else "it stands without a brake of the bench's"
             self._end(True, f"at rest: {brake}, no voltage{fault}")
@@ -437,7 +440,7 @@ class AxisStop:
 
     def _end(self, safe: bool, words: str) -> None:
         self._go(self._ended)
-        self._rest = AxisRest(self.name, safe, False, words, tuple(self._steps), self._stood_s)
+        self._rest = AxisRest(self.name, safe, False, words, tuple(self._steps), self._stood_s, not safe)
         if safe:
             self.controlword = cia402.DISABLE_VOLTAGE
         self.effort = 0.0

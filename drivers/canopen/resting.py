@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -64,11 +65,19 @@ class Resting:
     def stop_all(self, attempts: Attempts, attendant: Attendant) -> None:
         """Stop every axis; where a brake is not proven the drive holds, until the attendant lets it."""
         stops = self._stops(range(len(self._machine.axes)))
+        stops.alarm = attendant.say
         attempts.make("stopping", stops.run)
         attempts.make("holding", stops.serve_hold, attendant)
-        ended = {rest.axis: rest for rest in stops.rests}
+        ended = {rest.axis: self._with_node_state(rest) for rest in stops.rests}
         unknown = "nobody knows whether it stands: the stop broke off"
-        self.rests = tuple(ended.get(axis, AxisRest(axis, False, True, unknown)) for axis in self._machine.axes)
+        self.rests = tuple(ended.get(axis, AxisRest(axis, False, True, unknown, may_move=True)) for axis in self._machine.axes)
+
+    def _with_node_state(self, rest: AxisRest) -> AxisRest:
+        """Return how an axis ended, with what is known of a drive that does not answer: its heartbeat tells its state."""
+        machine = self._machine
+        state = machine.supervision.nmt_state(machine.drives[machine.axes.index(rest.axis)].node_id)
+        known = "" if state in ("operational", "never heard") else f" (its node is {state})"
+        return replace(rest, words=rest.words.replace("does not answer", f"does not answer{known}"))
 
     def take_over(self, axes: Sequence[int]) -> None:
         """Bring to rest what drives held before this bench came.

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import contextlib
+from collections.abc import Callable, Collection, Sequence
 from typing import Protocol
 
-from drivers.canopen.axis_rest import AxisRest
+from drivers.canopen.axis_rest import KEEP_AWAY, AxisRest
 from drivers.canopen.axis_stop import AxisStop
 from drivers.interface import Clock, Sample
 
@@ -36,8 +37,8 @@ class Attendant(Protocol):
     def stays(self, held_s: float) -> bool:
         """Return whether the hold is served on, `held_s` after it began. When it is left, the drives hold by themselves or not at all."""
 
-    def released(self) -> bool:
-        """Return whether an operator has confirmed, since it was last asked, that the held axes are supported."""
+    def released(self) -> Collection[str]:
+        """Return the axes that an operator has confirmed, since it was last asked, to be supported."""
 
 
 class Unattended:
@@ -50,9 +51,9 @@ class Unattended:
         """Stay."""
         return True
 
-    def released(self) -> bool:
+    def released(self) -> Collection[str]:
         """Nobody confirms anything."""
-        return False
+        return ()
 
 
 class Stops:
@@ -91,6 +92,8 @@ class Stops:
         self._close_brakes, self._io_is_fresh, self._to_torque = close_brakes, io_is_fresh, to_torque
         self._command_node = command_node
         self._missed = clock.missed
+        self.alarm: Callable[[str], object] = lambda text: None
+        """Takes what an operator must be told while the stop goes on."""
 
     def run(self) -> None:
         """Step, tick by tick, until every axis is at rest, held, or given up. The brakes are told first: a bus may be dead."""
@@ -111,6 +114,10 @@ class Stops:
             if axis.orders_node:
                 self._command_node(axis.axis, axis.orders_node)
                 axis.orders_node = 0
+            if axis.alarm:
+                with contextlib.suppress(OSError, ValueError):  # a terminal that is gone keeps no stop from going on
+                    self.alarm(f"{KEEP_AWAY}: {axis.name}: {axis.alarm}")
+                axis.alarm = ""
             if axis.asks_for_torque:
                 axis.torque_mode(self._to_torque(axis.axis))
 
@@ -141,9 +148,10 @@ class Stops:
         while self.held:
             now_s = self._clock.now()
             tries_again = now_s - said_s >= SAY_EVERY_S
-            if attendant.released():
+            if released := attendant.released():
                 for axis in self.axes:
-                    axis.release()
+                    if axis.name in released:
+                        axis.release()
             elif not attendant.stays(now_s - began_s):
                 return
             elif tries_again:
@@ -158,8 +166,9 @@ class Stops:
 
 
 def in_words(rests: Sequence[AxisRest]) -> str:
-    """Return how axes were brought to rest, those with the same end together."""
+    """Return how axes were brought to rest, those with the same end together; first what is to be done where one may move."""
     together: dict[str, list[str]] = {}
     for rest in rests:
         together.setdefault(rest.words, []).append(rest.axis)
-    return "; ".join(f"{', '.join(axes)} {words}" for words, axes in together.items())
+    ends = "; ".join(f"{', '.join(axes)} {words}" for words, axes in together.items())
+    return f"{KEEP_AWAY}: {ends}" if any(rest.may_move for rest in rests) else ends

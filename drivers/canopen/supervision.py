@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import inf
 
 from drivers.canopen.emcy import CODE_BYTES, Emergency, decode_emergency
 from drivers.canopen.network import EMERGENCY, HEARTBEAT, NMT_RESET_COMMUNICATION, NMT_STATES, PolledNetwork
@@ -27,6 +28,9 @@ MOST_AHEAD = 2.5
 """Heartbeats that may have come more than their rate explains: one delayed by a whole period, followed by one in time."""
 TOGETHER_SHARE = 0.02
 """Share of a period within which heartbeats were held up by a pause of the bench, and read at once: they count as one."""
+
+AWAY_S, AWAY_PERIODS = 0.05, 4.0
+"""Time between two looks at the heartbeats, of a loop that looks every tick, after which the silence is the loop's own."""
 
 STALE_FRAMES = 256  # frames dropped before a reset: a boot-up message from before it is not its answer
 BOOT_SETTLE_S = 0.05
@@ -70,14 +74,17 @@ class Supervision:
     network : PolledNetwork
         Subscribed to.
     nodes : sequence of Node
+    period_s : float
+        Between the loop's ticks; 0: it does not look every tick.
     """
 
-    def __init__(self, network: PolledNetwork, nodes: Sequence[Node]) -> None:
+    def __init__(self, network: PolledNetwork, nodes: Sequence[Node], period_s: float = 0.0) -> None:
         self._network = network
+        self._away_s = max(AWAY_S, AWAY_PERIODS * period_s) if period_s > 0.0 else inf
         self._nodes = {node.node_id: _Watched(node.name, node.node_id, node.heartbeat_period_s, node.identity.vendor_id) for node in nodes}
         self._guarded = [watched for watched in self._nodes.values() if watched.timeout_s > 0.0]
         self._turn = 0
-        self._lost_s = 0.0
+        self._lost_s = self._checked_s = 0.0
         self._running = False  # nodes were started, so leaving operational is a fault
         self.left_operational = ""  # which started node has left operational, in words; '' while all run
         for node_id in self._nodes:
@@ -174,6 +181,10 @@ class Supervision:
         """
         if not self._guarded:
             return
+        if (away_s := now_s - self._checked_s - max(0.0, lost_s - self._lost_s)) > self._away_s:
+            for each in self._guarded:  # nobody listened: this program stood still, or did something else
+                each.heard_s = min(now_s, each.heard_s + away_s)
+        self._checked_s = now_s
         self._turn = (self._turn + 1) % len(self._guarded)
         watched, self._lost_s = self._guarded[self._turn], lost_s
         age_s = now_s - watched.heard_s - max(0.0, lost_s - watched.lost_s)

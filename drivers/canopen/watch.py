@@ -144,6 +144,11 @@ class _AxisWatch:
         if self._link is None:
             return ""
         motor, link = self._motor.moved, self._link.moved
+        if abs(motor - link) > self._apart and self._link.stale > self.limits.stale_ticks:
+            return (
+                f"{self.limits.axis}: link encoder: no position for {self._link.stale} ticks, and its motor side moved by "
+                f"{motor - link:+.2e} {self.unit} {self._doing}; {self._apart:.2e} {self.unit} is allowed"
+            )
         if abs(motor - link) > self._apart:
             return (
                 f"{self.limits.axis}: its motor side moved by {motor:+.2e} {self.unit}, its link encoder by {link:+.2e} {self._doing}; "

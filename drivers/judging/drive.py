@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections import deque
-from math import nan
+from math import isfinite, nan
 
 from drivers.canopen.cia402 import WARNING
 from drivers.interface import Sample
 from drivers.judging.motion_window import WINDOW_S, MotionWindow
-from drivers.judging.settings import DriveJudging
+from drivers.judging.settings import DriveJudging, Follows
+
+LOST = 2.0
+"""Multiple of the tolerance that a drive was sent, of which it measures none: it has lost its torque, and what it should hold may fall."""
 
 UNSURE = 3.0
 """Standard deviations of a friction of unknown direction that are allowed: it may act fully either way."""
@@ -18,7 +21,8 @@ class DriveJudge:
     """Judges warning bit, measured effort and load of one axis's drive.
 
     A drive follows its command within a settling time, so the effort that it measures lies between the least and the greatest command of
-    that time. A power stage that gives more, less, or something else is seen here before the axis departs from its reference.
+    that time. A power stage that gives more, less, or something else is seen here before the axis departs from its reference; one that
+    gives none, or is far off, stops the motors in any case.
 
     Parameters
     ----------
@@ -30,10 +34,13 @@ class DriveJudge:
     ----------
     lag_ticks : int
         For how many ticks before the newest one the readings are in doubt too.
+    follows : str
+        What follows the newest finding.
     """
 
     def __init__(self, settings: DriveJudging, window: MotionWindow | None = None) -> None:
-        self.sensor, self.follows = settings.sensor, settings.follows
+        self.sensor = settings.sensor
+        self.follows: Follows = settings.follows
         self._settings = settings
         self._window = window
         self._statusword = 0
@@ -43,7 +50,7 @@ class DriveJudge:
         """Begin anew: no command is known."""
         self.lag_ticks = 0
         self._sent: deque[float] = deque(maxlen=self._settings.settling_ticks + 1)
-        self._off_ticks = 0
+        self._off_ticks = self._far_ticks = 0
         self._measured = self._expected = self._load_off = nan
         self._overloaded = False
 
@@ -55,14 +62,16 @@ class DriveJudge:
         measured = float(sample.effort[axis])
         low, high = min(self._sent), max(self._sent)
         if low - settings.tolerance <= measured <= high + settings.tolerance:
-            self._off_ticks = 0
+            self._off_ticks = self._far_ticks = 0
         elif measured == measured and low == low:
             self._off_ticks += ticks
             self._measured, self._expected = measured, low if measured < low else high
-        self.lag_ticks = 0
+            self._far_ticks = self._far_ticks + ticks if self._is_far() else 0
+        self.lag_ticks, self.follows = 0, settings.follows
         overloaded = self._is_overloaded(axis)
         if self._off_ticks > settings.bridged_ticks:
             self.lag_ticks = self._off_ticks - 1
+            self.follows = "stop" if self._far_ticks > settings.bridged_ticks else settings.follows
             return "effort"
         statusword = int(sample.statusword[axis])
         if statusword >= 0 and statusword & WARNING:
@@ -70,6 +79,12 @@ class DriveJudge:
             return "warning"
         self.lag_ticks = self._window.ticks - 1 if overloaded and self._window is not None and self._window.over else 0
         return "load" if overloaded else ""
+
+    def _is_far(self) -> bool:
+        """Whether the drive has lost its torque, or gives what it was not sent."""
+        settings, lost = self._settings, abs(self._measured) <= self._settings.tolerance
+        far = abs(self._measured - self._expected) > settings.stop_tolerance
+        return far or (lost and isfinite(settings.stop_tolerance) and abs(self._expected) > LOST * settings.tolerance)
 
     def _is_overloaded(self, axis: int) -> bool:
         """Judge the window that is over; what it found stands to the end of the next one."""

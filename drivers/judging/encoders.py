@@ -101,6 +101,14 @@ class EncoderJudge:
                 return "silent"
         return self._found
 
+    def finish(self) -> str:
+        """Judge the window that a run's end cuts off, where at least half of it is there; return which check fails, or ''."""
+        if 2 * self._summed >= self._window:
+            self._judge_window(self._sum / self._summed)
+            self._ticks = self._summed = 0
+            self._sum = 0.0
+        return self._found
+
     def says(self, check: str) -> str:
         """Return a failed check in words."""
         if check == "silent":

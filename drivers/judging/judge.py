@@ -139,6 +139,12 @@ class SensorJudge:
         self.marks = marks
         return reason
 
+    def finish(self, time_s: float) -> None:
+        """Judge what the end of a run, at this time, has cut off."""
+        for bit, judge in enumerate(self._judges):
+            if isinstance(judge, EncoderJudge) and not self._failed[bit] and (check := judge.finish()):
+                self._change(bit, judge, check, time_s)
+
     def _change(self, bit: int, judge: Judge, check: str, time_s: float) -> None:
         """Keep what begins to fail, and tell who listens."""
         before, self._failed[bit] = self._failed[bit], check

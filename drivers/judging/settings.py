@@ -82,6 +82,7 @@ class DriveJudging:
     settling_ticks: int  # within which its effort follows a command
     bridged_ticks: int  # ticks in a row for which it may be off: a command may be lost on its way
     load_tolerance: float = inf  # drive's unit, between the effort that a motion takes and what the machine file says of it
+    stop_tolerance: float = inf  # drive's unit, beyond which an effort that is off stops the motors whatever follows otherwise
 
 
 @dataclass(frozen=True)

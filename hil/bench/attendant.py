@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import select
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+
+from drivers.canopen.axis_rest import KEEP_AWAY
 
 LOCKSTEP_HOLD_S = 10.0
 """How long a hold is served in lockstep, where nothing real can fall: long enough for the brakes to be told to close once more."""
@@ -13,10 +15,12 @@ LOCKSTEP_HOLD_S = 10.0
 CONFIRM = "release"
 HELD = ("held by its drive", "its drive is told to hold it")
 """Words by which a stop says that a drive alone holds an axis."""
-HOW_TO_LEAVE = (
-    f"This program stays, since it serves the hold: support the axis, then type {CONFIRM} and Enter here. Ctrl-C does not end it. "
+STAYS = (
+    "This program stays, since it serves the hold. Ctrl-C does not end it. "
     "A kill leaves it to the drive, which goes on holding if it watches the bench's heartbeat and its quick stop holds (6007h, 605Ah)."
 )
+HOW_TO_LEAVE = f"{STAYS} Support the axis, then type {CONFIRM} and its name here, as in `{CONFIRM} roll`."
+"""Said of axes that stand alone: who goes to one that may move is hurt."""
 
 HOLD_ENDED = "The hold has ended."
 MOST_READS = 64
@@ -24,7 +28,7 @@ MOST_READS = 64
 
 
 class TypedLines:
-    """Lines of the standard input, as far as they are there. Those that Python has buffered could not be waited for."""
+    """Lines typed at the terminal, as far as they are there. What a pipe or a file holds was written before anybody saw the machine."""
 
     def __init__(self) -> None:
         self._begun, self._listens = b"", True
@@ -33,6 +37,7 @@ class TypedLines:
         """Return the lines that were ended since the last call; never waits."""
         try:
             typed = sys.stdin.fileno()
+            self._listens = self._listens and os.isatty(typed)
             for _ in range(MOST_READS):
                 if not self._listens or not select.select([typed], [], [], 0.0)[0]:
                     break
@@ -46,7 +51,7 @@ class TypedLines:
 
 
 class Operator:
-    """An operator at a terminal, who confirms that an axis is supported by a line on the standard input.
+    """An operator at a terminal, who confirms that an axis is supported by a line with its name.
 
     Parameters
     ----------
@@ -60,15 +65,17 @@ class Operator:
 
     def say(self, text: str) -> None:
         """Tell the operator what holds, and how to release it, or that nothing does any more."""
-        self._say(f"{text}. {HOW_TO_LEAVE if any(words in text for words in HELD) else HOLD_ENDED}")
+        held = any(words in text for words in HELD)
+        self._say(f"{text}. {HOLD_ENDED if not held else STAYS if KEEP_AWAY in text else HOW_TO_LEAVE}")
 
     def stays(self, held_s: float) -> bool:
         """Stay as long as it takes."""
         return True
 
-    def released(self) -> bool:
-        """Return whether a line of the standard input, of all that are there, says so; never waits."""
-        return CONFIRM in [line.strip().lower() for line in self._typed.take()]
+    def released(self) -> Collection[str]:
+        """Return the axes that lines at the terminal, of all that are there, release by name; never waits."""
+        words = [line.split() for line in self._typed.take()]
+        return [two[1] for two in words if len(two) == 2 and two[0].lower() == CONFIRM]
 
 
 class LockstepAttendant:
@@ -85,6 +92,6 @@ class LockstepAttendant:
         """Stay for a while."""
         return held_s < LOCKSTEP_HOLD_S
 
-    def released(self) -> bool:
+    def released(self) -> Collection[str]:
         """Nobody confirms anything."""
-        return False
+        return ()

@@ -130,6 +130,7 @@ class LockstepClock:
     tick_began_s: float = 0.0
     missed: int = 0
     awake_s: float = 0.0
+    waited_s: float = 0.0  # in which the machine's own time stood still between two SYNCs
 
     def now(self) -> float:
         """Return virtual seconds."""
@@ -137,6 +138,7 @@ class LockstepClock:
 
     def wait(self, seconds: float) -> None:
         """Advance the emulated machine by this many seconds."""
+        self.waited_s += seconds
         self.advance(seconds)
 
     def start_ticks(self, period_s: float) -> None:

@@ -205,6 +205,8 @@ class SampleLoop:
         except BaseException:
             self.link.stop()
             raise
+        if self.judge is not None:
+            self.judge.finish(max(k, 0) * self.layout.period_s)
         judged = () if self.judge is None else judged_lines(self.judge.findings, done)
         missed = self.clock.missed - missed_before
         return LoopTiming(done, missed, unanswered, lateness[:done], work[:done], answer[:done], judged=judged)

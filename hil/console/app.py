@@ -152,10 +152,17 @@ class _Pages:
         return JSONResponse({})
 
     async def release(self, request: Request) -> Response:
-        """Tell a run that holds an axis whose brake is not proven that the axis is supported."""
+        """Tell a run that holds an axis whose brake is not proven that the axis, by its name, is supported."""
         if not self._desk.work.holds:
             return PlainTextResponse("no drive holds an axis that waits for its release\n", 409)
-        self._desk.work.say(CONFIRM)
+        try:
+            asked = await request.json()
+        except ValueError:
+            asked = None
+        axis = asked.get("axis") if isinstance(asked, dict) else None
+        if axis not in [each.name for each in self._desk.facts.axes]:
+            return PlainTextResponse("name the axis that is supported\n", 422)
+        self._desk.work.say(f"{CONFIRM} {axis}")
         return JSONResponse({})
 
     async def invite(self, request: Request) -> Response:

@@ -11,6 +11,7 @@ import contextlib
 import os
 import subprocess
 import sys
+import termios
 import threading
 import time
 from collections.abc import Callable
@@ -112,12 +113,16 @@ class _Led:
 
     def __init__(self, command: tuple[str, ...], arguments: list[str], tell: Callable[..., None]) -> None:
         held, self._lead = os.pipe()
+        self._keys, terminal = os.openpty()  # an axis is released from a terminal alone
+        quiet = termios.tcgetattr(terminal)
+        quiet[3] &= ~termios.ECHO
+        termios.tcsetattr(terminal, termios.TCSANOW, quiet)
         self._holds = True
         self._tell = tell
         try:
             self._process = subprocess.Popen(
                 [*command, str(held), *arguments],
-                stdin=subprocess.PIPE,
+                stdin=terminal,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
                 pass_fds=(held,),
@@ -128,6 +133,7 @@ class _Led:
             )
         finally:
             os.close(held)
+            os.close(terminal)
         assert self._process.stdout is not None
         assert self._process.stderr is not None
         readers = [
@@ -147,10 +153,8 @@ class _Led:
 
     def say(self, text: str) -> None:
         """Write a line to the command's standard input."""
-        assert self._process.stdin is not None
-        with contextlib.suppress(OSError, ValueError):
-            self._process.stdin.write(text + "\n")
-            self._process.stdin.flush()
+        with contextlib.suppress(OSError):
+            os.write(self._keys, f"{text}\n".encode())
 
     @property
     def runs(self) -> bool:

@@ -18,7 +18,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from drivers.canopen.axis_rest import NOT_PROVEN
+from drivers.canopen.axis_rest import KEEP_AWAY
 from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
 from hil.bench.signals import StopRequest
@@ -59,8 +59,8 @@ class TrialOutcome:
         it ended as if nothing had been, and every position of its recording is that of a run without the fault, up to the tolerance of
         `[judging.encoders]`; where nothing is recorded: it ended where such a run ends, had gone no further, and knows where it stands.
         "unnoticed": it ended as if nothing had been, and is not that.
-        "cannot be held": brake and drive are both lost, which was said, and nothing drives it. "not at rest": something still moves, or
-        has moved without a stop. "never began": the run ended before the fault's time. "did not end".
+        "cannot be held": brake and drive are both lost, the emergency stop was named, and nothing drives it. "not at rest": something
+        still moves, or has moved without a stop. "never began": the run ended before the fault's time. "did not end".
     exit_status : int
         Of the command `run`.
     said : str
@@ -260,7 +260,7 @@ def _verdict(trial: FaultTrial, run: _Run, outcome: FaultOutcome | None, *, comp
     if not outcome.at_rest:
         moving = [axis.ending == "moving" for axis in outcome.axes]
         driven = run.motion.effort[-1][moving].any()
-        return "cannot be held" if trial.brake == "absent" and NOT_PROVEN in run.lines[-1] and not driven else "not at rest"
+        return "cannot be held" if trial.brake == "absent" and run.lines[-1].startswith(KEEP_AWAY) and not driven else "not at rest"
     if run.stopped:
         return "stopped"
     return "noted" if run.lines else "unnoticed"

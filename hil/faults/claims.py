@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.canopen.axis_rest import KEEP_AWAY, NOT_PROVEN
 from virtual_bus.faults.motion_log import HOLDING, MotionLog
 
 STATE_WORDS = re.compile(r"\b(rest|stopped|held|holds|moves?|MOVES|stands?|stand|released|opened|closed|voltage|moved)\b")
@@ -138,6 +139,11 @@ def contradictions(said: str, witness: Witness) -> list[str]:
     witness : Witness
     """
     found, axes = [], tuple[str, ...]()
+    if ("IT MOVES" in said or NOT_PROVEN in said) and not said.startswith(f"{KEEP_AWAY}: "):
+        found.append("nobody is told to keep away")
+    if KEEP_AWAY in said and re.search("type release|upport the axis", said):
+        found.append("somebody is sent to an axis that may move")
+    said = said.removeprefix(f"{KEEP_AWAY}: ")
     names = "|".join(map(re.escape, witness.log.axes))
     for sentence in said.split("; "):
         text = sentence.removeprefix("the motors were stopped: ").removeprefix("found under voltage at the start, and ")

@@ -27,7 +27,7 @@ MEANINGS = {
     "noted": "the run went on and said something of it.",
     "within tolerance": "the run ended as if nothing had been, and every recorded position is that of a run without the fault.",
     "unnoticed": "the run ended as if nothing had been; the fault may be harmless.",
-    "cannot be held": "brake and drive are both lost, which the run said; no drive gives it an effort.",
+    "cannot be held": "brake and drive are both lost: the run named the emergency stop, and no drive gives it an effort.",
     "not at rest": f"an axis still moved when the watch ended, {REST_AT_MOST_S:g} s after the last SYNC at most.",
 }
 _HEAD = ("fault", "at", "during", "verdict", "rest [s]", "travel [{unit}]", "budget", "at the end", "rows", "said")

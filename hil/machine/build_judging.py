@@ -15,6 +15,8 @@ from hil.machine.schema import CurrentTable, ImuTable, MachineTable, Temperature
 from hil.machine.schema_judging import DriveJudgingTable, EncodersJudgingTable, JudgingTable, TemperatureJudgingTable
 from virtual_bus.settings import PlantSettings
 
+FAR_SHARE = 0.2
+"""Share of the rated effort by which a drive that is off stops the motors in any case: current sensors of drives are off by a tenth."""
 DRIFT_SHARE = 0.1
 """Share of the tolerance by which a growing difference is a drift: a tenth keeps what friction and play make, which does not grow."""
 
@@ -123,15 +125,17 @@ def _drive(number: int, axis: str, table: MachineTable, rules: JudgingTable, bus
     noise, step = (0.0, 0.0) if current is None else (current.noise_rms, current.resolution)
     rated = bus.scalings[number].rated
     away = deviations(share_of(rules.false_alarm_probability, 1.0 / bus.sync_period_s))
+    tolerance = rule.effort_tolerance * rated + away * noise + step + rated / 1000.0
     return DriveJudging(
         sensor=f"drive_{axis}",
         axis=number,
         unit=table.drives[axis].effort_unit,
         follows=rule.follows,
-        tolerance=rule.effort_tolerance * rated + away * noise + step + rated / 1000.0,
+        tolerance=tolerance,
         settling_ticks=math.ceil(rule.settling / bus.sync_period_s),
         bridged_ticks=table.timing.stale_ticks,
         load_tolerance=math.inf if rule.load_tolerance is None else rule.load_tolerance * rated,
+        stop_tolerance=max(tolerance, FAR_SHARE * rated),
     )
 
 

@@ -70,7 +70,8 @@ class DriveJudgingTable(Table):
     """
 
     follows: FollowsKey = "mark"
-    """As for the IMU. Beyond `tracking_error` the motors are stopped in any case."""
+    """As for the IMU. A drive that measures no effort where it was sent some, or one that is off by a fifth of the rated effort, stops the
+    motors in any case; so does the `tracking_error`."""
     effort_tolerance: Annotated[Number, Field(gt=0.0, le=1.0), Quantity("share")] = 0.05
     """Share of the rated effort by which a drive may be off: what current sensors of drives are off by, and some more."""
     settling: Annotated[Positive, Quantity("time")] = 0.01

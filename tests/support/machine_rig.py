@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 
 import numpy as np
 from scripted_nodes import BusClock, ScriptedBus, ScriptedDrive, ScriptedEncoder, ScriptedIo, machine_settings
@@ -17,7 +18,8 @@ class PatientFor:
     """An attendant who leaves a hold after a while, and keeps what was said."""
 
     def __init__(self, seconds: float) -> None:
-        self.seconds, self.said, self.confirms = seconds, [], False
+        self.seconds, self.said = seconds, []
+        self.confirms: Collection[str] = ()
         self.on_say = lambda: None
 
     def say(self, text: str) -> None:
@@ -27,7 +29,7 @@ class PatientFor:
     def stays(self, held_s: float) -> bool:
         return held_s < self.seconds
 
-    def released(self) -> bool:
+    def released(self) -> Collection[str]:
         return self.confirms
 
 

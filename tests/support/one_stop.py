@@ -15,8 +15,9 @@ from drivers.settings import MotionLimits
 T, COUNT, TRACKING = 2.0**-8, 2.0**-16, 2.0**-5
 NAN = math.nan
 QUICK, ENABLED, OFF, READY, SWITCHED_ON, REACTION, FAULT, ODD = 0x17, 0x37, 0x40, 0x31, 0x33, 0x1F, 0x18, 0x25
-STAND, SWING, CLOSING, SETTLING, ANSWER, TORQUE, PUSH, WATCH, VOLTAGE, RETAKE, AT_MOST = 13, 32, 256, 1280, 8, 16, 77, 26, 52, 128, 2560
+STAND, SWING, CLOSING, SETTLING, ANSWER, TORQUE, PUSH, WATCH, VOLTAGE, RETAKE, AT_MOST = 13, 64, 256, 1280, 8, 16, 77, 26, 52, 128, 2560
 """Ticks of each wait: its time in whole ticks, rounded up."""
+REST = 256  # where the brake was not pushed
 PUSHES, MOVED = 0.25, 32  # A, and counts that are more than a brake may slip
 SETTINGS = machine_settings()
 
@@ -48,6 +49,10 @@ class Stopping:
             self.sample.link_position[1] = link * COUNT
         self.stop.step(self.sample, io_is_fresh=self.fresh)
         return self.stop.controlword
+
+    def slips(self, counts: float, status: int | None = None) -> int:
+        """Let one tick pass in which both sides of the axis are that far; return the controlword."""
+        return self.tick(status, motor=counts, link=counts)
 
     def ticks(self, number: int, status: int | None = None) -> list[int]:
         return [self.tick(status) for _ in range(number)]

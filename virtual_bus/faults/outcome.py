@@ -16,7 +16,7 @@ from virtual_bus.faults.motion_log import HOLDING, MotionLog
 SWING_S = 0.25
 """Time that tells standstill from a turning point: two periods of the slowest vibration."""
 
-SHAKE = 1e-3
+SHAKE = 5e-3
 """rad or m: range within which an axis that a drive holds is at rest though it is faster than `STILL_SPEED`; a noisy one shakes it."""
 
 Ending = Literal["moving", "held by its brake", "held by its drive", "held by both", "at rest, held by nothing"]

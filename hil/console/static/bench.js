@@ -91,8 +91,9 @@ function showNow(state) {
 function releaseButton() {
   const button = element("button", { type: "button", id: "release" }, "The axis is supported: release it");
   button.onclick = () => {
-    if (!confirm("The drive lets go of the axis. Is the axis supported, so that it cannot fall?")) return;
-    ask("/api/release", {}, bench.client).catch((error) => say(error.message, "failed"));
+    const axis = prompt("The drive lets go of the axis. If the axis stands and is supported, so that it cannot fall, type its name:");
+    if (!axis) return;
+    ask("/api/release", { axis: axis.trim() }, bench.client).catch((error) => say(error.message, "failed"));
   };
   return button;
 }

@@ -9,6 +9,7 @@ import pytest
 from machine_rig import ZERO, Rig
 from scripted_nodes import PERIOD_S
 
+from drivers.canopen.axis_rest import KEEP_AWAY
 from drivers.canopen.emcy import decode_emergency
 from drivers.errors import (
     BusError,
@@ -87,7 +88,7 @@ def test_a_bus_that_dies_still_closes_the_brakes(rig: Rig) -> None:
     assert rig.io.history[-1] == {"propeller": False, "roll": False}
     assert rig.machine.stop_trouble
     assert "stopping: " in rig.machine.stop_trouble[0]
-    assert rig.machine.outcome == "propeller, roll nobody knows whether it stands: the stop broke off"
+    assert rig.machine.outcome == f"{KEEP_AWAY}: propeller, roll nobody knows whether it stands: the stop broke off"
 
 
 def test_lost_io_does_not_keep_the_drives_from_holding(rig: Rig) -> None:

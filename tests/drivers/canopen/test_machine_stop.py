@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from machine_rig import ZERO, Rig
 from scripted_nodes import PERIOD_S, ScriptedDrive
 
+from drivers.canopen.axis_rest import KEEP_AWAY
 from drivers.errors import MotionRefusedError
 
 
@@ -110,7 +111,7 @@ def test_an_axis_without_a_brake_that_never_stands_is_not_held_and_that_is_said(
     rig.machine.stop()
     assert rig.drives[0].power == "switch on disabled"
     assert re.fullmatch(
-        "propeller not proven at rest: its drive did not hold it, its motor side is .* rad from where a stop brings it, .* are allowed, "
+        "KEEP AWAY, PRESS THE EMERGENCY STOP: propeller not proven at rest: its drive did not hold it, its motor side is .* are allowed, "
         "voltage off; the bench commands no brake of it; IT MOVES; roll at rest: it stands without a brake of the bench's, voltage off",
         rig.machine.outcome,
     )
@@ -122,7 +123,10 @@ def test_an_axis_without_a_brake_whose_position_is_lost_is_not_taken_for_standin
     rig.machine.enable()
     rig.drives[0].mute_pdo = rig.encoders[0].mute_pdo = True
     rig.machine.stop()
-    assert "propeller not proven at rest: its drive does not answer; the bench commands no brake of it; nobody knows" in rig.machine.outcome
+    assert (
+        "propeller not proven at rest: its drive does not answer (its node is stopped); the bench commands no brake of it; nobody"
+        in rig.machine.outcome
+    )
 
 
 LOAD = 100.0
@@ -181,7 +185,7 @@ def test_a_link_encoder_that_is_frozen_does_not_prove_a_brake_that_slips(loaded:
     loaded.machine.stop()
     assert loaded.drives[1].power == "quick stop active"
     assert 0x0000 not in words_to(loaded, 1)
-    assert "roll held by its drive: its brake slips: its motor side moved by" in loaded.machine.outcome
+    assert "roll held by its drive: its motor side alone moved by" in loaded.machine.outcome
 
 
 @pytest.mark.parametrize("stage", ["jammed", "silent I/O"])
@@ -214,7 +218,7 @@ def test_a_brake_that_closes_late_is_proven_late_and_the_hold_ends(loaded: Rig) 
 def test_an_operator_who_has_supported_the_axis_ends_the_hold(loaded: Rig) -> None:
     loaded.io.jammed = {"roll"}
     loaded.attendant.seconds = 60.0
-    loaded.attendant.on_say = lambda: setattr(loaded.attendant, "confirms", True)
+    loaded.attendant.on_say = lambda: setattr(loaded.attendant, "confirms", ["roll"])
     loaded.machine.stop()
     assert loaded.drives[1].power == "switch on disabled"
     assert "roll at rest: released by the operator, voltage off" in loaded.machine.outcome or "roll not" in loaded.machine.outcome
@@ -232,7 +236,7 @@ def test_a_voltage_that_went_is_taken_back_when_the_axis_falls(loaded: Rig) -> N
     loaded.io.jammed, loaded.io.lies = {"roll"}, {"roll"}
     loaded.machine.stop()
     assert loaded.drives[1].power == "quick stop active"
-    assert "roll held by its drive: its link moved by" in loaded.machine.outcome
+    assert "roll held by its drive: its brake slips: its link moved by" in loaded.machine.outcome
     assert fallen(loaded) < 0.06
 
 
@@ -330,6 +334,6 @@ def test_a_stop_that_breaks_off_claims_nothing_and_takes_every_axis_for_held(rig
 
     monkeypatch.setattr(rig.bus, "send", dead)
     rig.machine.stop()
-    assert rig.machine.outcome == "propeller, roll nobody knows whether it stands: the stop broke off"
+    assert rig.machine.outcome == f"{KEEP_AWAY}: propeller, roll nobody knows whether it stands: the stop broke off"
     assert [(rest.axis, rest.safe, rest.held) for rest in rig.machine.rests] == [("propeller", False, True), ("roll", False, True)]
     assert any("the bus is dead" in trouble for trouble in rig.machine.stop_trouble)

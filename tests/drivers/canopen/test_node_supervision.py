@@ -82,6 +82,27 @@ def test_a_silent_node_is_lost_after_two_and_a_half_periods() -> None:
         supervision.check_one(bus.time_s)
 
 
+def test_time_in_which_the_loop_did_not_look_is_no_silence_of_a_node() -> None:
+    drive = ScriptedDrive(1)
+    bus, network, _ = operational(drive)
+    looking = Supervision(network, NODE, period_s=1 / 256)
+    network.pump_for(0.11)
+    drive.silent = True
+    silent_s = bus.time_s
+
+    def look(ticks: int) -> None:
+        for _ in range(ticks):
+            network.pump_for(1 / 256)
+            looking.check_one(bus.time_s)
+
+    look(20)
+    network.pump_for(3.0)
+    looking.check_one(bus.time_s)
+    with pytest.raises(HeartbeatLostError, match=r"no heartbeat for 0\.2\d+ s"):
+        look(200)
+    assert 3.1 < bus.time_s - silent_s < 3.4
+
+
 def test_ticks_that_the_loop_has_lost_are_no_silence_of_a_node() -> None:
     """The node is emulated, and its time moves with the SYNCs that a loaded computer leaves out; what was lost before is nothing."""
     drive = ScriptedDrive(1)

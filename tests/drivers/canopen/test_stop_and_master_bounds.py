@@ -27,6 +27,7 @@ class Axis:
     end: AxisRest = SAFE
     orders_brake: bool = True
     orders_node: int = 0
+    alarm: str = ""
     asks_for_torque: bool = False
     rest: AxisRest | None = None
     log: list[object] = field(default_factory=list)
@@ -78,8 +79,11 @@ class Served:
         self.held_s.append(held_s)
         return held_s < self.leaves_after_s
 
-    def released(self) -> bool:
-        return self.now_s - 100.0 >= self.confirms_after_s
+    def released(self) -> list[str]:
+        if self.now_s - 100.0 < self.confirms_after_s:
+            return []
+        self.confirms_after_s = 1e9  # a line is typed once
+        return ["roll"]
 
 
 def test_stops_go_on_until_the_last_has_ended_and_once_more_for_its_controlword() -> None:
@@ -159,8 +163,8 @@ def test_what_was_confirmed_before_a_hold_releases_nothing() -> None:
     axis = Axis(steps=1, end=HELD)
     served = Served(axis)
     served.stops.step()
-    confirmations = [True]  # as typed during another stop
-    served.released = lambda: bool(confirmations and confirmations.pop())  # type: ignore[method-assign]
+    confirmations = [["roll"]]  # as typed during another stop
+    served.released = lambda: confirmations.pop() if confirmations else []  # type: ignore[method-assign]
     served.leaves_after_s = 3.0
     served.stops.serve_hold(served)
     assert "release" not in axis.log
@@ -186,7 +190,7 @@ def test_attempts_go_on_after_an_error_and_keep_it() -> None:
 def test_without_an_attendant_a_hold_is_served_without_end() -> None:
     nobody = Unattended()
     nobody.say("a word")
-    assert (nobody.stays(1e9), nobody.released()) == (True, False)
+    assert (nobody.stays(1e9), nobody.released()) == (True, ())
 
 
 class Network:
@@ -313,3 +317,36 @@ def test_a_flood_is_one_of_four_ticks_in_a_row(network: Network) -> None:
         "31 frames in one period that nobody here asked for, the last with the identifier 3A6h, 17 are bearable: "
         "somebody floods the bus on a bus; switch it off"
     ]
+
+
+def test_an_operator_releases_the_axes_that_are_named_and_no_other() -> None:
+    roll, propeller = Axis(steps=1, end=HELD), Axis(0, "propeller", 1, replace(HELD, axis="propeller"))
+    served = Served(roll, propeller)
+    served.stops.step()
+    served.confirms_after_s, served.leaves_after_s = 3.0, 6.0
+    served.stops.serve_hold(served)
+    assert "release" in roll.log
+    assert "release" not in propeller.log
+
+
+def test_what_must_be_told_at_once_is_told_once_and_no_terminal_that_is_gone_keeps_a_stop_from_going_on() -> None:
+    axis = Axis(steps=5, alarm="its drive does not hold it")
+    served, told = Served(axis), []
+    served.stops.alarm = told.append
+    served.stops.run()
+    assert told == ["KEEP AWAY, PRESS THE EMERGENCY STOP: roll: its drive does not hold it"]
+    gone = Axis(steps=5, alarm="its drive does not hold it")
+    silent = Served(gone)
+
+    def fail(text: str) -> None:
+        raise OSError("no terminal")
+
+    silent.stops.alarm = fail
+    silent.stops.run()
+    assert (gone.rest, gone.alarm) == (SAFE, "")
+
+
+def test_keep_away_stands_first_where_an_axis_may_move() -> None:
+    moves = replace(SAFE, axis="propeller", safe=False, words="not proven at rest: IT MOVES", may_move=True)
+    assert in_words([SAFE, moves]) == "KEEP AWAY, PRESS THE EMERGENCY STOP: roll at rest; propeller not proven at rest: IT MOVES"
+    assert in_words([SAFE]) == "roll at rest"

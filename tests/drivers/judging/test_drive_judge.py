@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench_machines import CARM
 
 from drivers.interface import Sample
 from drivers.judging.drive import DriveJudge
@@ -220,3 +221,32 @@ def test_the_load_of_each_axis_is_judged_in_one_window_of_the_machine() -> None:
     judge.begin()
     judge.step(sample, 1, 0.0)
     assert judge.marks == 0
+
+
+def stops_of(measured: Callable[[int], float], command: Callable[[int], float], stop_tolerance: float = 1.0) -> int:
+    """The row in which the motors are stopped though a finding is otherwise marked; -1: never."""
+    settings = replace(SETTINGS, stop_tolerance=stop_tolerance)
+    judge, sample = SensorJudge(JudgingSettings(drives=(settings,)), PERIOD_S), Sample(1)
+    for k in range(300):
+        sample.commanded[0], sample.effort[0] = command(k), measured(k) if k >= 100 else command(k)
+        if reason := judge.step(sample, 1, k * PERIOD_S):
+            assert reason.startswith("drive_roll: its drive measures ")
+            return k
+    return -1
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_drive_that_is_far_off_or_has_lost_its_torque_stops_the_motors_at_the_fourth_row(sign: float) -> None:
+    assert stops_of(lambda k: sign * 8.0, lambda k: sign * 5.5) == 103
+    assert stops_of(lambda k: sign * 6.4, lambda k: sign * 5.5) == -1, "it is marked"
+    assert stops_of(lambda k: 0.2, lambda k: sign * 0.7) == 103, "none of what it was sent"
+    assert stops_of(lambda k: 0.2, lambda k: sign * 0.55) == -1
+    assert stops_of(lambda k: sign * 1.0, lambda k: sign * 1.5) == -1
+    assert stops_of(lambda k: sign * 8.0 if k % 4 else sign * 5.5, lambda k: sign * 5.5) == -1, "three in a row are bridged"
+    assert stops_of(lambda k: 0.0, lambda k: sign * 5.5, float("inf")) == -1
+
+
+def test_the_machine_file_stops_where_a_fifth_of_the_rated_effort_is_off() -> None:
+    for each, scaling in zip(CARM.judging.drives, CARM.bus.scalings, strict=True):  # type: ignore[union-attr]
+        assert each.follows == "mark"
+        assert each.stop_tolerance == pytest.approx(0.2 * scaling.rated)

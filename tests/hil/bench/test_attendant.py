@@ -1,4 +1,4 @@
-"""An operator who looks after an axis that only its drive holds, at a terminal or through a pipe."""
+"""An operator who looks after an axis that only its drive holds: what is told, and what releases it."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from hil.bench.attendant import CONFIRM, HOLD_ENDED, HOW_TO_LEAVE, Operator
+from drivers.canopen.axis_rest import KEEP_AWAY
+from hil.bench.attendant import CONFIRM, HOLD_ENDED, HOW_TO_LEAVE, STAYS, Operator
 
 
 @pytest.fixture
 def types(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], int]]:
-    read, written = os.pipe()
+    written, read = os.openpty()
     with io.TextIOWrapper(io.BufferedReader(io.FileIO(read))) as stdin, io.FileIO(written, "w") as keys:
         monkeypatch.setattr(sys, "stdin", stdin)
         yield lambda text: keys.write(text.encode())
@@ -22,35 +23,52 @@ def types(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], int]]:
 
 def test_asking_once_takes_every_line_that_is_there(types: Callable[[str], int]) -> None:
     operator = Operator()
-    assert not operator.released()
-    types(f"{CONFIRM}\nno\n {CONFIRM.upper()} \n{CONFIRM}\n")
-    assert operator.released()
+    assert operator.released() == []
+    types(f"{CONFIRM} roll\nno\n {CONFIRM.upper()}  propeller \n{CONFIRM}\n{CONFIRM} roll now\n")
+    assert operator.released() == ["roll", "propeller"], "without a name, and with more than it, nothing is"
     types("\n")
-    assert not operator.released()
+    assert operator.released() == []
 
 
 def test_a_line_counts_once_it_is_ended(types: Callable[[str], int]) -> None:
     operator = Operator()
     types(CONFIRM[:3])
-    assert not operator.released()
-    types(f"{CONFIRM[3:]}\n")
-    assert operator.released()
+    assert operator.released() == []
+    types(f"{CONFIRM[3:]} roll\n")
+    assert operator.released() == ["roll"]
+
+
+def test_a_pipe_releases_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    read, written = os.pipe()
+    with io.TextIOWrapper(io.BufferedReader(io.FileIO(read))) as stdin, io.FileIO(written, "w") as pipe:
+        monkeypatch.setattr(sys, "stdin", stdin)
+        pipe.write(f"{CONFIRM} roll\n".encode())
+        assert list(Operator().released()) == []
 
 
 def test_a_closed_or_missing_input_confirms_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     with open(os.devnull) as nothing:
-        for stdin in (nothing, None, io.StringIO(f"{CONFIRM}\n")):
+        for stdin in (nothing, None, io.StringIO(f"{CONFIRM} roll\n")):
             monkeypatch.setattr(sys, "stdin", stdin)
             operator = Operator()
-            assert [operator.released(), operator.released()] == [False, False]
+            assert [operator.released(), operator.released()] == [[], []]
 
 
-@pytest.mark.parametrize(
-    "words", ["roll held by its drive: its brake reports open", "roll not proven at rest: its drive is told to hold it and IT MOVES"]
-)
-def test_whatever_a_drive_holds_is_told_with_the_way_to_release_it_and_its_end_too(words: str) -> None:
+def test_what_a_drive_holds_is_told_with_the_way_to_release_it_and_its_end_too() -> None:
     said: list[str] = []
-    operator = Operator(said.append)
+    operator, words = Operator(said.append), "roll held by its drive: its brake reports open"
     operator.say(words)
     operator.say("roll at rest: brake proven, voltage off")
     assert said == [f"{words}. {HOW_TO_LEAVE}", f"roll at rest: brake proven, voltage off. {HOLD_ENDED}"]
+
+
+def test_nobody_is_sent_to_an_axis_that_moves() -> None:
+    said: list[str] = []
+    operator = Operator(said.append)
+    operator.say(f"{KEEP_AWAY}: roll not proven at rest: its drive is told to hold it and IT MOVES: it had not come to stand")
+    operator.say(f"{KEEP_AWAY}: roll: its drive does not hold it")
+    for line in said:
+        assert line.startswith("KEEP AWAY, PRESS THE EMERGENCY STOP: ")
+        assert "upport" not in line
+        assert CONFIRM not in line
+    assert STAYS in said[0]

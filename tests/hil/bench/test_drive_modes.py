@@ -87,7 +87,8 @@ def test_frames_carry_the_recorded_target_in_counts(swept: tuple[Machine, Record
     if machine.commanded["roll"]["mode"] == "position":
         offset = targets[-1] - asked[-1]
     wanted = (asked[:400] + offset).tolist()
-    found = any(np.abs(np.subtract(targets[k : k + 400], wanted)).max() <= 1 for k in range(len(targets) - 400))
+    most = 2  # counts: a target makes up for what the one before has lost by rounding, and the offset is rounded, too
+    found = any(np.abs(np.subtract(targets[k : k + 400], wanted)).max() <= most for k in range(len(targets) - 400))
     assert found
 
 

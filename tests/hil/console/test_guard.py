@@ -113,16 +113,19 @@ def test_a_release_is_refused_while_nothing_is_held(folder: Path) -> None:
         with client.websocket_connect(SOCKETS[0], headers={"Origin": OWN}) as page:
             named = {"Origin": OWN, "X-Client": page.receive_json()["client"]}
             assert client.post("/api/run", json={"kind": "static"}, headers=named).json() == {}
-            early = client.post("/api/release", headers=named)
+            early = client.post("/api/release", headers=named, json={"axis": "turn"})
             assert (early.status_code, len(early.text.splitlines())) == (409, 1)
             line.send((starter.SAID, f"turn held by its drive. {HOW_TO_LEAVE}", True))
             while not page.receive_json()["work"].get("holds"):
                 page.send_text("here")
-            assert client.post("/api/release", headers=named).status_code == 200
+            for unnamed in ({}, {"axis": "another"}, {"axis": ["turn"]}, ["turn"]):
+                assert client.post("/api/release", headers=named, json=unnamed).status_code == 422
+            assert client.post("/api/release", headers=named).status_code == 422
+            assert client.post("/api/release", headers=named, json={"axis": "turn"}).status_code == 200
         sent = []
         while line.poll():
             sent.append(line.recv())
-        assert [each for each in sent if each[0] == starter.SAY] == [(starter.SAY, "release")]
+        assert [each for each in sent if each[0] == starter.SAY] == [(starter.SAY, "release turn")]
 
 
 def test_each_client_is_told_whether_the_work_is_its_own_and_no_name_of_another(client: TestClient) -> None:

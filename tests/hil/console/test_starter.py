@@ -111,7 +111,7 @@ class Terminal:
 
     def __init__(self) -> None:
         self.shown: queue.Queue[str] = queue.Queue()
-        typed, self._keys = os.pipe()
+        self._keys, typed = os.openpty()
         self.stdin = io.FileIO(typed)
 
     def write(self, text: str) -> None:

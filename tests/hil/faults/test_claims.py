@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from drivers.canopen.axis_rest import KEEP_AWAY
 from hil.faults.claims import Witness, contradictions
 from virtual_bus.canopen.power_state import PowerState
 from virtual_bus.faults.motion_log import MotionLog
@@ -54,8 +55,12 @@ def test_every_claim_that_the_truth_contradicts_is_found(truth: Witness, false: 
 def test_rows_motion_and_a_hold_that_are_not_there_are_found() -> None:
     assert contradictions(STOPPED.replace("189 rows", "190 rows"), witness()) == ["190 rows are kept"]
     moves = "roll not proven at rest: its drive is told to hold it and IT MOVES: its brake reports open 1 s after it was told to close"
-    assert contradictions(moves, witness()) == [moves]
-    assert contradictions(moves, witness(speed=0.05, drive=QUICK_STOP)) == []
+    assert contradictions(f"{KEEP_AWAY}: {moves}", witness()) == [moves]
+    truth = witness(speed=0.05, drive=QUICK_STOP)
+    assert contradictions(f"{KEEP_AWAY}: {moves}", truth) == []
+    assert contradictions(moves, truth) == ["nobody is told to keep away"]
+    sent = f"{KEEP_AWAY}: {moves}; support the axis"
+    assert "somebody is sent to an axis that may move" in contradictions(sent, truth)
     held = "roll held by its drive: its brake reports open 1 s after it was told to close, it stands"
     assert contradictions(held, witness()) == [held]
     assert contradictions("nothing was recorded", witness()) == ["nothing was recorded"]

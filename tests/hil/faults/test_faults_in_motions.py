@@ -78,6 +78,7 @@ def test_what_is_found_of_the_sensors_on_a_way_is_told(tmp_path: Path) -> None:
         silent, sound = tried(machine, "move", tmp_path, "imu_silent/imu/sweep", "frames_remote/roll_encoder/sweep")
         assert (silent.verdict, silent.exit_status) == ("noted", 1)
         assert "imu" in silent.said
+        assert "late heartbeats" not in silent.said, "the nodes are sound"
         assert sound.exit_status == 0
 
 
@@ -102,6 +103,7 @@ def test_a_drive_that_hears_no_sync_is_stopped_by_the_end_of_its_communication(t
     (deaf,) = tried(BY_ITSELF, "move", tmp_path, "node_deaf_to_sync/roll_drive/sweep")
     assert deaf.budget is not None
     assert deaf.budget.kept
+    assert "its drive does not answer (its node is stopped)" in deaf.said
 
 
 def test_a_reference_that_is_off_does_not_agree_with_the_link(tmp_path: Path) -> None:

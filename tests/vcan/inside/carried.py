@@ -34,7 +34,7 @@ LIMITS = (
     r"the supervisor does not answer for 0.\d+ s",
     r"the I/O has given no valid state for \d+.\d+ s, 0.50 s are allowed",
     r"\w+ held by its drive: its position is not known, so its brake cannot be proven",
-    r"^\w+(, \w+)* not proven at rest: its drive does not answer",
+    r"^(KEEP AWAY, PRESS THE EMERGENCY STOP: )?\w+(, \w+)* not proven at rest: its drive does not answer",
     r"sensors not to be believed: imu: ",
 )
 """What stops the machine on a late computer by the shipped file or the converted one: overrun_ticks, stale_ticks, boot_timeout_s and

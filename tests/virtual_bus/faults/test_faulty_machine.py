@@ -106,7 +106,7 @@ def test_a_fault_ends_after_its_duration(tmp_path: Path) -> None:
 
 def test_lost_torque_is_not_the_automatons_to_know(tmp_path: Path) -> None:
     said, outcome = aborted(tmp_path, fault("torque_lost", "roll_drive"))
-    assert "tracking error" in said
+    assert "drive_roll: its drive measures " in said
     assert outcome.at_rest
     recording = read_recording(tmp_path / "run.mf4")
     assert recording["statusword_roll"][-1] % 64 == 0x37 % 64
