@@ -21,6 +21,9 @@ DriverError                    base; exit status 1 unless a class says otherwise
 DataSheetWarning               no error: a data sheet was read with repairs
 """
 
+KEEP_AWAY = "KEEP AWAY, PRESS THE EMERGENCY STOP"
+"""First in what is said while an axis moves or may move: nobody must go there, and nothing of this program holds it."""
+
 
 class DataSheetWarning(UserWarning):
     """An EDS or DCF file bends the rules of CiA 306: which lines, and what was read instead."""

@@ -59,8 +59,7 @@ class LoopAbortedError(BadAnswerError):
 def in_one_line(error: Exception) -> tuple[str, int]:
     """Return what a command says of an error that ended it, and its exit status: 1 a bad answer, 2 unusable input."""
     from controllers.errors import ControlError
-    from drivers.canopen.axis_rest import KEEP_AWAY
-    from drivers.errors import DriverError
+    from drivers.errors import KEEP_AWAY, DriverError
     from virtual_bus.errors import EmulatorError
 
     if isinstance(error, BenchError | DriverError | EmulatorError | ControlError):

@@ -86,7 +86,7 @@ def command(arguments: list[str], said: Path) -> None:
         status = result if isinstance(result, int) else 0
     except SystemExit as end:
         status = end.code if isinstance(end.code, int) else 0 if end.code is None else 1
-    except BaseException as error:  # noqa: BLE001: whatever ends the tool is its answer
+    except BaseException as error:  # whatever ends the tool is its answer
         os.write(2, f"{type(error).__name__}: {error}".encode())
     finally:
         sys.stdout.flush()

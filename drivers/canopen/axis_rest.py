@@ -7,8 +7,6 @@ from math import nan
 
 from drivers.canopen.cia402 import State
 
-KEEP_AWAY = "KEEP AWAY, PRESS THE EMERGENCY STOP"
-"""First in what is said while an axis moves or may move: nobody must go there, and nothing of this program holds it."""
 NOT_PROVEN = "not proven at rest"
 """How an axis that nobody knows to stand, or that moves, is told."""
 POWERED = frozenset(

@@ -6,8 +6,9 @@ import contextlib
 from collections.abc import Callable, Collection, Sequence
 from typing import Protocol
 
-from drivers.canopen.axis_rest import KEEP_AWAY, AxisRest
+from drivers.canopen.axis_rest import AxisRest
 from drivers.canopen.axis_stop import AxisStop
+from drivers.errors import KEEP_AWAY
 from drivers.interface import Clock, Sample
 
 SAY_EVERY_S = 5.0

@@ -7,7 +7,7 @@ import select
 import sys
 from collections.abc import Callable, Collection
 
-from drivers.canopen.axis_rest import KEEP_AWAY
+from drivers.errors import KEEP_AWAY
 
 LOCKSTEP_HOLD_S = 10.0
 """How long a hold is served in lockstep, where nothing real can fall: long enough for the brakes to be told to close once more."""

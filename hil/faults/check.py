@@ -18,7 +18,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from drivers.canopen.axis_rest import KEEP_AWAY
+from drivers.errors import KEEP_AWAY
 from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
 from hil.bench.signals import StopRequest

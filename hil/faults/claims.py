@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.canopen.axis_rest import KEEP_AWAY, NOT_PROVEN
+from drivers.canopen.axis_rest import NOT_PROVEN
+from drivers.errors import KEEP_AWAY
 from virtual_bus.faults.motion_log import HOLDING, MotionLog
 
 STATE_WORDS = re.compile(r"\b(rest|stopped|held|holds|moves?|MOVES|stands?|stand|released|opened|closed|voltage|moved)\b")

@@ -30,6 +30,9 @@ FAR = 20.0
 OFTEN = 0.02
 """Share of samples that leave their neighbours and return, from which there is a second sender: bad readings are fewer."""
 
+FEWEST = 4
+"""Samples that leave their neighbours and return, below which a file is too short to tell a second sender from a signal that jumps."""
+
 IN_TURN = 0.34
 """Share of such samples from which even stamps are those of two senders, too, which take turns."""
 
@@ -238,7 +241,7 @@ def _apart(straight: Straight, values: np.ndarray, names: Sequence[str], what: s
     said = values[places]
     steady = said[:, [bool(_POSITION.search(name)) for name in names]] if names else said
     leaves = _there_and_back(steady)
-    if leaves.sum() >= max(2.0, OFTEN * leaves.size):
+    if leaves.sum() >= max(FEWEST, OFTEN * leaves.size):
         words = f"the values jump there and back {leaves.sum()} times, first at {what} {numbers[places[np.argmax(leaves)]]}"
         if not is_even(time_s) or np.mean(leaves) > IN_TURN:
             raise DisorderError(f"{words}: two senders of one signal", _combs(places, time_s, said))

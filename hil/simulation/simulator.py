@@ -140,8 +140,8 @@ class Simulator:
 
         def ended() -> list[Outputs | BenchError | EmulatorError | ControlError]:
             for together, taken in begun:
-                for k, own in zip(together, taken.result(), strict=True):
-                    found[k] = self._of_lane(own, inputs)
+                for k, lane in zip(together, taken.result(), strict=True):
+                    found[k] = self._of_lane(lane, inputs)
             for k, one in enumerate(found):
                 if isinstance(one, Prepared):
                     if own is not None or inputs.restarts is not None:

@@ -9,9 +9,9 @@ import pytest
 from machine_rig import ZERO, Rig
 from scripted_nodes import PERIOD_S
 
-from drivers.canopen.axis_rest import KEEP_AWAY
 from drivers.canopen.emcy import decode_emergency
 from drivers.errors import (
+    KEEP_AWAY,
     BusError,
     DeviceFaultError,
     HeartbeatLostError,

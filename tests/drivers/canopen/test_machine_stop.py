@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from machine_rig import ZERO, Rig
 from scripted_nodes import PERIOD_S, ScriptedDrive
 
-from drivers.canopen.axis_rest import KEEP_AWAY
-from drivers.errors import MotionRefusedError
+from drivers.errors import KEEP_AWAY, MotionRefusedError
 
 
 @pytest.fixture

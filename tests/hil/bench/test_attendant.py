@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from drivers.canopen.axis_rest import KEEP_AWAY
+from drivers.errors import KEEP_AWAY
 from hil.bench.attendant import CONFIRM, HOLD_ENDED, HOW_TO_LEAVE, STAYS, Operator
 
 

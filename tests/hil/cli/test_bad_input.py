@@ -384,8 +384,10 @@ def test_a_csv_without_metadata_that_lacks_a_row(isocenter: Isocenter, recorded:
     copy.write_text("\n".join(lines[:60] + lines[61:]) + "\n")
     refused = isocenter("simulate", "carm", copy, "-o", tmp_path / "simulation.mf4")
     assert refused.status == 2
-    assert "rows are not equally spaced" in refused.line
-    assert "between rows 58 and 59" in refused.line
+    note, error = refused.err.splitlines()
+    assert "about 1 row of 0.00390625 s missing in 1 place" in note
+    assert "rows are not equally spaced" in error
+    assert "between rows 58 and 59" in error
 
 
 def test_a_csv_with_an_unknown_unit(isocenter: Isocenter, recorded: Path, tmp_path: Path) -> None:

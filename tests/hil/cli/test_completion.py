@@ -25,7 +25,7 @@ def completed(words: str) -> list[str]:
         ("isocenter iden", ["identify"]),
         ("isocenter machine sch", ["schema"]),
         ("isocenter run scan --ax", ["--axis"]),
-        ("isocenter machine check ca", ["carm", "carm-real"]),
+        ("isocenter machine check ca", ["carm", "carm-csp", "carm-csv", "carm-real"]),
         ("isocenter run jog -m turn", ["turntable"]),
         ("isocenter machine check ./mi", []),  # the shell completes paths by itself
     ],

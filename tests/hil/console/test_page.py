@@ -31,9 +31,13 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BenchPage]:
         yield bench
 
 
-def opened(page: Page, bench: BenchPage, view: str) -> None:
+def let_in(page: Page, bench: BenchPage) -> None:
     name, _, value = bench.cookie.partition("=")
     page.context.add_cookies([{"name": name, "value": value, "url": bench.address}])
+
+
+def opened(page: Page, bench: BenchPage, view: str) -> None:
+    let_in(page, bench)
     page.goto(f"{bench.address}/#{view}")
     page.locator("#link", has_text="connected").wait_for(state="attached")  # a narrow page shows it only where it is lost
 
@@ -150,6 +154,7 @@ def test_an_error_stays_until_it_is_dismissed(page: Page, bench: BenchPage) -> N
 def test_a_stop_that_reaches_nobody_is_told_until_it_is_dismissed(page: Page, bench: BenchPage, console_errors: list[str]) -> None:
     page.route("**/worker.js", lambda asked: asked.fulfill(body="", content_type="text/javascript"))  # no line to the server
     page.route("**/api/stop", lambda asked: asked.abort())
+    let_in(page, bench)
     page.goto(f"{bench.address}/#state")
     page.locator("#folder").filter(has_text=str(bench.folder)).wait_for(state="attached")
     page.keyboard.press("Escape")

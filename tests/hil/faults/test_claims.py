@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.canopen.axis_rest import KEEP_AWAY
+from drivers.errors import KEEP_AWAY
 from hil.faults.claims import Witness, contradictions
 from virtual_bus.canopen.power_state import PowerState
 from virtual_bus.faults.motion_log import MotionLog

@@ -14,6 +14,8 @@ WORD = 4
 """Hexadecimal digits of the controlword or statusword that begins a drive's process data."""
 COMMAND = 8
 """Hexadecimal digits of command, index and subindex of an SDO."""
+UPLOAD = "4"
+"""First digit of an SDO that reads an object, and of its answer."""
 SPOILED = 2
 """Ticks that a late answer is missing from or stands in: its own, and the next."""
 
@@ -24,7 +26,7 @@ def since_the_bench_came(frames: list[str]) -> list[str]:
 
 
 def conversations(frames: Sequence[str], machine: Machine) -> dict[str, list[Tick]]:
-    """Every node's ticks, in order. Heartbeats, which hang on time alone, are left out."""
+    """Every node's ticks, in order. Heartbeats, and settings that are read back while SYNCs run, hang on time alone and are left out."""
     assert machine.bus is not None
     found = {}
     for node in machine.bus.nodes:
@@ -49,6 +51,8 @@ def _ticks(frames: Sequence[str], kinds: Mapping[str, tuple[str, int]], node: st
             if kind == "SYNC":
                 yield tuple(tick)
                 tick = []
+            elif kind.startswith("SDO") and data[:1] == UPLOAD and tick[:1] and tick[0].startswith("SYNC"):
+                continue
             tick.append(f"{kind} {data[:kept]}")
     yield tuple(tick)
 
