@@ -219,7 +219,7 @@ class ClientTransport:
 
     def _explained(self, unit_id: int) -> Exception:
         received = self._received
-        if not received:
+        if not received or (self._is_serial and received[_stray_bytes(received, self._sent) :] == self._sent):  # nothing but its echo
             return BusTimeoutError(
                 f"{self.name}: no answer from unit {unit_id} in {self._timeout_s:g} s; check unit_id, baud rate, parity and cable"
             )
