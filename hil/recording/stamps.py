@@ -30,7 +30,7 @@ FAR = 20.0
 OFTEN = 0.02
 """Share of samples that leave their neighbours and return, from which there is a second sender: bad readings are fewer."""
 
-FEWEST = 4
+FEWEST = 8
 """Samples that leave their neighbours and return, below which a file is too short to tell a second sender from a signal that jumps."""
 
 IN_TURN = 0.34
