@@ -76,15 +76,6 @@ class Fit:
     slopes: Slopes | None = None
     columns: tuple[np.ndarray, ...] = ()
 
-    @property
-    def covariance(self) -> np.ndarray:
-        """Of unknowns and parameters (P, P)."""
-        assert self.slopes is not None
-        squares = self.slopes.squares.sum(axis=0) + np.diag(prior(self.point)[1])
-        scale = np.sqrt(np.maximum(np.diag(squares), 1e-300))
-        inverse: np.ndarray = np.linalg.pinv(squares / scale[:, None] / scale, rcond=1e-10, hermitian=True) / scale[:, None] / scale
-        return inverse
-
 
 class Fitting:
     """Fits of machines to recordings.

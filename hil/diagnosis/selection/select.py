@@ -45,8 +45,6 @@ class Selected:
     baseline : Fit
         The engineer's.
     baseline_score : float
-    plain : Fit
-        Numbers alone.
     """
 
     fitting: Fitting
@@ -54,8 +52,6 @@ class Selected:
     score: float
     baseline: Fit
     baseline_score: float
-    plain: Fit
-    plain_score: float
 
 
 def select(machine: Machine, recordings: Mapping[str, Recording], say: Callable[[str], None] = lambda what: None) -> Selected:
@@ -69,16 +65,13 @@ def select(machine: Machine, recordings: Mapping[str, Recording], say: Callable[
     unknowns = _unknowns(machine, runs, alongs, closed)
     inverse = Inverse(alongs, unknowns)
     everyday = everyday_effects(alongs[0])
-    numbers_alone, engineers = inverse.fit(unknowns.start()), inverse.fit(unknowns.start(everyday))
+    engineers = inverse.fit(unknowns.start(everyday))
     say(f"inverse: {_words(unknowns, engineers)}")
-    fitting, fits = _grown(runs, unknowns, [engineers, numbers_alone], closed, say)
-    baseline, plain = fits
+    fitting, (baseline,) = _grown(runs, unknowns, [engineers], closed, say)
     assert baseline is not None
-    plain = plain if plain is not None else baseline
     search = Search(fitting, inverse, say)
-    scores = [search.score(one) for one in (baseline, plain)]
     best = search.best(baseline)
-    return Selected(fitting, best, search.score(best), baseline, scores[0], plain, scores[1])
+    return Selected(fitting, best, search.score(best), baseline, search.score(baseline))
 
 
 def _unknowns(machine: Machine, runs: Sequence[Simulated], alongs: Sequence[Along], closed: bool) -> Unknowns:

@@ -136,10 +136,6 @@ class Unknowns:
     each: tuple[Unknown, ...]
     bodies: RigidBodies
 
-    def with_further(self, further: Sequence[Unknown]) -> Unknowns:
-        """Return the same with more unknowns."""
-        return replace(self, each=(*self.each, *further))
-
     def machine(self, point: Point) -> Machine:
         """Return the machine at a point."""
         values = self.plant.nominal
