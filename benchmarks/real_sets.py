@@ -23,6 +23,7 @@ import numpy as np
 from real.common import ControllerSide
 from real_data import DATA, RealSet
 
+from controllers.settings import AxisController
 from hil.diagnosis.candidates.entries import setting_of
 from hil.diagnosis.named.naming import Named, name
 from hil.diagnosis.predicted.refitting import refitted
@@ -100,15 +101,22 @@ def with_side(module: ModuleType, split: str, data: RealSet, trial: Trial) -> Er
         side = ControllerSide(float(trial.gain[0]), trial.lateness_s, zero, lag, limit)
         return dict(module.errors(split, machine, trial.values, settings, side=side))
     if machine.controllers:
-        gains = [np.array([gain, gain, gain, 1.0, 1.0, 1.0]) for gain in trial.gain]
-        scaled = [
-            replace(each, position_sections=np.vstack([each.position_sections[:1] * gain, each.position_sections[1:]]))
-            for each, gain in zip(machine.controllers, gains, strict=True)
-        ]
-        machine = replace(machine, controllers=tuple(scaled))
+        machine = replace(machine, controllers=tuple(with_gain(*each) for each in zip(machine.controllers, trial.gain, strict=True)))
     elif trial.lateness_s > 0.0:
         settings = (*settings, *(setting_of(effects()["delay"], axis, {"Td": trial.lateness_s}) for axis in machine.axes))
     return dict(module.errors(split, machine, trial.values, settings))
+
+
+def with_gain(controller: AxisController, gain: float) -> AxisController:
+    """Return a controller whose command is so many times as large: the first section of each chain has the gain."""
+
+    def scaled(sections: np.ndarray) -> np.ndarray:
+        first = sections[:1] * np.array([gain, gain, gain, 1.0, 1.0, 1.0])
+        return np.vstack([first, sections[1:]])
+
+    return replace(
+        controller, position_sections=scaled(controller.position_sections), reference_sections=scaled(controller.reference_sections)
+    )
 
 
 def by_channel(errors: dict[str, Errors]) -> dict[str, Any]:

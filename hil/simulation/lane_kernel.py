@@ -52,7 +52,7 @@ def loop_record(joints: int, axes: int, imus: int, sections: int) -> LaneRecord:
     """Return the record of controllers, sensors and targets of the lanes, and of how far each begins from a restart's state."""
     shapes: dict[str, tuple[int, ...]] = {"state": (max(sections, 1), 2), "imu": (max(6 * imus, 1),)}
     shapes |= {"begin_position": (joints,), "begin_speed": (joints,)}
-    names = ("target", "effort", "current", "position", "link_position", "speed", "measured_effort", "command", "gain")
+    names = ("target", "effort", "current", "position", "link_position", "speed", "measured_effort", "command", "gain", "early")
     return LaneRecord(shapes | {name: (axes,) for name in names})
 
 
@@ -189,6 +189,7 @@ def run(
                 loop.command[i] += given.excitation[k, i] + given.feedforward[k, i]
             loop.command[i] = min(max(loop.command[i], -given.limit[i]), given.limit[i])
             loop.target[i] = loop.command[i]
+            loop.effort[i] += loop.early[i] * (quantised(loop.target[i], given.target_resolution[i]) - loop.effort[i])
         for lane in range(states.shape[0]):
             for i in range(AXES):
                 rows[lane, k, i] = loop.command[i, lane]

@@ -40,11 +40,14 @@ class Own:
         Of its controllers, in units of the file's.
     position, speed : (joints,) arrays
         How far it begins from the states of restarts.
+    early : (axes,) array
+        Shares of a row by which commands act before the next row, on average over the row.
     """
 
     gain: np.ndarray
     position: np.ndarray
     speed: np.ndarray
+    early: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -95,6 +98,7 @@ class SideBySide:
         for lane, one in enumerate(filled):
             if one.own is not None:
                 self._loop.field(loop, "gain")[:, lane] = one.own.gain
+                self._loop.field(loop, "early")[:, lane] = one.own.early
                 self._loop.field(loop, "begin_position")[:, lane] = one.own.position
                 self._loop.field(loop, "begin_speed")[:, lane] = one.own.speed
         first = filled[0].loop

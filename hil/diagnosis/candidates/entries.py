@@ -11,6 +11,7 @@ import numpy as np
 from hil.diagnosis.candidates.columns import Column, column
 from hil.diagnosis.candidates.places import joint_of, place_of
 from hil.diagnosis.seen.along import Along, Motion, Signals
+from virtual_bus.effects.bounds import effect_at
 from virtual_bus.effects.effect import Effect, Parameter
 from virtual_bus.effects.law import Law
 from virtual_bus.effects.places import places
@@ -75,8 +76,10 @@ def _is_sought(effect: Effect, law: Law) -> bool:
     return all(p.low <= column.get(p.name, p.low) <= p.high for column in law.columns for p in narrow)
 
 
-def different_places(effect: Effect, along: Along) -> list[str]:
+def different_places(effect: Effect, along: Along, is_whole: bool = False) -> list[str]:
     """Return the places of an effect, each joint once: an axis and the body that its joint carries are the same place.
+
+    They are all that the catalogue has, or those where it is sought along the motion.
 
     Where the effect is known already, and acts but once at a place, it is not sought.
     """
@@ -90,7 +93,7 @@ def different_places(effect: Effect, along: Along) -> list[str]:
 
     if effect.is_slow or (effect.kind.before_current and along.observed.are_measured.all()):
         return []
-    for at in places(effect.kind, along.settings, effect.sought_at):
+    for at in places(effect.kind, along.settings, None if is_whole else effect.sought_at):
         found.setdefault(place(at), at)
     if not effect.several:
         for one in along.known:
@@ -101,7 +104,7 @@ def different_places(effect: Effect, along: Along) -> list[str]:
 
 def entries(
     alongs: Sequence[Along], motions: Sequence[Motion], nominal: Sequence[Signals], values: np.ndarray, missing: Sequence[np.ndarray],
-    inertias: np.ndarray,
+    inertias: np.ndarray, is_whole: bool = False,
 ) -> Iterator[Entry]:  # fmt: skip
     """Yield the laws of all effects at all places.
 
@@ -109,10 +112,16 @@ def entries(
     ----------
     nominal : sequence of Signals
         Along these motions with these values and no effect.
+    is_whole : bool
+        Whether of the whole catalogue, in the bounds of a machine of this size.
     """
     for name, effect in effects().items():
-        for at in different_places(effect, alongs[0]):
+        for at in different_places(effect, alongs[0], is_whole):
             place = place_of(effect, at, alongs, motions, nominal, missing, inertias)
+            if is_whole:
+                own = effect_at(name, at, alongs[0].settings)
+                yield from (Entry(own, at, law) for law in module_of(name).laws(place))
+                continue
             own = effect_sought(name)
             for law in module_of(name).laws(place):
                 if _is_sought(own, law):

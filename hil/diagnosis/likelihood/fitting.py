@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.diagnosis.likelihood.judge import FOLDS, Judge, Left
+from hil.diagnosis.likelihood.judge import CELLS, FOLDS, Judge, Left
 from hil.diagnosis.simulation.windows import Starts
 from hil.diagnosis.tuned.bounded import bounded_least_squares
 from hil.diagnosis.unknowns.unknowns import Kind, Point, Unknowns
@@ -16,8 +16,8 @@ from virtual_bus.errors import EffectError
 DAMPINGS = (0.0, 1e-2, 0.3, 10.0, 1e3)
 """Tried at once, in the lanes of one simulation, in units of the normal equations' diagonal."""
 ITERATIONS = 25
-CHORDS = 3
-"""Steps from the whole fit to one of some folds, by the whole fit's columns."""
+CHORDS = 8
+"""Steps from the whole fit to one of some folds, by the whole fit's columns, at most."""
 PASSES = 2
 """In which errors and what they are weighed by settle."""
 SETTLED = 0.05
@@ -36,9 +36,9 @@ class Slopes:
 
     Attributes
     ----------
-    squares : (FOLDS, P, P) array
-        Normal equations of each fold's windows.
-    slopes : (FOLDS, P) array
+    squares : (CELLS, P, P) array
+        Normal equations of each cell's windows.
+    slopes : (CELLS, P) array
     """
 
     squares: np.ndarray
@@ -169,26 +169,37 @@ class Fitting:
         return replace(fitted, point=replace(fitted.point, held=held))
 
     def left_out(self, fitted: Fit) -> np.ndarray:
-        """Return sums of squares (FOLDS, H, C) of each fold's windows by machines fitted to the others', from the whole fit on."""
+        """Return sums of squares (folds, H, C) of windows that each leaves out, by machines fitted to the others from the whole fit on."""
         fitted = fitted if fitted.slopes is not None else self.with_slopes(fitted)
         assert fitted.slopes is not None
-        squares = [fitted.slopes.squares[np.arange(FOLDS) != fold].sum(axis=0) for fold in range(FOLDS)]
-        there: list[Fit] = [fitted] * FOLDS
+        there: list[Fit] = [fitted] * len(FOLDS)
+        costs = [self._cost_but(fitted, fold) for fold in range(len(FOLDS))]
+        moving = list(range(len(FOLDS)))
         for _ in range(CHORDS):
-            trials = []
-            for fold, one in enumerate(there):
-                slopes = self.slopes_of(one, fitted.columns).slopes if one is not fitted else fitted.slopes.slopes
-                down = slopes[np.arange(FOLDS) != fold].sum(axis=0)
-                trials.append(one.point.moved(self._step(one.point, squares[fold], down, 0.0)))
-            found = self.at(trials)
-            better = [one is not None and self._cost_but(one, fold) < self._cost_but(there[fold], fold) for fold, one in enumerate(found)]
-            there = [one if is_better and one is not None else old for one, old, is_better in zip(found, there, better, strict=True)]
-            if not any(better):
+            steps = {fold: self._without(fitted, there[fold], fold) for fold in moving}
+            ended, moving = moving, []
+            for dampings in (DAMPINGS[:1], DAMPINGS[1:]):  # more of them where the first ends nowhere
+                tried = [(fold, damping) for fold in ended for damping in dampings]
+                found = self.at([there[fold].point.moved(self._step(there[fold].point, *steps[fold], damping)) for fold, damping in tried])
+                begun = {fold: (there[fold], costs[fold]) for fold in ended}
+                for (fold, _), one in zip(tried, found, strict=True):
+                    if one is not None and (cost := self._cost_but(one, fold)) < costs[fold]:
+                        there[fold], costs[fold] = one, cost
+                moving += [fold for fold in ended if costs[fold] < begun[fold][1] - SETTLED]
+                ended = [fold for fold in ended if not costs[fold] < begun[fold][1]]
+            if not moving:
                 break
         return np.array([self.judge.squares(one.reduced, fold) for fold, one in enumerate(there)])
 
+    def _without(self, fitted: Fit, one: Fit, fold: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the normal equations of all folds but one, by the columns of the whole fit."""
+        assert fitted.slopes is not None
+        slopes = fitted.slopes if one is fitted else self.slopes_of(one, fitted.columns)
+        kept = ~FOLDS[fold]
+        return fitted.slopes.squares[kept].sum(axis=0), slopes.slopes[kept].sum(axis=0)
+
     def scores(self, fitted: Fit) -> np.ndarray:
-        """Return the negative log likelihood (FOLDS,) of each fold's windows, by machines that were fitted to the others."""
+        """Return the negative log likelihood (folds,) of the windows that each leaves out, by machines that were fitted to the others."""
         mean = self.left_out(fitted) / np.maximum(self.judge.counts_of_folds, 1.0) + self.judge.noise**2
         shares = self.judge.counts_of_folds / self.judge.counts
         found: np.ndarray = 0.5 * np.sum(self.weights * shares * np.log(mean), axis=(1, 2))
@@ -240,22 +251,22 @@ class Fitting:
         """Return the normal equations of columns (P, W, l, C) of every block."""
         precision = self._precision(here.mean_squares)
         count = len(columns[0])
-        squares, slopes = np.zeros((FOLDS, count, count)), np.zeros((FOLDS, count))
+        squares, slopes = np.zeros((CELLS, count, count)), np.zeros((CELLS, count))
         for block, own, errors, states in zip(self.judge.blocks, columns, here.left.errors, here.begun, strict=True):
-            for fold in np.unique(block.fold):
-                inside = block.fold == fold
+            for cell in np.unique(block.cell):
+                inside = block.cell == cell
                 each, rest = own[:, inside], errors[inside]
                 weighted = each * precision[block.horizon]
-                squares[fold] += np.einsum("pwlc,qwlc->pq", weighted, each, optimize=True)
-                slopes[fold] -= np.einsum("pwlc,wlc->p", weighted, rest, optimize=True)
+                squares[cell] += np.einsum("pwlc,qwlc->pq", weighted, each, optimize=True)
+                slopes[cell] -= np.einsum("pwlc,wlc->p", weighted, rest, optimize=True)
                 if len(states):
                     first = states[:, inside]
                     inner = np.einsum("swlc,twlc->wst", first * precision[block.horizon], first, optimize=True) + np.eye(len(first))
                     across = np.einsum("pwlc,swlc->wsp", weighted, first, optimize=True)
                     along = np.einsum("swlc,wlc->ws", first * precision[block.horizon], rest, optimize=True)
                     solved = np.linalg.solve(inner, across)
-                    squares[fold] -= np.einsum("wsp,wsq->pq", across, solved, optimize=True)
-                    slopes[fold] += np.einsum("wsp,ws->p", solved, along, optimize=True)
+                    squares[cell] -= np.einsum("wsp,wsq->pq", across, solved, optimize=True)
+                    slopes[cell] += np.einsum("wsp,ws->p", solved, along, optimize=True)
         return Slopes(squares, slopes)
 
     def _step(self, point: Point, squares: np.ndarray, slopes: np.ndarray, damping: float) -> np.ndarray:

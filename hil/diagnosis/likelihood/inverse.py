@@ -24,6 +24,8 @@ ROWS = 4000
 INDEPENDENT = 0.05
 """Share of the rows that are independent readings: errors of a smoothed motion go together."""
 DAMPINGS = (0.0, 1e-2, 1.0, 100.0)
+WEAK = 0.01
+"""Share of the prior from which a second fit begins: numbers that are wrong by far lie beyond a hill of the whole prior's cost."""
 
 
 class Inverse:
@@ -51,9 +53,13 @@ class Inverse:
         return np.vstack(found)
 
     def fit(self, point: Point) -> Point:
-        """Return the point that leaves least, from another one on."""
+        """Return the point that leaves least, from another one on: at once, or first with hardly any prior."""
+        floor = 1e-6 * np.mean(self.errors(point) ** 2, axis=0) + 1e-300
+        found = [self._fit(point, floor, 1.0), self._fit(self._fit(point, floor, WEAK), floor, 1.0)]
+        return min(found, key=lambda each: self._cost(self.errors(each), floor, each, 1.0))
+
+    def _fit(self, point: Point, floor: np.ndarray, share: float) -> Point:
         errors = self.errors(point)
-        floor = 1e-6 * np.mean(errors**2, axis=0) + 1e-300
         for _ in range(ITERATIONS):
             weight = 1.0 / (np.mean(errors**2, axis=0) + floor)
             steps = point.steps()
@@ -66,23 +72,23 @@ class Inverse:
                 columns[k] = (moved - errors) / step
             squares = INDEPENDENT * np.einsum("pnj,qnj,j->pq", columns, columns, weight, optimize=True)
             slopes = -INDEPENDENT * np.einsum("pnj,nj,j->p", columns, errors, weight, optimize=True)
-            pull, stiffness = prior(point)
-            cost, tried = self._cost(errors, floor, point), []
+            pull, stiffness = (share * each for each in prior(point))
+            cost, tried = self._cost(errors, floor, point, share), []
             whole = squares + np.diag(stiffness)
             for damping in DAMPINGS:
                 step = bounded_least_squares(whole + damping * np.diag(np.diag(whole)), slopes - pull, *point.room(self.unknowns, REACH))
                 there = point.moved(step)
                 its = self.errors(there)
-                tried.append((self._cost(its, floor, there), there, its))
+                tried.append((self._cost(its, floor, there, share), there, its))
             best, there, its = min(tried, key=lambda each: each[0])
             if not best < cost - SETTLED * abs(cost):
                 return there if best < cost else point
             point, errors = there, its
         return point
 
-    def _cost(self, errors: np.ndarray, floor: np.ndarray, point: Point) -> float:
+    def _cost(self, errors: np.ndarray, floor: np.ndarray, point: Point, share: float) -> float:
         mean = np.mean(errors**2, axis=0) + floor
-        return float(0.5 * INDEPENDENT * len(errors) * np.sum(np.log(mean)) + np.sum(np.log1p(point.numbers**2)))
+        return float(0.5 * INDEPENDENT * len(errors) * np.sum(np.log(mean)) + share * np.sum(np.log1p(point.numbers**2)))
 
 
 def _slow(along: Along) -> Motion:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,8 +17,14 @@ import numpy as np
 from hil.diagnosis.simulation.windows import MOST_ROWS, Errors, Simulated, Starts
 from hil.diagnosis.unknowns.unknowns import Machine
 
-FOLDS = 4
-"""Blocks of the recordings that are left out in turn."""
+BLOCKS = 4
+"""Of the recordings that are left out in turn: stretches of time, and then places, windows whose readings are near each other.
+
+A law that is bent to what was seen predicts a stretch that passes where others did; a place that none of them came to tells."""
+CELLS = BLOCKS**2
+FOLDS = np.array([[cell // BLOCKS == block for cell in range(CELLS)] for block in range(BLOCKS)]
+                 + [[cell % BLOCKS == block for cell in range(CELLS)] for block in range(BLOCKS)])  # fmt: skip
+"""(2 BLOCKS, CELLS): which cells, of a stretch and a place each, are left out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +42,8 @@ class Block:
         L and W.
     picked : (l,) int array
         Rows of a window that errors are computed at.
-    fold : (W,) int array
-        Which fold each window is in.
+    cell : (W,) int array
+        Which cell each window is in.
     """
 
     run: Simulated
@@ -46,7 +52,7 @@ class Block:
     rows: int
     windows: int
     picked: np.ndarray
-    fold: np.ndarray
+    cell: np.ndarray
 
     def shaped(self, errors: np.ndarray) -> np.ndarray:
         """Return errors (W, l, C) of the whole windows of a run (N, C)."""
@@ -74,20 +80,25 @@ class Judge:
 
     def __init__(self, runs: Sequence[Simulated], horizons: Sequence[float | None], jobs: int | None = None) -> None:
         self.runs, self.horizons, self.jobs = tuple(runs), tuple(horizons), jobs
-        blocks = []
+        blocks: list[Block] = []
         every = sum(run.rows for run in runs)
         for h, horizon in enumerate(horizons):
             passed = 0
+            own = []
             for run in runs:
-                whole = run.rows if run.starts else run.rows // FOLDS  # blocks of one run, where it does not begin anew
+                whole = run.rows if run.starts else max(run.rows // CELLS, 2)  # stretches of one run, where it does not begin anew
                 rows = whole if horizon is None else min(run.rows, max(2, round(horizon / run.period_s)))
                 windows = run.rows // rows
                 stride = max(1, every // MOST_ROWS)
                 picked = np.arange(min(stride, rows - 1), rows, stride)
                 middle = passed + (np.arange(windows) + 0.5) * rows
-                fold = np.minimum((middle * FOLDS / every).astype(np.int64), FOLDS - 1)
-                blocks.append(Block(run, h, None if horizon is None else rows, rows, windows, picked, fold))
+                stretch = np.minimum((middle * BLOCKS / every).astype(np.int64), BLOCKS - 1)
+                own.append(Block(run, h, None if horizon is None else rows, rows, windows, picked, stretch))
                 passed += run.rows
+            ends = np.cumsum([block.windows for block in own])[:-1]
+            blocks += [
+                replace(block, cell=BLOCKS * block.cell + place) for block, place in zip(own, np.split(_places(own), ends), strict=True)
+            ]
         self.blocks = tuple(blocks)
         self.present = tuple(np.isfinite(block.shaped(block.run.recorded)) for block in self.blocks)
         self.noise = np.sqrt(np.mean([run.noise**2 for run in runs], axis=0))
@@ -107,11 +118,12 @@ class Judge:
 
     @cached_property
     def counts_of_folds(self) -> np.ndarray:
-        """The same (FOLDS, H, C) of the windows of each fold."""
-        found = np.zeros((FOLDS, *self.shape))
+        """The same (folds, H, C) of the windows that each fold leaves out."""
+        found = np.zeros((CELLS, *self.shape))
         for block, present in zip(self.blocks, self.present, strict=True):
-            np.add.at(found[:, block.horizon], block.fold, present.sum(axis=1).astype(float))
-        return found
+            np.add.at(found[:, block.horizon], block.cell, present.sum(axis=1).astype(float))
+        left_out: np.ndarray = np.tensordot(FOLDS.astype(float), found, 1)
+        return left_out
 
     @cached_property
     def moved(self) -> np.ndarray:
@@ -148,10 +160,10 @@ class Judge:
         return found
 
     def squares(self, errors: Sequence[np.ndarray], fold: int | None = None) -> np.ndarray:
-        """Return sums of squares (H, C), of the windows of one fold where one is given."""
+        """Return sums of squares (H, C), of the windows that one fold leaves out where one is given."""
         found = np.zeros(self.shape)
         for block, own in zip(self.blocks, errors, strict=True):
-            used = own if fold is None else own[block.fold == fold]
+            used = own if fold is None else own[FOLDS[fold, block.cell]]
             found[block.horizon] += np.einsum("wlc,wlc->c", used, used)
         return found
 
@@ -173,3 +185,19 @@ class Judge:
         alike: np.ndarray = np.exp(np.mean(np.log(np.maximum(found, 1.0)), axis=0)) / len(self.horizons)
         every: np.ndarray = np.tile(np.maximum(alike, 1.0), (len(self.horizons), 1))
         return every
+
+
+def _places(blocks: Sequence[Block]) -> np.ndarray:
+    """Return which place (W,) each window of some blocks is at: windows in order of what was read most differently in them."""
+    means = []
+    for block in blocks:
+        values = block.shaped(block.run.recorded)
+        there = np.isfinite(values)
+        means.append(np.where(there, values, 0.0).sum(axis=1) / np.maximum(there.sum(axis=1), 1))
+    every = np.concatenate(means)
+    spread = every.std(axis=0)
+    scaled = (every - every.mean(axis=0)) / np.where(spread > 0.0, spread, np.inf)
+    along = scaled @ np.linalg.svd(scaled, full_matrices=False)[2][0]
+    places = np.empty(len(along), dtype=np.int64)
+    places[np.argsort(along, kind="stable")] = np.arange(len(along)) * BLOCKS // len(along)
+    return places

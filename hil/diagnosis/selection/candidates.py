@@ -12,6 +12,7 @@ from hil.diagnosis.candidates.columns import Column
 from hil.diagnosis.candidates.entries import Entry, columns_of, entries
 from hil.diagnosis.likelihood.fitting import REACH, Fit, Fitting, prior
 from hil.diagnosis.likelihood.inverse import Inverse
+from hil.diagnosis.likelihood.judge import BLOCKS, FOLDS
 from hil.diagnosis.tuned.bounded import bounded_least_squares
 from hil.diagnosis.unknowns.unknowns import Machine, Point
 from virtual_bus.effects.law import SMOOTHED
@@ -34,7 +35,7 @@ def library(inverse: Inverse, machine: Machine) -> list[tuple[Entry, np.ndarray]
     inertias = alongs[0].plant.inertias(alongs[0].model(machine.values), motions[0].position[0])
     plain = [along.signals(motion, along.model(machine.values)) for along, motion in zip(alongs, motions, strict=True)]
     found = []
-    for law in entries(alongs, motions, plain, machine.values, asked, inertias):
+    for law in entries(alongs, motions, plain, machine.values, asked, inertias, is_whole=True):
         columns = columns_of(law, alongs, motions, plain, machine.values)
         if columns:
             efforts = [np.sqrt(np.mean(each.needed**2, axis=0)) + 1e-12 for each in plain]
@@ -53,8 +54,8 @@ class Beside:
     laws : tuple of Entry
     parts : tuple of slice
         Which unknowns are each law's weights.
-    squares, slopes : (FOLDS, P + Q, P + Q), (FOLDS, P + Q) arrays
-        Normal equations of each fold's windows, of the machine's own unknowns and parameters and then of the laws'.
+    squares, slopes : (CELLS, P + Q, P + Q), (CELLS, P + Q) arrays
+        Normal equations of each cell's windows, of the machine's own unknowns and parameters and then of the laws'.
     """
 
     fit: Fit
@@ -107,9 +108,11 @@ def gain_left_out(
 ) -> float:
     """Return what log likelihood of left-out windows gains by fitting some unknowns, as far as equations are linear.
 
+    Of stretches and places that are left out, it is what gains less.
+
     Parameters
     ----------
-    squares, slopes : (FOLDS, M, M), (FOLDS, M) arrays
+    squares, slopes : (CELLS, M, M), (CELLS, M) arrays
     kept : (K,) int array
         Unknowns that are fitted.
     held : (M,) array
@@ -123,10 +126,11 @@ def gain_left_out(
     pulls, stiff = np.zeros(len(held)), np.zeros(len(held))
     pulls[:own], stiff[:own] = pull, stiffness
     whole_squares, whole_slopes = squares.sum(axis=0), slopes.sum(axis=0)
-    gained = 0.0
-    for fold in range(len(squares)):
-        others_squares = whole_squares - squares[fold] + np.diag(stiff)
-        others_slopes = whole_slopes - slopes[fold] - pulls - others_squares @ held
+    gained = []
+    for fold in FOLDS:
+        own_squares, own_slopes = squares[fold].sum(axis=0), slopes[fold].sum(axis=0)
+        others_squares = whole_squares - own_squares + np.diag(stiff)
+        others_slopes = whole_slopes - own_slopes - pulls - others_squares @ held
         inner = others_squares[np.ix_(kept, kept)]
         inner = inner + OWN * np.diag(np.diag(inner)) + 1e-300 * np.eye(len(kept))
         step = held.copy()
@@ -134,8 +138,8 @@ def gain_left_out(
             step[kept] += bounded_least_squares(inner, others_slopes[kept], room[0][kept], room[1][kept])
         except np.linalg.LinAlgError:  # columns that are each other's, to single precision
             return -np.inf
-        gained += float(slopes[fold] @ step - 0.5 * step @ squares[fold] @ step)
-    return gained
+        gained.append(float(own_slopes @ step - 0.5 * step @ own_squares @ step))
+    return min(sum(gained[:BLOCKS]), sum(gained[BLOCKS:]))
 
 
 def added(of: Beside, room: tuple[np.ndarray, np.ndarray], worth: float, most: int) -> list[tuple[Entry, np.ndarray, float]]:

@@ -11,9 +11,9 @@ import numpy as np
 from hil.diagnosis.candidates.entries import Entry
 from hil.diagnosis.likelihood.fitting import REACH, Fit, Fitting
 from hil.diagnosis.likelihood.inverse import Inverse
+from hil.diagnosis.likelihood.judge import BLOCKS
 from hil.diagnosis.selection.candidates import added, alone_laws, beside, library, missed
 from virtual_bus.effects.registry import effects
-from virtual_bus.settings import EffectSetting
 
 ROUNDS = 4
 """In which laws are added and left out."""
@@ -27,7 +27,8 @@ MATERIAL = 1.1
 """Factor by which errors must become smaller with an effect that is not everyday: laws are right to a tenth, and so is what is left of
 them."""
 WORTH = 3.0
-"""Gain of log likelihood, by what was left out, that an effect must bring: one in twenty by chance, where log likelihood is as it says."""
+"""Gain of log likelihood, by what was left out, that each parameter of an effect must bring: one in twenty by chance, where log likelihood
+is as it says."""
 
 
 class Search:
@@ -47,6 +48,7 @@ class Search:
         self._scores: dict[int, np.ndarray] = {}
         self._fits: list[Fit] = []  # kept, so that an identity is one fit's
         self._material = float(np.sum(fitting.weights)) * math.log(MATERIAL)
+        self._tried = 1
 
     def scores(self, fit: Fit) -> np.ndarray:
         """Return the negative log likelihood of each fold that was left out, computed once."""
@@ -56,21 +58,30 @@ class Search:
         return self._scores[id(fit)]
 
     def score(self, fit: Fit) -> float:
-        """Return that of all folds."""
-        return float(self.scores(fit).sum())
+        """Return that of all windows, each left out twice."""
+        return float(self.scores(fit).sum()) / 2.0
 
     def is_better(self, one: Fit, other: Fit, worth: float) -> bool:
-        """Return whether a fit predicts better than another, by so much and by more than folds differ about it."""
-        gains = self.scores(other) - self.scores(one)
-        return bool(gains.sum() > max(worth, float(np.sqrt(len(gains)) * gains.std(ddof=1))))
+        """Return whether a fit predicts better than another, by so much and by more than stretches, and places, differ about it."""
+        gains = (self.scores(other) - self.scores(one)).reshape(-1, BLOCKS)
+        return all(each.sum() > max(worth, float(np.sqrt(BLOCKS) * each.std(ddof=1))) for each in gains)
 
-    def worth(self, setting: EffectSetting) -> float:
-        """Return the gain of log likelihood that an effect must bring."""
-        return WORTH if effects()[setting.name].everyday else max(WORTH, self._material)
+    def worth(self, settings: Sequence[EffectSetting]) -> float:
+        """Return the gain of log likelihood that effects must bring: their parameters' worth, and what a choice among many gains by chance."""
+        parameters = sum(not parameter.fixed for each in settings for parameter in effects()[each.name].parameters)
+        return max(WORTH * parameters + len(settings) * math.log(self._tried), self._material)
 
-    def best(self, start: Fit) -> Fit:
-        """Add laws that predict better what is left out, leave out those that are not missed, until nothing changes."""
-        best = self.without_needless(start)
+    def best(self, starts: Sequence[Fit]) -> Fit:
+        """Add laws that predict better what is left out, leave out those that are not missed, until nothing changes.
+
+        It begins from the first set, or from the best of the others where that predicts better, as much as laws must. Everyday effects
+        stay: every joint has them, and what they are is said with an interval.
+        """
+        best, *others = starts
+        other = min(others, key=self.score, default=best)
+        if other is not best and self.is_better(other, best, self.worth(other.point.settings) - self.worth(best.point.settings)):
+            best = other
+        best = self.without_needless(best)
         for _ in range(ROUNDS):
             longer = self.with_further(best)
             longer = best if longer is best else self.without_needless(longer)
@@ -81,7 +92,9 @@ class Search:
 
     def with_further(self, fit: Fit) -> Fit:
         """Return the fit with laws that promise most: all that do, or else the best of the first few alone."""
-        of = beside(self.fitting, fit, library(self.inverse, self.fitting.unknowns.machine(fit.point)))
+        laws = library(self.inverse, self.fitting.unknowns.machine(fit.point))
+        self._tried = len(laws)
+        of = beside(self.fitting, fit, laws)
         room = fit.point.room(self.fitting.unknowns, REACH)
         found = added(of, room, self._material, MOST_AT_ONCE)
         self.say("promising: " + ", ".join(f"{law.effect.name}@{law.at} {gain:.1f}" for law, _, gain in found))
@@ -96,19 +109,23 @@ class Search:
         longer = self.fitting.fit(self.fitting.based(replace(fit.point, settings=settings)))
         if longer is None:
             return None
-        self.say(f"  with {', '.join(law.effect.name for law, _ in laws)}: score {self.score(longer) - self.score(fit):.1f}")
-        return longer if self.is_better(longer, fit, self._material) else None
+        gains = (self.scores(fit) - self.scores(longer)).reshape(-1, BLOCKS)
+        ts = [float(each.sum() / (2.0 * each.std(ddof=1))) for each in gains]
+        n = len(longer.point.parameters) - len(fit.point.parameters)
+        self.say(f"  with {', '.join(law.effect.name for law, _ in laws)}: score {self.score(longer) - self.score(fit):.1f} t {ts} per parameter {gains.sum(axis=1) / max(n, 1)} factor {np.exp(gains.sum(axis=1) / self.fitting.weights.sum())} of {n}")
+        return longer if self.is_better(longer, fit, self.worth(longer.point.settings[len(fit.point.settings) :])) else None
 
     def without_needless(self, fit: Fit) -> Fit:
         """Return the fit without the laws that what is left out does not miss."""
-        while fit.point.settings:
+        while any(not effects()[each.name].everyday for each in fit.point.settings):
             settings = fit.point.settings
-            losses = [loss / self.worth(settings[k]) for k, loss in enumerate(missed(self.fitting, fit))]
+            needed = [effects()[each.name].everyday for each in settings]
+            losses = np.where(needed, np.inf, np.array(missed(self.fitting, fit)) / [self.worth([each]) for each in settings])
             least = int(np.argmin(losses))
             if losses[least] > TESTED:
                 return fit
             sparer = self.fitting.fit(self.fitting.based(replace(fit.point, settings=(*settings[:least], *settings[least + 1 :]))))
-            if sparer is None or self.is_better(fit, sparer, self.worth(settings[least])):
+            if sparer is None or self.is_better(fit, sparer, self.worth([settings[least]])):
                 return fit
             gone = f"{settings[least].name} at {settings[least].at}"
             self.say(f"  without {gone}: foretold {losses[least]:.1f}, score {self.score(sparer) - self.score(fit):.1f}")

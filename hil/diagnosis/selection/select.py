@@ -7,27 +7,36 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hil.diagnosis.candidates.entries import setting_of
 from hil.diagnosis.likelihood.fitting import Fit, Fitting
 from hil.diagnosis.likelihood.inverse import Inverse
 from hil.diagnosis.likelihood.judge import Judge
 from hil.diagnosis.named.everyday import everyday_effects
 from hil.diagnosis.observed.rows import between_samples, observed
 from hil.diagnosis.seen.along import Along
-from hil.diagnosis.selection.search import MATERIAL, Search
+from hil.diagnosis.seen.assumed import efforts_by_encoders
+from hil.diagnosis.selection.search import Search
 from hil.diagnosis.simulation.closed_loop import ClosedLoop
 from hil.diagnosis.simulation.windows import OpenLoop, Simulated
 from hil.diagnosis.tuned.retuning import ZERO_m, ZERO_rad
 from hil.diagnosis.unknowns.unknowns import Kind, Point, Unknown, Unknowns, numbers_of
 from hil.machine import Machine
 from hil.recording import Recording
+from virtual_bus.effects.bounds import effect_at
+from virtual_bus.settings import EffectSetting
 
 HORIZONS_s = (0.1, 0.3, 1.0, 2.0, 6.0)
 """Of windows in open loop: each longer one begins from what the shorter ones found."""
 NEAR = 0.5
 """Error of a horizon, as a share of what moves within it, above which a simulation says little more than its drift."""
-FEWEST_WINDOWS, FEWEST_ROWS = 4, 8
+ASTRAY = 2.0
+"""Factor by which shorter windows become worse where longer ones led into a false minimum: motion that is another one from its start on."""
+FEWEST_WINDOWS, FEWEST_ROWS = 2, 8
 STAMPS = 0.2
 """Standard deviation of an effort's lateness against a position's in the same row [rows]."""
+POWER, VISCOUS, OF_LOAD = "power_law_friction", "viscous_friction", "load_dependent_friction"
+LOADED = 0.1
+"""Share of a drive's effort that a load must make for its friction to be told from an inertia: what is left of a law is a tenth of it."""
 STARTS = ((Kind.LATENESS, 0.0), (Kind.LATENESS, 1.0 / STAMPS), (Kind.LATENESS, 2.0 / STAMPS), (Kind.SPEED_LIMIT, 2.0))
 """From which fits of a closed loop begin: a reference as recorded, one and two rows later, and limited to three quarters of its speed."""
 
@@ -65,13 +74,35 @@ def select(machine: Machine, recordings: Mapping[str, Recording], say: Callable[
     unknowns = _unknowns(machine, runs, alongs, closed)
     inverse = Inverse(alongs, unknowns)
     everyday = everyday_effects(alongs[0])
-    engineers = inverse.fit(unknowns.start(everyday))
-    say(f"inverse: {_words(unknowns, engineers)}")
-    fitting, (baseline,) = _grown(runs, unknowns, [engineers], closed, say)
+    begun = [inverse.fit(unknowns.start(each)) for each in engineers_sets(alongs, everyday)]
+    say(f"inverse: {_words(unknowns, begun[0])}")
+    fitting, (baseline, *others) = _grown(runs, unknowns, begun, closed, say)
     assert baseline is not None
     search = Search(fitting, inverse, say)
-    best = search.best(baseline)
+    best = search.best([baseline, *(one for one in others if one is not None)])
     return Selected(fitting, best, search.score(best), baseline, search.score(baseline))
+
+
+def engineers_sets(alongs: Sequence[Along], everyday: Sequence[EffectSetting]) -> list[tuple[EffectSetting, ...]]:
+    """Return the sets that an engineer would try: everyday effects; a power of speed in place of viscous friction; friction of the load.
+
+    Friction of the load is tried where something loads an axis: elsewhere it does what another inertia does.
+    """
+    of = alongs[0].settings
+    power = tuple(setting_of(effect_at(POWER, each.at, of), each.at, {}) if each.name == VISCOUS else each for each in everyday)
+    loaded = [drive.axis for drive in of.drives if any(_is_loaded(along, drive.joint) for along in alongs)]
+    of_load = tuple(setting_of(effect_at(OF_LOAD, axis, of), axis, {}) for axis in loaded)
+    sets = [tuple(everyday), power]
+    return sets + ([(*each, *of_load) for each in sets] if of_load else [])
+
+
+def _is_loaded(along: Along, joint: str) -> bool:
+    """Return whether what hangs on a joint asks for much of its effort."""
+    k = along.joints.index(joint)
+    motion = efforts_by_encoders(along)[0]
+    still = replace(motion, speed=np.zeros_like(motion.speed), acceleration=np.zeros_like(motion.acceleration))
+    held = along.signals(still, along.model(along.plant.nominal))
+    return k in along.smooth and float(np.std(held.needed[:, k])) > LOADED * float(np.std(held.given[:, k]))
 
 
 def _unknowns(machine: Machine, runs: Sequence[Simulated], alongs: Sequence[Along], closed: bool) -> Unknowns:
@@ -79,7 +110,7 @@ def _unknowns(machine: Machine, runs: Sequence[Simulated], alongs: Sequence[Alon
     held = {f"{drive.axis}.constant" for drive in machine.plant.drives}
     kept = [one for one in found.each if one.name not in held or found.plant.parameters[one.place].tolerance is not None]
     further = [Unknown("lateness", Kind.LATENESS, 0, 0.0, STAMPS * runs[0].period_s)]
-    encoders = {encoder.channel: encoder for encoder in machine.plant.encoders}
+    encoders = {encoder.channel: encoder for encoder in machine.plant.encoders if not encoder.absolute}
     kinds = {joint.name: joint.kind for joint in machine.plant.tree.joints}
     for run in runs:
         for c, channel in enumerate(run.channels):
@@ -89,6 +120,7 @@ def _unknowns(machine: Machine, runs: Sequence[Simulated], alongs: Sequence[Alon
     if closed:
         for axis, name in enumerate(machine.axes):
             further.append(Unknown(f"{name}.controller_gain", Kind.GAIN, axis, 1.0, 0.15, is_log=True))
+            further.append(Unknown(f"{name}.command_early", Kind.EARLY, axis, 0.0, STAMPS, is_left_out=True, most=1.0))
             values = np.concatenate([run.recorded[:, c] for run in runs for c, a in run.axis_of.items() if a == axis])  # type: ignore[attr-defined]
             fastest = max(float(np.abs(np.diff(run.recorded_reference[:, axis]) / np.diff(run.recorded_time)).max()) for run in runs)  # type: ignore[attr-defined]
             if fastest > 0.0:
@@ -112,7 +144,7 @@ def _grown(
     grid: list[float | None] = [None]
     if not closed:
         fits_in = [h for h in HORIZONS_s if h >= FEWEST_ROWS * runs[0].period_s and h * FEWEST_WINDOWS <= total and h < longest]
-        grid = [*fits_in, *([None] if longest < HORIZONS_s[-1] else [])] or [None]
+        grid = [*fits_in, *([None] if longest <= HORIZONS_s[-1] * (1.0 + STAMPS) else [])] or [None]
     points, kept = list(points), None
     which: tuple[float | None, ...] = ()
     for horizon in grid:
@@ -133,7 +165,7 @@ def _grown(
         relative = np.sqrt(found[0].mean_squares / judge.moved)
         worse = float(np.sqrt(np.max((found[0].mean_squares / before.mean_squares)[:-1], initial=0.0)))
         say(f"horizon {horizon}: errors {relative.round(4).tolist()}, weights {fitting.weights.round(0).tolist()}, shorter x {worse:.2f}")
-        if kept is not None and (float(relative[-1].max()) > NEAR or worse > MATERIAL):
+        if kept is not None and (float(relative[-1].max()) > NEAR or worse > ASTRAY):
             break
         which = judge.horizons
         kept = fitting, found

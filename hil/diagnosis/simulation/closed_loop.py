@@ -84,7 +84,7 @@ class ClosedLoop:
             excitation = besides["excitation"] + besides["damping"]
             inputs = Inputs(reference, excitation, besides["feedforward"], None, self._pose, self._states, self._speed)
             trials = [(machines[k].values, (*self.known, *machines[k].effects)) for k in members]
-            own = [Own(machines[k].gain, np.zeros(joints), np.zeros(joints)) for k in members]
+            own = [Own(machines[k].gain, np.zeros(joints), np.zeros(joints), machines[k].early) for k in members]
             waiting.append((members, self.simulator.begin_all(inputs, trials, threads, own)))
 
         def ended() -> list[Errors]:

@@ -182,7 +182,8 @@ class OpenLoop:
             position, speed = start.position.copy(), start.speed.copy()
         for f, c in self._encoder.items():
             position[self._followed[f]] -= machine.zeros.get((self.number, c), 0.0)
-        return Own(np.ones(len(self.simulator.machine.axes)), position, speed)
+        axes = len(self.simulator.machine.axes)
+        return Own(np.ones(axes), position, speed, np.zeros(axes))
 
     def _off(self, machine: Machine, outputs: object) -> Errors:
         if not isinstance(outputs, Outputs):

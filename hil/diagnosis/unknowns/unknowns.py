@@ -11,10 +11,10 @@ import numpy as np
 
 from hil.diagnosis.candidates.entries import setting_of
 from hil.diagnosis.tuned.rigid_bodies import RigidBodies, rigid_bodies
+from virtual_bus.effects.bounds import effect_at
 from virtual_bus.effects.effect import PHASE, Parameter
-from virtual_bus.effects.registry import effects
 from virtual_bus.plant.compiled import CompiledPlant
-from virtual_bus.settings import EffectSetting
+from virtual_bus.settings import EffectSetting, PlantSettings
 
 TOLERANCE = 0.15
 """Standard deviation of a number of the machine file, as a share of it, where the file states none."""
@@ -44,6 +44,7 @@ class Kind(Enum):
     EFFORT_ZERO = "effort_zero"
     EFFORT_LAG = "effort_lag"
     SPEED_LIMIT = "speed_limit"
+    EARLY = "early"
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,8 @@ class Unknown:
         The recording that it is of; None: of all.
     is_left_out : bool
         Whether it is none in the file, and not negative.
+    most : float
+        Largest value.
     """
 
     name: str
@@ -77,6 +80,7 @@ class Unknown:
     is_log: bool = False
     recording: int | None = None
     is_left_out: bool = False
+    most: float = math.inf
 
     def value(self, coordinate: float) -> float:
         """Return the number at a coordinate [standard deviations]."""
@@ -87,7 +91,7 @@ class Unknown:
     @property
     def furthest(self) -> float:
         """Largest coordinate."""
-        return math.log(FURTHEST) / abs(self.scale) if self.is_log else FURTHEST
+        return math.log(FURTHEST) / abs(self.scale) if self.is_log else min(FURTHEST, (self.most - self.nominal) / self.scale)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +105,8 @@ class Machine:
     effects : tuple of EffectSetting
     gain : (axes,) array
         Of the controllers, in units of the file's.
+    early : (axes,) array
+        Shares of a row by which controllers' commands act before the next row.
     lateness_s : float
         By how much efforts, or references, act later than they were recorded.
     zeros : mapping of (int, int) to float
@@ -114,6 +120,7 @@ class Machine:
     values: np.ndarray
     effects: tuple[EffectSetting, ...]
     gain: np.ndarray
+    early: np.ndarray
     lateness_s: float = 0.0
     zeros: dict[tuple[int, int], float] = field(default_factory=dict)
     effort_zero: dict[int, float] = field(default_factory=dict)
@@ -139,7 +146,8 @@ class Unknowns:
     def machine(self, point: Point) -> Machine:
         """Return the machine at a point."""
         values = self.plant.nominal
-        gain = np.ones(len(self.plant.settings.drives))
+        axes = len(self.plant.settings.drives)
+        gain, early = np.ones(axes), np.zeros(axes)
         lateness = 0.0
         zeros: dict[tuple[int, int], float] = {}
         effort_zero: dict[int, float] = {}
@@ -151,6 +159,8 @@ class Unknowns:
                 values[unknown.place] = value
             elif unknown.kind is Kind.GAIN:
                 gain[unknown.place] = value
+            elif unknown.kind is Kind.EARLY:
+                early[unknown.place] = value
             elif unknown.kind is Kind.LATENESS:
                 lateness = value
             elif unknown.kind is Kind.EFFORT_ZERO:
@@ -162,11 +172,11 @@ class Unknowns:
             else:
                 assert unknown.recording is not None
                 zeros[unknown.recording, unknown.place] = value
-        return Machine(self.bodies.rigid(values), point.settings, gain, lateness, zeros, effort_zero, effort_lag, tuple(limits))
+        return Machine(self.bodies.rigid(values), point.settings, gain, early, lateness, zeros, effort_zero, effort_lag, tuple(limits))
 
     def start(self, settings: Sequence[EffectSetting] = ()) -> Point:
         """Return the file's machine with some effects."""
-        return Point(np.zeros(len(self.each)), tuple(settings))
+        return Point(np.zeros(len(self.each)), tuple(settings), self.plant.settings)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,12 +188,15 @@ class Point:
     numbers : (P,) array
         Coordinates of the unknowns.
     settings : tuple of EffectSetting
+    of : PlantSettings
+        The machine: its size bounds effects' parameters.
     held : frozenset of int
         Unknowns that stay where they are.
     """
 
     numbers: np.ndarray
     settings: tuple[EffectSetting, ...]
+    of: PlantSettings
     held: frozenset[int] = frozenset()
 
     @property
@@ -199,7 +212,7 @@ class Point:
         """
         found = []
         for k, setting in enumerate(self.settings):
-            own = effects()[setting.name].parameters
+            own = effect_at(setting.name, setting.at, self.of).parameters
             found += [(k, parameter) for parameter in own if not parameter.fixed]
         return found
 
@@ -227,7 +240,7 @@ class Point:
         for (k, parameter), by in zip(self.parameters, step[len(free) :].tolist(), strict=True):
             changes[k][parameter.name] = self.settings[k].parameters[parameter.name] + by
         settings = tuple(
-            setting_of(effects()[setting.name], setting.at, {**setting.parameters, **change})
+            setting_of(effect_at(setting.name, setting.at, self.of), setting.at, {**setting.parameters, **change})
             for setting, change in zip(self.settings, changes, strict=True)
         )
         return replace(self, numbers=numbers, settings=settings)

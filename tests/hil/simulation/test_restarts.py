@@ -39,7 +39,7 @@ def test_machines_beside_each_other_begin_apart_by_what_is_their_own() -> None:
     simulator = Simulator(smooth(replace(RAIL, controllers=())))
     none = np.zeros((ROWS, 1))
     restarts = Restarts(np.array([0, 100]), np.array([0]), np.array([[0.0], [1.0]]), np.zeros((2, 1)))
-    own = [Own(np.ones(1), np.full(1, shift), np.zeros(1)) for shift in (0.0, 0.25, -0.5)]
+    own = [Own(np.ones(1), np.full(1, shift), np.zeros(1), np.zeros(1)) for shift in (0.0, 0.25, -0.5)]
     found = simulator.run_all(Inputs(None, none, none, none, np.zeros(1), restarts=restarts), [(None, ())] * 3, own)
     assert [one.position[50, 0] for one in found] == pytest.approx([0.0, 0.25, -0.5])  # type: ignore[union-attr]
     assert [one.position[150, 0] for one in found] == pytest.approx([1.0, 1.25, 0.5])  # type: ignore[union-attr]
@@ -54,7 +54,7 @@ def test_a_controller_of_twice_the_gain_runs_as_one_whose_file_says_so() -> None
     sections = controller.position_sections.copy()
     sections[0, :3] *= 2.0
     filed = Simulator(smooth(replace(RAIL, controllers=(replace(controller, position_sections=sections),))))
-    (twice,) = Simulator(smooth(RAIL)).run_all(inputs, [(None, ())], [Own(np.full(1, 2.0), np.zeros(1), np.zeros(1))])
+    (twice,) = Simulator(smooth(RAIL)).run_all(inputs, [(None, ())], [Own(np.full(1, 2.0), np.zeros(1), np.zeros(1), np.zeros(1))])
     (wanted,) = filed.run_all(inputs, [(None, ())])
     assert twice.command == pytest.approx(wanted.command, rel=1e-9, abs=1e-12)  # type: ignore[union-attr]
 
