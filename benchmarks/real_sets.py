@@ -85,10 +85,12 @@ def by_free_runs(module: ModuleType, split: str, data: RealSet) -> dict[str, Any
     """Return the same of the search that free runs judge."""
     begun = time.monotonic()
     found = select(data.machine, data.train)
+    if found is None:
+        raise SystemExit(f"{split}: free runs stay near the recordings over no horizon")
     seconds = time.monotonic() - begun
     machines = {"engineer's set": found.baseline, "answer": found.fit}
     errors = {"nominal": module.errors(split, data.machine, None, ())}
-    errors |= {stage: with_side(module, split, data, found.fitting.unknowns.machine(fit.point)) for stage, fit in machines.items()}
+    errors |= {stage: with_side(module, split, data, found.unknowns.machine(fit.point)) for stage, fit in machines.items()}
     return entry_of(found, by_channel(errors), seconds)
 
 
@@ -110,7 +112,9 @@ def with_side(module: ModuleType, split: str, data: RealSet, trial: Trial) -> Er
 def with_gain(controller: AxisController, gain: float) -> AxisController:
     """Return a controller whose command is so many times as large: the first section of each chain has the gain."""
 
-    def scaled(sections: np.ndarray) -> np.ndarray:
+    def scaled(sections: Any) -> Any:
+        if sections is None:
+            return None
         first = sections[:1] * np.array([gain, gain, gain, 1.0, 1.0, 1.0])
         return np.vstack([first, sections[1:]])
 
@@ -132,15 +136,13 @@ def entry_of(found: Selected, errors: dict[str, Any], seconds: float) -> dict[st
     """Return what the results hold of one split."""
     point = found.fit.point
     numbers = {
-        unknown.name: float(np.round(at, 2))
-        for unknown, at in zip(found.fitting.unknowns.each, point.numbers, strict=True)
-        if abs(at) > 0.1
+        unknown.name: float(np.round(at, 2)) for unknown, at in zip(found.unknowns.each, point.numbers, strict=True) if abs(at) > 0.1
     }
     return {
         "named": words(point.settings),
         "numbers in standard deviations of their prior": numbers,
-        "horizons_s": list(found.fitting.judge.horizons),
-        "gain over the engineer's set": round(found.baseline_score - found.score, 1),
+        "horizons_s": list(found.search.fitting.judge.horizons),
+        "gain over the engineer's set": round(found.search.score(found.baseline) - found.search.score(found.fit), 1),
         "channels": errors,
         "seconds": round(seconds, 1),
     }

@@ -174,7 +174,7 @@ def _found(findings: Sequence[Finding]) -> str:
             f"{name} = {e.value:.4g}{' ' + e.unit if e.unit else ''} ({e.ci95[0]:.4g} to {e.ci95[1]:.4g})"
             for name, e in finding.parameters.items()
         )
-        words.append(f"{finding.effect}: {numbers}")
+        words.append(f"{finding.name}: {numbers}")
     return "; ".join(words) or "no effect"
 
 
@@ -188,7 +188,7 @@ def _say(answer: Answer, outcome: Answered, out: Path) -> None:
     for suspicion in diagnosis.suspicions:
         answer.say(f"  {suspicion}")
     for finding in diagnosis.findings:
-        answer.say(f"  {finding.effect}: confidence {finding.confidence:.2f}; {_found([finding]).split(': ', 1)[1]}")
+        answer.say(f"  {finding.name}: confidence {finding.confidence:.2f}; {_found([finding]).split(': ', 1)[1]}")
     judged = diagnosis.fit.held_out or diagnosis.fit.train
     where = "held-out" if diagnosis.fit.held_out is not None else "training"
     stages = [("nominal", judged.nominal), ("re-tuned", judged.retuned), ("engineer's fit", judged.baseline), ("extended", judged.extended)]

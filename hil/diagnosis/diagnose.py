@@ -10,6 +10,7 @@ import numpy as np
 
 from hil.diagnosis.answered.answer import answer
 from hil.diagnosis.answered.early import first_answer, nothing_seen, play_seen, wrong_recordings
+from hil.diagnosis.answered.simulated import answer_of_runs
 from hil.diagnosis.answered.values import Answered, Everyday, everyday_of
 from hil.diagnosis.audit.audit import Audit, audit
 from hil.diagnosis.audit.recordings import faults
@@ -18,6 +19,7 @@ from hil.diagnosis.named.fitting import Fitted
 from hil.diagnosis.named.naming import engineers_fit, name
 from hil.diagnosis.result import Diagnosis
 from hil.diagnosis.seen.see import Seen, see
+from hil.diagnosis.selection.select import select
 from hil.errors import RecordingError
 from hil.machine import Machine
 from hil.processes.kept_memory import keep_memory
@@ -104,6 +106,13 @@ def diagnose_audited(
     def say(baseline: Fitted) -> None:
         first(first_answer(machine, audited, seen, baseline, time.monotonic() - began))
 
+    if not freely and is_judged_by_runs(seen):
+        report("fitting numbers and friction", 0.1)
+        levels, _, baseline = engineers_fit(seen)
+        say(baseline)
+        report("simulating what might be missing", 0.2)
+        if (selected := select(machine, recordings)) is not None:
+            return answer_of_runs(machine, audited, seen, levels, selected, held_out, began, report)
     return answer(machine, audited, name(seen, free, report, say), held_out, began, report)
 
 
@@ -138,6 +147,16 @@ def _see(
     if audited.has_play:
         return play_seen(machine, audited, seen, time.monotonic() - began)
     return seen
+
+
+def is_judged_by_runs(seen: Seen) -> bool:
+    """Return whether free runs of windows, or of the loop, judge: nothing repeats, and joint sensors follow every joint and were all."""
+    sensors = {sensor.channel for sensor in seen.alongs[0].settings.joint_sensors}
+    return (
+        seen.noise == "assumed"
+        and not seen.shown
+        and all(along.followed.all() and sensors.issuperset(along.observed.channels) for along in seen.alongs)
+    )
 
 
 def check_axes(label: str | Path, recording: Recording, machine: Machine) -> None:

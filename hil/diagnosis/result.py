@@ -47,10 +47,12 @@ class Estimate:
     value: float
     unit: str
     ci95: Span
+    nominal: float | None = None  # of a number of the machine file, or of the controller's side
 
     def document(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        return {"value": self.value, "unit": self.unit, "ci95": list(self.ci95)}
+        said = {} if self.nominal is None else {"nominal": self.nominal}
+        return {"value": self.value, "unit": self.unit, "ci95": list(self.ci95), **said}
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,7 @@ class RetunedValue:
 
 @dataclass(frozen=True)
 class Finding:
-    """One effect that the diagnosis holds for present."""
+    """One effect that the diagnosis holds for present, or a number that left its tolerance: its name and the place are in `effect`."""
 
     effect: EffectAt
     confidence: float
@@ -81,11 +83,18 @@ class Finding:
     evidence_against: tuple[str, ...] = ()
     family: str = ""  # of effects that recordings often do not tell apart
     variants: tuple[tuple[EffectAt, float], ...] = ()  # laws of the family at this place that may be it, and how sure each is
+    kind: Literal["effect", "number"] = "effect"
+
+    @property
+    def name(self) -> str:
+        """What it is called in a sentence."""
+        return str(self.effect) if self.kind == "effect" else self.effect.effect
 
     def document(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         return {
-            **self.effect.document(),
+            "kind": self.kind,
+            **(self.effect.document() if self.kind == "effect" else {"number": self.effect.effect, "at": self.effect.at}),
             "confidence": self.confidence,
             "parameters": {name: estimate.document() for name, estimate in self.parameters.items()},
             "ambiguous_with": [other.document() for other in self.ambiguous_with],

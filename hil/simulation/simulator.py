@@ -115,8 +115,12 @@ class Simulator:
         trials: Sequence[tuple[np.ndarray | None, Sequence[EffectSetting] | None]],
         threads: ThreadPoolExecutor,
         own: Sequence[Own] | None = None,
+        most_steps: int | None = None,
     ) -> Callable[[], list[Outputs | BenchError | EmulatorError | ControlError]]:
-        """Begin `run_all` in threads; return what waits for it and returns the same."""
+        """Begin `run_all` in threads; return what waits for it and returns the same.
+
+        A machine that needs more than `most_steps` within a plant step is not simulated: its answer is a BadAnswerError.
+        """
         found: list[Any] = []
         begun: list[tuple[list[int], Future[list[Taken]]]] = []
         waiting: defaultdict[int, list[int]] = defaultdict(list)
@@ -129,6 +133,9 @@ class Simulator:
                 found.append(replace(self._prepared(inputs, values, effects), own=None if own is None else own[k]))
             except (BenchError, EmulatorError, ControlError) as error:
                 found.append(error)
+                continue
+            if most_steps is not None and int(found[k].model["inner_steps"][0]) > most_steps:
+                found[k] = BadAnswerError(f"{self.machine.name}: moves too fast to be simulated in {most_steps} steps of a plant step")
                 continue
             if can_be_side_by_side(found[k], len(self.machine.plant.imus)):
                 alike = int(found[k].model["inner_steps"][0])

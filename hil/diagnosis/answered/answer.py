@@ -51,6 +51,7 @@ from hil.diagnosis.result import (
     Stages,
     Verdict,
 )
+from hil.diagnosis.seen.beside import Levels
 from hil.diagnosis.seen.see import Seen, see
 from hil.diagnosis.separating.next_experiment import Proposal, propose
 from hil.diagnosis.separating.separation import Model
@@ -97,41 +98,54 @@ def answer(
     settings = machine.plant
     estimates = estimates_of(settings, best, spread)
     shown = shown_findings(machine, seen)
-    findings = (*_findings(best, others, estimates, LARGEST[noise]), *shown)
+    findings = (*told(best.settings, others, estimates, LARGEST[noise]), *shown)
     limits = detection_limits(judged, of)
     retuned, frozen = _numbers(tuned, best, spread)
-    verdict, reason = _verdict(audit, judged, findings, others, _unseen(machine, seen, limits))
+    verdict, reason = _verdict(audit, judged, findings, others, unseen_at(machine, seen, limits))
     if not findings and verdict != "inconclusive":
-        reason = "; ".join([reason, what_may_hide(_recordings(seen)), *_never_shown(limits)])
+        reason = "; ".join([reason, what_may_hide(recordings_of(seen)), *never_shown(limits)])
     train, *held = _predicted(machine, named, held_out)
     along, there = (tuned, along_motion) if isinstance(tuned, Tuned) else _along(named)
-    missing = {seen.alongs[0].joints[joint]: share for joint, share in _shares(named).items()}
+    missing = {seen.alongs[0].joints[joint]: share for joint, share in shares_of(seen).items()}
     proposal = None
     if verdict == "ambiguous":
-        proposal = _proposed(machine, judged, others, report)
+        offset = judged.best.offset[: len(tuned.numbers.indices)]
+        levels = matched(judged.levels, *_along(judged)) if isinstance(tuned, FreeRuns) else judged.levels
+        proposal = proposed(machine, tuned.numbers.values(offset), offset, judged.best.settings, others, levels, seen, report)
     if proposal is not None:
         findings = tuple(replace(finding, separating_experiment=NEXT_EXPERIMENT) for finding in findings)
     diagnosis = Diagnosis(
         verdict=verdict,
         reason=reason,
         findings=findings,
-        hypotheses=_hypotheses(best, gained_by(judged), others, LARGEST[noise], tuple(finding.effect for finding in shown)),
+        hypotheses=hypotheses_of(
+            best.settings, len(best.parameters), gained_by(judged), others, LARGEST[noise], tuple(finding.effect for finding in shown)
+        ),
         retuned=retuned,
         frozen=frozen,
         noise=noise,
         location=Location() if verdict in ("consistent", "retuned") else where_it_is(seen, along, there),
-        fit=_fit(train, held[0] if held else None, held_out != {}),
+        fit=fit_of(train, held[0] if held else None, held_out != {}),
         unexplained_share=unexplained(judged),
         seconds=time.monotonic() - began,
         disturbance=DisturbanceShares(joints=missing),
         audit=audit.document(),
-        detection_limits=tuple(_limit(limit, settings) for limit in limits),
+        detection_limits=tuple(limit_of(limit, settings) for limit in limits),
         baseline=baseline_of(machine, named.baseline, noise),
         known=known_effects(machine.plant),
-        separations=() if proposal is None else _separations(proposal),
+        separations=() if proposal is None else separations_of(proposal),
     )
     settings_of_all = (*best.settings, *(one.setting for one in seen.shown))
-    return Answered(machine, diagnosis, names_of(seen), named, values, settings_of_all, proposal)
+    return Answered(machine, diagnosis, names_of(seen), seen, values, settings_of_all, proposal, _columns(named))
+
+
+def _columns(named: Named) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Return what numbers and the answer's parameters change, and their names."""
+    best, numbers = named.best, named.tuned.numbers
+    count = len(numbers.indices)
+    kept = [*range(count), *range(len(best.offset), len(best.offset) + len(best.parameters))]
+    names = (*numbers.names, *(f"{best.settings[k].name} at {best.settings[k].at}: {parameter.name}" for k, parameter in best.parameters))
+    return np.vstack([each[:, kept] for each in best.columns]), names
 
 
 def _along(named: Named) -> tuple[Tuned, Fitted]:
@@ -141,33 +155,34 @@ def _along(named: Named) -> tuple[Tuned, Fitted]:
     return tuned, fit(tuned, best.settings, best.offset, longest=0.0) or best
 
 
-def _proposed(machine: Machine, named: Named, others: Sequence[Alternative], report: Callable[[str, float], None]) -> Proposal | None:
-    """Return the experiment that separates the answer from sets that are nearly as likely."""
-    offset = named.best.offset[: len(named.tuned.numbers.indices)]
-    values = named.tuned.numbers.values(offset)
+def proposed(
+    machine: Machine, values: np.ndarray, offset: np.ndarray, settings: Sequence[EffectSetting], others: Sequence[Alternative],
+    levels: Levels, seen: Seen, report: Callable[[str, float], None],
+) -> Proposal | None:  # fmt: skip
+    """Return the experiment that separates an answer, with its numbers and the same as nuisances, from sets that are nearly as likely."""
     near = [other for other in others if other.told_apart < NOT_TOLD_APART]
     own, shares = _weights(near)
     rivals = [Model(values, offset, other.settings, share) for other, share in zip(near, shares, strict=True)]
-    models = [Model(values, offset, named.best.settings, own), *rivals[:MOST_RIVALS]]
-    channels = named.seen.alongs[0].observed.channels
+    models = [Model(values, offset, tuple(settings), own), *rivals[:MOST_RIVALS]]
 
     def say(share: float) -> None:
         report("looking for the next experiment", 0.95 + 0.05 * share)
 
-    levels = matched(named.levels, *_along(named)) if isinstance(named.tuned, FreeRuns) else named.levels
-    return propose(machine, models, levels.of(1), channels, named.seen.by, say)
+    return propose(machine, models, levels.of(1), seen.alongs[0].observed.channels, seen.by, say)
 
 
-def _separations(proposal: Proposal) -> tuple[PredictedSeparation, ...]:
+def separations_of(proposal: Proposal) -> tuple[PredictedSeparation, ...]:
+    """Return how far an experiment separates the answer from each rival."""
     rivals = [tuple(EffectAt(one.name, one.at) for one in model.effects) for model in proposal.models[1:]]
     return tuple(PredictedSeparation(rival, *map(float, d)) for rival, d in zip(rivals, proposal.separations, strict=True))
 
 
-def _recordings(seen: Seen) -> dict[str, Recording]:
+def recordings_of(seen: Seen) -> dict[str, Recording]:
+    """Return the recordings by name."""
     return {repeat.name: repeat.recording for group in seen.groups for repeat in group.repeats}
 
 
-def _never_shown(limits: Sequence[Limit]) -> list[str]:
+def never_shown(limits: Sequence[Limit]) -> list[str]:
     """Return in words which effects would not have shown at any strength that the catalogue allows."""
     hidden = [f"{limit.effect} at {limit.at}" for limit in limits if not math.isfinite(limit.strength)]
     if not hidden:
@@ -196,10 +211,12 @@ def _verdict(
             return "retuned", f"other numbers in the machine file explain the difference; {NOTHING_MISSING}"
         return "consistent", NOTHING_MISSING
     near = [other for other in others if other.has_another and other.told_apart < NOT_TOLD_APART]
-    rivals = [other for other in near if other.told_apart < 0.0 or not _is_variant(named.best, other)]  # a likelier law of the family, too
+    rivals = [
+        other for other in near if other.told_apart < 0.0 or not _is_variant(named.best.settings, other)
+    ]  # a likelier law of the family, too
     doubted = [other for other in others if not other.has_another and other.told_apart < NOT_TOLD_APART]
     if rivals or doubted:
-        said = "; ".join(dict.fromkeys(_words(other.settings) for other in [*rivals, *doubted]))
+        said = "; ".join(dict.fromkeys(words(other.settings) for other in [*rivals, *doubted]))
         return "ambiguous", f"{names}, which these recordings do not tell apart from {said}"
     if (power := times_noise(named)) > 1.0 + LEVEL and named.is_noise_known:
         return (
@@ -211,7 +228,7 @@ def _verdict(
     return "explained", f"{names}: no other law or place explains these recordings as well"
 
 
-def _unseen(machine: Machine, seen: Seen, limits: Sequence[Limit]) -> list[str]:
+def unseen_at(machine: Machine, seen: Seen, limits: Sequence[Limit]) -> list[str]:
     """Return the axes at which dry friction would not have shown, were it as large as all effort."""
     efforts: dict[str, float] = {}
     for each in seen.missing():
@@ -222,13 +239,14 @@ def _unseen(machine: Machine, seen: Seen, limits: Sequence[Limit]) -> list[str]:
     return [axis for axis in axes if axis in hidden]
 
 
-def _words(settings: Sequence[EffectSetting]) -> str:
+def words(settings: Sequence[EffectSetting]) -> str:
+    """Return effects with their places."""
     return " and ".join(f"{setting.name} at {setting.at}" for setting in settings) or "no effect"
 
 
-def _is_variant(best: Fitted, other: Alternative) -> bool:
+def _is_variant(settings: Sequence[EffectSetting], other: Alternative) -> bool:
     """Whether an alternative has another law of the same family at the same place."""
-    own, its = best.settings[other.without[0]], other.settings[-1]
+    own, its = settings[other.without[0]], other.settings[-1]
     return len(other.without) == 1 and own.at == its.at and effects()[own.name].family == effects()[its.name].family
 
 
@@ -241,16 +259,19 @@ def _weights(others: Sequence[Alternative]) -> tuple[float, list[float]]:
     return own / total, [one / total for one in each]
 
 
-def _findings(best: Fitted, others: Sequence[Alternative], estimates: Sequence[Mapping[str, Estimate]], cap: float) -> tuple[Finding, ...]:
+def told(
+    settings: Sequence[EffectSetting], others: Sequence[Alternative], estimates: Sequence[Mapping[str, Estimate]], cap: float
+) -> tuple[Finding, ...]:
+    """Return the effects of an answer as findings, each with what might act in its place."""
     found = []
-    for number, (setting, table) in enumerate(zip(best.settings, estimates, strict=True)):
+    for number, (setting, table) in enumerate(zip(settings, estimates, strict=True)):
         mine = [other for other in others if number in other.without]
         own, shares = _weights(mine)
         at, family = EffectAt(setting.name, setting.at), effects()[setting.name].family
         variants = [(at, cap * own)]
         rivals, missing = [], 0.0
         for other, share in zip(mine, shares, strict=True):
-            if other.has_another and _is_variant(best, other):
+            if other.has_another and _is_variant(settings, other):
                 variants.append((EffectAt(other.settings[-1].name, other.settings[-1].at), cap * share))
             elif other.has_another and other.told_apart < NOT_TOLD_APART:
                 rivals.append(other)
@@ -265,7 +286,7 @@ def _findings(best: Fitted, others: Sequence[Alternative], estimates: Sequence[M
                 ambiguous_with=tuple(EffectAt(other.settings[-1].name, other.settings[-1].at) for other in rivals),
                 ambiguous_sets=tuple(tuple(EffectAt(one.name, one.at) for one in other.settings) for other in rivals),
                 evidence_for=(f"without it, twice the log of the evidence falls by {missing:.4g}",),
-                evidence_against=tuple(f"{_words(other.settings)} is {other.behind:.3g} such units behind" for other in rivals),
+                evidence_against=tuple(f"{words(other.settings)} is {other.behind:.3g} such units behind" for other in rivals),
                 family=family,
                 variants=tuple(sorted(variants, key=lambda pair: -pair[1])),
             )
@@ -273,12 +294,18 @@ def _findings(best: Fitted, others: Sequence[Alternative], estimates: Sequence[M
     return tuple(found)
 
 
-def _hypotheses(
-    best: Fitted, gained: float, others: Sequence[Alternative], cap: float, shown: tuple[EffectAt, ...]
-) -> tuple[Hypothesis, ...]:
+def hypotheses_of(
+    settings: Sequence[EffectSetting],
+    parameters: int,
+    gained: float,
+    others: Sequence[Alternative],
+    cap: float,
+    shown: tuple[EffectAt, ...],
+) -> tuple[Hypothesis, ...]:  # fmt: skip
+    """Return the sets of effects that were weighed, the surest first."""
     own, shares = _weights(others)
-    named = tuple(EffectAt(one.name, one.at) for one in best.settings)
-    sets = [Hypothesis((*named, *shown), cap * own, gained, None, len(best.parameters), True)]
+    named = tuple(EffectAt(one.name, one.at) for one in settings)
+    sets = [Hypothesis((*named, *shown), cap * own, gained, None, parameters, True)]
     for other, share in list(zip(others, shares, strict=True))[:MOST_HYPOTHESES]:
         what = tuple(EffectAt(one.name, one.at) for one in other.settings)
         sets.append(Hypothesis((*what, *shown), cap * share, other.gained, None, other.parameters, False))
@@ -329,7 +356,8 @@ def _predicted(machine: Machine, named: Named, held_out: Mapping[str, Recording]
     return tuple(predicted(seen.alongs, scales, machines, "extended") for seen in sets)
 
 
-def _fit(train: Predicted | None, held: Predicted | None, has_held_out: bool) -> Fit:
+def fit_of(train: Predicted | None, held: Predicted | None, has_held_out: bool) -> Fit:
+    """Return how far every stage is from the recordings."""
     judged = held if has_held_out else train
     on_train = _total(train)
     on_held_out = _total(held) if has_held_out else None
@@ -363,17 +391,18 @@ def _removed(before: float | None, after: float | None) -> float | None:
     return float((1.0 - (after / before) ** 2) / (1.0 - before**-2.0))  # without squares of what ran away
 
 
-def _shares(named: Named) -> dict[int, float]:
+def shares_of(seen: Seen) -> dict[int, float]:
     """Return every driven joint's share of the missing effort's power, each in units of the effort on it."""
-    along = named.seen.alongs[0]
+    along = seen.alongs[0]
     power: dict[int, float] = {}
-    for each in named.seen.missing():
+    for each in seen.missing():
         joint = along.joints.index(each.joint)
         power[joint] = power.get(joint, 0.0) + each.share**2
     total = sum(power.values())
     return {joint: value / total for joint, value in power.items()} if total > 0.0 else {}
 
 
-def _limit(limit: Limit, settings: PlantSettings) -> DetectionLimit:
+def limit_of(limit: Limit, settings: PlantSettings) -> DetectionLimit:
+    """Return a limit with its unit."""
     strength = limit.strength if math.isfinite(limit.strength) else None
     return DetectionLimit(EffectAt(limit.effect, limit.at), limit.parameter.name, strength, unit_of(limit.parameter, limit.at, settings))

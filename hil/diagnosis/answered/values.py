@@ -9,7 +9,6 @@ import numpy as np
 from hil.diagnosis.candidates.entries import effect_sought
 from hil.diagnosis.named.covariance import covariance_of, scattered
 from hil.diagnosis.named.fitting import Fitted
-from hil.diagnosis.named.naming import Named
 from hil.diagnosis.result import Diagnosis, EffectAt, Estimate, Finding, NoiseKind
 from hil.diagnosis.seen.see import Seen
 from hil.diagnosis.separating.next_experiment import Proposal
@@ -34,22 +33,25 @@ class Answered:
     machine : Machine
     diagnosis : Diagnosis
     recordings : tuple of str
-    named : Named or None
+    seen : Seen or None
         None where the recordings show nothing, or by themselves.
     values : (parameters,) array
         Plant parameters of the answer.
     effects : tuple of EffectSetting
     proposal : Proposal or None
         The experiment that would tell the answer from its rivals.
+    columns : pair of (M, P) array and tuple of str, or None
+        What numbers and the effects' parameters change, and their names.
     """
 
     machine: Machine
     diagnosis: Diagnosis
     recordings: tuple[str, ...]
-    named: Named | None
+    seen: Seen | None
     values: np.ndarray
     effects: tuple[EffectSetting, ...]
     proposal: Proposal | None = None
+    columns: tuple[np.ndarray, tuple[str, ...]] | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.diagnosis.likelihood.judge import CELLS, FOLDS, Judge, Left
+from hil.diagnosis.likelihood.judge import BLOCKS, CELLS, FOLDS, Judge, Left
 from hil.diagnosis.simulation.windows import Starts
 from hil.diagnosis.tuned.bounded import bounded_least_squares
 from hil.diagnosis.unknowns.unknowns import Kind, Point, Unknowns
@@ -168,8 +168,8 @@ class Fitting:
         held = frozenset(free[k] for k in range(len(free)) if k not in kept) | fitted.point.held
         return replace(fitted, point=replace(fitted.point, held=held))
 
-    def left_out(self, fitted: Fit) -> np.ndarray:
-        """Return sums of squares (folds, H, C) of windows that each leaves out, by machines fitted to the others from the whole fit on."""
+    def folded(self, fitted: Fit) -> list[Fit]:
+        """Return, from the whole fit on, the fits without the windows of each fold."""
         fitted = fitted if fitted.slopes is not None else self.with_slopes(fitted)
         assert fitted.slopes is not None
         there: list[Fit] = [fitted] * len(FOLDS)
@@ -189,7 +189,17 @@ class Fitting:
                 ended = [fold for fold in ended if not costs[fold] < begun[fold][1]]
             if not moving:
                 break
-        return np.array([self.judge.squares(one.reduced, fold) for fold, one in enumerate(there)])
+        return there
+
+    def variances(self, fitted: Fit, folded: Sequence[Fit]) -> tuple[np.ndarray, np.ndarray]:
+        """Return variances (P,) of the free unknowns and parameters: as likelihood bends, and as stretches differ (jackknife)."""
+        fitted = fitted if fitted.slopes is not None else self.with_slopes(fitted)
+        assert fitted.slopes is not None
+        squares = fitted.slopes.squares.sum(axis=0) + np.diag(prior(fitted.point)[1])
+        scale = np.sqrt(np.maximum(np.diag(squares), 1e-300))
+        bent = np.diag(np.linalg.pinv(squares / np.outer(scale, scale), rcond=1e-9, hermitian=True)) / scale**2
+        points = np.array([one.point.coordinates for one in folded[:BLOCKS]])
+        return bent, (BLOCKS - 1.0) * np.var(points, axis=0)
 
     def _without(self, fitted: Fit, one: Fit, fold: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the normal equations of all folds but one, by the columns of the whole fit."""
@@ -198,9 +208,10 @@ class Fitting:
         kept = ~FOLDS[fold]
         return fitted.slopes.squares[kept].sum(axis=0), slopes.slopes[kept].sum(axis=0)
 
-    def scores(self, fitted: Fit) -> np.ndarray:
+    def scores(self, folded: Sequence[Fit]) -> np.ndarray:
         """Return the negative log likelihood (folds,) of the windows that each leaves out, by machines that were fitted to the others."""
-        mean = self.left_out(fitted) / np.maximum(self.judge.counts_of_folds, 1.0) + self.judge.noise**2
+        squares = np.array([self.judge.squares(one.reduced, fold) for fold, one in enumerate(folded)])
+        mean = squares / np.maximum(self.judge.counts_of_folds, 1.0) + self.judge.noise**2
         shares = self.judge.counts_of_folds / self.judge.counts
         found: np.ndarray = 0.5 * np.sum(self.weights * shares * np.log(mean), axis=(1, 2))
         return found

@@ -14,13 +14,15 @@ from functools import cached_property
 
 import numpy as np
 
-from hil.diagnosis.simulation.windows import MOST_ROWS, Errors, Simulated, Starts
+from hil.diagnosis.simulation.windows import Errors, Simulated, Starts, Windows
 from hil.diagnosis.unknowns.unknowns import Machine
 
 BLOCKS = 4
 """Of the recordings that are left out in turn: stretches of time, and then places, windows whose readings are near each other.
 
 A law that is bent to what was seen predicts a stretch that passes where others did; a place that none of them came to tells."""
+MOST_ROWS = 20_000
+"""Of the windows of one length, and of those that errors are computed at: more would say the same again."""
 CELLS = BLOCKS**2
 FOLDS = np.array([[cell // BLOCKS == block for cell in range(CELLS)] for block in range(BLOCKS)]
                  + [[cell % BLOCKS == block for cell in range(CELLS)] for block in range(BLOCKS)])  # fmt: skip
@@ -36,10 +38,8 @@ class Block:
     run : Simulated
     horizon : int
         Which one.
-    window_rows : int or None
-        None: whole recordings.
-    rows, windows : int
-        L and W.
+    windows : Windows
+        W of L rows.
     picked : (l,) int array
         Rows of a window that errors are computed at.
     cell : (W,) int array
@@ -48,15 +48,18 @@ class Block:
 
     run: Simulated
     horizon: int
-    window_rows: int | None
-    rows: int
-    windows: int
+    windows: Windows
     picked: np.ndarray
     cell: np.ndarray
 
+    @property
+    def recorded(self) -> np.ndarray:
+        """What was read (W, l, C)."""
+        return self.shaped(self.run.recorded[self.windows.at])
+
     def shaped(self, errors: np.ndarray) -> np.ndarray:
-        """Return errors (W, l, C) of the whole windows of a run (N, C)."""
-        return errors[: self.windows * self.rows].reshape(self.windows, self.rows, -1)[:, self.picked]
+        """Return errors (W, l, C) of those (W L, C) of the windows, one after the other."""
+        return errors.reshape(len(self.windows.first), self.windows.rows, -1)[:, self.picked]
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,19 +91,21 @@ class Judge:
             for run in runs:
                 whole = run.rows if run.starts else max(run.rows // CELLS, 2)  # stretches of one run, where it does not begin anew
                 rows = whole if horizon is None else min(run.rows, max(2, round(horizon / run.period_s)))
-                windows = run.rows // rows
-                stride = max(1, every // MOST_ROWS)
+                first = np.arange(run.rows // rows) * rows
+                if run.starts:  # each window costs
+                    first = first[:: max(1, min(len(first) // CELLS, every // MOST_ROWS))]
+                windows = Windows(first, rows)
+                stride = max(1, sum(len(first) * rows * (each.rows / run.rows) for each in runs) // MOST_ROWS)
                 picked = np.arange(min(stride, rows - 1), rows, stride)
-                middle = passed + (np.arange(windows) + 0.5) * rows
-                stretch = np.minimum((middle * BLOCKS / every).astype(np.int64), BLOCKS - 1)
-                own.append(Block(run, h, None if horizon is None else rows, rows, windows, picked, stretch))
+                stretch = np.minimum(((passed + first + 0.5 * rows) * BLOCKS / every).astype(np.int64), BLOCKS - 1)
+                own.append(Block(run, h, windows, picked, stretch))
                 passed += run.rows
-            ends = np.cumsum([block.windows for block in own])[:-1]
+            ends = np.cumsum([len(block.cell) for block in own])[:-1]
             blocks += [
                 replace(block, cell=BLOCKS * block.cell + place) for block, place in zip(own, np.split(_places(own), ends), strict=True)
             ]
         self.blocks = tuple(blocks)
-        self.present = tuple(np.isfinite(block.shaped(block.run.recorded)) for block in self.blocks)
+        self.present = tuple(np.isfinite(block.recorded) for block in self.blocks)
         self.noise = np.sqrt(np.mean([run.noise**2 for run in runs], axis=0))
 
     @property
@@ -130,7 +135,7 @@ class Judge:
         """Mean square (H, C) of what was read, about the first reading of its window."""
         found = np.zeros(self.shape)
         for block, present in zip(self.blocks, self.present, strict=True):
-            values = block.shaped(block.run.recorded)
+            values = block.recorded
             filled = np.where(present, values, np.nan)
             first = np.nanmean(np.where(np.cumsum(present, axis=1) == 1, filled, np.nan), axis=1, keepdims=True) if len(values) else values
             found[block.horizon] += np.nansum((filled - first) ** 2, axis=(0, 1))
@@ -143,8 +148,8 @@ class Judge:
         from_there = [None] * len(machines) if starts is None else starts
         with ThreadPoolExecutor(self.jobs or os.cpu_count()) as threads:
             for k, run in enumerate(self.runs):
-                lengths = [block.window_rows for block in self.blocks[k :: len(self.runs)]]
-                begun.append(run.begin(machines, from_there, lengths, threads))
+                windows = [block.windows for block in self.blocks[k :: len(self.runs)]]
+                begun.append(run.begin(machines, from_there, windows, threads))
             every = [ended() for ended in begun]
         found: list[Left | None] = []
         for k in range(len(machines)):
@@ -181,7 +186,7 @@ class Judge:
         for block, own, present in zip(self.blocks, errors, self.present, strict=True):
             centred = own - own.sum(axis=1, keepdims=True) / np.maximum(present.sum(axis=1, keepdims=True), 1)
             crossed = (centred[:, 1:] * centred[:, :-1] < 0.0).sum(axis=(0, 1))
-            found[block.horizon] += np.minimum(crossed + block.windows, present.sum(axis=(0, 1)))
+            found[block.horizon] += np.minimum(crossed + len(block.cell), present.sum(axis=(0, 1)))
         alike: np.ndarray = np.exp(np.mean(np.log(np.maximum(found, 1.0)), axis=0)) / len(self.horizons)
         every: np.ndarray = np.tile(np.maximum(alike, 1.0), (len(self.horizons), 1))
         return every
@@ -191,7 +196,7 @@ def _places(blocks: Sequence[Block]) -> np.ndarray:
     """Return which place (W,) each window of some blocks is at: windows in order of what was read most differently in them."""
     means = []
     for block in blocks:
-        values = block.shaped(block.run.recorded)
+        values = block.recorded
         there = np.isfinite(values)
         means.append(np.where(there, values, 0.0).sum(axis=1) / np.maximum(there.sum(axis=1), 1))
     every = np.concatenate(means)

@@ -181,20 +181,29 @@ def detection_limits(named: Named, of: Library) -> list[Limit]:
     """
     tuned, best = named.tuned, named.best
     taken = {(effects()[one.name].family, one.at) for one in best.settings}
-    least: dict[tuple[str, str], Limit] = {}
+    found = []
     for law, reduced, _ in beside_fit(best, of, best.dispersion):
-        strengths = [parameter for parameter in law.effect.parameters if parameter.is_strength]
-        if not strengths or (law.effect.family, law.at) in taken:
-            continue
-        asked = len(strengths) * math.log(tuned.readings) + 2.0 * math.log(of.places)
+        strengths = sum(parameter.is_strength for parameter in law.effect.parameters)
+        asked = strengths * math.log(tuned.readings) + 2.0 * math.log(of.places)
         if named.is_noise_known:
             asked += NOT_TOLD_APART
         if not law.effect.everyday:
             asked += (named.materiality - 1.0) * best.squares / best.dispersion
-        limit = _limit(law, strengths, reduced, asked * best.dispersion)
-        key = (limit.effect, limit.at)
-        if key not in least or _beyond(limit) < _beyond(least[key]):
-            least[key] = limit
+        if (law.effect.family, law.at) not in taken:
+            found.append((law, reduced, asked * best.dispersion))
+    return least_shown(found)
+
+
+def least_shown(laws: Sequence[tuple[Entry, np.ndarray, float]]) -> list[Limit]:
+    """Return, of laws with the squares (w, w) of their weights and what is asked of them, the least strengths of every effect and place."""
+    least: dict[tuple[str, str], Limit] = {}
+    for law, squares, asked in laws:
+        strengths = [parameter for parameter in law.effect.parameters if parameter.is_strength]
+        if strengths:
+            limit = _limit(law, strengths, squares, asked)
+            key = (limit.effect, limit.at)
+            if key not in least or _beyond(limit) < _beyond(least[key]):
+                least[key] = limit
     return sorted(least.values(), key=lambda each: (each.effect, each.at))
 
 

@@ -42,7 +42,7 @@ def _page(answered: Answered, folder: Path, is_emulated: bool) -> Page:
     diagnosis, machine = answered.diagnosis, answered.machine
     command, reason = next_command(diagnosis, name_to_load(machine), folder)
     units = {units.axis: units for units in machine.units}
-    is_searched = answered.named is not None
+    is_searched = answered.seen is not None
     sections = [Section("Findings", findings(diagnosis, answered.proposal))]
     if is_searched:
         sections += _what_it_leaves(answered)
@@ -73,7 +73,7 @@ def _page(answered: Answered, folder: Path, is_emulated: bool) -> Page:
 def _what_it_leaves(answered: Answered) -> list[Section]:
     """Return what the machine file's equations lack, and how well what was named of it predicts."""
     diagnosis = answered.diagnosis
-    waterfall = waterfall_figure(diagnosis.fit, [finding.effect for finding in diagnosis.findings])
+    waterfall = waterfall_figure(diagnosis.fit, [finding.effect for finding in diagnosis.findings if finding.kind == "effect"])
     fell: list[Block] = [] if waterfall is None else [picture(waterfall, "Waterfall of the mismatch above noise")]
     missing: list[Block] = [Text(MISSING.format(share=diagnosis.unexplained_share)), *missing_charts(answered)]
     return [
@@ -128,9 +128,9 @@ def _limits(limits: tuple[DetectionLimit, ...]) -> list[Block]:
 
 def missing_charts(answered: Answered) -> list[Charts]:
     """Return charts for every driven joint: what the machine file's equations lack over speed and position, and what was named of it."""
-    if answered.named is None:
+    if answered.seen is None:
         return []
-    seen = answered.named.seen
+    seen = answered.seen
     missing, said = seen.missing(), seen.said_by(answered.values, answered.effects)
     named = {(each.recording, each.joint): effort for each, effort in zip(missing, said, strict=True)}
     joints: dict[str, list[Missing]] = {}
@@ -161,14 +161,9 @@ def _of_joint(joint: str, parts: list[Missing], named: dict[tuple[str, str], np.
 
 def _matrix(answered: Answered) -> list[Block]:
     """Return how alike the numbers' and parameters' columns are behind the filter."""
-    if answered.named is None:
+    if answered.columns is None or not len(answered.columns[0]):
         return []
-    named = answered.named
-    best, numbers = named.best, named.tuned.numbers
-    count = len(numbers.indices)
-    kept = [*range(count), *range(len(best.offset), len(best.offset) + len(best.parameters))]
-    names = [*numbers.names, *(f"{best.settings[k].name} at {best.settings[k].at}: {parameter.name}" for k, parameter in best.parameters)]
-    figure = matrix_figure(np.vstack([each[:, kept] for each in best.columns]), names)
+    figure = matrix_figure(*answered.columns)
     return [] if figure is None else [picture(figure, "Identifiability matrix")]
 
 

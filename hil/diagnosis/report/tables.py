@@ -21,7 +21,7 @@ SHOWN = tuple(stage for stage in STAGES if stage != "placebo")
 
 def verdict(diagnosis: Diagnosis) -> Verdict:
     """Return the sentence on top of the page: the verdict, why, and the numbers of what was found."""
-    found = [f"{finding.effect}: {_numbers_of(finding)}" for finding in diagnosis.findings if finding.parameters]
+    found = [f"{finding.name}: {_numbers_of(finding)}" for finding in diagnosis.findings if finding.parameters]
     word = diagnosis.verdict.replace("_", " ").capitalize()
     return Verdict(". ".join([f"{word}: {diagnosis.reason}", *found]) + ".", KINDS[diagnosis.verdict])
 
@@ -30,7 +30,7 @@ def findings(diagnosis: Diagnosis, proposal: Proposal | None) -> list[Block]:
     """Return what was known and what was found, with its evidence."""
     blocks: list[Block] = [Text(f"Known, and in every simulation: {known(diagnosis)}.")] if diagnosis.known else []
     for finding in diagnosis.findings:
-        blocks.append(Text(_numbers_of(finding), f"{finding.effect}, confidence {finding.confidence:.2f}"))
+        blocks.append(Text(_numbers_of(finding), f"{finding.name}, confidence {finding.confidence:.2f}"))
         for heading, evidence in (("For:", finding.evidence_for), ("Against:", finding.evidence_against)):
             if evidence:
                 blocks.append(Bullets(tuple(evidence), heading))

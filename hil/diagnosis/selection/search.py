@@ -14,6 +14,7 @@ from hil.diagnosis.likelihood.inverse import Inverse
 from hil.diagnosis.likelihood.judge import BLOCKS
 from hil.diagnosis.selection.candidates import added, alone_laws, beside, library, missed
 from virtual_bus.effects.registry import effects
+from virtual_bus.settings import EffectSetting
 
 ROUNDS = 4
 """In which laws are added and left out."""
@@ -45,17 +46,21 @@ class Search:
 
     def __init__(self, fitting: Fitting, inverse: Inverse, say: Callable[[str], None]) -> None:
         self.fitting, self.inverse, self.say = fitting, inverse, say
-        self._scores: dict[int, np.ndarray] = {}
-        self._fits: list[Fit] = []  # kept, so that an identity is one fit's
+        self._folded: dict[int, tuple[Fit, list[Fit], np.ndarray]] = {}  # with its fit, so that an identity is one fit's
         self._material = float(np.sum(fitting.weights)) * math.log(MATERIAL)
         self._tried = 1
 
+    def folded(self, fit: Fit) -> list[Fit]:
+        """Return the fits without the windows of each fold, computed once."""
+        if id(fit) not in self._folded:
+            folded = self.fitting.folded(fit)
+            self._folded[id(fit)] = fit, folded, self.fitting.scores(folded)
+        return self._folded[id(fit)][1]
+
     def scores(self, fit: Fit) -> np.ndarray:
-        """Return the negative log likelihood of each fold that was left out, computed once."""
-        if id(fit) not in self._scores:
-            self._scores[id(fit)] = self.fitting.scores(fit)
-            self._fits.append(fit)
-        return self._scores[id(fit)]
+        """Return the negative log likelihood of each fold that was left out."""
+        self.folded(fit)
+        return self._folded[id(fit)][2]
 
     def score(self, fit: Fit) -> float:
         """Return that of all windows, each left out twice."""
@@ -67,9 +72,14 @@ class Search:
         return all(each.sum() > max(worth, float(np.sqrt(BLOCKS) * each.std(ddof=1))) for each in gains)
 
     def worth(self, settings: Sequence[EffectSetting]) -> float:
-        """Return the gain of log likelihood that effects must bring: their parameters' worth, and what a choice among many gains by chance."""
+        """Return the gain of log likelihood that effects must bring: their parameters' worth; of those that are not everyday, more.
+
+        They were chosen among many, and must be material.
+        """
         parameters = sum(not parameter.fixed for each in settings for parameter in effects()[each.name].parameters)
-        return max(WORTH * parameters + len(settings) * math.log(self._tried), self._material)
+        further = sum(not effects()[each.name].everyday for each in settings)
+        price = WORTH * parameters + further * math.log(self._tried)
+        return max(price, self._material) if further else price
 
     def best(self, starts: Sequence[Fit]) -> Fit:
         """Add laws that predict better what is left out, leave out those that are not missed, until nothing changes.
@@ -79,7 +89,8 @@ class Search:
         """
         best, *others = starts
         other = min(others, key=self.score, default=best)
-        if other is not best and self.is_better(other, best, self.worth(other.point.settings) - self.worth(best.point.settings)):
+        further = [each for each in other.point.settings if (each.name, each.at) not in best.point.names]
+        if other is not best and self.is_better(other, best, self.worth(further)):
             best = other
         best = self.without_needless(best)
         for _ in range(ROUNDS):
@@ -109,10 +120,7 @@ class Search:
         longer = self.fitting.fit(self.fitting.based(replace(fit.point, settings=settings)))
         if longer is None:
             return None
-        gains = (self.scores(fit) - self.scores(longer)).reshape(-1, BLOCKS)
-        ts = [float(each.sum() / (2.0 * each.std(ddof=1))) for each in gains]
-        n = len(longer.point.parameters) - len(fit.point.parameters)
-        self.say(f"  with {', '.join(law.effect.name for law, _ in laws)}: score {self.score(longer) - self.score(fit):.1f} t {ts} per parameter {gains.sum(axis=1) / max(n, 1)} factor {np.exp(gains.sum(axis=1) / self.fitting.weights.sum())} of {n}")
+        self.say(f"  with {', '.join(law.effect.name for law, _ in laws)}: score {self.score(longer) - self.score(fit):.1f}")
         return longer if self.is_better(longer, fit, self.worth(longer.point.settings[len(fit.point.settings) :])) else None
 
     def without_needless(self, fit: Fit) -> Fit:

@@ -47,40 +47,61 @@ class Selected:
 
     Attributes
     ----------
-    fitting : Fitting
+    search : Search
     fit : Fit
-    score : float
-        Negative log likelihood of what was left out.
+        The machine that predicts best.
     baseline : Fit
         The engineer's.
-    baseline_score : float
+    plain : Fit
+        Numbers alone.
+    closed : bool
+        Whether the closed loop was simulated, from its references on.
     """
 
-    fitting: Fitting
+    search: Search
     fit: Fit
-    score: float
     baseline: Fit
-    baseline_score: float
+    plain: Fit
+    closed: bool
+
+    @property
+    def unknowns(self) -> Unknowns:
+        """Numbers that were free."""
+        return self.search.fitting.unknowns
 
 
-def select(machine: Machine, recordings: Mapping[str, Recording], say: Callable[[str], None] = lambda what: None) -> Selected:
-    """Select effects and numbers by free runs."""
+def is_closed(machine: Machine, recordings: Mapping[str, Recording]) -> bool:
+    """Return whether recordings have all that the machine's loop was given."""
+    names = [f"reference_{axis}" for axis in machine.axes]
+    return bool(machine.controllers) and all(name in one for one in recordings.values() for name in names)
+
+
+def runs_of(machine: Machine, recordings: Mapping[str, Recording], closed: bool, first: int = 0) -> tuple[list[Along], list[Simulated]]:
+    """Return the recordings' motions, and free runs beside them, numbered from `first` on."""
     every = [between_samples(observed(machine, name, recording)) for name, recording in recordings.items()]
     alongs = [Along(one) for one in every]
-    closed = bool(machine.controllers) and all(f"reference_{axis}" in one.recording for one in every for axis in machine.axes)
-    runs: list[Simulated] = [
-        ClosedLoop(k, one) if closed else OpenLoop(k, one, along) for k, (one, along) in enumerate(zip(every, alongs, strict=True))
-    ]
-    unknowns = _unknowns(machine, runs, alongs, closed)
+    numbered = enumerate(zip(every, alongs, strict=True), first)
+    return alongs, [ClosedLoop(k, one) if closed else OpenLoop(k, one, along) for k, (one, along) in numbered]
+
+
+def select(machine: Machine, recordings: Mapping[str, Recording], say: Callable[[str], None] = lambda what: None) -> Selected | None:
+    """Select effects and numbers by free runs; None where these stay near the recordings over no horizon."""
+    closed = is_closed(machine, recordings)
+    alongs, runs = runs_of(machine, recordings, closed)
+    unknowns = _unknowns(machine, runs, closed)
     inverse = Inverse(alongs, unknowns)
     everyday = everyday_effects(alongs[0])
     begun = [inverse.fit(unknowns.start(each)) for each in engineers_sets(alongs, everyday)]
     say(f"inverse: {_words(unknowns, begun[0])}")
-    fitting, (baseline, *others) = _grown(runs, unknowns, begun, closed, say)
+    grown = _grown(runs, unknowns, begun, closed, say)
+    if grown is None:
+        return None
+    fitting, (baseline, *others) = grown
     assert baseline is not None
     search = Search(fitting, inverse, say)
     best = search.best([baseline, *(one for one in others if one is not None)])
-    return Selected(fitting, best, search.score(best), baseline, search.score(baseline))
+    plain = fitting.fit(fitting.based(replace(inverse.fit(unknowns.start()), held=frozenset())))
+    return Selected(search, best, baseline, baseline if plain is None else plain, closed)
 
 
 def engineers_sets(alongs: Sequence[Along], everyday: Sequence[EffectSetting]) -> list[tuple[EffectSetting, ...]]:
@@ -105,7 +126,7 @@ def _is_loaded(along: Along, joint: str) -> bool:
     return k in along.smooth and float(np.std(held.needed[:, k])) > LOADED * float(np.std(held.given[:, k]))
 
 
-def _unknowns(machine: Machine, runs: Sequence[Simulated], alongs: Sequence[Along], closed: bool) -> Unknowns:
+def _unknowns(machine: Machine, runs: Sequence[Simulated], closed: bool) -> Unknowns:
     found = numbers_of(runs[0].simulator.plant)  # type: ignore[attr-defined]
     held = {f"{drive.axis}.constant" for drive in machine.plant.drives}
     kept = [one for one in found.each if one.name not in held or found.plant.parameters[one.place].tolerance is not None]
@@ -134,8 +155,8 @@ def _unknowns(machine: Machine, runs: Sequence[Simulated], alongs: Sequence[Alon
 
 def _grown(
     runs: Sequence[Simulated], unknowns: Unknowns, points: Sequence[Point], closed: bool, say: Callable[[str], None]
-) -> tuple[Fitting, list[Fit | None]]:
-    """Fit machines to longer and longer windows; return the last fits.
+) -> tuple[Fitting, list[Fit | None]] | None:
+    """Fit machines to longer and longer windows; return the last fits, or None where not even the shortest stay near.
 
     A longer window is kept while its error stays below NEAR of what moves in it, and shorter ones do not become worse for it: where a
     machine falls, a long window tells more of where it began than of its laws.
@@ -165,12 +186,13 @@ def _grown(
         relative = np.sqrt(found[0].mean_squares / judge.moved)
         worse = float(np.sqrt(np.max((found[0].mean_squares / before.mean_squares)[:-1], initial=0.0)))
         say(f"horizon {horizon}: errors {relative.round(4).tolist()}, weights {fitting.weights.round(0).tolist()}, shorter x {worse:.2f}")
-        if kept is not None and (float(relative[-1].max()) > NEAR or worse > ASTRAY):
+        if float(relative[-1].max()) > NEAR or worse > ASTRAY:
             break
         which = judge.horizons
         kept = fitting, found
         points = [point if one is None else one.point for one, point in zip(found, points, strict=True)]
-    assert kept is not None
+    if kept is None:
+        return None
     fitting, found = kept
     assert found[0] is not None
     fitting = fitting.with_weights(fitting.judge.weights_of(found[0].reduced))

@@ -10,7 +10,7 @@ import scipy.signal
 
 from hil.diagnosis.audit.controller import controllers_of
 from hil.diagnosis.observed.rows import Observed
-from hil.diagnosis.simulation.windows import Errors, Starts
+from hil.diagnosis.simulation.windows import MOST_STEPS, Errors, Starts, Windows
 from hil.diagnosis.unknowns.unknowns import Machine
 from hil.machine import Machine as Bench
 from hil.recording import Recording
@@ -68,11 +68,9 @@ class ClosedLoop:
         return np.column_stack([np.interp(self._ticks - lateness_s, self.recorded_time, column) for column in columns.T])
 
     def begin(
-        self, machines: Sequence[Machine], starts: Sequence[Starts | None], windows: Sequence[int | None], threads: ThreadPoolExecutor
+        self, machines: Sequence[Machine], starts: Sequence[Starts | None], windows: Sequence[Windows], threads: ThreadPoolExecutor
     ) -> Callable[[], list[Errors]]:
-        """Begin to run machines over the whole recording; return what waits for their errors."""
-        if tuple(windows) != (None,):
-            raise ValueError(f"a closed loop runs through whole recordings, not through windows of {windows} rows")
+        """Begin to run machines over the whole recording; return what waits for their errors in its windows."""
         groups: dict[tuple[float, tuple[tuple[int, float], ...]], list[int]] = {}
         for k, machine in enumerate(machines):
             groups.setdefault((machine.lateness_s, machine.speed_limit), []).append(k)
@@ -85,18 +83,18 @@ class ClosedLoop:
             inputs = Inputs(reference, excitation, besides["feedforward"], None, self._pose, self._states, self._speed)
             trials = [(machines[k].values, (*self.known, *machines[k].effects)) for k in members]
             own = [Own(machines[k].gain, np.zeros(joints), np.zeros(joints), machines[k].early) for k in members]
-            waiting.append((members, self.simulator.begin_all(inputs, trials, threads, own)))
+            waiting.append((members, self.simulator.begin_all(inputs, trials, threads, own, MOST_STEPS)))
 
         def ended() -> list[Errors]:
             found: list[Errors] = [None] * len(machines)
             for members, outputs in waiting:
                 for k, one in zip(members, outputs(), strict=True):
-                    found[k] = self._off(machines[k], one)
+                    found[k] = self._off(machines[k], one, windows)
             return found
 
         return ended
 
-    def _off(self, machine: Machine, outputs: object) -> Errors:
+    def _off(self, machine: Machine, outputs: object, windows: Sequence[Windows]) -> Errors:
         if not isinstance(outputs, Outputs):
             return None
         simulated = simulated_matrix(self.simulator.machine, outputs, self.channels)
@@ -110,7 +108,7 @@ class ClosedLoop:
                     values = scipy.signal.lfilter([1.0 - left], [1.0, -left], values, zi=[left * values[0]])[0]
                 values = values + machine.effort_zero.get(self.axis_of[c], 0.0)
             off[:, c] = np.interp(self.recorded_time, self._ticks, values) + machine.zeros.get((self.number, c), 0.0) - self.recorded[:, c]
-        return (off,)
+        return tuple(off[each.at] for each in windows)
 
 
 def _limited(reference: np.ndarray, limits: Sequence[tuple[int, float]], rate_Hz: float) -> np.ndarray:

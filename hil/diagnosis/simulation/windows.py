@@ -18,11 +18,31 @@ from hil.simulation.several import Own
 from hil.simulation.smooth import simulated_matrix, smooth
 from virtual_bus.settings import EffectSetting
 
-MOST_ROWS = 20_000
-"""Of a recording that errors are computed at: more would say the same again."""
-
+MOST_STEPS = 100
+"""Within a plant step: a machine that moves so fast is at rest again before the next row, and costs what a hundred others do."""
 Errors = tuple[np.ndarray, ...] | None
-"""Simulated less recorded (N, C), NaN where nothing was read, for windows of every length; None where the simulation ended early."""
+"""Simulated less recorded (rows, C), NaN where nothing was read, for windows of every length; None where the simulation ended early."""
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """Windows of one length.
+
+    Attributes
+    ----------
+    first : (W,) int array
+        Their first rows.
+    rows : int
+    """
+
+    first: np.ndarray
+    rows: int
+
+    @property
+    def at(self) -> np.ndarray:
+        """Rows (W rows,) of the recording, one window after the other."""
+        found: np.ndarray = (self.first[:, None] + np.arange(self.rows)).reshape(-1)
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,12 +70,9 @@ class Simulated(Protocol):
     starts: tuple[Starts, ...]
 
     def begin(
-        self, machines: Sequence[Machine], starts: Sequence[Starts | None], windows: Sequence[int | None], threads: ThreadPoolExecutor
+        self, machines: Sequence[Machine], starts: Sequence[Starts | None], windows: Sequence[Windows], threads: ThreadPoolExecutor
     ) -> Callable[[], list[Errors]]:
-        """Begin to run machines from the recorded states, or from states apart from these; return what waits for their errors.
-
-        `windows` are lengths [rows]; None is the whole recording.
-        """
+        """Begin to run machines from the recorded states, or from states apart from these; return what waits for their errors."""
 
 
 class OpenLoop:
@@ -142,13 +159,14 @@ class OpenLoop:
         return efforts
 
     def begin(
-        self, machines: Sequence[Machine], starts: Sequence[Starts | None], windows: Sequence[int | None], threads: ThreadPoolExecutor
+        self, machines: Sequence[Machine], starts: Sequence[Starts | None], windows: Sequence[Windows], threads: ThreadPoolExecutor
     ) -> Callable[[], list[Errors]]:
         """Begin to run machines, as `Simulated` says: windows of all lengths one after the other, in one run."""
-        rows = [np.arange(0, self.rows, self.rows if length is None else length) for length in windows]
-        at = np.concatenate(rows)
+        rows = np.concatenate([each.at for each in windows])
+        at = np.concatenate([each.first for each in windows])
+        lengths = np.concatenate([np.full(len(each.first), each.rows) for each in windows])
         position, speed = self._position[at], self._speed[at]
-        restarts = Restarts(np.concatenate([self.rows * k + each for k, each in enumerate(rows)]), self._followed, position, speed)
+        restarts = Restarts(np.cumsum(lengths) - lengths, self._followed, position, speed)
         driven = self.simulator.plant.driven_joints
         pose = np.zeros(len(driven))
         for axis, joint in enumerate(driven):
@@ -159,18 +177,18 @@ class OpenLoop:
             groups.setdefault(machine.lateness_s, []).append(k)
         waiting = []
         for lateness, members in groups.items():
-            efforts = np.tile(self._efforts(lateness), (len(windows), 1))
+            efforts = self._efforts(lateness)[rows]
             none, command = np.zeros_like(efforts), np.vstack([efforts[1:], efforts[-1:]])  # a command acts a row late
             inputs = Inputs(None, none, none, command, pose, first_effort=efforts[0], restarts=restarts)
             trials = [(machines[k].values, (*self.known, *machines[k].effects)) for k in members]
             own = [self._own(machines[k], starts[k]) for k in members]
-            waiting.append((members, self.simulator.begin_all(inputs, trials, threads, own)))
+            waiting.append((members, self.simulator.begin_all(inputs, trials, threads, own, MOST_STEPS)))
 
         def ended() -> list[Errors]:
             found: list[Errors] = [None] * len(machines)
             for members, outputs in waiting:
                 for k, one in zip(members, outputs(), strict=True):
-                    found[k] = self._off(machines[k], one)
+                    found[k] = self._off(machines[k], one, windows)
             return found
 
         return ended
@@ -185,10 +203,11 @@ class OpenLoop:
         axes = len(self.simulator.machine.axes)
         return Own(np.ones(axes), position, speed, np.zeros(axes))
 
-    def _off(self, machine: Machine, outputs: object) -> Errors:
+    def _off(self, machine: Machine, outputs: object, windows: Sequence[Windows]) -> Errors:
         if not isinstance(outputs, Outputs):
             return None
         simulated = simulated_matrix(self.simulator.machine, outputs, self.channels)
         for c in range(len(self.channels)):
             simulated[:, c] += machine.zeros.get((self.number, c), 0.0)
-        return tuple(each - self.recorded for each in simulated.reshape(-1, *self.recorded.shape))
+        parts = np.split(simulated, np.cumsum([len(each.at) for each in windows])[:-1])
+        return tuple(part - self.recorded[each.at] for part, each in zip(parts, windows, strict=True))

@@ -221,6 +221,11 @@ class Point:
         """Unknowns that move."""
         return [k for k in range(len(self.numbers)) if k not in self.held]
 
+    @property
+    def coordinates(self) -> np.ndarray:
+        """Free unknowns and parameters (free + Q,)."""
+        return np.append(self.numbers[self.free], [self.settings[k].parameters[parameter.name] for k, parameter in self.parameters])
+
     def steps(self) -> np.ndarray:
         """Return the steps of differences (free + Q,), of unknowns and then of parameters."""
         found = [STEP] * len(self.free)

@@ -1,0 +1,289 @@
+"""The answer of free runs where nothing repeats: what is named, which numbers left their tolerance, and how well it predicts."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hil.diagnosis.answered.answer import (
+    NEXT_EXPERIMENT,
+    NOTHING_MISSING,
+    SHOWN,
+    fit_of,
+    hypotheses_of,
+    limit_of,
+    never_shown,
+    proposed,
+    recordings_of,
+    separations_of,
+    shares_of,
+    told,
+    unseen_at,
+    words,
+)
+from hil.diagnosis.answered.values import LARGEST, Answered, names_of, unit_of
+from hil.diagnosis.audit.audit import Audit
+from hil.diagnosis.likelihood.judge import Judge
+from hil.diagnosis.locating.answered import where_it_is
+from hil.diagnosis.named.fitting import Fitted
+from hil.diagnosis.named.fitting import fit as fit_along
+from hil.diagnosis.named.search import NOT_TOLD_APART
+from hil.diagnosis.named.standing import Alternative, Limit, least_shown
+from hil.diagnosis.observed.known import known_effects
+from hil.diagnosis.observed.shaken import what_may_hide
+from hil.diagnosis.predicted.open_runs import Predicted
+from hil.diagnosis.result import Diagnosis, DisturbanceShares, EffectAt, Estimate, Finding, Location, RetunedValue, Verdict
+from hil.diagnosis.seen.beside import Levels
+from hil.diagnosis.seen.see import Seen
+from hil.diagnosis.selection.candidates import beside, library
+from hil.diagnosis.selection.rivals import Rival, parameters_of, rivals, shown
+from hil.diagnosis.selection.select import Selected, runs_of
+from hil.diagnosis.tuned.retuning import Tuned, nominal_offset, tuned_at
+from hil.diagnosis.unknowns.unknowns import Kind, Unknown
+from hil.machine import Machine
+from hil.recording import Recording
+from virtual_bus.effects.bounds import effect_at
+from virtual_bus.effects.registry import effects
+from virtual_bus.settings import EffectSetting
+
+WITHIN_95, WITHIN_95_OF_FEW = 1.96, 3.18
+"""Half widths of an interval in standard deviations: of many readings, and of the four stretches that differ (Student's t)."""
+LEFT = 0.1
+"""Share of what numbers alone leave that an answer may leave and have explained it."""
+UNITS = {Kind.GAIN: "", Kind.LATENESS: "s", Kind.EARLY: "rows", Kind.EFFORT_LAG: "s"}
+
+
+def answer_of_runs(
+    machine: Machine, audit: Audit, seen: Seen, levels: Levels, selected: Selected, held_out: Mapping[str, Recording], began: float,
+    report: Callable[[str, float], None],
+) -> Answered:  # fmt: skip
+    """Return the answer that free runs selected; held-out recordings are scored, and may take assurance away."""
+    search, fit, point = selected.search, selected.fit, selected.fit.point
+    report("weighing rivals", 0.7)
+    named, against = rivals(search, fit)
+    settings = tuple(point.settings[k] for k in named)
+    half = _half_widths(selected)
+    retuned, frozen, numbers = _numbers(selected, half)
+    others = [_alternative(selected, named, one) for one in against]
+    noise = seen.noise
+    values = search.fitting.unknowns.machine(point).values
+    found = told(settings, others, _estimates(selected, named, half), LARGEST[noise])
+    limits = _limits(selected, named)
+    train, held = _predicted(machine, selected, held_out, len(seen.alongs))
+    unexplained = _unexplained(selected)
+    verdict, reason = _verdict(audit, [*numbers, *found], others, unexplained, _helps(held), unseen_at(machine, seen, limits), selected)
+    is_nothing = verdict in ("consistent", "inconclusive")
+    if not found and not numbers and verdict != "inconclusive":
+        reason = "; ".join([reason, what_may_hide(recordings_of(seen)), *never_shown(limits)])
+    tuned, along = _along(selected, seen, levels, values, settings)
+    proposal = None
+    if verdict == "ambiguous":
+        proposal = proposed(machine, values, along.offset[: len(tuned.numbers.indices)], settings, others, levels, seen, report)
+    if proposal is not None:
+        found = tuple(replace(finding, separating_experiment=NEXT_EXPERIMENT) for finding in found)
+    gained = 2.0 * (search.score(selected.plain) - search.score(fit))
+    diagnosis = Diagnosis(
+        verdict=verdict,
+        reason=reason,
+        findings=() if is_nothing else (*found, *numbers),
+        hypotheses=hypotheses_of(settings, len(point.parameters), gained, others, LARGEST[noise], ()),
+        retuned=retuned,
+        frozen=frozen,
+        noise=noise,
+        location=Location() if verdict in ("consistent", "retuned") else where_it_is(seen, tuned, along),
+        fit=fit_of(train, held, held_out != {}),
+        unexplained_share=unexplained,
+        seconds=time.monotonic() - began,
+        disturbance=DisturbanceShares({seen.alongs[0].joints[joint]: share for joint, share in shares_of(seen).items()}),
+        audit=audit.document(),
+        detection_limits=tuple(limit_of(limit, machine.plant) for limit in limits),
+        baseline=_baseline(selected, noise),
+        known=known_effects(machine.plant),
+        separations=() if proposal is None else separations_of(proposal),
+    )
+    columns = np.vstack([np.moveaxis(each, 0, -1).reshape(-1, len(each)) for each in fit.columns]) if fit.columns else np.zeros((0, 0))
+    names = [selected.unknowns.each[k].name for k in point.free]
+    simulated = (machine_values(machine, verdict, values, selected), () if is_nothing else point.settings)
+    return Answered(machine, diagnosis, names_of(seen), seen, *simulated, proposal, (columns, (*names, *parameters_of(fit))))
+
+
+def _alternative(selected: Selected, named: Sequence[int], rival: Rival) -> Alternative:
+    """Return a rival as a set of effects beside those that are named."""
+    settings = [selected.fit.point.settings[k] for k in named if k != rival.without]
+    settings += rival.fit.point.settings[-1:] if rival.has_another else ()
+    gained = 2.0 * (selected.search.score(selected.plain) - selected.search.score(rival.fit))
+    without = (named.index(rival.without),)
+    return Alternative(tuple(settings), rival.behind, without, rival.has_another, gained, len(rival.fit.point.parameters))
+
+
+def machine_values(machine: Machine, verdict: Verdict, values: np.ndarray, selected: Selected) -> np.ndarray:
+    """Return the plant's parameters of the answer: the file's, where nothing is missing."""
+    return selected.unknowns.plant.nominal if verdict in ("consistent", "inconclusive") else values
+
+
+def _half_widths(selected: Selected) -> np.ndarray:
+    """Return half of the 95 % intervals (free + Q,) of unknowns and parameters."""
+    bent, differ = selected.search.fitting.variances(selected.fit, selected.search.folded(selected.fit))
+    half: np.ndarray = np.maximum(WITHIN_95 * np.sqrt(bent + differ), WITHIN_95_OF_FEW * np.sqrt(differ))
+    return half
+
+
+def _estimates(selected: Selected, named: Sequence[int], half: np.ndarray) -> list[dict[str, Estimate]]:
+    """Return parameters with units and intervals, one table for each effect that is named."""
+    point, plant = selected.fit.point, selected.unknowns.plant.settings
+    reach = {(k, parameter.name): float(each) for (k, parameter), each in zip(point.parameters, half[len(point.free) :], strict=True)}
+    tables = []
+    for k in named:
+        setting, table = point.settings[k], {}
+        for parameter in effect_at(setting.name, setting.at, plant).parameters:
+            value, by = float(setting.parameters[parameter.name]), reach.get((k, parameter.name), 0.0)
+            low, high = max(value - by, parameter.low), min(value + by, parameter.high)
+            table[parameter.name] = Estimate(value, unit_of(parameter, setting.at, plant), (min(low, value), max(high, value)))
+        tables.append(table)
+    return tables
+
+
+def _numbers(selected: Selected, half: np.ndarray) -> tuple[dict[str, RetunedValue], dict[str, str], tuple[Finding, ...]]:
+    """Return the numbers that the recordings show, what became of the others, and those that left their tolerance, as findings."""
+    point, unknowns = selected.fit.point, selected.unknowns
+    shown_numbers, frozen, found = {}, {}, []
+    reach = dict(zip(point.free, half.tolist(), strict=False))
+    for k, unknown in enumerate(unknowns.each):
+        at, by = float(point.numbers[k]), reach.get(k, 0.0)
+        unit = _unit(selected, unknown)
+        low, high = sorted((unknown.value(at - by), unknown.value(at + by)))
+        if unknown.kind is Kind.NUMBER:
+            if k in point.held:
+                frozen[unknown.name] = f"other numbers do what it does; it stays at {unknown.nominal:.5g} {unit}".rstrip()
+            elif by < SHOWN * WITHIN_95 or abs(at) > by:
+                shown_numbers[unknown.name] = RetunedValue(unknown.nominal, unknown.value(at), unit, (low, high))
+            else:
+                frozen[unknown.name] = f"these recordings do not show it; machine.toml has {unknown.value(at):.5g} {unit}".rstrip()
+        if abs(at) - by > 1.0:
+            estimate = Estimate(unknown.value(at), unit, (low, high), unknown.nominal)
+            place = EffectAt(unknown.name, unknown.name.partition(".")[0])
+            said = f"{unknown.value(at):.4g} {unit}".rstrip() + f", the file says {unknown.nominal:.4g}"
+            found.append(Finding(place, LARGEST["assumed"], {"value": estimate}, evidence_for=(said,), family="number", kind="number"))
+    return shown_numbers, frozen, tuple(found)
+
+
+def _unit(selected: Selected, unknown: Unknown) -> str:
+    if unknown.kind is Kind.NUMBER:
+        return selected.unknowns.plant.parameters[unknown.place].unit
+    plant = selected.unknowns.plant.settings
+    if unknown.kind in UNITS:
+        return UNITS[unknown.kind]
+    if unknown.kind is Kind.EFFORT_ZERO:
+        return plant.drives[unknown.place].unit
+    joint = plant.drives[unknown.place].joint if unknown.kind is Kind.SPEED_LIMIT else plant.encoders[unknown.place].joints[0]
+    length = next("m" if each.kind == "prismatic" else "rad" for each in plant.tree.joints if each.name == joint)
+    return f"{length}/s" if unknown.kind is Kind.SPEED_LIMIT else length
+
+
+def _baseline(selected: Selected, noise: str) -> tuple[Finding, ...]:
+    """Return the engineer's fit."""
+    baseline = replace(selected, fit=selected.baseline)
+    settings = selected.baseline.point.settings
+    tables = _estimates(baseline, range(len(settings)), _half_widths(baseline))
+    return tuple(
+        Finding(EffectAt(setting.name, setting.at), 0.5 * LARGEST[noise], table, family=effects()[setting.name].family)
+        for setting, table in zip(settings, tables, strict=True)
+    )
+
+
+def _limits(selected: Selected, named: Sequence[int]) -> list[Limit]:
+    """Return the least strength of every effect at every place that would have been named beside the answer."""
+    search, fit = selected.search, selected.fit
+    laws = library(search.inverse, search.fitting.unknowns.machine(fit.point))
+    beside_it = shown(beside(search.fitting, fit, laws))
+    taken = {(effects()[fit.point.settings[k].name].family, fit.point.settings[k].at) for k in named}
+    asked = ((law, squares, 2.0 * search.worth([law.setting(np.zeros(law.width))])) for law, squares in beside_it)
+    return least_shown([each for each in asked if (each[0].effect.family, each[0].at) not in taken])
+
+
+def _unexplained(selected: Selected) -> float:
+    """Return the share of what numbers alone leave that the answer leaves: the mean of the mean squares' ratios."""
+    ratios = np.log(selected.fit.mean_squares / selected.plain.mean_squares)
+    return min(1.0, math.exp(float(np.mean(ratios))))
+
+
+def _predicted(
+    machine: Machine, selected: Selected, held_out: Mapping[str, Recording], recordings: int
+) -> tuple[Predicted, Predicted | None]:
+    """Return the errors of the machine at every stage over the longest horizon that was judged, in training and held out."""
+    judge, unknowns = selected.search.fitting.judge, selected.unknowns
+    stages = {"nominal": unknowns.start(), "retuned": selected.plain.point}
+    stages |= {"baseline": selected.baseline.point, "extended": selected.fit.point}
+    machines = [unknowns.machine(each) for each in stages.values()]
+    tables: list[Predicted | None] = []
+    for runs in (judge.runs, runs_of(machine, held_out, selected.closed, recordings)[1] if held_out else ()):
+        if not runs or runs[0].channels != judge.runs[0].channels:
+            tables.append(None)
+            continue
+        one = Judge(runs, judge.horizons[-1:], judge.jobs)
+        spread = np.sqrt(np.nanvar(np.concatenate([run.recorded for run in runs]), axis=0))
+        table: dict[str, dict[str, float]] = {channel: {} for channel in one.runs[0].channels}
+        for stage, left in zip(stages, one.left(machines), strict=True):
+            errors = np.full(len(table), np.inf) if left is None else np.sqrt(one.squares(left.errors)[0] / one.counts[0])
+            for c, channel in enumerate(table):
+                table[channel][stage] = float(errors[c] / spread[c]) if spread[c] > 0.0 else math.inf
+        for c, channel in enumerate(table):
+            table[channel]["noise"] = float(judge.noise[c] / spread[c]) if spread[c] > 0.0 else math.inf
+        kept = {channel: stages for c, (channel, stages) in enumerate(table.items()) if spread[c] > 0.0}
+        tables.append(Predicted(judge.horizons[-1], kept, "closed_loop" if selected.closed else "efforts"))
+    train, held = tables
+    assert train is not None
+    return train, held
+
+
+def _helps(held: Predicted | None) -> bool | None:
+    """Return whether held-out recordings are predicted better with the answer than with numbers alone; None without them."""
+    if held is None or not held.channels:
+        return None
+    return float(np.mean([math.log(stages["extended"] / stages["retuned"]) for stages in held.channels.values()])) < 0.0
+
+
+def _along(selected: Selected, seen: Seen, levels: Levels, values: np.ndarray, settings: Sequence[EffectSetting]) -> tuple[Tuned, Fitted]:
+    """Return the answer along the recorded motion, for what it shows there."""
+    offset = nominal_offset(seen.alongs)
+    tuned = tuned_at(seen.alongs, levels, offset, settings)
+    numbers = tuned.numbers
+    nominal = numbers.plant.nominal
+    offset[: len(numbers.indices)] = (values[numbers.indices] - nominal[numbers.indices]) / numbers.scale
+    tuned = tuned_at(seen.alongs, levels, offset, settings)
+    along = fit_along(tuned, settings, offset, longest=0.0)
+    assert along is not None
+    return tuned, along
+
+
+def _verdict(
+    audit: Audit, found: Sequence[Finding], others: Sequence[Alternative], unexplained: float, helps: bool | None, unseen: Sequence[str],
+    selected: Selected,
+) -> tuple[Verdict, str]:  # fmt: skip
+    """Return the first verdict that applies, and why."""
+    names = " and ".join(finding.name for finding in found)
+    if unseen and not found:
+        said = f"friction as large as all effort would not have shown at {', '.join(unseen)}: excite it more, or for longer"
+        return "inconclusive", "; ".join([said, *audit.wrong])
+    if audit.wrong:
+        said = "; ".join(audit.wrong)
+        return "misconfigured", said + (f"; beside it, the recordings show {names}" if found else "; beside it no physics shows")
+    if not found:
+        moved = selected.search.fitting.at([selected.unknowns.start()])[0]
+        price = selected.search.worth([])
+        if moved is not None and moved.cost - selected.plain.cost > max(price, NOT_TOLD_APART):
+            return "retuned", f"other numbers in the machine file, within their tolerances, explain the difference; {NOTHING_MISSING}"
+        return "consistent", NOTHING_MISSING
+    near = [other for other in others if other.behind < NOT_TOLD_APART]
+    if near:
+        said = "; ".join(dict.fromkeys(words(other.settings) for other in near))
+        return "ambiguous", f"{names}, which these recordings do not tell apart from {said}"
+    if unexplained > LEFT:
+        return "ambiguous", f"{names}, beside which something may act that is not named: {unexplained:.0%} of the mismatch is left"
+    if helps is False:
+        return "ambiguous", f"{names}, with which recordings that were held out are not predicted better"
+    return "explained", f"{names}: no other law or place predicts these recordings as well"
