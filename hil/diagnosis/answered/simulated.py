@@ -40,7 +40,7 @@ from hil.diagnosis.result import Diagnosis, DisturbanceShares, EffectAt, Estimat
 from hil.diagnosis.seen.beside import Levels
 from hil.diagnosis.seen.see import Seen
 from hil.diagnosis.selection.candidates import beside, library
-from hil.diagnosis.selection.rivals import Rival, parameters_of, rivals, shown
+from hil.diagnosis.selection.rivals import Rival, parameters_of, shown
 from hil.diagnosis.selection.select import Selected, runs_of
 from hil.diagnosis.tuned.retuning import Tuned, nominal_offset, tuned_at
 from hil.diagnosis.unknowns.unknowns import Kind, Unknown
@@ -64,11 +64,11 @@ def answer_of_runs(
     """Return the answer that free runs selected; held-out recordings are scored, and may take assurance away."""
     search, fit, point = selected.search, selected.fit, selected.fit.point
     report("weighing rivals", 0.7)
-    named, against = rivals(search, fit)
+    named = selected.named
     settings = tuple(point.settings[k] for k in named)
     half = _half_widths(selected)
     retuned, frozen, numbers = _numbers(selected, half)
-    others = [_alternative(selected, named, one) for one in against]
+    others = [_alternative(selected, named, one) for one in selected.rivals]
     noise = seen.noise
     values = search.fitting.unknowns.machine(point).values
     found = told(settings, others, _estimates(selected, named, half), LARGEST[noise])
@@ -107,8 +107,9 @@ def answer_of_runs(
     )
     columns = np.vstack([np.moveaxis(each, 0, -1).reshape(-1, len(each)) for each in fit.columns]) if fit.columns else np.zeros((0, 0))
     names = [selected.unknowns.each[k].name for k in point.free]
-    simulated = (machine_values(machine, verdict, values, selected), () if is_nothing else point.settings)
-    return Answered(machine, diagnosis, names_of(seen), seen, *simulated, proposal, (columns, (*names, *parameters_of(fit))))
+    if is_nothing:
+        values, settings = selected.unknowns.plant.nominal, ()
+    return Answered(machine, diagnosis, names_of(seen), seen, values, settings, proposal, (columns, (*names, *parameters_of(fit))))
 
 
 def _alternative(selected: Selected, named: Sequence[int], rival: Rival) -> Alternative:

@@ -13,7 +13,7 @@ from hil.diagnosis.likelihood.fitting import REACH, prior
 from hil.diagnosis.seen.along import Along, Motion
 from hil.diagnosis.seen.assumed import efforts_by_encoders
 from hil.diagnosis.tuned.bounded import bounded_least_squares
-from hil.diagnosis.unknowns.unknowns import Point, Unknowns
+from hil.diagnosis.unknowns.unknowns import Machine, Point, Unknowns
 from virtual_bus.errors import EffectError
 
 ITERATIONS = 20
@@ -45,31 +45,38 @@ class Inverse:
 
     def errors(self, point: Point) -> np.ndarray:
         """Return what the motion takes less what is given (rows, followed joints)."""
-        machine = self.unknowns.machine(point)
+        return self._errors(self.unknowns.machine(point))
+
+    def _errors(self, machine: Machine) -> np.ndarray:
         found = []
         for along, motion in zip(self.alongs, self.motions, strict=True):
             signals = along.signals(motion, along.model(machine.values, machine.effects), machine.effects)
             found.append((signals.needed - signals.given)[:: self._every, self._joints])
         return np.vstack(found)
 
-    def fit(self, point: Point) -> Point:
-        """Return the point that leaves least, from another one on: at once, or first with hardly any prior."""
+    def fits(self, point: Point) -> list[Point]:
+        """Return points that leave least, from another one on, the better one first: found at once, and with hardly any prior at first."""
         floor = 1e-6 * np.mean(self.errors(point) ** 2, axis=0) + 1e-300
         found = [self._fit(point, floor, 1.0), self._fit(self._fit(point, floor, WEAK), floor, 1.0)]
-        return min(found, key=lambda each: self._cost(self.errors(each), floor, each, 1.0))
+        return sorted(found, key=lambda each: self._cost(self.errors(each), floor, each, 1.0))
+
+    def _columns(self, point: Point, errors: np.ndarray) -> np.ndarray:
+        """Return what errors change by (P, rows, joints) per unit of each unknown and parameter."""
+        steps = point.steps()
+        columns = np.zeros((len(steps), *errors.shape))
+        for k, step in enumerate(steps):
+            try:
+                moved = self.errors(point.moved(np.where(np.arange(len(steps)) == k, step, 0.0)))
+            except EffectError:
+                continue
+            columns[k] = (moved - errors) / step
+        return columns
 
     def _fit(self, point: Point, floor: np.ndarray, share: float) -> Point:
         errors = self.errors(point)
         for _ in range(ITERATIONS):
             weight = 1.0 / (np.mean(errors**2, axis=0) + floor)
-            steps = point.steps()
-            columns = np.zeros((len(steps), *errors.shape))
-            for k, step in enumerate(steps):
-                try:
-                    moved = self.errors(point.moved(np.where(np.arange(len(steps)) == k, step, 0.0)))
-                except EffectError:
-                    continue
-                columns[k] = (moved - errors) / step
+            columns = self._columns(point, errors)
             squares = INDEPENDENT * np.einsum("pnj,qnj,j->pq", columns, columns, weight, optimize=True)
             slopes = -INDEPENDENT * np.einsum("pnj,nj,j->p", columns, errors, weight, optimize=True)
             pull, stiffness = (share * each for each in prior(point))

@@ -89,13 +89,15 @@ class Judge:
             passed = 0
             own = []
             for run in runs:
-                whole = run.rows if run.starts else max(run.rows // CELLS, 2)  # stretches of one run, where it does not begin anew
-                rows = whole if horizon is None else min(run.rows, max(2, round(horizon / run.period_s)))
-                first = np.arange(run.rows // rows) * rows
+                begin = run.first_row
+                there = run.rows - begin
+                whole = there if run.starts else max(run.rows // CELLS, 2)  # stretches of one run, where it does not begin anew
+                rows = whole if horizon is None else min(there, max(2, round(horizon / run.period_s)))
+                first = begin + np.arange(there // rows) * rows
                 if run.starts:  # each window costs
                     first = first[:: max(1, min(len(first) // CELLS, every // MOST_ROWS))]
                 windows = Windows(first, rows)
-                stride = max(1, sum(len(first) * rows * (each.rows / run.rows) for each in runs) // MOST_ROWS)
+                stride = max(1, len(first) * rows * every // (run.rows * MOST_ROWS))
                 picked = np.arange(min(stride, rows - 1), rows, stride)
                 stretch = np.minimum(((passed + first + 0.5 * rows) * BLOCKS / every).astype(np.int64), BLOCKS - 1)
                 own.append(Block(run, h, windows, picked, stretch))

@@ -54,6 +54,8 @@ class Beside:
     laws : tuple of Entry
     parts : tuple of slice
         Which unknowns are each law's weights.
+    sizes : (Q,) array
+        Units of those.
     squares, slopes : (CELLS, P + Q, P + Q), (CELLS, P + Q) arrays
         Normal equations of each cell's windows, of the machine's own unknowns and parameters and then of the laws'.
     """
@@ -61,6 +63,7 @@ class Beside:
     fit: Fit
     laws: tuple[Entry, ...]
     parts: tuple[slice, ...]
+    sizes: np.ndarray
     squares: np.ndarray
     slopes: np.ndarray
 
@@ -68,6 +71,20 @@ class Beside:
     def own(self) -> int:
         """Number of the machine's own unknowns and parameters."""
         return len(self.fit.point.steps())
+
+    def bounds(self, room: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """Return how far down and up all unknowns may go, the machine's own by their room."""
+        low, high = (np.concatenate([side, np.zeros(len(self.sizes))]) for side in room)
+        for law, part in zip(self.laws, self.parts, strict=True):
+            own = self.sizes[part.start - self.own : part.stop - self.own]
+            low[part], high[part] = law.law.lowest / own, law.law.highest / own
+        return low, high
+
+    def weights(self, step: np.ndarray, number: int) -> np.ndarray:
+        """Return the weights of one law in a step of all unknowns."""
+        part = self.parts[number]
+        own: np.ndarray = step[part] * self.sizes[part.start - self.own : part.stop - self.own]
+        return own
 
 
 def beside(fitting: Fitting, here: Fit, laws: Sequence[tuple[Entry, np.ndarray]]) -> Beside:
@@ -82,25 +99,32 @@ def beside(fitting: Fitting, here: Fit, laws: Sequence[tuple[Entry, np.ndarray]]
     for law, weights in laws:
         if (law.effect.name, law.at) in here.point.names and not law.effect.several:
             continue
-        trials = [law.setting(np.where(np.arange(len(weights)) == k, weight, 0.0)) for k, weight in enumerate(weights)]
+        trials = _with(base, law, weights)
         parts.append(slice(own + len(machines), own + len(machines) + len(trials)))
-        machines += [replace(base, effects=(*base.effects, trial)) for trial in trials]
+        machines += trials
         sizes += weights.tolist()
         used.append(law)
     columns = [np.zeros((own + len(machines), *errors.shape), dtype=np.float32) for errors in here.left.errors]
     for whole, known in zip(columns, here.columns, strict=True):
         whole[:own] = known
+    largest = float(np.sqrt(fitting.judge.moved.max()))
     for begin in range(0, len(machines), AT_ONCE):
         try:
             found = fitting.judge.left(machines[begin : begin + AT_ONCE])
         except EffectError:
             continue
         for k, one in enumerate(found, begin):
-            if one is not None:
+            if one is not None and max(float(np.abs(each).max(initial=0.0)) for each in one.errors) < AWAY * largest:
                 for whole, before, after in zip(columns, here.left.errors, one.errors, strict=True):
-                    whole[own + k] = (after - before) / sizes[k]
+                    whole[own + k] = after - before
     slopes = fitting.slopes_of(here, columns)
-    return Beside(here, tuple(used), tuple(parts), slopes.squares, slopes.slopes)
+    return Beside(here, tuple(used), tuple(parts), np.array(sizes), slopes.squares, slopes.slopes)
+
+
+def _with(machine: Machine, law: Entry, weights: np.ndarray) -> list[Machine]:
+    """Return a machine with each column of a law."""
+    trials = [law.setting(np.where(np.arange(len(weights)) == k, weight, 0.0)) for k, weight in enumerate(weights)]
+    return [replace(machine, effects=(*machine.effects, trial)) for trial in trials]
 
 
 def gain_left_out(
@@ -145,9 +169,7 @@ def gain_left_out(
 def added(of: Beside, room: tuple[np.ndarray, np.ndarray], worth: float, most: int) -> list[tuple[Entry, np.ndarray, float]]:
     """Return laws that would predict better what is left out, one after the other, with their weights and what each gains."""
     own, size = of.own, of.squares.shape[1]
-    low, high = (np.concatenate([side, np.zeros(size - own)]) for side in room)
-    for law, part in zip(of.laws, of.parts, strict=True):
-        low[part], high[part] = law.law.lowest, law.law.highest
+    low, high = of.bounds(room)
     none = np.zeros(size)
     kept = np.arange(own)
     best = gain_left_out(of.squares, of.slopes, kept, none, of.fit.point, own, (low, high))
@@ -173,16 +195,14 @@ def added(of: Beside, room: tuple[np.ndarray, np.ndarray], worth: float, most: i
             and ((of.laws[other].effect.name, of.laws[other].at) != name or of.laws[other].effect.several)
         ]
     step = _weights(of, kept, (low, high))
-    return [(of.laws[number], step[of.parts[number]], gain) for number, gain in chosen]
+    return [(of.laws[number], of.weights(step, number), gain) for number, gain in chosen]
 
 
 def alone_laws(of: Beside, room: tuple[np.ndarray, np.ndarray], worth: float, most: int) -> list[tuple[Entry, np.ndarray]]:
     """Return the laws that alone would predict best what is left out, one an effect and place, with their weights."""
     own, size = of.own, of.squares.shape[1]
-    low, high = (np.concatenate([side, np.zeros(size - own)]) for side in room)
+    low, high = of.bounds(room)
     none, kept = np.zeros(size), np.arange(own)
-    for law, part in zip(of.laws, of.parts, strict=True):
-        low[part], high[part] = law.law.lowest, law.law.highest
     before = gain_left_out(of.squares, of.slopes, kept, none, of.fit.point, own, (low, high))
     best: dict[tuple[str, str], tuple[float, int]] = {}
     for number, (law, part) in enumerate(zip(of.laws, of.parts, strict=True)):
@@ -194,7 +214,8 @@ def alone_laws(of: Beside, room: tuple[np.ndarray, np.ndarray], worth: float, mo
     found = []
     for _, number in sorted(best.values(), reverse=True)[:most]:
         part = of.parts[number]
-        found.append((of.laws[number], _weights(of, np.append(kept, np.arange(part.start, part.stop)), (low, high))[part]))
+        step = _weights(of, np.append(kept, np.arange(part.start, part.stop)), (low, high))
+        found.append((of.laws[number], of.weights(step, number)))
     return found
 
 
@@ -234,6 +255,8 @@ def missed(fitting: Fitting, fit: Fit) -> list[float]:
     return found
 
 
+AWAY = 1e6
+"""Times what was read that a small trial may err by: beyond it a simulation ran away, and single precision has no squares."""
 AT_ONCE = 64
 """Machines whose errors are in memory together."""
 

@@ -76,7 +76,9 @@ def shown(of: Beside) -> list[tuple[Entry, np.ndarray]]:
     found = []
     for law, part in zip(of.laws, of.parts, strict=True):
         across = squares[: of.own, part]
-        found.append((law, squares[part, part] - across.T @ np.linalg.lstsq(own, across, rcond=1e-9)[0]))
+        left = squares[part, part] - across.T @ np.linalg.lstsq(own, across, rcond=1e-9)[0]
+        units = of.sizes[part.start - of.own : part.stop - of.own]
+        found.append((law, left / np.outer(units, units)))
     return found
 
 

@@ -13,6 +13,7 @@ from hil.diagnosis.likelihood.fitting import REACH, Fit, Fitting
 from hil.diagnosis.likelihood.inverse import Inverse
 from hil.diagnosis.likelihood.judge import BLOCKS
 from hil.diagnosis.selection.candidates import added, alone_laws, beside, library, missed
+from hil.diagnosis.unknowns.unknowns import Point
 from virtual_bus.effects.registry import effects
 from virtual_bus.settings import EffectSetting
 
@@ -84,8 +85,7 @@ class Search:
     def best(self, starts: Sequence[Fit]) -> Fit:
         """Add laws that predict better what is left out, leave out those that are not missed, until nothing changes.
 
-        It begins from the first set, or from the best of the others where that predicts better, as much as laws must. Everyday effects
-        stay: every joint has them, and what they are is said with an interval.
+        It begins from the first set, or from the best of the others where that predicts better, as much as laws must.
         """
         best, *others = starts
         other = min(others, key=self.score, default=best)
@@ -100,6 +100,20 @@ class Search:
                 return best
             best = longer
         return best
+
+    def from_the_file(self, start: Point) -> list[Fit]:
+        """Return fits with the laws that promise most beside the file's numbers: numbers that are bent to what a law explains hide it."""
+        (here,) = self.fitting.at([self.fitting.based(start)])
+        if here is None:
+            return []
+        of = beside(self.fitting, here, library(self.inverse, self.fitting.unknowns.machine(start)))
+        laws = alone_laws(of, here.point.room(self.fitting.unknowns, REACH), self._material, MOST_ALONE)
+        points = [replace(here.point, settings=(*here.point.settings, law.setting(weights))) for law, weights in laws]
+        found = [(point, self.fitting.fit(self.fitting.based(point))) for point in points]
+        for point, fit in found:
+            law = point.settings[-1]
+            self.say(f"from the file: {law.name} at {law.at}" + ("" if fit is None else f", score {self.score(fit):.1f}"))
+        return [fit for _, fit in found if fit is not None]
 
     def with_further(self, fit: Fit) -> Fit:
         """Return the fit with laws that promise most: all that do, or else the best of the first few alone."""
@@ -125,10 +139,9 @@ class Search:
 
     def without_needless(self, fit: Fit) -> Fit:
         """Return the fit without the laws that what is left out does not miss."""
-        while any(not effects()[each.name].everyday for each in fit.point.settings):
+        while fit.point.settings:
             settings = fit.point.settings
-            needed = [effects()[each.name].everyday for each in settings]
-            losses = np.where(needed, np.inf, np.array(missed(self.fitting, fit)) / [self.worth([each]) for each in settings])
+            losses = np.array(missed(self.fitting, fit)) / [self.worth([each]) for each in settings]
             least = int(np.argmin(losses))
             if losses[least] > TESTED:
                 return fit

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -15,6 +16,7 @@ from hil.diagnosis.named.everyday import everyday_effects
 from hil.diagnosis.observed.rows import between_samples, observed
 from hil.diagnosis.seen.along import Along
 from hil.diagnosis.seen.assumed import efforts_by_encoders
+from hil.diagnosis.selection.rivals import Rival, rivals
 from hil.diagnosis.selection.search import Search
 from hil.diagnosis.simulation.closed_loop import ClosedLoop
 from hil.diagnosis.simulation.windows import OpenLoop, Simulated
@@ -25,6 +27,8 @@ from hil.recording import Recording
 from virtual_bus.effects.bounds import effect_at
 from virtual_bus.settings import EffectSetting
 
+EXCHANGES = 2
+"""Of an effect for another law that predicts better in its place, each followed by a search, at most."""
 HORIZONS_s = (0.1, 0.3, 1.0, 2.0, 6.0)
 """Of windows in open loop: each longer one begins from what the shorter ones found."""
 NEAR = 0.5
@@ -54,6 +58,10 @@ class Selected:
         The engineer's.
     plain : Fit
         Numbers alone.
+    named : tuple of int
+        Effects of the best machine that are missed without them.
+    rivals : tuple of Rival
+        Machines without one of them.
     closed : bool
         Whether the closed loop was simulated, from its references on.
     """
@@ -62,6 +70,8 @@ class Selected:
     fit: Fit
     baseline: Fit
     plain: Fit
+    named: tuple[int, ...]
+    rivals: tuple[Rival, ...]
     closed: bool
 
     @property
@@ -77,31 +87,46 @@ def is_closed(machine: Machine, recordings: Mapping[str, Recording]) -> bool:
 
 
 def runs_of(machine: Machine, recordings: Mapping[str, Recording], closed: bool, first: int = 0) -> tuple[list[Along], list[Simulated]]:
-    """Return the recordings' motions, and free runs beside them, numbered from `first` on."""
+    """Return the recordings' motions, and free runs beside them, numbered from `first` on; none where no encoder follows a joint."""
     every = [between_samples(observed(machine, name, recording)) for name, recording in recordings.items()]
     alongs = [Along(one) for one in every]
     numbered = enumerate(zip(every, alongs, strict=True), first)
+    if not all(along.smooth for along in alongs):
+        return alongs, []
     return alongs, [ClosedLoop(k, one) if closed else OpenLoop(k, one, along) for k, (one, along) in numbered]
 
 
 def select(machine: Machine, recordings: Mapping[str, Recording], say: Callable[[str], None] = lambda what: None) -> Selected | None:
-    """Select effects and numbers by free runs; None where these stay near the recordings over no horizon."""
+    """Select effects and numbers by free runs; None where these cannot begin, or stay near the recordings over no horizon."""
     closed = is_closed(machine, recordings)
     alongs, runs = runs_of(machine, recordings, closed)
+    if not runs:
+        return None
     unknowns = _unknowns(machine, runs, closed)
     inverse = Inverse(alongs, unknowns)
     everyday = everyday_effects(alongs[0])
-    begun = [inverse.fit(unknowns.start(each)) for each in engineers_sets(alongs, everyday)]
+    of_sets = [inverse.fits(unknowns.start(each)) for each in engineers_sets(alongs, everyday)]
+    begun = [*of_sets[0], *(each[0] for each in of_sets[1:])]
     say(f"inverse: {_words(unknowns, begun[0])}")
     grown = _grown(runs, unknowns, begun, closed, say)
     if grown is None:
         return None
-    fitting, (baseline, *others) = grown
-    assert baseline is not None
+    fitting, found = grown
+    first = [one for one in found[: len(of_sets[0])] if one is not None]
+    baseline = min(first, key=lambda one: one.cost)
     search = Search(fitting, inverse, say)
+    others = found[len(of_sets[0]) :]
+    others += search.from_the_file(unknowns.start(everyday))
     best = search.best([baseline, *(one for one in others if one is not None)])
-    plain = fitting.fit(fitting.based(replace(inverse.fit(unknowns.start()), held=frozenset())))
-    return Selected(search, best, baseline, baseline if plain is None else plain, closed)
+    named, against = rivals(search, best)
+    for _ in range(EXCHANGES):
+        better = min((one for one in against if one.has_another), key=lambda one: search.score(one.fit), default=None)
+        if better is None or not search.is_better(better.fit, best, 0.0):
+            break
+        best = search.best([better.fit])
+        named, against = rivals(search, best)
+    plain = fitting.fit(fitting.based(replace(inverse.fits(unknowns.start())[0], held=frozenset())))
+    return Selected(search, best, baseline, baseline if plain is None else plain, named, against, closed)
 
 
 def engineers_sets(alongs: Sequence[Along], everyday: Sequence[EffectSetting]) -> list[tuple[EffectSetting, ...]]:
@@ -166,36 +191,35 @@ def _grown(
     if not closed:
         fits_in = [h for h in HORIZONS_s if h >= FEWEST_ROWS * runs[0].period_s and h * FEWEST_WINDOWS <= total and h < longest]
         grid = [*fits_in, *([None] if longest <= HORIZONS_s[-1] * (1.0 + STAMPS) else [])] or [None]
-    points, kept = list(points), None
+    points, kept, lead = list(points), None, 0
     which: tuple[float | None, ...] = ()
     for horizon in grid:
         judge = Judge(runs, (*which, horizon))
         fitting = Fitting(judge, unknowns, np.full(judge.shape, 50.0))
-        (first,) = fitting.at(points[:1])
+        (first,) = fitting.at(points[lead : lead + 1])
         if first is None:
             break
         fitting = fitting.with_weights(judge.weights_of(first.reduced))
-        before = fitting.at(points[:1])[0]
-        assert before is not None
         if kept is None:
-            held = fitting.with_base_numbers(before).point.held
-            points = [replace(point, held=held) for point in points]
+            points = [fitting.based(point) for point in points]
+        before = [math.inf if one is None else one.mean_squares for one in fitting.at(points)]
         found = [_best(fitting, point, closed) for point in points]
-        if found[0] is None:
+        lead = min(range(len(found)), key=lambda k: math.inf if (one := found[k]) is None else one.cost)
+        if (best := found[lead]) is None:
             break
-        relative = np.sqrt(found[0].mean_squares / judge.moved)
-        worse = float(np.sqrt(np.max((found[0].mean_squares / before.mean_squares)[:-1], initial=0.0)))
+        relative = np.sqrt(best.mean_squares / judge.moved)
+        worse = float(np.sqrt(np.max((best.mean_squares / before[lead])[:-1], initial=0.0)))
         say(f"horizon {horizon}: errors {relative.round(4).tolist()}, weights {fitting.weights.round(0).tolist()}, shorter x {worse:.2f}")
         if float(relative[-1].max()) > NEAR or worse > ASTRAY:
             break
-        which = judge.horizons
-        kept = fitting, found
+        which, kept = judge.horizons, (fitting, found, lead)
         points = [point if one is None else one.point for one, point in zip(found, points, strict=True)]
     if kept is None:
         return None
-    fitting, found = kept
-    assert found[0] is not None
-    fitting = fitting.with_weights(fitting.judge.weights_of(found[0].reduced))
+    fitting, found, lead = kept
+    best = found[lead]
+    assert best is not None
+    fitting = fitting.with_weights(fitting.judge.weights_of(best.reduced))
     return fitting, [None if one is None else fitting.fit(one.point) for one in found]
 
 

@@ -34,7 +34,7 @@ class ClosedLoop:
 
     def __init__(self, number: int, observed: Observed) -> None:
         recording = observed.recording
-        self.number = number
+        self.number, self.first_row = number, 0
         self.simulator = Simulator(smooth(controllers_of(observed.machine, recording)))
         machine = self.simulator.machine
         self.known = observed.machine.plant.effects

@@ -18,6 +18,8 @@ from hil.simulation.several import Own
 from hil.simulation.smooth import simulated_matrix, smooth
 from virtual_bus.settings import EffectSetting
 
+ENDS = 8
+"""Rows at the beginning of a recording, whose speeds are smoothed from one side: no window begins there."""
 MOST_STEPS = 100
 """Within a plant step: a machine that moves so fast is at rest again before the next row, and costs what a hundred others do."""
 Errors = tuple[np.ndarray, ...] | None
@@ -66,6 +68,7 @@ class Simulated(Protocol):
     recorded: np.ndarray
     period_s: float
     rows: int
+    first_row: int
     noise: np.ndarray
     starts: tuple[Starts, ...]
 
@@ -98,6 +101,7 @@ class OpenLoop:
         columns = [observed.channels.index(channel) for channel in self.channels]
         self.recorded = observed.readings[:, columns]
         self.period_s, self.rows = observed.period_s, observed.rows
+        self.first_row = min(ENDS, self.rows // 2)
         self._targets, self._are_measured = observed.targets, observed.are_measured
         followed = sorted(along.smooth)
         self._followed = np.array(followed, dtype=np.int64)

@@ -11,6 +11,7 @@ from hil.diagnosis.likelihood.fitting import Fit
 from hil.diagnosis.selection.select import Selected, select
 from hil.machine import Machine
 from hil.machine.load import machine_from_text
+from hil.recording import Recording
 from tests.hil.diagnosis.pushed_mass import RAIL, MASS_kg, recorded
 
 COULOMB_N = 14.0
@@ -30,9 +31,15 @@ def with_mass(mass_kg: float) -> Machine:
     return machine_from_text(RAIL.text.replace("mass_kg = 20.0", f"mass_kg = {mass_kg}"), label="rail.toml")
 
 
+def selected(machine: Machine, recording: Recording) -> Selected:
+    found = select(machine, {"run": recording})
+    assert found is not None
+    return found
+
+
 def number(found: Selected, name: str, fit: Fit | None = None) -> float:
     fit = found.fit if fit is None else fit
-    for unknown, at in zip(found.fitting.unknowns.each, fit.point.numbers, strict=True):
+    for unknown, at in zip(found.unknowns.each, fit.point.numbers, strict=True):
         if unknown.name == name:
             return unknown.value(float(at))
     raise KeyError(name)
@@ -49,13 +56,13 @@ def rubs(_time: float, _position: float, speed: float) -> float:
 @pytest.mark.parametrize("factor", [0.4, 3.0])
 def test_a_mass_that_the_file_has_wrong_by_a_factor_is_found_by_windows_that_the_efforts_drive(factor: float) -> None:
     machine = replace(with_mass(MASS_kg / factor), controllers=())
-    found = select(machine, {"run": recorded(reference(1), nothing, 5)})
+    found = selected(machine, recorded(reference(1), nothing, 5))
     assert number(found, "block.mass") == pytest.approx(MASS_kg, rel=0.02)
     assert found.fit.point.settings == ()
 
 
 def test_a_controllers_gain_that_is_not_the_files_is_found_and_no_law_stands_for_it() -> None:
-    found = select(RAIL, {"run": recorded(reference(2), nothing, 6, gain=1.6, noise=10.0)})
+    found = selected(RAIL, recorded(reference(2), nothing, 6, gain=1.6, noise=10.0))
     assert number(found, "carriage.controller_gain") == pytest.approx(1.6, rel=0.03)
     assert number(found, "block.mass") == pytest.approx(MASS_kg, rel=0.05)
     assert found.fit.point.settings == ()
@@ -63,7 +70,7 @@ def test_a_controllers_gain_that_is_not_the_files_is_found_and_no_law_stands_for
 
 def test_a_friction_is_named_beside_a_mass_that_is_wrong() -> None:
     machine = replace(with_mass(MASS_kg / 2.0), controllers=())
-    found = select(machine, {"run": recorded(reference(3), rubs, 7)})
+    found = selected(machine, recorded(reference(3), rubs, 7))
     (friction,) = found.fit.point.settings
     assert (friction.name, friction.at) == ("coulomb_friction", "carriage")
     assert friction.parameters["Fc"] == pytest.approx(COULOMB_N, rel=0.03)
