@@ -39,7 +39,6 @@ from hil.diagnosis.predicted.open_runs import Predicted
 from hil.diagnosis.result import Diagnosis, DisturbanceShares, EffectAt, Estimate, Finding, Location, RetunedValue, Verdict
 from hil.diagnosis.seen.beside import Levels
 from hil.diagnosis.seen.see import Seen
-from hil.diagnosis.selection.candidates import beside, library
 from hil.diagnosis.selection.rivals import Rival, parameters_of, shown
 from hil.diagnosis.selection.select import Selected, runs_of
 from hil.diagnosis.tuned.retuning import Tuned, nominal_offset, tuned_at
@@ -115,15 +114,9 @@ def answer_of_runs(
 def _alternative(selected: Selected, named: Sequence[int], rival: Rival) -> Alternative:
     """Return a rival as a set of effects beside those that are named."""
     settings = [selected.fit.point.settings[k] for k in named if k != rival.without]
-    settings += rival.fit.point.settings[-1:] if rival.has_another else ()
-    gained = 2.0 * (selected.search.score(selected.plain) - selected.search.score(rival.fit))
-    without = (named.index(rival.without),)
-    return Alternative(tuple(settings), rival.behind, without, rival.has_another, gained, len(rival.fit.point.parameters))
-
-
-def machine_values(machine: Machine, verdict: Verdict, values: np.ndarray, selected: Selected) -> np.ndarray:
-    """Return the plant's parameters of the answer: the file's, where nothing is missing."""
-    return selected.unknowns.plant.nominal if verdict in ("consistent", "inconclusive") else values
+    settings += rival.settings[-1:] if rival.has_another else ()
+    gained = 2.0 * (selected.search.score(selected.plain) - selected.search.score(selected.fit)) - rival.behind
+    return Alternative(tuple(settings), rival.behind, (named.index(rival.without),), rival.has_another, gained, rival.parameters)
 
 
 def _half_widths(selected: Selected) -> np.ndarray:
@@ -199,10 +192,8 @@ def _baseline(selected: Selected, noise: str) -> tuple[Finding, ...]:
 def _limits(selected: Selected, named: Sequence[int]) -> list[Limit]:
     """Return the least strength of every effect at every place that would have been named beside the answer."""
     search, fit = selected.search, selected.fit
-    laws = library(search.inverse, search.fitting.unknowns.machine(fit.point))
-    beside_it = shown(beside(search.fitting, fit, laws))
     taken = {(effects()[fit.point.settings[k].name].family, fit.point.settings[k].at) for k in named}
-    asked = ((law, squares, 2.0 * search.worth([law.setting(np.zeros(law.width))])) for law, squares in beside_it)
+    asked = ((law, squares, 2.0 * search.worth([law.setting(np.zeros(law.width))])) for law, squares in shown(selected.of))
     return least_shown([each for each in asked if (each[0].effect.family, each[0].at) not in taken])
 
 

@@ -22,6 +22,8 @@ PASSES = 2
 """In which errors and what they are weighed by settle."""
 SETTLED = 0.05
 """Gain of log likelihood below which a fit has ended."""
+SETTLED_FOLD = 0.3
+"""The same of a fit to some folds: a tenth of what a parameter must be worth."""
 NEARBY = 0.01
 """Of a difference, in standard deviations of a window's first state: what falls grows a hundredfold in seconds."""
 OWN = 1e-4
@@ -185,21 +187,21 @@ class Fitting:
                 for (fold, _), one in zip(tried, found, strict=True):
                     if one is not None and (cost := self._cost_but(one, fold)) < costs[fold]:
                         there[fold], costs[fold] = one, cost
-                moving += [fold for fold in ended if costs[fold] < begun[fold][1] - SETTLED]
+                moving += [fold for fold in ended if costs[fold] < begun[fold][1] - SETTLED_FOLD]
                 ended = [fold for fold in ended if not costs[fold] < begun[fold][1]]
             if not moving:
                 break
         return there
 
     def variances(self, fitted: Fit, folded: Sequence[Fit]) -> tuple[np.ndarray, np.ndarray]:
-        """Return variances (P,) of the free unknowns and parameters: as likelihood bends, and as stretches differ (jackknife)."""
+        """Return variances (P,) of the free unknowns and parameters: as likelihood bends, and as stretches or places differ (jackknife)."""
         fitted = fitted if fitted.slopes is not None else self.with_slopes(fitted)
         assert fitted.slopes is not None
         squares = fitted.slopes.squares.sum(axis=0) + np.diag(prior(fitted.point)[1])
         scale = np.sqrt(np.maximum(np.diag(squares), 1e-300))
         bent = np.diag(np.linalg.pinv(squares / np.outer(scale, scale), rcond=1e-9, hermitian=True)) / scale**2
-        points = np.array([one.point.coordinates for one in folded[:BLOCKS]])
-        return bent, (BLOCKS - 1.0) * np.var(points, axis=0)
+        points = np.array([one.point.coordinates for one in folded]).reshape(-1, BLOCKS, len(bent))
+        return bent, (BLOCKS - 1.0) * np.var(points, axis=1).max(axis=0)
 
     def _without(self, fitted: Fit, one: Fit, fold: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the normal equations of all folds but one, by the columns of the whole fit."""

@@ -10,7 +10,7 @@ import scipy.ndimage
 
 from hil.diagnosis.candidates.columns import Column
 from hil.diagnosis.candidates.entries import Entry, columns_of, entries
-from hil.diagnosis.likelihood.fitting import REACH, Fit, Fitting, prior
+from hil.diagnosis.likelihood.fitting import Fit, Fitting, prior
 from hil.diagnosis.likelihood.inverse import Inverse
 from hil.diagnosis.likelihood.judge import BLOCKS, FOLDS
 from hil.diagnosis.tuned.bounded import bounded_least_squares
@@ -219,40 +219,69 @@ def alone_laws(of: Beside, room: tuple[np.ndarray, np.ndarray], worth: float, mo
     return found
 
 
-def _weights(of: Beside, kept: np.ndarray, room: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """Return the step (M,) of some unknowns that fits all windows best, as far as equations are linear."""
+def _weights(of: Beside, kept: np.ndarray, room: tuple[np.ndarray, np.ndarray], held: np.ndarray | None = None) -> np.ndarray:
+    """Return the step (M,) of some unknowns that fits all windows best, the others changed by `held`, as far as equations are linear."""
     own = of.own
     pull, stiffness = prior(of.fit.point)
     squares, slopes = of.squares.sum(axis=0), of.slopes.sum(axis=0)
     squares[range(own), range(own)] += stiffness
     slopes[:own] -= pull
     inner = squares[np.ix_(kept, kept)]
-    step = np.zeros(len(slopes))
+    step = np.zeros(len(slopes)) if held is None else held.copy()
+    slopes -= squares @ step
     step[kept] = bounded_least_squares(
         inner + OWN * np.diag(np.diag(inner)) + 1e-300 * np.eye(len(kept)), slopes[kept], room[0][kept], room[1][kept]
     )
     return step
 
 
-def missed(fitting: Fitting, fit: Fit) -> list[float]:
-    """Return what log likelihood of left-out windows loses without each effect, all numbers free, as far as equations are linear."""
-    fit = fitting.with_slopes(replace(fit, point=replace(fit.point, held=frozenset())))
-    assert fit.slopes is not None
-    point = fit.point
-    own, free = len(point.steps()), len(point.free)
-    room = point.room(fitting.unknowns, REACH)
-    squares, slopes = fit.slopes.squares, fit.slopes.slopes
-    everything = gain_left_out(squares, slopes, np.arange(own), np.zeros(own), point, own, room)
-    found = []
-    for number in range(len(point.settings)):
-        kept, held = list(range(free)), np.zeros(own)
-        for k, (which, parameter) in enumerate(point.parameters, free):
+class Neighbours:
+    """What log likelihood of left-out windows loses without an effect, and with a law in its place, as far as equations are linear.
+
+    Parameters
+    ----------
+    of : Beside
+    room : pair of (P,) arrays
+        Of the machine's own unknowns and parameters.
+    """
+
+    def __init__(self, of: Beside, room: tuple[np.ndarray, np.ndarray]) -> None:
+        self._of, self._room, self._none = of, of.bounds(room), np.zeros(of.squares.shape[1])
+        self._everything = self._gain(np.arange(of.own), self._none)
+
+    def _gain(self, kept: np.ndarray, held: np.ndarray) -> float:
+        of = self._of
+        return gain_left_out(of.squares, of.slopes, kept, held, of.fit.point, of.own, self._room)
+
+    def _without(self, number: int) -> tuple[np.ndarray, np.ndarray]:
+        point, held = self._of.fit.point, self._none.copy()
+        kept = list(range(len(point.free)))
+        for k, (which, parameter) in enumerate(point.parameters, len(point.free)):
             if which != number:
                 kept.append(k)
             elif parameter.is_strength:
                 held[k] = parameter.neutral - point.settings[which].parameters[parameter.name]
-        found.append(everything - gain_left_out(squares, slopes, np.array(kept), held, point, own, room))
-    return found
+        return np.array(kept, dtype=np.int64), held
+
+    def lost(self, number: int) -> float:
+        """Return what is lost without an effect."""
+        return self._everything - self._gain(*self._without(number))
+
+    def others(self, number: int) -> list[tuple[Entry, np.ndarray, float]]:
+        """Return laws in place of an effect, one an effect and place, with their weights and what is lost, the best first."""
+        of = self._of
+        kept, held = self._without(number)
+        best: dict[tuple[str, str], tuple[float, int]] = {}
+        for k, (law, part) in enumerate(zip(of.laws, of.parts, strict=True)):
+            lost = self._everything - self._gain(np.append(kept, np.arange(part.start, part.stop)), held)
+            name = (law.effect.name, law.at)
+            if name not in best or lost < best[name][0]:
+                best[name] = lost, k
+        found = []
+        for lost, k in sorted(best.values()):
+            step = _weights(of, np.append(kept, np.arange(of.parts[k].start, of.parts[k].stop)), self._room, held)
+            found.append((of.laws[k], of.weights(step, k), lost))
+        return found
 
 
 AWAY = 1e6

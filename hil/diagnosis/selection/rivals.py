@@ -10,11 +10,14 @@ import numpy as np
 from hil.diagnosis.candidates.entries import Entry
 from hil.diagnosis.likelihood.fitting import REACH, Fit
 from hil.diagnosis.likelihood.judge import BLOCKS
-from hil.diagnosis.selection.candidates import Beside, alone_laws, beside, library
-from hil.diagnosis.selection.search import Search
+from hil.diagnosis.selection.candidates import Beside, Neighbours, beside, library
+from hil.diagnosis.selection.search import TESTED, Search
+from virtual_bus.settings import EffectSetting
 
 MOST = 3
 """Other laws that are fitted in place of an effect."""
+NEAR = 10.0
+"""Twice the log likelihood by which one set must predict better than another to be told from it: odds of a hundred and fifty."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,19 +26,24 @@ class Rival:
 
     Attributes
     ----------
-    fit : Fit
+    settings : tuple of EffectSetting
     without : int
         Which effect.
     has_another : bool
         Whether its last effect stands in its place.
     behind : float
         How far it is behind the answer, in twice the log likelihood of what was left out; negative where it predicts better.
+    parameters : int
+    fit : Fit or None
+        None where it is foretold to be far behind, and was not fitted.
     """
 
-    fit: Fit
+    settings: tuple[EffectSetting, ...]
     without: int
     has_another: bool
     behind: float
+    parameters: int
+    fit: Fit | None = None
 
 
 def behind(search: Search, one: Fit, answer: Fit) -> float:
@@ -44,28 +52,42 @@ def behind(search: Search, one: Fit, answer: Fit) -> float:
     return 2.0 * float(min(gains, key=abs))
 
 
-def rivals(search: Search, answer: Fit) -> tuple[tuple[int, ...], tuple[Rival, ...]]:
-    """Return which effects of an answer are missed without them, and those of its rivals that lack one of these."""
-    named, found = [], []
+def beside_answer(search: Search, answer: Fit) -> Beside:
+    """Return an answer with the laws of all effects at all places beside it."""
+    return beside(search.fitting, answer, library(search.inverse, search.fitting.unknowns.machine(answer.point)))
+
+
+def rivals(search: Search, of: Beside) -> tuple[tuple[int, ...], tuple[Rival, ...]]:
+    """Return which effects of an answer are missed without them, and rivals that lack one of these.
+
+    What is foretold to be far behind is not fitted.
+    """
+    answer, named, found = of.fit, [], []
+    near = Neighbours(of, answer.point.room(search.fitting.unknowns, REACH))
     for number, setting in enumerate(answer.point.settings):
-        settings = tuple(each for k, each in enumerate(answer.point.settings) if k != number)
-        sparer = search.fitting.fit(search.fitting.based(replace(answer.point, settings=settings)))
-        if sparer is None:
-            named.append(number)
-            continue
-        if not search.is_better(answer, sparer, search.worth([setting])):
-            continue
+        kept = tuple(each for k, each in enumerate(answer.point.settings) if k != number)
+        worth = search.worth([setting])
+        foretold = 2.0 * near.lost(number)
+        sparer: Fit | None = None
+        if foretold < 2.0 * TESTED * worth:
+            sparer = search.fitting.fit(search.fitting.based(replace(answer.point, settings=kept)))
+            if sparer is not None and not search.is_better(answer, sparer, worth):
+                continue
         named.append(number)
-        found.append(Rival(sparer, number, False, behind(search, sparer, answer)))
-        laws = library(search.inverse, search.fitting.unknowns.machine(sparer.point))
-        of = beside(search.fitting, sparer, laws)
-        for law, weights in alone_laws(of, sparer.point.room(search.fitting.unknowns, REACH), 0.0, MOST + 1):
+        lost = foretold if sparer is None else behind(search, sparer, answer)
+        parameters = len(answer.point.parameters) - sum(k == number for k, _ in answer.point.parameters)
+        found.append(Rival(kept, number, False, lost, parameters, sparer))
+        for law, weights, lag in near.others(number)[:MOST]:
             if (law.effect.name, law.at) == (setting.name, setting.at):
                 continue
-            point = replace(sparer.point, settings=(*settings, law.setting(weights)))
-            other = search.fitting.fit(search.fitting.based(point))
-            if other is not None:
-                found.append(Rival(other, number, True, behind(search, other, answer)))
+            its = (*kept, law.setting(weights))
+            fit = None
+            if 2.0 * lag < TESTED * NEAR:
+                fit = search.fitting.fit(search.fitting.based(replace(answer.point, settings=its)))
+            if fit is not None:
+                found.append(Rival(fit.point.settings, number, True, behind(search, fit, answer), len(fit.point.parameters), fit))
+            elif 2.0 * lag >= TESTED * NEAR:
+                found.append(Rival(its, number, True, 2.0 * lag, parameters + len(weights)))
     return tuple(named), tuple(sorted(found, key=lambda each: each.behind))
 
 

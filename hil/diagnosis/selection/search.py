@@ -12,7 +12,7 @@ from hil.diagnosis.candidates.entries import Entry
 from hil.diagnosis.likelihood.fitting import REACH, Fit, Fitting
 from hil.diagnosis.likelihood.inverse import Inverse
 from hil.diagnosis.likelihood.judge import BLOCKS
-from hil.diagnosis.selection.candidates import added, alone_laws, beside, library, missed
+from hil.diagnosis.selection.candidates import Neighbours, added, alone_laws, beside, library
 from hil.diagnosis.unknowns.unknowns import Point
 from virtual_bus.effects.registry import effects
 from virtual_bus.settings import EffectSetting
@@ -25,6 +25,8 @@ MOST_AT_ONCE = 6
 """Laws that are added together."""
 TESTED = 3.0
 """Times what an effect must bring: one that promises to be missed by less is left out for a trial."""
+SOON = 6
+"""Steps after which a fit from the file's numbers has shown what it leads to."""
 MATERIAL = 1.1
 """Factor by which errors must become smaller with an effect that is not everyday: laws are right to a tenth, and so is what is left of
 them."""
@@ -101,19 +103,24 @@ class Search:
             best = longer
         return best
 
-    def from_the_file(self, start: Point) -> list[Fit]:
-        """Return fits with the laws that promise most beside the file's numbers: numbers that are bent to what a law explains hide it."""
+    def from_the_file(self, start: Point, baseline: Fit) -> list[Fit]:
+        """Return fits with the laws that promise most beside the file's numbers: numbers that are bent to what a law explains hide it.
+
+        Only those are fitted to the end that are soon better than the baseline.
+        """
         (here,) = self.fitting.at([self.fitting.based(start)])
         if here is None:
             return []
         of = beside(self.fitting, here, library(self.inverse, self.fitting.unknowns.machine(start)))
         laws = alone_laws(of, here.point.room(self.fitting.unknowns, REACH), self._material, MOST_ALONE)
-        points = [replace(here.point, settings=(*here.point.settings, law.setting(weights))) for law, weights in laws]
-        found = [(point, self.fitting.fit(self.fitting.based(point))) for point in points]
-        for point, fit in found:
-            law = point.settings[-1]
-            self.say(f"from the file: {law.name} at {law.at}" + ("" if fit is None else f", score {self.score(fit):.1f}"))
-        return [fit for _, fit in found if fit is not None]
+        found = []
+        for law, weights in laws:
+            point = replace(here.point, settings=(*here.point.settings, law.setting(weights)))
+            soon = self.fitting.fit(self.fitting.based(point), SOON)
+            if soon is not None and soon.cost < baseline.cost and (fit := self.fitting.fit(soon.point)) is not None:
+                self.say(f"from the file: {law.effect.name} at {law.at}, score {self.score(fit) - self.score(baseline):.1f}")
+                found.append(fit)
+        return found
 
     def with_further(self, fit: Fit) -> Fit:
         """Return the fit with laws that promise most: all that do, or else the best of the first few alone."""
@@ -141,7 +148,8 @@ class Search:
         """Return the fit without the laws that what is left out does not miss."""
         while fit.point.settings:
             settings = fit.point.settings
-            losses = np.array(missed(self.fitting, fit)) / [self.worth([each]) for each in settings]
+            near = Neighbours(beside(self.fitting, fit, []), fit.point.room(self.fitting.unknowns, REACH))
+            losses = np.array([near.lost(k) / self.worth([each]) for k, each in enumerate(settings)])
             least = int(np.argmin(losses))
             if losses[least] > TESTED:
                 return fit

@@ -16,7 +16,8 @@ from hil.diagnosis.named.everyday import everyday_effects
 from hil.diagnosis.observed.rows import between_samples, observed
 from hil.diagnosis.seen.along import Along
 from hil.diagnosis.seen.assumed import efforts_by_encoders
-from hil.diagnosis.selection.rivals import Rival, rivals
+from hil.diagnosis.selection.candidates import Beside
+from hil.diagnosis.selection.rivals import Rival, beside_answer, rivals
 from hil.diagnosis.selection.search import Search
 from hil.diagnosis.simulation.closed_loop import ClosedLoop
 from hil.diagnosis.simulation.windows import OpenLoop, Simulated
@@ -62,6 +63,8 @@ class Selected:
         Effects of the best machine that are missed without them.
     rivals : tuple of Rival
         Machines without one of them.
+    of : Beside
+        The best machine with all laws beside it.
     closed : bool
         Whether the closed loop was simulated, from its references on.
     """
@@ -72,6 +75,7 @@ class Selected:
     plain: Fit
     named: tuple[int, ...]
     rivals: tuple[Rival, ...]
+    of: Beside
     closed: bool
 
     @property
@@ -106,27 +110,29 @@ def select(machine: Machine, recordings: Mapping[str, Recording], say: Callable[
     inverse = Inverse(alongs, unknowns)
     everyday = everyday_effects(alongs[0])
     of_sets = [inverse.fits(unknowns.start(each)) for each in engineers_sets(alongs, everyday)]
-    begun = [*of_sets[0], *(each[0] for each in of_sets[1:])]
-    say(f"inverse: {_words(unknowns, begun[0])}")
-    grown = _grown(runs, unknowns, begun, closed, say)
+    say(f"inverse: {_words(unknowns, of_sets[0][0])}")
+    grown = _grown(runs, unknowns, of_sets[0], closed, say)
     if grown is None:
         return None
     fitting, found = grown
-    first = [one for one in found[: len(of_sets[0])] if one is not None]
-    baseline = min(first, key=lambda one: one.cost)
+    baseline = min((one for one in found if one is not None), key=lambda one: one.cost)
     search = Search(fitting, inverse, say)
-    others = found[len(of_sets[0]) :]
-    others += search.from_the_file(unknowns.start(everyday))
+    others = [fitting.fit(fitting.based(replace(each[0], held=frozenset()))) for each in of_sets[1:]]
+    others += search.from_the_file(unknowns.start(everyday), baseline)
     best = search.best([baseline, *(one for one in others if one is not None)])
-    named, against = rivals(search, best)
+    of = beside_answer(search, best)
+    named, against = rivals(search, of)
     for _ in range(EXCHANGES):
-        better = min((one for one in against if one.has_another), key=lambda one: search.score(one.fit), default=None)
-        if better is None or not search.is_better(better.fit, best, 0.0):
+        exchanged = [one.fit for one in against if one.has_another and one.fit is not None]
+        better = min(exchanged, key=search.score, default=best)
+        if better is best or not search.is_better(better, best, 0.0):
             break
-        best = search.best([better.fit])
-        named, against = rivals(search, best)
+        say(f"exchanged: {_words(unknowns, better.point)}")
+        best = search.best([better])
+        of = beside_answer(search, best)
+        named, against = rivals(search, of)
     plain = fitting.fit(fitting.based(replace(inverse.fits(unknowns.start())[0], held=frozenset())))
-    return Selected(search, best, baseline, baseline if plain is None else plain, named, against, closed)
+    return Selected(search, best, baseline, baseline if plain is None else plain, named, against, of, closed)
 
 
 def engineers_sets(alongs: Sequence[Along], everyday: Sequence[EffectSetting]) -> list[tuple[EffectSetting, ...]]:
