@@ -246,15 +246,15 @@ class Neighbours:
     """
 
     def __init__(self, of: Beside, room: tuple[np.ndarray, np.ndarray]) -> None:
-        self._of, self._room, self._none = of, of.bounds(room), np.zeros(of.squares.shape[1])
+        self.of, self._room, self._none = of, of.bounds(room), np.zeros(of.squares.shape[1])
         self._everything = self._gain(np.arange(of.own), self._none)
 
     def _gain(self, kept: np.ndarray, held: np.ndarray) -> float:
-        of = self._of
+        of = self.of
         return gain_left_out(of.squares, of.slopes, kept, held, of.fit.point, of.own, self._room)
 
     def _without(self, number: int) -> tuple[np.ndarray, np.ndarray]:
-        point, held = self._of.fit.point, self._none.copy()
+        point, held = self.of.fit.point, self._none.copy()
         kept = list(range(len(point.free)))
         for k, (which, parameter) in enumerate(point.parameters, len(point.free)):
             if which != number:
@@ -269,7 +269,7 @@ class Neighbours:
 
     def others(self, number: int) -> list[tuple[Entry, np.ndarray, float]]:
         """Return laws in place of an effect, one an effect and place, with their weights and what is lost, the best first."""
-        of = self._of
+        of = self.of
         kept, held = self._without(number)
         best: dict[tuple[str, str], tuple[float, int]] = {}
         for k, (law, part) in enumerate(zip(of.laws, of.parts, strict=True)):

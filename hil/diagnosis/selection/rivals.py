@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hil.diagnosis.candidates.entries import Entry
-from hil.diagnosis.likelihood.fitting import REACH, Fit
+from hil.diagnosis.likelihood.fitting import Fit
 from hil.diagnosis.likelihood.judge import BLOCKS
-from hil.diagnosis.selection.candidates import Beside, Neighbours, beside, library
+from hil.diagnosis.selection.candidates import Beside, Neighbours, library
 from hil.diagnosis.selection.search import TESTED, Search
 from virtual_bus.settings import EffectSetting
 
@@ -52,18 +52,17 @@ def behind(search: Search, one: Fit, answer: Fit) -> float:
     return 2.0 * float(min(gains, key=abs))
 
 
-def beside_answer(search: Search, answer: Fit) -> Beside:
-    """Return an answer with the laws of all effects at all places beside it."""
-    return beside(search.fitting, answer, library(search.inverse, search.fitting.unknowns.machine(answer.point)))
+def near(search: Search, answer: Fit) -> Neighbours:
+    """Return an answer with the laws of all effects at all places beside it, or in place of its own."""
+    return search.neighbours(answer, library(search.inverse, search.fitting.unknowns.machine(answer.point)))
 
 
-def rivals(search: Search, of: Beside) -> tuple[tuple[int, ...], tuple[Rival, ...]]:
+def rivals(search: Search, answer: Fit, near: Neighbours) -> tuple[tuple[int, ...], tuple[Rival, ...]]:
     """Return which effects of an answer are missed without them, and rivals that lack one of these.
 
     What is foretold to be far behind is not fitted.
     """
-    answer, named, found = of.fit, [], []
-    near = Neighbours(of, answer.point.room(search.fitting.unknowns, REACH))
+    named, found = [], []
     for number, setting in enumerate(answer.point.settings):
         kept = tuple(each for k, each in enumerate(answer.point.settings) if k != number)
         worth = search.worth([setting])

@@ -84,6 +84,11 @@ class Search:
         price = WORTH * parameters + further * math.log(self._tried)
         return max(price, self._material) if further else price
 
+    def neighbours(self, fit: Fit, laws: Sequence[tuple[Entry, np.ndarray]]) -> Neighbours:
+        """Return sets near a fitted one, with all numbers free: one that others stand in for may stand in for an effect."""
+        freed = replace(fit, point=replace(fit.point, held=frozenset()), slopes=None)
+        return Neighbours(beside(self.fitting, freed, laws), freed.point.room(self.fitting.unknowns, REACH))
+
     def best(self, starts: Sequence[Fit]) -> Fit:
         """Add laws that predict better what is left out, leave out those that are not missed, until nothing changes.
 
@@ -148,7 +153,7 @@ class Search:
         """Return the fit without the laws that what is left out does not miss."""
         while fit.point.settings:
             settings = fit.point.settings
-            near = Neighbours(beside(self.fitting, fit, []), fit.point.room(self.fitting.unknowns, REACH))
+            near = self.neighbours(fit, [])
             losses = np.array([near.lost(k) / self.worth([each]) for k, each in enumerate(settings)])
             least = int(np.argmin(losses))
             if losses[least] > TESTED:

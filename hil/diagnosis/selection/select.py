@@ -17,7 +17,7 @@ from hil.diagnosis.observed.rows import between_samples, observed
 from hil.diagnosis.seen.along import Along
 from hil.diagnosis.seen.assumed import efforts_by_encoders
 from hil.diagnosis.selection.candidates import Beside
-from hil.diagnosis.selection.rivals import Rival, beside_answer, rivals
+from hil.diagnosis.selection.rivals import Rival, near, rivals
 from hil.diagnosis.selection.search import Search
 from hil.diagnosis.simulation.closed_loop import ClosedLoop
 from hil.diagnosis.simulation.windows import OpenLoop, Simulated
@@ -120,19 +120,21 @@ def select(machine: Machine, recordings: Mapping[str, Recording], say: Callable[
     others = [fitting.fit(fitting.based(replace(each[0], held=frozenset()))) for each in of_sets[1:]]
     others += search.from_the_file(unknowns.start(everyday), baseline)
     best = search.best([baseline, *(one for one in others if one is not None)])
-    of = beside_answer(search, best)
-    named, against = rivals(search, of)
+    around = near(search, best)
+    named, against = rivals(search, best, around)
     for _ in range(EXCHANGES):
-        exchanged = [one.fit for one in against if one.has_another and one.fit is not None]
-        better = min(exchanged, key=search.score, default=best)
-        if better is best or not search.is_better(better, best, 0.0):
+        better = min((one for one in against if one.has_another and one.fit is not None), key=lambda one: one.behind, default=None)
+        if better is None or better.fit is None:
             break
-        say(f"exchanged: {_words(unknowns, better.point)}")
-        best = search.best([better])
-        of = beside_answer(search, best)
-        named, against = rivals(search, of)
+        further = search.worth(better.settings[-1:]) - search.worth([best.point.settings[better.without]])
+        if not search.is_better(better.fit, best, max(further, 0.0)):
+            break
+        say(f"exchanged: {_words(unknowns, better.fit.point)}")
+        best = search.best([better.fit])
+        around = near(search, best)
+        named, against = rivals(search, best, around)
     plain = fitting.fit(fitting.based(replace(inverse.fits(unknowns.start())[0], held=frozenset())))
-    return Selected(search, best, baseline, baseline if plain is None else plain, named, against, of, closed)
+    return Selected(search, best, baseline, baseline if plain is None else plain, named, against, around.of, closed)
 
 
 def engineers_sets(alongs: Sequence[Along], everyday: Sequence[EffectSetting]) -> list[tuple[EffectSetting, ...]]:
