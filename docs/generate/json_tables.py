@@ -500,13 +500,27 @@ DIAGNOSIS = (
         "`inconclusive`, `misconfigured`, `unknown_physics`, `ambiguous`, `explained`, `retuned` or `consistent`; the first that applies.",
     ),
     Entry("reason", "text", "The verdict in a sentence."),
-    Entry("findings", "list", "Effects taken to be there: those of the answer, or play that two encoders of an axis show."),
+    Entry(
+        "findings",
+        "list",
+        "What is taken to be there: effects of the answer, play between encoders, numbers out of tolerance.",
+    ),
+    Entry("findings[].kind", "text", "`effect` or `number`."),
     Entry("findings[].effect", "text", "Name of the effect."),
+    Entry(
+        "findings[].number",
+        "text",
+        "Of a number, in the effect's place: `OWNER.QUANTITY` of the machine file, or of the controller's side (`AXIS.controller_gain`, "
+        "`AXIS.command_early`, `AXIS.speed_limit`, `AXIS.effort_zero`, `AXIS.effort_lag`, `CHANNEL.zero`, `lateness`).",
+    ),
     Entry("findings[].at", "text", "Where it acts."),
     Entry("findings[].confidence", "0 to 1", "Of all hypotheses together that have this effect."),
     Entry(
-        "findings[].parameters.NAME", "object", "`value`, `unit` and `ci95`, a span of 95 %; by the parameter's name without unit, `Fc`."
+        "findings[].parameters.NAME",
+        "object",
+        "`value`, `unit` and `ci95`, a span of 95 %; by the parameter's name without unit, `Fc`; of a number `value`, with its `nominal`.",
     ),
+    Entry("findings[].parameters.value", "object", "Of a number: the same, and `nominal`, what the file says."),
     Entry("findings[].ambiguous_with", "list", "Effects of other plausible sets that the likeliest set has not."),
     Entry("findings[].ambiguous_sets", "list of lists", "Other plausible sets, with another effect in the place of this one."),
     Entry("findings[].separating_experiment", "text or null", "`next_experiment.toml`, where it was written."),

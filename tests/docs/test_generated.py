@@ -299,7 +299,7 @@ class TestJson:
         whole = result.Diagnosis(
             verdict="explained",
             reason="",
-            findings=(finding,),
+            findings=(finding, result.Finding(effect, 0.9, {"value": result.Estimate(1.0, "kg", (0.0, 2.0), 3.0)}, kind="number")),
             hypotheses=(result.Hypothesis((effect,), 0.9),),
             retuned={"OWNER.QUANTITY": result.RetunedValue(1.0, 1.0, "kg", (0.0, 2.0))},
             frozen={"OWNER.QUANTITY": "not shown"},
@@ -468,11 +468,11 @@ def paths_of(document: dict[str, Any], documented: set[str], prefix: str = "") -
     found = []
     for key, value in document.items():
         path = f"{prefix}{key}"
-        inner = value[0] if isinstance(value, list) and value and isinstance(value[0], dict) else value
-        deeper = f"{path}[]." if inner is not value else f"{path}."
+        is_list = isinstance(value, list) and bool(value) and isinstance(value[0], dict)
+        deeper = f"{path}[]." if is_list else f"{path}."
         below = any(name.startswith(deeper) for name in documented)
         if path in documented or not below:
             found.append(path)
-        if below and isinstance(inner, dict):
-            found += paths_of(inner, documented, deeper)
+        for inner in (value if is_list else [value]) if below else []:
+            found += paths_of(inner, documented, deeper) if isinstance(inner, dict) else []
     return found

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 from places import ROOT
 
-LINES = 10_000 + 1_700
+LINES = 10_000 + 2_500
 """The second part is the judge by free runs, from `unknowns` to `selection`, beside the one along the motion until that goes."""
-NUMBERS = 230
+NUMBERS = 245
 """Chosen numbers there are; lower it when some go."""
 PLAIN = (0, 1, 2, 0.5)
 """Numbers that are no choice, of either sign."""
