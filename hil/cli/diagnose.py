@@ -185,8 +185,6 @@ def _say(answer: Answer, outcome: Answered, out: Path) -> None:
     answer.say(f"{diagnosis.verdict}: {diagnosis.reason}")
     if diagnosis.known:
         answer.say(f"  known: {', '.join(str(one.effect) for one in diagnosis.known)}")
-    for suspicion in diagnosis.suspicions:
-        answer.say(f"  {suspicion}")
     for finding in diagnosis.findings:
         answer.say(f"  {finding.name}: confidence {finding.confidence:.2f}; {_found([finding]).split(': ', 1)[1]}")
     judged = diagnosis.fit.held_out or diagnosis.fit.train

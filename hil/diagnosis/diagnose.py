@@ -80,7 +80,7 @@ def audit_recordings(machine: Machine, recordings: Mapping[str, Recording], held
     if wrong := tuple(faults(machine, everything)):
         return Audit(machine, (), (), wrong)
     _check_no_copies(recordings, held_out)
-    return audit(machine, list(recordings.values()))
+    return audit(machine, recordings)
 
 
 def diagnose_audited(
@@ -150,11 +150,12 @@ def _see(
 
 
 def is_judged_by_runs(seen: Seen) -> bool:
-    """Return whether free runs of windows, or of the loop, judge: nothing repeats, and joint sensors follow every joint and were all."""
+    """Return whether free runs of windows, or of the loop, judge: nothing repeats, and joint sensors alone follow every joint."""
     sensors = {sensor.channel for sensor in seen.alongs[0].settings.joint_sensors}
     return (
         seen.noise == "assumed"
         and not seen.shown
+        and not seen.alongs[0].imposed
         and all(along.followed.all() and sensors.issuperset(along.observed.channels) for along in seen.alongs)
     )
 

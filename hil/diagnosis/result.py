@@ -177,30 +177,14 @@ class PredictedSeparation:
 
 
 @dataclass(frozen=True)
-class DisturbanceShares:
-    """Which equation lacks a term: shares of the power of the effort that is missing by the machine file as it is.
-
-    `joints` are driven joints; each one's missing effort is in units of the effort on it, and the shares sum to 1. `sensors` is always
-    empty.
-    """
-
-    joints: Mapping[str, float] = field(default_factory=dict)
-    sensors: Mapping[str, float] = field(default_factory=dict)
-
-    def document(self) -> dict[str, dict[str, float]]:
-        """Return plain values for JSON."""
-        return {"joints": dict(self.joints), "sensors": dict(self.sensors)}
-
-
-@dataclass(frozen=True)
 class Stages:
     """One misfit measure at the stages of a diagnosis; None where there is nothing to compute it from."""
 
-    nominal: float | None
-    retuned: float | None
-    extended: float | None
-    placebo: float | None  # always None: no effect is tried backwards in time
-    noise_floor: float | None
+    nominal: float | None = None
+    retuned: float | None = None
+    extended: float | None = None
+    placebo: float | None = None  # always None: no effect is tried backwards in time
+    noise_floor: float | None = None
     baseline: float | None = None  # of the engineer's fit: everyday effects and numbers
 
     def document(self) -> dict[str, float | None]:
@@ -217,11 +201,11 @@ class Fit:
     `train` and `held_out` are root mean squares over channels of the same errors in units of that channel's noise.
     """
 
-    channels: Mapping[str, Stages]
-    train: Stages
-    held_out: Stages | None
-    removed_share: float | None
-    removed_share_from_nominal: float | None
+    channels: Mapping[str, Stages] = field(default_factory=dict)
+    train: Stages = Stages()
+    held_out: Stages | None = None
+    removed_share: float | None = None
+    removed_share_from_nominal: float | None = None
     errors_of: ErrorsOf = "efforts"
     horizon_s: float | None = None  # of predictions: a row's period, or the length of free runs; None: whole recordings
 
@@ -264,23 +248,22 @@ class KnownEffect:
         return {**self.effect.document(), "parameters": {name: {"value": v, "unit": unit} for name, (v, unit) in self.parameters.items()}}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Diagnosis:
     """The whole answer."""
 
     verdict: Verdict
     reason: str  # the verdict in one sentence; for `inconclusive` what is missing
-    findings: tuple[Finding, ...]
-    hypotheses: tuple[Hypothesis, ...]
-    retuned: Mapping[str, RetunedValue]
-    frozen: Mapping[str, str]  # machine-file numbers the recordings do not show or do not decide, and what became of them
+    findings: tuple[Finding, ...] = ()
+    hypotheses: tuple[Hypothesis, ...] = ()
+    retuned: Mapping[str, RetunedValue] = field(default_factory=dict)
+    frozen: Mapping[str, str] = field(default_factory=dict)  # numbers the recordings do not show or decide, and what became of them
     noise: NoiseKind
-    location: Location
-    fit: Fit
-    unexplained_share: float
+    location: Location = field(default_factory=Location)
+    fit: Fit = field(default_factory=Fit)
+    unexplained_share: float = 1.0
     seconds: float
-    disturbance: DisturbanceShares = field(default_factory=DisturbanceShares)
-    suspicions: tuple[str, ...] = ()  # what looks like a wrong unit, a wrong sign or a gross delay
+    lacking: Mapping[str, float] = field(default_factory=dict)  # driven joints' shares of the effort that the file's equations lack
     separations: tuple[PredictedSeparation, ...] = ()  # by the next experiment
     audit: Mapping[str, Any] = field(default_factory=dict)  # of controllers and sensors
     detection_limits: tuple[DetectionLimit, ...] = ()
@@ -317,8 +300,8 @@ class Diagnosis:
             "location": self.location.document(),
             "fit": self.fit.document(),
             "predicted_separations": [each.document() for each in self.separations],
-            "disturbance": self.disturbance.document(),
-            "suspicions": list(self.suspicions),
+            "disturbance": {"joints": dict(self.lacking), "sensors": {}},
+            "suspicions": [],
             "audit": dict(self.audit),
             "detection_limits": [limit.document() for limit in self.detection_limits],
             "baseline": [

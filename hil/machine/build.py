@@ -22,6 +22,10 @@ from virtual_bus.settings import CurrentSensor, Drive, EffectSetting, Encoder, I
 
 Where = tuple[str | int, ...]
 
+APART = "give each a sensor of its own, or write the one that turns by small angles as sliding, inertia and stiffness over lever squared"
+ALONE = "for a sensor of joints without a drive alone give one of them a drive whose command is 0"
+TOGETHER = "write motors that push one joint as one drive with the sum of their constants, and record the mean of their efforts"
+"""What to do where a machine has what no table of the file says."""
 POSITION_UNITS = {"revolute": "rad", "prismatic": "m"}
 
 
@@ -49,7 +53,7 @@ def build_plant(table: MachineTable) -> PlantSettings:
     for axis, drive in table.drives.items():
         require_known(drive.joint, joints, ("drives", axis, "joint"), "joint")
         if drive.joint in armatures:
-            raise ComplaintError(("drives", axis, "joint"), "already driven by another axis; one drive per joint")
+            raise ComplaintError(("drives", axis, "joint"), f"already driven by another axis; one drive per joint: {TOGETHER}")
         drives.append(_drive(axis, drive, joints[drive.joint].type))
         armatures[drive.joint] = (drive.rotor_inertia or drive.rotor_mass) * drive.ratio**2
     tree = build_tree(table, armatures)
@@ -186,9 +190,12 @@ def _check_joints(sensor: EncoderTable | SpeedTable, drive: DriveTable, tree: Tr
         require_known(joint, by_name, (*where, "joints", number), "joint")
     kind = by_name[drive.joint].kind
     if drive.joint not in sensor.joints:
-        raise ComplaintError((*where, "joints"), f"must contain the axis's joint {drive.joint}")
+        raise ComplaintError((*where, "joints"), f"must contain the axis's joint {drive.joint}; {ALONE}")
     if any(by_name[joint].kind != kind for joint in sensor.joints):
-        raise ComplaintError((*where, "joints"), f"mixes revolute and prismatic joints; all must be {kind} like {drive.joint}")
+        raise ComplaintError(
+            (*where, "joints"),
+            f"mixes revolute and prismatic joints, whose sum has no unit; all must be {kind} like {drive.joint}: {APART}",
+        )
     return kind
 
 

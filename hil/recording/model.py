@@ -135,6 +135,12 @@ class Recording:
         return self.channels["time"].values
 
     @cached_property
+    def is_even(self) -> bool:
+        """Whether all rows are equally spaced."""
+        gaps = np.diff(self.time)
+        return bool(np.all(np.abs(gaps - np.median(gaps)) < UNEQUAL_STEP * np.median(gaps)))
+
+    @cached_property
     def sample_rate_Hz(self) -> float:
         """Rows per second, from the time channel; ticks per second where a run of the bench skipped some.
 

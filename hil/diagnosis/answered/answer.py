@@ -9,7 +9,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from hil.diagnosis.answered.values import LARGEST, WITHIN_95, Answered, baseline_of, estimates_of, names_of, shown_findings, unit_of
+from hil.diagnosis.answered.values import (
+    LARGEST,
+    WITHIN_95,
+    Answered,
+    acting,
+    baseline_of,
+    estimates_of,
+    known_effects,
+    names_of,
+    shown_findings,
+    unit_of,
+)  # fmt: skip
 from hil.diagnosis.audit.audit import Audit
 from hil.diagnosis.audit.audit import audit as audit_of
 from hil.diagnosis.free_runs.runs import FreeRuns, lacking
@@ -30,7 +41,6 @@ from hil.diagnosis.named.standing import (
     times_noise,
     unexplained,
 )
-from hil.diagnosis.observed.known import known_effects
 from hil.diagnosis.observed.shaken import what_may_hide
 from hil.diagnosis.predicted.closed_runs import closed_runs
 from hil.diagnosis.predicted.one_ahead import one_ahead
@@ -39,7 +49,6 @@ from hil.diagnosis.predicted.refitting import refitted
 from hil.diagnosis.result import (
     DetectionLimit,
     Diagnosis,
-    DisturbanceShares,
     EffectAt,
     Estimate,
     Finding,
@@ -102,7 +111,9 @@ def answer(
     limits = detection_limits(judged, of)
     retuned, frozen = _numbers(tuned, best, spread)
     verdict, reason = _verdict(audit, judged, findings, others, unseen_at(machine, seen, limits))
-    if not findings and verdict != "inconclusive":
+    if imposed := seen.alongs[0].observed.imposed:
+        reason += f"; no effort of {', '.join(imposed)} was recorded: its motion is given, and sensors are judged by each other"
+    if not findings and verdict not in ("inconclusive", "misconfigured"):
         reason = "; ".join([reason, what_may_hide(recordings_of(seen)), *never_shown(limits)])
     train, *held = _predicted(machine, named, held_out)
     along, there = (tuned, along_motion) if isinstance(tuned, Tuned) else _along(named)
@@ -128,14 +139,14 @@ def answer(
         fit=fit_of(train, held[0] if held else None, held_out != {}),
         unexplained_share=unexplained(judged),
         seconds=time.monotonic() - began,
-        disturbance=DisturbanceShares(joints=missing),
+        lacking=missing,
         audit=audit.document(),
         detection_limits=tuple(limit_of(limit, settings) for limit in limits),
         baseline=baseline_of(machine, named.baseline, noise),
         known=known_effects(machine.plant),
         separations=() if proposal is None else separations_of(proposal),
     )
-    settings_of_all = (*best.settings, *(one.setting for one in seen.shown))
+    settings_of_all = (*acting(best.settings), *(one.setting for one in seen.shown))
     return Answered(machine, diagnosis, names_of(seen), seen, values, settings_of_all, proposal, _columns(named))
 
 
@@ -233,7 +244,7 @@ def unseen_at(machine: Machine, seen: Seen, limits: Sequence[Limit]) -> list[str
     efforts: dict[str, float] = {}
     for each in seen.missing():
         efforts[each.joint] = max(efforts.get(each.joint, 0.0), float(np.sqrt(np.mean(each.given**2))))
-    axes = {drive.axis: efforts.get(drive.joint, 0.0) for drive in machine.plant.drives}
+    axes = {drive.axis: efforts[drive.joint] for drive in machine.plant.drives if drive.joint in efforts}
     dry = [limit for limit in limits if effects()[limit.effect].everyday and effects()[limit.effect].kind is FRICTION]
     hidden = {limit.at for limit in dry if limit.parameter.unit == "Nm" and not limit.strength < axes.get(limit.at, 0.0)}
     return [axis for axis in axes if axis in hidden]
@@ -265,6 +276,8 @@ def told(
     """Return the effects of an answer as findings, each with what might act in its place."""
     found = []
     for number, (setting, table) in enumerate(zip(settings, estimates, strict=True)):
+        if setting not in acting(settings):
+            continue
         mine = [other for other in others if number in other.without]
         own, shares = _weights(mine)
         at, family = EffectAt(setting.name, setting.at), effects()[setting.name].family
@@ -304,7 +317,7 @@ def hypotheses_of(
 ) -> tuple[Hypothesis, ...]:  # fmt: skip
     """Return the sets of effects that were weighed, the surest first."""
     own, shares = _weights(others)
-    named = tuple(EffectAt(one.name, one.at) for one in settings)
+    named = tuple(EffectAt(one.name, one.at) for one in acting(settings))
     sets = [Hypothesis((*named, *shown), cap * own, gained, None, parameters, True)]
     for other, share in list(zip(others, shares, strict=True))[:MOST_HYPOTHESES]:
         what = tuple(EffectAt(one.name, one.at) for one in other.settings)
@@ -344,7 +357,7 @@ def _predicted(machine: Machine, named: Named, held_out: Mapping[str, Recording]
     count = len(numbers.indices)
     fits = {"retuned": named.plain, "baseline": named.baseline, "extended": named.best}
     stages = {"nominal": (np.zeros(count), ()), **{name: (each.offset[:count], each.settings) for name, each in fits.items()}}
-    if isinstance(named.tuned, FreeRuns) and not (held_out and lacking(sets[-1], audit_of(machine, list(held_out.values())))):
+    if isinstance(named.tuned, FreeRuns) and not (held_out and lacking(sets[-1], audit_of(machine, held_out))):
         try:
             return tuple(closed_runs(named.tuned, seen, stages) for seen in sets)
         except RecordingError:
@@ -376,7 +389,7 @@ def _stages(table: Mapping[str, float]) -> Stages:
 def _total(found: Predicted | None) -> Stages:
     """Return E: over channels, rms errors in units of the channel's noise."""
     if found is None:
-        return Stages(None, None, None, None, None)
+        return Stages()
     total: dict[str, float | None] = {}
     for stage in ("nominal", "retuned", "extended", "baseline"):
         ratios = [table[stage] / table["noise"] for table in found.channels.values() if table["noise"] > 0.0]

@@ -7,12 +7,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from hil.diagnosis.answered.values import LARGEST, WITHIN_95, Answered, baseline_of, names_of, unit_of
+from hil.diagnosis.answered.values import LARGEST, WITHIN_95, Answered, baseline_of, known_effects, names_of, unit_of
 from hil.diagnosis.audit.audit import Audit
 from hil.diagnosis.audit.sensors import SensorAudit
 from hil.diagnosis.named.fitting import Fitted
-from hil.diagnosis.observed.known import known_effects
-from hil.diagnosis.result import READ_OFF, Diagnosis, EffectAt, Estimate, Finding, Fit, Hypothesis, Location, Stages
+from hil.diagnosis.result import READ_OFF, Diagnosis, EffectAt, Estimate, Finding, Hypothesis, Location
 from hil.diagnosis.seen.see import Seen
 from hil.machine import Machine
 from hil.recording import Recording
@@ -22,29 +21,23 @@ from virtual_bus.plant.parameters import plant_parameters
 
 def nothing_seen(machine: Machine, audit: Audit, seen: Seen, seconds: float) -> Answered:
     """Return the answer to recordings in which nothing moves."""
-    noise = seen.noise
-    stages = Stages(None, None, None, None, None)
     diagnosis = Diagnosis(
         verdict="inconclusive",
         reason=f"{', '.join(seen.still)} {'does' if len(seen.still) == 1 else 'do'} not move in these recordings: excite every axis",
-        findings=(), hypotheses=(), retuned={}, frozen={}, noise=noise, location=Location(),
-        fit=Fit({}, stages, None, None, None), unexplained_share=0.0, seconds=seconds, audit=audit.document(),
-        known=known_effects(machine.plant),
+        noise=seen.noise, unexplained_share=0.0, seconds=seconds, audit=audit.document(), known=known_effects(machine.plant),
     )  # fmt: skip
     return Answered(machine, diagnosis, names_of(seen), None, seen.alongs[0].plant.nominal, ())
 
 
 def wrong_recordings(machine: Machine, audit: Audit, recordings: Mapping[str, Recording], seconds: float) -> Answered:
     """Return the answer to recordings that are not what they say: nothing is explained by them."""
-    stages = Stages(None, None, None, None, None)
     lacks = all(fault.is_lack for fault in audit.faults)
     counts = Counter(fault.channel for fault in audit.faults)
     diagnosis = Diagnosis(
         verdict="inconclusive" if lacks else "misconfigured",
         reason="; ".join(fault.said for fault in audit.faults),
-        findings=(), hypotheses=(), retuned={}, frozen={}, noise="assumed",
-        location=Location(channels={channel: count / counts.total() for channel, count in counts.items()}),
-        fit=Fit({}, stages, None, None, None), unexplained_share=1.0, seconds=seconds, audit=audit.document(),
+        noise="assumed", location=Location(channels={channel: count / counts.total() for channel, count in counts.items()}),
+        seconds=seconds, audit=audit.document(),
     )  # fmt: skip
     values = np.array([parameter.value for parameter in plant_parameters(machine.plant)])
     return Answered(machine, diagnosis, tuple(recordings), None, values, ())
@@ -53,7 +46,6 @@ def wrong_recordings(machine: Machine, audit: Audit, recordings: Mapping[str, Re
 def play_seen(machine: Machine, audit: Audit, seen: Seen, seconds: float) -> Answered:
     """Return the answer where two encoders show play between them: what else is missing shows once it is modelled."""
     noise = seen.noise
-    stages = Stages(None, None, None, None, None)
     sure = min(READ_OFF, LARGEST[noise])
     found = tuple(_play(machine, each, sure) for each in audit.sensors if each.gap > 0.0)
     names = " and ".join(str(finding.effect) for finding in found)
@@ -61,10 +53,9 @@ def play_seen(machine: Machine, audit: Audit, seen: Seen, seconds: float) -> Ans
     diagnosis = Diagnosis(
         verdict="misconfigured" if audit.wrong else "explained",
         reason=f"{'; '.join([*audit.wrong, ''])}{names}: {said}. What else is missing shows once the machine file has this play",
-        findings=found, hypotheses=(Hypothesis(tuple(one.effect for one in found), sure, is_confirmed=True),), retuned={}, frozen={},
+        findings=found, hypotheses=(Hypothesis(tuple(one.effect for one in found), sure, is_confirmed=True),),
         noise=noise, location=Location(channels={each.second: 1.0 / len(found) for each in audit.sensors if each.gap > 0.0}),
-        fit=Fit({}, stages, None, None, None), unexplained_share=1.0, seconds=seconds, audit=audit.document(),
-        known=known_effects(machine.plant),
+        seconds=seconds, audit=audit.document(), known=known_effects(machine.plant),
     )  # fmt: skip
     return Answered(machine, diagnosis, names_of(seen), None, seen.alongs[0].plant.nominal, ())
 
@@ -82,15 +73,12 @@ def _play(machine: Machine, one: SensorAudit, sure: float) -> Finding:
 
 def first_answer(machine: Machine, audit: Audit, seen: Seen, baseline: Fitted, seconds: float) -> Diagnosis:
     """Return what can be said once the engineer's fit is there: it is marked provisional."""
-    noise = seen.noise
-    stages = Stages(None, None, None, None, None)
-    fitted = baseline_of(machine, baseline, noise)
+    fitted = baseline_of(machine, baseline, seen.noise)
     return Diagnosis(
         verdict="misconfigured" if audit.wrong else "ambiguous",
         reason="; ".join(audit.wrong) or "first answer: friction of every driven joint, fitted as an engineer would; the search goes on",
-        findings=tuple(one for one in fitted if _is_sure(one)), hypotheses=(), retuned={}, frozen={}, noise=noise, location=Location(),
-        fit=Fit({}, stages, None, None, None), unexplained_share=1.0, seconds=seconds, audit=audit.document(), baseline=fitted,
-        provisional=True, known=known_effects(machine.plant),
+        findings=tuple(one for one in fitted if _is_sure(one)), noise=seen.noise, seconds=seconds, audit=audit.document(),
+        baseline=fitted, provisional=True, known=known_effects(machine.plant),
     )  # fmt: skip
 
 

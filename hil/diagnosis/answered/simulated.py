@@ -25,7 +25,7 @@ from hil.diagnosis.answered.answer import (
     unseen_at,
     words,
 )
-from hil.diagnosis.answered.values import LARGEST, Answered, names_of, unit_of
+from hil.diagnosis.answered.values import LARGEST, Answered, known_effects, names_of, unit_of
 from hil.diagnosis.audit.audit import Audit
 from hil.diagnosis.likelihood.judge import Judge
 from hil.diagnosis.locating.answered import where_it_is
@@ -33,10 +33,9 @@ from hil.diagnosis.named.fitting import Fitted
 from hil.diagnosis.named.fitting import fit as fit_along
 from hil.diagnosis.named.search import NOT_TOLD_APART
 from hil.diagnosis.named.standing import Alternative, Limit, least_shown
-from hil.diagnosis.observed.known import known_effects
 from hil.diagnosis.observed.shaken import what_may_hide
 from hil.diagnosis.predicted.open_runs import Predicted
-from hil.diagnosis.result import Diagnosis, DisturbanceShares, EffectAt, Estimate, Finding, Location, RetunedValue, Verdict
+from hil.diagnosis.result import Diagnosis, EffectAt, Estimate, Finding, Location, RetunedValue, Verdict
 from hil.diagnosis.seen.beside import Levels
 from hil.diagnosis.seen.see import Seen
 from hil.diagnosis.selection.rivals import Rival, parameters_of, shown
@@ -97,7 +96,7 @@ def answer_of_runs(
         fit=fit_of(train, held, held_out != {}),
         unexplained_share=unexplained,
         seconds=time.monotonic() - began,
-        disturbance=DisturbanceShares({seen.alongs[0].joints[joint]: share for joint, share in shares_of(seen).items()}),
+        lacking={seen.alongs[0].joints[joint]: share for joint, share in shares_of(seen).items()},
         audit=audit.document(),
         detection_limits=tuple(limit_of(limit, machine.plant) for limit in limits),
         baseline=_baseline(selected, noise),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from hil.diagnosis.candidates.entries import effect_sought
 from hil.diagnosis.named.covariance import covariance_of, scattered
 from hil.diagnosis.named.fitting import Fitted
-from hil.diagnosis.result import Diagnosis, EffectAt, Estimate, Finding, NoiseKind
+from hil.diagnosis.result import Diagnosis, EffectAt, Estimate, Finding, KnownEffect, NoiseKind
 from hil.diagnosis.seen.see import Seen
 from hil.diagnosis.separating.next_experiment import Proposal
 from hil.machine import Machine
@@ -124,6 +125,23 @@ def shown_findings(machine: Machine, seen: Seen) -> tuple[Finding, ...]:
         at = EffectAt(effect.name, one.setting.at)
         sure = LARGEST[seen.noise]
         found.append(Finding(at, sure, table, evidence_for=(one.shown.said,), family=effect.family, variants=((at, sure),)))
+    return tuple(found)
+
+
+def acting(settings: Sequence[EffectSetting]) -> tuple[EffectSetting, ...]:
+    """Return the effects that have some strength: what has none explains nothing."""
+    strengths = [[p for p in effects()[one.name].parameters if p.is_strength] for one in settings]
+    return tuple(
+        one for one, own in zip(settings, strengths, strict=True) if not own or any(one.parameters[p.name] != p.neutral for p in own)
+    )
+
+
+def known_effects(settings: PlantSettings) -> tuple[KnownEffect, ...]:
+    """Return the effects that a machine has before any is sought, with their units."""
+    found = []
+    for one in settings.effects:
+        table = {each.name: (one.parameters[each.name], unit_of(each, one.at, settings)) for each in effects()[one.name].parameters}
+        found.append(KnownEffect(EffectAt(one.name, one.at), table))
     return tuple(found)
 
 

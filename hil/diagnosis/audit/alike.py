@@ -12,9 +12,10 @@ EARLY_ROWS = 3
 SPEED_SHARE = 0.95
 """Of a motion's speed, in power, that counts as nearly all."""
 OWN = 0.25
-"""Of an effort's deviation, that the motion must explain beside friction, so that its gain is believed: where it takes no effort to speak
-of, the file's errors decide."""
-TENTHS = 10
+"""Of an effort's deviation, that the motion must explain beside friction and springs, so that its gain is believed: where it takes no
+effort to speak of, the file's errors decide."""
+UNSURE = 3.0
+"""Times what the motion leaves of an effort, that its gain must make of it: what no term has may be as large among the terms."""
 
 
 def follows(one: np.ndarray, other: np.ndarray, period_s: float) -> tuple[float, float, float]:
@@ -42,26 +43,26 @@ def fastest_Hz(position: np.ndarray, period_s: float) -> float:
     return float(frequencies[np.searchsorted(whole, SPEED_SHARE * whole[-1])]) if whole[-1] > 0.0 else 0.0
 
 
-def balanced(given: np.ndarray, needed: np.ndarray, speed: np.ndarray) -> tuple[float, float, float]:
-    """Return the share of the effort's power that motion and friction leave, the gain of what is needed, and its deviation.
+def balanced(
+    given: np.ndarray, needed: np.ndarray, position: np.ndarray, speed: np.ndarray, with_springs: bool
+) -> tuple[float, float, bool]:
+    """Return the share of the effort's power that motion leaves, the gain of what is needed, and whether that is believed.
 
-    The deviation is infinite where what is needed hardly matters beside friction.
+    Friction may be other than in the file and, `with_springs`, all that depends on position, as gravity. Of a motion of one frequency
+    nobody knows an inertia from a spring.
     """
-    scale = float(np.std(speed)) or 1.0
-    smooth = np.tanh(3.0 * speed / scale)
-    matrix = np.column_stack([needed, speed, smooth, np.ones(len(speed))])
+    smooth = np.tanh(3.0 * speed / (float(np.std(speed)) or 1.0))
+    along = (position - position.mean()) / (float(np.std(position)) or 1.0)
+    springs = (along, along**2, along**3, np.sin(position), np.cos(position)) if with_springs else ()
+    matrix = np.column_stack((needed, speed, smooth, np.ones(len(speed)), *springs))
     norms = np.maximum(np.sqrt(np.mean(matrix**2, axis=0)), 1e-12)
     matrix = matrix / norms
     target = given - given.mean()
     power = float(target @ target)
     if power <= 0.0:
-        return 1.0, 1.0, np.inf
+        return 1.0, 1.0, False
     weights = np.linalg.lstsq(matrix, given, rcond=1e-6)[0]
     own = matrix[:, 0] - matrix[:, 1:] @ np.linalg.lstsq(matrix[:, 1:], matrix[:, 0], rcond=1e-6)[0]
     left = given - matrix @ weights
-    inverse = np.linalg.pinv(matrix.T @ matrix, rcond=1e-6)
-    scores = matrix * left[:, None]
-    blocks = np.array([part.sum(axis=0) for part in np.array_split(scores, TENTHS)])
-    deviation = float(np.sqrt(max((inverse @ (blocks.T @ blocks) @ inverse)[0, 0], 0.0))) / norms[0]
-    is_said = abs(weights[0]) * np.std(own) > OWN * np.std(given)
-    return float(left @ left) / power, float(weights[0]) / norms[0], deviation if is_said else np.inf
+    is_believed = bool(abs(weights[0]) * np.std(own) > max(OWN * np.std(given), UNSURE * np.std(left)))
+    return float(left @ left) / power, float(weights[0]) / norms[0], is_believed

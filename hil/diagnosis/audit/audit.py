@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 from hil.diagnosis.audit.controller import AxisAudit, Measured, audit_controllers, controllers_of
@@ -57,17 +57,30 @@ class Audit:
         }
 
 
-def audit(machine: Machine, recordings: Sequence[Recording]) -> Audit:
+def audit(machine: Machine, recordings: Mapping[str, Recording]) -> Audit:
     """Audit the controllers and the pairs of encoders that recordings show; every recording beside the controllers that it names."""
-    parts: dict[str, list[Recording]] = {}
-    for recording in recordings:
-        parts.setdefault(recording.machine_text, []).append(recording)
+    parts: dict[str, dict[str, Recording]] = {}
+    for label, recording in recordings.items():
+        parts.setdefault(recording.machine_text, {})[label] = recording
     worst: dict[str, AxisAudit] = {}
     for part in parts.values():
-        for one in audit_controllers(controllers_of(machine, part[0]), part):
+        for one in _controllers(machine, part):
             if one.axis not in worst or GRAVITY.index(one.status) > GRAVITY.index(worst[one.axis].status):
                 worst[one.axis] = one
-    return Audit(machine, tuple(worst[axis] for axis in machine.axes if axis in worst), tuple(audit_sensors(machine, recordings)))
+    pairs = audit_sensors(machine, list(recordings.values()))
+    return Audit(machine, tuple(worst[axis] for axis in machine.axes if axis in worst), tuple(pairs))
+
+
+def _controllers(machine: Machine, recordings: Mapping[str, Recording]) -> list[AxisAudit]:
+    """Audit controllers by all recordings; where no law gives every command, by each alone: a gain may have changed in between."""
+    own = controllers_of(machine, next(iter(recordings.values())))
+    found = []
+    for one in audit_controllers(own, list(recordings.values())):
+        each = {label: audit_controllers(own, [recording]) for label, recording in recordings.items() if one.status == "unknown"}
+        alone = {label: by for label, every in each.items() for by in every if by.axis == one.axis and by.status == "differs"}
+        said = "; ".join(f"{label}: {by.said}" for label, by in alone.items())
+        found.append(replace(next(iter(alone.values())), said=said) if alone else one)
+    return found
 
 
 def _axis(axis: AxisAudit) -> dict[str, Any]:

@@ -17,6 +17,7 @@ import numpy as np
 import scipy.signal
 
 from hil.diagnosis.audit.alike import EARLY_ROWS, LATEST_S, balanced, fastest_Hz, follows, running
+from hil.diagnosis.audit.controller import DIGITS
 from hil.diagnosis.audit.laws import OF_SPEEDS, of_efforts, of_positions
 from hil.diagnosis.audit.readings import FEWEST_ROWS, Fault
 from hil.machine import Machine
@@ -48,8 +49,6 @@ UNEXPLAINED, RIGHT = 0.3, 0.01
 """Share of an effort's power from which a motion does not explain it, more or less of it alike; and below which it explains all."""
 AGREES = 9.0
 """Against a gain, up to which the file agrees with it: three deviations."""
-SURE = 6.0
-"""Standard deviations, over tenths of the recording, that a gain must differ from zero by to have a sign."""
 ROOM = 3.0
 """Of the frequency that has nearly all of the speed's power below it: what the low-pass keeps."""
 MOST_ROWS, PER_CYCLE = 6000, 10.0
@@ -210,6 +209,9 @@ class _Weighing:
         settings = machine.plant
         self._joints = [joint.name for joint in settings.tree.joints]
         self._encoders = {encoder.channel: encoder for encoder in settings.encoders}
+        reads = {channel: set(encoder.joints) for channel, encoder in self._encoders.items()}
+        own = {drive.axis: {drive.joint} for drive in settings.drives}
+        self._read_twice = {axis for axis in own if own[axis] <= reads.get(f"link_position_{axis}", set())}
         reach = {limits.axis: max(abs(limits.lower), abs(limits.upper)) for limits in machine.limits}
         self._reach = {axis: value for axis, value in reach.items() if np.isfinite(value)}
 
@@ -220,16 +222,17 @@ class _Weighing:
     def gain(self, error: _Error, even: _Even, slow: _Slow | None, against: tuple[float, dict[str, _Balance]]) -> float:
         """Return by how much twice the log likelihood rises when an error is undone; `against` is what stands against the recording.
 
-        Where efforts then say nothing any more, or something that the file still denies, they do not count.
+        Where efforts then say nothing any more, or something that the file still denies, they do not count. Springs and gravity that the
+        file lacks may explain a recording as it is, and none that has an error: one of both is wrong.
         """
         denied, before = against
         rise = denied - self._denied_ratios(error.undone(even))
         if slow is not None:
-            after = self._dynamics(error.undone(slow))
+            after = self._dynamics(error.undone(slow), with_springs=False)
             touched = {axis for _, axis in error.channels} | {error.other} - {""}
             sure = {axis for axis in touched & after.keys() if after[axis].is_sure and after[axis].denied < AGREES}
             says = bool(sure) and all(axis in sure for axis in touched & before.keys() if before[axis].is_sure)
-            change = sum(each.cost for each in before.values()) - sum(each.cost for each in after.values())
+            change = sum(before[axis].cost - after[axis].cost for axis in touched & before.keys() & after.keys())
             rise += change if says else min(change, 0.0)
         return rise
 
@@ -245,7 +248,7 @@ class _Weighing:
                 yield max(float(np.abs(position).max()) / self._reach[axis], 1.0), WIDTHS["tracking"]
             pairs = (("position", "reference", "tracking"), ("link_position", "position", "encoders"), ("current", "command", "current"))
             for kind, of, width in pairs:
-                if (kind, axis) in has and (of, axis) in has:
+                if (kind, axis) in has and (of, axis) in has and (kind != "link_position" or axis in self._read_twice):
                     gain, alike, _ = follows(has[kind, axis], has[of, axis], even.period_s)
                     if alike > ALIKE:
                         yield gain, WIDTHS[width]
@@ -255,15 +258,15 @@ class _Weighing:
                 if alike > ALIKE:
                     yield gain, WIDTHS["speed"]
 
-    def _dynamics(self, slow: _Slow) -> dict[str, _Balance]:
+    def _dynamics(self, slow: _Slow, with_springs: bool = True) -> dict[str, _Balance]:
         """Return what the rigid equation says of each axis's effort."""
         found = {}
-        for axis, given, needed, speed in self._efforts(slow):
-            left, gain, deviation = balanced(given, needed, speed)
+        for axis, *columns in self._efforts(slow):
+            left, gain, is_believed = balanced(*columns, with_springs=with_springs)
             unexplained = slow.samples * float(np.log(np.clip(left, RIGHT, UNEXPLAINED) / UNEXPLAINED))
             drive = next(drive for drive in self.machine.plant.drives if drive.axis == axis)
             joint = self.machine.plant.tree.joints[self._joints.index(drive.joint)]
-            is_sure = bool(left < UNEXPLAINED and abs(gain) > SURE * deviation)
+            is_sure = left < UNEXPLAINED and is_believed
             denied = _denied(gain, OF_NUMBERS[joint.armature == 0.0]) if is_sure else 0.0
             found[axis] = _Balance(unexplained + denied, denied, is_sure)
         return found
@@ -282,12 +285,13 @@ class _Weighing:
                 if alike < NOTHING and 0.0 < np.std(running(current)) < MOST_NOISE * np.std(running(command)):
                     yield name, f"{name} does not follow command_{axis} (correlation {alike:.2f}): it is of another axis or recording"
         balances = {} if slow is None else self._dynamics(slow)
-        for axis, given, needed, speed in self._efforts(slow):
-            left, gain, _ = balanced(given, needed, speed)
+        for axis, *columns in self._efforts(slow):
+            given, needed = columns[:2]
+            left, gain, _ = balanced(*columns, with_springs=True)
             if left > 1.0 - NOTHING**2 and np.std(needed) > NOTHING * np.std(given) and axis not in self.lawful:
                 name = even.names["command" if ("command", axis) in has else "current", axis]
                 yield name, f"{name} and position_{axis} are not of one recording: the motion explains {1.0 - left:.0%} of the effort"
-            elif balances[axis].denied > PRICE:
+            elif gain > 0.0 and balances[axis].denied > PRICE:  # behind a spring a joint's inertia may be negative
                 name = even.names["command" if ("command", axis) in has else "current", axis]
                 said = f"{name} is {gain:.3g} times what the motion takes by the machine file, which no unit or sign explains"
                 yield name, f"{said}: it is another machine's recording, or file"
@@ -326,8 +330,8 @@ class _Weighing:
         samples = min(INDEPENDENT, 2.0 * fastest * len(q) * even.period_s)
         return _Slow(every * even.period_s, filtered, even.names, frozenset(moving), samples)
 
-    def _efforts(self, slow: _Slow | None) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
-        """Yield each moving axis with its effort, what the motion takes by the file, and the speed, all low-passed (M,)."""
+    def _efforts(self, slow: _Slow | None) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+        """Yield each moving axis with its effort, what the motion takes by the file, position and speed, all low-passed (M,)."""
         if slow is None:
             return
         settings = self.machine.plant
@@ -347,9 +351,9 @@ class _Weighing:
         gains = plant.drive_gains(model, q[0])
         for number, drive in enumerate(settings.drives):
             source = next((slow.values[kind, drive.axis] for kind in ("command", "current") if (kind, drive.axis) in slow.values), None)
-            if source is not None and drive.axis in slow.moving and np.ptp(source) > 0.0:
+            if source is not None and drive.axis in slow.moving and np.ptp(source) > DIGITS * np.abs(source).max():
                 joint = self._joints.index(drive.joint)
-                yield drive.axis, gains[number] * source, needed[:, joint], v[:, joint]
+                yield drive.axis, gains[number] * source, needed[:, joint], q[:, joint], v[:, joint]
 
 
 def _denied(ratio: float, width: float) -> float:

@@ -83,7 +83,7 @@ class AxisAudit:
 
 
 @dataclass(frozen=True, eq=False)
-class _Part:
+class Part:
     """One recording of one axis: what the law takes and gives, row by row."""
 
     reference: np.ndarray
@@ -127,25 +127,32 @@ def controllers_of(machine: Machine, recording: Recording) -> Machine:
     return replace(machine, controllers=own.controllers, commands=own.commands) if own.axes == machine.axes else machine
 
 
-def _part(machine: Machine, recording: Recording, axis: str, own: AxisCommand | None) -> _Part | None:
-    asked = "command" if own is None or f"target_{axis}" not in recording else "target"  # as `hil.simulation.in_effort` names it
+def part_of(recording: Recording, axis: str, asked: str = "command", rows: int | None = None) -> Part | None:
+    """Return what an axis's law takes and gives in the first rows of a recording; None where not all of it was recorded."""
     names = (f"reference_{axis}", f"position_{axis}", f"{asked}_{axis}")
-    period = 1.0 / machine.sample_rate_Hz
-    if any(name not in recording for name in names) or np.any(np.abs(np.diff(recording.time) - period) > UNEQUAL_STEP * period):
+    if any(name not in recording for name in names):
         return None
-    reference, position, command = (recording[name] for name in names)
+    reference, position, command = (recording[name][:rows] for name in names)
     further = [name for name in (f"excitation_{axis}", f"feedforward_{axis}", f"damping_{axis}") if name in recording]
-    added = sum((recording[name] for name in further), np.zeros(len(command)))
-    if own is not None and recording.channel(names[2]).unit != machine.command_unit(machine.axis_index(axis)):
-        return None
-    if own is not None:  # efforts are added behind the drive's loops
-        command, added = command - reference if own.mode == "position" else command, np.zeros(len(command))
-    if not all(np.isfinite(each).all() for each in (reference, position, command, added)):
-        return None
-    return _Part(reference, position, added, command)
+    part = Part(reference, position, sum((recording[name][:rows] for name in further), np.zeros(len(command))), command)
+    return part if all(np.isfinite(each).all() for each in vars(part).values()) else None
 
 
-def _audit(machine: Machine, controller: AxisController, parts: Sequence[_Part], unit: str) -> AxisAudit:
+def _part(machine: Machine, recording: Recording, axis: str, own: AxisCommand | None) -> Part | None:
+    asked = "command" if own is None or f"target_{axis}" not in recording else "target"  # as `hil.simulation.in_effort` names it
+    period = 1.0 / machine.sample_rate_Hz
+    part = part_of(recording, axis, asked)
+    if part is None or np.any(np.abs(np.diff(recording.time) - period) > UNEQUAL_STEP * period):
+        return None
+    if own is None:
+        return part
+    if recording.channel(f"{asked}_{axis}").unit != machine.command_unit(machine.axis_index(axis)):
+        return None
+    command = part.command - part.reference if own.mode == "position" else part.command
+    return replace(part, command=command, added=np.zeros(len(command)))  # efforts are added behind the drive's loops
+
+
+def _audit(machine: Machine, controller: AxisController, parts: Sequence[Part], unit: str) -> AxisAudit:
     period = 1.0 / machine.sample_rate_Hz
     commands = np.concatenate([part.command for part in parts])
     if not _asks(controller):
@@ -206,7 +213,7 @@ def _asks(controller: AxisController) -> bool:
     return any(each is not None and each[:, :3].any(axis=1).all() for each in sections)
 
 
-def _audit_of_none(machine: Machine, controller: AxisController, commands: np.ndarray, parts: Sequence[_Part], unit: str) -> AxisAudit:
+def _audit_of_none(machine: Machine, controller: AxisController, commands: np.ndarray, parts: Sequence[Part], unit: str) -> AxisAudit:
     """Audit a command that is to be nothing, beside the rounding of a reference that was subtracted."""
     largest, rms = max(float(np.abs(part.reference).max()) for part in parts), float(np.sqrt(np.mean(commands**2)))
     status: Status = "as_filed" if rms <= BESIDE * largest else "differs"
@@ -218,14 +225,12 @@ def _audit_of_none(machine: Machine, controller: AxisController, commands: np.nd
     return AxisAudit(controller.axis, status, nothing, nothing, Measured(None, None, controller.limit), every, nothing, rms, 0.0, said)
 
 
-def law_leaves(
-    controller: AxisController, reference: np.ndarray, position: np.ndarray, added: np.ndarray, command: np.ndarray
-) -> tuple[float, bool]:
-    """Return the gain of a command (N,) over the law, and whether the law leaves nothing of it but rounding."""
-    part, resolution = _Part(reference, position, added, command), command_resolution(command)
+def law_leaves(controller: AxisController, part: Part) -> tuple[float, bool]:
+    """Return the gain of a command over the law, and whether the law leaves nothing of it but rounding."""
+    resolution = command_resolution(part.command)
     free = [_free_rows(part, min(_limit([part], resolution) or np.inf, controller.limit), resolution)]
     gain, _, rms, _ = _regressed(controller, [part], free, 0)
-    return gain, bool(rms <= _rounding(command, resolution))
+    return gain, bool(rms <= _rounding(part.command, resolution))
 
 
 def _rounding(commands: np.ndarray, resolution: float) -> float:
@@ -245,7 +250,7 @@ def command_resolution(commands: np.ndarray) -> float:
     return step if on_lattice and largest / step < MOST_STEPS else DIGITS * largest
 
 
-def _rows_held(parts: Sequence[_Part], free: Sequence[np.ndarray], resolution: float) -> int:
+def _rows_held(parts: Sequence[Part], free: Sequence[np.ndarray], resolution: float) -> int:
     """Return after how many rows the law's part of the command changes, at most."""
     gaps = []
     for part, rows in zip(parts, free, strict=True):
@@ -255,7 +260,7 @@ def _rows_held(parts: Sequence[_Part], free: Sequence[np.ndarray], resolution: f
     return int(np.gcd.reduce(every)) if every.size > 1 else 1
 
 
-def _limit(parts: Sequence[_Part], resolution: float) -> float | None:
+def _limit(parts: Sequence[Part], resolution: float) -> float | None:
     """Return where the commands end, for some rows on end; None where they end nowhere."""
     largest = max(float(np.abs(part.command).max(initial=0.0)) for part in parts)
     close = max(1e-3 * resolution, DIGITS * largest)
@@ -267,14 +272,14 @@ def _limit(parts: Sequence[_Part], resolution: float) -> float | None:
     return None
 
 
-def _free_rows(part: _Part, limit: float, resolution: float) -> np.ndarray:
+def _free_rows(part: Part, limit: float, resolution: float) -> np.ndarray:
     """Return the rows whose command is within its limit."""
     free: np.ndarray = np.abs(part.command) < limit - max(resolution, DIGITS * limit)
     return free
 
 
 def _regressed(
-    controller: AxisController, parts: Sequence[_Part], free: Sequence[np.ndarray], delay: int
+    controller: AxisController, parts: Sequence[Part], free: Sequence[np.ndarray], delay: int
 ) -> tuple[float, float, float, float]:
     """Return gain, its standard deviation, the rms that is left, and the start's part of the command, for a law so many rows late."""
     states = _zero_input(controller, max(len(part.command) for part in parts))
@@ -294,7 +299,7 @@ def _regressed(
     return float(weights[0]), rms * float(np.sqrt(variance)), rms, offset
 
 
-def _equations(controller: AxisController, parts: Sequence[_Part], free: Sequence[np.ndarray], delay: int) -> tuple[np.ndarray, np.ndarray]:
+def _equations(controller: AxisController, parts: Sequence[Part], free: Sequence[np.ndarray], delay: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the law from rest and every state's part of the command (rows, 1 + states), and the command (rows,) that they are to give."""
     columns, targets = [], []
     states = _zero_input(controller, max(len(part.command) for part in parts))
@@ -309,7 +314,7 @@ def _equations(controller: AxisController, parts: Sequence[_Part], free: Sequenc
     return np.vstack(columns), np.concatenate(targets)
 
 
-def _is_moved(controller: AxisController, parts: Sequence[_Part], free: Sequence[np.ndarray], delay: int) -> bool:
+def _is_moved(controller: AxisController, parts: Sequence[Part], free: Sequence[np.ndarray], delay: int) -> bool:
     """Return whether the law gives more than its states at row 0 do: of a lead on a reference that rests nobody sees the gain."""
     matrix, _ = _equations(controller, parts, free, delay)
     law, states = matrix[:, 0], matrix[:, 1:]
@@ -317,7 +322,7 @@ def _is_moved(controller: AxisController, parts: Sequence[_Part], free: Sequence
     return bool(np.sqrt(np.sum(left**2)) > DIGITS * np.sqrt(np.sum(law**2)))
 
 
-def _law(controller: AxisController, part: _Part) -> np.ndarray:
+def _law(controller: AxisController, part: Part) -> np.ndarray:
     """Return the file's law from rest."""
     if controller.reference_sections is None:
         law: np.ndarray = scipy.signal.sosfilt(controller.position_sections, part.reference - part.position)
@@ -345,7 +350,7 @@ def _zero_input(controller: AxisController, rows: int) -> np.ndarray:
     return np.column_stack(found)
 
 
-def _another_law(controller: AxisController, parts: Sequence[_Part], free: Sequence[np.ndarray]) -> float:
+def _another_law(controller: AxisController, parts: Sequence[Part], free: Sequence[np.ndarray]) -> float:
     """Return the rms that the best difference equation of the file's order leaves of the command's change by it."""
     order = 2 * max(len(controller.position_sections), 0 if controller.reference_sections is None else len(controller.reference_sections))
     columns, targets = [], []

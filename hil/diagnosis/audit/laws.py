@@ -6,12 +6,12 @@ A law that leaves nothing is exact evidence: no wrong unit, sign, axis or shift 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from controllers.settings import AxisController
-from hil.diagnosis.audit.controller import LATEST_ROWS, TOLERANCE, controllers_of, law_leaves, recorded_laws
+from hil.diagnosis.audit.controller import LATEST_ROWS, TOLERANCE, Part, controllers_of, law_leaves, part_of, recorded_laws
 from hil.diagnosis.audit.readings import Fault
 from hil.machine import Machine
 from hil.recording import Recording
@@ -30,16 +30,6 @@ OF_SPEEDS = {
     0.5 / np.pi: "in turns",
 }
 """By how many times too large a channel is, and what makes it so."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Signals:
-    """What the law takes and gives (N,)."""
-
-    reference: np.ndarray
-    position: np.ndarray
-    added: np.ndarray
-    command: np.ndarray
 
 
 def of_positions(machine: Machine, axis: str) -> dict[float, str]:
@@ -64,14 +54,15 @@ def law_faults(machine: Machine, label: str, recording: Recording) -> tuple[list
         return [], set()
     own = controllers_of(machine, recording)
     laws = recorded_laws(own)
-    signals = {c.axis: each for c in laws if (each := _signals(recording, c.axis)) is not None}
+    parts = {law.axis: part_of(recording, law.axis, rows=MOST_ROWS) for law in laws}
+    signals = {axis: part for axis, part in parts.items() if part is not None and np.ptp(part.command) > 0.0}
     found: list[Fault] = []
     lawful = set()
     for controller in laws:
         axis = controller.axis
         if axis not in signals:
             continue
-        gain, is_exact = law_leaves(controller, *vars(signals[axis]).values())
+        gain, is_exact = law_leaves(controller, signals[axis])
         if is_exact and abs(gain - 1.0) <= TOLERANCE:
             lawful.add(axis)
         elif exact := next(_exact_ones(machine, controller, signals), None):
@@ -81,29 +72,16 @@ def law_faults(machine: Machine, label: str, recording: Recording) -> tuple[list
     return found, lawful
 
 
-def _signals(recording: Recording, axis: str) -> _Signals | None:
-    names = (f"reference_{axis}", f"position_{axis}", f"command_{axis}")
-    if any(name not in recording for name in names):
-        return None
-    reference, position, command = (recording[name][:MOST_ROWS] for name in names)
-    further = [
-        recording[name][:MOST_ROWS] for name in (f"{kind}_{axis}" for kind in ("excitation", "feedforward", "damping")) if name in recording
-    ]
-    added = sum(further, np.zeros(len(command)))
-    whole = all(np.isfinite(each).all() for each in (reference, position, command, added))
-    return _Signals(reference, position, added, command) if whole and np.ptp(command) > 0.0 else None
-
-
-def _exact_ones(machine: Machine, controller: AxisController, signals: dict[str, _Signals]) -> Iterator[tuple[str, str]]:
+def _exact_ones(machine: Machine, controller: AxisController, signals: dict[str, Part]) -> Iterator[tuple[str, str]]:
     """Yield channel and sentence of every error that, undone, makes the law exact with its own gain."""
     axis, one = controller.axis, signals[controller.axis]
     for name, said, tried in _errors(machine, axis, one, signals):
-        gain, is_exact = law_leaves(controller, *vars(tried).values())
+        gain, is_exact = law_leaves(controller, tried)
         if is_exact and abs(gain - 1.0) <= TOLERANCE:
             yield name, said
 
 
-def _errors(machine: Machine, axis: str, one: _Signals, signals: dict[str, _Signals]) -> Iterator[tuple[str, str, _Signals]]:
+def _errors(machine: Machine, axis: str, one: Part, signals: dict[str, Part]) -> Iterator[tuple[str, str, Part]]:
     for factor, unit in of_efforts(machine, axis).items():
         yield (
             f"command_{axis}",
@@ -126,7 +104,7 @@ def _errors(machine: Machine, axis: str, one: _Signals, signals: dict[str, _Sign
                 shifted = np.roll(getattr(one, kind), -sign * rows)
                 kept = slice(rows, -rows)
                 parts = {key: value[kept] for key, value in vars(replace(one, **{kind: shifted})).items()}
-                yield f"{kind}_{axis}", f"{kind}_{axis} is {rows} row{'s' if rows > 1 else ''} {how}", _Signals(**parts)
+                yield f"{kind}_{axis}", f"{kind}_{axis} is {rows} row{'s' if rows > 1 else ''} {how}", Part(**parts)
 
 
 def _wrong_time(machine: Machine, label: str, recording: Recording) -> list[Fault]:
@@ -140,7 +118,7 @@ def _wrong_time(machine: Machine, label: str, recording: Recording) -> list[Faul
             "",
         )
         return [Fault(label, "time", False, f"{label}: {ticks}, and not {1e3 * np.mean(gaps):.4g} ms as time says{unit}")]
-    if np.abs(gaps - median).max() > UNEQUAL_STEP * median:
+    if not recording.is_even:
         said = f"{label}: time stamps jitter by up to {1e3 * np.abs(gaps - period).max():.3g} ms: {ticks}"
         return [Fault(label, "time", False, said)]
     return []

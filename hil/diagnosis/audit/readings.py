@@ -10,13 +10,12 @@ import numpy as np
 from hil.diagnosis.audit.controller import command_resolution
 from hil.machine import Machine
 from hil.recording import Recording
-from hil.recording.model import UNEQUAL_STEP
 
 MEASURED = ("position", "link_position", "speed", "current", "effort", "command", "reference")
 POSITIONS = ("position", "link_position")
 FEWEST_ROWS = 50
-"""As many rows in a stretch would be a recording of their own: what is missing in fewer is bridged. Two such stretches are needed to fit to
-one and judge by the other."""
+"""Fewer say nothing about a motion of second order in several joints. What is missing in fewer on end is bridged. Two such stretches are
+needed to fit to one and judge by the other."""
 SLOW = 4.0
 """Of the machine's rows between two of a recording's: what its command does in between is not known, and matters where the command of one
 row says less than half of the next one's."""
@@ -93,10 +92,10 @@ def reading_faults(machine: Machine, label: str, recording: Recording) -> list[F
         lattice = max(lattices.get(name, 0.0), command_resolution(values[np.isfinite(values)]))
         checks = [_missing(recording, values), _constant(recording, kind, axis, lattice)]
         if kind in POSITIONS:
-            checks += [_stuck(recording, values, lattice), _jumps(recording, values, lattice, unit)]
+            checks += [_stuck(recording, axis, values, lattice), _jumps(recording, axis, values, lattice, unit)]
         if kind not in ("reference", "command"):
             checks += [_clipped(recording, name, lattice, unit)]
-        if kind in POSITIONS and _is_even(recording):
+        if kind in POSITIONS and recording.is_even:
             checks += [_between(values)]
         said = next((said for said in checks if said), "")
         if said:
@@ -114,11 +113,6 @@ def _too_slow(machine: Machine, recording: Recording) -> str:
             rate = f"one row in {between:.3g} of {machine.name}'s"
             return f"sampled too slowly: {rate}, while {name} changes from row to row (correlation {alike:.2f}): record every row"
     return ""
-
-
-def _is_even(recording: Recording) -> bool:
-    gaps = np.diff(recording.time)
-    return bool(np.all(np.abs(gaps - np.median(gaps)) < UNEQUAL_STEP * np.median(gaps)))
 
 
 def _runs(is_in: np.ndarray) -> Iterator[tuple[int, int]]:
@@ -155,20 +149,30 @@ def _constant(recording: Recording, kind: str, axis: str, lattice: float) -> str
     return ""
 
 
-def _stuck(recording: Recording, values: np.ndarray, lattice: float) -> str:
-    """Say where a reading stays the same and then jumps to where the motion has gone meanwhile."""
+def _stuck(recording: Recording, axis: str, values: np.ndarray, lattice: float) -> str:
+    """Say where a reading stays the same while the joint moves, and then jumps to where the motion has gone meanwhile.
+
+    Before a step a joint rests. That it moves is shown, by the middle of the stretch, by its reference or another encoder; or by the
+    reading itself, which stops from one row to the next.
+    """
     steps = np.diff(values)
+    others = [recording[name] for name in (f"{kind}_{axis}" for kind in ("reference", *POSITIONS)) if name in recording]
     for begin, end in _runs(steps == 0.0):
         beside = np.concatenate([np.abs(steps[max(begin - 6, 0) : begin]), np.abs(steps[end + 1 : end + 6])])
         if end - begin < FEWEST_ROWS or end >= len(steps) or not np.isfinite(steps[end]) or not np.isfinite(beside).any():
+            continue
+        half = slice(begin, (begin + end) // 2)
+        least = max(STEPS * lattice, abs(steps[end]) / STEPS)
+        moves = begin > 0 and abs(steps[begin - 1]) > STEPS * lattice
+        if not moves and not any(np.ptp(other[half]) > least for other in others):
             continue
         if abs(steps[end]) > max(BEYOND * float(np.nanmax(beside)), STEPS * lattice):
             return f"stays the same {_between_times(recording, begin, end + 1)} and then jumps: it was stuck"
     return ""
 
 
-def _jumps(recording: Recording, values: np.ndarray, lattice: float, unit: str) -> str:
-    """Say where a reading jumps: the few largest steps are far beyond those of all other rows."""
+def _jumps(recording: Recording, axis: str, values: np.ndarray, lattice: float, unit: str) -> str:
+    """Say where a reading jumps and its reference does not: the few largest steps are far beyond those of all other rows."""
     there = np.flatnonzero(np.isfinite(values))
     steps = np.diff(values[there]) / np.maximum(np.diff(recording.time[there]) / np.median(np.diff(recording.time)), 1.0)
     if len(steps) < FEWEST_ROWS:
@@ -180,6 +184,11 @@ def _jumps(recording: Recording, values: np.ndarray, lattice: float, unit: str) 
     if not apart.any():
         return ""
     rows = np.sort(order[: int(np.flatnonzero(apart)[-1]) + 1])
+    if f"reference_{axis}" in recording:
+        asked = np.abs(np.diff(recording[f"reference_{axis}"]))
+        rows = rows[[not np.any(asked[max(there[k] - PLATEAU, 0) : there[k + 1] + 1] > 0.5 * abs(steps[k])) for k in rows]]
+    if not len(rows):
+        return ""
     at, size = recording.time[there[rows[0] + 1]], float(steps[rows[0]])
     count = "" if len(rows) == 1 else f"; {len(rows)} such steps"
     turns = size / TURN
@@ -248,7 +257,7 @@ def smooth_faults(machine: Machine, label: str, recording: Recording, lawful: Se
     for encoder in machine.plant.encoders:
         axis = machine.axis_of_channel(encoder.channel)
         has_loop = {f"reference_{axis}", f"command_{axis}", encoder.channel} <= set(recording.channels)
-        if has_loop and axis not in lawful and _is_even(recording) and _is_smooth(recording[encoder.channel], encoder.resolution):
+        if has_loop and axis not in lawful and recording.is_even and _is_smooth(recording[encoder.channel], encoder.resolution):
             step = f"{encoder.resolution:.3g} {recording.channel(encoder.channel).unit}"
             said = f"{label}: {encoder.channel} is smoother than readings in its encoder's steps of {step} can be"
             found.append(Fault(label, encoder.channel, False, f"{said}, and no law gives the command of it: it was filtered or resampled"))
@@ -269,7 +278,7 @@ def stamp_fault(machine: Machine, label: str, recording: Recording) -> Fault | N
     """Return that stamps jitter, where a position is smooth over even rows and not at its stamps."""
     gaps = np.diff(recording.time)
     median = float(np.median(gaps))
-    if _is_even(recording) or len(gaps) < 4 * FEWEST_ROWS:
+    if recording.is_even or len(gaps) < 4 * FEWEST_ROWS:
         return None
     for kind, _, name in channels_of(machine, recording):
         if kind not in POSITIONS:

@@ -8,9 +8,9 @@ from typing import Literal
 
 import numpy as np
 
+from hil.diagnosis.audit.readings import FEWEST_ROWS
 from hil.machine import Machine
 from hil.recording import Recording
-from hil.recording.model import UNEQUAL_STEP
 
 STEPS = 3.0
 """Lattice steps of both encoders together that a difference is at least."""
@@ -25,7 +25,6 @@ PASSES = 50
 """Of the division into two sides; a dozen are enough."""
 SPAN = 5
 """Rows that a speed is taken over."""
-FEWEST_ROWS = 50
 
 
 NAMES = ("first", "second", "speed", "acceleration", "effort")
@@ -98,7 +97,7 @@ def audit_sensors(machine: Machine, recordings: Sequence[Recording]) -> list[Sen
 
 def _part(recording: Recording, pair: tuple[str, str]) -> _Pair | None:
     gaps = np.diff(recording.time)
-    if len(gaps) < FEWEST_ROWS or np.ptp(gaps) > 2.0 * UNEQUAL_STEP * gaps.mean():
+    if len(gaps) < FEWEST_ROWS or not recording.is_even:
         return None
     first, second = (recording[name] for name in pair)
     period = float(gaps.mean())

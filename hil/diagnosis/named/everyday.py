@@ -9,8 +9,8 @@ from virtual_bus.settings import EffectSetting
 
 
 def everyday_effects(along: Along) -> tuple[EffectSetting, ...]:
-    """Return all everyday effects at all axes, without strength."""
-    axes = {drive.axis for drive in along.settings.drives}
+    """Return all everyday effects at all axes whose efforts were recorded, without strength."""
+    axes = {drive.axis for drive in along.settings.drives} - set(along.observed.imposed)
     return tuple(
         setting_of(effect_sought(effect.name), at, {})
         for effect in effects().values()

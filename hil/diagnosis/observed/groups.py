@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.diagnosis.observed.rows import FEWEST_ROWS, Observed
+from hil.diagnosis.audit.readings import FEWEST_ROWS
+from hil.diagnosis.observed.rows import Observed
 from hil.errors import RecordingError
 from hil.recording import RecordingWarning
 

@@ -9,17 +9,15 @@ from functools import cached_property
 
 import numpy as np
 
+from hil.diagnosis.audit.readings import FEWEST_ROWS
 from hil.errors import RecordingError
 from hil.machine import Machine
 from hil.recording import Recording
-from hil.recording.model import UNEQUAL_STEP
 from virtual_bus.effects.places import imu_channel_names
 from virtual_bus.settings import PlantSettings
 
 LARGEST = 1e30
 """Of a reading: no sensor has more, and squares of more are no numbers."""
-FEWEST_ROWS = 50
-"""Fewer rows say nothing about a motion of second order in several joints."""
 
 
 WIDEST_GAP = 2.5
@@ -48,6 +46,8 @@ class Observed:
         NaN where a sample is missing.
     begin_s : float
         When the first row is in the recording.
+    imposed : tuple of str
+        Axes whose efforts nobody recorded: how they move is given, and says nothing of their drives.
     """
 
     name: str
@@ -60,6 +60,7 @@ class Observed:
     channels: tuple[str, ...]
     readings: np.ndarray
     begin_s: float = 0.0
+    imposed: tuple[str, ...] = ()
 
     @property
     def rows(self) -> int:
@@ -136,8 +137,10 @@ def sensor_channels(machine: Machine) -> tuple[str, ...]:
     return (*(sensor.channel for sensor in machine.plant.joint_sensors), *imu_channel_names(machine.plant))
 
 
-def observed(machine: Machine, name: str, recording: Recording) -> Observed:
+def observed(machine: Machine, name: str, recording: Recording, may_be_imposed: bool = False) -> Observed:
     """Bring a recording onto rows.
+
+    With `may_be_imposed` axes without any effort are taken along, their targets zero.
 
     Even recordings keep their rows. Uneven ones are read off at their median rate: linear between samples for efforts; sensors at the
     nearest sample, where one is nearer than half a period.
@@ -158,10 +161,9 @@ def observed(machine: Machine, name: str, recording: Recording) -> Observed:
             raise RecordingError(f"{name}: {what}; leave a reading empty that was not taken")
     gaps = np.diff(time)
     period = float(np.median(gaps))
-    is_even = bool(np.all(np.abs(gaps - period) < UNEQUAL_STEP * period))
-    rows = np.arange(len(time)) * period if is_even else np.arange(0.0, time[-1] + 0.5 * period, period)
+    rows = np.arange(len(time)) * period if recording.is_even else np.arange(0.0, time[-1] + 0.5 * period, period)
     commands, currents = _efforts(machine, name, recording)
-    if is_even:
+    if recording.is_even:
         acting, flowing = _one_tick_later(commands, 1.0 / (machine.sample_rate_Hz * period)), currents
     else:
         acting, flowing = (np.column_stack([np.interp(rows, time, column) for column in values.T]) for values in (commands, currents))
@@ -170,16 +172,18 @@ def observed(machine: Machine, name: str, recording: Recording) -> Observed:
     lattice = np.array([drive.resolution for drive in machine.plant.drives])
     steps = np.where(lattice > 0.0, lattice, 1.0)
     acting = np.where((lattice > 0.0) & ~missing, np.floor(acting / steps + 0.5) * steps, acting)
+    without = np.isnan(acting).all(axis=0) & may_be_imposed
+    imposed, acting = tuple(np.array(machine.axes)[without].tolist()), np.where(without, 0.0, acting)
     if np.isnan(acting).any():
         axis = machine.axes[int(np.flatnonzero(np.isnan(acting).any(axis=0))[0])]
         raise RecordingError(f"{name}: neither command_{axis} nor a measured effort of {axis} is complete; one of them is needed")
     channels = tuple(channel for channel in sensor_channels(machine) if channel in recording and np.isfinite(recording[channel]).any())
     readings = recording.matrix(channels) if channels else np.zeros((len(time), 0))
-    if not is_even:
+    if not recording.is_even:
         nearest = np.clip(np.searchsorted(time, rows), 1, len(time) - 1)
         nearest -= rows - time[nearest - 1] < time[nearest] - rows
         readings = np.where((np.abs(time[nearest] - rows) < 0.5 * period)[:, None], readings[nearest], np.nan)
-    return Observed(name, machine, recording, rows, period, acting, flowing, channels, readings, begin_s=float(recording.time[0]))
+    return Observed(name, machine, recording, rows, period, acting, flowing, channels, readings, float(recording.time[0]), imposed)
 
 
 def _efforts(machine: Machine, name: str, recording: Recording) -> tuple[np.ndarray, np.ndarray]:

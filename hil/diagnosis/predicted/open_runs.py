@@ -10,10 +10,9 @@ import numpy as np
 from hil.diagnosis.result import ErrorsOf
 from hil.diagnosis.seen.along import Along
 from hil.diagnosis.seen.assumed import efforts_by_encoders
-from hil.errors import BenchError
-from hil.simulation import Inputs, Simulator
+from hil.simulation import Inputs, Outputs, Simulator
+from hil.simulation.inputs import Restarts
 from hil.simulation.smooth import simulated_matrix, smooth
-from virtual_bus.errors import EmulatorError
 from virtual_bus.settings import EffectSetting
 
 HORIZONS_s = (30.0, 10.0, 3.0, 1.0, 0.3, 0.1)
@@ -101,6 +100,7 @@ class Runs:
         motion = efforts_by_encoders(along)[0]
         driven = list(self.simulator.plant.joint_of_axis().values())
         self.position, self.speed = motion.position[:, driven], motion.speed[:, driven]
+        self.passive, self.motion = self.simulator.plant.free_joints if along.begins.any() else np.zeros(0, dtype=np.int64), motion
         self.speed_deviation = motion.speed_deviation[:, driven]
         self.position_deviation = np.array([along.smooth[joint].noise if joint in along.smooth else 0.0 for joint in driven])
         self.rows, self.period_s = observed.rows, observed.period_s
@@ -123,10 +123,12 @@ class Runs:
             position, speed = self.position[begin], self.speed[begin]
             if shift is not None:
                 position, speed = position + shift[0][number], speed + shift[1][number]
-            inputs = Inputs(None, none, none, command, position, start_speed=speed, first_effort=efforts[0])
-            try:
-                outputs = self.simulator.run(inputs, machine[0], (*self.known, *machine[1]))
-            except (BenchError, EmulatorError):
+            passive = (values[begin : begin + 1, self.passive] for values in (self.motion.position, self.motion.speed))
+            restarts = Restarts(np.zeros(1, dtype=np.int64), self.passive, *passive) if len(self.passive) else None
+            inputs = Inputs(None, none, none, command, position, start_speed=speed, first_effort=efforts[0], restarts=restarts)
+            trial = machine[0], (*self.known, *machine[1])
+            outputs = self.simulator.run_or_error(inputs, *trial) if restarts is None else self.simulator.run_all(inputs, [trial])[0]
+            if not isinstance(outputs, Outputs):
                 return None
             found.append(simulated_matrix(self.simulator.machine, outputs, self.channels) - self.recorded[begin:end])
         return found

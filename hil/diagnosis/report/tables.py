@@ -80,7 +80,7 @@ def hypotheses(diagnosis: Diagnosis) -> list[Block]:
 
 def disturbance_shares(diagnosis: Diagnosis) -> list[Block]:
     """Return on which driven joints effort is missing."""
-    rows = [(name, f"{share:.0%}") for name, share in falling(diagnosis.disturbance.joints)]
+    rows = [(name, f"{share:.0%}") for name, share in falling(diagnosis.lacking)]
     said = "How the power of what the machine file's equations lack divides among the driven joints, each in units of the effort on it."
     return [Text(said), Table(("effort on", "share"), rows, frozenset({1}))] if rows else [Text("No effort is missing.")]
 

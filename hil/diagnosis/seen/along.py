@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.integrate
+import scipy.optimize
 
 from hil.diagnosis.observed.rows import Observed
 from hil.diagnosis.seen.smoothing import Smoothed, smoothed
@@ -61,6 +62,10 @@ class Motion:
     speed: np.ndarray
     acceleration: np.ndarray
     speed_deviation: np.ndarray
+
+    def every(self, rows: int) -> Motion:
+        """Return one row of so many."""
+        return Motion(*(np.ascontiguousarray(each[::rows]) for each in vars(self).values()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +129,8 @@ class Along:
             imu_resolution=np.zeros_like(sensors.imu_resolution), **{name: 0.0 * getattr(sensors, name) for name in lattices}
         )
         self.smooth = self._smoothed()
+        self.imposed = [self.joints.index(drive.joint) for drive in self.settings.drives if drive.axis in observed.imposed]
+        self.begins = self._begins()
 
     def of(self, observed: Observed) -> Along:
         """Return the same with another recording of the same experiment, whose motion is taken from this one."""
@@ -166,11 +173,46 @@ class Along:
         """Which joints (n,) an encoder of their own follows."""
         return np.array([joint in self.smooth for joint in range(len(self.joints))])
 
-    def base(self, model: np.ndarray) -> Motion:
+    def _begins(self) -> np.ndarray:
+        """Return how joints without an encoder begin (4, n): position beside rest, speed, and how unsure both are.
+
+        A recording of the bench begins at rest. In others, joints on springs swing about rest by as much as the others move; those without
+        springs begin as comes nearest to all readings and to the drives' efforts, in the first tenth and then in all rows. What that leaves
+        counts as one reading: errors of equations go together.
+        """
+        observed, found, driven = self.observed, np.zeros((4, len(self.joints))), self.plant.driven_joints
+        unknown = np.setdiff1d(self.plant.free_joints, list(self.smooth))
+        if not len(unknown) or "start_pose" in observed.recording.experiment or observed.recording.metadata.get("initial"):
+            return found
+        is_sprung = np.array([joint.stiffness > 0.0 for joint in self.settings.tree.joints])
+        for row, name in ((2, "position"), (3, "speed")):
+            found[row, unknown] = max((float(np.std(getattr(one, name))) for one in self.smooth.values()), default=0.0)
+        unknown = unknown[~is_sprung[unknown]]
+        if not len(unknown):
+            return found
+        model, fine = self.model(), self.model(fine=True)
+        told = [joint for joint in driven if joint in self.smooth and joint not in self.imposed]
+
+        def off(states: np.ndarray, rows: int) -> np.ndarray:
+            found[:2, unknown] = states.reshape(2, -1)
+            signals = self.signals(self.base(fine, found[:2]).every(FINE), model)
+            left = np.hstack([observed.readings - signals.readings, (signals.given - signals.needed)[:, told]])
+            size = np.append(np.nanstd(observed.readings, axis=0), signals.given[:, told].std(axis=0))
+            return np.nan_to_num(left / np.where(size > 0.0, size, np.inf))[:rows].ravel()
+
+        states = np.zeros(2 * len(unknown))
+        for rows in (observed.rows // 10, observed.rows):
+            best = scipy.optimize.least_squares(off, states, args=(rows,), x_scale="jac")
+            states = best.x
+        unsure = np.sqrt(2.0 * best.cost * np.diag(np.linalg.pinv(best.jac.T @ best.jac, hermitian=True)))
+        found[:, unknown] = np.vstack([states, unsure]).reshape(4, -1)
+        return found
+
+    def base(self, model: np.ndarray, begins: np.ndarray | None = None) -> Motion:
         """Return the slow part of the recorded motion on FINE steps a row, with the other joints carried along by the equations.
 
         It is what the equations are linearised about. It has no faster part since a motion must be smooth between the rows, too.
-        `model` is of `fine_plant`.
+        `model` is of `fine_plant`; `begins` (2, n) are other positions and speeds than `begins` in row 0.
 
         Raises
         ------
@@ -180,12 +222,15 @@ class Along:
         rows, n = (self.observed.rows - 1) * FINE + 1, len(self.joints)
         q, v, a, u = (np.zeros((rows, n)) for _ in range(4))
         for joint, motion in self.smooth.items():
-            finer = _finer(motion.slow, self.observed.period_s)
+            whole = np.column_stack([motion.position, motion.speed, motion.acceleration, motion.speed_deviation])
+            finer = _finer(whole if joint in self.imposed else motion.slow, self.observed.period_s)
             q[:, joint], v[:, joint], a[:, joint], u[:, joint] = finer.T
         carried = ~self.followed
         if carried.any():
             state = resting_state(self.plant, model, q[0, self.plant.driven_joints], held_by_brakes=False)
-            q[0, carried] = state[: self.plant.joints][carried]
+            begins = self.begins[:2] if begins is None else begins
+            q[0, carried] = (state[: self.plant.joints] + begins[0])[carried]
+            v[0, carried] = begins[1][carried]
             substeps = max(1, int(np.ceil(float(model["inner_steps"][0]) / PHASE_OF_A_STEP)))
             if not self._module.carry(model, self._work, carried, substeps, q, v, a):
                 raise BadAnswerError(f"{self.observed.name}: joints without an encoder leave all bounds under the recorded motion")

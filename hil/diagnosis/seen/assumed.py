@@ -93,12 +93,11 @@ def efforts_by_encoders(along: Along) -> tuple[Motion, np.ndarray, np.ndarray]:
 def _by_encoders(along: Along) -> Motion:
     """Return the motion by every joint's own encoder; that of the others by the equations."""
     base = along.base(along.model(fine=True))
-    every = (len(base.position) - 1) // (along.observed.rows - 1)
-    columns = [np.ascontiguousarray(each[::every]) for each in (base.position, base.speed, base.acceleration, base.speed_deviation)]
+    motion = base.every((len(base.position) - 1) // (along.observed.rows - 1))
     for joint, one in along.smooth.items():
-        for values, own in zip(columns, (one.position, one.speed, one.acceleration, one.speed_deviation), strict=True):
-            values[:, joint] = own
-    return Motion(*columns)
+        for name, values in vars(motion).items():
+            values[:, joint] = getattr(one, name)
+    return motion
 
 
 def _density(efforts: Sequence[np.ndarray], period_s: float) -> float:

@@ -174,9 +174,11 @@ class Beside:
         process, start = np.zeros(len(plain.process)), np.zeros(len(plain.process))
         process[2 * n : 3 * n] = levels.disturbance**2 * (1.0 - decay**2)
         start[:n], start[n : 2 * n], start[2 * n : 3 * n] = UNKNOWN_POSITION**2, UNKNOWN_SPEED**2, levels.disturbance**2
+        start[: 2 * n] += self.along.begins[2:].ravel() ** 2
         for joint, motion in self.along.smooth.items():  # what is faster than the base motion
             start[joint] += np.mean((motion.position - motion.slow[:, 0]) ** 2)
             start[n + joint] += np.mean((motion.speed - motion.slow[:, 1]) ** 2)
+        start[self.along.imposed + [n + joint for joint in self.along.imposed]] = 0.0
         start[3 * n :] = felt**2 @ start[: 3 * n]  # what the low passes of an IMU hold
         found = replace(plain, noise=levels.sensors**2, process=process, start=start)
         return found if levels.tones is None else levels.tones.added_to(found, n, self.along.observed.period_s)
@@ -239,7 +241,7 @@ def beside(along: Along, values: np.ndarray | None = None) -> Beside:
     model, fine_model = along.model(values), along.model(values, fine=True)
     fine = along.base(fine_model)
     start, end, imus = along.along_base(fine, fine_model)
-    base = Motion(*(np.ascontiguousarray(each[::FINE]) for each in (fine.position, fine.speed, fine.acceleration, fine.speed_deviation)))
+    base = fine.every(FINE)
     signals = along.signals(base, model, (), imus)
     left = np.hstack([along.observed.readings - signals.readings, along.measured_currents - signals.currents])
     return Beside(along, model, base, imus, signals, signals.given - start, signals.given - end, left)
@@ -275,6 +277,11 @@ def _linearised(self: Beside) -> tuple[Linearised, np.ndarray]:
     n, period = len(along.joints), observed.period_s
     stride = max(1, int(1.0 / (POSES_PER_SECOND * period)))
     inverses, stiffnesses, dampings, of_position, of_speed, of_acceleration = along.linearised(self.base, self.model, stride)
+    if along.imposed:  # no effort moves them, and the others turn beside them
+        free = np.setdiff1d(np.arange(n), along.imposed)
+        inertias = np.linalg.inv(inverses)[:, free[:, None], free]
+        inverses = np.zeros_like(inverses)
+        inverses[:, free[:, None], free] = np.linalg.inv(inertias)
     count, imus = len(inverses), of_position.shape[1]
     size, channels = 3 * n + imus, len(observed.channels) + len(settings.drives)
     at_once = of_acceleration @ inverses

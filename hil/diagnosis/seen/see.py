@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hil.diagnosis.observed.groups import Group, groups
 from hil.diagnosis.observed.in_readings import ShownAt, shown_by_readings
-from hil.diagnosis.observed.rows import observed
+from hil.diagnosis.observed.rows import Observed, observed
 from hil.diagnosis.result import NoiseKind
 from hil.diagnosis.seen.along import Along
 from hil.diagnosis.seen.assumed import assumed_levels, coarsest, efforts_by_encoders
@@ -101,7 +101,8 @@ class Seen:
     @property
     def is_still(self) -> bool:
         """Whether nothing moves."""
-        return set(self.still) >= {each.joint for each in self.missing()}
+        first = self.alongs[0]
+        return set(self.still) >= {first.joints[joint] for joint in first.smooth} & {drive.joint for drive in first.settings.drives}
 
     def missing(self) -> list[Missing]:
         """Return what the machine file's equations lack on every driven joint that an encoder follows."""
@@ -110,7 +111,7 @@ class Seen:
             motion, given, left = efforts_by_encoders(along)
             driven = {drive.joint for drive in along.settings.drives}
             for joint in along.smooth:
-                if along.joints[joint] in driven:
+                if along.joints[joint] in driven and joint not in along.imposed:
                     columns = (motion.position, motion.speed, given, left)
                     values = (each[:, joint] for each in columns)
                     found.append(Missing(along.observed.name, along.joints[joint], along.observed.time, *values))
@@ -124,7 +125,7 @@ class Seen:
             other = along.signals(motion, along.model(values, effects), effects)
             said = (other.needed - nominal.needed) - (other.given - nominal.given)
             driven = {drive.joint for drive in along.settings.drives}
-            found += [said[:, joint] for joint in along.smooth if along.joints[joint] in driven]
+            found += [said[:, joint] for joint in along.smooth if along.joints[joint] in driven and joint not in along.imposed]
         return found
 
 
@@ -145,7 +146,8 @@ def see(machine: Machine, recordings: Mapping[str, Recording], beside: Seen | No
     RecordingError
         Recordings that cannot be used.
     """
-    every, shown = shown_by_readings([observed(machine, name, recording) for name, recording in recordings.items()])
+    read = [with_imposed(observed(machine, name, recording, may_be_imposed=True)) for name, recording in recordings.items()]
+    every, shown = shown_by_readings(read)
     found = groups(every, None if beside is None else beside.alongs[0].observed.channels)
     alongs = [Along(group.mean) for group in found]
     driven = {drive.joint for drive in machine.plant.drives}
@@ -162,6 +164,27 @@ def see(machine: Machine, recordings: Mapping[str, Recording], beside: Seen | No
         alongs = [Along(along.observed.coarser(by)) for along in alongs] if by > 1 else alongs
         levels = assumed_levels(alongs)
     return Seen(found, tuple(alongs), levels, by, shown, freely)
+
+
+def with_imposed(one: Observed) -> Observed:
+    """Return a recording with the efforts that imposed axes would take by the machine file.
+
+    Raises
+    ------
+    RecordingError
+        There is no sensor beside theirs that could tell anything.
+    """
+    if not one.imposed:
+        return one
+    along, axis = Along(one), one.imposed[0]
+    if not set(along.imposed) <= set(along.smooth) or len(one.channels) <= len(along.smooth):
+        needed = f"one of them is needed, or another sensor beside position_{axis}"
+        raise RecordingError(f"{one.name}: neither command_{axis} nor a measured effort of {axis} is complete; {needed}")
+    motion, given, missing = efforts_by_encoders(along)
+    axes, targets = [one.machine.axis_index(name) for name in one.imposed], one.targets.copy()
+    gains = along.plant.drive_gains(along.model(), motion.position[0])
+    targets[:, axes] = (given - missing)[:, along.imposed] / gains[axes]
+    return replace(one, targets=targets)
 
 
 def _step(along: Along, joint: int) -> float:

@@ -20,9 +20,13 @@ def bounded_least_squares(squares: np.ndarray, slopes: np.ndarray, low: np.ndarr
     """
     if not len(slopes):
         return np.zeros(0)
-    scale = np.sqrt(np.maximum(np.diag(squares), 1e-300))
+    scale = np.sqrt(np.maximum(np.abs(np.diag(squares)), 1e-300))
     scaled = squares / scale[:, None] / scale
-    root = np.linalg.cholesky(scaled + ROUNDING * np.eye(len(slopes)))
+    try:
+        root = np.linalg.cholesky(scaled + ROUNDING * np.eye(len(slopes)))
+    except np.linalg.LinAlgError:  # where stretches were subtracted, a direction that they alone determine may be below zero
+        values, vectors = np.linalg.eigh(scaled)
+        root = np.linalg.cholesky(vectors * (np.maximum(values, 0.0) + 2.0 * ROUNDING) @ vectors.T)
     target = np.linalg.solve(root, slopes / scale)
     low = np.where(np.isinf(low), -FARTHEST, low)
     high = np.maximum(np.where(np.isinf(high), FARTHEST, high), low + 1e-12 * (1.0 + np.abs(low)))

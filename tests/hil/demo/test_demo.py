@@ -16,7 +16,7 @@ from drivers.errors import DriverError
 from hil.demo.hidden import LIMITS, TIMES, Envelope, drawn, stronger
 from hil.demo.judged import judged
 from hil.demo.recorded import TOLERANCE, answered_by, demo_machine, recorded
-from hil.diagnosis.result import Diagnosis, DisturbanceShares, EffectAt, Finding, Fit, Location, Stages, Verdict
+from hil.diagnosis.result import Diagnosis, EffectAt, Finding, Verdict
 from hil.diagnosis.tuned.numbers import TUNED
 from hil.machine import Machine
 from hil.machine.effects_file import read_effects_file
@@ -40,10 +40,7 @@ def hidden(*names: tuple[str, str]) -> tuple[EffectSetting, ...]:
 def answer(verdict: Verdict, *names: tuple[str, str], instead: tuple[tuple[str, str], ...] = ()) -> Diagnosis:
     others = (tuple(EffectAt(*one) for one in instead),) if instead else ()
     findings = tuple(Finding(EffectAt(*one), 0.5, {}, ambiguous_sets=others) for one in names)
-    nothing = Stages(None, None, None, None, None)
-    return Diagnosis(
-        verdict, "", findings, (), {}, {}, "repeats", Location(), Fit({}, nothing, None, None, None), 0.0, 0.0, DisturbanceShares()
-    )  # fmt: skip
+    return Diagnosis(verdict=verdict, reason="", findings=findings, noise="repeats", seconds=0.0)
 
 
 def test_every_number_that_a_diagnosis_retunes_is_known_to_one_percent(machine: Machine) -> None:

@@ -14,7 +14,7 @@ from hil.diagnosis.answered.values import Answered
 from hil.diagnosis.diagnose import diagnose
 from hil.diagnosis.report.page import missing_charts, write_report
 from hil.diagnosis.report.waterfall import left_above_noise, waterfall_figure
-from hil.diagnosis.result import DisturbanceShares, EffectAt, ErrorsOf, Stages
+from hil.diagnosis.result import EffectAt, ErrorsOf, Stages
 from hil.recording import Channel
 
 COULOMB_N = 20.0  # of the friction in conftest.py
@@ -67,9 +67,7 @@ def test_places_and_speeds_and_efforts_have_their_units(friction: Answered, tmp_
 
 
 def test_an_answer_without_findings_says_so(friction: Answered, tmp_path: Path) -> None:
-    nothing = replace(
-        friction.diagnosis, findings=(), hypotheses=(), disturbance=DisturbanceShares(), verdict="consistent", reason="nothing"
-    )
+    nothing = replace(friction.diagnosis, findings=(), hypotheses=(), lacking={}, verdict="consistent", reason="nothing")
     bare = write_report(replace(friction, diagnosis=nothing, effects=()), tmp_path).read_text(encoding="utf-8")
     assert "No effort is missing." in bare
     assert "Consistent: nothing." in bare

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from places import BENCHMARKS, DATA, needs_data
 
+from hil.diagnosis.audit.audit import audit
 from hil.diagnosis.audit.controller import audit_controllers, command_resolution, controllers_of
 from hil.machine import Machine, load_machine
 from hil.recording import Channel, Recording, read_recording, recording_metadata
@@ -37,6 +38,17 @@ def test_a_sound_controller_is_as_filed(machine: Machine) -> None:
     assert audit.status == "as_filed"
     assert audit.gain.value == pytest.approx(1.0, abs=1e-6)
     assert audit.delay_s.value == 0.0
+
+
+def test_a_gain_that_was_changed_between_recordings_is_told_of_its_own(machine: Machine) -> None:
+    """No one law gives the commands of both."""
+    rng = np.random.default_rng(SEED)
+    both = {"before": closed_loop(machine, rng, {}), "after": closed_loop(machine, rng, {"gain": 0.8})}
+    axis = audit(machine, both).axes[0]
+    assert axis.status == "differs"
+    assert axis.gain.value == pytest.approx(0.8, abs=1e-4)
+    assert axis.said.startswith(f"after: {machine.axes[0]}: the recorded command is 0.800 times")
+    assert "before" not in axis.said
 
 
 def test_a_command_of_another_origin_is_unknown(machine: Machine) -> None:
