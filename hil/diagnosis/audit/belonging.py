@@ -261,8 +261,8 @@ class _Weighing:
     def _dynamics(self, slow: _Slow, with_springs: bool = True) -> dict[str, _Balance]:
         """Return what the rigid equation says of each axis's effort."""
         found = {}
-        for axis, *columns in self._efforts(slow):
-            left, gain, is_believed = balanced(*columns, with_springs=with_springs)
+        for axis, given, needed, position, speed in self._efforts(slow):
+            left, gain, is_believed = balanced(given, needed, position, speed, with_springs)
             unexplained = slow.samples * float(np.log(np.clip(left, RIGHT, UNEXPLAINED) / UNEXPLAINED))
             drive = next(drive for drive in self.machine.plant.drives if drive.axis == axis)
             joint = self.machine.plant.tree.joints[self._joints.index(drive.joint)]
@@ -285,9 +285,8 @@ class _Weighing:
                 if alike < NOTHING and 0.0 < np.std(running(current)) < MOST_NOISE * np.std(running(command)):
                     yield name, f"{name} does not follow command_{axis} (correlation {alike:.2f}): it is of another axis or recording"
         balances = {} if slow is None else self._dynamics(slow)
-        for axis, *columns in self._efforts(slow):
-            given, needed = columns[:2]
-            left, gain, _ = balanced(*columns, with_springs=True)
+        for axis, given, needed, position, speed in self._efforts(slow):
+            left, gain, _ = balanced(given, needed, position, speed, with_springs=True)
             if left > 1.0 - NOTHING**2 and np.std(needed) > NOTHING * np.std(given) and axis not in self.lawful:
                 name = even.names["command" if ("command", axis) in has else "current", axis]
                 yield name, f"{name} and position_{axis} are not of one recording: the motion explains {1.0 - left:.0%} of the effort"
