@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
-from statistics import median
+from types import SimpleNamespace
 
 import can
 import numpy as np
@@ -493,12 +493,19 @@ def test_a_priority_that_is_refused_keeps_nothing_from_running(bench: Bench, mon
 
 
 def test_a_round_waits_for_frames_for_half_a_period(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    waits: list[float] = []
-    receive = process._Tap.receive
-    monkeypatch.setattr(process._Tap, "receive", lambda tap, timeout_s: (waits.append(timeout_s), receive(tap, timeout_s))[1])
+    half_s, waits, clock = 0.5 * SETTINGS.sync_period_s, [], SimpleNamespace(now_s=100.0)  # a clock that goes on only while it waits
+
+    def receive(tap: process._Tap, timeout_s: float) -> tuple[int, bytes] | None:
+        waits.append(timeout_s)
+        comes = len(waits) == 1
+        clock.now_s += 0.25 * half_s if comes else timeout_s
+        return (SYNC, b"") if comes else None
+
+    monkeypatch.setattr(process._Tap, "receive", receive)
+    monkeypatch.setattr(process, "time", SimpleNamespace(monotonic=lambda: clock.now_s))
     bench.run(rounds=20)
-    assert 0.25 * SETTINGS.sync_period_s < max(waits) <= 0.5 * SETTINGS.sync_period_s
-    assert median(waits) > 0.0  # a busy computer may be late for one
+    rounding_s = 1e-12
+    assert [wait for wait in waits if wait > rounding_s] == pytest.approx([half_s, 0.75 * half_s, *[half_s] * 20], abs=rounding_s)
 
 
 def test_a_round_that_took_long_was_held_up(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
