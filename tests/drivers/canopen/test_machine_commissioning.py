@@ -268,9 +268,7 @@ def test_dry_friction_that_bends_under_the_holding_effort_and_then_stands_is_no_
 
 def test_an_axis_that_creeps_on_under_its_holding_effort_is_not_pushed(rig: Rig) -> None:
     creeps(rig, 500, 3.0)
-    with pytest.raises(
-        MotionRefusedError, match=r"propeller: moves by \+.* under its holding effort of 0 alone; the hold"
-    ):
+    with pytest.raises(MotionRefusedError, match=r"propeller: moves by \+.* under its holding effort of 0 alone; the hold"):
         rig.machine.home()
     assert rig.at_rest()
 
