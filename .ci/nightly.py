@@ -17,8 +17,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 MINUTES = 90.0
 FAILED, LEFT = 1, 3
-WHEEL = "wheel"
-"""The journeys of the README from an installed wheel: a proof of its own, `.ci/wheel`."""
+SCRIPTS = ("wheel", "supervisor")
+"""Proofs of their own beside this file: the journeys of the README from an installed wheel; the supervisor's coverage and mutants."""
 
 
 def git(*words: str) -> str:
@@ -46,8 +46,8 @@ def tests() -> list[str]:
 
 def outcome(proof: str, seconds: float) -> str:
     """Run a proof and all it starts, for so long at most: `passed`, `failed`, `skipped` or `out of time`."""
-    if proof == WHEEL:
-        words = ["bash", str(ROOT / ".ci" / "wheel")]
+    if proof in SCRIPTS:
+        words = ["bash", str(ROOT / ".ci" / proof)]
     else:
         words = [sys.executable, "-m", "pytest", "-q", "-rs", "-o", "addopts=", "-p", "no:cacheprovider", proof]
     with subprocess.Popen(
@@ -63,7 +63,7 @@ def outcome(proof: str, seconds: float) -> str:
     if process.returncode:
         print(printed, flush=True)
         return "failed"
-    if proof != WHEEL and (re.search(r"\d+ skipped", printed) or not re.search(r"[1-9]\d* passed", printed)):
+    if proof not in SCRIPTS and (re.search(r"\d+ skipped", printed) or not re.search(r"[1-9]\d* passed", printed)):
         print(printed, flush=True)
         return "skipped"
     return "passed"
@@ -79,7 +79,7 @@ def main() -> int:
     path = ROOT / "build" / "nightly" / f"{tree()}.json"
     path.parent.mkdir(parents=True, exist_ok=True)
     kept: dict[str, str] = json.loads(path.read_text()) if path.exists() else {}
-    proofs = [WHEEL, *tests()]
+    proofs = [*SCRIPTS, *tests()]
     if options.list:
         for proof in proofs:
             print(f"{kept.get(proof, 'left'):12s} {proof}")

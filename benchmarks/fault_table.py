@@ -12,7 +12,6 @@ from collections import Counter
 from pathlib import Path
 
 VERDICTS = ("stopped", "noted", "within tolerance", "unnoticed", "cannot be held", "not at rest", "never began", "did not end")
-SAID = 220  # characters
 
 
 def main() -> None:
@@ -31,7 +30,7 @@ def main() -> None:
             and {key: round(value, 4) if isinstance(value, float) else value for key, value in row["budget"].items()},
             "ending": row["ending"],
             "contradicted": row["contradicted"],
-            "said": row["said"] if len(row["said"]) <= SAID else row["said"][: SAID - 1] + "…",
+            "said": row["said"],
         }
         for row in table["faults"]
     ]

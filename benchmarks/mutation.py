@@ -9,6 +9,7 @@ on where it was stopped:
     python benchmarks/mutation.py
     python benchmarks/mutation.py supervisor --sample 50
 
+It ends with status 1 where fewer died than are asked.
 The work is kept in build/mutation; after a change of the code the changed functions alone are tried again, after a change of the tests
 all that had survived. `--sample` tries so many mutants of each module, drawn with `--seed`. Survivors that no test can notice, because
 the program does the same with them, are named with the reason in mutation_equivalents.toml; a reason whose mutant is no more is told.
@@ -266,6 +267,7 @@ def main() -> None:
     known = tomllib.loads(EQUIVALENTS.read_text(encoding="utf-8"))["mutant"]
     reasons = {(each["module"], each["was"], each["becomes"]): each["reason"] for each in known}
     results = json.loads(arguments.results.read_text(encoding="utf-8")) if arguments.results.exists() else {}
+    too_few = []
     for name in arguments.parts or PARTS:
         tree = Tree(name)
         if arguments.anew:
@@ -276,11 +278,14 @@ def main() -> None:
         results = {key: part if key == name else results[key] for key in PARTS if key == name or key in results}
         arguments.results.write_text(json.dumps(results, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
         print(f"{name}: {part['dead_share']:.1%} of {part['tried']} mutants died, {part['asked_share']:.0%} are asked")
+        too_few += [name] if part["dead_share"] < part["asked_share"] else []
         lines = {(module, each["was"], each["becomes"]) for module, of in part["modules"].items() for each in of["survivors"]}
         if not arguments.sample:
             for module, was, becomes in sorted(set(reasons) - lines):
                 if module in part["modules"]:
                     print(f"{EQUIVALENTS.name}: {module}: no mutant makes {was!r} {becomes!r}")
+    if too_few:
+        sys.exit(f"too few mutants died: {', '.join(too_few)}")
 
 
 if __name__ == "__main__":

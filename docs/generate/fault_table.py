@@ -12,6 +12,9 @@ from docs.generate.markdown import page as whole
 
 FILE = Path(__file__).resolve().parents[2] / "benchmarks" / "results" / "faults_carm.json"
 
+SAID = 220
+"""Characters of what was said; all of it is in the results."""
+
 INTRODUCTION = """
 Every fault of the [catalogue](faults.md), injected into the emulated C-arm in a run of its own while {axis} sweeps at
 {speed:.2f} {unit}/s: {count} rows. Time and travel of {axis} count from the fault to rest. *Stopped*: the run ended with an
@@ -51,8 +54,12 @@ def _cells(row: dict[str, Any]) -> list[str]:
         *numbers,
         _budget(row),
         row["ending"].removeprefix("held by "),
-        code(row["said"].replace("`", "'")),
+        code(_short(row["said"]).replace("`", "'")),
     ]
+
+
+def _short(said: str) -> str:
+    return said if len(said) <= SAID else said[: SAID - 1] + "…"
 
 
 def _kept(row: dict[str, Any]) -> bool:

@@ -11,7 +11,7 @@ from drivers.canopen.units import in_data_sheet, units_of, whole_speed
 from drivers.errors import BusTimeoutError, MotionRefusedError
 from drivers.settings import HomingSettings
 
-DRIFT_WATCH_S = 0.1  # how long an axis is watched under holding effort alone before it is pushed
+DRIFT_WATCH_S = 0.1  # how long an axis must stand under holding effort alone before it is pushed
 RAMP_SHARE = 0.5  # share of the direction check's time-out in which the effort rises
 SAMPLE_TIMEOUT_S = 1.0  # for one row in which motor side and link encoder both answered
 AVERAGING_S = 0.5  # a flexible structure swings on after a brake has closed; the mean over some of its periods is its rest position
@@ -74,16 +74,10 @@ def check_first_move(machine: Machine, axis: int, settings: HomingSettings, hold
     Raises
     ------
     MotionRefusedError
-        It moves under holding effort alone, the wrong way, or not at all; or the link encoder does not follow.
+        It moves on under holding effort alone, the wrong way, or not at all; or the link encoder does not follow.
     """
     name, unit, travel = machine.axes[axis], machine.scalings[axis].position_unit, settings.direction_check_travel
-    start, link_start = _positions(machine, axis, holding)
-    power_and_brakes.run_for(machine, DRIFT_WATCH_S, lambda _: holding)
-    drift = _positions(machine, axis, holding)[0] - start
-    if abs(drift) >= travel:
-        raise MotionRefusedError(
-            f"{name}: moves by {drift:+.2e} {unit} under its holding effort of {holding[axis]:.3g} alone; the holding effort is wrong"
-        )
+    start, link_start = _stand_under_holding_effort(machine, axis, settings, holding)
     push = _push_until_moved(machine, axis, settings, holding, start)
     position, link = _positions(machine, axis, holding)
     moved, link_moved = position - start, link - link_start
@@ -93,6 +87,27 @@ def check_first_move(machine: Machine, axis: int, settings: HomingSettings, hold
             "the link encoder counts the wrong way, or is not on this axis"
         )
     return f"{name}: moved {moved:+.2e} {unit} when pushed by {push:+.3g}, the right way"
+
+
+def _stand_under_holding_effort(machine: Machine, axis: int, settings: HomingSettings, holding: np.ndarray) -> tuple[float, float]:
+    """Watch an axis under its holding effort alone until it stands; return where its motor side and its link do.
+
+    What its gravity differs from the holding effort by, dry friction takes up, which bends before it slides: such an axis moves a little
+    and stands. One that moves on until its encoders would have to agree no more is held by nothing.
+    """
+    name, unit = machine.axes[axis], machine.scalings[axis].position_unit
+    position, link = began, _ = _positions(machine, axis, holding)
+    while True:
+        before = position
+        power_and_brakes.run_for(machine, DRIFT_WATCH_S, lambda _: holding)
+        position, link = _positions(machine, axis, holding)
+        if abs(position - before) < settings.direction_check_travel:
+            return position, link
+        if abs(position - began) >= settings.agreement_tolerance:
+            raise MotionRefusedError(
+                f"{name}: moves by {position - began:+.2e} {unit} under its holding effort of {holding[axis]:.3g} alone; "
+                "the holding effort is wrong"
+            )
 
 
 def _push_until_moved(machine: Machine, axis: int, settings: HomingSettings, holding: np.ndarray, start: float) -> float:

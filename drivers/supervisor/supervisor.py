@@ -234,7 +234,7 @@ class _Axis:
         beyond = max(limits.lower - self.link_at, self.link_at - limits.upper)
         outwards = self.link.speed if self.link_at > limits.upper else -self.link.speed
         if beyond > limits.tracking_error and outwards > 0.0:
-            return f"{self.name}: at {self.link_at:+.3f} {unit}, out of its range and moving on"
+            return f"{self.name}: its link shows {self.link_at:+.3f} {unit}, out of its range and moving on"
         return ""
 
 

@@ -35,12 +35,14 @@ class Told:
 
     def outcome(self) -> FaultOutcome | None:
         """Return what became of the machine since its last fault began; None: none began."""
+        from hil.faults.budget import standing
         from virtual_bus.faults.outcome import outcome_of
 
         onsets = [event.time_s for event in self.events if event.begins]
         if not onsets or self.motion is None or not len(self.motion):
             return None
-        return outcome_of(self.motion, min(max(onsets), float(self.motion.time_s[-1])))
+        stands = [standing(self.machine, axis) for axis in self.machine.axes]
+        return outcome_of(self.motion, min(max(onsets), float(self.motion.time_s[-1])), stands)
 
     def say(self, answer: Answer) -> None:
         """Print when each fault began and ended, and a line for every axis."""

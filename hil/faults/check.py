@@ -166,7 +166,8 @@ def run_trial(machine: Machine, axis: str, trial: FaultTrial, motion: Motion) ->
     run = _run(machine, trial.settings, motion)
     onsets = [event.time_s for event in run.events if event.begins]
     onset_s = min(max(onsets), float(run.motion.time_s[-1])) if onsets and len(run.motion) else math.nan
-    outcome = outcome_of(run.motion, onset_s) if onsets and len(run.motion) else None
+    stands = [standing(machine, each) for each in machine.axes]
+    outcome = outcome_of(run.motion, onset_s, stands) if onsets and len(run.motion) else None
     complete = len(onsets) == len(trial.settings) or run.stopped
     verdict = _verdict(trial, run, outcome, complete=complete)
     if verdict == "unnoticed" and _as_sound(machine, axis, motion, run.positions):
@@ -174,7 +175,7 @@ def run_trial(machine: Machine, axis: str, trial: FaultTrial, motion: Motion) ->
     said, begun = "; ".join(run.lines), [event.label.partition(" at ")[0] for event in run.events if event.begins]
     assert machine.bus is not None  # a machine without one has no faults
     counts = [scaling.position_resolution for scaling in machine.bus.scalings]
-    witness = Witness(run.motion, run.said_row, [standing(machine, each) for each in machine.axes], counts, begun, run.rows)
+    witness = Witness(run.motion, run.said_row, stands, counts, begun, run.rows)
     return TrialOutcome(
         trial.name,
         trial.kind,
@@ -194,7 +195,7 @@ def run_trial(machine: Machine, axis: str, trial: FaultTrial, motion: Motion) ->
         outcome.watched_s if outcome is not None else 0.0,
         outcome.axes if outcome is not None else (),
         budget_use(machine, axis, trial, run.motion, onset_s) if verdict == "stopped" else None,
-        tuple(contradictions(said, witness)) if run.stopped and len(run.motion) else (),
+        tuple(contradictions(said, witness)) if len(run.motion) else (),
         round(time.process_time() - began_s, 2),
     )
 
@@ -259,8 +260,8 @@ def _verdict(trial: FaultTrial, run: _Run, outcome: FaultOutcome | None, *, comp
         return "never began"
     if not outcome.at_rest:
         moving = [axis.ending == "moving" for axis in outcome.axes]
-        driven = run.motion.effort[-1][moving].any()
-        return "cannot be held" if trial.brake == "absent" and run.lines[-1].startswith(KEEP_AWAY) and not driven else "not at rest"
+        lost = trial.brake in ("slipping", "absent") and not run.motion.effort[-1][moving].any()
+        return "cannot be held" if lost and run.lines[-1].startswith(KEEP_AWAY) else "not at rest"
     if run.stopped:
         return "stopped"
     return "noted" if run.lines else "unnoticed"

@@ -1,7 +1,7 @@
-"""What a run said, held against what truly was: every sentence about the machine's state that the truth contradicts.
+"""What a run said, held against what truly was: every sentence about the machine's state, or a cause, that the truth contradicts.
 
-Sentences that tell what a device reports, or what was measured, are no claims about the machine. Any other sentence with a word of
-`STATE_WORDS` must be one of those that are checked here, so that no new one goes unchecked.
+Of states the log of the true motion is the judge, of causes the faults that had begun (`hil.faults.causes`). A sentence that neither knows
+is found by `unlisted`; one with a word of `STATE_WORDS` counts as a contradiction, so that no claim about the machine goes unchecked.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 
 from drivers.canopen.axis_rest import NOT_PROVEN
 from drivers.errors import KEEP_AWAY
+from hil.faults.causes import ADVICE, is_true, told_cause
 from virtual_bus.faults.motion_log import HOLDING, MotionLog
 
 STATE_WORDS = re.compile(r"\b(rest|stopped|held|holds|moves?|MOVES|stands?|stand|released|opened|closed|voltage|moved)\b")
@@ -102,36 +103,10 @@ OF_THE_RUN: tuple[tuple[str, Callable[[Witness, re.Match[str]], bool]], ...] = (
     (r"nothing was recorded", lambda w, said: w.rows == 0),
     (r"nothing was moved", lambda w, said: not w.log.speed[: w.said_row].any()),
 )  # fmt: skip
-REPORTED = re.compile(
-    "|".join(
-        (
-            r"brake of [\w, ]+: not (open|closed) within [\d.]+ s by its feedback",
-            r"(row \d+: )?[\w, ]+: its brake reports closed during the (run|motion)",
-            r"(row \d+: )?\w+: (motor side|link encoder): (moved by|no position).*",
-            r"(row \d+: )?\w+: (its motor side moved by|tracking error|no position|position|link position) .*",
-            r"(row \d+: )?\w+: (its motor side|its link encoder|link encoder) .*",
-            r"\w+: (moves by|moved) .* (alone|on a positive effort|when pushed .*|where .* was expected .*)",
-            r"\w+: the motor side moved .*",
-            r"\w+: homing by method \d+.*",
-            r"one of them is frozen, counts the wrong way, or the gear between them slips",
-            r"from [\d.]+ s on, .*",
-            r".*rows are marked\)",
-            r"\w+ \(node \d+\): left oper.*",
-            r"EMCY [0-9A-F]+h: .*",
-            r"nobody knows of hold-to-run, door and brakes.*",
-            r"the supervisor took its permission back: .*",
-            r"stopping the motors ran into .*",
-            r"standstill [\d.]+ s after the stop began.*",
-            r"\w+: at [-+.\d]+ \w+, out of its range and moving on",
-            r"press and hold it|the holding effort is wrong|the position is not known.*",
-        )
-    )
-)
-"""Sentences about what was measured or reported."""
 
 
 def contradictions(said: str, witness: Witness) -> list[str]:
-    """Return every claim in the words of a run that the truth contradicts, and every sentence about its state that nobody checks.
+    """Return every claim in the words of a run that the truth contradicts, and every sentence about a state that nobody checks.
 
     Parameters
     ----------
@@ -156,8 +131,31 @@ def contradictions(said: str, witness: Witness) -> list[str]:
             found += [f"{axis}: {text}" for axis in checked]
         elif (holds := _of_run(text, witness)) is not None:
             found += [] if holds else [text]
-        elif STATE_WORDS.search(text) and not REPORTED.fullmatch(text):
+        elif (kinds := told_cause(text)) is not None:
+            found += [] if is_true(kinds, witness.faults) else [text]
+        elif STATE_WORDS.search(text) and not ADVICE.fullmatch(text):
             found.append(f"nobody checks: {text}")
+    return found
+
+
+def unlisted(said: str, axes: Sequence[str]) -> list[str]:
+    """Return every sentence in the words of a run that no table knows.
+
+    Parameters
+    ----------
+    said : str
+    axes : sequence of str
+        Of the machine.
+    """
+    states = [pattern for pattern, _ in (*OF_AN_AXIS, *OF_THE_SAME_AXIS)] + [pattern for pattern, _ in OF_THE_RUN]
+    names = "|".join(map(re.escape, axes))
+    found = []
+    for sentence in said.removeprefix(f"{KEEP_AWAY}: ").split("; "):
+        text = sentence.removeprefix("the motors were stopped: ").removeprefix("found under voltage at the start, and ")
+        state = re.sub(rf"^(?:{names})(?:, (?:{names}))* ", "", text)
+        known = any(re.fullmatch(pattern, words) for pattern in states for words in (state, text))
+        if text and not known and told_cause(text) is None and not ADVICE.fullmatch(text):
+            found.append(sentence)
     return found
 
 

@@ -9,7 +9,6 @@ from hil.errors import UnusableInputError
 from hil.faults.motion import MotionName, motion_of
 from hil.machine import Machine
 from hil.machine.faults_file import places_of
-from virtual_bus.faults.binding import FaultPlaces
 from virtual_bus.faults.condition import Comparison, Condition, InState
 from virtual_bus.faults.fault import Brake, FaultKind, FaultSetting, Group, Phase, Trial
 from virtual_bus.faults.registry import fault_kinds
@@ -31,7 +30,13 @@ _STATE_OF: dict[Phase, str] = {
     "settled": "settled",
     "stop": "settled",
 }
-_BRAKE_FAULTS: dict[Brake, tuple[str, dict[str, float]]] = {"weak": ("brake_weak", {"share": 0.2}), "absent": ("brake_stays_open", {})}
+_BRAKE_FAULTS: dict[Brake, tuple[str, dict[str, float]]] = {
+    "weak": ("brake_weak", {"share": 0.2}),
+    "slipping": ("brake_weak", {"share": 0.1}),
+    "absent": ("brake_stays_open", {}),
+}
+_FROZEN = {"drive": "motor_encoder_frozen", "encoder": "link_encoder_frozen"}
+"""What makes an axis blind, by the role of the node."""
 _NEEDS_METHOD = {"limit_switch_stuck": (17, 18), "index_pulse_missing": (33, 34), "homing_wrong_direction": (17, 18, 33, 34)}
 """Faults that only show where the axis is homed by one of these methods."""
 
@@ -50,7 +55,7 @@ class FaultTrial:
     settings : tuple of FaultSetting
         The fault, and behind it what ends the run where its phase asks for a stop.
     brake : Brake
-        The axis's brake fails as well: where the drive does not hold, an axis without one cannot be held.
+        The axis's brake fails as well: where the drive does not hold, an axis whose brake slips or is absent cannot be held.
     killed : bool
         All processes of the bench are killed afterwards.
     """
@@ -82,13 +87,12 @@ def trials(machine: Machine, axis: str, only: Collection[str] = (), motion: Moti
     UnusableInputError
         One of `only` is neither, or no row is left.
     """
-    places = places_of(machine)
     speed = motion_of(machine, axis, motion).speed
     rows = [
         row
         for kind in fault_kinds().values()
         if _shows(kind, machine, axis)
-        for row in _rows(kind, places, _at(kind, machine, axis), axis, speed, motion)
+        for row in _rows(kind, machine, _at(kind, machine, axis), axis, speed, motion)
     ]
     unknown = [name for name in only if not any(name in (row.name, row.kind) for row in rows)]
     if unknown:
@@ -111,31 +115,36 @@ def _at(kind: FaultKind, machine: Machine, axis: str) -> tuple[str, ...]:
     return tuple(place for place in places.of(kind.at) if place in here)
 
 
-def _rows(kind: FaultKind, places: FaultPlaces, at: tuple[str, ...], axis: str, speed: float, motion: MotionName) -> Iterator[FaultTrial]:
+def _rows(kind: FaultKind, machine: Machine, at: tuple[str, ...], axis: str, speed: float, motion: MotionName) -> Iterator[FaultTrial]:
+    places = places_of(machine)
     for place in at:
         for trial in kind.trials:
             if (trial.during == "stop" and not places.io) or (trial.brake != "good" and axis not in places.of("brake")):
                 continue
             if motion == "scan" or trial.during != "settled":
-                yield _row(kind, places, place, trial, axis, speed, stands=motion == "scan")
+                yield _row(kind, machine, place, trial, axis, speed, stands=motion == "scan")
 
 
-def _row(kind: FaultKind, places: FaultPlaces, at: str, trial: Trial, axis: str, speed: float, *, stands: bool) -> FaultTrial:
+def _row(kind: FaultKind, machine: Machine, at: str, trial: Trial, axis: str, speed: float, *, stands: bool) -> FaultTrial:
+    assert machine.bus is not None
     values = {parameter.name: trial.values.get(parameter.name, parameter.default) for parameter in kind.parameters}
     lasting = float("inf") if trial.for_s is None else trial.for_s
     settings = [FaultSetting(kind.name, at, values, _when(trial.during, axis, speed, stands=stands), 0.0, lasting)]
     if trial.during == "stop":
         settings.append(FaultSetting("hold_to_run_released", "io", {}, _when("sweep", axis, speed, stands=stands)))
     if trial.killed:
-        settings += [
-            FaultSetting(dead, place, {}, settings[0].when, KILLED_AFTER_S) for dead, place in KILLED if place != "io" or places.io
-        ]
+        there = [(dead, place) for dead, place in KILLED if place != "io" or machine.bus.io is not None]
+        settings += [FaultSetting(dead, place, {}, settings[0].when, KILLED_AFTER_S) for dead, place in there]
+    if trial.blind:
+        nodes = [node for node in machine.bus.nodes if node.axis == axis and node.role in _FROZEN]
+        settings += [FaultSetting(_FROZEN[node.role], node.name, {}, settings[0].when) for node in nodes]
     if trial.brake != "good":
         name, fails = _BRAKE_FAULTS[trial.brake]
         settings.insert(0, FaultSetting(name, axis, fails, _when("stop", axis, speed, stands=stands)))
     more = [f"{name}={int(value):04X}h" if name == "index" else f"{name}={value:g}" for name, value in trial.values.items()]
     more += [] if trial.for_s is None else [f"for_s={trial.for_s:g}"]
-    more += {"good": [], "weak": ["weak_brake"], "absent": ["without_brake"]}[trial.brake]
+    more += {"good": [], "weak": ["weak_brake"], "slipping": ["slipping_brake"], "absent": ["without_brake"]}[trial.brake]
+    more += ["encoders_frozen"] if trial.blind else []
     more += ["killed"] if trial.killed else []
     name = "/".join((kind.name, at, trial.during.replace(" ", "_"), *more))
     return FaultTrial(name, kind.name, at, kind.group, trial.during, tuple(settings), trial.brake, trial.killed)

@@ -42,8 +42,9 @@ Budget = Literal["asked", "position_lost", "drive_fault", "node_silent", "torque
 Phase = Literal["start", "operational", "first move", "homing", "settled", "sweep", "stop"]
 """Part of a run in which the table of faults tries a fault; "stop": from the start of a sweep that hold-to-run ends."""
 
-Brake = Literal["good", "weak", "absent"]
-"""The axis's brake in a trial: with a fifth of its torque, or open for ever, from standstill on. Without drive and brake nothing holds."""
+Brake = Literal["good", "weak", "slipping", "absent"]
+"""The axis's brake in a trial, from standstill on: with a fifth of its torque, with a tenth, which an arm's load exceeds, or open for ever.
+Without the drive nothing holds an axis whose brake slips or is absent."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +74,7 @@ class Trial:
     values: Mapping[str, float] = field(default_factory=dict)
     for_s: float | None = None  # None: for ever
     brake: Brake = "good"
+    blind: bool = False  # both encoders of the axis freeze as well
     killed: bool = False  # all processes of the bench are killed shortly afterwards: nothing reaches bus and I/O any more
 
 

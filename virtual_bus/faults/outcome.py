@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -15,9 +16,6 @@ from virtual_bus.faults.motion_log import HOLDING, MotionLog
 
 SWING_S = 0.25
 """Time that tells standstill from a turning point: two periods of the slowest vibration."""
-
-SHAKE = 5e-3
-"""rad or m: range within which an axis that a drive holds is at rest though it is faster than `STILL_SPEED`; a noisy one shakes it."""
 
 Ending = Literal["moving", "held by its brake", "held by its drive", "held by both", "at rest, held by nothing"]
 
@@ -121,11 +119,19 @@ def standstill_of(log: MotionLog, axis: str, onset_s: float, moved: float, *, fr
     return Standstill(float(time_s[last] - time_s[first]), float(np.abs(np.diff(position[first : last + 1])).sum()))
 
 
-def outcome_of(log: MotionLog, onset_s: float) -> FaultOutcome:
+def outcome_of(log: MotionLog, onset_s: float, standing: Sequence[float]) -> FaultOutcome:
     """Return what became of every axis from a time on.
 
-    An axis is at rest from the last instant at which it was faster than `STILL_SPEED`, if that is `REST_S` or more before the log ends; one
-    that its drive holds also from when it is within `SHAKE`.
+    An axis is at rest from the last instant at which it was faster than `STILL_SPEED`, if that is `REST_S` or more before the log ends. One
+    that its drive holds, and shakes by its noise, is so too from when it stays within the range of an axis that stands.
+
+    Parameters
+    ----------
+    log : MotionLog
+    onset_s : float
+        Machine time [s].
+    standing : sequence of float
+        By axis: how far one may swing that stands, as its stop judges it [rad or m].
 
     Raises
     ------
@@ -140,19 +146,22 @@ def outcome_of(log: MotionLog, onset_s: float) -> FaultOutcome:
     time_s, position, speed = time_s[first:], log.position[first:], log.speed[first:]
     last_brake, last_drive = log.brake[-1], log.drive[-1]
     axes = tuple(
-        _axis_outcome(axis, time_s, position[:, index], speed[:, index], last_brake[index], int(last_drive[index]))
+        _axis_outcome(axis, time_s, position[:, index], speed[:, index], last_brake[index], int(last_drive[index]), standing[index])
         for index, axis in enumerate(log.axes)
     )
     return FaultOutcome(onset_s, float(time_s[-1] - time_s[0]), axes)
 
 
-def _axis_outcome(axis: str, time_s: np.ndarray, position: np.ndarray, speed: np.ndarray, brake: float, drive: int) -> AxisOutcome:
+def _axis_outcome(
+    axis: str, time_s: np.ndarray, position: np.ndarray, speed: np.ndarray, brake: float, drive: int, standing: float
+) -> AxisOutcome:
     fast = np.flatnonzero(np.abs(speed) > STILL_SPEED)
     last = int(fast[-1]) if len(fast) else 0
     at_rest = not len(fast) or time_s[-1] - time_s[last] >= REST_S
     by_brake, by_drive = brake > 0.0, drive in HOLDING
     if by_drive and not at_rest:
-        away = np.flatnonzero(np.abs(position - position[-1]) > 0.5 * SHAKE)
+        to_come = position[::-1]
+        away = np.flatnonzero((np.maximum.accumulate(to_come) - np.minimum.accumulate(to_come))[::-1] > standing)
         last = int(away[-1]) if len(away) else 0
         at_rest = bool(time_s[-1] - time_s[last] >= REST_S)
     until = min(last + 1, len(time_s) - 1) if at_rest else len(time_s) - 1

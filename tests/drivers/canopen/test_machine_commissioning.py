@@ -246,6 +246,33 @@ def test_an_axis_that_falls_under_its_holding_effort_is_told_so_and_not_pushed(r
     assert rig.at_rest()
 
 
+def creeps(rig: Rig, ticks: int, counts: float) -> None:
+    """Let the first axis move by so many counts in each of its first ticks with an open brake, and stand then."""
+    drive, on_sync, left = rig.drives[0], rig.drives[0].on_sync, [counts] * ticks
+
+    def creep() -> None:
+        if drive.brake_open and left:
+            drive.counts += left[-1]
+            drive.link_counts += 13.65 * left.pop()
+        on_sync()
+
+    drive.on_sync = creep  # type: ignore[method-assign]
+
+
+def test_dry_friction_that_bends_under_the_holding_effort_and_then_stands_is_no_wrong_effort(rig: Rig) -> None:
+    creeps(rig, 50, 3.0)
+    findings = rig.machine.home()
+    assert "propeller: moved +" in findings[0]
+    assert rig.at_rest()
+
+
+def test_an_axis_that_creeps_on_under_its_holding_effort_is_not_pushed(rig: Rig) -> None:
+    creeps(rig, 500, 3.0)
+    with pytest.raises(MotionRefusedError, match=r"propeller: moves by \+.* under its holding effort of 0 alone; the hold"):
+        rig.machine.home()
+    assert rig.at_rest()
+
+
 def test_a_holding_effort_that_balances_lets_the_check_pass(rig: Rig) -> None:
     rig.drives[0].gravity = 100
     rig.machine.home(np.array([0.5, 0.0]))

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
-from statistics import median
+from types import SimpleNamespace
 
 import can
 import numpy as np
@@ -102,6 +102,28 @@ class Bench:
         self.there.close()
 
 
+HALF_s = 0.5 * SETTINGS.sync_period_s  # of a round: 1/512 s, which adds up without rounding
+
+
+def own_clock(monkeypatch: pytest.MonkeyPatch, frames: int = 0) -> list[float]:
+    """Let the process's clock go on only while it waits for a frame, however busy the computer is; return its waits.
+
+    The first frames come after a quarter of a wait each.
+    """
+    waits: list[float] = []
+    clock = SimpleNamespace(now_s=0.0)
+
+    def receive(tap: process._Tap, timeout_s: float) -> tuple[int, bytes] | None:
+        waits.append(timeout_s)
+        comes = len(waits) <= frames
+        clock.now_s += 0.25 * timeout_s if comes else timeout_s
+        return (SYNC, b"") if comes else None
+
+    monkeypatch.setattr(process._Tap, "receive", receive)
+    monkeypatch.setattr(process, "time", SimpleNamespace(monotonic=lambda: clock.now_s))
+    return waits
+
+
 @pytest.fixture
 def bench() -> Iterator[Bench]:
     bench = Bench()
@@ -148,11 +170,11 @@ def test_a_drive_with_torque_whose_sync_stops_ends_the_permission_and_its_networ
 
 
 def test_a_bench_that_is_gone_ends_the_permission_and_then_the_process(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(process, "LINGERS_S", 0.2)  # a first round of a busy computer takes less
+    own_clock(monkeypatch)
     bench.parent += 1
-    bench.run(rounds=1000)
+    bench.run(rounds=2000)
     assert bench.own.text == "the bench's process is gone"
-    assert 1 < bench.seen[ROUNDS] < 1000
+    assert bench.seen[ROUNDS] == process.LINGERS_S / HALF_s
 
 
 def test_a_bus_that_it_opens_itself(bench: Bench) -> None:
@@ -493,12 +515,9 @@ def test_a_priority_that_is_refused_keeps_nothing_from_running(bench: Bench, mon
 
 
 def test_a_round_waits_for_frames_for_half_a_period(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    waits: list[float] = []
-    receive = process._Tap.receive
-    monkeypatch.setattr(process._Tap, "receive", lambda tap, timeout_s: (waits.append(timeout_s), receive(tap, timeout_s))[1])
+    waits = own_clock(monkeypatch, frames=1)
     bench.run(rounds=20)
-    assert 0.25 * SETTINGS.sync_period_s < max(waits) <= 0.5 * SETTINGS.sync_period_s
-    assert median(waits) > 0.0  # a busy computer may be late for one
+    assert waits == [HALF_s, 0.75 * HALF_s, *[HALF_s] * 20]
 
 
 def test_a_round_that_took_long_was_held_up(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:

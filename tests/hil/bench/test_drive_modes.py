@@ -25,6 +25,7 @@ from hil.simulation import in_effort, simulate
 
 MODES = ("velocity", "position")
 COUNT_rad = 2.0 * np.pi / (4096 * 500)
+ROWS = 400
 STEP_A = 0.005  # of the torque on the wire, and of what is measured
 SENSOR_NOISE_A = 0.01  # of the shipped current sensors, the quantisation of the target beside it
 
@@ -82,14 +83,19 @@ def test_frames_carry_the_recorded_target_in_counts(swept: tuple[Machine, Record
     machine, recording, log = swept
     sent = [m.data for m in can.LogReader(str(log)) if m.arbitration_id == 0x202]
     targets = [int.from_bytes(data[2:6], "little", signed=True) for data in sent if data[0] == 15]  # operation enabled
-    asked = np.round(recording["command_roll"] / COUNT_rad).astype(int)
-    offset = 0  # a position's counts begin where the drive was switched on
-    if machine.commanded["roll"]["mode"] == "position":
-        offset = targets[-1] - asked[-1]
-    wanted = (asked[:400] + offset).tolist()
-    most = 2  # counts: a target makes up for what the one before has lost by rounding, and the offset is rounded, too
-    found = any(np.abs(np.subtract(targets[k : k + 400], wanted)).max() <= most for k in range(len(targets) - 400))
-    assert found
+    asked = recording["command_roll"][:ROWS] / COUNT_rad
+    begins_anywhere = machine.commanded["roll"]["mode"] == "position"  # a position's counts begin where the drive was switched on
+    assert any(_rounded(asked, np.array(targets[k : k + ROWS]), begins_anywhere) for k in range(len(targets) - ROWS))
+
+
+def _rounded(asked: np.ndarray, targets: np.ndarray, begins_anywhere: bool) -> bool:
+    """Whether each target makes up for what those before have lost by rounding: of their sum at most half a count, at either end.
+
+    So it is with one offset of all of them, which is not a whole number of counts.
+    """
+    rows, sums = np.arange(1, len(asked) + 1), np.cumsum(targets - asked)
+    lowest, highest = ((sums - 1.0) / rows).max(), ((sums + 1.0) / rows).min()
+    return bool(lowest <= highest) and (begins_anywhere or lowest <= 0.0 <= highest)
 
 
 def test_one_axis_may_be_led_and_the_other_be_commanded_in_effort(tmp_path: Path) -> None:

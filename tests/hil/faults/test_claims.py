@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
+from bench_machines import CARM
+from places import ROOT
 
 from drivers.errors import KEEP_AWAY
-from hil.faults.claims import Witness, contradictions
+from hil.faults.causes import is_true, told_cause
+from hil.faults.claims import Witness, contradictions, unlisted
+from hil.faults.trials import trials
 from virtual_bus.canopen.power_state import PowerState
 from virtual_bus.faults.motion_log import MotionLog
 
 PERIOD_S = 1 / 256
+TABLE = json.loads((ROOT / "benchmarks" / "results" / "faults_carm.json").read_text(encoding="utf-8"))
+TRIALS = {trial.name: trial for trial in trials(CARM, "roll")}
 OFF, ENABLED, QUICK_STOP = (
     int(state) for state in (PowerState.SWITCH_ON_DISABLED, PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE)
 )
@@ -70,4 +78,29 @@ def test_a_sentence_about_the_state_that_nobody_checks_is_told() -> None:
     assert contradictions("roll: all its brakes are closed for good", witness()) == [
         "nobody checks: roll: all its brakes are closed for good"
     ]
-    assert contradictions("row 188: roll: tracking error 0.0527 rad exceeds 0.0524 rad", witness()) == []
+
+
+def test_a_cause_is_true_of_the_faults_that_make_it_alone() -> None:
+    error = "row 188: roll: tracking error 0.0527 rad exceeds 0.0524 rad"
+    assert contradictions(error, witness(faults=("motor_encoder_reversed",))) == []
+    assert contradictions(error, witness()) == [error]
+    silent = "roll_drive (node 2): no heartbeat for 0.151 s, 0.150 s allowed; its last state was operational"
+    assert contradictions(silent, witness(faults=("drive_hangs",))) == []
+    assert contradictions(silent, witness(faults=("imu_silent",))) == [silent.partition("; ")[0]]
+    frozen = "row 1: roll: its motor side moved by +0.1 rad, its link encoder by +0.0 while it was led; they may differ by 0.05: "
+    frozen += "one of them is frozen, counts the wrong way, or the gear between them slips"
+    assert contradictions(frozen, witness(faults=("link_encoder_frozen",))) == []
+    assert contradictions(frozen, witness(faults=("pdos_lost",))) == frozen.split("; ")
+
+
+def test_a_sentence_that_is_not_in_the_list_is_found() -> None:
+    assert unlisted(f"{STOPPED}; the moon is in the seventh house", ("propeller", "roll")) == ["the moon is in the seventh house"]
+    assert unlisted("its drive warms", ("roll",)) == ["its drive warms"]
+
+
+def test_every_sentence_of_the_kept_table_is_in_the_list_and_its_cause_is_the_fault() -> None:
+    for row in TABLE["rows"]:
+        faults = [fault.name for fault in TRIALS[row["name"]].settings]
+        sentences = [said for said in row["said"].removeprefix(f"{KEEP_AWAY}: ").split("; ") if not said.endswith("…")]
+        assert unlisted("; ".join(sentences), CARM.axes) == [], row["name"]
+        assert [said for said in sentences if not is_true(told_cause(said) or ".*", faults)] == [], row["name"]

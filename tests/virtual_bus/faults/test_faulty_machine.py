@@ -14,6 +14,7 @@ from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
 from hil.errors import LoopAbortedError
 from hil.experiments import Scan
+from hil.faults.budget import standing
 from hil.machine import machine_from_text
 from hil.machine.faults_file import faults_from_text
 from hil.recording import read_recording
@@ -45,7 +46,8 @@ def aborted(folder: Path, faults: str, name: str = "run") -> tuple[str, FaultOut
     options = BenchOptions("lockstep:", faults=faults_from_text(faults, CARM, "faults"), motion=motion, events=events, seed=3)
     with pytest.raises(Exception) as raised, open_bench(CARM, options, plan.start_pose) as bench:  # noqa: PT011
         bench.run(plan, folder / f"{name}.mf4")
-    return str(raised.value), outcome_of(motion, max(event.time_s for event in events if event.begins))
+    onset_s = max(event.time_s for event in events if event.begins)
+    return str(raised.value), outcome_of(motion, onset_s, [standing(CARM, axis) for axis in CARM.axes])
 
 
 def fault(name: str, at: str, when: str = SWEEP, more: str = "") -> str:
