@@ -16,8 +16,10 @@ from docs.generate import (
     json_answers,
     machine_file,
     machine_schema,
+    quirks,
     results,
     thesis_map,
+    wrong_axis,
 )
 from hil.machine.editors import SCHEMA
 
@@ -35,8 +37,10 @@ GENERATORS = {
     "json.md": json_answers.page,
     "machine-file.md": machine_file.page,
     Path("..", "..", SCHEMA.relative_to(ROOT)).as_posix(): machine_schema.page,
+    "quirks.md": quirks.page,
     "results.md": results.page,
     "thesis-map.md": thesis_map.page,
+    "wrong-axis.md": wrong_axis.page,
 }
 """File name of a page, from their folder, and the function that writes its text. The schema stands in the package: a wheel has it, too."""
 
