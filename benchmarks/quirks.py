@@ -26,10 +26,13 @@ RESULTS = Path(__file__).parent / "results" / "quirks_carm.json"
 SAID = 300  # characters
 
 
-def outcomes(quirk: Quirk) -> dict[str, dict[str, str]]:
-    """Return verdict and words of a quirk, by way."""
+def outcomes(quirk: Quirk, known: dict[str, dict[str, str]]) -> dict[str, dict[str, str]]:
+    """Return verdict and words of a quirk, by way; those that are known are not tried."""
     found = {}
     for way in ways_of(quirk):
+        if way in known:
+            found[way] = known[way]
+            continue
         with tempfile.TemporaryDirectory() as folder:
             outcome = tried(quirk, way, Path(folder))
         said = outcome.said.partition("; the motors were stopped")[0]
@@ -47,8 +50,9 @@ def main() -> None:
     names = parser.parse_args().names
     rows = json.loads(RESULTS.read_text(encoding="utf-8"))["rows"] if RESULTS.exists() else {}
     for quirk in quirks().values():
-        if quirk.name not in rows or quirk.name in names:
-            rows[quirk.name] = outcomes(quirk)
+        known = {} if quirk.name in names else rows.get(quirk.name, {})
+        rows[quirk.name] = outcomes(quirk, known)
+        if rows[quirk.name] != known:
             print(quirk.name, rows[quirk.name], flush=True)
         kept = {name: rows[name] for name in quirks() if name in rows}
         counts = Counter(way["verdict"].partition(" at ")[0] for row in kept.values() for way in row.values())

@@ -95,7 +95,18 @@ def configure_node(sdo: SdoNode, node: Node, settings: BusSettings, scaling: Axi
         _configure_scaling(sdo, scaling, own_writes)
         notes += write_ramps(sdo, scaling, next(each for each in settings.motions if each.axis == scaling.axis), node.writes)
     _write_own(sdo, node, units=False)
+    _check_answer_time(sdo, settings)
     return tuple(notes)
+
+
+def _check_answer_time(sdo: SdoNode, settings: BusSettings) -> None:
+    """Refuse a node for which commands would pause for so long, while it is asked between two ticks, that drives miss them."""
+    missed_s = HEARTBEAT_TOLERANCE * settings.master_heartbeat_period_s
+    if missed_s and inf > sdo.fastest_read_s > missed_s:
+        raise ConfigurationRefusedError(
+            f"{sdo.who}: it answers SDOs after {sdo.fastest_read_s:.2f} s at best; drives miss commands that pause for {missed_s:.2f} s; "
+            f"raise bus.master_heartbeat_s above {sdo.fastest_read_s / HEARTBEAT_TOLERANCE:.2f}"
+        )
 
 
 def _write_own(sdo: SdoNode, node: Node, *, units: bool) -> None:

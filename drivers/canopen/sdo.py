@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections import deque
+from math import inf
 
 import canopen
 from canopen.objectdictionary import datatypes
@@ -23,7 +24,7 @@ ABORT_TIMED_OUT = 0x0504_0000
 ABSENT_OBJECT = frozenset({0x0602_0000, 0x0609_0011})  # no such object, no such subindex
 _ANSWERS = {0x20: 0x60, 0x40: 0x40}
 """Command specifiers (bits 7..5) of initiate download and initiate upload, and of their answers."""
-_ABORTS = 0x80
+_READS, _ABORTS = 0x40, 0x80
 
 Address = tuple[int, int]
 
@@ -43,6 +44,7 @@ class PolledSdoClient(SdoClient):
         self._asked: Address | None = None  # a question whose answer nobody waits for
         self._asked_s = 0.0
         self._segments = 0  # of the transfer under way
+        self.fastest_read_s = inf  # from the first request to its answer
         network.subscribe(self.tx_cobid, self.on_response)
 
     def close(self) -> None:
@@ -78,14 +80,18 @@ class PolledSdoClient(SdoClient):
         if self._segments > MOST_SEGMENTS:
             self.abort()
             raise SdoCommunicationError(f"the node sends more than {MOST_SEGMENTS} segments without an end")
-        tries = TRIES if initiates else 1
+        tries, began_s = TRIES if initiates else 1, self.network.clock.now()
         for _ in range(tries):
             self._answers_owed += 1
             self.send_request(sdo_request)  # type: ignore[no-untyped-call]
             try:
-                return self._answer_to(sdo_request) if initiates else self.read_response()
+                answer = self._answer_to(sdo_request) if initiates else self.read_response()
             except SdoCommunicationError:
                 self._give_up(sdo_request)
+                continue
+            if sdo_request[0] & 0xE0 == _READS:
+                self.fastest_read_s = min(self.fastest_read_s, self.network.clock.now() - began_s)
+            return answer
         self.abort(ABORT_TIMED_OUT)
         raise SdoCommunicationError(f"no SDO answer within {RESPONSE_TIMEOUT_S} s, asked {tries} times")
 
@@ -192,6 +198,11 @@ class SdoNode:
         self.settings: dict[Address, tuple[int, int]] = {}
         """What each object should hold that was written, and the bits of it that do not matter."""
         self.ask, self.answer, self.owe_another = self._client.ask, self._client.answer, self._client.owe_another
+
+    @property
+    def fastest_read_s(self) -> float:
+        """How long the fastest answer to a read took; infinite before the first."""
+        return self._client.fastest_read_s
 
     def close(self) -> None:
         """Stop listening for this node's answers."""
