@@ -19,7 +19,6 @@ from docs.generate import (
     quirks,
     results,
     thesis_map,
-    wrong_axis,
 )
 from hil.machine.editors import SCHEMA
 
@@ -40,7 +39,6 @@ GENERATORS = {
     "quirks.md": quirks.page,
     "results.md": results.page,
     "thesis-map.md": thesis_map.page,
-    "wrong-axis.md": wrong_axis.page,
 }
 """File name of a page, from their folder, and the function that writes its text. The schema stands in the package: a wheel has it, too."""
 

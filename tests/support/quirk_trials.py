@@ -71,9 +71,12 @@ def motion_for(way: Way) -> Motion:
     return motion_of(machine_for(way), AXIS, "homing" if way == "search" else "scan")
 
 
-def tried(quirk: Quirk | None, way: Way, folder: Path, shown_by: str = "") -> QuirkOutcome:
-    """Try a drive with a quirk, or without one but with the fault that would show it; frames in `frames.log` of the folder."""
-    machine, motion, log = machine_for(way), motion_for(way), MotionLog(CARM.axes)
+def tried(quirk: Quirk | None, way: Way, folder: Path, shown_by: str = "", machine: Machine | None = None) -> QuirkOutcome:
+    """Try a drive with a quirk, or without one but with the fault that would show it; frames in `frames.log` of the folder.
+
+    The `machine` has another file than that of the way.
+    """
+    machine, motion, log = machine or machine_for(way), motion_for(way), MotionLog(CARM.axes)
     quirks = () if quirk is None else (QuirkSetting(DRIVE, quirk.name),)
     faults = _faults(quirk.shown_by if quirk is not None else shown_by, way)
     options = BenchOptions("lockstep:", frame_log=folder / "frames.log", quirks=quirks, faults=faults, motion=log)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from virtual_bus.canopen import cob_id
 from virtual_bus.canopen.drive import Cia402Drive
 from virtual_bus.canopen.nmt import NmtCommand, NmtState
 from virtual_bus.canopen.objects import key_of
@@ -11,7 +10,7 @@ from virtual_bus.faults.pdo_ids import rpdos
 from virtual_bus.quirks.quirk import BOOT_UP, EMERGENCY, ERROR_CONTROL, NMT, PutOn, Quirk, after_boot_up, booted, says, soon
 from virtual_bus.quirks.sdo import lacks
 
-ERROR_REGISTER, IDENTITY, REVISION, SERIAL, TPDOS = 0x1001, 0x1018, 3, 4, range(0x1800, 0x1A00)
+ERROR_REGISTER, IDENTITY, REVISION, SERIAL = 0x1001, 0x1018, 3, 4
 HEARTBEAT_TIME, HEARTBEAT_CONSUMER = 0x1017, 0x1016
 BURST = 4  # heartbeats instead of one, as in the report
 TOGGLE = 0x80
@@ -74,12 +73,6 @@ def _newer(machine: FaultyMachine, drive: Cia402Drive) -> None:
     drive.factory_setting(IDENTITY, REVISION, drive.objects.default(IDENTITY, REVISION) + 1)
 
 
-def _no_rtr(machine: FaultyMachine, drive: Cia402Drive) -> None:
-    for index in TPDOS:
-        if index in drive.objects:
-            drive.factory_setting(index, 1, drive.objects.default(index, 1) | cob_id.NO_RTR)
-
-
 def _rpdo_at_once(machine: FaultyMachine, drive: Cia402Drive) -> None:
     def hear(can_id: int, data: bytes) -> Frame | None:
         if can_id >> 8 in (2, 3, 4, 5) and drive.state is NmtState.OPERATIONAL:  # receive PDOs of the predefined connection set
@@ -136,8 +129,6 @@ QUIRKS = (
           "https://github.com/CANopenNode/CANopenNode/issues/26", _no_start_in_error),
     Quirk("newer_revision", "Its revision number (1018h:03) is newer than its data sheet's.", "network",
           "https://github.com/ros-industrial/ros2_canopen/issues/301", _newer),
-    Quirk("no_remote_frames", "It refuses the COB-ID of a TPDO unless bit 30 forbids remote frames.", "network",
-          "https://github.com/canopen-python/canopen/pull/228", _no_rtr),
     Quirk("rpdo_at_once", "It obeys synchronous RPDOs when they come and not at the SYNC.", "network",
           "https://github.com/canopen-python/canopen/issues/400", _rpdo_at_once),
     Quirk("rpdos_lost", "It obeys one synchronous RPDO out of ten.", "network",

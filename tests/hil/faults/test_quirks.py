@@ -6,10 +6,12 @@ import json
 from pathlib import Path
 
 import pytest
+from bench_machines import carm_text_in, edited
 from command_line import Isocenter, runner
 from places import ROOT
 from quirk_trials import Way, standard, tried, verdict, ways_of
 
+from hil.machine import machine_from_text
 from virtual_bus.quirks.registry import quirks
 
 TABLE = json.loads((ROOT / "benchmarks" / "results" / "quirks_carm.json").read_text(encoding="utf-8"))["rows"]
@@ -56,6 +58,13 @@ def test_a_refusal_has_words() -> None:
 @pytest.mark.parametrize(("name", "way"), BY_DAY)
 def test_a_quirk_comes_to_what_the_table_says(name: str, way: Way, tmp_path: Path) -> None:
     as_the_table_says(name, way, tmp_path)
+
+
+def test_units_of_which_no_object_speaks_are_carried_where_the_machine_file_says_them(tmp_path: Path) -> None:
+    said = r'\g<0>\nvelocity_unit = "0.1 counts/s"\nacceleration_unit = "10 counts/s^2"'
+    machine = machine_from_text(edited(r"^\[drives.roll\]$", said, carm_text_in("velocity")))
+    outcome = tried(quirks()["velocity_in_tenth_counts"], "velocity", tmp_path, machine=machine)
+    assert verdict(outcome, standard("velocity", "")) == "carried", outcome.said
 
 
 @pytest.mark.nightly

@@ -19,10 +19,14 @@ from virtual_bus.quirks.quirk import QuirkSetting
 from virtual_bus.quirks.registry import parse_quirks, quirks
 
 NODE, DRIVE = 2, "roll_drive"
-NMT, SYNC, OFF = 0x000, 0x080, 1 << 31
+NMT, SYNC, OFF, NO_RTR = 0x000, 0x080, 1 << 31, 1 << 30
 START, RESET_COMMUNICATION = 1, 0x82
 SHUTDOWN, SWITCH_ON, ENABLE, QUICK_STOP, HALT, RESET, HOME = 0x06, 0x07, 0x0F, 0x02, 0x100, 0x80, 0x1F
 TORQUE, VELOCITY, HOMING = 10, 9, 6
+READ = (
+    *((index, 0) for index in (0x1000, 0x1001, 0x1008, 0x6502, 0x6061, 0x60A9, 0x6071)),
+    *((0x1018, 3), (0x608F, 1), (0x6091, 1), (0x6092, 1)),
+)
 AT_MOST_S = 4.5  # longer than the slowest of them takes
 
 
@@ -71,14 +75,15 @@ class Script:
         self.wait(0.1)
         self.send(NMT, bytes((RESET_COMMUNICATION, NODE)))
         self.wait(0.02)
-        for index, subindex in ((0x1000, 0), (0x1001, 0), (0x1008, 0), (0x1018, 3), (0x6502, 0), (0x6061, 0), (0x60A9, 0), (0x6071, 0)):
+        for index, subindex in READ:
             self.read(index, subindex)
         self.write(0x1016, 1, "<I", 127 << 16 | 10_000)
         self.write(0x1017, 0, "<H", 100)
         self.write(0x1400, 5, "<H", 0)
         self.write(0x605A, 0, "<h", 6)
         self.map_pdo(0x1400, 0x200 + NODE, 0x60400010, 0x60710010)
-        self.map_pdo(0x1800, 0x180 + NODE, 0x60410010, 0x60640020, 0x606C0010 + 0x10)
+        self.map_pdo(0x1800, NO_RTR | 0x180 + NODE, 0x60410010, 0x60640020)
+        self.map_pdo(0x1801, NO_RTR | 0x280 + NODE, 0x606C0020)
         self.send(NMT, bytes((START, NODE)))
         self.ticks(3, 0)
         for word in (SHUTDOWN, SWITCH_ON, ENABLE):
@@ -98,13 +103,14 @@ class Script:
         self.ticks(20, ENABLE, 300)
         self.ticks(20, ENABLE, 500)
         self.ticks(5, ENABLE | HALT)
+        self.machine.physics.set_brakes(np.zeros(len(self.machine.physics.axes), bool))
         self.write(0x6060, 0, "<b", VELOCITY)
         self.read(0x6061)
         self.write(0x60FF, 0, "<i", 20_000)
         self.ticks(40, ENABLE)
         self.ticks(100, QUICK_STOP)
         self.machine.drives[DRIVE].inject_fault(0x6100)
-        self.ticks(5, 0)
+        self.ticks(100, 0)
         self.ticks(5, RESET)
         self.ticks(5, 0)
         self.wait(AT_MOST_S)
