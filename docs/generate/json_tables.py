@@ -47,6 +47,7 @@ _RUN = (
         "Only with `--faults`: `events`, when each fault began and ended (`time_s` of the machine, `label`, `begins`), and `outcome` since "
         "the last began: `onset_s`, `watched_s`, and of each of `axes` `axis`, `ending`, `rest_s`, `travel`, `furthest`, `fastest`.",
     ),
+    Entry("quirks", "list", "Only with `--quirk`: each as `DRIVE:NAME`."),
 )
 
 _FLEET_CHANGE = (
@@ -145,6 +146,7 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         ),
         Entry("places, states", "object", "Kinds of place, and states that a condition may name, in words."),
     ),
+    "faults quirks": (Entry("quirks", "list", "`name`, `does`, `group` and `source`, the address of a report."),),
     "faults check": (
         Entry("machine, hash, software", "text", "What was tried, and with which version."),
         Entry("axis, motion, speed, unit, rows", "text, text, number, text, number", "What moved in every run, and its greatest speed."),

@@ -16,6 +16,7 @@ from docs.generate import (
     json_answers,
     machine_file,
     machine_schema,
+    quirks,
     results,
     thesis_map,
 )
@@ -35,6 +36,7 @@ GENERATORS = {
     "json.md": json_answers.page,
     "machine-file.md": machine_file.page,
     Path("..", "..", SCHEMA.relative_to(ROOT)).as_posix(): machine_schema.page,
+    "quirks.md": quirks.page,
     "results.md": results.page,
     "thesis-map.md": thesis_map.page,
 }

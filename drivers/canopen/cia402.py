@@ -116,7 +116,7 @@ class Homing(Enum):
 
     UNDER_WAY = "under way"
     NOT_STARTED = "interrupted or not started"
-    SETTLING = "attained, target not yet reached"
+    SETTLING = "attained (bit 12), target not reached (bit 10)"
     DONE = "completed"
     FAILED_MOVING = "homing error, still moving"
     FAILED = "homing error, standing still"

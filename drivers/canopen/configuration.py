@@ -14,7 +14,7 @@ from drivers.canopen.own_limits import allow_following_error
 from drivers.canopen.ramps import write_ramps
 from drivers.canopen.sdo import SdoNode
 from drivers.canopen.supervision import HEARTBEAT_TOLERANCE
-from drivers.canopen.units import OBJECTS, check_units, in_data_sheet, units_of
+from drivers.canopen.units import OBJECTS, check_positions, check_units, in_data_sheet, units_of
 from drivers.errors import ConfigurationRefusedError
 from drivers.settings import AxisScaling, BusSettings, Node, Pdo
 
@@ -82,6 +82,8 @@ def configure_node(sdo: SdoNode, node: Node, settings: BusSettings, scaling: Axi
             notes.append(_stopped_otherwise(sdo, node, lacking))
         _clear_commands(sdo, node)
         _write_own(sdo, node, units=True)
+        if scaling is not None:
+            check_positions(sdo.integer_if_there, scaling, sdo.who)
         if scaling is not None and _moves_by_itself(node, settings, scaling):
             _check_units(sdo, node, scaling)
         if scaling is not None and scaling.mode == "position":
@@ -93,7 +95,18 @@ def configure_node(sdo: SdoNode, node: Node, settings: BusSettings, scaling: Axi
         _configure_scaling(sdo, scaling, own_writes)
         notes += write_ramps(sdo, scaling, next(each for each in settings.motions if each.axis == scaling.axis), node.writes)
     _write_own(sdo, node, units=False)
+    _check_answer_time(sdo, settings)
     return tuple(notes)
+
+
+def _check_answer_time(sdo: SdoNode, settings: BusSettings) -> None:
+    """Refuse a node for which commands would pause for so long, while it is asked between two ticks, that drives miss them."""
+    missed_s = HEARTBEAT_TOLERANCE * settings.master_heartbeat_period_s
+    if missed_s and inf > sdo.fastest_read_s > missed_s:
+        raise ConfigurationRefusedError(
+            f"{sdo.who}: it answers SDOs after {sdo.fastest_read_s:.2f} s at best; drives miss commands that pause for {missed_s:.2f} s; "
+            f"raise bus.master_heartbeat_s above {sdo.fastest_read_s / HEARTBEAT_TOLERANCE:.2f}"
+        )
 
 
 def _write_own(sdo: SdoNode, node: Node, *, units: bool) -> None:
@@ -110,7 +123,7 @@ def _moves_by_itself(node: Node, settings: BusSettings, scaling: AxisScaling) ->
 
 
 def _check_units(sdo: SdoNode, node: Node, scaling: AxisScaling) -> None:
-    check_units(sdo.integer_if_present, units_of(in_data_sheet(sdo.dictionary, node.writes), scaling, sdo.who), scaling, sdo.who)
+    check_units(sdo.integer_if_there, units_of(in_data_sheet(sdo.dictionary, node.writes), scaling, sdo.who), scaling, sdo.who)
 
 
 def configure_pdo(sdo: SdoNode, pdo: Pdo, *, transmit: bool) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from drivers.canopen import cia402, power_and_brakes
+from drivers.canopen.axis_stop import STANDSTILL_COUNTS
 from drivers.canopen.cia402 import HOMING_AT_PRESENT_POSITION, NO_HOMING, Homing, Mode, State
 from drivers.canopen.power_and_brakes import SETTLED_TICKS, Machine
 from drivers.canopen.units import in_data_sheet, units_of, whole_speed
@@ -14,6 +15,10 @@ from drivers.settings import HomingSettings
 DRIFT_WATCH_S = 0.1  # how long an axis must stand under holding effort alone before it is pushed
 RAMP_SHARE = 0.5  # share of the direction check's time-out in which the effort rises
 SAMPLE_TIMEOUT_S = 1.0  # for one row in which motor side and link encoder both answered
+STALE_S = 0.25
+"""For this long after the start of a homing run, what was said before it does not count: a drive may say for 0.1 s that it is homed."""
+STANDS_S = 0.25
+"""How long an axis must have stood where a drive says that it has found its home and never that it has reached it."""
 AVERAGING_S = 0.5  # a flexible structure swings on after a brake has closed; the mean over some of its periods is its rest position
 
 HOME_OFFSET = 0x607C
@@ -275,14 +280,44 @@ def _write_homing(machine: Machine, axis: int, settings: HomingSettings, moves: 
 
 
 def _run_homing(machine: Machine, axis: int, settings: HomingSettings, command: np.ndarray) -> None:
+    earlier = cia402.decode_homing(machine.inputs[axis].statusword) is Homing.DONE  # than this run
+    began_s, began = machine.clock.now(), float(machine.sample.position[axis])
     machine.set_controlword(axis, cia402.ENABLE_OPERATION | cia402.HOMING_START)  # rises from the low bit with which it was enabled
     for _ in range(SETTLED_TICKS):
         power_and_brakes.tick(machine, command)
     deadline = machine.clock.now() + settings.timeout_s
-    while (progress := cia402.decode_homing(machine.inputs[axis].statusword)) is not Homing.DONE:
+    standing = _Standing(machine, axis)
+    while True:
+        progress = cia402.decode_homing(machine.inputs[axis].statusword)
+        earlier = earlier and progress is Homing.DONE and machine.clock.now() < began_s + STALE_S
+        if progress is Homing.DONE and not earlier:
+            break
+        if standing.ticks_since(progress is Homing.SETTLING) >= power_and_brakes.ticks_in(machine, STANDS_S):
+            machine.notes += (f"{machine.axes[axis]}: its drive says {progress.value} for {STANDS_S:g} s at a standstill: taken for homed",)
+            break
         failed = progress in (Homing.FAILED, Homing.FAILED_MOVING)
         if failed or machine.clock.now() > deadline:
             reason = progress.value if failed else f"not completed within {settings.timeout_s:.1f} s ({progress.value})"
+            if not failed and settings.method not in HOMING_AT_PRESENT_POSITION:
+                unit, mean = machine.scalings[axis].position_unit, abs(float(machine.sample.position[axis]) - began) / settings.timeout_s
+                reason += f", at {mean:.2g} {unit}/s in the mean where {settings.speed:.2g} {unit}/s were asked for"
             raise MotionRefusedError(f"{machine.axes[axis]}: homing by method {settings.method}: {reason}; the position is not known")
         power_and_brakes.tick(machine, command)
     machine.set_controlword(axis, cia402.ENABLE_OPERATION)
+
+
+class _Standing:
+    """Counts the ticks for which an axis has stood since its drive has said something."""
+
+    def __init__(self, machine: Machine, axis: int) -> None:
+        self._machine, self._axis, self._ticks, self._anchor = machine, axis, 0, float("nan")
+        self._flicker = STANDSTILL_COUNTS * machine.scalings[axis].position_resolution
+
+    def ticks_since(self, said: bool) -> int:
+        """Take the newest sample, and whether it is still said; return the ticks."""
+        position = float(self._machine.sample.position[self._axis])
+        if said and abs(position - self._anchor) <= self._flicker:
+            self._ticks += 1
+        else:
+            self._ticks, self._anchor = 0, position
+        return self._ticks

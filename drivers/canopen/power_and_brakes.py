@@ -13,6 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from drivers.canopen import cia402
+from drivers.canopen.axis_rest import POWERED
 from drivers.canopen.cia402 import MODES_DISPLAY, MODES_OF_OPERATION, Mode, State
 from drivers.canopen.emcy import describe_code
 from drivers.canopen.process_data import AxisInput
@@ -25,7 +26,11 @@ from drivers.settings import AxisScaling, Node
 
 TRANSITION_TIMEOUT_S = 2.0  # drives that charge a DC link or wait for a contactor take most of a second
 FAULT_RESET_TIMEOUT_S = 1.0
+FAULT_RESETS = 2  # a drive may take the first rising edge for none
 MODE_TIMEOUT_S = 1.0
+MODE_CHANGING_S = 10.0
+"""For how long a drive without voltage may show no mode, -1, while it changes; some take 3 to 6 s to synchronise."""
+NO_MODE = -1
 BRAKE_TIMEOUT_S = 1.0  # Modbus poll, relay, armature, feedback, Modbus poll
 HOLD_BEFORE_RELEASE_S = 0.05  # current controllers settle within milliseconds; the brake must not open before
 SETTLED_TICKS = 2  # after a controlword goes out its effect is in the statusword of the next SYNC; one more to be sure
@@ -126,20 +131,33 @@ def reach(machine: Machine, goal: State, axes: Sequence[int], hold: Hold) -> Non
 
 
 def reset_fault(machine: Machine, axis: int) -> None:
-    """Reset a drive's fault by a rising edge, check that it is gone, and note which it was. Never enables the drive.
+    """Reset a drive's fault by a rising edge, or a second one, check that it is gone, and note which it was. Never enables the drive.
 
     Raises
     ------
     DeviceFaultError
         The fault persists; its cause in words.
     """
-    zero = np.zeros(len(machine.axes))
     machine.arm(axis, False)
-    deadline = machine.clock.now() + FAULT_RESET_TIMEOUT_S
     if not _in_fault(machine, axis):
         return
     node = machine.drives[axis]
     was = machine.supervision.last_emergency(node.node_id) or cia402.describe_statusword(machine.inputs[axis].statusword)
+    resets = 0
+    while _in_fault(machine, axis):
+        if resets == FAULT_RESETS:
+            raise DeviceFaultError(
+                f"{fault_words(machine, axis)}; {resets} fault resets did not clear it within {FAULT_RESET_TIMEOUT_S:.1f} s each: "
+                "remove its cause"
+            )
+        resets += 1
+        _raise_reset(machine, axis)
+    machine.notes += (f"{node.name} (node {node.node_id}): was in fault, {was}; it was reset",)
+
+
+def _raise_reset(machine: Machine, axis: int) -> None:
+    """Give the fault reset bit of a drive a rising edge, wait for its effect, and take it back."""
+    zero, deadline = np.zeros(len(machine.axes)), machine.clock.now() + FAULT_RESET_TIMEOUT_S
     machine.set_controlword(axis, cia402.FAULT_RESET)  # rises: no other controlword sent before has this bit
     for _ in range(SETTLED_TICKS):
         machine.exchange(zero)
@@ -148,11 +166,6 @@ def reset_fault(machine: Machine, axis: int) -> None:
     machine.set_controlword(axis, cia402.DISABLE_VOLTAGE)
     for _ in range(SETTLED_TICKS):  # a cause that is still there brings the fault back at once
         machine.exchange(zero)
-    if _in_fault(machine, axis):
-        raise DeviceFaultError(
-            f"{fault_words(machine, axis)}; a fault reset did not clear it within {FAULT_RESET_TIMEOUT_S:.1f} s: remove its cause"
-        )
-    machine.notes += (f"{node.name} (node {node.node_id}): was in fault, {was}; it was reset",)
 
 
 def fault_words(machine: Machine, axis: int) -> str:
@@ -169,7 +182,7 @@ def fault_words(machine: Machine, axis: int) -> str:
 
 
 def set_mode(machine: Machine, axis: int, mode: Mode) -> None:
-    """Choose a mode of operation and wait until the drive displays it.
+    """Choose a mode of operation and wait until the drive displays it; where it has no voltage, the ticks go on meanwhile.
 
     Raises
     ------
@@ -183,13 +196,17 @@ def set_mode(machine: Machine, axis: int, mode: Mode) -> None:
         machine.modes[axis], sdo.settings[MODES_DISPLAY, 0] = mode, (mode, 0)
         return
     sdo.write_integer(MODES_OF_OPERATION, 0, mode)
-    deadline = machine.clock.now() + MODE_TIMEOUT_S
+    asked_s = machine.clock.now()
     while (shown := sdo.read_integer(MODES_DISPLAY)) != mode:
-        if machine.clock.now() > deadline:
-            raise MotionRefusedError(
-                f"{sdo.who}: stays in mode {shown}, mode {int(mode)} ({mode.name.lower().replace('_', ' ')}) was asked for"
-            )
-        sdo.network.pump_for(0.01)
+        changes = shown == NO_MODE and cia402.decode_state(machine.inputs[axis].statusword) not in POWERED
+        if machine.clock.now() > asked_s + (MODE_CHANGING_S if changes else MODE_TIMEOUT_S):
+            stays = f"shows no mode (-1) for {MODE_CHANGING_S:g} s" if changes else f"stays in mode {shown}"
+            raise MotionRefusedError(f"{sdo.who}: {stays}, mode {int(mode)} ({mode.name.lower().replace('_', ' ')}) was asked for")
+        if changes:  # it may miss its commands
+            machine.resume_ticks()
+            machine.exchange(np.zeros(len(machine.axes)))
+        else:
+            sdo.network.pump_for(0.01)
     machine.modes[axis], sdo.settings[MODES_DISPLAY, 0] = mode, (mode, 0)
     machine.resume_ticks()
 

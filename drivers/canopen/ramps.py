@@ -70,7 +70,7 @@ def write_ramps(sdo: SdoNode, scaling: AxisScaling, limits: MotionLimits, writes
         if not sdo.may_write(index) or sdo.read_if_present(index) is None:
             continue
         if torque:  # in other modes it was checked before, with the velocities
-            check_units(sdo.integer_if_present, units, scaling, sdo.who, velocities=False)
+            check_units(sdo.integer_if_there, units, scaling, sdo.who, velocities=False)
         if (index, 0) in own:
             continue
         if index in (MAX_PROFILE_VELOCITY, PROFILE_VELOCITY):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections import deque
+from math import inf
 
 import canopen
 from canopen.objectdictionary import datatypes
@@ -16,10 +17,14 @@ from drivers.errors import ConfigurationRefusedError, DuplicateNodeError, NodeAb
 RESPONSE_TIMEOUT_S = 0.3  # CiA 301 gives none; EPOS4 answers within 20 ms, writes to its flash within 200 ms
 SHORTEST_ANSWER = 4  # CiA 301 asks for 8 bytes; some devices leave out data bytes that are zero
 TRIES = 3  # of a request that starts a transfer; segments are not repeated, their toggle bit would differ
+LATE_ANSWER_S = TRIES * RESPONSE_TIMEOUT_S
+"""How long the answer to a request that was given up may still come, and is no second device's."""
 MOST_SEGMENTS = 9363  # 64 kB; what is read here are numbers and names
 ABORT_TIMED_OUT = 0x0504_0000
 ABSENT_OBJECT = frozenset({0x0602_0000, 0x0609_0011})  # no such object, no such subindex
-_INITIATES = frozenset({0x20, 0x40})  # command specifiers (bits 7..5) of initiate download and initiate upload
+_ANSWERS = {0x20: 0x60, 0x40: 0x40}
+"""Command specifiers (bits 7..5) of initiate download and initiate upload, and of their answers."""
+_READS, _ABORTS = 0x40, 0x80
 
 Address = tuple[int, int]
 
@@ -35,9 +40,11 @@ class PolledSdoClient(SdoClient):
         self._who = who
         self._answers: deque[bytes] = deque()
         self._answers_owed = 0
+        self._late: list[tuple[float, bytes]] = []  # requests that were given up: until when their answers may come, and their multiplexers
         self._asked: Address | None = None  # a question whose answer nobody waits for
         self._asked_s = 0.0
         self._segments = 0  # of the transfer under way
+        self.fastest_read_s = inf  # from the first request to its answer
         network.subscribe(self.tx_cobid, self.on_response)
 
     def close(self) -> None:
@@ -68,21 +75,55 @@ class PolledSdoClient(SdoClient):
     def request_response(self, sdo_request: bytes) -> bytes:
         """Send a request and wait for its answer; a lost frame is handled by asking again."""
         self._expect_silence()
-        initiates = sdo_request[0] & 0xE0 in _INITIATES
+        initiates = sdo_request[0] & 0xE0 in _ANSWERS
         self._segments = 0 if initiates else self._segments + 1
         if self._segments > MOST_SEGMENTS:
             self.abort()
             raise SdoCommunicationError(f"the node sends more than {MOST_SEGMENTS} segments without an end")
-        tries = TRIES if initiates else 1
+        tries, began_s = TRIES if initiates else 1, self.network.clock.now()
         for _ in range(tries):
             self._answers_owed += 1
             self.send_request(sdo_request)  # type: ignore[no-untyped-call]
             try:
-                return self.read_response()
+                answer = self._answer_to(sdo_request) if initiates else self.read_response()
             except SdoCommunicationError:
+                self._give_up(sdo_request)
                 continue
+            if sdo_request[0] & 0xE0 == _READS:
+                self.fastest_read_s = min(self.fastest_read_s, self.network.clock.now() - began_s)
+            return answer
         self.abort(ABORT_TIMED_OUT)
         raise SdoCommunicationError(f"no SDO answer within {RESPONSE_TIMEOUT_S} s, asked {tries} times")
+
+    def _answer_to(self, request: bytes) -> bytes:
+        """Wait for the answer to a request that starts a transfer; late ones, to requests that were given up, are passed over."""
+        clock = self.network.clock
+        deadline = clock.now() + RESPONSE_TIMEOUT_S
+        while (remaining := deadline - clock.now()) > 0.0 and (self._answers or self.network.pump(remaining)):
+            if self._answers and not self._passes_over(self._answers[0], request):
+                return self.read_response()
+        raise SdoCommunicationError(f"no SDO answer within {RESPONSE_TIMEOUT_S} s")
+
+    def _passes_over(self, answer: bytes, request: bytes) -> bool:
+        """Drop the oldest answer if it is a late one to an earlier request; return whether it was."""
+        fits = answer[0] & 0xE0 in (_ANSWERS[request[0] & 0xE0], _ABORTS) and answer[1:4] == request[1:4]
+        if fits or not self._is_late(answer):
+            return False
+        self._answers.popleft()
+        return True
+
+    def _give_up(self, request: bytes) -> None:
+        self._late.append((self.network.clock.now() + LATE_ANSWER_S, bytes(request[1:4])))
+
+    def _is_late(self, answer: bytes) -> bool:
+        """Return whether an answer is that to a request which was given up; each has one."""
+        now_s = self.network.clock.now()
+        self._late = [each for each in self._late if each[0] >= now_s]
+        for each in self._late:
+            if each[1] == answer[1:4]:
+                self._late.remove(each)
+                return True
+        return False
 
     def abort(self, abort_code: int = 0x0800_0000) -> None:
         """Tell the server that this transfer is over."""
@@ -106,6 +147,7 @@ class PolledSdoClient(SdoClient):
                 self._asked = None
                 return response
         if self.network.clock.now() - self._asked_s > RESPONSE_TIMEOUT_S:
+            self._give_up(b"\0" + multiplexer)
             self._asked = None
             return b""
         return None
@@ -125,7 +167,7 @@ class PolledSdoClient(SdoClient):
             pass
         self._asked = None
         self.network.drain()
-        twice = len(self._answers) > max(0, self._answers_owed)
+        twice = sum(not self._is_late(answer) for answer in self._answers) > max(0, self._answers_owed)
         self._answers.clear()
         self._answers_owed = 0
         if twice:
@@ -156,6 +198,11 @@ class SdoNode:
         self.settings: dict[Address, tuple[int, int]] = {}
         """What each object should hold that was written, and the bits of it that do not matter."""
         self.ask, self.answer, self.owe_another = self._client.ask, self._client.answer, self._client.owe_another
+
+    @property
+    def fastest_read_s(self) -> float:
+        """How long the fastest answer to a read took; infinite before the first."""
+        return self._client.fastest_read_s
 
     def close(self) -> None:
         """Stop listening for this node's answers."""
@@ -212,6 +259,15 @@ class SdoNode:
         data = self.read_if_present(index, subindex) if self.knows(index, subindex) else None
         return None if data is None else self.to_integer(index, subindex, data)
 
+    def integer_if_there(self, index: int, subindex: int = 0) -> int | None:
+        """Read an unsigned integer whether or not the data sheet has it, or return None where the node refuses."""
+        if self.knows(index, subindex):
+            return self.integer_if_present(index, subindex)
+        try:
+            return int.from_bytes(self.read(index, subindex), "little")
+        except ConfigurationRefusedError:
+            return None
+
     def read_text(self, index: int, subindex: int = 0) -> str:
         """Read the text of a visible string; '' when the node has none."""
         return (self.read_if_present(index, subindex) or b"").decode("ascii", "replace").strip("\0 ")
@@ -232,7 +288,8 @@ class SdoNode:
             self.settings[index, subindex] = value, 0
         except SdoAbortedError as error:
             what = f"writing {_hex(value)} to {self.named(index, subindex)}"
-            raise ConfigurationRefusedError(f"{self.who}: {what} refused: {abort_in_words(error)}") from error
+            lacks = "; its data sheet has it: give that of its firmware" if error.code in ABSENT_OBJECT else ""
+            raise ConfigurationRefusedError(f"{self.who}: {what} refused: {abort_in_words(error)}{lacks}") from error
         except SdoCommunicationError as error:
             raise NodeAbsentError(f"{self.who}: writing {self.named(index, subindex)}: {error}; is it powered and on this bus?") from error
 
@@ -263,10 +320,14 @@ class SdoNode:
         return f"{index:04X}h:{subindex:02X}{f' ({variable.qualname})' if variable is not None else ''}"
 
     def to_integer(self, index: int, subindex: int, data: bytes) -> int:
-        """Return the value of an integer object, signed where the data sheet says so."""
+        """Return the value of an integer object, signed where the data sheet says so.
+
+        Some devices answer with four bytes whatever the object's size: those beyond its size do not count.
+        """
         variable = self.dictionary.get_variable(index, subindex)
-        signed = variable is not None and variable.data_type in datatypes.SIGNED_TYPES
-        return int.from_bytes(data, "little", signed=signed)
+        if variable is None or variable.data_type not in datatypes.INTEGER_TYPES:
+            return int.from_bytes(data, "little")
+        return int.from_bytes(data[: len(variable) // 8], "little", signed=variable.data_type in datatypes.SIGNED_TYPES)
 
     def _to_bytes(self, index: int, subindex: int, value: int) -> bytes:
         variable = self.dictionary.get_variable(index, subindex)

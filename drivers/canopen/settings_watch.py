@@ -22,7 +22,7 @@ READS_PER_S = 16.0
 DECISIVE = (0x1016, 0x6007, 0x605A, 0x605B, 0x605C, 0x605E, MODES_OF_OPERATION, MODES_DISPLAY, 0x6072, 0x6073, 0x6084, 0x6085)
 """Objects that decide how a drive stops, and RPDOs (14xxh), whose deadline does: every second reading is of one of them."""
 RPDOS = range(0x1400, 0x1600)
-EXPEDITED_UPLOAD, EXPEDITED, ABORT = 0x43, 0xE3, 0x80  # of an answer's first byte: value, its mask; abort
+EXPEDITED_UPLOAD, EXPEDITED, ABORT = 0x42, 0xE2, 0x80  # of an answer's first byte: value, its mask; abort
 _DOWNLOADS, _UPLOADS = (0x20, 0xC0), (0x40, 0xA0)  # command specifiers of requests that begin a transfer, segmented and in blocks
 
 

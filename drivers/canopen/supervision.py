@@ -38,6 +38,7 @@ BOOT_SETTLE_S = 0.05
 
 OPERATIONAL = 0x05
 BOOT_UP = 0x00
+DEVICE_TYPE, SERIAL_NUMBER = 0x1000, (0x1018, 4)
 
 
 @dataclass
@@ -86,6 +87,7 @@ class Supervision:
         self._turn = 0
         self._lost_s = self._checked_s = 0.0
         self._running = False  # nodes were started, so leaving operational is a fault
+        self.boot_remarks: tuple[str, ...] = ()  # what was unusual of the last boot, in words
         self.left_operational = ""  # which started node has left operational, in words; '' while all run
         for node_id in self._nodes:
             network.subscribe(HEARTBEAT + node_id, lambda can_id, data, _: self.heartbeat(can_id - HEARTBEAT, data))
@@ -213,12 +215,32 @@ class Supervision:
             if not self.reset(node, node.boot_timeout_s):
                 self._ask_directly(node)
         self._network.pump_for(BOOT_SETTLE_S)
-        for watched in self._nodes.values():
-            if watched.boots > 1:
-                raise DuplicateNodeError(
-                    f"{watched.who}: {watched.boots} boot-up messages after one reset: two devices share this id; give one another id"
-                )
+        self.boot_remarks = tuple(self._tell_apart(watched) for watched in self._nodes.values() if watched.boots > 1)
         self._fresh_fault = ""
+
+    def _tell_apart(self, watched: _Watched) -> str:
+        """Return the note on a device that said its boot-up message twice; its serial number tells it from two devices with one id.
+
+        Answers of two devices that are the same, bit for bit, may come as one frame.
+        """
+        said = f"{watched.who}: {watched.boots} boot-up messages after one reset"
+        sdo = SdoNode(self._network, watched.node_id, watched.name)
+        try:
+            serial = sdo.read_if_present(*SERIAL_NUMBER) or b""
+            sdo.read(DEVICE_TYPE)  # a second answer to the first shows here
+        except DuplicateNodeError as error:
+            raise DuplicateNodeError(f"{said}: two devices share this id; give one another id") from error
+        finally:
+            sdo.close()
+        if not any(serial):
+            raise DuplicateNodeError(
+                f"{said}: two devices share this id, or one says it twice; no serial number (1018h:04) tells which; give one another id"
+            )
+        return f"{said}, but one device answers, with serial number {int.from_bytes(serial, 'little')}: it is taken for one"
+
+    def has_booted(self, node: Node) -> bool:
+        """Return whether a node's boot-up message has come since its last reset."""
+        return self._nodes[node.node_id].boots > 0
 
     def reset(self, node: Node, patience_s: float) -> bool:
         """Reset one node's communication and wait for its boot-up message; return whether it came in time.
@@ -237,7 +259,7 @@ class Supervision:
     def _ask_directly(self, node: Node) -> None:
         sdo = SdoNode(self._network, node.node_id, node.name)
         try:
-            sdo.read(0x1000)
+            sdo.read(DEVICE_TYPE)
         except NodeAbsentError as error:
             heard = ", ".join(f"{w.name} ({w.node_id})" for w in self._nodes.values() if w.boots) or "none"
             raise NodeAbsentError(
@@ -265,7 +287,10 @@ class Supervision:
                 remaining = deadline - clock.now()
                 if remaining <= 0.0 or not self._network.pump(remaining):
                     if watched.emergency is not None:
-                        raise DeviceFaultError(f"{watched.who}: not operational: {self.last_emergency(node.node_id)}")
+                        raise DeviceFaultError(
+                            f"{watched.who}: started, but its heartbeat says {self.nmt_state(node.node_id)}, not operational: "
+                            f"{self.last_emergency(node.node_id)}; remove the error's cause, and reset it or switch the node off and on"
+                        )
                     raise BusTimeoutError(f"{watched.who}: started, but its heartbeat says {self.nmt_state(node.node_id)}, not operational")
         now = clock.now()
         for watched in self._nodes.values():

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     import canopen
 
 POSITION_UNIT, VELOCITY_UNIT, ACCELERATION_UNIT = 0x60A8, 0x60A9, 0x60AA
-GEAR_RATIO, FEED_CONSTANT, VELOCITY_FACTOR, ACCELERATION_FACTOR = 0x6091, 0x6092, 0x6096, 0x6097
+ENCODER_RESOLUTION, GEAR_RATIO, FEED_CONSTANT, VELOCITY_FACTOR, ACCELERATION_FACTOR = 0x608F, 0x6091, 0x6092, 0x6096, 0x6097
 OLD_VELOCITY_NOTATION, OLD_VELOCITY_DIMENSION = 0x608B, 0x608C  # of DSP 402 before version 3
-OBJECTS = (0x608B, 0x608C, 0x6091, 0x6092, 0x6094, 0x6096, 0x6097, 0x60A8, 0x60A9, 0x60AA)
+OBJECTS = (0x608B, 0x608C, 0x608F, 0x6091, 0x6092, 0x6094, 0x6096, 0x6097, 0x60A8, 0x60A9, 0x60AA)
 """All of them."""
 OLD_RPM, OLD_INCREMENTS = 0xA4, 0xAC
 OLD_VELOCITY_ENCODER_FACTOR = 0x6094
@@ -41,9 +41,11 @@ METRES = {0x01: 1.0, 0xC1: 0.0254, 0xC2: 0.3048}
 INCREMENTS, RPM = 0xB5, 0xC0
 SECONDS = {0x03: 1.0, 0x47: 60.0, 0x48: 3600.0, 0x57: 1.0}  # s, min, h, and s^2 of accelerations
 
-DECLARED = {"counts/s": 0.0, "rpm": 1.0 / 60.0, "0.1 rpm": 1e-1 / 60.0, "0.01 rpm": 1e-2 / 60.0, "0.001 rpm": 1e-3 / 60.0, "rev/s": 1.0}
-"""Turns per second of the units that a machine file may say; 0: none, counts."""
-DECLARED_ACCELERATION = {"counts/s^2": 0.0, "rpm/s": 1.0 / 60.0, "rev/s^2": 1.0}
+COUNTS = {"counts/s": 1.0, "0.1 counts/s": 10.0, "counts/s^2": 1.0, "10 counts/s^2": 0.1}
+"""How many of the units of counts that a machine file may say are a count per second, or per second squared."""
+DECLARED = {"rpm": 1.0 / 60.0, "0.1 rpm": 1e-1 / 60.0, "0.01 rpm": 1e-2 / 60.0, "0.001 rpm": 1e-3 / 60.0, "rev/s": 1.0}
+"""Turns per second of the other units that a machine file may say."""
+DECLARED_ACCELERATION = {"rpm/s": 1.0 / 60.0, "rev/s^2": 1.0}
 
 Read = Callable[[int, int], int | None]
 """Returns the value of an object, None where there is none."""
@@ -179,6 +181,35 @@ def check_units(read: Read, used: MotionUnits, scaling: Scaling, who: str, *, ve
             )
 
 
+def check_positions(read: Read, scaling: Scaling, who: str) -> None:
+    """Check that a turn of the motor is as many counts by a drive's own objects as by the machine file.
+
+    A feed constant of one position unit in a turn says nothing: nobody has set it.
+
+    Parameters
+    ----------
+    read : Read
+        From the drive.
+    scaling : Scaling
+    who : str
+
+    Raises
+    ------
+    ConfigurationRefusedError
+        It is not.
+    """
+    filed, feed, gear = scaling.counts_per_motor_turn, _ratio(read, FEED_CONSTANT), _ratio(read, GEAR_RATIO)
+    if feed and feed != 1.0:
+        found, by = feed / (gear or 1.0), f"6092h{f' and 6091h, {gear:g}:1' if gear else ''}"
+    else:
+        found, by = _ratio(read, ENCODER_RESOLUTION) or 0.0, "608Fh"
+    if filed and found and not math.isclose(found, filed, rel_tol=AGREES):
+        raise ConfigurationRefusedError(
+            f"{who}: a turn of its motor is {found:g} counts by its own objects ({by}), {filed:g} by the machine file "
+            f"(drives.{scaling.axis}: encoder_counts_per_motor_turn); every position would be off by {found / filed:g}; correct either"
+        )
+
+
 def whole_speed(units: float, what: str) -> tuple[int, tuple[str, ...]]:
     """Return a limit of speed in whole units of a drive, rounded down, and a note where it loses more than `COARSE`.
 
@@ -265,7 +296,7 @@ def _declared(units: dict[str, float], unit: str, read: Read, scaling: Scaling, 
     """Return how many of a unit a count per second is; 0 where the machine file says none."""
     if not unit:
         return 0.0
-    return _per_turn(read, scaling, who) / units[unit] if units[unit] else 1.0
+    return COUNTS[unit] if unit in COUNTS else _per_turn(read, scaling, who) / units[unit]
 
 
 def _per_turn(read: Read, scaling: Scaling, what: str) -> float:

@@ -9,6 +9,7 @@ from hil.machine import Machine
 from virtual_bus.faults.fault import FaultSetting
 from virtual_bus.faults.motion_log import MotionLog
 from virtual_bus.faults.schedule import FaultEvent
+from virtual_bus.quirks.quirk import QuirkSetting
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,8 @@ class BenchOptions:
         In lockstep, the machine that is emulated, where it differs from the machine file.
     faults : tuple of FaultSetting
         In lockstep, what goes wrong on the emulated machine.
+    quirks : tuple of QuirkSetting
+        In lockstep, how the emulated drives bend the standard.
     motion : MotionLog, optional
         In lockstep, takes the machine's true motion, from power-on until it is at rest after the last SYNC.
     events : list
@@ -51,6 +54,7 @@ class BenchOptions:
     truth: Path | None = None
     emulated: Machine | None = None
     faults: tuple[FaultSetting, ...] = ()
+    quirks: tuple[QuirkSetting, ...] = ()
     motion: MotionLog | None = None
     events: list[FaultEvent] = field(default_factory=list)
     real_time: bool = True

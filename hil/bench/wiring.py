@@ -158,6 +158,7 @@ def lockstep_wiring(machine: Machine, options: BenchOptions, start_pose: np.ndar
             noise=options.noise,
             truth=truth,
             faults=options.faults,
+            quirks=options.quirks,
             motion=options.motion,
         )
         log = stack.enter_context(options.frame_log.open("w", encoding="utf-8")) if options.frame_log is not None else None
@@ -202,6 +203,8 @@ def wall_wiring(machine: Machine, options: BenchOptions, stop_request: StopReque
     if options.emulated is not None or not options.noise:
         what = "--effects" if options.emulated is not None else "--no-noise"
         raise UnusableInputError(f"{what}: only an emulated machine can be told; give it to `isocenter emulate`, or run on lockstep:")
+    if options.quirks:
+        raise UnusableInputError("--quirk: only an emulated machine can have them; give them to `isocenter emulate`, or run on lockstep:")
     if options.faults or options.motion is not None:
         raise UnusableInputError("--faults: only an emulated machine can have them; give them to `isocenter emulate`, or run on lockstep:")
     if options.truth is not None:

@@ -42,6 +42,22 @@ def list_faults(json_to: JsonOption = None) -> None:
 
 
 @app.command(
+    "quirks",
+    short_help="How drives bend the standard.",
+    help="Every quirk of a drive that `emulate` and `run --bus lockstep:` take as --quirk DRIVE:NAME: what it does, and where that was"
+    " reported.\n\nExample:  isocenter faults quirks\n\nExample:  isocenter emulate carm --quirk roll_drive:mode_display_late",
+)
+def list_quirks(json_to: JsonOption = None) -> None:
+    """Print one line per quirk."""
+    from virtual_bus.quirks.registry import quirks
+
+    answer = Answer(json_to)
+    for quirk in quirks().values():
+        answer.say(f"{quirk.name:26s} {quirk.does}")
+    answer.write({"quirks": [{key: getattr(quirk, key) for key in ("name", "does", "group", "source")} for quirk in quirks().values()]})
+
+
+@app.command(
     short_help="Try every fault on a machine.",
     help="Run every fault on the emulated machine in lockstep, each in a short run of its own, and write a page of what was said, what"
     " moved and what is kept. Started again, it goes on where it was ended."

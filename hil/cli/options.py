@@ -15,6 +15,7 @@ from hil.terminal.output import refuse_unwritable, refuse_unwritable_folder
 if TYPE_CHECKING:
     from hil.machine import Machine
     from virtual_bus.faults.fault import FaultSetting
+    from virtual_bus.quirks.quirk import QuirkSetting
     from virtual_bus.settings import EffectSetting
 
 SHIPPED = Path(__file__).resolve().parents[1] / "machine" / "shipped"
@@ -54,6 +55,10 @@ BusOption = Annotated[
 EffectsOption = Annotated[Path | None, typer.Option("--effects", metavar="FILE", help="Effects file (TOML): physics added by name.")]
 FaultsOption = Annotated[
     Path | None, typer.Option("--faults", metavar="FILE", help="Faults file (TOML): what goes wrong, and when (isocenter faults list).")
+]
+QuirksOption = Annotated[
+    list[str] | None,
+    typer.Option("--quirk", metavar="DRIVE:NAME", help="This drive bends the standard so; once for each (isocenter faults quirks)."),
 ]
 PoseOption = Annotated[
     str, typer.Option("--pose", metavar="AXIS=VALUE,...", help="Start pose, in degrees (mm on a prismatic axis); axes left out stand at 0.")
@@ -105,6 +110,22 @@ def read_faults(path: Path | None, machine: Machine, lockstep: bool) -> tuple[Fa
                 f'{path}: {fault.label}: when = "{fault.when}": only a run on lockstep: knows; name a motion, such as "settled"'
             )
     return faults
+
+
+def read_quirks(texts: list[str] | None, machine: Machine) -> tuple[QuirkSetting, ...]:
+    """Read the quirks of an emulated machine's drives.
+
+    Raises
+    ------
+    FaultError
+        No such drive or quirk.
+    """
+    if not texts:
+        return ()
+    from hil.machine.faults_file import places_of
+    from virtual_bus.quirks.registry import parse_quirks
+
+    return parse_quirks(texts, places_of(machine).drives)
 
 
 def edge_scale(machine: Machine, axis: str) -> float:

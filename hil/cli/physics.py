@@ -7,7 +7,18 @@ from typing import Annotated
 
 import typer
 
-from hil.cli.options import BusOption, EffectsOption, FaultsOption, PoseOption, RealTimeOption, load, parse_pose, read_faults
+from hil.cli.options import (
+    BusOption,
+    EffectsOption,
+    FaultsOption,
+    PoseOption,
+    QuirksOption,
+    RealTimeOption,
+    load,
+    parse_pose,
+    read_faults,
+    read_quirks,
+)
 from hil.terminal.output import Answer, JsonOption
 
 PORTS = {"node": "node", "IMU": "imu", "I/O": "io", "I/O over RTU": "io_rtu", "panel": "panel"}
@@ -83,6 +94,7 @@ def emulate(
         str, typer.Option("--panel", metavar="SCENE", help="Serve an X-ray panel too, with this scene or marker plate in the beam.")
     ] = "",
     faults: FaultsOption = None,
+    quirk: QuirksOption = None,
     real_time: RealTimeOption = True,
     by_the_wall: Annotated[
         bool, typer.Option("--by-the-wall", help="Without SYNCs its devices' timers go by the wall, for `conform` and tools of others.")
@@ -103,8 +115,9 @@ def emulate(
         raise typer.BadParameter("give either a machine M or --eds FILE")
     if eds is not None and by_the_wall:
         raise typer.BadParameter("--by-the-wall: a device of --eds FILE goes by the wall in any case; leave it out")
-    if eds is not None and (io_rtu or panel or faults):
-        raise typer.BadParameter(f"{'--panel' if panel else '--io-rtu' if io_rtu else '--faults'}: is a machine's; leave it out with --eds")
+    if eds is not None and (io_rtu or panel or faults or quirk):
+        option = "--panel" if panel else "--io-rtu" if io_rtu else "--faults" if faults else "--quirk"
+        raise typer.BadParameter(f"{option}: is a machine's; leave it out with --eds")
     if eds is None and (memory is not None or node is not None):
         raise typer.BadParameter(f"{'--node' if memory is None else '--memory'}: is for a device of --eds FILE")
     answer = Answer(json_to)
@@ -134,6 +147,7 @@ def emulate(
         io_rtu=io_rtu,
         panel=panel,
         faults=wrong,
+        quirks=read_quirks(quirk, machine),
         by_the_wall=by_the_wall,
         on_ready=ready,
     )

@@ -19,6 +19,7 @@ from hil.cli.options import (
     FaultsOption,
     ImuOption,
     IoOption,
+    QuirksOption,
     RealTimeOption,
     can_be_written,
     keep_earlier,
@@ -26,6 +27,7 @@ from hil.cli.options import (
     not_an_input,
     read_effects,
     read_faults,
+    read_quirks,
 )
 from hil.cli.run_data import DataOption, UntilOption, data_beside, keep_sightings, leave
 from hil.cli.run_images import BinningOption, ImageRateOption, ImagesOption, PanelOption, SceneOption, SpoolOption, images_beside
@@ -68,6 +70,7 @@ class RunOptions:
     seed: SeedOption = 0
     effects: EffectsOption = None
     faults: FaultsOption = None
+    quirk: QuirksOption = None
     imu: ImuOption = ""
     io: IoOption = ""
     emulated: EmulatedOption = ""
@@ -112,8 +115,10 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
         raise UnusableInputError("--emulated: only a run on lockstep: emulates; give that machine to `isocenter emulate`")
     if run.faults is not None and not lockstep:
         raise UnusableInputError("--faults: only an emulated machine can have them; give them to `isocenter emulate`, or run on lockstep:")
+    if run.quirk and not lockstep:
+        raise UnusableInputError("--quirk: only an emulated machine can have them; give them to `isocenter emulate`, or run on lockstep:")
     emulated = _emulated(machine, run)
-    faults = read_faults(run.faults, emulated or machine, lockstep)
+    faults, quirks = read_faults(run.faults, emulated or machine, lockstep), read_quirks(run.quirk, emulated or machine)
     told = Told.of(faults, machine)
     records: list[dict[str, Any]] = []
     data = data_beside(machine, run.data, run.until, run.observer is not None, run.images, run.image_rate, plans, lockstep)
@@ -142,7 +147,7 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
             stack.callback(keep_sightings, data, run.images)
         truth, rows = stack.enter_context(frames)
         options = BenchOptions(
-            *(run.bus, run.imu, run.io, run.seed, run.noise, run.frame_log, truth, emulated, faults, told.motion, told.events),
+            *(run.bus, run.imu, run.io, run.seed, run.noise, run.frame_log, truth, emulated, faults, quirks, told.motion, told.events),
             real_time=run.real_time,
             accepted_margins=accepted,
         )
@@ -188,6 +193,8 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
     document["accepted_margins"] = accepted
     if data is not None and run.images is not None:
         document["calibration"] = leave(data, run.images, answer)
+    if quirks:
+        document["quirks"] = [quirk.label for quirk in quirks]
     if faults:
         document["faults"] = told.document()
     answer.write(document)

@@ -37,6 +37,8 @@ from virtual_bus.machine import EmulatedMachine
 from virtual_bus.modbus.io_device import EmulatedIo, IoLayout
 from virtual_bus.physics import Physics
 from virtual_bus.plant.linearise import inertia_matrix
+from virtual_bus.quirks.quirk import QuirkSetting
+from virtual_bus.quirks.registry import put_on
 from virtual_bus.serial.pty import Pty
 from virtual_bus.serial.xsens_imu import EmulatedImu
 from virtual_bus.settings import EmulatedBus, EmulatedCanImu, EmulatedDrive, EmulatedEncoder
@@ -67,11 +69,13 @@ def build_emulated(
     board: PoseBoard | None = None,
     faults: Sequence[FaultSetting] = (),
     motion: MotionLog | None = None,
+    quirks: Sequence[QuirkSetting] = (),
     by_the_wall: bool = False,
 ) -> EmulatedMachine:
     """Build the whole machine, placed at `pose` (n_axes,), not yet powered on; the panel's process reads the `board`.
 
-    `by_the_wall`: without SYNCs its time is that of the wall. With `faults`, or a log for its true `motion`, it is a `FaultyMachine`.
+    `by_the_wall`: without SYNCs its time is that of the wall. With `faults`, `quirks`, or a log for its true `motion`, it is a
+    `FaultyMachine`.
 
     Raises
     ------
@@ -110,7 +114,7 @@ def build_emulated(
     period_s, has_imu, brake_delay_s = machine.plant.sample_period_s, machine.bus.imu is not None, max(machine.brake_delay_s)
     seen = None if truth is None and board is None else witness
     emulated: EmulatedMachine
-    if faults or motion is not None:
+    if faults or quirks or motion is not None:
         brakes = FaultyBrakes(physics)
         faulty_io = FaultyIo(layout, machine.axes, brakes, brake_delay_s) if layout is not None else None
         faulty_imu = FaultyImu() if has_imu else None
@@ -118,6 +122,7 @@ def build_emulated(
             physics, devices, period_s, brakes=brakes, imu=faulty_imu, io=faulty_io, witness=seen, seed=seed, log=motion
         )
         inject(emulated, faults)
+        put_on(emulated, quirks)
     else:
         io = EmulatedIo(layout, machine.axes, physics.set_brakes, brake_delay_s) if layout is not None else None
         emulated = EmulatedMachine(physics, devices, period_s, imu=EmulatedImu() if has_imu else None, io=io, witness=seen)
@@ -236,6 +241,7 @@ def emulate_machine(
     io_rtu: str = "",
     panel: str = "",
     faults: Sequence[FaultSetting] = (),
+    quirks: Sequence[QuirkSetting] = (),
     by_the_wall: bool = False,
     on_ready: Callable[[dict[str, object]], None],
 ) -> None:
@@ -249,6 +255,8 @@ def emulate_machine(
         Serve an X-ray panel too, with this scene or marker plate in the beam.
     faults : sequence of FaultSetting
         What goes wrong, and when.
+    quirks : sequence of QuirkSetting
+        How its drives bend the standard.
     by_the_wall : bool
         While no SYNC comes, its devices' time is that of the wall; else it waits for who may be about to speak.
     on_ready : callable
@@ -277,7 +285,7 @@ def emulate_machine(
             panel_url = stack.enter_context(panel_beside(machine, board, panel))
         try:
             emulated = build_emulated(
-                machine, start, seed=seed, noise=noise, truth=log, board=board, faults=faults, by_the_wall=by_the_wall
+                machine, start, seed=seed, noise=noise, truth=log, board=board, faults=faults, quirks=quirks, by_the_wall=by_the_wall
             )
         except ProtocolError as error:
             raise UnusableInputError(str(error)) from None  # a data sheet that does not fit its device

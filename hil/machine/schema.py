@@ -142,10 +142,10 @@ class DriveTable(Table):
     no cyclic ones: the drive ramps its velocity, or goes to a pose by itself (`isocenter move`)."""
     loops: LoopsTable | None = None
     """The drive's own loops. Required in every mode but torque."""
-    velocity_unit: Literal["counts/s", "rpm", "0.1 rpm", "0.01 rpm", "0.001 rpm", "rev/s"] | None = None
+    velocity_unit: Literal["counts/s", "0.1 counts/s", "rpm", "0.1 rpm", "0.01 rpm", "0.001 rpm", "rev/s"] | None = None
     """Unit of the drive's velocities; turns are the motor's, or behind the drive's own gear ratio (6091h). Without it, what 60A9h or 6096h
     of its data sheet say, else counts/s. A drive whose objects say another one is refused."""
-    acceleration_unit: Literal["counts/s^2", "rpm/s", "rev/s^2"] | None = None
+    acceleration_unit: Literal["counts/s^2", "10 counts/s^2", "rpm/s", "rev/s^2"] | None = None
     """Unit of the drive's accelerations. Without it, what 60AAh or 6097h say, else its velocity unit per second."""
     direction: Literal[1, -1] = 1
     """-1 for a drive whose positive direction is the joint's negative one. It is applied between the wire and SI values only."""

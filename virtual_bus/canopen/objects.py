@@ -149,17 +149,18 @@ class Objects:
         for index, item in dictionary.items():
             if index < 0x1000:
                 continue  # dummies of the PDO mapping are no objects
-            self._indices.add(index)
             for variable in [item] if isinstance(item, ODVariable) else item.values():
-                self._add(variable)
+                self.add(variable)
         self.checks: dict[int, Callable[[Value], None]] = {}
         self.effects: dict[int, Callable[[Value], None]] = {}
         self.readings: dict[int, Callable[[], Value]] = {}
         self.changed: Callable[[Entry], None] = lambda entry: None
 
-    def _add(self, variable: ODVariable) -> None:
+    def add(self, variable: ODVariable) -> None:
+        """Add an object, or a subindex of one."""
         entry = Entry(variable)
         self.entries[entry.key] = entry
+        self._indices.add(entry.index)
 
     def take_defaults(self, before: canopen.ObjectDictionary, dictionary: canopen.ObjectDictionary) -> None:
         """Take the defaults that differ between two readings of the data sheet, which are those that hold the node id."""

@@ -39,6 +39,8 @@ class Servo:
         Whether a limit acts in this sample (statusword, bit 11).
     released : bool
         Whether the motor has been free, or held by its brake, until now.
+    built_in : MotionUnits, optional
+        Units of which no object of the device speaks, in force from the next restart on.
     origin, absolute, offset : int
         Motor counts: where the counter began, where it is, and what is added to show the position actual value.
     """
@@ -51,6 +53,7 @@ class Servo:
         self.speed = SpeedMeter(period_s, settings.speed_filter)
         self._settings = settings
         self.units = units.MotionUnits()
+        self.built_in: units.MotionUnits | None = None
         self._read_units()
         for index in units.OBJECTS:
             for subindex in range(3):
@@ -84,7 +87,7 @@ class Servo:
             entry = self.objects.get(index, subindex)
             return entry.value if entry is not None and isinstance(entry.value, int) else None
 
-        self.units = units.units_or_counts(read, self._settings)
+        self.units = self.built_in or units.units_or_counts(read, self._settings)
 
     def counts_s(self, velocity: Value) -> float:
         """Return the speed [counts/s] that an object in the device's unit of velocity holds."""

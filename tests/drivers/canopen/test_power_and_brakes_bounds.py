@@ -217,18 +217,25 @@ def test_a_fault_has_a_second_to_clear(machine: Machine) -> None:
             power_and_brakes.reset_fault(slow, 0)
             assert "was in fault, fault reaction active (020Fh)" in slow.notes[1]
         else:
-            with pytest.raises(DeviceFaultError, match=r"; a fault reset did not clear it within 1\.0 s: remove its cause$"):
-                power_and_brakes.reset_fault(slow, 0)
-            assert slow.notes == ("before",)
-        assert slow.log[-1] == (SECOND, 0, 0x00)
-        assert slow.ticks == SECOND + 2
+            power_and_brakes.reset_fault(slow, 0)  # by the second edge
+            assert [entry for entry in slow.log if entry[2] == 0x80] == [(0, 0, 0x80), (SECOND + 2, 0, 0x80)]
+        assert slow.log[1:3] == [(0, 0, 0x80), (SECOND, 0, 0x00)]
+        assert slow.ticks == (SECOND + 2 if gone else SECOND + 2 + 2 + 2)
+
+
+def test_a_fault_that_two_resets_do_not_clear_is_refused(machine: Machine) -> None:
+    machine.inputs[0].statusword = FAULT
+    with pytest.raises(DeviceFaultError, match=r"; 2 fault resets did not clear it within 1\.0 s each: remove its cause$"):
+        power_and_brakes.reset_fault(machine, 0)
+    assert machine.notes == ("before",)
+    assert machine.ticks == 2 * (SECOND + 2)
 
 
 def test_a_fault_that_comes_back_at_once_is_not_reset(machine: Machine) -> None:
     machine.inputs[0].statusword = FAULT
-    machine.at = lambda tick: setattr(machine.inputs[0], "statusword", FAULT if tick == 4 else OFF)
+    machine.at = lambda tick: setattr(machine.inputs[0], "statusword", FAULT if tick % 4 == 0 else OFF)
     machine.objects[0].objects[0x603F] = (0x3210).to_bytes(2, "little")
-    with pytest.raises(DeviceFaultError, match=r"^propeller_drive \(node 1\): fault \(0208h\); error code 3210h: .*; a fault reset"):
+    with pytest.raises(DeviceFaultError, match=r"^propeller_drive \(node 1\): fault \(0208h\); error code 3210h: .*; 2 fault resets"):
         power_and_brakes.reset_fault(machine, 0)
 
 
@@ -270,6 +277,25 @@ def test_a_mode_that_is_not_shown_within_a_second_is_refused_and_no_mode_is_know
         power_and_brakes.set_mode(machine, 1, Mode.CYCLIC_SYNCHRONOUS_TORQUE)
     assert machine.modes == [Mode.HOMING, None, Mode.HOMING]
     assert machine.log == []
+
+
+def test_a_drive_without_voltage_may_show_no_mode_for_seconds_and_the_ticks_go_on(machine: Machine) -> None:
+    objects = machine.objects[1]
+    objects.objects[0x6061], objects.shown_after_s = -1, np.inf
+    machine.at = lambda tick: objects.objects.update({0x6061: 10}) if tick == 4 * SECOND else None
+    power_and_brakes.set_mode(machine, 1, Mode.CYCLIC_SYNCHRONOUS_TORQUE)
+    assert machine.ticks == 4 * SECOND
+    assert machine.commands[-1] == [0.0, 0.0, 0.0]
+    assert machine.modes[1] is Mode.CYCLIC_SYNCHRONOUS_TORQUE
+
+
+@pytest.mark.parametrize(("statusword", "said"), [(OFF, r"shows no mode \(-1\) for 10 s"), (QUICK, "stays in mode -1")])
+def test_a_drive_that_shows_no_mode_for_longer_or_has_voltage_is_refused(machine: Machine, statusword: int, said: str) -> None:
+    machine.objects[1].objects[0x6061], machine.objects[1].shown_after_s = -1, np.inf
+    machine.inputs[1].statusword = statusword
+    with pytest.raises(MotionRefusedError, match=rf"^roll_drive \(node 2\): {said}, mode 10 "):
+        power_and_brakes.set_mode(machine, 1, Mode.CYCLIC_SYNCHRONOUS_TORQUE)
+    assert machine.ticks == (10 * SECOND + 1 if statusword == OFF else 0)
 
 
 # ---- brakes

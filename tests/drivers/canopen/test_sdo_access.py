@@ -47,6 +47,39 @@ def test_integers_go_out_in_the_data_sheets_width_and_come_back_with_its_sign() 
     assert node.read_integer(0x6007) == -1
 
 
+def test_bytes_beyond_an_objects_size_do_not_count() -> None:
+    _, node = connected(ScriptedDrive(1))
+    assert node.to_integer(0x6007, 0, bytes.fromhex("ffff0000")) == -1
+    assert node.to_integer(0x6061, 0, bytes.fromhex("fc2e302e")) == -4
+
+
+def test_an_object_that_only_the_data_sheet_has_is_told_as_that() -> None:
+    drive = ScriptedDrive(1)
+    drive.aborts[0x1017, 0] = 0x06020000
+    _, node = connected(drive)
+    with pytest.raises(
+        ConfigurationRefusedError, match=r"object does not exist \(abort 06020000h\); its data sheet has it: give that of its"
+    ):
+        node.write_integer(0x1017, 0, 100)
+
+
+def test_answers_to_requests_that_were_given_up_are_no_answers_to_later_ones() -> None:
+    class Slow(ScriptedDrive):
+        """Answers every request behind the next."""
+
+        held: bytes | None = None
+
+        def _sdo(self, data: bytes) -> None:
+            if self.held is not None:
+                super()._sdo(self.held)
+            self.held = data
+
+    _, node = connected(Slow(1))
+    assert node.read_integer(0x1000) == 0x0002_0192
+    assert node.read_integer(0x1018, 2) == 0x4953_4F01
+    assert node.read_integer(0x1018, 3) == 0x0001_0000
+
+
 @pytest.mark.parametrize(
     ("code", "words"),
     [
