@@ -15,13 +15,17 @@ LONGEST_FIRST = ("vcan", "diagnosis", "observers", "observing", "effects", "benc
 workers have nothing to do."""
 
 
+SHARED = ("with_friction", "design", "machines")
+"""Fixtures that take a quarter of a minute and serve several files: with `--dist loadgroup` one worker runs all files that ask for one."""
+
+
 def pytest_configure(config: pytest.Config) -> None:
     if hasattr(config.option, "loadscopereorder"):  # files in their order, not those of many tests first
         config.option.loadscopereorder = False
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     for item in items:
         if item.get_closest_marker("nightly") is not None:
             item.add_marker(pytest.mark.slow)  # so that -m "not slow" leaves it out, too
@@ -31,6 +35,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         return LONGEST_FIRST.index(folder) if folder in LONGEST_FIRST else len(LONGEST_FIRST)
 
     items.sort(key=place)
+    if config.pluginmanager.hasplugin("xdist"):
+        asked = {item.path: name for item in items for name in SHARED if name in getattr(item, "fixturenames", ())}
+        for item in items:  # a file's tests are never apart: they share what is made once for the file
+            item.add_marker(pytest.mark.xdist_group(asked.get(item.path, item.nodeid.partition("::")[0])))
 
 
 def pytest_collection_finish() -> None:

@@ -6,7 +6,6 @@ import contextlib
 import os
 import signal
 import socket
-import time
 from collections.abc import Callable
 from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
@@ -16,16 +15,11 @@ import numpy as np
 
 from drivers.bus_url import open_bus
 from drivers.errors import DriverError
-from drivers.modbus.io import IoState
-from drivers.modbus.published import published_block, state_values, take_state
-from drivers.modbus.shared_block import Block
+from drivers.modbus.published import published_block
 from drivers.settings import BusSettings
-from drivers.supervisor.blocks import ANSWER, ASKED, END, FRAME, ORDERS, OWN, PERMITS, ROUNDS, SESSION, WANTED_SESSION, WORD, blocks_of
-from drivers.supervisor.supervisor import NMT, Supervisor
-
-HELD_UP_ROUNDS = 8.0  # of a round's time, after which the process was held up: frames have come together meanwhile
-MOST_FRAMES = 64  # taken in a round, those of 9 ticks: who judges with frames unread calls a bus silent, who never does is silent itself
-LINGERS_S = 2.0  # for which it goes on judging after the loop's process is gone
+from drivers.supervisor.blocks import FRAME, OWN, blocks_of
+from drivers.supervisor.rounds import Line, Rounds, Shared
+from drivers.supervisor.supervisor import Supervisor
 
 
 def supervise(
@@ -52,7 +46,7 @@ def supervise(
         stack.callback(orders.release)
         stack.callback(own.release)
         try:
-            line = _Tap(tap) if tap is not None else _Line(stack, url, settings.bitrate_bit_s)
+            line: Line = Tap(tap) if tap is not None else BusLine(stack, url, settings.bitrate_bit_s)
         except DriverError as error:
             own.write(np.zeros(OWN), f"the supervisor cannot open the bus: {error}")
             return
@@ -62,11 +56,11 @@ def supervise(
             stack.callback(shared.close)
             io = published_block(shared, len(settings.scalings))
             stack.callback(io.release)
-        asks = _Asks(stack, stop_socket)
-        _Rounds(settings, line, own, orders, io, asks, parent).run()
+        asks = StopSocket(stack, stop_socket)
+        Rounds(settings, Supervisor(settings), line, Shared(own, orders, io), asks.asked, lambda: os.getppid() == parent).run()
 
 
-class _Line:
+class BusLine:
     """The bus, opened once more in this process."""
 
     def __init__(self, stack: contextlib.ExitStack, url: str, bitrate: int) -> None:
@@ -85,7 +79,7 @@ class _Line:
         self._bus.send(can.Message(arbitration_id=can_id, is_extended_id=False, data=data))
 
 
-class _Tap:
+class Tap:
     """Frames that the bus's owner passes on."""
 
     def __init__(self, tap: socket.socket) -> None:
@@ -106,7 +100,7 @@ class _Tap:
         self._tap.send(FRAME.pack(can_id, len(data), data))
 
 
-class _Asks:
+class StopSocket:
     """The socket at which others on this host ask for a stop; each question is answered with what is seen."""
 
     def __init__(self, stack: contextlib.ExitStack, path: Path | None) -> None:
@@ -131,78 +125,3 @@ class _Asks:
         with contextlib.suppress(OSError, TypeError):  # one without an address of its own gets no answer
             self._socket.sendto(seen().encode(), sender)
         return words.decode(errors="replace")
-
-
-class _Rounds:
-    """What the process does, round by round: take frames for half a period, then judge and answer."""
-
-    def __init__(
-        self, settings: BusSettings, line: _Line | _Tap, own: Block, orders: Block, io: Block | None, asks: _Asks, parent: int
-    ) -> None:
-        self._supervisor = Supervisor(settings)
-        self._settings, self._line, self._own, self._orders, self._io, self._asks = settings, line, own, orders, io, asks
-        self._parent = parent
-        self._who = ""  # asked for a stop, in any session
-        self._stale_s = settings.io.stale_after_s if settings.io is not None else 0.0
-        self._supervisor.end()  # until the bench begins a session
-        self._round_s = 0.5 * settings.sync_period_s
-        self._told = np.zeros(ORDERS)
-        self._values = np.zeros(OWN)
-        self._state = IoState(len(settings.scalings))
-        self._read = np.zeros(state_values(len(settings.scalings)))
-
-    def run(self) -> None:
-        """Go on until told to end, or some time after the loop's process is gone."""
-        gone_s = 0.0
-        while not self._told[END] and gone_s < LINGERS_S:
-            began_s = time.monotonic()
-            self._heed()
-            all_taken = self._take_frames(began_s + self._round_s)
-            if not all_taken or time.monotonic() - began_s > HELD_UP_ROUNDS * self._round_s:
-                self._supervisor.held_up()
-            now_s = time.monotonic()
-            if os.getppid() != self._parent:
-                gone_s += now_s - began_s
-                self._supervisor.refuse(now_s, "the bench's process is gone")
-            self._judge(now_s)
-
-    def _take_frames(self, until_s: float) -> bool:
-        try:
-            for _ in range(MOST_FRAMES):
-                if (frame := self._line.receive(max(0.0, until_s - time.monotonic()))) is not None:
-                    self._supervisor.frame(time.monotonic(), *frame)
-                elif time.monotonic() >= until_s:
-                    return True
-        except (can.CanError, OSError) as error:
-            self._supervisor.refuse(time.monotonic(), f"the bus cannot be read: {error}")
-            time.sleep(self._round_s)
-        return False
-
-    def _heed(self) -> None:
-        """Take the loop's orders and what others ask for."""
-        session = self._told[WANTED_SESSION]
-        self._orders.read(self._told)
-        if self._told[WANTED_SESSION] != session:
-            (self._supervisor.begin if self._told[WANTED_SESSION] > 0.0 else self._supervisor.end)()
-        self._who = self._who or self._asks.asked(self._seen)
-        if self._who:
-            self._asks.asked(self._seen)
-            self._supervisor.ask_to_stop(time.monotonic(), self._who)
-
-    def _seen(self) -> str:
-        return f"{self._supervisor.torque}\n{self._supervisor.reason}"
-
-    def _judge(self, now_s: float) -> None:
-        supervisor, values = self._supervisor, self._values
-        if self._io is not None and take_state(self._io, self._read, self._state) >= 0:
-            fresh = now_s - self._state.time_s <= self._stale_s
-            supervisor.io(now_s, self._state.hold_to_run and fresh, self._state.door_closed and fresh, self._state.brakes_open)
-        answer = supervisor.answer(now_s, self._state.word)
-        values[ROUNDS] += 1.0
-        values[SESSION] = self._told[WANTED_SESSION]
-        values[PERMITS], values[ASKED] = answer is not None, bool(supervisor.asked_by) and not supervisor.reason
-        values[WORD], values[ANSWER] = self._state.word, answer or 0
-        self._own.write(values, supervisor.reason or supervisor.asked_by)
-        for command in supervisor.commands(now_s):
-            with contextlib.suppress(can.CanError, OSError):
-                self._line.send(NMT, bytes(command))

@@ -13,26 +13,29 @@ from pathlib import Path
 
 import pytest
 from places import ROOT
-from prepared import convert, prepare_when_asked
+from prepared import compile_first, convert, prepare_when_asked
 from user_mode_kernel import PACKAGES, Outcome, kernel_missing, run_in_user_mode_kernel, vcan_here
 
 TOLD = "told.txt"
 INSIDE = Path(__file__).parent / "inside"
 TIMEOUT_S = 2400.0
+DAILY, NIGHTLY = "vcan and not nightly", "vcan and nightly"
 
 
 @pytest.mark.slow
 def test_two_processes_over_vcan0(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, record_property: Callable[[str, object], None]) -> None:
     """Emulator and loop talk over vcan0, candump is the witness, slcan crosses a pty; nothing in there may be skipped."""
     monkeypatch.chdir(ROOT)
-    over_vcan0("vcan and not nightly", tmp_path, record_property)
+    over_vcan0(DAILY, tmp_path, record_property)
 
 
 @pytest.mark.nightly
-def test_faults_over_vcan0(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, record_property: Callable[[str, object], None]) -> None:
-    """The most dangerous faults, one after the other, each with the time that a machine takes: a quarter of an hour."""
+def test_faults_and_a_shaped_scan_over_vcan0(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, record_property: Callable[[str, object], None]
+) -> None:
+    """The most dangerous faults, one after the other, each with the time that a machine takes: a quarter of an hour; a shaped scan."""
     monkeypatch.chdir(ROOT)
-    over_vcan0("vcan and nightly", tmp_path, record_property)
+    over_vcan0(NIGHTLY, tmp_path, record_property)
 
 
 def over_vcan0(marked: str, folder: Path, record_property: Callable[[str, object], None]) -> None:
@@ -57,7 +60,8 @@ def over_vcan0(marked: str, folder: Path, record_property: Callable[[str, object
     ]
     environment = {"ISOCENTER_VCAN": "vcan0", "PATH": os.environ["PATH"], "HOME": os.environ.get("HOME", "/root"), "LANG": "C.UTF-8"}
     environment["ISOCENTER_PREPARED"] = str(folder)
-    environment |= {name: os.environ[name] for name in ("ISOCENTER_CACHE",) if name in os.environ}  # compiled once, outside
+    handed = ("ISOCENTER_CACHE", "ISOCENTER_COMPILING")  # what is compiled once, outside; where CI notes what is compiled
+    environment |= {name: os.environ[name] for name in handed if name in os.environ}
     here, kernel = vcan_here(), ""
     if here:
         kernel = kernel_missing()
@@ -69,10 +73,11 @@ def over_vcan0(marked: str, folder: Path, record_property: Callable[[str, object
             if os.environ.get("CI"):
                 pytest.fail(line)
             pytest.skip(line)
+    compile_first(folder)
     convert(folder)
     stop = threading.Event()
     with ThreadPoolExecutor(1) as beside:
-        preparing = beside.submit(prepare_when_asked, folder, stop)
+        preparing = beside.submit(prepare_when_asked, folder, marked == NIGHTLY, stop)
         try:
             if here:
                 outcome = run_in_user_mode_kernel(command, environment, TIMEOUT_S)

@@ -13,7 +13,7 @@ from virtual_bus.plant.modules import load_generated
 
 HEADER = '''"""Generated: the hooks of all effects by number; do not edit."""
 
-from virtual_bus.plant.jit import compiled, compiled_and_cached
+from virtual_bus.plant.jit import compiled, compiled_inside
 '''
 FUNCTIONS = {  # name in the generated module: hook of the effect files, what an effect without it returns
     "friction_of": ("level", "0.0"),

@@ -61,7 +61,7 @@ def dispatcher_text(hook: str, function: str, nothing: str = "0.0") -> str:
     for _, effect in chosen:
         module = module_of(effect.name).__name__
         lines += [f"import {module}", f"_{function}_{effect.name} = compiled({module}.{hook})"]
-    lines += ["", "", "@compiled_and_cached", f"def {function}(number, state, row):"]
+    lines += ["", "", "@compiled_inside", f"def {function}(number, state, row):"]
     for number, effect in chosen:
         arguments = ", ".join(f"row[{1 + k}]" for k in range(len(effect.parameters)))
         lines += [f"    if number == {number}:", f"        return _{function}_{effect.name}(state, {arguments})"]

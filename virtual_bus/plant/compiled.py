@@ -95,6 +95,7 @@ class CompiledPlant:
     settings: PlantSettings
     parameters: tuple[PlantParameter, ...]
     module: ModuleType
+    derive: Callable[[list[float], np.ndarray], None]
     constant_count: int
     _of_thread: threading.local = field(default_factory=threading.local, repr=False, compare=False)
 
@@ -283,7 +284,7 @@ class CompiledPlant:
         settings, tree = self.settings, self.settings.tree
         model = np.zeros(1, self._model_dtype)
         record = model[0]
-        self.module.derive([by_quantity[quantity] for quantity in self._quantities], record["constants"])
+        self.derive([by_quantity[quantity] for quantity in self._quantities], record["constants"])
         record["step_s"] = settings.sample_period_s / settings.substeps
         record["steps"] = settings.substeps
         for quantity in ("stiffness", "damping", "rest_position", "brake_effort"):
@@ -403,4 +404,5 @@ def compile_plant(settings: PlantSettings) -> CompiledPlant:
     check_plant(settings)
     generated = _text_of(Same(settings))
     sources = "\n".join(inspect.getsource(module) for module in DEPENDENCIES) + dispatch_sources()
-    return CompiledPlant(settings, plant_parameters(settings), load_generated("plant", generated.text, sources), generated.constant_count)
+    module, derive = load_generated("plant", generated.text, sources), load_generated("constants", generated.derive).derive
+    return CompiledPlant(settings, plant_parameters(settings), module, derive, generated.constant_count)

@@ -35,7 +35,7 @@ class Emitter:
 
         A target is a pair such as `("work.bias[1]", node)`.
         """
-        return self._function(f"@compiled_and_cached\ndef {name}(model, work):\n    {preamble}", targets, hoist=True)
+        return self._function(f"@compiled_inside\ndef {name}(model, work):\n    {preamble}", targets, hoist=True)
 
     def derive_text(self) -> str:
         """Return the source of the function that fills `c` from the parameters `p`.
@@ -43,7 +43,7 @@ class Emitter:
         Call it last: the other functions decide what is in `c`.
         """
         targets = [(f"c[{k}]", node) for k, node in enumerate(self._constant_nodes)]
-        return self._function("def derive(p, c):", targets, hoist=False)
+        return self._function("from math import cos, sin\n\n\ndef derive(p, c):", targets, hoist=False)
 
     def _function(self, head: str, targets: list[tuple[str, Node]], hoist: bool) -> str:
         uses: Counter[int] = Counter()
@@ -72,8 +72,9 @@ class Emitter:
             expression = self._expression(node, text, hoist)
             is_leaf = node.operation in ("constant", "input") or (hoist and node.is_parametric)
             if uses[node.number] > 1 and not is_leaf:
-                lines.append(f"    x{node.number} = {expression}")
-                expression = f"x{node.number}"
+                name = f"x{len(lines)}"  # by its place, so that equal equations are written equally
+                lines.append(f"    {name} = {expression}")
+                expression = name
             text[node.number] = expression
         lines += [f"    {target} = {text[node.number]}" for target, node in targets] or ["    pass"]
         return "\n".join(lines) + "\n"

@@ -1,4 +1,4 @@
-"""The source of a plant's generated module."""
+"""The source of a plant's generated modules."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from math import cos, sin
 
 from EFFECTS import effort_of, friction_of, limited_by, reaction_of, ripple_of, terms_of
 from virtual_bus.plant import drives, integrator, readings, terms
-from virtual_bus.plant.jit import compiled_and_cached
+from virtual_bus.plant.jit import compiled_and_cached, compiled_inside
 '''
 
 ENTRY_POINTS = """
-@compiled_and_cached
+@compiled_inside
 def add_terms(model, work):
     terms.add_efforts(effort_of, model, work)
     terms.add_pairs(terms_of, model, work)
 
 
-@compiled_and_cached
+@compiled_inside
 def equations(model, work):
     mass_and_bias(model, work)
     if model.effort_count + model.pair_count > 0:
@@ -83,11 +83,20 @@ def evaluate_poses(model, work):
 QUERY = "c = model.constants; q = work.query_position; v = work.query_speed; a = work.query_acceleration"
 
 
+FEWEST_CONSTANTS = 32
+"""Room for the derived constants of any small machine. It doubles where more are needed: plants with records of the same size share what is
+compiled for the records alone."""
+
+
 @dataclass(frozen=True)
 class PlantText:
-    """Source of a plant's module, and how many derived constants its equations read."""
+    """Sources of a plant's compiled module and of what derives its equations' constants, and the room that these have.
+
+    They are apart because plants that differ only in how their constants follow from their parameters share their machine code.
+    """
 
     text: str
+    derive: str
     constant_count: int
 
 
@@ -96,7 +105,7 @@ def plant_text(settings: PlantSettings) -> PlantText:
 
     The module's `mass_and_bias(model, work)` (`equations` with the effects' terms), `imu(model, work)` and `poses(model, work)` evaluate
     them at work.query_position, query_speed and query_acceleration: into work.mass (lower half) and bias, into reading, and into poses.
-    `derive(p, c)` computes model.constants from the parameters. The rest is the calling convention of `compiled.py`.
+    `derive(p, c)` computes model.constants from the parameters, and is not compiled. The rest is the calling convention of `compiled.py`.
     """
     equations = PlantEquations(settings, tuple(parameter.name for parameter in plant_parameters(settings)))
     emitter = Emitter()
@@ -116,6 +125,7 @@ def plant_text(settings: PlantSettings) -> PlantText:
         emitter.function_text("mass_and_bias", masses + biases, QUERY),
         emitter.function_text("imu", readings, QUERY),
         emitter.function_text("poses", poses, QUERY),
-        emitter.derive_text(),
     ]
-    return PlantText("\n\n".join(parts) + "\n" + ENTRY_POINTS, emitter.constant_count)
+    derive = emitter.derive_text()
+    room = max(FEWEST_CONSTANTS, 1 << (emitter.constant_count - 1).bit_length())
+    return PlantText("\n\n".join(parts) + "\n" + ENTRY_POINTS, derive, room)

@@ -25,16 +25,19 @@ FAST_MATH = {"contract", "reassoc", "nsz", "arcp"}
 # array be returned: numba compiles that, and hands back the whole array that the returned part was taken from.
 UNCOUNTED: dict[str, Any] = {"_nrt": False}
 
-# The entries for calls from Python and C take a fifth of the compilation; functions that only compiled code calls do without them.
-INNER: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+# The entries for calls from Python and C take a fifth of the compilation. Nothing calls from C; functions that only compiled code calls do
+# without both.
+OUTER: dict[str, Any] = {"no_cfunc_wrapper": True}
+INNER: dict[str, Any] = {"no_cpython_wrapper": True, **OUTER}
 
 # For functions compiled into a generated module. Inlining is forced: a function handed over as an argument leaves a trace that numba cannot
 # cache unless the call disappears, and the compiler then sees one body with known sizes.
 compiled: Compiler = numba.njit(fastmath=FAST_MATH, error_model="numpy", forceinline=True, **UNCOUNTED, **INNER)
 
-# For the functions of a generated module: machine code of their own, kept on disk.
-compiled_and_cached: Compiler = numba.njit(fastmath=FAST_MATH, error_model="numpy", cache=True, **UNCOUNTED)
+# For the functions of a generated module: machine code of their own, kept on disk. The second is for those that Python does not call.
+compiled_and_cached: Compiler = numba.njit(fastmath=FAST_MATH, error_model="numpy", cache=True, **UNCOUNTED, **OUTER)
+compiled_inside: Compiler = numba.njit(fastmath=FAST_MATH, error_model="numpy", cache=True, **UNCOUNTED, **INNER)
 
 # For whole simulations: other threads go on meanwhile. Not for what a real-time loop calls every sample: on its return it would have to
 # wait for the interpreter's lock, which takes 5 ms where another thread has work.
-compiled_for_threads: Compiler = numba.njit(fastmath=FAST_MATH, error_model="numpy", cache=True, nogil=True, **UNCOUNTED)
+compiled_for_threads: Compiler = numba.njit(fastmath=FAST_MATH, error_model="numpy", cache=True, nogil=True, **UNCOUNTED, **OUTER)

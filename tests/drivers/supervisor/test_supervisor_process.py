@@ -12,21 +12,24 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
-from types import SimpleNamespace
+from typing import cast
 
 import can
 import numpy as np
 import pytest
 from bench_machines import CARM
 
-from drivers.bus_url import open_bus
+from drivers.errors import BusUnavailableError
 from drivers.modbus.io import IoState
 from drivers.modbus.published import published_block, state_values, values_of
 from drivers.modbus.refresh import FIRST_WORD, following_word
 from drivers.modbus.shared_block import Block
 from drivers.oversight.answers import AnswerReader
-from drivers.supervisor import process
+from drivers.supervisor import process, rounds
 from drivers.supervisor.blocks import ANSWER, ASKED, END, FRAME, ORDERS, OWN, PERMITS, ROUNDS, SESSION, WORD, blocks_of
+from drivers.supervisor.process import BusLine, StopSocket, Tap
+from drivers.supervisor.rounds import Clock, Line, Rounds, Shared
+from drivers.supervisor.supervisor import Supervisor
 
 assert CARM.bus is not None
 SETTINGS = CARM.bus
@@ -48,6 +51,7 @@ class Bench:
         self.stop_socket = stop_socket
         self.parent = os.getppid()
         self.priority = 1
+        self.refuses = False
         self.order(1.0, end=False)
         self.seen = np.zeros(OWN)
         self.settings = SETTINGS
@@ -64,33 +68,50 @@ class Bench:
         told[0], told[END] = session, end
         self.orders.write(told)
 
-    def run(self, *, during: Callable[[int], None] = lambda number: None, url: str = "", rounds: int = 3, io: bool = True) -> None:
-        """Let the process make so many rounds; `during` is called with the number of each."""
-        count = 0
-        judge = process._Rounds._judge
+    def run(
+        self,
+        *,
+        during: Callable[[int], None] = lambda number: None,
+        url: str = "",
+        rounds: int = 3,
+        io: bool = True,
+        line: Line | None = None,
+        supervisor: Told | None = None,
+        clock: Clock = time,
+    ) -> None:
+        """Make so many rounds; `during` is called with the number of each."""
+        judge = Supervisor(self.settings) if supervisor is None else cast(Supervisor, supervisor)
+        with contextlib.ExitStack() as stack:
+            line = line or (BusLine(stack, url, self.settings.bitrate_bit_s) if url else Tap(self.there))
+            asked = StopSocket(stack, self.stop_socket).asked
+            shared = Shared(self.own, self.orders, self.io if io else None)
+            made = Rounds(self.settings, judge, line, shared, asked, lambda: os.getppid() == self.parent, clock)
+            count = 0
+            while not made.is_over:
+                made.round()
+                count += 1
+                during(count)
+                if count >= rounds:
+                    told = np.zeros(ORDERS)
+                    self.orders.read(told)
+                    told[END] = 1.0
+                    self.orders.write(told)
+        self.own.read(self.seen)
 
-        def counted(self_: process._Rounds, now_s: float) -> None:
-            nonlocal count
-            judge(self_, now_s)
-            count += 1
-            during(count)
-            if count >= rounds:
-                told = np.zeros(ORDERS)
-                self.orders.read(told)
-                told[END] = 1.0
-                self.orders.write(told)
-
+    def supervise(self, url: str = "") -> None:
+        """Run the process's own function to an end that it is told from the beginning, but for what it would do to the tests' process."""
+        self.order(1.0, end=True)
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(process._Rounds, "_judge", counted)
             patch.setattr(process.signal, "signal", lambda *words: self.signals.append(words))
-            patch.setattr(process.os, "sched_setscheduler", self.schedule)  # of the tests' own process
+            patch.setattr(process.os, "sched_setscheduler", self.schedule)
             tap = None if url else self.there
-            memory = self.io_memory.name if io else ""
-            process.supervise(self.settings, url, self.memory.name, memory, self.parent, self.priority, self.stop_socket, tap)
+            process.supervise(self.settings, url, self.memory.name, self.io_memory.name, self.parent, self.priority, self.stop_socket, tap)
         self.own.read(self.seen)
 
     def schedule(self, which: int, policy: int, parameters: os.sched_param) -> None:
         self.scheduled.append((which, policy, parameters.sched_priority))
+        if self.refuses:
+            raise PermissionError
 
     def close(self) -> None:
         for block in (self.own, self.orders, self.io):
@@ -100,28 +121,6 @@ class Bench:
             memory.unlink()
         self.here.close()
         self.there.close()
-
-
-HALF_s = 0.5 * SETTINGS.sync_period_s  # of a round: 1/512 s, which adds up without rounding
-
-
-def own_clock(monkeypatch: pytest.MonkeyPatch, frames: int = 0) -> list[float]:
-    """Let the process's clock go on only while it waits for a frame, however busy the computer is; return its waits.
-
-    The first frames come after a quarter of a wait each.
-    """
-    waits: list[float] = []
-    clock = SimpleNamespace(now_s=0.0)
-
-    def receive(tap: process._Tap, timeout_s: float) -> tuple[int, bytes] | None:
-        waits.append(timeout_s)
-        comes = len(waits) <= frames
-        clock.now_s += 0.25 * timeout_s if comes else timeout_s
-        return (SYNC, b"") if comes else None
-
-    monkeypatch.setattr(process._Tap, "receive", receive)
-    monkeypatch.setattr(process, "time", SimpleNamespace(monotonic=lambda: clock.now_s))
-    return waits
 
 
 @pytest.fixture
@@ -169,12 +168,13 @@ def test_a_drive_with_torque_whose_sync_stops_ends_the_permission_and_its_networ
     reader.close()
 
 
-def test_a_bench_that_is_gone_ends_the_permission_and_then_the_process(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    own_clock(monkeypatch)
+def test_a_bench_that_is_gone_ends_the_permission_and_then_the_process(bench: Bench) -> None:
+    line = HeldUp(0.0)
     bench.parent += 1
-    bench.run(rounds=2000)
+    bench.run(rounds=5000, line=line, clock=line)
     assert bench.own.text == "the bench's process is gone"
-    assert bench.seen[ROUNDS] == process.LINGERS_S / HALF_s
+    assert line.now_s == pytest.approx(rounds.LINGERS_S, rel=0.05)
+    assert 1 < bench.seen[ROUNDS] < 5000
 
 
 def test_a_bus_that_it_opens_itself(bench: Bench) -> None:
@@ -210,7 +210,7 @@ def test_it_sends_on_a_bus_that_it_opened(bench: Bench) -> None:
 def test_what_is_no_data_frame_is_not_heard() -> None:
     other = can.Bus(interface="virtual", channel="heard")
     with contextlib.ExitStack() as stack:
-        line = process._Line(stack, "virtual:heard", 1_000_000)
+        line = BusLine(stack, "virtual:heard", 1_000_000)
         others = ({"is_extended_id": True}, {"is_remote_frame": True}, {"is_error_frame": True}, {"is_fd": True}, {})
         for kind in others:
             other.send(can.Message(arbitration_id=SYNC, **{"is_extended_id": False, **kind}))  # type: ignore[arg-type]
@@ -219,24 +219,27 @@ def test_what_is_no_data_frame_is_not_heard() -> None:
 
 
 class Told:
-    """A supervisor that keeps what it is told."""
+    """A supervisor that keeps what it is told, and the clock of one whose frames take long."""
 
-    def __init__(self, settings: object) -> None:
+    def __init__(self) -> None:
         self.states: list[tuple[bool, bool]] = []
         self.asks: list[tuple[bool, str]] = []
         self.reason, self.asked_by, self.torque = "", "", "torque on"
-        self.held = 0
+        self.held, self.later_s = 0, 0.0
         self.orders: list[tuple[int, int]] = []
-        Told.newest = self
 
-    newest: Told
+    def monotonic(self) -> float:
+        return time.monotonic() + self.later_s
+
+    def sleep(self, seconds: float) -> None:
+        self.later_s += seconds
 
     def begin(self) -> None: ...
 
     def end(self) -> None: ...
 
     def frame(self, time_s: float, can_id: int, data: bytes) -> None:
-        time.sleep(1.5 * process.HELD_UP_ROUNDS * 0.5 * SETTINGS.sync_period_s)
+        self.later_s += 1.5 * rounds.HELD_UP_ROUNDS * 0.5 * SETTINGS.sync_period_s
 
     def held_up(self) -> None:
         self.held += 1
@@ -255,11 +258,8 @@ class Told:
 
 
 @pytest.mark.parametrize(("pressed", "closed"), [(True, False), (False, True)])
-def test_the_state_of_the_io_and_who_asks_reach_the_supervisor(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pressed: bool, closed: bool
-) -> None:
-    monkeypatch.setattr(process, "Supervisor", Told)
-    bench = Bench(tmp_path / "stop.socket")
+def test_the_state_of_the_io_and_who_asks_reach_the_supervisor(tmp_path: Path, pressed: bool, closed: bool) -> None:
+    told, bench = Told(), Bench(tmp_path / "stop.socket")
     answers: list[bytes] = []
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as line:
         line.bind(str(tmp_path / "me"))
@@ -275,16 +275,16 @@ def test_the_state_of_the_io_and_who_asks_reach_the_supervisor(
             if number == 5:
                 answers.append(line.recv(1000))
 
-        bench.run(during=during, rounds=5)
+        bench.run(during=during, rounds=5, supervisor=told)
     assert answers == [b"torque on\n", b"torque on\n"]
-    assert Told.newest.states[-1] == (pressed, closed)
-    assert set(Told.newest.asks) == {(True, "\ufffdsomebody")}
+    assert told.states[-1] == (pressed, closed)
+    assert set(told.asks) == {(True, "\ufffdsomebody")}
     assert (bench.seen[PERMITS], bench.seen[ANSWER]) == (0, 0)
     bench.close()
 
 
 def test_a_bus_that_cannot_be_opened_is_said(bench: Bench) -> None:
-    bench.run(url="slcan:/dev/none@1000000")
+    bench.supervise("slcan:/dev/none@1000000")
     assert bench.own.text.startswith("the supervisor cannot open the bus: slcan:/dev/none")
     assert bench.seen[ROUNDS] == 0
 
@@ -319,9 +319,9 @@ def test_who_asks_for_a_stop_is_heard_answered_and_remembered_over_sessions(tmp_
 def test_nobody_can_ask_without_unix_sockets(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(process.socket, "AF_UNIX")
     monkeypatch.delattr(process.signal, "SIGHUP")
-    monkeypatch.setattr(process, "HELD_UP_ROUNDS", 0.0)  # each round was held up, and says so
     bench.stop_socket, bench.priority = Path("never.socket"), 0
-    bench.run(rounds=1)
+    bench.supervise()
+    assert bench.seen[ROUNDS] == 1
     assert not Path("never.socket").exists()
 
 
@@ -337,14 +337,12 @@ def test_a_session_that_has_ended_permits_nothing(bench: Bench) -> None:
     assert (bench.seen[PERMITS], bench.own.text) == (0, "no bench runs")
 
 
-def test_a_state_of_the_io_that_is_old_is_none(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(process, "Supervisor", Told)
+def test_a_state_of_the_io_that_is_old_is_none(bench: Bench) -> None:
+    told = Told()
     bench.state()
-    assert SETTINGS.io is not None
-    then_s = time.monotonic()
-    monkeypatch.setattr(process.time, "monotonic", lambda: then_s + 1e6 + time.perf_counter())
-    bench.run(rounds=1)
-    assert Told.newest.states[-1] == (False, False)
+    told.later_s = 1e6
+    bench.run(rounds=1, supervisor=told, clock=told)
+    assert told.states[-1] == (False, False)
 
 
 def test_frames_come_from_another_thread(bench: Bench) -> None:
@@ -376,6 +374,11 @@ class HeldUp:
     def monotonic(self) -> float:
         return self.now_s
 
+    def sleep(self, seconds: float) -> None:
+        self.now_s += seconds
+
+    def send(self, can_id: int, data: bytes) -> None: ...
+
     def receive(self, timeout_s: float) -> tuple[int, bytes] | None:
         if timeout_s > 0.0 and not self.frames:
             self.now_s += timeout_s
@@ -389,14 +392,10 @@ class HeldUp:
 
 
 @pytest.mark.parametrize("held_up_s", [0.0, 0.06, 0.1, 0.4, 1.5])
-def test_a_supervisor_that_was_held_up_reads_what_lies_there_before_it_judges(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch, held_up_s: float
-) -> None:
+def test_a_supervisor_that_was_held_up_reads_what_lies_there_before_it_judges(bench: Bench, held_up_s: float) -> None:
     """Else the SYNCs of a loop that works are missed, or come faster than they may."""
     line = HeldUp(held_up_s)
-    monkeypatch.setattr(process, "_Tap", lambda tap: line)
-    monkeypatch.setattr(process.time, "monotonic", line.monotonic)
-    bench.run(rounds=1000, io=False)
+    bench.run(rounds=1000, io=False, line=line, clock=line)
     assert line.now_s > 1.9
     assert bench.own.text == ""
     assert bench.seen[PERMITS] == 1
@@ -409,36 +408,38 @@ class WakesEarly(HeldUp):
         return super().receive(0.4 * timeout_s)
 
 
-def test_a_wait_that_ends_early_without_a_frame_is_gone_on_with(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wait_that_ends_early_without_a_frame_is_gone_on_with(bench: Bench) -> None:
     line = WakesEarly(0.0)
-    monkeypatch.setattr(process, "_Tap", lambda tap: line)
-    monkeypatch.setattr(process.time, "monotonic", line.monotonic)
-    bench.run(rounds=100, io=False)
+    bench.run(rounds=100, io=False, line=line, clock=line)
     assert line.now_s > 0.9 * 100 * 0.5 * SETTINGS.sync_period_s, "a round lasts half a period, as ever"
     assert bench.own.text == ""
 
 
-def test_a_flood_does_not_keep_it_from_judging(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_flood_does_not_keep_it_from_judging(bench: Bench) -> None:
     line = HeldUp(0.0)
-    line.frames = [(0x7FF, b"")] * (3 * process.MOST_FRAMES)
-    monkeypatch.setattr(process, "_Tap", lambda tap: line)
-    monkeypatch.setattr(process.time, "monotonic", line.monotonic)
-    bench.run(rounds=1, io=False)
-    assert len(line.frames) >= process.MOST_FRAMES, "it hears of the end in its second round"
+    line.frames = [(0x7FF, b"")] * (3 * rounds.MOST_FRAMES)
+    bench.run(rounds=1, io=False, line=line, clock=line)
+    assert len(line.frames) >= rounds.MOST_FRAMES, "it hears of the end in its second round"
 
 
 def test_the_bus_is_opened_at_the_machines_bit_rate(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     opened: list[tuple[str, int]] = []
-    monkeypatch.setattr(process, "open_bus", lambda url, bitrate: (opened.append((url, bitrate)), open_bus(url, bitrate))[1])
+
+    def refuse(url: str, bitrate: int) -> can.BusABC:
+        opened.append((url, bitrate))
+        raise BusUnavailableError("no bus here")
+
+    monkeypatch.setattr(process, "open_bus", refuse)
     bench.settings = replace(SETTINGS, bitrate_bit_s=250_000)
-    bench.run(url="virtual:told", rounds=1)
+    bench.supervise("virtual:told")
     assert opened == [("virtual:told", 250_000)]
+    assert bench.own.text == "the supervisor cannot open the bus: no bus here"
 
 
 def test_frames_that_it_sends_keep_their_identifiers() -> None:
     other = can.Bus(interface="virtual", channel="told")
     with contextlib.ExitStack() as stack:
-        process._Line(stack, "virtual:told", 1_000_000).send(0x123, b"\x01")
+        BusLine(stack, "virtual:told", 1_000_000).send(0x123, b"\x01")
     heard = other.recv(0.0)
     other.shutdown()
     assert heard is not None
@@ -455,7 +456,7 @@ def test_memory_that_was_closed_is_told(bench: Bench) -> None:
 def test_a_tap_that_is_full_is_not_waited_for() -> None:
     here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
     with here, there:
-        tap = process._Tap(there)
+        tap = Tap(there)
         with contextlib.suppress(BlockingIOError):  # and no time-out
             while True:
                 tap.send(0, b"\x02\x01")
@@ -496,35 +497,45 @@ def test_one_who_has_no_address_is_heard_and_gets_no_answer(tmp_path: Path) -> N
 
 def test_signals_of_the_terminal_end_nothing_and_the_priority_is_asked_for(bench: Bench) -> None:
     bench.priority = 7
-    bench.run(rounds=1)
+    bench.supervise()
     assert bench.signals == [(number, signal.SIG_IGN) for number in (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT)]
     assert bench.scheduled == [(0, os.SCHED_FIFO, 7)]
     bench.priority = 0
-    bench.order(1.0, end=False)
-    bench.run(rounds=1)
+    bench.supervise()
     assert len(bench.scheduled) == 1
 
 
-def test_a_priority_that_is_refused_keeps_nothing_from_running(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object) -> None:
-        raise PermissionError
-
-    monkeypatch.setattr(bench, "schedule", refuse)
-    bench.run(rounds=1)
+def test_a_priority_that_is_refused_keeps_nothing_from_running(bench: Bench) -> None:
+    bench.refuses = True
+    bench.supervise()
+    assert bench.scheduled
     assert bench.seen[PERMITS] == 1
 
 
-def test_a_round_waits_for_frames_for_half_a_period(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    waits = own_clock(monkeypatch, frames=1)
-    bench.run(rounds=20)
-    assert waits == [HALF_s, 0.75 * HALF_s, *[HALF_s] * 20]
+class Measured(HeldUp):
+    """A bus on which nothing comes, and that keeps for how long it is waited for."""
+
+    def __init__(self) -> None:
+        super().__init__(0.0)
+        self.waits: list[float] = []
+
+    def receive(self, timeout_s: float) -> tuple[int, bytes] | None:
+        self.waits.append(timeout_s)
+        self.now_s += timeout_s + 1e-5
+        return None
 
 
-def test_a_round_that_took_long_was_held_up(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(process, "Supervisor", Told)
+def test_a_round_waits_for_frames_for_half_a_period(bench: Bench) -> None:
+    line = Measured()
+    bench.run(rounds=20, line=line, clock=line)
+    assert line.waits == [pytest.approx(0.5 * SETTINGS.sync_period_s)] * 21  # one a round; it hears of the end in the last
+
+
+def test_a_round_that_took_long_was_held_up(bench: Bench) -> None:
+    told = Told()
     bench.here.send(FRAME.pack(SYNC, 0, bytes(8)))
-    bench.run(rounds=3)
-    assert Told.newest.held >= 1
+    bench.run(rounds=3, supervisor=told, clock=told)
+    assert told.held >= 1
 
 
 def test_a_machine_without_io_is_supervised_too(bench: Bench) -> None:
@@ -533,10 +544,10 @@ def test_a_machine_without_io_is_supervised_too(bench: Bench) -> None:
     assert bench.seen[PERMITS] == 1
 
 
-def test_an_io_that_nobody_has_read_yet_permits_nothing_to_move(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(process, "Supervisor", Told)
-    bench.run(rounds=1)
-    assert Told.newest.states[-1] == (False, False)
+def test_an_io_that_nobody_has_read_yet_permits_nothing_to_move(bench: Bench) -> None:
+    told = Told()
+    bench.run(rounds=1, supervisor=told)
+    assert told.states[-1] == (False, False)
 
 
 def test_there_is_no_session_of_the_number_zero(bench: Bench) -> None:
@@ -544,18 +555,25 @@ def test_there_is_no_session_of_the_number_zero(bench: Bench) -> None:
     assert (bench.seen[PERMITS], bench.own.text) == (0, "no bench runs")
 
 
+class Full(HeldUp):
+    """A bus that takes no frame."""
+
+    def __init__(self, error: Exception) -> None:
+        super().__init__(0.0)
+        self.sent: list[tuple[int, bytes]] = []
+        self._error = error
+
+    def send(self, can_id: int, data: bytes) -> None:
+        self.sent.append((can_id, data))
+        raise self._error
+
+
 @pytest.mark.parametrize("error", [can.CanError("no buffer"), OSError("no buffer")])
-def test_a_command_that_cannot_be_sent_ends_nothing(bench: Bench, monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
-    sent: list[tuple[int, bytes]] = []
-
-    def fail(_: object, can_id: int, data: bytes) -> None:
-        sent.append((can_id, data))
-        raise error
-
-    monkeypatch.setattr(process, "Supervisor", Told)
-    monkeypatch.setattr(process._Tap, "send", fail)
-    bench.run(rounds=3, during=lambda number: setattr(Told.newest, "orders", [(2, 2), (0x81, 5)]))
-    assert sent[:2] == [(0, b"\x02\x02"), (0, b"\x81\x05")]
+def test_a_command_that_cannot_be_sent_ends_nothing(bench: Bench, error: Exception) -> None:
+    line, told = Full(error), Told()
+    told.orders = [(2, 2), (0x81, 5)]
+    bench.run(rounds=3, line=line, supervisor=told, clock=line)
+    assert line.sent[:2] == [(0, b"\x02\x02"), (0, b"\x81\x05")]
     assert bench.seen[ROUNDS] == 4
 
 
@@ -587,6 +605,8 @@ class StalledLine:
     def sleep(self, seconds: float) -> None:
         self.now_s += seconds
 
+    def send(self, can_id: int, data: bytes) -> None: ...
+
     def receive(self, timeout_s: float) -> tuple[int, bytes] | None:
         until_s = self.now_s + timeout_s
         next_s = 100.0 + self._sent // 2 * self._share * SETTINGS.sync_period_s
@@ -602,11 +622,9 @@ class StalledLine:
 
 @pytest.mark.parametrize(("stalls_s", "share", "permits"), [(0.03, 1.0, 1.0), (0.15, 1.0, 1.0), (0.15, 0.5, 0.0)])
 def test_a_backlog_of_syncs_after_a_stall_is_no_second_producer_and_a_second_producer_is_one(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch, stalls_s: float, share: float, permits: float
+    bench: Bench, stalls_s: float, share: float, permits: float
 ) -> None:
     line = StalledLine(stalls_s, share)
-    monkeypatch.setattr(process, "time", line)
-    monkeypatch.setattr(process._Tap, "receive", lambda self, timeout_s: line.receive(timeout_s))
-    bench.run(rounds=1100, io=False)
+    bench.run(rounds=1100, io=False, line=line, clock=line)
     assert line.now_s > 102.0
     assert bench.seen[PERMITS] == permits

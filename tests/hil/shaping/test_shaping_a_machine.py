@@ -311,6 +311,21 @@ def test_over_the_bus_a_shaped_periodic_scan_vibrates_and_errs_several_times_les
     assert error[0] > 3.0 * error[1]
 
 
+def test_a_scan_by_command_has_the_shaper_in_its_reference(tmp_path: Path, machine: Machine, roll_file: ShaperFile) -> None:
+    write_shaper(roll_file, tmp_path / "roll.shaper.npz")
+    scan = ["run", "scan", "-m", "carm", "-b", "lockstep:", "--axis", "roll", "--from", "30", "--to", "34", "--speed", "4"]
+    with pytest.raises(SystemExit) as left:
+        main([*scan, "--shaper", str(tmp_path / "roll.shaper.npz"), "-o", str(tmp_path / "scan.mf4")])
+    assert left.value.code == 0
+    recording = read_recording(tmp_path / "scan.mf4")
+    raw = np.column_stack([recording[f"reference_raw_{axis}"] for axis in machine.axes])
+    filtered, held = shaped(ReferenceShaper(machine.axes, roll_file.shapers, machine.limits, RATE), raw, raw[0])
+    assert held == -1
+    np.testing.assert_allclose(recording["reference_roll"], filtered[:, 1], atol=1e-12)
+    assert np.abs(recording["reference_roll"] - recording["reference_raw_roll"]).max() > 1e-4
+    assert np.nanmax(np.abs(recording["reference_roll"] - recording["position_roll"])) < np.radians(1.0)
+
+
 def test_an_identified_model_closes_the_same_loop(machine: Machine, physics: Physics, nominal: dict[str, Subject]) -> None:
     found = subject_from_model(machine, physics.linearise(np.zeros(2)), "roll")
     s = 2j * np.pi * np.array([0.3, 3.0, 12.0])

@@ -21,8 +21,8 @@ ATTEMPTS = 8
 
 AT_REST = ("static", "--seconds", "1", "--seed", "3")
 WATCHED_S = 4.0
-TOLD, RATE = "told.txt", "rate"
-"""Files in the folder of `tests/vcan/prepared.py`: lines for the summary of the tests; the rate to prepare for."""
+TOLD, RATE, DESIGN, SHAPER = "told.txt", "rate", "carm.observer.npz", "roll.shaper.npz"
+"""Files in the folder of `tests/vcan/prepared.py`: lines for the summary of the tests; the rate to prepare for; what is prepared."""
 
 LIMITS = (
     r"the loop lost \d+ ticks in a row; timing.overrun_ticks bridges [84]",

@@ -1,4 +1,4 @@
-"""Multisine with jog, a shaped scan and the observer together on vcan0, emulator and loop in two processes, as at a bench."""
+"""Multisine with jog and the observer together on vcan0, and a shaped scan, emulator and loop in two processes, as at a bench."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from carried import Carried, run_to_its_end
+from carried import DESIGN, SHAPER, Carried, run_to_its_end
 from processes import Done
 
 from hil.observing import observe, read_design
@@ -27,22 +27,22 @@ def assert_observed(recording: Recording, design: Path, rate_Hz: int) -> None:
     assert (recording["estimate_measured"] == 10).mean() > 0.9
 
 
-def test_multisine_with_jog_and_a_shaped_scan_run_with_the_observer(
-    interface: str,
-    carried_machine: Carried,
-    prepared: Path,
-    emulate: Callable[..., dict[str, str]],
-    run: Callable[..., Done],
-    tmp_path: Path,
-) -> None:
-    machine, bus, rate_Hz = carried_machine.file, f"socketcan:{interface}", round(carried_machine.machine.sample_rate_Hz)
-    design, shaper = prepared / "carm.observer.npz", prepared / "roll.shaper.npz"
+@pytest.fixture
+def at_30_degrees(interface: str, carried_machine: Carried, prepared: Path, emulate: Callable[..., dict[str, str]]) -> tuple[str, ...]:
+    """Options of `run` at a machine that stands at roll 30 degrees, with the observer."""
+    machine, bus = carried_machine.file, f"socketcan:{interface}"
     emulate(machine, "--bus", bus, "--pose", "roll=30")
-    common = ("--machine", machine, "--bus", bus, "--pose", "roll=30", "--observer", str(design), *carried_machine.options)
+    observer = ("--observer", str(prepared / DESIGN))
+    return ("--machine", machine, "--bus", bus, "--pose", "roll=30", *observer, *carried_machine.options)
 
+
+def test_a_multisine_with_jog_runs_with_the_observer(
+    carried_machine: Carried, prepared: Path, at_30_degrees: tuple[str, ...], run: Callable[..., Done], tmp_path: Path
+) -> None:
+    rate_Hz = round(carried_machine.machine.sample_rate_Hz)
     experiment = ("--experiments", "single", "--axes", "roll", "--amplitude", "0.5", "--period", "1", "--jog", "0.05", "--periods", "1")
-    recording = read_recording(run_to_its_end(lambda *out: run("multisine", *common, *experiment, *out), tmp_path))
-    assert_observed(recording, design, rate_Hz)
+    recording = read_recording(run_to_its_end(lambda *out: run("multisine", *at_30_degrees, *experiment, *out), tmp_path))
+    assert_observed(recording, prepared / DESIGN, rate_Hz)
     ticks = recording["time"] * rate_Hz  # those that a loaded computer skipped are no rows
     assert ticks == pytest.approx(np.round(ticks), abs=1e-6)
     assert (np.diff(ticks) > 0.5).all()
@@ -52,10 +52,14 @@ def test_multisine_with_jog_and_a_shaped_scan_run_with_the_observer(
         assert np.isfinite(recording[channel]).mean() > 0.9, f"{channel} did not arrive"
     assert np.nanmax(np.abs(recording["reference_roll"] - recording["position_roll"])) < np.radians(1.0)
 
-    sweep = ("--axis", "roll", "--from", "30", "--to", "34", "--speed", "4", "--dwell", "0.5")
-    place = tmp_path / "scan"
-    place.mkdir()
-    recording = read_recording(run_to_its_end(lambda *out: run("scan", *common, *sweep, "--shaper", str(shaper), *out), place))
-    assert_observed(recording, design, rate_Hz)
+
+@pytest.mark.nightly
+def test_a_shaped_scan_runs_with_the_observer(
+    carried_machine: Carried, prepared: Path, at_30_degrees: tuple[str, ...], run: Callable[..., Done], tmp_path: Path
+) -> None:
+    """What the shaper does to a reference knows no bus, and is shown in lockstep for every change."""
+    sweep = ("--axis", "roll", "--from", "30", "--to", "34", "--speed", "4", "--dwell", "0.5", "--shaper", str(prepared / SHAPER))
+    recording = read_recording(run_to_its_end(lambda *out: run("scan", *at_30_degrees, *sweep, *out), tmp_path))
+    assert_observed(recording, prepared / DESIGN, round(carried_machine.machine.sample_rate_Hz))
     assert np.abs(recording["reference_roll"] - recording["reference_raw_roll"]).max() > 1e-4  # the shaper had its say
     assert np.nanmax(np.abs(recording["reference_roll"] - recording["position_roll"])) < np.radians(1.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from hil.machine.mjcf import to_mjcf
+from virtual_bus.effects.dispatch import compiled_effects
 from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.settings import Body, Drive, Encoder, Imu, Joint, PlantSettings, Tree
 
@@ -66,7 +68,12 @@ def interpreted(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ISOCENTER_CACHE", str(tmp_path_factory.mktemp("generated")))
         patch.setattr(numba.config, "DISABLE_JIT", True)
+        before = set(sys.modules)
         yield
+        for name in set(sys.modules) - before:  # a plant of another test may have the same equations
+            if name.startswith("isocenter_"):
+                del sys.modules[name]
+        compiled_effects.cache_clear()
 
 
 @pytest.mark.slow
