@@ -76,8 +76,11 @@ def lacks(index: int, subindex: int = 0, *, code: int = abort.NO_OBJECT) -> PutO
     """Return what takes an object that its data sheet has out of a drive's SDO server."""
 
     def put_on(machine: FaultyMachine, drive: Cia402Drive) -> None:
+        def check(value: Value) -> None:
+            refuse(code, value)
+
         drive.objects.readings[key_of(index, subindex)] = partial(refuse, code)
-        drive.objects.checks[key_of(index, subindex)] = partial(refuse, code)
+        drive.objects.checks[key_of(index, subindex)] = check
 
     return put_on
 
