@@ -84,7 +84,7 @@ def test_the_list_names_every_quirk_with_a_sentence_and_in_json_its_source(isoce
 
 def test_a_run_takes_a_quirk_and_says_what_is_wrong(isocenter: Isocenter, tmp_path: Path) -> None:
     outcome = isocenter(*SCAN, "-b", "lockstep:", "--quirk", "roll_drive:newer_revision", "-o", tmp_path / "run.mf4")
-    assert outcome.status == 1
+    assert outcome.status == 2
     assert "roll_drive (node 2): revision_number is 00010001h" in outcome.line
 
 
