@@ -22,7 +22,7 @@ from drivers.canopen.cia406 import check_alarms
 from drivers.canopen.configuration import configure_node
 from drivers.canopen.cyclic import CyclicExchange
 from drivers.canopen.eds import load_object_dictionary
-from drivers.canopen.identity import check_identity
+from drivers.canopen.identity import await_identity
 from drivers.canopen.network import NMT_PRE_OPERATIONAL, NMT_START, PolledNetwork
 from drivers.canopen.own_limits import SET_SO
 from drivers.canopen.process_data import drives
@@ -31,7 +31,7 @@ from drivers.canopen.sdo import SdoNode
 from drivers.canopen.stopping import Attempts, Attendant, Unattended
 from drivers.canopen.supervision import Supervision, refuse_second_bench
 from drivers.canopen.watch import MotionWatch
-from drivers.errors import BusError, BusTimeoutError, DeviceFaultError, DriverError, NodeAbsentError, SecondMasterError
+from drivers.errors import BusError, BusTimeoutError, DeviceFaultError, DriverError, SecondMasterError
 from drivers.interface import Clock, Sample
 from drivers.settings import BusSettings, Node
 
@@ -332,27 +332,12 @@ class TickingMachine:
         if node.node_id not in self._dictionaries:
             self._dictionaries[node.node_id] = load_object_dictionary(node.eds, node.node_id)
         sdo = self._nodes[node.node_id] = SdoNode(self.network, node.node_id, node.name, self._dictionaries[node.node_id])
-        unnamed = self._identified(sdo, node)
+        unnamed = await_identity(sdo, node, self.clock.now, self.supervision.has_booted)
         scaling = self.scalings[self.axes.index(node.axis)] if node.role == "drive" else None
         notes = configure_node(sdo, node, self.settings, scaling)
         if node.role == "encoder":
             check_alarms(sdo)
         return unnamed + notes
-
-    def _identified(self, sdo: SdoNode, node: Node) -> tuple[str, ...]:
-        """Check a node's identity; one that has booted may take as long again before it answers SDOs."""
-        deadline = self.clock.now() + node.boot_timeout_s
-        while True:
-            try:
-                return check_identity(sdo, node)
-            except NodeAbsentError as error:
-                if self.clock.now() > deadline:
-                    if self.supervision.has_booted(node):
-                        raise NodeAbsentError(
-                            f"{sdo.who}: its boot-up message came, but no answer to an SDO within {node.boot_timeout_s:g} s of it; "
-                            f"if it takes longer, raise bus.nodes.{node.name}.boot_timeout_s"
-                        ) from error
-                    raise
 
     def _is_powered(self, axis: int) -> bool:
         """Return whether a drive has voltage although no bench runs it: it may be all that holds its axis."""

@@ -28,15 +28,13 @@ STANDSTILL_S = 0.05  # a motor whose position has not changed for this long stan
 STANDSTILL_COUNTS = 1.5  # a position held by its drive may flicker by a count
 SWING_S = 0.25  # of the link before its brake is proven: a whole period at 4 Hz, slower than any mode of such a structure
 STANDING_SHARE = 0.1
-"""Of the tracking error: range in which a link may swing that stands, and in which a drive that holds it may shake it. On the C-arm that is
-5.2 mrad: its slowest gear, at 8 Hz with 0.8 % of damping, swings by +-4.2 mrad (a / omega^2) after a quick stop of 10.7 rad/s^2, and by
-+-2.6 mrad 1.2 s later, for which `SETTLING_S` waits. A count of either encoder is less than a thousandth of it."""
+"""Of the tracking error: range in which a link may swing that stands, and in which a drive that holds it may shake it. On the C-arm, 5.2
+mrad: its slowest gear (8 Hz, damping 0.8 %) swings by 4.2 mrad after a quick stop of 10.7 rad/s^2 (a / omega^2), 2.6 mrad after 1.2 s."""
 PUSH_SHARE = 0.25
 """Share of the load, beyond the load itself, that a proven brake holds: linings wear, and the next load may be a patient's."""
 RAMP_S = 0.1  # in which the drive lets go, and in which it pushes: slower than the structure swings
 WATCH_S = 0.1  # after voltage off; a heavy arm falls ten times the travel that is noticed
-REST_WATCH_S = 1.0
-"""After a stop in which the brake was not pushed: a load that exceeds it by a thousandth of its weight shows itself by then."""
+REST_WATCH_S = 1.0  # after a stop without a push: a load that exceeds the brake by a thousandth shows itself by then
 VOLTAGE_OFF_S = 0.2  # a drive that still has its voltage after this does not obey
 RETAKE_S = 0.5  # three transitions of CiA 402, each with its answer, and lost frames
 STOP_AT_MOST_S = 10.0  # of all steps together: a feedback that flickers must not keep a stop from ending

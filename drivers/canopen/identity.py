@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from drivers.canopen.sdo import SdoNode
-from drivers.errors import WrongIdentityError
+from drivers.errors import NodeAbsentError, WrongIdentityError
 from drivers.settings import Identity, Node
 
 PROFILES = {
@@ -73,3 +75,25 @@ def check_identity(node: SdoNode, expected: Node) -> tuple[str, ...]:
     if profile == NO_PROFILE != wanted:
         return (f"{node.who}: its device type (1000h) names no profile; it is taken for a {PROFILES[wanted]}, as the machine file says",)
     return ()
+
+
+def await_identity(sdo: SdoNode, node: Node, now: Callable[[], float], has_booted: Callable[[Node], bool]) -> tuple[str, ...]:
+    """Check a node's identity; one that has booted may take as long again before it answers SDOs.
+
+    Raises
+    ------
+    DriverError
+        As `check_identity` does.
+    """
+    deadline = now() + node.boot_timeout_s
+    while True:
+        try:
+            return check_identity(sdo, node)
+        except NodeAbsentError as error:
+            if now() > deadline:
+                if has_booted(node):
+                    raise NodeAbsentError(
+                        f"{sdo.who}: its boot-up message came, but no answer to an SDO within {node.boot_timeout_s:g} s of it; "
+                        f"if it takes longer, raise bus.nodes.{node.name}.boot_timeout_s"
+                    ) from error
+                raise

@@ -72,8 +72,16 @@ def answer_of_runs(
     found = told(settings, others, _estimates(selected, named, half), LARGEST[noise])
     limits = _limits(selected, named)
     train, held = _predicted(machine, selected, held_out, len(seen.alongs))
-    unexplained = _unexplained(selected)
-    verdict, reason = _verdict(audit, [*numbers, *found], others, unexplained, _helps(held), unseen_at(machine, seen, limits), selected)
+    unexplained = _unexplained(selected, bool(numbers))
+    verdict, reason = _verdict(
+        audit,
+        [*numbers, *found],
+        others,
+        unexplained,
+        _helps(held, "nominal" if numbers else "retuned"),
+        unseen_at(machine, seen, limits),
+        selected,
+    )
     is_nothing = verdict in ("consistent", "inconclusive")
     if not found and not numbers and verdict != "inconclusive":
         reason = "; ".join([reason, what_may_hide(recordings_of(seen)), *never_shown(limits)])
@@ -196,10 +204,13 @@ def _limits(selected: Selected, named: Sequence[int]) -> list[Limit]:
     return least_shown([each for each in asked if (each[0].effect.family, each[0].at) not in taken])
 
 
-def _unexplained(selected: Selected) -> float:
-    """Return the share of what numbers alone leave that the answer leaves: the mean of the mean squares' ratios."""
-    ratios = np.log(selected.fit.mean_squares / selected.plain.mean_squares)
-    return min(1.0, math.exp(float(np.mean(ratios))))
+def _unexplained(selected: Selected, from_the_file: bool) -> float:
+    """Return the share that the answer leaves of what numbers alone leave, or the file: the mean of the longest horizon's ratios."""
+    (nominal,) = selected.search.fitting.at([selected.unknowns.start()]) if from_the_file else (selected.plain,)
+    if nominal is None:
+        return 0.0
+    ratios = selected.fit.mean_squares[-1] / nominal.mean_squares[-1]
+    return min(1.0, math.exp(float(np.mean(np.log(ratios)))))
 
 
 def _predicted(
@@ -231,11 +242,11 @@ def _predicted(
     return train, held
 
 
-def _helps(held: Predicted | None) -> bool | None:
-    """Return whether held-out recordings are predicted better with the answer than with numbers alone; None without them."""
+def _helps(held: Predicted | None, than: str) -> bool | None:
+    """Return whether held-out recordings are predicted better with the answer than at another stage; None without them."""
     if held is None or not held.channels:
         return None
-    return float(np.mean([math.log(stages["extended"] / stages["retuned"]) for stages in held.channels.values()])) < 0.0
+    return float(np.mean([math.log(stages["extended"] / stages[than]) for stages in held.channels.values()])) < 0.0
 
 
 def _along(selected: Selected, seen: Seen, levels: Levels, values: np.ndarray, settings: Sequence[EffectSetting]) -> tuple[Tuned, Fitted]:
