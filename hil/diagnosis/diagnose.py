@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -25,6 +26,8 @@ from hil.machine import Machine
 from hil.processes.kept_memory import keep_memory
 from hil.recording import Recording
 
+FITTED, SOUGHT, USUAL = 0.2, 0.5, 12
+"""Share of the whole before the search, and of the search, half of which is done after so many steps as usual."""
 Report = Callable[[str, float], None]
 """Told what is being done, and the share of the whole that is done."""
 
@@ -110,8 +113,13 @@ def diagnose_audited(
         report("fitting numbers and friction", 0.1)
         levels, _, baseline = engineers_fit(seen)
         say(baseline)
-        report("simulating what might be missing", 0.2)
-        if (selected := select(machine, recordings)) is not None:
+        tried = itertools.count(1)
+
+        def trying(_: str) -> None:
+            done = next(tried)
+            report("trying numbers and laws in simulations", FITTED + SOUGHT * done / (done + USUAL))
+
+        if (selected := select(machine, recordings, trying)) is not None:
             return answer_of_runs(machine, audited, seen, levels, selected, held_out, began, report)
     return answer(machine, audited, name(seen, free, report, say), held_out, began, report)
 
