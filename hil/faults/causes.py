@@ -15,7 +15,9 @@ SILENT = rf"pdos_\w+|{BUS}|{NODE}|drive_(hangs|loses_power|reboots)|foreign_nmt|
 """What keeps frames of a node from the bus, or from their time."""
 TORQUE = r"torque_\w+|drive_(deaf|hangs|loses_power|loses_mains|coasts|current_reads_zero)|foreign_torque|pdos_(frozen|delayed)"
 """What makes a drive's measured effort another than the one that was sent."""
-DRIVE_LEAVES = r"drive_\w+|fault_reset_refused|foreign_(tpdo|nmt|master|sdo|heartbeat)|setting_changes|winding_overheats|bus_\w+|node_\w+"
+DRIVE_LEAVES = (
+    r"(drive|torque)_\w+|fault_reset_refused|foreign_(tpdo|nmt|master|sdo|heartbeat)|setting_changes|winding_overheats|bus_\w+|node_\w+"
+)
 MOTOR, LINK = r"motor_encoder_\w+", r"link_encoder_\w+"
 ENCODERS = rf"{MOTOR}|{LINK}|foreign_tpdo|pdos_(frozen|delayed)"
 DEPARTS = rf"{ENCODERS}|{TORQUE}|brake_\w+|setting_changes|mode_never_follows"
@@ -34,7 +36,7 @@ CAUSES: tuple[tuple[str, str], ...] = (
      "fault_reset_refused|drive_starts_in_fault|drive_reports_fault"),
     (r"a fault reset did not clear it within .*", "fault_reset_refused|drive_reports_fault"),
     (r"\w+ \(node \d+\): stays in mode .* was asked for", "mode_never_follows"),
-    (r"(\w+ \(node \d+\): )?EMCY [0-9A-F]{4}h: .*", rf"drive_\w+|fault_reset_refused|{BUS}|{NODE}|foreign_\w+|heartbeat_lost"),
+    (r"(\w+ \(node \d+\): )?EMCY [0-9A-F]{4}h: .*", rf"(drive|torque)_\w+|fault_reset_refused|{BUS}|{NODE}|foreign_\w+|heartbeat_lost"),
     (r"\w+ \(node \d+\): \w+:\w+ .* is .*, .* was written: somebody, or the device itself, has changed it", "setting_changes|foreign_sdo"),
     (r"its drive (did not hold it|does not hold it).*", rf"{TORQUE}|{DEPARTS}"),
     # ---- nodes
@@ -125,6 +127,7 @@ ADVICE = re.compile(
             r"compare unit_id and addresses with the device's manual",
             r"give (one another id|one of them another id, or switch it off)",
             r"switch it off(, or name it as .*)?",
+            r"read the device's own diagnosis",
             r"is it powered and on this bus\?",
             r"press and hold it",
             r"no EMCY",

@@ -15,6 +15,7 @@ from drivers.events import Events
 from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
 from hil.errors import in_one_line
+from hil.faults.budget import standing
 from hil.faults.motion import Motion, motion_of
 from hil.machine import Machine, machine_from_text
 from virtual_bus.faults.condition import InState
@@ -92,7 +93,7 @@ def tried(quirk: Quirk | None, way: Way, folder: Path, shown_by: str = "", machi
                 events = _seen(bench.wiring.link.events)
     except Exception as error:
         ended, said = False, (in_one_line(error)[0],)
-    true = outcome_of(log, 0.0)
+    true = outcome_of(log, 0.0, [standing(machine, axis) for axis in CARM.axes])
     reached = sum(phase in events for phase in PHASES)
     return QuirkOutcome(reached, "; ".join(said), ended, true.at_rest, true.of(AXIS).furthest)
 

@@ -115,7 +115,7 @@ def _lattice(seen: np.ndarray, least: float, step: float) -> tuple[float, float,
         left = away[inside] - size * number
         if np.max(np.abs(left - np.median(left))) > step + 0.25 * (size - step):
             return None
-        if np.ptp(number) > 0:
+        if inside.all() or np.count_nonzero(inside) >= SURE:  # a few say less of the size than the mean of all that are close
             size, start = np.polyfit(number, away[inside], 1)
             away = away - start
         if inside.all():
