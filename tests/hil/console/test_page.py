@@ -73,7 +73,10 @@ def test_the_scope_shows_a_sine_with_its_amplitude_and_frequency(page: Page, ben
 
 
 def test_a_trigger_holds_the_crossing_still_and_a_zoom_pauses(page: Page, bench: BenchPage) -> None:
-    opened(page, bench, "scope")
+    opened(page, bench, "experiments")
+    fill_and_run(page, "jog", jog=AMPLITUDE_DEG, period=PERIOD_S, periods=4)
+    ended(page, "passed")
+    page.goto(f"{bench.address}/#scope")
     page.locator("#readout tr").first.wait_for(timeout=STEP_MS)
     page.get_by_label("reference_turn", exact=True).check()
     page.select_option("#span", "5")
