@@ -26,6 +26,8 @@ from hil.machine import Machine
 from hil.processes.kept_memory import keep_memory
 from hil.recording import Recording
 
+MOST_JOINTS = 3
+"""Of machines that free runs judge: each joint brings a dozen numbers and forty laws, each of which is a simulation of all joints."""
 FITTED, SOUGHT, USUAL = 0.2, 0.5, 12
 """Share of the whole before the search, and of the search, half of which is done after so many steps as usual."""
 Report = Callable[[str, float], None]
@@ -159,6 +161,8 @@ def _see(
 
 def is_judged_by_runs(seen: Seen) -> bool:
     """Return whether free runs of windows, or of the loop, judge: nothing repeats, and joint sensors alone follow every joint."""
+    if len(seen.alongs[0].joints) > MOST_JOINTS:
+        return False
     sensors = {sensor.channel for sensor in seen.alongs[0].settings.joint_sensors}
     return (
         seen.noise == "assumed"
