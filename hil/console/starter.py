@@ -65,10 +65,13 @@ class Starter:
                 self._see_it_end(self._running)
 
     def _let_go_of(self, running: _Led) -> None:
+        begins = self._typed is None and running.runs
+        if begins:
+            typed = TypedLines()
+            typed.take()  # what was typed before anybody asked is no answer
+            self._typed = typed  # before the command stops, so that nothing that it then says or asks is lost
         running.let_go()
-        if self._typed is None and running.runs:
-            self._typed = TypedLines()
-            self._typed.take()  # what was typed before anybody asked is no answer
+        if begins:
             _print("stopping what runs: it is heard here from now on, and hears what you type")
 
     def _see_it_end(self, running: _Led) -> None:
