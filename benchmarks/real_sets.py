@@ -95,7 +95,7 @@ def by_free_runs(module: ModuleType, split: str, data: RealSet) -> dict[str, Any
 
 
 def with_side(module: ModuleType, split: str, data: RealSet, trial: Trial) -> Errors:
-    """Return the errors of a machine with what is said of its controller's side."""
+    """Return the errors of a machine with what is said of its controller's side; when commands act is said by the metric's own loop."""
     machine, settings = data.machine, trial.effects
     if "side" in inspect.signature(module.errors).parameters:
         limit = dict(trial.speed_limit).get(0, np.inf)

@@ -70,7 +70,7 @@ class AxisScaling:
     position_unit: str = "rad"  # or "m"; for messages
     mode: LoopMode = "torque"
     counts_per_motor_turn: float = 0.0
-    velocity_unit: str = ""  # of the drive's velocities, a key of `drivers.canopen.units.DECLARED`; "": what its objects say
+    velocity_unit: str = ""  # of the drive's velocities, a key of `DECLARED` or `COUNTS` (canopen/units.py); "": what its objects say
     acceleration_unit: str = ""
 
 

@@ -198,7 +198,7 @@ class EmulatedDrive:
     torque_sections: tuple[tuple[float, ...], ...] = ()
     """Filter of the velocity loop's torque: second-order sections (b0, b1, b2, 1, a1, a2) at the sample rate, static gain 1."""
     velocity_unit: str = ""
-    """Unit of a device whose objects say none, as in `drivers.canopen.units.DECLARED`; so is `acceleration_unit`."""
+    """Unit of a device whose objects say none, as in `DECLARED` and `COUNTS` of `drivers.canopen.units`; so is `acceleration_unit`."""
     acceleration_unit: str = ""
 
     @property

@@ -7,7 +7,7 @@
     python benchmarks/concealed mutate --seeds development --cases 1,12
     python benchmarks/concealed directions --seeds sealed --strata single,pair --cases 0-65
     python benchmarks/concealed tables --scores benchmarks/results/concealed/scores_sealed.json
-    python benchmarks/concealed compare --trees f4f32099,8b2b6f32 --seeds sealed --cases 13001-13750 --carm 60 --work WORK
+    python benchmarks/concealed compare --trees COMMIT,COMMIT --seeds sealed --cases 0-749 --carm 60 --work WORK
 
 Every step goes on where it was stopped. A case's folder holds recordings and the nominal machine file; truths lie apart and are opened by
 `score` alone, after their SHA-256 was written beside the tool's answers (benchmarks/results/concealed/answers_SEEDS.jsonl).

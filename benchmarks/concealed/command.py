@@ -47,7 +47,7 @@ def main(arguments: list[str]) -> int:
     options.results.mkdir(parents=True, exist_ok=True)
     if options.step == "compare":
         if options.trees is None:
-            parser.error("compare: --trees names two commits, as in --trees f4f32099,8b2b6f32")
+            parser.error("compare: --trees names two commits, as in --trees HEAD~1,HEAD")
         _compare(places, options)
         return 0
     if options.step != "score":
@@ -95,7 +95,7 @@ def _commits(text: str) -> tuple[str, ...]:
     """Two commits by their full names."""
     names = text.split(",")
     if len(names) != 2:
-        raise argparse.ArgumentTypeError(f"{text!r}: two commits are right, as in f4f32099,8b2b6f32")
+        raise argparse.ArgumentTypeError(f"{text!r}: two commits are right, as in HEAD~1,HEAD")
     return tuple(map(trees.commit_of, names))
 
 

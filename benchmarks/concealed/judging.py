@@ -80,7 +80,8 @@ def judge(answer: dict[str, Any], truth: dict[str, Any]) -> Judgement:
     """Judge one line of answers by its truth. A command that ended in an error has not answered, whatever it had written before."""
     diagnosis = (answer.get("diagnosis") or {}) if answer["exit_status"] == 0 else {}
     verdict = diagnosis.get("verdict", NO_ANSWER)
-    findings = diagnosis.get("findings") or []
+    everything = diagnosis.get("findings") or []
+    findings = [finding for finding in everything if finding.get("kind") != "number"]  # numbers of the file are no effects
     effects = truth["effects"]
     each = truth.get("each", [])
     named = bool(effects) and all(effect["accepted"] for effect in effects)
@@ -95,7 +96,7 @@ def judge(answer: dict[str, Any], truth: dict[str, Any]) -> Judgement:
     if tuned:
         asked = truth["condition"] not in HIDDEN_FROM_NAMING and detectability >= SHOWN
     alarm = verdict not in (*QUIET, NO_ANSWER)
-    by_tuning = tuned and verdict == "retuned"
+    by_tuning = tuned and (verdict == "retuned" or (bool(everything) and not findings))
     sets = [findings] if findings else []
     ranked = [hypothesis["effects"] for hypothesis in diagnosis.get("hypotheses") or []]
     claims = alarm and verdict != "unknown_physics" and named and bool(sets)

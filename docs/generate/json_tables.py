@@ -534,7 +534,7 @@ DIAGNOSIS = (
     Entry("hypotheses[].effects", "list", "Effects of the set; empty: no effect is missing."),
     Entry("hypotheses[].confidence", "0 to 1", "Confidences of all sets sum to at most 1; the rest is unknown physics."),
     Entry("hypotheses[].gained", "number", "Fall of the sum of squares in units of noise, over no effect, in training."),
-    Entry("hypotheses[].gained_held_out", "number or null", "Null: held-out recordings decide nothing."),
+    Entry("hypotheses[].gained_held_out", "number or null", "Null: held-out recordings choose no name."),
     Entry("hypotheses[].parameters", "number", "Parameters that were fitted for it."),
     Entry("hypotheses[].is_confirmed", "true or false", "Whether it is the answer."),
     Entry(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from drivers.canopen import cia402, power_and_brakes
-from drivers.canopen.axis_stop import STANDSTILL_COUNTS
+from drivers.canopen.axis_stop import SETTLING_S, STANDSTILL_COUNTS
 from drivers.canopen.cia402 import HOMING_AT_PRESENT_POSITION, NO_HOMING, Homing, Mode, State
 from drivers.canopen.power_and_brakes import SETTLED_TICKS, Machine
 from drivers.canopen.units import in_data_sheet, units_of, whole_speed
@@ -15,8 +15,10 @@ from drivers.settings import HomingSettings
 DRIFT_WATCH_S = 0.1  # how long an axis must stand under holding effort alone before it is pushed
 RAMP_SHARE = 0.5  # share of the direction check's time-out in which the effort rises
 SAMPLE_TIMEOUT_S = 1.0  # for one row in which motor side and link encoder both answered
+ATTAINED = (Homing.DONE, Homing.SETTLING)
+"""What a drive may say of an earlier run still: it counts once the drive has said otherwise since this one began."""
 STALE_S = 0.25
-"""For this long after the start of a homing run, what was said before it does not count: a drive may say for 0.1 s that it is homed."""
+"""After which it counts without that where homing takes the present position: such a run may be over between two frames."""
 STANDS_S = 0.25
 """How long an axis must have stood where a drive says that it has found its home and never that it has reached it."""
 AVERAGING_S = 0.5  # a flexible structure swings on after a brake has closed; the mean over some of its periods is its rest position
@@ -98,17 +100,18 @@ def _stand_under_holding_effort(machine: Machine, axis: int, settings: HomingSet
     """Watch an axis under its holding effort alone until it stands; return where its motor side and its link do.
 
     What its gravity differs from the holding effort by, dry friction takes up, which bends before it slides: such an axis moves a little
-    and stands. One that moves on until its encoders would have to agree no more is held by nothing.
+    and stands. One that moves on until its encoders would have to agree no more, or for longer than an axis settles, is held by nothing.
     """
     name, unit = machine.axes[axis], machine.scalings[axis].position_unit
     position, link = began, _ = _positions(machine, axis, holding)
+    ends_s = machine.clock.now() + SETTLING_S
     while True:
         before = position
         power_and_brakes.run_for(machine, DRIFT_WATCH_S, lambda _: holding)
         position, link = _positions(machine, axis, holding)
         if abs(position - before) < settings.direction_check_travel:
             return position, link
-        if abs(position - began) >= settings.agreement_tolerance:
+        if abs(position - began) >= settings.agreement_tolerance or machine.clock.now() > ends_s:
             raise MotionRefusedError(
                 f"{name}: moves by {position - began:+.2e} {unit} under its holding effort of {holding[axis]:.3g} alone; "
                 "the holding effort is wrong"
@@ -280,7 +283,7 @@ def _write_homing(machine: Machine, axis: int, settings: HomingSettings, moves: 
 
 
 def _run_homing(machine: Machine, axis: int, settings: HomingSettings, command: np.ndarray) -> None:
-    earlier = cia402.decode_homing(machine.inputs[axis].statusword) is Homing.DONE  # than this run
+    is_old = cia402.decode_homing(machine.inputs[axis].statusword) in ATTAINED
     began_s, began = machine.clock.now(), float(machine.sample.position[axis])
     machine.set_controlword(axis, cia402.ENABLE_OPERATION | cia402.HOMING_START)  # rises from the low bit with which it was enabled
     for _ in range(SETTLED_TICKS):
@@ -289,10 +292,11 @@ def _run_homing(machine: Machine, axis: int, settings: HomingSettings, command: 
     standing = _Standing(machine, axis)
     while True:
         progress = cia402.decode_homing(machine.inputs[axis].statusword)
-        earlier = earlier and progress is Homing.DONE and machine.clock.now() < began_s + STALE_S
-        if progress is Homing.DONE and not earlier:
+        is_overdue = settings.method in HOMING_AT_PRESENT_POSITION and machine.clock.now() >= began_s + STALE_S
+        is_old = is_old and progress in ATTAINED and not is_overdue
+        if progress is Homing.DONE and not is_old:
             break
-        if standing.ticks_since(progress is Homing.SETTLING) >= power_and_brakes.ticks_in(machine, STANDS_S):
+        if standing.ticks_since(progress is Homing.SETTLING and not is_old) >= power_and_brakes.ticks_in(machine, STANDS_S):
             machine.notes += (f"{machine.axes[axis]}: its drive says {progress.value} for {STANDS_S:g} s at a standstill: taken for homed",)
             break
         failed = progress in (Homing.FAILED, Homing.FAILED_MOVING)

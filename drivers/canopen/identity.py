@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from drivers.canopen.sdo import SdoNode
+from drivers.canopen.sdo import RESPONSE_TIMEOUT_S, SdoNode
 from drivers.errors import NodeAbsentError, WrongIdentityError
 from drivers.settings import Identity, Node
 
@@ -78,7 +78,7 @@ def check_identity(node: SdoNode, expected: Node) -> tuple[str, ...]:
 
 
 def await_identity(sdo: SdoNode, node: Node, now: Callable[[], float], has_booted: Callable[[Node], bool]) -> tuple[str, ...]:
-    """Check a node's identity; one that has booted may take as long again before it answers SDOs.
+    """Check a node's identity; one that is silent after its boot-up may take as long again before it answers SDOs.
 
     Raises
     ------
@@ -87,9 +87,12 @@ def await_identity(sdo: SdoNode, node: Node, now: Callable[[], float], has_boote
     """
     deadline = now() + node.boot_timeout_s
     while True:
+        asked_s = now()
         try:
             return check_identity(sdo, node)
         except NodeAbsentError as error:
+            if now() - asked_s < RESPONSE_TIMEOUT_S:  # it answers, and wrongly
+                raise
             if now() > deadline:
                 if has_booted(node):
                     raise NodeAbsentError(

@@ -107,16 +107,17 @@ class PolledSdoClient(SdoClient):
     def _passes_over(self, answer: bytes, request: bytes) -> bool:
         """Drop the oldest answer if it is a late one to an earlier request; return whether it was."""
         fits = answer[0] & 0xE0 in (_ANSWERS[request[0] & 0xE0], _ABORTS) and answer[1:4] == request[1:4]
-        if fits or not self._is_late(answer):
+        if fits or not self._take_late(answer):
             return False
         self._answers.popleft()
         return True
 
     def _give_up(self, request: bytes) -> None:
+        self._answers_owed -= 1
         self._late.append((self.network.clock.now() + LATE_ANSWER_S, bytes(request[1:4])))
 
-    def _is_late(self, answer: bytes) -> bool:
-        """Return whether an answer is that to a request which was given up; each has one."""
+    def _take_late(self, answer: bytes) -> bool:
+        """Return whether an answer is that to a request which was given up, and expect it no more."""
         now_s = self.network.clock.now()
         self._late = [each for each in self._late if each[0] >= now_s]
         for each in self._late:
@@ -167,7 +168,7 @@ class PolledSdoClient(SdoClient):
             pass
         self._asked = None
         self.network.drain()
-        twice = sum(not self._is_late(answer) for answer in self._answers) > max(0, self._answers_owed)
+        twice = sum(not self._take_late(answer) for answer in self._answers) > max(0, self._answers_owed)
         self._answers.clear()
         self._answers_owed = 0
         if twice:

@@ -264,5 +264,5 @@ def _table(asked: dict[str, Any], key: str) -> dict[str, Any]:
 
 def _diagnosed(answers: Answers) -> tuple[bool, str]:
     diagnosis = answers["diagnosis"]
-    named = ", ".join(f"{each['effect']} at {each['at']}" for each in diagnosis["findings"])
+    named = ", ".join(each["number"] if each["kind"] == "number" else f"{each['effect']} at {each['at']}" for each in diagnosis["findings"])
     return True, f"{diagnosis['verdict']}{f': {named}' if named else ''}"

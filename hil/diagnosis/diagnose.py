@@ -51,7 +51,7 @@ def diagnose(
     machine : Machine
         The simulation.
     recordings, held_out : mapping of str to Recording
-        By name; held-out ones are scored and decide nothing.
+        By name; held-out ones are scored, choose no name, and where nothing repeats may lower the verdict.
     report : callable
         Told what is being done, and the share that is done.
     first : callable
@@ -121,7 +121,7 @@ def diagnose_audited(
             done = next(tried)
             report("trying numbers and laws in simulations", FITTED + SOUGHT * done / (done + USUAL))
 
-        if (selected := select(machine, recordings, trying)) is not None:
+        if (selected := select(machine, recordings, trying, jobs)) is not None:
             return answer_of_runs(machine, audited, seen, levels, selected, held_out, began, report)
     return answer(machine, audited, name(seen, free, report, say), held_out, began, report)
 

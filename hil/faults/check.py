@@ -260,7 +260,7 @@ def _verdict(trial: FaultTrial, run: _Run, outcome: FaultOutcome | None, *, comp
         return "never began"
     if not outcome.at_rest:
         moving = [axis.ending == "moving" for axis in outcome.axes]
-        lost = trial.brake in ("slipping", "absent") and not run.motion.effort[-1][moving].any()
+        lost = trial.brake == "absent" and not run.motion.effort[-1][moving].any()
         return "cannot be held" if lost and run.lines[-1].startswith(KEEP_AWAY) else "not at rest"
     if run.stopped:
         return "stopped"

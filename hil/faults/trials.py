@@ -55,7 +55,7 @@ class FaultTrial:
     settings : tuple of FaultSetting
         The fault, and behind it what ends the run where its phase asks for a stop.
     brake : Brake
-        The axis's brake fails as well: where the drive does not hold, an axis whose brake slips or is absent cannot be held.
+        The axis's brake fails as well: where the drive does not hold, an axis whose brake is absent cannot be held.
     killed : bool
         All processes of the bench are killed afterwards.
     """

@@ -112,6 +112,8 @@ def of_diagnosis(diagnosis: Diagnosis) -> list[Number]:
     verdict = diagnosis.verdict
     rows = [Number("verdict", math.nan, "", verdict, diagnosis.reason)]
     for finding in diagnosis.findings:
+        if finding.kind == "number" and finding.name in diagnosis.retuned:
+            continue  # among the numbers of the file, below
         number = f" {finding.effect.number}" if finding.effect.number > 1 else ""
         for name, estimate in finding.parameters.items():
             rows.append(_of_interval(f"{finding.effect.at} {finding.effect.effect}{number} {name}", estimate, verdict))

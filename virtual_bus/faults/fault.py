@@ -43,8 +43,8 @@ Phase = Literal["start", "operational", "first move", "homing", "settled", "swee
 """Part of a run in which the table of faults tries a fault; "stop": from the start of a sweep that hold-to-run ends."""
 
 Brake = Literal["good", "weak", "slipping", "absent"]
-"""The axis's brake in a trial, from standstill on: with a fifth of its torque, with a tenth, which an arm's load exceeds, or open for ever.
-Without the drive nothing holds an axis whose brake slips or is absent."""
+"""The axis's brake in a trial, from standstill on: with a fifth of its torque, with a tenth, or open for ever. Without
+the drive nothing holds an axis whose brake is absent."""
 
 
 @dataclass(frozen=True)

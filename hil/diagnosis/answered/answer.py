@@ -202,17 +202,27 @@ def never_shown(limits: Sequence[Limit]) -> list[str]:
     return [f"not even the largest would have shown of {', '.join(hidden[:MOST_HIDDEN])}{more} (detection limits)"]
 
 
+def verdict_of_audit(audit: Audit, names: str, unseen: Sequence[str]) -> tuple[Verdict, str] | None:
+    """Return the verdict where recordings show too little, or are not what the file says; None where physics decides.
+
+    `names` are those of what was found, `unseen` the axes at which not even friction would have shown.
+    """
+    if unseen and not names:
+        said = f"friction as large as all effort would not have shown at {', '.join(unseen)}: excite it more, or for longer"
+        return "inconclusive", "; ".join([said, *audit.wrong])
+    if audit.wrong:
+        said = "; ".join(audit.wrong)
+        return "misconfigured", said + (f"; beside it, the recorded efforts show {names}" if names else "; beside it no physics shows")
+    return None
+
+
 def _verdict(
     audit: Audit, named: Named, findings: Sequence[Finding], others: Sequence[Alternative], unseen: Sequence[str]
 ) -> tuple[Verdict, str]:
     """Return the first verdict that applies, and why."""
     names = " and ".join(str(finding.effect) for finding in findings)
-    if unseen and not findings:
-        said = f"friction as large as all effort would not have shown at {', '.join(unseen)}: excite it more, or for longer"
-        return "inconclusive", "; ".join([said, *audit.wrong])
-    if audit.wrong:
-        said = "; ".join(audit.wrong)
-        return "misconfigured", said + (f"; beside it, the recorded efforts show {names}" if findings else "; beside it no physics shows")
+    if (first := verdict_of_audit(audit, names, unseen)) is not None:
+        return first
     if not is_spanned(named):
         left = f"{math.sqrt(times_noise(named)):.2f} times what noise leaves"
         said = f"{names} {'explains' if len(findings) == 1 else 'explain'} a part; " if findings else ""
@@ -223,7 +233,7 @@ def _verdict(
         return "consistent", NOTHING_MISSING
     near = [other for other in others if other.has_another and other.told_apart < NOT_TOLD_APART]
     rivals = [
-        other for other in near if other.told_apart < 0.0 or not _is_variant(named.best.settings, other)
+        other for other in near if other.told_apart < 0.0 or not is_variant(named.best.settings, other)
     ]  # a likelier law of the family, too
     doubted = [other for other in others if not other.has_another and other.told_apart < NOT_TOLD_APART]
     if rivals or doubted:
@@ -255,7 +265,7 @@ def words(settings: Sequence[EffectSetting]) -> str:
     return " and ".join(f"{setting.name} at {setting.at}" for setting in settings) or "no effect"
 
 
-def _is_variant(settings: Sequence[EffectSetting], other: Alternative) -> bool:
+def is_variant(settings: Sequence[EffectSetting], other: Alternative) -> bool:
     """Whether an alternative has another law of the same family at the same place."""
     own, its = settings[other.without[0]], other.settings[-1]
     return len(other.without) == 1 and own.at == its.at and effects()[own.name].family == effects()[its.name].family
@@ -284,7 +294,7 @@ def told(
         variants = [(at, cap * own)]
         rivals, missing = [], 0.0
         for other, share in zip(mine, shares, strict=True):
-            if other.has_another and _is_variant(settings, other):
+            if other.has_another and is_variant(settings, other):
                 variants.append((EffectAt(other.settings[-1].name, other.settings[-1].at), cap * share))
             elif other.has_another and other.told_apart < NOT_TOLD_APART:
                 rivals.append(other)

@@ -15,6 +15,7 @@ from hil.diagnosis.answered.answer import (
     SHOWN,
     fit_of,
     hypotheses_of,
+    is_variant,
     limit_of,
     never_shown,
     proposed,
@@ -23,9 +24,10 @@ from hil.diagnosis.answered.answer import (
     shares_of,
     told,
     unseen_at,
+    verdict_of_audit,
     words,
 )
-from hil.diagnosis.answered.values import LARGEST, Answered, known_effects, names_of, unit_of
+from hil.diagnosis.answered.values import LARGEST, Answered, acting, known_effects, names_of, unit_of
 from hil.diagnosis.audit.audit import Audit
 from hil.diagnosis.likelihood.judge import Judge
 from hil.diagnosis.locating.answered import where_it_is
@@ -39,7 +41,7 @@ from hil.diagnosis.result import Diagnosis, EffectAt, Estimate, Finding, Locatio
 from hil.diagnosis.seen.beside import Levels
 from hil.diagnosis.seen.see import Seen
 from hil.diagnosis.selection.rivals import Rival, parameters_of, shown
-from hil.diagnosis.selection.select import Selected, runs_of
+from hil.diagnosis.selection.select import Selected, is_closed, runs_of
 from hil.diagnosis.tuned.retuning import Tuned, nominal_offset, tuned_at
 from hil.diagnosis.unknowns.unknowns import Kind, Unknown
 from hil.machine import Machine
@@ -50,8 +52,11 @@ from virtual_bus.settings import EffectSetting
 
 WITHIN_95, WITHIN_95_OF_FEW = 1.96, 3.18
 """Half widths of an interval in standard deviations: of many readings, and of the four stretches that differ (Student's t)."""
+LEAST = 1e-300
+"""Error that stands for none at all in logarithms."""
 LEFT = 0.1
 """Share of what numbers alone leave that an answer may leave and have explained it."""
+NO_HELP = "with it, recordings that were held out are not predicted better"
 UNITS = {Kind.GAIN: "", Kind.LATENESS: "s", Kind.EARLY: "rows", Kind.EFFORT_LAG: "s"}
 
 
@@ -61,7 +66,7 @@ def answer_of_runs(
 ) -> Answered:  # fmt: skip
     """Return the answer that free runs selected; held-out recordings are scored, and may take assurance away."""
     search, fit, point = selected.search, selected.fit, selected.fit.point
-    report("weighing rivals", 0.7)
+    report("finding what would not have shown", 0.7)
     named = selected.named
     settings = tuple(point.settings[k] for k in named)
     half = _half_widths(selected)
@@ -73,14 +78,18 @@ def answer_of_runs(
     limits = _limits(selected, named)
     train, held = _predicted(machine, selected, held_out, len(seen.alongs))
     unexplained = _unexplained(selected, bool(numbers))
+    helps = _helps(held, "nominal" if numbers else "retuned")
+    if helps is False:
+        found, numbers = _doubted(found), _doubted(numbers)
     verdict, reason = _verdict(
         audit,
         [*numbers, *found],
         others,
         unexplained,
-        _helps(held, "nominal" if numbers else "retuned"),
+        helps,
         unseen_at(machine, seen, limits),
         selected,
+        settings,
     )
     is_nothing = verdict in ("consistent", "inconclusive")
     if not found and not numbers and verdict != "inconclusive":
@@ -95,10 +104,10 @@ def answer_of_runs(
     diagnosis = Diagnosis(
         verdict=verdict,
         reason=reason,
-        findings=() if is_nothing else (*found, *numbers),
+        findings=(*found, *numbers),
         hypotheses=hypotheses_of(settings, len(point.parameters), gained, others, LARGEST[noise], ()),
-        retuned=retuned,
-        frozen=frozen,
+        retuned={} if is_nothing else retuned,
+        frozen={} if is_nothing else frozen,
         noise=noise,
         location=Location() if verdict in ("consistent", "retuned") else where_it_is(seen, tuned, along),
         fit=fit_of(train, held, held_out != {}),
@@ -113,9 +122,9 @@ def answer_of_runs(
     )
     columns = np.vstack([np.moveaxis(each, 0, -1).reshape(-1, len(each)) for each in fit.columns]) if fit.columns else np.zeros((0, 0))
     names = [selected.unknowns.each[k].name for k in point.free]
-    if is_nothing:
+    if is_nothing:  # the file stays as it is
         values, settings = selected.unknowns.plant.nominal, ()
-    return Answered(machine, diagnosis, names_of(seen), seen, values, settings, proposal, (columns, (*names, *parameters_of(fit))))
+    return Answered(machine, diagnosis, names_of(seen), seen, values, acting(settings), proposal, (columns, (*names, *parameters_of(fit))))
 
 
 def _alternative(selected: Selected, named: Sequence[int], rival: Rival) -> Alternative:
@@ -166,8 +175,10 @@ def _numbers(selected: Selected, half: np.ndarray) -> tuple[dict[str, RetunedVal
                 frozen[unknown.name] = f"these recordings do not show it; machine.toml has {unknown.value(at):.5g} {unit}".rstrip()
         if abs(at) - by > 1.0:
             estimate = Estimate(unknown.value(at), unit, (low, high), unknown.nominal)
-            place = EffectAt(unknown.name, unknown.name.partition(".")[0])
+            axes = " and ".join(drive.axis for drive in unknowns.plant.settings.drives)
+            place = EffectAt(unknown.name, axes if unknown.kind is Kind.LATENESS else unknown.name.partition(".")[0])
             said = f"{unknown.value(at):.4g} {unit}".rstrip() + f", the file says {unknown.nominal:.4g}"
+            said += "" if unknown.recording is None else f" (recording {unknown.recording + 1})"
             found.append(Finding(place, LARGEST["assumed"], {"value": estimate}, evidence_for=(said,), family="number", kind="number"))
     return shown_numbers, frozen, tuple(found)
 
@@ -180,7 +191,8 @@ def _unit(selected: Selected, unknown: Unknown) -> str:
         return UNITS[unknown.kind]
     if unknown.kind is Kind.EFFORT_ZERO:
         return plant.drives[unknown.place].unit
-    joint = plant.drives[unknown.place].joint if unknown.kind is Kind.SPEED_LIMIT else plant.encoders[unknown.place].joints[0]
+    of_channel = {encoder.channel: encoder.joints[0] for encoder in plant.encoders}
+    joint = plant.drives[unknown.place].joint if unknown.kind is Kind.SPEED_LIMIT else of_channel[unknown.name.removesuffix(".zero")]
     length = next("m" if each.kind == "prismatic" else "rad" for each in plant.tree.joints if each.name == joint)
     return f"{length}/s" if unknown.kind is Kind.SPEED_LIMIT else length
 
@@ -222,7 +234,8 @@ def _predicted(
     stages |= {"baseline": selected.baseline.point, "extended": selected.fit.point}
     machines = [unknowns.machine(each) for each in stages.values()]
     tables: list[Predicted | None] = []
-    for runs in (judge.runs, runs_of(machine, held_out, selected.closed, recordings)[1] if held_out else ()):
+    can_run = bool(held_out) and (not selected.closed or is_closed(machine, held_out))
+    for runs in (judge.runs, runs_of(machine, held_out, selected.closed, recordings)[1] if can_run else ()):
         if not runs or runs[0].channels != judge.runs[0].channels:
             tables.append(None)
             continue
@@ -246,7 +259,16 @@ def _helps(held: Predicted | None, than: str) -> bool | None:
     """Return whether held-out recordings are predicted better with the answer than at another stage; None without them."""
     if held is None or not held.channels:
         return None
-    return float(np.mean([math.log(stages["extended"] / stages[than]) for stages in held.channels.values()])) < 0.0
+    return sum(_times(stages["extended"], stages[than]) for stages in held.channels.values()) < 0.0
+
+
+def _doubted(found: Sequence[Finding]) -> tuple[Finding, ...]:
+    return tuple(replace(one, evidence_against=(*one.evidence_against, NO_HELP)) for one in found)
+
+
+def _times(one: float, other: float) -> float:
+    """Return the logarithm of how many times an error is another; errors of simulations that ran away are infinite, and alike."""
+    return 0.0 if one == other else math.log(max(one, LEAST)) - math.log(max(other, LEAST))
 
 
 def _along(selected: Selected, seen: Seen, levels: Levels, values: np.ndarray, settings: Sequence[EffectSetting]) -> tuple[Tuned, Fitted]:
@@ -264,28 +286,24 @@ def _along(selected: Selected, seen: Seen, levels: Levels, values: np.ndarray, s
 
 def _verdict(
     audit: Audit, found: Sequence[Finding], others: Sequence[Alternative], unexplained: float, helps: bool | None, unseen: Sequence[str],
-    selected: Selected,
+    selected: Selected, settings: Sequence[EffectSetting],
 ) -> tuple[Verdict, str]:  # fmt: skip
     """Return the first verdict that applies, and why."""
     names = " and ".join(finding.name for finding in found)
-    if unseen and not found:
-        said = f"friction as large as all effort would not have shown at {', '.join(unseen)}: excite it more, or for longer"
-        return "inconclusive", "; ".join([said, *audit.wrong])
-    if audit.wrong:
-        said = "; ".join(audit.wrong)
-        return "misconfigured", said + (f"; beside it, the recordings show {names}" if found else "; beside it no physics shows")
+    if (first := verdict_of_audit(audit, names, unseen)) is not None:
+        return first
     if not found:
-        moved = selected.search.fitting.at([selected.unknowns.start()])[0]
-        price = selected.search.worth([])
-        if moved is not None and moved.cost - selected.plain.cost > max(price, NOT_TOLD_APART):
+        (nominal,) = selected.search.fitting.at([selected.unknowns.start()])
+        if nominal is None or 2.0 * (nominal.cost - selected.plain.cost) > NOT_TOLD_APART:
             return "retuned", f"other numbers in the machine file, within their tolerances, explain the difference; {NOTHING_MISSING}"
         return "consistent", NOTHING_MISSING
-    near = [other for other in others if other.behind < NOT_TOLD_APART]
-    if near:
-        said = "; ".join(dict.fromkeys(words(other.settings) for other in near))
+    near = [other for other in others if other.told_apart < NOT_TOLD_APART]
+    rivals = [other for other in near if not (other.has_another and other.told_apart >= 0.0 and is_variant(settings, other))]
+    if rivals:
+        said = "; ".join(dict.fromkeys(words(other.settings) for other in rivals))
         return "ambiguous", f"{names}, which these recordings do not tell apart from {said}"
     if unexplained > LEFT:
         return "ambiguous", f"{names}, beside which something may act that is not named: {unexplained:.0%} of the mismatch is left"
     if helps is False:
-        return "ambiguous", f"{names}, with which recordings that were held out are not predicted better"
+        return "ambiguous", f"{names}, but {NO_HELP}"
     return "explained", f"{names}: no other law or place predicts these recordings as well"

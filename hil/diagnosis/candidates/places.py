@@ -67,8 +67,8 @@ def place_of(
 
 
 def _seen_twice(along: Along, joint: int) -> bool:
-    """Return whether a sensor beyond the motor, on the link or with the next joints, or an IMU reads what a joint does, too."""
+    """Return whether an encoder beyond the motor's, on the link or with the next joints, or an IMU reads what a joint does, too."""
     channels = set(along.observed.channels)
     name = along.joints[joint]
-    read = [sensor for sensor in along.settings.joint_sensors if name in sensor.joints and sensor.channel in channels]
-    return len(read) > 1 or any(len(sensor.joints) > 1 for sensor in read) or bool(channels & set(imu_channel_names(along.settings)))
+    read = [encoder for encoder in along.settings.encoders if name in encoder.joints and encoder.channel in channels]
+    return len(read) > 1 or any(len(encoder.joints) > 1 for encoder in read) or bool(channels & set(imu_channel_names(along.settings)))

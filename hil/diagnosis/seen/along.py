@@ -24,6 +24,8 @@ from virtual_bus.sensors.effects import act_on_sensors, channel_names, new_memor
 from virtual_bus.sensors.measure import new_readings, sensor_model, with_effects
 from virtual_bus.settings import EffectSetting
 
+FAR = 1e3
+"""Of what was read: how far off a simulation counts that ran away."""
 FINE = 4
 """Steps of the base motion in a row: with one, springs that swing at a tenth of the sample rate would give 5 % of their effort wrong; with
 two, an IMU on such a spring would read 2e-4 of its acceleration wrong."""
@@ -195,7 +197,10 @@ class Along:
 
         def off(states: np.ndarray, rows: int) -> np.ndarray:
             found[:2, unknown] = states.reshape(2, -1)
-            signals = self.signals(self.base(fine, found[:2]).every(FINE), model)
+            try:
+                signals = self.signals(self.base(fine, found[:2]).every(FINE), model)
+            except BadAnswerError:  # it runs away from there
+                return np.full(rows * (observed.readings.shape[1] + len(told)), FAR)
             left = np.hstack([observed.readings - signals.readings, (signals.given - signals.needed)[:, told]])
             size = np.append(np.nanstd(observed.readings, axis=0), signals.given[:, told].std(axis=0))
             return np.nan_to_num(left / np.where(size > 0.0, size, np.inf))[:rows].ravel()

@@ -10,14 +10,13 @@ import numpy as np
 from hil.diagnosis.candidates.entries import Entry
 from hil.diagnosis.likelihood.fitting import Fit
 from hil.diagnosis.likelihood.judge import BLOCKS
+from hil.diagnosis.named.search import NOT_TOLD_APART
 from hil.diagnosis.selection.candidates import Beside, Neighbours, library
 from hil.diagnosis.selection.search import TESTED, Search
 from virtual_bus.settings import EffectSetting
 
 MOST = 3
 """Other laws that are fitted in place of an effect."""
-NEAR = 10.0
-"""Twice the log likelihood by which one set must predict better than another to be told from it: odds of a hundred and fifty."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +51,7 @@ def behind(search: Search, one: Fit, answer: Fit) -> float:
     return 2.0 * float(min(gains, key=abs))
 
 
-def near(search: Search, answer: Fit) -> Neighbours:
+def around(search: Search, answer: Fit) -> Neighbours:
     """Return an answer with the laws of all effects at all places beside it, or in place of its own."""
     return search.neighbours(answer, library(search.inverse, search.fitting.unknowns.machine(answer.point)))
 
@@ -81,11 +80,11 @@ def rivals(search: Search, answer: Fit, near: Neighbours) -> tuple[tuple[int, ..
                 continue
             its = (*kept, law.setting(weights))
             fit = None
-            if 2.0 * lag < TESTED * NEAR:
+            if 2.0 * lag < TESTED * NOT_TOLD_APART:
                 fit = search.fitting.fit(search.fitting.based(replace(answer.point, settings=its)))
             if fit is not None:
                 found.append(Rival(fit.point.settings, number, True, behind(search, fit, answer), len(fit.point.parameters), fit))
-            elif 2.0 * lag >= TESTED * NEAR:
+            elif 2.0 * lag >= TESTED * NOT_TOLD_APART:
                 found.append(Rival(its, number, True, 2.0 * lag, parameters + len(weights)))
     return tuple(named), tuple(sorted(found, key=lambda each: each.behind))
 

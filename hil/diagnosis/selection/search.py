@@ -116,7 +116,9 @@ class Search:
         (here,) = self.fitting.at([self.fitting.based(start)])
         if here is None:
             return []
-        of = beside(self.fitting, here, library(self.inverse, self.fitting.unknowns.machine(start)))
+        everything = library(self.inverse, self.fitting.unknowns.machine(start))
+        self._tried = len(everything)
+        of = beside(self.fitting, here, everything)
         laws = alone_laws(of, here.point.room(self.fitting.unknowns, REACH), self._material, MOST_ALONE)
         found = []
         for law, weights in laws:

@@ -17,7 +17,7 @@ from hil.diagnosis.observed.rows import between_samples, observed
 from hil.diagnosis.seen.along import Along
 from hil.diagnosis.seen.assumed import efforts_by_encoders
 from hil.diagnosis.selection.candidates import Beside
-from hil.diagnosis.selection.rivals import Rival, near, rivals
+from hil.diagnosis.selection.rivals import Rival, around, rivals
 from hil.diagnosis.selection.search import Search
 from hil.diagnosis.simulation.closed_loop import ClosedLoop
 from hil.diagnosis.simulation.windows import OpenLoop, Simulated
@@ -91,17 +91,26 @@ def is_closed(machine: Machine, recordings: Mapping[str, Recording]) -> bool:
 
 
 def runs_of(machine: Machine, recordings: Mapping[str, Recording], closed: bool, first: int = 0) -> tuple[list[Along], list[Simulated]]:
-    """Return the recordings' motions, and free runs beside them, numbered from `first` on; none where no encoder follows a joint."""
+    """Return the recordings' motions, and free runs beside them, numbered from `first` on.
+
+    There are no runs where no encoder follows a joint, or recordings have not the same channels.
+    """
     every = [between_samples(observed(machine, name, recording)) for name, recording in recordings.items()]
     alongs = [Along(one) for one in every]
     numbered = enumerate(zip(every, alongs, strict=True), first)
     if not all(along.smooth for along in alongs):
         return alongs, []
-    return alongs, [ClosedLoop(k, one) if closed else OpenLoop(k, one, along) for k, (one, along) in numbered]
+    runs: list[Simulated] = [ClosedLoop(k, one) if closed else OpenLoop(k, one, along) for k, (one, along) in numbered]
+    return alongs, runs if all(run.channels == runs[0].channels for run in runs) else []
 
 
-def select(machine: Machine, recordings: Mapping[str, Recording], say: Callable[[str], None] = lambda what: None) -> Selected | None:
-    """Select effects and numbers by free runs; None where these cannot begin, or stay near the recordings over no horizon."""
+def select(
+    machine: Machine, recordings: Mapping[str, Recording], say: Callable[[str], None] = lambda what: None, jobs: int | None = None
+) -> Selected | None:
+    """Select effects and numbers by free runs; None where these cannot begin, or stay near the recordings over no horizon.
+
+    Simulations take `jobs` processors at most, all by default.
+    """
     closed = is_closed(machine, recordings)
     alongs, runs = runs_of(machine, recordings, closed)
     if not runs:
@@ -111,7 +120,7 @@ def select(machine: Machine, recordings: Mapping[str, Recording], say: Callable[
     everyday = everyday_effects(alongs[0])
     of_sets = [inverse.fits(unknowns.start(each)) for each in engineers_sets(alongs, everyday)]
     say(f"inverse: {_words(unknowns, of_sets[0][0])}")
-    grown = _grown(runs, unknowns, of_sets[0], closed, say)
+    grown = _grown(runs, unknowns, of_sets[0], closed, say, jobs)
     if grown is None:
         return None
     fitting, found = grown
@@ -120,8 +129,8 @@ def select(machine: Machine, recordings: Mapping[str, Recording], say: Callable[
     others = [fitting.fit(fitting.based(replace(each[0], held=frozenset()))) for each in of_sets[1:]]
     others += search.from_the_file(unknowns.start(everyday), baseline)
     best = search.best([baseline, *(one for one in others if one is not None)])
-    around = near(search, best)
-    named, against = rivals(search, best, around)
+    near = around(search, best)
+    named, against = rivals(search, best, near)
     for _ in range(EXCHANGES):
         better = min((one for one in against if one.has_another and one.fit is not None), key=lambda one: one.behind, default=None)
         if better is None or better.fit is None:
@@ -131,10 +140,17 @@ def select(machine: Machine, recordings: Mapping[str, Recording], say: Callable[
             break
         say(f"exchanged: {_words(unknowns, better.fit.point)}")
         best = search.best([better.fit])
-        around = near(search, best)
-        named, against = rivals(search, best, around)
+        near = around(search, best)
+        named, against = rivals(search, best, near)
+    while len(named) < len(best.point.settings):  # all together are fitted and judged anew, so that the answer is what is named
+        sparer = fitting.fit(fitting.based(replace(best.point, settings=tuple(best.point.settings[k] for k in named))))
+        if sparer is None:
+            break
+        best = sparer
+        near = around(search, best)
+        named, against = rivals(search, best, near)
     plain = fitting.fit(fitting.based(replace(inverse.fits(unknowns.start())[0], held=frozenset())))
-    return Selected(search, best, baseline, baseline if plain is None else plain, named, against, around.of, closed)
+    return Selected(search, best, baseline, baseline if plain is None else plain, named, against, near.of, closed)
 
 
 def engineers_sets(alongs: Sequence[Along], everyday: Sequence[EffectSetting]) -> list[tuple[EffectSetting, ...]]:
@@ -187,7 +203,7 @@ def _unknowns(machine: Machine, runs: Sequence[Simulated], closed: bool) -> Unkn
 
 
 def _grown(
-    runs: Sequence[Simulated], unknowns: Unknowns, points: Sequence[Point], closed: bool, say: Callable[[str], None]
+    runs: Sequence[Simulated], unknowns: Unknowns, points: Sequence[Point], closed: bool, say: Callable[[str], None], jobs: int | None
 ) -> tuple[Fitting, list[Fit | None]] | None:
     """Fit machines to longer and longer windows; return the last fits, or None where not even the shortest stay near.
 
@@ -202,7 +218,7 @@ def _grown(
     points, kept, lead = list(points), None, 0
     which: tuple[float | None, ...] = ()
     for horizon in grid:
-        judge = Judge(runs, (*which, horizon))
+        judge = Judge(runs, (*which, horizon), jobs)
         fitting = Fitting(judge, unknowns, np.full(judge.shape, 50.0))
         (first,) = fitting.at(points[lead : lead + 1])
         if first is None:
