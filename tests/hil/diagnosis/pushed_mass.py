@@ -28,11 +28,12 @@ def pushed_mass(
     zero: float = 0.0,
     begins: tuple[float, float] = (0.0, 0.0),
     gain: float = 1.0,
+    early: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Position and command (N,) along a reference (N,), pushed by `push(time, position, speed)` [N] besides its drive and damper.
 
     The encoder reads multiples of `count` and is `zero` off, the drive applies multiples of `target_step`. It begins so far off the
-    reference and so fast. `gain` is that of the controller, in units of the file's.
+    reference and so fast. `gain` is that of the controller, in units of the file's. Commands act so much of a row `early`.
     """
     period_s = 1.0 / RAIL.sample_rate_Hz
     sections = RAIL.controllers[0].position_sections
@@ -45,7 +46,9 @@ def pushed_mass(
         fed_back, state = sosfilt(sections, [reference[k] - reading], zi=state)
         command = gain * float(fed_back[0]) + (0.0 if excitation is None else float(excitation[k]))
         rows[k] = reading, command
-        for _ in range(STEPS):
+        for step in range(STEPS):
+            if step == round((1.0 - early) * STEPS):
+                effort = rounded(command, target_step)
             force = GAIN_N_V * effort - DAMPING_N_s_m * speed + push(k * period_s, position, speed)
             speed += force / MASS_kg * period_s / STEPS
             position += speed * period_s / STEPS
@@ -65,9 +68,10 @@ def recorded(
     experiment: dict[str, Any] | None = None,
     noise: float = 1.0,
     gain: float = 1.0,
+    early: float = 0.0,
 ) -> Recording:
     """A recording of it, with so many times NOISE."""
-    position, command = pushed_mass(reference, push, excitation, gain=gain)
+    position, command = pushed_mass(reference, push, excitation, gain=gain, early=early)
     rows = np.random.default_rng(seed).standard_normal((len(reference), 2)) * NOISE * noise
     channels = {
         "time": Channel("s", np.arange(len(reference)) / RAIL.sample_rate_Hz),

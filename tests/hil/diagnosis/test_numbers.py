@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hil.diagnosis.answered.simulated import NO_HELP
 from hil.diagnosis.answered.values import Answered
 from hil.diagnosis.diagnose import diagnose
 from hil.machine.load import machine_from_text
@@ -63,3 +64,19 @@ def test_a_machine_that_is_its_file_is_left_as_it_is() -> None:
     assert answered.diagnosis.verdict in ("consistent", "retuned")
     assert answered.diagnosis.findings == ()
     assert answered.effects == ()
+    mass = answered.diagnosis.retuned.get("block.mass")
+    assert mass is None or mass.value == pytest.approx(MASS_kg, rel=0.01)
+
+
+def rubs(_time: float, _position: float, speed: float) -> float:
+    return -14.0 * float(np.tanh(speed / 1e-3))
+
+
+@pytest.mark.nightly
+def test_a_recording_held_out_that_has_not_what_is_named_takes_the_assurance_away() -> None:
+    machine = replace(RAIL, controllers=())
+    runs = {"run": recorded(reference(17), rubs, 18)}, {"other": recorded(reference(19), nothing, 20)}
+    diagnosis = diagnose(machine, *runs).diagnosis
+    assert [finding.effect.effect for finding in diagnosis.findings] == ["coulomb_friction"]
+    assert (diagnosis.verdict, diagnosis.findings[0].evidence_against) == ("ambiguous", (NO_HELP,))
+    assert NO_HELP in diagnosis.reason

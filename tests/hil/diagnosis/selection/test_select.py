@@ -32,7 +32,7 @@ def with_mass(mass_kg: float) -> Machine:
 
 
 def selected(machine: Machine, recording: Recording) -> Selected:
-    found = select(machine, {"run": recording})
+    found = select(machine, {"run": recording}, jobs=2)
     assert found is not None
     return found
 
@@ -59,12 +59,20 @@ def test_a_mass_that_the_file_has_wrong_by_a_factor_is_found_by_windows_that_the
     found = selected(machine, recorded(reference(1), nothing, 5))
     assert number(found, "block.mass") == pytest.approx(MASS_kg, rel=0.02)
     assert found.fit.point.settings == ()
+    assert found.search.fitting.judge.jobs == 2
 
 
 def test_a_controllers_gain_that_is_not_the_files_is_found_and_no_law_stands_for_it() -> None:
     found = selected(RAIL, recorded(reference(2), nothing, 6, gain=1.6, noise=10.0))
     assert number(found, "carriage.controller_gain") == pytest.approx(1.6, rel=0.03)
     assert number(found, "block.mass") == pytest.approx(MASS_kg, rel=0.05)
+    assert found.fit.point.settings == ()
+
+
+def test_a_command_that_acts_within_its_row_is_found() -> None:
+    found = selected(RAIL, recorded(reference(4), nothing, 8, early=0.6, noise=10.0))
+    assert number(found, "carriage.command_early") == pytest.approx(0.6, abs=0.05)
+    assert number(found, "carriage.controller_gain") == pytest.approx(1.0, rel=0.02)
     assert found.fit.point.settings == ()
 
 
