@@ -24,13 +24,11 @@ from real.common import ControllerSide
 from real_data import DATA, RealSet
 
 from controllers.settings import AxisController
-from hil.diagnosis.candidates.entries import setting_of
 from hil.diagnosis.named.naming import Named, name
 from hil.diagnosis.predicted.refitting import refitted
 from hil.diagnosis.seen.see import see
 from hil.diagnosis.selection.select import Selected, select
 from hil.diagnosis.unknowns.unknowns import Machine as Trial
-from virtual_bus.effects.registry import effects
 from virtual_bus.settings import EffectSetting
 
 RESULTS = Path(__file__).resolve().parent / "results"
@@ -104,8 +102,8 @@ def with_side(module: ModuleType, split: str, data: RealSet, trial: Trial) -> Er
         return dict(module.errors(split, machine, trial.values, settings, side=side))
     if machine.controllers:
         machine = replace(machine, controllers=tuple(with_gain(*each) for each in zip(machine.controllers, trial.gain, strict=True)))
-    elif trial.lateness_s > 0.0:
-        settings = (*settings, *(setting_of(effects()["delay"], axis, {"Td": trial.lateness_s}) for axis in machine.axes))
+    elif trial.lateness_s > 0.0 or hasattr(module, "without_delay"):  # efforts may have acted before they were recorded
+        settings = (*settings, *(EffectSetting("delay", axis, {"Td": trial.lateness_s}) for axis in machine.axes))
     return dict(module.errors(split, machine, trial.values, settings))
 
 

@@ -87,7 +87,7 @@ def recording(motor: str, trajectory: str, kp: int) -> Recording:
     columns = {
         f"reference_{AXIS}": ("rad", run.goal[rows]),
         f"position_{AXIS}": ("rad", run.position[rows]),
-        f"effort_{AXIS}": ("V", SUPPLY_V / FULL_LOAD * run.load[rows]),
+        f"command_{AXIS}": ("V", SUPPLY_V / FULL_LOAD * run.load[rows]),  # 885 times the duty, which the law commands
     }
     initial = {"speeds": [0.0], "controller_states": {AXIS: {"position": [[0.0, 0.0]]}}}
     start = float(run.position[:FIRST_ROWS].mean())

@@ -520,8 +520,9 @@ DIAGNOSIS = (
     Entry(
         "findings[].parameters.NAME",
         "object",
-        "`value`, `unit` and `ci95`, a span of 95 %; by the parameter's name without unit, `Fc`; of a number `value`, with its `nominal`.",
+        "`value`, `unit` and `ci95`, a span of 95 %; by the parameter's name without unit, `Fc`.",
     ),
+    Entry("findings[].parameters.value", "object", "Of a number: the same, and `nominal`, what the file says."),
     Entry("findings[].ambiguous_with", "list", "Effects of other plausible sets that the likeliest set has not."),
     Entry("findings[].ambiguous_sets", "list of lists", "Other plausible sets, with another effect in the place of this one."),
     Entry("findings[].separating_experiment", "text or null", "`next_experiment.toml`, where it was written."),

@@ -137,22 +137,33 @@ class Fitting:
             found = [one for one in self.at([here.point.moved(step) for step in steps]) if one is not None]
             best = min(found, key=lambda one: one.cost, default=here)
             if not best.cost < here.cost - SETTLED:
-                return here if not best.cost < here.cost else replace(best, slopes=here.slopes, columns=here.columns)
+                settled = here if not best.cost < here.cost else replace(best, slopes=here.slopes, columns=here.columns)
+                if not (freed := self._freed(settled)):
+                    return settled
+                best = replace(settled, point=replace(settled.point, held=settled.point.held - freed))
             here = best
         return self.with_slopes(here)
+
+    def _freed(self, fitted: Fit) -> frozenset[int]:
+        """Return the held unknowns that nothing stands in for any more, since an effect came to its bound."""
+        if not fitted.point.held or all(one.low < at < one.high for at, one in fitted.point.bounded):
+            return frozenset()
+        return fitted.point.held - self.with_base_numbers(replace(fitted, point=replace(fitted.point, held=frozenset()))).point.held
 
     def with_base_numbers(self, fitted: Fit) -> Fit:
         """Return a fit at which those unknowns are held that recordings say no more of than others do: pivots of the normal equations.
 
         Of numbers that do the same, such as a mass and its lever, one is left free. Effects' parameters come first, numbers that the file
-        leaves out last.
+        leaves out last. A parameter on its bound stands in for nothing: no viscous friction makes up for a damping that the file has
+        too large.
         """
         fitted = self.with_slopes(fitted)
         assert fitted.slopes is not None
         squares = fitted.slopes.squares.sum(axis=0)
         free = fitted.point.free
         rest = squares.copy()
-        laws = list(range(len(free), len(squares)))
+        inside = np.array([parameter.low < at < parameter.high for at, parameter in fitted.point.bounded], dtype=bool)
+        laws = [len(free) + k for k in np.flatnonzero(inside).tolist()]
         scale = np.maximum(np.diag(squares), 1e-300)
         for k in laws:
             if rest[k, k] > OWN * scale[k]:

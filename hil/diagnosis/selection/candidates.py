@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -14,7 +15,7 @@ from hil.diagnosis.likelihood.fitting import Fit, Fitting, prior
 from hil.diagnosis.likelihood.inverse import Inverse
 from hil.diagnosis.likelihood.judge import BLOCKS, FOLDS
 from hil.diagnosis.tuned.bounded import bounded_least_squares
-from hil.diagnosis.unknowns.unknowns import Machine, Point
+from hil.diagnosis.unknowns.unknowns import Machine
 from virtual_bus.effects.law import SMOOTHED
 from virtual_bus.errors import EffectError
 
@@ -58,6 +59,8 @@ class Beside:
         Units of those.
     squares, slopes : (CELLS, P + Q, P + Q), (CELLS, P + Q) arrays
         Normal equations of each cell's windows, of the machine's own unknowns and parameters and then of the laws'.
+    readings : (folds,) array
+        Independent readings that each fold leaves out.
     """
 
     fit: Fit
@@ -66,6 +69,7 @@ class Beside:
     sizes: np.ndarray
     squares: np.ndarray
     slopes: np.ndarray
+    readings: np.ndarray
 
     @property
     def own(self) -> int:
@@ -118,7 +122,8 @@ def beside(fitting: Fitting, here: Fit, laws: Sequence[tuple[Entry, np.ndarray]]
                 for whole, before, after in zip(columns, here.left.errors, one.errors, strict=True):
                     whole[own + k] = after - before
     slopes = fitting.slopes_of(here, columns)
-    return Beside(here, tuple(used), tuple(parts), np.array(sizes), slopes.squares, slopes.slopes)
+    readings = np.sum(fitting.weights * fitting.judge.counts_of_folds / fitting.judge.counts, axis=(1, 2))
+    return Beside(here, tuple(used), tuple(parts), np.array(sizes), slopes.squares, slopes.slopes, readings)
 
 
 def _with(machine: Machine, law: Entry, weights: np.ndarray) -> list[Machine]:
@@ -127,31 +132,27 @@ def _with(machine: Machine, law: Entry, weights: np.ndarray) -> list[Machine]:
     return [replace(machine, effects=(*machine.effects, trial)) for trial in trials]
 
 
-def gain_left_out(
-    squares: np.ndarray, slopes: np.ndarray, kept: np.ndarray, held: np.ndarray, point: Point, own: int, room: tuple[np.ndarray, np.ndarray]
-) -> float:
+def gain_left_out(of: Beside, kept: np.ndarray, held: np.ndarray, room: tuple[np.ndarray, np.ndarray]) -> float:
     """Return what log likelihood of left-out windows gains by fitting some unknowns, as far as equations are linear.
 
-    Of stretches and places that are left out, it is what gains less.
+    Of stretches and places that are left out, it is what gains less. Errors count by their logarithm, as where machines are simulated:
+    what is foretold badly in one of them costs no more than such an error.
 
     Parameters
     ----------
-    squares, slopes : (CELLS, M, M), (CELLS, M) arrays
     kept : (K,) int array
         Unknowns that are fitted.
     held : (M,) array
         What the others change by.
-    point : Point
-    own : int
-        The first so many unknowns are the point's.
     room : pair of (M,) arrays
     """
-    pull, stiffness = prior(point)
+    squares, slopes, own = of.squares, of.slopes, of.own
+    pull, stiffness = prior(of.fit.point)
     pulls, stiff = np.zeros(len(held)), np.zeros(len(held))
     pulls[:own], stiff[:own] = pull, stiffness
     whole_squares, whole_slopes = squares.sum(axis=0), slopes.sum(axis=0)
     gained = []
-    for fold in FOLDS:
+    for fold, readings in zip(FOLDS, of.readings.tolist(), strict=True):
         own_squares, own_slopes = squares[fold].sum(axis=0), slopes[fold].sum(axis=0)
         others_squares = whole_squares - own_squares + np.diag(stiff)
         others_slopes = whole_slopes - own_slopes - pulls - others_squares @ held
@@ -162,7 +163,8 @@ def gain_left_out(
             step[kept] += bounded_least_squares(inner, others_slopes[kept], room[0][kept], room[1][kept])
         except np.linalg.LinAlgError:  # columns that are each other's, to single precision
             return -np.inf
-        gained.append(float(own_slopes @ step - 0.5 * step @ own_squares @ step))
+        less = float(2.0 * own_slopes @ step - step @ own_squares @ step)  # of the squares, of which there are as many as readings
+        gained.append(-0.5 * readings * math.log(max(1.0 - less / readings, LEAST)) if readings > 0.0 else 0.0)
     return min(sum(gained[:BLOCKS]), sum(gained[BLOCKS:]))
 
 
@@ -172,14 +174,14 @@ def added(of: Beside, room: tuple[np.ndarray, np.ndarray], worth: float, most: i
     low, high = of.bounds(room)
     none = np.zeros(size)
     kept = np.arange(own)
-    best = gain_left_out(of.squares, of.slopes, kept, none, of.fit.point, own, (low, high))
+    best = gain_left_out(of, kept, none, (low, high))
     chosen: list[tuple[int, float]] = []
     promising = list(range(len(of.laws)))
     while len(chosen) < most and promising:
         gains = {}
         for number in promising:
             columns = np.arange(of.parts[number].start, of.parts[number].stop)
-            gains[number] = gain_left_out(of.squares, of.slopes, np.append(kept, columns), none, of.fit.point, own, (low, high)) - best
+            gains[number] = gain_left_out(of, np.append(kept, columns), none, (low, high)) - best
         number = max(gains, key=lambda each: gains[each])
         if gains[number] < worth:
             break
@@ -203,11 +205,11 @@ def alone_laws(of: Beside, room: tuple[np.ndarray, np.ndarray], worth: float, mo
     own, size = of.own, of.squares.shape[1]
     low, high = of.bounds(room)
     none, kept = np.zeros(size), np.arange(own)
-    before = gain_left_out(of.squares, of.slopes, kept, none, of.fit.point, own, (low, high))
+    before = gain_left_out(of, kept, none, (low, high))
     best: dict[tuple[str, str], tuple[float, int]] = {}
     for number, (law, part) in enumerate(zip(of.laws, of.parts, strict=True)):
         columns = np.append(kept, np.arange(part.start, part.stop))
-        gain = gain_left_out(of.squares, of.slopes, columns, none, of.fit.point, own, (low, high)) - before
+        gain = gain_left_out(of, columns, none, (low, high)) - before
         name = (law.effect.name, law.at)
         if gain > worth and (name not in best or gain > best[name][0]):
             best[name] = gain, number
@@ -250,8 +252,7 @@ class Neighbours:
         self._everything = self._gain(np.arange(of.own), self._none)
 
     def _gain(self, kept: np.ndarray, held: np.ndarray) -> float:
-        of = self.of
-        return gain_left_out(of.squares, of.slopes, kept, held, of.fit.point, of.own, self._room)
+        return gain_left_out(self.of, kept, held, self._room)
 
     def _without(self, number: int) -> tuple[np.ndarray, np.ndarray]:
         point, held = self.of.fit.point, self._none.copy()
@@ -286,6 +287,8 @@ class Neighbours:
 
 AWAY = 1e6
 """Times what was read that a small trial may err by: beyond it a simulation ran away, and single precision has no squares."""
+LEAST = 1e-4
+"""Share of the squares that an effect may be foretold to leave: equations are not linear as far as that."""
 AT_ONCE = 64
 """Machines whose errors are in memory together."""
 

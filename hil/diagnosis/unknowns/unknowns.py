@@ -217,6 +217,11 @@ class Point:
         return found
 
     @property
+    def bounded(self) -> list[tuple[float, Parameter]]:
+        """Values of the free parameters of the effects."""
+        return [(self.settings[k].parameters[parameter.name], parameter) for k, parameter in self.parameters]
+
+    @property
     def free(self) -> list[int]:
         """Unknowns that move."""
         return [k for k in range(len(self.numbers)) if k not in self.held]
