@@ -120,15 +120,15 @@ def select(
     everyday = everyday_effects(alongs[0])
     of_sets = [inverse.fits(unknowns.start(each)) for each in engineers_sets(alongs, everyday)]
     say(f"inverse: {_words(unknowns, of_sets[0][0])}")
-    of_everyday = len(of_sets[0])
-    grown = _grown(runs, unknowns, [*of_sets[0], *(each[0] for each in of_sets[1:])], of_everyday, closed, say, jobs)
+    grown = _grown(runs, unknowns, of_sets[0], closed, say, jobs)
     if grown is None:
         return None
-    fitting, every = grown
-    found = [one for one in every if one is not None]
-    baseline = min([one for one in every[:of_everyday] if one is not None] or found, key=lambda one: one.cost)
+    fitting, found = grown
+    baseline = min((one for one in found if one is not None), key=lambda one: one.cost)
     search = Search(fitting, inverse, say)
-    best = search.best([*found, *search.from_the_file(unknowns.start(everyday), baseline)])
+    others = [fitting.fit(fitting.based(replace(each[0], held=frozenset()))) for each in of_sets[1:]]
+    others += search.from_the_file(unknowns.start(everyday), baseline)
+    best = search.best([baseline, *(one for one in others if one is not None)])
     near = around(search, best)
     named, against = rivals(search, best, near)
     for _ in range(EXCHANGES):
@@ -203,12 +203,10 @@ def _unknowns(machine: Machine, runs: Sequence[Simulated], closed: bool) -> Unkn
 
 
 def _grown(
-    runs: Sequence[Simulated], unknowns: Unknowns, points: Sequence[Point], first: int, closed: bool, say: Callable[[str], None],
-    jobs: int | None,
-) -> tuple[Fitting, list[Fit | None]] | None:  # fmt: skip
+    runs: Sequence[Simulated], unknowns: Unknowns, points: Sequence[Point], closed: bool, say: Callable[[str], None], jobs: int | None
+) -> tuple[Fitting, list[Fit | None]] | None:
     """Fit machines to longer and longer windows; return the last fits, or None where not even the shortest stay near.
 
-    The `first` so many points are those that a closed loop's references are tried to be late or limited at.
     A longer window is kept while its error stays below NEAR of what moves in it, and shorter ones do not become worse for it: where a
     machine falls, a long window tells more of where it began than of its laws.
     """
@@ -222,14 +220,14 @@ def _grown(
     for horizon in grid:
         judge = Judge(runs, (*which, horizon), jobs)
         fitting = Fitting(judge, unknowns, np.full(judge.shape, 50.0))
-        (here,) = fitting.at(points[lead : lead + 1])
-        if here is None:
+        (first,) = fitting.at(points[lead : lead + 1])
+        if first is None:
             break
-        fitting = fitting.with_weights(judge.weights_of(here.reduced))
+        fitting = fitting.with_weights(judge.weights_of(first.reduced))
         if kept is None:
             points = [fitting.based(point) for point in points]
         before = [math.inf if one is None else one.mean_squares for one in fitting.at(points)]
-        found = [_best(fitting, point, closed and k < first) for k, point in enumerate(points)]
+        found = [_best(fitting, point, closed) for point in points]
         lead = min(range(len(found)), key=lambda k: math.inf if (one := found[k]) is None else one.cost)
         if (best := found[lead]) is None:
             break
