@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from virtual_bus.effects.scatter import drawn
+from virtual_bus.linear.plant import LinearPlant, linearised
+from virtual_bus.linear.sampled import SampledPlant, sampled
 from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.plant.drives import DRIVE_STATES
-from virtual_bus.plant.linearise import linearised
 from virtual_bus.plant.statics import holding_effort, resting_state
 from virtual_bus.sensors.effects import ANY, new_memory
 from virtual_bus.sensors.measure import Readings, compiled_sensors, new_readings, noise_rms, plain_sensors, sensor_model
@@ -215,12 +217,20 @@ class Physics:
         """Return the drive efforts (axes,) in the drives' units that hold the machine at rest at these positions (axes,)."""
         return holding_effort(self.plant, self.model, np.asarray(axis_positions, dtype=float))
 
-    def linearise(self, axis_positions: np.ndarray) -> control.StateSpace:
-        """Return the plant as a linear system about rest at these axis positions.
+    def linear(self, axis_positions: np.ndarray) -> LinearPlant:
+        """Return the machine as a linear system about rest at these axis positions (axes,), with its effects and what it leaves out.
 
-        Actuated joints are free; friction effects and brakes are left out.
+        Actuated joints are free, brakes open.
         """
-        return linearised(self.plant, self.model, np.asarray(axis_positions, dtype=float)).state_space()
+        return linearised(self.plant, np.asarray(axis_positions, dtype=float))
+
+    def sampled(self, axis_positions: np.ndarray, outputs: Sequence[str]) -> SampledPlant:
+        """Return the same as the sample loop meets it: from command k to these channels of the rows after it, delays included."""
+        return sampled(self.linear(axis_positions), self.settings.sample_period_s, outputs)
+
+    def linearise(self, axis_positions: np.ndarray) -> control.StateSpace:
+        """Return `linear` for python-control: continuous, so without the drives' delays and the sensors' ages."""
+        return self.linear(axis_positions).state_space()
 
 
 class _Noise:

@@ -148,8 +148,10 @@ class Dynamics:
         """Poles with a non-negative imaginary part, largest share of the step response first. Poles are assumed to be distinct."""
         if not len(self.a):
             return ()
-        values, right = np.linalg.eig(self.a)
-        residues = (self.c @ right) * np.linalg.solve(right, self.b.astype(complex))
+        # by left and right eigenvectors: a chain of delays has but one for all its poles at 0, which would make the right ones singular
+        values, left, right = scipy.linalg.eig(self.a, left=True, right=True)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            residues = (self.c @ right) * (left.conj().T @ self.b) / np.einsum("ij,ij->j", left.conj(), right)
         distance = values if self.sample_period_s is None else values - 1.0
         seen = np.abs(values) > (0.0 if self.sample_period_s is None else FORGOTTEN)
         found = []

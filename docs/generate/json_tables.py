@@ -24,6 +24,9 @@ _IDENTIFY = (
     Entry("magnitude, phase_rad", "(lines, outputs, inputs)", "The response."),
     Entry("noise_standard_deviation, total_standard_deviation", "(lines, outputs, inputs) or null", "Of each complex element."),
 )
+LEFT_OUT = Entry(
+    "left_out", "list", "Effects of the machine file that the linear model of this answer does not hold: `name`, `at`, and `why`."
+)
 _RUN = (
     Entry("machine, hash", "text", "Name and hash of the machine file."),
     Entry("bus, scheduler", "text", "The bus, and how the loop was scheduled."),
@@ -291,8 +294,10 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
             "per cent off; `lag_s`, `transient_s`, `largest_gain`, `gain_sum`, `static_gain`, `left_out`, `against`.",
         ),
         Entry("refused", "object", "Design to the reason why there is none."),
+        LEFT_OUT,
     ),
     "observe": (
+        LEFT_OUT,
         Entry("estimate, rows, filter, states, notes", "", "The file that was written, and what is in it."),
         Entry(
             "mean_nis, share_in_band, alarm_share",
@@ -398,7 +403,13 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
     "machine check": (
         Entry("machine", "text", "The machine."),
         Entry("ok", "true or false", "Whether every check is passed."),
-        Entry("findings", "list", "`name` of the check, `ok`, `text` for a person, and its numbers in `values`."),
+        Entry(
+            "findings",
+            "list",
+            "`name` of the check, `ok`, `text` for a person, and its numbers in `values`. With `is_partial` a linear answer does not hold "
+            "all effects of the file: `note` on the terminal, not `ok`.",
+        ),
+        LEFT_OUT,
     ),
     "machine export": (Entry("mjcf, machine, hash", "text", "The file that was written, and what it is of."),),
     "machine convert": (

@@ -82,8 +82,10 @@ def check(machine_name: MachineArgument, json_to: JsonOption = None) -> None:
             name, findings = machine.name, check_machine(machine)
     findings += [Finding("assumed", True, f"line {mark.line}: {mark.key} = {mark.value} is assumed: {mark.says}") for mark in assumed]
     for finding in findings:
-        answer.say(f"{'note' if finding.name == 'assumed' else 'ok  ' if finding.ok else 'FAIL'} {finding.text}")
-    answer.write({"machine": name, "ok": all(f.ok for f in findings), "findings": [vars(f) for f in findings]})
+        answer.say(f"{finding.mark:4s} {finding.text}")
+    omitted = [each for finding in findings for each in finding.values.get("left_out", ())]
+    ok = all(finding.ok for finding in findings)
+    answer.write({"machine": name, "ok": ok, "findings": [vars(finding) for finding in findings], "left_out": omitted})
     if not all(finding.ok for finding in findings):
         raise typer.Exit(1)
 
@@ -198,5 +200,5 @@ def _beside(before: list[Finding], after: list[Finding], rates: tuple[str, str])
             numbers = value if isinstance(value, list) else [value]
             cells.append(f"{' to '.join(format(number, form) for number in numbers)} {unit}".rstrip())
         named = f"{old.values.get('axis', '')} {words}".lstrip()
-        lines.append(f"{'ok  ' if new.ok else 'FAIL'} {named:32s}{cells[0]:>20s}{cells[1]:>20s}")
+        lines.append(f"{new.mark:4s} {named:32s}{cells[0]:>20s}{cells[1]:>20s}")
     return [f"     {'':32s}{rates[0]:>20s}{rates[1]:>20s}", *lines] if lines else []

@@ -134,6 +134,7 @@ def observe(
     from hil.observing.alarms import alarm_lines, outside_lines
     from hil.recording import read_recording
     from hil.simulation import in_effort
+    from virtual_bus.linear.left_out import left_out, sentences
 
     if filter_name not in KINDS:
         raise typer.BadParameter(f"--filter {filter_name}: must be {', '.join(KINDS)}")
@@ -194,6 +195,9 @@ def observe(
     answer.say(f"{out}: {filter_name} over {recording.rows} rows, {len(estimate.state_names)} states")
     for note in (*estimate.notes, *seen.lines):
         answer.say(note)
+    outside = left_out(machine.plant.effects)
+    for said in sentences(outside):
+        answer.say(f"the observer's model is without {said}")
     answer.say(
         f"NIS {document['mean_nis']:.2f} per measurement (1 fits), {100.0 * document['share_in_band']:.1f} % of rows in the 95 % band,"
         f" alarm in {100.0 * document['alarm_share']:.1f} % of rows"
@@ -206,7 +210,7 @@ def observe(
         write_paged(
             answer, observed_page(machine, estimate, recording, (recording_path, out), design_path or save_design, answer.said), page
         )
-    answer.write({"estimate": out, **document})
+    answer.write({"estimate": out, **document, "left_out": [vars(each) for each in outside]})
 
 
 def _sentence(document: dict[str, Any], found: Sequence[Alarm]) -> str:

@@ -77,7 +77,7 @@ def shape(
     from hil.identification import read_frf
     from hil.shaping.choice import choose_shaper
     from hil.shaping.in_time import after_step, in_time_lines, settled
-    from hil.shaping.report import design_lines, left_out_lines
+    from hil.shaping.report import design_lines, left_out_lines, outside_lines
     from hil.shaping.shaper_file import write_shaper
 
     machine = load(machine_name, effects)
@@ -111,6 +111,8 @@ def shape(
         answer.say(line)
     for line in in_time_lines(in_time["none"], in_time[chosen.name], chosen.name):
         answer.say(line)
+    for line in outside_lines(choice.outside):
+        answer.say(line)
     answer.say(f"the quiet design keeps {band[0]:g} to {band[1]:g} Hz low; modes are sought over the whole band of the loop")
     answer.say(f"{out}: {chosen.name}, {len(chosen.filters[0].gains)} taps, {len(subjects)} pose{'s' if len(subjects) > 1 else ''}")
     if table is not None:
@@ -126,12 +128,19 @@ def shape(
 
         sentence, facts = _sentence(designs[0], chosen, axis, machine.name), {"Aim": aim.kind, "From": source}
         write_paged(answer, shaped_page(machine, axis, sentence, candidates, chosen, subjects, in_time, out, facts), page)
-    document = {"shaper": out, "chosen": chosen.name, "recommended": designs[0].name, "fit": not chosen.verdict.against, **choice.notes}
+    document: dict[str, Any] = {
+        "shaper": out,
+        "chosen": chosen.name,
+        "recommended": designs[0].name,
+        "fit": not chosen.verdict.against,
+        **choice.notes,
+    }
     before_s, after_s = settled(in_time["none"], in_time[chosen.name])
     document["in_time"] = {
         "without": {"left": in_time["none"].left, "settled_s": before_s},
         "shaped": {"left": in_time[chosen.name].left, "settled_s": after_s},
     }
+    document["left_out"] = [vars(each) for each in choice.outside]
     answer.write(document | {"designs": verdicts, "refused": candidates.refused})
     if chosen.verdict.against:
         raise typer.Exit(1)

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.signal
 
 from controllers.sections import response
 from hil.errors import ExperimentError
 from hil.machine import Machine
-from hil.machine.closed_loop import LinearLoop
+from hil.machine.closed_loop import position_loop
 from virtual_bus.physics import Physics
 
 
@@ -26,7 +25,7 @@ class Response:
 class ClosedLoop:
     """The machine's linearisation under its controllers.
 
-    Between rows k and k+1 command k-1 acts on the plant (docs/explanation/notation.md): a zero-order hold after one sample of delay.
+    Timing: `virtual_bus.linear.sampled`.
 
     Raises
     ------
@@ -36,18 +35,13 @@ class ClosedLoop:
 
     def __init__(self, machine: Machine, physics: Physics, pose: np.ndarray) -> None:
         self._machine = machine
-        model = physics.linearise(pose)
-        outputs = [model.output_labels.index(f"position_{axis}") for axis in machine.axes]
-        loop = LinearLoop(model.A, model.B, model.C[outputs], machine.controllers, machine.sample_rate_Hz)
+        loop = position_loop(machine, physics.linear(pose))
         if (radius := loop.pole_radius()) >= 1.0:
             raise ExperimentError(
                 f"{machine.name}: the closed loop is not stable at {pose.round(4).tolist()} (largest pole radius {radius:.6f}); "
                 "lower the controller's gain"
             )
-        held = scipy.signal.cont2discrete(
-            (model.A, model.B, model.C[outputs], np.zeros((len(outputs), model.ninputs))), 1.0 / machine.sample_rate_Hz
-        )
-        self._a, self._b, self._c = held[:3]
+        self._plant = loop.plant
 
     def steady(self, deviation: np.ndarray, excitation: np.ndarray) -> Response:
         """Return the response to one period of reference deviation and excitation, (N, n_axes) each.
@@ -62,7 +56,7 @@ class ClosedLoop:
         lines = np.flatnonzero(present)
         frequencies = lines * rate / samples
         from_reference, from_position = self._controllers(frequencies)
-        plant = self._plant(frequencies)
+        plant = self._plant.response(frequencies)
         loop = np.eye(len(self._machine.axes)) + from_position[:, :, None] * plant
         u = np.linalg.solve(loop, (w[lines] + from_reference * r[lines])[:, :, None])
         y = (plant @ u)[:, :, 0]
@@ -81,13 +75,6 @@ class ClosedLoop:
             for own, each in zip(from_position, self._machine.controllers, strict=True)
         ]
         return np.array(from_reference).T, np.array(from_position).T
-
-    def _plant(self, frequencies: np.ndarray) -> np.ndarray:
-        """Return the response from command to position, (n_frequencies, n_axes, n_axes)."""
-        z = np.exp(2j * np.pi * frequencies / self._machine.sample_rate_Hz)[:, None, None]
-        driven = np.broadcast_to(self._b, (len(z), *self._b.shape))
-        response: np.ndarray = self._c @ np.linalg.solve(z * np.eye(len(self._a)) - self._a, driven) / z
-        return response
 
     def _in_time(self, values: np.ndarray, lines: np.ndarray, samples: int) -> np.ndarray:
         spectrum = np.zeros((samples // 2 + 1, values.shape[1]), dtype=complex)

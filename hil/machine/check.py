@@ -11,13 +11,12 @@ import numpy as np
 from hil.machine.bus_load import bus_load
 from hil.machine.check_budgets import budgets
 from hil.machine.check_ramps import ramps
-from hil.machine.closed_loop import LinearLoop, Margins
+from hil.machine.closed_loop import Margins, position_loop
 from hil.machine.finding import Finding, PoseResult, shown_pose
 from hil.machine.model import Machine
+from virtual_bus.linear.left_out import left_out, sentences
 
 if TYPE_CHECKING:
-    import control
-
     from virtual_bus.physics import Physics
 
 PHASE_MARGIN_deg = 40.0
@@ -47,7 +46,7 @@ def check_machine(machine: Machine, poses: int = POSES) -> list[Finding]:
     """
     results = examine(machine, poses)
     findings = [*_modes(machine, results), *_holding(machine, results)]
-    findings += _controllers(machine, results)
+    findings += [*_controllers(machine, results), *_left_out(machine)]
     if machine.bus is not None:
         findings += [_bus_load(machine), *_device_files(machine), *ramps(machine), *budgets(machine, results)]
     return findings
@@ -79,15 +78,13 @@ def pose_grid(machine: Machine, poses: int) -> list[tuple[float, ...]]:
 
 
 def _examine_pose(machine: Machine, physics: Physics, pose: tuple[float, ...]) -> PoseResult:
-    linear = physics.linearise(np.array(pose))
-    joints = len(machine.plant.tree.joints)
-    a, b, c = _from_command_to_position(machine, linear, joints)
+    linear = physics.linear(np.array(pose))
     radius: float = math.nan
     margins: tuple[Margins, ...] = ()
     if machine.controllers:
-        loop = LinearLoop(a, b, c, machine.controllers, machine.sample_rate_Hz)
+        loop = position_loop(machine, linear)
         radius, margins = loop.pole_radius(), loop.margins()
-    poles = np.linalg.eigvals(a)
+    poles = linear.poles
     poles = poles[(poles.imag > 0.0) & (np.abs(poles.real) < LIGHTLY_DAMPED * np.abs(poles))]
     modes = sorted((float(abs(pole)) / (2.0 * math.pi), float(-pole.real / abs(pole))) for pole in poles)
     return PoseResult(pose, physics.holding_effort(np.array(pose)), _inertia(physics, pose), tuple(modes), radius, margins)
@@ -104,18 +101,12 @@ def _inertia(physics: Physics, pose: tuple[float, ...]) -> np.ndarray:
     return np.array([inertia[joints[axis], joints[axis]] for axis in physics.axes])
 
 
-def _from_command_to_position(machine: Machine, linear: control.StateSpace, joints: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return A, B and C of the mechanical part alone: the IMU's low passes have no influence on it."""
-    rows = [linear.output_labels.index(f"position_{axis}") for axis in machine.axes if machine.controllers]
-    part = slice(0, 2 * joints)
-    return np.asarray(linear.A)[part, part], np.asarray(linear.B)[part], np.asarray(linear.C)[rows, part]
-
-
 def _modes(machine: Machine, results: list[PoseResult]) -> list[Finding]:
     """Range of every natural frequency, paired in rising order where all poses have as many."""
     # a pendulum's slow swing is there in one pose and gone in another: count from the top
     fewest = min(len(result.modes) for result in results)
     findings = []
+    without = _without(machine)
     for number in range(fewest):
         at = [result.modes[len(result.modes) - fewest + number] for result in results]
         low, high = min(at), max(at)
@@ -125,7 +116,8 @@ def _modes(machine: Machine, results: list[PoseResult]) -> list[Finding]:
         if high[0] - low[0] > 1e-3 * high[0]:
             text += f"; lowest at {shown_pose(machine, low_at)}, highest at {shown_pose(machine, high_at)}"
         stable = min(dampings) > -1e-9
-        findings.append(Finding("mode", stable, text, {"frequency_Hz": [low[0], high[0]], "damping": [min(dampings), max(dampings)]}))
+        values = {"frequency_Hz": [low[0], high[0]], "damping": [min(dampings), max(dampings)]}
+        findings.append(Finding("mode", stable, text + without, values, bool(without)))
     return findings
 
 
@@ -149,6 +141,26 @@ def _controllers(machine: Machine, results: list[PoseResult]) -> list[Finding]:
     return [_stability(machine, results), *_margins(machine, results), *_reference_filters(machine)]
 
 
+def _left_out(machine: Machine) -> list[Finding]:
+    """Return a finding per effect of the file that modes, stability and margins do not know, with its places and the reason."""
+    outside = left_out(machine.plant.effects)
+    return [
+        Finding(
+            "left_out",
+            True,
+            f"modes, stability and margins are without {said}",
+            {"left_out": [vars(each) for each in outside if each.name == said.split()[0]]},
+        )
+        for said in sentences(outside)
+    ]
+
+
+def _without(machine: Machine) -> str:
+    """Return the end of a linear answer's text: which effects of the file it does not hold."""
+    names = list(dict.fromkeys(each.name for each in left_out(machine.plant.effects)))
+    return f"; without {', '.join(names)}" if names else ""
+
+
 def _stability(machine: Machine, results: list[PoseResult]) -> Finding:
     worst = max(results, key=lambda result: result.pole_radius)
     ok = worst.pole_radius < 1.0
@@ -156,7 +168,9 @@ def _stability(machine: Machine, results: list[PoseResult]) -> Finding:
     if not ok:
         unstable = sum(result.pole_radius >= 1.0 for result in results)
         text = f"closed loop unstable in {unstable} of {len(results)} poses, worst at {shown_pose(machine, worst.pose)}; lower the gain"
-    return Finding("stability", ok, text, {"pole_radius": worst.pole_radius, "pose": worst.pose, "poses": len(results)})
+    values = {"pole_radius": worst.pole_radius, "pose": worst.pose, "poses": len(results)}
+    without = _without(machine)
+    return Finding("stability", ok, text + without, values, bool(without))
 
 
 def _reference_filters(machine: Machine) -> list[Finding]:
@@ -174,6 +188,7 @@ def _reference_filters(machine: Machine) -> list[Finding]:
 
 def _margins(machine: Machine, results: list[PoseResult]) -> list[Finding]:
     findings = []
+    without = _without(machine)
     for axis, name in enumerate(machine.axes):
         for what, unit, least, value, at in (
             ("phase", "deg", PHASE_MARGIN_deg, "phase_deg", "phase_at_Hz"),
@@ -184,13 +199,13 @@ def _margins(machine: Machine, results: list[PoseResult]) -> list[Finding]:
             text = f"{name}: {what} margin at least {margin:.1f} {unit}"
             if math.isfinite(margin):
                 text += f" (at {frequency:.2f} Hz, {shown_pose(machine, worst.pose)})"
-            text += f"; at least {least:g} {unit} is right"
+            text += f"; at least {least:g} {unit} is right{without}"
             numbers = {"axis": name, value: margin, at: frequency, "pose": worst.pose}
-            findings.append(Finding(f"{what}_margin", margin >= least, text, numbers))
+            findings.append(Finding(f"{what}_margin", margin >= least, text, numbers, bool(without)))
         crossovers = [result.margins[axis].crossover_Hz for result in results]
         low, high = min(crossovers), max(crossovers)
         text = f"{name}: loop gain falls through 1 at {low:.2f} to {high:.2f} Hz"
-        findings.append(Finding("crossover", True, text, {"axis": name, "crossover_Hz": [low, high]}))
+        findings.append(Finding("crossover", True, text + without, {"axis": name, "crossover_Hz": [low, high]}, bool(without)))
     return findings
 
 

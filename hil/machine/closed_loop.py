@@ -10,16 +10,22 @@ import scipy.linalg
 import scipy.signal
 
 from controllers.settings import AxisController
+from hil.machine.model import Machine
+from virtual_bus.linear.plant import LinearPlant
+from virtual_bus.linear.sampled import SampledPlant, sampled
 
 LOWEST_Hz = 0.02
 POINTS = 500
 RESONANCE_WIDTHS = np.concatenate([-np.geomspace(30.0, 0.1, 25), [0.0], np.geomspace(0.1, 30.0, 25)])
 """Where a resonance is sampled, in units of its half width: a 1 % mode between two points of a plain grid would hide a crossing."""
 
+FINEST_TURN_rad = 0.1
+"""Phase by which a delay may turn the loop gain between two points: along the chord the margin is then right to 0.1 degrees."""
+
 
 @dataclass(frozen=True)
 class Margins:
-    """Worst margins of one axis's loop, the others closed; infinite where nothing crosses."""
+    """Worst margins of one axis's loop, the others closed; infinite where nothing crosses, negative where the loop is not stable."""
 
     phase_deg: float
     phase_at_Hz: float
@@ -29,78 +35,98 @@ class Margins:
 
 
 class LinearLoop:
-    """Plant, one sample of delay and C_y of every axis.
+    """A machine at a pose under C_y of every axis.
 
     Parameters
     ----------
-    a, b, c : arrays (n, n), (n, axes), (axes, n)
-        Continuous plant from command to position.
+    plant : SampledPlant
+        From every axis's command to its position, in the controllers' order.
     controllers : sequence of AxisController
-    sample_rate_Hz : float
     """
 
-    def __init__(self, a: np.ndarray, b: np.ndarray, c: np.ndarray, controllers: Sequence[AxisController], sample_rate_Hz: float) -> None:
-        self._rate_Hz = sample_rate_Hz
+    def __init__(self, plant: SampledPlant, controllers: Sequence[AxisController]) -> None:
+        self.plant = plant
         self._sections = [controller.position_sections for controller in controllers]
-        self._poles = np.linalg.eigvals(a)
-        no_feedthrough = np.zeros((len(c), b.shape[1]))
-        self._a, self._b, self._c, _, _ = scipy.signal.cont2discrete((a, b, c, no_feedthrough), 1.0 / sample_rate_Hz)
 
     def pole_radius(self) -> float:
         """Largest |pole| of the closed loop; below 1 it is stable."""
         filters = [cascade_state_space(sections) for sections in self._sections]
-        n, axes = len(self._a), len(filters)
-        loop = scipy.linalg.block_diag(self._a, np.zeros((axes, axes)), *[f[0] for f in filters])
-        loop[:n, n : n + axes] = self._b  # the drives hold the last sample's command
-        start = n + axes
+        n = len(self.plant.a)
+        loop = scipy.linalg.block_diag(self.plant.a, *[f[0] for f in filters])
+        start = n
         for axis, (f, g, h, d) in enumerate(filters):
             own = slice(start, start + len(f))
-            loop[own, :n] = -np.outer(g, self._c[axis])
-            loop[n + axis, own] = h
-            loop[n + axis, :n] = -d * self._c[axis]
+            loop[own, :n] = -np.outer(g, self.plant.c[axis])
+            loop[:n, own] = np.outer(self.plant.b[:, axis], h)
+            loop[:n, :n] -= d * np.outer(self.plant.b[:, axis], self.plant.c[axis])
             start += len(f)
         return float(np.abs(np.linalg.eigvals(loop)).max())
 
     def margins(self) -> tuple[Margins, ...]:
-        """Margins of every axis, the other loops closed."""
-        frequencies = frequency_grid(self._poles, self._rate_Hz)
-        z = np.exp(2j * np.pi * frequencies / self._rate_Hz)
-        identity = np.eye(len(self._a))
-        plant = self._c @ np.linalg.solve(z[:, None, None] * identity - self._a, np.broadcast_to(self._b, (len(z), *self._b.shape)))
-        gain = plant / z[:, None, None] * np.stack([_response(sections, z) for sections in self._sections], axis=-1)[:, None, :]
+        """Margins of every axis, the other loops closed; of a loop that is not stable they are negative: by so much it fails."""
+        rate_Hz = 1.0 / self.plant.period_s
+        frequencies = frequency_grid(self.plant.poles, rate_Hz, self.plant.late_s)
+        z = np.exp(2j * np.pi * frequencies / rate_Hz)
+        plant = self.plant.response(frequencies)
+        gain = plant * np.stack([_response(sections, z) for sections in self._sections], axis=-1)[:, None, :]
         difference = np.eye(gain.shape[1]) + gain
         whole = np.linalg.det(difference)
+        is_stable = self.pole_radius() < 1.0
         found = []
         for axis in range(gain.shape[1]):
             others = np.delete(np.delete(difference, axis, axis=1), axis, axis=2)
-            found.append(loop_margins(frequencies, whole / np.linalg.det(others) - 1.0))
+            found.append(loop_margins(frequencies, whole / np.linalg.det(others) - 1.0, is_stable))
         return tuple(found)
 
 
-def frequency_grid(poles: np.ndarray, sample_rate_Hz: float) -> np.ndarray:
-    """Frequencies [Hz] up to half the sample rate, dense about the plant's resonances: `poles` (n,) of the continuous plant."""
+def position_loop(machine: Machine, plant: LinearPlant) -> LinearLoop:
+    """Return a machine's linearisation under its controllers, which close on the motors' positions."""
+    outputs = [f"position_{axis}" for axis in machine.axes]
+    return LinearLoop(sampled(plant, 1.0 / machine.sample_rate_Hz, outputs), machine.controllers)
+
+
+def frequency_grid(poles: np.ndarray, sample_rate_Hz: float, late_s: float = 0.0) -> np.ndarray:
+    """Frequencies [Hz] up to half the sample rate, dense about the plant's resonances and where a delay turns the phase fast.
+
+    Parameters
+    ----------
+    poles : (n,) complex array
+        Of the continuous plant [rad/s].
+    sample_rate_Hz, late_s : float
+        `late_s` is the delay in the loop.
+    """
     nyquist = sample_rate_Hz / 2.0
     grid = [np.geomspace(LOWEST_Hz, nyquist, POINTS)]
+    if late_s > 0.0:
+        grid.append(np.arange(LOWEST_Hz, nyquist, FINEST_TURN_rad / (2.0 * np.pi * late_s)))
     for pole in poles[poles.imag > 0.0]:
         grid.append((np.abs(pole) - RESONANCE_WIDTHS * abs(pole.real)) / (2.0 * np.pi))
     joined = np.unique(np.concatenate(grid))
     return joined[(joined >= LOWEST_Hz) & (joined < nyquist)]
 
 
-def loop_margins(frequencies_Hz: np.ndarray, gain: np.ndarray) -> Margins:
+def loop_margins(frequencies_Hz: np.ndarray, gain: np.ndarray, is_stable: bool = True) -> Margins:
     """Margins of a loop gain L (negative feedback) on a frequency grid fine enough that it turns little between neighbours.
 
-    Crossings of |L| = 1 and of the negative real axis are interpolated along the chord.
+    Crossings of |L| = 1 and of the negative real axis are interpolated along the chord. Where the closed loop is not stable, the phase
+    margin is that of the crossing which needs the least phase to become right, negative: a crossing downwards must lie before -180
+    degrees, one upwards behind it.
     """
     size = np.log(np.abs(gain))
     phase, crossover = (np.inf, np.nan), np.nan
+    missing = (-np.inf, np.nan)
     for k in np.flatnonzero(np.sign(size[:-1]) != np.sign(size[1:])):
         share = size[k] / (size[k] - size[k + 1])
         at = gain[k] + share * (gain[k + 1] - gain[k])
         frequency = frequencies_Hz[k] + share * (frequencies_Hz[k + 1] - frequencies_Hz[k])
-        if size[k] > 0.0 and np.isnan(crossover):
+        falls = size[k] > 0.0
+        if falls and np.isnan(crossover):
             crossover = frequency
-        phase = min(phase, (abs(np.degrees(np.angle(-at))), frequency))
+        angle = np.degrees(np.angle(-at))
+        phase = min(phase, (abs(angle), frequency))
+        lacks = angle if falls else -angle
+        if lacks < 0.0:
+            missing = max(missing, (lacks, frequency))
     rise = (np.inf, np.nan)
     for k in np.flatnonzero(np.sign(gain.imag[:-1]) != np.sign(gain.imag[1:])):
         share = gain.imag[k] / (gain.imag[k] - gain.imag[k + 1])
@@ -108,6 +134,9 @@ def loop_margins(frequencies_Hz: np.ndarray, gain: np.ndarray) -> Margins:
         if at < 0.0:
             frequency = frequencies_Hz[k] + share * (frequencies_Hz[k + 1] - frequencies_Hz[k])
             rise = min(rise, (abs(20.0 * np.log10(-at)), frequency))
+    if not is_stable:
+        phase = missing if np.isfinite(missing[0]) else phase
+        rise = (-rise[0], rise[1])
     return Margins(*(float(value) for value in (*phase, *rise, crossover)))
 
 

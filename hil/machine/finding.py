@@ -22,6 +22,15 @@ class Finding:
     ok: bool
     text: str
     values: dict[str, Any] = field(default_factory=dict)
+    is_partial: bool = False
+    """A linear answer about a machine whose file has effects that are not in it: passed, but not "ok"."""
+
+    @property
+    def mark(self) -> str:
+        """Return the word before its text: `FAIL`, `ok`, or `note` where passing it says less than that."""
+        if not self.ok:
+            return "FAIL"
+        return "note" if self.is_partial or self.name in ("assumed", "left_out") else "ok"
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
-import scipy.signal
 
 from controllers.damping import ModalDamping
 from controllers.observers.extended import next_and_read
@@ -20,6 +19,7 @@ from hil.machine import Machine
 from hil.machine.check import GAIN_MARGIN_dB, PHASE_MARGIN_deg, pose_grid
 from hil.machine.closed_loop import Margins, cascade_state_space, frequency_grid, loop_margins
 from hil.machine.finding import shown_pose
+from virtual_bus.linear.left_out import left_out
 from virtual_bus.physics import Physics
 
 POSES = 25
@@ -66,12 +66,8 @@ class DampedLoop:
     def __init__(self, machine: Machine, physics: Physics, observer: ModalObserver, damping: ModalDamping | None, pose: np.ndarray) -> None:
         self._rate_Hz = machine.sample_rate_Hz
         axes, model = len(machine.axes), observer.model
-        plant = physics.linearise(pose)
-        rows = [plant.output_labels.index(name) for name in model.channels()]
-        c, direct = np.asarray(plant.C)[rows], np.asarray(plant.D)[rows]
-        self._plant_poles = np.linalg.eigvals(plant.A)
-        nothing = np.zeros((len(rows), axes))
-        a, b, *_ = scipy.signal.cont2discrete((plant.A, plant.B, c, nothing), 1.0 / self._rate_Hz)
+        plant = physics.sampled(pose, model.channels())
+        self._plant_poles, self._late_s = plant.poles, plant.late_s
         cascades = [cascade_state_space(controller.position_sections) for controller in machine.controllers]
         controller = scipy.linalg.block_diag(*(cascade[0] for cascade in cascades))
         entering, leaving = (scipy.linalg.block_diag(*(np.reshape(cascade[k], shape) for cascade in cascades)) for k, shape in
@@ -79,13 +75,13 @@ class DampedLoop:
         through = np.diag([cascade[3] for cascade in cascades])
         F, G, H, J, K = _observer_at(observer, physics, pose)
         law_x, law_u = _law_at(damping, observer, pose) if damping is not None else (np.zeros((axes, len(F))), np.zeros((axes, axes)))
-        # states: plant, what it feels, commands k-1 and k-2, observer, controllers; inputs: what the plant is to feel next
-        sizes = [len(a), axes, axes, axes, len(F), len(controller)]
+        # states: plant with what waits for it, commands k-1 and k-2, observer, controllers; inputs: commands k on their way to the plant
+        sizes = [len(plant.a), axes, axes, len(F), len(controller)]
         first = np.concatenate(([0], np.cumsum(sizes)))
-        x, felt, last, before, seen, own = (slice(first[k], first[k + 1]) for k in range(6))
+        x, last, before, seen, own = (slice(first[k], first[k + 1]) for k in range(5))
         total = first[-1]
-        measured = np.zeros((len(rows), total))
-        measured[:, x], measured[:, felt] = c, direct
+        measured = np.zeros((len(plant.c), total))
+        measured[:, x] = plant.c
         predicted = np.zeros((len(F), total))
         predicted[:, seen], predicted[:, before] = F, G
         expected = H @ predicted
@@ -96,32 +92,32 @@ class DampedLoop:
         command -= through @ measured[:axes]
         command[:, own] += leaving
         step = np.zeros((total, total))
-        step[x, x], step[x, felt] = a, b
+        step[x, x] = plant.a
         step[last], step[before, last], step[seen] = command, np.eye(axes), updated
         step[own, own] = controller
         step[own] -= entering @ measured[:axes]
         self._open, self._command = step, command
-        self._felt = np.arange(total)[felt]
+        self._entering = np.zeros((total, axes))
+        self._entering[x] = plant.b
 
     def poles(self) -> np.ndarray:
         """Return the poles of the closed loop, in z."""
-        closed = self._open.copy()
-        closed[self._felt] = self._command
-        return np.linalg.eigvals(closed)
+        return np.linalg.eigvals(self._open + self._entering @ self._command)
 
     def margins(self) -> tuple[Margins, ...]:
         """Return the margins of every axis, cut at its drive, the others closed."""
-        frequencies = frequency_grid(self._plant_poles, self._rate_Hz)
+        frequencies = frequency_grid(self._plant_poles, self._rate_Hz, self._late_s)
         z = np.exp(2j * np.pi * frequencies / self._rate_Hz)
         triangular, unitary = scipy.linalg.schur(self._open, output="complex")
-        right = unitary.conj().T[:, self._felt]
+        right = unitary.conj().T @ self._entering
         gain = np.array([-self._command @ unitary @ scipy.linalg.solve_triangular(_shifted(triangular, at), right) for at in z])
-        difference = np.eye(len(self._felt)) + gain
+        difference = np.eye(gain.shape[1]) + gain
         whole = np.linalg.det(difference)
         found = []
-        for axis in range(len(self._felt)):
+        is_stable = np.abs(self.poles()).max() < 1.0
+        for axis in range(gain.shape[1]):
             others = np.delete(np.delete(difference, axis, axis=1), axis, axis=2)
-            found.append(loop_margins(frequencies, whole / np.linalg.det(others) - 1.0))
+            found.append(loop_margins(frequencies, whole / np.linalg.det(others) - 1.0, is_stable))
         return tuple(found)
 
     def damping_ratio(self, near_Hz: float) -> float:
@@ -230,8 +226,10 @@ def accept_damping(machine: Machine, results: list[DampedPose]) -> str:
                 )
     phase = min(margin.phase_deg for result in results for margin in result.margins)
     gain = min(margin.gain_dB for result in results for margin in result.margins)
+    names = list(dict.fromkeys(each.name for each in left_out(machine.plant.effects)))
+    without = f"; without {', '.join(names)}" if names else ""
     before, after = min(result.ratio_before for result in results), min(result.ratio for result in results)
     return (
         f"damping: the mode's ratio in closed loop at least {after:.1%} instead of {before:.1%} over {len(results)} poses;"
-        f" margins at least {phase:.0f} deg and {gain:.1f} dB"
+        f" margins at least {phase:.0f} deg and {gain:.1f} dB{without}"
     )

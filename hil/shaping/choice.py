@@ -21,6 +21,7 @@ from hil.shaping.poses import scheduled_poses, subject_at
 from hil.shaping.shaper_design import Candidates, Design, QUIET_BAND_Hz, design_all, shaper_of
 from hil.shaping.shaper_file import ShaperFile
 from hil.shaping.verdict import Subject
+from virtual_bus.linear.left_out import LeftOut, left_out
 
 if TYPE_CHECKING:
     import control
@@ -91,6 +92,11 @@ class ShaperChoice:
     def shaper(self) -> AxisShaper:
         """The chosen design at the sample rate, as the loop runs it."""
         return shaper_of(self.chosen, self.axis, self.machine.sample_rate_Hz, self.positions, self.subjects.schedule)
+
+    @property
+    def outside(self) -> tuple[LeftOut, ...]:
+        """Effects of the machine file that the linear loop does not hold; none where it was identified."""
+        return () if self.subjects.poses is None else left_out(self.machine.plant.effects)
 
     @property
     def file(self) -> ShaperFile:

@@ -13,6 +13,8 @@ from controllers.errors import DesignError
 from controllers.settings import AxisController
 from controllers.shapers.dynamics import Dynamics
 from hil.machine import Machine
+from virtual_bus.linear.plant import LinearPlant
+from virtual_bus.linear.sampled import SampledPlant, sampled
 from virtual_bus.physics import Physics
 
 if TYPE_CHECKING:
@@ -100,47 +102,45 @@ def loops_around(machine: Machine, plant: control.StateSpace, axis: str, outputs
     inputs = [_index(plant.input_labels, f"command_{name}", "input") for name in machine.axes]
     positions = [_index(plant.output_labels, f"position_{name}", "output") for name in machine.axes]
     wanted = [_index(plant.output_labels, name, "output") for name in outputs]
-    rows = np.hstack([plant.C, plant.D[:, inputs]])
-    return _loops(machine, plant.A, plant.B[:, inputs], rows[positions], machine.axis_index(axis), rows[wanted])
+    names = [plant.output_labels[k] for k in (*positions, *wanted)]
+    identified = LinearPlant(
+        plant.A, plant.B[:, inputs], plant.C, plant.D[:, inputs], tuple(plant.input_labels[k] for k in inputs),
+        tuple(plant.output_labels), tuple(plant.state_labels), np.zeros(len(inputs)), np.zeros(len(plant.C)), len(plant.A),
+    )  # fmt: skip
+    met = sampled(identified, 1.0 / machine.sample_rate_Hz, names)
+    return _loops(machine, met, machine.axis_index(axis), met.c[: len(positions)], met.c[len(positions) :])
 
 
 def _of_joints(machine: Machine, physics: Physics, pose: np.ndarray, axis: int, joints: np.ndarray) -> list[Dynamics]:
     """Return closed loops from one axis's reference to combinations of joint positions, rows (k, joints)."""
-    n, axes = physics.plant.joints, len(machine.axes)
-    plant = physics.linearise(pose)
-    measured = np.array([plant.C[plant.output_labels.index(f"position_{name}"), : 2 * n] for name in machine.axes])
-    held = np.zeros((axes, axes))
-    # the IMU's low passes do not act on the motion
-    rows = np.hstack([joints, np.zeros((len(joints), n + axes))])
-    return _loops(machine, plant.A[: 2 * n, : 2 * n], plant.B[: 2 * n], np.hstack([measured, held]), axis, rows)
+    plant = physics.sampled(pose, [f"position_{name}" for name in machine.axes])
+    rows = np.hstack([joints, np.zeros((len(joints), len(plant.a) - joints.shape[1]))])  # joint positions are its first states
+    return _loops(machine, plant, axis, plant.c, rows)
 
 
-def _loops(machine: Machine, a: np.ndarray, b: np.ndarray, measured: np.ndarray, axis: int, rows: np.ndarray) -> list[Dynamics]:
-    """Close the loops over plant states, the drives' held command, then the states of C_y and of a separate C_r.
+def _loops(machine: Machine, plant: SampledPlant, axis: int, measured: np.ndarray, rows: np.ndarray) -> list[Dynamics]:
+    """Close the loops over the plant's states, then those of C_y and of a separate C_r.
 
-    `measured` (axes, n + axes) and `rows` (k, n + axes) are positions and outputs over plant states and held commands.
+    `measured` (axes, N) and `rows` (k, N) are positions and outputs over the plant's states.
     """
-    period_s = 1.0 / machine.sample_rate_Hz
-    n, axes = b.shape
-    a, b, _, _, _ = scipy.signal.cont2discrete((a, b, np.zeros((1, n)), np.zeros((1, axes))), period_s)
     laws = [_law(controller) for controller in machine.controllers]
-    plant = slice(0, n + axes)
-    total = n + axes + sum(len(law.a) for law in laws)
+    n = len(plant.a)
+    total = n + sum(len(law.a) for law in laws)
     loop, entering = np.zeros((total, total)), np.zeros(total)
-    loop[:n, :n], loop[:n, n : n + axes] = a, b
-    start = n + axes
+    loop[:n, :n] = plant.a
+    start = n
     for number, law in enumerate(laws):
-        own = slice(start, start + len(law.a))
+        own, b = slice(start, start + len(law.a)), plant.b[:, number]
         loop[own, own] = law.a
-        loop[own, plant] = np.outer(law.from_position, measured[number])
-        loop[n + number, own] += law.c
-        loop[n + number, plant] += law.position_through * measured[number]
+        loop[own, :n] = np.outer(law.from_position, measured[number])
+        loop[:n, own] += np.outer(b, law.c)
+        loop[:n, :n] += law.position_through * np.outer(b, measured[number])
         if number == axis:
             entering[own] = law.from_reference
-            entering[n + number] += law.reference_through
+            entering[:n] += law.reference_through * b
         start += len(law.a)
-    seen = np.hstack([rows, np.zeros((len(rows), total - n - axes))])
-    return [Dynamics(loop, entering, row, 0.0, period_s) for row in seen]
+    seen = np.hstack([rows, np.zeros((len(rows), total - n))])
+    return [Dynamics(loop, entering, row, 0.0, plant.period_s) for row in seen]
 
 
 class _Law(NamedTuple):

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Sequence
 
 from hil.shaping.shaper_design import Candidates, Design
+from virtual_bus.linear.left_out import LeftOut, sentences
 
 WIDTH = 100
 """Columns of a terminal that nothing goes beyond."""
@@ -41,6 +43,11 @@ def left_out_lines(design: Design) -> list[str]:
         return [f"{design.name}: every pole that matters is cancelled"]
     shares = ", ".join(f"{each.frequency_Hz:.3g} Hz (damping {each.damping:.2g}) {each.residual:.2g}" for each in listed)
     return _wrapped(f"{design.name}: poles left out, with what is left of a unit step in them after the transient: {shares}", "")
+
+
+def outside_lines(outside: Sequence[LeftOut]) -> list[str]:
+    """Return the effects of the machine file that no figure of a design holds."""
+    return [line for said in sentences(outside) for line in _wrapped(f"the figures are without {said}", "")]
 
 
 def _wrapped(text: str, indent: str) -> list[str]:

@@ -31,6 +31,7 @@ EFFECT = Effect(
     source="Nordin and Gutman 2002, eq. (3); Johnson 1985, ch. 4 (flanks in contact are softer at first)",
     family="elasticity",
     play="b",
+    left_out="the spring is taken in contact: within the gap no effort passes",
 )
 
 

@@ -41,6 +41,7 @@ EFFECT = Effect(
     neighbours=("presliding_hysteresis", "nonlinear_stiffness"),
     source="Wen 1976; Noël and Kerschen 2017, Sec. 2.2",
     family="hysteresis",
+    left_out="a spring at first, and flat where its loop is closed",
 )
 
 

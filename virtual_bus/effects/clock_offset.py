@@ -24,6 +24,8 @@ EFFECT = Effect(
     family="timing",
     is_exact=True,
     sought_at=("channel",),
+    left_out="the age at the start is taken: it grows",
+    left_out_of=("delta",),
 )
 
 

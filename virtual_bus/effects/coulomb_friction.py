@@ -18,6 +18,7 @@ EFFECT = Effect(
     family="dry_friction",
     everyday=True,
     sought_at=("axis",),
+    left_out="at rest it holds, and in motion it has no slope",
 )
 
 

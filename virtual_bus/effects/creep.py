@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from virtual_bus.effects.effect import REACTION, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, one
-from virtual_bus.effects.motion import ReactionState
+from virtual_bus.effects.motion import ReactionSlopes, ReactionState
 
 EFFECT = Effect(
     name="creep",
@@ -40,6 +42,11 @@ def react(state: ReactionState, k1: float, tau: float) -> tuple[float, float, fl
     end = state.first + (steady - state.first) * gone
     mean = steady + (state.first - steady) * gone / x
     return -k1 * mean, end, 0.0
+
+
+def slopes(k1: float, tau: float) -> ReactionSlopes:
+    """Return the bend of the relaxing spring and its pull, as they are: the effect is linear."""
+    return ReactionSlopes(np.array([[-1.0 / tau]]), np.array([[0.0, 1.0, 0.0]]), np.array([-k1]), (0.0, 0.0))
 
 
 def laws(place: Place) -> list[Law]:

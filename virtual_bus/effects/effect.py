@@ -160,3 +160,7 @@ class Effect:
 
     The search along the motion was measured without effects and places that were added since: it answers otherwise when it is offered more.
     """
+    left_out: str = ""
+    """Why a linear model about rest does not hold it; "" where small motions follow its linear part."""
+    left_out_of: tuple[str, ...] = ()
+    """Parameters that a linear model takes as neutral for that reason, while it holds the rest; none: it holds nothing of the effect."""

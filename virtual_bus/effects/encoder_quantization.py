@@ -19,6 +19,7 @@ EFFECT = Effect(
     source="Widrow and Kollár 2008, Sec. 1.1",
     family="encoder",
     is_exact=True,
+    left_out="rounding has no slope",
 )
 
 

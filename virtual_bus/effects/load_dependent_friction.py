@@ -20,6 +20,7 @@ EFFECT = Effect(
     source="Bittencourt and Gunnarsson 2012, eq. (5)",
     family="dry_friction",
     sought_at=("axis",),
+    left_out="at rest it holds, and in motion it changes sign with the direction",
 )
 
 

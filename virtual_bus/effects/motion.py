@@ -64,6 +64,19 @@ class DriveState(NamedTuple):
     ratio: float
 
 
+class ReactionSlopes(NamedTuple):
+    """An effect with a memory m of any length k, for small motions about rest: its hook `slopes(*parameters)`.
+
+    The memory changes by memory m + motion (position, speed, acceleration), the effort on the joint is effort_of_memory m +
+    effort_of_motion (position, speed).
+    """
+
+    memory: np.ndarray  # (k, k)
+    motion: np.ndarray  # (k, 3)
+    effort_of_memory: np.ndarray  # (k,)
+    effort_of_motion: tuple[float, float]
+
+
 FrictionOf = Callable[[int, JointState, np.ndarray], float]
 EffortOf = Callable[[int, JointMotion, np.ndarray], float]
 TermsOf = Callable[[int, PairMotion, np.ndarray], tuple[float, float, float, float]]

@@ -21,6 +21,7 @@ EFFECT = Effect(
     source="Duclusaud, Passault, Padois, Ly 2024 (arXiv:2410.08650), model M5: the part of the motor's torque",
     family="dry_friction",
     sought_at=("axis",),
+    left_out="at rest it holds, and in motion it changes sign with the direction",
 )
 
 

@@ -40,6 +40,7 @@ EFFECT = Effect(
     source="Armstrong-Hélouvry, Dupont, Canudas de Wit 1994, Sec. 2.1",
     family="dry_friction",
     sought_at=("axis",),
+    left_out="at rest it holds, and in motion it has no slope",
 )
 
 

@@ -37,6 +37,7 @@ EFFECT = Effect(
     family="viscous_friction",
     parent="viscous_friction",
     sought_at=("axis",),
+    left_out="its slope at rest holds below 1 mrad/s (1 mm/s) alone",
 )
 
 

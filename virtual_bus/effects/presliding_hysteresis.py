@@ -28,6 +28,7 @@ EFFECT = Effect(
     source="Canudas de Wit, Olsson, Åström, Lischinsky 1995, eqs. (1)-(4); Dahl 1968",
     family="dry_friction",
     parent="coulomb_friction",
+    left_out="bristles are a spring until they slip, then friction",
 )
 
 

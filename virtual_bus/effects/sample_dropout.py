@@ -34,6 +34,7 @@ EFFECT = Effect(
     source="Schenato 2009, zero-order hold on packet loss",
     family="timing",
     is_exact=True,
+    left_out="which readings are lost is chance",
 )
 
 

@@ -31,6 +31,8 @@ EFFECT = Effect(
     neighbours=("coulomb_friction", "viscous_friction", "axis_coupling"),
     source="Gautier, Vandanjon, Presse 1994 (coupled wrist axes: friction of q5 + q6); principle of virtual work",
     family="shared_friction",
+    left_out="its constant level holds at rest, and in motion it has no slope",
+    left_out_of=("Fc",),
 )
 
 

@@ -42,6 +42,7 @@ EFFECT = Effect(
     family="dry_friction",
     parent="coulomb_friction",
     sought_at=("axis",),
+    left_out="at rest it holds, and in motion it falls with speed",
 )
 
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from virtual_bus.effects.effect import REACTION, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, one
-from virtual_bus.effects.motion import ReactionState
+from virtual_bus.effects.motion import ReactionSlopes, ReactionState
 
 EFFECT = Effect(
     name="structural_mode",
@@ -56,6 +58,13 @@ def react(state: ReactionState, J: float, f: float, zeta: float) -> tuple[float,
     end_speed = decay * (cos * v - sin * (w * w * x + zeta * w * v))
     mean = pull - (end_speed - state.second) / h  # of w^2 z + 2 zeta w z' over the step, from its own equation
     return J * mean, end, end_speed
+
+
+def slopes(J: float, f: float, zeta: float) -> ReactionSlopes:
+    """Return the motion z, z' of the added inertia and its pull on the joint, as they are: the effect is linear."""
+    w = 2.0 * math.pi * f
+    pull = np.array([w * w, 2.0 * zeta * w])
+    return ReactionSlopes(np.array([[0.0, 1.0], -pull]), np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), J * pull, (0.0, 0.0))
 
 
 def laws(place: Place) -> list[Law]:

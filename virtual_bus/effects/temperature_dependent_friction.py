@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from virtual_bus.effects.effect import REACTION, Effect, Parameter
 from virtual_bus.effects.law import Law, Place, one
-from virtual_bus.effects.motion import ReactionState
+from virtual_bus.effects.motion import ReactionSlopes, ReactionState
 
 EFFECT = Effect(
     name="temperature_dependent_friction",
@@ -40,6 +42,8 @@ EFFECT = Effect(
     source="Bittencourt and Gunnarsson 2012, eq. (9)",
     family="viscous_friction",
     parent="viscous_friction",
+    left_out="the cold coefficient is taken: it falls as the lubricant warms",
+    left_out_of=("a",),
 )
 
 
@@ -50,6 +54,11 @@ def react(state: ReactionState, Fv0: float, a: float, R: float, tau: float) -> t
     final = R * coefficient * speed * speed
     warming = final + (state.first - final) * math.exp(-state.step_s / tau)
     return -coefficient * speed, warming, 0.0
+
+
+def slopes(Fv0: float, a: float, R: float, tau: float) -> ReactionSlopes:
+    """Return the friction of the cold lubricant: small motions do not warm it."""
+    return ReactionSlopes(np.zeros((0, 0)), np.zeros((0, 3)), np.zeros(0), (0.0, -Fv0))
 
 
 def laws(place: Place) -> list[Law]:

@@ -41,6 +41,7 @@ EFFECT = Effect(
     family="dry_friction",
     parent="motor_load_friction",
     sought_at=(),
+    left_out="at rest it holds, and in motion it changes sign with the direction",
 )
 
 

@@ -15,7 +15,7 @@ from controllers.errors import DesignError
 from controllers.observers.modal_observer import ModalObserver
 from hil.errors import UnusableInputError
 from hil.machine import Machine
-from hil.machine.closed_loop import LinearLoop
+from hil.machine.closed_loop import position_loop
 from hil.observing import ObserverDesign, observe
 from hil.observing.damping import DampedLoop, DampedPose, accept_damping
 from hil.observing.live import LiveObserver
@@ -89,10 +89,7 @@ def test_without_damping_the_whole_loop_is_the_position_loop(machine: Machine, d
     pose = np.array([0.0, 0.3])
     physics = Physics(machine.plant, noise=False)
     whole = DampedLoop(machine, physics, design.observer(), None, pose)
-    plant = physics.linearise(pose)
-    joints = 2 * physics.plant.joints
-    rows = [plant.output_labels.index(f"position_{axis}") for axis in machine.axes]
-    alone = LinearLoop(plant.A[:joints, :joints], plant.B[:joints], plant.C[rows, :joints], machine.controllers, machine.sample_rate_Hz)
+    alone = position_loop(machine, physics.linear(pose))
     for ours, theirs in zip(whole.margins(), alone.margins(), strict=True):
         assert dataclasses.astuple(ours) == pytest.approx(dataclasses.astuple(theirs), rel=1e-3)
     assert whole.damping_ratio(8.3) > 0.03

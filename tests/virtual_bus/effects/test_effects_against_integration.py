@@ -12,9 +12,9 @@ from scipy.integrate import solve_ivp
 from small_plants import BLOCK_MASS_kg, block, run
 
 from virtual_bus.errors import EffectError
+from virtual_bus.linear.plant import linearised
 from virtual_bus.physics import Physics
 from virtual_bus.plant.compiled import compile_plant
-from virtual_bus.plant.linearise import linearised
 from virtual_bus.settings import EffectSetting
 
 PERIOD_s = 1.0 / 256.0
@@ -246,8 +246,7 @@ def test_the_linear_plant_reads_its_imu_through_a_low_pass_of_second_order() -> 
     effect = EffectSetting("imu_bandwidth", "imu", {"fc": 15.0, "shape": 0.3})
     responses = []
     for settings in (block(stiffness=STIFFNESS, bandwidth_Hz=0.0), block(stiffness=STIFFNESS, effects=(effect,))):
-        plant = compile_plant(settings)
-        system = linearised(plant, plant.model(), np.zeros(1)).state_space()
+        system = linearised(compile_plant(settings), np.zeros(1)).state_space()
         responses.append(system[system.output_labels.index("imu_x"), 0](2j * np.pi * np.array([1.0, 12.0, 40.0])))
     s = 1j * np.array([1.0, 12.0, 40.0]) / 15.0
     np.testing.assert_allclose(responses[1], responses[0] / (1.0 + s + 0.3 * s**2), rtol=1e-6)
