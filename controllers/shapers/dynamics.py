@@ -144,14 +144,22 @@ class Dynamics:
         return zeros
 
     @cached_property
+    def residues(self) -> tuple[np.ndarray, np.ndarray]:
+        """Eigenvalues (n,) and their residues (n,), by left and right eigenvectors.
+
+        A chain of delays has a single one for all its poles at 0: of those the residues are none.
+        """
+        values, left, right = scipy.linalg.eig(self.a, left=True, right=True)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            residues = (self.c @ right) * (left.conj().T @ self.b) / np.einsum("ij,ij->j", left.conj(), right)
+        return values, residues
+
+    @cached_property
     def modes(self) -> tuple[Mode, ...]:
         """Poles with a non-negative imaginary part, largest share of the step response first. Poles are assumed to be distinct."""
         if not len(self.a):
             return ()
-        # by left and right eigenvectors: a chain of delays has but one for all its poles at 0, which would make the right ones singular
-        values, left, right = scipy.linalg.eig(self.a, left=True, right=True)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            residues = (self.c @ right) * (left.conj().T @ self.b) / np.einsum("ij,ij->j", left.conj(), right)
+        values, residues = self.residues
         distance = values if self.sample_period_s is None else values - 1.0
         seen = np.abs(values) > (0.0 if self.sample_period_s is None else FORGOTTEN)
         found = []

@@ -14,6 +14,7 @@ from hil.machine.check_ramps import ramps
 from hil.machine.closed_loop import Margins, position_loop
 from hil.machine.finding import Finding, PoseResult, shown_pose
 from hil.machine.model import Machine
+from virtual_bus.linear.lateness import hanging_inertia
 from virtual_bus.linear.left_out import left_out, sentences
 
 if TYPE_CHECKING:
@@ -87,7 +88,9 @@ def _examine_pose(machine: Machine, physics: Physics, pose: tuple[float, ...]) -
     poles = linear.poles
     poles = poles[(poles.imag > 0.0) & (np.abs(poles.real) < LIGHTLY_DAMPED * np.abs(poles))]
     modes = sorted((float(abs(pole)) / (2.0 * math.pi), float(-pole.real / abs(pole))) for pole in poles)
-    return PoseResult(pose, physics.holding_effort(np.array(pose)), _inertia(physics, pose), tuple(modes), radius, margins)
+    return PoseResult(
+        pose, physics.holding_effort(np.array(pose)), _inertia(physics, pose), hanging_inertia(machine.plant), tuple(modes), radius, margins
+    )
 
 
 def _inertia(physics: Physics, pose: tuple[float, ...]) -> np.ndarray:

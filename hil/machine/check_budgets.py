@@ -17,6 +17,7 @@ from drivers.settings import BusSettings, Node
 from hil.machine.finding import Finding, PoseResult, shown_pose
 from hil.machine.model import Machine
 from hil.machine.standstill import CLASSES, AxisFacts, Stop
+from virtual_bus.linear.lateness import drives_late_s
 
 WIDEST = 1.5
 """Multiple of what is computed that a budget may be: what the closed forms leave out is less, and a wider one promises nothing."""
@@ -53,16 +54,18 @@ def axis_facts(machine: Machine, number: int, results: Sequence[PoseResult]) -> 
     for result in results:
         by_others.setdefault((*result.pose[:number], *result.pose[number + 1 :]), []).append(result)
     found = []
+    late_s = float(drives_late_s(machine.plant)[number])
     for group in by_others.values():
         heaviest = max(group, key=lambda result: abs(result.holding[number]))
         inertias = [float(result.inertia[number]) for result in group]
+        hanging = max(float(result.hanging[number]) for result in group)  # a fast push leaves it behind, a ramp takes it along
         facts = AxisFacts(
             speed=limit.speed,
             watched_speed=LED_SPEED_MARGIN * limit.speed,
             acceleration=limit.acceleration,
             tracking_error=limit.tracking_error,
             gravity=abs(float(heaviest.holding[number])) * scale,
-            inertia=(min(inertias), max(inertias)),
+            inertia=(min(inertias), max(inertias) + hanging),
             drive_effort=drive.limit * scale,
             quick_stop=quick_stop(machine, number, node),
             brake_effort=joint.brake_effort,
@@ -73,6 +76,7 @@ def axis_facts(machine: Machine, number: int, results: Sequence[PoseResult]) -> 
             io_silent_s=bus.io.stale_after_s if bus.io is not None else math.inf,
             node_silent_s=_silent_s(node.heartbeat_period_s, bus),
             bench_silent_s=HEARTBEAT_TOLERANCE * bus.master_heartbeat_period_s or math.inf,
+            drive_late_s=late_s,
         )
         found.append((facts, heaviest.pose))
     return found

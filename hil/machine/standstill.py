@@ -31,6 +31,7 @@ class AxisFacts:
     io_silent_s: float  # that a silent I/O is borne
     node_silent_s: float  # that a silent drive is borne
     bench_silent_s: float  # that the drive bears a silent bench
+    drive_late_s: float = 0.0  # from what the drive is told, or tells itself, to the current that flows
 
     @property
     def falls(self) -> float:
@@ -80,10 +81,13 @@ def run_down(speed: float, phases: tuple[tuple[float, float], ...], deceleration
 def _drive_and_brake(axis: AxisFacts, seen_s: float) -> Stop:
     """Let the drive ramp down at once and the brake close over it.
 
-    A drive whose ramp is slower than the brake pushes on, with all it has, to keep to its ramp.
+    A drive whose ramp is slower than the brake pushes on, with all it has, to keep to its ramp. One that is late may be later than the
+    brake.
     """
     against = 0.0 if axis.quick_stop >= axis.brakes else axis.drive_effort / axis.inertia[1]
-    return run_down(axis.speed, ((seen_s, 0.0), (axis.closing_s, -axis.ramps)), max(axis.ramps, axis.brakes - against))
+    apart_s = axis.closing_s - axis.drive_late_s
+    coasts, ramps = (seen_s + min(axis.drive_late_s, axis.closing_s), 0.0), (max(apart_s, 0.0), -axis.ramps)
+    return run_down(axis.speed, (coasts, ramps, (max(-apart_s, 0.0), -axis.brakes)), max(axis.ramps, axis.brakes - against))
 
 
 def _brake_alone(axis: AxisFacts, seen_s: float) -> Stop:
@@ -133,12 +137,12 @@ def runaway(axis: AxisFacts) -> Stop:
 
 def io_silent(axis: AxisFacts) -> Stop:
     """Stop after the I/O fell silent: no brake can be commanded, the drive stops by itself."""
-    return run_down(axis.speed, ((axis.io_silent_s + axis.period_s, 0.0),), axis.ramps)
+    return run_down(axis.speed, ((axis.io_silent_s + axis.period_s + axis.drive_late_s, 0.0),), axis.ramps)
 
 
 def bench_silent(axis: AxisFacts) -> Stop:
     """Stop after the bench fell silent: the drive keeps its last torque until it notices, and stops by itself."""
-    return run_down(axis.speed, ((axis.bench_silent_s, axis.acceleration),), axis.ramps)
+    return run_down(axis.speed, ((axis.bench_silent_s + axis.drive_late_s, axis.acceleration),), axis.ramps)
 
 
 CLASSES: dict[str, Callable[[AxisFacts], Stop]] = {

@@ -60,16 +60,16 @@ def after_step(dynamics: Dynamics, shaper: DelayFilter, sample_rate_Hz: float) -
     loop = dynamics if dynamics.sample_period_s is not None else dynamics.sampled(period_s)
     count = round(LONGEST_s * sample_rate_Hz)
     reference = _shaped_step(shaper, period_s, count)
-    values, right = np.linalg.eig(loop.a)
-    seen = (loop.c @ right) * np.linalg.solve(right, loop.b.astype(complex))
+    values, seen = loop.residues
     rings = _rings(values, period_s)
-    output = loop.d * reference
+    state, output = np.zeros(len(loop.b)), np.zeros(count)
+    for k in range(count):
+        output[k] = loop.c @ state + loop.d * reference[k]
+        state = loop.a @ state + loop.b * reference[k]
     ringing = np.zeros(count)
-    states = _modal_states(values, reference)
-    output = output + (states @ seen).real
     if rings.any():
         static = (seen[rings] / (1.0 - values[rings])).sum().real
-        ringing = (states[:, rings] @ seen[rings]).real - static * reference
+        ringing = (_modal_states(values[rings], reference) @ seen[rings]).real - static * reference
     time_s = np.arange(count) * period_s
     after = time_s > shaper.transient_s
     return InTime(time_s, reference, output, ringing, float(np.abs(ringing[after]).max()))

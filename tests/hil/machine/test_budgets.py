@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from hil.machine.check import examine
 from hil.machine.check_budgets import WIDEST, axis_facts, budgets, quick_stop
 from hil.machine.finding import Finding
 from hil.machine.standstill import CLASSES, AxisFacts
+from virtual_bus.settings import EffectSetting
 
 TURNTABLE = load_machine("turntable")
 WITHOUT_OWN = edited(r"^\[\[bus\.nodes\.\w+_drive\.write\]\]\nindex = 0x6085.*\nvalue = .*\n", "", TURNTABLE.text)
@@ -98,6 +100,28 @@ def test_an_axis_whose_brake_is_too_weak_does_not_come_to_rest() -> None:
     ((facts, _),) = axis_facts(machine, 0, examine(machine, 9))
     assert CLASSES["drive_fault"](facts).travel == math.inf
     assert math.isfinite(CLASSES["asked"](facts).travel)  # its drive stops it
+
+
+def test_a_drive_that_its_file_makes_late_ramps_down_late_and_what_hangs_on_a_spring_is_braked_too(facts: AxisFacts) -> None:
+    effects = (
+        EffectSetting("delay", "turn", {"Td": 0.012}),
+        EffectSetting("drive_bandwidth", "turn", {"fc": 40.0, "zeta": 0.7}),
+        EffectSetting("structural_mode", "turn", {"J": 3.0, "f": 6.0, "zeta": 0.01}),
+    )
+    machine = pendulum()
+    machine = replace(machine, plant=replace(machine.plant, effects=effects))
+    ((late, _),) = axis_facts(machine, 0, examine(machine, 9))
+    late_s = 0.012 + 2.0 * 0.7 / (2.0 * math.pi * 40.0)  # and the steady lag of the low pass behind a ramp
+    assert late.drive_late_s == pytest.approx(late_s)
+    assert late.inertia == pytest.approx((INERTIA, INERTIA + 3.0), rel=1e-6)
+    before, after = (CLASSES["bench_silent"](each) for each in (facts, replace(facts, drive_late_s=late_s)))
+    assert after.time_s > before.time_s + late_s
+    ramped, coasted = (CLASSES["asked"](replace(facts, drive_late_s=each)) for each in (0.0, late_s))
+    if facts.ramps >= facts.brakes:  # one ramp, begun later
+        assert coasted.travel == pytest.approx(ramped.travel + facts.speed * late_s)
+    never = CLASSES["asked"](replace(facts, drive_late_s=10.0))  # the brake is there before it
+    seen_s = facts.inputs_s + facts.period_s
+    assert never.travel == pytest.approx(facts.speed * (seen_s + facts.closing_s) + facts.speed**2 / (2.0 * facts.brakes))
 
 
 def _budgets(machine: Machine) -> dict[tuple[str, str], Finding]:
