@@ -33,8 +33,6 @@ def hanging_inertia(settings: PlantSettings) -> np.ndarray:
     for setting in linear_parts(settings.effects):
         if hasattr(module_of(setting.name), "slopes"):
             slopes = module_of(setting.name).slopes(*values_of(setting))
-            added = (
-                slopes.effort_of_memory @ np.linalg.lstsq(slopes.memory, slopes.motion[:, 2], rcond=None)[0] if slopes.memory.size else 0.0
-            )
+            added = slopes.effort_of_memory @ np.linalg.solve(slopes.memory, slopes.motion[:, 2])
             inertia += added * np.array([drive.joint == joint_at(setting.at, settings) for drive in settings.drives])
     return inertia

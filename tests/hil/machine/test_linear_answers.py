@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -51,7 +52,7 @@ def pushed(machine: Machine) -> tuple[float, float]:
     swing = np.diff(positions)  # the integrator's slow return is not in it
     ups = np.flatnonzero((swing[:-1] < 0.0) & (swing[1:] >= 0.0))
     at = ups + swing[ups] / (swing[ups] - swing[ups + 1])
-    heights = np.array([np.ptp(swing[a:b]) for a, b in zip(ups[2:-1], ups[3:], strict=True)])
+    heights = np.array([np.ptp(swing[a:b]) for a, b in pairwise(ups[2:])])
     growth = np.polyfit(ups[2:-1] / machine.sample_rate_Hz, np.log(heights), 1)[0]
     return float(growth), float((len(at) - 3) / (at[-1] - at[2]) * machine.sample_rate_Hz)
 
@@ -61,7 +62,7 @@ def margin(findings: list[Finding]) -> Finding:
 
 
 def test_the_phase_margin_of_a_late_drive_is_what_is_left_until_the_emulated_loop_oscillates(turntable: Machine) -> None:
-    """A further delay turns the loop's phase at its crossover and leaves its gain: where the motion neither grows nor fades, none is left."""
+    """A further delay turns the loop's phase at its crossover and leaves its gain: where motion neither grows nor fades, none is left."""
     delays = (0.0470, 0.0500)
     (slower, _), (faster, frequency_Hz) = (pushed(late(turntable, delay_s)) for delay_s in delays)
     assert slower < 0.0 < faster
