@@ -291,7 +291,8 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
             "designs",
             "list",
             "One verdict per design, the recommended one first: `name`; the shares `vibration`, `tracking` and the same `…_at_10` "
-            "per cent off; `lag_s`, `transient_s`, `largest_gain`, `gain_sum`, `static_gain`, `left_out`, `against`.",
+            "per cent off; `lag_s`, `transient_s`, `largest_gain`, `gain_sum`, `static_gain`, `left_out`, `against`; "
+            "`residual`: `low`, `likely` and `high` share left of `moves` drawn moves on the simulated machine, or null.",
         ),
         Entry("refused", "object", "Design to the reason why there is none."),
         LEFT_OUT,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -103,7 +103,7 @@ def shape(
     candidates, designs, chosen, subjects = choice.candidates, choice.designs, choice.chosen, choice.subjects.each
     answer.say(_sentence(designs[0], chosen, axis, machine.name))
     answer.say(f"{aim.kind} of {axis}, from {source}")
-    verdicts = [vars(design.verdict) | {"left_out": [vars(each) for each in design.verdict.left_out]} for design in designs]
+    verdicts = [asdict(design.verdict) for design in designs]
     write_shaper(choice.file, out)
     rate = machine.sample_rate_Hz
     in_time = {each.name: after_step(subjects[0].dynamics, each.filters[0], rate) for each in (candidates.named("none"), chosen)}
@@ -153,7 +153,10 @@ def _sentence(recommended: Design, chosen: Design, axis: str, machine: str) -> s
         return f"No design for {axis} of {machine} is fit to run: the best is {chosen.name}, and against it is: {against}."
     if against:
         return f"{chosen.name} is not fit to run on {axis} of {machine}: {against}. Recommended is {recommended.name}."
+    on_machine = chosen.verdict.residual
     less = f"leaves {100.0 * chosen.verdict.vibration_at_10:.2g} % of the vibration with modes 10 % off"
+    if on_machine is not None:
+        less = f"leaves {100.0 * on_machine.low:.2g} to {100.0 * on_machine.high:.2g} % of the vibration, as simulated,"
     beside = "" if chosen is recommended else f"; recommended is {recommended.name}"
     return f"{chosen.name} for {axis} of {machine} {less} and takes {chosen.verdict.transient_s:.3f} s{beside}."
 
@@ -180,7 +183,7 @@ def _source(choice: ShaperChoice, frf: Path | None) -> str:
 
 
 def _write_csv(verdicts: list[dict[str, Any]], path: Path) -> None:
-    columns = [name for name in verdicts[0] if name != "left_out"]
+    columns = [name for name in verdicts[0] if name not in ("left_out", "residual")]
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(columns)

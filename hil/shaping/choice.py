@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from controllers.errors import DesignError
 from controllers.shapers.sampled import AxisShaper
-from hil.errors import UnusableInputError
+from hil.errors import BenchError, UnusableInputError
 from hil.experiments.plan import pose_array
 from hil.files.frames import data_frame
 from hil.identification.result import FrequencyResponse
@@ -18,7 +19,8 @@ from hil.machine import Machine
 from hil.shaping.aim import Aim, sweep
 from hil.shaping.identified import subject_from_frf
 from hil.shaping.poses import scheduled_poses, subject_at
-from hil.shaping.shaper_design import Candidates, Design, QUIET_BAND_Hz, design_all, shaper_of
+from hil.shaping.predicted import Prediction
+from hil.shaping.shaper_design import Candidates, Design, QUIET_BAND_Hz, design_all, recommended_first, shaper_of
 from hil.shaping.shaper_file import ShaperFile
 from hil.shaping.verdict import Subject
 from virtual_bus.linear.left_out import LeftOut, left_out
@@ -124,7 +126,11 @@ class ShaperChoice:
     def frame(self) -> pd.DataFrame:
         """Return the verdicts, a row per design; UnusableInputError without pandas, an extra."""
         verdicts = [vars(design.verdict) for design in self.designs]
-        columns = {name: [each[name] for each in verdicts] for name in verdicts[0] if name not in ("name", "left_out")}
+        columns = {name: [each[name] for each in verdicts] for name in verdicts[0] if name not in ("name", "left_out", "residual")}
+        columns |= {
+            f"residual_{part}": [float("nan") if each["residual"] is None else getattr(each["residual"], part) for each in verdicts]
+            for part in ("low", "likely", "high")
+        }
         return data_frame(columns, index=[design.name for design in self.designs], index_name="design")
 
 
@@ -178,10 +184,34 @@ def choose_shaper(
     aim = aim or sweep()
     subjects = subjects_of(machine, axis, pose or {}, frf, schedule, output)
     candidates = design_all(subjects.each, aim, machine.sample_rate_Hz, quiet_Hz, also)
+    if subjects.poses is not None and machine.controllers:
+        candidates = on_the_machine(machine, axis, subjects, candidates)
     chosen = candidates.designs[0]
     from_what = source or ("an identified frequency response" if frf is not None else f"the closed loop of {machine.name}'s file")
     notes = {"machine": machine.name, "hash": machine.hash, "aim": vars(aim), "source": from_what, "output": output}
     return ShaperChoice(machine, axis, aim, subjects, candidates, chosen, {**notes, "verdict": chosen.verdict.line})
+
+
+def on_the_machine(machine: Machine, axis: str, subjects: Subjects, candidates: Candidates) -> Candidates:
+    """Return the designs with what they leave of drawn moves on the simulated machine, and ordered by it.
+
+    Designs with objections stay as they are, and all do where no moves can be drawn. Of a schedule the moves begin at its middle pose.
+    """
+    assert subjects.poses is not None
+    fit = [design for design in candidates.designs if not design.verdict.against]
+    positions = subjects.poses[:, machine.axis_index(subjects.schedule)].tolist() if subjects.schedule else [0.0]
+    shapers = [shaper_of(design, axis, machine.sample_rate_Hz, positions, subjects.schedule) for design in fit]
+    longest = max((each.transient_samples for each in shapers), default=0)
+    try:
+        prediction = Prediction(machine, axis, subjects.poses[len(subjects.poses) // 2], longest)
+        found = {design.name: prediction.of(shaper) for design, shaper in zip(fit, shapers, strict=True)}
+    except (DesignError, BenchError):
+        return candidates
+    designs = [
+        replace(design, verdict=replace(design.verdict, residual=found[design.name])) if design.name in found else design
+        for design in candidates.designs
+    ]
+    return replace(candidates, designs=recommended_first(designs))
 
 
 def subjects_of(

@@ -31,6 +31,9 @@ def design_lines(candidates: Candidates, chosen: Design) -> list[str]:
             marks.append(f"against it: {verdict.against}")
         if marks:
             lines += _wrapped("; ".join(marks), "    ")
+        if verdict.residual is not None:
+            low, likely, high = (_percent(share) for share in (verdict.residual.low, verdict.residual.likely, verdict.residual.high))
+            lines += _wrapped(f"left of {verdict.residual.moves} drawn moves as simulated: {low} to {high}, median {likely}", "    ")
     for name, reason in candidates.refused.items():
         lines += _wrapped(f"{name}: none: {reason}", "  ")
     return lines

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -238,7 +238,12 @@ def design_all(
         except DesignError as error:
             refused[INVERTED.get(name, SHORTEST)] = str(error)
     designs = [Design(filters, judge(filters, subjects, aim, cancelled), tuple(cancelled)) for filters in found]
-    return Candidates(tuple(sorted(designs, key=lambda design: (bool(design.verdict.against), design.verdict.cost))), refused)
+    return Candidates(recommended_first(designs), refused)
+
+
+def recommended_first(designs: Iterable[Design]) -> tuple[Design, ...]:
+    """Return designs by what they cost, those with objections last."""
+    return tuple(sorted(designs, key=lambda design: (bool(design.verdict.against), design.verdict.cost)))
 
 
 def _further(

@@ -37,6 +37,20 @@ class LeftOut:
 
 
 @dataclass(frozen=True)
+class Residual:
+    """Share of the vibration that a shaper leaves on the machine as it is simulated: least, median and greatest of drawn moves.
+
+    1 is as much as they leave without a shaper, all together. The next move of the same kind lies between least and greatest with
+    (n - 1) / (n + 1).
+    """
+
+    low: float
+    likely: float
+    high: float
+    moves: int
+
+
+@dataclass(frozen=True)
 class Verdict:
     """Numbers of one design, the worst over the poses at which it was judged.
 
@@ -55,17 +69,22 @@ class Verdict:
     static_gain: float
     left_out: tuple[LeftOut, ...]
     against: str  # why it is not recommended, or ""
+    residual: Residual | None = None  # on the simulated machine; None where there is none, as of a frequency response
 
     @property
     def cost(self) -> float:
-        """Return the criterion of the recommendation: worst-case vibration plus the tracking error, both as shares."""
-        return self.vibration_at_10 + self.tracking
+        """Return the criterion of the recommendation: worst-case vibration plus the tracking error, both as shares.
+
+        The vibration is that of the simulated machine where it is known, else that of the linear loop.
+        """
+        return (self.vibration_at_10 if self.residual is None else self.residual.high) + self.tracking
 
     @property
     def line(self) -> str:
         """Return the verdict as a line of text."""
         parts = [
-            f"vibration {_percent(self.vibration)} ({_percent(self.vibration_at_10)} at ±10 %)",
+            f"vibration {_percent(self.vibration)} ({_percent(self.vibration_at_10)} at ±10 %) in the linear loop",
+            *([] if self.residual is None else [f"{_percent(self.residual.low)} to {_percent(self.residual.high)} on the machine"]),
             f"transient {self.transient_s:.3f} s",
             f"largest gain {self.largest_gain:.3g} (sum {self.gain_sum:.2f})",
             f"tracking error {_percent(self.tracking)} ({_percent(self.tracking_at_10)} at ±10 %)",

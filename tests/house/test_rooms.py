@@ -24,7 +24,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "imaging": ("extras", "files", "machine"),
     "calibration": ("experiments", "files", "imaging", "machine", "processes", "recording"),
     "reconstruction": ("extras", "files", "imaging"),
-    "shaping": ("experiments", "files", "identification", "machine"),
+    "shaping": ("experiments", "files", "identification", "machine", "simulation"),
     "observing": ("calibration", "experiments", "files", "identification", "machine", "recording", "simulation"),
     "emulated": ("extras", "files", "imaging", "machine", "processes", "recording"),
     "receiving": ("calibration", "emulated", "extras", "imaging", "machine", "processes", "recording"),
