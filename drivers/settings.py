@@ -103,6 +103,7 @@ class MotionLimits:
     acceleration: float = inf  # rad/s^2 or m/s^2 of the reference, and of a drive that goes by itself
     quick_stop: float | None = None  # rad/s^2 or m/s^2 of the drive's own ramp; None: that of its data sheet, or of the node's writes
     following_error: float = 0.0  # rad or m: |target - position| in position mode, in which the target leads at speed
+    holding_effort: float = inf  # drive's unit: more than this holds the axis at no pose (`hil.bench.holding`)
 
 
 @dataclass(frozen=True)

@@ -100,7 +100,7 @@ class AxisStop:
         self._stale_ticks = limits.stale_ticks
         self._push, self._travel = homing.direction_check_effort, homing.direction_check_travel
         self._motor, self._link = EncoderPath(self._in_ticks(SWING_S)), EncoderPath(self._in_ticks(SWING_S))
-        self._hold_judge = Hold(limits, scaling.position_unit, period_s)
+        self._hold_judge = Hold(limits, scaling.position_unit, period_s, scaling.rated)
         self._marked: EncoderPath | None = None  # by which the proof of the brake is judged
         self._anchor, self._held_effort, self._still_ticks = nan, nan, 0
         self._silent = self._lost = 0  # ticks without a statusword, without any position
@@ -196,10 +196,12 @@ class AxisStop:
 
     def _judge_hold(self, sample: Sample, ticks: int) -> None:
         """Take the voltage from a drive that may push while it is told to hold."""
+        axis = self.axis
+        seen = float(sample.position[axis]), float(sample.link_position[axis]), ticks, float(sample.effort[axis])
         holds = self._phase in (self._closing, self._swinging, self._taking_over, self._pushing, self._holding)
         if not holds or not (self._state in POWERED or self._state is State.UNDEFINED):
             self._hold_judge.begin()
-        elif drove := self._hold_judge.step(float(sample.position[self.axis]), float(sample.link_position[self.axis]), ticks):
+        elif drove := self._hold_judge.step(*seen):
             self._drove, self._held_for = drove, ""
             self.alarm = f"its drive does not hold it, {drove}; its voltage is taken"
             self.orders_brake, self.asks_for_torque = True, False

@@ -1,5 +1,7 @@
 """What a hold is: the axis comes to rest as fast as its limits say, and then stays in its place. A drive under which it does not pushes it.
 
+So does one that goes on with more effort than any pose takes: an axis that stands against it is held by something else.
+
 Each encoder is followed for itself. In the direction in which it moved when the hold began, it may go as far as the limit of acceleration
 takes to end that speed; back from the furthest place it may not go; both but for a window.
 """
@@ -19,7 +21,8 @@ JUMP = 6.0
 
 CREEP_S = 5.0
 CREEP_SHARE = 0.1
-"""Share of the window by which an axis may creep in `CREEP_S`, to be held from there on: a velocity loop does not know its place."""
+"""Share of the window by which an axis may creep in `CREEP_S`, to be held from there on: a velocity loop does not know its place. An effort
+that holds is judged over the same time."""
 
 
 class _Path:
@@ -76,6 +79,32 @@ class _Path:
         return ramp_s * (speed - 0.5 * self._deceleration * ramp_s) if ramp_s > 0.0 else 0.0
 
 
+class _Push:
+    """The effort of a hold, once the axis may have come to rest: a low pass that begins at nothing.
+
+    A drive that brakes an axis beside its closing brake is left with some of that effort; the proof of the brake takes it from it long
+    before `CREEP_S`.
+    """
+
+    def __init__(self, limits: MotionLimits, rated: float, period_s: float) -> None:
+        self._most, self._rated, self._period_s = limits.holding_effort, rated, period_s
+        self._ramp_s = limits.speed / min(limits.acceleration, limits.quick_stop or limits.acceleration)
+        self.begin()
+
+    def begin(self) -> None:
+        self._time_s = self._mean = 0.0
+
+    def step(self, effort: float, ticks: int) -> str:
+        """Take a measured effort, NaN where none came; return why it is more than a hold takes, or ''."""
+        self._time_s += ticks * self._period_s
+        if isfinite(effort) and self._time_s > self._ramp_s:
+            self._mean += (effort - self._mean) * min(1.0, ticks * self._period_s / CREEP_S)
+        if abs(self._mean) <= self._most:
+            return ""
+        share, most = effort / self._rated if isfinite(effort) else self._mean / self._rated, self._most / self._rated
+        return f"it gives {share:+.0%} of its rated effort, at most {most:.0%} hold the axis at any pose"
+
+
 class Hold:
     """Whether a drive that is told to stop and to hold its axis does.
 
@@ -86,21 +115,25 @@ class Hold:
         Of its positions, for messages.
     period_s : float
         Between ticks.
+    rated : float
+        Effort of the drive, for messages, in its unit.
     """
 
-    def __init__(self, limits: MotionLimits, unit: str, period_s: float) -> None:
+    def __init__(self, limits: MotionLimits, unit: str, period_s: float, rated: float = 1.0) -> None:
         self._unit = unit
+        self._push = _Push(limits, rated, period_s)
         self._paths = (("its motor side", _Path(limits, period_s)), ("its link", _Path(limits, period_s)))
         self._window = limits.tracking_error
 
     def begin(self) -> None:
         """Begin anew: the drive has just been told."""
+        self._push.begin()
         for _, path in self._paths:
             path.begin()
 
-    def step(self, motor: float, link: float, ticks: int) -> str:
-        """Take both encoders' positions, NaN where none came, `ticks` after those before; return why this is no hold, or ''."""
-        found = ""
+    def step(self, motor: float, link: float, ticks: int, effort: float = nan) -> str:
+        """Take both encoders' positions and the effort, NaN where none came, `ticks` after the last; return why this is no hold, or ''."""
+        found = self._push.step(effort, ticks)
         for (name, path), position in zip(self._paths, (motor, link), strict=True):
             if (beyond := path.step(position, ticks)) and not found:
                 found = f"{name} is {beyond:+.1e} {self._unit} from where a stop brings it, {self._window:.1e} {self._unit} are allowed"

@@ -39,6 +39,8 @@ EFFORT_OFF = 300  # per mille of the rated torque beyond all that was asked for:
 OBEYED_S = 0.15  # from the end of the permission to the command to a drive's communication to stop: a loop that works takes three SYNCs
 HOLD_MARGIN = 1.5  # multiple of the tracking error by which a drive may miss what a hold is: the loop judges by the tracking error itself
 HELD_AFRESH_S, CREEP_S = 5.0, 50.0  # after which an axis is held where it is that takes so long for its tracking error: own loops creep
+PUSHED_S = HOLD_MARGIN * HELD_AFRESH_S
+"""Time constant of the effort of a hold: the loop judges it over `HELD_AFRESH_S`, and by then has taken the voltage itself."""
 NMT_EVERY_S = 0.1  # between two commands of its own: somebody may go on commanding
 WRITES_MODE, TORQUE_MODE = b"\x2f\x60\x60\x00", 10  # an SDO request that chooses the mode of operation that follows: a drive may home
 NMT, NMT_STOP, NMT_RESET = 0x000, 0x02, 0x81  # identifier, and commands that stop a node's communication, and reset it (CiA 301)
@@ -135,6 +137,7 @@ class _Axis:
         self.link = _Encoder(scaling.link_resolution, fastest, limits.tracking_error) if scaling.link_resolution else None
         self.link_at = nan  # rad or m
         self.torque_permille = min(32767, round(scaling.limit / scaling.rated * 1000.0))
+        self.holding_permille, self._pushed, self._since_s = limits.holding_effort / scaling.rated * 1000.0, 0.0, inf
         self.fastest_counts_s, self.counts_per_unit = fastest / scaling.position_resolution, 1.0 / units_per_count
         self.encoders = {"motor": self.motor} | ({"link": self.link} if self.link is not None else {})
         self.powered = self.enabled = self.holds = self.brake_open = self.known = False
@@ -170,13 +173,15 @@ class _Axis:
 
     def rebase(self, time_s: float, *, anew: bool = True) -> None:
         """Judge from here on whether the axis is held or led on; `anew`: whether both encoders move alike, too."""
-        self._led_from = {}
+        self._led_from, self._pushed, self._since_s = {}, 0.0, time_s
         for encoder in self.encoders.values():
             encoder.moved = 0.0 if anew else encoder.moved
             encoder.hold(time_s)
 
     def strays(self, time_s: float) -> str:
-        """Return which encoder shows that a drive which is to hold the axis does not; '' where none does."""
+        """Return what shows that a drive which is to hold the axis does not, an encoder or its effort; '' where nothing does."""
+        if self.holds and abs(self._pushed) > self.holding_permille:
+            return "effort"
         for side, encoder in self.encoders.items() if self.holds else ():
             if time_s - encoder.held_at_s > HELD_AFRESH_S and abs(encoder.speed) * CREEP_S <= self.limits.tracking_error:
                 encoder.hold(time_s)
@@ -184,8 +189,10 @@ class _Axis:
                 return side
         return ""
 
-    def effort(self, permille: int) -> None:
-        """Take a measured torque: a drive in torque mode gives no more than was asked for in its last SYNCs."""
+    def effort(self, time_s: float, permille: int) -> None:
+        """Take a measured torque: a drive in torque mode gives no more than was asked for, one that holds no more than some pose takes."""
+        if time_s - self._since_s > self.limits.speed / self._deceleration:
+            self._pushed += (permille - self._pushed) * self._period_s / PUSHED_S
         low, high = min(0, *self._torques) - EFFORT_OFF, max(0, *self._torques) + EFFORT_OFF
         self._off.append(permille if self.enabled and self.mode == TORQUE_MODE and not low <= permille <= high else 0)
 
@@ -297,7 +304,7 @@ class Supervisor:
             if (word := status.read(data)) is not None:
                 axis.status(time_s, word)
             if (effort := current.read(data) if current.bits else torque.read(data)) is not None:
-                axis.effort(effort)
+                axis.effort(time_s, effort)
             if (counts := position.read(data)) is not None:
                 axis.position(time_s, counts, position.bits)
             if axis.link is not None and (counts := link.read(data)) is not None:

@@ -14,6 +14,7 @@ from drivers.modbus.transport import parse_io_url
 from hil.bench.bench import Bench
 from hil.bench.clock import WallClock
 from hil.bench.control import Control
+from hil.bench.holding import with_holding_efforts
 from hil.bench.judging import judging_of
 from hil.bench.loop import SampleLoop
 from hil.bench.options import BenchOptions
@@ -66,6 +67,8 @@ def open_bench(
         if url:
             parse_io_url(url)  # a typo is refused in lockstep as on a wire
     model = Physics(machine.plant, noise=False)
+    machine = with_holding_efforts(machine, model)
+    assert machine.bus is not None
     lockstep = options.bus_url.startswith("lockstep:")
     stop_request = StopRequest() if stop_request is None else stop_request
     links: list[HeedingMachine] = []

@@ -26,11 +26,18 @@ class Stopping:
     """The stop of roll, the second of two axes, whose drive obeys in the next tick."""
 
     def __init__(
-        self, *, braked: bool = True, takes_torque: bool = True, pushes: bool = True, effort: float = 2.0, stale_ticks: int = 3
+        self,
+        *,
+        braked: bool = True,
+        takes_torque: bool = True,
+        pushes: bool = True,
+        effort: float = 2.0,
+        stale_ticks: int = 3,
+        holding_effort: float = math.inf,
     ) -> None:
         scaling = dataclasses.replace(SETTINGS.scalings[1], position_resolution=COUNT)
         homing = dataclasses.replace(SETTINGS.homings[1], direction_check_effort=PUSHES, direction_check_travel=MOVED * COUNT)
-        limits = MotionLimits("roll", -1.0, 1.0, 0.25, TRACKING, stale_ticks)
+        limits = MotionLimits("roll", -1.0, 1.0, 0.25, TRACKING, stale_ticks, holding_effort=holding_effort)
         self.stop = AxisStop(1, scaling, limits, homing, T, braked=braked, takes_torque=takes_torque, pushes=pushes)
         self.sample = Sample(2)
         self.sample.brakes_open[:] = (True, False)

@@ -104,6 +104,51 @@ def test_a_slower_ramp_that_the_machine_file_states_is_borne() -> None:
     assert first_outside(way(1.0, -0.5, 4.0))[0] > 0
 
 
+# ---- effort ---------------------------------------------------------------------------------------------
+MOST = 2.0
+HOLDING = dataclasses.replace(LIMITS, holding_effort=MOST)
+RAMP_S = SPEED / DECELERATION
+
+
+def seen_after(effort: float, seconds: float = 60.0, hold: Hold | None = None) -> float:
+    """Seconds from the end of the ramp until an axis that stands under this effort is no longer held; NaN: it is to the end."""
+    hold = hold or Hold(HOLDING, "rad", T, rated=5.0)
+    for number in range(1, round(seconds / T) + 1):
+        if hold.step(0.0, 0.0, 1, effort):
+            return number * T - RAMP_S
+    return NAN
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("effort", [2.5, 4.0, 8.0])
+def test_more_effort_than_any_pose_takes_is_no_hold_after_the_time_of_a_low_pass(sign: float, effort: float) -> None:
+    assert seen_after(sign * effort) == pytest.approx(-CREEP_S * math.log(1.0 - MOST / effort), abs=0.02)
+    assert math.isnan(seen_after(sign * 0.999 * MOST))
+
+
+def test_the_words_say_the_effort_and_what_holds() -> None:
+    hold = Hold(HOLDING, "rad", T, rated=5.0)
+    words = [hold.step(0.0, 0.0, 1, -8.0) for _ in range(1000)][-1]
+    assert words == "it gives -160% of its rated effort, at most 40% hold the axis at any pose"
+    assert hold.step(0.0, 0.0, 1, NAN).startswith("it gives -"), "a frame that is lost takes nothing back"
+
+
+def test_what_a_drive_is_left_with_for_two_seconds_of_a_stop_is_no_push() -> None:
+    hold = Hold(HOLDING, "rad", T)
+    braked = round((RAMP_S + 1.0) / T)
+    assert not any(hold.step(0.0, 0.0, 1, 8.0 if number < braked else 1.5) for number in range(5000))
+
+
+def test_efforts_of_lost_ticks_count_and_those_of_a_former_hold_do_not() -> None:
+    hold = Hold(HOLDING, "rad", T)
+    by_two = next(number for number in range(5000) if hold.step(0.0, 0.0, 2, 8.0))
+    assert 2.0 * by_two * T == pytest.approx(RAMP_S - CREEP_S * math.log(0.75), abs=0.05)
+    hold.begin()
+    assert seen_after(8.0, hold=hold) == pytest.approx(-CREEP_S * math.log(0.75), abs=0.02)
+    assert math.isnan(seen_after(8.0, hold=Hold(LIMITS, "rad", T))), "no limit, no judgement"
+    assert math.isnan(seen_after(NAN))
+
+
 # ---- the stop of an axis --------------------------------------------------------------------------------
 def pushed(stopping: Stopping, ticks: int, status: int) -> list[int]:
     """Move the axis by 60 counts a tick, 0.23 rad/s, and return the controlwords."""
@@ -144,6 +189,22 @@ def test_a_held_axis_that_is_pushed_later_is_held_no_more() -> None:
     assert (stopping.stop.rest, stopping.stop.controlword) == (None, 0)
     pushed(stopping, CLOSING, OFF)
     assert stopping.words.startswith("not proven at rest: its drive did not hold it, ")
+
+
+@pytest.mark.parametrize(("effort", "holds"), [(4.7, True), (8.0, False), (-8.0, False)])
+def test_a_drive_that_pushes_an_axis_which_stands_loses_its_voltage(effort: float, holds: bool) -> None:
+    stopping = Stopping(effort=effort, holding_effort=4.8)
+    stopping.sample.brakes_open[1] = True
+    taken = any(stopping.tick(QUICK) == 0 for _ in range(round(10.0 / T)))
+    assert taken is not holds
+    if holds:
+        assert stopping.words.startswith("held by its drive: ")
+    else:
+        stopping.ticks(CLOSING + 1, OFF)
+        assert stopping.words == (
+            f"not proven at rest: its drive did not hold it, it gives {effort / SETTINGS.scalings[1].rated:+.0%} of its rated effort, "
+            f"at most {4.8 / SETTINGS.scalings[1].rated:.0%} hold the axis at any pose, voltage off; its brake reports open; it stands"
+        )
 
 
 def test_a_drive_that_keeps_its_voltage_is_reset_and_that_is_told() -> None:

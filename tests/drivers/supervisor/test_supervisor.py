@@ -407,6 +407,49 @@ def test_an_axis_that_creeps_under_its_drive_is_held_where_it_is(machine: Machin
     assert "does not hold it" in machine.supervisor.reason
 
 
+def seen_after(status: int, effort_A: float, most_A: float, seconds: float) -> tuple[float, Machine]:
+    """Let a drive in a state give this effort while roll stands; return after how long that was no hold, NaN: it was to the end."""
+    motions = [replace(limits, holding_effort=most_A) for limits in SETTINGS.motions]
+    machine = Machine(replace(SETTINGS, motions=tuple(motions)))
+    machine.ticks(20)
+    machine.status, machine.measured = status, round(SCALING.sign * effort_A / SCALING.rated * 1000.0)
+    for number in range(round(seconds / PERIOD_S)):
+        machine.tick()
+        if "does not hold it" in machine.supervisor.reason:
+            return number * PERIOD_S, machine
+    return math.nan, machine
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("status", [QUICK_STOP_ACTIVE, FAULT_REACTION])
+def test_a_drive_that_holds_with_more_effort_than_any_pose_takes_is_reset_after_the_loop_may_have_acted(sign: float, status: int) -> None:
+    after_s, machine = seen_after(status, sign * 8.0, 4.0, 20.0)
+    ramp_s = LIMITS.speed / LIMITS.acceleration
+    assert after_s == pytest.approx(ramp_s + 7.5 * math.log(2.0), abs=0.03), "a low pass of one and a half times the loop's 5 s"
+    assert machine.supervisor.reason == "roll: its drive does not hold it, as its effort shows; its voltage is taken"
+    assert machine.supervisor.commands(machine.time_s) == [(rules.NMT_RESET, 2)]
+    machine.ticks(round(5.0 / PERIOD_S))
+    assert machine.supervisor.commands(machine.time_s) == [], "it is given as long again"
+    machine.ticks(round(2.0 / PERIOD_S))
+    assert machine.supervisor.commands(machine.time_s) == [(rules.NMT_RESET, 2)]
+
+
+def test_the_effort_of_a_hold_is_judged_in_a_hold_and_where_there_is_a_limit() -> None:
+    assert math.isnan(seen_after(QUICK_STOP_ACTIVE, 3.99, 4.0, 15.0)[0])
+    assert math.isnan(seen_after(QUICK_STOP_ACTIVE, 8.0, math.inf, 9.0)[0])
+    assert math.isnan(seen_after(OPERATION_ENABLED, 8.0, 4.0, 9.0)[0])
+
+
+def test_the_effort_of_a_motion_does_not_count_for_the_hold_behind_it() -> None:
+    motions = [replace(limits, holding_effort=4.0) for limits in SETTINGS.motions]
+    machine = Machine(replace(SETTINGS, motions=tuple(motions)))
+    machine.torque = machine.measured = 1600
+    machine.ticks(round(15.0 / PERIOD_S))
+    machine.status, machine.measured = QUICK_STOP_ACTIVE, 600
+    machine.ticks(round(2.0 / PERIOD_S))
+    assert machine.supervisor.reason == ""
+
+
 # ---- torque that was not asked for ---------------------------------------------------------------------
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_drive_that_measures_more_than_it_was_asked_for_is_seen_within_ticks(machine: Machine, sign: int) -> None:

@@ -8,10 +8,14 @@ import numpy as np
 import pytest
 from bench_machines import CARM, carm_text_in
 
-from hil.faults.check import TrialOutcome, check_faults
+from drivers.errors import KEEP_AWAY
+from hil.faults.check import TrialOutcome, check_faults, run_trial
+from hil.faults.motion import motion_of
 from hil.faults.page import is_failure
-from hil.faults.trials import trials
+from hil.faults.trials import FaultTrial, trials
 from hil.machine import Machine, machine_from_text
+from virtual_bus.faults.condition import InState
+from virtual_bus.faults.fault import FaultSetting
 
 MODES = ("torque", "velocity", "position")
 TORQUES = (
@@ -69,6 +73,21 @@ def test_a_drive_that_pushes_loses_its_voltage_where_its_brake_does_not_hold(mod
     assert "its drive did not hold it, its " in outcome.said
     assert ", voltage off" in outcome.said
     assert verdict == "cannot be held" or (outcome.ending == "held by its brake" and outcome.travel < 2.0)
+
+
+def test_a_drive_that_pushes_against_a_brake_which_nobody_sees_closed_loses_its_voltage() -> None:
+    settled = InState("settled", "roll")
+    faults = (
+        FaultSetting("brake_feedback_stuck_open", "roll", {}, settled),
+        FaultSetting("torque_stuck_at_maximum", "roll_drive", {"direction": 1.0}, settled),
+    )
+    trial = FaultTrial("pushes unseen", "torque_stuck_at_maximum", "roll_drive", "drive", "settled", faults)
+    outcome = run_trial(CARM, "roll", trial, motion_of(CARM, "roll", "scan"))
+    assert (outcome.verdict, outcome.ending) == ("stopped", "held by its brake")
+    assert outcome.said.startswith(KEEP_AWAY)
+    told = "roll not proven at rest: its drive did not hold it, it gives +160% of its rated effort, at most 96% hold the axis at any pose, "
+    assert f"{told}voltage off; its brake reports open; it stands" in outcome.said
+    assert outcome.contradicted == ()
 
 
 @pytest.mark.nightly

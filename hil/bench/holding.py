@@ -1,0 +1,66 @@
+"""The greatest effort with which a drive holds each axis of a machine: one that goes on with more pushes."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+
+import numpy as np
+
+from drivers.canopen.axis_stop import PUSH_SHARE
+from drivers.settings import BusSettings, MotionLimits
+from hil.machine import Machine
+from virtual_bus.physics import Physics
+
+POSITIONS = 9
+"""Of each axis at which its load is looked at: over a whole turn, steps of 45 degrees miss 8 % of the greatest load."""
+MOST_POSES = POSITIONS**3
+"""Of machines with more axes no effort is judged: too coarse a grid would miss their greatest load."""
+
+
+def with_holding_efforts(machine: Machine, model: Physics) -> Machine:
+    """Return a machine whose drives and supervisor know how much effort a hold takes at most.
+
+    An axis that stands free takes its load, less or more of its dry friction. The load is that of the pose with the greatest one, and the
+    share of it by which a proof of the brake exceeds it. The friction is less than the first move's push, with which every start shows
+    that the axis moves. What the drive's own measurement is off by comes on top. More than the drive can give is no limit.
+
+    Parameters
+    ----------
+    machine : Machine
+        With a bus.
+    model : Physics
+        Of the machine file.
+    """
+    bus = machine.bus
+    assert bus is not None
+    efforts = _greatest(machine, model, bus)
+    motions = tuple(dataclasses.replace(limits, holding_effort=each) for limits, each in zip(bus.motions, efforts, strict=True))
+    return dataclasses.replace(machine, bus=dataclasses.replace(bus, motions=motions))
+
+
+_known: dict[tuple[str, str], tuple[float, ...]] = {}
+
+
+def _greatest(machine: Machine, model: Physics, bus: BusSettings) -> tuple[float, ...]:
+    key = machine.hash, repr(machine.plant.effects)
+    if key not in _known:
+        ways = [_positions(limits) for limits in bus.motions]
+        poses = list(itertools.product(*ways)) if math.prod(map(len, ways)) <= MOST_POSES else []
+        loads = np.max(
+            [np.full(len(ways), 0.0 if poses else math.inf), *(np.abs(model.holding_effort(np.array(pose))) for pose in poses)], axis=0
+        )
+        friction = np.array([homing.direction_check_effort for homing in bus.homings])
+        off = np.array([judged.tolerance for judged in machine.judging.drives])
+        efforts = (1.0 + PUSH_SHARE) * loads + friction + off
+        limits = [scaling.limit for scaling in bus.scalings]
+        _known[key] = tuple(float(effort) if effort < limit else math.inf for effort, limit in zip(efforts, limits, strict=True))
+    return _known[key]
+
+
+def _positions(limits: MotionLimits) -> np.ndarray:
+    """Return positions (n,) over the range of an axis, or over a turn where it has none."""
+    if math.isfinite(limits.lower) and math.isfinite(limits.upper):
+        return np.linspace(limits.lower, limits.upper, POSITIONS)
+    return np.linspace(-math.pi, math.pi, POSITIONS)
