@@ -87,7 +87,7 @@ def stopped(name: str, seed: int) -> dict[str, Any]:
         with contextlib.suppress(ExperimentError):  # one that the machine cannot make
             motion, plan = drawn_plan(machine, random)
     row = int(random.integers(0, plan.rows))
-    request, log, said, said_row = StopRequest(), MotionLog(machine.axes), "", 0
+    request, log, said, said_row, since_stop_s = StopRequest(), MotionLog(machine.axes), "", 0, float("nan")
     options = BenchOptions("lockstep:", seed=seed, emulated=emulated, motion=log)
     try:
         with (
@@ -107,13 +107,15 @@ def stopped(name: str, seed: int) -> dict[str, Any]:
             try:
                 bench.run(plan, Path(folder) / "run.mf4")
             finally:
-                said_row = len(log) - 1
+                said_row, since_stop_s = len(log) - 1, bench.wiring.link.since_stop_s
     except Exception as error:
         said = in_one_line(error)[0]
     assert machine.bus is not None
     counts = [scaling.position_resolution for scaling in machine.bus.scalings]
     kept = re.search(r"(\d+) rows are kept", said)
-    witness = Witness(log, said_row, [standing(machine, each) for each in machine.axes], counts, (), int(kept[1]) if kept else 0)
+    witness = Witness(
+        log, said_row, [standing(machine, each) for each in machine.axes], counts, (), int(kept[1]) if kept else 0, since_stop_s
+    )
     false = contradictions(said, witness)
     good = bool(SAID.fullmatch(said)) and not false
     result = {"machine": name, "seed": seed, "motion": motion, "row": row, "good": good}

@@ -40,6 +40,20 @@ RETAKE_S = 0.5  # three transitions of CiA 402, each with its answer, and lost f
 STOP_AT_MOST_S = 10.0  # of all steps together: a feedback that flickers must not keep a stop from ending
 
 
+class _Still:
+    """For how many ticks one encoder has stayed within a width of where it was."""
+
+    def __init__(self, width: float) -> None:
+        self._width, self._at, self.ticks = width, nan, 0
+
+    def take(self, position: float) -> None:
+        """Take a position; NaN, where none has come, changes nothing."""
+        if abs(position - self._at) <= self._width:
+            self.ticks += 1
+        elif isfinite(position):
+            self._at, self.ticks = position, 0
+
+
 class AxisStop:
     """The stop of one axis.
 
@@ -102,7 +116,8 @@ class AxisStop:
         self._motor, self._link = EncoderPath(self._in_ticks(SWING_S)), EncoderPath(self._in_ticks(SWING_S))
         self._hold_judge = Hold(limits, scaling.position_unit, period_s, scaling.rated)
         self._marked: EncoderPath | None = None  # by which the proof of the brake is judged
-        self._anchor, self._held_effort, self._still_ticks = nan, nan, 0
+        self._held_effort = nan
+        self._motor_still, self._link_still = _Still(self._flicker), _Still(self._apart)
         self._silent = self._lost = 0  # ticks without a statusword, without any position
         self._state = State.UNDEFINED
         self._closed: bool | None = None  # what the brake's feedback says; None: nobody knows
@@ -111,7 +126,7 @@ class AxisStop:
         self._retries, self._watched, self._let_go_again = False, True, braked and not pushes
         self._rest: AxisRest | None = None
         self._ticks = self._all_ticks = 0
-        self._stood_s = nan
+        self._since_ticks, self._stood_s, self._stood_at = 0, nan, (nan, nan)
         self._steps: list[tuple[str, float]] = []
         self._phase: Callable[[], None] = self._closing
         self._close()
@@ -160,12 +175,10 @@ class AxisStop:
         """Take a sample, `ticks` after the one before; set controlword, effort and brake for the next."""
         self._see(sample, io_is_fresh)
         self._judge_hold(sample, ticks)
+        self._note_standstill(sample, ticks)
         self._ticks += 1
         if self.rest is None:
             self._all_ticks += 1
-            if self._stood_s != self._stood_s and self._stands():
-                moved = self._all_ticks - (self._still_ticks if self._motor.fresh(self._stale_ticks) else 0)
-                self._stood_s = max(moved, 0) * self._period_s
             if self._flickers() and self._phase not in (self._closing, self._taking_voltage):
                 self._close()
         self._phase()
@@ -183,11 +196,8 @@ class AxisStop:
         self._motor.take(position)
         self._link.take(link)
         self._lost = 0 if isfinite(position) or isfinite(link) else self._lost + 1
-        if isfinite(position):
-            if abs(position - self._anchor) <= self._flicker:
-                self._still_ticks += 1
-            else:
-                self._anchor, self._still_ticks = position, 0
+        self._motor_still.take(position)
+        self._link_still.take(link)
         by_itself = self._state is State.QUICK_STOP_ACTIVE or (self._phase == self._swinging and not self._takes_torque)
         if isfinite(effort) and by_itself:
             before = self._held_effort if isfinite(self._held_effort) else effort
@@ -207,6 +217,18 @@ class AxisStop:
             self.orders_brake, self.asks_for_torque = True, False
             self._go(self._taking_voltage)
 
+    def _note_standstill(self, sample: Sample, ticks: int) -> None:
+        """Note since when the axis has stood; one that a brake lets slip afterwards has not."""
+        self._since_ticks += ticks
+        at = float(sample.position[self.axis]), float(sample.link_position[self.axis])
+        motor, link = (abs(now - then) for now, then in zip(at, self._stood_at, strict=True))
+        if motor > self._travel or link > self._apart:
+            self._stood_s, self._stood_at = nan, (nan, nan)
+        if not isfinite(self._stood_s) and self._stands():
+            sides = ((self._motor, self._motor_still), (self._link, self._link_still))
+            still = min(still.ticks for path, still in sides if path.fresh(self._stale_ticks))
+            self._stood_s, self._stood_at = max(self._since_ticks - still, 0) * self._period_s, at
+
     def _in_ticks(self, seconds: float) -> int:
         return math.ceil(seconds / self._period_s)
 
@@ -224,7 +246,7 @@ class AxisStop:
 
     def _stands(self) -> bool:
         """Return whether both encoders have stood still; a structure that swings on behind a standing motor stands."""
-        if self._motor.fresh(self._stale_ticks) and self._still_ticks < self._in_ticks(STANDSTILL_S):
+        if self._motor.fresh(self._stale_ticks) and self._motor_still.ticks < self._in_ticks(STANDSTILL_S):
             return False
         return self._lost <= self._stale_ticks and self._judge.range <= self._apart
 

@@ -6,7 +6,7 @@ import contextlib
 import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import isfinite
+from math import isfinite, nan
 
 import can
 import numpy as np
@@ -67,6 +67,7 @@ class HeedingMachine(CanMachine):
         self._oversight = oversight
         self.troubles: list[str] = []  # errors of all stops since the last start; a repeated stop does not repeat them
         self.events = Events(clock.now)  # of the present session
+        self._stop_began_s = nan
         self._stop_request = stop_request
 
     def start(self) -> None:
@@ -82,8 +83,9 @@ class HeedingMachine(CanMachine):
 
     def stop(self) -> None:
         """Stop as `CanMachine` does; errors are kept in `troubles`, and how each axis ended in `events`."""
-        before = self.rests
+        before, began_s = self.rests, self.clock.now()
         super().stop()
+        self._stop_began_s = began_s if self.rests is not before else self._stop_began_s
         for rest in self.rests if self.rests is not before else ():
             what = "axis stopped" if rest.safe else "axis not proven at rest"
             took = {step.replace(" ", "_") + "_s": seconds for step, seconds in rest.steps}
@@ -91,6 +93,11 @@ class HeedingMachine(CanMachine):
                 took["standstill_s"] = rest.stood_s
             self.events.add("drivers", what, axis=rest.axis, seen=rest.words, **took)
         self.troubles += [trouble for trouble in self.stop_trouble if trouble not in self.troubles]
+
+    @property
+    def since_stop_s(self) -> float:
+        """Time since the last stop began; NaN where there was none."""
+        return self.clock.now() - self._stop_began_s
 
     @property
     def standstill(self) -> str:

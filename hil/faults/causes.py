@@ -49,6 +49,7 @@ CAUSES: tuple[tuple[str, str], ...] = (
     (r"\w+ \(node \d+\): its heartbeat comes more often than every .* s: a second device has its id", "node_babbles|foreign_heartbeat"),
     (r"\w+ \(node \d+\): \d+ boot-up messages after one reset: two devices share this id(, or one says it twice)?", "node_id_twice"),
     (r"\w+ \(node \d+\): neither boot-up nor SDO answer within .*", "node_absent"),
+    (r"\w+ \(node \d+\): its boot-up message came, but no answer to an SDO within .* of it", rf"sdo_silent|{SILENT}"),
     (r"is it powered, with this id and bit rate\? nodes that booted: .*", "node_absent"),
     (r"\w+ \(node \d+\): \w+ is \w+, the machine file says \w+", "identity_differs"),
     (r"\w+ \(node \d+\): reading .*: no SDO answer within .*", rf"sdo_silent|{SILENT}"),
@@ -131,6 +132,7 @@ ADVICE = re.compile(
             r"read the device's own diagnosis",
             r"is it powered and on this bus\?",
             r"press and hold it",
+            r"if it takes longer, raise bus\.nodes\.\w+\.boot_timeout_s",
             r"no EMCY",
             r"its (last state was|period is) .*",
             r"they may differ by [\d.e+-]+ (A|mA|N|Nm|V)( \(.*)?",
@@ -139,7 +141,6 @@ ADVICE = re.compile(
             r"(from [\d.]+ s on, .*|\d+ of \d+ rows are marked\))",
             r"nobody knows of hold-to-run, door and brakes.*",
             r"stopping the motors ran into .*",
-            r"standstill [\d.]+ s after the stop began.*",
         )
     )
 )

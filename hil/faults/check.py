@@ -175,7 +175,7 @@ def run_trial(machine: Machine, axis: str, trial: FaultTrial, motion: Motion) ->
     said, begun = "; ".join(run.lines), [event.label.partition(" at ")[0] for event in run.events if event.begins]
     assert machine.bus is not None  # a machine without one has no faults
     counts = [scaling.position_resolution for scaling in machine.bus.scalings]
-    witness = Witness(run.motion, run.said_row, stands, counts, begun, run.rows)
+    witness = Witness(run.motion, run.said_row, stands, counts, begun, run.rows, run.since_stop_s)
     return TrialOutcome(
         trial.name,
         trial.kind,
@@ -211,6 +211,7 @@ class _Run:
     lines: list[str] = field(default_factory=list)
     troubles: tuple[str, ...] = ()
     said_row: int = 0  # of the truth, when the run had said all
+    since_stop_s: float = math.nan  # from the beginning of the last stop until then
     rows: int = 0
     pose: np.ndarray = field(default_factory=lambda: np.zeros(0))  # where the bench believes it to stand at the end
     positions: dict[str, np.ndarray] = field(default_factory=dict)  # by channel, of the recording or the truth; empty where it was stopped
@@ -228,7 +229,8 @@ def _run(machine: Machine, faults: tuple[FaultSetting, ...], motion: Motion) -> 
                     run.lines += (*notes, *judged)
                     run.status, run.pose = 1 if judged else 0, bench.pose
                 finally:
-                    run.troubles, run.said_row = tuple(bench.wiring.link.troubles), len(run.motion) - 1
+                    link = bench.wiring.link
+                    run.troubles, run.said_row, run.since_stop_s = tuple(link.troubles), len(run.motion) - 1, link.since_stop_s
         except _EndlessError:
             run.status, run.stopped = 1, True
             run.lines.append(f"has taken {PROCESSOR_LIMIT_S:g} s of processor time and {GIVEN_UP}")

@@ -21,6 +21,8 @@ STATE_WORDS = re.compile(r"\b(rest|stopped|held|holds|moves?|MOVES|stands?|stand
 BEFORE_S = 1.5
 """Time before a sentence within which what it tells of was seen: a second of waiting for a brake, and the proof behind it."""
 SWING_S = 0.125  # a period of the slowest vibration
+ROUNDED_S = 0.01  # of a time that is told in hundredths of a second
+STOPPING_S = 0.1  # before a standstill, in which the axis still moved
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,8 @@ class Witness:
         Names of those that had begun by then.
     rows : int
         Rows of the recording.
+    since_stop_s : float
+        From the beginning of the last stop until the run had said all; NaN: there was none.
     """
 
     log: MotionLog
@@ -47,6 +51,7 @@ class Witness:
     count: Sequence[float]
     faults: Sequence[str]
     rows: int
+    since_stop_s: float = np.nan
 
     def swing(self, axis: str, begin_s: float, end_s: float = np.inf) -> float:
         """Return the range of an axis's position between two times, counted from when the run had said all [rad or m]."""
@@ -54,6 +59,17 @@ class Witness:
         said_s = time_s[self.said_row]
         inside = (time_s >= said_s + begin_s) & (time_s <= said_s + end_s)
         return float(np.ptp(self.log.position[inside, self.log.axes.index(axis)])) if inside.any() else 0.0
+
+    def stood(self, axis: str, after_s: float) -> bool:
+        """Return whether an axis moved until so long after the stop began, and from then on no more until all was said.
+
+        Of an axis whose encoders are all wrong nobody knows.
+        """
+        if all(any(fault.startswith(side) for fault in self.faults) for side in ("motor_encoder_", "link_encoder_")):
+            return True
+        index, at_s = self.log.axes.index(axis), after_s - self.since_stop_s
+        moved_until = self.swing(axis, at_s - ROUNDED_S - STOPPING_S, at_s + ROUNDED_S) >= self.count[index]
+        return (after_s <= ROUNDED_S or moved_until) and self.swing(axis, at_s + ROUNDED_S, 0.0) <= self.standing[index]
 
     def stays(self, axis: str) -> bool:
         """Return whether an axis stood when that was said, and ever after."""
@@ -101,6 +117,7 @@ OF_THE_RUN: tuple[tuple[str, Callable[[Witness, re.Match[str]], bool]], ...] = (
     (r"(?:row \d+: )?the door (?:was opened|is open)", lambda w, said: "door_opened" in w.faults),
     (r"(\d+) rows are kept", lambda w, said: int(said[1]) == w.rows),
     (r"nothing was recorded", lambda w, said: w.rows == 0),
+    (r"standstill ([\d.]+) s after the stop began(?: \((.*)\))?", lambda w, said: _stood(w, float(said[1]), said[2])),
     (r"nothing was moved", lambda w, said: not w.log.speed[: w.said_row].any()),
 )  # fmt: skip
 
@@ -165,6 +182,13 @@ def _of_axes(table: Sequence[tuple[str, Check | None]], text: str, axes: Sequenc
         if re.fullmatch(pattern, text):
             return [axis for axis in axes if check is not None and not check(witness, axis)]
     return None
+
+
+def _stood(witness: Witness, last_s: float, each: str | None) -> bool:
+    """Return whether every axis came to a standstill when a sentence says so: the last of them, and each where there are several."""
+    axes = [part.split() for part in each.split(", ")] if each else [[witness.log.axes[0], str(last_s), "s"]]
+    times_s = {axis: float(time_s) for axis, time_s, _ in axes}
+    return max(times_s.values()) == last_s and all(witness.stood(axis, time_s) for axis, time_s in times_s.items())
 
 
 def _of_run(text: str, witness: Witness) -> bool | None:

@@ -11,6 +11,7 @@ from one_stop import (
     COUNT,
     ENABLED,
     FAULT,
+    MOVED,
     NAN,
     ODD,
     OFF,
@@ -24,6 +25,7 @@ from one_stop import (
     STAND,
     SWING,
     SWITCHED_ON,
+    TRACKING,
     WATCH,
     Stopping,
     T,
@@ -318,3 +320,53 @@ def test_a_brake_that_slips_twice_is_held_by_its_drive() -> None:
     stopping.tick(OFF)
     take_back(stopping)
     assert ": its brake slips: its link moved by" in stopping.words
+
+
+# ---- when it came to a standstill -----------------------------------------------------------------------
+def creeps(stopping: Stopping, ticks: int, side: str = "both") -> None:
+    """Let an axis go on by two counts a tick, more than a flicker."""
+    for _ in range(ticks):
+        motor, link = stopping.sample.position[1] / COUNT + 2.0, stopping.sample.link_position[1] / COUNT + 2.0
+        stopping.tick(QUICK, motor=motor if side != "link" else None, link=link if side != "motor" else None)
+
+
+def test_an_axis_that_comes_to_stand_in_its_hold_is_told_with_that_time() -> None:
+    stopping = Stopping()
+    stopping.sample.brakes_open[1] = True
+    creeps(stopping, CLOSING + 100)
+    assert stopping.words.endswith("it had not come to stand")
+    stopping.ticks(500)
+    stopping.sample.brakes_open[1] = False
+    stopping.stop.close_again()
+    stopping.until(lambda: stopping.stop.controlword == 15)
+    stopping.sample.statusword[1] = ENABLED
+    stopping.until(lambda: stopping.stop.controlword == 0)
+    stopping.sample.statusword[1] = OFF
+    stopping.until(lambda: stopping.stop.rest is not None)
+    assert stopping.words == "at rest: brake proven, voltage off"
+    assert stopping.stop.rest is not None
+    assert stopping.stop.rest.stood_s / T == pytest.approx(CLOSING + 100, abs=1)
+
+
+def test_an_axis_whose_motor_encoder_shows_nothing_has_stood_since_its_link_has() -> None:
+    stopping = Stopping()
+    stopping.sample.brakes_open[1] = True
+    width = 0.1 * TRACKING / COUNT  # in which a link may swing that stands
+    creeps(stopping, 300, side="link")
+    stopping.until(lambda: stopping.stop.rest is not None and stopping.stop.rest.words.endswith("it stands"))
+    assert stopping.stop.rest is not None
+    assert 300 - width / 2.0 - 1 <= stopping.stop.rest.stood_s / T <= 300
+
+
+def test_an_axis_that_moves_once_more_has_stood_since_then() -> None:
+    stopping = Stopping()
+    stopping.sample.brakes_open[1] = True
+    stopping.ticks(CLOSING + 50)
+    assert stopping.stop.rest is not None
+    assert stopping.stop.rest.stood_s <= T
+    creeps(stopping, MOVED // 2)
+    stopping.ticks(200)
+    assert stopping.stop.rest.stood_s <= T, "that is less than counts as a motion"
+    creeps(stopping, 20)
+    stopping.ticks(200)
+    assert stopping.stop.rest.stood_s / T == pytest.approx(CLOSING + 50 + MOVED // 2 + 200 + 20, abs=1)

@@ -74,6 +74,27 @@ def test_rows_motion_and_a_hold_that_are_not_there_are_found() -> None:
     assert contradictions("nothing was recorded", witness()) == ["nothing was recorded"]
 
 
+def stopped_after(seconds: float, faults: tuple[str, ...] = ()) -> Witness:
+    """A stop that begins half a second before all is said, and in which roll goes on for so long."""
+    log = MotionLog(("propeller", "roll"))
+    for time_s in np.arange(0.0, 4.0, PERIOD_S).tolist():
+        log.add(time_s, [0.3, 0.5 * min(time_s, 1.5 + seconds)], [0.0, 0.0], [0.0, 0.0], [1.0, 1.0], [OFF, OFF])
+    return Witness(log, 512, (5e-3, 5e-3), (3e-6, 3e-6), faults, 189, 0.5)
+
+
+def test_the_told_time_to_standstill_is_that_of_the_motion() -> None:
+    told = "standstill 0.30 s after the stop began (propeller 0.00 s, roll 0.30 s)"
+    assert contradictions(told, stopped_after(0.3)) == []
+    assert contradictions(told, stopped_after(0.4)) == [told], "it moved on for 50 mrad"
+    assert contradictions(told, stopped_after(0.1)) == [told], "it had stood for long"
+    nobody_knows = stopped_after(0.4, ("motor_encoder_frozen", "link_encoder_frozen"))
+    assert contradictions(told, nobody_knows) == []
+    none = "standstill 0.00 s after the stop began (propeller 0.00 s, roll 0.00 s)"
+    assert contradictions(none, stopped_after(0.0)) == []
+    assert contradictions(none, stopped_after(0.3)) == [none]
+    assert contradictions(told.replace("standstill 0.30", "standstill 0.20"), stopped_after(0.3)) != []
+
+
 def test_a_sentence_about_the_state_that_nobody_checks_is_told() -> None:
     assert contradictions("roll: all its brakes are closed for good", witness()) == [
         "nobody checks: roll: all its brakes are closed for good"
