@@ -19,6 +19,7 @@ from drivers.canopen.cia402 import State
 from drivers.canopen.encoder_path import EncoderPath
 from drivers.canopen.hold import ANSWER_S, Hold
 from drivers.canopen.network import NMT_RESET_NODE, NMT_STOP
+from drivers.canopen.standstill import Standstill
 from drivers.interface import Sample
 from drivers.settings import AxisScaling, HomingSettings, MotionLimits
 
@@ -38,20 +39,6 @@ REST_WATCH_S = 1.0  # after a stop without a push: a load that exceeds the brake
 VOLTAGE_OFF_S = 0.2  # a drive that still has its voltage after this does not obey
 RETAKE_S = 0.5  # three transitions of CiA 402, each with its answer, and lost frames
 STOP_AT_MOST_S = 10.0  # of all steps together: a feedback that flickers must not keep a stop from ending
-
-
-class _Still:
-    """For how many ticks one encoder has stayed within a width of where it was."""
-
-    def __init__(self, width: float) -> None:
-        self._width, self._at, self.ticks = width, nan, 0
-
-    def take(self, position: float) -> None:
-        """Take a position; NaN, where none has come, changes nothing."""
-        if abs(position - self._at) <= self._width:
-            self.ticks += 1
-        elif isfinite(position):
-            self._at, self.ticks = position, 0
 
 
 class AxisStop:
@@ -113,11 +100,11 @@ class AxisStop:
         self._apart = STANDING_SHARE * limits.tracking_error
         self._stale_ticks = limits.stale_ticks
         self._push, self._travel = homing.direction_check_effort, homing.direction_check_travel
+        self._standstill = Standstill(self._flicker, self._apart, self._travel, period_s)
         self._motor, self._link = EncoderPath(self._in_ticks(SWING_S)), EncoderPath(self._in_ticks(SWING_S))
         self._hold_judge = Hold(limits, scaling.position_unit, period_s, scaling.rated)
         self._marked: EncoderPath | None = None  # by which the proof of the brake is judged
         self._held_effort = nan
-        self._motor_still, self._link_still = _Still(self._flicker), _Still(self._apart)
         self._silent = self._lost = 0  # ticks without a statusword, without any position
         self._state = State.UNDEFINED
         self._closed: bool | None = None  # what the brake's feedback says; None: nobody knows
@@ -126,7 +113,6 @@ class AxisStop:
         self._retries, self._watched, self._let_go_again = False, True, braked and not pushes
         self._rest: AxisRest | None = None
         self._ticks = self._all_ticks = 0
-        self._since_ticks, self._stood_s, self._stood_at = 0, nan, (nan, nan)
         self._steps: list[tuple[str, float]] = []
         self._phase: Callable[[], None] = self._closing
         self._close()
@@ -138,7 +124,7 @@ class AxisStop:
         if self._held_for:
             stands = self._stands()
             seen = "held by its drive" if stands else f"{NOT_PROVEN}: its drive is told to hold it and {self._motion_words}"
-            return AxisRest(self.name, False, True, f"{seen}: {self._held_for}", tuple(self._steps), self._stood_s, not stands)
+            return AxisRest(self.name, False, True, f"{seen}: {self._held_for}", tuple(self._steps), self._standstill.stood_s, not stands)
         return self._rest
 
     def prove(self, effort: float) -> None:
@@ -175,7 +161,9 @@ class AxisStop:
         """Take a sample, `ticks` after the one before; set controlword, effort and brake for the next."""
         self._see(sample, io_is_fresh)
         self._judge_hold(sample, ticks)
-        self._note_standstill(sample, ticks)
+        seen = self._motor.fresh(self._stale_ticks), self._link.fresh(self._stale_ticks)
+        at = float(sample.position[self.axis]), float(sample.link_position[self.axis])
+        self._standstill.note(*at, ticks, seen, stands=self._stands())
         self._ticks += 1
         if self.rest is None:
             self._all_ticks += 1
@@ -196,8 +184,7 @@ class AxisStop:
         self._motor.take(position)
         self._link.take(link)
         self._lost = 0 if isfinite(position) or isfinite(link) else self._lost + 1
-        self._motor_still.take(position)
-        self._link_still.take(link)
+        self._standstill.take(position, link)
         by_itself = self._state is State.QUICK_STOP_ACTIVE or (self._phase == self._swinging and not self._takes_torque)
         if isfinite(effort) and by_itself:
             before = self._held_effort if isfinite(self._held_effort) else effort
@@ -217,18 +204,6 @@ class AxisStop:
             self.orders_brake, self.asks_for_torque = True, False
             self._go(self._taking_voltage)
 
-    def _note_standstill(self, sample: Sample, ticks: int) -> None:
-        """Note since when the axis has stood; one that a brake lets slip afterwards has not."""
-        self._since_ticks += ticks
-        at = float(sample.position[self.axis]), float(sample.link_position[self.axis])
-        motor, link = (abs(now - then) for now, then in zip(at, self._stood_at, strict=True))
-        if motor > self._travel or link > self._apart:
-            self._stood_s, self._stood_at = nan, (nan, nan)
-        if not isfinite(self._stood_s) and self._stands():
-            sides = ((self._motor, self._motor_still), (self._link, self._link_still))
-            still = min(still.ticks for path, still in sides if path.fresh(self._stale_ticks))
-            self._stood_s, self._stood_at = max(self._since_ticks - still, 0) * self._period_s, at
-
     def _in_ticks(self, seconds: float) -> int:
         return math.ceil(seconds / self._period_s)
 
@@ -246,7 +221,7 @@ class AxisStop:
 
     def _stands(self) -> bool:
         """Return whether both encoders have stood still; a structure that swings on behind a standing motor stands."""
-        if self._motor.fresh(self._stale_ticks) and self._motor_still.ticks < self._in_ticks(STANDSTILL_S):
+        if self._motor.fresh(self._stale_ticks) and self._standstill.motor.ticks < self._in_ticks(STANDSTILL_S):
             return False
         return self._lost <= self._stale_ticks and self._judge.range <= self._apart
 
@@ -465,7 +440,7 @@ class AxisStop:
 
     def _end(self, safe: bool, words: str) -> None:
         self._go(self._ended)
-        self._rest = AxisRest(self.name, safe, False, words, tuple(self._steps), self._stood_s, not safe)
+        self._rest = AxisRest(self.name, safe, False, words, tuple(self._steps), self._standstill.stood_s, not safe)
         if safe:
             self.controlword = cia402.DISABLE_VOLTAGE
         self.effort = 0.0

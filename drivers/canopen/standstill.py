@@ -1,0 +1,57 @@
+"""Since when an axis that is stopped has stood: its motor side has changed no more, and its link has stayed within its swing."""
+
+from __future__ import annotations
+
+from math import isfinite, nan
+
+
+class Still:
+    """For how many ticks one encoder has stayed within a width of where it was."""
+
+    def __init__(self, width: float) -> None:
+        self._width, self._at, self.ticks = width, nan, 0
+
+    def take(self, position: float) -> None:
+        """Take a position; NaN, where none has come, changes nothing."""
+        if abs(position - self._at) <= self._width:
+            self.ticks += 1
+        elif isfinite(position):
+            self._at, self.ticks = position, 0
+
+
+class Standstill:
+    """When the stop of an axis brought it to stand.
+
+    Parameters
+    ----------
+    flicker, swing : float
+        Of a motor side, and of a link, that stand [rad or m].
+    moved : float
+        Of a motor side that has moved again: its brake let it slip.
+    period_s : float
+        Between ticks.
+
+    Attributes
+    ----------
+    stood_s : float
+        From the beginning of the stop until its position changed no more; NaN where it has not been seen to stand, or moves again.
+    """
+
+    def __init__(self, flicker: float, swing: float, moved: float, period_s: float) -> None:
+        self.motor, self.link = Still(flicker), Still(swing)
+        self._moved, self._swing, self._period_s = moved, swing, period_s
+        self._ticks, self._at, self.stood_s = 0, (nan, nan), nan
+
+    def take(self, motor: float, link: float) -> None:
+        """Take both positions, NaN where none has come."""
+        self.motor.take(motor)
+        self.link.take(link)
+
+    def note(self, motor: float, link: float, ticks: int, seen: tuple[bool, bool], *, stands: bool) -> None:
+        """Note whether it stands now, `ticks` after the last, by which of its encoders are seen."""
+        self._ticks += ticks
+        if abs(motor - self._at[0]) > self._moved or abs(link - self._at[1]) > self._swing:
+            self.stood_s, self._at = nan, (nan, nan)
+        if stands and not isfinite(self.stood_s):
+            still = min(side.ticks for side, is_seen in zip((self.motor, self.link), seen, strict=True) if is_seen)
+            self.stood_s, self._at = max(self._ticks - still, 0) * self._period_s, (motor, link)
