@@ -17,7 +17,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 
-from quirk_trials import standard, tried, verdict, ways_of
+from quirk_trials import tried, verdict_of, ways_of
 
 from virtual_bus.quirks.quirk import Quirk
 from virtual_bus.quirks.registry import quirks
@@ -37,7 +37,7 @@ def outcomes(quirk: Quirk, known: dict[str, dict[str, str]]) -> dict[str, dict[s
             outcome = tried(quirk, way, Path(folder))
         said = outcome.said.partition("; the motors were stopped")[0]
         found[way] = {
-            "verdict": verdict(outcome, standard(way, quirk.shown_by)),
+            "verdict": verdict_of(quirk, way, outcome),
             "said": said if len(said) <= SAID else said[: SAID - 1] + "…",
         }
     return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,10 +12,11 @@ from typing import Literal
 
 from bench_machines import CARM, carm_text_in, homing_at_switch_text
 
+from drivers.errors import KEEP_AWAY, DriverError
 from drivers.events import Events
 from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
-from hil.errors import in_one_line
+from hil.errors import BenchError, in_one_line
 from hil.faults.budget import standing
 from hil.faults.motion import Motion, motion_of
 from hil.machine import Machine, machine_from_text
@@ -91,7 +93,7 @@ def tried(quirk: Quirk | None, way: Way, folder: Path, shown_by: str = "", machi
                 said = (*notes, *judged)
             finally:
                 events = _seen(bench.wiring.link.events)
-    except Exception as error:
+    except (DriverError, BenchError) as error:
         ended, said = False, (in_one_line(error)[0],)
     true = outcome_of(log, 0.0, [standing(machine, axis) for axis in CARM.axes])
     reached = sum(phase in events for phase in PHASES)
@@ -116,15 +118,37 @@ STOPPED_AT = ("bring-up", "homing", "enabling", "the start of the run", "the run
 """Where a trial ended that has reached so many of `PHASES`."""
 
 
-def verdict(outcome: QuirkOutcome, standard: QuirkOutcome) -> str:
-    """Return what a drive with a quirk came to, beside one without it in the same trial."""
+NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]\d+)?")
+
+
+def cause(outcome: QuirkOutcome) -> str:
+    """Return the first sentence of an error, without its row and its numbers, which are of an instant."""
+    return NUMBER.sub("#", re.sub(r"^row \d+: ", "", outcome.said.removeprefix(f"{KEEP_AWAY}: ")).partition("; ")[0])
+
+
+def verdict(outcome: QuirkOutcome, standard: QuirkOutcome, apart: float) -> str:
+    """Return what a drive with a quirk came to, beside one without it in the same trial.
+
+    It is carried where both reach the same phase, come to the same end, with the same error if with one, and their axis goes as far, up to
+    `apart`, the tracking error within which either is led [rad].
+    """
     if not outcome.at_rest:
         return "not at rest"
     if (outcome.reached, outcome.ended) == (standard.reached, standard.ended):
+        if not outcome.ended and cause(outcome) != cause(standard):
+            return "ends in another error"
+        if abs(outcome.furthest - standard.furthest) > apart:
+            return f"moves {outcome.furthest:.2f} rad, not {standard.furthest:.2f}"
         return "carried" if outcome.said == standard.said or not outcome.ended else "carried, with a note"
     if outcome.ended:
         return "carried farther"
     return f"refused at {STOPPED_AT[outcome.reached]}"
+
+
+def verdict_of(quirk: Quirk, way: Way, outcome: QuirkOutcome) -> str:
+    """Return the verdict on a quirk tried in a way."""
+    limits = machine_for(way).limits[CARM.axes.index(AXIS)]
+    return verdict(outcome, standard(way, quirk.shown_by), limits.tracking_error)
 
 
 def ways_of(quirk: Quirk) -> tuple[Way, ...]:

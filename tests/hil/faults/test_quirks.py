@@ -9,7 +9,7 @@ import pytest
 from bench_machines import carm_text_in, edited
 from command_line import Isocenter, runner
 from places import ROOT
-from quirk_trials import Way, standard, tried, verdict, ways_of
+from quirk_trials import QuirkOutcome, Way, tried, verdict, verdict_of, ways_of
 
 from hil.machine import machine_from_text
 from virtual_bus.quirks.registry import quirks
@@ -39,7 +39,7 @@ def as_the_table_says(name: str, way: Way, folder: Path) -> None:
     quirk = quirks()[name]
     outcome, row = tried(quirk, way, folder), TABLE[name][way]
     assert outcome.at_rest
-    assert verdict(outcome, standard(way, quirk.shown_by)) == row["verdict"], outcome.said
+    assert verdict_of(quirk, way, outcome) == row["verdict"], outcome.said
     assert outcome.said.startswith(row["said"].removesuffix("…"))
 
 
@@ -64,7 +64,33 @@ def test_units_of_which_no_object_speaks_are_carried_where_the_machine_file_says
     said = r'\g<0>\nvelocity_unit = "0.1 counts/s"\nacceleration_unit = "10 counts/s^2"'
     machine = machine_from_text(edited(r"^\[drives.roll\]$", said, carm_text_in("velocity")))
     outcome = tried(quirks()["velocity_in_tenth_counts"], "velocity", tmp_path, machine=machine)
-    assert verdict(outcome, standard("velocity", "")) == "carried", outcome.said
+    assert verdict_of(quirks()["velocity_in_tenth_counts"], "velocity", outcome) == "carried", outcome.said
+
+
+FAULT = "row 301: roll_drive (node 2): left operation enabled: fault (0218h); EMCY 2310h; the motors were stopped: roll at rest"
+
+
+@pytest.mark.parametrize(
+    ("outcome", "expected"),
+    [
+        (QuirkOutcome(5, "", True, True, 0.52), "carried"),
+        (QuirkOutcome(5, "a note", True, True, 0.52), "carried, with a note"),
+        (QuirkOutcome(5, "", True, True, 0.61), "moves 0.61 rad, not 0.50"),
+        (QuirkOutcome(5, "", True, True, 0.0), "moves 0.00 rad, not 0.50"),
+        (QuirkOutcome(5, "", True, False, 0.5), "not at rest"),
+        (QuirkOutcome(3, "refuses", False, True, 0.0), "refused at the start of the run"),
+    ],
+)
+def test_a_quirk_is_carried_where_its_axis_goes_as_far_as_that_of_the_standard(outcome: QuirkOutcome, expected: str) -> None:
+    assert verdict(outcome, QuirkOutcome(5, "", True, True, 0.5), 0.05) == expected
+
+
+def test_where_the_standard_ends_in_an_error_the_quirk_must_end_in_the_same() -> None:
+    standard = QuirkOutcome(4, FAULT, False, True, 0.5)
+    same = QuirkOutcome(4, FAULT.replace("301", "299").replace("0218h", "0238h"), False, True, 0.5)
+    assert verdict(same, standard, 0.05) == "carried"
+    other = QuirkOutcome(4, "row 301: roll: tracking error 0.0525 rad exceeds 0.0524 rad; the motors were stopped", False, True, 0.5)
+    assert verdict(other, standard, 0.05) == "ends in another error"
 
 
 @pytest.mark.nightly
