@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections import deque
-
 import numpy as np
 
 from drivers.canopen import cia402, power_and_brakes
-from drivers.canopen.axis_stop import SETTLING_S, STANDSTILL_COUNTS, SWING_S
+from drivers.canopen.axis_stop import SETTLING_S, STANDSTILL_COUNTS
 from drivers.canopen.cia402 import HOMING_AT_PRESENT_POSITION, NO_HOMING, Homing, Mode, State
 from drivers.canopen.power_and_brakes import SETTLED_TICKS, Machine
 from drivers.canopen.units import in_data_sheet, units_of, whole_speed
 from drivers.errors import BusTimeoutError, MotionRefusedError
 from drivers.settings import HomingSettings
 
+DRIFT_WATCH_S = 0.1  # how long an axis must stand under holding effort alone before it is pushed
 RAMP_SHARE = 0.5  # share of the direction check's time-out in which the effort rises
 SAMPLE_TIMEOUT_S = 1.0  # for one row in which motor side and link encoder both answered
 ATTAINED = (Homing.DONE, Homing.SETTLING)
@@ -98,26 +97,24 @@ def check_first_move(machine: Machine, axis: int, settings: HomingSettings, hold
 
 
 def _stand_under_holding_effort(machine: Machine, axis: int, settings: HomingSettings, holding: np.ndarray) -> tuple[float, float]:
-    """Watch an axis under its holding effort alone until it stands; return where its motor side and its link do, in the mean.
+    """Watch an axis under its holding effort alone until it stands; return where its motor side and its link do.
 
-    It stands where its mean position over a period of the structure's slowest mode is that of the period before: a swing is no motion.
     What its gravity differs from the holding effort by, dry friction takes up, which bends before it slides: such an axis moves a little
     and stands. One that moves on until its encoders would have to agree no more, or for longer than an axis settles, is held by nothing.
     """
     name, unit = machine.axes[axis], machine.scalings[axis].position_unit
-    window = power_and_brakes.ticks_in(machine, SWING_S)
-    rows: deque[tuple[float, float]] = deque([_positions(machine, axis, holding)], 2 * window)
-    began, ends_s = rows[0][0], machine.clock.now() + SETTLING_S
+    position, link = began, _ = _positions(machine, axis, holding)
+    ends_s = machine.clock.now() + SETTLING_S
     while True:
-        rows.append(_positions(machine, axis, holding))
-        if len(rows) == rows.maxlen:
-            before, now = (np.array(rows) - rows[-1]).reshape(2, window, 2).mean(axis=1)
-            if abs(now[0] - before[0]) < settings.direction_check_travel:
-                return rows[-1][0] + float(now[0]), rows[-1][1] + float(now[1])
-        away = rows[-1][0] - began
-        if abs(away) >= settings.agreement_tolerance or machine.clock.now() > ends_s:
+        before = position
+        power_and_brakes.run_for(machine, DRIFT_WATCH_S, lambda _: holding)
+        position, link = _positions(machine, axis, holding)
+        if abs(position - before) < settings.direction_check_travel:
+            return position, link
+        if abs(position - began) >= settings.agreement_tolerance or machine.clock.now() > ends_s:
             raise MotionRefusedError(
-                f"{name}: moves by {away:+.2e} {unit} under its holding effort of {holding[axis]:.3g} alone; the holding effort is wrong"
+                f"{name}: moves by {position - began:+.2e} {unit} under its holding effort of {holding[axis]:.3g} alone; "
+                "the holding effort is wrong"
             )
 
 
@@ -287,15 +284,13 @@ def _write_homing(machine: Machine, axis: int, settings: HomingSettings, moves: 
 
 def _run_homing(machine: Machine, axis: int, settings: HomingSettings, command: np.ndarray) -> None:
     is_old = cia402.decode_homing(machine.inputs[axis].statusword) in ATTAINED
-    began_s, at, way = machine.clock.now(), float(machine.sample.position[axis]), 0.0
+    began_s, began = machine.clock.now(), float(machine.sample.position[axis])
     machine.set_controlword(axis, cia402.ENABLE_OPERATION | cia402.HOMING_START)  # rises from the low bit with which it was enabled
     for _ in range(SETTLED_TICKS):
         power_and_brakes.tick(machine, command)
     deadline = machine.clock.now() + settings.timeout_s
     standing = _Standing(machine, axis)
     while True:
-        before, at = at, float(machine.sample.position[axis])
-        way += abs(at - before) if np.isfinite(at - before) else 0.0
         progress = cia402.decode_homing(machine.inputs[axis].statusword)
         is_overdue = settings.method in HOMING_AT_PRESENT_POSITION and machine.clock.now() >= began_s + STALE_S
         is_old = is_old and progress in ATTAINED and not is_overdue
@@ -308,7 +303,7 @@ def _run_homing(machine: Machine, axis: int, settings: HomingSettings, command: 
         if failed or machine.clock.now() > deadline:
             reason = progress.value if failed else f"not completed within {settings.timeout_s:.1f} s ({progress.value})"
             if not failed and settings.method not in HOMING_AT_PRESENT_POSITION:
-                unit, mean = machine.scalings[axis].position_unit, way / (machine.clock.now() - began_s)
+                unit, mean = machine.scalings[axis].position_unit, abs(float(machine.sample.position[axis]) - began) / settings.timeout_s
                 reason += f", at {mean:.2g} {unit}/s in the mean where {settings.speed:.2g} {unit}/s were asked for"
             raise MotionRefusedError(f"{machine.axes[axis]}: homing by method {settings.method}: {reason}; the position is not known")
         power_and_brakes.tick(machine, command)
