@@ -80,17 +80,11 @@ def answer_of_runs(
     unexplained = _unexplained(selected, bool(numbers))
     helps = _helps(held, "nominal" if numbers else "retuned")
     if helps is False:
-        found, numbers = _doubted(found), _doubted(numbers)
-    verdict, reason = _verdict(
-        audit,
-        [*numbers, *found],
-        others,
-        unexplained,
-        helps,
-        unseen_at(machine, seen, limits),
-        selected,
-        settings,
-    )
+        found, numbers = (
+            tuple(replace(one, evidence_against=(*one.evidence_against, NO_HELP)) for one in each) for each in (found, numbers)
+        )
+    unseen = unseen_at(machine, seen, limits)
+    verdict, reason = _verdict(audit, [*numbers, *found], others, unexplained, helps, unseen, selected, settings)
     is_nothing = verdict in ("consistent", "inconclusive")
     if not found and not numbers and verdict != "inconclusive":
         reason = "; ".join([reason, what_may_hide(recordings_of(seen)), *never_shown(limits)])
@@ -260,10 +254,6 @@ def _helps(held: Predicted | None, than: str) -> bool | None:
     if held is None or not held.channels:
         return None
     return sum(_times(stages["extended"], stages[than]) for stages in held.channels.values()) < 0.0
-
-
-def _doubted(found: Sequence[Finding]) -> tuple[Finding, ...]:
-    return tuple(replace(one, evidence_against=(*one.evidence_against, NO_HELP)) for one in found)
 
 
 def _times(one: float, other: float) -> float:

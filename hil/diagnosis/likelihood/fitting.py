@@ -154,8 +154,7 @@ class Fitting:
         """Return a fit at which those unknowns are held that recordings say no more of than others do: pivots of the normal equations.
 
         Of numbers that do the same, such as a mass and its lever, one is left free. Effects' parameters come first, numbers that the file
-        leaves out last. A parameter on its bound stands in for nothing: no viscous friction makes up for a damping that the file has
-        too large.
+        leaves out last. A parameter on its bound stands in for nothing: no viscous friction makes up for too large a damping.
         """
         fitted = self.with_slopes(fitted)
         assert fitted.slopes is not None

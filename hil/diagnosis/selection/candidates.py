@@ -136,15 +136,7 @@ def gain_left_out(of: Beside, kept: np.ndarray, held: np.ndarray, room: tuple[np
     """Return what log likelihood of left-out windows gains by fitting some unknowns, as far as equations are linear.
 
     Of stretches and places that are left out, it is what gains less. Errors count by their logarithm, as where machines are simulated:
-    what is foretold badly in one of them costs no more than such an error.
-
-    Parameters
-    ----------
-    kept : (K,) int array
-        Unknowns that are fitted.
-    held : (M,) array
-        What the others change by.
-    room : pair of (M,) arrays
+    what is foretold badly costs no more than such an error. Unknowns `kept` (K,) are fitted, the others change by `held` (M,).
     """
     squares, slopes, own = of.squares, of.slopes, of.own
     pull, stiffness = prior(of.fit.point)
