@@ -2,7 +2,7 @@
 
 `python benchmarks/real_sets.py [SET...] [--splits WORDS] [--free-runs] [--json FILE]`: for every set and split, what is named, how its
 rivals stand, and the errors of the nominal machine and of the answer on training and held-out parts, by the engineer's metric, beside the
-engineer's own (benchmarks/experts). With `--free-runs` it is the search over sets that free runs judge, which no command has yet. A split
+engineer's own (benchmarks/experts). With `--free-runs` sets are judged by free runs, as `diagnose` judges where it can. A split
 whose result is kept is not run again: delete it from the file to have it run.
 """
 

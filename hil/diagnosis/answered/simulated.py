@@ -52,8 +52,6 @@ from virtual_bus.settings import EffectSetting
 
 WITHIN_95, WITHIN_95_OF_FEW = 1.96, 3.18
 """Half widths of an interval in standard deviations: of many readings, and of the four stretches that differ (Student's t)."""
-LEAST = 1e-300
-"""Error that stands for none at all in logarithms."""
 LEFT = 0.1
 """Share of what numbers alone leave that an answer may leave and have explained it."""
 NO_HELP = "with it, recordings that were held out are not predicted better"
@@ -79,10 +77,8 @@ def answer_of_runs(
     train, held = _predicted(machine, selected, held_out, len(seen.alongs))
     unexplained = _unexplained(selected, bool(numbers))
     helps = _helps(held, "nominal" if numbers else "retuned")
-    if helps is False:
-        found, numbers = (
-            tuple(replace(one, evidence_against=(*one.evidence_against, NO_HELP)) for one in each) for each in (found, numbers)
-        )
+    against = (NO_HELP,) if helps is False else ()
+    found, numbers = (tuple(replace(one, evidence_against=(*one.evidence_against, *against)) for one in each) for each in (found, numbers))
     unseen = unseen_at(machine, seen, limits)
     verdict, reason = _verdict(audit, [*numbers, *found], others, unexplained, helps, unseen, selected, settings)
     is_nothing = verdict in ("consistent", "inconclusive")
@@ -253,12 +249,8 @@ def _helps(held: Predicted | None, than: str) -> bool | None:
     """Return whether held-out recordings are predicted better with the answer than at another stage; None without them."""
     if held is None or not held.channels:
         return None
-    return sum(_times(stages["extended"], stages[than]) for stages in held.channels.values()) < 0.0
-
-
-def _times(one: float, other: float) -> float:
-    """Return the logarithm of how many times an error is another; errors of simulations that ran away are infinite, and alike."""
-    return 0.0 if one == other else math.log(max(one, LEAST)) - math.log(max(other, LEAST))
+    with_it, without = (math.prod(stages[stage] for stages in held.channels.values()) for stage in ("extended", than))
+    return with_it < without  # no infinite error of a simulation that ran away is less than another
 
 
 def _along(selected: Selected, seen: Seen, levels: Levels, values: np.ndarray, settings: Sequence[EffectSetting]) -> tuple[Tuned, Fitted]:

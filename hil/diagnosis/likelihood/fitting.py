@@ -222,8 +222,7 @@ class Fitting:
 
     def scores(self, folded: Sequence[Fit]) -> np.ndarray:
         """Return the negative log likelihood (folds,) of the windows that each leaves out, by machines that were fitted to the others."""
-        squares = np.array([self.judge.squares(one.reduced, fold) for fold, one in enumerate(folded)])
-        mean = squares / np.maximum(self.judge.counts_of_folds, 1.0) + self.judge.noise**2
+        mean = self.judge.mean_squares_of_folds([one.reduced for one in folded])
         shares = self.judge.counts_of_folds / self.judge.counts
         found: np.ndarray = 0.5 * np.sum(self.weights * shares * np.log(mean), axis=(1, 2))
         return found

@@ -179,6 +179,12 @@ class Judge:
         mean: np.ndarray = self.squares(errors) / self.counts + self.noise**2
         return mean
 
+    def mean_squares_of_folds(self, errors: Sequence[Sequence[np.ndarray]]) -> np.ndarray:
+        """Return those (folds, H, C) of the windows that each fold leaves out, of errors of its own."""
+        squares = np.array([self.squares(own, fold) for fold, own in enumerate(errors)])
+        mean: np.ndarray = squares / np.maximum(self.counts_of_folds, 1.0) + self.noise**2
+        return mean
+
     def weights_of(self, errors: Sequence[np.ndarray]) -> np.ndarray:
         """Return how many independent readings (H, C) errors count as: horizons alike, so that none outweighs the others.
 

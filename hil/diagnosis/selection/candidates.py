@@ -59,8 +59,8 @@ class Beside:
         Units of those.
     squares, slopes : (CELLS, P + Q, P + Q), (CELLS, P + Q) arrays
         Normal equations of each cell's windows, of the machine's own unknowns and parameters and then of the laws'.
-    readings : (folds,) array
-        Independent readings that each fold leaves out.
+    readings, left : (folds,) arrays
+        Independent readings that each fold leaves out, and the sum of their squared errors as normal equations weigh them.
     """
 
     fit: Fit
@@ -70,6 +70,7 @@ class Beside:
     squares: np.ndarray
     slopes: np.ndarray
     readings: np.ndarray
+    left: np.ndarray
 
     @property
     def own(self) -> int:
@@ -122,8 +123,10 @@ def beside(fitting: Fitting, here: Fit, laws: Sequence[tuple[Entry, np.ndarray]]
                 for whole, before, after in zip(columns, here.left.errors, one.errors, strict=True):
                     whole[own + k] = after - before
     slopes = fitting.slopes_of(here, columns)
-    readings = np.sum(fitting.weights * fitting.judge.counts_of_folds / fitting.judge.counts, axis=(1, 2))
-    return Beside(here, tuple(used), tuple(parts), np.array(sizes), slopes.squares, slopes.slopes, readings)
+    readings = fitting.weights * fitting.judge.counts_of_folds / fitting.judge.counts
+    left = readings * fitting.judge.mean_squares_of_folds([here.reduced] * len(FOLDS)) / here.mean_squares
+    of_folds = (each.sum(axis=(1, 2)) for each in (readings, left))
+    return Beside(here, tuple(used), tuple(parts), np.array(sizes), slopes.squares, slopes.slopes, *of_folds)
 
 
 def _with(machine: Machine, law: Entry, weights: np.ndarray) -> list[Machine]:
@@ -144,7 +147,7 @@ def gain_left_out(of: Beside, kept: np.ndarray, held: np.ndarray, room: tuple[np
     pulls[:own], stiff[:own] = pull, stiffness
     whole_squares, whole_slopes = squares.sum(axis=0), slopes.sum(axis=0)
     gained = []
-    for fold, readings in zip(FOLDS, of.readings.tolist(), strict=True):
+    for fold, readings, left in zip(FOLDS, of.readings.tolist(), of.left.tolist(), strict=True):
         own_squares, own_slopes = squares[fold].sum(axis=0), slopes[fold].sum(axis=0)
         others_squares = whole_squares - own_squares + np.diag(stiff)
         others_slopes = whole_slopes - own_slopes - pulls - others_squares @ held
@@ -155,8 +158,8 @@ def gain_left_out(of: Beside, kept: np.ndarray, held: np.ndarray, room: tuple[np
             step[kept] += bounded_least_squares(inner, others_slopes[kept], room[0][kept], room[1][kept])
         except np.linalg.LinAlgError:  # columns that are each other's, to single precision
             return -np.inf
-        less = float(2.0 * own_slopes @ step - step @ own_squares @ step)  # of the squares, of which there are as many as readings
-        gained.append(-0.5 * readings * math.log(max(1.0 - less / readings, LEAST)) if readings > 0.0 else 0.0)
+        less = float(2.0 * own_slopes @ step - step @ own_squares @ step)
+        gained.append(-0.5 * readings * math.log(max(1.0 - less / left, LEAST)) if left > 0.0 else 0.0)
     return min(sum(gained[:BLOCKS]), sum(gained[BLOCKS:]))
 
 
