@@ -159,11 +159,11 @@ class AxisStop:
 
     def step(self, sample: Sample, *, io_is_fresh: bool, ticks: int = 1) -> None:
         """Take a sample, `ticks` after the one before; set controlword, effort and brake for the next."""
-        self._see(sample, io_is_fresh)
+        self._see(sample, io_is_fresh, ticks)
         self._judge_hold(sample, ticks)
         seen = self._motor.fresh(self._stale_ticks), self._link.fresh(self._stale_ticks)
         at = float(sample.position[self.axis]), float(sample.link_position[self.axis])
-        self._standstill.note(*at, ticks, seen, stands=self._stands())
+        self._standstill.note(*at, seen, stands=self._stands())
         self._ticks += 1
         if self.rest is None:
             self._all_ticks += 1
@@ -172,7 +172,7 @@ class AxisStop:
         self._phase()
 
     # ---- what is seen ----------------------------------------------------------------------------------
-    def _see(self, sample: Sample, io_is_fresh: bool) -> None:
+    def _see(self, sample: Sample, io_is_fresh: bool, ticks: int) -> None:
         axis = self.axis
         statusword = int(sample.statusword[axis])
         self._silent = 0 if statusword >= 0 else self._silent + 1
@@ -184,7 +184,7 @@ class AxisStop:
         self._motor.take(position)
         self._link.take(link)
         self._lost = 0 if isfinite(position) or isfinite(link) else self._lost + 1
-        self._standstill.take(position, link)
+        self._standstill.take(position, link, ticks)
         by_itself = self._state is State.QUICK_STOP_ACTIVE or (self._phase == self._swinging and not self._takes_torque)
         if isfinite(effort) and by_itself:
             before = self._held_effort if isfinite(self._held_effort) else effort
@@ -194,11 +194,11 @@ class AxisStop:
     def _judge_hold(self, sample: Sample, ticks: int) -> None:
         """Take the voltage from a drive that may push while it is told to hold."""
         axis = self.axis
-        seen = float(sample.position[axis]), float(sample.link_position[axis]), ticks, float(sample.effort[axis])
+        motor, link, effort = float(sample.position[axis]), float(sample.link_position[axis]), float(sample.effort[axis])
         holds = self._phase in (self._closing, self._swinging, self._taking_over, self._pushing, self._holding)
         if not holds or not (self._state in POWERED or self._state is State.UNDEFINED):
             self._hold_judge.begin()
-        elif drove := self._hold_judge.step(*seen):
+        elif drove := self._hold_judge.step(motor, link, effort, ticks):
             self._drove, self._held_for = drove, ""
             self.alarm = f"its drive does not hold it, {drove}; its voltage is taken"
             self.orders_brake, self.asks_for_torque = True, False

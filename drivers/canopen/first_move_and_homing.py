@@ -18,7 +18,8 @@ SAMPLE_TIMEOUT_S = 1.0  # for one row in which motor side and link encoder both 
 ATTAINED = (Homing.DONE, Homing.SETTLING)
 """What a drive may say of an earlier run still: it counts once the drive has said otherwise since this one began."""
 STALE_S = 0.25
-"""After which it counts without that where homing takes the present position: such a run may be over between two frames."""
+"""[s] After which it counts, where homing takes the present position, even if the drive has said nothing else: such a run may be over
+between two frames."""
 STANDS_S = 0.25
 """How long an axis must have stood where a drive says that it has found its home and never that it has reached it."""
 AVERAGING_S = 0.5  # a flexible structure swings on after a brake has closed; the mean over some of its periods is its rest position
@@ -111,7 +112,12 @@ def _stand_under_holding_effort(machine: Machine, axis: int, settings: HomingSet
         position, link = _positions(machine, axis, holding)
         if abs(position - before) < settings.direction_check_travel:
             return position, link
-        if abs(position - began) >= settings.agreement_tolerance or machine.clock.now() > ends_s:
+        if machine.clock.now() > ends_s:
+            raise MotionRefusedError(
+                f"{name}: {SETTLING_S:g} s after its brake opened it still moves by more than {settings.direction_check_travel:.1e} {unit} "
+                f"in {DRIFT_WATCH_S:g} s; wait until the structure is at rest, or raise bus.homing.{name}.direction_check_travel"
+            )
+        if abs(position - began) >= settings.agreement_tolerance:
             raise MotionRefusedError(
                 f"{name}: moves by {position - began:+.2e} {unit} under its holding effort of {holding[axis]:.3g} alone; "
                 "the holding effort is wrong"

@@ -93,16 +93,18 @@ class _Push:
 
     def begin(self) -> None:
         self._time_s = self._mean = 0.0
+        self._span = (0.0, 0.0)
 
     def step(self, effort: float, ticks: int) -> str:
         """Take a measured effort, NaN where none came; return why it is more than a hold takes, or ''."""
         self._time_s += ticks * self._period_s
         if isfinite(effort) and self._time_s > self._ramp_s:
             self._mean += (effort - self._mean) * min(1.0, ticks * self._period_s / CREEP_S)
+            self._span = min(self._span[0], effort), max(self._span[1], effort)
         if abs(self._mean) <= self._most:
             return ""
-        share, most = effort / self._rated if isfinite(effort) else self._mean / self._rated, self._most / self._rated
-        return f"it gives {share:+.0%} of its rated effort, at most {most:.0%} hold the axis at any pose"
+        largest, most = self._span[self._mean > 0.0] / self._rated, self._most / self._rated
+        return f"it gives up to {largest:+.0%} of its rated effort, at most {most:.0%} hold the axis at any pose"
 
 
 class Hold:
@@ -119,7 +121,7 @@ class Hold:
         Effort of the drive, for messages, in its unit.
     """
 
-    def __init__(self, limits: MotionLimits, unit: str, period_s: float, rated: float = 1.0) -> None:
+    def __init__(self, limits: MotionLimits, unit: str, period_s: float, rated: float) -> None:
         self._unit = unit
         self._push = _Push(limits, rated, period_s)
         self._paths = (("its motor side", _Path(limits, period_s)), ("its link", _Path(limits, period_s)))
@@ -131,7 +133,7 @@ class Hold:
         for _, path in self._paths:
             path.begin()
 
-    def step(self, motor: float, link: float, ticks: int, effort: float = nan) -> str:
+    def step(self, motor: float, link: float, effort: float, ticks: int) -> str:
         """Take both encoders' positions and the effort, NaN where none came, `ticks` after the last; return why this is no hold, or ''."""
         found = self._push.step(effort, ticks)
         for (name, path), position in zip(self._paths, (motor, link), strict=True):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from drivers.canopen.sdo import RESPONSE_TIMEOUT_S, SdoNode
+from drivers.canopen.sdo import SdoNode, SdoSilenceError
 from drivers.errors import NodeAbsentError, WrongIdentityError
 from drivers.settings import Identity, Node
 
@@ -87,11 +87,10 @@ def await_identity(sdo: SdoNode, node: Node, now: Callable[[], float], has_boote
     """
     deadline = now() + node.boot_timeout_s
     while True:
-        asked_s = now()
         try:
             return check_identity(sdo, node)
         except NodeAbsentError as error:
-            if now() - asked_s < RESPONSE_TIMEOUT_S:  # it answers, and wrongly
+            if not isinstance(error.__cause__, SdoSilenceError):  # it answers, and wrongly
                 raise
             if now() > deadline:
                 if has_booted(node):

@@ -29,6 +29,10 @@ _READS, _ABORTS = 0x40, 0x80
 Address = tuple[int, int]
 
 
+class SdoSilenceError(SdoCommunicationError):
+    """A node answered nothing in time."""
+
+
 class PolledSdoClient(SdoClient):
     """canopen's SDO client with two changes: its waiting pumps the network, and a second answer to one request is detected."""
 
@@ -65,7 +69,7 @@ class PolledSdoClient(SdoClient):
         while not self._answers:
             remaining = deadline - clock.now()
             if remaining <= 0.0 or not self.network.pump(remaining):
-                raise SdoCommunicationError(f"no SDO answer within {RESPONSE_TIMEOUT_S} s")
+                raise SdoSilenceError(f"no SDO answer within {RESPONSE_TIMEOUT_S} s")
         response = self._answers.popleft()
         self._answers_owed -= 1
         if response[0] == 0x80:
@@ -93,7 +97,7 @@ class PolledSdoClient(SdoClient):
                 self.fastest_read_s = min(self.fastest_read_s, self.network.clock.now() - began_s)
             return answer
         self.abort(ABORT_TIMED_OUT)
-        raise SdoCommunicationError(f"no SDO answer within {RESPONSE_TIMEOUT_S} s, asked {tries} times")
+        raise SdoSilenceError(f"no SDO answer within {RESPONSE_TIMEOUT_S} s, asked {tries} times")
 
     def _answer_to(self, request: bytes) -> bytes:
         """Wait for the answer to a request that starts a transfer; late ones, to requests that were given up, are passed over."""
@@ -102,7 +106,7 @@ class PolledSdoClient(SdoClient):
         while (remaining := deadline - clock.now()) > 0.0 and (self._answers or self.network.pump(remaining)):
             if self._answers and not self._passes_over(self._answers[0], request):
                 return self.read_response()
-        raise SdoCommunicationError(f"no SDO answer within {RESPONSE_TIMEOUT_S} s")
+        raise SdoSilenceError(f"no SDO answer within {RESPONSE_TIMEOUT_S} s")
 
     def _passes_over(self, answer: bytes, request: bytes) -> bool:
         """Drop the oldest answer if it is a late one to an earlier request; return whether it was."""

@@ -9,14 +9,15 @@ class Still:
     """For how many ticks one encoder has stayed within a width of where it was."""
 
     def __init__(self, width: float) -> None:
-        self._width, self._at, self.ticks = width, nan, 0
+        self._width, self._at, self.ticks, self._since = width, nan, 0, 0
 
-    def take(self, position: float) -> None:
-        """Take a position; NaN, where none has come, changes nothing."""
+    def take(self, position: float, ticks: int) -> None:
+        """Take a position, `ticks` after the last; where none has come, NaN, the next one tells whether it stood meanwhile."""
+        self._since += ticks
         if abs(position - self._at) <= self._width:
-            self.ticks += 1
+            self.ticks, self._since = self.ticks + self._since, 0
         elif isfinite(position):
-            self._at, self.ticks = position, 0
+            self._at, self.ticks, self._since = position, 0, 0
 
 
 class Standstill:
@@ -27,7 +28,7 @@ class Standstill:
     flicker, swing : float
         Of a motor side, and of a link, that stand [rad or m].
     moved : float
-        Of a motor side that has moved again: its brake let it slip.
+        Of a motor side that has moved again [rad or m]: its brake let it slip.
     period_s : float
         Between ticks.
 
@@ -42,14 +43,14 @@ class Standstill:
         self._moved, self._swing, self._period_s = moved, swing, period_s
         self._ticks, self._at, self.stood_s = 0, (nan, nan), nan
 
-    def take(self, motor: float, link: float) -> None:
-        """Take both positions, NaN where none has come."""
-        self.motor.take(motor)
-        self.link.take(link)
-
-    def note(self, motor: float, link: float, ticks: int, seen: tuple[bool, bool], *, stands: bool) -> None:
-        """Note whether it stands now, `ticks` after the last, by which of its encoders are seen."""
+    def take(self, motor: float, link: float, ticks: int) -> None:
+        """Take both positions, `ticks` after the last, NaN where none has come."""
         self._ticks += ticks
+        self.motor.take(motor, ticks)
+        self.link.take(link, ticks)
+
+    def note(self, motor: float, link: float, seen: tuple[bool, bool], *, stands: bool) -> None:
+        """Note whether it stands at what was taken last, by which of its encoders are seen."""
         if abs(motor - self._at[0]) > self._moved or abs(link - self._at[1]) > self._swing:
             self.stood_s, self._at = nan, (nan, nan)
         if stands and not isfinite(self.stood_s):

@@ -184,7 +184,7 @@ def check_units(read: Read, used: MotionUnits, scaling: Scaling, who: str, *, ve
 def check_positions(read: Read, scaling: Scaling, who: str) -> None:
     """Check that a turn of the motor is as many counts by a drive's own objects as by the machine file.
 
-    One position unit, or one count, in a turn says nothing: nobody has set it.
+    A feed constant of one position unit in a turn, or an encoder of one count, says nothing: nobody has set it.
 
     Parameters
     ----------
@@ -202,8 +202,9 @@ def check_positions(read: Read, scaling: Scaling, who: str) -> None:
     if feed and feed != 1.0:
         found, by = feed / (gear or 1.0), f"6092h{f' and 6091h, {gear:g}:1' if gear else ''}"
     else:
-        found, by = _ratio(read, ENCODER_RESOLUTION) or 0.0, "608Fh"
-    if filed and found and found != 1.0 and not math.isclose(found, filed, rel_tol=AGREES):
+        resolution = _ratio(read, ENCODER_RESOLUTION) or 0.0
+        found, by = resolution if resolution != 1.0 else 0.0, "608Fh"
+    if filed and found and not math.isclose(found, filed, rel_tol=AGREES):
         raise ConfigurationRefusedError(
             f"{who}: a turn of its motor is {found:g} counts by its own objects ({by}), {filed:g} by the machine file "
             f"(drives.{scaling.axis}: encoder_counts_per_motor_turn); every position would be off by {found / filed:g}; correct either"

@@ -39,8 +39,8 @@ EFFORT_OFF = 300  # per mille of the rated torque beyond all that was asked for:
 OBEYED_S = 0.15  # from the end of the permission to the command to a drive's communication to stop: a loop that works takes three SYNCs
 HOLD_MARGIN = 1.5  # multiple of the tracking error by which a drive may miss what a hold is: the loop judges by the tracking error itself
 HELD_AFRESH_S, CREEP_S = 5.0, 50.0  # after which an axis is held where it is that takes so long for its tracking error: own loops creep
-PUSHED_S = HOLD_MARGIN * HELD_AFRESH_S
-"""Time constant of the effort of a hold: the loop judges it over `HELD_AFRESH_S`, and by then has taken the voltage itself."""
+PUSHED_S = 7.5
+"""Time constant of the effort of a hold, half as long again as that of a loop, which then has taken the voltage itself."""
 NMT_EVERY_S = 0.1  # between two commands of its own: somebody may go on commanding
 WRITES_MODE, TORQUE_MODE = b"\x2f\x60\x60\x00", 10  # an SDO request that chooses the mode of operation that follows: a drive may home
 NMT, NMT_STOP, NMT_RESET = 0x000, 0x02, 0x81  # identifier, and commands that stop a node's communication, and reset it (CiA 301)
@@ -144,6 +144,7 @@ class _Axis:
         self.mode = TORQUE_MODE if scaling.mode == "torque" else 0
         self._torques, self._off = deque([0] * SPEED_STEPS, SPEED_STEPS), deque([0] * SPEED_STEPS, SPEED_STEPS)  # asked for; beyond that
         self._deceleration = min(limits.acceleration, limits.quick_stop or limits.acceleration)
+        self._ramp_s = limits.speed / self._deceleration
         self.unanswered = 0  # SYNCs since the last position
         self.seen_at_s = self.link_seen_at_s = -inf  # when each encoder was read last
         self._led_from: dict[str, float] = {}  # how far each encoder had moved when the axis was to be led no more
@@ -168,12 +169,16 @@ class _Axis:
         powered, self.enabled = bool(word & _TORQUE_ON), word & _ENABLED_MASK == _ENABLED
         holds = powered and not self.enabled
         if (powered and not self.powered) or (holds and not self.holds):
-            self.rebase(time_s, anew=not self.powered)
+            self.hold(time_s, anew=not self.powered)
         self.powered, self.holds, self.known = powered, holds, True
 
-    def rebase(self, time_s: float, *, anew: bool = True) -> None:
-        """Judge from here on whether the axis is held or led on; `anew`: whether both encoders move alike, too."""
-        self._led_from, self._pushed, self._since_s = {}, 0.0, time_s
+    def hold(self, time_s: float, *, anew: bool) -> None:
+        """Judge effort and encoders from here on: the drive has just been told; `anew`: whether both encoders move alike, too."""
+        self._pushed, self._since_s = 0.0, time_s
+        self._rebase(time_s, anew=anew)
+
+    def _rebase(self, time_s: float, *, anew: bool = True) -> None:
+        self._led_from = {}
         for encoder in self.encoders.values():
             encoder.moved = 0.0 if anew else encoder.moved
             encoder.hold(time_s)
@@ -191,7 +196,7 @@ class _Axis:
 
     def effort(self, time_s: float, permille: int) -> None:
         """Take a measured torque: a drive in torque mode gives no more than was asked for, one that holds no more than some pose takes."""
-        if time_s - self._since_s > self.limits.speed / self._deceleration:
+        if time_s - self._since_s > self._ramp_s:
             self._pushed += (permille - self._pushed) * self._period_s / PUSHED_S
         low, high = min(0, *self._torques) - EFFORT_OFF, max(0, *self._torques) + EFFORT_OFF
         self._off.append(permille if self.enabled and self.mode == TORQUE_MODE and not low <= permille <= high else 0)
@@ -199,8 +204,8 @@ class _Axis:
     def position(self, time_s: float, counts: int, bits: int) -> None:
         self.motor.take(counts, bits, self._took(time_s, self.seen_at_s))
         self.seen_at_s, self.unanswered = time_s, 0
-        if self.motor.jumped:
-            self.rebase(time_s)
+        if self.motor.jumped:  # which says nothing of the effort
+            self._rebase(time_s)
 
     def link_position(self, time_s: float, counts: int, bits: int) -> None:
         assert self.link is not None
@@ -353,7 +358,7 @@ class Supervisor:
         for axis, node in self._drives:
             if axis.strays(time_s):
                 found.append((NMT_RESET, node))
-                axis.rebase(time_s, anew=False)
+                axis.hold(time_s, anew=False)
         self._nmt_at_s = time_s if found else self._nmt_at_s
         return found
 

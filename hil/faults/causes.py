@@ -94,6 +94,7 @@ CAUSES: tuple[tuple[str, str], ...] = (
     (r"\w+: moved .* where .* was expected within .*|brake, friction or a disconnected motor",
      rf"brake_\w+|{TORQUE}|motor_encoder_frozen"),
     (r"\w+: moves by .* under its holding effort of .* alone|the holding effort is wrong", TORQUE),
+    (r"\w+: \S+ s after its brake opened it still moves by more than .*|wait until the structure is at rest.*", TORQUE),
     (r"\w+: motor side .*, link encoder .*: they differ by .* is allowed|home anew, or check ratio, resolution and zero_counts",
      rf"{ENCODERS}|homing_\w+"),
     # ---- homing

@@ -46,15 +46,15 @@ class Stopping:
         self.sample.effort[:] = (9.0, effort)
         self.fresh = True
 
-    def tick(self, status: int | None = None, *, motor: float | None = None, link: float | None = None) -> int:
-        """Let one tick pass; positions in counts stay. Return the controlword that follows."""
+    def tick(self, status: int | None = None, *, motor: float | None = None, link: float | None = None, ticks: int = 1) -> int:
+        """Let a tick pass, with those that were missed before it; positions in counts stay. Return the controlword that follows."""
         if status is not None:
             self.sample.statusword[1] = status
         if motor is not None:
             self.sample.position[1] = motor * COUNT
         if link is not None:
             self.sample.link_position[1] = link * COUNT
-        self.stop.step(self.sample, io_is_fresh=self.fresh)
+        self.stop.step(self.sample, io_is_fresh=self.fresh, ticks=ticks)
         return self.stop.controlword
 
     def slips(self, counts: float, status: int | None = None) -> int:

@@ -348,6 +348,19 @@ def test_an_axis_that_comes_to_stand_in_its_hold_is_told_with_that_time() -> Non
     assert stopping.stop.rest.stood_s / T == pytest.approx(CLOSING + 100, abs=1)
 
 
+@pytest.mark.parametrize("ticks", [2, 4])
+def test_ticks_that_were_missed_are_times_of_the_stop_like_others(ticks: int) -> None:
+    stopping = Stopping()
+    stopping.sample.brakes_open[1] = True
+    for k in range(40):
+        stopping.tick(QUICK, motor=3.0 * k, link=3.0 * k, ticks=ticks)
+    for position in (NAN, 3.0 * 39, NAN, 3.0 * 39):
+        stopping.tick(QUICK, motor=position, link=position, ticks=ticks)
+    stopping.until(lambda: stopping.stop.rest is not None)
+    assert stopping.stop.rest is not None
+    assert stopping.stop.rest.stood_s / T == pytest.approx(40 * ticks, abs=ticks)
+
+
 def test_an_axis_whose_motor_encoder_shows_nothing_has_stood_since_its_link_has() -> None:
     stopping = Stopping()
     stopping.sample.brakes_open[1] = True

@@ -17,9 +17,9 @@ ANSWER = math.ceil(ANSWER_S / T)
 
 def first_outside(positions: list[float], link: list[float] | None = None, limits: object = LIMITS) -> tuple[int, str]:
     """The tick at which a hold is none any more, and the words; -1 where it is one to the end."""
-    hold = Hold(limits, "rad", T)  # type: ignore[arg-type]
+    hold = Hold(limits, "rad", T, 1.0)  # type: ignore[arg-type]
     for number, motor in enumerate(positions):
-        if words := hold.step(motor, NAN if link is None else link[number], 1):
+        if words := hold.step(motor, NAN if link is None else link[number], NAN, 1):
             return number, words
     return -1, ""
 
@@ -112,9 +112,9 @@ RAMP_S = SPEED / DECELERATION
 
 def seen_after(effort: float, seconds: float = 60.0, hold: Hold | None = None) -> float:
     """Seconds from the end of the ramp until an axis that stands under this effort is no longer held; NaN: it is to the end."""
-    hold = hold or Hold(HOLDING, "rad", T, rated=5.0)
+    hold = hold or Hold(HOLDING, "rad", T, 5.0)
     for number in range(1, round(seconds / T) + 1):
-        if hold.step(0.0, 0.0, 1, effort):
+        if hold.step(0.0, 0.0, effort, 1):
             return number * T - RAMP_S
     return NAN
 
@@ -127,25 +127,31 @@ def test_more_effort_than_any_pose_takes_is_no_hold_after_the_time_of_a_low_pass
 
 
 def test_the_words_say_the_effort_and_what_holds() -> None:
-    hold = Hold(HOLDING, "rad", T, rated=5.0)
-    words = [hold.step(0.0, 0.0, 1, -8.0) for _ in range(1000)][-1]
-    assert words == "it gives -160% of its rated effort, at most 40% hold the axis at any pose"
-    assert hold.step(0.0, 0.0, 1, NAN).startswith("it gives -"), "a frame that is lost takes nothing back"
+    hold = Hold(HOLDING, "rad", T, 5.0)
+    words = [hold.step(0.0, 0.0, -8.0, 1) for _ in range(1000)][-1]
+    assert words == "it gives up to -160% of its rated effort, at most 40% hold the axis at any pose"
+    assert hold.step(0.0, 0.0, NAN, 1) == words, "a frame that is lost takes nothing back"
+
+
+def test_the_words_of_an_effort_that_comes_and_goes_are_its_own() -> None:
+    hold = Hold(HOLDING, "rad", T, 5.0)
+    words = [hold.step(0.0, 0.0, -0.5 if number % 2 else 8.0, 1) for number in range(3001)]
+    assert {each for each in words if each} == {"it gives up to +160% of its rated effort, at most 40% hold the axis at any pose"}
 
 
 def test_what_a_drive_is_left_with_for_two_seconds_of_a_stop_is_no_push() -> None:
-    hold = Hold(HOLDING, "rad", T)
+    hold = Hold(HOLDING, "rad", T, 1.0)
     braked = round((RAMP_S + 1.0) / T)
-    assert not any(hold.step(0.0, 0.0, 1, 8.0 if number < braked else 1.5) for number in range(5000))
+    assert not any(hold.step(0.0, 0.0, 8.0 if number < braked else 1.5) for number in range(5000))
 
 
 def test_efforts_of_lost_ticks_count_and_those_of_a_former_hold_do_not() -> None:
-    hold = Hold(HOLDING, "rad", T)
+    hold = Hold(HOLDING, "rad", T, 1.0)
     by_two = next(number for number in range(5000) if hold.step(0.0, 0.0, 2, 8.0))
     assert 2.0 * by_two * T == pytest.approx(RAMP_S - CREEP_S * math.log(0.75), abs=0.05)
     hold.begin()
     assert seen_after(8.0, hold=hold) == pytest.approx(-CREEP_S * math.log(0.75), abs=0.02)
-    assert math.isnan(seen_after(8.0, hold=Hold(LIMITS, "rad", T))), "no limit, no judgement"
+    assert math.isnan(seen_after(8.0, hold=Hold(LIMITS, "rad", T, 1.0))), "no limit, no judgement"
     assert math.isnan(seen_after(NAN))
 
 

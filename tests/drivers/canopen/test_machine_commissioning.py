@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -269,6 +270,22 @@ def test_dry_friction_that_bends_under_the_holding_effort_and_then_stands_is_no_
 def test_an_axis_that_creeps_on_under_its_holding_effort_is_not_pushed(rig: Rig) -> None:
     creeps(rig, 500, 3.0)
     with pytest.raises(MotionRefusedError, match=r"propeller: moves by \+.* under its holding effort of 0 alone; the hold"):
+        rig.machine.home()
+    assert rig.at_rest()
+
+
+def test_an_axis_that_swings_on_is_told_to_come_to_rest_first(rig: Rig) -> None:
+    drive, on_sync, swing = rig.drives[0], rig.drives[0].on_sync, itertools.cycle([1] * 20 + [-1] * 20)
+
+    def swings() -> None:
+        if drive.brake_open:
+            drive.counts += 8.0 * next(swing)
+        on_sync()
+
+    drive.on_sync = swings  # type: ignore[method-assign]
+    with pytest.raises(
+        MotionRefusedError, match=r"propeller: 5 s after its brake opened it still moves by more than 3\.5e-04 rad in 0\.1 s; wait"
+    ):
         rig.machine.home()
     assert rig.at_rest()
 

@@ -407,13 +407,18 @@ def test_an_axis_that_creeps_under_its_drive_is_held_where_it_is(machine: Machin
     assert "does not hold it" in machine.supervisor.reason
 
 
-def seen_after(status: int, effort_A: float, most_A: float, seconds: float) -> tuple[float, Machine]:
-    """Let a drive in a state give this effort while roll stands; return after how long that was no hold, NaN: it was to the end."""
+def seen_after(status: int, effort_A: float, most_A: float, seconds: float, jumps_s: float = math.inf) -> tuple[float, Machine]:
+    """Let a drive in a state give this effort while roll stands; return after how long that was no hold, NaN: it was to the end.
+
+    Its counter is set elsewhere every `jumps_s`.
+    """
     motions = [replace(limits, holding_effort=most_A) for limits in SETTINGS.motions]
     machine = Machine(replace(SETTINGS, motions=tuple(motions)))
     machine.ticks(20)
     machine.status, machine.measured = status, round(SCALING.sign * effort_A / SCALING.rated * 1000.0)
     for number in range(round(seconds / PERIOD_S)):
+        if jumps_s < math.inf and number % round(jumps_s / PERIOD_S) == 0:
+            machine.encoder_counts += 1_000_000
         machine.tick()
         if "does not hold it" in machine.supervisor.reason:
             return number * PERIOD_S, machine
@@ -438,6 +443,12 @@ def test_the_effort_of_a_hold_is_judged_in_a_hold_and_where_there_is_a_limit() -
     assert math.isnan(seen_after(QUICK_STOP_ACTIVE, 3.99, 4.0, 15.0)[0])
     assert math.isnan(seen_after(QUICK_STOP_ACTIVE, 8.0, math.inf, 9.0)[0])
     assert math.isnan(seen_after(OPERATION_ENABLED, 8.0, 4.0, 9.0)[0])
+
+
+def test_a_counter_that_jumps_hides_no_effort() -> None:
+    after_s, machine = seen_after(QUICK_STOP_ACTIVE, 8.0, 4.0, 20.0, jumps_s=3.0)
+    assert after_s == pytest.approx(LIMITS.speed / LIMITS.acceleration + 7.5 * math.log(2.0), abs=0.03)
+    assert "as its effort shows" in machine.supervisor.reason
 
 
 def test_the_effort_of_a_motion_does_not_count_for_the_hold_behind_it() -> None:

@@ -31,20 +31,20 @@ def test_an_axis_that_nothing_holds_leaves_it_ten_times_over_in_the_time_it_must
             if abs(load := result.holding[number]) > 2.0 * push:
                 fall = 0.5 * (abs(load) - push) * drive.constant * drive.ratio / result.inertia[number] * REST_S**2
                 falls.append(fall / standing(machine, axis))
-    assert len(falls) >= len(machine.axes) * 6
+    assert falls
     assert min(falls) > PLAIN
 
 
 @pytest.mark.parametrize("axis", CARM.axes)
 def test_an_axis_that_stays_in_it_is_slower_by_far_than_what_counts_as_a_motion(axis: str) -> None:
-    assert standing(CARM, axis) / REST_S < MOVING_SPEED / PLAIN * 1.05
+    assert standing(CARM, axis) / REST_S < MOVING_SPEED / 5.0
 
 
 def test_the_swing_of_a_sound_structure_behind_its_brake_fits_into_it_and_not_by_much() -> None:
-    """By the deceleration of the brake over the square of the slowest mode's angular frequency."""
+    """By the fastest deceleration of a stop, the brake's or the drive's, over the square of the slowest mode's angular frequency."""
     results = examine(CARM, POSES)
     slowest_Hz = min(each for result in results for each, _ in result.modes if each > SLOWEST_STRUCTURE_Hz)
-    brakes = max(facts.brakes for number in range(len(CARM.axes)) for facts, _ in axis_facts(CARM, number, results))
-    swing = brakes / (2.0 * math.pi * slowest_Hz) ** 2
+    every = [facts for number in range(len(CARM.axes)) for facts, _ in axis_facts(CARM, number, results)]
+    swing = max(max(facts.brakes, facts.quick_stop) for facts in every) / (2.0 * math.pi * slowest_Hz) ** 2
     for axis in CARM.axes:
-        assert swing < standing(CARM, axis) < 2.5 * swing
+        assert swing < standing(CARM, axis) < 1.5 * swing
