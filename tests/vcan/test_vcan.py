@@ -6,14 +6,13 @@ import os
 import re
 import subprocess
 import sys
-import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 from places import ROOT
-from prepared import compile_first, convert, prepare_when_asked
+from prepared import compile_first, prepare_beside
 from user_mode_kernel import PACKAGES, Outcome, kernel_missing, run_in_user_mode_kernel, vcan_here
 
 TOLD = "told.txt"
@@ -41,7 +40,7 @@ def test_faults_and_a_shaped_scan_over_vcan0(
 def over_vcan0(marked: str, folder: Path, record_property: Callable[[str, object], None]) -> None:
     """Run the tests inside that are marked so, in place or in a user-mode kernel.
 
-    What they need computed goes to the folder, at the rate for which they ask.
+    What they need computed goes to the folder.
     """
     command = [
         sys.executable,
@@ -74,18 +73,13 @@ def over_vcan0(marked: str, folder: Path, record_property: Callable[[str, object
                 pytest.fail(line)
             pytest.skip(line)
     compile_first(folder)
-    convert(folder)
-    stop = threading.Event()
     with ThreadPoolExecutor(1) as beside:
-        preparing = beside.submit(prepare_when_asked, folder, marked == NIGHTLY, stop)
-        try:
-            if here:
-                outcome = run_in_user_mode_kernel(command, environment, TIMEOUT_S)
-            else:
-                done = subprocess.run(command, env=os.environ | environment, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
-                outcome = Outcome(done.returncode, done.stdout + done.stderr, "")
-        finally:
-            stop.set()
+        preparing = beside.submit(prepare_beside, folder, marked == NIGHTLY)
+        if here:
+            outcome = run_in_user_mode_kernel(command, environment, TIMEOUT_S)
+        else:
+            done = subprocess.run(command, env=os.environ | environment, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+            outcome = Outcome(done.returncode, done.stdout + done.stderr, "")
         preparing.result()
     where = "in a user-mode kernel" if here else "in place"
     assert outcome.status is not None, f"the user-mode kernel did not finish:\n{outcome.console}\n{outcome.output}"

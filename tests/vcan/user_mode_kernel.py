@@ -1,7 +1,8 @@
 """A second Linux kernel as an ordinary process, for machines whose own kernel has no CAN: the bus tests run in it over a real vcan0.
 
 Debian's `user-mode-linux` ships the kernel with the modules can, can-raw, vcan and slcan. The host's file system is its root, so the same
-Python environment serves. It has one processor, and a system call takes ten microseconds: behaviour is proven there, timing is not.
+Python environment serves. It has one processor, and a system call takes ten microseconds and more: its clock is slowed while it works
+(slow_clock.c). Behaviour is proven there, timing is not.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from pathlib import Path
 
 INTERFACE = "vcan0"
 KERNEL = "linux.uml"
-PACKAGES = "user-mode-linux can-utils kmod iproute2"
+PACKAGES = "user-mode-linux can-utils kmod iproute2 gcc libc6-dev"
 
 MEMORY = "4G"
 """An emulator, a loop with its observer and a recorder, each a process with compiled code, and the recordings' file system. With 2 GB a
@@ -88,13 +89,9 @@ def vcan_here() -> str:
 
 def kernel_missing() -> str:
     """'' when a user-mode kernel can be booted here, else what is missing."""
-    missing = [tool for tool in (KERNEL, "ip", "insmod", "candump") if shutil.which(tool) is None]
+    missing = [tool for tool in (KERNEL, "ip", "insmod", "candump", "cc") if shutil.which(tool) is None]
     if missing:
         return f"{', '.join(missing)} not found (as root: apt-get install {PACKAGES})"
-    if _more_registers_than_it_knows() and shutil.which("cc") is None:
-        return (
-            "this processor's registers are more than a user-mode kernel knows, and no cc is here to help it (as root: apt-get install gcc)"
-        )
     if os.geteuid() != 0:
         return "booting a user-mode kernel on the host's file system needs root"
     return ""
@@ -104,14 +101,16 @@ def _more_registers_than_it_knows() -> bool:
     return "amx_tile" in Path("/proc/cpuinfo").read_text(encoding="utf-8")
 
 
-def _with_whole_registers(folder: Path) -> dict[str, str]:
-    """What the kernel's process needs in its environment, where the processor has more registers than it knows; see whole_registers.c."""
-    if not _more_registers_than_it_knows():
-        return dict(os.environ)
-    library = folder / "whole_registers.so"
-    source = Path(__file__).with_name("whole_registers.c")
-    subprocess.run(["cc", "-shared", "-fPIC", "-O1", "-o", str(library), str(source), "-ldl"], check=True)
-    return os.environ | {"LD_PRELOAD": str(library)}
+def _environment(folder: Path) -> dict[str, str]:
+    """Environment of the kernel's process: a clock that it can follow, and whole registers where the processor has more than it knows."""
+    sources = ["slow_clock.c", *(["whole_registers.c"] if _more_registers_than_it_knows() else [])]
+    libraries = [folder / f"{name}.so" for name in sources]
+    for name, library in zip(sources, libraries, strict=True):
+        subprocess.run(
+            ["cc", "-shared", "-fPIC", "-O1", "-o", str(library), str(Path(__file__).with_name(name)), "-ldl"],
+            check=True,
+        )
+    return os.environ | {"LD_PRELOAD": ":".join(map(str, libraries))}
 
 
 def _take_one_processor() -> None:
@@ -171,7 +170,7 @@ def run_in_user_mode_kernel(command: Sequence[str], environment: Mapping[str, st
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
-            env=_with_whole_registers(Path(folder)),
+            env=_environment(Path(folder)),
             start_new_session=True,
             preexec_fn=_take_one_processor,
         ) as kernel:

@@ -14,9 +14,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from carried import SHIPPED, Carried, carried
 from in_lockstep import lockstep_frames
 from processes import Done, Started, start, start_until_ready
+from runs import SHIPPED
 from witnesses import DEADLINE_S, POLL_S, START, Candump, SlcanAdapter
 
 PREPARED_S = 600.0
@@ -36,8 +36,8 @@ def folder() -> Path:
 
 
 @pytest.fixture
-def prepared(folder: Path, carried_machine: Carried) -> Path:
-    """The folder, when the files for the rate that is carried are there."""
+def prepared(folder: Path) -> Path:
+    """The folder, when its files are there."""
     ready = folder / "ready"
     deadline = time.monotonic() + PREPARED_S
     while not ready.exists():
@@ -112,8 +112,12 @@ def slcan_adapter() -> Iterator[SlcanAdapter]:
 
 
 @pytest.fixture
-def emulate(tmp_path: Path) -> Iterator[Callable[..., dict[str, str]]]:
-    """Start `isocenter emulate` with these arguments; it is ready when this returns its ready line."""
+def emulate(tmp_path: Path, lockstep_as_shipped: list[str]) -> Iterator[Callable[..., dict[str, str]]]:
+    """Start `isocenter emulate` with these arguments; it is ready when this returns its ready line.
+
+    A run in lockstep has loaded before all that processes are forked with.
+    """
+    assert lockstep_as_shipped
     running: list[Started] = []
 
     def begin(*arguments: str) -> dict[str, str]:
@@ -138,14 +142,3 @@ def run(tmp_path: Path) -> Callable[..., Done]:
 def lockstep_as_shipped(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     """The frames of the shipped machine, at rest for a second in lockstep, at its own rate."""
     return lockstep_frames(tmp_path_factory.mktemp("lockstep"), SHIPPED)
-
-
-@pytest.fixture(scope="session")
-def carried_machine(folder: Path, tmp_path_factory: pytest.TempPathFactory, lockstep_as_shipped: list[str]) -> Carried:
-    """The shipped machine at the rate that this kernel carries; the lockstep run has loaded all that processes are forked with."""
-    place, bus = tmp_path_factory.mktemp("carried"), f"socketcan:{os.environ['ISOCENTER_VCAN']}"
-    emulator, _ = start_until_ready(place, "emulate", SHIPPED, "--bus", bus, "--no-real-time", "--json", "-")
-    try:
-        return carried(folder, lambda *words: start(place, "run", *words, "--bus", bus, *ON_ONE_PROCESSOR).wait(), place / "answer.json")
-    finally:
-        emulator.end()

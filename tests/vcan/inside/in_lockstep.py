@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from carried import AT_REST
 from conversation import since_the_bench_came
+from runs import AT_REST
 
 from hil.cli import main
 from hil.emulated.machine import build_emulated

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import can
 import pytest
-from carried import AT_REST, ATTEMPTS, SHIPPED, TOLD, Carried, by_a_limit, late_answers, timing_told, why_it_ended
 from conversation import conversations, differing, since_the_bench_came
 from in_lockstep import answered_in_lockstep, answers
 from processes import Done, start
+from runs import AT_REST, ATTEMPTS, SHIPPED, TOLD, by_a_limit, late_answers, timing_told, told_wake_ups, why_it_ended
 from witnesses import Candump
 
 from hil.machine import Machine, load_machine
@@ -27,21 +27,8 @@ DRIVES, EMERGENCY, MASTER_IS_GONE, NMT_STOP = (1, 2), 0x080, b"\x30\x81", 2
 """A drive says that its master is gone, unless the supervisor, which waits as long for a SYNC, has stopped its node before."""
 
 
-def test_the_shipped_machine_runs_or_is_stopped_by_a_limit_of_its_file(carried_machine: Carried) -> None:
-    done = carried_machine.at_256_Hz
-    if done.returncode == 0:
-        return
-    assert carried_machine.file != SHIPPED
-    assert done.returncode == 1
-    assert "Traceback" not in done.stderr
-    said = carried_machine.said
-    assert by_a_limit(said), said
-    assert re.search(r"propeller.* at rest: |held by|nobody knows|^sensors not to be believed", said), said  # and what became of it
-
-
-def test_frames_have_kind_and_order_of_a_lockstep_run_as_shipped_node_by_node(
+def test_frames_have_kind_and_order_of_a_lockstep_run_node_by_node(
     interface: str,
-    carried_machine: Carried,
     lockstep_as_shipped: list[str],
     emulate: Callable[..., dict[str, str]],
     run: Callable[..., Done],
@@ -49,17 +36,22 @@ def test_frames_have_kind_and_order_of_a_lockstep_run_as_shipped_node_by_node(
     folder: Path,
     tmp_path: Path,
 ) -> None:
-    machine, bus = carried_machine.file, f"socketcan:{interface}"
-    in_lockstep = conversations(lockstep_as_shipped, load_machine(SHIPPED))
+    machine, bus = load_machine(SHIPPED), f"socketcan:{interface}"
+    in_lockstep = conversations(lockstep_as_shipped, machine)
     assert {len(ticks) > 256 * 7 for ticks in in_lockstep.values()} == {True}
     for attempt in range(ATTEMPTS):
         witness, answer = candump(interface), tmp_path / f"answer_{attempt}.json"
-        emulate(machine, "--bus", bus, "--seed", "3")
+        emulate(SHIPPED, "--bus", bus, "--seed", "3")
         out = ("--json", str(answer), "-o", str(tmp_path / f"{attempt}.mf4"))
-        done = run(*AT_REST, "--machine", machine, "--bus", bus, *carried_machine.options, *out)
-        seen = conversations(since_the_bench_came(witness.frames()), carried_machine.machine)
+        done = run(*AT_REST, "--machine", SHIPPED, "--bus", bus, *out)
+        seen = conversations(since_the_bench_came(witness.frames()), machine)
         if not answer.exists():
-            print(f"attempt {attempt}: {done.stderr}", flush=True)
+            assert done.returncode == 1
+            assert "Traceback" not in done.stderr
+            said = why_it_ended(done, answer)
+            assert by_a_limit(said), said
+            assert re.search(r"propeller.* at rest: |held by|nobody knows|^sensors not to be believed", said), said  # what became of it
+            print(f"attempt {attempt}: {said}", flush=True)
             continue
         late = late_answers(answer)
         differ = {node: differing(seen[node], ticks, late.get(node, 0)) for node, ticks in in_lockstep.items()}
@@ -69,18 +61,17 @@ def test_frames_have_kind_and_order_of_a_lockstep_run_as_shipped_node_by_node(
     else:
         pytest.fail("no run on vcan0 had the conversations of the lockstep run")
     with (folder / TOLD).open("a") as told:
-        told.write(f"{carried_machine.machine.sample_rate_Hz:g} Hz: {timing_told(answer)}; frames as in lockstep at 256 Hz\n")
+        told.write(f"{told_wake_ups(machine.sample_rate_Hz)}\n{timing_told(answer)}; frames as in lockstep\n")
 
 
 def test_devices_answer_as_in_lockstep_to_the_same_frames_byte_for_byte(
     interface: str,
-    carried_machine: Carried,
     emulate: Callable[..., dict[str, str]],
     run: Callable[..., Done],
     candump: Callable[[str], Candump],
     tmp_path: Path,
 ) -> None:
-    """At 256 Hz wherever it runs: what is late on vcan, or stops a run, is in its frames. Stopped runs count, too."""
+    """What is late on vcan, or stops a run, is in its frames. Stopped runs count, too."""
     file = can_alone(load_machine(SHIPPED), tmp_path)
     machine = load_machine(file)
     answered = 0
@@ -108,11 +99,10 @@ def can_alone(machine: Machine, folder: Path) -> str:
 
 
 def test_a_loop_killed_mid_run_leaves_a_machine_that_stops_and_a_recording_that_reads(
-    interface: str, carried_machine: Carried, emulate: Callable[..., dict[str, str]], tmp_path: Path
+    interface: str, emulate: Callable[..., dict[str, str]], tmp_path: Path
 ) -> None:
-    machine = carried_machine.file
-    emulate(machine, "--bus", f"socketcan:{interface}")
-    bench = ("--machine", machine, "--bus", f"socketcan:{interface}", "--no-real-time", *carried_machine.options)
+    emulate(SHIPPED, "--bus", f"socketcan:{interface}")
+    bench = ("--machine", SHIPPED, "--bus", f"socketcan:{interface}", "--no-real-time")
     for attempt in range(ATTEMPTS):
         path = tmp_path / f"killed_{attempt}.mf4"
         loop = start(tmp_path, "run", "static", *bench, "--seconds", "60", "-o", str(path))

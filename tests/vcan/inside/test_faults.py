@@ -7,14 +7,15 @@ import time
 from pathlib import Path
 
 import pytest
-from carried import Carried
 from most_dangerous import MOST_DANGEROUS
 from places import BENCHMARKS
 from processes import start, start_until_ready
+from runs import SHIPPED
 
 from hil.faults.check import run_trial
 from hil.faults.motion import motion_of
 from hil.faults.trials import trials
+from hil.machine import load_machine
 
 sys.path.insert(0, str(BENCHMARKS))
 from faults_over_processes import TRUTH, WATCHED_S, commands, ended, judged
@@ -25,8 +26,8 @@ ATTEMPTS = 3
 
 @pytest.mark.vcan
 @pytest.mark.nightly
-def test_they_end_as_in_lockstep(interface: str, carried_machine: Carried, tmp_path: Path) -> None:
-    machine = carried_machine.machine
+def test_they_end_as_in_lockstep(interface: str, tmp_path: Path) -> None:
+    machine = load_machine(SHIPPED)
     motion = motion_of(machine, "roll")
     seen, in_lockstep = {}, {}
     for (row,) in (trials(machine, "roll", [name]) for name in MOST_DANGEROUS):
@@ -36,7 +37,7 @@ def test_they_end_as_in_lockstep(interface: str, carried_machine: Carried, tmp_p
             folder.mkdir()
             emulate, run = commands(row, machine, f"socketcan:{interface}", folder, "roll")
             emulator, _ = start_until_ready(folder, *emulate, "--no-real-time")
-            bench = start(folder, *run, "--no-real-time", *carried_machine.options)
+            bench = start(folder, *run, "--no-real-time")
             status = ended(bench.process.pid, lambda process=bench.process: process.exitcode, bench.errors)
             bench.process.join()
             time.sleep(WATCHED_S)

@@ -34,7 +34,7 @@ def test_two_processes_exchange_frames_and_candump_saw_each(interface: str, cand
                 assert answer is not None
                 assert bytes(answer.data) == bytes([2, 1, number])
     expected = [frame for number in range(20) for frame in (f"181#{number:02X}0102", f"201#0201{number:02X}")]
-    assert witness.frames() == expected
+    assert [frame for frame in witness.frames() if frame[:3] in ("181", "201")] == expected  # a supervisor may still be stopping a machine
 
 
 def test_a_serial_adapter_carries_frames_both_ways(slcan_adapter: SlcanAdapter, candump: Callable[[str], Candump]) -> None:

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from carried import DESIGN, SHAPER, Carried, run_to_its_end
 from processes import Done
+from runs import DESIGN, SHAPER, SHIPPED, run_to_its_end
 
+from hil.machine import load_machine
 from hil.observing import observe, read_design
 from hil.recording import Recording, read_recording
 
@@ -28,18 +29,18 @@ def assert_observed(recording: Recording, design: Path, rate_Hz: int) -> None:
 
 
 @pytest.fixture
-def at_30_degrees(interface: str, carried_machine: Carried, prepared: Path, emulate: Callable[..., dict[str, str]]) -> tuple[str, ...]:
+def at_30_degrees(interface: str, prepared: Path, emulate: Callable[..., dict[str, str]]) -> tuple[str, ...]:
     """Options of `run` at a machine that stands at roll 30 degrees, with the observer."""
-    machine, bus = carried_machine.file, f"socketcan:{interface}"
-    emulate(machine, "--bus", bus, "--pose", "roll=30")
+    bus = f"socketcan:{interface}"
+    emulate(SHIPPED, "--bus", bus, "--pose", "roll=30")
     observer = ("--observer", str(prepared / DESIGN))
-    return ("--machine", machine, "--bus", bus, "--pose", "roll=30", *observer, *carried_machine.options)
+    return ("--machine", SHIPPED, "--bus", bus, "--pose", "roll=30", *observer)
 
 
 def test_a_multisine_with_jog_runs_with_the_observer(
-    carried_machine: Carried, prepared: Path, at_30_degrees: tuple[str, ...], run: Callable[..., Done], tmp_path: Path
+    prepared: Path, at_30_degrees: tuple[str, ...], run: Callable[..., Done], tmp_path: Path
 ) -> None:
-    rate_Hz = round(carried_machine.machine.sample_rate_Hz)
+    rate_Hz = round(load_machine(SHIPPED).sample_rate_Hz)
     experiment = ("--experiments", "single", "--axes", "roll", "--amplitude", "0.5", "--period", "1", "--jog", "0.05", "--periods", "1")
     recording = read_recording(run_to_its_end(lambda *out: run("multisine", *at_30_degrees, *experiment, *out), tmp_path))
     assert_observed(recording, prepared / DESIGN, rate_Hz)
@@ -55,11 +56,11 @@ def test_a_multisine_with_jog_runs_with_the_observer(
 
 @pytest.mark.nightly
 def test_a_shaped_scan_runs_with_the_observer(
-    carried_machine: Carried, prepared: Path, at_30_degrees: tuple[str, ...], run: Callable[..., Done], tmp_path: Path
+    prepared: Path, at_30_degrees: tuple[str, ...], run: Callable[..., Done], tmp_path: Path
 ) -> None:
     """What the shaper does to a reference knows no bus, and is shown in lockstep for every change."""
     sweep = ("--axis", "roll", "--from", "30", "--to", "34", "--speed", "4", "--dwell", "0.5", "--shaper", str(prepared / SHAPER))
     recording = read_recording(run_to_its_end(lambda *out: run("scan", *at_30_degrees, *sweep, *out), tmp_path))
-    assert_observed(recording, prepared / DESIGN, round(carried_machine.machine.sample_rate_Hz))
+    assert_observed(recording, prepared / DESIGN, round(load_machine(SHIPPED).sample_rate_Hz))
     assert np.abs(recording["reference_roll"] - recording["reference_raw_roll"]).max() > 1e-4  # the shaper had its say
     assert np.nanmax(np.abs(recording["reference_roll"] - recording["position_roll"])) < np.radians(1.0)
