@@ -102,7 +102,7 @@ def with_side(module: ModuleType, split: str, data: RealSet, trial: Trial) -> Er
         return dict(module.errors(split, machine, trial.values, settings, side=side))
     if machine.controllers:
         machine = replace(machine, controllers=tuple(with_gain(*each) for each in zip(machine.controllers, trial.gain, strict=True)))
-    elif trial.lateness_s > 0.0 or hasattr(module, "without_delay"):  # efforts may have acted before they were recorded
+    elif trial.lateness_s > 0.0 or getattr(module, "EFFORT_MAY_LEAD", False):
         settings = (*settings, *(EffectSetting("delay", axis, {"Td": trial.lateness_s}) for axis in machine.axes))
     return dict(module.errors(split, machine, trial.values, settings))
 

@@ -25,6 +25,8 @@ README_HOLD_ROWS, README_SECONDS = 4, 4.0  # torques are held for 8 ms, and posi
 WINDOW_s = ZERO_SECONDS = 1.0
 SMOOTH_ROWS = 13
 ZERO_LIMIT_rad, ZERO_SCALE_rad = 0.3, 0.05
+EFFORT_MAY_LEAD = True
+"""Its metric takes a delay below zero: what was recorded as effort may have acted before its row."""
 ALL = ("00", "02", "03", "04", "05")
 SPLITS = {"readme": (("00", "05"), "04")} | {
     f"full, {held_out} held out": (tuple(name for name in ALL if name != held_out), held_out) for held_out in ("02", "03", "04")

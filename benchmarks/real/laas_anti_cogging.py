@@ -21,6 +21,8 @@ from virtual_bus.settings import EffectSetting
 RATE_Hz = 1000.0
 STEPS = 4
 """Of a free run, a row: the current goes along straight lines between rows."""
+EFFORT_MAY_LEAD = True
+"""Its metric takes a delay below zero: what was recorded as effort may have acted before its row."""
 AXIS = "rotor"
 ROUGH_FLAG = {"speed_test1": 0, "speed_test": 1}
 """The flag's value where nothing compensates."""

@@ -26,6 +26,8 @@ README_s = ((2.0, 8.0), (40.0, 46.0))
 FULL_SHARE = 0.6
 SMOOTH_ROWS = 15
 SLIP_SPEED_rad_s = 0.016  # as unsure as speeds are taken to be where friction turns over: about the baseline's tanh(speed / 0.02)
+EFFORT_MAY_LEAD = True
+"""Its metric takes a delay below zero: what was recorded as effort may have acted before its row."""
 NAMES = [f"joint {joint}, {kind}" for joint in (1, 2, 3) for kind in ("readme", "full")]
 
 
