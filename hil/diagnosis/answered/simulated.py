@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from hil.diagnosis.answered.answer import (
+    LEFT,
     NEXT_EXPERIMENT,
     NOTHING_MISSING,
     SHOWN,
@@ -52,8 +53,6 @@ from virtual_bus.settings import EffectSetting
 
 WITHIN_95, WITHIN_95_OF_FEW = 1.96, 3.18
 """Half widths of an interval in standard deviations: of many readings, and of the four stretches that differ (Student's t)."""
-LEFT = 0.1
-"""Share of what numbers alone leave that an answer may leave and have explained it."""
 NO_HELP = "with it, recordings that were held out are not predicted better"
 UNITS = {Kind.GAIN: "", Kind.LATENESS: "s", Kind.EARLY: "rows", Kind.EFFORT_LAG: "s"}
 
@@ -100,7 +99,7 @@ def answer_of_runs(
         frozen={} if is_nothing else frozen,
         noise=noise,
         location=Location() if verdict in ("consistent", "retuned") else where_it_is(seen, tuned, along),
-        fit=fit_of(train, held, held_out != {}),
+        fit=fit_of(train, held, has_held_out=held_out != {}),
         unexplained_share=unexplained,
         seconds=time.monotonic() - began,
         lacking={seen.alongs[0].joints[joint]: share for joint, share in shares_of(seen).items()},

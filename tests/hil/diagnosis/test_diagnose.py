@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from pathlib import Path
 
@@ -48,6 +49,22 @@ def test_the_extended_machine_predicts_recordings_it_was_not_fitted_to_down_to_n
     assert nominal > retuned > 2.0 * extended
     assert extended == pytest.approx(1.0, abs=0.1)
     assert fit.removed_share > 0.9
+
+
+def test_held_out_recordings_that_an_answer_does_not_predict_take_its_assurance_away(
+    with_friction: tuple[dict[str, Recording], dict[str, Recording]],
+) -> None:
+    pushed = repeats(1, experiment=1, duration_s=2.0, mass=1.05 * MASS_kg, coulomb_N=COULOMB_N, load_N=30.0)
+    diagnosis = diagnose(MACHINE, with_friction[0], pushed).diagnosis
+    assert [str(finding.effect) for finding in diagnosis.findings] == ["coulomb_friction at carriage"]
+    assert diagnosis.verdict == "ambiguous"
+    said = re.search(r"of those held out (\d+)% of the mismatch is left$", diagnosis.reason)
+    assert said, diagnosis.reason
+    errors = diagnosis.fit.held_out
+    assert errors is not None
+    assert errors.retuned is not None
+    assert errors.extended is not None
+    assert int(said[1]) == pytest.approx(100.0 * (errors.extended**2 - 1.0) / (errors.retuned**2 - 1.0), abs=1.0)
 
 
 def test_the_answer_is_written_as_promised(friction: Answered, tmp_path: Path) -> None:
