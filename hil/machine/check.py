@@ -14,8 +14,7 @@ from hil.machine.check_ramps import ramps
 from hil.machine.closed_loop import Margins, position_loop
 from hil.machine.finding import Finding, PoseResult, shown_pose
 from hil.machine.model import Machine
-from virtual_bus.linear.lateness import hanging_inertia
-from virtual_bus.linear.left_out import left_out, sentences
+from virtual_bus.linear.left_out import LeftOut, left_out, sentences, without
 
 if TYPE_CHECKING:
     from virtual_bus.physics import Physics
@@ -88,9 +87,7 @@ def _examine_pose(machine: Machine, physics: Physics, pose: tuple[float, ...]) -
     poles = linear.poles
     poles = poles[(poles.imag > 0.0) & (np.abs(poles.real) < LIGHTLY_DAMPED * np.abs(poles))]
     modes = sorted((float(abs(pole)) / (2.0 * math.pi), float(-pole.real / abs(pole))) for pole in poles)
-    return PoseResult(
-        pose, physics.holding_effort(np.array(pose)), _inertia(physics, pose), hanging_inertia(machine.plant), tuple(modes), radius, margins
-    )
+    return PoseResult(pose, physics.holding_effort(np.array(pose)), _inertia(physics, pose), tuple(modes), radius, margins)
 
 
 def _inertia(physics: Physics, pose: tuple[float, ...]) -> np.ndarray:
@@ -109,7 +106,7 @@ def _modes(machine: Machine, results: list[PoseResult]) -> list[Finding]:
     # a pendulum's slow swing is there in one pose and gone in another: count from the top
     fewest = min(len(result.modes) for result in results)
     findings = []
-    without = _without(machine)
+    outside = without(machine.plant.effects)
     for number in range(fewest):
         at = [result.modes[len(result.modes) - fewest + number] for result in results]
         low, high = min(at), max(at)
@@ -120,7 +117,7 @@ def _modes(machine: Machine, results: list[PoseResult]) -> list[Finding]:
             text += f"; lowest at {shown_pose(machine, low_at)}, highest at {shown_pose(machine, high_at)}"
         stable = min(dampings) > -1e-9
         values = {"frequency_Hz": [low[0], high[0]], "damping": [min(dampings), max(dampings)]}
-        findings.append(Finding("mode", stable, text + without, values, bool(without)))
+        findings.append(Finding("mode", stable, text + outside, values, bool(outside)))
     return findings
 
 
@@ -146,22 +143,14 @@ def _controllers(machine: Machine, results: list[PoseResult]) -> list[Finding]:
 
 def _left_out(machine: Machine) -> list[Finding]:
     """Return a finding per effect of the file that modes, stability and margins do not know, with its places and the reason."""
-    outside = left_out(machine.plant.effects)
+    by_name: dict[str, list[LeftOut]] = {}
+    for each in left_out(machine.plant.effects):
+        by_name.setdefault(each.name, []).append(each)
     return [
-        Finding(
-            "left_out",
-            True,
-            f"modes, stability and margins are without {said}",
-            {"left_out": [vars(each) for each in outside if each.name == said.split()[0]]},
-        )
-        for said in sentences(outside)
+        Finding("left_out", True, f"modes, stability and margins are without {said}", {"left_out": [vars(each) for each in found]})
+        for found in by_name.values()
+        for said in sentences(found)
     ]
-
-
-def _without(machine: Machine) -> str:
-    """Return the end of a linear answer's text: which effects of the file it does not hold."""
-    names = list(dict.fromkeys(each.name for each in left_out(machine.plant.effects)))
-    return f"; without {', '.join(names)}" if names else ""
 
 
 def _stability(machine: Machine, results: list[PoseResult]) -> Finding:
@@ -172,8 +161,8 @@ def _stability(machine: Machine, results: list[PoseResult]) -> Finding:
         unstable = sum(result.pole_radius >= 1.0 for result in results)
         text = f"closed loop unstable in {unstable} of {len(results)} poses, worst at {shown_pose(machine, worst.pose)}; lower the gain"
     values = {"pole_radius": worst.pole_radius, "pose": worst.pose, "poses": len(results)}
-    without = _without(machine)
-    return Finding("stability", ok, text + without, values, bool(without))
+    outside = without(machine.plant.effects)
+    return Finding("stability", ok, text + outside, values, bool(outside))
 
 
 def _reference_filters(machine: Machine) -> list[Finding]:
@@ -191,7 +180,7 @@ def _reference_filters(machine: Machine) -> list[Finding]:
 
 def _margins(machine: Machine, results: list[PoseResult]) -> list[Finding]:
     findings = []
-    without = _without(machine)
+    outside = without(machine.plant.effects)
     for axis, name in enumerate(machine.axes):
         for what, unit, least, value, at in (
             ("phase", "deg", PHASE_MARGIN_deg, "phase_deg", "phase_at_Hz"),
@@ -200,15 +189,17 @@ def _margins(machine: Machine, results: list[PoseResult]) -> list[Finding]:
             worst = min(results, key=lambda result: getattr(result.margins[axis], value))
             margin, frequency = getattr(worst.margins[axis], value), getattr(worst.margins[axis], at)
             text = f"{name}: {what} margin at least {margin:.1f} {unit}"
-            if math.isfinite(margin):
+            if margin == -math.inf:
+                text += f": no change of its {what} is found that makes the loop stable at {shown_pose(machine, worst.pose)}"
+            elif math.isfinite(margin):
                 text += f" (at {frequency:.2f} Hz, {shown_pose(machine, worst.pose)})"
-            text += f"; at least {least:g} {unit} is right{without}"
+            text += f"; at least {least:g} {unit} is right{outside}"
             numbers = {"axis": name, value: margin, at: frequency, "pose": worst.pose}
-            findings.append(Finding(f"{what}_margin", margin >= least, text, numbers, bool(without)))
+            findings.append(Finding(f"{what}_margin", margin >= least, text, numbers, bool(outside)))
         crossovers = [result.margins[axis].crossover_Hz for result in results]
         low, high = min(crossovers), max(crossovers)
         text = f"{name}: loop gain falls through 1 at {low:.2f} to {high:.2f} Hz"
-        findings.append(Finding("crossover", True, text + without, {"axis": name, "crossover_Hz": [low, high]}, bool(without)))
+        findings.append(Finding("crossover", True, text + outside, {"axis": name, "crossover_Hz": [low, high]}, bool(outside)))
     return findings
 
 

@@ -17,7 +17,7 @@ from drivers.settings import BusSettings, Node
 from hil.machine.finding import Finding, PoseResult, shown_pose
 from hil.machine.model import Machine
 from hil.machine.standstill import CLASSES, AxisFacts, Stop
-from virtual_bus.linear.lateness import drives_late_s
+from virtual_bus.linear.lateness import drives_late_s, hanging_inertia
 
 WIDEST = 1.5
 """Multiple of what is computed that a budget may be: what the closed forms leave out is less, and a wider one promises nothing."""
@@ -55,10 +55,10 @@ def axis_facts(machine: Machine, number: int, results: Sequence[PoseResult]) -> 
         by_others.setdefault((*result.pose[:number], *result.pose[number + 1 :]), []).append(result)
     found = []
     late_s = float(drives_late_s(machine.plant)[number])
+    hanging = float(hanging_inertia(machine.plant)[number])  # a fast push leaves it behind, a ramp takes it along
     for group in by_others.values():
         heaviest = max(group, key=lambda result: abs(result.holding[number]))
         inertias = [float(result.inertia[number]) for result in group]
-        hanging = max(float(result.hanging[number]) for result in group)  # a fast push leaves it behind, a ramp takes it along
         facts = AxisFacts(
             speed=limit.speed,
             watched_speed=LED_SPEED_MARGIN * limit.speed,

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import scipy.linalg
@@ -22,10 +23,17 @@ RESONANCE_WIDTHS = np.concatenate([-np.geomspace(30.0, 0.1, 25), [0.0], np.geoms
 FINEST_TURN_rad = 0.1
 """Phase by which a delay may turn the loop gain between two points: along the chord the margin is then right to 0.1 degrees."""
 
+BEYOND = 0.01
+"""By which share of a gain, or how many radians, behind a change stability is looked at: five times what the chord is wrong by."""
+
 
 @dataclass(frozen=True)
 class Margins:
-    """Worst margins of one axis's loop, the others closed; infinite where nothing crosses, negative where the loop is not stable."""
+    """Worst margins of one axis's loop, the others closed; infinite where nothing crosses.
+
+    Where the whole loop is not stable they are negative: the least change of this axis's phase (of less than half a turn), or of its gain,
+    behind which all closed-loop poles are found inside the unit circle; -inf where none is found.
+    """
 
     phase_deg: float
     phase_at_Hz: float
@@ -50,33 +58,31 @@ class LinearLoop:
 
     def pole_radius(self) -> float:
         """Largest |pole| of the closed loop; below 1 it is stable."""
+        return float(np.abs(self._poles(np.ones(len(self._sections)))).max())
+
+    def margins(self) -> tuple[Margins, ...]:
+        """Margins of every axis, the other loops closed."""
+        rate_Hz = 1.0 / self.plant.period_s
+        frequencies = frequency_grid(self.plant.poles, rate_Hz, self.plant.late_s)
+        z = np.exp(2j * np.pi * frequencies / rate_Hz)
+        controllers = np.stack([_response(sections, z) for sections in self._sections], axis=-1)
+        return margins_of_axes(frequencies, self.plant.response(frequencies) * controllers[:, None, :], self._poles)
+
+    def _poles(self, factors: np.ndarray) -> np.ndarray:
+        """Return the poles of the loop closed with each axis's gain times its factor, in z."""
         filters = [cascade_state_space(sections) for sections in self._sections]
         n = len(self.plant.a)
         loop = scipy.linalg.block_diag(self.plant.a, *[f[0] for f in filters])
+        entering = self.plant.b * factors
+        loop = loop.astype(entering.dtype)
         start = n
         for axis, (f, g, h, d) in enumerate(filters):
             own = slice(start, start + len(f))
             loop[own, :n] = -np.outer(g, self.plant.c[axis])
-            loop[:n, own] = np.outer(self.plant.b[:, axis], h)
-            loop[:n, :n] -= d * np.outer(self.plant.b[:, axis], self.plant.c[axis])
+            loop[:n, own] = np.outer(entering[:, axis], h)
+            loop[:n, :n] -= d * np.outer(entering[:, axis], self.plant.c[axis])
             start += len(f)
-        return float(np.abs(np.linalg.eigvals(loop)).max())
-
-    def margins(self) -> tuple[Margins, ...]:
-        """Margins of every axis, the other loops closed; of a loop that is not stable they are negative: by so much it fails."""
-        rate_Hz = 1.0 / self.plant.period_s
-        frequencies = frequency_grid(self.plant.poles, rate_Hz, self.plant.late_s)
-        z = np.exp(2j * np.pi * frequencies / rate_Hz)
-        plant = self.plant.response(frequencies)
-        gain = plant * np.stack([_response(sections, z) for sections in self._sections], axis=-1)[:, None, :]
-        difference = np.eye(gain.shape[1]) + gain
-        whole = np.linalg.det(difference)
-        is_stable = self.pole_radius() < 1.0
-        found = []
-        for axis in range(gain.shape[1]):
-            others = np.delete(np.delete(difference, axis, axis=1), axis, axis=2)
-            found.append(loop_margins(frequencies, whole / np.linalg.det(others) - 1.0, is_stable))
-        return tuple(found)
+        return np.linalg.eigvals(loop)
 
 
 def position_loop(machine: Machine, plant: LinearPlant) -> LinearLoop:
@@ -85,8 +91,8 @@ def position_loop(machine: Machine, plant: LinearPlant) -> LinearLoop:
     return LinearLoop(sampled(plant, 1.0 / machine.sample_rate_Hz, outputs), machine.controllers)
 
 
-def frequency_grid(poles: np.ndarray, sample_rate_Hz: float, late_s: float = 0.0) -> np.ndarray:
-    """Frequencies [Hz] up to half the sample rate, dense about the plant's resonances and where a delay turns the phase fast.
+def frequency_grid(poles: np.ndarray, sample_rate_Hz: float, late_s: float) -> np.ndarray:
+    """Frequencies [Hz] up to half the sample rate, itself included, dense about the plant's resonances and where a delay turns the phase.
 
     Parameters
     ----------
@@ -96,48 +102,107 @@ def frequency_grid(poles: np.ndarray, sample_rate_Hz: float, late_s: float = 0.0
         `late_s` is the delay in the loop.
     """
     nyquist = sample_rate_Hz / 2.0
-    grid = [np.geomspace(LOWEST_Hz, nyquist, POINTS)]
-    if late_s > 0.0:
-        grid.append(np.arange(LOWEST_Hz, nyquist, FINEST_TURN_rad / (2.0 * np.pi * late_s)))
+    grid = [np.geomspace(LOWEST_Hz, nyquist, POINTS), np.arange(LOWEST_Hz, nyquist, FINEST_TURN_rad / (2.0 * np.pi * late_s))]
     for pole in poles[poles.imag > 0.0]:
         grid.append((np.abs(pole) - RESONANCE_WIDTHS * abs(pole.real)) / (2.0 * np.pi))
     joined = np.unique(np.concatenate(grid))
-    return joined[(joined >= LOWEST_Hz) & (joined < nyquist)]
+    return np.append(joined[(joined >= LOWEST_Hz) & (joined < nyquist)], nyquist)
 
 
-def loop_margins(frequencies_Hz: np.ndarray, gain: np.ndarray, is_stable: bool = True) -> Margins:
-    """Margins of a loop gain L (negative feedback) on a frequency grid fine enough that it turns little between neighbours.
+def margins_of_axes(frequencies_Hz: np.ndarray, gain: np.ndarray, poles: Callable[[np.ndarray], np.ndarray]) -> tuple[Margins, ...]:
+    """Margins of every axis, the others closed.
 
-    Crossings of |L| = 1 and of the negative real axis are interpolated along the chord. Where the closed loop is not stable, the phase
-    margin is that of the crossing which needs the least phase to become right, negative: a crossing downwards must lie before -180
-    degrees, one upwards behind it.
+    Parameters
+    ----------
+    frequencies_Hz : (L,) array
+        So fine that the gain turns little between neighbours; the last is half the sample rate, where a gain is real.
+    gain : (L, axes, axes) complex array
+        Loop gain (negative feedback), a column per axis at which it is cut.
+    poles : function
+        From complex factors (axes,) on the columns of the gain to the poles of the closed loop, in z.
     """
+    difference = np.eye(gain.shape[1]) + gain
+    whole = np.linalg.det(difference)
+    now = poles(np.ones(gain.shape[1]))
+    found = []
+    for axis, own in enumerate(np.eye(gain.shape[1])):
+        others = np.delete(np.delete(difference, axis, axis=1), axis, axis=2)
+        loop = whole / np.linalg.det(others) - 1.0
+        loop[-1] = loop[-1].real  # but for rounding, through which a crossing there could be lost
+        if (np.abs(now) < 1.0).all():
+            found.append(loop_margins(frequencies_Hz, loop))
+        else:
+            found.append(_lacking(frequencies_Hz, loop, now, lambda factor, own=own: poles(factor**own)))
+    return tuple(found)
+
+
+def loop_margins(frequencies_Hz: np.ndarray, gain: np.ndarray) -> Margins:
+    """Margins of a loop gain L (negative feedback) whose closed loop is stable, at frequencies as of `margins_of_axes`."""
+    crossings, real = _at_unit_gain(frequencies_Hz, gain), _at_half_turn(frequencies_Hz, gain)
+    phase = min(((abs(angle), frequency) for frequency, angle, _ in crossings), default=(np.inf, np.nan))
+    change = min(((abs(size), frequency) for frequency, size in real), default=(np.inf, np.nan))
+    return _margins(phase, change, crossings)
+
+
+def _lacking(frequencies_Hz: np.ndarray, gain: np.ndarray, now: np.ndarray, poles: Callable[[complex], np.ndarray]) -> Margins:
+    """Margins of a loop gain whose closed loop has these poles, not all of them stable, and others with a factor on the gain.
+
+    A turned gain L e^(j a) stands for positive frequencies alone, its conjugate for the others: of its poles those above the real axis
+    count. L is real on the real axis, so over less than half a turn no pole crosses that. One that grows there, without swinging, is not
+    a matter of phase.
+    """
+    crossings, real = _at_unit_gain(frequencies_Hz, gain), _at_half_turn(frequencies_Hz, gain)
+    turns = [(angle, frequency) for frequency, angle, _ in crossings]
+    grows = bool(((now.imag == 0.0) & (np.abs(now) >= 1.0)).any())
+    phase = (-np.inf, np.nan) if grows else max(_least_change(turns, sign, 1j, poles) for sign in (1, -1))
+    change = max(_least_change([(size, frequency) for frequency, size in real], sign, 1.0, poles) for sign in (1, -1))
+    return _margins(phase, change, crossings)
+
+
+def _least_change(
+    ahead: Sequence[tuple[float, float]], sign: int, unit: complex, poles: Callable[[complex], np.ndarray]
+) -> tuple[float, float]:
+    """Return the negative of the least change [Np or rad] behind which the loop is stable, and where it swings there [Hz].
+
+    `ahead` holds by how much the gain is ahead of -1 wherever it can come to lie on it, with the frequencies; the logarithm of the gain is
+    changed along `sign` times `unit`.
+    """
+    changes = sorted((-sign * each, frequency) for each, frequency in ahead if sign * each < 0.0)
+    for (change, frequency), (following, _) in pairwise([*changes, (np.inf, np.nan)]):
+        found = poles(np.exp(sign * unit * (change + min(BEYOND, 0.5 * (following - change)))))
+        if (np.abs(found[found.imag >= 0.0]) < 1.0).all():
+            return -change, frequency
+    return -np.inf, np.nan
+
+
+def _margins(phase: tuple[float, float], change: tuple[float, float], crossings: Sequence[tuple[float, float, bool]]) -> Margins:
+    """Return margins of what was found in rad and Np."""
+    crossover = next((frequency for frequency, _, falls in crossings if falls), np.nan)
+    return Margins(float(np.degrees(phase[0])), phase[1], float(20.0 / np.log(10.0) * change[0]), change[1], crossover)
+
+
+def _at_unit_gain(frequencies_Hz: np.ndarray, gain: np.ndarray) -> list[tuple[float, float, bool]]:
+    """Return frequency [Hz], phase from half a turn on [rad], and whether the gain falls, wherever |L| = 1, along the chord."""
     size = np.log(np.abs(gain))
-    phase, crossover = (np.inf, np.nan), np.nan
-    missing = (-np.inf, np.nan)
+    found = []
     for k in np.flatnonzero(np.sign(size[:-1]) != np.sign(size[1:])):
         share = size[k] / (size[k] - size[k + 1])
         at = gain[k] + share * (gain[k + 1] - gain[k])
         frequency = frequencies_Hz[k] + share * (frequencies_Hz[k + 1] - frequencies_Hz[k])
-        falls = size[k] > 0.0
-        if falls and np.isnan(crossover):
-            crossover = frequency
-        angle = np.degrees(np.angle(-at))
-        phase = min(phase, (abs(angle), frequency))
-        lacks = angle if falls else -angle
-        if lacks < 0.0:
-            missing = max(missing, (lacks, frequency))
-    rise = (np.inf, np.nan)
+        found.append((float(frequency), float(np.angle(-at)), bool(size[k] > 0.0)))
+    return found
+
+
+def _at_half_turn(frequencies_Hz: np.ndarray, gain: np.ndarray) -> list[tuple[float, float]]:
+    """Return frequency [Hz] and logarithm of the size [Np] wherever L is real and negative, along the chord."""
+    found = []
     for k in np.flatnonzero(np.sign(gain.imag[:-1]) != np.sign(gain.imag[1:])):
         share = gain.imag[k] / (gain.imag[k] - gain.imag[k + 1])
         at = gain.real[k] + share * (gain.real[k + 1] - gain.real[k])
         if at < 0.0:
             frequency = frequencies_Hz[k] + share * (frequencies_Hz[k + 1] - frequencies_Hz[k])
-            rise = min(rise, (abs(20.0 * np.log10(-at)), frequency))
-    if not is_stable:
-        phase = missing if np.isfinite(missing[0]) else phase
-        rise = (-rise[0], rise[1])
-    return Margins(*(float(value) for value in (*phase, *rise, crossover)))
+            found.append((float(frequency), float(np.log(-at))))
+    return found
 
 
 def _response(sections: np.ndarray, z: np.ndarray) -> np.ndarray:

@@ -40,7 +40,6 @@ class PoseResult:
     pose: tuple[float, ...]  # rad or m
     holding: np.ndarray  # (axes,) in the drives' units
     inertia: np.ndarray  # (axes,) kg m^2 or kg at each axis's joint, all others held
-    hanging: np.ndarray  # (axes,) kg m^2 or kg that hangs on springs of effects there, and comes along where motion is slow
     modes: tuple[tuple[float, float], ...]  # frequency [Hz], damping ratio, rising
     pole_radius: float  # NaN without controllers
     margins: tuple[Margins, ...]

@@ -31,7 +31,7 @@ class AxisFacts:
     io_silent_s: float  # that a silent I/O is borne
     node_silent_s: float  # that a silent drive is borne
     bench_silent_s: float  # that the drive bears a silent bench
-    drive_late_s: float = 0.0  # from what the drive is told, or tells itself, to the current that flows
+    drive_late_s: float  # from what the drive is told, or tells itself, to the current that flows
 
     @property
     def falls(self) -> float:

@@ -17,9 +17,9 @@ from controllers.observers.modal_observer import ModalObserver
 from hil.errors import UnusableInputError
 from hil.machine import Machine
 from hil.machine.check import GAIN_MARGIN_dB, PHASE_MARGIN_deg, pose_grid
-from hil.machine.closed_loop import Margins, cascade_state_space, frequency_grid, loop_margins
+from hil.machine.closed_loop import Margins, cascade_state_space, frequency_grid, margins_of_axes
 from hil.machine.finding import shown_pose
-from virtual_bus.linear.left_out import left_out
+from virtual_bus.linear.left_out import without
 from virtual_bus.physics import Physics
 
 POSES = 25
@@ -102,7 +102,11 @@ class DampedLoop:
 
     def poles(self) -> np.ndarray:
         """Return the poles of the closed loop, in z."""
-        return np.linalg.eigvals(self._open + self._entering @ self._command)
+        return self._poles(np.ones(len(self._command)))
+
+    def _poles(self, factors: np.ndarray) -> np.ndarray:
+        """Return the poles of the loop closed with each drive's command times its factor."""
+        return np.linalg.eigvals(self._open + (self._entering * factors) @ self._command)
 
     def margins(self) -> tuple[Margins, ...]:
         """Return the margins of every axis, cut at its drive, the others closed."""
@@ -111,14 +115,7 @@ class DampedLoop:
         triangular, unitary = scipy.linalg.schur(self._open, output="complex")
         right = unitary.conj().T @ self._entering
         gain = np.array([-self._command @ unitary @ scipy.linalg.solve_triangular(_shifted(triangular, at), right) for at in z])
-        difference = np.eye(gain.shape[1]) + gain
-        whole = np.linalg.det(difference)
-        found = []
-        is_stable = np.abs(self.poles()).max() < 1.0
-        for axis in range(gain.shape[1]):
-            others = np.delete(np.delete(difference, axis, axis=1), axis, axis=2)
-            found.append(loop_margins(frequencies, whole / np.linalg.det(others) - 1.0, is_stable))
-        return tuple(found)
+        return margins_of_axes(frequencies, gain, self._poles)
 
     def damping_ratio(self, near_Hz: float) -> float:
         """Return the damping ratio of the slowest-decaying pole within a quarter of a frequency."""
@@ -194,9 +191,9 @@ def examine_damping(machine: Machine, damping: ModalDamping, observer: ModalObse
     for pose in pose_grid(machine, POSES):
         at = np.array(pose)
         near_Hz = float(observer.model.frequencies_Hz(at)[damping.settings.mode])
-        with_it, without = (DampedLoop(machine, physics, observer, law, at) for law in (damping, None))
+        with_it, plain = (DampedLoop(machine, physics, observer, law, at) for law in (damping, None))
         radius = float(np.abs(with_it.poles()).max())
-        results.append(DampedPose(pose, radius, with_it.margins(), with_it.damping_ratio(near_Hz), without.damping_ratio(near_Hz)))
+        results.append(DampedPose(pose, radius, with_it.margins(), with_it.damping_ratio(near_Hz), plain.damping_ratio(near_Hz)))
     return results
 
 
@@ -226,10 +223,8 @@ def accept_damping(machine: Machine, results: list[DampedPose]) -> str:
                 )
     phase = min(margin.phase_deg for result in results for margin in result.margins)
     gain = min(margin.gain_dB for result in results for margin in result.margins)
-    names = list(dict.fromkeys(each.name for each in left_out(machine.plant.effects)))
-    without = f"; without {', '.join(names)}" if names else ""
     before, after = min(result.ratio_before for result in results), min(result.ratio for result in results)
     return (
         f"damping: the mode's ratio in closed loop at least {after:.1%} instead of {before:.1%} over {len(results)} poses;"
-        f" margins at least {phase:.0f} deg and {gain:.1f} dB{without}"
+        f" margins at least {phase:.0f} deg and {gain:.1f} dB{without(machine.plant.effects)}"
     )

@@ -30,13 +30,18 @@ EFFECT = Effect(
 )
 
 
+def error_system(fc: float, zeta: float) -> np.ndarray:
+    """Return S (2, 2) of the error e = (i - u, i') at a held target, e' = S e; (0, 0) where the current follows at once."""
+    w = 2.0 * np.pi * fc
+    return np.array([[0.0, 1.0], [-w * w, -2.0 * zeta * w]]) if fc > 0.0 else np.zeros((0, 0))
+
+
 def transition(step_s: float, fc: float, zeta: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the transition of the error (i - u, i') over a step, and the weights of its mean over the step.
 
     The transition is (2, 2), the weights are (2,). fc must be positive.
     """
-    w = 2.0 * np.pi * fc
-    system = np.array([[0.0, 1.0], [-w * w, -2.0 * zeta * w]])
+    system = error_system(fc, zeta)
     after = scipy.linalg.expm(system * step_s)
     return after, np.linalg.solve(system, after - np.eye(2))[0] / step_s
 

@@ -12,15 +12,18 @@ from virtual_bus.settings import PlantSettings
 
 
 def drives_late_s(settings: PlantSettings) -> np.ndarray:
-    """Return how much later than its target each drive's current flows (axes,) [s]: its delay, and the mean delay 2 zeta / w of its lag."""
+    """Return how much later than its target each drive's current flows (axes,) [s]: its delay, and the mean delay of its lag.
+
+    That is the integral of what the current lacks after a step of one, -(S^-1) of the error e' = S e.
+    """
     axes = [drive.axis for drive in settings.drives]
     late_s = np.zeros(len(axes))
     for setting in linear_parts(settings.effects):
         module, values = module_of(setting.name), values_of(setting)
         if hasattr(module, "delay_s"):
             late_s[axes.index(setting.at)] += module.delay_s(*values)
-        elif hasattr(module, "transition") and values[0] > 0.0:
-            late_s[axes.index(setting.at)] += 2.0 * values[1] / (2.0 * np.pi * values[0])
+        elif hasattr(module, "error_system") and (system := module.error_system(*values)).size:
+            late_s[axes.index(setting.at)] -= np.linalg.inv(system)[0, 0]
     return late_s
 
 

@@ -36,6 +36,12 @@ def sentences(found: Iterable[LeftOut]) -> list[str]:
     return [f"{name} at {', '.join(at)}: {why}" for (name, why), at in places.items()]
 
 
+def without(settings: Iterable[EffectSetting]) -> str:
+    """Return the end of a linear answer's text: "; without NAME, NAME", the effects that it does not hold; "" where it holds all."""
+    names = list(dict.fromkeys(each.name for each in left_out(settings)))
+    return f"; without {', '.join(names)}" if names else ""
+
+
 def linear_parts(settings: Iterable[EffectSetting]) -> tuple[EffectSetting, ...]:
     """Return what a linear model holds of these effects."""
     parts = (_linear_part(setting) for setting in settings)

@@ -93,7 +93,9 @@ def linearised(plant: CompiledPlant, axis_positions: np.ndarray) -> LinearPlant:
     stiffness[driven, driven] -= slopes.by_position
     damping[driven, driven] -= slopes.by_speed
 
-    lagging = [_Lag(axis, setting) for setting in chosen for axis in _lag_axis(setting, plant)]
+    axis_of = {drive.axis: axis for axis, drive in enumerate(settings.drives)}
+    following = {axis_of[each.at]: module_of(each.name).error_system(*values_of(each)) for each in chosen if _may_lag(each)}
+    lagging = {axis: system for axis, system in following.items() if system.size}
     memories = [_Memory(setting, plant) for setting in chosen if hasattr(module_of(setting.name), "slopes")]
     first_memory = 2 * n
     first_lag = first_memory + sum(each.size for each in memories)
@@ -111,13 +113,12 @@ def linearised(plant: CompiledPlant, axis_positions: np.ndarray) -> LinearPlant:
         speeding[each.joint, n + each.joint] += each.slopes.effort_of_motion[1]
         a[own, own] = each.slopes.memory
         start += each.size
-    for number, lag in enumerate(lagging):
-        current = first_lag + 2 * number
-        speeding[:, current] = driving[:, lag.axis]
-        driving[:, lag.axis] = 0.0
-        a[current, current + 1] = 1.0
-        a[current + 1, current : current + 2] = -(lag.w**2), -2.0 * lag.zeta * lag.w
-        b[current + 1, lag.axis] = lag.w**2
+    for number, (axis, system) in enumerate(lagging.items()):
+        own = slice(first_lag + 2 * number, first_lag + 2 * number + 2)
+        speeding[:, own.start] = driving[:, axis]
+        driving[:, axis] = 0.0
+        a[own, own] = system
+        b[own, axis] = -system[:, 0]
     inverse = np.linalg.inv(inertia_matrix(plant, model, q))
     acceleration, at_once = inverse @ speeding, inverse @ driving
     a[:n, n : 2 * n] = np.eye(n)
@@ -150,7 +151,7 @@ def linearised(plant: CompiledPlant, axis_positions: np.ndarray) -> LinearPlant:
     joints = [joint.name for joint in settings.tree.joints]
     states = joints + [f"{joint}_speed" for joint in joints]
     states += [f"{each.name}_{k + 1}" for each in memories for k in range(each.size)]
-    states += [f"{what}_{settings.drives[lag.axis].axis}" for lag in lagging for what in ("current", "current_rate")]
+    states += [f"{what}_{settings.drives[axis].axis}" for axis in lagging for what in ("current", "current_rate")]
     states += [f"{channels[k]}_filter{rate}" for k, rate in filtered]
     return LinearPlant(
         a, b, gains @ c, gains @ d,
@@ -159,19 +160,8 @@ def linearised(plant: CompiledPlant, axis_positions: np.ndarray) -> LinearPlant:
     )  # fmt: skip
 
 
-class _Lag:
-    """A drive's low pass."""
-
-    def __init__(self, axis: int, setting: EffectSetting) -> None:
-        natural_Hz, self.zeta = values_of(setting)
-        self.axis, self.w = axis, 2.0 * np.pi * natural_Hz
-
-
-def _lag_axis(setting: EffectSetting, plant: CompiledPlant) -> list[int]:
-    """Return the axis whose drive this effect lets lag, or nothing."""
-    if not hasattr(module_of(setting.name), "transition") or values_of(setting)[0] <= 0.0:
-        return []
-    return [[drive.axis for drive in plant.settings.drives].index(setting.at)]
+def _may_lag(setting: EffectSetting) -> bool:
+    return hasattr(module_of(setting.name), "error_system")
 
 
 class _Memory:
