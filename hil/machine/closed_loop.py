@@ -132,7 +132,7 @@ def margins_of_axes(frequencies_Hz: np.ndarray, gain: np.ndarray, poles: Callabl
         if (np.abs(now) < 1.0).all():
             found.append(loop_margins(frequencies_Hz, loop))
         else:
-            found.append(_lacking(frequencies_Hz, loop, now, lambda factor, own=own: poles(factor**own)))
+            found.append(_lacking(frequencies_Hz, loop, now, poles, own))
     return tuple(found)
 
 
@@ -144,32 +144,35 @@ def loop_margins(frequencies_Hz: np.ndarray, gain: np.ndarray) -> Margins:
     return _margins(phase, change, crossings)
 
 
-def _lacking(frequencies_Hz: np.ndarray, gain: np.ndarray, now: np.ndarray, poles: Callable[[complex], np.ndarray]) -> Margins:
-    """Margins of a loop gain whose closed loop has these poles, not all of them stable, and others with a factor on the gain.
+def _lacking(
+    frequencies_Hz: np.ndarray, gain: np.ndarray, now: np.ndarray, poles: Callable[[np.ndarray], np.ndarray], own: np.ndarray
+) -> Margins:
+    """Margins of a loop gain whose closed loop has these poles, not all of them stable, and others with factors f^own.
 
     A turned gain L e^(j a) stands for positive frequencies alone, its conjugate for the others: of its poles those above the real axis
     count. L is real on the real axis, so over less than half a turn no pole crosses that. One that grows there, without swinging, is not
     a matter of phase.
     """
     crossings, real = _at_unit_gain(frequencies_Hz, gain), _at_half_turn(frequencies_Hz, gain)
-    turns = [(angle, frequency) for frequency, angle, _ in crossings]
     grows = bool(((now.imag == 0.0) & (np.abs(now) >= 1.0)).any())
-    phase = (-np.inf, np.nan) if grows else max(_least_change(turns, sign, 1j, poles) for sign in (1, -1))
-    change = max(_least_change([(size, frequency) for frequency, size in real], sign, 1.0, poles) for sign in (1, -1))
+    lead, lag = ([(sign * angle, frequency) for frequency, angle, _ in crossings] for sign in (-1.0, 1.0))
+    fall, rise = ([(sign * size, frequency) for frequency, size in real] for sign in (1.0, -1.0))
+    phase = (-np.inf, np.nan) if grows else max(_least_change(lead, 1j * own, poles), _least_change(lag, -1j * own, poles))
+    change = max(_least_change(fall, -own, poles), _least_change(rise, own, poles))
     return _margins(phase, change, crossings)
 
 
 def _least_change(
-    ahead: Sequence[tuple[float, float]], sign: int, unit: complex, poles: Callable[[complex], np.ndarray]
+    changes: Sequence[tuple[float, float]], way: np.ndarray, poles: Callable[[np.ndarray], np.ndarray]
 ) -> tuple[float, float]:
     """Return the negative of the least change [Np or rad] behind which the loop is stable, and where it swings there [Hz].
 
-    `ahead` holds by how much the gain is ahead of -1 wherever it can come to lie on it, with the frequencies; the logarithm of the gain is
-    changed along `sign` times `unit`.
+    `changes` holds those at which the gain comes to lie on -1 somewhere, with the frequencies; `way` (axes,) is their direction in the
+    logarithm of the gain.
     """
-    changes = sorted((-sign * each, frequency) for each, frequency in ahead if sign * each < 0.0)
-    for (change, frequency), (following, _) in pairwise([*changes, (np.inf, np.nan)]):
-        found = poles(np.exp(sign * unit * (change + min(BEYOND, 0.5 * (following - change)))))
+    ahead = sorted(each for each in changes if each[0] > 0.0)
+    for (change, frequency), (following, _) in pairwise([*ahead, (np.inf, np.nan)]):
+        found = poles(np.exp(way * (change + min(BEYOND, 0.5 * (following - change)))))
         if (np.abs(found[found.imag >= 0.0]) < 1.0).all():
             return -change, frequency
     return -np.inf, np.nan

@@ -26,7 +26,7 @@ EFFECT = Effect(
     family="dry_friction",
     parent="coulomb_friction",
     sought_at=("axis",),
-    left_out="at rest it holds, and in motion it has no slope",
+    left_out="at rest it holds, and in motion its level and its slope differ by direction",
 )
 
 

@@ -26,6 +26,7 @@ EFFECT = Effect(
     source="IEEE Std 1293, vibration of the test pier",
     family="external",
     is_exact=True,
+    left_out="it moves the machine by itself, whatever the drives do",
 )
 
 

@@ -30,6 +30,7 @@ EFFECT = Effect(
     source="imax(speed) = (V - Ke speed) / R, the voltage equation of a motor at constant current",
     family="drive_limit",
     is_exact=True,
+    left_out="within its limit it does nothing, and what it cuts of large motions has no slope",
 )
 
 

@@ -17,6 +17,7 @@ EFFECT = Effect(
     source="Armstrong-Hélouvry, Dupont, Canudas de Wit 1994, Sec. 2.1",
     family="viscous_friction",
     sought_at=("axis",),
+    left_out="its slope is nothing at rest and grows with speed",
 )
 
 

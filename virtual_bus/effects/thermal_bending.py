@@ -28,6 +28,7 @@ EFFECT = Effect(
     source="Boley and Weiner 1960, Sec. 9.2 (a free beam bends with the moment of its temperature), a body of one time constant",
     family="external",
     is_slow=True,
+    left_out="it moves the machine by itself, whatever the drives do",
 )
 
 
