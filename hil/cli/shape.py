@@ -116,7 +116,7 @@ def shape(
     answer.say(f"the quiet design keeps {band[0]:g} to {band[1]:g} Hz low; modes are sought over the whole band of the loop")
     answer.say(f"{out}: {chosen.name}, {len(chosen.filters[0].gains)} taps, {len(subjects)} pose{'s' if len(subjects) > 1 else ''}")
     if table is not None:
-        _write_csv(verdicts, table)
+        _write_csv([design.verdict.row for design in designs], table)
         answer.say(f"{table}: verdicts")
     if figure is not None:
         from hil.figures.shapers import design_figure
@@ -141,7 +141,7 @@ def shape(
         "shaped": {"left": in_time[chosen.name].left, "settled_s": after_s},
     }
     document["left_out"] = [vars(each) for each in choice.outside]
-    answer.write(document | {"designs": verdicts, "refused": candidates.refused})
+    answer.write(document | {"designs": verdicts, "refused": candidates.refused, "not_simulated": candidates.not_simulated})
     if chosen.verdict.against:
         raise typer.Exit(1)
 
@@ -153,10 +153,11 @@ def _sentence(recommended: Design, chosen: Design, axis: str, machine: str) -> s
         return f"No design for {axis} of {machine} is fit to run: the best is {chosen.name}, and against it is: {against}."
     if against:
         return f"{chosen.name} is not fit to run on {axis} of {machine}: {against}. Recommended is {recommended.name}."
-    on_machine = chosen.verdict.residual
-    less = f"leaves {100.0 * chosen.verdict.vibration_at_10:.2g} % of the vibration with modes 10 % off"
-    if on_machine is not None:
-        less = f"leaves {100.0 * on_machine.low:.2g} to {100.0 * on_machine.high:.2g} % of the vibration, as simulated,"
+    residual = chosen.verdict.residual
+    less = f"leaves {100.0 * chosen.verdict.vibration_at_10:.2g} % of the linear loop's vibration with modes 10 % off"
+    if residual is not None:
+        low, high = (f"{share:.0f}" if share >= 10.0 else f"{share:.2g}" for share in (100.0 * residual.low, 100.0 * residual.high))
+        less = f"leaves {low} to {high} % of the vibration, as simulated,"
     beside = "" if chosen is recommended else f"; recommended is {recommended.name}"
     return f"{chosen.name} for {axis} of {machine} {less} and takes {chosen.verdict.transient_s:.3f} s{beside}."
 
@@ -182,9 +183,8 @@ def _source(choice: ShaperChoice, frf: Path | None) -> str:
     return f"the machine file's closed loop at {len(poses)} poses, {subjects.schedule} {low:g} to {high:g}"
 
 
-def _write_csv(verdicts: list[dict[str, Any]], path: Path) -> None:
-    columns = [name for name in verdicts[0] if name not in ("left_out", "residual")]
+def _write_csv(rows: list[dict[str, str | float]], path: Path) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(columns)
-        writer.writerows([verdict[name] for name in columns] for verdict in verdicts)
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)

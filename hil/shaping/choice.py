@@ -11,7 +11,7 @@ import numpy as np
 
 from controllers.errors import DesignError
 from controllers.shapers.sampled import AxisShaper
-from hil.errors import BenchError, UnusableInputError
+from hil.errors import UnusableInputError
 from hil.experiments.plan import pose_array
 from hil.files.frames import data_frame
 from hil.identification.result import FrequencyResponse
@@ -125,12 +125,8 @@ class ShaperChoice:
 
     def frame(self) -> pd.DataFrame:
         """Return the verdicts, a row per design; UnusableInputError without pandas, an extra."""
-        verdicts = [vars(design.verdict) for design in self.designs]
-        columns = {name: [each[name] for each in verdicts] for name in verdicts[0] if name not in ("name", "left_out", "residual")}
-        columns |= {
-            f"residual_{part}": [float("nan") if each["residual"] is None else getattr(each["residual"], part) for each in verdicts]
-            for part in ("low", "likely", "high")
-        }
+        rows = [design.verdict.row for design in self.designs]
+        columns = {name: [row[name] for row in rows] for name in rows[0] if name != "name"}
         return data_frame(columns, index=[design.name for design in self.designs], index_name="design")
 
 
@@ -185,17 +181,18 @@ def choose_shaper(
     subjects = subjects_of(machine, axis, pose or {}, frf, schedule, output)
     candidates = design_all(subjects.each, aim, machine.sample_rate_Hz, quiet_Hz, also)
     if subjects.poses is not None and machine.controllers:
-        candidates = on_the_machine(machine, axis, subjects, candidates)
+        candidates = as_simulated(machine, axis, subjects, candidates)
     chosen = candidates.designs[0]
     from_what = source or ("an identified frequency response" if frf is not None else f"the closed loop of {machine.name}'s file")
     notes = {"machine": machine.name, "hash": machine.hash, "aim": vars(aim), "source": from_what, "output": output}
     return ShaperChoice(machine, axis, aim, subjects, candidates, chosen, {**notes, "verdict": chosen.verdict.line})
 
 
-def on_the_machine(machine: Machine, axis: str, subjects: Subjects, candidates: Candidates) -> Candidates:
-    """Return the designs with what they leave of drawn moves on the simulated machine, and ordered by it.
+def as_simulated(machine: Machine, axis: str, subjects: Subjects, candidates: Candidates) -> Candidates:
+    """Return the designs with what they leave of drawn moves as simulated, and ordered by it.
 
-    Designs with objections stay as they are, and all do where no moves can be drawn. Of a schedule the moves begin at its middle pose.
+    Designs with objections stay as they are, and all do where no moves can be drawn, for a reason that the candidates then tell. Of a
+    schedule the moves begin at its middle pose.
     """
     assert subjects.poses is not None
     fit = [design for design in candidates.designs if not design.verdict.against]
@@ -204,11 +201,11 @@ def on_the_machine(machine: Machine, axis: str, subjects: Subjects, candidates: 
     longest = max((each.transient_samples for each in shapers), default=0)
     try:
         prediction = Prediction(machine, axis, subjects.poses[len(subjects.poses) // 2], longest)
-        found = {design.name: prediction.of(shaper) for design, shaper in zip(fit, shapers, strict=True)}
-    except (DesignError, BenchError):
-        return candidates
+    except DesignError as error:
+        return replace(candidates, not_simulated=str(error))
+    found = {design.name: prediction.of(shaper) for design, shaper in zip(fit, shapers, strict=True)}
     designs = [
-        replace(design, verdict=replace(design.verdict, residual=found[design.name])) if design.name in found else design
+        replace(design, verdict=design.verdict.simulated(found[design.name])) if design.name in found else design
         for design in candidates.designs
     ]
     return replace(candidates, designs=recommended_first(designs))

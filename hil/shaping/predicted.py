@@ -1,26 +1,35 @@
-"""What a shaper leaves of the vibration on the machine itself: drawn moves, simulated with feedback, friction and every effect of the file.
+"""What a shaper leaves of the vibration as simulated: drawn moves, with feedback, friction and every effect of the file.
 
 A verdict's shares are of the linear loop whose modes are where the file says. On a machine modes lie elsewhere, friction makes motion that
 no shaper knows, and steps of drives and encoders ring it. So moves are drawn (size, direction, and how far the frequencies are off), each
 is simulated without a shaper and with it, and what is left after the transient is compared with what moves of this kind leave without one.
+
+What follows a move is a sum over the closed loop's poles. Those that ring are the vibration; the others are the loop's own settling, which
+a shaper neither knows nor leaves out. Waiting for the slowest of these would outlast the ringing: an integrator's pole decays in seconds,
+a mode in tenths. So all are fitted together to what is seen, and the settling ones are taken off. What neither explains counts as
+vibration, since a joint that friction holds rings at other frequencies.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from controllers.errors import DesignError
 from controllers.settings import AxisLimits
+from controllers.shapers.conditions import LIGHTLY_DAMPED
 from controllers.shapers.filter import ReferenceShaper
 from controllers.shapers.sampled import AxisShaper
 from controllers.trajectory import move
 from hil.machine import Machine
 from hil.shaping.plans import shaped
+from hil.shaping.plants import closed_loop
+from hil.shaping.poses import subject_at
+from hil.shaping.shaper_design import poles_to_cancel
 from hil.shaping.verdict import GAIN_LIMIT, VARIATION, Residual
 from hil.simulation import Inputs, Simulator
-from virtual_bus.settings import EffectSetting
 
 DRAWN = 24
 """Moves. The next one of the same kind lies within the least and the greatest of n with a probability of (n - 1) / (n + 1): 92 %."""
@@ -31,8 +40,11 @@ SIZES = (0.02, 0.25)
 UNRANGED = 1.0
 """Range [rad or m] that is taken of an axis without one."""
 
-LOOKED_AT_s = 1.0
-"""Time after the transient in which the vibration is measured: eight periods of a mode at 8 Hz."""
+LOOKED_AT = 8.0
+"""Periods of the slowest mode that the axis rings, after the transient, in which the vibration is measured."""
+
+DISTINCT = 1e-6
+"""Singular values below this share of the largest are those of settling motions that differ by nothing within that time."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +73,7 @@ class Prediction:
     Raises
     ------
     DesignError
-        The axis has no limits of speed, acceleration or jerk, or stands still after every move.
+        The axis has no limits of speed, acceleration or jerk, rings no mode, or stands still after every move.
     """
 
     def __init__(self, machine: Machine, axis: str, pose: np.ndarray, longest_samples: int, seed: int = 0) -> None:
@@ -70,33 +82,37 @@ class Prediction:
         # what moves is measured, not what a sensor resolves; the motors' encoders, which the loop closes on, keep their steps
         self._machine = replace(machine, plant=replace(machine.plant, imus=imus, encoders=encoders))
         self._axis, self._index = axis, machine.axis_index(axis)
-        self._simulator = Simulator(self._machine)
-        self._looked_at = round(LOOKED_AT_s * machine.sample_rate_Hz)
-        self._moves = drawn_moves(machine, axis, pose, longest_samples + self._looked_at + 1, seed)
+        (ringing,) = poles_to_cancel([subject_at(self._machine, pose, axis)], machine.sample_rate_Hz)
+        if not ringing:
+            raise DesignError(f"no mode of {axis} rings")
+        self._looked_at = math.ceil(LOOKED_AT * 2.0 * np.pi / min(map(abs, ringing)) * machine.sample_rate_Hz)
+        moves = drawn_moves(machine, axis, pose, longest_samples + self._looked_at + 1, seed)
+        self._moves = [_Detuned(each, detuned(self._machine, each.detuned), axis) for each in moves]
         # over all moves together: where friction holds the axis after some of them, those leave nothing that a share could be taken of
-        self._without = float(np.sqrt(np.mean([self._vibration(each, each.reference, each.arrived) ** 2 for each in self._moves])))
+        without = np.array([self._vibration(each, each.drawn.reference, each.drawn.arrived) for each in self._moves])
+        self._without = float(np.sqrt(np.mean(without**2)))
         if not self._without > 0.0:
             raise DesignError(f"nothing of {axis} moves after a move, shaped or not")
+        self._greatest = float(np.max(without)) / self._without
 
     def shares(self, shaper: AxisShaper) -> np.ndarray:
         """Return what the shaper leaves after every move (moves,), as a share of the rms that all leave without one."""
         running = ReferenceShaper(self._machine.axes, [shaper], self._machine.limits, self._machine.sample_rate_Hz)
         left = []
         for each in self._moves:
-            reference, _ = shaped(running, each.reference, each.reference[0])
-            left.append(self._vibration(each, reference, each.arrived + shaper.transient_samples))
+            reference, _ = shaped(running, each.drawn.reference, each.drawn.reference[0])
+            left.append(self._vibration(each, reference, each.drawn.arrived + shaper.transient_samples))
         return np.array(left) / self._without
 
     def of(self, shaper: AxisShaper) -> Residual:
         """Return what the shaper leaves: least, median and greatest share over the moves."""
         shares = self.shares(shaper)
-        return Residual(float(np.min(shares)), float(np.median(shares)), float(np.max(shares)), len(shares))
+        return Residual(float(np.min(shares)), float(np.median(shares)), float(np.max(shares)), self._greatest, len(shares))
 
-    def _vibration(self, drawn: DrawnMove, reference: np.ndarray, begin: int) -> float:
-        """Return the rms acceleration about its trend from a row on: by all IMUs, or by the axis's encoder where there is none."""
+    def _vibration(self, of: _Detuned, reference: np.ndarray, begin: int) -> float:
+        """Return the rms acceleration without settling from a row on: by all IMUs, or by the axis's encoder where there is none."""
         still = np.zeros_like(reference)
-        values, effects = detuned(self._machine, self._simulator, drawn.detuned)
-        outputs = self._simulator.run(Inputs(reference, still, still, None, reference[0].copy()), values, effects)
+        outputs = of.simulator.run(Inputs(reference, still, still, None, reference[0].copy()))
         n = self._machine.plant.imus
         if n:
             seen = np.hstack([outputs.imu[:, 6 * k : 6 * k + 3] for k in range(len(n))])
@@ -104,9 +120,32 @@ class Prediction:
             position = outputs.link_position if np.isfinite(outputs.link_position[:, self._index]).all() else outputs.position
             seen = np.gradient(np.gradient(position[:, [self._index]], axis=0), axis=0) * self._machine.sample_rate_Hz**2
         rows = seen[begin : begin + self._looked_at]
-        time = np.linspace(-1.0, 1.0, len(rows))
-        trend = np.polynomial.polynomial.polyfit(time, rows, 2)
-        return float(np.sqrt(np.mean((rows - np.polynomial.polynomial.polyval(time, trend).T) ** 2)))
+        return float(np.sqrt(np.mean(without_settling(rows, of.poles, 1.0 / self._machine.sample_rate_Hz) ** 2)))
+
+
+class _Detuned:
+    """A drawn move and the machine that makes it, with the poles of its loop where the move ends."""
+
+    def __init__(self, drawn: DrawnMove, machine: Machine, axis: str) -> None:
+        self.drawn, self.simulator = drawn, Simulator(machine)
+        self.poles = closed_loop(machine, drawn.reference[-1], axis, "motor").poles
+
+
+def without_settling(rows: np.ndarray, poles: np.ndarray, period_s: float) -> np.ndarray:
+    """Return motion (N, k) after a move without that of a loop's poles [rad/s] that do not ring, and without its trend."""
+    time_s = period_s * np.arange(len(rows))[:, None]
+    upper = poles[poles.imag >= 0.0]
+    rings = -upper.real < LIGHTLY_DAMPED * np.abs(upper)
+    settling = np.hstack([(time_s / time_s[-1]) ** np.arange(3), _decaying(time_s, upper[~rings])])
+    weights = np.linalg.lstsq(np.hstack([settling, _decaying(time_s, upper[rings])]), rows, rcond=DISTINCT)[0]
+    left: np.ndarray = rows - settling @ weights[: settling.shape[1]]
+    return left
+
+
+def _decaying(time_s: np.ndarray, poles: np.ndarray) -> np.ndarray:
+    """Return e^(p t) of poles (m,) at times (N, 1), its real and imaginary parts (N, 2 m)."""
+    terms = np.exp(time_s * poles)
+    return np.hstack([terms.real, terms.imag])
 
 
 def drawn_moves(machine: Machine, axis: str, pose: np.ndarray, standing: int, seed: int = 0, count: int = DRAWN) -> list[DrawnMove]:
@@ -135,18 +174,20 @@ def drawn_moves(machine: Machine, axis: str, pose: np.ndarray, standing: int, se
     return found
 
 
-def detuned(machine: Machine, simulator: Simulator, share: float) -> tuple[np.ndarray, tuple[EffectSetting, ...]]:
-    """Return parameters and effects of a machine whose frequencies are off by a share: springs by its square, modes by itself."""
-    driven = {drive.joint for drive in machine.plant.drives}
-    values = np.array(simulator.plant.nominal, dtype=float)
-    for number, parameter in enumerate(simulator.plant.parameters):
-        if parameter.quantity == "stiffness" and parameter.owner not in driven:
-            values[number] *= (1.0 + share) ** 2
+def detuned(machine: Machine, share: float) -> Machine:
+    """Return a machine whose frequencies are off by a share: its springs by the square of it, structural modes by itself."""
+    plant, driven = machine.plant, {drive.joint for drive in machine.plant.drives}
+    bodies = tuple(
+        body
+        if body.joint is None or body.joint.name in driven
+        else replace(body, joint=replace(body.joint, stiffness=body.joint.stiffness * (1.0 + share) ** 2))
+        for body in plant.tree.bodies
+    )
     effects = tuple(
         replace(each, parameters={**each.parameters, "f": each.parameters["f"] * (1.0 + share)}) if each.name == "structural_mode" else each
-        for each in machine.plant.effects
+        for each in plant.effects
     )
-    return values, effects
+    return replace(machine, plant=replace(plant, tree=replace(plant.tree, bodies=bodies), effects=effects))
 
 
 def _gentle(limit: AxisLimits) -> AxisLimits:

@@ -36,6 +36,8 @@ def design_lines(candidates: Candidates, chosen: Design) -> list[str]:
             lines += _wrapped(f"left of {verdict.residual.moves} drawn moves as simulated: {low} to {high}, median {likely}", "    ")
     for name, reason in candidates.refused.items():
         lines += _wrapped(f"{name}: none: {reason}", "  ")
+    if candidates.not_simulated:
+        lines += _wrapped(f"no moves are simulated, the figures are those of the linear loop alone: {candidates.not_simulated}", "")
     return lines
 
 
@@ -49,8 +51,9 @@ def left_out_lines(design: Design) -> list[str]:
 
 
 def outside_lines(outside: Sequence[LeftOut]) -> list[str]:
-    """Return the effects of the machine file that no figure of a design holds."""
-    return [line for said in sentences(outside) for line in _wrapped(f"the figures are without {said}", "")]
+    """Return the effects of the machine file that figures of the linear loop do not hold; those as simulated do."""
+    said = [f"vibration, tracking error and ramp lag, of the linear loop, are without {each}" for each in sentences(outside)]
+    return [line for each in said for line in _wrapped(each, "")]
 
 
 def _wrapped(text: str, indent: str) -> list[str]:

@@ -60,10 +60,11 @@ class Design:
 
 @dataclass(frozen=True)
 class Candidates:
-    """Designs, the recommended one first, and the designs that failed: name and reason."""
+    """Designs, the recommended one first, and the designs that failed: name and reason; and why no moves were simulated, or ""."""
 
     designs: tuple[Design, ...]
     refused: dict[str, str]
+    not_simulated: str = ""
 
     def named(self, name: str) -> Design:
         """Return the design of this name.

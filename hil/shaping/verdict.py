@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.signal
@@ -38,15 +38,16 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class Residual:
-    """Share of the vibration that a shaper leaves on the machine as it is simulated: least, median and greatest of drawn moves.
+    """Share of the vibration that a shaper leaves as simulated: least, median and greatest of drawn moves.
 
-    1 is as much as they leave without a shaper, all together. The next move of the same kind lies between least and greatest with
-    (n - 1) / (n + 1).
+    1 is as much as they leave without a shaper, all together; `without` is the greatest that one of them leaves without. The next move of
+    the same kind lies between least and greatest with (n - 1) / (n + 1).
     """
 
     low: float
     likely: float
     high: float
+    without: float
     moves: int
 
 
@@ -69,13 +70,27 @@ class Verdict:
     static_gain: float
     left_out: tuple[LeftOut, ...]
     against: str  # why it is not recommended, or ""
-    residual: Residual | None = None  # on the simulated machine; None where there is none, as of a frequency response
+    residual: Residual | None = None  # as simulated; None where nothing was, as of a frequency response
+
+    def simulated(self, residual: Residual) -> Verdict:
+        """Return the verdict with what is left as simulated; more than is left without a shaper speaks against the design."""
+        worse = f"as simulated it leaves up to {_percent(residual.high)} of the vibration, no shaper up to {_percent(residual.without)}"
+        return replace(self, residual=residual, against=self.against or (worse if residual.high > residual.without else ""))
+
+    @property
+    def row(self) -> dict[str, str | float]:
+        """Return what a table has of it: all but the poles left out, and the residual's parts, NaN where nothing was simulated."""
+        found = {name: value for name, value in vars(self).items() if name not in ("left_out", "residual")}
+        parts = {
+            part: float("nan") if self.residual is None else getattr(self.residual, part) for part in ("low", "likely", "high", "without")
+        }
+        return found | {f"residual_{part}": value for part, value in parts.items()}
 
     @property
     def cost(self) -> float:
         """Return the criterion of the recommendation: worst-case vibration plus the tracking error, both as shares.
 
-        The vibration is that of the simulated machine where it is known, else that of the linear loop.
+        The vibration is that of the simulated moves where there are some, else that of the linear loop.
         """
         return (self.vibration_at_10 if self.residual is None else self.residual.high) + self.tracking
 
@@ -84,7 +99,7 @@ class Verdict:
         """Return the verdict as a line of text."""
         parts = [
             f"vibration {_percent(self.vibration)} ({_percent(self.vibration_at_10)} at ±10 %) in the linear loop",
-            *([] if self.residual is None else [f"{_percent(self.residual.low)} to {_percent(self.residual.high)} on the machine"]),
+            *([] if self.residual is None else [f"{_percent(self.residual.low)} to {_percent(self.residual.high)} as simulated"]),
             f"transient {self.transient_s:.3f} s",
             f"largest gain {self.largest_gain:.3g} (sum {self.gain_sum:.2f})",
             f"tracking error {_percent(self.tracking)} ({_percent(self.tracking_at_10)} at ±10 %)",

@@ -1,11 +1,17 @@
-"""What a design states of the vibration that it leaves holds on the machine: with feedback, friction and frequencies that are off."""
+"""What a design states of the vibration that it leaves holds on the emulated machine, with feedback and frequencies that are off.
+
+Vibration is measured otherwise than by the code that states it: by a Fourier transform about the mode, under a window that hides how the
+loop settles at its start; and without friction by a decaying sinusoid that is fitted when the loop has settled.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.optimize
 
 from controllers.feedback import Feedback
 from controllers.shapers.filter import ReferenceShaper
@@ -17,23 +23,27 @@ from virtual_bus.physics import Physics
 from virtual_bus.settings import EffectSetting
 
 MODE_Hz = 6.0
-LOOKED_AT = 200
+LOOKED_AT_s = 1.2
+SETTLED_s = 0.8
+"""Eight times the 0.1 s of the slowest pole of the loop that does not ring, but for its integrator's."""
 FRICTION_Nm = 2.0
 
 
-def rubbing(friction: float, mode_Hz: float = MODE_Hz) -> Machine:
-    """The turntable with a part that swings on it, and dry friction."""
+def swinging(mode_Hz: float = MODE_Hz, friction: float = 0.0) -> Machine:
+    """The turntable with a part that swings on it, and dry friction; without it, no encoder or drive has steps either."""
     machine = load_machine("turntable")
-    effects = (
-        EffectSetting("structural_mode", "table", {"J": 1.0, "f": mode_Hz, "zeta": 0.01}),
-        EffectSetting("coulomb_friction", "turn", {"Fc": friction}),
-    )
-    links = tuple(replace(each, resolution=0.0) if each.channel.startswith("link_") else each for each in machine.plant.encoders)
-    return replace(machine, plant=replace(machine.plant, encoders=links, effects=effects))
+    effects = (EffectSetting("structural_mode", "table", {"J": 1.0, "f": mode_Hz, "zeta": 0.01}),)
+    encoders, drives = machine.plant.encoders, machine.plant.drives
+    if friction:
+        effects += (EffectSetting("coulomb_friction", "turn", {"Fc": friction}),)
+        encoders = tuple(replace(each, resolution=0.0) if each.channel.startswith("link_") else each for each in encoders)
+    else:
+        encoders, drives = (tuple(replace(each, resolution=0.0) for each in parts) for parts in (encoders, drives))
+    return replace(machine, plant=replace(machine.plant, encoders=encoders, drives=drives, effects=effects))
 
 
-def measured(machine: Machine, drawn: DrawnMove, choice: ShaperChoice) -> list[float]:
-    """Return how much the emulated machine swings after a move without and with the shaper, sample by sample over its own loop."""
+def accelerations(machine: Machine, drawn: DrawnMove, choice: ShaperChoice) -> list[np.ndarray]:
+    """Return the emulated link's after a move without and with the shaper [rad/s^2], sample by sample over its own loop."""
     running = ReferenceShaper(machine.axes, [choice.shaper], machine.limits, machine.sample_rate_Hz)
     after = []
     for reference, begin in (
@@ -48,28 +58,78 @@ def measured(machine: Machine, drawn: DrawnMove, choice: ShaperChoice) -> list[f
         positions = np.zeros(len(reference))
         resolution = machine.plant.drives[0].resolution
         for k in range(len(reference)):
-            physics.apply(resolution * np.floor(command / resolution + 0.5))
+            physics.apply(resolution * np.floor(command / resolution + 0.5) if resolution else command)
             latched = physics.latch()
             positions[k] = latched.link_position[0]
             feedback.step(reference[k], latched.position, nothing, nothing, command)
             physics.advance()
-        swing = np.diff(positions, 2)[begin - 1 : begin - 1 + LOOKED_AT]
-        time = np.arange(len(swing))
-        after.append(float(np.std(swing - np.polyval(np.polyfit(time, swing, 2), time))))
+        after.append(np.diff(positions, 2)[begin - 1 :] * machine.sample_rate_Hz**2)
     return after
+
+
+def moves_of(choice: ShaperChoice, standing_s: float, seed: int, count: int) -> list[DrawnMove]:
+    standing = choice.shaper.transient_samples + round(standing_s * choice.machine.sample_rate_Hz) + 2
+    return drawn_moves(choice.machine, "turn", np.zeros(1), standing, seed, count)
+
+
+def in_the_band(acceleration: np.ndarray, rate_Hz: float) -> float:
+    """Return the rms about the mode, from two thirds of its frequency to one and a half of it."""
+    seen = np.fft.rfft(acceleration * np.hanning(len(acceleration)))
+    frequencies = np.fft.rfftfreq(len(acceleration), 1.0 / rate_Hz)
+    return float(np.linalg.norm(seen[(frequencies > MODE_Hz / 1.5) & (frequencies < 1.5 * MODE_Hz)]))
+
+
+def ringing(accelerations: Sequence[np.ndarray], rate_Hz: float, frequency_Hz: float) -> list[float]:
+    """Return amplitudes of a sinusoid that decays from SETTLED_s on, its frequency and decay fitted to the first acceleration."""
+    seen = [each[round(SETTLED_s * rate_Hz) :] for each in accelerations]
+
+    def fitted(of: np.ndarray, to: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        time_s = np.arange(len(to)) / rate_Hz
+        terms = np.exp((-of[0] + 2j * np.pi * of[1]) * time_s)
+        basis = np.stack([terms.real, terms.imag, np.ones_like(time_s), time_s], axis=1)
+        weights = np.linalg.lstsq(basis, to, rcond=None)[0]
+        return weights, (basis @ weights - to) / np.std(to)
+
+    found = scipy.optimize.least_squares(lambda of: fitted(of, seen[0])[1], [1.5, frequency_Hz], x_scale=[1.0, 0.1])
+    return [float(np.hypot(*fitted(found.x, each)[0][:2])) for each in seen]
 
 
 @pytest.fixture(scope="module")
 def choice() -> ShaperChoice:
-    return choose_shaper(rubbing(FRICTION_Nm), "turn")
+    return choose_shaper(swinging(friction=FRICTION_Nm), "turn")
+
+
+def test_without_friction_the_stated_interval_is_the_ringing_that_moves_leave_and_near_the_linear_loop_s() -> None:
+    """Of every drawn move, whose mode of one frequency keeps |sum A_k exp(p (L T - d_k))| of what it has without a shaper."""
+    choice = choose_shaper(swinging(), "turn").named("hTDF robust")
+    stated, rate_Hz = choice.chosen.verdict.residual, choice.machine.sample_rate_Hz
+    assert stated is not None
+    left = []
+    for drawn in moves_of(choice, SETTLED_s + 0.9, 0, stated.moves):
+        machine = swinging(MODE_Hz * (1.0 + drawn.detuned))
+        # the table's share of 7.6 kg m^2 and the part's of 1.0 swing against each other
+        plain, with_it = accelerations(machine, drawn, choice)
+        frequency_Hz = MODE_Hz * (1.0 + drawn.detuned) * np.sqrt(8.6 / 7.6)
+        left.append(ringing((plain, with_it), rate_Hz, frequency_Hz))
+    without, shaped_left = np.array(left).T
+    shares = shaped_left / np.sqrt(np.mean(without**2))
+    assert stated.high == pytest.approx(shares.max(), rel=0.05)
+    assert stated.likely == pytest.approx(np.median(shares), rel=0.1)
+    assert stated.without == pytest.approx((without / np.sqrt(np.mean(without**2))).max(), rel=0.05)  # faster modes fade more until then
+    at_10 = choice.chosen.verdict.vibration_at_10
+    assert (shaped_left / without).max() <= 1.02 * at_10
+    assert 0.6 * at_10 < stated.high < 1.5 * at_10
 
 
 def test_the_stated_interval_holds_what_moves_leave_on_the_emulated_machine(choice: ShaperChoice) -> None:
-    stated = choice.chosen.verdict.residual
+    stated, rate_Hz = choice.chosen.verdict.residual, choice.machine.sample_rate_Hz
     assert stated is not None
-    moves = drawn_moves(choice.machine, "turn", np.zeros(1), choice.shaper.transient_samples + LOOKED_AT + 1, seed=7, count=6)
-    swings = np.array([measured(rubbing(FRICTION_Nm, MODE_Hz * (1.0 + drawn.detuned)), drawn, choice) for drawn in moves])
-    left = swings[:, 1] / np.sqrt(np.mean(swings[:, 0] ** 2))
+    swings = []
+    for drawn in moves_of(choice, LOOKED_AT_s, 7, 6):
+        machine = swinging(MODE_Hz * (1.0 + drawn.detuned), FRICTION_Nm)
+        swings.append([in_the_band(each[: round(LOOKED_AT_s * rate_Hz)], rate_Hz) for each in accelerations(machine, drawn, choice)])
+    without, with_it = np.array(swings).T
+    left = with_it / np.sqrt(np.mean(without**2))
     assert np.count_nonzero((left > 0.9 * stated.low) & (left < 1.1 * stated.high)) >= 5
     assert left.max() > 10.0 * choice.chosen.verdict.vibration_at_10  # which the linear loop states
 

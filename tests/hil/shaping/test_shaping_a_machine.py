@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -342,8 +343,14 @@ def test_the_command_judges_writes_and_answers(tmp_path: Path, capsys: pytest.Ca
     answer = json.loads(capsys.readouterr().out)
     assert answer["chosen"] == answer["recommended"] == answer["designs"][0]["name"]
     assert read_shaper(out).shapers[0].name == answer["chosen"]
-    assert table.read_text().startswith("name,vibration,")
-    assert page_verdict(tmp_path / "a.html").removeprefix("✓ ").startswith(f"{answer['chosen']} for roll of carm leaves ")
+    with table.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["name"] for row in rows] == [design["name"] for design in answer["designs"]]
+    for row, design in zip(rows, answer["designs"], strict=True):
+        told = design["residual"] or dict.fromkeys(("low", "likely", "high", "without"), float("nan"))
+        for part in ("low", "likely", "high", "without"):
+            assert float(row[f"residual_{part}"]) == pytest.approx(told[part], nan_ok=True)
+    assert page_verdict(tmp_path / "a.html").lstrip("✓? ").startswith(f"{answer['chosen']} for roll of carm leaves ")
     assert all(design["name"] in page_text(tmp_path / "a.html") for design in answer["designs"])
     assert (tmp_path / "a.png").stat().st_size > 10_000
     assert answer["fit"] is True
