@@ -76,7 +76,7 @@ def shaped_page(
 
 
 def _left(design: Design) -> float:
-    """Return what a design leaves of the vibration: after the median move on the simulated machine, where that is known."""
+    """Return what a design leaves of the vibration: after the median move as simulated, where that is known."""
     residual = design.verdict.residual
     return design.verdict.vibration_at_10 if residual is None else residual.likely
 
