@@ -19,6 +19,8 @@ from hil.machine import Machine, load_machine
 from hil.shaping.choice import ShaperChoice, choose_shaper
 from hil.shaping.plans import shaped
 from hil.shaping.predicted import DrawnMove, drawn_moves
+from hil.shaping.report import design_lines
+from hil.shaping.verdict import Residual
 from virtual_bus.physics import Physics
 from virtual_bus.settings import EffectSetting
 
@@ -143,3 +145,20 @@ def test_friction_leaves_more_than_the_linear_loop_says_and_the_recommendation_c
     assert best.residual.low <= best.residual.likely <= best.residual.high
     assert best.cost == pytest.approx(best.residual.high + best.tracking)
     assert best.residual.likely > 3.0 * best.vibration
+
+
+def test_where_no_moves_can_be_drawn_the_reason_is_told() -> None:
+    machine = swinging()
+    unlimited = replace(machine, limits=tuple(replace(each, jerk=np.inf) for each in machine.limits))
+    choice, reason = choose_shaper(unlimited, "turn"), "no moves can be drawn without limits"
+    assert reason in choice.candidates.not_simulated
+    assert reason in " ".join(line.strip() for line in design_lines(choice.candidates, choice.chosen))
+    assert all(design.verdict.residual is None for design in choice.designs)
+
+
+def test_a_greatest_share_above_that_without_a_shaper_speaks_against_a_design(choice: ShaperChoice) -> None:
+    verdict = choice.chosen.verdict
+    assert not verdict.simulated(Residual(0.5, 0.9, 1.2, 1.3, 24)).against
+    assert verdict.simulated(Residual(0.5, 0.9, 1.4, 1.3, 24)).against == (
+        "as simulated it leaves up to 140 % of the vibration, no shaper up to 130 %"
+    )
