@@ -35,7 +35,7 @@ def main() -> None:
             stated = choice.chosen.verdict.residual
             assert stated is not None
             pose = np.zeros(len(machine.axes))
-            left = Prediction(machine, axis, pose, choice.shaper.transient_samples, SEED).shares(choice.shaper)
+            left, _ = Prediction(machine, axis, pose, SEED).left(choice.shaper)
             inside = int(np.count_nonzero((left >= stated.low) & (left <= stated.high)))
             held += inside
             drawn += len(left)

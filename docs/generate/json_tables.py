@@ -292,8 +292,8 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
             "list",
             "One verdict per design, the recommended one first: `name`; the shares `vibration`, `tracking` and the same `…_at_10` "
             "per cent off; `lag_s`, `transient_s`, `largest_gain`, `gain_sum`, `static_gain`, `left_out`, `against`; "
-            "`residual`: `low`, `likely` and `high` share left of `moves` drawn moves as simulated, `without` the greatest without a "
-            "shaper, or null.",
+            "`residual`: `low`, `likely` and `high` share left of `moves` drawn moves as simulated, of `rms` in `unit` without a "
+            "shaper; or null.",
         ),
         Entry("refused", "object", "Design to the reason why there is none."),
         Entry("not_simulated", "text", "Why no moves were simulated; empty where they were, or for a frequency response."),

@@ -22,7 +22,7 @@ from hil.shaping.poses import scheduled_poses, subject_at
 from hil.shaping.predicted import Prediction
 from hil.shaping.shaper_design import Candidates, Design, QUIET_BAND_Hz, design_all, recommended_first, shaper_of
 from hil.shaping.shaper_file import ShaperFile
-from hil.shaping.verdict import Subject
+from hil.shaping.verdict import Residual, Subject
 from virtual_bus.linear.left_out import LeftOut, left_out
 
 if TYPE_CHECKING:
@@ -198,17 +198,19 @@ def as_simulated(machine: Machine, axis: str, subjects: Subjects, candidates: Ca
     fit = [design for design in candidates.designs if not design.verdict.against]
     positions = subjects.poses[:, machine.axis_index(subjects.schedule)].tolist() if subjects.schedule else [0.0]
     shapers = [shaper_of(design, axis, machine.sample_rate_Hz, positions, subjects.schedule) for design in fit]
-    longest = max((each.transient_samples for each in shapers), default=0)
+    found: dict[str, Residual] = {}
+    reason = ""
     try:
-        prediction = Prediction(machine, axis, subjects.poses[len(subjects.poses) // 2], longest)
+        prediction = Prediction(machine, axis, subjects.poses[len(subjects.poses) // 2])
+        for design, shaper in zip(fit, shapers, strict=True):
+            found[design.name] = prediction.of(shaper)
     except DesignError as error:
-        return replace(candidates, not_simulated=str(error))
-    found = {design.name: prediction.of(shaper) for design, shaper in zip(fit, shapers, strict=True)}
+        reason = str(error)
     designs = [
         replace(design, verdict=design.verdict.simulated(found[design.name])) if design.name in found else design
         for design in candidates.designs
     ]
-    return replace(candidates, designs=recommended_first(designs))
+    return replace(candidates, designs=recommended_first(designs), not_simulated=reason)
 
 
 def subjects_of(

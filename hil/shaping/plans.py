@@ -99,14 +99,15 @@ class Shaped:
         share = 1.0
         while True:
             try:
-                return [_noted(shape_plan(plan, self.shaper, machine), share) for plan in self.experiment.plans(_gentler(machine, share))]
+                return [_noted(shape_plan(plan, self.shaper, machine), share) for plan in self.experiment.plans(gentler(machine, share))]
             except BeyondLimitsError:
                 if share * GENTLER < GENTLEST:
                     raise
                 share *= GENTLER
 
 
-def _gentler(machine: Machine, share: float) -> Machine:
+def gentler(machine: Machine, share: float) -> Machine:
+    """Return a machine with a share of its limits of acceleration and jerk."""
     limits = tuple(replace(each, acceleration=share * each.acceleration, jerk=share * each.jerk) for each in machine.limits)
     return replace(machine, limits=limits)
 

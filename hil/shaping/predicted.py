@@ -18,21 +18,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from controllers.errors import DesignError
-from controllers.settings import AxisLimits
 from controllers.shapers.conditions import LIGHTLY_DAMPED
 from controllers.shapers.filter import ReferenceShaper
 from controllers.shapers.sampled import AxisShaper
 from controllers.trajectory import move
+from hil.errors import ExperimentError
+from hil.experiments.safety import Safety
 from hil.machine import Machine
-from hil.shaping.plans import shaped
+from hil.shaping.plans import GENTLER, GENTLEST, gentler, shaped
 from hil.shaping.plants import closed_loop
 from hil.shaping.poses import subject_at
 from hil.shaping.shaper_design import poles_to_cancel
-from hil.shaping.verdict import GAIN_LIMIT, VARIATION, Residual
+from hil.shaping.verdict import VARIATION, Residual
 from hil.simulation import Inputs, Simulator
 
-DRAWN = 24
-"""Moves. The next one of the same kind lies within the least and the greatest of n with a probability of (n - 1) / (n + 1): 92 %."""
+DRAWN = 40
+"""Moves. The next one of the same kind lies within the least and the greatest of n with a probability of (n - 1) / (n + 1): 95 %."""
 
 SIZES = (0.02, 0.25)
 """Smallest and largest move, as a share of the axis's range."""
@@ -51,13 +52,14 @@ DISTINCT = 1e-6
 class DrawnMove:
     """A move of one axis, and by which share the machine's frequencies are off."""
 
-    reference: np.ndarray  # (N, n_axes), standing from `arrived` on
+    raw: np.ndarray  # (N, n_axes), standing from `arrived` on
+    shaped: np.ndarray  # (N, n_axes)
     arrived: int  # row
     detuned: float
 
 
 class Prediction:
-    """The drawn moves of one axis from a pose, simulated without a shaper; `of` adds one with a shaper.
+    """Drawn moves of one axis from a pose, simulated without a shaper and with one.
 
     Parameters
     ----------
@@ -65,51 +67,60 @@ class Prediction:
         Its effects are in the simulation.
     axis : str
     pose : (n_axes,) array
-    longest_samples : int
-        Longest transient that will be asked for.
     seed : int
         Of the moves.
 
     Raises
     ------
     DesignError
-        The axis has no limits of speed, acceleration or jerk, rings no mode, or stands still after every move.
+        The axis has no limits of speed, acceleration or jerk, or rings no mode.
     """
 
-    def __init__(self, machine: Machine, axis: str, pose: np.ndarray, longest_samples: int, seed: int = 0) -> None:
+    def __init__(self, machine: Machine, axis: str, pose: np.ndarray, seed: int = 0) -> None:
         imus = tuple(replace(each, accelerometer_resolution_m_s2=0.0, gyro_resolution_rad_s=0.0) for each in machine.plant.imus)
         encoders = tuple(replace(each, resolution=0.0) if each.channel.startswith("link_") else each for each in machine.plant.encoders)
         # what moves is measured, not what a sensor resolves; the motors' encoders, which the loop closes on, keep their steps
         self._machine = replace(machine, plant=replace(machine.plant, imus=imus, encoders=encoders))
-        self._axis, self._index = axis, machine.axis_index(axis)
+        self._axis, self._index, self._pose, self._seed = axis, machine.axis_index(axis), np.asarray(pose, dtype=float), seed
+        limit = machine.limits[self._index]
+        if not np.isfinite([limit.speed, limit.acceleration, limit.jerk]).all():
+            raise DesignError(f"{axis}: no moves can be drawn without limits of speed, acceleration and jerk")
         (ringing,) = poles_to_cancel([subject_at(self._machine, pose, axis)], machine.sample_rate_Hz)
         if not ringing:
             raise DesignError(f"no mode of {axis} rings")
         self._looked_at = math.ceil(LOOKED_AT * 2.0 * np.pi / min(map(abs, ringing)) * machine.sample_rate_Hz)
-        moves = drawn_moves(machine, axis, pose, longest_samples + self._looked_at + 1, seed)
-        self._moves = [_Detuned(each, detuned(self._machine, each.detuned), axis) for each in moves]
-        # over all moves together: where friction holds the axis after some of them, those leave nothing that a share could be taken of
-        without = np.array([self._vibration(each, each.drawn.reference, each.drawn.arrived) for each in self._moves])
-        self._without = float(np.sqrt(np.mean(without**2)))
-        if not self._without > 0.0:
-            raise DesignError(f"nothing of {axis} moves after a move, shaped or not")
-        self._greatest = float(np.max(without)) / self._without
 
-    def shares(self, shaper: AxisShaper) -> np.ndarray:
-        """Return what the shaper leaves after every move (moves,), as a share of the rms that all leave without one."""
-        running = ReferenceShaper(self._machine.axes, [shaper], self._machine.limits, self._machine.sample_rate_Hz)
-        left = []
-        for each in self._moves:
-            reference, _ = shaped(running, each.drawn.reference, each.drawn.reference[0])
-            left.append(self._vibration(each, reference, each.drawn.arrived + shaper.transient_samples))
-        return np.array(left) / self._without
+    def left(self, shaper: AxisShaper) -> tuple[np.ndarray, float]:
+        """Return what moves leave with the shaper (moves,), as shares of the rms that all leave without one, and that.
+
+        Raises
+        ------
+        DesignError
+            The axis stands still after every move, or no move is gentle enough for the shaper.
+        """
+        moves = planned_moves(self._machine, self._axis, self._pose, shaper, shaper.transient_samples + self._looked_at + 1, self._seed)
+        left = np.array([self._of(each, shaper) for each in moves])
+        whole = float(np.sqrt(np.mean(left[:, 0] ** 2)))
+        # over all moves together: where friction holds the axis after some of them, those leave nothing that a share could be taken of
+        if not whole > 0.0:
+            raise DesignError(f"nothing of {self._axis} moves after a move, shaped or not")
+        return left[:, 1] / whole, whole
 
     def of(self, shaper: AxisShaper) -> Residual:
         """Return what the shaper leaves: least, median and greatest share over the moves."""
-        shares = self.shares(shaper)
-        return Residual(float(np.min(shares)), float(np.median(shares)), float(np.max(shares)), self._greatest, len(shares))
+        shares, rms = self.left(shaper)
+        unit = "m/s^2" if self._machine.plant.imus else f"{self._machine.limits[self._index].unit}/s^2"
+        least, median, greatest = (float(np.quantile(shares, at)) for at in (0.0, 0.5, 1.0))
+        return Residual(least, median, greatest, len(shares), rms, unit)
 
-    def _vibration(self, of: _Detuned, reference: np.ndarray, begin: int) -> float:
+    def _of(self, move: DrawnMove, shaper: AxisShaper) -> tuple[float, float]:
+        machine = detuned(self._machine, move.detuned)
+        after = _After(Simulator(machine), closed_loop(machine, move.raw[-1], self._axis, "motor").poles)
+        begins = move.arrived, move.arrived + shaper.transient_samples
+        plain, with_it = (self._vibration(after, each, row) for each, row in zip((move.raw, move.shaped), begins, strict=True))
+        return plain, with_it
+
+    def _vibration(self, of: _After, reference: np.ndarray, begin: int) -> float:
         """Return the rms acceleration without settling from a row on: by all IMUs, or by the axis's encoder where there is none."""
         still = np.zeros_like(reference)
         outputs = of.simulator.run(Inputs(reference, still, still, None, reference[0].copy()))
@@ -123,16 +134,17 @@ class Prediction:
         return float(np.sqrt(np.mean(without_settling(rows, of.poles, 1.0 / self._machine.sample_rate_Hz) ** 2)))
 
 
-class _Detuned:
-    """A drawn move and the machine that makes it, with the poles of its loop where the move ends."""
+@dataclass(frozen=True)
+class _After:
+    """A machine, with the poles of its loop where a move ends."""
 
-    def __init__(self, drawn: DrawnMove, machine: Machine, axis: str) -> None:
-        self.drawn, self.simulator = drawn, Simulator(machine)
-        self.poles = closed_loop(machine, drawn.reference[-1], axis, "motor").poles
+    simulator: Simulator
+    poles: np.ndarray
 
 
 def without_settling(rows: np.ndarray, poles: np.ndarray, period_s: float) -> np.ndarray:
     """Return motion (N, k) after a move without that of a loop's poles [rad/s] that do not ring, and without its trend."""
+    rows = rows - np.mean(rows, axis=0)  # gravity is ten thousand times as large as vibration, which rounding of the fit would drown
     time_s = period_s * np.arange(len(rows))[:, None]
     upper = poles[poles.imag >= 0.0]
     rings = -upper.real < LIGHTLY_DAMPED * np.abs(upper)
@@ -148,30 +160,51 @@ def _decaying(time_s: np.ndarray, poles: np.ndarray) -> np.ndarray:
     return np.hstack([terms.real, terms.imag])
 
 
-def drawn_moves(machine: Machine, axis: str, pose: np.ndarray, standing: int, seed: int = 0, count: int = DRAWN) -> list[DrawnMove]:
+def planned_moves(
+    machine: Machine, axis: str, pose: np.ndarray, shaper: AxisShaper, standing: int, seed: int = 0, count: int = DRAWN
+) -> list[DrawnMove]:
     """Draw moves of one axis that begin at a pose and stand for so many rows at their end.
 
-    They are planned so that a shaper with the greatest gains keeps the limits.
+    As `run` plans them: with so little acceleration and jerk that the shaped reference keeps all limits.
 
     Raises
     ------
     DesignError
-        The axis has no limits of speed, acceleration or jerk.
+        Not even the gentlest moves keep them.
     """
-    generator, index = np.random.default_rng(seed), machine.axis_index(axis)
-    limits = tuple(_gentle(each) for each in machine.limits)
-    lower, upper = limits[index].lower, limits[index].upper
+    generator, index, rate_Hz = np.random.default_rng(seed), machine.axis_index(axis), machine.sample_rate_Hz
+    lower, upper = machine.limits[index].lower, machine.limits[index].upper
     span = upper - lower if np.isfinite(upper - lower) else UNRANGED
-    found = []
+    goals, detunes = [], []
     for _ in range(count):
-        size, detune = span * generator.uniform(*SIZES), float(generator.uniform(VARIATION[0], VARIATION[-1]))
+        size = span * generator.uniform(*SIZES)
+        detunes.append(float(generator.uniform(VARIATION[0], VARIATION[-1])))
         sign = 1.0 if generator.random() < 0.5 else -1.0
-        goal = np.array(pose, dtype=float)
-        goal[index] += sign * size if lower <= goal[index] + sign * size <= upper else -sign * size
-        reference = move(np.asarray(pose, dtype=float), goal, limits, machine.sample_rate_Hz).position
-        arrived = len(reference)
-        found.append(DrawnMove(np.vstack([reference, np.tile(reference[-1], (standing, 1))]), arrived, detune))
-    return found
+        goals.append(pose + sign * size * (np.arange(len(pose)) == index))
+        if not lower <= goals[-1][index] <= upper:
+            goals[-1] = 2.0 * pose - goals[-1]
+    running, safety, share = ReferenceShaper(machine.axes, [shaper], machine.limits, rate_Hz), Safety(machine, pose), 1.0
+    while share >= GENTLEST:
+        limits, found = gentler(machine, share).limits, []
+        for goal, detune in zip(goals, detunes, strict=True):
+            path = move(pose, goal, limits, rate_Hz).position
+            raw = np.vstack([path, np.tile(path[-1], (standing, 1))])
+            reference, held = shaped(running, raw, pose)
+            if held >= 0 or not _keeps(safety, reference):
+                break
+            found.append(DrawnMove(raw, reference, len(path), detune))
+        if len(found) == count:
+            return found
+        share *= GENTLER
+    raise DesignError(f"{axis}: a shaped reference would exceed its limits even with {GENTLEST:.0%} of acceleration and jerk")
+
+
+def _keeps(safety: Safety, reference: np.ndarray) -> bool:
+    try:
+        safety.check_reference("move", reference)
+    except ExperimentError:
+        return False
+    return True
 
 
 def detuned(machine: Machine, share: float) -> Machine:
@@ -188,9 +221,3 @@ def detuned(machine: Machine, share: float) -> Machine:
         for each in plant.effects
     )
     return replace(machine, plant=replace(plant, tree=replace(plant.tree, bodies=bodies), effects=effects))
-
-
-def _gentle(limit: AxisLimits) -> AxisLimits:
-    if not np.isfinite([limit.speed, limit.acceleration, limit.jerk]).all():
-        raise DesignError(f"{limit.axis}: no moves can be drawn without limits of speed, acceleration and jerk")
-    return replace(limit, speed=limit.speed / GAIN_LIMIT, acceleration=limit.acceleration / GAIN_LIMIT, jerk=limit.jerk / GAIN_LIMIT)

@@ -32,8 +32,10 @@ def design_lines(candidates: Candidates, chosen: Design) -> list[str]:
         if marks:
             lines += _wrapped("; ".join(marks), "    ")
         if verdict.residual is not None:
-            low, likely, high = (_percent(share) for share in (verdict.residual.low, verdict.residual.likely, verdict.residual.high))
-            lines += _wrapped(f"left of {verdict.residual.moves} drawn moves as simulated: {low} to {high}, median {likely}", "    ")
+            found = verdict.residual
+            low, likely, high = (_percent(share) for share in (found.low, found.likely, found.high))
+            of = f"of {found.rms:.2g} {found.unit} rms without a shaper"
+            lines += _wrapped(f"left of {found.moves} drawn moves as simulated: {low} to {high}, median {likely}, {of}", "    ")
     for name, reason in candidates.refused.items():
         lines += _wrapped(f"{name}: none: {reason}", "  ")
     if candidates.not_simulated:

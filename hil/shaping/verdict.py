@@ -40,15 +40,16 @@ class LeftOut:
 class Residual:
     """Share of the vibration that a shaper leaves as simulated: least, median and greatest of drawn moves.
 
-    1 is as much as they leave without a shaper, all together; `without` is the greatest that one of them leaves without. The next move of
-    the same kind lies between least and greatest with (n - 1) / (n + 1).
+    1 is as much as they leave without a shaper, all together: `rms`, an acceleration in `unit`. The next move of the same kind lies between
+    least and greatest with (n - 1) / (n + 1).
     """
 
     low: float
     likely: float
     high: float
-    without: float
     moves: int
+    rms: float
+    unit: str
 
 
 @dataclass(frozen=True)
@@ -73,26 +74,25 @@ class Verdict:
     residual: Residual | None = None  # as simulated; None where nothing was, as of a frequency response
 
     def simulated(self, residual: Residual) -> Verdict:
-        """Return the verdict with what is left as simulated; more than is left without a shaper speaks against the design."""
-        worse = f"as simulated it leaves up to {_percent(residual.high)} of the vibration, no shaper up to {_percent(residual.without)}"
-        return replace(self, residual=residual, against=self.against or (worse if residual.high > residual.without else ""))
+        """Return the verdict with what is left as simulated; as much as without a shaper, in the median, speaks against the design."""
+        worse = f"as simulated it leaves {_percent(residual.likely)} of the vibration in the median"
+        return replace(self, residual=residual, against=self.against or (worse if residual.likely >= 1.0 else ""))
 
     @property
     def row(self) -> dict[str, str | float]:
         """Return what a table has of it: all but the poles left out, and the residual's parts, NaN where nothing was simulated."""
         found = {name: value for name, value in vars(self).items() if name not in ("left_out", "residual")}
-        parts = {
-            part: float("nan") if self.residual is None else getattr(self.residual, part) for part in ("low", "likely", "high", "without")
-        }
+        names = "low", "likely", "high", "rms"
+        parts = {part: float("nan") if self.residual is None else getattr(self.residual, part) for part in names}
         return found | {f"residual_{part}": value for part, value in parts.items()}
 
     @property
     def cost(self) -> float:
-        """Return the criterion of the recommendation: worst-case vibration plus the tracking error, both as shares.
+        """Return the criterion of the recommendation: vibration plus tracking error, both as shares.
 
-        The vibration is that of the simulated moves where there are some, else that of the linear loop.
+        The vibration is that of simulated moves in the median, else that of the linear loop at +-10 %.
         """
-        return (self.vibration_at_10 if self.residual is None else self.residual.high) + self.tracking
+        return (self.vibration_at_10 if self.residual is None else self.residual.likely) + self.tracking
 
     @property
     def line(self) -> str:

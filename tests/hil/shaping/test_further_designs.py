@@ -99,8 +99,8 @@ def test_the_command_writes_the_design_that_is_asked_for(tmp_path: Path, capsys:
     options = ["--axis", "roll", "--also", "shortest,zpetc", "--take", "hTDF shortest"]
     with pytest.raises(SystemExit) as left:
         main(["shape", "carm", *options, "-o", str(tmp_path / "a.npz"), "--json", "-"])
+    assert left.value.code == 0
     answer = json.loads(capsys.readouterr().out)
-    assert left.value.code == (0 if answer["fit"] else 1)
     named = {design["name"]: design for design in answer["designs"]}
     assert named["hTDF shortest"]["transient_s"] < named["hTDF"]["transient_s"]
     assert named["hTDF zpetc"]["tracking"] < 1e-9

@@ -14,11 +14,9 @@ import pytest
 import scipy.optimize
 
 from controllers.feedback import Feedback
-from controllers.shapers.filter import ReferenceShaper
 from hil.machine import Machine, load_machine
 from hil.shaping.choice import ShaperChoice, choose_shaper
-from hil.shaping.plans import shaped
-from hil.shaping.predicted import DrawnMove, drawn_moves
+from hil.shaping.predicted import DrawnMove, planned_moves
 from hil.shaping.report import design_lines
 from hil.shaping.verdict import Residual
 from virtual_bus.physics import Physics
@@ -46,12 +44,8 @@ def swinging(mode_Hz: float = MODE_Hz, friction: float = 0.0) -> Machine:
 
 def accelerations(machine: Machine, drawn: DrawnMove, choice: ShaperChoice) -> list[np.ndarray]:
     """Return the emulated link's after a move without and with the shaper [rad/s^2], sample by sample over its own loop."""
-    running = ReferenceShaper(machine.axes, [choice.shaper], machine.limits, machine.sample_rate_Hz)
     after = []
-    for reference, begin in (
-        (drawn.reference, drawn.arrived),
-        (shaped(running, drawn.reference, drawn.reference[0])[0], drawn.arrived + choice.shaper.transient_samples),
-    ):
+    for reference, begin in ((drawn.raw, drawn.arrived), (drawn.shaped, drawn.arrived + choice.shaper.transient_samples)):
         physics, feedback = Physics(machine.plant, noise=False), Feedback(machine.controllers)
         nothing, command = np.zeros(1), np.zeros(1)
         physics.place(reference[0])
@@ -71,7 +65,7 @@ def accelerations(machine: Machine, drawn: DrawnMove, choice: ShaperChoice) -> l
 
 def moves_of(choice: ShaperChoice, standing_s: float, seed: int, count: int) -> list[DrawnMove]:
     standing = choice.shaper.transient_samples + round(standing_s * choice.machine.sample_rate_Hz) + 2
-    return drawn_moves(choice.machine, "turn", np.zeros(1), standing, seed, count)
+    return planned_moves(choice.machine, "turn", np.zeros(1), choice.shaper, standing, seed, count)
 
 
 def in_the_band(acceleration: np.ndarray, rate_Hz: float) -> float:
@@ -117,7 +111,6 @@ def test_without_friction_the_stated_interval_is_the_ringing_that_moves_leave_an
     shares = shaped_left / np.sqrt(np.mean(without**2))
     assert stated.high == pytest.approx(shares.max(), rel=0.05)
     assert stated.likely == pytest.approx(np.median(shares), rel=0.1)
-    assert stated.without == pytest.approx((without / np.sqrt(np.mean(without**2))).max(), rel=0.05)  # faster modes fade more until then
     at_10 = choice.chosen.verdict.vibration_at_10
     assert (shaped_left / without).max() <= 1.02 * at_10
     assert 0.6 * at_10 < stated.high < 1.5 * at_10
@@ -143,7 +136,7 @@ def test_friction_leaves_more_than_the_linear_loop_says_and_the_recommendation_c
     best = choice.chosen.verdict
     assert best.residual is not None
     assert best.residual.low <= best.residual.likely <= best.residual.high
-    assert best.cost == pytest.approx(best.residual.high + best.tracking)
+    assert best.cost == pytest.approx(best.residual.likely + best.tracking)
     assert best.residual.likely > 3.0 * best.vibration
 
 
@@ -156,9 +149,8 @@ def test_where_no_moves_can_be_drawn_the_reason_is_told() -> None:
     assert all(design.verdict.residual is None for design in choice.designs)
 
 
-def test_a_greatest_share_above_that_without_a_shaper_speaks_against_a_design(choice: ShaperChoice) -> None:
+def test_as_much_as_without_a_shaper_speaks_against_a_design(choice: ShaperChoice) -> None:
     verdict = choice.chosen.verdict
-    assert not verdict.simulated(Residual(0.5, 0.9, 1.2, 1.3, 24)).against
-    assert verdict.simulated(Residual(0.5, 0.9, 1.4, 1.3, 24)).against == (
-        "as simulated it leaves up to 140 % of the vibration, no shaper up to 130 %"
-    )
+    assert not verdict.simulated(Residual(0.5, 0.9, 1.4, 40, 1e-3, "m/s^2")).against
+    worse = verdict.simulated(Residual(0.5, 1.1, 1.4, 40, 1e-3, "m/s^2"))
+    assert worse.against == "as simulated it leaves 110 % of the vibration in the median"

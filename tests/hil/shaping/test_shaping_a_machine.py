@@ -347,10 +347,10 @@ def test_the_command_judges_writes_and_answers(tmp_path: Path, capsys: pytest.Ca
         rows = list(csv.DictReader(file))
     assert [row["name"] for row in rows] == [design["name"] for design in answer["designs"]]
     for row, design in zip(rows, answer["designs"], strict=True):
-        told = design["residual"] or dict.fromkeys(("low", "likely", "high", "without"), float("nan"))
-        for part in ("low", "likely", "high", "without"):
+        told = design["residual"] or dict.fromkeys(("low", "likely", "high", "rms"), float("nan"))
+        for part in ("low", "likely", "high", "rms"):
             assert float(row[f"residual_{part}"]) == pytest.approx(told[part], nan_ok=True)
-    assert page_verdict(tmp_path / "a.html").lstrip("✓? ").startswith(f"{answer['chosen']} for roll of carm leaves ")
+    assert page_verdict(tmp_path / "a.html").removeprefix("✓ ").startswith(f"{answer['chosen']} for roll of carm leaves ")
     assert all(design["name"] in page_text(tmp_path / "a.html") for design in answer["designs"])
     assert (tmp_path / "a.png").stat().st_size > 10_000
     assert answer["fit"] is True
@@ -435,9 +435,8 @@ def test_bad_input_is_one_line_and_status_2(tmp_path: Path, capsys: pytest.Captu
     with pytest.raises(SystemExit) as left:
         main(["shape", "carm", "-o", str(tmp_path / "x.npz"), *options])
     assert left.value.code == 2
-    error = capsys.readouterr().err
+    (error,) = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("... ")]  # which says that it takes a while
     assert message in error
-    assert error.count("\n") == 1
 
 
 @pytest.mark.parametrize("mode", ["velocity", "position"])
