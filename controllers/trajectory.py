@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import ruckig
 
+from controllers.edge_units import at_the_edge
 from controllers.errors import DesignError
 from controllers.settings import AxisLimits
 
@@ -48,8 +49,8 @@ def move(start: np.ndarray, goal: np.ndarray, limits: tuple[AxisLimits, ...], sa
             raise DesignError(f"{limit.axis}: a move needs limits of speed, acceleration and jerk; the machine has none")
         for name, position in (("start", start[axis]), ("goal", goal[axis])):
             if not limit.lower <= position <= limit.upper:
-                span = f"{limit.lower:.5g} to {limit.upper:.5g} {limit.unit}"
-                raise DesignError(f"{limit.axis}: {name} {position:.5g} is outside the range {span}")
+                asked, lower, upper = (at_the_edge(each, limit.unit) for each in (position, limit.lower, limit.upper))
+                raise DesignError(f"{limit.axis}: {name} {asked} is outside the range {lower} to {upper}")
     request = ruckig.InputParameter(len(limits))
     request.current_position, request.target_position = start.tolist(), goal.tolist()
     request.max_velocity = [limit.speed for limit in limits]
@@ -77,15 +78,16 @@ def sweep(axis: int, start: np.ndarray, stop: float, speed: float, limits: tuple
     """
     limit = limits[axis]
     if not 0.0 < speed <= limit.speed:
-        raise DesignError(f"{limit.axis}: sweep speed {speed:.5g} must be positive and at most {limit.speed:.5g} {limit.unit}/s")
+        asked, most = (at_the_edge(each, f"{limit.unit}/s") for each in (speed, limit.speed))
+        raise DesignError(f"{limit.axis}: sweep speed {asked} must be positive and at most {most}")
     slowed = tuple(replace(each, speed=speed if index == axis else each.speed) for index, each in enumerate(limits))
     goal = np.array(start, dtype=float)
     goal[axis] = stop
     trajectory = move(start, goal, slowed, sample_rate_Hz)
     way, needed = abs(stop - start[axis]), way_to_reach(speed, limit.acceleration, limit.jerk)
     if way < needed * (1.0 - LIMIT_SLACK):
-        short = f"a way of {way:.5g} {limit.unit} is too short for a speed of {speed:.5g} {limit.unit}/s"
-        raise DesignError(f"{limit.axis}: {short}; it takes {needed:.5g} {limit.unit}")
+        short = f"a way of {at_the_edge(way, limit.unit)} is too short for a speed of {at_the_edge(speed, f'{limit.unit}/s')}"
+        raise DesignError(f"{limit.axis}: {short}; it takes {at_the_edge(needed, limit.unit)}")
     return trajectory
 
 

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from controllers.edge_units import at_the_edge
 from hil.errors import ExperimentError
 from hil.machine import Machine
 
@@ -80,9 +81,8 @@ def pose_array(machine: Machine, pose: Mapping[str, float]) -> np.ndarray:
     values = np.array([float(pose.get(axis, 0.0)) for axis in machine.axes])
     for position, limit in zip(values, machine.limits, strict=True):
         if not limit.lower <= position <= limit.upper:
-            raise ExperimentError(
-                f"pose: {limit.axis} = {position:.5g} {limit.unit} is outside {limit.lower:.5g} to {limit.upper:.5g} {limit.unit}"
-            )
+            allowed = f"{at_the_edge(limit.lower, limit.unit)} to {at_the_edge(limit.upper, limit.unit)}"
+            raise ExperimentError(f"pose: {limit.axis} = {at_the_edge(position, limit.unit)} is outside {allowed}")
     return values
 
 

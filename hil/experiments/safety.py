@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from controllers.edge_units import at_the_edge
 from hil.errors import ExperimentError
 from hil.experiments.plan import Plan
 from hil.experiments.prediction import ClosedLoop, Response
@@ -45,7 +46,8 @@ class Bound:
     @property
     def broken(self) -> str:
         """What is wrong, in words."""
-        return f"{self.what} would reach {self.extreme:.4g} {self.unit}; allowed is {self.lower:.4g} to {self.upper:.4g} {self.unit}"
+        extreme, lower, upper = (at_the_edge(value, self.unit, 4) for value in (self.extreme, self.lower, self.upper))
+        return f"{self.what} would reach {extreme}; allowed is {lower} to {upper}"
 
     @property
     def largest_share(self) -> float:
@@ -139,14 +141,15 @@ class Safety:
             position = from_rest[:, axis]
             if position.min() < limit.lower - REFERENCE_SLACK or position.max() > limit.upper + REFERENCE_SLACK:
                 worst = position.min() if position.min() < limit.lower else position.max()
-                allowed = f"{limit.lower:.5g} to {limit.upper:.5g} {limit.unit}"
-                raise ExperimentError(f"{kind}: the reference of {limit.axis} goes to {worst:.5g} {limit.unit}; its range is {allowed}")
+                allowed = f"{at_the_edge(limit.lower, limit.unit)} to {at_the_edge(limit.upper, limit.unit)}"
+                goes = f"the reference of {limit.axis} goes to {at_the_edge(worst, limit.unit)}"
+                raise ExperimentError(f"{kind}: {goes}; its range is {allowed}")
             for order, name in enumerate(("speed", "acceleration", "jerk"), 1):
                 most = getattr(limit, name)
                 reached = float(np.abs(np.diff(position, order)).max() * rate**order)
                 if reached > most * (1.0 + REFERENCE_SLACK):
-                    value = f"{reached:.4g} {limit.unit}/s{'' if order == 1 else order}"
-                    raise ExperimentError(f"{kind}: the reference of {limit.axis} reaches {name} {value}, the limit is {most:.4g}{hint}")
+                    value, allowed = (at_the_edge(each, f"{limit.unit}/s{'' if order == 1 else order}", 4) for each in (reached, most))
+                    raise ExperimentError(f"{kind}: the reference of {limit.axis} reaches {name} {value}, the limit is {allowed}{hint}")
 
     def check_periodic(
         self, kind: str, deviation: np.ndarray, excitations: Sequence[np.ndarray], amplitude: float | None = None

@@ -451,4 +451,4 @@ def test_a_pose_to_go_to_that_is_none(isocenter: Isocenter) -> None:
     assert (refused.status, refused.line) == (2, "isocenter: --to rol=10: carm has no axis 'rol'; it has propeller, roll")
     refused = isocenter(*move, "roll=200")
     assert refused.status == 2
-    assert "roll = 3.4907 rad is outside" in refused.line
+    assert "roll = 200 deg is outside -95 deg to 95 deg" in refused.line

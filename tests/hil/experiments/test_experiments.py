@@ -225,7 +225,7 @@ def test_gravity_feedforward_follows_the_reference_on_the_axes_that_ask() -> Non
     [
         (replaced(pose={"rol": 0.1}), "no axis 'rol'; it has propeller, roll"),
         (replaced(axes=("tilt",)), "no axis 'tilt'"),
-        (Static(pose={"roll": 4.0}), "roll = 4 rad is outside"),
+        (Static(pose={"roll": 4.0}), "roll = 229.18 deg is outside"),
         (replaced(period_s=5.001), r"5\.001.*holds whole"),
         (replaced(period_s=-1.0), "period_s"),
         (replaced(periods=0), "periods = 0"),
@@ -246,7 +246,7 @@ def test_gravity_feedforward_follows_the_reference_on_the_axes_that_ask() -> Non
         (Scan("roll", 0.0, 1.0, sweeps=0), "sweeps = 0"),
         (Scan("roll", 0.0, 1.0, dwell_s=-1.0), "dwell_s"),
         (Static(seconds=0.0), "seconds = 0"),
-        (Move({}, {"roll": 9.0}), "roll = 9 rad is outside"),
+        (Move({}, {"roll": 9.0}), "roll = 515.66 deg is outside"),
     ],
 )
 def test_an_experiment_that_cannot_be_is_refused_in_one_line(experiment: Experiment, says: str) -> None:
