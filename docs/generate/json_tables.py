@@ -195,6 +195,8 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("comparison", "object or null", "Of a recording with its simulation, as of `compare`; null where it did not come so far."),
         Entry("steps", "list", "`name`, `ok`, `said` (a line each) and `files` of every step."),
     ),
+        Entry("folder, page", "text, text or null", "Where everything is, and the page of it."),
+        Entry("says, next", "text", "The answer in a sentence, and the command to type next."),
     "conform": (
         Entry("eds, bus, writes", "text, text, true or false", "What was asked."),
         Entry("node", "number", "The node id."),

@@ -10,6 +10,7 @@ import typer
 from hil.cli.emulated import EMULATED
 from hil.cli.options import BusOption, EffectsOption, ImuOption, IoOption, MachineArgument, folder_can_be_written, load
 from hil.errors import UnusableInputError
+from hil.files.unused import told_of, unused_folder
 from hil.terminal.output import Answer, JsonOption
 from hil.terminal.progress import progress
 
@@ -43,6 +44,9 @@ def commission(
     machine = load(machine_name)
     answer = Answer(json_to)
     folder_can_be_written(out)
+    wanted, out = out, unused_folder(out)
+    if told_elsewhere := told_of(wanted, out):
+        answer.say(told_elsewhere)
     with progress(live=bus.startswith("lockstep:")) as bars:
         task = bars.add_task("commissioning", total=None)
 
@@ -66,6 +70,11 @@ def commission(
         )
     if found.emulated:
         answer.say(f"{EMULATED}all of it was recorded on the emulator, not on a real machine")
+    answer.say(found.verdict)
+    if found.page is not None:
+        answer.say(f"{found.page}: the page")
+    if found.next_command[0]:
+        answer.say(f"next: {found.next_command[0]}")
     answer.write(found.document())
     if not found.ok:
         raise typer.Exit(1)

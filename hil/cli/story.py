@@ -18,12 +18,17 @@ def register(app: typer.Typer) -> None:
         help="The whole story on the emulator, in about a minute: the emulated C-arm hides one effect or two that a seed draws, the bench "
         "records it over the CANopen stack, the diagnosis names from the recordings what the simulation lacks, and the page opens the "
         "envelope. The first run on a computer compiles for another minute."
-        "\n\nExample:  isocenter demo --seed 7 --out demo",
+        "\n\nExample:  isocenter demo --seed 7 -o demo",
     )(demo)
 
 
 def demo(
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where recordings, diagnosis and page go.")] = Path("isocenter-demo"),
+    out: Annotated[
+        Path,
+        typer.Option(
+            "-o", "--out", metavar="DIR", help="Where recordings, diagnosis and page go; where it is in use, a new folder beside it."
+        ),
+    ] = Path("isocenter-demo"),
     seed: Annotated[int, typer.Option(min=0, metavar="N", help="Draws what the emulated machine hides.")] = 1,
     json_to: JsonOption = None,
 ) -> None:

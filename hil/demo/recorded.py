@@ -74,7 +74,6 @@ def recorded(machine: Machine, envelope: Envelope, out: Path, bars: Bars) -> tup
     secret = machine.with_effects(envelope.effects)
     task, done = bars.add_task("recording", total=total), 0
     for number, (plan, path) in enumerate(plans):
-        path.unlink(missing_ok=True)
         options = BenchOptions("lockstep:", seed=len(plans) * envelope.seed + number, emulated=secret)
         with open_bench(machine, options, plan.start_pose) as bench:
             bench.run(plan, path, follower(bars, task, done))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import time
 from pathlib import Path
 from typing import Any
@@ -11,10 +10,11 @@ from drivers.errors import DriverError
 from hil.demo.hidden import drawn
 from hil.demo.judged import judged
 from hil.demo.page import write_demo_page
-from hil.demo.recorded import RECORDINGS, answered_by, demo_machine, recorded
+from hil.demo.recorded import answered_by, demo_machine, recorded
 from hil.demo.told import Story
 from hil.diagnosis.files import write_diagnosis
 from hil.errors import BenchError, UnusableInputError
+from hil.files.unused import told_of, unused_folder
 from hil.recording import read_recording
 from hil.terminal.output import Answer
 from hil.terminal.progress import progress
@@ -23,17 +23,19 @@ SEAL = "envelope.sha256"
 
 
 def run_demo(out: Path, answer: Answer, seed: int) -> dict[str, Any]:
-    """Run the demo into the folder `out`; return the JSON document.
+    """Run the demo into the folder `out`, or into a new one beside it where that is in use; return the JSON document.
 
     Raises
     ------
     UnusableInputError
-        The folder holds other files than an earlier demo's, or cannot be written to.
+        The folder cannot be written to.
     BenchError
         The bench does not record the machine that the seed draws.
     """
     began = time.perf_counter()
-    _cleared(out)
+    wanted, out = out, unused_folder(out)
+    if told := told_of(wanted, out):
+        answer.say(told)
     machine = demo_machine(out)
     answer.say(f"{machine.name}: {machine.description}, EMULATED")
     envelope = drawn(machine, seed)
@@ -66,25 +68,13 @@ def run_demo(out: Path, answer: Answer, seed: int) -> dict[str, Any]:
         "envelope": out / "envelope.json",
         "hidden": [{"effect": one.name, "at": one.at, "parameters": one.parameters} for one in envelope.effects],
         "worth": story.judged.worth,
+        "says": f"{story.judged.sentence}.",
         "recordings": paths,
         "diagnosis": out / "diagnosis" / "diagnosis.json",
         "verdict": diagnosis.verdict,
         "findings": [finding.effect.document() for finding in diagnosis.findings],
         "held_out": None if diagnosis.fit.held_out is None else diagnosis.fit.held_out.document(),
     }
-
-
-def _cleared(out: Path) -> None:
-    """Take an earlier demo out of a folder: beside a new seal its envelope would say something else."""
-    if not out.is_dir() or not any(out.iterdir()):
-        return
-    if not (out / SEAL).exists():
-        raise UnusableInputError(f"{out}: holds files that are no demo's; give --out an empty folder or a new one")
-    for path in (out / name for name in ("index.html", "envelope.json", "diagnosis", *RECORDINGS)):
-        try:
-            shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
-        except OSError as error:
-            raise UnusableInputError(f"{path}: an earlier demo's, cannot be removed: {error.strerror}; give another --out") from None
 
 
 def _write(path: Path, text: str) -> None:

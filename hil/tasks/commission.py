@@ -18,12 +18,15 @@ from hil.errors import UnusableInputError
 from hil.experiments import Experiment, Jog, JogOnly, Multisine, Static
 from hil.experiments.modest import middle_pose, modest_scan
 from hil.experiments.plan import pose_array
-from hil.files.aside import keep_earlier
+from hil.files.unused import unused_folder
 from hil.identification import identify_poses, resonances, write_frf
 from hil.identification.report import resonance_lines
 from hil.machine import Machine, check_machine
 from hil.machine.load import name_to_load
+from hil.pages import Verdict, write_page
+from hil.pages.contents import Kind
 from hil.recording import Recording, read_recording
+from hil.reports.commissioned import commissioned_page
 from hil.reports.made_from import command_line
 from hil.shaping.choice import choose_shaper
 from hil.shaping.plans import Shaped
@@ -84,6 +87,10 @@ class Commissioning:
         Whether anything was recorded on the emulator.
     comparison : Comparison or None
         Of the first repeat with its simulation, in units of what repeats do not have in common; None where it did not come so far.
+    next_command : tuple of str
+        What to type next, and what that brings.
+    page : Path or None
+        The page of it all; None where nothing was recorded.
     """
 
     machine: Machine
@@ -91,6 +98,13 @@ class Commissioning:
     steps: tuple[Step, ...]
     emulated: bool
     comparison: Comparison | None
+    next_command: tuple[str, str]
+    page: Path | None
+
+    @property
+    def verdict(self) -> str:
+        """Whether the machine is commissioned, in a sentence."""
+        return _verdict(self.machine, self.steps, self.comparison)
 
     @property
     def ok(self) -> bool:
@@ -101,8 +115,12 @@ class Commissioning:
         """Return plain values for JSON."""
         return {
             "machine": self.machine.name,
+            "folder": self.folder,
             "hash": self.machine.hash,
             "ok": self.ok,
+            "says": self.verdict,
+            "next": self.next_command[0],
+            "page": self.page,
             "emulated": self.emulated,
             "comparison": None if self.comparison is None else self.comparison.document(),
             "steps": [vars(step) for step in self.steps],
@@ -130,7 +148,7 @@ def commission(
     bus : str
         As `OpenMachine.run`.
     out : str or Path
-        Folder for recordings, frequency response and shapers; earlier recordings in it are moved aside.
+        Folder for recordings, frequency response and shapers; where it is in use, a new one beside it is taken (`folder` says which).
     emulated : Machine, optional
         In lockstep, the machine that is really there.
     seed : int
@@ -154,13 +172,24 @@ def commission(
     """
     if emulated is not None and not bus.startswith("lockstep:"):
         raise UnusableInputError("emulated: only a run on lockstep: emulates; give that machine to `isocenter emulate`")
-    under_way = _UnderWay(machine, Path(out), told, progress)
+    under_way = _UnderWay(machine, unused_folder(Path(out)), told, progress)
     if under_way.check():
         under_way.folder.mkdir(parents=True, exist_ok=True)
         options = BenchOptions(bus, imu, io, seed=seed, emulated=emulated)
         with open_bench(machine, options, pose_array(machine, middle_pose(machine, ROOM))) as bench:
             under_way.run(bench)
-    return Commissioning(machine, under_way.folder, tuple(under_way.steps), under_way.emulated, under_way.comparison)
+    next_command = under_way.next_command()
+    page = under_way.page(next_command)
+    return Commissioning(machine, under_way.folder, tuple(under_way.steps), under_way.emulated, under_way.comparison, next_command, page)
+
+
+def _verdict(machine: Machine, steps: Sequence[Step], comparison: Comparison | None) -> str:
+    failed = [step for step in steps if not step.ok]
+    if failed:
+        return f"{machine.name} is not commissioned: {failed[0].name} failed: {failed[0].said[0]}"
+    agrees = comparison is not None and comparison.agrees
+    beside = "and its simulation agrees with the recordings" if agrees else "but its simulation leaves something out"
+    return f"{machine.name} is commissioned: all {len(steps)} steps passed, {beside}."
 
 
 class _UnderWay:
@@ -229,7 +258,6 @@ class _UnderWay:
         total = sum(plan.rows for plan in plans)
         done = 0
         for plan, path in zip(plans, paths, strict=True):
-            keep_earlier(path)
             timing = bench.run(plan, path, partial(self._follow, name, done, total) if bench.wiring.lockstep else None)
             self._disbelieve(path.stem, timing.judged)
             done += plan.rows
@@ -279,9 +307,32 @@ class _UnderWay:
         """Hold the simulation against the repeated motion, in units of what repeats do not have in common."""
         first, *others = self._repeats
         self.comparison = compare(first, simulate(self.machine, first), others)
-        said = [self.comparison.verdict]
-        if not self.comparison.agrees:
+        return self._done("compare", True, [self.comparison.verdict])
+
+    def next_command(self) -> tuple[str, str]:
+        """Return what to type next, and what that brings."""
+        name = name_to_load(self.machine)
+        last = self.steps[-1]
+        if last.name == "check" and not last.ok:
+            return command_line("machine", "check", name), "says of every check what would be right."
+        if not last.ok:
+            seen = [path for step in self.steps for path in step.files if path.suffix == ".mf4"]
+            page = self.folder / "sensors.html"
+            return (command_line("plot", *seen, "-o", page), "shows what the sensors gave.") if seen else ("", "")
+        if self.comparison is not None and not self.comparison.agrees:
             files = [self._path(f"repeat{n + 1}") for n in range(REPEATS)]
-            given = [name_to_load(self.machine), *files, "--held-out", self._path("other"), "-o", self.folder / "diagnosis"]
-            said.append(f"What it leaves out: {command_line('diagnose', *given)}")
-        return self._done("compare", True, said)
+            given = [name, *files, "--held-out", self._path("other"), "-o", self.folder / "diagnosis"]
+            return command_line("diagnose", *given), "names what the simulation leaves out."
+        return command_line(
+            "plot", self._path("scan"), "--simulate", "-o", self.folder / "scan.html"
+        ), "shows the scan, with its simulation."
+
+    def page(self, next_command: tuple[str, str]) -> Path | None:
+        """Write the page of it all, where there is anything to show."""
+        if not self.folder.is_dir():
+            return None
+        kind: Kind = "bad" if not self.steps[-1].ok else "good" if self.comparison is not None and self.comparison.agrees else "unsure"
+        verdict = Verdict(_verdict(self.machine, self.steps, self.comparison), kind)
+        steps = [(step.name, step.ok, step.said, step.files) for step in self.steps]
+        page = commissioned_page(self.machine, verdict, steps, next_command, self.folder, self.emulated)
+        return write_page(page, self.folder / "index.html")

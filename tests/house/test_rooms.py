@@ -84,7 +84,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "conform": (),
     "doctor": ("bench", "emulated", "experiments", "extras", "machine", "processes"),
     "console": ("bench", "emulated", "experiments", "files", "machine", "processes", "recording"),
-    "demo": ("bench", "diagnosis", "experiments", "machine", "pages", "recording", "reports", "simulation", "terminal"),
+    "demo": ("bench", "diagnosis", "experiments", "files", "machine", "pages", "recording", "reports", "simulation", "terminal"),
     "cli": (
         "bench",
         "calibration",

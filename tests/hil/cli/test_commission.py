@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from command_line import Isocenter
+from page_text import page_text
 
 from hil.machine import load_machine
 from hil.recording import read_recording
@@ -38,6 +39,11 @@ def test_a_machine_that_is_not_as_filed_is_told_and_the_next_command_names_its_f
     assert answer["comparison"]["channels"]["position_turn"]["in_noise"] > 5.0
     (command,) = re.findall(r"isocenter diagnose turntable (.*)", done.out)
     given = command.split()
+    last = done.out.splitlines()[-3:]
+    assert last[0] == "turntable is commissioned: all 7 steps passed, but its simulation leaves something out."
+    assert last[1] == "arm/index.html: the page"
+    assert last[0] in page_text(Path("arm/index.html"))
+    assert last[2] == f"next: {answer['next']}"
     files = [Path(word) for word in given if word.endswith(".mf4")]
     assert len(files) == 4
     repeats = [read_recording(path) for path in files[:3]]
@@ -50,11 +56,17 @@ def test_a_controller_that_fails_its_check_is_not_run(tmp_path: Path, isocenter:
     text = load_machine("turntable").text
     wrong = tmp_path / "wrong.toml"
     wrong.write_text(text.replace("constant = 0.095", "constant = 0.95"))
+    (tmp_path / "arm").mkdir()
+    (tmp_path / "arm" / "repeat1.mf4").write_text("of an arm that was commissioned before")
     done = isocenter("commission", wrong, "-b", "lockstep:", "-o", tmp_path / "arm", "--json", tmp_path / "arm.json")
     assert done.status == 1
     assert "FAIL check" in done.out
-    assert [step["name"] for step in json.loads((tmp_path / "arm.json").read_text())["steps"]] == ["check"]
-    assert not (tmp_path / "arm").exists()
+    assert "turntable is not commissioned: check failed: " in done.out
+    assert done.out.splitlines()[-1] == f"next: isocenter machine check {wrong}"
+    answer = json.loads((tmp_path / "arm.json").read_text())
+    assert [step["name"] for step in answer["steps"]] == ["check"]
+    assert answer["folder"] == f"{tmp_path / 'arm'}-2"
+    assert [path.name for path in (tmp_path / "arm").iterdir()] == ["repeat1.mf4"]
 
 
 def test_effects_on_a_bus_are_refused(tmp_path: Path, isocenter: Isocenter) -> None:

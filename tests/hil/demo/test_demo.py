@@ -110,30 +110,28 @@ def test_an_answer_is_told_in_a_sentence() -> None:
     )
 
 
-def test_a_folder_with_other_files_is_left_as_it_is(isocenter: Isocenter, tmp_path: Path) -> None:
-    (tmp_path / "machine.toml").write_text("mine")
-    told = isocenter("demo", "--out", tmp_path)
-    assert told.status == 2
-    assert "no demo's" in told.err
-    assert (tmp_path / "machine.toml").read_text() == "mine"
-    assert [path.name for path in tmp_path.iterdir()] == ["machine.toml"]
-
-
-def test_an_earlier_demo_makes_room_and_what_is_beside_it_stays(
+def test_a_folder_in_use_is_left_as_it_is_and_a_new_one_is_taken(
     isocenter: Isocenter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refused(*_: object) -> None:
         raise DriverError("roll: moved the wrong way")
 
     monkeypatch.setattr("hil.demo.story.recorded", refused)
-    (tmp_path / "envelope.sha256").write_text("of an earlier one")
-    for name in ("envelope.json", "index.html", "tour_3.mf4", "mine.mf4"):
-        (tmp_path / name).write_text("old")
-    told = isocenter("demo", "--seed", "3", "--out", tmp_path)
+    out = tmp_path / "demo"
+    out.mkdir()
+    (out / "envelope.sha256").write_text("of an earlier one")
+    for name in ("envelope.json", "index.html", "mine.mf4"):
+        (out / name).write_text("old")
+    told = isocenter("demo", "--seed", "3", "-o", out)
     assert told.status == 1
     assert "seed 3: the bench does not record what it hides; another --seed hides something else: roll: moved the wrong way" in told.err
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["envelope.sha256", "machine.toml", "mine.mf4"]
-    assert (tmp_path / "envelope.sha256").read_text() != "of an earlier one"
+    assert f"{out} holds files already, which stay as they are: all of this goes to {out}-2" in told.out
+    assert {path.name: path.read_text() for path in out.iterdir()} == {
+        "envelope.sha256": "of an earlier one",
+        **dict.fromkeys(("envelope.json", "index.html", "mine.mf4"), "old"),
+    }
+    assert sorted(path.name for path in (tmp_path / "demo-2").iterdir()) == ["envelope.sha256", "machine.toml"]
+    assert (tmp_path / "demo-2" / "envelope.sha256").read_text() != "of an earlier one"
 
 
 @pytest.mark.nightly
