@@ -181,7 +181,7 @@ def _check_socketcan(url: str, name: str, bitrate: int) -> None:
     except OSError as error:
         if error.errno in (errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT):
             raise BusUnavailableError(
-                f"{url}: this kernel has no CAN (AF_CAN); `modprobe can-raw vcan` as root, or use lockstep: or udp:"
+                f"{url}: this kernel has no CAN (AF_CAN); `modprobe -a can-raw vcan` as root, or use lockstep: or udp:"
             ) from error
         raise BusUnavailableError(f"{url}: no raw CAN socket may be opened: {error.strerror}") from error
     add = f"`ip link add dev {name} type vcan && ip link set up {name}`"

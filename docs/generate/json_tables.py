@@ -167,7 +167,7 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
     ),
     "doctor": (
         Entry("machine, bus", "text", "Machine and bus."),
-        Entry("ok", "true or false", "Nothing is bad."),
+        Entry("ok, says", "true or false, text", "Nothing is bad; the answer in a sentence."),
         Entry("findings", "list", "`level` (ok, look, bad, not known), `check`, what was `found`, and `advice`, which may be empty."),
         Entry(
             "prediction",
@@ -287,7 +287,8 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
             "in_time",
             "object",
             "`without` and `shaped`: after a step of the reference, the largest ringing `left` in the output, as a share of the step, and "
-            "`settled_s`, when it is down to a twentieth of that without a shaper.",
+            "`settled_s`, when it is down to a twentieth of that without a shaper; the `overshoot`, and "
+            "`ramp_lag_s`, by which a ramp is trailed.",
         ),
         Entry(
             "designs",

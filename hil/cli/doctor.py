@@ -34,7 +34,7 @@ def doctor(
     seconds: Annotated[float, typer.Option("--seconds", help="Length of the loop's trial; bare wake-ups take a quarter of it.")] = SECONDS,
     json_to: JsonOption = None,
 ) -> None:
-    """Print one line per finding."""
+    """Print yes or no in a sentence, then one line per finding."""
     from rich.console import Console
 
     from hil.doctor.examine import examine, least_seconds
@@ -46,11 +46,9 @@ def doctor(
     answer = Answer(json_to)
     doing = Console(stderr=True, highlight=False, soft_wrap=True)
     found = examine(machine, bus, seconds, Path.cwd(), lambda text: doing.print(f"{text} ...", markup=False))
+    answer.say(found.sentence(machine))
     for finding in found.findings:
         answer.say(str(finding))
-    levels = [finding.level for finding in found.findings]
-    counts = {level: levels.count(level) for level in ("ok", "look", "bad", "not known")}
-    answer.say(", ".join(f"{count} {level}" for level, count in counts.items()))
-    answer.write({"machine": machine.name, "bus": bus, "ok": not counts["bad"], **vars(found)})
-    if counts["bad"]:
+    answer.write({"machine": machine.name, "bus": bus, "ok": not found.of("bad"), "says": found.sentence(machine), **vars(found)})
+    if found.of("bad"):
         raise typer.Exit(1)

@@ -75,9 +75,10 @@ def identify(
 
     machine = None if machine_name is None else load(machine_name)
     answer = Answer(json_to)
-    can_be_written(out, figure)
-    check_page(page)
     not_an_input(out, *recordings)
+    can_be_written(out, suffixes=(".npz",))
+    can_be_written(figure)
+    check_page(page)
     taken = _plant_input(plant_input)
     read = [read_recording(path, machine) for path in recordings]
     model, poses = _model(orders), _over_poses(over_poses or [])

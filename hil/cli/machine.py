@@ -65,12 +65,13 @@ def show(
 )
 def check(machine_name: MachineArgument, json_to: JsonOption = None) -> None:
     """Print every finding on one line; of a file with open points these alone."""
-    from hil.machine import Finding, check_machine
     from hil.machine.load import text_of
     from hil.machine.open_points import marks
 
     answer = Answer(json_to)
     missing, assumed = marks(text_of(machine_name))
+    from hil.machine import Finding, check_machine  # seconds, which a name that is wrong need not wait for
+
     if missing:
         name, findings = (
             machine_name,

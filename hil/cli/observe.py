@@ -156,8 +156,7 @@ def observe(
     if design_path is not None:
         design = read_design(design_path)
     else:
-        with working("designing the observer"):
-            design = _designed(machine, recording, (frf or [], multisine or []), (standing or [], sweep or []), tune or [], modes, answer)
+        design = _designed(machine, recording, (frf or [], multisine or []), (standing or [], sweep or []), tune or [], modes, answer)
     if save_design is not None:
         write_design(design, save_design)
         answer.say(f"{save_design}: design")
@@ -247,7 +246,7 @@ def _designed(
     answer: Answer,
 ) -> ObserverDesign:
     from hil.identification import identify_poses, read_frf
-    from hil.observing import design_observer, emulated_design
+    from hil.observing import design_observer
     from hil.observing.over_poses import observed_channels
     from hil.recording import read_recording
     from hil.simulation import in_effort
@@ -262,13 +261,29 @@ def _designed(
         answer.say(
             f"no --design, --frf or --multisine: the model is identified on the emulated {machine.name}, not on the recorded machine"
         )
-        return emulated_design(machine, tuned_on, modes)
+        return _measured_on_the_emulator(machine, tuned_on, modes)
     responses = [read_frf(path) for path in frf]
-    if multisine:
-        recordings = [in_effort(read_recording(path, machine), machine) for path in multisine]
-        responses += identify_poses(recordings, "robust_bla", outputs=observed_channels(machine))
-    still, sweeps = ([in_effort(read_recording(path, machine), machine) for path in paths] for paths in (standing, sweep))
-    return design_observer(machine, responses, still, tuned_on, modes, sweeps)
+    with working("designing the observer"):
+        if multisine:
+            recordings = [in_effort(read_recording(path, machine), machine) for path in multisine]
+            responses += identify_poses(recordings, "robust_bla", outputs=observed_channels(machine))
+        still, sweeps = ([in_effort(read_recording(path, machine), machine) for path in paths] for paths in (standing, sweep))
+        return design_observer(machine, responses, still, tuned_on, modes, sweeps)
+
+
+def _measured_on_the_emulator(machine: Machine, tuned_on: Sequence[Recording], modes: int) -> ObserverDesign:
+    """Design from measurements of the emulated machine, of which there are many: the bar counts them, then says that it fits."""
+    from hil.observing import emulated_design
+
+    with progress(stays=False) as bars:
+        task = bars.add_task(f"measuring the emulated {machine.name}", total=None)
+
+        def told(done: int, total: int) -> None:
+            bars.update(task, completed=done, total=total)
+            if done == total:
+                bars.add_task("fitting the model, then tuning", total=None)
+
+        return emulated_design(machine, tuned_on, modes, told=told)
 
 
 def _modes(text: str, modes: int) -> tuple[int, ...]:

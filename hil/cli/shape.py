@@ -87,10 +87,11 @@ def shape(
     if frf is not None and (schedule or pose):
         raise UnusableInputError("--frf: a frequency response is of one pose; leave out --schedule and --pose")
     answer = Answer(json_to)
-    can_be_written(out, figure, table)
-    check_page(page)
     if frf is not None:
         not_an_input(out, frf)
+    can_be_written(out, suffixes=(".npz",))
+    can_be_written(figure, table)
+    check_page(page)
     aim = _aim(period, harmonics, longest)
     band, at = parse_band("--quiet", quiet), parse_pose(pose, machine)
     response = None if frf is None else read_frf(frf)
@@ -137,8 +138,8 @@ def shape(
     }
     before_s, after_s = settled(in_time["none"], in_time[chosen.name])
     document["in_time"] = {
-        "without": {"left": in_time["none"].left, "settled_s": before_s},
-        "shaped": {"left": in_time[chosen.name].left, "settled_s": after_s},
+        label: {"left": each.left, "settled_s": settled_s, "overshoot": each.overshoot, "ramp_lag_s": each.ramp_lag_s}
+        for label, each, settled_s in (("without", in_time["none"], before_s), ("shaped", in_time[chosen.name], after_s))
     }
     document["left_out"] = [vars(each) for each in choice.outside]
     answer.write(document | {"designs": verdicts, "refused": candidates.refused, "not_simulated": candidates.not_simulated})

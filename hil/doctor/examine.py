@@ -16,7 +16,7 @@ from drivers.errors import DriverError
 from drivers.modbus.transport import parse_io_url
 from hil.bench.open import row_layout
 from hil.doctor import computer, software, storage, wire
-from hil.doctor.finding import Finding, unknown
+from hil.doctor.finding import LEVELS, Finding, Level, unknown
 from hil.doctor.tail import BLOCK_S, HORIZON_S, LEAST_BLOCKS, Prediction, missed_ticks, predict
 from hil.doctor.trial import tick_times, trial, wake_ups
 from hil.errors import BenchError, UnusableInputError
@@ -48,6 +48,22 @@ class Examination:
     wake_up_us: dict[str, float] | None
     trial: dict[str, float] | None  # as `timing` of a recording
     answer_from: str  # "measured over udp:", or "computed from the bit rate"
+
+    def of(self, level: Level) -> list[Finding]:
+        """Return the findings of a level."""
+        return [finding for finding in self.findings if finding.level == level]
+
+    def sentence(self, machine: Machine) -> str:
+        """Return the answer in a sentence: yes, no, or that nothing was measured."""
+        loop = f"the loop of {machine.name} at {machine.sample_rate_Hz:g} Hz"
+        counts = ", ".join(f"{len(self.of(level))} {level}" for level in LEVELS)
+        if bad := self.of("bad"):
+            return f"No: this computer does not run {loop}, or not for long: {bad[0].check}: {bad[0].found} ({counts})"
+        if self.trial is None:
+            return f"Not known: {loop} was not tried ({counts})"
+        look = self.of("look")
+        but = f"; better with {', '.join(dict.fromkeys(finding.check for finding in look))} mended" if look else ""
+        return f"Yes: this computer runs {loop}{but} ({counts})"
 
 
 def examine(machine: Machine, bus_url: str, seconds: float, folder: Path, say: Say, root: Path = Path("/")) -> Examination:

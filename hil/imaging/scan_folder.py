@@ -133,7 +133,7 @@ def write_exposures(
             rows.writerow([int(number), repr(float(start_s[k])), repr(float(width_s[k])), *places])
 
 
-def read_scan(folder: Path) -> ImageScan:
+def read_scan(folder: str | Path) -> ImageScan:
     """Read a scan's description and exposures; images are read one by one.
 
     Raises
@@ -141,6 +141,7 @@ def read_scan(folder: Path) -> ImageScan:
     UnusableInputError
         Something is missing, unreadable, or does not belong together.
     """
+    folder = Path(folder)
     description = folder / DESCRIPTION
     check_regular(description)
     try:

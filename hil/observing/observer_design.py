@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from itertools import product
+from itertools import count, product
 
 import numpy as np
 
@@ -155,27 +155,47 @@ def design_observer(
     return ObserverDesign(model, noise, isocenter, machine.name, machine.hash, tuple(notes), np.array(poses))
 
 
-def emulated_design(machine: Machine, tuned_on: Sequence[Recording] = (), modes: int = DEFAULT_MODES, seed: int = 0) -> ObserverDesign:
-    """Design an observer for a machine that has not been measured, from measurements of its emulation."""
+def emulated_design(
+    machine: Machine,
+    tuned_on: Sequence[Recording] = (),
+    modes: int = DEFAULT_MODES,
+    seed: int = 0,
+    told: Callable[[int, int], None] = lambda done, total: None,
+) -> ObserverDesign:
+    """Design an observer for a machine that has not been measured, from measurements of its emulation.
+
+    Parameters
+    ----------
+    machine : Machine
+    tuned_on : sequence of Recording
+    modes, seed : int
+    told : callable
+        Told how many measurements of how many are done.
+    """
     last = machine.axes[-1]
     grids = {axis: axis_grid(machine, index, GRID if axis == last else COARSE_GRID) for index, axis in enumerate(machine.axes)}
-    poses = [dict(zip(grids, pose, strict=True)) for pose in product(*grids.values())]
-    responses = emulated_responses(machine, poses, seed)
-    simulator = Simulator(machine)
     at_rest = {axis: grids[axis] if axis == last else axis_grid(machine, index, STANDING_GRID) for index, axis in enumerate(machine.axes)}
-    standing = [
-        emulated_recording(
-            machine, Static(STANDING_s, dict(zip(at_rest, pose, strict=True))).plans(machine)[0], 500 + 100 * seed + i, simulator
-        )
-        for i, pose in enumerate(product(*at_rest.values()))
+    poses, places = ([dict(zip(each, pose, strict=True)) for pose in product(*each.values())] for each in (grids, at_rest))
+    ways = [
+        (axis, dict(zip([name for name in machine.axes if name != axis], place, strict=True)))
+        for axis in machine.axes
+        for place in product(*(grids[name][:: 2 if len(grids[name]) > COARSE_GRID else 1] for name in machine.axes if name != axis))
     ]
-    sweeps: list[Recording] = []
-    for axis in machine.axes:
-        others = [grids[name][:: 2 if len(grids[name]) > COARSE_GRID else 1] for name in machine.axes if name != axis]
-        for place in product(*others):
-            still = dict(zip([name for name in machine.axes if name != axis], place, strict=True))
-            plan = _sweep(machine, axis, (grids[axis][0], grids[axis][-1]), still)
-            sweeps.append(emulated_recording(machine, plan, 700 + 100 * seed + len(sweeps), simulator))
+    done, total = count(1), len(poses) + len(places) + len(ways)
+    told(0, total)
+    responses = emulated_responses(machine, poses, seed, lambda: told(next(done), total))
+    simulator = Simulator(machine)
+
+    def recorded(plan: Plan, its_seed: int) -> Recording:
+        recording = emulated_recording(machine, plan, its_seed, simulator)
+        told(next(done), total)
+        return recording
+
+    standing = [recorded(Static(STANDING_s, place).plans(machine)[0], 500 + 100 * seed + i) for i, place in enumerate(places)]
+    sweeps = [
+        recorded(_sweep(machine, axis, (grids[axis][0], grids[axis][-1]), still), 700 + 100 * seed + i)
+        for i, (axis, still) in enumerate(ways)
+    ]
     return design_observer(machine, responses, standing, tuned_on, modes, sweeps)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -49,8 +49,10 @@ def emulated_recording(machine: Machine, plan: Plan, seed: int, simulator: Simul
     return Recording(channels, recording_metadata(machine, plan.metadata, {"seed": seed}))
 
 
-def emulated_responses(machine: Machine, poses: Sequence[dict[str, float]], seed: int = 0) -> list[FrequencyResponse]:
-    """Return frequency responses at poses, from multisines on the emulated machine under jog."""
+def emulated_responses(
+    machine: Machine, poses: Sequence[dict[str, float]], seed: int = 0, done: Callable[[], None] = lambda: None
+) -> list[FrequencyResponse]:
+    """Return frequency responses at poses, from multisines on the emulated machine under jog; `done` is called after each."""
     simulator = Simulator(machine)
     responses = []
     for index, pose in enumerate(poses):
@@ -60,4 +62,5 @@ def emulated_responses(machine: Machine, poses: Sequence[dict[str, float]], seed
         plans = experiment.plans(machine)
         recordings = [emulated_recording(machine, plan, 1000 * (seed + 1) + 10 * index + j, simulator) for j, plan in enumerate(plans)]
         responses.append(identify(recordings, "robust_bla", outputs=observed_channels(machine)))
+        done()
     return responses

@@ -16,6 +16,9 @@ SETTLED = 0.05
 FAINT = 1e-6
 """Share of the step below which ringing is none: less than any encoder resolves."""
 
+TOLD_OVERSHOOT = 0.02
+"""Share of the step by which a shaper may add to the overshoot without a word."""
+
 LONGEST_s = 30.0
 """Longest time looked at: a mode at 1 Hz and 1 % damping has settled by then."""
 
@@ -43,6 +46,16 @@ class InTime:
         if not beyond.size:
             return 0.0
         return np.inf if beyond[-1] == len(self.ringing) - 1 else float(self.time_s[beyond[-1] + 1])
+
+    @property
+    def overshoot(self) -> float:
+        """Largest excess of the output over where it ends, as a share of the step."""
+        return float(self.output.max() - self.output[-1])
+
+    @property
+    def ramp_lag_s(self) -> float:
+        """Time by which the output trails a ramp: the area that it lacks after a step, less the one that it has too much."""
+        return float((self.output[-1] - self.output).sum() * (self.time_s[1] - self.time_s[0]))
 
 
 def after_step(dynamics: Dynamics, shaper: DelayFilter, sample_rate_Hz: float) -> InTime:
@@ -87,6 +100,12 @@ def in_time_lines(without: InTime, shaped: InTime, name: str) -> list[str]:
     for label, each, settled_s in zip(("without shaper", name), (without, shaped), settled(without, shaped), strict=True):
         when = f"after {settled_s:.2f} s" if np.isfinite(settled_s) else f"not within {LONGEST_s:g} s"
         lines.append(f"  {label:14s}  up to {_percent(each.left)} of the step, down to a twentieth of the unshaped {when}")
+    if shaped.overshoot > without.overshoot + TOLD_OVERSHOOT:
+        lags = [f"{1e3 * each.ramp_lag_s:.0f} ms" for each in (shaped, without)]
+        lines.append(
+            f"  a step overshoots by {_percent(shaped.overshoot)}, by {_percent(without.overshoot)} without: what is held back at first,"
+            f" and may trail a ramp by {lags[0]} alone ({lags[1]} without), must go beyond a step; the reference of a scan is a ramp"
+        )
     return lines
 
 
