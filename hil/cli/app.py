@@ -35,7 +35,7 @@ _BY_CTRL_C = 130  # what Typer makes of Ctrl-C
 
 app = typer.Typer(
     name="isocenter",
-    help="Hardware-in-the-loop controller stack for an X-ray C-arm.\n\nStart with:  isocenter demo",
+    help="Hardware-in-the-loop controller stack for an X-ray C-arm.\n\nStart with:  isocenter bench",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,

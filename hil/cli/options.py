@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 SHIPPED = Path(__file__).resolve().parents[1] / "machine" / "shipped"
 
 
-def _shipped(incomplete: str) -> list[str]:
+def shipped_names(incomplete: str) -> list[str]:
     """Return the shipped machines for a shell to complete; where none fits it completes paths."""
     return sorted(path.stem for path in SHIPPED.glob(f"{incomplete}*.toml"))
 
@@ -33,7 +33,7 @@ MachineOption = Annotated[
         "-m",
         metavar="M",
         help="Machine file, or the name of a shipped one (isocenter machine list).",
-        autocompletion=_shipped,
+        autocompletion=shipped_names,
     ),
 ]
 ScanArgument = Annotated[
@@ -41,7 +41,7 @@ ScanArgument = Annotated[
 ]
 MachineArgument = Annotated[
     str,
-    typer.Argument(metavar="M", help="Machine file, or the name of a shipped one (isocenter machine list).", autocompletion=_shipped),
+    typer.Argument(metavar="M", help="Machine file, or the name of a shipped one (isocenter machine list).", autocompletion=shipped_names),
 ]
 BusOption = Annotated[
     str,

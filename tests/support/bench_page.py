@@ -63,9 +63,11 @@ class BenchPage:
 def bench_page(folder: Path, machine: str, bus: str, *options: str) -> Iterator[BenchPage]:
     """A bench on a free port, ended as by Ctrl-C."""
     ready, out = folder / "ready.json", folder / "recordings"
-    command = [sys.executable, "-m", "hil", "bench", machine, "--bus", bus, "--port", "0", "-o", str(out), "--json", str(ready), *options]
+    command = [sys.executable, "-m", "hil", "bench", "-m", machine, "--bus", bus, "--port", "0", "-o", str(out), "--json", str(ready)]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env=environment)
+    process = subprocess.Popen(
+        [*command, "--no-open", *options], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env=environment
+    )
     try:
         until(lambda: process.poll() is not None or (ready.is_file() and ready.read_text().endswith("\n")), START_S)
         assert process.poll() is None, process.stderr.read() if process.stderr else ""

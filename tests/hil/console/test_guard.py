@@ -11,8 +11,6 @@ from urllib.parse import urlsplit
 
 import pytest
 from command_line import runner
-
-pytest.importorskip("starlette")
 from starlette.testclient import TestClient, WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
 

@@ -14,8 +14,6 @@ from bench_page import BenchPage, Watcher, bench_page
 from browser import WIDTHS, browser_or_skip, listen
 from places import ROOT
 
-pytest.importorskip("uvicorn")
-
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 

@@ -19,9 +19,6 @@ from urllib.parse import urlsplit
 import pytest
 from bench_machines import patient_text
 from bench_page import BenchPage, Watcher, bench_page, until
-
-pytest.importorskip("uvicorn")
-pytest.importorskip("websockets")
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
