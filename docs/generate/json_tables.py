@@ -185,18 +185,22 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("machine, bus", "text", "Machine and bus."),
         Entry("folder", "text", "Where recordings and answers go."),
     ),
+    "attend": (
+        Entry("machine, bus, emulated", "text, text, true or false", "Where it was."),
+        Entry("position", "object", "Where each axis stood at the end [rad or m]."),
+    ),
     "scan-bus": (
         Entry("bus", "text", "The bus."),
         Entry("nodes", "list", "`node_id`, `device_type`, `description`, `identity`, `nmt_state`, `name`."),
     ),
     "commission": (
         Entry("machine, hash", "text", "Name and hash of the machine file."),
+        Entry("folder, page", "text, text or null", "Where everything is, and the page of it."),
+        Entry("says, next", "text", "The answer in a sentence, and the command to type next."),
         Entry("ok, emulated", "true or false", "Every step passed; anything was recorded on the emulator."),
         Entry("comparison", "object or null", "Of a recording with its simulation, as of `compare`; null where it did not come so far."),
         Entry("steps", "list", "`name`, `ok`, `said` (a line each) and `files` of every step."),
     ),
-        Entry("folder, page", "text, text or null", "Where everything is, and the page of it."),
-        Entry("says, next", "text", "The answer in a sentence, and the command to type next."),
     "conform": (
         Entry("eds, bus, writes", "text, text, true or false", "What was asked."),
         Entry("node", "number", "The node id."),

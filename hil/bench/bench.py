@@ -53,7 +53,6 @@ BRIDGE_S = 1.0
 BRIDGED_SHARE = 0.05
 """Share of the tracking error that stops the motors, by which an axis may coast beyond the travel of its first-move check."""
 
-
 Beside = contextlib.AbstractContextManager[None]
 
 
@@ -89,7 +88,7 @@ class Bench:
     def __post_init__(self) -> None:
         """Prepare the command of zero effort."""
         self._still = np.zeros(len(self.machine.axes))
-        self.wiring.link.judged = self._judges
+        self.wiring.link.judged = self.judges
         self._led = False  # whether drives go by themselves
         self._unjudged = self._missed = 0  # ticks since the sensors were judged, and the clock's lost ones by then
 
@@ -106,8 +105,8 @@ class Bench:
         DriverError
             A device is absent, wrong or at fault, or a check failed; the motors were stopped.
         """
-        with self._session():
-            self._see_pose()
+        with self.session():
+            self.see_pose()
             self._tell_of_sensors()
             return self.commissioning
 
@@ -133,35 +132,32 @@ class Bench:
         LoopAbortedError, DriverError
         """
         link = self.wiring.link
-        by_itself = self._by_itself()
+        by_itself = self.by_themselves()
         if by_itself and len(by_itself) < len(link.scalings):
             raise MotionRefusedError(f"{', '.join(by_itself)}: in profile position mode beside axes that are not; use one way for all")
         way, stay = self._way_to(pose)  # refuses a pose that is out of range
         if by_itself:
-            with self._session():
+            with self.session():
                 link.enable()
-                link.release_brakes(self._rest_still)
+                link.release_brakes(lambda sample: self._still)
                 self._led = True
-                link.go_to(pose.tolist(), self._rest_still)
+                link.go_to(pose.tolist(), lambda sample: self._still)
                 self._led = False
                 self._tell_of_sensors()
-                link.close_brakes(self._rest_still)
-                self._see_pose()
+                link.close_brakes(lambda sample: self._still)
+                self.see_pose()
             return self.pose
-        with self._session():
-            self._take_hold()
+        with self.session():
+            self.take_hold()
             link.watch.lead()
             for leg in (self._bridge_to(way[0] if way else stay), *way):
                 self.loop.run(leg)
                 self._tell_of_sensors()
             self._settle(stay)
             self.pose = pose.copy()
-            link.close_brakes(self._holding())
-            self._see_pose()
+            link.close_brakes(self.holding())
+            self.see_pose()
         return self.pose
-
-    def _rest_still(self, sample: Sample) -> np.ndarray:
-        return self._still
 
     def _tell_of_sensors(self) -> None:
         """Add to `judged` what the phase that has ended, of which no row is recorded, has found of the sensors."""
@@ -169,7 +165,7 @@ class Bench:
         lines = (f"{finding.sensor}: {finding.says}" for finding in findings)
         self.judged = tuple(dict.fromkeys((*self.judged, *lines)))
 
-    def _judges(self, sample: Sample) -> str:
+    def judges(self, sample: Sample) -> str:
         """Judge the sensors in a tick that the link makes by itself; return why they stop the motors, or ''."""
         judge, link, missed = self.loop.judge, self.wiring.link, self.wiring.clock.missed
         self._unjudged, self._missed = self._unjudged + 1 + max(0, missed - self._missed), missed
@@ -178,13 +174,13 @@ class Bench:
         ticks, self._unjudged = self._unjudged, 0
         return judge.step(sample, ticks, link.syncs * link.period_s, led=self._led)
 
-    def _by_itself(self) -> list[str]:
+    def by_themselves(self) -> list[str]:
         """Return the axes whose drives go to poses by themselves."""
         return [scaling.axis for scaling in self.wiring.link.scalings if scaling.mode == "profile_position"]
 
     def _check_modes(self, plan: Plan) -> None:
         """Refuse a plan that the drives cannot be led along."""
-        if by_itself := self._by_itself():
+        if by_itself := self.by_themselves():
             raise MotionRefusedError(
                 f"{', '.join(by_itself)}: in profile position mode a drive goes to poses by itself: `isocenter move`; a run needs another"
             )
@@ -234,8 +230,8 @@ class Bench:
         events = self.wiring.link.events
         watched = contextlib.nullcontext() if beside is None or isinstance(sink, JournalSink) else beside(sink)
         try:
-            with watched, self._session():
-                self._take_hold()
+            with watched, self.session():
+                self.take_hold()
                 self.wiring.link.watch.lead()
                 for leg in (self._bridge_to(way[0] if way else stay), *way):
                     self.loop.run(leg)
@@ -251,9 +247,9 @@ class Bench:
                     rows.end(self.wiring.link.syncs)
                 self.wiring.pause_truth()
                 self.pose = plan.reference[-1].copy()
-                self.wiring.link.close_brakes(self._holding())
+                self.wiring.link.close_brakes(self.holding())
                 events.add("bench", "brakes closed, drives disabled")
-                self._see_pose()
+                self.see_pose()
             if not self.wiring.lockstep:
                 tables["timing"] = timing.summary()
             tables["bench"] = self._circumstances()
@@ -274,8 +270,8 @@ class Bench:
         return dataclasses.replace(timing, notes=notes + timing.notes + self.wiring.link.remarks)
 
     @contextlib.contextmanager
-    def _session(self) -> Iterator[None]:
-        """Commission the nodes, drives disabled and brakes closed; stop and reset them on the way out in any case."""
+    def session(self, *, homes: bool = True) -> Iterator[None]:
+        """Start the nodes, and home unless told otherwise, brakes closed; stop and reset them on the way out in any case."""
         link, events = self.wiring.link, self.wiring.link.events
         events.begin()
         self.judged, self._led = (), False
@@ -294,11 +290,8 @@ class Bench:
                 if self.options.accepted_margins:
                     events.add("operator", "margins accepted", failing="; ".join(self.options.accepted_margins))
                 link.start()
-                pose, windup = standing(self.machine, self.model, link.exchange(self._still))
-                found = link.home(self.model.holding_effort(pose), windup, check_first_move=not self.commissioning)
-                self.commissioning = self.commissioning or tuple(found)
-                for line in found:
-                    events.add("bench", "commissioned", finding=line)
+                if homes:
+                    self.home()
                 yield
             except Exception as error:
                 events.add(
@@ -315,21 +308,29 @@ class Bench:
                     error.add_note(f"stopping the motors ran into {link.troubles[0]}{more}")
                 raise
 
-    def _take_hold(self) -> None:
+    def home(self) -> None:
+        """In a session: check the first move, home, and check encoder agreement of every axis."""
+        pose, windup = standing(self.machine, self.model, self.wiring.link.exchange(self._still))
+        found = self.wiring.link.home(self.model.holding_effort(pose), windup, check_first_move=not self.commissioning)
+        self.commissioning = self.commissioning or tuple(found)
+        for line in found:
+            self.wiring.link.events.add("bench", "commissioned", finding=line)
+
+    def take_hold(self) -> None:
         """Let the feedback hold the machine in place, enable the drives, open the brakes.
 
         A drive that works its own brake opens it when it is enabled: from then on only the command holds the axis.
         """
         link = self.wiring.link
-        self._see_pose()
+        self.see_pose()
         effort = self.model.holding_effort(self.pose)
         self.loop.control.preload(effort, self.pose, self._feedforward())
-        link.enable(self._holding())
+        link.enable(self.holding())
         link.events.add("bench", "drives enabled")
-        link.release_brakes(self._holding())
+        link.release_brakes(self.holding())
         link.events.add("bench", "brakes open")
 
-    def _see_pose(self) -> None:
+    def see_pose(self) -> None:
         """Read the position of the homed machine."""
         measured = self.wiring.link.exchange(self._still).position
         self.pose = np.where(np.isfinite(measured), measured, self.pose)
@@ -356,7 +357,7 @@ class Bench:
         feedforward = None if first.feedforward is None else np.tile(first.feedforward[0], (rows, 1))
         return Plan(first.axes, reference, reference, np.zeros_like(reference), feedforward, self.pose.copy(), first.metadata)
 
-    def _holding(self) -> Callable[[Sample], np.ndarray]:
+    def holding(self) -> Callable[[Sample], np.ndarray]:
         """Return the function from a sample to the command that holds the present pose, for phases in which the link ticks by itself."""
         control, pose, feedforward = self.loop.control, self.pose.copy(), self._feedforward()
         position = pose.copy()
@@ -428,10 +429,9 @@ class Bench:
         channels = self.loop.layout.channels
         if self.wiring.lockstep:
             return JournalSink(path, channels, metadata)
-        return RecorderProcess(path, channels, metadata, on_stall=None if self.machine.needs_recorder else self._note_stall)
-
-    def _note_stall(self, said: str) -> None:
-        self.wiring.link.events.add("bench", "recorder stands still", says=said)
+        events = self.wiring.link.events
+        noted = None if self.machine.needs_recorder else lambda said: events.add("bench", "recorder stands still", says=said)
+        return RecorderProcess(path, channels, metadata, on_stall=noted)
 
     def _initial(self) -> dict[str, Any]:
         link = self.wiring.link

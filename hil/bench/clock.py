@@ -112,6 +112,10 @@ class WallClock:
         return self._missed
 
 
+BEHIND_S = 0.05
+"""By which paced virtual time may be behind the wall before the wall waits for it."""
+
+
 @dataclass
 class LockstepClock:
     """Virtual time, which passes when the loop waits; the emulated machine advances by exactly as much.
@@ -122,6 +126,8 @@ class LockstepClock:
         Lets this many seconds pass on the emulated machine without a SYNC (heartbeats run, time-outs expire).
     machine_time : callable
         The emulated machine's own time [s].
+    paced : bool
+        Whether it passes no faster than on the wall, for somebody who watches; on a computer that is too slow it passes as fast as it can.
     """
 
     advance: Callable[[float], None]
@@ -131,6 +137,8 @@ class LockstepClock:
     missed: int = 0
     awake_s: float = 0.0
     waited_s: float = 0.0  # in which the machine's own time stood still between two SYNCs
+    paced: bool = False
+    _ahead_s: float = float("-inf")  # of the machine's time, before the wall's
 
     def now(self) -> float:
         """Return virtual seconds."""
@@ -140,12 +148,14 @@ class LockstepClock:
         """Advance the emulated machine by this many seconds."""
         self.waited_s += seconds
         self.advance(seconds)
+        self._keep_pace()
 
     def start_ticks(self, period_s: float) -> None:
         """Do nothing: a SYNC advances the machine by one period, so ticks need no alignment."""
 
     def wait_tick(self) -> float:
-        """Begin the next tick at once and return a lateness of 0, since nothing is late in lockstep."""
+        """Begin the next tick at once, or when its time has come, and return a lateness of 0, since nothing is late in lockstep."""
+        self._keep_pace()
         self.idle_began_s = time.perf_counter()
         self.tick_began_s = self.idle_began_s
         return 0.0
@@ -163,3 +173,16 @@ class LockstepClock:
     def lose(self, ticks: int) -> None:
         """Count ticks that were lost while others gave them."""
         self.missed += ticks
+
+    def _keep_pace(self) -> None:
+        """Sleep until the wall's time has come; what was lost is not made up for, since an arm that hurries is no arm to be watched."""
+        if not self.paced:
+            return
+        ahead_s = self.machine_time() - time.perf_counter()
+        if ahead_s > self._ahead_s:
+            if self._ahead_s > float("-inf"):
+                time.sleep(ahead_s - self._ahead_s)
+            else:
+                self._ahead_s = ahead_s
+        elif ahead_s < self._ahead_s - BEHIND_S:
+            self._ahead_s = ahead_s

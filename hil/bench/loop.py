@@ -32,6 +32,10 @@ PROGRESS_TICKS = 128
 class Sink(Protocol):
     """A destination of rows."""
 
+    @property
+    def keeps(self) -> bool:
+        """Whether its rows are a recording, of which an error says how much there is."""
+
     def put(self, row: np.ndarray) -> None:
         """Copy one row; never blocks."""
 
@@ -195,8 +199,8 @@ class SampleLoop:
             where, reason = ended.args
             self._say_stop(reason)
             self.link.stop()
-            kept = f"{done} rows are kept" if sink is not None else "nothing was recorded"
-            prefix = f"{where}: " if sink is not None else ""
+            kept = f"{done} rows are kept" if sink is not None and sink.keeps else "nothing was recorded"
+            prefix = f"{where}: " if sink is not None and sink.keeps else ""
             error = LoopAbortedError(f"{prefix}{reason}; {self.link.outcome}; {kept}")
             for finding in () if self.judge is None else self.judge.findings:
                 if finding.says not in reason:

@@ -41,6 +41,8 @@ class BenchOptions:
         In lockstep, takes when each fault began and ended.
     real_time : bool
         On a bus, request real-time scheduling; not where loop and emulator have to share one processor.
+    paced : bool
+        In lockstep, let time pass as on the wall, for somebody who watches.
     accepted_margins : tuple of str
         What `machine check` finds failing of the controllers and the user accepts, in words; goes into every recording.
     """
@@ -58,4 +60,5 @@ class BenchOptions:
     motion: MotionLog | None = None
     events: list[FaultEvent] = field(default_factory=list)
     real_time: bool = True
+    paced: bool = False
     accepted_margins: tuple[str, ...] = ()

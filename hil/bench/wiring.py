@@ -187,7 +187,7 @@ def lockstep_wiring(machine: Machine, options: BenchOptions, start_pose: np.ndar
                 return line.read()
 
             io = IoDriver(settings.io, InProcessTransport(serve), machine.axes, oversight.refresh)
-        clock = LockstepClock(bus.pass_time, lambda: bus.time_s)
+        clock = LockstepClock(bus.pass_time, lambda: bus.time_s, paced=options.paced)
         link = HeedingMachine(stop_request, settings, bus, clock, imu, io, LockstepAttendant(), oversight)
         yield Wiring(link, clock, True, True, truth, faulty)
 

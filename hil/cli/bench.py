@@ -49,6 +49,13 @@ def bench(
     imu: ImuOption = "",
     io: IoOption = "",
     real_time: RealTimeOption = True,
+    live: Annotated[
+        bool,
+        typer.Option(
+            "--live/--no-live",
+            help="Stay connected between runs, with the state of every axis and jog buttons; takes half a processor.",
+        ),
+    ] = True,
     opens: Annotated[
         bool,
         typer.Option(
@@ -94,7 +101,7 @@ def bench(
         if emulated and opens:
             _open(address)
 
-    serve(facts_of(name, machine, bus, imu, io, real_time), out.absolute(), place, ready)
+    serve(facts_of(name, machine, bus, imu, io, real_time, live), out.absolute(), place, ready)
 
 
 def _machine_named(argument: str, option: str, emulated: bool) -> str:

@@ -6,6 +6,7 @@ import typer
 
 from hil.cli import (
     answers,
+    attend,
     bench,
     bus,
     calibrate,
@@ -51,6 +52,7 @@ def commands(app: typer.Typer) -> None:
     bus.register(app)
     commission.register(app)
     bench.register(app)
+    attend.register(app)
     conformance.register(app)
     app.add_typer(run.app, name="run")
     answers.register(app)

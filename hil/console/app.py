@@ -28,10 +28,13 @@ from hil.console.guard import ENTRANCE, PAGE_OF_A_FILE, Guard, Hosts, cookie_nam
 from hil.console.rows import Reader
 from hil.console.verdicts import recorded
 from hil.errors import UnusableInputError
+from hil.files.unused import unused_folder
 
 STATIC = Path(__file__).parent / "static"
 UPLOT = Path(__file__).parents[1] / "pages" / "uplot"
 STOP = "stop"
+MOVE = "move "
+"""How a message of the page's line begins that orders a motion, renewed for as long as a button is held."""
 SESSION_S = 43_200
 
 Answering = Callable[[Request], Awaitable[Response]]
@@ -59,6 +62,9 @@ def application(desk: Desk, admission: Admission, hosts: Hosts) -> Starlette:
             Route("/api/step", _told(pages.step), methods=["POST"]),
             Route("/api/run", _told(pages.run), methods=["POST"]),
             Route("/api/look", _told(pages.look), methods=["POST"]),
+            Route("/api/demo", _told(pages.demo), methods=["POST"]),
+            Route("/api/move", _told(pages.move), methods=["POST"]),
+            Route("/api/connect", _told(pages.connect), methods=["POST"]),
             Route("/api/stop", pages.stop, methods=["POST"]),
             Route("/api/release", pages.release, methods=["POST"]),
             Route("/api/invite", pages.invite, methods=["POST"]),
@@ -147,13 +153,31 @@ class _Pages:
             raise UnusableInputError("recordings can be plotted or diagnosed")
         self._desk.begin(order, client)
 
+    async def demo(self, asked: dict[str, Any], client: str) -> None:
+        """Hide something in an emulated arm and find it, in a folder of its own."""
+        if not self._desk.facts.is_lockstep:
+            raise UnusableInputError("the demo is for an emulated bench; in a terminal: isocenter demo")
+        out = unused_folder(self._desk.folder / "demo")
+        command = Command("demo", lambda answers: ["demo", "-o", str(out)])
+        order = Order("Demo", (command,), judge=lambda answers: (True, answers["demo"]["says"]), made=(f"{out.name}/index.html",))
+        self._desk.begin(order, client)
+
+    async def move(self, asked: dict[str, Any], client: str) -> None:
+        """Order a motion of the live view."""
+        self._desk.move_live(client, str(asked.get("order")))
+
+    async def connect(self, asked: dict[str, Any], client: str) -> None:
+        """Try again to connect the live view, which has failed."""
+        self._desk.live.connect_again()
+
     async def stop(self, request: Request) -> Response:
         self._desk.stop(_by(request))
         return JSONResponse({})
 
     async def release(self, request: Request) -> Response:
         """Tell a run that holds an axis whose brake is not proven that the axis, by its name, is supported."""
-        if not self._desk.work.holds:
+        holding = next((each for each in (self._desk.work, self._desk.live) if each.holds), None)
+        if holding is None:
             return PlainTextResponse("no drive holds an axis that waits for its release\n", 409)
         try:
             asked = await request.json()
@@ -162,7 +186,7 @@ class _Pages:
         axis = asked.get("axis") if isinstance(asked, dict) else None
         if axis not in [each.name for each in self._desk.facts.axes]:
             return PlainTextResponse("name the axis that is supported\n", 422)
-        self._desk.work.say(f"{CONFIRM} {axis}")
+        holding.say(f"{CONFIRM} {axis}")
         return JSONResponse({})
 
     async def invite(self, request: Request) -> Response:
@@ -191,6 +215,11 @@ class _Pages:
                 if told == STOP:
                     self._desk.stop(_by(socket))
                     await socket.send_json({"type": "stop heard"})
+                elif told.startswith(MOVE):
+                    try:
+                        self._desk.move_live(client, told.removeprefix(MOVE))
+                    except UnusableInputError as error:
+                        await socket.send_json({"type": "no move", "why": str(error)})
 
         try:
             await _until_gone(tell(), listen())

@@ -14,6 +14,8 @@ SILENT_S = 2.0
 PING_S = 0.25
 """Interval of pings, each of which tells the state: four times a second are read as live, and some late answers do not stop a motion."""
 FORGET_S = 3600.0
+AWAY_S = 5.0
+"""Time without any client in which one may be back: a page that is reloaded takes less."""
 
 
 class Attention:
@@ -29,6 +31,7 @@ class Attention:
         self._now = now
         self._heard: dict[str, float] = {}
         self._connected: set[str] = set()
+        self._left_s = float("-inf")
 
     def welcome(self, client: str) -> str:
         """Return the name of a client that has connected: its own, where it was here before and has left, or a new one.
@@ -46,11 +49,17 @@ class Attention:
     def leave(self, client: str) -> None:
         """Take note that the line to a client has ended."""
         self._connected.discard(client)
+        self._left_s = self._now()
 
     def heard(self, client: str) -> None:
         """Take note of an answer."""
         if client in self._heard:
             self._heard[client] = self._now()
+
+    @property
+    def somebody_looks(self) -> bool:
+        """Whether a line to any client is open, or was so just now."""
+        return bool(self._connected) or self._now() - self._left_s < AWAY_S
 
     def silent_s(self, client: str) -> float:
         """Return for how long a client has not answered [s]; for ever, where nobody knows it."""

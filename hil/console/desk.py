@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import math
 import os
 import sys
 import time
@@ -21,6 +22,7 @@ from hil.console.facts import Facts
 from hil.console.files import Listing
 from hil.console.forms import Form, forms_of
 from hil.console.io_state import IoWatch
+from hil.console.live import Live, Turn
 from hil.console.rows import RowHub
 from hil.console.steps import missing_before, step_named, steps_of
 from hil.console.wire import WireWatch
@@ -58,7 +60,9 @@ class Desk:
         self.listing = Listing(folder)
         self.forms = forms_of(facts)
         self.steps = steps_of(facts, folder)
-        self.work = Work(line, folder, self._ended)
+        self._turn = Turn(line)
+        self.live = self._turn.live = Live(line, facts, self.rows)
+        self.work = Work(self._turn, folder, self._ended)
         self._wire = WireWatch(facts.settings, facts.bus)
         self._io = IoWatch(facts.bus, [axis.name for axis in facts.axes])
         self.passed: dict[str, bool] = {}
@@ -76,7 +80,7 @@ class Desk:
         """Begin to look, to judge and to listen to the starter."""
         loop = asyncio.get_running_loop()
         loop.add_reader(self._line.fileno(), self._hear)
-        self._tasks = [asyncio.create_task(each) for each in (self._look(), self._judge(), self._be_alive())]
+        self._tasks = [asyncio.create_task(each) for each in (self._look(), self._judge(), self._be_alive(), self._watch())]
 
     async def close(self) -> None:
         """End what was begun; a run that is still going is let go by the starter."""
@@ -114,6 +118,31 @@ class Desk:
             self.results_version += 1
             self.passed.pop(order.step, None)
             self._results.pop(order.step, None)
+
+    def move_live(self, client: str, text: str) -> None:
+        """Order a motion of the live view: `home`, or `jog AXIS SPEED`, the speed in the unit of the forms; `still` ends a jog.
+
+        Raises
+        ------
+        UnusableInputError
+            It is no such order, another browser moves the machine, nothing is connected, or the page does not answer.
+        """
+        words = text.split()
+        match words:
+            case ["home" | "still"]:
+                order = words[0]
+            case ["jog", name, speed] if name in [axis.name for axis in self.facts.axes]:
+                order = f"jog {name} {self.facts.axis(name).from_edge(_finite(speed)):.9g}"
+            case _:
+                raise UnusableInputError(f"{text[:40]}: is no order to move")
+        if order != "still":  # anybody may let go
+            if self._stopping is not None or self.work.running:
+                raise UnusableInputError("something else is under way; wait for its end")
+            if self.live.moves and self.live.owner != client and self.attention.is_here(self.live.owner):
+                raise UnusableInputError("another browser moves the machine just now")
+            if not self.attention.is_here(client):
+                raise UnusableInputError("this page does not answer the server's pings, so it may start no motion; reload it")
+        self.live.order(self.live.owner if order == "still" else client, order)
 
     def form(self, kind: object) -> Form:
         """Return the form of an experiment.
@@ -200,6 +229,10 @@ class Desk:
                     await self._ask_supervisor(who, stop)
             finally:
                 self.work.let_go(who)  # where no supervisor was there yet, or the run goes on after its stop
+                self.live.let_go()
+            if self.live.running and not self.work.running:
+                await self.live.done.wait()
+                lines.append(self.live.error or "the live view has ended")
             if not self.work.running and not lines and not stop["trouble"]:
                 lines.append("nothing runs here")
             if self.work.running:
@@ -229,9 +262,9 @@ class Desk:
         finally:
             self._asking = False
         stop["seconds"] = _since(stop)
-        if moved:
+        for done in [*([self.work.done] if moved else []), *([self.live.done] if self.live.running else [])]:
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self.work.done.wait(), ENDS_S)
+                await asyncio.wait_for(done.wait(), ENDS_S)
 
     def state(self) -> dict[str, Any]:
         """Return everything that changes, as plain values."""
@@ -240,6 +273,7 @@ class Desk:
             "type": "state",
             "emulated": self._emulated(),
             "work": self.work.state_now(),
+            "live": self.live.state(),
             "steps": {name: self._results.get(name, {}) for name in self.steps},
             "stop": None if self._stop is None else {key: self._stop[key] for key in ("by", "lines", "seconds", "trouble")},
             "wire": self._wire.state(rows.newest if rows.recording is not None and rows.recording["live"] else {}),
@@ -278,6 +312,8 @@ class Desk:
                 {"kind": form.kind, "title": form.title, "says": form.says, "fields": [vars(field) for field in form.fields]}
                 for form in self.forms.values()
             ],
+            "has_demo": facts.is_lockstep,
+            "has_live": facts.live,
             "has_io": facts.settings.io is not None,
             "has_imu": facts.settings.imu is not None,
             "folder": str(self.folder),
@@ -302,7 +338,13 @@ class Desk:
         with contextlib.suppress(BlockingIOError):
             try:
                 while self._line.poll():
-                    self.work.heed(*self._line.recv())
+                    told = self._line.recv()
+                    if self.live.running:
+                        self.live.heed(*told)
+                    else:
+                        self.work.heed(*told)
+                    if not self.live.running and self._turn.waits:
+                        self._turn.go_on()
             except (EOFError, OSError):
                 os._exit(1)  # the starter is gone, and what it ran was let go with it
 
@@ -315,11 +357,23 @@ class Desk:
         while True:
             await asyncio.sleep(JUDGE_S)
             try:
-                if self.work.moves and self._stopping is None and not self.attention.is_here(self.work.owner):
+                mover = self.work.owner if self.work.moves else self.live.owner if self.live.moves else None
+                if mover is not None and self._stopping is None and not self.attention.is_here(mover):
                     self.stop(f"the browser that started it has answered no ping for {SILENT_S:g} s")
             except Exception as error:  # nobody else judges the browser: what nobody judges must not move
                 with contextlib.suppress(OSError):
                     self.work.let_go(f"the server cannot judge whether the browser is there: {error!r}")
+                    self.live.let_go()
+
+    async def _watch(self) -> None:
+        """Keep the machine connected for as long as somebody looks and no work is done."""
+        while self.facts.live:
+            await asyncio.sleep(JUDGE_S)
+            idle = not (self.work.running or self._turn.waits or self._stopping)
+            if idle and self.attention.somebody_looks and self.live.may_begin:
+                self.live.begin(self.rows.take_recorded())
+            elif not self.attention.somebody_looks and not self.live.moves:
+                self.live.end()
 
     async def _be_alive(self) -> None:
         while True:
@@ -329,3 +383,13 @@ class Desk:
 
 def _since(stop: Mapping[str, Any]) -> float:
     return round(time.monotonic() - float(stop["began_s"]), 2)
+
+
+def _finite(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise UnusableInputError(f"{text[:40]}: is no speed")
+    return value

@@ -26,6 +26,14 @@ class AxisFacts:
     command_limit: float  # in the effort's unit
     homing: str  # what homing does with it, in words
 
+    def to_edge(self, position: float) -> float:
+        """Return a position or speed [rad or m, per second] in the unit of the forms."""
+        return position * (180.0 / math.pi if self.unit == "rad" else 1e3)
+
+    def from_edge(self, position: float) -> float:
+        """Return a position or speed in the unit of the forms in rad or m (per second)."""
+        return position / (180.0 / math.pi if self.unit == "rad" else 1e3)
+
 
 @dataclass(frozen=True)
 class Facts:
@@ -42,13 +50,14 @@ class Facts:
     settings: BusSettings
     is_lockstep: bool
     real_time: bool  # whether runs ask for real-time scheduling
+    live: bool  # whether the machine is watched between runs
 
     def axis(self, name: str) -> AxisFacts:
         """Return the facts of an axis."""
         return next(axis for axis in self.axes if axis.name == name)
 
 
-def facts_of(name: str, machine: Machine, bus: str, imu: str = "", io: str = "", real_time: bool = True) -> Facts:
+def facts_of(name: str, machine: Machine, bus: str, imu: str = "", io: str = "", real_time: bool = True, live: bool = False) -> Facts:
     """Gather the facts of a machine that has a bus.
 
     Parameters
@@ -60,6 +69,8 @@ def facts_of(name: str, machine: Machine, bus: str, imu: str = "", io: str = "",
         Options of the command line.
     real_time : bool
         Whether runs ask for real-time scheduling.
+    live : bool
+        Whether the machine is watched between runs.
     """
     settings = machine.bus
     assert settings is not None
@@ -77,4 +88,4 @@ def facts_of(name: str, machine: Machine, bus: str, imu: str = "", io: str = "",
         lower, upper, speed = limit.lower * scale, limit.upper * scale, limit.speed * scale
         axes.append(AxisFacts(units.axis, units.position, edge, units.effort, lower, upper, speed, scaling.limit, words))
     lockstep, rate_Hz = bus.startswith("lockstep:"), machine.sample_rate_Hz
-    return Facts(name, machine.name, machine.description, bus, imu, io, rate_Hz, tuple(axes), settings, lockstep, real_time)
+    return Facts(name, machine.name, machine.description, bus, imu, io, rate_Hz, tuple(axes), settings, lockstep, real_time, live)

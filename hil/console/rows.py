@@ -12,7 +12,7 @@ import json
 import math
 import struct
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -94,6 +94,9 @@ class RowHub:
         self.recording: dict[str, Any] | None = None
         self.timeliness = Timeliness([])
         self.newest: dict[str, float | None] = {}
+        self._recorded: dict[str, float | None] = {}
+        self._channels: list[tuple[str, str]] = []  # of what the readers are told
+        self._shown = 0  # rows of the live view
 
     def join(self) -> Reader:
         """Return a new reader: the present recording and its last rows wait for it already."""
@@ -123,12 +126,30 @@ class RowHub:
             return
         ended = self._tail.ended  # before the last rows are taken, so that none of them is missed
         for rows, values in self._tail.take():
-            self._spread(rows, values)
+            self._spread(rows, values, self._tail.rows - rows)
+            self._recorded = self.newest
         assert self.recording is not None
         if ended:
             self._tail.close()
             self._tail = None
         self.recording |= {"rows": self.timeliness.rows, "live": self._tail is not None}
+
+    def show(self, name: str, channels: Sequence[Sequence[str]]) -> None:
+        """Begin rows of which nothing is recorded; those of a recording go before."""
+        self._shown = 0
+        if self._tail is None:
+            self._begin(name, [(each[0], each[1]) for each in channels])
+
+    def take_shown(self, rows: int, values: bytes) -> None:
+        """Take rows of which nothing is recorded."""
+        if self._tail is None and len(values) == 8 * rows * len(self._channels):
+            self._spread(rows, values, self._shown)
+            self._shown += rows
+
+    def take_recorded(self) -> dict[str, float | None]:
+        """Return the last row that was recorded since the last call; nothing where none was."""
+        taken, self._recorded = self._recorded, {}
+        return taken
 
     def close(self) -> None:
         """Close the journal."""
@@ -149,15 +170,18 @@ class RowHub:
             self._left.add(self._present)
             self._tail.close()
         self._tail, self._present = tail, (name, inode)
+        experiment = tail.metadata.get("experiment", {})
+        self.recording = {"name": name.removesuffix(".part"), "rows": 0, "live": True, "experiment": experiment.get("kind", "")}
+        self._begin(self.recording["name"], list(tail.channels))
+
+    def _begin(self, name: str, channels: list[tuple[str, str]]) -> None:
         self.number += 1
         self._history.clear()
         self._kept = 0
         self.newest = {}
-        self.timeliness = Timeliness([channel for channel, _ in tail.channels])
-        experiment = tail.metadata.get("experiment", {})
-        self.recording = {"name": name.removesuffix(".part"), "rows": 0, "live": True, "experiment": experiment.get("kind", "")}
-        told = {"type": "recording", "number": self.number, "name": self.recording["name"], "channels": tail.channels}
-        self._note = json.dumps(told)
+        self._channels = channels
+        self.timeliness = Timeliness([channel for channel, _ in channels])
+        self._note = json.dumps({"type": "recording", "number": self.number, "name": name, "channels": channels})
         for reader in self._readers:
             reader.put(self._note)
 
@@ -169,16 +193,14 @@ class RowHub:
                 if status.st_mtime >= self._since_s and (path.name, status.st_ino) not in self._left:
                     yield status.st_mtime_ns, path.name, status.st_ino
 
-    def _spread(self, rows: int, values: bytes) -> None:
-        assert self._tail is not None
-        columns = len(self._tail.channels)
-        block = Block(self.number, self._tail.rows - rows, rows, columns, values)
+    def _spread(self, rows: int, values: bytes, first: int) -> None:
+        block = Block(self.number, first, rows, len(self._channels), values)
         self._history.append(block)
         self._kept += len(values)
         while self._kept > HISTORY_BYTES and len(self._history) > 1:
             self._kept -= len(self._history.popleft().values)
         last = self.timeliness.take(rows, values)
-        self.newest = {name: value if math.isfinite(value) else None for (name, _), value in zip(self._tail.channels, last, strict=True)}
+        self.newest = {name: value if math.isfinite(value) else None for (name, _), value in zip(self._channels, last, strict=True)}
         for reader in self._readers:
             reader.put(block)
 

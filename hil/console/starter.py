@@ -120,6 +120,7 @@ class _Led:
         quiet = termios.tcgetattr(terminal)
         quiet[3] &= ~termios.ECHO
         termios.tcsetattr(terminal, termios.TCSANOW, quiet)
+        os.set_blocking(self._keys, False)  # lines that the command does not read are lost: the starter must hear of a stop meanwhile
         self._holds = True
         self._tell = tell
         try:

@@ -60,6 +60,8 @@ class RecorderProcess:
         The file cannot be written, an unfinished recording exists, or the recorder does not start.
     """
 
+    keeps = True
+
     def __init__(
         self,
         path: str | Path,

@@ -63,6 +63,8 @@ class JournalSink:
         The file cannot be written, or an unfinished recording exists.
     """
 
+    keeps = True
+
     def __init__(self, path: str | Path, channels: ChannelTable, metadata: Mapping[str, Any]) -> None:
         self.path = Path(path)
         check_writable(self.path)

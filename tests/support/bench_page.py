@@ -64,9 +64,10 @@ def bench_page(folder: Path, machine: str, bus: str, *options: str) -> Iterator[
     """A bench on a free port, ended as by Ctrl-C."""
     ready, out = folder / "ready.json", folder / "recordings"
     command = [sys.executable, "-m", "hil", "bench", "-m", machine, "--bus", bus, "--port", "0", "-o", str(out), "--json", str(ready)]
+    quiet = [] if "--live" in options else ["--no-live"]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     process = subprocess.Popen(
-        [*command, "--no-open", *options], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env=environment
+        [*command, "--no-open", *quiet, *options], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env=environment
     )
     try:
         until(lambda: process.poll() is not None or (ready.is_file() and ready.read_text().endswith("\n")), START_S)

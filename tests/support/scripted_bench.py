@@ -70,6 +70,7 @@ class Rows:
     """A sink that keeps everything."""
 
     rows: list[np.ndarray] = field(default_factory=list)
+    keeps = True
 
     def put(self, row: np.ndarray) -> None:
         self.rows.append(row.copy())

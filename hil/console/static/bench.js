@@ -4,6 +4,7 @@ import { Scope } from "./scope.js";
 import { showForms, showSteps, updateSteps } from "./steps.js";
 import { showState } from "./devices.js";
 import { showFiles } from "./files.js";
+import { buildLive, letGo, showLive } from "./live.js";
 
 const at = (id) => document.getElementById(id);
 const VIEWS = ["commission", "scope", "experiments", "state", "recordings"];
@@ -20,6 +21,7 @@ function show() {
     if (tab.hash === `#${view}`) tab.setAttribute("aria-current", "page");
     else tab.removeAttribute("aria-current");
   }
+  window.scrollTo(0, 0); // not to the view's own beginning: the machine stands above it
   scope.visible(view === "scope");
   if (view === "recordings") showFiles(bench);
   if (bench.state) showState(bench);
@@ -70,7 +72,7 @@ function showNow(state) {
         const whose = state.own ? "this page keeps it running: closing the page stops it" : "another browser started it";
         parts.push(element("span", { class: "dim" }, whose));
       }
-      if (work.holds) parts.push(releaseButton(work));
+      if (work.holds) parts.push(releaseButton());
     } else {
       parts.push(element("span", { class: "grow" }, work.why));
       for (const name of work.made.filter((each) => each.endsWith(".html"))) {
@@ -78,6 +80,7 @@ function showNow(state) {
       }
     }
   }
+  if (state.live.holds) parts.push(releaseButton());
   if (state.stop) {
     const { by, seconds, trouble, lines } = state.stop;
     const took = seconds === null ? "stopping ..." : trouble ? trouble : `stop took ${seconds.toFixed(2)} s: ${lines.join("; ")}`;
@@ -93,7 +96,7 @@ function releaseButton() {
   button.onclick = () => {
     const axis = prompt("The drive lets go of the axis. If the axis stands and is supported, so that it cannot fall, type its name:");
     if (!axis) return;
-    ask("/api/release", { axis: axis.trim() }, bench.client).catch((error) => say(error.message, "failed"));
+    ask("/api/release", { axis: axis.trim() }, bench.client).catch((error) => complain(error.message));
   };
   return button;
 }
@@ -105,7 +108,11 @@ function heed(told) {
     sessionStorage.setItem("client", told.client);
   } else if (told.type === "stop heard" || told.type === "stop unheard") {
     for (const tell of tellOfStop.splice(0)) tell(told.type === "stop heard");
+  } else if (told.type === "no move") {
+    letGo();
+    complain(told.why);
   } else if (told.type === "lost") {
+    letGo();
     link.className = "lost";
     link.textContent = "no answer from the server: what this page started is stopped";
   } else if (told.type === "state") {
@@ -116,6 +123,7 @@ function heed(told) {
     at("emulated").hidden = !told.emulated;
     document.title = `${told.emulated ? "EMULATED " : ""}${bench.described.machine.name} · Isocenter bench`;
     showNow(told);
+    showLive(bench);
     updateSteps(bench);
     scope.told(told);
     if (!at("state").hidden) showState(bench);
@@ -144,6 +152,7 @@ at("machine").title = machine.description;
 at("folder").textContent = bench.described.folder;
 showSteps(bench, at("steps"));
 showForms(bench, at("forms"));
+buildLive(bench, (order) => worker.postMessage({ move: order }), complain);
 show();
 
 const scheme = location.protocol === "https:" ? "wss" : "ws";
@@ -154,6 +163,8 @@ scope.open(`${scheme}://${location.host}/rows`);
 at("invite").onclick = async () => {
   at("invitation").textContent = (await ask("/api/invite", {}, bench.client)).address;
 };
+at("demo-line").hidden = !bench.described.has_demo;
+at("demo").onclick = () => ask("/api/demo", {}, bench.client).catch((error) => complain(error.message));
 at("plot").onclick = () => look("plot");
 at("diagnose").onclick = () => look("diagnose");
 

@@ -349,7 +349,7 @@ export class Scope {
     if (!this.ring) parts.push("Rows appear here as soon as a run records. Homing and the way to the start pose are not recorded.");
     else {
       parts.push(`${this.name}: ${this.ring.end} rows`);
-      if (this.recording && !this.recording.live) parts.push("ended");
+      if (this.recording && this.recording.name === this.name && !this.recording.live) parts.push("ended");
       if (this.lost) parts.push(`${this.lost} rows did not reach this page: it is too slow for them`);
       if (this.paused) parts.push("the view stands still; rows go on coming. Double-click to go on");
       if (this.marks.length === 2) {

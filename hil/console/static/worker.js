@@ -25,6 +25,10 @@ onmessage = (event) => {
     else postMessage({ type: "stop unheard" });
     return;
   }
+  if (event.data.move) {
+    if (line && line.readyState === WebSocket.OPEN) line.send(`move ${event.data.move}`);
+    return;
+  }
   ({ client, address } = event.data);
   if (self.navigator.locks) self.navigator.locks.request(`isocenter-bench-${Math.random()}`, () => new Promise(() => {}));
   open();

@@ -58,7 +58,7 @@ def test_help_names_an_example_that_is_a_call_of_this_command(isocenter: Isocent
     assert shown.status == 0
     assert shown.err == ""
     if not words:
-        assert "isocenter demo" in shown.out
+        assert "isocenter bench" in shown.out
         return
     assert "Example" in shown.out
     examples = [line.split("Example:")[1].split() for line in shown.out.splitlines() if "Example:" in line]

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from bench_page import BenchPage, Watcher, bench_page
+from bench_page import BenchPage, Watcher, bench_page, until
 from browser import WIDTHS, browser_or_skip, listen
 from places import ROOT
 
@@ -161,6 +162,79 @@ def test_a_stop_that_reaches_nobody_is_told_until_it_is_dismissed(page: Page, be
     page.keyboard.press("Escape")
     page.locator("#errors > div", has_text="did not reach the server").wait_for()
     console_errors[:] = [each for each in console_errors if "ERR_FAILED" not in each]
+
+
+LINE = """
+let doing = "ready";
+const tell = (told) => postMessage(told);
+onmessage = (event) => { if (event.data.doing) doing = event.data.doing; };
+const state = STATE;
+tell({ type: "welcome", client: "mine" });
+setInterval(() => { state.live.told.doing = doing; tell(state); }, 50);
+"""
+"""A line over which a homed machine is told, and nothing reaches the server."""
+
+
+@pytest.fixture
+def jogged(page: Page, bench: BenchPage) -> Page:
+    """The page of a homed machine; `orders` on it are what it has ordered."""
+    watcher = Watcher(bench)
+    state = watcher.state()
+    watcher.close()
+    axis = {"position": 0.1, "speed": 0.0, "effort": 0.0, "temperature_degC": 24.0, "brake": "closed", "mode": None, "drive": None}
+    told = {"doing": "ready", "says": "", "axes": {"turn": axis}}
+    state["live"] = {"running": True, "trouble": "", "told": told, "holds": False, "moves": False}
+    body = LINE.replace("STATE", json.dumps(state | {"own": False}))
+    page.route("**/worker.js", lambda asked: asked.fulfill(body=body, content_type="text/javascript"))
+    page.route("**/api/bench", lambda asked: asked.fulfill(json=asked.fetch().json() | {"has_live": True}))
+    page.add_init_script(
+        "window.orders = []; const post = Worker.prototype.postMessage; Worker.prototype.postMessage = function (told) {"
+        " window.line = this; if (told.move) orders.push(told.move); post.call(this, told); };"
+    )
+    let_in(page, bench)
+    page.goto(f"{bench.address}/#state")
+    page.get_by_label("turn forward, while held").and_(page.locator(":enabled")).wait_for()
+    return page
+
+
+AWAY = {
+    "another window": "dispatchEvent(new Event('blur'))",
+    "page left": "dispatchEvent(new Event('pagehide'))",
+    "machine that takes no order": "line.postMessage({ doing: 'closing brakes' })",
+    "hidden": "Object.defineProperty(document, 'hidden', { value: true }); document.dispatchEvent(new Event('visibilitychange'))",
+}
+
+
+def test_a_held_button_orders_again_and_again_until_it_is_left_in_whatever_way(jogged: Page) -> None:
+    jogged.route("**/api/stop", lambda asked: asked.fulfill(json={}))
+    forward, backward = (jogged.get_by_label(f"turn {way}, while held") for way in ("forward", "backward"))
+
+    def left(order: str, leave: Callable[[], object], way: str) -> None:
+        until(lambda: jogged.evaluate("orders.length > 3"), STEP_MS / 1e3)
+        assert set(jogged.evaluate("orders")) == {order}, way
+        leave()
+        until(lambda: jogged.evaluate("orders.at(-1) === 'still'"), STEP_MS / 1e3)
+        count = jogged.evaluate("orders.length")
+        jogged.wait_for_timeout(250.0)
+        assert jogged.evaluate("orders.splice(0).length") == count, f"{way}: it goes on by itself"
+        jogged.evaluate("line.postMessage({ doing: 'ready' })")
+
+    ways: dict[str, Callable[[], object]] = {
+        "let go": jogged.mouse.up,
+        "pointer elsewhere": lambda: jogged.mouse.move(3, 3),
+        "Esc": lambda: jogged.keyboard.press("Escape"),
+        **{way: functools.partial(jogged.evaluate, script) for way, script in AWAY.items()},
+    }
+    for way, leave in ways.items():
+        forward.and_(jogged.locator(":enabled")).hover()
+        jogged.mouse.down()
+        left("jog turn 5", leave, way)
+        jogged.mouse.up()
+    for key, leave in ((" ", lambda: jogged.keyboard.up(" ")), ("Enter", lambda: jogged.keyboard.press("Tab"))):
+        backward.and_(jogged.locator(":enabled")).focus()
+        jogged.keyboard.down(key)
+        left("jog turn -5", leave, key)
+        jogged.keyboard.up(key)
 
 
 def test_a_reload_and_a_second_browser_do_no_harm(page: Page, browser: Browser, bench: BenchPage, console_errors: list[str]) -> None:

@@ -48,6 +48,19 @@ def test_a_reader_gets_every_row_as_it_was_recorded(tmp_path: Path) -> None:
     hub.close()
 
 
+def test_the_last_recorded_row_is_told_once_and_none_of_the_live_view_s(tmp_path: Path) -> None:
+    hub = RowHub(tmp_path, 0.0)
+    with Journal.create(tmp_path / "run.mf4.part", CHANNELS, {}) as journal:
+        journal.append(table_of(4))
+        hub.look()
+    assert hub.take_recorded()["time"] == 3.0 / 256.0
+    hub.look()
+    hub.show("live view", CHANNELS)
+    hub.take_shown(1, table_of(1).tobytes())
+    assert hub.take_recorded() == {}
+    hub.close()
+
+
 def test_who_comes_later_gets_the_past_too(tmp_path: Path) -> None:
     hub = RowHub(tmp_path, 0.0)
     with Journal.create(tmp_path / "run.mf4.part", CHANNELS, {}) as journal:

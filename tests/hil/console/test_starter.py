@@ -39,6 +39,7 @@ HOLDS = LED.replace('"motors stopped", file', '"held", file').replace(
     sys.exit(1)""",
 )
 """Holds an axis once it is let go, until somebody releases it."""
+DEAF = LED.replace("print(sys.stdin.readline().strip(), flush=True)", "threading.Event().wait()")
 WITHIN_S = 20.0
 
 
@@ -75,6 +76,21 @@ def test_it_is_let_go_when_asked(line: Connection) -> None:
     line.send((starter.LET_GO, None))  # twice does no harm
     assert told(line) == (starter.SAID, "motors stopped", True)
     assert told(line) == (starter.ENDED, 1)
+
+
+def test_a_command_that_reads_nothing_is_let_go_whatever_was_written_to_it() -> None:
+    ours, theirs = multiprocessing.Pipe()
+    serving = threading.Thread(target=Starter(ours, (sys.executable, "-c", DEAF)).serve, args=(lambda: True,), daemon=True)
+    serving.start()
+    theirs.send((starter.RUN, []))
+    assert told(theirs) == (starter.SAID, "runs", False)
+    for _ in range(100):
+        theirs.send((starter.SAY, 2000 * "x"))
+    theirs.send((starter.LET_GO, None))
+    assert told(theirs) == (starter.SAID, "motors stopped", True)
+    theirs.close()
+    serving.join(WITHIN_S)
+    assert not serving.is_alive()
 
 
 def test_it_is_let_go_when_the_server_says_nothing_any_more(line: Connection) -> None:

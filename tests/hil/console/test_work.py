@@ -13,7 +13,7 @@ import pytest
 
 from hil.bench.attendant import Operator
 from hil.console import starter
-from hil.console.attention import SILENT_S, Attention
+from hil.console.attention import AWAY_S, SILENT_S, Attention
 from hil.console.commands import Answers, Command, Order
 from hil.console.facts import Facts, facts_of
 from hil.console.forms import forms_of
@@ -149,6 +149,20 @@ def test_a_client_that_answers_is_here_and_one_that_does_not_is_not() -> None:
     assert attention.welcome(mine) == mine  # a page that is loaded anew goes on as the same
     assert attention.is_here(mine)
     assert attention.welcome("made up") != "made up"
+
+
+def test_a_page_that_is_loaded_anew_was_never_away() -> None:
+    now = 100.0
+    attention = Attention(lambda: now)
+    assert not attention.somebody_looks
+    mine = attention.welcome("")
+    now += 2.0 * AWAY_S
+    assert attention.somebody_looks
+    attention.leave(mine)
+    now += 0.9 * AWAY_S
+    assert attention.somebody_looks
+    now += 0.2 * AWAY_S
+    assert not attention.somebody_looks
 
 
 def test_a_tab_that_was_duplicated_is_another_client() -> None:

@@ -279,7 +279,7 @@ class Sequences(RuleBasedStateMachine):
                 self.link.start()
                 pose, windup = standing(ARM, self.bench.model, self.link.exchange(np.zeros(1)))
                 self.link.home(self.bench.model.holding_effort(pose), windup, check_first_move=push)
-            self.bench._take_hold()
+            self.bench.take_hold()
             self.link.watch.lead()
 
         self._try(take_hold, "held")
@@ -311,7 +311,7 @@ class Sequences(RuleBasedStateMachine):
     @precondition(lambda self: self.stage == "held")
     @rule()
     def come_to_rest(self) -> None:
-        self._try(lambda: self.link.close_brakes(self.bench._holding()), "homed")
+        self._try(lambda: self.link.close_brakes(self.bench.holding()), "homed")
         if self.stage == "homed":
             self.truth.said_at_rest()
 

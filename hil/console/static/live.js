@@ -1,0 +1,125 @@
+// The live view: position, speed, effort, brake, mode and temperature of every axis, and buttons that move it for as long as they are held.
+import { ask, element, number } from "./parts.js";
+
+const at = (id) => document.getElementById(id);
+const RENEW_MS = 100;
+const EDGE = { rad: 180 / Math.PI, m: 1000 };
+const SPEEDS = [1, 5, 10]; // degrees (mm) a second
+const DOING = {
+  watching: "Connected. Nothing moves: drives disabled, brakes closed.",
+  homing: "Homing: each axis is pushed a little, then finds its zero. It moves.",
+  ready: "Homed. Hold a button to move an axis; let go, and it stops.",
+  "opening brakes": "Opening the brakes ...",
+  holding: "The drives hold. Without a move the brakes close in a few seconds.",
+  "closing brakes": "Closing the brakes ...",
+  stopping: "Stopping the motors ...",
+};
+const cards = new Map();
+let held = null; // { button, timer }
+let tellMove = () => {};
+
+export function buildLive(bench, tell, complain) {
+  at("live").hidden = !bench.described.has_live;
+  if (at("live").hidden) return;
+  tellMove = tell;
+  for (const axis of bench.described.axes) {
+    const value = (what) => element("b", { "data-what": what }, "–");
+    const jog = (sign, mark, words) => {
+      const button = element("button", { type: "button", class: "jog", "aria-label": `${axis.name} ${words}, while held` }, mark);
+      holdable(button, () => `jog ${axis.name} ${sign * Number(at("jog-speed").value)}`);
+      return button;
+    };
+    const place = element("b", { class: "place", "data-what": "position" }, "–");
+    const buttons = [jog(-1, "−", "backward"), jog(1, "+", "forward")];
+    const values = Object.fromEntries(["speed", "effort", "brake", "temperature"].map((what) => [what, value(what)]));
+    const drive = element("div", { class: "dim drive", "data-what": "drive" }, "–");
+    const bar = element("div", { class: "range" }, element("i", {}));
+    const card = element("div", { class: "axis", "data-axis": axis.name },
+      element("div", { class: "head" }, element("span", {}, axis.name), place),
+      element("div", { class: "hold" }, buttons[0], bar, buttons[1]),
+      element("div", { class: "values" }, ...Object.entries(values).map(([what, cell]) => element("span", {}, `${what} `, cell))),
+      drive);
+    const brief = element("span", {}, "");
+    at("brief").append(brief);
+    cards.set(axis.name, { axis, brief, place, buttons, values, drive, bar, card });
+    at("live-axes").append(card);
+  }
+  for (const speed of SPEEDS) {
+    at("jog-speed").append(element("option", { value: speed, selected: speed === 5 }, `${speed} ${bench.described.axes[0].edge_unit}/s`));
+  }
+  at("live-home").onclick = () => ask("/api/move", { order: "home" }, bench.client).catch((error) => complain(error.message));
+  at("live-again").onclick = () => ask("/api/connect", {}, bench.client).catch((error) => complain(error.message));
+  for (const gone of ["blur", "pagehide"]) window.addEventListener(gone, letGo);
+  document.addEventListener("visibilitychange", () => document.hidden && letGo());
+  window.addEventListener("keydown", (event) => event.key === "Escape" && letGo(), true);
+}
+
+// A button that orders again and again while it is held, by a finger, a mouse or a key; without its orders the machine stops by itself.
+function holdable(button, order) {
+  const begin = () => {
+    if (button.disabled || held) return;
+    tellMove(order());
+    held = { button, timer: setInterval(() => tellMove(order()), RENEW_MS) };
+    button.classList.add("held");
+  };
+  button.addEventListener("pointerdown", (event) => {
+    if (event.button !== 0) return;
+    if (button.hasPointerCapture(event.pointerId)) button.releasePointerCapture(event.pointerId); // a finger that slides off has left
+    begin();
+  });
+  for (const ends of ["pointerup", "pointerleave", "pointercancel", "blur"]) button.addEventListener(ends, letGo);
+  button.addEventListener("keydown", (event) => {
+    if (event.key !== " " && event.key !== "Enter") return;
+    event.preventDefault();
+    if (!event.repeat) begin();
+  });
+  button.addEventListener("keyup", letGo);
+  button.addEventListener("contextmenu", (event) => event.preventDefault());
+}
+
+export function letGo() {
+  if (!held) return;
+  clearInterval(held.timer);
+  held.button.classList.remove("held");
+  held = null;
+  tellMove("still");
+}
+
+export function showLive(bench) {
+  if (at("live").hidden) return;
+  const { live, newest, recording, work } = bench.state;
+  const told = live.told;
+  at("live-doing").textContent = told ? told.says || DOING[told.doing] : work.state === "running" ? "What runs now tells its rows."
+    : live.trouble || "Connecting ...";
+  at("live-doing").className = live.trouble ? "bad" : live.moves ? "moves" : "";
+  at("live-again").hidden = !live.trouble;
+  at("live-home").disabled = !told || told.doing !== "watching";
+  at("live-home").hidden = Boolean(told) && told.doing !== "watching";
+  const jogs = Boolean(told) && ["ready", "opening brakes", "holding"].includes(told.doing);
+  if (!jogs) letGo();
+  for (const [name, { axis, brief, place, buttons, values, drive, bar, card }] of cards) {
+    const seen = told ? told.axes[name] : fromRow(newest, name);
+    const scale = EDGE[axis.unit];
+    const known = (value) => value !== undefined && value !== null;
+    const position = known(seen.position) ? seen.position * scale : null;
+    place.textContent = position === null ? "–" : `${position.toFixed(2)} ${axis.edge_unit === "deg" ? "°" : axis.edge_unit}`;
+    values.speed.textContent = known(seen.speed) ? `${(seen.speed * scale).toFixed(1)} ${axis.edge_unit}/s` : "–";
+    values.effort.textContent = known(seen.effort) ? `${seen.effort.toFixed(2)} ${axis.effort_unit}` : "–";
+    values.brake.textContent = known(seen.brake) ? seen.brake : "–";
+    values.temperature.textContent = known(seen.temperature_degC) ? `${number(seen.temperature_degC, 3)} °C` : "–";
+    drive.textContent = [seen.mode, seen.drive].filter(Boolean).join(": ") || "–";
+    const homed = !told || told.doing !== "watching";
+    if (position !== null && !homed) place.textContent += " not homed";
+    brief.textContent = `${name} ${place.textContent} · ${values.effort.textContent}`;
+    const share = position === null ? 50 : (100 * (position - axis.lower)) / (axis.upper - axis.lower);
+    bar.firstChild.style.left = `${Math.max(0, Math.min(100, share))}%`;
+    bar.title = `${axis.lower.toFixed(0)} to ${axis.upper.toFixed(0)} ${axis.edge_unit}`;
+    for (const button of buttons) button.disabled = !jogs;
+    card.classList.toggle("old", !told && !(recording && recording.live));
+  }
+}
+
+function fromRow(newest, name) {
+  const effort = newest[`current_${name}`] ?? newest[`effort_${name}`];
+  return { position: newest[`position_${name}`], effort, temperature_degC: newest[`temperature_${name}`] };
+}

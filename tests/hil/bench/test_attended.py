@@ -1,0 +1,93 @@
+"""A machine that is attended to: it moves while orders are renewed, and rests soon after the last; before homing it does not move."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from bench_machines import carm_text_in
+
+from hil.bench.attended import Attended, Shown
+from hil.bench.bench import Bench
+from hil.bench.open import open_bench
+from hil.bench.options import BenchOptions
+from hil.bench.telling import Teller
+from hil.bench.told_state import HOLDING, READY, WATCHING
+from hil.machine import load_machine, machine_from_text
+
+MACHINE = load_machine("turntable")
+RATE_Hz = MACHINE.sample_rate_Hz
+SPEED = 0.1
+HELD_ROWS = round(1.4 * RATE_Hz)
+FEW_TICKS = 12
+
+
+class Hand:
+    """Homes, holds a button for a while, leaves it, and ends once the reference stands; notes every row of the jog."""
+
+    def __init__(self, bench: Bench, shown: Shown, still: bool) -> None:
+        self.shown, self.put = shown, shown.put
+        self.column = [name for name, _ in bench.loop.layout.channels].index("reference_turn")
+        self.still, self.rows = still, list[float]()
+        shown.put = self.see
+
+    def see(self, row: np.ndarray) -> None:
+        self.put(row)
+        if self.shown.doing == HOLDING:
+            self.rows.append(float(row[self.column]))
+
+    def orders(self) -> list[str]:
+        if self.shown.doing == WATCHING:
+            return ["home"]
+        if len(self.rows) < HELD_ROWS:
+            return [f"jog turn {SPEED}"]
+        if len(self.rows) == HELD_ROWS and self.still:
+            return ["still"]
+        return ["end"] if len(set(self.rows[-FEW_TICKS:])) == 1 else []
+
+
+def jogged(still: bool) -> np.ndarray:
+    with open_bench(MACHINE, BenchOptions("lockstep:")) as bench:
+        hand = Hand(bench, Teller(bench, rows=True).shown, still)
+        Attended(bench, hand.orders, hand.shown).serve()
+        assert bench.pose[0] == pytest.approx(hand.rows[-1], abs=np.radians(0.5))  # its brake closes before the feedback has settled
+    return np.array(hand.rows)
+
+
+def test_it_moves_at_the_ordered_speed_and_rests_as_soon_as_its_jerk_allows_when_it_is_let_go() -> None:
+    """A speed v is left with a jerk j in 2 sqrt(v / j), where the acceleration's limit is not reached."""
+    rows = jogged(still=True)
+    limit = MACHINE.limits[0]
+    assert np.diff(rows[HELD_ROWS - 20 : HELD_ROWS]) * RATE_Hz == pytest.approx(SPEED, rel=1e-6)
+    moves = np.flatnonzero(np.diff(rows))
+    least_s = max(2.0 * np.sqrt(SPEED / limit.jerk), SPEED / limit.acceleration + limit.acceleration / limit.jerk)
+    assert moves[-1] - HELD_ROWS <= round(least_s * RATE_Hz) + FEW_TICKS
+
+
+def test_it_rests_when_nobody_renews_the_order() -> None:
+    rows = jogged(still=False)
+    assert len(rows) > HELD_ROWS
+    assert rows[-1] > rows[HELD_ROWS - 1]
+
+
+def refused(bench: Bench, *orders: str) -> str:
+    """What is said when a machine that is ready or not is ordered to move, and is then left."""
+    shown = Teller(bench, rows=False).shown
+    waiting, said = list(orders), []
+
+    def take() -> list[str]:
+        said.append(shown.says)
+        assert shown.doing != HOLDING
+        return [waiting.pop(0)] if waiting and shown.doing in (WATCHING, READY) else [] if not said[-1] else ["end"]
+
+    Attended(bench, take, shown).serve()
+    return said[-1]
+
+
+def test_before_homing_nothing_moves() -> None:
+    with open_bench(MACHINE, BenchOptions("lockstep:")) as bench:
+        assert "home first" in refused(bench, "jog turn 0.1")
+
+
+def test_drives_that_go_to_poses_by_themselves_are_not_led() -> None:
+    with open_bench(machine_from_text(carm_text_in("profile_position")), BenchOptions("lockstep:")) as bench:
+        assert "profile position mode" in refused(bench, "home", "jog roll 0.1")
