@@ -36,6 +36,8 @@ STOP = "stop"
 MOVE = "move "
 """How a message of the page's line begins that orders a motion, renewed for as long as a button is held."""
 SESSION_S = 43_200
+UNANSWERED = ("inconclusive", "misconfigured")
+"""Verdicts of a diagnosis that name no physics and clear none: `isocenter diagnose` ends with status 1."""
 
 Answering = Callable[[Request], Awaitable[Response]]
 
@@ -292,6 +294,6 @@ def _table(asked: dict[str, Any], key: str) -> dict[str, Any]:
 
 
 def _diagnosed(answers: Answers) -> tuple[bool, str]:
+    """Judge a diagnosis by its verdict, in its own sentence."""
     diagnosis = answers["diagnosis"]
-    named = ", ".join(each["number"] if each["kind"] == "number" else f"{each['effect']} at {each['at']}" for each in diagnosis["findings"])
-    return True, f"{diagnosis['verdict']}{f': {named}' if named else ''}"
+    return diagnosis["verdict"] not in UNANSWERED, f"{diagnosis['verdict'].replace('_', ' ')}: {diagnosis['reason']}"

@@ -49,7 +49,7 @@ class Work:
         self.answers: dict[str, Any] = {}
         self._waits = False  # for an operator who releases what a drive holds
         self.owner = ""
-        self.state = "idle"  # or running, passed, failed, stopped
+        self.state = "idle"  # or running, passed, bad (its answer is), failed (to give one), stopped
         self.why = ""
         self.stopped_by = ""
         self.done = asyncio.Event()
@@ -139,8 +139,9 @@ class Work:
             try:
                 passed, why = self._order.judge(self.answers)
             except Exception as error:  # an answer that is not as expected must not leave the work running for ever
-                passed, why = False, f"its answer cannot be judged: {_told_by(error)}"
-            self._end("passed" if passed else "failed", why)
+                self._end("failed", f"its answer cannot be judged: {_told_by(error)}")
+                return
+            self._end("passed" if passed else "bad", why)
             return
         command = self._order.commands[self._at]
         try:
@@ -166,7 +167,7 @@ class Work:
         elif status != 0 or not answered:
             said = self._error or next((text for text, _ in reversed(self._lines) if not text.startswith("$")), "")
             judged = self._judged_all_the_same() if answered and status == 1 else ""
-            self._end("failed", judged or said or f"{command.key} ended with status {status}")
+            self._end("bad" if judged else "failed", judged or said or f"{command.key} ended with status {status}")
         else:
             self._at += 1
             self._next()

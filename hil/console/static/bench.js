@@ -63,8 +63,9 @@ function showNow(state) {
   let kind = work.state;
   if (work.state === "idle") parts.push(element("span", {}, "Nothing runs."));
   else {
-    const words = { running: "running", passed: "done", failed: "failed", stopped: "stopped" }[work.state];
-    parts.push(element("span", { class: "what" }, `${work.title}: ${words}`), element("span", {}, `${work.seconds.toFixed(0)} s`));
+    const words = { running: ": running", passed: ": done", bad: ":", failed: ": failed", stopped: ": stopped" }[work.state];
+    parts.push(element("span", { class: "what" }, `${work.title}${words}`));
+    if (work.state !== "bad") parts.push(element("span", {}, `${work.seconds.toFixed(0)} s`)); // which the verdict's own sentence follows
     if (work.state === "running") {
       const live = recording && recording.live ? `recording ${recording.name}: ${recording.rows} rows` : work.command;
       parts.push(element("span", { class: "grow" }, live));

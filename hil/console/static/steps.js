@@ -1,7 +1,7 @@
 // The guided commissioning and the forms of experiments: both show a plan before anything moves.
 import { ask, element, replaceIfNew } from "./parts.js";
 
-const MARKS = { passed: "✔ passed", failed: "✘ failed", stopped: "■ stopped", running: "▶ running", todo: "to do" };
+const MARKS = { passed: "✔ passed", bad: "✘ not passed", failed: "✘ failed", stopped: "■ stopped", running: "▶ running", todo: "to do" };
 const cards = new Map(); // name of a step or "form kind" -> its parts
 
 export function showSteps(bench, place) {

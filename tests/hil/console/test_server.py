@@ -45,7 +45,7 @@ def started(bench: BenchPage) -> Watcher:
     assert bench.post("/api/run", LONG, client.client) == (200, "{}")
     give_up = time.monotonic() + BUSY_S
     while not ((state := client.state())["recording"] and state["recording"]["live"] and state["recording"]["rows"]):
-        assert state["work"]["state"] != "failed", state["work"]
+        assert state["work"]["state"] not in ("bad", "failed"), state["work"]
         assert time.monotonic() < give_up, state["work"]
     return client
 

@@ -87,6 +87,14 @@ def test_a_command_that_fails_ends_the_order_and_says_why(work: Work, line: Line
     assert len(line.sent) == 1
 
 
+@pytest.mark.parametrize("status", [0, 1])
+def test_a_bad_answer_is_no_failure_and_says_its_own_sentence(work: Work, tmp_path: Path, status: int) -> None:
+    work.begin(Order("Check", (command("check", "machine"),), judge=lambda answers: (False, "2 fail: roll has no brake")), "me")
+    answer(tmp_path, "check", {})
+    work.heed(starter.ENDED, status)
+    assert (work.state, work.why) == ("bad", "2 fail: roll has no brake")
+
+
 @pytest.mark.parametrize("error", [TypeError("no list"), KeyError("observer"), RuntimeError("odd")])
 def test_an_answer_that_cannot_be_judged_ends_the_work_as_failed(work: Work, tmp_path: Path, error: Exception) -> None:
     def judge(answers: Answers) -> tuple[bool, str]:
