@@ -303,6 +303,7 @@ class Desk:
         return {
             "machine": {"name": facts.title, "description": facts.description, "bus": facts.bus, "rate_Hz": facts.rate_Hz},
             "axes": [vars(axis) for axis in facts.axes],
+            "bodies": [vars(body) for body in facts.bodies],
             "steps": [
                 {"name": s.name, "title": s.title, "does": s.does, "fields": [vars(f) for f in s.fields], "experiment": s.experiment}
                 | {"moves": s.moves}

@@ -36,6 +36,22 @@ class AxisFacts:
 
 
 @dataclass(frozen=True)
+class BodyFacts:
+    """A body of the machine file, as the page draws it."""
+
+    name: str
+    parent: str  # a body before, or "world"
+    position_m: list[float]  # in the parent's frame
+    orientation: list[list[float]]  # body to parent, at joint position zero
+    center_of_mass_m: list[float]  # in the body's frame
+    mass_kg: float
+    kind: str  # of its joint: revolute, prismatic, or ""
+    along: list[float]  # the joint's axis in the body's frame
+    rest: float  # where an undriven joint stands [rad or m]
+    axis: str  # the axis that drives it, or ""
+
+
+@dataclass(frozen=True)
 class Facts:
     """A machine and where it is."""
 
@@ -47,6 +63,7 @@ class Facts:
     io: str
     rate_Hz: float
     axes: tuple[AxisFacts, ...]
+    bodies: tuple[BodyFacts, ...]
     settings: BusSettings
     is_lockstep: bool
     real_time: bool  # whether runs ask for real-time scheduling
@@ -88,4 +105,19 @@ def facts_of(name: str, machine: Machine, bus: str, imu: str = "", io: str = "",
         lower, upper, speed = limit.lower * scale, limit.upper * scale, limit.speed * scale
         axes.append(AxisFacts(units.axis, units.position, edge, units.effort, lower, upper, speed, scaling.limit, words))
     lockstep, rate_Hz = bus.startswith("lockstep:"), machine.sample_rate_Hz
-    return Facts(name, machine.name, machine.description, bus, imu, io, rate_Hz, tuple(axes), settings, lockstep, real_time, live)
+    return Facts(
+        name, machine.name, machine.description, bus, imu, io, rate_Hz, tuple(axes), _bodies(machine), settings, lockstep, real_time, live
+    )
+
+
+def _bodies(machine: Machine) -> tuple[BodyFacts, ...]:
+    axis_of = {drive.joint: drive.axis for drive in machine.plant.drives}
+    found = []
+    for body in machine.plant.tree.bodies:
+        joint = body.joint
+        place = (body.position_m.tolist(), body.orientation.tolist(), body.center_of_mass_m.tolist(), body.mass_kg)
+        moves = ("", [0.0, 0.0, 0.0], 0.0, "")
+        if joint is not None:
+            moves = (joint.kind, joint.axis.tolist(), joint.rest_position, axis_of.get(joint.name, ""))
+        found.append(BodyFacts(body.name, body.parent, *place, *moves))
+    return tuple(found)

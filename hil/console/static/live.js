@@ -1,4 +1,5 @@
 // The live view: position, speed, effort, brake, mode and temperature of every axis, and buttons that move it for as long as they are held.
+import { draw } from "./drawing.js";
 import { ask, element, number } from "./parts.js";
 
 const at = (id) => document.getElementById(id);
@@ -17,6 +18,7 @@ const DOING = {
 const cards = new Map();
 let held = null; // { button, timer }
 let tellMove = () => {};
+let moveDrawing = () => {};
 
 export function buildLive(bench, tell, complain) {
   at("live").hidden = !bench.described.has_live;
@@ -44,6 +46,10 @@ export function buildLive(bench, tell, complain) {
     cards.set(axis.name, { axis, brief, place, buttons, values, drive, bar, card });
     at("live-axes").append(card);
   }
+  const inside = ({ lower, upper, unit, name }) => ({ name, lower: lower / EDGE[unit], upper: upper / EDGE[unit] });
+  const { pictures, move } = draw(bench.described.bodies, bench.described.axes.map(inside));
+  at("live-drawing").append(...pictures.map(({ name, svg }) => element("figure", {}, svg, element("figcaption", { class: "dim" }, name))));
+  moveDrawing = move;
   for (const speed of SPEEDS) {
     at("jog-speed").append(element("option", { value: speed, selected: speed === 5 }, `${speed} ${bench.described.axes[0].edge_unit}/s`));
   }
@@ -97,11 +103,13 @@ export function showLive(bench) {
   at("live-home").hidden = Boolean(told) && told.doing !== "watching";
   const jogs = Boolean(told) && ["ready", "opening brakes", "holding"].includes(told.doing);
   if (!jogs) letGo();
+  const positions = {};
   for (const [name, { axis, brief, place, buttons, values, drive, bar, card }] of cards) {
     const seen = told ? told.axes[name] : fromRow(newest, name);
     const scale = EDGE[axis.unit];
     const known = (value) => value !== undefined && value !== null;
     const position = known(seen.position) ? seen.position * scale : null;
+    if (position !== null) positions[name] = seen.position;
     place.textContent = position === null ? "–" : `${position.toFixed(2)} ${axis.edge_unit === "deg" ? "°" : axis.edge_unit}`;
     values.speed.textContent = known(seen.speed) ? `${(seen.speed * scale).toFixed(1)} ${axis.edge_unit}/s` : "–";
     values.effort.textContent = known(seen.effort) ? `${seen.effort.toFixed(2)} ${axis.effort_unit}` : "–";
@@ -117,6 +125,7 @@ export function showLive(bench) {
     for (const button of buttons) button.disabled = !jogs;
     card.classList.toggle("old", !told && !(recording && recording.live));
   }
+  moveDrawing(positions);
 }
 
 function fromRow(newest, name) {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import json
 import math
@@ -14,6 +15,10 @@ import pytest
 from bench_page import BenchPage, Watcher, bench_page, until
 from browser import WIDTHS, browser_or_skip, listen
 from places import ROOT
+from scipy.spatial.transform import Rotation
+
+from hil.console.facts import facts_of
+from hil.machine import load_machine
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -235,6 +240,23 @@ def test_a_held_button_orders_again_and_again_until_it_is_left_in_whatever_way(j
         jogged.keyboard.down(key)
         left("jog turn -5", leave, key)
         jogged.keyboard.up(key)
+
+
+def test_the_drawing_turns_the_arm_as_its_machine_file_has_it(page: Page, bench: BenchPage) -> None:
+    """Roll turns tube and detector about y through the isocentre, which the propeller turns about x: in SciPy's rotations."""
+    let_in(page, bench)
+    page.goto(f"{bench.address}/#state")
+    bodies = [dataclasses.asdict(body) for body in facts_of("carm", load_machine("carm"), "lockstep:").bodies]
+    propeller, roll = 0.4, -0.7
+    found = page.evaluate(
+        "async ([bodies, positions]) => (await import('/static/drawing.js')).places(bodies, positions)",
+        [bodies, {"propeller": propeller, "roll": roll}],
+    )
+    at = {body["name"]: place["at"] for body, place in zip(bodies, found, strict=True)}
+    turned = Rotation.from_euler("XY", [propeller, roll])
+    for body, height_m in (("tube", -0.81), ("detector", 0.35)):
+        assert at[body] == pytest.approx(turned.apply([0.0, 0.0, height_m]), abs=1e-12)
+    assert at["support_arm"] == pytest.approx([-1.2, 0.0, 1.0], abs=1e-12)
 
 
 def test_a_reload_and_a_second_browser_do_no_harm(page: Page, browser: Browser, bench: BenchPage, console_errors: list[str]) -> None:
