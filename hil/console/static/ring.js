@@ -94,3 +94,8 @@ export function measure(time, values) {
   const frequency = turns > 0 && amplitude > 0 ? turns / (last - first) : NaN;
   return { now: values[values.length - 1], low, high, mean, amplitude, rms: Math.sqrt(squares / count), frequency };
 }
+
+// A column as uPlot draws it: what is not known is a gap. One NaN would leave the whole pane without a scale.
+export function drawable(column) {
+  return column.some(Number.isNaN) ? Array.from(column, (value) => (Number.isNaN(value) ? null : value)) : column;
+}

@@ -1,6 +1,6 @@
 // The scope: rows as they come, in panes by unit, with trigger, pause, zoom and cursors.
 import { element, number } from "./parts.js";
-import { Ring, measure } from "./ring.js";
+import { Ring, drawable, measure } from "./ring.js";
 
 const at = (id) => document.getElementById(id);
 const HEADER_BYTES = 24;
@@ -304,7 +304,7 @@ export class Scope {
     const time = this.ring.column("time", from, to);
     for (const { names, plot } of this.panes.values()) {
       plot.batch(() => {
-        plot.setData([time, ...names.map((name) => this.ring.column(name, from, to))], false);
+        plot.setData([time, ...names.map((name) => drawable(this.ring.column(name, from, to)))], false);
         plot.setScale("x", { min: view.from, max: view.to });
       });
     }

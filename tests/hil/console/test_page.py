@@ -259,6 +259,14 @@ def test_the_drawing_turns_the_arm_as_its_machine_file_has_it(page: Page, bench:
     assert at["support_arm"] == pytest.approx([-1.2, 0.0, 1.0], abs=1e-12)
 
 
+def test_what_is_not_known_leaves_a_gap_and_its_pane_a_scale(page: Page, bench: BenchPage) -> None:
+    let_in(page, bench)
+    page.goto(f"{bench.address}/#state")
+    column = "async (values) => (await import('/static/ring.js')).drawable(Float64Array.from(values, (value) => value ?? NaN))"
+    drawn = page.evaluate(f"async (values) => Array.from(await ({column})(values))", [1.0, None, 2.0])
+    assert drawn == [1.0, None, 2.0]
+
+
 def test_a_reload_and_a_second_browser_do_no_harm(page: Page, browser: Browser, bench: BenchPage, console_errors: list[str]) -> None:
     opened(page, bench, "experiments")
     fill_and_run(page, "static", seconds=36000)
