@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,9 @@ FAINT = 1e-6
 
 TOLD_OVERSHOOT = 0.02
 """Share of the step by which a shaper may add to the overshoot without a word."""
+
+WIDTH = 100
+"""Of a terminal [columns]."""
 
 LONGEST_s = 30.0
 """Longest time looked at: a mode at 1 Hz and 1 % damping has settled by then."""
@@ -101,11 +105,12 @@ def in_time_lines(without: InTime, shaped: InTime, name: str) -> list[str]:
         when = f"after {settled_s:.2f} s" if np.isfinite(settled_s) else f"not within {LONGEST_s:g} s"
         lines.append(f"  {label:14s}  up to {_percent(each.left)} of the step, down to a twentieth of the unshaped {when}")
     if shaped.overshoot > without.overshoot + TOLD_OVERSHOOT:
-        lags = [f"{1e3 * each.ramp_lag_s:.0f} ms" for each in (shaped, without)]
-        lines.append(
-            f"  a step overshoots by {_percent(shaped.overshoot)}, by {_percent(without.overshoot)} without: what is held back at first,"
+        lags = [f"{round(1e3 * each.ramp_lag_s)} ms" for each in (shaped, without)]
+        said = (
+            f"a step overshoots by {_percent(shaped.overshoot)}, by {_percent(without.overshoot)} without: what is held back at first,"
             f" and may trail a ramp by {lags[0]} alone ({lags[1]} without), must go beyond a step; the reference of a scan is a ramp"
         )
+        lines += textwrap.wrap(said, WIDTH, initial_indent="  ", subsequent_indent="    ")
     return lines
 
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Sequence
 
+from hil.shaping.in_time import WIDTH
 from hil.shaping.shaper_design import Candidates, Design
 from virtual_bus.linear.left_out import LeftOut, sentences
-
-WIDTH = 100
-"""Columns of a terminal that nothing goes beyond."""
 
 
 def design_lines(candidates: Candidates, chosen: Design) -> list[str]:

@@ -142,12 +142,12 @@ def test_the_words_of_an_effort_that_comes_and_goes_are_its_own() -> None:
 def test_what_a_drive_is_left_with_for_two_seconds_of_a_stop_is_no_push() -> None:
     hold = Hold(HOLDING, "rad", T, 1.0)
     braked = round((RAMP_S + 1.0) / T)
-    assert not any(hold.step(0.0, 0.0, 8.0 if number < braked else 1.5) for number in range(5000))
+    assert not any(hold.step(0.0, 0.0, 8.0 if number < braked else 1.5, 1) for number in range(5000))
 
 
 def test_efforts_of_lost_ticks_count_and_those_of_a_former_hold_do_not() -> None:
     hold = Hold(HOLDING, "rad", T, 1.0)
-    by_two = next(number for number in range(5000) if hold.step(0.0, 0.0, 2, 8.0))
+    by_two = next(number for number in range(5000) if hold.step(0.0, 0.0, 8.0, 2))
     assert 2.0 * by_two * T == pytest.approx(RAMP_S - CREEP_S * math.log(0.75), abs=0.05)
     hold.begin()
     assert seen_after(8.0, hold=hold) == pytest.approx(-CREEP_S * math.log(0.75), abs=0.02)
@@ -207,9 +207,10 @@ def test_a_drive_that_pushes_an_axis_which_stands_loses_its_voltage(effort: floa
         assert stopping.words.startswith("held by its drive: ")
     else:
         stopping.ticks(CLOSING + 1, OFF)
+        rated = SETTINGS.scalings[1].rated
         assert stopping.words == (
-            f"not proven at rest: its drive did not hold it, it gives {effort / SETTINGS.scalings[1].rated:+.0%} of its rated effort, "
-            f"at most {4.8 / SETTINGS.scalings[1].rated:.0%} hold the axis at any pose, voltage off; its brake reports open; it stands"
+            f"not proven at rest: its drive did not hold it, it gives up to {effort / rated:+.0%} of its rated effort, "
+            f"at most {4.8 / rated:.0%} hold the axis at any pose, voltage off; its brake reports open; it stands"
         )
 
 

@@ -275,11 +275,12 @@ def test_an_axis_that_creeps_on_under_its_holding_effort_is_not_pushed(rig: Rig)
 
 
 def test_an_axis_that_swings_on_is_told_to_come_to_rest_first(rig: Rig) -> None:
-    drive, on_sync, swing = rig.drives[0], rig.drives[0].on_sync, itertools.cycle([1] * 20 + [-1] * 20)
+    looks = 27  # ticks from one look at it to the next, so that each sees it at the other end
+    drive, on_sync, swing = rig.drives[0], rig.drives[0].on_sync, itertools.cycle([1] * looks + [-1] * looks)
 
     def swings() -> None:
         if drive.brake_open:
-            drive.counts += 8.0 * next(swing)
+            drive.counts += 4.0 * next(swing)
         on_sync()
 
     drive.on_sync = swings  # type: ignore[method-assign]

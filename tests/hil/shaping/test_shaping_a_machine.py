@@ -350,7 +350,7 @@ def test_the_command_judges_writes_and_answers(tmp_path: Path, capsys: pytest.Ca
         told = design["residual"] or dict.fromkeys(("low", "likely", "high", "rms"), float("nan"))
         for part in ("low", "likely", "high", "rms"):
             assert float(row[f"residual_{part}"]) == pytest.approx(told[part], nan_ok=True)
-    assert page_verdict(tmp_path / "a.html").removeprefix("✓ ").startswith(f"{answer['chosen']} for roll of carm leaves ")
+    assert page_verdict(tmp_path / "a.html").removeprefix("? ").startswith(f"{answer['chosen']} for roll of carm leaves ")
     assert all(design["name"] in page_text(tmp_path / "a.html") for design in answer["designs"])
     assert (tmp_path / "a.png").stat().st_size > 10_000
     assert answer["fit"] is True
