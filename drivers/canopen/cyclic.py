@@ -26,7 +26,6 @@ from drivers.settings import BusSettings
 ERROR_FRAME_BUS_OFF = 0x40  # class bit in the identifier of SocketCAN's error frames
 STALE_FRAMES_MAX = 256
 """Most frames read outside the answer time: a device that floods the bus must not keep the loop from its tick."""
-SINCE = "the way and homing counted in"
 NOTHING = bytes(8)  # a frame of zeros
 ANSWER_SPREAD = 0.1
 """Share of a period within which a TPDO that answers a SYNC comes about its usual time; one of an earlier SYNC comes at any time."""
@@ -197,7 +196,7 @@ class CyclicExchange:
     @property
     def remarks(self) -> list[str]:
         """What was unusual of TPDOs and settings, in words: it was bridged, put right, or does no harm."""
-        found = [f"{tpdo.who}: {tpdo.unanswered} SYNCs were not answered in time, {SINCE}" for tpdo in self._tpdos if tpdo.unanswered]
+        found = [f"{tpdo.who}: {tpdo.unanswered} SYNCs were not answered in time since bring-up" for tpdo in self._tpdos if tpdo.unanswered]
         found += [
             f"{tpdo.who}: {tpdo.longer} frames were longer than the {tpdo.size} bytes that it maps; the rest was ignored"
             for tpdo in self._tpdos

@@ -194,6 +194,7 @@ class Attended:
         """Forget orders to move that came meanwhile: whoever still holds the button renews it."""
         self._take()
         self._jog.let_go()
+        self._asked_home = False
 
     def _rest(self) -> None:
         """Make one tick with the brakes closed and the drives disabled, its thermometers judged."""

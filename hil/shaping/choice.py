@@ -191,26 +191,34 @@ def choose_shaper(
 def as_simulated(machine: Machine, axis: str, subjects: Subjects, candidates: Candidates) -> Candidates:
     """Return the designs with what they leave of drawn moves as simulated, and ordered by it.
 
-    Designs with objections stay as they are, and all do where no moves can be drawn, for a reason that the candidates then tell. Of a
-    schedule the moves begin at its middle pose.
+    Designs with objections stay as they are, and all do where no moves can be drawn, for a reason that the candidates then tell. That its
+    moves alone cannot be speaks against a design. Of a schedule the moves begin at its middle pose.
     """
     assert subjects.poses is not None
     fit = [design for design in candidates.designs if not design.verdict.against]
     positions = subjects.poses[:, machine.axis_index(subjects.schedule)].tolist() if subjects.schedule else [0.0]
     shapers = [shaper_of(design, axis, machine.sample_rate_Hz, positions, subjects.schedule) for design in fit]
     found: dict[str, Residual] = {}
-    reason = ""
+    reasons: dict[str, str] = {}
     try:
         prediction = Prediction(machine, axis, subjects.poses[len(subjects.poses) // 2])
-        for design, shaper in zip(fit, shapers, strict=True):
-            found[design.name] = prediction.of(shaper)
     except DesignError as error:
-        reason = str(error)
-    designs = [
-        replace(design, verdict=design.verdict.simulated(found[design.name])) if design.name in found else design
-        for design in candidates.designs
-    ]
-    return replace(candidates, designs=recommended_first(designs), not_simulated=reason)
+        return replace(candidates, not_simulated=str(error))
+    for design, shaper in zip(fit, shapers, strict=True):
+        try:
+            found[design.name] = prediction.of(shaper)
+        except DesignError as error:
+            reasons[design.name] = str(error)
+    if reasons and not found:
+        return replace(candidates, not_simulated=next(iter(reasons.values())))
+    designs = [_as_simulated(design, found.get(design.name), reasons.get(design.name, "")) for design in candidates.designs]
+    return replace(candidates, designs=recommended_first(designs))
+
+
+def _as_simulated(design: Design, residual: Residual | None, reason: str) -> Design:
+    """Return a design with what it leaves, or with why its moves cannot be simulated where those of others can."""
+    verdict = replace(design.verdict, against=reason or design.verdict.against)
+    return replace(design, verdict=verdict if residual is None else verdict.simulated(residual))
 
 
 def subjects_of(

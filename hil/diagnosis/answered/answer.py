@@ -82,7 +82,7 @@ MOST_HYPOTHESES = 12
 MOST_HIDDEN = 3
 """Effects that would not have shown, named in the sentence; all are among the detection limits."""
 HELD_OUT = 2.0
-"""Times noise that right answers leave at most of motions whose noise no repeats have shown: 1.95 of 81 emulated machines."""
+"""Times the noise of the repeats that another motion, of which there are none, may have."""
 LEFT = 0.1
 """Share of what numbers alone leave that an answer may leave and have explained it."""
 NOTHING_MISSING = "no physics larger than the detection limits is missing"

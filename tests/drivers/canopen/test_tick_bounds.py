@@ -155,7 +155,7 @@ def test_unanswered_syncs_are_remarked_once_a_node_has_answered_at_all() -> None
     machine.ticks(2)
     for _ in range(3):
         machine.tick(*but(0x18C))
-    assert machine.cyclic.remarks == ["roll_encoder: TPDO 1 (18Ch): 3 SYNCs were not answered in time, the way and homing counted in"]
+    assert machine.cyclic.remarks == ["roll_encoder: TPDO 1 (18Ch): 3 SYNCs were not answered in time since bring-up"]
 
 
 @pytest.mark.parametrize("lost", [1, 2, 5])

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from bench_machines import carm_text_in
 
+from hil.bench import attended
 from hil.bench.attended import Attended, Shown
 from hil.bench.bench import Bench
 from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
 from hil.bench.telling import Teller
-from hil.bench.told_state import HOLDING, READY, WATCHING
+from hil.bench.told_state import HOLDING, HOMING, READY, WATCHING
 from hil.machine import load_machine, machine_from_text
 
 MACHINE = load_machine("turntable")
@@ -67,6 +68,26 @@ def test_it_rests_when_nobody_renews_the_order() -> None:
     rows = jogged(still=False)
     assert len(rows) > HELD_ROWS
     assert rows[-1] > rows[HELD_ROWS - 1]
+
+
+def test_an_order_to_home_that_came_during_a_jog_is_not_followed_when_that_is_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(attended, "HOLD_S", 0.5)
+    with open_bench(MACHINE, BenchOptions("lockstep:")) as bench:
+        shown, seen, waiting = Teller(bench, rows=False).shown, list[str](), ["home", f"jog turn {SPEED}"]
+
+        def take() -> list[str]:
+            seen.append(shown.doing)
+            if shown.doing == HOLDING:
+                return ["home"]
+            if waiting and shown.doing in (WATCHING, READY):
+                return [waiting.pop(0)]
+            return ["end"] if HOLDING in seen and seen[-FEW_TICKS:].count(READY) == FEW_TICKS else []
+
+        homed: list[str] = []
+        monkeypatch.setattr(bench, "home", lambda: homed.append(shown.doing) or Bench.home(bench))
+        Attended(bench, take, shown).serve()
+    assert HOLDING in seen
+    assert homed == [HOMING]
 
 
 def refused(bench: Bench, *orders: str) -> str:

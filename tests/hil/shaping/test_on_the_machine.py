@@ -13,10 +13,12 @@ import numpy as np
 import pytest
 import scipy.optimize
 
+from controllers.errors import DesignError
 from controllers.feedback import Feedback
+from controllers.shapers.sampled import AxisShaper
 from hil.machine import Machine, load_machine
-from hil.shaping.choice import ShaperChoice, choose_shaper
-from hil.shaping.predicted import DrawnMove, planned_moves
+from hil.shaping.choice import ShaperChoice, as_simulated, choose_shaper
+from hil.shaping.predicted import DrawnMove, Prediction, planned_moves
 from hil.shaping.report import design_lines
 from hil.shaping.verdict import Residual
 from virtual_bus.physics import Physics
@@ -147,6 +149,24 @@ def test_where_no_moves_can_be_drawn_the_reason_is_told() -> None:
     assert reason in choice.candidates.not_simulated
     assert reason in " ".join(line.strip() for line in design_lines(choice.candidates, choice.chosen))
     assert all(design.verdict.residual is None for design in choice.designs)
+
+
+def test_a_design_whose_moves_cannot_be_simulated_is_not_recommended_by_its_linear_figures(
+    choice: ShaperChoice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    best, found = choice.chosen.name, {design.name: design.verdict.residual for design in choice.designs}
+
+    def of(self: Prediction, shaper: AxisShaper) -> Residual | None:
+        if shaper.name == best:
+            raise DesignError("beyond its limits")
+        return found[shaper.name]
+
+    monkeypatch.setattr(Prediction, "of", of)
+    bare = [replace(each, verdict=replace(each.verdict, residual=None)) for each in choice.designs]
+    candidates = as_simulated(choice.machine, "turn", choice.subjects, replace(choice.candidates, designs=bare))
+    assert candidates.not_simulated == ""
+    assert candidates.designs[0].name != best
+    assert {each.name: each.verdict.against for each in candidates.designs}[best] == "beyond its limits"
 
 
 def test_as_much_as_without_a_shaper_speaks_against_a_design(choice: ShaperChoice) -> None:
