@@ -14,6 +14,7 @@ import os
 import shlex
 import subprocess
 import sys
+import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -274,7 +275,14 @@ def answered(question: Question, folder: Path) -> dict[str, Any]:
         "shows": question.shows,
         "commands": commands(question),
         "said": said,
+        "named": names_truth(question, folder / "found" / "diagnosis.json"),
     }
+
+
+def names_truth(question: Question, answer: Path) -> bool:
+    """Return whether an answer has every effect of the truth, at its place, among what it found."""
+    found = {(each.get("effect"), each.get("at")) for each in json.loads(answer.read_text(encoding="utf-8"))["findings"]}
+    return {(each["name"], each["at"]) for each in tomllib.loads(question.truth)["effect"]} <= found
 
 
 def main() -> None:
@@ -290,6 +298,7 @@ def main() -> None:
             found = {each: found[each] for each in QUESTIONS if each in found}
             RESULTS.write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
             print(name, *found[name]["said"], sep="\n  ", flush=True)
+    print(f"the truth is named, where it is: {sum(each['named'] for each in found.values())} of {len(found)}")
 
 
 if __name__ == "__main__":
