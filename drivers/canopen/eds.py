@@ -7,6 +7,7 @@ clean text. What the standard does not allow and a reader can still understand i
 
 from __future__ import annotations
 
+import codecs
 import io
 import re
 import stat
@@ -16,17 +17,17 @@ from pathlib import Path
 import canopen
 from canopen.objectdictionary import datatypes
 
-from drivers.canopen.eds_modules import connect_modules, tell_others
+from drivers.canopen.eds_compact_pdo import describe_compact_pdos
+from drivers.canopen.eds_left_out import OBJECT, tell_left_out
+from drivers.canopen.eds_modules import connect_modules
+from drivers.canopen.eds_numbers import NODE_ID, NUMBER, in_librarys_form, integer, limit_of_type
 from drivers.canopen.eds_repairs import RECORDS, Repairs, Section, Sections, standard_type
 from drivers.errors import DataSheetWarning, ProtocolError
 
-_OBJECT = re.compile(r"^([0-9A-F]{4})(?:SUB([0-9A-F]{1,2}))?$")
 _OBJECT_HEAD = re.compile(r"(?mi)^[ \t]*\[[ \t]*[0-9A-F]{4}(?:SUB[0-9A-F]{1,2})?[ \t]*\]")
 _COMMENT = re.compile(r"\s;.*$")
 _HASH_COMMENT = re.compile(r"(?<=\S)\s+(#|//).*$")
-_NODE_ID = re.compile(r"\$?\{?NODE[-_ ]?ID\}?")
 _HEX_WITH_H = re.compile(r"([0-9][0-9A-Fa-f ]*)[hH]")  # begins with a digit, as no word does
-_NUMBER = re.compile(r"([+-]?(?:0X[0-9A-F]+|0B[01]+|[0-9]+))([UL]*)")
 _MAX_FILE_BYTES = 4_000_000  # the largest data sheets in the field are some hundred kilobytes
 _MOST_ENTRIES = 16_384
 """Most objects and subindices of a file, compact arrays written out: real devices have some thousands. A line of a compact array stands
@@ -46,7 +47,7 @@ _LIMIT_KEYS = frozenset({"LowLimit", "HighLimit"})
 _NUMBER_KEYS = frozenset(
     {"ObjectType", "DataType", "PDOMapping", "SubNumber", "CompactSubObj", "NodeID", "Baudrate", "VendorNumber", "ProductNumber"}
     | {"RevisionNumber", "SimpleBootUpMaster", "SimpleBootUpSlave", "Granularity", "DynamicChannelsSupported", "GroupMessaging"}
-    | {"NrOfRXPDO", "NrOfTXPDO", "LSS_Supported", "Count", "ObjExtend"}
+    | {"NrOfRXPDO", "NrOfTXPDO", "LSS_Supported", "Count", "ObjExtend", "CompactPDO"}
     | {f"BaudRate_{rate}" for rate in (10, 20, 50, 125, 250, 500, 800, 1000)}
 )
 _CANONICAL_KEYS = {key.lower(): key for key in _TEXT_KEYS | _VALUE_KEYS | _NUMBER_KEYS}
@@ -129,6 +130,7 @@ def parse_object_dictionary(text: str, node_id: int | None = None, name: str = "
             io.StringIO(clean), node_id
         )
         dictionary.node_id = node_id
+        dictionary.bitrate = _own_bit_rate(sections, repairs)
     except ProtocolError as error:
         raise ProtocolError(f"{name}: {error}") from None
     except Exception as error:  # whatever error the library raises, the user needs to know one thing: the file is broken
@@ -141,6 +143,8 @@ def parse_object_dictionary(text: str, node_id: int | None = None, name: str = "
 
 
 def _decode(raw: bytes) -> str:
+    if raw[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+        return raw.decode("utf-16", "replace")
     for encoding in ("utf-8-sig", "cp1252"):
         try:
             return raw.decode(encoding)
@@ -151,6 +155,8 @@ def _decode(raw: bytes) -> str:
 
 def _sections(text: str, repairs: Repairs) -> Sections:
     """Return every section once, keys in the standard's spelling, without comments; the last of two equal keys counts."""
+    if text.lstrip()[:1] == "<":
+        raise ProtocolError("begins with <, as XML does (XDD and XDC of CiA 311); read are EDS and DCF of CiA 306")
     _refuse_too_many(len(_OBJECT_HEAD.findall(text)))  # before any of them is read
     sections: Sections = {}
     current: Section | None = None
@@ -162,14 +168,21 @@ def _sections(text: str, repairs: Repairs) -> Sections:
             if "]" not in line:
                 raise ProtocolError(f"section head without ]: {line[:60]!r}")
             head = line[1 : line.index("]")].strip()
-            current = sections.setdefault(_CANONICAL_SECTIONS.get(head.lower(), head.upper()), Section(number))
-        elif current is not None and "=" in line:
+            name = _CANONICAL_SECTIONS.get(head.lower(), head.upper())
+            if name in sections:
+                repairs.add("a section that stands twice is read as one, the last of two equal keys counts", number)
+            current = sections.setdefault(name, Section(number))
+        elif current is None or "=" not in line:
+            repairs.add("a line that is no section and no key of one was left out", number)
+        else:
             key, value = line.split("=", 1)
             key = _CANONICAL_KEYS.get(key.strip().lower(), key.strip())
             value = _COMMENT.sub("", " " + value).strip()
             if ("#" in value or "/" in value) and key not in _FREE_TEXT and _HASH_COMMENT.search(value):
                 value = _HASH_COMMENT.sub("", value)
                 repairs.add("a comment behind a value begins with ;, another was left out", number)
+            if current.get(key, value) != value:
+                repairs.add("a key that stands twice in its section has the last value", number)
             current.put(key, value, number)
     return sections
 
@@ -182,11 +195,23 @@ def _refuse_too_many(entries: int) -> None:
 def _own_node_id(sections: Sections, repairs: Repairs) -> int | None:
     section = sections.get("DeviceComissioning", Section(0))
     text = section.get("NodeID", "")
-    number = _integer(text, None, "[DeviceComissioning] NodeID") if text else None
+    number = integer(text, None, "[DeviceComissioning] NodeID") if text else None
     if number is not None and not 1 <= number <= _MOST_NODES:
         repairs.add(f"NodeID={text[:40]} is no node id (1 to {_MOST_NODES}) and was left out", section.line_of("NodeID"))
         return None
     return number
+
+
+def _own_bit_rate(sections: Sections, repairs: Repairs) -> int | None:
+    """Return the bit rate [bit/s] in a DCF's [DeviceComissioning]; None where it has none."""
+    section = sections.get("DeviceComissioning", Section(0))
+    if not (text := section.get("Baudrate", "")):
+        return None
+    try:
+        return 1000 * integer(text, None, "[DeviceComissioning] Baudrate")
+    except ProtocolError:
+        repairs.add(f"Baudrate={text[:40]} is no number and was left out", section.line_of("Baudrate"))
+        return None
 
 
 class _Reader:
@@ -207,28 +232,25 @@ class _Reader:
     def clean(self) -> str:
         """Return the text."""
         sections = self._sections
-        connect_modules(sections, self._repairs, lambda value, where: _integer(value, None, where))
-        tell_others(sections, self._repairs, lambda value, where: _integer(value, None, where))
+        for read in (describe_compact_pdos, connect_modules, tell_left_out):
+            read(sections, self._repairs, lambda value, where: integer(value, None, where))
         self._resolve_own_types()
         self._emit("DeviceInfo", _plain_numbers(sections.get("DeviceInfo", Section(0)), "DeviceInfo"))
         self._emit_dummies(sections.get("DUMMYUSAGE", Section(0)))
         self._adopt_orphans()
-        objects = sorted((match.group(1), int(match.group(2) or "-1", 16), head) for head in sections if (match := _OBJECT.match(head)))
+        objects = sorted((match.group(1), int(match.group(2) or "-1", 16), head) for head in sections if (match := OBJECT.match(head)))
         _refuse_too_many(len(objects) + sum(self._compact_count(head) for _, subindex, head in objects if subindex < 0))
         for index, subindex, head in objects:
             name = index if subindex < 0 else f"{index}sub{subindex:X}"
-            self._tell_dropped(sections[head], head)
+            self._tell_valueless(sections[head], head)
             self._emit(name, self._object_keys(sections[head], name))
             if subindex < 0 and sections[head].get("CompactSubObj"):
                 self._emit_compact_array(index)
         return self._out.getvalue()
 
-    def _tell_dropped(self, keys: Section, head: str) -> None:
-        """Tell what of an object is not taken: contents in other files, and all of one that holds no value."""
-        for key in ("UploadFile", "DownloadFile"):
-            if keys.get(key):
-                self._repairs.add(f"{key} was not taken", keys.line_of(key))
-        object_type = _integer(keys.get("ObjectType") or "7", None, f"[{head}] ObjectType")
+    def _tell_valueless(self, keys: Section, head: str) -> None:
+        """Tell of an object that holds no value."""
+        object_type = integer(keys.get("ObjectType") or "7", None, f"[{head}] ObjectType")
         if object_type not in (_VARIABLE, _DOMAIN_OBJECT, *_MANY) and int(head[:4], 16) >= _FIRST_OBJECT:
             self._repairs.add(f"an object with ObjectType={object_type} holds no value and was left out", keys.line)
 
@@ -236,7 +258,7 @@ class _Reader:
         """Give subindices whose object is missing a record of their own."""
         orphans: dict[str, list[int]] = {}
         for head, section in self._sections.items():
-            match = _OBJECT.match(head)
+            match = OBJECT.match(head)
             if match and match.group(2) and match.group(1) not in self._sections:
                 orphans.setdefault(match.group(1), []).append(section.line)
         for index, lines in orphans.items():
@@ -253,19 +275,19 @@ class _Reader:
         all others are bytes.
         """
         for head, keys in self._sections.items():
-            match = _OBJECT.match(head)
+            match = OBJECT.match(head)
             if match is None:
                 continue
             text = keys.get("DataType", "")
             standard = standard_type(int(match.group(1), 16), int(match.group(2) or "0", 16)) if match.group(2) or text else None
-            data_type = _integer(text, None, f"[{head}] DataType") if text else None
+            data_type = integer(text, None, f"[{head}] DataType") if text else None
             if data_type in RECORDS and keys.get("CompactSubObj"):
                 continue  # its elements have the types of that record
             if data_type is not None and data_type > _LAST_BASIC_TYPE:
                 definition = self._sections.get(f"{data_type:X}SUB1", Section(0)).get("DefaultValue", "")
                 keys["DataType"] = definition or str(datatypes.DOMAIN)
-                data_type = _integer(keys["DataType"], None, f"[{head}] DataType")
-            if standard is None or data_type == standard or _integer(keys.get("ObjectType") or "7", None, f"[{head}] ObjectType") in _MANY:
+                data_type = integer(keys["DataType"], None, f"[{head}] DataType")
+            if standard is None or data_type == standard or integer(keys.get("ObjectType") or "7", None, f"[{head}] ObjectType") in _MANY:
                 continue
             given = "no DataType" if data_type is None else f"DataType={text}"
             self._repairs.add(f"{given} of a communication object is read as CiA 301's {standard:04X}h", keys.line_of("DataType"))
@@ -290,7 +312,7 @@ class _Reader:
         size = {"ParameterName": "Number of entries", "DataType": "5", "AccessType": "ro", "DefaultValue": str(count)}
         if f"{index}SUB0" not in sections:
             self._emit(f"{index}sub0", self._object_keys(Section(keys.line, size), f"{index}sub0"))
-        record = _integer(keys.get("DataType") or "0", None, f"[{index}] DataType")
+        record = integer(keys.get("DataType") or "0", None, f"[{index}] DataType")
         for i in range(1, count + 1):
             if f"{index}SUB{i:X}" in sections:
                 continue
@@ -306,7 +328,7 @@ class _Reader:
 
     def _compact_count(self, index: str) -> int:
         """Return the number of elements of a compact array, 0 for another object."""
-        count = _integer(self._sections[index].get("CompactSubObj") or "0", None, f"[{index}] CompactSubObj")
+        count = integer(self._sections[index].get("CompactSubObj") or "0", None, f"[{index}] CompactSubObj")
         if not 0 <= count <= 254:
             raise ProtocolError(f"[{index}]: CompactSubObj={count}: must be 0 to 254")
         return count
@@ -341,10 +363,10 @@ class _Reader:
     def _number(self, keys: Section, key: str, default: str, head: str) -> int:
         text = keys.get(key) or default
         self._tell_suffix(keys, key, text)
-        return _integer(text, None, f"[{head}] {key}")
+        return integer(text, None, f"[{head}] {key}")
 
     def _tell_suffix(self, keys: Section, key: str, text: str) -> None:
-        if text[-1:] in "LlUu" and any(len(match[2]) > 1 for match in _NUMBER.finditer(text.upper())):
+        if text[-1:] in "LlUu" and any(len(match[2]) > 1 for match in NUMBER.finditer(text.upper())):
             self._repairs.add("a suffix as of C behind a number was left out", keys.line_of(key))
 
     def _typed(self, keys: Section, key: str, value: str, data_type: int, head: str) -> str | None:
@@ -353,8 +375,8 @@ class _Reader:
         None for a default that is no number.
         """
         if data_type not in _FIXED_BITS:
-            return value
-        if _NODE_ID.search(value.upper()) and self._node_id is None:
+            return self._untyped(keys, key, value, data_type)
+        if NODE_ID.search(value.upper()) and self._node_id is None:
             return value
         where = f"[{head}] {key}"
         try:
@@ -364,7 +386,7 @@ class _Reader:
                 if hexadecimal := _HEX_WITH_H.fullmatch(value):
                     self._repairs.add("a hexadecimal number begins with 0x, one that ends in h was read as such", keys.line_of(key))
                     value = "0x" + hexadecimal[1].replace(" ", "")
-                number = _integer(value, self._node_id, where)
+                number = integer(value, self._node_id, where)
         except ProtocolError:
             if key != "DefaultValue":
                 raise
@@ -374,21 +396,22 @@ class _Reader:
         if not -(1 << (bits - 1)) <= number < 1 << bits:
             if key not in _LIMIT_KEYS:
                 raise ProtocolError(f"{where}={value}: does not fit into {bits} bits")
-            number = _limit_of_type(data_type, bits, upper=key == "HighLimit")
+            number = limit_of_type(data_type, bits, upper=key == "HighLimit")
             self._repairs.add(f"{key}={value} is beyond its type and read as {number}", keys.line_of(key))
         if key == "HighLimit" and number < MOST_HEARTBEAT_MS and head.upper().startswith(HEARTBEAT_CONSUMER) and head[7:] != "0":
-            number = _limit_of_type(data_type, bits, upper=True)
+            number = limit_of_type(data_type, bits, upper=True)
             self._repairs.add(f"{key}={value} leaves a heartbeat consumer no room for a node id, and was left out", keys.line_of(key))
         number &= (1 << bits) - 1
         if data_type in datatypes.SIGNED_TYPES and number >> (bits - 1):
             number -= 1 << bits
         return str(number)
 
-
-def _limit_of_type(data_type: int, bits: int, *, upper: bool) -> int:
-    if data_type in datatypes.SIGNED_TYPES:
-        return (1 << (bits - 1)) - 1 if upper else -(1 << (bits - 1))
-    return (1 << bits) - 1 if upper else 0
+    def _untyped(self, keys: Section, key: str, value: str, data_type: int) -> str | None:
+        try:
+            return in_librarys_form(value, data_type)
+        except (ValueError, OverflowError):
+            self._repairs.add(f"{key} is no value of type {data_type:04X}h and was left out", keys.line_of(key))
+            return None
 
 
 def _plain_numbers(keys: dict[str, str], head: str) -> dict[str, str]:
@@ -399,26 +422,7 @@ def _plain_numbers(keys: dict[str, str], head: str) -> dict[str, str]:
             plain[key] = value
         elif value:
             try:
-                plain[key] = str(_integer(value, None, f"[{head}] {key}"))
+                plain[key] = str(integer(value, None, f"[{head}] {key}"))
             except ProtocolError:
                 continue  # [DeviceInfo] is for human readers; nothing here depends on it
     return plain
-
-
-def _integer(text: str, node_id: int | None, where: str) -> int:
-    """Read a CiA 306 number: decimal, hex after 0x, octal after a leading 0, and sums with ``$NODEID``, suffixes as of C left out."""
-    total = 0
-    for raw in text.replace(" ", "").upper().split("+"):
-        if _NODE_ID.fullmatch(raw) and node_id is not None:
-            total += node_id
-            continue
-        match = _NUMBER.fullmatch(raw)
-        if match is None:
-            raise ProtocolError(f"{where}={text[:40]}: must be an integer")
-        digits = match[1]
-        octal = re.fullmatch(r"([+-]?)0([0-7]+)", digits)
-        if octal:
-            total += int(octal[1] + octal[2], 8)
-        else:
-            total += int(digits, 10 if digits.lstrip("+-").isdigit() else 0)  # decimals may have leading zeros
-    return total

@@ -1,4 +1,4 @@
-"""Modular devices in data sheets (CiA 306, 4.7): the objects that modules plugged on a coupler add, and which sections are of what."""
+"""Modular devices in data sheets (CiA 306, 4.7): the objects that modules plugged on a coupler add."""
 
 from __future__ import annotations
 
@@ -8,11 +8,8 @@ from dataclasses import dataclass
 
 from drivers.canopen.eds_repairs import Repairs, Section, Sections
 
-_MODULE = re.compile(r"^M(\d+)(MODULEINFO|COMMENTS|FIXEDOBJECTS|SUBEXTENDS|(FIXED|SUBEXT)([0-9A-F]{4})(?:SUB([0-9A-F]{1,2}))?)$")
+MODULE = re.compile(r"^M(\d+)(MODULEINFO|COMMENTS|FIXEDOBJECTS|SUBEXTENDS|(FIXED|SUBEXT)([0-9A-F]{4})(?:SUB([0-9A-F]{1,2}))?)$")
 _OBJECT = re.compile(r"^([0-9A-F]{4})(?:SUB([0-9A-F]{1,2}))?$")
-_OF_COMPACT = re.compile(r"^([0-9A-F]{4})(NAME|VALUE)$")
-_ABOUT_THE_FILE = ("DeviceInfo", "DeviceComissioning", "DUMMYUSAGE", "FILEINFO", "COMMENTS", "SUPPORTEDMODULES", "CONNECTEDMODULES")
-_LISTS = ("MANDATORYOBJECTS", "OPTIONALOBJECTS", "MANUFACTUREROBJECTS")
 _MOST_SUBINDEX = 254
 _SHOWN = 8
 """Names in one message."""
@@ -33,8 +30,8 @@ class _Extension:
 
 def connect_modules(sections: Sections, repairs: Repairs, integer: Integer) -> None:
     """Add the objects of the modules that [ConnectedModules] names, in its order, and tell which are not connected."""
-    described = sorted({int(match[1]) for head in sections if (match := _MODULE.match(head))})
-    connected = list(_entries(sections.get("CONNECTEDMODULES", Section(0)), "ConnectedModules", integer))
+    described = sorted({int(match[1]) for head in sections if (match := MODULE.match(head))})
+    connected = list(entries_of(sections.get("CONNECTEDMODULES", Section(0)), "ConnectedModules", integer))
     for number in sorted(set(connected) - set(described)):
         repairs.add(f"module {number} is connected and not described: it adds nothing", sections["CONNECTEDMODULES"].line)
     if free := [number for number in described if number not in connected]:
@@ -44,7 +41,7 @@ def connect_modules(sections: Sections, repairs: Repairs, integer: Integer) -> N
     extensions: dict[int, list[_Extension]] = {}
     for number in connected:
         for head in [head for head in sections if head.startswith(f"M{number}")]:
-            match = _MODULE.match(head)
+            match = MODULE.match(head)
             if match is None or int(match[1]) != number or match[3] is None:
                 continue
             if match[3] == "FIXED":
@@ -58,33 +55,13 @@ def connect_modules(sections: Sections, repairs: Repairs, integer: Integer) -> N
         _extend(sections, repairs, those)
 
 
-def tell_others(sections: Sections, repairs: Repairs, integer: Integer) -> None:
-    """Tell which sections are not taken, and which objects are listed and have no section."""
-    others = [head for head in sections if not _is_taken(head, sections)]
-    names = ", ".join(f"[{head}]" for head in others[:_SHOWN]) + (", ..." if len(others) > _SHOWN else "")
-    for head in others:
-        repairs.add(f"not taken: {names}", sections[head].line)
-    for head in _LISTS:
-        listed = [f"[{index:04X}]" for index in _entries(sections.get(head, Section(0)), head, integer) if f"{index:04X}" not in sections]
-        if listed:
-            names = ", ".join(listed[:_SHOWN]) + (", ..." if len(listed) > _SHOWN else "")
-            repairs.add(f"listed without a section, and so not there: {names}", sections[head].line)
-
-
-def _is_taken(head: str, sections: Sections) -> bool:
-    if head in (*_ABOUT_THE_FILE, *_LISTS) or _OBJECT.match(head) or _MODULE.match(head):
-        return True
-    compact = _OF_COMPACT.match(head)
-    return compact is not None and bool(sections.get(compact[1], Section(0)).get("CompactSubObj"))
-
-
 def _info(sections: Sections, number: int) -> Section:
     return sections.get(f"M{number}MODULEINFO") or next(
-        keys for head, keys in sections.items() if (match := _MODULE.match(head)) and int(match[1]) == number
+        keys for head, keys in sections.items() if (match := MODULE.match(head)) and int(match[1]) == number
     )
 
 
-def _entries(keys: Section, head: str, integer: Integer) -> Iterator[int]:
+def entries_of(keys: Section, head: str, integer: Integer) -> Iterator[int]:
     """Yield the numbers of a section's lines 1, 2, ..."""
     for key, value in keys.items():
         if key.isdigit() and value:
