@@ -24,6 +24,7 @@ HEADER = struct.Struct("<4sIHHQdd")
 Without rows and columns: all exposures have been sent, and the number is their count. The greeting is such a header with a count of 0."""
 
 MARK = b"IXF1"
+SHOWN_BYTES = 16
 CONNECT_TIMEOUT_S = 2.0
 GREETING_TIMEOUT_S = 5.0
 """Generous, because a panel may still be making an image for a previous host that is gone."""
@@ -184,8 +185,13 @@ class PanelLink:
         """Return the frame whose last byte has come; none after a header, whose image is awaited then."""
         mark, number, rows, columns, sync, panel_s, width_s = HEADER.unpack(self._header)
         if self._image.size == 0:
-            if mark != MARK or rows * columns > MOST_PIXELS or not (np.isfinite([panel_s, width_s]).all() and width_s >= 0.0):
-                raise PanelError(f"panel {self.url}: what it sends is no frame; is it a panel, and of this version?")
+            if mark != MARK:
+                came = bytes(self._header[:SHOWN_BYTES]).hex(" ")
+                raise PanelError(f"panel {self.url}: what it sends is no frame ({came}); this version's begin with {MARK.hex(' ')}")
+            if rows * columns > MOST_PIXELS or not (np.isfinite([panel_s, width_s]).all() and width_s >= 0.0):
+                raise PanelError(
+                    f"panel {self.url}: a frame of {rows} x {columns} pixels with a pulse of {width_s:g} s at {panel_s:g} s is none"
+                )
             if rows * columns:
                 self._image = np.empty(rows * columns, dtype="<u2")
                 self._missing = self._image.data.cast("B")

@@ -13,12 +13,13 @@ from typing import NamedTuple, Protocol
 
 import serial
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
-from pymodbus.exceptions import ModbusException
+from pymodbus.exceptions import ConnectionException, ModbusException
 from pymodbus.framer import FramerRTU, FramerSocket
 from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
 
 from drivers.errors import BusTimeoutError, BusUnavailableError, ConfigurationRefusedError, ProtocolError
 from drivers.modbus.registers import ExceptionCode
+from drivers.serial_port import why_not_opened
 from drivers.tcp_url import parse_tcp_url, why_not_reached
 
 ANSWER_TIMEOUT_S = 0.2  # an I/O device answers within some 10 ms
@@ -26,7 +27,8 @@ RETRIES = 1
 REQUEST_AT_MOST_S = ANSWER_TIMEOUT_S * (2 + 2 * (1 + RETRIES))
 """Waiting for late answers; connecting; every try, whose time an answer in pieces doubles."""
 
-MBAP_UNIT_OFFSET = 6
+MBAP_UNIT_OFFSET, MBAP_BYTES = 6, 7
+SHOWN_BYTES = 16
 PSEUDO_TERMINALS = "/dev/pts/"
 MOST_STRAY_BYTES = 8
 """Before an answer: a line without bias reads some while no one drives it."""
@@ -136,7 +138,8 @@ class ClientTransport:
             self._unit_offset = MBAP_UNIT_OFFSET
         else:
             self._client = self._serial_client(echoes=False)
-            self._open = lambda: serial.Serial(line.place, line.number, 8, line.parity, line.stop_bits).close()
+            exclusive = True if os.name == "posix" else None
+            self._open = lambda: serial.Serial(line.place, line.number, 8, line.parity, line.stop_bits, exclusive=exclusive).close()
             self._unit_offset = 0
         self._is_serial = self._may_echo = line.kind == "rtu"
         self._tries = 0  # of this request
@@ -149,7 +152,7 @@ class ClientTransport:
         self._throw_late_answers_away(pdu.function_code)
         self._tries = 0
         if not self._client.connect():
-            raise BusUnavailableError(f"{self.name}: cannot connect: {self._why_not()}; check address, cable and power")
+            raise BusUnavailableError(f"{self.name}: cannot connect: {self._why_not()}")
         try:
             answer = self._client.execute(False, pdu)
             self._await_later(pdu.function_code, self._tries - 1)
@@ -161,7 +164,7 @@ class ClientTransport:
                 self.close()
                 self._may_echo, self._client = False, self._serial_client(echoes=True)
                 return self.request(pdu)
-            raise self._explained(pdu.dev_id) from error
+            raise self._explained(pdu.dev_id, error) from error
         return _without_exception(self.name, pdu, answer)
 
     def close(self) -> None:
@@ -213,22 +216,49 @@ class ClientTransport:
         """Ask the system again why connecting failed, because pymodbus logs the reason and returns False."""
         try:
             self._open()
-        except OSError as error:
-            return why_not_reached(error)
-        return "the line is in use"
+        except (OSError, ValueError) as error:
+            if self._is_serial or not isinstance(error, OSError):
+                return why_not_opened(error)
+            return f"{why_not_reached(error)}; check address, cable and power"
+        return "not at first, a moment later it could be opened"
 
-    def _explained(self, unit_id: int) -> Exception:
+    def _explained(self, unit_id: int, error: Exception) -> Exception:
+        """Return the error that names what was seen: nothing, the end of the connection, another unit, or bytes that are no answer."""
         received = self._received
+        if not received and isinstance(error, (OSError, ConnectionException)):
+            seen = why_not_reached(error) if isinstance(error, OSError) else "the other end closed the connection"
+            return BusUnavailableError(f"{self.name}: {seen} before an answer from unit {unit_id} had come")
         if not received or (self._is_serial and received[_stray_bytes(received, self._sent) :] == self._sent):  # nothing but its echo
-            return BusTimeoutError(
-                f"{self.name}: no answer from unit {unit_id} in {self._timeout_s:g} s; check unit_id, baud rate, parity and cable"
-            )
+            check = "check unit_id, baud rate, parity and cable" if self._is_serial else "check unit_id"
+            return BusTimeoutError(f"{self.name}: no answer from unit {unit_id} in {self._timeout_s:g} s; {check}")
         is_whole = not self._is_serial or _length(received) is not None
         if is_whole and len(received) > self._unit_offset and received[self._unit_offset] != unit_id:
             return ProtocolError(f"{self.name}: unit {received[self._unit_offset]} answers where unit_id = {unit_id} was asked")
-        return ProtocolError(
-            f"{self.name}: a damaged answer ({received[:16].hex(' ')}), its check is wrong; check wiring, baud rate and parity"
-        )
+        seen = _what_is_wrong(received, self._sent) if self._is_serial else _what_is_wrong_on_tcp(received)
+        shown = received[:SHOWN_BYTES].hex(" ")
+        return ProtocolError(f"{self.name}: {seen} ({shown}){'; check wiring, baud rate and parity' if self._is_serial else ''}")
+
+
+def _what_is_wrong(received: bytes, sent: bytes) -> str:
+    """Return what serial bytes are that hold no whole answer."""
+    if received[:1] != sent[:1] or received[1:2] not in (sent[1:2], bytes((sent[1] | 0x80,))):
+        return "no answer to what was asked is in what came"
+    announced = _announced(received)
+    if announced is None or len(received) < announced:
+        return f"an answer of which {len(received)} bytes came" + ("" if announced is None else f" where {announced} belong")
+    return "a damaged answer, its check is wrong"
+
+
+def _what_is_wrong_on_tcp(received: bytes) -> str:
+    """Return what bytes of a connection are that hold no whole answer."""
+    if len(received) < MBAP_BYTES:
+        return f"an answer of {len(received)} bytes, where its header alone has {MBAP_BYTES}"
+    protocol, length = int.from_bytes(received[2:4], "big"), int.from_bytes(received[4:6], "big")
+    if protocol:
+        return f"an answer with protocol identifier {protocol}, where Modbus has 0"
+    if len(received) - MBAP_UNIT_OFFSET != length:
+        return f"an answer of {len(received) - MBAP_UNIT_OFFSET} bytes behind its length, which says {length}"
+    return "an answer that is none to what was asked"
 
 
 def _stray_bytes(received: bytes, sent: bytes) -> int:
@@ -245,14 +275,19 @@ def _stray_bytes(received: bytes, sent: bytes) -> int:
 
 def _length(received: bytes) -> int | None:
     """Return the bytes of the answer that begins here; None where it is not whole or its check is wrong."""
-    if len(received) < SHORTEST_ANSWER:
-        return None
-    function = received[1]
-    length = SHORTEST_ANSWER if function & 0x80 else SHORTEST_ANSWER + received[2] if function <= LAST_READ else WRITE_ANSWER
-    if len(received) < length:
+    length = _announced(received)
+    if length is None or len(received) < length:
         return None
     check = FramerRTU.compute_CRC(received[: length - 2])
     return length if check == int.from_bytes(received[length - 2 : length], "big") else None
+
+
+def _announced(received: bytes) -> int | None:
+    """Return the bytes that an answer that begins here has by its own words; None where it is shorter than any."""
+    if len(received) < SHORTEST_ANSWER:
+        return None
+    function = received[1]
+    return SHORTEST_ANSWER if function & 0x80 else SHORTEST_ANSWER + received[2] if function <= LAST_READ else WRITE_ANSWER
 
 
 def _without_exception(name: str, request: ModbusPDU, answer: ModbusPDU) -> ModbusPDU:

@@ -244,7 +244,8 @@ class ImuDriver:
         firmware = self._ask(MessageId.REQ_FIRMWARE_REVISION, b"", wait)
         if len(device_id) not in (4, 8) or len(firmware) < 3:
             raise ProtocolError(
-                f"{self._line}: a device id of {len(device_id)} bytes and a firmware revision of {len(firmware)}: this is no motion tracker"
+                f"{self._line}: a device id of {len(device_id)} bytes and a firmware revision of {len(firmware)}, where a motion"
+                " tracker has 4 or 8 and 3"
             )
         return ImuIdentity(
             device_id=int.from_bytes(device_id, "big"),
@@ -282,19 +283,29 @@ class ImuDriver:
     def _ask(self, command: MessageId, data: bytes, wait: Callable[[float], None]) -> bytes:
         """Send a command and return the data of its acknowledge; measurement data in between are dropped."""
         self._stream.write(encode(command, data))
+        came, others = 0, set[int]()
         steps = round(ANSWER_TIMEOUT_S / ANSWER_STEP_S)
         for step in range(steps + 1):
             last = step == steps  # then the answer may be stuck behind a message that was cut off
-            for message in self._parser.give_up() if last else self._parser.feed(self._stream.read()):
+            heard = b"" if last else self._stream.read()
+            came += len(heard)
+            for message in self._parser.give_up() if last else self._parser.feed(heard):
                 if message.message_id == command + 1:
                     return message.data
                 self._check_refusal(command, message)
+                others.add(message.message_id)
             if not last:
                 wait(ANSWER_STEP_S)
-        raise NodeAbsentError(
-            f"{self._line}: no answer to {command.name} within {ANSWER_TIMEOUT_S:g} s; check power, cable and the machine file's"
-            f" baud = {self.port.baud}"
-        )
+        raise NodeAbsentError(f"{self._line}: no answer to {command.name} within {ANSWER_TIMEOUT_S:g} s; {self._what_came(came, others)}")
+
+    def _what_came(self, came: int, others: set[int]) -> str:
+        """Return what stood where an answer belongs, and what to check there."""
+        if others:  # a message with a right checksum: the line runs at the device's rate
+            return f"messages {', '.join(f'{one:02X}h' for one in sorted(others))} came; check the line towards the device"
+        rate = "the device server's baud rate" if self.port.device.startswith("tcp:") else f"the machine file's baud = {self.port.baud}"
+        if came:
+            return f"{came} bytes came that are no Xbus message; check {rate} and what is on this line"
+        return f"check power, cable and {rate}"
 
     def _check_refusal(self, command: MessageId, message: Message) -> None:
         if message.message_id == MessageId.ERROR:

@@ -10,6 +10,7 @@ import serial
 
 from drivers.errors import BusUnavailableError
 from drivers.serial.tcp_stream import TcpStream
+from drivers.serial_port import why_not_opened
 from drivers.tcp_url import parse_tcp_url
 
 READ_BYTES = 4096
@@ -56,10 +57,7 @@ class SerialStream:
         try:
             self._port = serial.Serial(device, baud, 8, parity, stop_bits, timeout=0, write_timeout=0, exclusive=exclusive)
         except (OSError, ValueError) as error:
-            reason = os.strerror(error.errno) if isinstance(error, OSError) and error.errno else str(error)
-            raise BusUnavailableError(
-                f"serial port {device} at {baud} baud: {reason}; name a port that exists and that nobody else uses"
-            ) from error
+            raise BusUnavailableError(f"serial port {device} at {baud} baud: {why_not_opened(error)}") from error
         if hasattr(self._port, "set_low_latency_mode"):
             # A USB adapter collects bytes for 16 ms by default: four ticks at 256 Hz. Pseudo terminals know no such mode.
             with contextlib.suppress(ValueError, OSError):

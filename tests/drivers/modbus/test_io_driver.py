@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import socket
 import threading
 from collections.abc import Callable
 
@@ -17,6 +19,7 @@ from drivers.errors import BusTimeoutError, BusUnavailableError, ConfigurationRe
 from drivers.interface import Sample
 from drivers.modbus.io import IoDriver
 from drivers.modbus.transport import ClientTransport, InProcessTransport, parse_io_url
+from drivers.serial.stream import SerialStream
 from virtual_bus.modbus.framing import rtu_frame
 from virtual_bus.serial.pty import Pty
 
@@ -255,12 +258,16 @@ def test_a_good_serial_answer_is_read() -> None:
     ("answer", "error", "words"),
     [
         (b"", BusTimeoutError, r"no answer from unit 17 in 0.05 s; check unit_id, baud rate, parity and cable"),
-        (GOOD[:-1] + bytes((GOOD[-1] ^ 1,)), ProtocolError, r"a damaged answer \(11 02 01 03 .*\), its check is wrong; check wiring"),
+        (GOOD[:-1] + bytes((GOOD[-1] ^ 1,)), ProtocolError, r"a damaged answer, its check is wrong \(11 02 01 03 .*\); check wiring"),
         (rtu_frame(5, b"\x02\x01\x03"), ProtocolError, r"unit 5 answers where unit_id = 17 was asked"),
         (rtu_frame(UNIT, b"\x82\x06"), ConfigurationRefusedError, r"refuses function 2 at 8 to 9: server device busy \(6\)"),
         (rtu_frame(UNIT, b"\x82\x55"), ConfigurationRefusedError, r"unknown exception \(85\)"),
         (rtu_frame(UNIT, b"\x82\x05"), ConfigurationRefusedError, r"acknowledge \(5\); it has begun"),
-        (b"\x05" + GOOD[:-1], ProtocolError, r"a damaged answer \(05 11 02 .*\), its check is wrong"),
+        (b"\x05" + GOOD[:-1], ProtocolError, r"no answer to what was asked is in what came \(05 11 02 .*\); check wiring"),
+        (GOOD[:-1], ProtocolError, r"an answer of which 5 bytes came where 6 belong \(11 02 01 03 .*\); check wiring"),
+        (GOOD[:3], ProtocolError, r"an answer of which 3 bytes came \(11 02 01\); check wiring"),
+        (bytes(12), ProtocolError, r"no answer to what was asked is in what came \(00 00 00"),
+        (b"\x00" * 20 + GOOD, ProtocolError, r"no answer to what was asked is in what came \(00 00 00"),
     ],
 )
 def test_bad_serial_answers_are_told_apart(
@@ -268,6 +275,81 @@ def test_bad_serial_answers_are_told_apart(
 ) -> None:
     with SerialDevice(answer) as transport, pytest.raises(error, match=words):
         transport.request(ReadDiscreteInputsRequest(**REQUEST))
+
+
+class TcpDevice:
+    """Answers every request of a connection with the same bytes behind its transaction, then closes it if it is told to."""
+
+    def __init__(self, answer: bytes, *, closes: bool = False) -> None:
+        self.answer, self.closes = answer, closes
+        self.listener = socket.create_server(("127.0.0.1", 0))
+        self.thread = threading.Thread(target=self.serve)
+        self.thread.start()
+
+    def serve(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                connection, _ = self.listener.accept()
+                with connection:
+                    while request := connection.recv(64):
+                        connection.sendall(request[:2] + self.answer if self.answer else b"")
+                        if self.closes:
+                            break
+
+    def __enter__(self) -> ClientTransport:
+        self.transport = ClientTransport(f"tcp:127.0.0.1:{self.listener.getsockname()[1]}", 0.05)
+        return self.transport
+
+    def __exit__(self, *_: object) -> None:
+        self.transport.close()
+        self.listener.shutdown(socket.SHUT_RDWR)
+        self.listener.close()
+        self.thread.join()
+
+
+ON_TCP = b"\0\0\0\4\x11\2\1\3"
+
+
+def test_a_good_answer_on_tcp_is_read() -> None:
+    with TcpDevice(ON_TCP) as transport:
+        assert transport.request(ReadDiscreteInputsRequest(**REQUEST)).bits[:2] == [True, True]
+
+
+@pytest.mark.parametrize(
+    ("answer", "closes", "words"),
+    [
+        (b"", True, r"the other end closed the connection before an answer from unit 17 had come$"),
+        (b"", False, r"no answer from unit 17 in 0.05 s; check unit_id$"),
+        (b"\0\0\0", False, r"an answer of 5 bytes, where its header alone has 7 \(.*\)$"),
+        (b"\0\7" + ON_TCP[2:], False, r"an answer with protocol identifier 7, where Modbus has 0 \(.*\)$"),
+        (ON_TCP[:3] + b"\x09" + ON_TCP[4:], False, r"an answer of 4 bytes behind its length, which says 9 \(.*\)$"),
+        (ON_TCP[:4] + b"\x00" + ON_TCP[5:], False, r"unit 0 answers where unit_id = 17 was asked$"),
+    ],
+)
+def test_what_is_seen_on_tcp_is_named_and_no_serial_line_is_blamed(answer: bytes, closes: bool, words: str) -> None:
+    with TcpDevice(answer, closes=closes) as transport, pytest.raises((BusUnavailableError, BusTimeoutError, ProtocolError), match=words):
+        transport.request(ReadDiscreteInputsRequest(**REQUEST))
+
+
+def test_a_serial_line_that_is_gone_is_no_silent_device() -> None:
+    pty = Pty()
+    transport = ClientTransport(f"rtu:{pty.path}@115200", 0.05)
+    with pytest.raises(BusTimeoutError, match="no answer from unit 17"):
+        transport.request(ReadDiscreteInputsRequest(**REQUEST))
+    pty.close()
+    with pytest.raises(BusUnavailableError, match=r"before an answer from unit 17 had come|cannot connect: No such file"):
+        transport.request(ReadDiscreteInputsRequest(**REQUEST))
+    transport.close()
+
+
+def test_a_serial_line_of_another_program_is_named_as_such() -> None:
+    pty = Pty()
+    first = SerialStream(pty.path, 115200)
+    transport = ClientTransport(f"rtu:{pty.path}@115200", 0.05)
+    with pytest.raises(BusUnavailableError, match=r"cannot connect: another program has it open; end that program$"):
+        transport.request(ReadDiscreteInputsRequest(**REQUEST))
+    first.close()
+    pty.close()
 
 
 @pytest.mark.parametrize("stray", [b"\x00", b"\xff", b"\x00\x00\xfe", b"\x11", b"\x11\x02"])

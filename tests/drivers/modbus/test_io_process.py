@@ -192,8 +192,7 @@ def test_a_device_that_is_silent_to_the_end_leaves_its_trouble_to_the_caller(ser
     device.serve_tcp = lambda framing, data: b""
     process.close()
     assert process.trouble == (
-        f"io on {server.url}: no answer from unit 17 in 0.2 s; check unit_id, baud rate, parity and cable;"
-        " the brakes could not be closed in 5 attempts and may be open"
+        f"io on {server.url}: no answer from unit 17 in 0.2 s; check unit_id; the brakes could not be closed in 5 attempts and may be open"
     )
 
 

@@ -100,6 +100,31 @@ def test_a_silent_line_says_what_to_check() -> None:
     assert sum(waited) == pytest.approx(1.5)  # three attempts
 
 
+@pytest.mark.parametrize(
+    ("device", "sent", "words"),
+    [
+        ("/dev/ttyUSB7", b"", r"check power, cable and the machine file's baud = 921600$"),
+        ("tcp:10.0.0.9:4001", b"", r"check power, cable and the device server's baud rate$"),
+        ("/dev/ttyUSB7", b"\x80\x1f\xe0" * 9, r"27 bytes came that are no Xbus message; check the machine file's baud = 921600 and what"),
+        ("/dev/ttyUSB7", encode(0x32, bytes(40)), r"messages 32h came; check the line towards the device$"),
+    ],
+)
+def test_what_came_where_an_answer_belongs_is_named(device: str, sent: bytes, words: str) -> None:
+    """Silence, bytes of another rate, and a tracker that sends and does not hear are three faults."""
+    bench_end, far = pipe()
+    driver = ImuDriver(replace(PORT, device=device), bench_end)
+
+    def wait(_: float) -> None:
+        nonlocal steps
+        steps += 1
+        if steps % 500 == 5:
+            far.write(sent)
+
+    steps = 0
+    with pytest.raises(NodeAbsentError, match=words):
+        driver.configure(wait)
+
+
 def test_a_device_that_wakes_up_deaf_is_asked_again() -> None:
     bench = Bench()
     answered = bench.device_end.on_data
@@ -163,5 +188,5 @@ def test_outputs_that_are_not_granted_are_refused() -> None:
 
 def test_something_else_that_speaks_xbus_is_no_tracker() -> None:
     device = ScriptedDevice({MessageId.REQ_FIRMWARE_REVISION: encode(MessageId.REQ_FIRMWARE_REVISION + 1, b"\x01")})
-    with pytest.raises(ProtocolError, match="no motion tracker"):
+    with pytest.raises(ProtocolError, match=r"device id of 4 bytes and a firmware revision of 1, where a motion tracker has 4 or 8 and 3"):
         ImuDriver(PORT, device.end).configure(no_wait)

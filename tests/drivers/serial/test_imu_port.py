@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from drivers.errors import BusUnavailableError
 from drivers.interface import Sample
 from drivers.serial.imu import ImuDriver
 from drivers.serial.stream import SerialStream
+from drivers.serial_port import why_not_opened
 from virtual_bus.serial.pty import Pty
 from virtual_bus.serial.xsens_imu import EmulatedImu
 
@@ -64,14 +66,34 @@ def test_a_line_that_is_hung_up_is_a_fault_in_words() -> None:
 
 
 def test_a_port_that_does_not_exist_is_named() -> None:
-    with pytest.raises(BusUnavailableError, match=r"/dev/no_such_port at 921600 baud: No such file or directory"):
+    with pytest.raises(BusUnavailableError, match=r"/dev/no_such_port at 921600 baud: No such file or directory; name a port that exists$"):
         SerialStream("/dev/no_such_port", 921600)
 
 
 def test_a_port_in_use_is_named() -> None:
     pty = Pty()
     first = SerialStream(pty.path, 921600)
-    with pytest.raises(BusUnavailableError, match=pty.path):
+    with pytest.raises(BusUnavailableError, match=rf"{pty.path} at 921600 baud: another program has it open; end that program$"):
         SerialStream(pty.path, 921600)
     first.close()
+    pty.close()
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (PermissionError(errno.EACCES, "x"), "Permission denied; run as a user who may open it, on Linux often one of the group dialout"),
+        (OSError(errno.EIO, "x"), "Input/output error"),
+        (ValueError("Not a valid baudrate: -5"), "Not a valid baudrate: -5"),
+    ],
+)
+def test_a_port_is_not_opened_for_the_reason_that_the_system_gives(error: OSError | ValueError, words: str) -> None:
+    assert why_not_opened(error) == words
+
+
+def test_a_rate_that_is_none_is_not_taken_for_a_missing_port() -> None:
+    pty = Pty()
+    with pytest.raises(BusUnavailableError, match=r"(?i)at -5 baud: .*baud") as refused:
+        SerialStream(pty.path, -5)
+    assert "exists" not in str(refused.value)
     pty.close()
