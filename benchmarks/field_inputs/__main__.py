@@ -14,11 +14,11 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from field_inputs import disorder, geometry, sheets, units, wrong_files
+from field_inputs import disorder, geometry, lines, sheets, units, wrong_files
 from field_inputs.kinds import RIGHT, WAY_OUT, WRONG, Input, Outcome
 
 RESULTS = Path(__file__).resolve().parents[1] / "results" / "field_inputs.json"
-INPUTS = [*disorder.INPUTS, *sheets.INPUTS, *wrong_files.INPUTS, *units.INPUTS, *geometry.INPUTS]
+INPUTS = [*disorder.INPUTS, *sheets.INPUTS, *wrong_files.INPUTS, *lines.INPUTS, *units.INPUTS, *geometry.INPUTS]
 assert len({(one.kind, one.name) for one in INPUTS}) == len(INPUTS), "names are unique"
 
 

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from field_inputs.kinds import RIGHT, WRONG, Input, Outcome
+from field_inputs.kinds import RIGHT, WRONG, Input, Outcome, refused
+from hil.errors import UnusableInputError
 from hil.imaging import ConeBeam, Detector
 from hil.imaging.exchange.dicom_file import read_xa
 from hil.imaging.exchange.matrices import read_matrices, write_matrices
@@ -86,6 +87,45 @@ def tigre(folder: Path, single: bool, **scan: tuple[float, ...]) -> Outcome:
     return compared(found.beam, found.detector, found.flipped, np.array([seen_by(*one) for one in zip(source, center, u, v, strict=True)]))
 
 
+def tigre_beside(folder: Path, cor: float, **scan: tuple[float, ...]) -> Outcome:
+    """A centre of rotation beside the origin: source and panel moved across the angle."""
+    source, center, u, v = circle(**scan)
+    y, z = scan.get("offset_mm", (0.0, 0.0))
+    arrays = {"DSO": 810.0, "DSD": 1160.0, "offDetector": [z, y], "rotDetector": scan.get("tilt_rad", (0.0, 0.0, 0.0)), "COR": cor}
+    arrays |= {"angles": ANGLES, "nDetector": [480, 620], "dDetector": [0.6, 0.6]}
+    aside = cor * np.column_stack([-np.sin(ANGLES), np.cos(ANGLES), 0.0 * ANGLES])
+    found = read_vectors(folder / "a.npz", {name: np.asarray(one) for name, one in arrays.items()}, PANEL)
+    expected = [seen_by(*one) for one in zip(source + aside, center + aside, u, v, strict=True)]
+    return compared(found.beam, found.detector, found.flipped, np.array(expected))
+
+
+def astra_few(folder: Path) -> Outcome:
+    """ASTRA's cone, whose angle 0 has the source at -y."""
+    arrays = {"type": "cone", "ProjectionAngles": ANGLES + np.pi / 2.0, "DistanceOriginSource": 810.0, "DistanceOriginDetector": 350.0}
+    arrays |= {"DetectorSpacingX": 0.6, "DetectorSpacingY": 0.6, "DetectorRowCount": 480, "DetectorColCount": 620}
+    found = read_vectors(folder / "a.npz", {name: np.asarray(one) for name, one in arrays.items()}, PANEL)
+    return compared(found.beam, found.detector, found.flipped, np.array([seen_by(*one) for one in zip(*circle(), strict=True)]))
+
+
+def leap_few(folder: Path, tau: float, column: float) -> Outcome:
+    """LEAP's cone beam by its manual, which counts angles from -90 degrees."""
+    arrays = {"phis": np.degrees(ANGLES) + 90.0, "sod": 810.0, "sdd": 1160.0, "tau": tau, "centerRow": 239.5, "centerCol": column}
+    arrays |= {"pixelHeight": 0.6, "pixelWidth": 0.6, "numRows": 480, "numCols": 620}
+    source, center, u, v = circle(offset_mm=(0.6 * (309.5 - column), 0.0))
+    aside = -tau * np.column_stack([-np.sin(ANGLES), np.cos(ANGLES), 0.0 * ANGLES])
+    found = read_vectors(folder / "a.npz", {name: np.asarray(one) for name, one in arrays.items()}, PANEL)
+    expected = [seen_by(*one) for one in zip(source + aside, center + aside, u, v, strict=True)]
+    return compared(found.beam, found.detector, found.flipped, np.array(expected))
+
+
+def refused_vectors(folder: Path, arrays: dict[str, object], words: str) -> Outcome:
+    try:
+        read_vectors(folder / "a.npz", {name: np.asarray(one) for name, one in arrays.items()}, PANEL)
+    except UnusableInputError as refusal:
+        return refused(str(refusal), words)
+    return Outcome(WRONG, "was read")
+
+
 def there_and_back(
     folder: Path, write: Callable[[Path, ConeBeam], None], read: Callable[[Path], tuple[ConeBeam, Detector]], **scan: tuple[float, ...]
 ) -> Outcome:
@@ -137,3 +177,16 @@ for title, scan in SCANS.items():
     for program in ("RTK", "RTK with rows up"):
         write, read = WRITERS[program]
         INPUTS.append(Input(f"{program}, {title}", "geometry", "equations", partial(there_and_back, write=write, read=read, **scan)))
+for title, scan in SCANS.items():
+    INPUTS.append(Input(f"TIGRE, {title}, COR", "geometry", "equations", partial(tigre_beside, cor=4.5, **scan)))
+INPUTS.append(Input("ASTRA, circle in few numbers", "geometry", "equations", astra_few))
+for title, tau, column in (("circle", 0.0, 309.5), ("half fan", 0.0, 60.0), ("axis aside", -3.5, 309.5)):
+    INPUTS.append(Input(f"LEAP, {title} in few numbers", "geometry", "equations", partial(leap_few, tau=tau, column=column)))
+LEAP_NUMBERS = {"phis": [0.0], "sod": 810.0, "sdd": 1160.0}
+REFUSED: list[tuple[str, dict[str, object], str]] = [
+    ("ASTRA, parallel vectors", {"vectors": np.ones((3, 12)), "type": "parallel3d_vec"}, "cone_vec and cone are read"),
+    ("LEAP, helix", {**LEAP_NUMBERS, "helicalPitch": 2.0}, "convert_to_modularbeam"),
+    ("LEAP, tilted circle", {**LEAP_NUMBERS, "tiltAngle": 1.0}, "convert_to_modularbeam"),
+    ("TIGRE, parallel", {"DSO": 810.0, "DSD": 1160.0, "angles": [0.0], "mode": "parallel"}, "cone is read"),
+]
+INPUTS += [Input(name, "geometry", "equations", partial(refused_vectors, arrays=arrays, words=words)) for name, arrays, words in REFUSED]

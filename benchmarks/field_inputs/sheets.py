@@ -77,13 +77,69 @@ CASES: list[tuple[str, str, dict[tuple[int, int], Any], str]] = [
     ("subindex without its object", "[2022sub1]\n" + ONE.format(5, "DefaultValue=9"), {(0x2022, 1): 9}, "object [2022] is missing"),
     ("file of a domain", "[1F50]\nParameterName=Program\nObjectType=2\nDownloadFile=a.bin\n", {}, "DownloadFile was not taken"),
     ("object that is nothing", "[2500]\nParameterName=None\nObjectType=0\n", {}, "ObjectType=0 holds no value"),
+    (
+        "compact PDOs",
+        "[DeviceInfo]\nGranularity=8\nNrOfRXPDO=1\nNrOfTXPDO=5\nCompactPDO=0x13\n",
+        {(0x1400, 1): 0x205, (0x1803, 1): 0x485, (0x1804, 1): 0x80000000},
+        "read as CiA 301's, nothing mapped",
+    ),
+    ("flags for tools", "[2700]\n" + ONE.format(5, "ObjFlags=1\nDefaultValue=9"), {(0x2700, 0): 9}, "ObjFlags was not taken"),
+    ("name of a DCF", "[2700]\n" + ONE.format(5, "DefaultValue=9\nDenotation=mine"), {(0x2700, 0): 9}, "Denotation was not taken"),
+    ("misspelt key", "[2700]\n" + ONE.format(5, "DefaltValue=9"), {}, "DefaltValue was not taken"),
+    ("line without =", "[2700]\n" + ONE.format(5, "DefaultValue 9"), {}, "no section and no key of one was left out"),
+    ("key that stands twice", "[2700]\n" + ONE.format(5, "DefaultValue=9\nDefaultValue=8"), {(0x2700, 0): 8}, "has the last value"),
+    (
+        "section that stands twice",
+        "[2700]\nDataType=5\n[2700]\nDefaultValue=9\n",
+        {(0x2700, 0): 9},
+        "a section that stands twice is read as one",
+    ),
+    ("fewer subindices than said", "[2700]\nObjectType=9\nSubNumber=4\n[2700sub0]\nDataType=5\n", {}, "says 4 subindices, 1 are described"),
+    (
+        "element beyond the array",
+        "[2700]\nObjectType=8\nDataType=3\nCompactSubObj=2\n[2700Value]\n2=-4\n7=1\n",
+        {(0x2700, 2): -4},
+        "a value or name of another was not taken",
+    ),
+    (
+        "names of a compact array in a DCF",
+        "[2700]\nObjectType=8\nDataType=3\nCompactSubObj=2\n[2700Denotation]\n1=a\n",
+        {},
+        "[2700DENOTATION]",
+    ),
+    (
+        "network of a DCF",
+        "[DeviceComissioning]\nNodeID=5\nBaudrate=250\nNodeName=roll\nNetNumber=3\n",
+        {},
+        "NodeName, NetNumber were not taken",
+    ),
+    ("real number", "[2700]\n" + ONE.format(8, "DefaultValue=0.75"), {(0x2700, 0): 0.75}, ""),
+    ("real number by its bits", "[2700]\n" + ONE.format(8, "DefaultValue=0x3F400000"), {(0x2700, 0): 0.75}, ""),
+    ("real number that is none", "[2700]\n" + ONE.format(8, "DefaultValue=fast"), {}, "no value of type 0008h"),
+    ("octets", "[2700]\n" + ONE.format(10, "DefaultValue=0x01 0xFE"), {(0x2700, 0): b"\x01\xfe"}, ""),
+    ("octets that are none", "[2700]\n" + ONE.format(10, "DefaultValue=no bytes"), {}, "no value of type 000Ah"),
+    (
+        "comment of another kind",
+        "[2700]\n" + ONE.format(5, "DefaultValue=9 // nine"),
+        {(0x2700, 0): 9},
+        "a comment behind a value begins with ;",
+    ),
+    ("limit beyond its type", "[2700]\n" + ONE.format(6, "HighLimit=65536"), {}, "is beyond its type and read as 65535"),
+    ("section of a module's comments", "[M1ModuleInfo]\nProductName=a\n[M1Comments]\nLines=1\n", {}, "M1 a described and not connected"),
+    (
+        "node id beside a number",
+        "[1400]\nObjectType=9\n[1400sub1]\n" + ONE.format(7, "DefaultValue=0x200+$NODEID"),
+        {(0x1400, 1): 0x205},
+        "",
+    ),
+    ("an XDD", "<?xml version='1.0'?>", {}, "refused: XDD and XDC of CiA 311"),
     ("type that is impossible", "[2600]\n" + ONE.format("text", "DefaultValue=1"), {}, "refused: [2600] DataType=text: must be an integer"),
 ]
 
 
 def judged(folder: Path, text: str, values: dict[tuple[int, int], Any], words: str) -> Outcome:
     path = folder / "device.eds"
-    path.write_text(TYPE + text)
+    path.write_text(text if text.startswith("<") else TYPE + text)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:

@@ -119,7 +119,7 @@ def _read(path: Path, machine: Machine, calibration: Path | None, binning: int) 
         from hil.imaging.exchange.matrices import read_matrices
 
         beam, detector = read_matrices(path, detector)
-        _check_distance(path, machine, beam, f"is --binning {binning} that of the images?")
+        _check_distance(path, machine, beam, f"--binning {binning} was taken for that of the images")
         return _Geometry(beam, detector)
     if suffix == ".xml":
         from hil.imaging.exchange.rtk_xml import read_rtk
@@ -130,7 +130,8 @@ def _read(path: Path, machine: Machine, calibration: Path | None, binning: int) 
         from hil.imaging.exchange.dicom_file import read_xa
 
         found = read_xa(path)
-        return _Geometry(found.beam, found.detector or detector, notes=found.notes)
+        pixels = () if found.detector else (f"it names no pixels: those of {machine.name} with --binning {binning} were taken",)
+        return _Geometry(found.beam, found.detector or detector, notes=(*found.notes, *pixels))
     raise UnusableInputError(f"{path}: must be a scan's folder or end in {', '.join(READABLE)}")
 
 

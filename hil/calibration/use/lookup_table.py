@@ -156,8 +156,8 @@ def look_up_of(fit: PoseFit, nominal: ConeBeam, axes: tuple[str, ...], positions
     good = fit.good
     if good.sum() < FEWEST_SHARE * len(good):
         raise UnusableInputError(
-            f"{int(good.sum())} of {len(good)} exposures show the phantom where it is expected: is it this phantom, are the images those of"
-            " these positions, in their order and not mirrored?"
+            f"{int(good.sum())} of {len(good)} exposures show the phantom where it is expected; compare phantom, positions and"
+            " order of the images with the scan, and whether they are mirrored"
         )
     return LookUp(axes, positions[good], fit.beam.deviation_from(nominal)[good], fit.covariance[good], dict(notes))
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from hil.errors import UnusableInputError
 from hil.imaging.detector import Detector
-from hil.imaging.exchange.dicom_xa import Positioner, decimal, new_dataset, pydicom_package, sop_class, write_dataset
+from hil.imaging.exchange.dicom_xa import Positioner, decimal, new_dataset, not_taken, notes_of, pydicom_package, sop_class, write_dataset
 
 if TYPE_CHECKING:
     from pydicom.dataset import Dataset
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 ENHANCED_XA_STORAGE = "1.2.840.10008.5.1.4.1.1.12.1.1"
 
 _ANGLES, _DISTANCES, _PIXELS = "PositionerPositionSequence", "XRayGeometrySequence", "FramePixelDataPropertiesSequence"
+_VIEW = "FieldOfViewSequence"
 _NOT_TAKEN = ("IsocenterReferenceSystemSequence", "TablePositionSequence", "PatientOrientationInFrameSequence")
 """Groups that place table and patient; the isocentre is the origin here."""
 
@@ -54,8 +55,10 @@ def enhanced_positioner(path: Path, data: Dataset) -> Positioner:
         1e-3 * np.array(values(_DISTANCES, f"DistanceSourceTo{what}"), dtype=float) for what in ("Detector", "Isocenter")
     )
     there = {name for item in (shared, *groups) if item is not None for name in _NOT_TAKEN if name in item}
-    notes = (f"not taken: {', '.join(sorted(there))}",) if there else ()
-    return Positioner(primary, secondary, to_patient, to_detector, _detector(path, data, (*groups[:1], shared)), notes)
+    views = [item[_VIEW].value[0] for item in (shared, *groups) if item is not None and _VIEW in item and item[_VIEW].value]
+    turned = {words for item in (data, *views) for words in not_taken(item)}
+    detector = _detector(path, data, [(item, shared) for item in groups or (None,)])
+    return Positioner(primary, secondary, to_patient, to_detector, detector, notes_of(*sorted(there), *sorted(turned)))
 
 
 def _value(path: Path, data: Dataset, items: tuple[Dataset | None, Dataset | None], frame: int, group: str, name: str) -> Any:  # noqa: ANN401
@@ -68,12 +71,19 @@ def _value(path: Path, data: Dataset, items: tuple[Dataset | None, Dataset | Non
     return value
 
 
-def _detector(path: Path, data: Dataset, items: tuple[Dataset | None, ...]) -> Detector | None:
-    found = next((item[_PIXELS].value[0] for item in items if item is not None and _PIXELS in item and item[_PIXELS].value), None)
-    spacing = None if found is None else found.get("ImagerPixelSpacing")
-    if not (spacing and data.get("Rows") and data.get("Columns")):
+def _detector(path: Path, data: Dataset, frames: list[tuple[Dataset | None, Dataset | None]]) -> Detector | None:
+    """Return the pixels, of which all frames must have the same."""
+    spacings = []
+    for items in frames:
+        found = next((item[_PIXELS].value[0] for item in items if item is not None and _PIXELS in item and item[_PIXELS].value), None)
+        spacing = None if found is None else found.get("ImagerPixelSpacing")
+        spacings.append(tuple(float(value) for value in spacing) if spacing else ())
+    if other := next((k for k, spacing in enumerate(spacings) if spacing != spacings[0]), 0):
+        words = f"frame {other + 1} has ImagerPixelSpacing {spacings[other]}, the first {spacings[0]}"
+        raise UnusableInputError(f"{path}: {words}; one panel has one, split the file by it")
+    if not (spacings[0] and data.get("Rows") and data.get("Columns")):
         return None
-    rows_mm, columns_mm = (float(value) for value in spacing)
+    rows_mm, columns_mm = spacings[0]
     return Detector(int(data.Columns), int(data.Rows), 1e-3 * columns_mm, rows_mm / columns_mm)
 
 

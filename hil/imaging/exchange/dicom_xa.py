@@ -138,6 +138,7 @@ def write_dataset(path: Path, data: Dataset, images: np.ndarray | None, pydicom:
 def classic_positioner(path: Path, data: Dataset) -> Positioner:
     """Return the attributes of a classic object; UnusableInputError names the one that is missing."""
     count = int(data.get("NumberOfFrames") or 1)
+    moves = ("TableMotion = DYNAMIC",) if data.get("TableMotion") == "DYNAMIC" else ()
     detector = None
     if data.get("Rows") and data.get("Columns") and data.get("ImagerPixelSpacing"):
         rows_mm, columns_mm = (float(value) for value in data.ImagerPixelSpacing)
@@ -148,7 +149,27 @@ def classic_positioner(path: Path, data: Dataset) -> Positioner:
         source_to_patient_m=1e-3 * _number(path, data, "DistanceSourceToPatient"),
         source_to_detector_m=1e-3 * _number(path, data, "DistanceSourceToDetector"),
         detector=detector,
+        notes=notes_of(*not_taken(data), *moves),
     )
+
+
+def not_taken(item: Dataset) -> list[str]:
+    """Return what turns or moves the images on the panel, or the patient on the table, and is not taken: attributes with their values."""
+    found = []
+    for name, usual in (("FieldOfViewRotation", 0.0), ("FieldOfViewHorizontalFlip", "NO"), ("FieldOfViewOrigin", 0.0)):
+        value = item.get(name)
+        if value is None or value == "":
+            continue
+        is_usual = value == usual if isinstance(usual, str) else not np.any(np.array(value, dtype=float))
+        found += [] if is_usual else [f"{name} = {value}"]
+    if item.get("PatientPosition") not in (None, "", "HFS"):
+        found.append(f"PatientPosition = {item.get('PatientPosition')}: the angles are the patient's")
+    return found
+
+
+def notes_of(*lost: str) -> tuple[str, ...]:
+    """Return one note of what was not taken."""
+    return (f"not taken: {', '.join(lost)}",) if lost else ()
 
 
 def _angles(path: Path, data: Dataset, name: str, count: int) -> np.ndarray:

@@ -1,7 +1,8 @@
 """Geometry of exposures from the vectors of ASTRA, LEAP and TIGRE, in millimetres, under the names that `vectors` writes.
 
-ASTRA's may be a bare .npy of shape (N, 12), "cone_vec". A panel whose u x v points to the tube is read with its rows counted the other way:
-its images are to be flipped up-down.
+Circular scans of ASTRA and LEAP in few numbers are read too (`circles`). TIGRE's COR moves source and panel by COR (-sin, cos, 0) of
+angle 1, as its projectors have it. ASTRA's may be a bare .npy of shape (N, 12), "cone_vec". A panel whose u x v points to the tube is read
+with its rows counted the other way: its images are to be flipped up-down.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from hil.errors import UnusableInputError
 from hil.files.regular import check_regular
 from hil.imaging.detector import Detector
+from hil.imaging.exchange.circles import ASTRA_CONE, LEAP_CONE, astra_circle, leap_circle
 from hil.imaging.geometry import ConeBeam
 
 SAME_PANEL = 1e-4
@@ -53,7 +55,9 @@ def program_of(arrays: Mapping[str, np.ndarray]) -> str:
     names = {name.lower() for name in arrays}
     if "vectors" in names:
         return "astra"
-    if {name.lower() for name in _LEAP[:4]} <= names:
+    if set(ASTRA_CONE[:2]) <= names:
+        return "astra"
+    if {name.lower() for name in _LEAP[:4]} <= names or set(LEAP_CONE[:3]) <= names:
         return "leap"
     return "tigre" if {name.lower() for name in _TIGRE} <= names else ""
 
@@ -103,18 +107,28 @@ def read_vectors(path: Path, arrays: Mapping[str, np.ndarray], detector: Detecto
 
 
 def _astra(found: Mapping[str, np.ndarray], detector: Detector) -> Vectors:
+    kind = str(found.get("type", "cone_vec" if "vectors" in found else "cone"))
+    if kind not in ("cone_vec", "cone"):
+        raise ValueError(f"type = {kind}; cone_vec and cone are read")
+    rows = _whole(found, ("det_row_count", "detectorrowcount"), detector.rows)
+    columns = _whole(found, ("det_col_count", "detectorcolcount"), detector.columns)
+    if kind == "cone":
+        source, center, u, v = (1e-3 * one for one in astra_circle(found))
+        return _from_steps("astra", source, center, u, v, columns, rows)
     vectors = np.asarray(found["vectors"], dtype=np.float64)
     if vectors.ndim != 2 or vectors.shape[1] != _NUMBERS_OF_CONE or not len(vectors):
         is_fan = vectors.ndim == 2 and vectors.shape[1] in _NUMBERS_OF
         what = f", {_NUMBERS_OF[vectors.shape[1]]}" if is_fan else ""
         raise ValueError(f"shape {vectors.shape}{what}; cone_vec has (N, {_NUMBERS_OF_CONE})")
-    rows = _whole(found, ("det_row_count", "detectorrowcount"), detector.rows)
-    columns = _whole(found, ("det_col_count", "detectorcolcount"), detector.columns)
     source, center, u, v = (1e-3 * vectors[:, start : start + 3] for start in range(0, _NUMBERS_OF_CONE, 3))
     return _from_steps("astra", source, center, u, v, columns, rows)
 
 
 def _leap(found: Mapping[str, np.ndarray], detector: Detector) -> Vectors:
+    if _LEAP[0].lower() not in found:
+        rows, columns = (_whole(found, (name,), 0) for name in ("numrows", "numcols"))
+        source, center, across, down = (1e-3 * one for one in leap_circle(found))
+        return _from_steps("leap", source, center, across, down, columns, rows)
     source, center, down, across = (np.asarray(found[name.lower()], dtype=np.float64) for name in _LEAP[:4])
     if not source.shape == center.shape == down.shape == across.shape or source.ndim != 2 or source.shape[1] != 3 or not len(source):
         raise ValueError(f"shapes {source.shape}, {center.shape}, {down.shape}, {across.shape}; each has (N, 3)")
@@ -132,8 +146,6 @@ def _tigre(found: Mapping[str, np.ndarray], detector: Detector) -> Vectors:
         raise ValueError(f"angles of shape {angles.shape}; (N,) or (N, 3) would be right")
     if str(found.get("mode", "cone")) != "cone":
         raise ValueError(f"mode = {found['mode']}; cone is read")
-    if np.any(found.get("cor", 0.0)):
-        raise ValueError("COR is not 0: a centre of rotation beside the origin is not read; put it into offDetector")
     count = len(angles)
     to_origin, to_panel = (_each(found[name], count) for name in ("dso", "dsd"))
     offset = _rows_of(found.get("offdetector", np.zeros(2)), count, 2)
@@ -149,6 +161,10 @@ def _tigre(found: Mapping[str, np.ndarray], detector: Detector) -> Vectors:
     panel = gantry @ Rotation.from_euler("ZYX", tilt).as_matrix()
     source = to_origin[:, None] * gantry[:, :, 0]
     center = (gantry @ np.column_stack([to_origin - to_panel, offset[:, 1], offset[:, 0]])[..., None])[..., 0]
+    aside = _each(found.get("cor", np.zeros(1)), count)[:, None] * np.column_stack(
+        [-np.sin(angles[:, 0]), np.cos(angles[:, 0]), np.zeros(count)]
+    )
+    source, center = source + aside, center + aside  # a centre of rotation beside the origin moves both
     read = _from_steps("tigre", 1e-3 * source, 1e-3 * center, width * panel[:, :, 1], height * panel[:, :, 2], columns, rows)
     moved = np.any(found.get("offorigin", 0.0))
     return read._replace(notes=("offOrigin is the volume's place and was not taken",) if moved else ())

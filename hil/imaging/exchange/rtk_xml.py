@@ -22,6 +22,11 @@ ROOT = "RTKThreeDCircularGeometry"
 FLIP = np.array([1.0, -1.0, -1.0])
 """A panel whose rows are counted the other way: v and w change sign."""
 
+SAME_mm = 0.05
+"""Largest distance on the panel of points seen by a matrix and by the numbers beside it; RTK's fewest digits, six, leave less."""
+
+_POINTS = np.array([[x, y, z, 1.0] for x in (-50.0, 50.0) for y in (-50.0, 50.0) for z in (-50.0, 50.0)]).T
+
 LENGTHS = ("SourceToIsocenterDistance", "SourceToDetectorDistance")
 OFFSETS = ("SourceOffsetX", "SourceOffsetY", "ProjectionOffsetX", "ProjectionOffsetY")
 ANGLES = ("GantryAngle", "InPlaneAngle", "OutOfPlaneAngle")
@@ -102,9 +107,28 @@ def read_rtk(path: Path) -> tuple[ConeBeam, bool]:
     turns = Rotation.from_euler("yxz", -np.radians(table[:, [6, 8, 7]])).as_matrix()  # Rz Rx Ry
     source = 1e-3 * np.column_stack([table[:, 2:4], table[:, 0]])
     center = 1e-3 * np.column_stack([table[:, 4:6], to_panel])
+    _check_matrices(path, root, turns, 1e3 * source, 1e3 * center)
     flipped = bool(distance[0] > 0.0)
     sign = FLIP if flipped else np.ones(3)
     return ConeBeam((source - center) * sign, -center * sign, np.swapaxes(turns, 1, 2) * sign), flipped
+
+
+def _check_matrices(path: Path, root: ElementTree.Element, turns: np.ndarray, source: np.ndarray, center: np.ndarray) -> None:
+    """Refuse a file whose matrices are of another geometry than its numbers, as one has that was changed by hand."""
+    for k, projection in enumerate(root.iter("Projection")):
+        text = projection.findtext("Matrix")
+        if text is None:
+            continue
+        expected = _matrix(turns[k], source[k], center[k])
+        try:
+            matrix = np.array(text.split(), dtype=float).reshape(3, 4)
+        except ValueError:
+            raise UnusableInputError(f"{path}: <Matrix> of projection {k} is no 3 x 4 numbers") from None
+        seen, again = matrix @ _POINTS, expected @ _POINTS
+        with np.errstate(all="ignore"):
+            off = np.abs(seen[:2] / seen[2] - again[:2] / again[2]).max()
+        if not off < SAME_mm:
+            raise UnusableInputError(f"{path}: <Matrix> of projection {k} is another geometry than its distances, offsets and angles")
 
 
 def _text(value: float) -> str:

@@ -222,8 +222,8 @@ def _enough(lines: dict[int, FineLine], plate: MarkerPlate, refused: dict[int, s
         )
     if len(refused) > MOST_REFUSED * plate.lines:
         raise UnusableInputError(
-            f"{len(refused)} of the {plate.lines} lines of the {plate.name} plate are missing or out of place; is it this plate, and where"
-            " it should be?"
+            f"{len(refused)} of the {plate.lines} lines of the {plate.name} plate are missing or out of place; compare plate, place and"
+            " directions with the machine file"
         )
 
 

@@ -36,6 +36,6 @@ def test_swapped_bullets_are_no_exposure_of_the_phantom() -> None:
 def test_a_scan_that_mostly_shows_something_else_is_refused() -> None:
     beam, seen, sigma = observations(wrong=(0, 1, 3, 5))
     fit = fit_poses(PHANTOM.centers_m, seen, sigma, beam, nine=True)
-    with pytest.raises(UnusableInputError, match="2 of 6 exposures show the phantom where it is expected: is it this phantom") as refused:
+    with pytest.raises(UnusableInputError, match="2 of 6 exposures show the phantom where it is expected; compare phantom") as refused:
         look_up_of(fit, beam, ("propeller", "roll"), np.zeros((6, 2)), {})
     assert "\n" not in str(refused.value)

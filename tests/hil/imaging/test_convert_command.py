@@ -90,4 +90,7 @@ def test_matrices_of_other_pixels_and_tables_without_positions_are_refused(
     assert isocenter("geometry", "convert", "carm", tmp_path / "a.csv", tmp_path / "x.npz") == 2
     assert "a table goes by axis positions, and the input has none" in capsys.readouterr().err
     assert isocenter("geometry", "convert", "carm", tmp_path / "a.csv", tmp_path / "x.xml", "--binning", "8") == 2
-    assert "puts the focal spot 2.32 m from the panel, carm has 1.16 m; is --binning 8 that of the images?" in capsys.readouterr().err
+    assert (
+        "puts the focal spot 2.32 m from the panel, carm has 1.16 m; --binning 8 was taken for that of the images"
+        in capsys.readouterr().err
+    )

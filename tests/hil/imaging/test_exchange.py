@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -215,6 +216,8 @@ def _one_spacing(path: Path) -> None:
         ("a.xml", lambda t: t.replace("RTKThreeDCircularGeometry", "Geometry"), "<Geometry>; RTK's geometry is"),
         ("a.xml", lambda t: t.replace("<GantryAngle>", "<GantryAngle>x"), "is no number"),
         ("a.xml", lambda t: t.replace("SourceToDetectorDistance", "Distance"), "SourceToDetectorDistance must be given"),
+        ("a.xml", lambda t: re.sub("(?<=<ProjectionOffsetX>)[^<]+", "7.5", t), "<Matrix> of projection 0 is another geometry than its"),
+        ("a.xml", lambda t: re.sub("(?s)(?<=<Matrix>).*(?=</Matrix>)", "1 2 3", t), "<Matrix> of projection 0 is no 3 x 4 numbers"),
         ("a.dcm", lambda p: p.write_text("hello"), "no DICOM file"),
         ("a.dcm", _without_distance, "no DistanceSourceToPatient"),
         ("a.dcm", _one_spacing, "an attribute is no number, or not as many as it should be"),

@@ -96,6 +96,84 @@ def test_tigre_s_plain_scan_has_angles_about_z_and_single_numbers(tmp_path: Path
     assert moved.notes == ("offOrigin is the volume's place and was not taken",)
 
 
+def on_panel(source: np.ndarray, center: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Columns and rows (P, 2) where rays [mm] through the points meet a panel, from its middle in steps u and v."""
+    steps = [np.linalg.solve(np.column_stack([u, v, source - point]), source - center)[:2] for point in 1e3 * POINTS]
+    return np.array(steps) + np.array([309.5, 239.5])
+
+
+def seen_as_written(found: Vectors) -> np.ndarray:
+    """Columns and rows (N, P, 2), counted as the program that wrote the file counts them."""
+    seen = pixels(found.beam, found.detector)
+    if found.flipped:
+        seen[..., 1] = found.detector.rows - 1 - seen[..., 1]
+    return seen
+
+
+@pytest.mark.parametrize("cor", [2.5, -7.0, (1.0, -2.0, 3.0, 4.0)])
+def test_tigre_s_centre_of_rotation_moves_source_and_panel(tmp_path: Path, cor: float | tuple[float, ...]) -> None:
+    """By COR across the first angle, after the turn, as its projectors add it."""
+    angles = np.column_stack([np.linspace(0.1, 3.0, 4), np.linspace(0.0, 0.4, 4), np.linspace(0.0, -0.3, 4)])
+    arrays = {
+        "DSO": 810.0,
+        "DSD": 1160.0,
+        "nDetector": [480, 620],
+        "dDetector": [0.6, 0.6],
+        "angles": angles,
+        "COR": cor,
+        "offDetector": [3.0, 9.0],
+    }
+    found = read_vectors(tmp_path / "a.npz", {name: np.asarray(one) for name, one in arrays.items()}, PANEL)
+    for k, (alpha, theta, psi) in enumerate(angles):
+        ca, sa, ct, st_, cp, sp = np.cos(alpha), np.sin(alpha), np.cos(theta), np.sin(theta), np.cos(psi), np.sin(psi)
+        turn = np.array(
+            [
+                [ca * ct * cp - sa * sp, -ca * ct * sp - sa * cp, ca * st_],
+                [sa * ct * cp + ca * sp, -sa * ct * sp + ca * cp, sa * st_],
+                [-st_ * cp, st_ * sp, ct],
+            ]
+        )
+        aside = np.broadcast_to(cor, 4)[k] * np.array([-sa, ca, 0.0])
+        expected = on_panel(turn @ [810.0, 0, 0] + aside, turn @ [-350.0, 9.0, 3.0] + aside, 0.6 * turn[:, 1], 0.6 * turn[:, 2])
+        np.testing.assert_allclose(seen_as_written(found)[k], expected, atol=1e-6)
+
+
+def test_astra_s_circle_of_few_numbers_is_read(tmp_path: Path) -> None:
+    """A point's pixel by similar triangles in the frame that turns with the scan; ASTRA's own conversion where it is installed."""
+    angles = np.linspace(0.0, 3.0, 5)
+    names = (
+        "DetectorSpacingX",
+        "DetectorSpacingY",
+        "DetectorRowCount",
+        "DetectorColCount",
+        "DistanceOriginSource",
+        "DistanceOriginDetector",
+    )
+    arrays = dict(zip(names, (0.6, 0.7, 480, 620, 810.0, 350.0), strict=True)) | {"type": "cone", "ProjectionAngles": angles}
+    found = read_vectors(tmp_path / "a.npz", {name: np.asarray(one) for name, one in arrays.items()}, PANEL)
+    x, y, z = 1e3 * POINTS.T
+    for k, angle in enumerate(angles):
+        c, s = np.cos(angle), np.sin(angle)
+        magnification = 1160.0 / (810.0 - (s * x - c * y))
+        expected = np.column_stack([309.5 + magnification * (c * x + s * y) / 0.6, 239.5 + magnification * z / 0.7])
+        np.testing.assert_allclose(seen_as_written(found)[k], expected, atol=1e-6)
+
+
+@pytest.mark.parametrize(("tau", "row", "column"), [(0.0, 239.5, 309.5), (4.0, 239.5, 309.5), (-3.0, 200.0, 60.0)])
+def test_leap_s_circle_of_few_numbers_is_read(tmp_path: Path, tau: float, row: float, column: float) -> None:
+    """Pixels of a point by its manual: (x p + tau) / (R - x t) and z / (R - x t), of angles that it counts from -90 degrees."""
+    phis = np.linspace(0.0, 300.0, 7)
+    arrays = {"phis": phis, "sod": 810.0, "sdd": 1160.0, "tau": tau, "centerRow": row, "centerCol": column}
+    arrays |= {"pixelHeight": 0.7, "pixelWidth": 0.6, "numRows": 480, "numCols": 620}
+    found = read_vectors(tmp_path / "a.npz", {name: np.asarray(one) for name, one in arrays.items()}, PANEL)
+    for k, angle in enumerate(np.radians(phis) - np.pi / 2.0):
+        t, p = np.array([np.cos(angle), np.sin(angle), 0.0]), np.array([-np.sin(angle), np.cos(angle), 0.0])
+        depth = 810.0 - 1e3 * POINTS @ t
+        u, v = (1e3 * POINTS @ p + tau) / depth, 1e3 * POINTS[:, 2] / depth
+        expected = np.column_stack([column + 1160.0 * u / 0.6, row + 1160.0 * v / 0.7])
+        np.testing.assert_allclose(seen_as_written(found)[k], expected, atol=1e-6)
+
+
 VECTORS = np.tile([0.0, -810, 0, 0, 350, 0, 0.6, 0, 0, 0, 0, 0.6], (3, 1))
 
 
@@ -106,7 +184,10 @@ VECTORS = np.tile([0.0, -810, 0, 0, 350, 0, 0.6, 0, 0, 0, 0, 0.6], (3, 1))
         ({"vectors": np.vstack([VECTORS[:2], 2.0 * VECTORS[:1]])}, "exposure 2 has pixels of another size"),
         ({"vectors": np.full((2, 12), np.nan)}, "not finite"),
         ({"vectors": VECTORS, "det_row_count": 0}, "det_row_count must be one number above 0"),
-        ({"DSO": 810.0, "DSD": 1160.0, "angles": [0.0], "COR": 2.0}, "COR is not 0"),
+        ({"vectors": VECTORS, "type": "parallel3d_vec"}, "type = parallel3d_vec; cone_vec and cone are read"),
+        ({"phis": [0.0], "sod": 810.0, "sdd": 1160.0, "helicalPitch": 2.0}, "helicalPitch is not 0: no circle; LEAP's convert_to_"),
+        ({"phis": [0.0], "sod": 810.0, "sdd": 1160.0}, "LEAP's vectors without"),
+        ({"ProjectionAngles": [0.0], "DistanceOriginSource": 810.0}, "ASTRA's vectors without distanceorigindetector"),
         ({"DSO": 810.0, "DSD": 1160.0, "angles": [0.0], "mode": "parallel"}, "mode = parallel; cone is read"),
         (dict.fromkeys(("sourcePositions", "moduleCenters", "rowVectors", "colVectors"), np.ones((2, 3))), "without pixelheight"),
     ],
@@ -203,6 +284,66 @@ def test_what_a_frame_lacks_is_named(tmp_path: Path, change: Callable[[Dataset],
     with pytest.raises(UnusableInputError) as refused:
         read_xa(tmp_path / "e.dcm")
     assert line in str(refused.value)
+
+
+def _other_pixels(data: Dataset) -> None:
+    import copy
+
+    frames = data.PerFrameFunctionalGroupsSequence
+    shared = data.SharedFunctionalGroupsSequence[0]
+    for frame in frames:
+        frame.FramePixelDataPropertiesSequence = copy.deepcopy(shared.FramePixelDataPropertiesSequence)
+    frames[2].FramePixelDataPropertiesSequence[0].ImagerPixelSpacing = [0.3, 0.3]
+    del shared.FramePixelDataPropertiesSequence
+
+
+def test_frames_of_other_pixels_are_named(tmp_path: Path) -> None:
+    pydicom = pytest.importorskip("pydicom")
+    write_enhanced_xa(tmp_path / "e.dcm", Positioner(np.zeros(3), np.zeros(3), 0.81, 1.16, PANEL))
+    data = pydicom.dcmread(tmp_path / "e.dcm")
+    _other_pixels(data)
+    data.save_as(tmp_path / "e.dcm")
+    with pytest.raises(UnusableInputError, match=r"frame 3 has ImagerPixelSpacing \(0\.3, 0\.3\), the first"):
+        read_xa(tmp_path / "e.dcm")
+
+
+@pytest.mark.parametrize(
+    ("attributes", "notes"),
+    [
+        ({"FieldOfViewHorizontalFlip": "YES", "FieldOfViewRotation": "90"}, "FieldOfViewRotation = 90, FieldOfViewHorizontalFlip = YES"),
+        ({"FieldOfViewOrigin": [20.0, 0.0]}, "FieldOfViewOrigin = [20.0, 0.0]"),
+        ({"PatientPosition": "FFS"}, "PatientPosition = FFS: the angles are the patient's"),
+        ({"TableMotion": "DYNAMIC"}, "TableMotion = DYNAMIC"),
+        ({"FieldOfViewHorizontalFlip": "NO", "FieldOfViewRotation": "0", "PatientPosition": "HFS", "TableMotion": "STATIC"}, ""),
+    ],
+)
+def test_what_turns_images_or_patient_is_told(tmp_path: Path, attributes: dict[str, Any], notes: str) -> None:
+    pydicom = pytest.importorskip("pydicom")
+    write_xa(tmp_path / "c.dcm", Positioner(np.zeros(2), np.zeros(2), 0.81, 1.16, PANEL))
+    data = pydicom.dcmread(tmp_path / "c.dcm")
+    for name, value in attributes.items():
+        setattr(data, name, value)
+    data.save_as(tmp_path / "c.dcm")
+    assert read_xa(tmp_path / "c.dcm").notes == ((f"not taken: {notes}",) if notes else ())
+
+
+def test_a_view_of_enhanced_xa_that_is_mirrored_is_told(tmp_path: Path) -> None:
+    pydicom = pytest.importorskip("pydicom")
+    write_enhanced_xa(tmp_path / "e.dcm", Positioner(np.zeros(2), np.zeros(2), 0.81, 1.16, PANEL))
+    data = pydicom.dcmread(tmp_path / "e.dcm")
+    view = pydicom.Dataset()
+    view.FieldOfViewHorizontalFlip = "YES"
+    data.PerFrameFunctionalGroupsSequence[1].FieldOfViewSequence = [view]
+    data.save_as(tmp_path / "e.dcm")
+    assert read_xa(tmp_path / "e.dcm").notes == ("not taken: FieldOfViewHorizontalFlip = YES",)
+
+
+def test_the_command_tells_whose_pixels_it_took(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("pydicom")
+    write_xa(tmp_path / "c.dcm", Positioner(np.zeros(2), np.zeros(2), 0.81, 1.16, None))
+    with pytest.raises(SystemExit):
+        main(["geometry", "convert", "carm", str(tmp_path / "c.dcm"), str(tmp_path / "o.csv")])
+    assert "it names no pixels: those of carm with --binning 4 were taken" in capsys.readouterr().out
 
 
 def test_a_dicom_file_of_another_kind_is_named(tmp_path: Path) -> None:
