@@ -42,7 +42,7 @@ OF = 167
 ASKED = "asked to end at a drawn instant"
 SAID = re.compile(
     rf"(row \d+: )?{ASKED}; the motors were stopped: propeller, roll at rest: brake proven, voltage off"
-    r"(; \d+ rows are kept)?; standstill [\d.]+ s after the stop began \([\w. ,]+\)(; \d+ rows are kept)?"
+    r"(; \d+ rows are kept)?; (no encoder showed motion|standstill [\d.]+ s) after the stop began( \([\w. ,]+\))?(; \d+ rows are kept)?"
 )
 """All that is said of sound axes, each at rest behind a proven brake."""
 PERIOD_S = 5.0  # of a multisine, and of a jog
@@ -110,6 +110,8 @@ def stopped(name: str, seed: int) -> dict[str, Any]:
                 said_row, since_stop_s = len(log) - 1, bench.wiring.link.since_stop_s
     except Exception as error:
         said = in_one_line(error)[0]
+    if request.reason not in ("", ASKED):
+        sys.exit(f"ended: {said}")  # by a signal, which says nothing of the machine
     assert machine.bus is not None
     counts = [scaling.position_resolution for scaling in machine.bus.scalings]
     kept = re.search(r"(\d+) rows are kept", said)

@@ -33,6 +33,8 @@ STANDING_SHARE = 0.1
 mrad: its slowest gear (8 Hz, damping 0.8 %) swings by 4.2 mrad after a quick stop of 10.7 rad/s^2 (a / omega^2), 2.6 mrad after 1.2 s."""
 PUSH_SHARE = 0.25
 """Share of the load, beyond the load itself, that a proven brake holds: linings wear, and the next load may be a patient's."""
+PUSHED_SHARE = 0.5
+"""Share of the push that a drive must have measured, where it measures: its answer comes two ticks late, its sensor is off by a tenth."""
 RAMP_S = 0.1  # in which the drive lets go, and in which it pushes: slower than the structure swings
 WATCH_S = 0.1  # after voltage off; a heavy arm falls ten times the travel that is noticed
 REST_WATCH_S = 1.0  # after a stop without a push: a load that exceeds the brake by a thousandth shows itself by then
@@ -94,7 +96,7 @@ class AxisStop:
         self.effort = 0.0
         self.orders_brake = self.asks_for_torque = False
         self.orders_node, self.alarm = 0, ""
-        self._unit, self._period_s = scaling.position_unit, period_s
+        self._unit, self._rated, self._period_s = scaling.position_unit, scaling.rated, period_s
         self._braked, self._takes_torque, self._pushes = braked, takes_torque, pushes
         self._flicker = STANDSTILL_COUNTS * scaling.position_resolution
         self._apart = STANDING_SHARE * limits.tracking_error
@@ -105,11 +107,12 @@ class AxisStop:
         self._hold_judge = Hold(limits, scaling.position_unit, period_s, scaling.rated)
         self._marked: EncoderPath | None = None  # by which the proof of the brake is judged
         self._held_effort = nan
+        self._given: list[float] = []  # measured effort, from where the drive has let go to where it has pushed
         self._silent = self._lost = 0  # ticks without a statusword, without any position
         self._state = State.UNDEFINED
         self._closed: bool | None = None  # what the brake's feedback says; None: nobody knows
         self._proof = self._held_for = self._held_because = self._drove = ""
-        self._rested_ticks = 0  # without voltage
+        self._rested_ticks, self._watch_s = 0, WATCH_S  # without voltage, and how long it is watched then
         self._retries, self._watched, self._let_go_again = False, True, braked and not pushes
         self._rest: AxisRest | None = None
         self._ticks = self._all_ticks = 0
@@ -154,8 +157,8 @@ class AxisStop:
     def release(self) -> None:
         """Take the voltage from a held axis that stands: an operator has confirmed that it is supported."""
         if self._held_for and self._stands():
-            self._held_for, self._proof, self._watched = "", "released by the operator", False
-            self._go(self._letting_go)
+            self._held_for, self._watched = "", False
+            self._let_go("released by the operator")
 
     def step(self, sample: Sample, *, io_is_fresh: bool, ticks: int = 1) -> None:
         """Take a sample, `ticks` after the one before; set controlword, effort and brake for the next."""
@@ -189,6 +192,8 @@ class AxisStop:
         if isfinite(effort) and by_itself:
             before = self._held_effort if isfinite(self._held_effort) else effort
             self._held_effort = before + (effort - before) / self._in_ticks(STANDSTILL_S)
+        if isfinite(effort) and self._phase == self._pushing and self._after(RAMP_S):
+            self._given.append(effort)
         self._closed = (not bool(sample.brakes_open[axis]) if io_is_fresh else None) if self._braked else None
 
     def _judge_hold(self, sample: Sample, ticks: int) -> None:
@@ -314,8 +319,10 @@ class AxisStop:
         for path in (self._motor, self._link):
             path.mark()
         if not (self._braked and self._pushes):
-            self._proof = "brake closed by its feedback, not pushed: its drive takes no effort" if self._braked else ""
-            self._go(self._letting_go)
+            if self._braked:
+                self._let_go_unpushed("its drive takes no effort")
+            else:
+                self._let_go("")
         elif self._takes_torque:
             self._go(self._taking_over)
         else:
@@ -328,10 +335,10 @@ class AxisStop:
         if self._lost_hold():
             return
         if self._state is State.OPERATION_ENABLED:
+            self._given = []
             self._go(self._pushing)
         elif self._after(2.0 * ANSWER_S):  # the transition is optional in the standard
-            self._proof = "brake closed by its feedback, not pushed: its drive does not leave quick stop for torque"
-            self._go(self._letting_go)
+            self._let_go_unpushed("its drive does not leave quick stop for torque")
 
     def _pushing(self) -> None:
         """Let go, then push the way the load pulls: as hard as the first move was pushed, and a share of the load."""
@@ -347,8 +354,21 @@ class AxisStop:
         if self._lost_hold():
             return
         if elapsed > 3.0:
-            self._proof = "brake proven"
-            self._go(self._letting_go)
+            along = [math.copysign(1.0, push) * given for given in self._given]
+            gave, asked = (max(along) - along[0] if along else nan), abs(push)
+            if gave < PUSHED_SHARE * asked:
+                rated = self._rated
+                self._let_go_unpushed(f"its drive gave {gave / rated:.1%} of its rated effort where {asked / rated:.1%} were asked")
+            else:
+                self._let_go("brake proven")
+
+    def _let_go(self, proof: str, watch_s: float = WATCH_S) -> None:
+        self._proof, self._watch_s = proof, watch_s
+        self._go(self._letting_go)
+
+    def _let_go_unpushed(self, reason: str) -> None:
+        """Let go of a brake that nothing has pushed: a load that just exceeds it takes longer to show."""
+        self._let_go(f"brake closed by its feedback, not pushed: {reason}", REST_WATCH_S)
 
     def _lost_hold(self) -> bool:
         """Leave the proof where it fails; return whether it has."""
@@ -376,7 +396,7 @@ class AxisStop:
         elif self._state in POWERED:
             if self._after(VOLTAGE_OFF_S):
                 self._end(False, f"{NOT_PROVEN}: its drive keeps its voltage ({self._state.value}); {self._brake_words}")
-        elif self._after(WATCH_S):
+        elif self._after(self._watch_s):
             proof = self._proof or "it stands without a brake of the bench's"
             self._end(self._stands() or bool(self._closed), f"at rest: {proof}, voltage off")
 

@@ -6,10 +6,11 @@ from math import isfinite, nan
 
 
 class Still:
-    """For how many ticks one encoder has stayed within a width of where it was."""
+    """For how many ticks one encoder has stayed within a width of where it was, and whether it ever was elsewhere."""
 
     def __init__(self, width: float) -> None:
         self._width, self._at, self.ticks, self._since = width, nan, 0, 0
+        self.moved = False
 
     def take(self, position: float, ticks: int) -> None:
         """Take a position, `ticks` after the last; where none has come, NaN, the next one tells whether it stood meanwhile."""
@@ -17,6 +18,7 @@ class Still:
         if abs(position - self._at) <= self._width:
             self.ticks, self._since = self.ticks + self._since, 0
         elif isfinite(position):
+            self.moved = self.moved or isfinite(self._at)
             self._at, self.ticks, self._since = position, 0, 0
 
 
@@ -35,7 +37,8 @@ class Standstill:
     Attributes
     ----------
     stood_s : float
-        From the beginning of the stop until its position changed no more; NaN where it has not been seen to stand, or moves again.
+        From the beginning of the stop until its position changed no more, 0 where no encoder has shown that it moved; NaN where it has not
+        been seen to stand, or moves again.
     """
 
     def __init__(self, flicker: float, swing: float, moved: float, period_s: float) -> None:
@@ -55,4 +58,5 @@ class Standstill:
             self.stood_s, self._at = nan, (nan, nan)
         if stands and not isfinite(self.stood_s):
             still = min(side.ticks for side, is_seen in zip((self.motor, self.link), seen, strict=True) if is_seen)
-            self.stood_s, self._at = max(self._ticks - still, 0) * self._period_s, (motor, link)
+            showed = self.motor.moved or self.link.moved
+            self.stood_s, self._at = max(self._ticks - still, 0) * self._period_s if showed else 0.0, (motor, link)

@@ -101,11 +101,13 @@ class HeedingMachine(CanMachine):
 
     @property
     def standstill(self) -> str:
-        """How long after its beginning the last stop brought the axes to a standstill, in words; "" where not all are safe."""
+        """How long after its beginning the last stop brought the axes to a standstill, as seen, in words; "" where not all are safe."""
         stood = [rest.stood_s for rest in self.rests]
         if not stood or not all(rest.safe and isfinite(rest.stood_s) for rest in self.rests):
             return ""
-        each = ", ".join(f"{rest.axis} {rest.stood_s:.2f} s" for rest in self.rests)
+        if not any(stood):
+            return "no encoder showed motion after the stop began"
+        each = ", ".join(f"{rest.axis} {f'{rest.stood_s:.2f} s' if rest.stood_s else 'showed no motion'}" for rest in self.rests)
         return f"standstill {max(stood):.2f} s after the stop began" + (f" ({each})" if len(stood) > 1 else "")
 
     def exchange(self, command: np.ndarray) -> Sample:

@@ -87,6 +87,13 @@ class Witness:
         """Return whether an axis's brake was closed, and has been since."""
         return bool((self.log.brake[self.said_row :, self.log.axes.index(axis)] > 0.0).all())
 
+    def pushed(self, axis: str) -> bool:
+        """Return whether an axis's drive pushed and let go while its brake was closed; one that gives always the same proves nothing."""
+        index = self.log.axes.index(axis)
+        row = slice(0, self.said_row + 1)
+        held = (self.log.brake[row, index] > 0.0) & np.isin(self.log.drive[row, index], HOLDING)
+        return bool(held.any()) and float(np.ptp(self.log.effort[row, index][held])) > 0.0
+
     def unpowered(self, axis: str) -> bool:
         """Return whether an axis's drive has applied no effort since."""
         return not self.drives(axis) and not self.log.effort[self.said_row :, self.log.axes.index(axis)].any()
@@ -94,7 +101,8 @@ class Witness:
 
 Check = Callable[[Witness, str], bool]
 OF_AN_AXIS: tuple[tuple[str, Check | None], ...] = (
-    (r"at rest: brake proven, voltage off", lambda w, axis: w.stays(axis) and w.brakes(axis) and w.unpowered(axis)),
+    (r"at rest: brake proven, voltage off",
+     lambda w, axis: w.stays(axis) and w.brakes(axis) and w.unpowered(axis) and w.pushed(axis)),
     (r"at rest: brake closed by its feedback(, not pushed: .*)?, (voltage off|no voltage)(, its drive in .*)?",
      lambda w, axis: w.stays(axis) and w.unpowered(axis)),
     (r"at rest: (.*), (voltage off|no voltage)(, its drive in .*)?", lambda w, axis: w.stays(axis) and w.unpowered(axis)),
@@ -118,6 +126,7 @@ OF_THE_RUN: tuple[tuple[str, Callable[[Witness, re.Match[str]], bool]], ...] = (
     (r"(\d+) rows are kept", lambda w, said: int(said[1]) == w.rows),
     (r"nothing was recorded", lambda w, said: w.rows == 0),
     (r"standstill ([\d.]+) s after the stop began(?: \((.*)\))?", lambda w, said: _stood(w, float(said[1]), said[2])),
+    (r"no encoder showed motion after the stop began", lambda w, said: all(w.stood(axis, 0.0) for axis in w.log.axes)),
     (r"nothing was moved", lambda w, said: not w.log.speed[: w.said_row].any()),
 )  # fmt: skip
 
@@ -186,8 +195,8 @@ def _of_axes(table: Sequence[tuple[str, Check | None]], text: str, axes: Sequenc
 
 def _stood(witness: Witness, last_s: float, each: str | None) -> bool:
     """Return whether every axis came to a standstill when a sentence says so: the last of them, and each where there are several."""
-    axes = [part.split() for part in each.split(", ")] if each else [[witness.log.axes[0], str(last_s), "s"]]
-    times_s = {axis: float(time_s) for axis, time_s, _ in axes}
+    axes = [part.split() for part in each.split(", ")] if each else [[witness.log.axes[0], str(last_s)]]
+    times_s = {axis: 0.0 if words[0] == "showed" else float(words[0]) for axis, *words in axes}
     return max(times_s.values()) == last_s and all(witness.stood(axis, time_s) for axis, time_s in times_s.items())
 
 

@@ -45,6 +45,8 @@ class Stopping:
         self.sample.statusword[:] = (OFF, QUICK)
         self.sample.effort[:] = (9.0, effort)
         self.fresh = True
+        self.gives = 1.0
+        """Share of the effort that it is told which the drive gives, and measures."""
 
     def tick(self, status: int | None = None, *, motor: float | None = None, link: float | None = None, ticks: int = 1) -> int:
         """Let a tick pass, with those that were missed before it; positions in counts stay. Return the controlword that follows."""
@@ -54,6 +56,8 @@ class Stopping:
             self.sample.position[1] = motor * COUNT
         if link is not None:
             self.sample.link_position[1] = link * COUNT
+        if self.sample.statusword[1] == ENABLED and not math.isnan(self.sample.effort[1]):
+            self.sample.effort[1] = self.gives * self.stop.effort
         self.stop.step(self.sample, io_is_fresh=self.fresh, ticks=ticks)
         return self.stop.controlword
 

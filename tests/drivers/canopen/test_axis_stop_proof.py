@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 from one_stop import (
     ANSWER,
@@ -14,10 +16,12 @@ from one_stop import (
     NAN,
     OFF,
     PUSH,
+    PUSHES,
     QUICK,
     READY,
     REST,
     RETAKE,
+    SETTINGS,
     SETTLING,
     STAND,
     SWING,
@@ -37,7 +41,9 @@ def test_a_drive_that_stays_in_quick_stop_is_let_go_by_its_brakes_feedback() -> 
     stopping.ticks(SWING)
     assert stopping.ticks(TORQUE) == [15] * TORQUE
     assert stopping.tick() == 0
-    stopping.ticks(WATCH - 1, OFF)
+    stopping.ticks(REST - 2, OFF)
+    assert stopping.stop.rest is None, "a load that just exceeds a brake which nobody pushed takes long to show"
+    stopping.tick()
     assert (
         stopping.words == "at rest: brake closed by its feedback, not pushed: its drive does not leave quick stop for torque, voltage off"
     )
@@ -60,6 +66,33 @@ def test_a_brake_that_slips_under_the_push_is_told_and_not_tried_again(way: int,
     stopping.stop.orders_brake = False
     stopping.stop.close_again()
     assert not stopping.stop.orders_brake
+
+
+@pytest.mark.parametrize(("gives", "proven"), [(1.0, True), (0.6, True), (0.4, False), (0.0, False), (-1.0, False)])
+@pytest.mark.parametrize("held", [2.0, -2.0])
+def test_a_push_that_the_drive_does_not_give_proves_no_brake(gives: float, proven: bool, held: float) -> None:
+    stopping = Stopping(effort=held)
+    stopping.gives = gives
+    stopping.to_letting_go()
+    stopping.ticks(WATCH, OFF)
+    if not proven:
+        assert stopping.stop.rest is None, "a load that just exceeds a brake which nobody pushed takes long to show"
+        stopping.ticks(REST - WATCH, OFF)
+    rated, asked = SETTINGS.scalings[1].rated, PUSHES + 0.25 * abs(held)
+    words = re.fullmatch(
+        r"at rest: brake closed by its feedback, not pushed: its drive gave (.*)% of its rated effort where (.*)% were asked, voltage off",
+        stopping.words,
+    )
+    assert (stopping.words == "at rest: brake proven, voltage off") is proven
+    if words is not None:
+        assert float(words[1]) == pytest.approx(100.0 * max(gives, 0.0) * asked / rated, abs=1.0)
+        assert float(words[2]) == pytest.approx(100.0 * asked / rated, abs=0.1)
+
+
+def test_a_drive_that_measures_no_effort_is_believed_its_push() -> None:
+    stopping = Stopping(effort=NAN).to_letting_go()
+    stopping.ticks(WATCH, OFF)
+    assert stopping.words == "at rest: brake proven, voltage off"
 
 
 @pytest.mark.parametrize("side", ["motor", "link"])

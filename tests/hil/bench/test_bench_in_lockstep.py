@@ -323,12 +323,12 @@ def test_after_an_interrupt_the_time_to_standstill_is_told(folder: Path) -> None
 
         with pytest.raises(LoopAbortedError) as stopped:
             run_in_lockstep(folder, plans, name=name, progress=interrupt)
-        (said,) = [note for note in stopped.value.__notes__ if note.startswith("standstill")]
+        (said,) = [note for note in stopped.value.__notes__ if note.startswith(("standstill", "no encoder"))]
         events = read_recording(folder / f"{name}_0.mf4").metadata["events"]
         return said, [event for event in events if event["what"] == "axis stopped"]
 
     said, _ = interrupted("stood", Static(2.0, POSE).plans(CARM), 128)
-    assert re.fullmatch(r"standstill 0\.0\d s after the stop began \(propeller 0\.0\d s, roll 0\.0\d s\)", said), said
+    assert said == "no encoder showed motion after the stop began"
     said, events = interrupted("moved", Scan("roll", -0.5, 0.5, speed).plans(CARM), 600)
     took = float(re.match(r"standstill ([\d.]+) s", said)[1])
     stopping = CARM.bus.motions[ROLL]

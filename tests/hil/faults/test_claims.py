@@ -28,12 +28,22 @@ STOPPED = (
 
 
 def witness(
-    speed: float = 0.0, brake: float = 1.0, drive: int = OFF, effort: float = 0.0, faults: tuple[str, ...] = ("hold_to_run_released",)
+    speed: float = 0.0,
+    brake: float = 1.0,
+    drive: int = OFF,
+    effort: float = 0.0,
+    faults: tuple[str, ...] = ("hold_to_run_released",),
+    push: float = 0.5,
 ) -> Witness:
-    """Four seconds of two axes; roll as the arguments say, propeller at rest and braked. All was said after two."""
+    """Four seconds: both brakes are pushed, then roll is as the arguments say, propeller at rest and braked. All was said after two."""
     log = MotionLog(("propeller", "roll"))
     for time_s in np.arange(0.0, 4.0, PERIOD_S).tolist():
-        log.add(time_s, [0.3, speed * time_s], [0.0, speed], [0.0, effort], [1.0, brake], [OFF, drive])
+        state = (
+            ([0.0, effort], [1.0, brake], [OFF, drive])
+            if time_s > 1.0
+            else ([0.5 * time_s, push * time_s], [1.0, brake], [ENABLED, ENABLED])
+        )
+        log.add(time_s, [0.3, speed * time_s], [0.0, speed], *state)
     return Witness(log, 512, (5e-3, 5e-3), (3e-6, 3e-6), faults, 189)
 
 
@@ -53,6 +63,7 @@ def test_a_true_line_has_no_contradiction() -> None:
         (witness(brake=0.0), ["roll at rest: brake proven, voltage off"]),
         (witness(drive=ENABLED), ["roll at rest: brake proven, voltage off"]),
         (witness(effort=0.1), ["roll at rest: brake proven, voltage off"]),
+        (witness(push=0.0), ["roll at rest: brake proven, voltage off"]),
         (witness(faults=("io_vanishes",)), ["row 188: hold-to-run was released"]),
     ],
 )
@@ -89,7 +100,9 @@ def test_the_told_time_to_standstill_is_that_of_the_motion() -> None:
     assert contradictions(told, stopped_after(0.1)) == [told], "it had stood for long"
     nobody_knows = stopped_after(0.4, ("motor_encoder_frozen", "link_encoder_frozen"))
     assert contradictions(told, nobody_knows) == []
-    none = "standstill 0.00 s after the stop began (propeller 0.00 s, roll 0.00 s)"
+    seen = "standstill 0.30 s after the stop began (propeller showed no motion, roll 0.30 s)"
+    assert contradictions(seen, stopped_after(0.3)) == []
+    none = "no encoder showed motion after the stop began"
     assert contradictions(none, stopped_after(0.0)) == []
     assert contradictions(none, stopped_after(0.3)) == [none]
     assert contradictions(told.replace("standstill 0.30", "standstill 0.20"), stopped_after(0.3)) != []
