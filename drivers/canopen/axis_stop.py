@@ -15,9 +15,10 @@ from math import isfinite, nan
 
 from drivers.canopen import cia402
 from drivers.canopen.axis_rest import NOT_PROVEN, POWERED, AxisRest
+from drivers.canopen.brake_push import BrakePush
 from drivers.canopen.cia402 import State
-from drivers.canopen.encoder_path import EncoderPath
-from drivers.canopen.hold import ANSWER_S, Hold
+from drivers.canopen.encoder_path import EncoderPath, slipped
+from drivers.canopen.hold import ANSWER_S, Carried, Hold
 from drivers.canopen.network import NMT_RESET_NODE, NMT_STOP
 from drivers.canopen.standstill import Standstill
 from drivers.interface import Sample
@@ -31,11 +32,6 @@ SWING_S = 0.25  # of the link before its brake is proven: a whole period at 4 Hz
 STANDING_SHARE = 0.1
 """Of the tracking error: range in which a link may swing that stands, and in which a drive that holds it may shake it. On the C-arm, 5.2
 mrad: its slowest gear (8 Hz, damping 0.8 %) swings by 4.2 mrad after a quick stop of 10.7 rad/s^2 (a / omega^2), 2.6 mrad after 1.2 s."""
-PUSH_SHARE = 0.25
-"""Share of the load, beyond the load itself, that a proven brake holds: linings wear, and the next load may be a patient's."""
-PUSHED_SHARE = 0.5
-"""Share of the push that a drive must have measured, where it measures: its answer comes two ticks late, its sensor is off by a tenth."""
-RAMP_S = 0.1  # in which the drive lets go, and in which it pushes: slower than the structure swings
 WATCH_S = 0.1  # after voltage off; a heavy arm falls ten times the travel that is noticed
 REST_WATCH_S = 1.0  # after a stop without a push: a load that exceeds the brake by a thousandth shows itself by then
 VOLTAGE_OFF_S = 0.2  # a drive that still has its voltage after this does not obey
@@ -107,7 +103,8 @@ class AxisStop:
         self._hold_judge = Hold(limits, scaling.position_unit, period_s, scaling.rated)
         self._marked: EncoderPath | None = None  # by which the proof of the brake is judged
         self._held_effort = nan
-        self._given: list[float] = []  # measured effort, from where the drive has let go to where it has pushed
+        self._carried = Carried(self._push, scaling.rated)
+        self._brake_push = BrakePush(self._push, 0.0, scaling.rated)
         self._silent = self._lost = 0  # ticks without a statusword, without any position
         self._state = State.UNDEFINED
         self._closed: bool | None = None  # what the brake's feedback says; None: nobody knows
@@ -127,7 +124,8 @@ class AxisStop:
         if self._held_for:
             stands = self._stands()
             seen = "held by its drive" if stands else f"{NOT_PROVEN}: its drive is told to hold it and {self._motion_words}"
-            return AxisRest(self.name, False, True, f"{seen}: {self._held_for}", tuple(self._steps), self._standstill.stood_s, not stands)
+            words = f"{seen}: {self._held_for}{self._carried.lost(self._held_effort)}"
+            return AxisRest(self.name, False, True, words, tuple(self._steps), self._standstill.stood_s, not stands)
         return self._rest
 
     def prove(self, effort: float) -> None:
@@ -192,8 +190,8 @@ class AxisStop:
         if isfinite(effort) and by_itself:
             before = self._held_effort if isfinite(self._held_effort) else effort
             self._held_effort = before + (effort - before) / self._in_ticks(STANDSTILL_S)
-        if isfinite(effort) and self._phase == self._pushing and self._after(RAMP_S):
-            self._given.append(effort)
+        if self._phase == self._pushing:
+            self._brake_push.take(self._ticks * self._period_s, effort)
         self._closed = (not bool(sample.brakes_open[axis]) if io_is_fresh else None) if self._braked else None
 
     def _judge_hold(self, sample: Sample, ticks: int) -> None:
@@ -231,18 +229,10 @@ class AxisStop:
         return self._lost <= self._stale_ticks and self._judge.range <= self._apart
 
     def _slipped(self) -> str:
-        """Return which side is outside its swing of before, and how far, in words; '' where none is.
-
-        A brake that slips moves both sides alike. One side alone may swing, or wind up the gear, by as much as a standing axis may.
-        """
-        sides = (("its link", self._link), ("its motor side", self._motor))
-        moved = [(name, path.beyond()) for name, path in sides if path.fresh(self._stale_ticks)]
-        for name, beyond in moved:
-            if all(beyond * other > 0.0 and abs(other) > self._travel for _, other in moved):
-                return f"its brake slips: {name} moved by {beyond:+.1e} {self._unit}"
-            if abs(beyond) > max(self._travel, self._apart):
-                return f"{name} alone moved by {beyond:+.1e} {self._unit}"
-        return ""
+        """Return which side is outside its swing of before, and how far, in words; '' where none is."""
+        sides = {"its link": self._link, "its motor side": self._motor}
+        moved = {name: path.beyond() for name, path in sides.items() if path.fresh(self._stale_ticks)}
+        return slipped(moved, self._travel, self._apart, self._unit)
 
     @property
     def _brake_words(self) -> str:
@@ -311,18 +301,15 @@ class AxisStop:
 
     def _swinging(self) -> None:
         """See how far the structure swings, then let go: all that it moves beyond that is the brake's slip."""
-        if self._lost_hold() or not self._after(SWING_S):
-            return
-        if self.asks_for_torque:
+        if self._lost_hold() or not self._after(SWING_S) or self.asks_for_torque:
             return
         self._marked = self._judge
         for path in (self._motor, self._link):
             path.mark()
-        if not (self._braked and self._pushes):
-            if self._braked:
-                self._let_go_unpushed("its drive takes no effort")
-            else:
-                self._let_go("")
+        if not self._braked:
+            self._let_go("")
+        elif not self._pushes:
+            self._let_go_unpushed("its drive takes no effort")
         elif self._takes_torque:
             self._go(self._taking_over)
         else:
@@ -335,32 +322,21 @@ class AxisStop:
         if self._lost_hold():
             return
         if self._state is State.OPERATION_ENABLED:
-            self._given = []
+            self._brake_push = BrakePush(self._push, self.effort, self._rated)
             self._go(self._pushing)
         elif self._after(2.0 * ANSWER_S):  # the transition is optional in the standard
             self._let_go_unpushed("its drive does not leave quick stop for torque")
 
     def _pushing(self) -> None:
         """Let go, then push the way the load pulls: as hard as the first move was pushed, and a share of the load."""
-        held = self._held_effort if isfinite(self._held_effort) else 0.0
-        push = -math.copysign(self._push + PUSH_SHARE * abs(held), held)
-        elapsed = self._ticks * self._period_s / RAMP_S
-        if elapsed <= 1.0:
-            self.effort = held * (1.0 - elapsed)
-        elif elapsed <= 2.0:
-            self.effort = push * (elapsed - 1.0)
-        else:
-            self.effort = push * max(0.0, 3.0 - elapsed)
-        if self._lost_hold():
+        push, time_s = self._brake_push, self._ticks * self._period_s
+        self.effort = push.effort(time_s)
+        if self._lost_hold() or not push.is_over(time_s):
             return
-        if elapsed > 3.0:
-            along = [math.copysign(1.0, push) * given for given in self._given]
-            gave, asked = (max(along) - along[0] if along else nan), abs(push)
-            if gave < PUSHED_SHARE * asked:
-                rated = self._rated
-                self._let_go_unpushed(f"its drive gave {gave / rated:.1%} of its rated effort where {asked / rated:.1%} were asked")
-            else:
-                self._let_go("brake proven")
+        if push.not_given:
+            self._let_go_unpushed(push.not_given)
+        else:
+            self._let_go("brake proven")
 
     def _let_go(self, proof: str, watch_s: float = WATCH_S) -> None:
         self._proof, self._watch_s = proof, watch_s
@@ -457,6 +433,8 @@ class AxisStop:
         self.controlword = cia402.QUICK_STOP
         if self._state is not State.QUICK_STOP_ACTIVE and self._after(ANSWER_S):
             self._close()
+        elif self._stands():
+            self._carried.take(self._held_effort)
 
     def _end(self, safe: bool, words: str) -> None:
         self._go(self._ended)

@@ -140,3 +140,29 @@ class Hold:
             if (beyond := path.step(position, ticks)) and not found:
                 found = f"{name} is {beyond:+.1e} {self._unit} from where a stop brings it, {self._window:.1e} {self._unit} are allowed"
         return found
+
+
+class Carried:
+    """The most effort with which a drive has held an axis that stood, against what it gives now: the encoders may be frozen.
+
+    Parameters
+    ----------
+    friction : float
+        Bound of the axis's dry friction, in the drive's unit: its effort may change by twice as much while the load stays.
+    rated : float
+        Of the drive, for messages.
+    """
+
+    def __init__(self, friction: float, rated: float) -> None:
+        self._between, self._rated, self._most = 2.0 * friction, rated, 0.0
+
+    def take(self, effort: float) -> None:
+        """Take the effort that holds an axis which stands; NaN where it is not known."""
+        self._most = effort if abs(effort) > abs(self._most) else self._most
+
+    def lost(self, effort: float) -> str:
+        """Return how much less is given now, in words; '' where friction can carry what is missing."""
+        if not (self._most - effort) * self._most > self._between * abs(self._most):
+            return ""
+        now, before = effort / self._rated, self._most / self._rated
+        return f"; its drive gives {now:+.0%} of its rated effort, it gave {before:+.0%}: something else carries it, or nothing"

@@ -94,6 +94,11 @@ class Witness:
         held = (self.log.brake[row, index] > 0.0) & np.isin(self.log.drive[row, index], HOLDING)
         return bool(held.any()) and float(np.ptp(self.log.effort[row, index][held])) > 0.0
 
+    def eased(self, axis: str) -> bool:
+        """Return whether an axis's drive gives less than half of the most effort that it gave before."""
+        effort = np.abs(self.log.effort[: self.said_row + 1, self.log.axes.index(axis)])
+        return bool(effort[-1] < 0.5 * effort.max())
+
     def unpowered(self, axis: str) -> bool:
         """Return whether an axis's drive has applied no effort since."""
         return not self.drives(axis) and not self.log.effort[self.said_row :, self.log.axes.index(axis)].any()
@@ -118,6 +123,7 @@ OF_THE_SAME_AXIS: tuple[tuple[str, Check | None], ...] = (
     (r"IT MOVES", lambda w, axis: w.moved(axis)),
     (r"(nobody knows whether it moves|its motor side shows motion, its link none)", None),
     (r"its brake reports (open|closed).*", None),
+    (r"its drive gives .* of its rated effort, it gave .*: something else carries it, or nothing", lambda w, axis: w.eased(axis)),
     (r"(the I/O does not say whether its brake is closed|the bench commands no brake of it).*", None),
 )  # fmt: skip
 OF_THE_RUN: tuple[tuple[str, Callable[[Witness, re.Match[str]], bool]], ...] = (

@@ -231,3 +231,24 @@ def test_an_axis_whose_drive_has_no_voltage_is_not_accused() -> None:
     stopping = Stopping()
     pushed(stopping, CLOSING + 1, OFF)
     assert "did not hold" not in stopping.words
+
+
+@pytest.mark.parametrize(("left", "told"), [(2.0, ""), (1.6, ""), (1.4, "+30%"), (0.0, "+0%"), (-2.0, "-43%")])
+def test_a_drive_that_gives_less_than_holds_the_axis_is_told_though_no_encoder_moves(left: float, told: str) -> None:
+    """Torque lost behind frozen encoders looks so, and an axis that somebody supports: between them the words leave the choice."""
+    stopping = Stopping(effort=2.0)
+    stopping.sample.brakes_open[1] = True
+    stopping.until(lambda: stopping.stop.rest is not None)
+    held = stopping.words
+    stopping.ticks(100)
+    assert stopping.words == held
+    stopping.sample.effort[1] = left
+    stopping.ticks(200)
+    rated = SETTINGS.scalings[1].rated
+    now = f"{left / rated:+.0%}"
+    eased = f"; its drive gives {now} of its rated effort, it gave {2.0 / rated:+.0%}: something else carries it, or nothing"
+    assert stopping.words == held + (eased if told else "")
+    assert not stopping.stop.alarm
+    stopping.sample.effort[1] = 2.0
+    stopping.ticks(200)
+    assert stopping.words == held, "it carries the axis again"
