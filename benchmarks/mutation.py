@@ -69,8 +69,8 @@ PARTS = {
         ("drivers/supervisor", "drivers/modbus/refresh.py"), ("tests/drivers/supervisor", "tests/drivers/modbus/test_refresh.py"), 0.95
     ),
     "stop": Part(
-        (f"{CANOPEN}/axis_stop.py", f"{CANOPEN}/stopping.py"),
-        tuple(f"{TESTS}/test_{name}.py" for name in ("axis_stop_bounds", "axis_stop_proof", "stop_and_master_bounds")),
+        tuple(f"{CANOPEN}/{name}.py" for name in ("axis_stop", "brake_push", "encoder_path", "hold", "standstill", "stopping")),
+        tuple(f"{TESTS}/test_{name}.py" for name in ("axis_stop_bounds", "axis_stop_proof", "hold", "stop_and_master_bounds")),
         0.90,
     ),
     "watch": Part(
