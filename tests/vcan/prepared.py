@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from at_rest import AT_REST, FRAMES, SHIPPED
 
 import hil
 from hil.cli import main
@@ -19,19 +20,22 @@ from hil.observing.simulated_recordings import emulated_recording, emulated_resp
 DESIGN, SHAPER, READY = "carm.observer.npz", "roll.shaper.npz", "ready"
 
 
-def compile_first(folder: Path) -> None:
-    """Run once in lockstep: what is compiled is then found by the processes inside, for whom compiling takes several times as long."""
-    run = ["run", "static", "--seconds", "0.1", "--machine", "carm", "--bus", "lockstep:", "-o", str(folder / "compiled.mf4")]
+def run_in_lockstep(folder: Path) -> None:
+    """Keep the frames of a second at rest.
+
+    What is compiled for it is then found by the processes inside, for whom compiling takes several times as long.
+    """
+    run = ["run", *AT_REST, "-m", SHIPPED, "-b", "lockstep:", "--frame-log", str(folder / FRAMES), "-o", str(folder / "lockstep.mf4")]
     with contextlib.redirect_stdout(io.StringIO()), pytest.raises(SystemExit) as left:
         main(run)
     assert left.value.code == 0
 
 
-def prepare_beside(folder: Path, shaped: bool) -> None:
+def prepare_beside(folder: Path) -> None:
     """Prepare while the tests inside go on; `READY` says that it is done, or why not."""
     said = ""
     try:
-        prepare(folder, shaped)
+        prepare(folder)
     except Exception as error:
         said = repr(error)
         raise
@@ -40,15 +44,14 @@ def prepare_beside(folder: Path, shaped: bool) -> None:
         (folder / READY).with_suffix(".part").rename(folder / READY)  # whole or not there, for who looks for it inside
 
 
-def prepare(folder: Path, shaped: bool) -> None:
-    """An observer of the C-arm about roll 30 degrees, identified on the emulated machine, and a shaper of its roll axis if wanted.
+def prepare(folder: Path) -> None:
+    """An observer of the C-arm about roll 30 degrees, identified on the emulated machine, and a shaper of its roll axis.
 
     The observer is not tuned, which takes longer than all else; it runs once, so that it need not be compiled again.
     """
-    machine, pose = load_machine("carm"), {"roll": np.radians(30.0)}
+    machine, pose = load_machine(SHIPPED), {"roll": np.radians(30.0)}
     still = emulated_recording(machine, Static(2.0, pose).plans(machine)[0], 1)
     design = design_observer(machine, emulated_responses(machine, [pose]), [still], modes=3)
     observe(still, design.observer())
     write_design(design, folder / DESIGN)
-    if shaped:
-        hil.write_shaper(hil.shape(machine, "roll").file, folder / SHAPER)
+    hil.write_shaper(hil.shape(machine, "roll").file, folder / SHAPER)

@@ -14,10 +14,12 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from in_lockstep import lockstep_frames
+from at_rest import FRAMES, SHIPPED
+from conversation import since_the_bench_came
 from processes import Done, Started, start, start_until_ready
-from runs import SHIPPED
 from witnesses import DEADLINE_S, POLL_S, START, Candump, SlcanAdapter
+
+from hil.cli import main
 
 PREPARED_S = 600.0
 ON_ONE_PROCESSOR = ("--no-real-time",)
@@ -112,12 +114,8 @@ def slcan_adapter() -> Iterator[SlcanAdapter]:
 
 
 @pytest.fixture
-def emulate(tmp_path: Path, lockstep_as_shipped: list[str]) -> Iterator[Callable[..., dict[str, str]]]:
-    """Start `isocenter emulate` with these arguments; it is ready when this returns its ready line.
-
-    A run in lockstep has loaded before all that processes are forked with.
-    """
-    assert lockstep_as_shipped
+def emulate(tmp_path: Path, loaded: None) -> Iterator[Callable[..., dict[str, str]]]:
+    """Start `isocenter emulate` with these arguments; it is ready when this returns its ready line."""
     running: list[Started] = []
 
     def begin(*arguments: str) -> dict[str, str]:
@@ -139,6 +137,15 @@ def run(tmp_path: Path) -> Callable[..., Done]:
 
 
 @pytest.fixture(scope="session")
-def lockstep_as_shipped(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+def loaded(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """What processes are forked with: a tenth of a second in lockstep has loaded it."""
+    out = str(tmp_path_factory.mktemp("lockstep") / "run.mf4")
+    with pytest.raises(SystemExit) as left:
+        main(["run", "static", "--seconds", "0.1", "-m", SHIPPED, "-b", "lockstep:", "-o", out])
+    assert left.value.code == 0
+
+
+@pytest.fixture(scope="session")
+def lockstep_as_shipped(folder: Path) -> list[str]:
     """The frames of the shipped machine, at rest for a second in lockstep, at its own rate."""
-    return lockstep_frames(tmp_path_factory.mktemp("lockstep"), SHIPPED)
+    return since_the_bench_came([line.split()[2] for line in (folder / FRAMES).read_text().splitlines()])

@@ -1,30 +1,15 @@
-"""The frames of a run in lockstep, and what the emulated devices answer there to the frames of another run."""
+"""What the emulated devices answer in lockstep to the frames of another run."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
-import pytest
-from conversation import since_the_bench_came
-from runs import AT_REST
 
-from hil.cli import main
 from hil.emulated.machine import build_emulated
 from hil.machine import Machine
 from virtual_bus.emulator import LOOK_S
-
-
-def lockstep_frames(place: Path, machine: str, *options: str) -> list[str]:
-    """The frames of a second at rest in lockstep; run in this process."""
-    log = place / "frames.log"
-    words = ["run", *AT_REST, "--machine", machine, "--bus", "lockstep:", "--frame-log", str(log), "-o", str(place / "lockstep.mf4")]
-    with pytest.raises(SystemExit) as left:
-        main([*words, *options])
-    assert left.value.code == 0
-    return since_the_bench_came([line.split()[2] for line in log.read_text().splitlines()])
 
 
 def of_the_bench(frame: str, machine: Machine) -> bool:

@@ -12,11 +12,9 @@ from processes import Done
 
 from hil.doctor.trial import wake_ups
 
-SHIPPED = "carm"
 ATTEMPTS = 8
 """A computer that others use stalls now and then for so long that a limit of the machine file stops a run."""
 
-AT_REST = ("static", "--seconds", "1", "--seed", "3")
 WATCHED_S = 4.0
 TOLD, DESIGN, SHAPER = "told.txt", "carm.observer.npz", "roll.shaper.npz"
 """Files in the folder of `tests/vcan/prepared.py`: lines for the summary of the tests; what is prepared."""

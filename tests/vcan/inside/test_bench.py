@@ -10,10 +10,11 @@ from pathlib import Path
 
 import can
 import pytest
+from at_rest import AT_REST, SHIPPED
 from conversation import conversations, differing, since_the_bench_came
 from in_lockstep import answered_in_lockstep, answers
 from processes import Done, start
-from runs import AT_REST, ATTEMPTS, SHIPPED, TOLD, by_a_limit, late_answers, timing_told, told_wake_ups, why_it_ended
+from runs import ATTEMPTS, TOLD, by_a_limit, late_answers, timing_told, told_wake_ups, why_it_ended
 from witnesses import Candump
 
 from hil.machine import Machine, load_machine
@@ -64,6 +65,7 @@ def test_frames_have_kind_and_order_of_a_lockstep_run_node_by_node(
         told.write(f"{told_wake_ups(machine.sample_rate_Hz)}\n{timing_told(answer)}; frames as in lockstep\n")
 
 
+@pytest.mark.nightly
 def test_devices_answer_as_in_lockstep_to_the_same_frames_byte_for_byte(
     interface: str,
     emulate: Callable[..., dict[str, str]],
@@ -71,7 +73,10 @@ def test_devices_answer_as_in_lockstep_to_the_same_frames_byte_for_byte(
     candump: Callable[[str], Candump],
     tmp_path: Path,
 ) -> None:
-    """What is late on vcan, or stops a run, is in its frames. Stopped runs count, too."""
+    """What is late on vcan, or stops a run, is in its frames. Stopped runs count, too.
+
+    For every change kind and order of a run's frames are compared, and the bytes of frames by themselves.
+    """
     file = can_alone(load_machine(SHIPPED), tmp_path)
     machine = load_machine(file)
     answered = 0

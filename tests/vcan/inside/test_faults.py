@@ -7,10 +7,10 @@ import time
 from pathlib import Path
 
 import pytest
+from at_rest import SHIPPED
 from most_dangerous import MOST_DANGEROUS
 from places import BENCHMARKS
 from processes import start, start_until_ready
-from runs import SHIPPED
 
 from hil.faults.check import run_trial
 from hil.faults.motion import motion_of

@@ -7,14 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from at_rest import SHIPPED
 from processes import Done
-from runs import DESIGN, SHAPER, SHIPPED, run_to_its_end
+from runs import DESIGN, SHAPER, run_to_its_end
 
 from hil.machine import load_machine
 from hil.observing import observe, read_design
 from hil.recording import Recording, read_recording
 
-pytestmark = pytest.mark.vcan
+pytestmark = [pytest.mark.vcan, pytest.mark.nightly]  # observer and shaper know no bus, and are shown in lockstep for every change
 
 
 def assert_observed(recording: Recording, design: Path, rate_Hz: int) -> None:
@@ -54,11 +55,9 @@ def test_a_multisine_with_jog_runs_with_the_observer(
     assert np.nanmax(np.abs(recording["reference_roll"] - recording["position_roll"])) < np.radians(1.0)
 
 
-@pytest.mark.nightly
 def test_a_shaped_scan_runs_with_the_observer(
     prepared: Path, at_30_degrees: tuple[str, ...], run: Callable[..., Done], tmp_path: Path
 ) -> None:
-    """What the shaper does to a reference knows no bus, and is shown in lockstep for every change."""
     sweep = ("--axis", "roll", "--from", "30", "--to", "34", "--speed", "4", "--dwell", "0.5", "--shaper", str(prepared / SHAPER))
     recording = read_recording(run_to_its_end(lambda *out: run("scan", *at_30_degrees, *sweep, *out), tmp_path))
     assert_observed(recording, prepared / DESIGN, round(load_machine(SHIPPED).sample_rate_Hz))
