@@ -12,6 +12,9 @@ from scipy.spatial.transform import Rotation
 from virtual_bus.settings import PlantSettings, Tree
 
 STEP = 1e-5
+MOST_STEPS = 30
+AT_REST = 1e-13
+"""rad or m by which the last Newton step moves a joint: what is left is rounding."""
 
 
 def _poses(tree: Tree, q: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray, list[tuple[int, str, np.ndarray, np.ndarray]]]]:
@@ -87,9 +90,14 @@ def standstill(settings: PlantSettings, axis_positions: np.ndarray | tuple[float
     rest = np.array([joint.rest_position for joint in tree.joints])
     q = np.zeros(len(tree.joints))
     q[driven] = axis_positions
-    for _ in range(30):
+    for _ in range(MOST_STEPS):
         residual = gravity_effort(tree, q) - spring * (q - rest)
-        q[free] += np.linalg.solve(stiffness_matrix(tree, q)[np.ix_(free, free)], residual[free])
+        change = np.linalg.solve(stiffness_matrix(tree, q)[np.ix_(free, free)], residual[free])
+        q[free] += change
+        if np.abs(change).max(initial=0.0) < AT_REST:
+            break
+    else:
+        raise AssertionError(f"no equilibrium: joints still change by {np.abs(change).max():g}")
     residual = gravity_effort(tree, q) - spring * (q - rest)
     return q, -residual[driven] / [drive.constant * drive.ratio for drive in settings.drives]
 
