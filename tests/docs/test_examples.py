@@ -112,6 +112,7 @@ def test_find_what_a_simulation_leaves_out(empty: Path) -> None:
     assert number_after("before, by ", printed) < 0.2 * number_after("off by ", printed)
 
 
+@pytest.mark.nightly
 def test_calibrate_from_images(empty: Path) -> None:
     """The panel was moved by 2 mm and 1 mm, so the phantom appears moved the other way."""
     pytest.importorskip("skimage", reason="images need the extra imaging")

@@ -297,7 +297,10 @@ def test_a_stop_request_while_homing_stops_there_and_not_at_the_first_row() -> N
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in ("SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name)])
+@pytest.mark.parametrize(
+    "name",
+    ["SIGTERM", *(pytest.param(name, marks=pytest.mark.nightly) for name in ("SIGHUP", "SIGQUIT") if hasattr(signal, name))],
+)
 def test_a_run_asked_to_stop_by_a_signal_keeps_its_rows_and_leaves_the_handlers_as_they_were(folder: Path, name: str) -> None:
     number = getattr(signal, name)
     before = signal.getsignal(number)

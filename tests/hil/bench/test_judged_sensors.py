@@ -147,7 +147,7 @@ SOUND = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("machine", "experiment"), SOUND.values(), ids=SOUND.keys())
-@pytest.mark.parametrize("noise", [True, False], ids=["noise", "no noise"])
+@pytest.mark.parametrize("noise", [True, pytest.param(False, marks=pytest.mark.nightly)], ids=["noise", "no noise"])
 def test_sound_sensors_are_not_found_wrong(tmp_path: Path, machine: Machine, experiment: Scan | Multisine | Move, noise: bool) -> None:
     plan = experiment.plans(machine)[0]
     with open_bench(machine, BenchOptions("lockstep:", seed=7, noise=noise), plan.start_pose) as bench:

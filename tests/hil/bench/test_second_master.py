@@ -45,10 +45,15 @@ class IntrudedBus(LockstepBus):
 @pytest.mark.parametrize(
     ("can_id", "data", "words"),
     [
-        (0x080, b"", "a second SYNC producer sends 080h"),
+        pytest.param(0x080, b"", "a second SYNC producer sends 080h", marks=pytest.mark.nightly),
         (0x202, struct.pack("<Hh", 0x0F, 1000), "somebody else sends 202h, the commands to roll_drive"),
-        (0x77F, b"\x05", "a second master sends the bench's own heartbeat, 77Fh"),
-        (0x182, struct.pack("<Hih", 0x1237, 0, 0), r"roll_drive: TPDO 1 \(182h\) comes more than once per SYNC"),
+        pytest.param(0x77F, b"\x05", "a second master sends the bench's own heartbeat, 77Fh", marks=pytest.mark.nightly),
+        pytest.param(
+            0x182,
+            struct.pack("<Hih", 0x1237, 0, 0),
+            r"roll_drive: TPDO 1 \(182h\) comes more than once per SYNC",
+            marks=pytest.mark.nightly,
+        ),
         (0x3A5, bytes(8), ""),
     ],
     ids=["SYNC", "target torque", "heartbeat", "process data", "a stranger's frame"],
@@ -56,6 +61,7 @@ class IntrudedBus(LockstepBus):
 def test_the_arm_is_at_rest_within_a_quick_stop(
     can_id: int, data: bytes, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Every kind of frame is told apart without the arm for every change (drivers/canopen/test_one_master.py)."""
     monkeypatch.setattr("hil.bench.wiring.LockstepBus", IntrudedBus)
     monkeypatch.setattr(IntrudedBus, "intruder", None)
     monkeypatch.setattr(IntrudedBus, "machines", [])

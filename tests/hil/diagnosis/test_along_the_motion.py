@@ -48,6 +48,7 @@ def answer(isocenter: Isocenter, folder: Path, *words: str, status: int = 0) -> 
     return json.loads((folder / "found" / "diagnosis.json").read_text()), done.err
 
 
+@pytest.mark.nightly
 def test_the_command_names_friction_and_load_of_one_recording_after_a_first_answer(folder: Path, isocenter: Isocenter) -> None:
     found, said = answer(isocenter, folder, "train_run_0_0.csv", "--held-out", "held_run_1_0.csv")
     assert "first answer: " in said
@@ -68,6 +69,13 @@ def test_the_command_names_friction_and_load_of_one_recording_after_a_first_answ
     assert {each.name for each in read_effects_file(folder / "found" / "effects.toml", MACHINE)} == set(named)
     machine_from_text((folder / "found" / "machine.toml").read_text(), label="re-tuned")
     assert "coulomb_friction at carriage" in (folder / "found" / "report.html").read_text()
+
+
+def test_friction_and_load_of_one_recording_are_named(rubbing: Named) -> None:
+    assert {(setting.name, setting.at) for setting in rubbing.best.settings} == {
+        ("coulomb_friction", "carriage"),
+        ("constant_load", "carriage"),
+    }
 
 
 def test_what_was_seen_is_said_without_a_search(folder: Path, isocenter: Isocenter) -> None:
@@ -149,7 +157,12 @@ def test_a_heavier_carriage_is_a_matter_of_numbers(tmp_path: Path, isocenter: Is
     monkeypatch.chdir(tmp_path)
     for label, each in repeats(1, duration_s=6.0, mass=1.1 * MASS_kg).items():
         write_recording(each, tmp_path / f"{label}.csv")
-    found = answer(isocenter, tmp_path, "run_0_0.csv")[0]
+    found, said = answer(isocenter, tmp_path, "run_0_0.csv")
+    assert "first answer: " in said
+    assert "provisional" in said
+    assert found["provisional"] is False
+    assert found["noise"] == "assumed"
+    assert found["audit"]["axes"]["carriage"]["status"] == "unknown"  # its command has noise that no law gives
     assert found["verdict"] == "retuned"
     assert "a resonance above may hide" in found["reason"]
 

@@ -1,4 +1,7 @@
-"""Machines whose numbers, laws or controllers are not the file's, found by free runs: recordings by Euler steps that share nothing."""
+"""Machines whose numbers, laws or controllers are not the file's, found by free runs: recordings by Euler steps that share nothing.
+
+A mass and a friction alone are found for every change by the whole diagnosis (test_numbers.py, test_diagnose.py).
+"""
 
 from __future__ import annotations
 
@@ -54,6 +57,7 @@ def rubs(_time: float, _position: float, speed: float) -> float:
     return -COULOMB_N * float(np.tanh(speed / 1e-3))
 
 
+@pytest.mark.nightly
 def test_a_mass_that_the_file_has_wrong_by_a_factor_is_found_by_windows_that_the_efforts_drive() -> None:
     machine = replace(with_mass(MASS_kg / 0.4), controllers=())
     found = selected(machine, recorded(reference(1), nothing, 5))
@@ -75,6 +79,7 @@ def test_a_command_that_acts_within_its_row_is_found() -> None:
     assert found.fit.point.settings == ()
 
 
+@pytest.mark.nightly
 def test_a_damping_that_the_file_has_too_large_is_lowered_where_no_friction_can_stand_in_for_it() -> None:
     text = RAIL.text.replace(f"damping_N_s_m = {DAMPING_N_s_m}", f"damping_N_s_m = {1.3 * DAMPING_N_s_m}")
     found = selected(replace(machine_from_text(text, label="rail.toml"), controllers=()), recorded(reference(9), nothing, 10))
@@ -86,6 +91,7 @@ def test_a_damping_that_the_file_has_too_large_is_lowered_where_no_friction_can_
     assert found.search.fitting.judge.jobs == 2
 
 
+@pytest.mark.nightly
 def test_a_friction_is_named_beside_a_mass_that_is_wrong() -> None:
     machine = replace(with_mass(MASS_kg / 2.0), controllers=())
     found = selected(machine, recorded(reference(3), rubs, 7))
