@@ -35,8 +35,10 @@ def test_two_processes_over_vcan0(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
 def test_what_lockstep_proves_holds_over_vcan0(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, record_property: Callable[[str, object], None]
 ) -> None:
-    """Answers byte for byte; the observer in a multisine with jog and in a shaped scan; the most dangerous faults, each with the time that a
-    machine takes: a quarter of an hour."""
+    """Answers byte for byte, and the observer in a multisine with jog and in a shaped scan.
+
+    The most dangerous faults, one after the other, each with the time that a machine takes: a quarter of an hour.
+    """
     monkeypatch.chdir(ROOT)
     over_vcan0(NIGHTLY, tmp_path, record_property)
 
