@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from command_line import Isocenter
 
+from hil.bench.margins import accepted_margins
+from hil.errors import UnusableInputError
 from hil.machine import load_machine
 from hil.recording import read_recording
 
@@ -50,3 +53,11 @@ def test_where_nothing_fails_there_is_nothing_to_accept(isocenter: Isocenter, tm
     out = tmp_path / "run.mf4"
     assert isocenter(*STILL, "-m", "turntable", "--accept-margins", "-o", out).status == 0
     assert "accepted_margins" not in read_recording(out).metadata["bench"]
+
+
+def test_another_controller_in_a_machine_that_was_looked_at_is_looked_at(eager: Path) -> None:
+    """What a process has found of a machine it finds again for this machine alone, whatever its file says."""
+    machine = load_machine("turntable")
+    assert accepted_margins(machine, False, "") == accepted_margins(machine, False, "") == ()
+    with pytest.raises(UnusableInputError, match="phase margin"):
+        accepted_margins(replace(machine, controllers=load_machine(eager).controllers), False, "")
