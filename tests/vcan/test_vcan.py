@@ -56,8 +56,6 @@ def over_vcan0(marked: str, folder: Path, record_property: Callable[[str, object
         marked,
         "-p",
         "no:cacheprovider",
-        "-p",
-        "no:xdist",
         "-o",
         "addopts=",
         "-v",
@@ -65,6 +63,7 @@ def over_vcan0(marked: str, folder: Path, record_property: Callable[[str, object
     ]
     environment = {"ISOCENTER_VCAN": "vcan0", "PATH": os.environ["PATH"], "HOME": os.environ.get("HOME", "/root"), "LANG": "C.UTF-8"}
     environment["ISOCENTER_PREPARED"] = str(folder)
+    environment["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"  # the tests inside use none
     handed = ("ISOCENTER_CACHE", "ISOCENTER_COMPILING")  # what is compiled once, outside; where CI notes what is compiled
     environment |= {name: os.environ[name] for name in handed if name in os.environ}
     here, kernel = vcan_here(), ""
