@@ -95,6 +95,7 @@ def test_a_schedule_and_an_unknown_name_are_refused(path: Dynamics) -> None:
         design_all([one], sweep(), RATE, also=("zeros",))
 
 
+@pytest.mark.nightly
 def test_the_command_writes_the_design_that_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = ["--axis", "roll", "--also", "shortest,zpetc", "--take", "hTDF shortest"]
     with pytest.raises(SystemExit) as left:
