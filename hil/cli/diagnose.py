@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -56,7 +57,10 @@ def diagnose(
     ] = None,
     freely: Annotated[
         bool,
-        typer.Option("--free-runs", help="Judge by free runs of the closed loop. Needs repeats, recorded by the file's controller."),
+        typer.Option(
+            "--free-runs",
+            help="Judge by free runs of the closed loop, or not at all. They need repeats, recorded by the file's controller.",
+        ),
     ] = False,
     json_to: JsonOption = None,
 ) -> None:
@@ -187,12 +191,26 @@ def _say(answer: Answer, outcome: Answered, out: Path) -> None:
         answer.say(f"  known: {', '.join(str(one.effect) for one in diagnosis.known)}")
     for finding in diagnosis.findings:
         answer.say(f"  {finding.name}: confidence {finding.confidence:.2f}; {_found([finding]).split(': ', 1)[1]}")
-    judged = diagnosis.fit.held_out or diagnosis.fit.train
-    where = "held-out" if diagnosis.fit.held_out is not None else "training"
-    stages = [("nominal", judged.nominal), ("re-tuned", judged.retuned), ("engineer's fit", judged.baseline), ("extended", judged.extended)]
-    shown = ", ".join(f"{name} {value:.3g}" for name, value in stages if value is not None)
-    if shown:
-        answer.say(f"E, misfit in units of noise, {where}: {shown}")
+    if errors := _errors(diagnosis):
+        answer.say(errors)
     if outcome.proposal is not None:
         answer.say(f"  {outcome.proposal.said(str(out / NEXT_EXPERIMENT))}")
     answer.say(f"{out}: report.html, diagnosis.json, effects.toml, machine.toml ({diagnosis.seconds:.1f} s)")
+
+
+def _errors(diagnosis: Diagnosis) -> str:
+    """Return how far every stage is from the recordings: in units of noise, or where that is not known as a share of what moves."""
+    fit = diagnosis.fit
+    judged, where = (fit.train, "training") if fit.held_out is None else (fit.held_out, "held-out")
+    values = {"nominal": judged.nominal, "re-tuned": judged.retuned, "engineer's fit": judged.baseline, "extended": judged.extended}
+    if diagnosis.noise != "assumed":
+        shown = ", ".join(f"{name} {value:.3g}" for name, value in values.items() if value is not None)
+        return f"E, misfit in units of noise, {where}: {shown}" if shown else ""
+    shares = {}
+    for (name, value), stage in zip(values.items(), ("nominal", "retuned", "baseline", "extended"), strict=True):
+        each = [getattr(channel, stage) for channel in fit.channels.values()]
+        if value is not None and each and None not in each:
+            shares[name] = math.hypot(*each) / math.sqrt(len(each))
+    return (
+        f"error as a share of what moves, {where}: " + ", ".join(f"{name} {share:.3g}" for name, share in shares.items()) if shares else ""
+    )

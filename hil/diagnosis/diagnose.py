@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,8 @@ from hil.diagnosis.audit.audit import Audit, audit
 from hil.diagnosis.audit.recordings import faults
 from hil.diagnosis.free_runs.runs import free_runs
 from hil.diagnosis.named.fitting import Fitted
-from hil.diagnosis.named.naming import engineers_fit, name
+from hil.diagnosis.named.naming import Named, engineers_fit, name
+from hil.diagnosis.named.standing import is_spanned, times_noise
 from hil.diagnosis.result import Diagnosis
 from hil.diagnosis.seen.see import Seen, see
 from hil.diagnosis.selection.select import select
@@ -30,6 +32,8 @@ MOST_JOINTS = 3
 """Of machines that free runs judge: each joint brings a dozen numbers and forty laws, each of which is a simulation of all joints."""
 FITTED, SOUGHT, USUAL = 0.2, 0.5, 12
 """Share of the whole before the search, and of the search, half of which is done after so many steps as usual."""
+NAMED, WEIGHED = 0.75, 0.9
+"""Share of the whole when effects are named along the motion, and when rivals begin to be weighed."""
 Report = Callable[[str, float], None]
 """Told what is being done, and the share of the whole that is done."""
 
@@ -57,7 +61,7 @@ def diagnose(
     first : callable
         Told a first answer as soon as there is one.
     freely : bool
-        Whether effects are judged by free runs of the closed loop.
+        Whether effects are judged by free runs of the closed loop, or not at all.
     jobs : int, optional
         Processors that free runs may use; all of them unless given.
 
@@ -123,7 +127,24 @@ def diagnose_audited(
 
         if (selected := select(machine, recordings, trying, jobs)) is not None:
             return answer_of_runs(machine, audited, seen, levels, selected, held_out, began, report)
-    return answer(machine, audited, name(seen, free, report, say), held_out, began, report)
+    again = None if freely or seen.noise == "assumed" else partial(_freely, machine, recordings, audited, jobs, report)
+    return answer(machine, audited, name(seen, free, report, say), held_out, began, report, again)
+
+
+def _freely(
+    machine: Machine, recordings: Mapping[str, Recording], audited: Audit, jobs: int | None, report: Report, named: Named
+) -> Named | None:
+    """Return what free runs of the closed loop name beside what was named along the motion; None where they cannot judge, or leave more.
+
+    Along a recorded motion equations are linear: where they do not settle what acts, simulations may.
+    """
+    seen = see(machine, recordings, freely=True)
+    try:
+        free = free_runs(seen, audited, jobs)
+    except RecordingError:
+        return None
+    found = name(seen, free, lambda what, share: report(f"{what} by free runs", NAMED + (WEIGHED - NAMED) * share))
+    return found if is_spanned(found) or times_noise(found) < times_noise(named) else None
 
 
 def fit_everyday(machine: Machine, recordings: Mapping[str, Recording]) -> Everyday:

@@ -14,6 +14,7 @@ from hil.recording import Channel, Recording, recording_metadata
 from hil.recording.channels import imu_channels
 from hil.recording.ticks import on_every_tick
 from hil.simulation.commands import commanded
+from hil.simulation.control_laws import states_at_start
 from hil.simulation.inputs import Inputs
 from hil.simulation.simulator import Outputs, Simulator
 from virtual_bus.settings import EffectSetting
@@ -31,10 +32,10 @@ def simulate(machine: Machine, recording: Recording, effects: Sequence[EffectSet
     A machine with controllers runs in closed loop from the recording's reference and excitation; one without is driven by its command.
     Row 0 is standstill in elastic equilibrium at the experiment's start pose, else at the first reference, else at each axis' first
     measured position (of its motor, else of its link; 0 where there is none), with the controller states of the recording's metadata, else
-    with integrators at the holding effort. Where the metadata say how far from the start pose the machine stood
-    (`initial.standing.deviation`), the simulation stands there. Metadata `initial.speeds`, where a recording begins in motion, are the
-    axes' speeds at row 0. What an observer's damping added to the command (`damping_A`) is part of the excitation: the simulation runs with
-    that loop open.
+    with those that give the recorded command, else with integrators at the holding effort. Where the metadata say how far from the start
+    pose the machine stood (`initial.standing.deviation`), the simulation stands there. Metadata `initial.speeds`, where a recording begins
+    in motion, are the axes' speeds at row 0. What an observer's damping added to the command (`damping_A`) is part of the excitation: the
+    simulation runs with that loop open.
 
     Parameters
     ----------
@@ -80,6 +81,8 @@ def inputs_of(machine: Machine, recording: Recording) -> Inputs:
     states = initial.get("controller_states") if closed else None
     if states is not None:
         _check_states(machine, states)
+    elif closed:
+        states = states_at_start(machine, recording)
     pose = _start_pose(machine, recording, reference)
     speed = _per_axis(machine, initial.get("speeds"), "initial.speeds")
     standing = initial.get("standing", {})

@@ -44,7 +44,8 @@ def diagnose(
     jobs : int, optional
         Processors that free runs may use; all of them unless given.
     free_runs : bool
-        Whether effects are judged by free runs of the closed loop: they need repeats, recorded by the file's controller.
+        Whether effects are judged by free runs of the closed loop, or not at all: they need repeats, recorded by the file's controller.
+        Else they judge where the answer along the recorded motion is not sure.
     progress : callable
         Told what is being done, and the share of the whole that is done.
 

@@ -23,6 +23,7 @@ PRISMATIC_UNITS = {
 }
 DRIVE_UNIT = "A"  # stands for the unit of the drive's effort
 PHASE = "phase"  # an angle in rad at every joint
+FORCES = ("Nm", "N", "kg")  # what is larger where all efforts and inertias are
 
 
 @dataclass(frozen=True)
@@ -99,6 +100,12 @@ CLOCK = EffectKind(
     "lag_s(time_s, *parameters) -> how old the channel's value is [s]; at an axis, that of all its encoders and its speed sensor",
 )  # fmt: skip
 DROPOUT = EffectKind("channel dropout", "is_lost", ("channel",), "is_lost(sample, *parameters) -> is the last reading repeated?")
+
+
+def power_of_force(unit: str) -> float:
+    """Return to which power a unit has a force or a mass: 1 of Nm/rad, -1 of rad/Nm, 0 of rad/s."""
+    above, _, below = unit.partition("/")
+    return float(any(each in FORCES for each in above.split())) - float(any(each in FORCES for each in below.split()))
 
 
 @dataclass(frozen=True)

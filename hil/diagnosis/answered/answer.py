@@ -28,7 +28,7 @@ from hil.diagnosis.locating.answered import where_it_is
 from hil.diagnosis.named.fitting import LEVEL, Fitted, fit
 from hil.diagnosis.named.matching import matched
 from hil.diagnosis.named.naming import Named
-from hil.diagnosis.named.search import NOT_TOLD_APART, library
+from hil.diagnosis.named.search import NOT_TOLD_APART, Library, library
 from hil.diagnosis.named.standing import (
     Alternative,
     Limit,
@@ -38,6 +38,7 @@ from hil.diagnosis.named.standing import (
     gained_by,
     is_spanned,
     numbers_help,
+    simpler,
     times_noise,
     unexplained,
 )
@@ -95,17 +96,24 @@ def answer(
     held_out: Mapping[str, Recording],
     began: float,
     report: Callable[[str, float], None] = lambda what, share: None,
+    again: Callable[[Named], Named | None] | None = None,
 ) -> Answered:
-    """Return the answer to what was named; held-out recordings may take assurance away. `began` is when (`time.monotonic`)."""
+    """Return the answer to what was named; held-out recordings may take assurance away. `began` is when (`time.monotonic`).
+
+    Where the answer is not sure, what is named `again` is answered instead, if anything is.
+    """
     report("weighing rivals", 0.9)
     noise = named.seen.noise
     before, named = {fitted.names: fitted for _, fitted in named.sets}, refitted(named)
-    tuned, best, seen = named.tuned, named.best, named.seen
-    along_motion = before.get(best.names, best)
+    along_motion = before.get(named.best.names, named.best)
     judged = replace(named, best=along_motion)  # rivals are weighed along the motion, where equations are linear
-    of = library(tuned, along_motion, named.of if isinstance(tuned, Tuned) else None)  # limits are beside the answer
+    others, of = _beside(judged)
+    if (plainer := simpler(judged, others)) is not None:
+        named = judged = plainer
+        along_motion = plainer.best
+        others, of = _beside(judged)
     named, judged = replace(named, of=None), replace(judged, of=None)
-    others = alternatives(judged, of) if best.settings else []
+    tuned, best, seen = named.tuned, named.best, named.seen
     spread = deviations(judged, best)
     values = tuned.numbers.values(best.offset[: len(tuned.numbers.indices)])
     shown = shown_findings(machine, seen)
@@ -114,6 +122,8 @@ def answer(
     retuned, frozen = _numbers(tuned, best, spread)
     errors = fit_of(*_predicted(machine, named, held_out), has_held_out=held_out != {})
     verdict, reason = _verdict(audit, judged, findings, others, unseen_at(machine, seen, limits), errors)
+    if again is not None and verdict in ("ambiguous", "unknown_physics") and (other := again(judged)) is not None:
+        return answer(machine, audit, other, held_out, began, report)
     if imposed := seen.alongs[0].observed.imposed:
         reason += f"; no effort of {', '.join(imposed)} was recorded: its motion is given, and sensors are judged by each other"
     if not findings and verdict not in ("inconclusive", "misconfigured"):
@@ -149,6 +159,12 @@ def answer(
     )
     acts = *acting(best.settings), *(one.setting for one in seen.shown)
     return Answered(machine, diagnosis, names_of(seen), seen, values, acts, proposal, _columns(named))
+
+
+def _beside(named: Named) -> tuple[list[Alternative], Library]:
+    """Return what might stand in place of the answer's effects, and all laws beside the answer."""
+    of = library(named.tuned, named.best, named.of if isinstance(named.tuned, Tuned) else None)
+    return (alternatives(named, of) if named.best.settings else []), of
 
 
 def _columns(named: Named) -> tuple[np.ndarray, tuple[str, ...]]:

@@ -6,11 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from hil.diagnosis.audit.controller import AxisAudit, Measured, audit_controllers, controllers_of
+from hil.diagnosis.audit.controller import AxisAudit, Measured, audit_controllers
 from hil.diagnosis.audit.readings import Fault
 from hil.diagnosis.audit.sensors import SensorAudit, audit_sensors
 from hil.machine import Machine
 from hil.recording import Recording
+from hil.simulation.control_laws import controllers_of
 
 GRAVITY = ("as_filed", "unknown", "differs")
 """Of several recordings the gravest counts."""

@@ -17,11 +17,11 @@ import numpy as np
 import scipy.signal
 
 from hil.diagnosis.audit.alike import EARLY_ROWS, LATEST_S, balanced, fastest_Hz, follows, running
-from hil.diagnosis.audit.controller import DIGITS
 from hil.diagnosis.audit.laws import OF_SPEEDS, of_efforts, of_positions
 from hil.diagnosis.audit.readings import FEWEST_ROWS, Fault
 from hil.machine import Machine
 from hil.recording import Recording
+from hil.simulation.control_laws import DIGITS
 from virtual_bus.plant.along import along_module
 from virtual_bus.plant.compiled import CompiledPlant, compile_plant
 

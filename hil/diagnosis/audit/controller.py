@@ -11,32 +11,22 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import scipy.signal
 
 from controllers.cascade import AxisCommand
 from controllers.settings import AxisController
 from hil.machine import Machine
-from hil.machine.load import machine_from_text
 from hil.recording import Recording
 from hil.recording.model import UNEQUAL_STEP
+from hil.simulation.control_laws import DIGITS, Part, command_resolution, free_rows, law_from_rest, of_states, part_of, rounding
 
 LATEST_ROWS = 16
 """Of a command that comes late."""
-EXACT = 1e-4
-"""Share of the command's rms that a law may leave and be the law: positions in text files have nine digits, of which a lead takes five."""
-STEPS = 3.0
-"""Times the rms that rounding to the command's own lattice leaves."""
 TOLERANCE = 1e-3
 """Of a gain: a law whose gain is off by less is the file's, whose numbers have four digits."""
 FEWEST_ROWS_AT_LIMIT = 3
 """One after the other: a peak has one row."""
-DIGITS = 1e-9
-"""Share of the largest command below which two commands are the same."""
 BESIDE = 1e-6
 """Share of the largest reference by which a target may be beside it and be it: text files have nine digits, and no bench adds so little."""
-MOST_STEPS = 1e7
-"""Steps of a lattice that a command's range may have, so that it is one: finer are the digits of a number."""
-
 Status = Literal["as_filed", "differs", "unknown"]
 
 
@@ -82,16 +72,6 @@ class AxisAudit:
     said: str
 
 
-@dataclass(frozen=True, eq=False)
-class Part:
-    """One recording of one axis: what the law takes and gives, row by row."""
-
-    reference: np.ndarray
-    position: np.ndarray
-    added: np.ndarray  # excitation and feedforward, which no law changes
-    command: np.ndarray
-
-
 def audit_controllers(machine: Machine, recordings: Sequence[Recording]) -> list[AxisAudit]:
     """Audit every axis whose command, reference and position were recorded at the machine's own sample rate.
 
@@ -115,29 +95,6 @@ def recorded_laws(machine: Machine) -> list[AxisController]:
     return [law for law, command in zip(machine.controllers, machine.commands, strict=False) if command is None]
 
 
-def controllers_of(machine: Machine, recording: Recording) -> Machine:
-    """Return the machine with the controllers that a recording says it was made with.
-
-    A recording may have been made under a softer controller than the file's; its metadata hold its own machine file.
-    """
-    text = recording.metadata.get("machine", {}).get("text")
-    if not isinstance(text, str) or text == machine.text:
-        return machine
-    own = machine_from_text(text, label="the recording's own machine file")
-    return replace(machine, controllers=own.controllers, commands=own.commands) if own.axes == machine.axes else machine
-
-
-def part_of(recording: Recording, axis: str, asked: str = "command", rows: int | None = None) -> Part | None:
-    """Return what an axis's law takes and gives in the first rows of a recording; None where not all of it was recorded."""
-    names = (f"reference_{axis}", f"position_{axis}", f"{asked}_{axis}")
-    if any(name not in recording for name in names):
-        return None
-    reference, position, command = (recording[name][:rows] for name in names)
-    further = [name for name in (f"excitation_{axis}", f"feedforward_{axis}", f"damping_{axis}") if name in recording]
-    part = Part(reference, position, sum((recording[name][:rows] for name in further), np.zeros(len(command))), command)
-    return part if all(np.isfinite(each).all() for each in vars(part).values()) else None
-
-
 def _part(machine: Machine, recording: Recording, axis: str, own: AxisCommand | None) -> Part | None:
     asked = "command" if own is None or f"target_{axis}" not in recording else "target"  # as `hil.simulation.in_effort` names it
     period = 1.0 / machine.sample_rate_Hz
@@ -159,9 +116,9 @@ def _audit(machine: Machine, controller: AxisController, parts: Sequence[Part], 
         return _audit_of_none(machine, controller, commands, parts, unit)
     resolution = command_resolution(commands)
     limit = _limit(parts, resolution)
-    free = [_free_rows(part, min(limit or np.inf, controller.limit), resolution) for part in parts]
+    free = [free_rows(part, min(limit or np.inf, controller.limit), resolution) for part in parts]
     held = _rows_held(parts, free, resolution)
-    enough = _rounding(commands, resolution)
+    enough = rounding(commands, resolution)
     delays = [_regressed(controller, parts, free, delay) for delay in range(LATEST_ROWS + 1)]
     delay = int(np.argmin([each[2] for each in delays]))
     gain, deviation, rms, offset = delays[delay]
@@ -228,26 +185,9 @@ def _audit_of_none(machine: Machine, controller: AxisController, commands: np.nd
 def law_leaves(controller: AxisController, part: Part) -> tuple[float, bool]:
     """Return the gain of a command over the law, and whether the law leaves nothing of it but rounding."""
     resolution = command_resolution(part.command)
-    free = [_free_rows(part, min(_limit([part], resolution) or np.inf, controller.limit), resolution)]
+    free = [free_rows(part, min(_limit([part], resolution) or np.inf, controller.limit), resolution)]
     gain, _, rms, _ = _regressed(controller, [part], free, 0)
-    return gain, bool(rms <= _rounding(part.command, resolution))
-
-
-def _rounding(commands: np.ndarray, resolution: float) -> float:
-    """Return the rms that a law may leave of commands."""
-    return STEPS * resolution / float(np.sqrt(12.0)) + EXACT * float(np.sqrt(np.mean(commands**2)))
-
-
-def command_resolution(commands: np.ndarray) -> float:
-    """Return the step of the lattice that commands lie on; their last digits where they lie on none."""
-    largest = float(np.abs(commands).max(initial=0.0))
-    steps = np.diff(np.unique(commands))
-    steps = steps[steps > DIGITS * largest]
-    if not steps.size:
-        return DIGITS * largest
-    step = float(steps.min())
-    on_lattice = np.abs(commands / step - np.round(commands / step)).max() < 1e-3
-    return step if on_lattice and largest / step < MOST_STEPS else DIGITS * largest
+    return gain, bool(rms <= rounding(part.command, resolution))
 
 
 def _rows_held(parts: Sequence[Part], free: Sequence[np.ndarray], resolution: float) -> int:
@@ -272,17 +212,11 @@ def _limit(parts: Sequence[Part], resolution: float) -> float | None:
     return None
 
 
-def _free_rows(part: Part, limit: float, resolution: float) -> np.ndarray:
-    """Return the rows whose command is within its limit."""
-    free: np.ndarray = np.abs(part.command) < limit - max(resolution, DIGITS * limit)
-    return free
-
-
 def _regressed(
     controller: AxisController, parts: Sequence[Part], free: Sequence[np.ndarray], delay: int
 ) -> tuple[float, float, float, float]:
     """Return gain, its standard deviation, the rms that is left, and the start's part of the command, for a law so many rows late."""
-    states = _zero_input(controller, max(len(part.command) for part in parts))
+    states = of_states(controller, max(len(part.command) for part in parts))
     width = states.shape[1]
     matrix, target = _equations(controller, parts, free, delay)
     if len(target) < 2 * matrix.shape[1]:
@@ -302,10 +236,10 @@ def _regressed(
 def _equations(controller: AxisController, parts: Sequence[Part], free: Sequence[np.ndarray], delay: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the law from rest and every state's part of the command (rows, 1 + states), and the command (rows,) that they are to give."""
     columns, targets = [], []
-    states = _zero_input(controller, max(len(part.command) for part in parts))
+    states = of_states(controller, max(len(part.command) for part in parts))
     width = states.shape[1]
     for number, (part, rows) in enumerate(zip(parts, free, strict=True)):
-        law = _late(_law(controller, part), delay)
+        law = _late(law_from_rest(controller, part), delay)
         own = np.zeros((len(law), width * len(parts)))
         own[delay:, width * number : width * (number + 1)] = states[: len(law) - delay]
         used = rows & (np.arange(len(law)) >= delay)
@@ -322,32 +256,8 @@ def _is_moved(controller: AxisController, parts: Sequence[Part], free: Sequence[
     return bool(np.sqrt(np.sum(left**2)) > DIGITS * np.sqrt(np.sum(law**2)))
 
 
-def _law(controller: AxisController, part: Part) -> np.ndarray:
-    """Return the file's law from rest."""
-    if controller.reference_sections is None:
-        law: np.ndarray = scipy.signal.sosfilt(controller.position_sections, part.reference - part.position)
-        return law
-    asked = scipy.signal.sosfilt(controller.reference_sections, part.reference)
-    law = asked - scipy.signal.sosfilt(controller.position_sections, part.position)
-    return law
-
-
 def _late(values: np.ndarray, rows: int) -> np.ndarray:
     return np.concatenate([np.zeros(rows), values[: len(values) - rows]])
-
-
-def _zero_input(controller: AxisController, rows: int) -> np.ndarray:
-    """Return what every state at row 0 adds to the command (rows, states)."""
-    found = []
-    for sections in (controller.position_sections, controller.reference_sections):
-        if sections is None:
-            continue
-        for section in range(len(sections)):
-            for state in range(2):
-                start = np.zeros((len(sections), 2))
-                start[section, state] = 1.0
-                found.append(scipy.signal.sosfilt(sections, np.zeros(rows), zi=start)[0])
-    return np.column_stack(found)
 
 
 def _another_law(controller: AxisController, parts: Sequence[Part], free: Sequence[np.ndarray]) -> float:

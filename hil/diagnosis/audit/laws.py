@@ -11,11 +11,12 @@ from dataclasses import replace
 import numpy as np
 
 from controllers.settings import AxisController
-from hil.diagnosis.audit.controller import LATEST_ROWS, TOLERANCE, Part, controllers_of, law_leaves, part_of, recorded_laws
+from hil.diagnosis.audit.controller import LATEST_ROWS, TOLERANCE, law_leaves, recorded_laws
 from hil.diagnosis.audit.readings import Fault
 from hil.machine import Machine
 from hil.recording import Recording
 from hil.recording.model import UNEQUAL_STEP
+from hil.simulation.control_laws import Part, controllers_of, part_of
 
 MOST_ROWS = 2000
 """A law is exact or it is not: more rows say no more."""

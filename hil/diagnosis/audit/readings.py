@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.diagnosis.audit.controller import command_resolution
 from hil.machine import Machine
 from hil.recording import Recording
+from hil.simulation.control_laws import command_resolution
 
 MEASURED = ("position", "link_position", "speed", "current", "effort", "command", "reference")
 POSITIONS = ("position", "link_position")

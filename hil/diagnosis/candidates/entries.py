@@ -104,7 +104,7 @@ def different_places(effect: Effect, along: Along, is_whole: bool = False) -> li
 
 def entries(
     alongs: Sequence[Along], motions: Sequence[Motion], nominal: Sequence[Signals], values: np.ndarray, missing: Sequence[np.ndarray],
-    inertias: np.ndarray, is_whole: bool = False,
+    inertias: np.ndarray, is_whole: bool = False, everywhere: bool = False,
 ) -> Iterator[Entry]:  # fmt: skip
     """Yield the laws of all effects at all places.
 
@@ -113,10 +113,10 @@ def entries(
     nominal : sequence of Signals
         Along these motions with these values and no effect.
     is_whole : bool
-        Whether of the whole catalogue, in the bounds of a machine of this size.
+        Whether of the whole catalogue, in the bounds of a machine of this size; `everywhere`, at all its places, in the usual bounds.
     """
     for name, effect in effects().items():
-        for at in different_places(effect, alongs[0], is_whole):
+        for at in different_places(effect, alongs[0], is_whole or everywhere):
             place = place_of(effect, at, alongs, motions, nominal, missing, inertias)
             if is_whole:
                 own = effect_at(name, at, alongs[0].settings)

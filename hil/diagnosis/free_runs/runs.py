@@ -16,7 +16,6 @@ import scipy.fft
 
 from controllers.errors import ControlError
 from hil.diagnosis.audit.audit import Audit
-from hil.diagnosis.audit.controller import controllers_of
 from hil.diagnosis.free_runs.scatter import Scatter
 from hil.diagnosis.observed.groups import Group
 from hil.diagnosis.observed.rows import Observed
@@ -29,6 +28,7 @@ from hil.errors import BenchError, RecordingError
 from hil.machine import Machine
 from hil.recording.ticks import on_every_tick
 from hil.simulation import Inputs, Simulator
+from hil.simulation.control_laws import controllers_of, states_at_start
 from hil.simulation.simulate import inputs_of
 from hil.simulation.simulator import Outputs
 from hil.simulation.smooth import simulated_matrix, smooth
@@ -246,8 +246,10 @@ def lacking(seen: Seen, audit: Audit) -> str:
         if len({str(repeat.recording.metadata.get("machine", {}).get("text")) for repeat in group.repeats}) > 1:
             return f"{group.names[0]}: its repeats were recorded by several machine files; free runs need one; judge without free runs"
     for repeat in (repeat for group in seen.groups for repeat in group.repeats):
-        if "controller_states" not in repeat.recording.metadata.get("initial", {}):
-            return f"{repeat.name}: free runs need metadata initial.controller_states, which the bench writes; judge without free runs"
+        has_states = "controller_states" in repeat.recording.metadata.get("initial", {})
+        if not has_states and states_at_start(simulated_loop(repeat), repeat.recording) is None:
+            why = "its commands, which are not what the controller computes, do not show the controller's states at row 0"
+            return f"{repeat.name}: {why}; judge without free runs"
     return ""
 
 

@@ -6,7 +6,8 @@ import numpy as np
 
 from hil.diagnosis.candidates.columns import Column, column
 from hil.diagnosis.locating.location import Mismatch, locate
-from hil.diagnosis.named.fitting import Fitted, signals_of
+from hil.diagnosis.named.fitting import Fitted
+from hil.diagnosis.named.plausible import signals_of
 from hil.diagnosis.observed.groups import Group
 from hil.diagnosis.result import Location
 from hil.diagnosis.seen.see import Seen

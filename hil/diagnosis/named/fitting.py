@@ -11,6 +11,7 @@ import numpy as np
 from hil.diagnosis.candidates.columns import Column, column
 from hil.diagnosis.candidates.entries import effect_sought, setting_of
 from hil.diagnosis.named.form import FormError, form_columns
+from hil.diagnosis.named.plausible import are_driven, on_bound, pressed_against, signals_of
 from hil.diagnosis.seen.along import Signals
 from hil.diagnosis.seen.noise import ACCURACY
 from hil.diagnosis.tuned.bounded import bounded_least_squares
@@ -62,6 +63,8 @@ class Fitted:
     readings : int
     is_pressed : (P,) bool array
         Which nuisances lie on a bound that the recordings press them against: no law has to be told apart from them.
+    is_sensible : bool
+        Whether the drives still give most of what they gave, and no parameter is pressed against a bound: else it is no finding.
     """
 
     settings: tuple[EffectSetting, ...]
@@ -75,6 +78,7 @@ class Fitted:
     form_squares: float
     readings: int
     is_pressed: np.ndarray
+    is_sensible: bool = True
 
     @cached_property
     def dispersion(self) -> float:
@@ -162,19 +166,12 @@ def fit(
             break
     reduced, form_squares = form.taken_from(left)
     squares += float(sum(after @ after - before @ before for before, after in zip(left, reduced, strict=True)))
-    pressed = _pressed(tuned, offset, columns, reduced, dispersion)
+    pressed = pressed_against(tuned, offset, columns, reduced, dispersion)
+    sensible = are_driven(tuned, settings) and not on_bound(settings, parameters, columns, reduced, dispersion)
     return Fitted(
-        settings, offset, squares, reduced, columns, parameters, not tuned.levels.are_assumed, form, form_squares, tuned.readings, pressed
-    )
-
-
-def _pressed(tuned: Tuned, offset: np.ndarray, columns: Sequence[np.ndarray], left: Sequence[np.ndarray], dispersion: float) -> np.ndarray:
-    """Return which nuisances (P,) lie on a bound and would leave less beyond it."""
-    low, high = tuned.bounds
-    moved = offset - tuned.offset
-    slopes = sum(each[:, : len(offset)].T @ rest for each, rest in zip(columns, left, strict=True)) / dispersion - offset
-    pressed: np.ndarray = ((moved <= low) & (slopes < 0.0)) | ((moved >= high) & (slopes > 0.0))
-    return pressed
+        settings, offset, squares, reduced, columns, parameters, not tuned.levels.are_assumed, form, form_squares, tuned.readings, pressed,
+        sensible,
+    )  # fmt: skip
 
 
 def _cost(left: Sequence[np.ndarray], squares: float, offset: np.ndarray, form: FormError) -> float:
@@ -296,12 +293,6 @@ def _times(values: np.ndarray, factors: np.ndarray) -> np.ndarray:
     by_reading = values.reshape(-1, len(factors), *values.shape[1:])
     scaled: np.ndarray = by_reading * factors.reshape(-1, *(1 for _ in values.shape[1:]))
     return scaled.reshape(values.shape)
-
-
-def signals_of(tuned: Tuned, one: Looked, settings: tuple[EffectSetting, ...]) -> Signals:
-    """Return what the tuned machine does along a recording with these effects."""
-    along = one.beside.along
-    return along.signals(one.motion, along.model(tuned.values, settings), settings, beside=one.signals)
 
 
 def _columns(

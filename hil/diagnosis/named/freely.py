@@ -11,35 +11,49 @@ from hil.diagnosis.candidates.entries import Entry
 from hil.diagnosis.free_runs.runs import FreeRuns, Trial
 from hil.diagnosis.named.fitting import HALVINGS, ITERATIONS, SETTLED, STEP, Fitted, changed, difference, fit, free_parameters, reach
 from hil.diagnosis.named.form import FormError
+from hil.diagnosis.named.plausible import are_driven, on_bound, pressed_against
 from hil.diagnosis.named.settling import LONGEST
 from hil.diagnosis.tuned.bounded import bounded_least_squares
 from hil.diagnosis.tuned.retuning import STEP as NEARBY
 from hil.diagnosis.tuned.retuning import Tuned
-from virtual_bus.effects.effect import Parameter
+from virtual_bus.effects.effect import Parameter, power_of_force
+from virtual_bus.effects.registry import effects
 from virtual_bus.settings import EffectSetting
 
 SHARES = tuple(0.5**k for k in range(HALVINGS))
 """Of a step, that are tried together."""
+FINE = 0.1
+"""Of the step of a difference along the motion: a simulation has no rows that a corner of a law could pass between."""
+HOPED, BEYOND = 2, 3.0
+"""Steps after which a fit is hopeless that needs more than so many times what the next one promises."""
+LITTLE = 1e-4
+"""Of what is left: less is gained for nothing by one fit of many."""
+CONSTANT, BRAKE = "constant", "brake_effort"
 WORTH = 0.5
 """Share of what columns promise, below which they are computed anew."""
 
 
 def fit_to(
     view: Tuned | FreeRuns, settings: Sequence[EffectSetting], offset: np.ndarray | None = None, dispersion: float = 1.0,
-    near: Fitted | None = None,
+    near: Fitted | None = None, enough: float | None = None,
 ) -> Fitted | None:  # fmt: skip
-    """Fit a set of effects along the recorded motion or to free runs; None where the machine cannot take them together."""
-    return fit(view, settings, offset, dispersion) if isinstance(view, Tuned) else fit_freely(view, settings, offset, dispersion, near)
+    """Fit a set of effects along the recorded motion or to free runs; None where the machine cannot take them together.
+
+    A fit to free runs that is one of many ends where it will surely leave more squares than `enough`, or gains little of what is left.
+    """
+    if isinstance(view, Tuned):
+        return fit(view, settings, offset, dispersion)
+    return fit_freely(view, settings, offset, dispersion, near, enough)
 
 
 def fit_freely(
-    free: FreeRuns, settings: Sequence[EffectSetting], offset: np.ndarray | None, dispersion: float, near: Fitted | None = None
-) -> Fitted | None:
+    free: FreeRuns, settings: Sequence[EffectSetting], offset: np.ndarray | None, dispersion: float, near: Fitted | None = None,
+    enough: float | None = None,
+) -> Fitted | None:  # fmt: skip
     """Fit a set of effects from these parameters, as `fit` does along a motion; None where the machine cannot run with them.
 
-    Numbers that stand in for each other lie in a curved valley: steps are bent as misfits' second derivative along them asks (geodesic
-    acceleration: Transtrum and Sethna 2012). What misfits lose per unit of each number is that of a set `near` it, or of an earlier step,
-    as long as it keeps what it promises; the last is computed anew.
+    What misfits lose per unit of each number is that of a set `near` it, or of an earlier step, as long as it keeps what it promises; the
+    last is computed anew.
     """
     settings = tuple(settings)
     offset = free.offset.copy() if offset is None else offset
@@ -50,26 +64,26 @@ def fit_freely(
     columns: tuple[np.ndarray, ...] = ()
     numbers = None if near is None else near.columns
     fastest = 0.5 / max(run.simulator.machine.plant.sample_period_s for run in free.runs)
-    for _ in range(2 * ITERATIONS):
+    for turn in range(2 * ITERATIONS):
         parameters = [(k, parameter) for k, setting in enumerate(settings) for parameter in free_parameters(setting)]
         steps = [_step(settings[k], parameter) for k, parameter in parameters]
         is_new = not numbers
         columns = _columns(free, offset, settings, parameters, steps, left, numbers)
-        reaches = [reach(one, settings[k].parameters[one.name], by, fastest) for (k, one), by in zip(parameters, steps, strict=True)]
+        reaches = [reach(one, settings[k].parameters[one.name], by / FINE, fastest) for (k, one), by in zip(parameters, steps, strict=True)]
         room = _room(free, offset, reaches)
         unit = max(dispersion, sum(float(rest @ rest) for rest in left) / free.readings)  # while far off, errors count as noise
         step = _solved(columns, left, unit, offset, room)
         cost = _cost(left, offset, unit)
         rest = [each - own @ step for own, each in zip(columns, left, strict=True)]
+        squares, foretold = (float(sum(each @ each for each in parts)) for parts in (left, rest))
+        if enough is not None and turn >= HOPED and squares - BEYOND * (squares - foretold) > enough:
+            break
+        little = SETTLED if enough is None else max(SETTLED, LITTLE * cost)
         promised = cost - _cost(rest, offset + step[: len(offset)], unit)
         gained = 0.0
-        if promised >= SETTLED:
+        if promised >= little:
             trials = [_moved(offset, settings, parameters, share * step) for share in SHARES]
             further = free.left(trials)
-            if is_new and (bend := _bend(columns, left, unit, step, room, further)) is not None:
-                bent = [np.clip(share * step + share**2 * bend, *room) for share in SHARES]
-                trials += [_moved(offset, settings, parameters, one) for one in bent]
-                further += free.left(trials[len(SHARES) :])
             costs = [np.inf if each is None else _cost(each, trial[0], unit) for trial, each in zip(trials, further, strict=True)]
             best = int(np.argmin(costs))
             gained = cost - costs[best]
@@ -77,18 +91,16 @@ def fit_freely(
                 (offset, settings), there = trials[best], further[best]
                 assert there is not None
                 left = there
-        if is_new and gained < SETTLED:
+        if is_new and gained < little:
             break
-        numbers = columns if gained > max(SETTLED, WORTH * promised) else None
+        numbers = columns if gained > max(little, WORTH * promised) else None
     else:
         columns = _columns(free, offset, settings, parameters, [_step(settings[k], one) for k, one in parameters], left, None)
-    low, high = free.bounds
-    moved = offset - free.offset
-    slopes = sum(each[:, : len(offset)].T @ rest for each, rest in zip(columns, left, strict=True)) / dispersion - offset
-    pressed = ((moved <= low) & (slopes < 0.0)) | ((moved >= high) & (slopes > 0.0))
+    pressed = pressed_against(free, offset, columns, left, dispersion)
     none = FormError([np.zeros((len(rest), 0)) for rest in left], dispersion)
     squares = float(sum(rest @ rest for rest in left))
-    return Fitted(settings, offset, squares, left, columns, tuple(parameters), True, none, 0.0, free.readings, pressed)
+    sensible = are_driven(free.along, settings) and not on_bound(settings, parameters, columns, left, dispersion)
+    return Fitted(settings, offset, squares, left, columns, tuple(parameters), True, none, 0.0, free.readings, pressed, sensible)
 
 
 def _columns(
@@ -110,12 +122,48 @@ def _columns(
         if there is not None:
             for own, before, after in zip(columns, left, there, strict=True):
                 own[:, k] = (before - after) / by[k]
+    scaled = _scaled(free, offset, settings, parameters)
+    if scaled is not None:
+        rest = scaled.copy()
+        constant = next(k for k, name in enumerate(free.numbers.names) if name.endswith(f".{CONSTANT}"))
+        rest[constant] = 0.0
+        for own in columns:
+            own[:, constant] = -(own @ rest) / scaled[constant]
     return tuple(columns)
+
+
+def _scaled(
+    free: FreeRuns, offset: np.ndarray, settings: tuple[EffectSetting, ...], parameters: Sequence[tuple[int, Parameter]]
+) -> np.ndarray | None:
+    """Return how nuisances and parameters (P + Q,) change where all efforts and inertias are larger by one share; None where some are held.
+
+    No motion shows that: the machine moves as before (Gautier 1991, base parameters). Differences do not cancel as far as what they show.
+    """
+    numbers, values = free.numbers, free.numbers.values(offset[: len(free.numbers.indices)])
+    is_free = numbers.low < numbers.high
+    own = {int(index): k for k, index in enumerate(numbers.indices) if is_free[k]}
+    found = np.zeros(len(offset) + len(parameters))
+    for index, parameter in enumerate(free.plant.parameters):
+        power = power_of_force(parameter.unit)
+        if power == 0.0 or values[index] == 0.0 or parameter.quantity == BRAKE:
+            continue
+        if index not in own:
+            return None
+        found[own[index]] = power * values[index] / numbers.scale[own[index]]
+    held = [(setting, {one.name for k, one in parameters if settings[k] is setting}) for setting in settings]
+    held += [(setting, set()) for run in free.runs for setting in run.known]
+    for setting, names in held:
+        every = effects()[setting.name].parameters
+        if any(one.name not in names and power_of_force(one.unit) and setting.parameters[one.name] for one in every):
+            return None
+    for column_of, (number, sought) in enumerate(parameters, len(offset)):
+        found[column_of] = power_of_force(sought.unit) * settings[number].parameters[sought.name]
+    return found if any(name.endswith(f".{CONSTANT}") and found[k] for k, name in enumerate(numbers.names)) else None
 
 
 def _step(setting: EffectSetting, parameter: Parameter) -> float:
     value = setting.parameters[parameter.name]
-    step = difference(parameter, value)
+    step = FINE * difference(parameter, value)
     return -step if value + step > parameter.high else step
 
 
@@ -124,21 +172,6 @@ def _room(free: FreeRuns, offset: np.ndarray, reaches: Sequence[tuple[float, flo
     low, high = (bound + free.offset - offset for bound in free.bounds)
     below, above = np.array(reaches).reshape(-1, 2).T
     return np.append(np.maximum(low, -LONGEST), below), np.append(np.minimum(high, LONGEST), above)
-
-
-def _bend(
-    columns: Sequence[np.ndarray], left: Sequence[np.ndarray], dispersion: float, step: np.ndarray, room: tuple[np.ndarray, np.ndarray],
-    further: Sequence[tuple[np.ndarray, ...] | None],
-) -> np.ndarray | None:  # fmt: skip
-    """Return what a step (P + Q,) is bent by at its whole length, from half a step; None where none is, or it is too long."""
-    share, there = SHARES[1], further[1]
-    if there is None:
-        return None
-    second = [(far - rest + share * (each @ step)) / share**2 for far, rest, each in zip(there, left, columns, strict=True)]
-    anywhere = np.full(len(step), np.inf)
-    bend = _solved(columns, second, dispersion, np.zeros(len(step)), (-anywhere, anywhere))
-    width = np.maximum(room[1] - room[0], 1e-300)
-    return bend if np.linalg.norm(np.clip(bend, *room) / width) < np.linalg.norm(step / width) else None
 
 
 def _solved(

@@ -129,7 +129,7 @@ def neighbours(tuned: Tuned | FreeRuns, best: Fitted, of: Library) -> Iterator[N
             if (law.effect.name, law.at) in taken or ((law.effect.family, law.at) in taken and law.effect.name not in gone):
                 continue
             other = fit_to(tuned, (*kept, law.setting(weights)), rest.offset, best.dispersion, rest)
-            if other is not None:
+            if other is not None and other.is_sensible:
                 yield Neighbour(other, without, has_another=True)
 
 

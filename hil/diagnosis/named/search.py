@@ -132,12 +132,12 @@ def _along(tuned: Tuned) -> tuple[list[Along], list[Motion], list[Signals]]:
     return [one.beside.along for one in looked], [one.motion for one in looked], [one.signals for one in looked]
 
 
-def _every_law(tuned: Tuned, left: Sequence[np.ndarray]) -> list[Entry]:
+def _every_law(tuned: Tuned, left: Sequence[np.ndarray], *, everywhere: bool = False) -> list[Entry]:
     """Return the laws of all effects at all places; orders and lines are sought in what is left (N m,) of every recording."""
     alongs, motions, signals = _along(tuned)
     short = [_asked(one, rest, tuned.levels.are_assumed) for one, rest in zip(tuned.looked, left, strict=True)]
     inertias = tuned.plant.inertias(tuned.looked[0].beside.model, motions[0].position[0])
-    return list(entries(alongs, motions, signals, tuned.values, short, inertias))
+    return list(entries(alongs, motions, signals, tuned.values, short, inertias, everywhere=everywhere))
 
 
 def _known(tuned: Tuned, beside: Library | None) -> dict[object, tuple[slice, np.ndarray]]:
@@ -152,7 +152,7 @@ def _library_freely(free: FreeRuns, fitted: Fitted, beside: Library | None) -> L
     along = free.along
     alongs, motions, signals = _along(along)
     here = fit(along, fitted.settings, fitted.offset, longest=0.0)
-    every = _every_law(along, [one.innovations for one in along.looked] if here is None else here.innovations)
+    every = _every_law(along, [one.innovations for one in along.looked] if here is None else here.innovations, everywhere=True)
     old = () if beside is None else tuple(law for law in beside.laws if not law.effect.several)
     new = []
     for law in every:
@@ -290,8 +290,9 @@ def search(tuned: Tuned | FreeRuns, laws: Library, baseline: Fitted, materiality
                 names = fitted.names | {(law.effect.name, law.at)}
                 if names in found:
                     continue
-                longer = fit_to(tuned, (*fitted.settings, law.setting(weights)), fitted.offset, scatter, fitted)
-                if longer is None:
+                enough = further[-1].cost * dispersion if len(further) == KEPT else math.inf
+                longer = fit_to(tuned, (*fitted.settings, law.setting(weights)), fitted.offset, scatter, fitted, enough)
+                if longer is None or not longer.is_sensible:
                     continue
                 found[names] = ranked(longer.without_columns())
                 further = sorted([*further, ranked(longer)], key=lambda each: each.cost)[:KEPT]
@@ -327,13 +328,13 @@ def _price(fitted: Fitted, cost_of_exact: float, dispersion: float, readings: in
     """Return the price of a set of effects, of which those whose form is known alone cost `cost_of_exact`.
 
     It is the Bayesian information criterion, extended by the number of sets that there are (Chen and Chen 2008). An effect beside others
-    must explain more than what their laws may be wrong by, all laws where noise is assumed; only the everyday ones are free of that beside
-    each other.
+    must explain more than what their laws may be wrong by, all laws where noise is assumed; only the everyday ones are free of that there
+    beside each other.
     """
     size = len(fitted.settings)
     bought = len(fitted.parameters) * math.log(readings) + 2.0 * math.log(math.comb(max(places, size), size))
     special = _special(fitted)
-    beside = special - 1 if special == size else special
+    beside = size - 1 if special == size or fitted.is_noise_known else special
     wrong = EXACT if fitted.is_noise_known else FORM
     return bought + max(beside, 0) * wrong**2 * max(cost_of_exact - fitted.cost(dispersion), 0.0)
 

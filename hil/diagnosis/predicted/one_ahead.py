@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hil.diagnosis.candidates.columns import column
-from hil.diagnosis.named.fitting import signals_of
 from hil.diagnosis.named.naming import Named
+from hil.diagnosis.named.plausible import signals_of
 from hil.diagnosis.predicted.open_runs import Predicted
 from hil.diagnosis.seen.see import Seen
 from hil.diagnosis.tuned.retuning import Looked, Tuned, least_left, nominal_offset, tuned_at

@@ -8,13 +8,13 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import scipy.signal
 
-from hil.diagnosis.audit.controller import controllers_of
 from hil.diagnosis.observed.rows import Observed
 from hil.diagnosis.simulation.windows import MOST_STEPS, Errors, Starts, Windows
 from hil.diagnosis.unknowns.unknowns import Machine
 from hil.machine import Machine as Bench
 from hil.recording import Recording
 from hil.simulation import Inputs, Outputs, Simulator
+from hil.simulation.control_laws import controllers_of, states_at_start
 from hil.simulation.several import Own
 from hil.simulation.smooth import simulated_matrix, smooth
 
@@ -52,7 +52,7 @@ class ClosedLoop:
         self.noise = np.array([max(_rounding(machine, name), 1e-6 * float(np.nanstd(recording[name]))) for name in self.channels])
         self.starts: tuple[Starts, ...] = ()
         initial = recording.metadata.get("initial", {})
-        self._states = initial.get("controller_states")
+        self._states = initial.get("controller_states") or states_at_start(machine, recording)
         self._speed = None if initial.get("speeds") is None else np.array(initial["speeds"], dtype=float)
         pose = recording.experiment.get("start_pose")
         self._pose = np.array(pose, dtype=float) if pose is not None else _first(machine.axes, recording)

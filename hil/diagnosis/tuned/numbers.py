@@ -7,8 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from hil.diagnosis.tuned.rigid_bodies import RigidBodies, rigid_bodies
 from virtual_bus.plant.compiled import CompiledPlant
+from virtual_bus.plant.rigid_bodies import RigidBodies, rigid_bodies
 
 PRIOR = 0.1
 """Standard deviation of a nominal number, as a share of it."""

@@ -10,10 +10,10 @@ from enum import Enum
 import numpy as np
 
 from hil.diagnosis.candidates.entries import setting_of
-from hil.diagnosis.tuned.rigid_bodies import RigidBodies, rigid_bodies
 from virtual_bus.effects.bounds import effect_at
 from virtual_bus.effects.effect import PHASE, Parameter
 from virtual_bus.plant.compiled import CompiledPlant
+from virtual_bus.plant.rigid_bodies import RigidBodies, rigid_bodies
 from virtual_bus.settings import EffectSetting, PlantSettings
 
 TOLERANCE = 0.15

@@ -177,3 +177,30 @@ def test_where_one_law_and_two_explain_as_much_both_are_listed(
     sets = [{effect["effect"] for effect in hypothesis["effects"]} for hypothesis in found["hypotheses"][:2]]
     assert found["verdict"] == "ambiguous"
     assert {"coulomb_friction", "constant_load"} in sets
+
+
+FIELD = {
+    "39d-cogging-and-friction": {("coulomb_friction", "Fc"): 2.2, ("cogging", "Np"): 7.0, ("cogging", "A1"): 1.4},
+    "39e-stick-slip": {("coulomb_friction", "Fc"): 4.0, ("stribeck_friction", "Fs_minus_Fc"): 3.5, ("stribeck_friction", "vs"): 0.004},
+    "39f-gear-ratio-94": {("gear_ratio", "beta"): -0.06},
+}
+
+
+@pytest.mark.nightly
+@needs_data("field", "recordings of a turntable")
+@pytest.mark.parametrize("name", FIELD)
+def test_what_the_motion_does_not_settle_simulations_do(
+    name: str, tmp_path: Path, isocenter: Isocenter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Recordings without metadata: the controller's states at row 0 follow from its command."""
+    folder = DATA / "field" / name
+    monkeypatch.chdir(tmp_path)
+    recordings = [str(folder / f"r{number}.csv") for number in (1, 2, 3)]
+    machine = str(DATA / "field" / "common" / "turntable.toml")
+    done = isocenter("diagnose", machine, *recordings, "--held-out", str(folder / "h.csv"), "-o", "found", "-j", "1")
+    assert done.status == 0, done.err
+    found = json.loads((tmp_path / "found" / "diagnosis.json").read_text())["findings"]
+    assert {each["effect"] for each in found} == {effect for effect, _ in FIELD[name]}
+    numbers = {(each["effect"], key): number for each in found for key, number in each["parameters"].items()}
+    for key, value in FIELD[name].items():
+        assert numbers[key]["value"] == pytest.approx(value, rel=0.02)

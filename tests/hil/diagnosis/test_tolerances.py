@@ -8,13 +8,13 @@ import pytest
 from hil.diagnosis.answered.machine_file import retuned_text
 from hil.diagnosis.named.naming import Named, name
 from hil.diagnosis.seen.see import see
-from hil.diagnosis.tuned.rigid_bodies import rigid_bodies
 from hil.errors import MachineFileError
 from hil.machine import Machine, load_machine
 from hil.machine.load import machine_from_text
 from hil.recording import Channel, Recording, recording_metadata
 from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.plant.parameters import plant_parameters
+from virtual_bus.plant.rigid_bodies import rigid_bodies
 
 RATE_Hz, STEPS, DURATION_s = 250.0, 16, 6.0
 GRAVITY, MASS_kg, LENGTH_m, INERTIA_kg_m2, DAMPING, GAIN = 9.81, 6.0, 0.4, 0.25, 1.5, 2.0

@@ -9,9 +9,10 @@ import pytest
 from places import BENCHMARKS, DATA, needs_data
 
 from hil.diagnosis.audit.audit import audit
-from hil.diagnosis.audit.controller import audit_controllers, command_resolution, controllers_of
+from hil.diagnosis.audit.controller import audit_controllers
 from hil.machine import Machine, load_machine
 from hil.recording import Channel, Recording, read_recording, recording_metadata
+from hil.simulation.control_laws import command_resolution, controllers_of
 
 sys.path.insert(0, str(BENCHMARKS))
 from controller_faults import KINDS, closed_loop, drawn, is_found

@@ -1,4 +1,4 @@
-"""Re-tuned inertias that a rigid body can have: no machine file is one otherwise."""
+"""Changed inertias that a rigid body can have: no machine file is one otherwise."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.diagnosis.tuned.bounded import ROUNDING
 from virtual_bus.plant.parameters import INERTIA_ENTRIES, PlantParameter
 
+ROUNDING = 1e-10
+"""Of a trace: second moments that are less below zero are rounded ones."""
 DIAGONAL = tuple(entry for entry, i, j in INERTIA_ENTRIES if i == j)
 
 
