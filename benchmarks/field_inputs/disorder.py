@@ -138,7 +138,25 @@ def gap(samples: Samples) -> Samples:
     return samples[:90] + samples[97:]
 
 
-DISORDERS = {one.__name__: one for one in (set_back, set_back_and_on, out_of_order, parts_swapped, copied, gap)}
+def set_back_by_whole_periods(samples: Samples) -> Samples:
+    return set_back(samples, by_s=64 / RATE_Hz)
+
+
+def set_back_by_a_step(samples: Samples) -> Samples:
+    return set_back(samples, by_s=1 / RATE_Hz)
+
+
+def set_on_and_back(samples: Samples) -> Samples:
+    return [(stamp + 0.7 * (60 <= k < 140), k) for stamp, k in samples]
+
+
+def all_copied(samples: Samples) -> Samples:
+    return samples + samples
+
+
+SOME = (set_back, set_back_and_on, out_of_order, parts_swapped, copied, gap)
+MORE = (set_back_by_whole_periods, set_back_by_a_step, set_on_and_back, all_copied)
+DISORDERS = {one.__name__: one for one in (*SOME, *MORE)}
 
 
 def read(path: Path, names: dict[str, str] | None = None) -> tuple[np.ndarray, np.ndarray, str]:
@@ -164,7 +182,7 @@ def judged(folder: Path, form: str, disorder: str) -> Outcome:
         return Outcome(WRONG, f"{len(which)} samples of {len(expected)}, or in another order")
     if np.abs((time_s - time_s[0]) * RATE_Hz - expected).max() > 0.05:
         return Outcome(WRONG, "times are off")
-    words = ("clock", "order of their stamps", "twice", "missing", "at the time of another")
+    words = ("clock", "order of their stamps", "twice", "missing", "at the time of another", "of earlier ones")
     return Outcome(RIGHT, said) if any(word in said for word in words) else Outcome(WRONG, f"not said: {said}")
 
 
@@ -185,8 +203,62 @@ def two_senders(folder: Path, every: int, phase_s: float, frame: str) -> Outcome
     return Outcome(WRONG, "two senders were joined")
 
 
+def two_in_a_table(folder: Path, form: str, phase: float, offset: float) -> Outcome:
+    """Two senders of a position that say nearly the same; the option that the refusal names takes one."""
+    swing = 200 * np.sin(np.arange(ROWS) / 11.0)
+    samples = [(k / RATE_Hz, float(value)) for k, value in enumerate(swing)]
+    samples += [((k + phase) / RATE_Hz, float(value) + offset) for k, value in enumerate(swing)]
+    path = FORMS[form][1](folder, sorted(samples, key=lambda one: one[0]))
+    try:
+        read(path)
+    except RecordingError as refusal:
+        outcome = refused(str(refusal), "senders", "@1=part", "@2=part")
+        if outcome.what != WRONG:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                taken = read_recording(path, CARM, {"@2": "part"})["position_roll"]
+            return outcome if np.allclose(taken, COUNT * (swing + offset)) else Outcome(WRONG, "@2 is no sender")
+        return outcome
+    return Outcome(WRONG, "two senders were joined")
+
+
+def two_buses(folder: Path, suffix: str) -> Outcome:
+    path = folder / f"log{suffix}"
+    with can.Logger(path) as logger:
+        for k in range(ROWS):
+            for bus in (0, 1):
+                stamp = 1000.0 + k / RATE_Hz + 1e-5 * bus
+                logger(can.Message(timestamp=stamp, arbitration_id=0x80, is_extended_id=False, channel=bus))
+                answer = struct.pack("<Hih", 0x1237, k + 500 * bus, 0)
+                logger(can.Message(timestamp=stamp + 3e-4, arbitration_id=0x182, data=answer, is_extended_id=False, channel=bus))
+    try:
+        read(path)
+    except RecordingError as refusal:
+        buses = [word.removesuffix("=part") for word in str(refusal).split() if word.endswith("=part")]
+        if len(buses) == 2 and np.array_equal(read(path, {buses[1]: "part"})[1], np.arange(ROWS) + 500):
+            return refused(str(refusal), "SYNCs on", "--map")
+        return Outcome(WRONG, str(refusal))
+    return Outcome(WRONG, "two buses were joined")
+
+
+def whose_lines(folder: Path, head: str) -> Outcome:
+    path = folder / "log.csv"
+    lines = [f"{k / RATE_Hz!r},{name},{COUNT * (k + shift)!r}\n" for k in range(ROWS) for name, shift in (("a", 0), ("b", 1))]
+    path.write_text(f"t [s],{head},q [rad]\n" + "".join(lines))
+    names = {"t": "time", "q": "position_roll"}
+    try:
+        read(path, names)
+    except RecordingError as refusal:
+        if np.array_equal(read(path, names | {f"{head}@b": "part"})[1], np.arange(ROWS) + 1):
+            return refused(str(refusal), f"{head}@a=part", f"{head}@b=part")
+    return Outcome(WRONG, "lines of two were joined")
+
+
 PAIRS = [(form, disorder) for form in FORMS for disorder in ("set_back", "out_of_order")]
 PAIRS += [(form, disorder) for form in ("csv", "bag", "mf4") for disorder in ("set_back_and_on", "parts_swapped", "copied", "gap")]
+TIMED = [form for form in FORMS if form not in ("log", "asc", "blf", "trc")]
+PAIRS += [(form, one.__name__) for form in TIMED for one in MORE]
+PAIRS += [(form, one.__name__) for form in ("log", "asc", "blf") for one in (set_back_by_whole_periods, all_copied)]
 INPUTS = [
     Input(f"{form} {disorder}", "time and senders", FORMS[form][0], partial(judged, form=form, disorder=disorder))
     for form, disorder in PAIRS
@@ -200,3 +272,13 @@ INPUTS += [
         ("of another frame", 4, 0.0, "panel"),
     )
 ]
+INPUTS += [
+    Input(f"{form}, two senders {offset:g} apart, {phase:g} of a step between", "time and senders", FORMS[form][0], judge)
+    for form in ("csv", "mf4", "parquet")
+    for phase, offset in ((0.0, 3.0), (0.2, -2.0), (0.3, 900.0))
+    for judge in (partial(two_in_a_table, form=form, phase=phase, offset=offset),)
+]
+INPUTS += [
+    Input(f"{suffix}, two buses", "time and senders", "python-can", partial(two_buses, suffix=suffix)) for suffix in (".asc", ".blf")
+]
+INPUTS += [Input(f"csv, lines by {head}", "time and senders", "text", partial(whose_lines, head=head)) for head in ("joint", "node_id")]

@@ -142,7 +142,9 @@ OTHERS = (
     (
         "File of names, `--map FILE`",
         'TOML, a table `[channels]`: name in the file to `"CHANNEL [unit]"`, or to a table of `channel`, `unit`, `scale` and `offset`: '
-        "channel = scale × signal + offset, in that unit. Without a unit it is the file's, else the machine's. Units may be spelled as "
+        "channel = scale × signal + offset, in that unit. Without a unit it is the file's, else that in the name (`position_deg`, "
+        "`Speed (rpm)`, `Iq_mA`), else the machine's; times without one have that in which they have "
+        "the machine's rate. Units may be spelled as "
         "other tools do (`°`, `RPM`, `N·m`); `counts` have the size of the machine file's encoder, `%` and `permille` are of the rated "
         "effort.",
     ),
@@ -151,7 +153,8 @@ OTHERS = (
         "Both are kept. Samples that stand elsewhere than their stamps say are put in their order where that makes an even raster; long "
         "stretches behind stamps that go back are a clock that was set, and go on one step later, or by the other clock of a bag. Copies "
         "are taken once, stamps coarser than the samples spread, a SYNC that was lost put in, gaps told. Two senders of a signal (told by "
-        "channel, frame, joints or rate) are refused; of a bag `--map 'SIGNAL@1=CHANNEL'` takes the first of them.",
+        "channel, frame, joints, rate, or a column that says whose a line is) are refused with the option that takes one: of a bag "
+        "`--map 'SIGNAL@1=CHANNEL'`, of other files `--map @1=part`, `--map can0=part`, `--map joint@roll=part`.",
     ),
 )
 

@@ -98,8 +98,9 @@ def arbitrary_records(
     recordings = [on_every_tick(recording) for recording in recordings]
     machine_axes = recordings[0].axes
     chosen_axes, excitations, channels, inputs = _chosen(recordings, axes, outputs, plant_input)
+    recordings, without = _without_edges(recordings, (*excitations, *channels, *inputs))
     rows = min(_row_numbers(recording)[-1] + 1 for recording in recordings)
-    notes = [*_by_reference(excitations), *_idle(machine_axes, chosen_axes), *_saturated(recordings, chosen_axes)]
+    notes = [*_by_reference(excitations), *_idle(machine_axes, chosen_axes), *_saturated(recordings, chosen_axes), *without]
     others = [name for axis in machine_axes if (name := f"reference_{axis}") not in excitations]
     if any(_moves(recording, name) for recording in recordings for name in others):
         notes.append("the reference moves: what it does to the outputs counts as noise")
@@ -121,6 +122,17 @@ def arbitrary_records(
     )
 
 
+def _without_edges(recordings: Sequence[Recording], names: Sequence[str]) -> tuple[list[Recording], list[str]]:
+    """Return recordings without the rows at either end in which a channel is missing, as where signals of several rates met; and a note."""
+    kept, cut = [], 0
+    for recording in recordings:
+        known = np.flatnonzero(np.isfinite(recording.matrix(names)).all(axis=1))
+        rows = slice(known[0], known[-1] + 1) if known.size else slice(None)
+        kept.append(recording.part(rows))
+        cut += recording.rows - kept[-1].rows
+    return kept, [f"{cut} rows at the ends of the recordings, in which a channel is missing, are left out"] if cut else []
+
+
 def by_pose(recordings: Sequence[Recording]) -> list[list[Recording]]:
     """Group recordings by their start pose, poses in ascending order."""
     groups: dict[tuple[float, ...], list[Recording]] = {}
@@ -133,7 +145,10 @@ def _details(recording: Recording, index: int) -> Details:
     details = recording.experiment
     samples = details.get("period_samples")
     if not isinstance(samples, int) or samples < 2:
-        raise RecordingError(f"recording {index + 1} is not periodic: its metadata lacks experiment.period_samples")
+        raise RecordingError(
+            f"recording {index + 1} is not periodic: its metadata lacks experiment.period_samples; `--method arbitrary_lrm --band LOW:HIGH`"
+            " takes any excitation, a sweep of the reference too"
+        )
     return details
 
 
@@ -167,20 +182,19 @@ def _chosen(
 ) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
     """Return excited axes, the channels that excite them, output channels and plant input channels.
 
-    Where nothing is added to the command, the reference is what excites the loop from outside.
+    Where nothing is added to an axis's command, its reference is what excites the loop from outside.
     """
     machine_axes = recordings[0].axes
     excited = tuple(a for a in machine_axes if any(_is_excited(r, a) for r in recordings))
-    by = "excitation" if excited else "reference"
-    excited = excited or tuple(a for a in machine_axes if any(_moves(r, f"reference_{a}") for r in recordings))
-    chosen = tuple(axes) if axes else excited
+    led = tuple(a for a in machine_axes if a not in excited and any(_moves(r, f"reference_{a}") for r in recordings))
+    chosen = tuple(axes) if axes else excited or led
     if not chosen:
         found = ", ".join(name for name in recordings[0].channels if name != "time")
         raise IdentificationError(
             "no axis is excited in any recording: excitation_<axis> and reference_<axis> are constant or missing;"
             f" name the channel that excites with `isocenter convert --map NAME=excitation_<axis>`, of {found}"
         )
-    excitations = tuple(f"{by}_{axis}" for axis in chosen)
+    excitations = tuple(f"{'reference' if axis in led else 'excitation'}_{axis}" for axis in chosen)
     channels = tuple(outputs) if outputs else _default_outputs(recordings[0], machine_axes)
     return chosen, excitations, channels, tuple(_input_channel(recordings[0], axis, plant_input) for axis in chosen)
 
@@ -191,7 +205,8 @@ def _is_excited(recording: Recording, axis: str) -> bool:
 
 
 def _moves(recording: Recording, name: str) -> bool:
-    return name in recording and bool(np.nanmax(np.abs(recording[name] - recording[name][0]), initial=0.0) > 0.0)
+    known = recording[name][np.isfinite(recording[name])] if name in recording else np.zeros(0)
+    return known.size > 0 and bool(np.ptp(known) > 0.0)
 
 
 def _by_reference(excitations: Sequence[str]) -> list[str]:
@@ -204,9 +219,13 @@ def _default_outputs(recording: Recording, axes: Sequence[str]) -> tuple[str, ..
 
 
 def _input_channel(recording: Recording, axis: str, plant_input: PlantInput) -> str:
-    if plant_input == "command":
-        return f"command_{axis}"
-    return f"current_{axis}" if f"current_{axis}" in recording else f"effort_{axis}"
+    measured = f"current_{axis}" if f"current_{axis}" in recording else f"effort_{axis}"
+    name = f"command_{axis}" if plant_input == "command" else measured
+    if name not in recording:
+        other = ("measured", measured) if plant_input == "command" else ("command", f"command_{axis}")
+        way = f"`--input {other[0]}` takes {other[1]}" if other[1] in recording else f"name it with `isocenter convert --map NAME={name}`"
+        raise IdentificationError(f"no channel {name}, by which the plant is driven; {way}")
+    return name
 
 
 def _sample_rate_Hz(recording: Recording) -> float:

@@ -119,7 +119,9 @@ def identify_poses(
         raise IdentificationError(f"{method} works pose by pose; over poses work {', '.join((*POSE_METHODS, *ARBITRARY_METHODS))}")
     if (band_Hz is None) == (method in ARBITRARY_METHODS):
         raise IdentificationError(
-            f"{method} takes the excited lines, not a band" if band_Hz else f"{method} needs the band that is excited: band_Hz"
+            f"{method} takes the excited lines, not a band"
+            if band_Hz
+            else f"{method} needs the band that is excited: band_Hz (--band LOW:HIGH)"
         )
     channels: Channels = {"axes": axes, "outputs": outputs, "plant_input": plant_input}
     polynomial = method.endswith("lpm")

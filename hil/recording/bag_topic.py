@@ -6,11 +6,14 @@ import itertools
 from collections import defaultdict
 from collections.abc import Hashable
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from hil.recording.naming import Column
-from hil.recording.stamps import DisorderError, Straight, straightened, usual_step
+from hil.recording.senders import STRETCH
+from hil.recording.stamps import DisorderError, Straight, straightened
+from hil.recording.steps import LOST, usual_step
 
 
 @dataclass
@@ -40,16 +43,36 @@ class Topic:
         self.logged_ns.append(logged_ns)
         self.senders.append(sender)
 
-    @property
+    @cached_property
     def times_ns(self) -> np.ndarray:
-        """Stamps (N,) [ns]; those that are missing in some messages by the times of logging."""
-        stamps, logged = np.array(self.stamps_ns, dtype=np.int64), np.array(self.logged_ns, dtype=np.int64)
-        without = stamps == 0
+        """Stamps (N,) [ns]; those that are missing or stand still, by the times of logging since one that is not."""
+        stamps, logged, without = self._stamps
+        if without.all():
+            return logged
+        known = np.flatnonzero(~without)
+        near = known[np.maximum(np.searchsorted(known, np.arange(stamps.size), side="right") - 1, 0)]
+        return np.where(without, stamps[near] + logged - logged[near], stamps)
+
+    @property
+    def notes(self) -> list[str]:
+        """What is said of the stamps."""
+        without = self._stamps[2]
         if without.all() or not without.any():
-            return logged if without.all() else stamps
-        guessed = logged + int(np.median((stamps - logged)[~without]))
-        start = np.abs(guessed) < 1e9 * usual_step(1e-9 * stamps[~without])  # a clock of a simulation begins at 0
-        return np.where(without & ~start, guessed, stamps)
+            return []
+        words = f"{np.count_nonzero(without)} of {without.size} messages have no stamp or that of those before, first message"
+        return [f"{self.name}: {words} {np.argmax(without)}: taken by their times of logging"]
+
+    @cached_property
+    def _stamps(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Stamps (N,) and times of logging (N,) [ns], and which messages have no stamp of their own."""
+        stamps, logged = np.array(self.stamps_ns, dtype=np.int64), np.array(self.logged_ns, dtype=np.int64)
+        begins = (stamps == 0) & (np.append(stamps[1:], 0) > 0)  # a clock of a simulation begins at 0
+        begins &= np.append(stamps[1:], 0) <= LOST * 1e9 * usual_step(1e-9 * stamps[stamps != 0])
+        still = np.concatenate([[False], (np.diff(stamps) == 0) & (np.diff(logged) > 0)])
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
+        for begin, end in edges.reshape(-1, 2).tolist():
+            still[begin:end] = end - begin >= STRETCH
+        return stamps, logged, ((stamps == 0) & ~begins) | still
 
 
 @dataclass
@@ -81,6 +104,7 @@ def signals_of(topics: list[Topic]) -> Signals:
     found = Signals()
     first_ns = min((int(topic.times_ns.min()) for topic in topics if topic.samples), default=0)
     for topic in topics:
+        found.notes += topic.notes
         together: dict[bytes, list[str]] = {}
         for name, those in topic.samples.items():
             together.setdefault(np.array([number for number, _ in those], dtype=np.int64).tobytes(), []).append(name)

@@ -56,7 +56,7 @@ PHASE_GAIN = 0.1
 """Gain with which the estimate of a SYNC's due time follows each SYNC: it averages jitter and follows a drift of the adapter's clock."""
 
 
-def read_can(path: Path, machine: Machine | None) -> Recording:
+def read_can(path: Path, machine: Machine | None, part: str = "") -> Recording:
     """Read a candump `.log`, a `.blf`, `.asc` or `.trc`, or python-can's `.csv` or `.db`.
 
     Parameters
@@ -65,27 +65,30 @@ def read_can(path: Path, machine: Machine | None) -> Recording:
     machine : Machine, optional
         Machine whose PDO maps and scalings turn frames into signals. None gives the frames: `can_id`, `can_length`, `can_extended`,
         `can_remote`, `byte_0`, ... and `can_fd` where there is a frame of CAN FD.
+    part : str
+        Which bus is taken of several, `can0`; or of two answers to a SYNC `@1`, the first, or `@2`, the last.
 
     Raises
     ------
     RecordingError
         The log does not exist, or holds no data of the machine.
     """
-    return recording_of_log(_READERS[path.suffix.lower()](path), path, machine)
+    return recording_of_log(_READERS[path.suffix.lower()](path), path, machine, part)
 
 
-def recording_of_log(log: CanLog, path: Path, machine: Machine | None) -> Recording:
+def recording_of_log(log: CanLog, path: Path, machine: Machine | None, part: str = "") -> Recording:
     """Return the frames of a log as a recording; parameters and errors as in `read_can`."""
     if not log.frames:
         raise RecordingError(f"{path}: holds no frames")
     try:
-        return _frame_table(log, path) if machine is None else _signals(log, machine, path)
+        return _frame_table(log, path) if machine is None else _signals(log, machine, path, part)
     except RecordingError as problem:
         raise RecordingError(str(problem) if str(problem).startswith(str(path)) else f"{path}: {problem}") from None
 
 
 _READERS = {
     ".log": read_candump,
+    ".txt": read_candump,
     ".blf": read_blf,
     ".asc": read_asc,
     ".trc": read_trc,
@@ -118,11 +121,12 @@ def _frame_table(log: CanLog, path: Path) -> Recording:
     return Recording(channels, {"kind": CAN_FRAMES, "buses": sorted({frame.channel for frame in frames}), "source": source})
 
 
-def _signals(log: CanLog, machine: Machine, path: Path) -> Recording:
+def _signals(log: CanLog, machine: Machine, path: Path, part: str) -> Recording:
     if machine.bus is None:
         raise RecordingError(f"machine {machine.name} has no bus, so its file does not say what the frames mean")
-    frames, others = _of_one_bus(log.frames, machine.bus)
-    frames, order = in_order(frames, machine.bus)
+    bus, part = (part, "") if part[:1] != "@" else ("", part)
+    frames, others = _of_one_bus(log.frames, machine.bus, bus)
+    frames, order = in_order(frames, machine.bus, part)
     syncs, raw, unknown = _rows(frames, machine.bus)
     ticks, lateness = _ticks(np.array(syncs), machine.bus.sync_period_s, path)
     channels = {"time": Channel("s", ticks * machine.bus.sync_period_s)}
@@ -157,14 +161,17 @@ def _signals(log: CanLog, machine: Machine, path: Path) -> Recording:
     return Recording(channels, metadata)
 
 
-def _of_one_bus(frames: Sequence[CanFrame], bus: BusSettings) -> tuple[list[CanFrame], list[str]]:
-    """Return the frames of the one bus in the log that has SYNCs, and what other frames there were."""
+def _of_one_bus(frames: Sequence[CanFrame], bus: BusSettings, asked: str) -> tuple[list[CanFrame], list[str]]:
+    """Return the frames of the one bus in the log that has SYNCs, or of that which is asked for, and what other frames there were."""
     sync = bus.sync_cob_id & 0x7FF
     buses = sorted({frame.channel for frame in frames if frame.can_id == sync and _is_plain(frame)})
     if not buses:
         raise RecordingError(f"no SYNC (COB-ID {sync:03X}) in the log, so it has no rows")
-    if len(buses) > 1:
-        raise RecordingError(f"SYNCs on {' and '.join(buses)}: keep the lines of one of them")
+    if asked and asked not in buses:
+        raise RecordingError(f"{asked}=part: no SYNC on {asked}, but on {' and '.join(buses)}")
+    if len(buses) > 1 and not asked:
+        raise RecordingError(f"SYNCs on {' and '.join(buses)}: take one with --map {' or '.join(f'{one}=part' for one in buses)}")
+    taken, of_buses = asked or buses[0], {frame.channel for frame in frames}
     kept: list[CanFrame] = []
     others: Counter[str] = Counter()
     for frame in frames:
@@ -174,11 +181,11 @@ def _of_one_bus(frames: Sequence[CanFrame], bus: BusSettings) -> tuple[list[CanF
             others["remote frame"] += 1
         elif frame.extended:
             others["frame with 29-bit identifiers"] += 1
-        elif frame.channel != buses[0]:
-            others[f"frame of {frame.channel}"] += 1
+        elif frame.channel != taken:
+            others[frame.channel] += 1
         else:
             kept.append(frame)
-    return kept, [counted(number, what) for what, number in others.items()]
+    return kept, [f"{counted(number, 'frame')} of {what}" if what in of_buses else counted(number, what) for what, number in others.items()]
 
 
 def _is_plain(frame: CanFrame) -> bool:

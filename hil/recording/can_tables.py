@@ -6,6 +6,7 @@ import io
 import math
 import sqlite3
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
@@ -14,6 +15,7 @@ import can
 from hil.errors import RecordingError
 from hil.files.regular import check_regular
 from hil.recording.can_frames import CanFrame, CanLog, counted
+from hil.recording.can_order import as_logged
 from hil.recording.can_text import WatchedText, messages_of_text, text_of
 from hil.recording.said import printable
 
@@ -95,9 +97,10 @@ def is_of_frames(group: Group) -> bool:
 
 
 def frames_of_mdf(content: bytes, path: Path) -> CanLog:
-    """Return the frames of an MDF file, in order of time; what python-can raises of a damaged file comes through."""
+    """Return the frames of an MDF file, in the order of the log; what python-can raises of a damaged file comes through."""
     with can.MF4Reader(io.BytesIO(content)) as reader:
-        return _log(reader, path, fd_is_said=True)
+        log = _log(reader, path, fd_is_said=True)
+    return replace(log, frames=as_logged(log.frames))
 
 
 def _log(messages: Iterable[can.Message], path: Path, *, fd_is_said: bool = False) -> CanLog:

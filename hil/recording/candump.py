@@ -35,7 +35,16 @@ _BITS = 8
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 _ERROR_FRAME = 0x20000000
 _FALLEN = 0.5
-"""A time stamp below this share of the largest before it is a difference: frames out of order are apart by milliseconds."""
+"""A time stamp below this share of the one before it may be a difference: frames out of order are apart by milliseconds."""
+
+_AGAIN = 0.01
+"""Share of time stamps that are so, from which all are differences: a clock is set back, and a second log begins, less often."""
+
+_LONGEST, _BLANK = 1000, 10
+"""Letters of a line of candump and blank lines above it, at most, where the suffix does not say that a text is one."""
+
+_SHORT = 6
+"""A log of fewer than twice as many lines has no second fall."""
 
 
 def read_candump(path: Path) -> CanLog:
@@ -69,6 +78,17 @@ def read_candump(path: Path) -> CanLog:
     return CanLog(kept, [counted(errors, "error frame")] if errors else [], notes)
 
 
+def is_candump(path: Path) -> bool:
+    """Return whether a text begins with a line of candump."""
+    try:
+        with path.open(encoding="ascii", errors="replace") as file:
+            line = next((one for one in (file.readline(_LONGEST).strip() for _ in range(_BLANK)) if one), "")
+    except OSError:
+        return False  # whoever reads it says why
+    line = _COLOURS.sub("", line)
+    return bool(_FILED.fullmatch(line) or _PRINTED.fullmatch(line))
+
+
 def _frame(line: str, path: Path, number: int) -> tuple[CanFrame, str]:
     """Return the frame of a line, and the kind of its time stamp."""
     if match := _FILED.fullmatch(line):
@@ -100,9 +120,5 @@ def _frame(line: str, path: Path, number: int) -> tuple[CanFrame, str]:
 
 
 def _are_differences(times_s: Sequence[float]) -> bool:
-    largest = 0.0
-    for time_s in times_s:
-        if time_s < _FALLEN * largest:
-            return True
-        largest = max(largest, time_s)
-    return False
+    fallen = sum(time_s < _FALLEN * before for before, time_s in itertools.pairwise(times_s))
+    return fallen >= max(1, min(2, len(times_s) // _SHORT), _AGAIN * len(times_s))

@@ -161,7 +161,7 @@ def is_unit(text: str) -> bool:
 def unit_and_factor(name: str, unit: str, like: str = "") -> tuple[str, float]:
     """Return the unit in memory of a channel given in `unit`, and the factor to it.
 
-    `like` is the unit in memory that the machine's axis has, of which the message names the others.
+    `like` is the unit in memory that the machine's axis has; "" allows any of the channel.
 
     Raises
     ------
@@ -173,10 +173,11 @@ def unit_and_factor(name: str, unit: str, like: str = "") -> tuple[str, float]:
     if kind is None:
         return unit, 1.0
     unit = spelled(unit, kind.units)
-    if unit not in kind.units:
-        offered = [known for known in kind.units if not like or SI_OF.get(known, known) == like] or list(kind.units)
+    offered = [known for known in kind.units if not like or SI_OF.get(known, known) == like] or list(kind.units)
+    if unit not in offered:
         wanted = " or ".join(f"[{known}]" for known in offered) if kind.units is not NUMBER else "no unit"
-        raise RecordingError(f"channel {name}: {f'unknown unit [{unit}]' if unit else 'no unit'}; {wanted} would be right")
+        found = f"[{unit}] at an axis in {like}" if unit in kind.units else f"unknown unit [{unit}]" if unit else "no unit"
+        raise RecordingError(f"channel {name}: {found}; {wanted} would be right")
     return SI_OF.get(unit, unit), kind.units[unit]
 
 

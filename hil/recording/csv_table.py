@@ -18,13 +18,15 @@ import numpy as np
 from hil.errors import RecordingError
 from hil.files.atomic import write_atomically
 from hil.files.regular import check_regular
+from hil.recording.can_frames import counted
 from hil.recording.channels import check_name, is_whole
 from hil.recording.csv_dialect import Clock, Numbers, decoded, is_number, laid_out, row_of_units
+from hil.recording.csv_labels import Lines, of_one_part
 from hil.recording.metadata import machine_table, metadata_text, parse_metadata
 from hil.recording.model import CAN_FRAMES, Channel, Recording
-from hil.recording.naming import Column, Columns, Target, header_name, is_header_cell, picked, with_unit
-from hil.recording.said import source_table
-from hil.recording.stamps import DisorderError, rows_in_order
+from hil.recording.naming import Column, Columns, Target, header_name, is_header_cell, own_target, picked, timed, with_unit
+from hil.recording.said import listed, source_table
+from hil.recording.stamps import rows_in_order
 
 if TYPE_CHECKING:
     from _csv import Reader
@@ -59,7 +61,7 @@ def csv_text(recording: Recording) -> str:
     return "\n".join([header, *map(",".join, zip(*columns, strict=True))]) + "\n"
 
 
-def read_csv(path: Path, machine: Machine | None = None, names: Mapping[str, Target] | None = None) -> Recording:
+def read_csv(path: Path, machine: Machine | None = None, names: Mapping[str, Target] | None = None, part: str = "") -> Recording:
     """Read a CSV recording.
 
     Parameters
@@ -69,6 +71,8 @@ def read_csv(path: Path, machine: Machine | None = None, names: Mapping[str, Tar
         Replaces the metadata where there is no `.toml` of the same name.
     names : mapping, optional
         Name in the header -> channel. Columns that it does not name keep theirs.
+    part : str
+        Of lines of several senders those to take: `joint@roll` by the column that says whose a line is, else as in `stamps`.
 
     Raises
     ------
@@ -81,16 +85,16 @@ def read_csv(path: Path, machine: Machine | None = None, names: Mapping[str, Tar
     rows = metadata.pop("rows", None)
     if rows is not None and not text.endswith("\n"):
         raise RecordingError(f"{path}: line {text.count(chr(10)) + 1}: the last line is not complete; the file was cut off")
-    table = _parse(path, text, names or {}, machine)
-    values, lines = table.values, table.lines
+    table = _parse(path, text, names or {}, machine, part="" if part[:1] == "@" else part)
+    values, lines, notes = table.values, table.lines, [*notes, *table.notes]
     if rows is not None and rows != len(values):
         beside = metadata_path(path).name
         raise RecordingError(f"{path}: {len(values)} rows, but {beside} says rows = {rows}; the file was cut off or edited")
     if not metadata_path(path).exists():
         try:
-            values, order = rows_in_order(values, [one.channel for one in table.targets], "line", lines)
-        except DisorderError as problem:
-            raise RecordingError(f"{path}: {problem}; keep the lines of one, or put them in order") from None
+            values, order = rows_in_order(values, [one.channel for one in table.targets], "line", lines, part if part[:1] == "@" else "")
+        except RecordingError as problem:
+            raise RecordingError(f"{path}: {problem}") from None
         notes = [*notes, *order]
     channels = {one.channel: Channel(one.unit or "", values[:, column]) for column, one in enumerate(table.targets)}
     _check_time(path, channels["time"].values, lines, may_repeat=metadata.get("kind") == CAN_FRAMES)
@@ -146,10 +150,13 @@ class _Table:
     values: np.ndarray  # (rows, columns taken)
     lines: list[int]  # of the file, of each row
     not_taken: Sequence[str]
+    notes: Sequence[str]
 
 
-def _parse(path: Path, text: str, names: Mapping[str, Target], machine: Machine | None, thousands: Iterable[str] = ()) -> _Table:
-    """Read a text; `thousands` are marks between thousands that are known."""
+def _parse(
+    path: Path, text: str, names: Mapping[str, Target], machine: Machine | None, thousands: Iterable[str] = (), part: str = ""
+) -> _Table:
+    """Read a text; `thousands` are marks between thousands that are known, `part` is as in `csv_labels`."""
     layout = laid_out(text, strict=metadata_path(path).exists())
     strict = layout.delimiter == "," and metadata_path(path).exists()
     reader = csv.reader(io.StringIO(layout.text, newline=""), strict=True, delimiter=layout.delimiter)
@@ -166,11 +173,8 @@ def _parse(path: Path, text: str, names: Mapping[str, Target], machine: Machine 
     named = {one.channel for one in names.values()}
     time_place = next((place for place, one in enumerate(targets) if one is not None and one.channel == "time"), None)
     cells_of = _Cells(strict, time_place, Numbers(set(thousands)))
-    places = [place for place, one in enumerate(targets) if one is not None]
-    rows: list[list[float]] = []
-    lines: list[int] = []
-    either: dict[str, int] = {}  # mark of decimals or of thousands -> line of the first
-    no_numbers: dict[int, str] = {}  # place of a column that may be left out -> its first cell that is no number
+    table: Lines = []
+    again: list[int] = []  # lines of the header
     for cells in itertools.chain([] if first is None else [first], records):
         line = layout.skipped + (reader.line_num if cells is not first else first_line)
         if not cells:
@@ -179,6 +183,24 @@ def _parse(path: Path, text: str, names: Mapping[str, Target], machine: Machine 
             cells.pop()
         if len(cells) != len(header):
             raise RecordingError(f"{path}: line {line}: {len(cells)} cells, the header has {len(header)}")
+        if not strict and cells == header:
+            again.append(line)
+        else:
+            table.append((line, cells))
+    notes = [f"the header stands there again in {counted(len(again), 'line')}, first line {again[0]}: passed over"] if again else []
+    if not strict:
+        try:
+            table, label, taken = of_one_part(header, table, time_place, {name for name in names if name in header}, part)
+        except RecordingError as problem:
+            raise RecordingError(f"{path}: {problem}") from None
+        notes += taken
+        targets = [None if place == label else one for place, one in enumerate(targets)]
+    places = [place for place, one in enumerate(targets) if one is not None]
+    rows: list[list[float]] = []
+    lines: list[int] = []
+    either: dict[str, int] = {}  # mark of decimals or of thousands -> line of the first
+    no_numbers: dict[int, str] = {}  # place of a column that may be left out -> its first cell that is no number
+    for line, cells in table:
         row = []
         for place in places:
             try:
@@ -204,13 +226,16 @@ def _parse(path: Path, text: str, names: Mapping[str, Target], machine: Machine 
     except RecordingError as problem:
         raise RecordingError(f"{path}: line {min(either.values())}: {problem}") from None
     if found:
-        return _parse(path, text, names, machine, found)
+        return _parse(path, text, names, machine, found, part)
     kept = [one for place, one in enumerate(targets) if one is not None and place not in no_numbers]
     values = np.array(rows)[:, [place not in no_numbers for place in places]]
     for column, one in enumerate(kept):
+        if one.unit is None:  # of times, where nothing says it
+            named_so = header_name(header[places[column]])[0]
+            kept[column] = one = one._replace(unit="s") if cells_of.is_clock else timed(one, values[:, column], machine, path, named_so)
         if (one.scale, one.offset) != (1.0, 0.0):
             values[:, column] = one.scale * values[:, column] + one.offset
-    return _Table(kept, values, lines, [*not_taken, *no_numbers.values()])
+    return _Table(kept, values, lines, [*not_taken, *no_numbers.values()], notes)
 
 
 class _Cells:
@@ -221,6 +246,11 @@ class _Cells:
         self._strict = strict
         self._time_place = time_place
         self._clock: Clock | None = None
+
+    @property
+    def is_clock(self) -> bool:
+        """Whether times are times of day."""
+        return self._clock is not None
 
     def number(self, cell: str, place: int) -> float:
         """Return a cell's number, NaN where it is missing; ValueError if it is none."""
@@ -282,10 +312,11 @@ def _targets(
             continue
         try:
             if one := names.get(cell.strip(), names.get(name)):
-                targets.append(with_unit(one, unit, machine, path))
+                targets.append(with_unit(one, unit, machine, path, name))
             else:
-                targets.append(with_unit(_own(cell, name, unit, taken, named=bool(names)), None, machine, path))
-                taken.add(name)
+                own = _own(cell, name, unit, taken, machine, named=bool(names), strict=metadata_path(path).exists())
+                targets.append(with_unit(own, None, machine, path, name))
+                taken.add(own.channel)
         except RecordingError as problem:
             if not names or cell.strip() in names or name in names:
                 said = str(problem)
@@ -293,18 +324,21 @@ def _targets(
             targets.append(None)
             not_taken.append(f"{name or 'column without a name'}: {problem}")
     if "time" not in {one.channel for one in targets if one is not None}:
-        raise RecordingError(f"{path}: line 1: no column `time [s]`")
+        instead = f"say which is with --map 'NAME=time [s]': {listed([name for name, _ in foreign if name])}"
+        raise RecordingError(f"{path}: line 1: no column `time [s]`; {instead}")
     return targets, not_taken
 
 
-def _own(cell: str, name: str, unit: str | None, taken: set[str], *, named: bool) -> Target:
-    """Return the target of a column that keeps its name."""
-    if not is_header_cell(cell):
+def _own(cell: str, name: str, unit: str | None, taken: set[str], machine: Machine | None, *, named: bool, strict: bool) -> Target:
+    """Return the target of a column that keeps its name, or is a channel of the machine with a unit in its name."""
+    own = own_target(name, machine) if unit is None and machine is not None and not strict else None
+    is_own = own is not None and (own.unit is not None or own.channel == "time")
+    if own is None and not is_header_cell(cell):
         raise RecordingError(f"header cell {cell!r} is not `name [unit]`")
-    check_name(name)
-    if name in taken:
-        raise RecordingError(f"another column is to be {name}" if named else f"channel {name} stands there twice")
-    return Target(name, unit or "")
+    channel = own.channel if own is not None and is_own else check_name(name)
+    if channel in taken:
+        raise RecordingError(f"another column is to be {channel}" if named else f"channel {channel} stands there twice")
+    return Target(channel, None if is_own else unit or "")
 
 
 def _check_time(path: Path, time: np.ndarray, lines: list[int], *, may_repeat: bool) -> None:

@@ -11,6 +11,7 @@ from hil.errors import RecordingError
 from hil.extras import extra_package
 from hil.files.regular import check_regular
 from hil.recording.can_frames import is_frames_csv
+from hil.recording.candump import is_candump
 from hil.recording.csv_table import read_csv, write_csv
 from hil.recording.journal import part_path, recover
 from hil.recording.model import Recording
@@ -23,11 +24,30 @@ if TYPE_CHECKING:
 
 WRITABLE = (".mf4", ".csv", ".parquet", ".mcap")
 READABLE = (*WRITABLE, ".mdf", ".dat", ".mat", ".db3", ".log", ".blf", ".asc", ".trc", ".db")
+TEXTS = (".txt", ".tsv")
+"""Suffixes of tables and of what candump prints, and of any other text: read where one is given, not looked for in folders."""
+
 BAG_MARK = "metadata.yaml"
 """File by which a folder is a bag of ROS 2."""
 
 _WRITTEN_BY = {".parquet": ("pyarrow", "Parquet files"), ".mcap": ("mcap", "MCAP files")}
 """Package of an extra that writes a format, and what the message calls it."""
+
+_FIRST = {
+    (".gz", ".bz2", ".xz", ".zip", ".zst", ".7z"): "unpack it first",
+    (".bag",): "`rosbags-convert --src IN.bag --dst OUT` makes a bag of ROS 2 of it",
+    (".tdms",): 'nptdms does: `nptdms.TdmsFile("IN").as_dataframe(time_index=True).to_csv("OUT.csv", index_label="time [s]")`',
+    (".xlsx", ".xls", ".ods"): 'save its sheet as CSV, or `pandas.read_excel("IN").to_csv("OUT.csv", index=False)`',
+    (".h5", ".hdf5", ".hdf", ".feather", ".arrow", ".pkl", ".pickle", ".json", ".jsonl", ".npz", ".npy"): (
+        'put its columns into a table of pandas and `to_csv("OUT.csv", index=False)` or `to_parquet`'
+    ),
+    (".ulg",): "`ulog2csv IN` makes a CSV of each topic",
+    (".dbc", ".eds", ".dcf"): "it says what frames mean and holds none",
+}
+"""Suffixes of files that others bring -> what makes a readable one of them."""
+
+PART = "part"
+"""What `names` makes of a sender, bus or run, where a file has several: its samples alone are taken."""
 
 Names = Mapping[str, str | Target]
 """Name in another tool's file -> channel."""
@@ -44,7 +64,8 @@ def read_recording(path: str | Path, machine: Machine | None = None, names: Name
     machine : Machine, optional
         A loaded machine, for files that do not name their machine.
     names : mapping, optional
-        Name in another tool's file -> channel, as `"position_roll"`, `"position_roll [deg]"` or a `Target`.
+        Name in another tool's file -> channel, as `"position_roll"`, `"position_roll [deg]"` or a `Target`. Where a file has several
+        senders, buses or runs, its refusal names the parts that can be taken, such as `{"@1": "part"}` or `{"can0": "part"}`.
 
     Raises
     ------
@@ -61,7 +82,7 @@ def read_recording(path: str | Path, machine: Machine | None = None, names: Name
     check_regular(path, RecordingError)
     if path.suffix == ".part":
         return recover(path)
-    _check_suffix(path, READABLE, "read")
+    _check_suffix(path, (*READABLE, *TEXTS), "read")
     if not path.exists():
         if not part.exists():
             raise RecordingError(f"{path}: no such file")
@@ -81,21 +102,32 @@ def _said_gaps(path: Path, recording: Recording) -> Recording:
 
 
 def _read(path: Path, machine: Machine | None, names: Mapping[str, Target]) -> Recording:
+    parts = [name for name, one in names.items() if one.channel == PART]
+    if len(parts) > 1:
+        raise RecordingError(f"{path}: {' and '.join(parts)} are to be part; one is taken at a time")
+    part, names = "".join(parts), {name: one for name, one in names.items() if one.channel != PART}
     match path.suffix.lower() if path.is_file() else "":
-        case ".csv" if not is_frames_csv(path):
-            return read_csv(path, machine, names)
+        case ".txt" if is_candump(path):
+            from hil.recording.can_signals import read_can
+
+            return read_can(path, machine, part)
+        case ".csv" | ".txt" | ".tsv" if not is_frames_csv(path):
+            return read_csv(path, machine, names, part)
         case ".mf4" | ".mdf" | ".dat":
             from hil.recording.mdf4 import read_mdf4  # asammdf takes half a second to import
 
-            return read_mdf4(path, machine, names)
+            return read_mdf4(path, machine, names, part)
         case ".mat":
             from hil.recording.mat import read_mat
 
-            return read_mat(path, machine, names or None)
+            return read_mat(path, machine, names or None, part)
         case ".parquet":
             from hil.recording.parquet import read_parquet
 
-            return read_parquet(path, machine, names)
+            return read_parquet(path, machine, names, part)
+        case ".mcap" | ".db3" | "" if part:
+            instead = "`/joint_states.position[roll]@1=position_roll`"
+            raise RecordingError(f"{path}: {part}=part: a bag names the parts of its signals, such as {instead}")
         case ".mcap":
             from hil.recording.mcap_file import read_mcap
 
@@ -109,7 +141,7 @@ def _read(path: Path, machine: Machine | None, names: Mapping[str, Target]) -> R
 
             if names:
                 raise RecordingError(f"{path}: a CAN log has no names but those that the machine file's PDO maps give; leave --map out")
-            return read_can(path, machine)
+            return read_can(path, machine, part)
 
 
 def write_recording(recording: Recording, path: str | Path) -> None:
@@ -155,5 +187,7 @@ def check_writable(path: Path) -> None:
 
 
 def _check_suffix(path: Path, suffixes: tuple[str, ...], verb: str) -> None:
-    if path.suffix.lower() not in suffixes:
-        raise RecordingError(f"{path}: a recording cannot be {verb} as `{path.suffix}`; {', '.join(suffixes)} can")
+    suffix = path.suffix.lower()
+    if suffix not in suffixes:
+        first = next((way for others, way in _FIRST.items() if suffix in others), "") if verb == "read" else ""
+        raise RecordingError(f"{path}: a recording cannot be {verb} as `{path.suffix}`; {', '.join(suffixes)} can{first and f': {first}'}")

@@ -62,7 +62,7 @@ def joint_states(topic: str, messages: Sequence[tuple[int, int, bytes]], path: P
         except Exception as problem:  # the decoder raises any error of its parser
             reason = str(problem).partition("\n")[0] or type(problem).__name__
             raise RecordingError(f"{path}: {topic}: message {number} is damaged: {reason}") from None
-        found.add(stamp_ns, logged_ns, (channel, message.header.frame_id, *names))
+        found.add(stamp_ns, logged_ns, (channel, message.header.frame_id, *sorted(names)))
         for quantity, values in fields.items():
             if values and len(values) != len(names):
                 raise RecordingError(f"{path}: {topic}: message {number} has {len(names)} names and {len(values)} values of {quantity}")

@@ -35,7 +35,7 @@ _MOST_COLUMNS = 1000
 """Of one matrix: more columns than that are no signals."""
 
 
-def read_mat(path: Path, machine: Machine | None, names: Mapping[str, Target] | None = None) -> Recording:
+def read_mat(path: Path, machine: Machine | None, names: Mapping[str, Target] | None = None, part: str = "") -> Recording:
     """Read a MATLAB file.
 
     Parameters
@@ -47,6 +47,8 @@ def read_mat(path: Path, machine: Machine | None, names: Mapping[str, Target] | 
         Variable of the file -> channel: `q`, `log.time`, `log.signals(2).values`, `runs{3}`, `data(:,2)`, `data(2,:)`. Without it,
         variables with a channel's name are taken, or the signals of one structure whose names or labels are channels', or those of the
         EMPS benchmark.
+    part : str
+        Of rows of several senders those to take, as in `stamps`.
 
     Raises
     ------
@@ -57,14 +59,14 @@ def read_mat(path: Path, machine: Machine | None, names: Mapping[str, Target] | 
         raise RecordingError(f"{path}: a .mat says neither machine nor units; name the machine with --machine")
     variables = _load(path)
     if isinstance(variables, Modelica):
-        return _of_modelica(variables, path, machine, names or {})
+        return _of_modelica(variables, path, machine, names or {}, part)
     found = _columns(variables)
     if names:
         wanted = {_as_stored(name, one.channel, variables, found): one for name, one in names.items()}
     else:
         wanted = _known_names(variables, found, machine, path)
     channels, _ = named_channels(found, wanted, machine, path)
-    channels, order = channels_in_order(channels, path)
+    channels, order = channels_in_order(channels, path, part)
     constants = {
         name: value.item() for name, value in variables.items() if isinstance(value, np.ndarray) and value.size == 1 and name not in wanted
     }
@@ -105,7 +107,7 @@ def _load(path: Path) -> dict[str, Value] | Modelica:
         raise RecordingError(f"{path}: {problem}") from None
 
 
-def _of_modelica(result: Modelica, path: Path, machine: Machine, names: Mapping[str, Target]) -> Recording:
+def _of_modelica(result: Modelica, path: Path, machine: Machine, names: Mapping[str, Target], part: str) -> Recording:
     """Return the trajectories that are named, or have channels' names, over the result's time."""
     found = result.columns
     wanted = dict(names) or {name: Target(name) for name in found.columns if is_channel(name, machine)}
@@ -117,7 +119,7 @@ def _of_modelica(result: Modelica, path: Path, machine: Machine, names: Mapping[
             f"{path}: a Modelica result with no channel's name; say which is which, such as --map NAME=position_<axis>: {others}"
         )
     channels, _ = named_channels(found, wanted, machine, path)
-    channels, order = channels_in_order(channels, path)
+    channels, order = channels_in_order(channels, path, part)
     not_taken = [*(name for name in found.columns if name not in wanted), *result.left_out]
     renamed = {name: one.channel for name, one in wanted.items() if name != one.channel}
     try:

@@ -84,7 +84,7 @@ def write_mdf4(recording: Recording, path: Path) -> None:
     write_atomically({path: _sealed(content)})
 
 
-def read_mdf4(path: Path, machine: Machine | None = None, names: Mapping[str, Target] | None = None) -> Recording:
+def read_mdf4(path: Path, machine: Machine | None = None, names: Mapping[str, Target] | None = None, part: str = "") -> Recording:
     """Read a recording of this project, or any MDF 3 or 4 file; signals of several rasters are put onto one, CAN frames are decoded.
 
     Parameters
@@ -94,6 +94,8 @@ def read_mdf4(path: Path, machine: Machine | None = None, names: Mapping[str, Ta
         Replaces the metadata where none are attached; its rate chooses the raster.
     names : mapping, optional
         Name in the file -> channel. Signals that it does not name keep theirs.
+    part : str
+        Of samples of several senders those to take, as in `stamps`; of frames as in `can_signals`.
 
     Raises
     ------
@@ -124,19 +126,19 @@ def read_mdf4(path: Path, machine: Machine | None = None, names: Mapping[str, Ta
     if log is not None:
         from hil.recording.can_signals import recording_of_log
 
-        return recording_of_log(log, path, machine)
+        return recording_of_log(log, path, machine, part)
     try:
-        return _recording(found, names, metadata, machine, path)
+        return _recording(found, names, metadata, machine, path, part)
     except RecordingError as problem:
         raise RecordingError(str(problem) if str(problem).startswith(str(path)) else f"{path}: {problem}") from None
 
 
 def _recording(
-    found: Columns, names: Mapping[str, Target] | None, metadata: dict[str, Any], machine: Machine | None, path: Path
+    found: Columns, names: Mapping[str, Target] | None, metadata: dict[str, Any], machine: Machine | None, path: Path, part: str
 ) -> Recording:
     """Return the signals as channels: under the given names, others under their own."""
     wanted, not_taken = named_or_own(found, names or {}, path, machine)
-    channels, notes = channels_on_one_raster(found, wanted, machine, path)
+    channels, notes = channels_on_one_raster(found, wanted, machine, path, part)
     not_taken += [f"{name}: {what}" for name, what in found.others.items()]
     notes = [*found.notes, *notes]
     if not_taken or notes or names:

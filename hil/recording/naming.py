@@ -16,9 +16,23 @@ import numpy as np
 
 from hil.errors import RecordingError
 from hil.files.regular import check_regular
-from hil.recording.channels import COUNTS, OF_THE_MACHINE, PERCENT, PERMILLE, check_name, kind_of, spelled, unit_and_factor
+from hil.recording.channels import (
+    COUNTS,
+    OF_THE_MACHINE,
+    PERCENT,
+    PERMILLE,
+    SI_OF,
+    TIME,
+    check_name,
+    is_unit,
+    kind_of,
+    spelled,
+    unit_and_factor,
+)
 from hil.recording.model import Channel
 from hil.recording.said import listed, printable
+from hil.recording.steps import SAME_RATE, usual_step
+from hil.recording.unit_in_name import in_brackets, unit_in_name
 from hil.recording.warning import RecordingWarning
 
 if TYPE_CHECKING:
@@ -197,9 +211,11 @@ def named_channels(
     sources: dict[str, Column] = {}
     for name, wanted in names.items():
         column = found.columns[name]
-        wanted = with_unit(wanted, column.unit, machine, path)
-        unit = wanted.unit or ""
+        wanted = with_unit(wanted, column.unit, machine, path, name)
         values = column.values.astype(np.float64)
+        if wanted.unit is None:
+            wanted = timed(wanted, values, machine, path, name)
+        unit = wanted.unit or ""
         if (wanted.scale, wanted.offset) != (1.0, 0.0):
             values = wanted.scale * values + wanted.offset
         channels[wanted.channel] = Channel(unit, values)
@@ -244,10 +260,11 @@ def named_or_own(
     return wanted, not_taken
 
 
-def with_unit(wanted: Target, in_file: str | None, machine: Machine | None, path: Path) -> Target:
-    """Return what a column becomes, with its unit: from the name, else from the file, else from the machine.
+def with_unit(wanted: Target, in_file: str | None, machine: Machine | None, path: Path, name: str = "") -> Target:
+    """Return what a column becomes, with its unit: as it is given, else from the file, else from the column's name, else from the machine.
 
-    Counts become what the machine file's encoder counts, parts of the rated effort become that effort; that is said in a warning.
+    Counts become what the machine file's encoder counts, parts of the rated effort become that effort; that and a unit by name are said in
+    a warning. The unit of times that nothing tells is left to `timed`.
 
     Raises
     ------
@@ -256,8 +273,12 @@ def with_unit(wanted: Target, in_file: str | None, machine: Machine | None, path
     """
     channel = wanted.channel
     unit = wanted.unit if wanted.unit is not None else in_file
-    if unit is None and machine is not None:
+    if unit is None and name and (unit := _named_unit(name, channel, machine)) is not None:
+        warnings.warn(f"{path}: {printable(name)} is taken in {unit}, by its name", RecordingWarning, stacklevel=2)
+    if unit is None and machine is not None and channel != "time":
         unit = machine_unit(channel, machine, path)
+    if unit is None and machine is not None:
+        return wanted
     of_machine = spelled(unit or "", OF_THE_MACHINE)
     if of_machine in OF_THE_MACHINE and (size := _size(channel, of_machine, machine)) is not None:
         unit, factor = size
@@ -265,25 +286,74 @@ def with_unit(wanted: Target, in_file: str | None, machine: Machine | None, path
         warnings.warn(f"{path}: {words}", RecordingWarning, stacklevel=2)
         return Target(channel, unit, wanted.scale * factor, wanted.offset * factor)
     try:
-        unit_and_factor(channel, unit or "")
+        unit_and_factor(channel, unit or "", _like(channel, machine, path))
     except RecordingError as problem:
         if not unit:
-            raise
+            raise RecordingError(f"{problem}; say which with --map '{name or channel}={channel} [UNIT]'") from None
         way_out = f'"NAME" = {{ channel = "{channel}", unit = "...", scale = ... }} (--map FILE)'
-        said = _narrower(channel, unit, machine, path) or str(problem)
-        raise RecordingError(f"{said}; a file of names takes any other with its scale: {way_out}") from None
+        raise RecordingError(f"{problem}; a file of names takes any other with its scale: {way_out}") from None
     return wanted._replace(unit=unit or "")
 
 
-def _narrower(channel: str, unit: str, machine: Machine | None, path: Path) -> str:
-    """Return why a unit is wrong, with those that the machine's axis can have; "" for what is no channel of the machine."""
-    if machine is None or machine.axis_of_channel(channel) is None or not is_channel(channel, machine):
+def timed(wanted: Target, values: np.ndarray, machine: Machine | None, path: Path, name: str) -> Target:
+    """Return the target of times (N,) of which nothing tells the unit: seconds, unless they have the machine's rate in another unit.
+
+    That is said in a warning, and where the machine's rate is nearer in another unit.
+    """
+    known = values[np.isfinite(values)]
+    step = usual_step(known)
+    if machine is None or not step or wanted.scale != 1.0:
+        return wanted._replace(unit="s")
+    steps = [one for one in (step, float(known[-1] - known[0]) / (known.size - 1)) if one > 0.0]  # whole milliseconds may have either
+    off = {
+        unit: min(abs(math.log(factor * one * machine.sample_rate_Hz)) for one in steps) for unit, factor in TIME.items() if unit != "min"
+    }
+    unit = min(off, key=lambda one: off[one])
+    words = ""
+    if unit != "s" and off[unit] > SAME_RATE:
+        due = f"the machine in steps of {1.0 / machine.sample_rate_Hz:.6g} s"
+        words = f"is taken in s, so it goes in steps of {step:.6g} s, {due}; --map '{name}=time [{unit}]' takes it in {unit}"
+        unit = "s"
+    elif unit != "s":
+        words = f"is taken in {unit}: so it has the {machine.sample_rate_Hz:.6g} Hz of machine {machine.name}"
+    if words:
+        warnings.warn(f"{path}: {printable(name)} has no unit and {words}", RecordingWarning, stacklevel=2)
+    return wanted._replace(unit=unit)
+
+
+def own_target(name: str, machine: Machine) -> Target | None:
+    """Return the channel whose name a column has, with or without a unit in it; None for others."""
+    if is_channel(name, machine):
+        return Target(name)
+    for channel in (*FIXED_UNITS, *(f"{quantity}_{axis}" for axis in machine.axes for quantity in (*_POSITIONS, *_EFFORTS, "speed"))):
+        found = unit_in_name(name, _units(channel, machine))
+        if found is not None and (found[0] == channel or (channel, found[0].lower()) == ("time", "time")):
+            return Target(channel, found[1])
+    return None
+
+
+def _named_unit(name: str, channel: str, machine: Machine | None) -> str | None:
+    """Return the unit in a column's name: one in brackets, whatever it is, or one that the channel can have."""
+    if found := unit_in_name(name, _units(channel, machine)):
+        return found[1]
+    bracketed = in_brackets(name)
+    return bracketed[1] if bracketed is not None and is_unit(bracketed[1]) else None
+
+
+def _units(channel: str, machine: Machine | None) -> list[str]:
+    """Return the units that a channel can have, those among them whose size the machine file says."""
+    kind = kind_of(channel)
+    like = _like(channel, machine, "")
+    units = [] if kind is None else [unit for unit in kind.units if unit and (not like or SI_OF.get(unit, unit) == like)]
+    return units + [unit for unit in OF_THE_MACHINE if _size(channel, unit, machine) is not None]
+
+
+def _like(channel: str, machine: Machine | None, path: Path | str) -> str:
+    """Return the unit in memory of an angle or a length by the machine's axis; "" for other channels, which may have several."""
+    axis = None if machine is None else machine.axis_of_channel(channel)
+    if machine is None or axis is None or channel.removesuffix(f"_{axis}") not in (*_POSITIONS, "speed"):
         return ""
-    try:
-        unit_and_factor(channel, unit, machine_unit(channel, machine, path))
-    except RecordingError as problem:
-        return str(problem)
-    return ""
+    return machine_unit(channel, machine, path)
 
 
 def _size(channel: str, unit: str, machine: Machine | None) -> tuple[str, float] | None:

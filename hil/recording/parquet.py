@@ -21,7 +21,7 @@ from hil.files.regular import MOST_BYTES
 from hil.recording.channels import is_whole
 from hil.recording.metadata import machine_table, metadata_text, parse_metadata
 from hil.recording.model import Recording
-from hil.recording.naming import Column, Columns, Target, header_name, is_channel, named_channels
+from hil.recording.naming import Column, Columns, Target, header_name, named_channels, own_target
 from hil.recording.rasters import channels_in_order
 from hil.recording.said import source_table
 
@@ -55,7 +55,7 @@ def write_parquet(recording: Recording, path: Path) -> None:
     write_atomically({path: content.getvalue()})
 
 
-def read_parquet(path: Path, machine: Machine | None = None, names: Mapping[str, Target] | None = None) -> Recording:
+def read_parquet(path: Path, machine: Machine | None = None, names: Mapping[str, Target] | None = None, part: str = "") -> Recording:
     """Read a recording of this project, or any Parquet table.
 
     Parameters
@@ -65,6 +65,8 @@ def read_parquet(path: Path, machine: Machine | None = None, names: Mapping[str,
         For a file that carries none.
     names : mapping, optional
         Name in the file -> channel. Without it, columns with a channel's name are taken.
+    part : str
+        Of rows of several senders those to take, as in `stamps`.
 
     Raises
     ------
@@ -88,7 +90,11 @@ def read_parquet(path: Path, machine: Machine | None = None, names: Mapping[str,
     except (arrow.ArrowException, ValueError, UnicodeDecodeError, MemoryError) as problem:
         raise RecordingError(f"{path}: no Parquet file, or damaged: {_line(problem)}") from None
     try:
-        return _own(table, path, machine, names) if _KEY in (table.schema.metadata or {}) else _foreign(arrow, table, path, machine, names)
+        return (
+            _own(table, path, machine, names)
+            if _KEY in (table.schema.metadata or {})
+            else _foreign(arrow, table, path, machine, names, part)
+        )
     except (arrow.ArrowException, UnicodeDecodeError) as problem:
         raise RecordingError(f"{path}: damaged: {_line(problem)}") from None
 
@@ -104,7 +110,14 @@ def _own(table: Any, path: Path, machine: Machine | None, names: Mapping[str, Ta
         raise RecordingError(f"{path}: {problem}") from None
 
 
-def _foreign(arrow: ModuleType, table: Any, path: Path, machine: Machine | None, names: Mapping[str, Target] | None) -> Recording:  # noqa: ANN401
+def _foreign(
+    arrow: ModuleType,
+    table: Any,  # noqa: ANN401
+    path: Path,
+    machine: Machine | None,
+    names: Mapping[str, Target] | None,
+    part: str,
+) -> Recording:
     if machine is None:
         raise RecordingError(f"{path}: carries no machine, so it is no recording of ours; name the machine with --machine")
     columns: dict[str, Column] = {}
@@ -122,12 +135,12 @@ def _foreign(arrow: ModuleType, table: Any, path: Path, machine: Machine | None,
         else:
             others[name] = f"of type {field.type}"
     found = Columns(columns, {}, others)
-    wanted = dict(names) if names else {name: Target(name) for name in columns if is_channel(name, machine)}
+    wanted = dict(names) if names else {name: Target(own.channel) for name in columns if (own := own_target(name, machine)) is not None}
     if not any(one.channel == "time" for one in wanted.values()):
         has = ", ".join([*columns, *others])
         raise RecordingError(f"{path}: no column is time; it has {has}; say which is which, such as --map t=time")
     channels, _ = named_channels(found, wanted, machine, path)
-    channels, order = channels_in_order(channels, path)
+    channels, order = channels_in_order(channels, path, part)
     not_taken = [name for name in columns if name not in wanted] + [f"{name}, {what}" for name, what in others.items()]
     renamed = {name: one.channel for name, one in wanted.items() if name != one.channel}
     try:

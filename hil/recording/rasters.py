@@ -19,17 +19,15 @@ from hil.errors import RecordingError
 from hil.recording.channels import is_whole
 from hil.recording.model import UNEQUAL_STEP, Channel
 from hil.recording.naming import Column, Columns, Target, named_channels
-from hil.recording.stamps import LOST, DisorderError, rows_in_order, said_twice, straightened
+from hil.recording.stamps import part_straightened, rows_in_order, said_twice
+from hil.recording.steps import LOST, SAME_RATE
 
 if TYPE_CHECKING:
     from hil.machine.model import Machine
 
-SAME_RATE = 0.01
-"""Rates that differ by less than this share are the same."""
-
 
 def channels_on_one_raster(
-    found: Columns, names: Mapping[str, Target], machine: Machine | None, path: Path
+    found: Columns, names: Mapping[str, Target], machine: Machine | None, path: Path, part: str = ""
 ) -> tuple[dict[str, Channel], list[str]]:
     """Return `time` and the channels that `names` makes of columns with times, all on one raster, and how they came onto it.
 
@@ -46,25 +44,27 @@ def channels_on_one_raster(
         for channel, column in sources.items()
     }
     try:
-        time_s, values, notes = on_one_raster(columns, machine)
+        time_s, values, notes = on_one_raster(columns, machine, part)
     except RecordingError as problem:
         raise RecordingError(f"{path}: {problem}") from None
     return {"time": Channel("s", time_s)} | {name: Channel(channels[name].unit, values[name]) for name in channels}, notes
 
 
-def channels_in_order(channels: dict[str, Channel], path: Path) -> tuple[dict[str, Channel], list[str]]:
+def channels_in_order(channels: dict[str, Channel], path: Path, part: str = "") -> tuple[dict[str, Channel], list[str]]:
     """Return the channels of one table in order of its time, and what was done; RecordingError where `stamps` refuses."""
     if "time" not in channels or len({channel.values.size for channel in channels.values()}) > 1:
         return channels, []  # what is wrong is told elsewhere
     table = np.column_stack([channel.values for channel in channels.values()])
     try:
-        table, notes = rows_in_order(table, list(channels))
-    except DisorderError as problem:
-        raise RecordingError(f"{path}: {problem}; keep the rows of one, or put them in order") from None
+        table, notes = rows_in_order(table, list(channels), part=part)
+    except RecordingError as problem:
+        raise RecordingError(f"{path}: {problem}") from None
     return {name: Channel(channel.unit, table[:, place]) for place, (name, channel) in enumerate(channels.items())}, notes
 
 
-def on_one_raster(columns: Mapping[str, Column], machine: Machine | None) -> tuple[np.ndarray, dict[str, np.ndarray], list[str]]:
+def on_one_raster(
+    columns: Mapping[str, Column], machine: Machine | None, part: str = ""
+) -> tuple[np.ndarray, dict[str, np.ndarray], list[str]]:
     """Put columns with times onto one raster.
 
     Parameters
@@ -73,6 +73,8 @@ def on_one_raster(columns: Mapping[str, Column], machine: Machine | None) -> tup
         At least one, each with times and samples.
     machine : Machine, optional
         Its rate chooses the raster.
+    part : str
+        As in `stamps.part_straightened`, of those signals that have several senders.
 
     Returns
     -------
@@ -86,7 +88,7 @@ def on_one_raster(columns: Mapping[str, Column], machine: Machine | None) -> tup
     RecordingError
         A time is missing, or times go back in a way that `stamps` cannot repair.
     """
-    columns, notes = _straight(columns)
+    columns, notes = _straight(columns, part)
     rasters = _rasters(columns)
     base = _base([times(columns[names[0]]) for names in rasters], [len(names) for names in rasters], machine) if rasters[1:] else 0
     time_s = times(columns[rasters[base][0]])
@@ -102,19 +104,24 @@ def on_one_raster(columns: Mapping[str, Column], machine: Machine | None) -> tup
     return time_s, {name: values[name] for name in columns}, notes
 
 
-def _straight(columns: Mapping[str, Column]) -> tuple[dict[str, Column], list[str]]:
+def _straight(columns: Mapping[str, Column], part: str) -> tuple[dict[str, Column], list[str]]:
     """Return the columns in order of time, those that share their times together, and what was done."""
     straight: dict[str, Column] = dict(columns)
     notes: list[str] = []
-    for names in _rasters(columns):
+    refusals: list[str] = []
+    rasters = _rasters(columns)
+    for names in rasters:
         own = times(columns[names[0]])
         if not np.isfinite(own).all():
             raise RecordingError(f"{names[0]}: sample {int(np.argmin(np.isfinite(own)))} has no time")
         try:
             values = np.column_stack([columns[name].values.astype(np.float64) for name in names])
-            made = straightened(own, values, names=names, what="sample")
-        except DisorderError as problem:
-            raise RecordingError(f"{names[0]}: {problem}") from None
+            made = part_straightened(own, values, names, "sample", part=part)
+        except RecordingError as problem:
+            if not part or len(refusals) == len(rasters) - 1:
+                raise RecordingError(f"{names[0]}: {problem}") from None
+            refusals.append(str(problem))
+            made = part_straightened(own, values, names, "sample")
         notes += [f"{', '.join(names)}: {note}" for note in [*made.notes, *said_twice(made.twice)]]
         straight |= {name: replace(columns[name], values=columns[name].values[made.places], time_s=made.time_s) for name in names}
     return straight, notes

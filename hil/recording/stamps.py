@@ -14,18 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from hil.errors import RecordingError
-
-LOST = 1.5
-"""Neighbouring samples further apart than this many of the usual steps have lost one between them."""
-
-CLOSE = 0.5
-"""Samples of one sender are at least this many of the usual steps apart; halfway lies what belongs to neither."""
-
-STRETCH = 8
-"""Fewest samples between two settings of a clock: one that is set more often gives no time."""
-
-FAR = 20.0
-"""Ratio to the usual change from sample to sample beyond which a value does not go on from its neighbour."""
+from hil.recording.senders import FAR, STRETCH, added, combs, persistent_combs, there_and_back
+from hil.recording.steps import CLOSE, COARSE, LOST, equal_rows, is_even, usual_change, usual_step
 
 OFTEN = 0.02
 """Share of samples that leave their neighbours and return, from which there is a second sender: bad readings are fewer."""
@@ -36,20 +26,11 @@ FEWEST = 8
 IN_TURN = 0.34
 """Share of such samples from which even stamps are those of two senders, too, which take turns."""
 
+_MOST_NOTES = 6
+"""Settings of one clock that are told one by one."""
+
 _POSITION = re.compile(r"(?:^|[._])position(?:_|\[|$)|^reference_")
 """Names of positions, of channels as of joints in a bag."""
-
-_COARSE = 0.1
-"""Share of samples with the stamp of the one before, from which a clock is coarser than the samples."""
-
-_ON_COMB = 0.15
-"""Largest distance of a sample from its place in an even raster, in steps."""
-
-_WHOLE_COMB = 0.95
-"""Share of its places that a sender's raster has filled."""
-
-_LONGEST_STRIDE = 9
-"""Samples of other senders, and one, between two of a sender: more are not tried."""
 
 
 class Straight(NamedTuple):
@@ -116,14 +97,57 @@ def straightened(
         Order and stamps disagree in a way that one sender with one clock cannot explain.
     """
     numbers = range(stamps_s.size) if numbers is None else numbers
-    if stamps_s.size < 2 or np.all(np.diff(stamps_s) >= 0.0):
+    kept = _without_copies(stamps_s, values)
+    if kept.size < stamps_s.size and values is not None:
+        others = None if other_s is None else other_s[kept]
+        try:
+            made = straightened(
+                stamps_s[kept], values[kept], other_s=others, names=names, what=what, numbers=[numbers[place] for place in kept.tolist()]
+            )
+        except DisorderError as problem:
+            raise DisorderError(str(problem), [kept[part] for part in problem.parts]) from None
+        again = int(np.setdiff1d(np.arange(stamps_s.size), kept)[0])
+        words = (
+            f"{_counted(stamps_s.size - kept.size, what)} with stamps and values of earlier ones, first {what} {numbers[again]}: left out"
+        )
+        return made._replace(places=kept[made.places], notes=(words, *made.notes))
+    falls = bool(np.any(np.diff(stamps_s) < 0.0))
+    if not falls and not _set_back_by_a_step(stamps_s, values).any():
         straight = Straight(np.arange(stamps_s.size), stamps_s)
-    elif _is_clock_set(stamps_s, values, beat):
+    elif not falls or _is_clock_set(stamps_s, values, beat):
         straight = _clock_set(stamps_s, values, other_s, beat, what, numbers)
     else:
         straight = _sorted(stamps_s, what, numbers)
     straight = _forward(straight, other_s, what, numbers)
     return straight if values is None else _apart(straight, values, names, what, numbers)
+
+
+def part_straightened(
+    stamps_s: np.ndarray, values: np.ndarray, names: Sequence[str], what: str, numbers: Sequence[int] | None = None, part: str = ""
+) -> Straight:
+    """As `straightened`, of one sender where there are several: `part` is `@1` for the first of them, `@2` for the second.
+
+    Raises
+    ------
+    RecordingError
+        There are several, and none is asked for; or there is no such part.
+    """
+    try:
+        made = straightened(stamps_s, values, names=names, what=what, numbers=numbers)
+    except DisorderError as problem:
+        ways = [f"@{number}=part ({_counted(one.size, what)})" for number, one in enumerate(problem.parts, 1)]
+        known = {way.partition("=")[0]: one for way, one in zip(ways, problem.parts, strict=True)}
+        if part not in known:
+            way = f"take one with --map {' or '.join(ways)}" if ways else "nothing in the file tells them apart: record one of them alone"
+            raise RecordingError(f"{problem}; {way}") from None
+        own = known[part]
+        mine = own.tolist() if numbers is None else [numbers[place] for place in own.tolist()]
+        made = straightened(stamps_s[own], values[own], names=names, what=what, numbers=mine)
+        note = f"the {_counted(own.size, what)} of part {part} are taken of {stamps_s.size}: {problem}"
+        return made._replace(places=own[made.places], notes=(note, *made.notes))
+    if part:
+        raise RecordingError(f"{part}=part: the {what}s have one sender and one clock, so there is no part; leave it out")
+    return made
 
 
 def said_twice(number: int) -> list[str]:
@@ -132,31 +156,54 @@ def said_twice(number: int) -> list[str]:
 
 
 def rows_in_order(
-    table: np.ndarray, names: Sequence[str], what: str = "row", numbers: Sequence[int] | None = None
+    table: np.ndarray, names: Sequence[str], what: str = "row", numbers: Sequence[int] | None = None, part: str = ""
 ) -> tuple[np.ndarray, list[str]]:
-    """Return a table's rows (N, K) in order of its column `time`, and what was done; DisorderError as in `straightened`."""
+    """Return a table's rows (N, K) in order of its column `time`, and what was done.
+
+    Raises
+    ------
+    RecordingError
+        As `straightened`, with the option that takes one sender's rows; or there is no such `part`.
+    """
     time_place = names.index("time")
     time_s = table[:, time_place]
     if not np.isfinite(time_s).all():  # told elsewhere
         return table, []
     others = [name for name in names if name != "time"]
-    made = straightened(time_s, np.delete(table, time_place, axis=1), names=others, what=what, numbers=numbers)
+    made = part_straightened(time_s, np.delete(table, time_place, axis=1), others, what, numbers, part)
     ordered = table[made.places]
     ordered[:, time_place] = made.time_s
     return ordered, [*made.notes, *said_twice(made.twice)]
 
 
-def usual_step(time_s: np.ndarray) -> float:
-    """Return the usual step between neighbouring times; 0 of fewer than two."""
-    steps = np.diff(time_s)
-    steps = steps[steps > 0.0]
-    return float(np.median(steps)) if steps.size else 0.0
+def _without_copies(stamps_s: np.ndarray, values: np.ndarray | None) -> np.ndarray:
+    """Return the places of samples but those of stretches that stand there again, stamps and values the same."""
+    places = np.arange(stamps_s.size)
+    falls = np.flatnonzero(np.diff(stamps_s) < 0.0)
+    if values is None or not falls.size:
+        return places
+    rows = np.ascontiguousarray(np.column_stack([stamps_s, values]) + 0.0)
+    _, first, which = np.unique(rows.view(f"V{rows.itemsize * rows.shape[1]}").ravel(), return_index=True, return_inverse=True)
+    again = first[which] < places
+    again[: falls[0] + 1] = False
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], again, [False]]).astype(np.int8)))
+    for begin, end in edges.reshape(-1, 2).tolist():
+        again[begin:end] &= end - begin >= STRETCH
+    return places[~again]
 
 
-def is_even(time_s: np.ndarray) -> bool:
-    """Return whether samples come at one rate, gaps and jitter aside."""
-    steps, step = np.diff(time_s), usual_step(time_s)
-    return steps.size > 1 and float(np.mean(np.abs(steps - step) < CLOSE * step)) >= 1.0 - _COARSE
+def _set_back_by_a_step(stamps_s: np.ndarray, values: np.ndarray | None) -> np.ndarray:
+    """Return at which samples (N,) of an even raster a clock was set back by just a step: the stamp before, another value, and no gap."""
+    back = np.zeros(stamps_s.size, dtype=bool)
+    steps, step = np.diff(stamps_s), usual_step(stamps_s)
+    if values is None or steps.size < STRETCH or not is_even(stamps_s):
+        return back
+    change = np.abs(np.diff(values, axis=0))
+    with np.errstate(invalid="ignore"):
+        goes_on = ~equal_rows(values[1:], values[:-1]) & ~np.any(change > FAR * usual_change(values), axis=1)
+    whole = np.abs(steps - step) < CLOSE * step
+    back[2:-1] = (steps[1:-1] == 0.0) & goes_on[1:-1] & whole[:-2] & whole[2:]
+    return back
 
 
 def _is_clock_set(stamps_s: np.ndarray, values: np.ndarray | None, beat: np.ndarray | None) -> bool:
@@ -167,7 +214,7 @@ def _is_clock_set(stamps_s: np.ndarray, values: np.ndarray | None, beat: np.ndar
     beats = order if beat is None else order[beat[order]]
     time_s = stamps_s[beats]
     steps, step = np.diff(time_s), usual_step(stamps_s if beat is None else stamps_s[beat])
-    repeated = np.zeros(steps.size, dtype=bool) if values is None else _equal(values[beats[1:]], values[beats[:-1]])
+    repeated = np.zeros(steps.size, dtype=bool) if values is None else equal_rows(values[beats[1:]], values[beats[:-1]])
     run = np.cumsum(np.concatenate([[0], np.diff(stamps_s) < 0.0]))[beats]
     mixed = (steps <= CLOSE * step) & (np.diff(run) != 0) & ~(repeated & (steps == 0.0))
     open_seam = (np.diff(beats) < 0) & (steps > LOST * step)
@@ -176,7 +223,7 @@ def _is_clock_set(stamps_s: np.ndarray, values: np.ndarray | None, beat: np.ndar
 
 def _goes_on_in_file(stamps_s: np.ndarray, order: np.ndarray, values: np.ndarray) -> bool:
     """Return whether values go on across the places where stamps go back rather than across those that sorting makes neighbours."""
-    scale = _usual_change(values)
+    scale = usual_change(values)
 
     def largest(these: np.ndarray, places: np.ndarray) -> float:
         change = np.abs(these[places + 1] - these[places]) / scale
@@ -200,22 +247,42 @@ def _clock_set(
     """Return the samples in the order of the file, the stretches behind a step of the clock moved to where they belong."""
     runs = _runs(stamps_s)
     falls = np.cumsum([run.size for run in runs])[:-1]
-    words = f"the stamps go back {falls.size} time{'s' if falls.size > 1 else ''}, first at {what} {numbers[falls[0]]}"
+    words = f"the stamps go back {_times(falls.size)}, first at {what} {numbers[falls[0]]}" if falls.size else ""
     step = usual_step(stamps_s if beat is None else stamps_s[beat])
-    time_s, notes, back_s = stamps_s.copy(), [], 0.0
-    for place in (1 + np.flatnonzero((np.diff(stamps_s) < 0.0) | (np.diff(stamps_s) > LOST * step))).tolist():
-        jump_s = stamps_s[place] - stamps_s[place - 1]
-        if jump_s >= 0.0 and not (back_s and abs(jump_s - step - back_s) <= LOST * step):
+    steps = np.diff(stamps_s)
+    still = _set_back_by_a_step(stamps_s, values)[1:]
+    if falls.size and values is not None and np.mean(steps == 0.0) < COARSE:
+        still |= (steps == 0.0) & ~equal_rows(values[1:], values[:-1])
+    time_s, notes, ahead_s = stamps_s.copy(), [], 0.0
+    places = 1 + np.flatnonzero((steps < 0.0) | still | (steps > LOST * step))
+    for number, place in enumerate(places.tolist()):
+        jump_s = steps[place - 1]
+        is_back = ahead_s and abs(ahead_s + jump_s - step) <= LOST * step
+        if jump_s > 0.0 and not is_back and not _is_undone(jump_s, steps[places[number + 1 :] - 1], step):
             continue
-        _check_seam(values, place, runs, words, what, numbers)
+        if falls.size:
+            _check_seam(values, place, runs, words, what, numbers)
         went_on_s = _since(other_s, place, step) if beat is None else _on_beat(time_s, beat, place, step)
         time_s[place:] += went_on_s - (time_s[place] - time_s[place - 1])
-        back_s = back_s + went_on_s - jump_s if jump_s < 0.0 else 0.0
+        ahead_s = 0.0 if is_back else ahead_s + jump_s - went_on_s
+        ahead_s = 0.0 if abs(ahead_s) <= LOST * step < abs(jump_s) else ahead_s
+        how = "back" if jump_s <= 0.0 else "on again" if is_back else "on"
         notes.append(
-            f"the clock was set {'back' if jump_s < 0.0 else 'on again'} by {abs(went_on_s - jump_s):.6g} s at {what} {numbers[place]}"
+            f"the clock was set {how} by {abs(went_on_s - jump_s):.6g} s at {what} {numbers[place]}"
             f" (its stamp follows by {jump_s:.6g} s); what comes then is taken to go on {went_on_s:.6g} s later"
         )
-    return Straight(np.arange(stamps_s.size), time_s, tuple(notes))
+    return Straight(np.arange(stamps_s.size), time_s, _few(notes))
+
+
+def _is_undone(jump_s: float, later_s: np.ndarray, step: float) -> bool:
+    """Return whether the next step back of a clock takes back that it was set on."""
+    back = later_s[later_s < 0.0]
+    return bool(back.size) and abs(jump_s - step + float(back[0]) - step) <= LOST * step
+
+
+def _few(notes: list[str]) -> tuple[str, ...]:
+    """Return the first notes, and how many more there are."""
+    return tuple(notes) if len(notes) <= _MOST_NOTES else (*notes[:_MOST_NOTES], f"and {len(notes) - _MOST_NOTES} more such steps")
 
 
 def _forward(straight: Straight, other_s: np.ndarray | None, what: str, numbers: Sequence[int]) -> Straight:
@@ -240,17 +307,28 @@ def _apart(straight: Straight, values: np.ndarray, names: Sequence[str], what: s
         return straight
     said = values[places]
     steady = said[:, [bool(_POSITION.search(name)) for name in names]] if names else said
-    leaves = _there_and_back(steady)
-    if leaves.sum() >= max(FEWEST, OFTEN * leaves.size):
-        words = f"the values jump there and back {leaves.sum()} times, first at {what} {numbers[places[np.argmax(leaves)]]}"
-        if not is_even(time_s) or np.mean(leaves) > IN_TURN:
-            raise DisorderError(f"{words}: two senders of one signal", _combs(places, time_s, said))
-        straight = straight._replace(notes=(*straight.notes, words))
+    leaves = there_and_back(steady)
+    between, many = leaves & added(time_s), max(FEWEST, OFTEN * leaves.size)
+    if leaves.any():
+        words = f"the values jump there and back {_times(int(leaves.sum()))}, first at {what} {numbers[places[np.argmax(leaves)]]}"
+        if between.sum() >= many or (leaves.sum() >= many and (not is_even(time_s) or np.mean(leaves) > IN_TURN)):
+            parts = combs(places, time_s, said) or ((places[~between], places[between]) if between.sum() >= many else ())
+            raise DisorderError(f"{words}: two senders of one signal, or one whose clock was set before the samples were sorted", parts)
+        if between.any():
+            straight = straight._replace(places=places[~between], time_s=time_s[~between])
+            words = f"{_counted(int(between.sum()), what)} between two of the raster, whose values are far from both"
+            words += f", first {what} {numbers[places[np.argmax(between)]]}: left out, of another sender"
+            return _apart(straight._replace(notes=(*straight.notes, words)), values, names, what, numbers)
+        if leaves.sum() >= many:  # a few are bad readings, which stand on their own in any recording
+            straight = straight._replace(notes=(*straight.notes, words))
+    if parts := persistent_combs(places, time_s, steady):
+        words = f"{what}s of two even rates stand between each other, the second's from {what} {numbers[max(part[0] for part in parts)]} on"
+        raise DisorderError(f"{words}, and what one says keeps to one side of the other: two senders of one signal", parts)
     alike = np.concatenate([[False], np.diff(time_s) <= 0.0])
     if not alike.any():
         return straight
-    same = alike & np.concatenate([[False], _equal(said[1:], said[:-1])])
-    if np.mean(alike) >= _COARSE and np.count_nonzero(same) < CLOSE * np.count_nonzero(alike) and _is_coarse(time_s):
+    same = alike & np.concatenate([[False], equal_rows(said[1:], said[:-1])])
+    if np.mean(alike) >= COARSE and np.count_nonzero(same) < CLOSE * np.count_nonzero(alike) and _is_coarse(time_s):
         spread = np.interp(np.arange(time_s.size), np.flatnonzero(~alike), time_s[~alike])
         tail = int(np.flatnonzero(~alike)[-1])
         step = float(time_s[tail] - time_s[0]) / tail
@@ -258,35 +336,22 @@ def _apart(straight: Straight, values: np.ndarray, names: Sequence[str], what: s
         note = f"the stamps are coarser than the {what}s, {np.count_nonzero(alike)} have that of the one before: spread evenly between them"
         return straight._replace(time_s=spread, notes=(*straight.notes, note))
     differ = np.flatnonzero(alike & ~same)
-    scale = _usual_change(steady)
+    scale = usual_change(steady)
     far = [place for place in differ.tolist() if np.any(np.abs(steady[place] - steady[place - 1]) > FAR * scale)]
     if far or differ.size > OFTEN * time_s.size:
         far = far or differ.tolist()
         words = f"{what}s {numbers[places[far[0] - 1]]} and {numbers[places[far[0]]]} have the same stamp and other values"
         words += f", and {len(far) - 1} more" if far[1:] else ""
-        raise DisorderError(f"{words}: two senders of one signal", _combs(places, time_s, said))
+        raise DisorderError(f"{words}: two senders of one signal", combs(places, time_s, said))
     return straight._replace(places=places[~alike], time_s=time_s[~alike], twice=int(np.count_nonzero(alike)))
 
 
-def _there_and_back(values: np.ndarray) -> np.ndarray:
-    """Return where (N,) a sample lies far from both its neighbours, on the same side."""
-    before, behind = np.diff(values, axis=0)[:-1], np.diff(values, axis=0)[1:]
-    scale = _usual_change(values)
-    with np.errstate(invalid="ignore"):
-        leaves = (before * behind < 0.0) & (np.minimum(np.abs(before), np.abs(behind)) > FAR * scale)
-    return np.concatenate([[False], leaves.any(axis=1), [False]])
+def _times(number: int) -> str:
+    return "once" if number == 1 else f"{number} times"
 
 
-def _usual_change(values: np.ndarray) -> np.ndarray:
-    """Return the usual change (K,) of values (N, K) from sample to sample, or to the next but one where two take turns; inf without one."""
-    scale = np.full(values.shape[1], np.inf)
-    for column in range(values.shape[1]):
-        for stride in (1, 2):
-            change = np.abs(values[stride:, column] - values[:-stride, column])
-            change = change[np.isfinite(change) & (change > 0.0)]
-            if change.size:
-                scale[column] = min(scale[column], float(np.median(change)))
-    return scale
+def _counted(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def _is_coarse(time_s: np.ndarray) -> bool:
@@ -294,44 +359,6 @@ def _is_coarse(time_s: np.ndarray) -> bool:
     _, sizes = np.unique(time_s, return_counts=True)
     inner = sizes[1:-1]
     return bool(inner.size and inner.max() - inner.min() <= 1)
-
-
-def _combs(places: np.ndarray, time_s: np.ndarray, said: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return the places of two senders with even rates of their own; nothing where they cannot be told apart.
-
-    All are in order of time: places (N,), time_s (N,), said (N, K).
-    """
-    if places.size < 2 * STRETCH:
-        return ()
-    for start in range(2):
-        for stride in range(1, _LONGEST_STRIDE + 1):
-            if start + stride >= places.size or time_s[start + stride] <= time_s[start]:
-                continue
-            comb = _comb(time_s, said, start, float(time_s[start + stride] - time_s[start]))
-            rest = np.setdiff1d(np.arange(places.size), comb)
-            if comb.size < STRETCH or rest.size < STRETCH or _there_and_back(said[comb]).any() or _there_and_back(said[rest]).any():
-                continue
-            if is_even(time_s[comb]) and is_even(time_s[rest]):
-                return np.sort(places[comb]), np.sort(places[rest])
-    return ()
-
-
-def _comb(time_s: np.ndarray, said: np.ndarray, start: int, step: float) -> np.ndarray:
-    """Return the samples (M,) that follow `start` in steps of `step`, each nearest in value where several have its time."""
-    comb, due = [start], time_s[start] + step
-    asked = 1
-    while due <= time_s[-1]:
-        asked += 1
-        low, high = np.searchsorted(time_s, (due - _ON_COMB * step, due + _ON_COMB * step))
-        near = [place for place in range(low, high) if place > comb[-1]]
-        if near:
-            nearest = min(near, key=lambda place: float(np.nansum(np.abs(said[place] - said[comb[-1]]))))
-            comb.append(nearest)
-            due = time_s[nearest]
-        elif len(comb) < _WHOLE_COMB * asked - 1.0:
-            return np.zeros(0, dtype=np.int64)
-        due += step
-    return np.array(comb)
 
 
 def _runs(stamps_s: np.ndarray) -> list[np.ndarray]:
@@ -363,15 +390,9 @@ def _check_seam(values: np.ndarray | None, place: int, runs: Sequence[np.ndarray
     change[np.cumsum([run.size for run in runs])[:-1] - 1] = 0.0
     change[place - 1] = 0.0
     with np.errstate(invalid="ignore"):
-        apart = np.flatnonzero((jump > FAR * _usual_change(values)) & (jump > LOST * np.nanmax(change, axis=0, initial=0.0)))
+        apart = np.flatnonzero((jump > FAR * usual_change(values)) & (jump > LOST * np.nanmax(change, axis=0, initial=0.0)))
     if apart.size:
         ends = np.cumsum([run.size for run in runs])
         parts = [np.arange(end - run.size, end) for run, end in zip(runs, ends, strict=True)]
         where = f"from {what} {numbers[place - 1]} to {numbers[place]}"
         raise DisorderError(f"{words}, and the values do not go on {where}: several runs", parts)
-
-
-def _equal(these: np.ndarray, those: np.ndarray) -> np.ndarray:
-    """Return which rows (N,) of two arrays (N, K) are the same, missing values too."""
-    equal: np.ndarray = ((these == those) | (np.isnan(these) & np.isnan(those))).all(axis=1)
-    return equal

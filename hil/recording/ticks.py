@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.recording.model import CAN_FRAMES, Channel, Recording
-from hil.recording.stamps import LOST, is_even, usual_step
+from hil.recording.steps import LOST, is_even, is_on_raster, usual_step
 
 PLANNED = ("reference_", "excitation_", "feedforward_", "damping_")
 """Channels that drive a simulation. Damping was not planned, but is an input of the simulation as well."""
@@ -26,16 +26,20 @@ def gap_words(recording: Recording) -> str:
 
 
 def _lost_words(time_s: np.ndarray) -> str:
-    """Return one line on the gaps in rows that else come at one rate."""
-    if not is_even(time_s):
-        return ""
+    """Return one line on the gaps in rows that else come at one rate, or at whole multiples of its step."""
     steps, step = np.diff(time_s), usual_step(time_s)
     gaps = np.flatnonzero(steps > LOST * step)
-    if not gaps.size:
+    if not gaps.size or not (is_even(time_s) or (is_on_raster(time_s) and not _is_pattern(gaps, steps.size))):
         return ""
     row, rows = int(gaps[0]), int(np.rint(steps[gaps] / step).sum()) - gaps.size
     places = f"{gaps.size} place{'' if gaps.size == 1 else 's'}, first {steps[row]:.6g} s after row {row} ({time_s[row]:.6g} s)"
     return f"about {rows} row{'' if rows == 1 else 's'} of {step:.6g} s missing in {places}: lost, or the clock was set on there"
+
+
+def _is_pattern(gaps: np.ndarray, steps: int) -> bool:
+    """Return whether gaps come behind every so many rows throughout, as of a logger that writes several at once."""
+    apart = np.diff(gaps)
+    return bool(apart.size and np.ptp(apart) == 0 and gaps.size * apart[0] > steps - 2 * apart[0])
 
 
 def on_every_tick(recording: Recording) -> Recording:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hil.errors import RecordingError
 from hil.identification import IdentificationError, identify_poses
 from hil.recording import Channel, Recording
 
@@ -59,3 +60,31 @@ def test_an_excitation_goes_before_a_reference_that_moves() -> None:
 def test_where_nothing_moves_the_way_to_name_the_excitation_is_told() -> None:
     with pytest.raises(IdentificationError, match=r"convert --map NAME=excitation_<axis>`, of reference_turn, command_turn, position_turn"):
         identify_poses([closed_loop(np.full(400, 0.1))], "arbitrary_lrm", band_Hz=(1.0, 15.0))
+
+
+def test_rows_at_the_ends_that_lack_a_channel_are_left_out_and_said() -> None:
+    whole = closed_loop(sweep())
+    cut = dict(whole.channels)
+    for name in ("reference_turn", "command_turn", "position_turn"):
+        cut[name] = Channel(cut[name].unit, np.where(np.arange(whole.rows) < 3, np.nan, cut[name].values))
+    (found,) = identify_poses([Recording(cut, whole.metadata)], "arbitrary_lrm", band_Hz=(1.0, 15.0))
+    assert "3 rows at the ends of the recordings, in which a channel is missing, are left out" in found.notes
+    np.testing.assert_allclose(np.median(np.abs(found.G[:, 0, 0] / truth(found.frequencies_Hz) - 1.0)), 0.0, atol=0.03)
+
+
+def test_an_axis_that_is_asked_for_is_excited_by_its_own_reference() -> None:
+    one, other = closed_loop(sweep()), closed_loop(sweep()[::-1], excitation=sweep()[::-1])
+    channels = dict(one.channels) | {name.replace("turn", "tilt"): channel for name, channel in other.channels.items() if name != "time"}
+    both = Recording(channels, {"machine": {"axes": ["turn", "tilt"]}})
+    (found,) = identify_poses([both], "arbitrary_lrm", axes=["turn"], outputs=["position_turn"], band_Hz=(1.0, 15.0))
+    assert "nothing is added to the command: reference_turn taken as what excites the loop" in found.notes
+    np.testing.assert_allclose(np.median(np.abs(found.G[:, 0, 0] / truth(found.frequencies_Hz) - 1.0)), 0.0, atol=0.03)
+
+
+def test_what_is_missing_is_refused_with_the_option() -> None:
+    whole = closed_loop(sweep())
+    with pytest.raises(RecordingError, match=r"not periodic: .*`--method arbitrary_lrm --band LOW:HIGH` takes any excitation"):
+        identify_poses([whole], "robust_bla")
+    measured = {name.replace("command", "current"): channel for name, channel in whole.channels.items()}
+    with pytest.raises(IdentificationError, match=r"no channel command_turn, .*`--input measured` takes current_turn"):
+        identify_poses([Recording(measured, whole.metadata)], "arbitrary_lrm", band_Hz=(1.0, 15.0))
