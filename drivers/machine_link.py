@@ -6,7 +6,7 @@ Life of a machine: `start` (boot, identity, configuration, operational), `home`,
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -34,7 +34,12 @@ class CanMachine(TickingMachine):
     """
 
     def home(
-        self, holding_effort: np.ndarray | None = None, windup: np.ndarray | None = None, *, check_first_move: bool = True
+        self,
+        holding_effort: np.ndarray | None = None,
+        windup: np.ndarray | None = None,
+        *,
+        check_first_move: bool = True,
+        begins: Callable[[int], None] = lambda axis: None,
     ) -> tuple[str, ...]:
         """Check the first move, home and check encoder agreement of each axis. Drives are disabled and brakes closed before and after.
 
@@ -46,6 +51,8 @@ class CanMachine(TickingMachine):
             How far each gear's deflection puts the link ahead of the motor side where the machine stands [rad or m].
         check_first_move : bool
             Whether each axis is pushed a little to check that it moves in the right direction.
+        begins : callable, optional
+            Told the number of the axis whose turn it is.
 
         Returns
         -------
@@ -63,6 +70,7 @@ class CanMachine(TickingMachine):
         with self.stopping_on_error():
             self._check_permission()
             for axis, homing in enumerate(self.settings.homings):
+                begins(axis)
                 alone = np.where(np.arange(len(self.axes)) == axis, holding, 0.0)
                 found += commission_axis(self, axis, homing, alone, 0.0 if windup is None else float(windup[axis]), push=check_first_move)
         return tuple(found)

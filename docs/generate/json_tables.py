@@ -77,7 +77,11 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
     "demo": (
         Entry("page", "text", "The page that was written."),
         Entry("seconds", "number", "Time of the whole."),
-        Entry("seed, seal", "number, text", "What drew, and SHA-256 of what was drawn, said before the first run."),
+        Entry(
+            "seed, seal",
+            "number or null, text",
+            "What drew, null for the demo's own; SHA-256 of what is hidden, said before the first run.",
+        ),
         Entry("envelope, recordings, diagnosis", "text, list", "Files that were written."),
         Entry("hidden[].effect, at, parameters", "text, object", "What the emulated machine had."),
         Entry(
@@ -243,6 +247,7 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("channels", "list", "What is in the page."),
         Entry("verdict", "text", "The sentence on top of it."),
         Entry("emulated", "true or false", "Whether a recording is of the emulator."),
+        Entry("shifts_s", "object", "By how much each recording is shown later [s], where they were aligned."),
     ),
     "compare": (
         Entry("verdict, agrees", "text, true or false", "The answer in a sentence, and whether no channel differs by more than its noise."),

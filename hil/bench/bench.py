@@ -22,8 +22,10 @@ from hil.bench.audit_trail import events_table, write_events
 from hil.bench.judging import judged_table
 from hil.bench.loop import SampleLoop
 from hil.bench.options import BenchOptions
+from hil.bench.settling import SETTLE_AT_MOST_S, settle
 from hil.bench.start_pose import standing
 from hil.bench.timing import LoopTiming
+from hil.bench.told_state import HOMING, LETTING_GO, ON_THE_WAY, RECORDING, SETTLING, TAKING_HOLD
 from hil.bench.wiring import Wiring
 from hil.errors import RecordingError, UnusableInputError
 from hil.experiments import Move, Plan, Static
@@ -36,22 +38,15 @@ from virtual_bus.physics import Physics
 if TYPE_CHECKING:
     from hil.observing.live import LiveObserver
 
-SETTLE_S = 4
-"""Whole seconds of standstill before row 0, in which vibrations of the preceding motion decay."""
-
-SETTLE_AT_MOST_S = 16
-"""Longest settling [s]: it continues while the integrators still bring the machine closer, on the C-arm with a time constant of 1.6 s. An
-axis that hunts about its stiction never stands still."""
-
-STANDING_COUNTS = 2.0
-"""Encoder counts from its pose within which an axis counts as standing there."""
-
 ARRIVED_COUNTS = 20.0
 """Encoder counts from a pose within which no move is made to reach it: two tenths of a milliradian on the C-arm."""
 
 BRIDGE_S = 1.0
 BRIDGED_SHARE = 0.05
 """Share of the tracking error that stops the motors, by which an axis may coast beyond the travel of its first-move check."""
+
+Tell = Callable[[str, str, int], None]
+"""Takes what the bench begins to do, the part of it that is due in words, and how many ticks it takes at most; 0 where nobody knows."""
 
 Beside = contextlib.AbstractContextManager[None]
 
@@ -84,6 +79,7 @@ class Bench:
     commissioning: tuple[str, ...] = ()
     judged: tuple[str, ...] = ()  # what was found of the sensors on the last way that was not recorded, a line each
     observer: LiveObserver | None = None
+    tell: Tell = lambda doing, part, ticks: None
 
     def __post_init__(self) -> None:
         """Prepare the command of zero effort."""
@@ -150,11 +146,13 @@ class Bench:
         with self.session():
             self.take_hold()
             link.watch.lead()
-            for leg in (self._bridge_to(way[0] if way else stay), *way):
+            for leg in self._legs(way, stay):
                 self.loop.run(leg)
                 self._tell_of_sensors()
-            self._settle(stay)
+            self.tell(SETTLING, "", SETTLE_AT_MOST_S * stay.rows)
+            settle(self.loop, link, self.machine.limits, stay)
             self.pose = pose.copy()
+            self.tell(LETTING_GO, "", 0)
             link.close_brakes(self.holding())
             self.see_pose()
         return self.pose
@@ -233,20 +231,23 @@ class Bench:
             with watched, self.session():
                 self.take_hold()
                 self.wiring.link.watch.lead()
-                for leg in (self._bridge_to(way[0] if way else stay), *way):
+                for leg in self._legs(way, stay):
                     self.loop.run(leg)
-                residual, notes = self._settle(stay)
+                self.tell(SETTLING, "", SETTLE_AT_MOST_S * stay.rows)
+                residual, notes = settle(self.loop, self.wiring.link, self.machine.limits, stay)
                 tables["initial"] = self._initial() | {"controller_states": self.loop.control.law.states, "standing": residual}
                 self.wiring.start_truth()
                 if rows is not None:
                     rows.begin(self.wiring.link.syncs)
                 events.add("bench", "run begins", rows=plan.rows)
+                self.tell(RECORDING, path.name, plan.rows)
                 timing = self.loop.run(plan, sink, progress)
                 events.add("bench", "run ends", rows=timing.ticks)
                 if rows is not None:
                     rows.end(self.wiring.link.syncs)
                 self.wiring.pause_truth()
                 self.pose = plan.reference[-1].copy()
+                self.tell(LETTING_GO, "", 0)
                 self.wiring.link.close_brakes(self.holding())
                 events.add("bench", "brakes closed, drives disabled")
                 self.see_pose()
@@ -311,7 +312,13 @@ class Bench:
     def home(self) -> None:
         """In a session: check the first move, home, and check encoder agreement of every axis."""
         pose, windup = standing(self.machine, self.model, self.wiring.link.exchange(self._still))
-        found = self.wiring.link.home(self.model.holding_effort(pose), windup, check_first_move=not self.commissioning)
+        axes = self.machine.axes
+        found = self.wiring.link.home(
+            self.model.holding_effort(pose),
+            windup,
+            check_first_move=not self.commissioning,
+            begins=lambda axis: self.tell(HOMING, f"{axes[axis]}, {axis + 1} of {len(axes)}", 0),
+        )
         self.commissioning = self.commissioning or tuple(found)
         for line in found:
             self.wiring.link.events.add("bench", "commissioned", finding=line)
@@ -322,6 +329,7 @@ class Bench:
         A drive that works its own brake opens it when it is enabled: from then on only the command holds the axis.
         """
         link = self.wiring.link
+        self.tell(TAKING_HOLD, "", 0)
         self.see_pose()
         effort = self.model.holding_effort(self.pose)
         self.loop.control.preload(effort, self.pose, self._feedforward())
@@ -334,6 +342,12 @@ class Bench:
         """Read the position of the homed machine."""
         measured = self.wiring.link.exchange(self._still).position
         self.pose = np.where(np.isfinite(measured), measured, self.pose)
+
+    def _legs(self, way: list[Plan], stay: Plan) -> list[Plan]:
+        """Return the plans that lead from the present position along a way, and tell how long they take."""
+        legs = [self._bridge_to(way[0] if way else stay), *way]
+        self.tell(ON_THE_WAY, "", sum(leg.rows for leg in legs))
+        return legs
 
     def _bridge_to(self, first: Plan) -> Plan:
         """Return a plan of one second from the present position to the start of the way: half a cosine, slow enough for any axis.
@@ -374,33 +388,6 @@ class Bench:
         """Return the gravity feedforward at the present pose (n_axes,), zero where no axis has one."""
         brought = gravity_feedforward(self.machine, self.model, self.pose[None, :])
         return np.zeros(len(self.pose)) if brought is None else brought[0]
-
-    def _settle(self, stay: Plan) -> tuple[dict[str, list[float]], tuple[str, ...]]:
-        """Hold still until every axis stands at its pose, or `SETTLE_AT_MOST_S` have passed.
-
-        Returns
-        -------
-        dict
-            In axis order, `deviation` from the pose at the end [rad or m] and mean `speed` over the last second [rad/s or m/s].
-        tuple of str
-            A line for every axis that does not stand still.
-        """
-        link = self.wiring.link
-        near = np.array([STANDING_COUNTS * scaling.position_resolution for scaling in link.scalings])
-        deviation = speed = link.sample.position - stay.start_pose
-        for second in range(SETTLE_AT_MOST_S):
-            if second >= SETTLE_S and (np.abs(deviation) <= near).all():
-                break
-            self.loop.run(stay)
-            before, deviation = deviation, link.sample.position - stay.start_pose
-            speed = deviation - before  # over one second
-        notes = tuple(
-            f"{limit.axis}: does not stand: {off:+.1e} {limit.unit} from its pose and moving by {drift:+.1e} {limit.unit}/s after "
-            f"{SETTLE_AT_MOST_S} s of standstill, {most:.1e} is standing; recorded all the same (initial.standing)"
-            for limit, off, drift, most in zip(self.machine.limits, deviation, speed, near, strict=True)
-            if not abs(off) <= most
-        )
-        return {"deviation": deviation.tolist(), "speed": speed.tolist()}, notes
 
     def _way_to(self, pose: np.ndarray) -> tuple[list[Plan], Plan]:
         """Return plans from the present position to `pose`, within the limits, and a plan of one second of standstill there."""

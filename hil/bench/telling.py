@@ -16,7 +16,7 @@ import numpy as np
 from drivers.canopen.cia402 import describe_statusword
 from hil.bench.attended import Shown
 from hil.bench.bench import Bench
-from hil.bench.told_state import AT_REST, ROWS, STATE, STOPPING, WATCHING
+from hil.bench.told_state import AT_REST, RECORDING, ROWS, STATE, STOPPING, WATCHING
 
 EVERY_S = 0.1
 MOST_ROWS = 4096
@@ -24,7 +24,7 @@ MOST_ROWS = 4096
 
 
 class Teller:
-    """Tells the state of a bench ten times a second, and its rows where they are wanted.
+    """Tells the state of a bench ten times a second, and its rows where they are wanted; beside a recording nothing but its beginning.
 
     Parameters
     ----------
@@ -42,6 +42,8 @@ class Teller:
         self._ends = threading.Event()
         self._thread = threading.Thread(target=self._tell, name="isocenter-teller", daemon=True)
         self.shown = Shown(WATCHING, "", bench.wiring.link.sample, self._take)
+        self._begun = (WATCHING, "", 0)  # what the bench does, a part of it, and the SYNC with which it ends at the latest
+        bench.tell = self._begin
 
     def __enter__(self) -> Self:
         """Begin to tell."""
@@ -62,10 +64,18 @@ class Teller:
             self._rows.append(told.tobytes())
         self._put += 1
 
+    def _begin(self, doing: str, part: str, ticks: int) -> None:
+        self._begun = doing, part, self._bench.wiring.link.syncs + ticks if ticks else 0
+        self.shown.doing = doing
+
     def _tell(self) -> None:
         if self._with_rows:
             self._print(ROWS, {"channels": self._bench.loop.layout.channels})
+        told_last = ""
         while not self._ends.wait(EVERY_S):
+            if told_last == self.shown.doing == RECORDING:
+                continue  # the loop has its computer to itself
+            told_last = self.shown.doing
             self._print(STATE, self.state())
             if count := len(self._rows):
                 block = b"".join(self._rows.popleft() for _ in range(count))
@@ -98,8 +108,14 @@ class Teller:
                 "drive": None if word < 0 else describe_statusword(word),
             }
         io = None if bench.machine.bus is None or bench.machine.bus.io is None else _permission(sample.hold_to_run, sample.door_closed)
+        begun, part, ends = self._begun
+        doing = STOPPING if link.stopping and self.shown.doing not in AT_REST else self.shown.doing
+        if doing != begun:
+            part, ends = "", 0
         return {
-            "doing": STOPPING if link.stopping and self.shown.doing not in AT_REST else self.shown.doing,
+            "doing": doing,
+            "part": part,
+            "remains_s": max(0, ends - link.syncs) * link.period_s if ends else None,
             "says": self.shown.says,
             "time_s": link.syncs * link.period_s,
             "axes": axes,

@@ -2,12 +2,30 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+import contextlib
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hil.cli.options import BusOption, ImuOption, IoOption, MachineOption, PoseOption, RealTimeOption, load, parse_pose
 from hil.terminal.output import Answer, JsonOption
+
+if TYPE_CHECKING:
+    from hil.bench.bench import Bench
+
+TellOption = Annotated[
+    bool,
+    typer.Option(
+        "--tell", help="Tell the state as `isocenter attend` does, while the machine homes, goes to the start and closes its brakes."
+    ),
+]
+
+
+def telling(bench: Bench, wanted: bool) -> contextlib.AbstractContextManager[object]:
+    """Return what tells a bench's state for the length of a block, where that is wanted."""
+    from hil.bench.telling import Teller
+
+    return Teller(bench, rows=False) if wanted else contextlib.nullcontext()
 
 
 def register(app: typer.Typer) -> None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hil.cli.attend import TellOption, telling
 from hil.cli.emulated import EMULATED
 from hil.cli.options import BusOption, ImuOption, IoOption, MachineOption, load, parse_pose
 from hil.terminal.output import Answer, JsonOption
@@ -58,14 +59,21 @@ def scan_bus(bus: BusOption, bitrate: int = typer.Option(1_000_000, help="Bit ra
         raise BadAnswerError(f"{bus}: nobody answers; is the machine on, or `isocenter emulate` ready, at {bitrate} bit/s?")
 
 
-def home(machine_name: MachineOption, bus: BusOption, imu: ImuOption = "", io: IoOption = "", json_to: JsonOption = None) -> None:
+def home(
+    machine_name: MachineOption,
+    bus: BusOption,
+    imu: ImuOption = "",
+    io: IoOption = "",
+    tell: TellOption = False,
+    json_to: JsonOption = None,
+) -> None:
     """Say what was checked, axis by axis."""
     from hil.bench.open import open_bench
     from hil.bench.options import BenchOptions
 
     machine = load(machine_name)
     answer = Answer(json_to)
-    with open_bench(machine, BenchOptions(bus, imu, io)) as bench:
+    with open_bench(machine, BenchOptions(bus, imu, io)) as bench, telling(bench, tell):
         report, judged = bench.commission(), bench.judged
         emulated = bench.emulated
     _say_where(machine, bus, emulated, answer)

@@ -82,10 +82,10 @@ def diagnose(
         _stopped(stop_after, answer, machine, train, audited)
         return
     with progress() as bars:
-        task = bars.add_task("reading", total=1.0)
+        task = bars.add_task("reading", total=None)
 
         def report(what: str, share: float) -> None:
-            bars.update(task, description=what, completed=share)
+            bars.update(task, description=what)  # shares are no work that was counted
 
         def first(diagnosis: Diagnosis) -> None:
             write_answer(diagnosis, out)

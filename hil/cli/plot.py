@@ -41,11 +41,19 @@ def plot(
     channels: Annotated[
         str, typer.Option("--channels", metavar="NAME,...", help="Only these; * stands for any letters: 'current_*,imu_x'.")
     ] = "",
+    derive: Annotated[
+        list[str] | None,
+        typer.Option("--derive", metavar="TEXT", help="A derived channel: 'A - B', 'd(A)' (by time) or 'spectrum(A)'; once for each."),
+    ] = None,
+    align: Annotated[
+        str, typer.Option("--align", metavar="CHANNEL", help="Shift recordings in time so that this channel lies best over the first's.")
+    ] = "",
     json_to: JsonOption = None,
 ) -> None:
     """Read, simulate, write the page."""
     from hil.pages import Charts, write_page
     from hil.recording import read_recording
+    from hil.reports.derived import derived_from, shift_to
     from hil.reports.plot import Plotted, channels_of, charts_of, drawn_channels, plot_page
 
     if effects is not None and not (simulated and machine_name):
@@ -55,15 +63,21 @@ def plot(
     can_be_written(png, suffixes=(".png", ".svg", ".pdf"))
     for written in filter(None, (out, png)):
         not_an_input(written, *recordings)
+    derived = [derived_from(text) for text in derive or []]
     machine = None if machine_name is None else load(machine_name, effects)
-    plotted = []
+    plotted: list[Plotted] = []
     for path in recordings:
         recording = read_recording(path, machine)
-        plotted.append(Plotted(path, recording, _simulation(path, recording, machine) if simulated else None))
+        shift_s = shift_to(plotted[0].recording, recording, align) if align and plotted else None
+        plotted.append(Plotted(path, recording, _simulation(path, recording, machine) if simulated else None, shift_s))
     names = channels_of(plotted, [name.strip() for name in channels.split(",") if name.strip()])
-    page = plot_page(plotted, names)
+    page = plot_page(plotted, names, derived)
     write_page(page, out)
     answer.say(page.verdict.text)
+    shifts = {str(each.path): each.shift_s for each in plotted if each.shift_s is not None}
+    for shifted, by_s in shifts.items():
+        way = "later" if by_s >= 0.0 else "earlier"
+        answer.say(f"{shifted}: shown {abs(by_s):.4g} s {way}, where {align} lies best over that of {recordings[0]}")
     emulated = say_emulated(answer, {each.path: each.recording for each in plotted})
     answer.say(f"{out}: {len(names)} channels; open it in a browser")
     if png is not None:
@@ -76,7 +90,7 @@ def plot(
         answer.say(f"{png}: picture")
     if page.next_command:
         answer.say(f"next: {page.next_command}")
-    answer.write({"page": out, "png": png, "channels": names, "verdict": page.verdict.text, "emulated": emulated})
+    answer.write({"page": out, "png": png, "channels": names, "verdict": page.verdict.text, "emulated": emulated, "shifts_s": shifts})
 
 
 def _simulation(path: Path, recording: Recording, machine: Machine | None) -> Recording:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hil.cli.attend import TellOption, telling
 from hil.cli.emulated import EMULATED
 from hil.cli.observe import DampingOption, ObserverOption, live_observer
 from hil.cli.options import (
@@ -89,6 +90,7 @@ class RunOptions:
     panel: PanelOption = ""
     data: DataOption = None
     until: UntilOption = 0.0
+    tell: TellOption = False
     json_to: JsonOption = None
 
 
@@ -152,6 +154,7 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
             accepted_margins=accepted,
         )
         bench = stack.enter_context(open_bench(machine, options, plans[0].start_pose, watching))
+        stack.enter_context(telling(bench, run.tell))
         with progress(live=lockstep) as bars:
             for plan, path in zip(plans, paths, strict=True):
                 if kept := keep_earlier(path):

@@ -15,7 +15,7 @@ def register(app: typer.Typer) -> None:
     """Add the command."""
     app.command(
         short_help="The whole story on the emulator, in about a minute.",
-        help="The whole story on the emulator, in about a minute: the emulated C-arm hides one effect or two that a seed draws, the bench "
+        help="The whole story on the emulator, in about a minute: the emulated C-arm hides an effect, or what a seed draws, the bench "
         "records it over the CANopen stack, the diagnosis names from the recordings what the simulation lacks, and the page opens the "
         "envelope. The first run on a computer compiles for another minute."
         "\n\nExample:  isocenter demo --seed 7 -o demo",
@@ -29,7 +29,10 @@ def demo(
             "-o", "--out", metavar="DIR", help="Where recordings, diagnosis and page go; where it is in use, a new folder beside it."
         ),
     ] = Path("isocenter-demo"),
-    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Draws what the emulated machine hides.")] = 1,
+    seed: Annotated[
+        int | None,
+        typer.Option(min=0, metavar="N", help="Draws what the emulated machine hides; unless given, an effect that the eye can find."),
+    ] = None,
     json_to: JsonOption = None,
 ) -> None:
     """Seal, record, diagnose, open, show."""

@@ -143,7 +143,12 @@ class _Pages:
             raise UnusableInputError("choose recordings first")
         if asked.get("what") == "plot":
             page = folder / "plot.html"
-            command = Command("plot", lambda answers: ["plot", *recordings, "-o", str(page)])
+            more = [
+                argument for each in str(asked.get("derive") or "").split(",") if each.strip() for argument in ("--derive", each.strip())
+            ]
+            if align := str(asked.get("align") or "").strip():
+                more += ["--align", align]
+            command = Command("plot", lambda answers: ["plot", *recordings, *more, "-o", str(page)])
             order = Order("Plot", (command,), made=(page.name,))
         elif asked.get("what") == "diagnose":
             held_out = [str(path) for path in self._desk.listing.recordings(asked.get("held_out") or [])]

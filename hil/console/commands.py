@@ -67,7 +67,7 @@ def run_command(facts: Facts, folder: Path, name: str, text: str) -> Command:
         path = folder / f"{name}.toml"
         path.write_text(text, encoding="utf-8")
         timing = [] if facts.real_time else ["--no-real-time"]
-        return ["run", str(path), *on_the_bus(facts), "-o", str(folder / f"{name}.mf4"), *timing]
+        return ["run", str(path), *on_the_bus(facts), "-o", str(folder / f"{name}.mf4"), *timing, "--tell"]
 
     return Command(name, arguments, moves=True)
 

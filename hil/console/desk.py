@@ -114,6 +114,7 @@ class Desk:
         if order.moves and not self.attention.is_here(client):
             raise UnusableInputError("this page does not answer the server's pings, so it may start no motion; reload it")
         self.work.begin(order, client)
+        self._stop = None  # an old event
         if order.step and self.work.running:  # one that ended at once has told its result
             self.results_version += 1
             self.passed.pop(order.step, None)
@@ -143,6 +144,9 @@ class Desk:
             if not self.attention.is_here(client):
                 raise UnusableInputError("this page does not answer the server's pings, so it may start no motion; reload it")
         self.live.order(self.live.owner if order == "still" else client, order)
+        if order != "still":
+            self._stop = None  # old events
+            self.work.forget()
 
     def form(self, kind: object) -> Form:
         """Return the form of an experiment.
@@ -201,7 +205,13 @@ class Desk:
             output, _ = await asyncio.wait_for(process.communicate(text.encode()), PREVIEW_S)
             planned: dict[str, Any] = json.loads(output)
         except (TimeoutError, ValueError):
-            planned = {"refused": "planning it failed; `isocenter run` with the file below says why"}
+            late = process.returncode is None
+            why = (
+                "planning it takes long on this computer; it is tried again"
+                if late
+                else "planning it failed; `isocenter run` with the file below says why"
+            )
+            planned = {"refused": why, "again": late}
         finally:
             if process.returncode is None:
                 process.kill()
@@ -217,7 +227,8 @@ class Desk:
             return
         if self._stopping is not None:
             self._stopping.cancel()  # it has asked, and only waits
-        self._stop = {"by": who, "lines": [], "began_s": time.monotonic(), "seconds": None, "trouble": ""}
+        ran = self.work.running or bool(self._stop and self._stop["ran"] and self._stopping is not None)
+        self._stop = {"by": who, "lines": [], "began_s": time.monotonic(), "seconds": None, "trouble": "", "ran": ran}
         self._stopping = asyncio.create_task(self._stop_all(who, self._stop))
 
     async def _stop_all(self, who: str, stop: dict[str, Any]) -> None:
@@ -275,7 +286,7 @@ class Desk:
             "work": self.work.state_now(),
             "live": self.live.state(),
             "steps": {name: self._results.get(name, {}) for name in self.steps},
-            "stop": None if self._stop is None else {key: self._stop[key] for key in ("by", "lines", "seconds", "trouble")},
+            "stop": None if self._stop is None else {key: self._stop[key] for key in ("by", "lines", "seconds", "trouble", "ran")},
             "wire": self._wire.state(rows.newest if rows.recording is not None and rows.recording["live"] else {}),
             "io": self._io.state(),
             "recording": rows.recording,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,17 +19,35 @@ class Listing:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder.resolve()
+        self._told: dict[Path, tuple[int, dict[str, str]]] = {}  # by answer, of which writing, what experiments its recordings are of
 
     def entries(self) -> list[dict[str, Any]]:
-        """Return name, kind, size and time of each file, the newest first."""
+        """Return name, kind, size and time of each file, the newest first; of a recording the experiment, where a run has told it."""
         found: list[dict[str, Any]] = []
+        experiments = self._experiments()
         for path in (*self._folder.glob("*"), *self._folder.glob("*/*")):
             if path.suffix in SHOWN and path.is_file() and not path.name.startswith("."):
                 status = path.stat()
                 kind = "recording" if path.suffix in RECORDINGS else path.suffix[1:]
                 name = path.relative_to(self._folder).as_posix()
-                found.append({"name": name, "kind": kind, "bytes": status.st_size, "time_s": status.st_mtime})
+                entry = {"name": name, "kind": kind, "bytes": status.st_size, "time_s": status.st_mtime}
+                if kind == "recording":
+                    entry["experiment"] = experiments.get(path.name, "")
+                found.append(entry)
         return sorted(found, key=lambda entry: entry["time_s"], reverse=True)[:MOST]
+
+    def _experiments(self) -> dict[str, str]:
+        """Return the kind of experiment of each recording that the answers in the folder, `NAME.json`, tell of."""
+        for path in self._folder.glob("*.json"):
+            written = path.stat().st_mtime_ns
+            if self._told.get(path, (0, {}))[0] != written:
+                try:
+                    answer = json.loads(path.read_text(encoding="utf-8"))
+                    told = {Path(each["recording"]).name: str(each["experiment"]["kind"]) for each in answer["recordings"]}
+                except (OSError, ValueError, KeyError, TypeError):
+                    told = {}
+                self._told[path] = written, told
+        return {name: kind for _, told in self._told.values() for name, kind in told.items()}
 
     def path(self, name: object) -> Path:
         """Return the path of a file.

@@ -86,10 +86,10 @@ class Live:
         self.trouble = ""
 
     def end(self) -> None:
-        """Let it come to rest, close its brakes, and end."""
+        """Let it come to rest, close its brakes, and end; one that has told nothing yet has moved nothing, and is not waited for."""
         if self.running and not self._asked:
             self._asked = True
-            self._line.send((starter.SAY, "end"))
+            self._line.send((starter.LET_GO, None) if self._told is None else (starter.SAY, "end"))
 
     def let_go(self) -> None:
         """Stop it, motors first."""

@@ -13,6 +13,7 @@ import math
 import struct
 from collections import deque
 from collections.abc import Iterator, Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -129,6 +130,8 @@ class RowHub:
             self._spread(rows, values, self._tail.rows - rows)
             self._recorded = self.newest
         assert self.recording is not None
+        if self._tail.rows and not self.recording["began"]:  # the journal is there before the machine is at its start
+            self.recording["began"] = f"{datetime.now():%H:%M:%S}"
         if ended:
             self._tail.close()
             self._tail = None
@@ -171,8 +174,9 @@ class RowHub:
             self._tail.close()
         self._tail, self._present = tail, (name, inode)
         experiment = tail.metadata.get("experiment", {})
-        self.recording = {"name": name.removesuffix(".part"), "rows": 0, "live": True, "experiment": experiment.get("kind", "")}
-        self._begin(self.recording["name"], list(tail.channels))
+        recording = {"name": name.removesuffix(".part"), "rows": 0, "live": True, "began": "", "experiment": experiment.get("kind", "")}
+        self.recording = recording
+        self._begin(recording["name"], list(tail.channels))
 
     def _begin(self, name: str, channels: list[tuple[str, str]]) -> None:
         self.number += 1

@@ -19,6 +19,7 @@ from multiprocessing.connection import Connection
 from typing import IO, cast
 
 from hil.bench.attendant import TypedLines
+from hil.bench.told_state import ROWS, STATE
 
 SERVER_SILENT_S = 2.0
 """Time without a word of the server after which the run is stopped, as long as a browser may be silent."""
@@ -105,7 +106,7 @@ class Starter:
             self._running.say(str(with_it))
 
     def _tell(self, what: str, *with_it: object) -> None:
-        if what == SAID and self._typed is not None:
+        if what == SAID and self._typed is not None and not str(with_it[0]).startswith((STATE, ROWS)):  # which are for programs
             _print(str(with_it[0]))
         with self._telling, contextlib.suppress(OSError, ValueError):  # a server that is gone is told nothing
             self._line.send((what, *with_it))

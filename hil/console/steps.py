@@ -104,7 +104,7 @@ def _scan(facts: Facts) -> Step:
 
 
 def _home(facts: Facts) -> Step:
-    commands = (Command("home", lambda answers: ["home", *on_the_bus(facts)], moves=True),)
+    commands = (Command("home", lambda answers: ["home", *on_the_bus(facts), "--tell"], moves=True),)
     return Step(
         "home",
         "First move and homing",

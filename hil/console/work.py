@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Protocol, cast
 
 from hil.bench.attendant import HOLD_ENDED, HOW_TO_LEAVE
+from hil.bench.told_state import STATE
 from hil.console import starter
 from hil.console.commands import Order
 from hil.errors import UnusableInputError
@@ -46,6 +47,7 @@ class Work:
         self._began_s = self._ended_s = 0.0
         self._lines: deque[tuple[str, bool]] = deque(maxlen=MOST_LINES)
         self._error = ""
+        self._told: dict[str, Any] | None = None  # by the command that moves the machine
         self.answers: dict[str, Any] = {}
         self._waits = False  # for an operator who releases what a drive holds
         self.owner = ""
@@ -93,6 +95,11 @@ class Work:
         self.done.clear()
         self._next()
 
+    def forget(self) -> None:
+        """Forget what has ended: something else is done meanwhile."""
+        if not self.running:
+            self.state, self._order = "idle", None
+
     def let_go(self, who: str) -> None:
         """Stop the command that runs, motors first."""
         if self.running:
@@ -108,11 +115,15 @@ class Work:
         """Take what the starter tells."""
         if what == starter.SAID:
             text, is_error = str(told[0]), bool(told[1])
+            if text.startswith(STATE):
+                self._told = json.loads(text.removeprefix(STATE))
+                return
             self._lines.append((text[:2000], is_error))
             self._waits = HOW_TO_LEAVE in text or (self._waits and HOLD_ENDED not in text)
             if is_error and text.startswith("isocenter: "):
                 self._error = text.removeprefix("isocenter: ")
         elif what == starter.ENDED and self.running:
+            self._told = None
             self._ended(cast("int", told[0]))
 
     def state_now(self) -> dict[str, Any]:
@@ -129,6 +140,7 @@ class Work:
             "seconds": round(took_s, 1),
             "why": self.why,
             "holds": self.holds,
+            "told": self._told,
             "lines": self.lines if self.running else [],
             "made": [name for name in self._order.made if (self._folder / name).is_file()] if not self.running else [],
         }

@@ -39,11 +39,12 @@ def held_out_charts(story: Story, folder: Path) -> Charts:
         Series("recorded", held.time, held[channel], look=0),
         *(Series(f"simulated, {label}", held.time, values, look=look) for look, (label, values) in enumerate(simulated.items(), start=1)),
     ]
-    title = f"{channel}, recorded less simulated"
-    note = "Of all channels, the one in which the answer changes the error in units of noise most for the better."
+    said = channel.replace("_", " ")
     charts = (
-        Chart(title, seconds, Scale(f"residual [{unit}]"), left, pose=pose, group="held out", note=note),
-        Chart(f"{channel}, held out", seconds, Scale(f"{channel} [{unit}]"), whole, pose=pose, group="held out", height=RECORDED_PX),
+        Chart(
+            f"{said}, recorded and simulated", seconds, Scale(f"{said} [{unit}]"), whole, pose=pose, group="held out", height=RECORDED_PX
+        ),
+        Chart(f"{said}, recorded less simulated", seconds, Scale(f"error [{unit}]"), left, pose=pose, group="held out"),
     )
     return Charts([charts], columns=1)
 

@@ -26,6 +26,9 @@ TIMES = 2.0, 5.0
 MOST = 2
 """Effects at most."""
 
+SEEN = ("stribeck_friction", "roll"), 30.0
+"""What is hidden where no seed is given, and how many detection limits it is strong: an axis that sticks, which the eye finds."""
+
 
 @dataclass(frozen=True)
 class Envelope:
@@ -33,13 +36,14 @@ class Envelope:
 
     Attributes
     ----------
-    seed : int
+    seed : int or None
+        None where the demo's own effect is hidden.
     effects : tuple of EffectSetting
     times : tuple of float
         How many detection limits each is strong.
     """
 
-    seed: int
+    seed: int | None
     effects: tuple[EffectSetting, ...]
     times: tuple[float, ...]
 
@@ -56,6 +60,15 @@ class Envelope:
     def seal(self) -> str:
         """SHA-256 of the text: what `sha256sum envelope.json` prints of the opened one."""
         return hashlib.sha256(self.text.encode()).hexdigest()
+
+
+def to_be_seen(machine: Machine) -> Envelope:
+    """Return what the demo hides where no seed is given."""
+    which, times = SEEN
+    (least,) = (one for one in read_effects_file(LIMITS, machine) if (one.name, one.at) == which)
+    strong = stronger(least, times)
+    assert strong is not None
+    return Envelope(None, (strong,), (times,))
 
 
 def drawn(machine: Machine, seed: int) -> Envelope:

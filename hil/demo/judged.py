@@ -38,8 +38,8 @@ def judged(diagnosis: Diagnosis, hidden: tuple[EffectSetting, ...]) -> Judged:
     """Return what a diagnosis is worth beside what was hidden."""
     named = [finding.effect for finding in diagnosis.findings]
     truth, said = _acting((one.name, one.at) for one in hidden), _acting_at(named)
-    was = " and ".join(f"{one.name} at {one.at}" for one in hidden) + (" was hidden" if len(hidden) == 1 else " were hidden")
-    names = " and ".join(map(str, named))
+    was = " and ".join(in_words(one.name, one.at) for one in hidden) + (" was hidden" if len(hidden) == 1 else " were hidden")
+    names = " and ".join(in_words(one.effect, one.at) for one in named)
     is_ambiguous = diagnosis.verdict == "ambiguous"
     if said == truth and (is_ambiguous or diagnosis.verdict == "explained"):
         doubt = ", and called it ambiguous" if is_ambiguous else ""
@@ -53,6 +53,11 @@ def judged(diagnosis: Diagnosis, hidden: tuple[EffectSetting, ...]) -> Judged:
     if said < truth:
         return Judged("in part", f"Half of it: the tool named {names}; {was}")
     return Judged("wrong", f"Wrong: the tool named {names}; {was}")
+
+
+def in_words(effect: str, at: str) -> str:
+    """Return an effect and its place as a reader says them."""
+    return f"{effect.replace('_', ' ')} at {at.replace('_', ' ')}"
 
 
 def _acting_at(named: Iterable[EffectAt]) -> Counter[Acting]:

@@ -74,7 +74,7 @@ def recorded(machine: Machine, envelope: Envelope, out: Path, bars: Bars) -> tup
     secret = machine.with_effects(envelope.effects)
     task, done = bars.add_task("recording", total=total), 0
     for number, (plan, path) in enumerate(plans):
-        options = BenchOptions("lockstep:", seed=len(plans) * envelope.seed + number, emulated=secret)
+        options = BenchOptions("lockstep:", seed=len(plans) * (envelope.seed or 0) + number, emulated=secret)
         with open_bench(machine, options, plan.start_pose) as bench:
             bench.run(plan, path, follower(bars, task, done))
         done += plan.rows
@@ -85,11 +85,11 @@ def recorded(machine: Machine, envelope: Envelope, out: Path, bars: Bars) -> tup
 def answered_by(machine: Machine, paths: list[Path], bars: Bars) -> Answered:
     """Diagnose what was recorded, from the files alone."""
     *train, held = ({path.stem: read_recording(path)} for path in paths)
-    task = bars.add_task("diagnosing", total=1.0)
+    task = bars.add_task("diagnosing", total=None)  # nobody counts beforehand what a search takes
 
     def report(what: str, share: float) -> None:
-        bars.update(task, description=what, completed=share)
+        bars.update(task, description=what)
 
     answered = diagnose(machine, {name: one for each in train for name, one in each.items()}, held, report=report, freely=True)
-    bars.update(task, description="diagnosed", completed=1.0)
+    bars.update(task, description="diagnosed")
     return answered

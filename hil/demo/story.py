@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import DriverError
-from hil.demo.hidden import drawn
+from hil.demo.hidden import drawn, to_be_seen
 from hil.demo.judged import judged
-from hil.demo.page import write_demo_page
+from hil.demo.page import plainly, write_demo_page
 from hil.demo.recorded import answered_by, demo_machine, recorded
 from hil.demo.told import Story
 from hil.diagnosis.files import write_diagnosis
@@ -22,8 +22,10 @@ from hil.terminal.progress import progress
 SEAL = "envelope.sha256"
 
 
-def run_demo(out: Path, answer: Answer, seed: int) -> dict[str, Any]:
+def run_demo(out: Path, answer: Answer, seed: int | None) -> dict[str, Any]:
     """Run the demo into the folder `out`, or into a new one beside it where that is in use; return the JSON document.
+
+    Without a seed it hides an effect that is seen; a seed draws over everything that the recordings could show.
 
     Raises
     ------
@@ -38,15 +40,16 @@ def run_demo(out: Path, answer: Answer, seed: int) -> dict[str, Any]:
         answer.say(told)
     machine = demo_machine(out)
     answer.say(f"{machine.name}: {machine.description}, EMULATED")
-    envelope = drawn(machine, seed)
+    envelope = to_be_seen(machine) if seed is None else drawn(machine, seed)
     _write(out / SEAL, f"{envelope.seal}  envelope.json\n")
-    answer.say(f"sealed what seed {seed} hides in the emulated machine: SHA-256 {envelope.seal}")
+    hider = "the demo" if seed is None else f"seed {seed}"
+    answer.say(f"sealed what {hider} hides in the emulated machine: SHA-256 {envelope.seal}")
     with progress() as bars:
         try:
             paths, recorded_s = recorded(machine, envelope, out, bars)
         except DriverError as error:
             lost = " ".join(str(error).split())
-            raise BenchError(f"seed {seed}: the bench does not record what it hides; another --seed hides something else: {lost}") from None
+            raise BenchError(f"{hider}: the bench does not record what it hides; another --seed hides something else: {lost}") from None
         answer.say(f"recorded {recorded_s:.0f} s of machine time over the CANopen stack, after {time.perf_counter() - began:.1f} s")
         answered = answered_by(machine, paths, bars)
     diagnosis = answered.diagnosis
@@ -57,6 +60,8 @@ def run_demo(out: Path, answer: Answer, seed: int) -> dict[str, Any]:
         machine, envelope, tuple(paths), read_recording(paths[-1]), answered, judged(diagnosis, envelope.effects), recorded_s
     )  # fmt: skip
     answer.say(f"the envelope is open. {story.judged.sentence}.")
+    for line in plainly(envelope):
+        answer.say(line)
     page = write_demo_page(story, out)
     seconds = time.perf_counter() - began
     answer.say(f"{page}: the page, after {seconds:.1f} s")

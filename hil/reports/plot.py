@@ -12,6 +12,7 @@ import numpy as np
 from hil.errors import UnusableInputError
 from hil.pages import Chart, Charts, Page, Scale, Section, Series, Table, Text, Verdict
 from hil.recording import Recording
+from hil.reports.derived import Derived, in_time, spectrum
 from hil.reports.made_from import command_line, files_fact, pose_of, recorded_machine, recorded_name, was_emulated
 from hil.simulation import compare
 from hil.simulation.compare import INPUTS
@@ -28,11 +29,12 @@ RESIDUAL_PX = 120
 
 @dataclass(frozen=True, eq=False)
 class Plotted:
-    """A recording, where it was read from, and its simulation where there is one."""
+    """A recording, where it was read from, its simulation where there is one, and by how much it is shown later [s]."""
 
     path: Path
     recording: Recording
     simulation: Recording | None = None
+    shift_s: float | None = None
 
 
 def channels_of(plotted: Sequence[Plotted], patterns: Sequence[str] = ()) -> list[str]:
@@ -50,15 +52,15 @@ def channels_of(plotted: Sequence[Plotted], patterns: Sequence[str] = ()) -> lis
     return [name for name in there if not patterns or any(fnmatchcase(name, pattern) for pattern in patterns)]
 
 
-def plot_page(plotted: Sequence[Plotted], channels: Sequence[str]) -> Page:
-    """Return the page of these channels."""
+def plot_page(plotted: Sequence[Plotted], channels: Sequence[str], derived: Sequence[Derived] = ()) -> Page:
+    """Return the page of these channels, and of those that are derived from others."""
     recordings = [one.recording for one in plotted]
     seen = [name for name in channels if _values(plotted, name).size]
     empty = [name for name in channels if name not in seen]
     still = {name: value for name in seen if (value := _constant(plotted, name)) is not None}
     main = [name for name in seen if name not in still and not name.startswith(BOOKKEEPING)]
     rest = [name for name in seen if name not in still and name.startswith(BOOKKEEPING)]
-    sections = []
+    sections = [Section("Derived channels", [Charts(derived_charts(plotted, derived), columns=2)])] if derived else []
     for title, names, folded in (("Channels", main, False), ("How the bench ran", rest, bool(main))):
         if names:
             sections.append(Section(title, [Charts(charts_of(plotted, names), columns=2)], is_folded=folded))
@@ -80,7 +82,7 @@ def drawn_channels(plotted: Sequence[Plotted], channels: Sequence[str]) -> list[
 
 def charts_of(plotted: Sequence[Plotted], channels: Sequence[str]) -> list[tuple[Chart, ...]]:
     """Return a chart for every channel, each with that of its residual beneath it where there is a simulation."""
-    times, label = _times([one.recording for one in plotted])
+    times, label = _times(plotted)
     poses = dict.fromkeys(filter(None, (pose_of(one.recording) for one in plotted)))
     pose = poses.popitem()[0] if len(poses) == 1 else ""
     several = len(plotted) > 1
@@ -104,6 +106,24 @@ def charts_of(plotted: Sequence[Plotted], channels: Sequence[str]) -> list[tuple
     return stacks
 
 
+def derived_charts(plotted: Sequence[Plotted], derived: Sequence[Derived]) -> list[tuple[Chart, ...]]:
+    """Return a chart for every derived channel, with all recordings in it."""
+    times, label = _times(plotted)
+    several = len(plotted) > 1
+    stacks: list[tuple[Chart, ...]] = []
+    for each in derived:
+        series, unit = [], ""
+        for one, time in zip(plotted, times, strict=True):
+            x, channel = spectrum(each, one.recording) if each.kind == "spectrum" else (time, in_time(each, one.recording))
+            series.append(Series(one.path.stem if several else "recorded", x, channel.values))
+            unit = f" [{channel.unit}]" if channel.unit else ""
+        if each.kind == "spectrum":
+            stacks.append((Chart(each.text, Scale("frequency [Hz]"), Scale(f"amplitude{unit}", is_log=True), series, group="frequency"),))
+        else:
+            stacks.append((Chart(each.text, Scale(label), Scale(each.text + unit), series, group="time"),))
+    return stacks
+
+
 def _unit(plotted: Sequence[Plotted], name: str) -> str:
     return next(one.recording.channels[name].unit for one in plotted if name in one.recording)
 
@@ -122,8 +142,11 @@ def _constant(plotted: Sequence[Plotted], name: str) -> float | None:
     return float(values[0]) if values.size and (values == values[0]).all() else None
 
 
-def _times(recordings: Sequence[Recording]) -> tuple[list[np.ndarray], str]:
-    """Return the times (N,) of each, from its first row where they begin late or apart, and their label."""
+def _times(plotted: Sequence[Plotted]) -> tuple[list[np.ndarray], str]:
+    """Return the times (N,) of each, aligned, or from its first row where they begin late or apart, and their label."""
+    recordings = [one.recording for one in plotted]
+    if any(one.shift_s is not None for one in plotted):
+        return [one.recording.time + (one.shift_s or 0.0) for one in plotted], f"time of {plotted[0].path.stem} [s]"
     starts = [float(each.time[0]) if each.rows else 0.0 for each in recordings]
     if max(np.abs(starts)) < LATE_s and len(set(starts)) == 1:
         return [each.time for each in recordings], "time [s]"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import threading
 import time
@@ -39,6 +40,57 @@ class _Task:
     total: float | None
     began_s: float
     completed: float = 0.0
+    first: tuple[float, float] | None = None  # when work was counted first, and how much of it
+    last: tuple[float, float] = (0.0, 0.0)
+
+    def count(self, completed: float, now_s: float) -> None:
+        """Take note that so much is done."""
+        self.completed = completed
+        if completed > 0.0 and (self.first is None or completed > self.last[1]):
+            self.last = now_s, completed
+            self.first = self.first or self.last
+
+    def left_s(self, now_s: float) -> float:
+        """Return how long the rest takes at the pace at which work was counted; NaN where too little was, or none for too long.
+
+        What comes before the first count, such as compiling or a machine's homing, tells nothing of the pace.
+        """
+        if self.first is None or not self.total or now_s - self.last[0] > self.last[0] - self.first[0]:
+            return math.nan
+        (began_s, before), (ended_s, done) = self.first, self.last
+        return max(0.0, (self.total - done) * (ended_s - began_s) / (done - before) - (now_s - ended_s))
+
+
+class _Compiled:
+    """Counts what numba compiles in this process, once it is there."""
+
+    def __init__(self) -> None:
+        self.begun = self.ended = 0
+        self._listens = False
+
+    def say(self) -> str:
+        """Return that functions are being compiled, and how many were, in words; "" where none is."""
+        if not self._listens and "numba.core.event" in sys.modules:
+            self._listens = True
+            self._listen()
+        return f", compiling (once on a computer), {self.ended} functions so far" if self.begun > self.ended else ""
+
+    def _listen(self) -> None:
+        from numba.core import event
+
+        counted = self
+
+        class Listener(event.Listener):
+            def on_start(self, occasion: object) -> None:
+                counted.begun += 1
+
+            def on_end(self, occasion: object) -> None:
+                counted.ended += 1
+
+        event.register("numba:compile", Listener())  # type: ignore[no-untyped-call]
+
+
+_compiled = _Compiled()
 
 
 class Lines:
@@ -66,7 +118,8 @@ class Lines:
         """Say how far a task has come."""
         task = self._tasks[task_id]
         task.total = task.total if total is None else total
-        task.completed = task.completed if completed is None else completed
+        if completed is not None:
+            task.count(completed, time.monotonic())
         task.description = task.description if description is None else description
 
     def start(self) -> None:
@@ -81,16 +134,16 @@ class Lines:
     def _write(self) -> None:
         while not self._ended.wait(self._every_s):
             if self._tasks:
-                print(progress_line(self._tasks[-1], time.monotonic()), file=sys.stderr, flush=True)
+                print(progress_line(self._tasks[-1], time.monotonic()) + _compiled.say(), file=sys.stderr, flush=True)
 
 
 def progress_line(task: _Task, now_s: float) -> str:
-    """Return how far a task is, for how long it has run, and how long it will go on if it goes on like this."""
+    """Return for how long a task has run and, where its work is counted, how far it is and how long it will go on at that pace."""
     taken_s = now_s - task.began_s
-    if not task.total:
+    if not task.total or not task.completed:
         return f"... {task.description}: {taken_s:.0f} s"
-    share = min(task.completed / task.total, 1.0)
-    left = f", about {taken_s * (1.0 - share) / share:.0f} s to go" if 0.0 < share < 1.0 else ""
+    share, left_s = min(task.completed / task.total, 1.0), task.left_s(now_s)
+    left = f", about {left_s:.0f} s to go" if share < 1.0 and math.isfinite(left_s) else ""
     return f"... {task.description}: {100.0 * share:.0f} % after {taken_s:.0f} s{left}"
 
 
@@ -110,12 +163,20 @@ def progress(live: bool = True, refresh_Hz: float = 10.0, stays: bool = True) ->
             lines.stop()
         return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.text import Text
+
+    class Counted(ProgressColumn):
+        """How far a task is, where its work is counted, and what is compiled meanwhile."""
+
+        def render(self, task: Task) -> Text:
+            share = f"{task.percentage:>3.0f} %" if task.total and task.completed else ""
+            return Text(share + _compiled.say())
 
     with Progress(
         TextColumn("{task.description}"),
         BarColumn(),
-        TextColumn("{task.percentage:>3.0f} %"),
+        Counted(),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
         console=Console(stderr=True),

@@ -4,7 +4,7 @@ import { Scope } from "./scope.js";
 import { showForms, showSteps, updateSteps } from "./steps.js";
 import { showState } from "./devices.js";
 import { showFiles } from "./files.js";
-import { buildLive, letGo, showLive } from "./live.js";
+import { buildLive, doingOf, letGo, showLive } from "./live.js";
 
 const at = (id) => document.getElementById(id);
 const VIEWS = ["commission", "scope", "experiments", "state", "recordings"];
@@ -57,18 +57,33 @@ function complain(text) {
   at("errors").append(line);
 }
 
+// What a run does now, and what remains of it.
+function progressOf(work, recording) {
+  const { told } = work;
+  if (told && told.doing !== "recording") return doingOf(told, true);
+  if (recording && recording.live && recording.began) {
+    const all = told ? ` of ${told.remains_s.toFixed(0)} s` : "";
+    return `recording ${recording.name}: ${recording.rows} rows, ${(recording.rows / bench.described.machine.rate_Hz).toFixed(0)}${all || " s"}`;
+  }
+  return work.command;
+}
+
+// One event: what runs, or what came last, be it an end or a stop.
 function showNow(state) {
-  const { work, recording } = state;
+  const { work, recording, live, stop } = state;
   const parts = [];
   let kind = work.state;
-  if (work.state === "idle") parts.push(element("span", {}, "Nothing runs."));
+  if (stop && !stop.ran) kind = "stopped";
+  else if (work.state !== "running" && live.told && live.told.doing !== "watching" && (live.moves || work.state === "idle")) {
+    kind = live.moves ? "running" : "idle";
+    parts.push(element("span", { class: "what" }, doingOf(live.told)));
+  } else if (work.state === "idle") parts.push(element("span", {}, "Nothing runs."));
   else {
     const words = { running: ": running", passed: ": done", bad: ":", failed: ": failed", stopped: ": stopped" }[work.state];
     parts.push(element("span", { class: "what" }, `${work.title}${words}`));
     if (work.state !== "bad") parts.push(element("span", {}, `${work.seconds.toFixed(0)} s`)); // which the verdict's own sentence follows
     if (work.state === "running") {
-      const live = recording && recording.live ? `recording ${recording.name}: ${recording.rows} rows` : work.command;
-      parts.push(element("span", { class: "grow" }, live));
+      parts.push(element("span", { class: "grow" }, progressOf(work, recording)));
       if (work.moves) {
         const whose = state.own ? "this page keeps it running: closing the page stops it" : "another browser started it";
         parts.push(element("span", { class: "dim" }, whose));
@@ -81,9 +96,9 @@ function showNow(state) {
       }
     }
   }
-  if (state.live.holds) parts.push(releaseButton());
-  if (state.stop) {
-    const { by, seconds, trouble, lines } = state.stop;
+  if (live.holds) parts.push(releaseButton());
+  if (stop) {
+    const { by, seconds, trouble, lines } = stop;
     const took = seconds === null ? "stopping ..." : trouble ? trouble : `stop took ${seconds.toFixed(2)} s: ${lines.join("; ")}`;
     parts.push(element("span", { class: trouble ? "bad" : "dim", title: by, id: "stop-answer" }, took));
     if (seconds === null) kind = "asked";
@@ -118,6 +133,7 @@ function heed(told) {
     link.textContent = "no answer from the server: what this page started is stopped";
   } else if (told.type === "state") {
     if (told.steps === null) told.steps = bench.state.steps; // as they were: they are told when they change
+    if (told.work.state === "running" && bench.state && bench.state.work.state !== "running") at("errors").replaceChildren(); // of before
     bench.state = told;
     link.className = "";
     link.textContent = "connected";
@@ -166,6 +182,10 @@ at("invite").onclick = async () => {
 };
 at("demo-line").hidden = !bench.described.has_demo;
 at("demo").onclick = () => ask("/api/demo", {}, bench.client).catch((error) => complain(error.message));
+for (const { name } of bench.described.axes) {
+  at("alignable").append(element("option", { value: `position_${name}` }));
+  for (const text of [`d(position_${name})`, `spectrum(position_${name})`, `reference_${name} - position_${name}`]) at("derivable").append(element("option", { value: text }));
+}
 at("plot").onclick = () => look("plot");
 at("diagnose").onclick = () => look("diagnose");
 
@@ -173,7 +193,7 @@ async function look(what) {
   const chosen = [...document.querySelectorAll("#files input.train:checked")].map((box) => box.value);
   const held = [...document.querySelectorAll("#files input.held:checked")].map((box) => box.value);
   try {
-    await ask("/api/look", { what, files: chosen, held_out: held }, bench.client);
+    await ask("/api/look", { what, files: chosen, held_out: held, derive: at("derive").value, align: at("align").value }, bench.client);
   } catch (error) {
     complain(error.message);
   }

@@ -8,10 +8,13 @@ const EDGE = { rad: 180 / Math.PI, m: 1000 };
 const SPEEDS = [1, 5, 10]; // degrees (mm) a second
 const DOING = {
   watching: "Connected. Nothing moves: drives disabled, brakes closed.",
-  homing: "Homing: each axis is pushed a little, then finds its zero. It moves.",
+  homing: "Homing: an axis is pushed a little, then finds its zero. It moves.",
   ready: "Homed. Hold a button to move an axis; let go, and it stops.",
   "opening brakes": "Opening the brakes ...",
   holding: "The drives hold. Without a move the brakes close in a few seconds.",
+  "on the way": "On the way to the pose where it starts. It moves.",
+  "coming to rest": "At the start: waiting until it stands.",
+  recording: "Recording.",
   "closing brakes": "Closing the brakes ...",
   stopping: "Stopping the motors ...",
 };
@@ -42,7 +45,7 @@ export function buildLive(bench, tell, complain) {
       element("div", { class: "values" }, ...Object.entries(values).map(([what, cell]) => element("span", {}, `${what} `, cell))),
       drive);
     const brief = element("span", {}, "");
-    at("brief").append(brief);
+    at("emergency").before(brief);
     cards.set(axis.name, { axis, brief, place, buttons, values, drive, bar, card });
     at("live-axes").append(card);
   }
@@ -91,17 +94,29 @@ export function letGo() {
   tellMove("still");
 }
 
+// What a machine that tells does, in words, with what remains of it; what runs there may be work, or the live view.
+export function doingOf(told, isWork = false) {
+  if (told.says) return told.says;
+  if (isWork && told.doing === "watching") return "The nodes are started; nothing moves yet.";
+  const left = told.remains_s === null || told.remains_s === undefined || told.doing === "recording" ? "" : ` ${Math.ceil(told.remains_s)} s to go`;
+  const most = told.doing === "coming to rest" ? left.replace(" s to go", " s at most") : left;
+  const which = told.doing === "homing" && told.part ? DOING.homing.replace("Homing", `Homing ${told.part}`) : DOING[told.doing];
+  return which + most;
+}
+
 export function showLive(bench) {
+  const { live, newest, recording, work, wire } = bench.state;
+  showEmergency(wire, live.told || work.told);
   if (at("live").hidden) return;
-  const { live, newest, recording, work } = bench.state;
-  const told = live.told;
-  at("live-doing").textContent = told ? told.says || DOING[told.doing] : work.state === "running" ? "What runs now tells its rows."
-    : live.trouble || "Connecting ...";
-  at("live-doing").className = live.trouble ? "bad" : live.moves ? "moves" : "";
+  const told = live.told || (work.told && work.told.doing !== "recording" ? work.told : null); // rows tell more of a recording
+  const busy = work.state === "running";
+  at("live-doing").textContent = told ? doingOf(told, !live.told) : !busy ? live.trouble || "Connecting ..."
+    : recording && recording.live && recording.began ? DOING.recording : work.moves ? "What runs now begins ..." : "Something is computed; the machine is not connected meanwhile.";
+  at("live-doing").className = live.trouble ? "bad" : live.moves || (busy && work.moves) ? "moves" : "";
   at("live-again").hidden = !live.trouble;
-  at("live-home").disabled = !told || told.doing !== "watching";
+  at("live-home").disabled = !live.told || told.doing !== "watching";
   at("live-home").hidden = Boolean(told) && told.doing !== "watching";
-  const jogs = Boolean(told) && ["ready", "opening brakes", "holding"].includes(told.doing);
+  const jogs = Boolean(live.told) && ["ready", "opening brakes", "holding"].includes(told.doing);
   if (!jogs) letGo();
   const positions = {};
   for (const [name, { axis, brief, place, buttons, values, drive, bar, card }] of cards) {
@@ -110,13 +125,13 @@ export function showLive(bench) {
     const known = (value) => value !== undefined && value !== null;
     const position = known(seen.position) ? seen.position * scale : null;
     if (position !== null) positions[name] = seen.position;
-    place.textContent = position === null ? "–" : `${position.toFixed(2)} ${axis.edge_unit === "deg" ? "°" : axis.edge_unit}`;
+    place.textContent = position === null ? "–" : `${position.toFixed(2).replace(/^-(0\.00)$/, "$1")} ${axis.edge_unit === "deg" ? "°" : axis.edge_unit}`;
     values.speed.textContent = known(seen.speed) ? `${(seen.speed * scale).toFixed(1)} ${axis.edge_unit}/s` : "–";
     values.effort.textContent = known(seen.effort) ? `${seen.effort.toFixed(2)} ${axis.effort_unit}` : "–";
     values.brake.textContent = known(seen.brake) ? seen.brake : "–";
     values.temperature.textContent = known(seen.temperature_degC) ? `${number(seen.temperature_degC, 3)} °C` : "–";
     drive.textContent = [seen.mode, seen.drive].filter(Boolean).join(": ") || "–";
-    const homed = !told || told.doing !== "watching";
+    const homed = !told || !["watching", "homing"].includes(told.doing);
     if (position !== null && !homed) place.textContent += " not homed";
     brief.textContent = `${name} ${place.textContent} · ${values.effort.textContent}`;
     const share = position === null ? 50 : (100 * (position - axis.lower)) / (axis.upper - axis.lower);
@@ -126,6 +141,16 @@ export function showLive(bench) {
     card.classList.toggle("old", !told && !(recording && recording.live));
   }
   moveDrawing(positions);
+}
+
+// Beside position and effort, in every view: what a drive has sent as an emergency, or says of itself.
+function showEmergency({ nodes, trouble }, told) {
+  const sent = nodes.filter((node) => node.emergency).map((node) => `${node.name}: ${node.emergency}`);
+  const faults = Object.entries(told ? told.axes : {}).filter(([, { drive }]) => drive && drive.includes("fault")).map(([name, { drive }]) => `${name}: ${drive}`);
+  const found = [...sent, ...faults];
+  const none = told || !trouble ? "no emergency" : "emergencies are told by what runs";
+  at("emergency").textContent = found.length ? `EMERGENCY ${found.join("; ")}` : none;
+  at("emergency").className = found.length ? "bad" : "dim";
 }
 
 function fromRow(newest, name) {

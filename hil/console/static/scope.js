@@ -10,7 +10,16 @@ const BEFORE = 0.2; // share of the span before the trigger
 const COLOURS = ["#1257a6", "#c4161c", "#1b7a3d", "#8b3fb0", "#b35900", "#007c89", "#5c5c5c", "#a3195b"];
 const DASHES = [[], [8, 4], [2, 3], [10, 3, 2, 3]];
 const FIRST = ["position_", "command_", "imu_x", "imu_y", "imu_z"];
+const key = (unit) => unit || "none"; // of a scale
 const LEFT_OUT = new Set(["time", "imu_time"]);
+const DEGREES = 180 / Math.PI;
+const SHOWN_AS = { rad: ["deg", DEGREES], "rad/s": ["deg/s", DEGREES], m: ["mm", 1000], "m/s": ["mm/s", 1000] };
+
+// The unit in which a channel is shown, and how many of it are one of the channel's own.
+export function shownAs(unit, angles) {
+  const asIs = SHOWN_AS[unit] === undefined || (angles === "rad" && unit.startsWith("rad"));
+  return asIs ? [unit, 1] : SHOWN_AS[unit];
+}
 
 export class Scope {
   constructor() {
@@ -20,12 +29,19 @@ export class Scope {
     this.caught = null; // trigger's view
     this.marks = [];
     this.panes = new Map();
+    this.placed = new Map(); // channel -> the pane onto which it was dragged
     this.lost = 0;
     this.isVisible = false;
     this.drawnEnd = -1;
     this.lastRead = 0;
     this.info = "";
     at("pause").onclick = () => this.pause(this.paused === null);
+    at("angles").value = localStorage.getItem("angles") || "deg";
+    at("angles").onchange = () => {
+      localStorage.setItem("angles", at("angles").value);
+      if (this.ring) this.list(this.ring.names.filter((name) => !LEFT_OUT.has(name)));
+      this.build();
+    };
     at("cursors").onchange = () => {
       this.marks = [];
       this.dirty();
@@ -85,7 +101,7 @@ export class Scope {
   list(names) {
     const groups = new Map();
     for (const name of names) {
-      const unit = this.ring.units[name] || "no unit";
+      const unit = this.unit(name) || "no unit";
       groups.set(unit, [...(groups.get(unit) || []), name]);
     }
     const rows = [];
@@ -94,12 +110,12 @@ export class Scope {
       for (const name of members) {
         const box = element("input", { type: "checkbox", value: name, checked: this.chosen.has(name) });
         box.onchange = () => {
-          if (box.checked) this.chosen.add(name);
-          else this.chosen.delete(name);
-          localStorage.setItem("channels", JSON.stringify([...this.chosen]));
-          this.build();
+          this.placed.delete(name);
+          this.choose(name, box.checked);
         };
-        rows.push(element("label", {}, box, name));
+        const label = element("label", { draggable: "true", title: "drag it onto a plot" }, box, name);
+        label.ondragstart = (event) => event.dataTransfer.setData("text/plain", name);
+        rows.push(label);
       }
     }
     at("channel-list").replaceChildren(...rows);
@@ -111,8 +127,36 @@ export class Scope {
     at("trigger-channel").value = names.includes(before) ? before : "";
   }
 
+  choose(name, is) {
+    if (is) this.chosen.add(name);
+    else this.chosen.delete(name);
+    localStorage.setItem("channels", JSON.stringify([...this.chosen]));
+    this.build();
+  }
+
+  // A channel that was dragged onto a plot is drawn there, on an axis of its own where its unit is another.
+  takes(place, pane) {
+    place.ondragover = (event) => event.preventDefault();
+    place.ondrop = (event) => {
+      event.preventDefault();
+      const name = event.dataTransfer.getData("text/plain");
+      if (!this.ring || !this.ring.names.includes(name)) return;
+      this.placed.set(name, pane);
+      for (const box of document.querySelectorAll("#channel-list input")) if (box.value === name) box.checked = true;
+      this.choose(name, true);
+    };
+  }
+
   get shown() {
     return this.ring ? this.ring.names.filter((name) => this.chosen.has(name)) : [];
+  }
+
+  unit(name) {
+    return shownAs(this.ring.units[name], at("angles").value)[0];
+  }
+
+  scale(name) {
+    return shownAs(this.ring.units[name], at("angles").value)[1];
   }
 
   get span() {
@@ -124,17 +168,24 @@ export class Scope {
     return { stroke: COLOURS[index % COLOURS.length], dash: DASHES[Math.floor(index / COLOURS.length) % DASHES.length] };
   }
 
+  swatch(name) {
+    const { stroke, dash } = this.style(name);
+    return element("span", { class: "swatch", style: `color:${stroke};border-top-style:${dash.length ? "dashed" : "solid"}` });
+  }
+
   build() {
     for (const pane of this.panes.values()) pane.plot.destroy();
     this.panes.clear();
     at("panes").replaceChildren();
     const units = new Map();
     for (const name of this.shown) {
-      const unit = this.ring.units[name];
+      const unit = this.placed.get(name) ?? this.unit(name);
       units.set(unit, [...(units.get(unit) || []), name]);
     }
     for (const [unit, names] of units) {
-      const place = element("div", { class: "pane", "data-unit": unit });
+      const legend = names.map((name) => element("span", {}, this.swatch(name), name));
+      const place = element("div", { class: "pane", "data-unit": unit }, element("div", { class: "legend" }, ...legend));
+      this.takes(place, unit);
       at("panes").append(place);
       this.panes.set(unit, { names, plot: this.plot(place, unit, names) });
     }
@@ -143,7 +194,11 @@ export class Scope {
   }
 
   plot(place, unit, names) {
-    const title = unit ? `[${unit}]` : "no unit";
+    const others = [...new Set(names.map((name) => this.unit(name)))].filter((each) => each !== unit);
+    const axis = (of, side) => ({
+      scale: key(of), side, label: of ? `[${of}]` : "no unit", labelSize: 18, size: 64, space: 22, font: "12px system-ui", labelFont: "12px system-ui",
+      grid: { show: side === 3 }, values: (_, ticks) => ticks.map((tick) => (tick === null ? "" : String(Number(tick.toPrecision(6))))),
+    });
     const options = {
       width: Math.max(200, at("panes").clientWidth - 12),
       height: 200,
@@ -152,10 +207,10 @@ export class Scope {
       scales: { x: { time: false } },
       axes: [
         { label: "time [s]", labelSize: 18, size: 36, font: "12px system-ui", labelFont: "12px system-ui" },
-        { label: title, labelSize: 18, size: 64, space: 22, font: "12px system-ui", labelFont: "12px system-ui",
-          values: (_, ticks) => ticks.map((tick) => (tick === null ? "" : String(Number(tick.toPrecision(6))))) },
+        axis(unit, 3),
+        ...others.map((of) => axis(of, 1)),
       ],
-      series: [{}, ...names.map((name) => ({ label: name, width: 1.5, points: { show: false }, ...this.style(name) }))],
+      series: [{}, ...names.map((name) => ({ label: name, scale: key(this.unit(name)), width: 1.5, points: { show: false }, ...this.style(name) }))],
       hooks: {
         setSelect: [(plot) => this.zoomTo(plot)],
         draw: [(plot) => this.overlay(plot, names)],
@@ -194,7 +249,7 @@ export class Scope {
     this.paused = stands ? this.view() : null;
     if (!stands) this.caught = null;
     at("pause").textContent = stands ? "Go on" : "Pause";
-    at("pause").className = stands ? "main" : "";
+    at("pause").className = stands ? "on" : "";
     this.dirty();
   }
 
@@ -219,7 +274,7 @@ export class Scope {
       if (at("trigger-mode").value === "single" && this.paused === null) {
         this.paused = this.caught;
         at("pause").textContent = "Go on";
-        at("pause").className = "main";
+        at("pause").className = "on";
       }
     }
     return this.caught || (at("trigger-mode").value === "auto" ? free : { from: 0, to: span });
@@ -229,7 +284,7 @@ export class Scope {
   find(newest, span) {
     const { ring } = this;
     const column = ring.names.indexOf(at("trigger-channel").value);
-    const level = Number(at("trigger-level").value);
+    const level = Number(at("trigger-level").value) / this.scale(at("trigger-channel").value);
     const sign = at("trigger-edge").value === "rising" ? 1 : -1;
     const from = ring.row(Math.max(ring.oldest, newest - 2 * span));
     for (let row = ring.row(newest - (1 - BEFORE) * span); row > from; row -= 1) {
@@ -259,7 +314,7 @@ export class Scope {
       ctx.fillText("AB"[index], x + 4, top + 12 * devicePixelRatio);
     });
     if (names.includes(at("trigger-channel").value)) {
-      const y = plot.valToPos(Number(at("trigger-level").value), "y", true);
+      const y = plot.valToPos(Number(at("trigger-level").value), key(this.unit(at("trigger-channel").value)), true);
       ctx.setLineDash([4, 4]);
       ctx.beginPath();
       ctx.moveTo(left, y);
@@ -304,7 +359,7 @@ export class Scope {
     const time = this.ring.column("time", from, to);
     for (const { names, plot } of this.panes.values()) {
       plot.batch(() => {
-        plot.setData([time, ...names.map((name) => drawable(this.ring.column(name, from, to)))], false);
+        plot.setData([time, ...names.map((name) => drawable(this.shownColumn(name, from, to)))], false);
         plot.setScale("x", { min: view.from, max: view.to });
       });
     }
@@ -314,26 +369,29 @@ export class Scope {
     }
   }
 
+  shownColumn(name, from, to) {
+    const [scale, column] = [this.scale(name), this.ring.column(name, from, to)];
+    return scale === 1 ? column : column.map((value) => scale * value);
+  }
+
   read(time, from, to) {
     const two = this.marks.length === 2;
     const heads = ["channel", "unit", "now", "min", "max", "mean", "amplitude", "rms", "frequency [Hz]"];
     if (this.marks.length) heads.push(...(two ? ["at A", "at B", "B − A"] : ["at A"]));
     const rows = this.shown.map((name) => {
-      const found = measure(time, this.ring.column(name, from, to));
+      const found = measure(time, this.shownColumn(name, from, to));
       const cells = found ? [found.now, found.low, found.high, found.mean, found.amplitude, found.rms, found.frequency] : Array(7).fill(NaN);
       const keys = ["now", "min", "max", "mean", "amplitude", "rms", "frequency"];
       const marked = this.marks.map((t) => {
         const row = Math.min(this.ring.row(t), this.ring.end - 1);
-        return this.ring.at(row, this.ring.names.indexOf(name));
+        return this.scale(name) * this.ring.at(row, this.ring.names.indexOf(name));
       });
       if (two) marked.push(marked[1] - marked[0]);
-      const { stroke, dash } = this.style(name);
-      const swatch = element("span", { class: "swatch", style: `color:${stroke};border-top-style:${dash.length ? "dashed" : "solid"}` });
       return element(
         "tr",
         { "data-channel": name },
-        element("td", {}, swatch, name),
-        element("td", { class: "text dim" }, this.ring.units[name]),
+        element("td", {}, this.swatch(name), name),
+        element("td", { class: "text dim" }, this.unit(name)),
         ...cells.map((cell, index) => element("td", { "data-what": keys[index], "data-value": String(cell) }, number(cell))),
         ...marked.map((cell) => element("td", {}, number(cell))),
       );
@@ -346,10 +404,13 @@ export class Scope {
 
   note() {
     const parts = [];
-    if (!this.ring) parts.push("Rows appear here as soon as a run records. Homing and the way to the start pose are not recorded.");
+    if (!this.ring) parts.push("Rows appear here as soon as the machine is connected, or a run records.");
     else {
-      parts.push(`${this.name}: ${this.ring.end} rows`);
-      if (this.recording && this.recording.name === this.name && !this.recording.live) parts.push("ended");
+      const own = this.recording && this.recording.name === this.name ? this.recording : null;
+      if (!own) parts.push("live: nothing is recorded");
+      else if (!own.began) parts.push(`${this.name}: not begun yet; the machine goes to its start`);
+      else parts.push(`${this.name}: recording began at ${own.began}, ${this.ring.end} rows`);
+      if (own && !own.live) parts.push("ended");
       if (this.lost) parts.push(`${this.lost} rows did not reach this page: it is too slow for them`);
       if (this.paused) parts.push("the view stands still; rows go on coming. Double-click to go on");
       if (this.marks.length === 2) {

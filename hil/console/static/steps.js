@@ -1,20 +1,27 @@
 // The guided commissioning and the forms of experiments: both show a plan before anything moves.
 import { ask, element, replaceIfNew } from "./parts.js";
 
-const MARKS = { passed: "✔ passed", bad: "✘ not passed", failed: "✘ failed", stopped: "■ stopped", running: "▶ running", todo: "to do" };
+const MARKS = { passed: "✔ passed", bad: "! not passed", failed: "✘ failed", stopped: "■ stopped", running: "▶ running", todo: "to do" };
+const AGAIN = {
+  bad: "It was done, and its answer is not good enough to build on. Mend what the line above names, then start this step again.",
+  failed: "It could not be done. Mend what the line above names, then start this step again.",
+  stopped: "It was stopped. See that the machine is as it should be, then start this step again.",
+};
+const at = (id) => document.getElementById(id);
 const cards = new Map(); // name of a step or "form kind" -> its parts
 
 export function showSteps(bench, place) {
   bench.described.steps.forEach((step, index) => {
     const form = fieldsOf(step.fields);
-    const start = element("button", { type: "button", class: "main" }, step.moves ? "Start: the machine moves" : "Start");
+    const start = element("button", { type: "button", class: "start" }, step.moves ? "Start: the machine moves" : "Start");
     const plan = element("div", {});
     const result = element("div", { class: "result" });
     const mark = element("span", { class: "mark" }, MARKS.todo);
     const why = element("span", { class: "why" });
+    const advice = element("p", { class: "advice" });
     const card = element(
       "details",
-      { class: "card", "data-step": step.name, open: index === 0 },
+      { class: "card", "data-step": step.name },
       element("summary", {}, mark, element("span", {}, `${index + 1}. ${step.title}`), why),
       element(
         "div",
@@ -22,11 +29,12 @@ export function showSteps(bench, place) {
         element("ul", {}, ...step.does.map((line) => element("li", {}, line))),
         form.box,
         plan,
+        advice,
         start,
         result,
       ),
     );
-    const part = { card, start, mark, why, result, step, planned: !step.experiment };
+    const part = { card, start, mark, advice, why, result, step, planned: !step.experiment, seen: "" };
     if (step.experiment) planner(bench, part, step.experiment, form, plan, () => card.open);
     card.addEventListener("toggle", () => card.open && part.show && part.show());
     start.onclick = () => begin(bench, part, "/api/step", { step: step.name, values: form.values() });
@@ -38,12 +46,12 @@ export function showSteps(bench, place) {
 export function showForms(bench, place) {
   for (const kind of bench.described.forms) {
     const form = fieldsOf(kind.fields);
-    const start = element("button", { type: "button", class: "main" }, "Run: the machine moves");
+    const start = element("button", { type: "button", class: "start" }, "Run: the machine moves");
     const plan = element("div", {});
     const result = element("div", { class: "result" });
     const card = element(
       "details",
-      { class: "card", "data-form": kind.kind },
+      { class: "card", "data-form": kind.kind, name: "form" },
       element("summary", {}, element("span", {}, kind.title), element("span", { class: "why" }, kind.says)),
       element("div", { class: "inside" }, form.box, plan, start, result),
     );
@@ -95,6 +103,10 @@ function planner(bench, part, kind, form, place, isOpen) {
     }
     if (asked !== key) return;
     place.replaceChildren(...planLines(found));
+    if (found.again) {
+      asked = "";
+      setTimeout(() => isOpen() && part.show(), 1000);
+    }
     place.className = found.refused ? "plan refused" : "plan";
     part.planned = !found.refused;
     enable(bench, part);
@@ -144,21 +156,38 @@ function enable(bench, part) {
 
 export function updateSteps(bench) {
   const { work, steps } = bench.state;
-  for (const part of cards.values()) enable(bench, part);
-  let next = true;
-  for (const [name, result] of Object.entries(steps)) {
+  const nows = Object.entries(steps).map(([name, result]) => [name, work.state === "running" && work.step === name ? work : result]);
+  const due = (nows.find(([, now]) => now.state !== "passed") || [""])[0];
+  at("steps-done").hidden = due !== "";
+  for (const [name, now] of nows) {
     const part = cards.get(name);
-    const now = work.state === "running" && work.step === name ? work : result;
     const state = now.state || "todo";
     part.card.className = `card ${state}`;
-    part.mark.textContent = state === "todo" && next ? "next" : MARKS[state];
-    if (state !== "passed") next = false;
+    part.mark.textContent = state === "todo" && name === due ? "next" : MARKS[state];
+    part.start.textContent = (part.step.moves ? "Start: the machine moves" : "Start").replace("Start", state in AGAIN ? "Start again" : "Start");
     part.why.textContent = now.why || "";
+    part.advice.textContent = AGAIN[state] || "";
+    unfold(part, state, name === due);
     if (!now.state) continue;
     const lines = now.lines || [];
     replaceIfNew(part.result, `${state} ${lines.length} ${lines.length ? lines[lines.length - 1][0] : ""}`, () => evidence(now, state === "running"));
-    if (state === "running") part.card.open = true;
   }
+  for (const [name, part] of cards) {
+    enable(bench, part);
+    // one coloured button on the page: of the step that is due; of a form only once no step is
+    const isDue = due === "" ? !part.step && part.card.open : name === due;
+    part.start.classList.toggle("main", isDue && work.state !== "running");
+  }
+}
+
+// A step that has passed folds away with its evidence, and the one that is due opens: once, so that a reader may open and close what he likes.
+function unfold(part, state, due) {
+  const seen = `${state} ${due}`;
+  if (part.seen === seen) return;
+  const isLater = part.seen !== "";
+  part.seen = seen;
+  part.card.open = due || state === "running";
+  if (due && isLater && part.card.offsetParent) part.card.scrollIntoView({ block: "nearest" });
 }
 
 function evidence(now, open) {

@@ -128,19 +128,38 @@ def _limits(limits: tuple[DetectionLimit, ...]) -> list[Block]:
 
 def missing_charts(answered: Answered) -> list[Charts]:
     """Return charts for every driven joint: what the machine file's equations lack over speed and position, and what was named of it."""
-    if answered.seen is None:
-        return []
-    seen = answered.seen
-    missing, said = seen.missing(), seen.said_by(answered.values, answered.effects)
-    named = {(each.recording, each.joint): effort for each, effort in zip(missing, said, strict=True)}
+    joints, named = _missing_and_named(answered)
+    return [_of_joint(answered, joint, parts, named) for joint, parts in joints.items()]
+
+
+def telling_charts(answered: Answered) -> list[Charts]:
+    """Return the charts of `missing_charts` for the joint of which the answer says most, by power; none where it says nothing of any."""
+    joints, named = _missing_and_named(answered)
+
+    def said(joint: str) -> float:
+        pairs = [(part.missing, named[part.recording, joint]) for part in joints[joint]]
+        return sum(float(np.sum(missing**2) - np.sum((missing - effort) ** 2)) for missing, effort in pairs)
+
+    told = max(joints, key=said, default="") if named else ""
+    return [_of_joint(answered, told, joints[told], named)] if told and said(told) > 0.0 else []
+
+
+def _missing_and_named(answered: Answered) -> tuple[dict[str, list[Missing]], dict[tuple[str, str], np.ndarray]]:
+    """Return what the machine file's equations lack, by joint, and what was named of it, by recording and joint."""
     joints: dict[str, list[Missing]] = {}
+    if answered.seen is None:
+        return joints, {}
+    missing = answered.seen.missing()
     for each in missing:
         joints.setdefault(each.joint, []).append(each)
-    slides = {joint.name: joint.kind == "prismatic" for joint in answered.machine.plant.tree.joints}
-    return [_of_joint(joint, parts, named if answered.effects else {}, slides[joint]) for joint, parts in joints.items()]
+    if not answered.effects:
+        return joints, {}
+    said = answered.seen.said_by(answered.values, answered.effects)
+    return joints, {(each.recording, each.joint): effort for each, effort in zip(missing, said, strict=True)}
 
 
-def _of_joint(joint: str, parts: list[Missing], named: dict[tuple[str, str], np.ndarray], slides: bool) -> Charts:
+def _of_joint(answered: Answered, joint: str, parts: list[Missing], named: dict[tuple[str, str], np.ndarray]) -> Charts:
+    slides = any(each.name == joint and each.kind == "prismatic" for each in answered.machine.plant.tree.joints)
     length, effort = ("m", "N") if slides else ("rad", "Nm")
     every = max(1, sum(len(part.time) for part in parts) // MOST_POINTS)
     lacked = np.concatenate([part.missing[::every] for part in parts])

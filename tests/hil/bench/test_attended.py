@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from bench_machines import carm_text_in
@@ -12,7 +14,8 @@ from hil.bench.bench import Bench
 from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
 from hil.bench.telling import Teller
-from hil.bench.told_state import HOLDING, HOMING, READY, WATCHING
+from hil.bench.told_state import HOLDING, HOMING, LETTING_GO, ON_THE_WAY, READY, RECORDING, SETTLING, TAKING_HOLD, WATCHING
+from hil.experiments import Move, Static
 from hil.machine import load_machine, machine_from_text
 
 MACHINE = load_machine("turntable")
@@ -112,3 +115,36 @@ def test_before_homing_nothing_moves() -> None:
 def test_drives_that_go_to_poses_by_themselves_are_not_led() -> None:
     with open_bench(machine_from_text(carm_text_in("profile_position")), BenchOptions("lockstep:")) as bench:
         assert "profile position mode" in refused(bench, "home", "jog roll 0.1")
+
+
+def test_a_run_tells_its_phases_and_what_remains_of_the_way(tmp_path: Path) -> None:
+    """The way is told with all its ticks, one second of bridge among them; the loop has its computer to itself while it records."""
+    (plan,) = Static(1.0, {"turn": 0.3}).plans(MACHINE)
+    told: list[tuple[str, str, int]] = []
+    with open_bench(MACHINE, BenchOptions("lockstep:"), np.array([0.0])) as bench:
+        bench.tell = lambda doing, part, ticks: told.append((doing, part, ticks))
+        began = bench.wiring.link.syncs
+        bench.run(plan, tmp_path / "still.mf4")
+        assert bench.wiring.link.syncs > began
+    assert [doing for doing, _, _ in told] == [HOMING, TAKING_HOLD, ON_THE_WAY, SETTLING, RECORDING, LETTING_GO]
+    ticks = {doing: count for doing, _, count in told}
+    (way,) = Move({"turn": 0.0}, {"turn": 0.3}).plans(MACHINE)
+    assert ticks[ON_THE_WAY] == pytest.approx(way.rows + RATE_Hz, abs=2)
+    assert ticks[RECORDING] == plan.rows
+    assert told[0][1] == "turn, 1 of 1"
+    assert told[4][1] == "still.mf4"
+
+
+def test_what_remains_falls_as_the_machine_ticks() -> None:
+    with open_bench(MACHINE, BenchOptions("lockstep:")) as bench:
+        teller = Teller(bench, rows=False)
+        with bench.session(homes=False):
+            bench.tell(ON_THE_WAY, "", round(RATE_Hz))
+            before = teller.state()
+            for _ in range(round(0.25 * RATE_Hz)):
+                bench.wiring.link.exchange(bench.wiring.link.zeros)
+            after = teller.state()
+        assert (before["doing"], before["remains_s"]) == (ON_THE_WAY, pytest.approx(1.0))
+        assert after["remains_s"] == pytest.approx(0.75)
+        bench.tell(HOMING, "turn, 1 of 1", 0)
+        assert (teller.state()["part"], teller.state()["remains_s"]) == ("turn, 1 of 1", None)

@@ -56,6 +56,7 @@ def test_work_waits_until_the_live_view_has_ended_and_keeps_its_order(facts: Fac
     turn = Turn(line)
     turn.live = live
     live.begin({})
+    live.heed(starter.SAID, state_line("ready"), False)
     for message in ((starter.RUN, ["run"]), (starter.LET_GO, None)):
         turn.send(message)
     assert [what for what, _ in line.sent] == [starter.RUN, starter.SAY]
@@ -63,6 +64,16 @@ def test_work_waits_until_the_live_view_has_ended_and_keeps_its_order(facts: Fac
     live.heed(starter.ENDED, 0)
     turn.go_on()
     assert line.sent[2:] == [(starter.RUN, ["run"]), (starter.LET_GO, None)]
+    assert not live.trouble
+
+
+def test_one_that_has_told_nothing_yet_is_not_waited_for(facts: Facts, tmp_path: Path) -> None:
+    live, line, _ = live_of(facts, tmp_path)
+    live.begin({})
+    live.end()
+    assert line.sent[-1] == (starter.LET_GO, None)
+    live.heed(starter.SAID, "isocenter: asked to stop by SIGINT", True)
+    live.heed(starter.ENDED, 130)
     assert not live.trouble
 
 

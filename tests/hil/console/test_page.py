@@ -53,7 +53,7 @@ def fill_and_run(page: Page, form: str, **values: object) -> None:
         card.locator(f"[name={name}]").fill(str(value))
     card.locator(".peak").first.wait_for(timeout=STEP_MS)
     assert "predicted peak command: turn" in card.locator(".peak").first.inner_text()
-    card.locator("button.main:enabled").click(timeout=STEP_MS)
+    card.locator("button.start:enabled").click(timeout=STEP_MS)
 
 
 def ended(page: Page, state: str) -> str:
@@ -71,9 +71,21 @@ def test_the_scope_shows_a_sine_with_its_amplitude_and_frequency(page: Page, ben
     row.wait_for()
     page.locator("#scope-note", has_text="ended").wait_for()
     read = {what: float(row.locator(f"[data-what={what}]").get_attribute("data-value") or "nan") for what in ("amplitude", "frequency")}
-    assert read["amplitude"] == pytest.approx(math.radians(AMPLITUDE_DEG), rel=1e-3)
+    assert read["amplitude"] == pytest.approx(AMPLITUDE_DEG, rel=1e-3)
     assert read["frequency"] == pytest.approx(1.0 / PERIOD_S, rel=1e-3)
-    assert page.locator(".pane[data-unit=rad] canvas").is_visible()
+    assert page.locator(".pane[data-unit=deg] canvas").is_visible()
+    assert re.search(r"recording began at \d\d:\d\d:\d\d", page.locator("#scope-note").inner_text())
+    page.select_option("#angles", "rad")
+    row.locator("td.text", has_text=re.compile("^rad$")).wait_for()
+    assert float(row.locator("[data-what=amplitude]").get_attribute("data-value") or "nan") == pytest.approx(
+        math.radians(AMPLITUDE_DEG), rel=1e-3
+    )
+    radians = page.locator(".pane[data-unit=rad]")
+    assert radians.locator("canvas").is_visible()
+    assert "current_turn" not in radians.locator(".legend").inner_text()
+    page.locator("#channel-list label", has_text=re.compile("^current_turn$")).drag_to(radians)
+    radians.locator(".legend", has_text="current_turn").wait_for()
+    assert page.get_by_label("current_turn", exact=True).is_checked()
 
 
 def test_a_trigger_holds_the_crossing_still_and_a_zoom_pauses(page: Page, bench: BenchPage) -> None:
@@ -242,6 +254,95 @@ def test_a_held_button_orders_again_and_again_until_it_is_left_in_whatever_way(j
         jogged.keyboard.up(key)
 
 
+AXIS = {"position": 0.1, "speed": 0.0, "effort": 1.5, "temperature_degC": 24.0, "brake": "open", "mode": None, "drive": "operation enabled"}
+WORK = {
+    "title": "At rest",
+    "step": "static",
+    "moves": True,
+    "command": "still",
+    "seconds": 3.0,
+    "why": "",
+    "holds": False,
+    "lines": [],
+    "made": [],
+}
+PASSED, STAGGERS = {"state": "passed", "why": "fine", "lines": []}, "turn: does not stand"
+
+
+def of_machine(doing: str, part: str = "", remains_s: float | None = None, **axis: object) -> dict[str, object]:
+    return {"doing": doing, "part": part, "remains_s": remains_s, "says": "", "time_s": 1.0, "axes": {"turn": {**AXIS, **axis}}}
+
+
+def told_page(page: Page, bench: BenchPage) -> Callable[..., None]:
+    """A page at the commissioning whose line to the server is the caller's: it takes what is other than in a state at rest."""
+    watcher = Watcher(bench)
+    state = watcher.state()
+    watcher.close()
+    steps = {name: PASSED if name in ("check", "scan", "home") else {} for name in state["steps"]}
+    live = {"running": False, "trouble": "", "told": None, "holds": False, "moves": False}
+    state |= {"steps": steps, "stop": None, "recording": None, "own": True, "live": live}
+    body = 'onmessage = (event) => event.data.fake && postMessage(event.data.fake); postMessage({ type: "welcome", client: "mine" });'
+    page.route("**/worker.js", lambda asked: asked.fulfill(body=body, content_type="text/javascript"))
+    plan = {"recordings": [{"rows": 2000, "seconds": 10.0, "notes": []}], "text": ""}
+    page.route("**/api/preview", lambda asked: asked.fulfill(json=plan))
+    page.add_init_script(
+        "const post = Worker.prototype.postMessage;"
+        " Worker.prototype.postMessage = function (told) { window.line = this; post.call(this, told); };"
+    )
+    page.route("**/api/bench", lambda asked: asked.fulfill(json=asked.fetch().json() | {"has_live": True}))
+    let_in(page, bench)
+    page.goto(f"{bench.address}/#commission")
+    until(lambda: page.evaluate("Boolean(window.line)"), STEP_MS / 1e3)
+    return lambda **other: page.evaluate("(told) => line.postMessage({ fake: told })", state | other)
+
+
+@pytest.mark.parametrize("width", list(WIDTHS.values()))
+def test_the_way_is_told_and_the_one_coloured_button_is_of_the_step_that_is_due(page: Page, bench: BenchPage, width: int) -> None:
+    page.set_viewport_size({"width": width, "height": 900})
+    tell = told_page(page, bench)
+    now, coloured, brief = page.locator("#now"), page.locator("button.main:visible"), page.locator("#brief")
+
+    def told(work: dict[str, object], **other: object) -> str:
+        tell(work=WORK | work, **other)
+        page.locator(f"#now.{'stopped' if 'stop' in other else work['state']}").wait_for()
+        return " ".join(now.inner_text().split())
+
+    for doing, says in (
+        (of_machine("homing", "turn, 1 of 1"), "Homing turn, 1 of 1: an axis is pushed"),
+        (of_machine("on the way", remains_s=6.2), "On the way to the pose where it starts. It moves. 7 s to go"),
+        (of_machine("coming to rest", remains_s=15.0), "waiting until it stands. 15 s at most"),
+    ):
+        assert says in told({"state": "running", "told": doing})
+        assert says in page.locator("#live-doing").inner_text()
+        assert "1.50 A" in brief.inner_text()
+        assert "not homed" in brief.inner_text() or doing["doing"] != "homing"
+        assert coloured.count() == 0
+    recording = {"name": "still.mf4", "rows": 800, "live": True, "began": "12:00:00", "experiment": "static"}
+    assert "recording still.mf4: 800 rows, 4 of 10 s" in told(
+        {"state": "running", "told": of_machine("recording", "still.mf4", 10.0)}, recording=recording
+    )
+    passed, todo = ("check", "scan", "home"), ("identify", "shape", "observe")
+    staggers = {"state": "bad", "why": STAGGERS, "lines": []}
+    steps = {name: PASSED for name in passed} | {"static": staggers} | {name: {} for name in todo}
+    faulty = {"running": True, "trouble": "", "told": of_machine("watching", drive="fault"), "holds": False, "moves": False}
+    said = told({"state": "bad", "why": STAGGERS, "told": None}, steps=steps, live=faulty)
+    assert STAGGERS in said
+    assert "failed" not in said
+    assert coloured.all_inner_texts() == ["Start again: the machine moves"]
+    assert "EMERGENCY turn: fault" in brief.inner_text()
+    assert page.locator("[data-step=static] ul").evaluate("(list) => getComputedStyle(list).fontWeight") == "400", (
+        "what it does is no error"
+    )
+    stop = {"by": "STOP in a browser", "lines": ["nothing runs here"], "seconds": 0.06, "trouble": "", "ran": False}
+    assert told({"state": "bad", "why": STAGGERS, "told": None}, steps=steps, stop=stop) == "stop took 0.06 s: nothing runs here", (
+        "one event"
+    )
+    told({"state": "passed", "told": None}, steps={name: PASSED for name in steps})
+    page.locator("#steps-done").wait_for()
+    assert coloured.count() == 0
+    assert page.evaluate("() => document.documentElement.scrollWidth <= innerWidth")
+
+
 def test_the_drawing_turns_the_arm_as_its_machine_file_has_it(page: Page, bench: BenchPage) -> None:
     """Roll turns tube and detector about y through the isocentre, which the propeller turns about x: in SciPy's rotations."""
     let_in(page, bench)
@@ -305,7 +406,7 @@ def test_commissioning_begins_with_clicks_alone(page: Page, bench: BenchPage) ->
         card = page.locator(f"[data-step={step}]")
         if card.get_attribute("open") is None:
             card.locator("summary").first.click()
-        card.locator("button.main:enabled").click(timeout=STEP_MS)
+        card.locator("button.start:enabled").click(timeout=STEP_MS)
         page.locator(f"[data-step={step}].passed").wait_for(timeout=STEP_MS)
         assert card.locator(".why").inner_text()
         assert "$ isocenter" in card.locator("pre").last.text_content() or step == "scan"
@@ -318,7 +419,7 @@ def test_a_step_that_builds_on_another_says_so(page: Page, bench: BenchPage) -> 
     opened(page, bench, "commission")
     card = page.locator("[data-step=observe]")
     card.locator("summary").first.click()
-    card.locator("button.main:enabled").click(timeout=STEP_MS)
+    card.locator("button.start:enabled").click(timeout=STEP_MS)
     card.locator(".refused", has_text="first identify").wait_for()
 
 
@@ -331,12 +432,17 @@ def test_the_emulated_arm_is_commissioned_from_the_first_click_to_the_observer(b
         page = browser.new_page(viewport={"width": 1400, "height": 900})
         listen(page, errors)
         opened(page, bench, "commission")
+        moved = []
         for step in ("check", "scan", "home", "static", "identify", "shape", "observe"):
-            card = page.locator(f"[data-step={step}]")
-            if card.get_attribute("open") is None:
-                card.locator("summary").first.click()
-            card.locator("button.main:enabled").click(timeout=4 * STEP_MS)
+            due = page.locator("button.main:enabled")  # strict: there is one
+            due.wait_for(timeout=STEP_MS)
+            moved.append("moves" in due.inner_text())
+            due.click()
             page.locator(f"[data-step={step}].passed").wait_for(timeout=4 * STEP_MS)
+            page.locator(f"[data-step={step}]:not([open])").wait_for()
+        page.locator("#steps-done").wait_for()
+        assert page.locator("button.main:visible").count() == 0
+        assert moved == [False, False, True, True, True, False, True]
         assert (bench.folder / "machine.observer.npz").is_file()
         for name, width in WIDTHS.items():
             page.set_viewport_size({"width": width, "height": 900})

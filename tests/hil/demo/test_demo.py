@@ -102,11 +102,11 @@ def test_what_an_answer_is_worth() -> None:
 def test_an_answer_is_told_in_a_sentence() -> None:
     rubs, bends = ("coulomb_friction", "roll"), ("joint_compliance", "detector")
     assert judged(answer("explained", rubs), hidden(rubs, bends)).sentence == (
-        "Half of it: the tool named coulomb_friction at roll; coulomb_friction at roll and joint_compliance at detector were hidden"
+        "Half of it: the tool named coulomb friction at roll; coulomb friction at roll and joint compliance at detector were hidden"
     )
     assert judged(answer("ambiguous", rubs), hidden(("stribeck_friction", "roll"))).sentence == (
-        "Right: from the machine file and the recordings, the tool named coulomb_friction at roll, and called it ambiguous;"
-        " stribeck_friction at roll was hidden, of the same family"
+        "Right: from the machine file and the recordings, the tool named coulomb friction at roll, and called it ambiguous;"
+        " stribeck friction at roll was hidden, of the same family"
     )
 
 

@@ -27,18 +27,48 @@ class Pipe(io.StringIO):
         return written
 
 
-def test_a_line_says_how_far_a_task_is_and_how_long_it_will_take(monkeypatch: pytest.MonkeyPatch) -> None:
-    pipe = Pipe(2)
+def said_at(now_s: float, counts: dict[float, int], monkeypatch: pytest.MonkeyPatch, total: int | None = 200) -> str:
+    """The line that stands there after so many seconds, of a task of which so much was done at these times."""
+    pipe, clock = Pipe(1), [0.0]
     monkeypatch.setattr(sys, "stderr", pipe)
+    monkeypatch.setattr("hil.terminal.progress.time.monotonic", lambda: clock[0])
     lines = Lines(every_s=0.01)
-    follow = follower(lines, lines.add_task("run.mf4", total=200), done=20)
-    follow(30)
+    follow = follower(lines, lines.add_task("run.mf4", total=total))
+    for clock[0], done in counts.items():
+        follow(done)
+    clock[0] = now_s
     lines.start()
     assert pipe.come.wait(10.0)
     lines.stop()
-    said = pipe.getvalue()
-    assert "\r" not in said
-    assert re.fullmatch(r"(\.\.\. run\.mf4: 25 % after \d+ s, about \d+ s to go\n)+", said)
+    assert "\r" not in pipe.getvalue()
+    return pipe.getvalue().splitlines()[0]
+
+
+def test_a_line_says_how_far_a_task_is_and_how_long_it_takes_at_the_pace_at_which_it_was_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A minute of homing goes before; then ten rows a second: of 200, fifteen seconds are left after 50."""
+    assert said_at(65.0, {61.0: 10, 65.0: 50}, monkeypatch) == "... run.mf4: 25 % after 65 s, about 15 s to go"
+    assert said_at(67.0, {61.0: 10, 65.0: 50}, monkeypatch) == "... run.mf4: 25 % after 67 s, about 13 s to go"
+
+
+def test_where_no_work_was_counted_no_number_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert said_at(240.0, {}, monkeypatch) == "... run.mf4: 240 s"
+    assert said_at(240.0, {100.0: 0}, monkeypatch) == "... run.mf4: 240 s"
+    assert said_at(240.0, {100.0: 50}, monkeypatch) == "... run.mf4: 25 % after 240 s", "one count has no pace"
+    assert said_at(240.0, {100.0: 10, 120.0: 50}, monkeypatch) == "... run.mf4: 25 % after 240 s", "it stands still since"
+
+
+def test_compiling_is_said_and_how_many_functions_were_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    numba = pytest.importorskip("numba")
+    from numba.core import event
+
+    assert "compiling" not in said_at(1.0, {}, monkeypatch)
+    numba.njit(lambda x: x + 1)(1)
+    with event.trigger_event("numba:compile"):
+        said = said_at(1.0, {}, monkeypatch)
+    found = re.search(r", compiling \(once on a computer\), (\d+) functions so far$", said)
+    assert found
+    assert int(found[1]) >= 1
+    assert "compiling" not in said_at(1.0, {}, monkeypatch)
 
 
 def test_a_task_of_unknown_length_says_how_long_it_has_run(monkeypatch: pytest.MonkeyPatch) -> None:
