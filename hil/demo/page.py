@@ -33,7 +33,7 @@ CHOSEN = (
 )
 MISSING = (
     "Each black point is a sample: the effort that the drive gave, less what the machine file's equations say that the motion takes. Were"
-    " the file complete, they would lie on a straight line at zero. Red is the law that the tool named, with the numbers that it found."
+    " the file complete, they would lie on a straight line at zero. Orange is the law that the tool named, with the numbers that it found."
 )
 HELPS = (
     "Neither simulation has seen this recording. One is of the machine file as it is, the other of the tool's answer; of all channels this"

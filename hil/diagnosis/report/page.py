@@ -28,7 +28,7 @@ MOST_POINTS = 4000
 SCATTER_PX = 300
 NOISE = {"repeats": "from repeats", "periods": "from periods", "assumed": "assumed: no repeats were recorded"}
 MISSING = (
-    "Black: the effort that the drive gave, less what the recorded motion takes by the machine file. Red: what the re-tuned numbers and"
+    "Black: the effort that the drive gave, less what the recorded motion takes by the machine file. Orange: what the re-tuned numbers and"
     " the named effects say of it. The answer leaves {share:.1%} of what re-tuned numbers leave, by power."
 )
 
