@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.diagnosis.answered.answer import answer
+from hil.diagnosis.answered.answer import NAMED, WEIGHED, answer
 from hil.diagnosis.answered.early import first_answer, nothing_seen, play_seen, wrong_recordings
 from hil.diagnosis.answered.simulated import answer_of_runs
 from hil.diagnosis.answered.values import Answered, Everyday, everyday_of
@@ -32,8 +32,6 @@ MOST_JOINTS = 3
 """Of machines that free runs judge: each joint brings a dozen numbers and forty laws, each of which is a simulation of all joints."""
 FITTED, SOUGHT, USUAL = 0.2, 0.5, 12
 """Share of the whole before the search, and of the search, half of which is done after so many steps as usual."""
-NAMED, WEIGHED = 0.75, 0.9
-"""Share of the whole when effects are named along the motion, and when rivals begin to be weighed."""
 Report = Callable[[str, float], None]
 """Told what is being done, and the share of the whole that is done."""
 
@@ -127,7 +125,8 @@ def diagnose_audited(
 
         if (selected := select(machine, recordings, trying, jobs)) is not None:
             return answer_of_runs(machine, audited, seen, levels, selected, held_out, began, report)
-    again = None if freely or seen.noise == "assumed" else partial(_freely, machine, recordings, audited, jobs, report)
+    is_settled = freely or seen.noise == "assumed" or len(seen.alongs[0].joints) > MOST_JOINTS
+    again = None if is_settled else partial(_freely, machine, recordings, audited, jobs, report)
     return answer(machine, audited, name(seen, free, report, say), held_out, began, report, again)
 
 

@@ -79,17 +79,18 @@ def of_states(controller: AxisController, rows: int) -> np.ndarray:
     return np.column_stack(found)
 
 
-def states_at_start(machine: Machine, recording: Recording) -> dict[str, dict[str, np.ndarray]] | None:
+def states_at_start(machine: Machine, recording: Recording, *, with_gain: bool = False) -> dict[str, dict[str, np.ndarray]] | None:
     """Return the states at row 0 with which the file's laws give the recorded commands to the last digit, as `Feedback.states`.
 
-    The command is linear in them (Oppenheim and Schafer 2010, chapter 6). A law that gives a share of its command, as drives with another
-    gain do, has the states that this law has.
+    The command is linear in them (Oppenheim and Schafer 2010, chapter 6).
 
     Parameters
     ----------
     machine : Machine
     recording : Recording
         Its reference, position and command, in efforts.
+    with_gain : bool
+        Whether a command may be a share of the law's, as drives with another gain give it; states are then those of the law.
 
     Returns
     -------
@@ -99,28 +100,44 @@ def states_at_start(machine: Machine, recording: Recording) -> dict[str, dict[st
     found = {}
     for controller, own in zip(machine.controllers, machine.commands, strict=True):
         part = part_of(recording, controller.axis)
-        states = None if part is None or own is not None else _states(controller, part)
+        states = None if part is None or own is not None else _states(controller, part, with_gain)
         if states is None:
             return None
         found[controller.axis] = states
     return found
 
 
-def _states(controller: AxisController, part: Part) -> dict[str, np.ndarray] | None:
-    rows = free_rows(part, controller.limit, command_resolution(part.command))
-    law, adds = law_from_rest(controller, part), of_states(controller, len(rows))
+def _states(controller: AxisController, part: Part, with_gain: bool) -> dict[str, np.ndarray] | None:
+    resolution = command_resolution(part.command)
+    rows, enough = free_rows(part, controller.limit, resolution), rounding(part.command, resolution)
+    law, adds = law_from_rest(controller, part), of_states(controller, len(part.command))
     target = part.command - part.added
-    enough = rounding(part.command, command_resolution(part.command))
-    for columns, given in ((adds, law), (np.column_stack([law, adds]), np.zeros_like(law))):
-        scale = np.maximum(np.sqrt(np.sum(columns[rows] ** 2, axis=0)), 1e-300)
-        weights = np.linalg.lstsq(columns[rows] / scale, (target - given)[rows], rcond=1e-12)[0] / scale
-        left = (target - given - columns @ weights)[rows]
-        if left.size >= 2 * columns.shape[1] and np.sqrt(np.mean(left**2)) <= enough:
-            states = weights if columns is adds else weights[1:] / weights[0]
-            count = 2 * len(controller.position_sections)
-            table = {"position": states[:count].reshape(-1, 2)}
-            return table if controller.reference_sections is None else table | {"reference": states[count:].reshape(-1, 2)}
-    return None
+    states, left = _fitted(adds, target - law, rows)
+    if _off(controller, part, law + adds @ states) > enough:
+        if not with_gain or left <= enough:
+            return None
+        weights, _ = _fitted(np.column_stack([law, adds]), target, rows)
+        if not weights[0] > 0.0 or _off(controller, part, weights[0] * law + adds @ weights[1:]) > enough:
+            return None
+        states = weights[1:] / weights[0]
+    count = 2 * len(controller.position_sections)
+    table = {"position": states[:count].reshape(-1, 2)}
+    return table if controller.reference_sections is None else table | {"reference": states[count:].reshape(-1, 2)}
+
+
+def _fitted(columns: np.ndarray, target: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the weights of columns that leave least of some rows of a target, and the rms that they leave; inf of too few rows."""
+    if rows.sum() < 2 * columns.shape[1]:
+        return np.zeros(columns.shape[1]), np.inf
+    scale = np.maximum(np.sqrt(np.sum(columns**2, axis=0)), 1e-300)
+    weights: np.ndarray = np.linalg.lstsq(columns[rows] / scale, target[rows], rcond=1e-12)[0] / scale
+    return weights, float(np.sqrt(np.mean((target - columns @ weights)[rows] ** 2)))
+
+
+def _off(controller: AxisController, part: Part, law: np.ndarray) -> float:
+    """Return the rms of the command less a law's, within the limit, over all rows."""
+    given = np.clip(law + part.added, -controller.limit, controller.limit)
+    return float(np.sqrt(np.mean((part.command - given) ** 2)))
 
 
 def rounding(commands: np.ndarray, resolution: float) -> float:

@@ -31,11 +31,11 @@ def simulate(machine: Machine, recording: Recording, effects: Sequence[EffectSet
 
     A machine with controllers runs in closed loop from the recording's reference and excitation; one without is driven by its command.
     Row 0 is standstill in elastic equilibrium at the experiment's start pose, else at the first reference, else at each axis' first
-    measured position (of its motor, else of its link; 0 where there is none), with the controller states of the recording's metadata, else
-    with those that give the recorded command, else with integrators at the holding effort. Where the metadata say how far from the start
-    pose the machine stood (`initial.standing.deviation`), the simulation stands there. Metadata `initial.speeds`, where a recording begins
-    in motion, are the axes' speeds at row 0. What an observer's damping added to the command (`damping_A`) is part of the excitation: the
-    simulation runs with that loop open.
+    measured position (of its motor, else of its link; 0 where there is none), with the controller states of the recording's metadata,
+    else with those that give the recorded command, at the first measured position, else with integrators at the holding effort. Where
+    the metadata say how far from the start pose the machine stood (`initial.standing.deviation`), the simulation stands there. Metadata
+    `initial.speeds`, where a recording begins in motion, are the axes' speeds at row 0. What an observer's damping added to the command
+    (`damping_A`) is part of the excitation: the simulation runs with that loop open.
 
     Parameters
     ----------
@@ -83,7 +83,8 @@ def inputs_of(machine: Machine, recording: Recording) -> Inputs:
         _check_states(machine, states)
     elif closed:
         states = states_at_start(machine, recording)
-    pose = _start_pose(machine, recording, reference)
+    was_read = closed and states is not None and "controller_states" not in initial
+    pose = _start_pose(machine, recording, None if was_read else reference)  # the states belong to what the law read
     speed = _per_axis(machine, initial.get("speeds"), "initial.speeds")
     standing = initial.get("standing", {})
     if not isinstance(standing, dict):

@@ -86,6 +86,8 @@ HELD_OUT = 2.0
 """Times the noise of the repeats that another motion, of which there are none, may have."""
 LEFT = 0.1
 """Share of what numbers alone leave that an answer may leave and have explained it."""
+NAMED, WEIGHED = 0.75, 0.9
+"""Share of the whole when effects are named along the motion, and when rivals begin to be weighed for good."""
 NOTHING_MISSING = "no physics larger than the detection limits is missing"
 
 
@@ -102,7 +104,7 @@ def answer(
 
     Where the answer is not sure, what is named `again` is answered instead, if anything is.
     """
-    report("weighing rivals", 0.9)
+    report("weighing rivals", WEIGHED if again is None else NAMED)
     noise = named.seen.noise
     before, named = {fitted.names: fitted for _, fitted in named.sets}, refitted(named)
     along_motion = before.get(named.best.names, named.best)
@@ -119,6 +121,7 @@ def answer(
     shown = shown_findings(machine, seen)
     findings = (*told(best.settings, others, estimates_of(machine.plant, best, spread), LARGEST[noise]), *shown)
     limits = detection_limits(judged, of)
+    del of  # it would fill the memory beside that of free runs
     retuned, frozen = _numbers(tuned, best, spread)
     errors = fit_of(*_predicted(machine, named, held_out), has_held_out=held_out != {})
     verdict, reason = _verdict(audit, judged, findings, others, unseen_at(machine, seen, limits), errors)

@@ -52,8 +52,7 @@ def fit_freely(
 ) -> Fitted | None:  # fmt: skip
     """Fit a set of effects from these parameters, as `fit` does along a motion; None where the machine cannot run with them.
 
-    What misfits lose per unit of each number is that of a set `near` it, or of an earlier step, as long as it keeps what it promises; the
-    last is computed anew.
+    What misfits lose per unit of each number is that of a set `near` it, or of an earlier step, as long as it keeps what it promises.
     """
     settings = tuple(settings)
     offset = free.offset.copy() if offset is None else offset
@@ -118,11 +117,11 @@ def _columns(
         for own, known in zip(columns, numbers, strict=True):
             own[:, : len(offset)] = known[:, : len(offset)]
     trials = [_moved(offset, settings, parameters, np.where(np.arange(len(by)) == k, by[k], 0.0)) for k in sought]
-    for k, there in zip(sought, free.left(trials), strict=True):
+    for k, there in zip(sought, moved := free.left(trials), strict=True):
         if there is not None:
             for own, before, after in zip(columns, left, there, strict=True):
                 own[:, k] = (before - after) / by[k]
-    scaled = _scaled(free, offset, settings, parameters)
+    scaled = None if None in moved else _scaled(free, offset, settings, parameters)
     if scaled is not None:
         rest = scaled.copy()
         constant = next(k for k, name in enumerate(free.numbers.names) if name.endswith(f".{CONSTANT}"))
@@ -144,7 +143,7 @@ def _scaled(
     own = {int(index): k for k, index in enumerate(numbers.indices) if is_free[k]}
     found = np.zeros(len(offset) + len(parameters))
     for index, parameter in enumerate(free.plant.parameters):
-        power = power_of_force(parameter.unit)
+        power = 1.0 if parameter.quantity == CONSTANT else power_of_force(parameter.unit)
         if power == 0.0 or values[index] == 0.0 or parameter.quantity == BRAKE:
             continue
         if index not in own:

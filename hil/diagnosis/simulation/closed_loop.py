@@ -52,7 +52,7 @@ class ClosedLoop:
         self.noise = np.array([max(_rounding(machine, name), 1e-6 * float(np.nanstd(recording[name]))) for name in self.channels])
         self.starts: tuple[Starts, ...] = ()
         initial = recording.metadata.get("initial", {})
-        self._states = initial.get("controller_states") or states_at_start(machine, recording)
+        self._states = initial.get("controller_states") or states_at_start(machine, recording, with_gain=True)
         self._speed = None if initial.get("speeds") is None else np.array(initial["speeds"], dtype=float)
         pose = recording.experiment.get("start_pose")
         self._pose = np.array(pose, dtype=float) if pose is not None else _first(machine.axes, recording)

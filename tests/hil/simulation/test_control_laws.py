@@ -73,13 +73,26 @@ def test_a_drive_of_another_gain_has_the_states_of_the_law() -> None:
     plain = states_at_start(EMPS, recording)
     weaker = recording["command_carriage"] - recording["excitation_carriage"]
     channels = {**recording.channels, "command_carriage": Channel("V", 0.7 * weaker + recording["excitation_carriage"])}
-    scaled = states_at_start(EMPS, Recording(channels, {}))
+    scaled = states_at_start(EMPS, Recording(channels, {}), with_gain=True)
     assert plain is not None
     assert scaled is not None
     law = EMPS.controllers[0].position_sections
     for found in (plain, scaled):
         assert found["carriage"]["position"].shape == (len(law), 2)
     np.testing.assert_allclose(scaled["carriage"]["position"], plain["carriage"]["position"], rtol=1e-3)
+    assert states_at_start(EMPS, Recording(channels, {})) is None  # the file's controller gives another command
+
+
+@pytest.mark.parametrize("given", ["nothing", "the excitation alone", "the opposite", "beyond the limit"])
+def test_a_command_that_no_law_gives_has_no_states(given: str) -> None:
+    recording = begun(EMPS, 13)
+    own = recording["command_carriage"] - recording["excitation_carriage"]
+    commands = {"nothing": 0.0 * own, "the excitation alone": recording["excitation_carriage"]}
+    beyond = np.where(np.arange(ROWS) < 3, 3.0 * EMPS.controllers[0].limit, recording["command_carriage"])
+    commands |= {"the opposite": recording["excitation_carriage"] - own, "beyond the limit": beyond}
+    changed = Recording({**recording.channels, "command_carriage": Channel("V", commands[given])}, {})
+    assert states_at_start(EMPS, changed) is None
+    assert states_at_start(EMPS, changed, with_gain=True) is None
 
 
 def test_of_a_command_of_another_law_nothing_is_said() -> None:
