@@ -92,7 +92,8 @@ def read_csv(path: Path, machine: Machine | None = None, names: Mapping[str, Tar
         raise RecordingError(f"{path}: {len(values)} rows, but {beside} says rows = {rows}; the file was cut off or edited")
     if not metadata_path(path).exists():
         try:
-            values, order = rows_in_order(values, [one.channel for one in table.targets], "line", lines, part if part[:1] == "@" else "")
+            own, names_of = part if part[:1] == "@" else "", [one.channel for one in table.targets]
+            values, order = rows_in_order(values, names_of, "line", lines, own, table.heads)
         except RecordingError as problem:
             raise RecordingError(f"{path}: {problem}") from None
         notes = [*notes, *order]
@@ -149,6 +150,7 @@ class _Table:
     targets: Sequence[Target]  # of every column that is taken
     values: np.ndarray  # (rows, columns taken)
     lines: list[int]  # of the file, of each row
+    heads: list[int]  # lines at which the header stands again
     not_taken: Sequence[str]
     notes: Sequence[str]
 
@@ -235,7 +237,7 @@ def _parse(
             kept[column] = one = one._replace(unit="s") if cells_of.is_clock else timed(one, values[:, column], machine, path, named_so)
         if (one.scale, one.offset) != (1.0, 0.0):
             values[:, column] = one.scale * values[:, column] + one.offset
-    return _Table(kept, values, lines, [*not_taken, *no_numbers.values()], notes)
+    return _Table(kept, values, lines, again, [*not_taken, *no_numbers.values()], notes)
 
 
 class _Cells:

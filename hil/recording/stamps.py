@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hil.errors import RecordingError
+from hil.recording.coarse import is_coarse_clock, spread, spread_runs, told
 from hil.recording.senders import FAR, STRETCH, added, combs, persistent_combs, there_and_back
 from hil.recording.steps import CLOSE, COARSE, LOST, equal_rows, is_even, usual_change, usual_step
 
@@ -112,7 +113,7 @@ def straightened(
         )
         return made._replace(places=kept[made.places], notes=(words, *made.notes))
     falls = bool(np.any(np.diff(stamps_s) < 0.0))
-    if not falls and not _set_back_by_a_step(stamps_s, values).any():
+    if not falls and (is_coarse_clock(stamps_s, values) or not _set_back_by_a_step(stamps_s, values).any()):
         straight = Straight(np.arange(stamps_s.size), stamps_s)
     elif not falls or _is_clock_set(stamps_s, values, beat):
         straight = _clock_set(stamps_s, values, other_s, beat, what, numbers)
@@ -123,9 +124,17 @@ def straightened(
 
 
 def part_straightened(
-    stamps_s: np.ndarray, values: np.ndarray, names: Sequence[str], what: str, numbers: Sequence[int] | None = None, part: str = ""
+    stamps_s: np.ndarray,
+    values: np.ndarray,
+    names: Sequence[str],
+    what: str,
+    numbers: Sequence[int] | None = None,
+    part: str = "",
+    heads: Sequence[int] = (),
 ) -> Straight:
-    """As `straightened`, of one sender where there are several: `part` is `@1` for the first of them, `@2` for the second.
+    """As `straightened`, of one sender or run where there are several: `part` is `@1` for the first of them, `@2` for the second.
+
+    `heads` are numbers at which the table's head stands again: another run begins there if the stamps go back.
 
     Raises
     ------
@@ -133,6 +142,7 @@ def part_straightened(
         There are several, and none is asked for; or there is no such part.
     """
     try:
+        _check_heads(stamps_s, values, what, range(stamps_s.size) if numbers is None else numbers, heads)
         made = straightened(stamps_s, values, names=names, what=what, numbers=numbers)
     except DisorderError as problem:
         ways = [f"@{number}=part ({_counted(one.size, what)})" for number, one in enumerate(problem.parts, 1)]
@@ -156,9 +166,14 @@ def said_twice(number: int) -> list[str]:
 
 
 def rows_in_order(
-    table: np.ndarray, names: Sequence[str], what: str = "row", numbers: Sequence[int] | None = None, part: str = ""
+    table: np.ndarray,
+    names: Sequence[str],
+    what: str = "row",
+    numbers: Sequence[int] | None = None,
+    part: str = "",
+    heads: Sequence[int] = (),
 ) -> tuple[np.ndarray, list[str]]:
-    """Return a table's rows (N, K) in order of its column `time`, and what was done.
+    """Return a table's rows (N, K) in order of its column `time`, and what was done; parameters as in `part_straightened`.
 
     Raises
     ------
@@ -170,14 +185,28 @@ def rows_in_order(
     if not np.isfinite(time_s).all():  # told elsewhere
         return table, []
     others = [name for name in names if name != "time"]
-    made = part_straightened(time_s, np.delete(table, time_place, axis=1), others, what, numbers, part)
+    made = part_straightened(time_s, np.delete(table, time_place, axis=1), others, what, numbers, part, heads)
     ordered = table[made.places]
     ordered[:, time_place] = made.time_s
     return ordered, [*made.notes, *said_twice(made.twice)]
 
 
+def _check_heads(stamps_s: np.ndarray, values: np.ndarray, what: str, numbers: Sequence[int], heads: Sequence[int]) -> None:
+    """Refuse several runs, each behind the table's head; a run that stands there twice is one."""
+    starts = [
+        place
+        for place in np.unique(np.searchsorted(numbers, heads)).tolist()
+        if 0 < place < stamps_s.size and stamps_s[place] < stamps_s[place - 1]
+    ]
+    kept = np.isin(np.arange(stamps_s.size), _without_copies(stamps_s, values))
+    runs = [run for run in np.split(np.arange(stamps_s.size), starts) if kept[run].any()]
+    if runs[1:]:
+        words = f"the header stands there again before {what} {numbers[runs[1][0]]}, where the stamps go back"
+        raise DisorderError(f"{words}: several runs", runs)
+
+
 def _without_copies(stamps_s: np.ndarray, values: np.ndarray | None) -> np.ndarray:
-    """Return the places of samples but those of stretches that stand there again, stamps and values the same."""
+    """Return the places of samples but those of stretches that stand there again, stamps and values the same; a standstill is no copy."""
     places = np.arange(stamps_s.size)
     falls = np.flatnonzero(np.diff(stamps_s) < 0.0)
     if values is None or not falls.size:
@@ -188,8 +217,13 @@ def _without_copies(stamps_s: np.ndarray, values: np.ndarray | None) -> np.ndarr
     again[: falls[0] + 1] = False
     edges = np.flatnonzero(np.diff(np.concatenate([[False], again, [False]]).astype(np.int8)))
     for begin, end in edges.reshape(-1, 2).tolist():
-        again[begin:end] &= end - begin >= STRETCH
+        again[begin:end] &= end - begin >= STRETCH and _change(values[begin:end])
     return places[~again]
+
+
+def _change(values: np.ndarray) -> bool:
+    """Return whether not all rows are the same."""
+    return not equal_rows(values[1:], values[:-1]).all()
 
 
 def _set_back_by_a_step(stamps_s: np.ndarray, values: np.ndarray | None) -> np.ndarray:
@@ -214,9 +248,13 @@ def _is_clock_set(stamps_s: np.ndarray, values: np.ndarray | None, beat: np.ndar
     beats = order if beat is None else order[beat[order]]
     time_s = stamps_s[beats]
     steps, step = np.diff(time_s), usual_step(stamps_s if beat is None else stamps_s[beat])
-    repeated = np.zeros(steps.size, dtype=bool) if values is None else equal_rows(values[beats[1:]], values[beats[:-1]])
+    repeated = np.zeros(steps.size, dtype=bool)
+    if values is not None:
+        repeated = (steps == 0.0) & equal_rows(values[beats[1:]], values[beats[:-1]])
+        if np.count_nonzero(repeated) >= STRETCH and not _change(values[beats[1:][repeated]]):
+            repeated[:] = False
     run = np.cumsum(np.concatenate([[0], np.diff(stamps_s) < 0.0]))[beats]
-    mixed = (steps <= CLOSE * step) & (np.diff(run) != 0) & ~(repeated & (steps == 0.0))
+    mixed = (steps <= CLOSE * step) & (np.diff(run) != 0) & ~repeated
     open_seam = (np.diff(beats) < 0) & (steps > LOST * step)
     return bool(mixed.any() or open_seam.any() or (values is not None and _goes_on_in_file(stamps_s, order, values)))
 
@@ -250,9 +288,12 @@ def _clock_set(
     words = f"the stamps go back {_times(falls.size)}, first at {what} {numbers[falls[0]]}" if falls.size else ""
     step = usual_step(stamps_s if beat is None else stamps_s[beat])
     steps = np.diff(stamps_s)
-    still = _set_back_by_a_step(stamps_s, values)[1:]
+    still, coarse = _set_back_by_a_step(stamps_s, values)[1:], tuple[str, ...]()
     if falls.size and values is not None and np.mean(steps == 0.0) < COARSE:
         still |= (steps == 0.0) & ~equal_rows(values[1:], values[:-1])
+        if (even_s := spread_runs(stamps_s, values, falls)) is not None:
+            coarse = (told(int(np.count_nonzero(steps == 0.0)), what),)
+            stamps_s, steps, step, still = even_s, np.diff(even_s), usual_step(even_s), np.zeros_like(still)
     time_s, notes, ahead_s = stamps_s.copy(), [], 0.0
     places = 1 + np.flatnonzero((steps < 0.0) | still | (steps > LOST * step))
     for number, place in enumerate(places.tolist()):
@@ -271,7 +312,7 @@ def _clock_set(
             f"the clock was set {how} by {abs(went_on_s - jump_s):.6g} s at {what} {numbers[place]}"
             f" (its stamp follows by {jump_s:.6g} s); what comes then is taken to go on {went_on_s:.6g} s later"
         )
-    return Straight(np.arange(stamps_s.size), time_s, _few(notes))
+    return Straight(np.arange(stamps_s.size), time_s, (*coarse, *_few(notes)))
 
 
 def _is_undone(jump_s: float, later_s: np.ndarray, step: float) -> bool:
@@ -327,14 +368,9 @@ def _apart(straight: Straight, values: np.ndarray, names: Sequence[str], what: s
     alike = np.concatenate([[False], np.diff(time_s) <= 0.0])
     if not alike.any():
         return straight
+    if (even_s := spread(time_s, steady, said)) is not None:
+        return straight._replace(time_s=even_s, notes=(*straight.notes, told(int(np.count_nonzero(alike)), what)))
     same = alike & np.concatenate([[False], equal_rows(said[1:], said[:-1])])
-    if np.mean(alike) >= COARSE and np.count_nonzero(same) < CLOSE * np.count_nonzero(alike) and _is_coarse(time_s):
-        spread = np.interp(np.arange(time_s.size), np.flatnonzero(~alike), time_s[~alike])
-        tail = int(np.flatnonzero(~alike)[-1])
-        step = float(time_s[tail] - time_s[0]) / tail
-        spread[tail:] = time_s[tail] + step * np.arange(time_s.size - tail)
-        note = f"the stamps are coarser than the {what}s, {np.count_nonzero(alike)} have that of the one before: spread evenly between them"
-        return straight._replace(time_s=spread, notes=(*straight.notes, note))
     differ = np.flatnonzero(alike & ~same)
     scale = usual_change(steady)
     far = [place for place in differ.tolist() if np.any(np.abs(steady[place] - steady[place - 1]) > FAR * scale)]
@@ -352,13 +388,6 @@ def _times(number: int) -> str:
 
 def _counted(number: int, what: str) -> str:
     return f"{number} {what}{'' if number == 1 else 's'}"
-
-
-def _is_coarse(time_s: np.ndarray) -> bool:
-    """Return whether equal stamps come in groups of one size, or two neighbouring ones."""
-    _, sizes = np.unique(time_s, return_counts=True)
-    inner = sizes[1:-1]
-    return bool(inner.size and inner.max() - inner.min() <= 1)
 
 
 def _runs(stamps_s: np.ndarray) -> list[np.ndarray]:

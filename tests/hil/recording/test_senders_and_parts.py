@@ -148,6 +148,48 @@ def test_a_header_that_stands_there_again_is_passed_over(carm: Machine, tmp_path
     assert "the header stands there again in 1 line, first line 81" in said
 
 
+def test_runs_written_one_behind_another_are_taken_in_parts(carm: Machine, tmp_path: Path) -> None:
+    runs = [swing(), swing(150)[::-1]]  # the second begins where a clock that was set would go on
+    path = csv_file(tmp_path, [(STEP_S * k, value) for run in runs for k, value in enumerate(run.tolist())])
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines[: ROWS + 1], lines[0], *lines[ROWS + 1 :]]) + "\n")
+    recording, said = read(path, carm)
+    assert recording is None, said
+    assert "the header stands there again before line 203, where the stamps go back: several runs" in said
+    assert "@1=part (200 lines) or @2=part (150 lines)" in said
+    for part, run in zip(("@1", "@2"), runs, strict=True):
+        taken, _ = read(path, carm, {part: "part"})
+        assert taken is not None
+        np.testing.assert_array_equal(taken["position_roll"], run)
+    path.write_text("\n".join([*lines[: ROWS + 1], *lines[: ROWS + 1]]) + "\n")  # one run, twice
+    recording, said = read(path, carm)
+    assert recording is not None, said
+    np.testing.assert_array_equal(recording["position_roll"], swing())
+
+
+@pytest.mark.parametrize("head", ["frame", "Number", "nr"])
+@pytest.mark.parametrize("lost", [0, 3])
+def test_a_count_of_the_lines_does_not_say_whose_they_are(carm: Machine, tmp_path: Path, head: str, lost: int) -> None:
+    lines = [f"{STEP_S * k!r},{(k + 5) % 16},{value!r}" for k, value in enumerate(swing().tolist()) if not 50 < k <= 50 + lost]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([f"time [s],{head},position_roll [rad]", *lines]) + "\n")
+    recording, said = read(path, carm)
+    assert recording is not None, said
+    np.testing.assert_array_equal(recording["position_roll"], np.delete(swing(), np.s_[51 : 51 + lost]))
+
+
+@pytest.mark.parametrize("own_times", [True, False])
+def test_numbers_of_joints_that_take_turns_are_no_count(carm: Machine, tmp_path: Path, own_times: bool) -> None:
+    lines = [
+        f"{STEP_S * (k + own_times * joint / 6)!r},{joint},{value + 0.3 * joint!r}"
+        for k, value in enumerate(swing().tolist())
+        for joint in range(6)
+    ]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["time [s],nr,position_roll [rad]", *lines]) + "\n")
+    assert "column nr says whose a line is; take one with --map 'nr@0=part' (200 lines)" in read(path, carm)[1]
+
+
 def test_a_part_that_is_not_there_is_refused(carm: Machine, tmp_path: Path) -> None:
     path = csv_file(tmp_path, [(STEP_S * k, value) for k, value in enumerate(swing().tolist())])
     assert "there is no part; leave it out" in read(path, carm, {"@1": "part"})[1]
@@ -179,6 +221,54 @@ def test_copies_and_stamps_that_leave_and_return_are_put_right(carm: Machine, tm
     np.testing.assert_array_equal(recording["position_roll"], swing())
     np.testing.assert_allclose(np.diff(recording.time), STEP_S, rtol=1e-4)
     assert "of earlier ones" in said or "the clock was set" in said
+
+
+@pytest.mark.parametrize("rate_Hz", [1001.0, 1010.0, 1020.0, 1024.0, 1100.0])
+@pytest.mark.parametrize("disorder", ["none", "jitter", "row lost", "clock set", "quantized"])
+def test_stamps_in_whole_milliseconds_keep_the_rate_and_every_row(carm: Machine, tmp_path: Path, rate_Hz: float, disorder: str) -> None:
+    rows = 3000
+    time_s = np.arange(rows) / rate_Hz
+    truth = 0.3 * np.sin(2.0 * np.pi * 3.0 * time_s)
+    if disorder == "quantized":
+        truth = np.round(truth / 1e-3) * 1e-3
+    if disorder == "row lost":
+        time_s, truth = np.delete(time_s, 777), np.delete(truth, 777)
+    stamps = time_s + 5.0 - 2.0 * (disorder == "clock set") * (time_s > 1.5)
+    stamps += 5e-5 * (disorder == "jitter") * np.random.default_rng(3).standard_normal(time_s.size)
+    stamps = np.maximum.accumulate(np.floor(1e3 * stamps)) if disorder == "jitter" else np.floor(1e3 * stamps)
+    recording, said = read(csv_file(tmp_path, list(zip((stamps / 1e3).tolist(), truth.tolist(), strict=True))), carm)
+    assert recording is not None, said
+    np.testing.assert_array_equal(recording["position_roll"], truth)
+    np.testing.assert_allclose(recording.time - recording.time[0], time_s, atol=2.5e-3)
+    assert "coarser than the lines" in said
+
+
+def test_lines_written_twice_at_an_even_pace_are_no_coarse_clock(carm: Machine, tmp_path: Path) -> None:
+    samples = [(STEP_S * k, value) for k, value in enumerate(swing().tolist()) for _ in range(1 + (k % 40 == 20))]
+    recording, said = read(csv_file(tmp_path, samples), carm)
+    assert recording is not None, said
+    np.testing.assert_array_equal(recording["position_roll"], swing())
+    assert "5 samples at the time of another left out" in said
+
+
+def test_a_rest_that_is_stamped_anew_is_no_copy(carm: Machine, tmp_path: Path) -> None:
+    truth = np.concatenate([swing(100), np.full(160, swing(101)[-1]), swing(201)[101:]])
+    stamps = STEP_S * (np.arange(truth.size) - 40 * (np.arange(truth.size) >= 180))
+    recording, said = read(csv_file(tmp_path, list(zip(stamps.tolist(), truth.tolist(), strict=True))), carm)
+    assert recording is not None, said
+    np.testing.assert_array_equal(recording["position_roll"], truth)
+    np.testing.assert_allclose(np.diff(recording.time), STEP_S, rtol=1e-4)
+    assert "the clock was set back" in said
+
+
+def test_the_rest_before_a_second_run_is_the_second_runs(carm: Machine, tmp_path: Path) -> None:
+    runs = [np.concatenate([np.full(30, 0.1), 0.1 + way * np.arange(1, 171) * COUNT]) for way in (1.0, -1.0)]
+    path = csv_file(tmp_path, [(STEP_S * k, value) for run in runs for k, value in enumerate(run.tolist())])
+    assert "@1=part (200 lines) or @2=part (200 lines)" in read(path, carm)[1]
+    for part, run in zip(("@1", "@2"), runs, strict=True):
+        taken, _ = read(path, carm, {part: "part"})
+        assert taken is not None
+        np.testing.assert_array_equal(taken["position_roll"], run)
 
 
 @EACH
