@@ -42,7 +42,8 @@ OF = 167
 ASKED = "asked to end at a drawn instant"
 SAID = re.compile(
     rf"(row \d+: )?{ASKED}; the motors were stopped: propeller, roll at rest: brake proven, voltage off"
-    r"(; \d+ rows are kept)?; (no encoder showed motion|standstill [\d.]+ s) after the stop began( \([\w. ,]+\))?(; \d+ rows are kept)?"
+    r"(; \d+ rows are kept)?; (no encoder moved by more than [\w. -]+|standstill [\d.]+ s) after the stop began"
+    r"( \([\w. ,-]+\))?(; \d+ rows are kept)?"
 )
 """All that is said of sound axes, each at rest behind a proven brake."""
 PERIOD_S = 5.0  # of a multisine, and of a jog

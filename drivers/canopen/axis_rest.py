@@ -23,5 +23,8 @@ class AxisRest:
     held: bool  # the drive holds it, because the brake is not proven
     words: str
     steps: tuple[tuple[str, float], ...] = ()  # of its stop, in order: what was waited for, and how long [s]
-    stood_s: float = nan  # from the beginning of the stop until its position changed no more, 0: no motion was seen; NaN: nor that it stood
+    stood_s: float = (
+        nan  # from the beginning of the stop until it moved no more, 0: none was seen to leave `within`; NaN: nor that it stood
+    )
     may_move: bool = False  # it moves, or nobody knows that it does not
+    within: str = ""  # how far its encoders may go without having shown that it moves, in words

@@ -124,8 +124,7 @@ class AxisStop:
         if self._held_for:
             stands = self._stands()
             seen = "held by its drive" if stands else f"{NOT_PROVEN}: its drive is told to hold it and {self._motion_words}"
-            words = f"{seen}: {self._held_for}{self._carried.lost(self._held_effort)}"
-            return AxisRest(self.name, False, True, words, tuple(self._steps), self._standstill.stood_s, not stands)
+            return self._as_rest(False, f"{seen}: {self._held_for}{self._carried.lost(self._held_effort)}", may_move=not stands, held=True)
         return self._rest
 
     def prove(self, effort: float) -> None:
@@ -438,10 +437,14 @@ class AxisStop:
 
     def _end(self, safe: bool, words: str) -> None:
         self._go(self._ended)
-        self._rest = AxisRest(self.name, safe, False, words, tuple(self._steps), self._standstill.stood_s, not safe)
+        self._rest = self._as_rest(safe, words, may_move=not safe)
         if safe:
             self.controlword = cia402.DISABLE_VOLTAGE
         self.effort = 0.0
+
+    def _as_rest(self, safe: bool, words: str, *, may_move: bool, held: bool = False) -> AxisRest:
+        within = f"{max(self._apart, self._flicker):.1e} {self._unit}"
+        return AxisRest(self.name, safe, held, words, tuple(self._steps), self._standstill.stood_s, may_move, within)
 
     def _ended(self) -> None:
         """Change nothing more."""

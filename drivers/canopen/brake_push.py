@@ -8,7 +8,9 @@ PUSH_SHARE = 0.25
 """Share of the load, beyond the load itself, that a proven brake holds: linings wear, and the next load may be a patient's."""
 RAMP_S = 0.1  # in which the drive lets go, and in which it pushes: slower than the structure swings
 GIVEN_SHARE = 0.5
-"""Share of the push that a drive must have measured, where it measures: its answer comes two ticks late, its sensor is off by a tenth."""
+"""Share of the push that a drive must have measured, where it measures: its answer comes two ticks late, its sensor is off by a tenth.
+
+It counts from no effort, so that letting go late is no push, or from what the sensor is off by the way of the push."""
 
 
 class BrakePush:
@@ -51,7 +53,7 @@ class BrakePush:
     @property
     def not_given(self) -> str:
         """What shows that the drive has not pushed, in words; '' where it has, or measures nothing."""
-        gave, asked = self._most - self._began, abs(self._push)
+        gave, asked = self._most - max(self._began, 0.0), abs(self._push)
         if not gave < GIVEN_SHARE * asked:
             return ""
         return f"its drive gave {gave / self._rated:.1%} of its rated effort where {asked / self._rated:.1%} were asked"

@@ -37,8 +37,8 @@ class Standstill:
     Attributes
     ----------
     stood_s : float
-        From the beginning of the stop until its position changed no more, 0 where no encoder has shown that it moved; NaN where it has not
-        been seen to stand, or moves again.
+        From the beginning of the stop until its position changed no more, 0 where no encoder has left `flicker` or `swing`; NaN where it
+        has not been seen to stand, or moves again.
     """
 
     def __init__(self, flicker: float, swing: float, moved: float, period_s: float) -> None:

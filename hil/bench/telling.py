@@ -13,10 +13,11 @@ from typing import Any, Self
 
 import numpy as np
 
-from drivers.canopen.cia402 import describe_statusword
+from drivers.canopen.axis_rest import POWERED
+from drivers.canopen.cia402 import decode_state, describe_statusword
 from hil.bench.attended import Shown
 from hil.bench.bench import Bench
-from hil.bench.told_state import AT_REST, RECORDING, ROWS, STATE, STOPPING, WATCHING
+from hil.bench.told_state import AT_REST, HOMING, RECORDING, ROWS, STATE, STOPPING, WATCHING
 
 EVERY_S = 0.1
 MOST_ROWS = 4096
@@ -71,9 +72,9 @@ class Teller:
     def _tell(self) -> None:
         if self._with_rows:
             self._print(ROWS, {"channels": self._bench.loop.layout.channels})
-        told_last = ""
+        told_last, link = "", self._bench.wiring.link
         while not self._ends.wait(EVERY_S):
-            if told_last == self.shown.doing == RECORDING:
+            if told_last == self.shown.doing == RECORDING and not link.stopping:
                 continue  # the loop has its computer to itself
             told_last = self.shown.doing
             self._print(STATE, self.state())
@@ -109,7 +110,8 @@ class Teller:
             }
         io = None if bench.machine.bus is None or bench.machine.bus.io is None else _permission(sample.hold_to_run, sample.door_closed)
         begun, part, ends = self._begun
-        doing = STOPPING if link.stopping and self.shown.doing not in AT_REST else self.shown.doing
+        powered = any(int(each.statusword) >= 0 and decode_state(int(each.statusword)) in POWERED for each in link.inputs)
+        doing = STOPPING if link.stopping or (powered and self.shown.doing in AT_REST) else self.shown.doing
         if doing != begun:
             part, ends = "", 0
         return {
@@ -117,6 +119,7 @@ class Teller:
             "part": part,
             "remains_s": max(0, ends - link.syncs) * link.period_s if ends else None,
             "says": self.shown.says,
+            "homed": self.shown.doing not in (WATCHING, HOMING),
             "time_s": link.syncs * link.period_s,
             "axes": axes,
             "io": io,

@@ -15,4 +15,4 @@ STOPPING = "stopping"
 """The motors are being stopped; where a brake is not proven, the drive goes on holding."""
 
 AT_REST = (WATCHING, READY)
-"""States in which the drives are disabled and the brakes closed."""
+"""States in which the drives are disabled and the brakes closed, told only while no drive has voltage."""

@@ -106,8 +106,9 @@ class HeedingMachine(CanMachine):
         if not stood or not all(rest.safe and isfinite(rest.stood_s) for rest in self.rests):
             return ""
         if not any(stood):
-            return "no encoder showed motion after the stop began"
-        each = ", ".join(f"{rest.axis} {f'{rest.stood_s:.2f} s' if rest.stood_s else 'showed no motion'}" for rest in self.rests)
+            within = " or ".join(dict.fromkeys(rest.within for rest in self.rests))
+            return f"no encoder moved by more than {within} after the stop began"
+        each = ", ".join(f"{rest.axis} {f'{rest.stood_s:.2f} s' if rest.stood_s else f'within {rest.within}'}" for rest in self.rests)
         return f"standstill {max(stood):.2f} s after the stop began" + (f" ({each})" if len(stood) > 1 else "")
 
     def exchange(self, command: np.ndarray) -> Sample:

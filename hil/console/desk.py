@@ -369,7 +369,7 @@ class Desk:
         while True:
             await asyncio.sleep(JUDGE_S)
             try:
-                mover = self.work.owner if self.work.moves else self.live.owner if self.live.moves else None
+                mover = self.work.owner if self.work.moves else self.live.owner if self.live.led else None
                 if mover is not None and self._stopping is None and not self.attention.is_here(mover):
                     self.stop(f"the browser that started it has answered no ping for {SILENT_S:g} s")
             except Exception as error:  # nobody else judges the browser: what nobody judges must not move

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from hil.bench.attendant import HOLD_ENDED, HOW_TO_LEAVE
-from hil.bench.told_state import AT_REST, HOLDING, HOMING, READY, ROWS, STATE, TAKING_HOLD, WATCHING
+from hil.bench.told_state import AT_REST, HOLDING, READY, ROWS, STATE, STOPPING, TAKING_HOLD, WATCHING
 from hil.console import starter
 from hil.console.commands import on_the_bus
 from hil.console.facts import Facts
@@ -43,6 +43,8 @@ class Live:
         self._line, self._facts, self._rows = line, facts, rows
         self._told: dict[str, Any] | None = None
         self.error = ""  # how it ended, in a line
+        self.led = False
+        """Whether orders move an axis, or did when the stop that is under way began."""
         self._asked = self._waits = False  # its end was asked for; a drive holds an axis until an operator releases it
         self._ended_s = float("-inf")
         self._pose: dict[str, float] = {}  # in which the emulated machine was left [rad or m]
@@ -78,6 +80,7 @@ class Live:
         where = ["--pose", pose] if pose and facts.is_lockstep else []
         timing = [] if facts.real_time else ["--no-real-time"]
         self.running, self.trouble, self._told, self.error, self._asked, self._waits = True, "", None, "", False, False
+        self.led = False
         self.done.clear()
         self._line.send((starter.RUN, ["attend", *on_the_bus(facts), *where, *timing, "--rows"]))
 
@@ -126,7 +129,9 @@ class Live:
         text = str(told[0])
         if text.startswith(STATE):
             self._told = json.loads(text.removeprefix(STATE))
-            if self._told["doing"] not in (WATCHING, HOMING):  # before homing an encoder does not know where it stands
+            if self._told["doing"] != STOPPING:
+                self.led = self._told["doing"] not in AT_REST
+            if self._told["homed"]:  # before homing an encoder does not know where it stands
                 self._pose |= {name: axis["position"] for name, axis in self._told["axes"].items() if axis["position"] is not None}
         elif text.startswith(ROWS):
             block = json.loads(text.removeprefix(ROWS))
@@ -140,7 +145,7 @@ class Live:
                 self.error = text.removeprefix("isocenter: ")
 
     def _end(self, status: int) -> None:
-        self.running, self._told, self._ended_s = False, None, time.monotonic()
+        self.running, self.led, self._told, self._ended_s = False, False, None, time.monotonic()
         if status and not self._asked:
             self.trouble = self.error or f"the live view ended with status {status}"
         self.done.set()

@@ -132,7 +132,7 @@ OF_THE_RUN: tuple[tuple[str, Callable[[Witness, re.Match[str]], bool]], ...] = (
     (r"(\d+) rows are kept", lambda w, said: int(said[1]) == w.rows),
     (r"nothing was recorded", lambda w, said: w.rows == 0),
     (r"standstill ([\d.]+) s after the stop began(?: \((.*)\))?", lambda w, said: _stood(w, float(said[1]), said[2])),
-    (r"no encoder showed motion after the stop began", lambda w, said: all(w.stood(axis, 0.0) for axis in w.log.axes)),
+    (r"no encoder moved by more than .* after the stop began", lambda w, said: all(w.stood(axis, 0.0) for axis in w.log.axes)),
     (r"nothing was moved", lambda w, said: not w.log.speed[: w.said_row].any()),
 )  # fmt: skip
 
@@ -202,7 +202,7 @@ def _of_axes(table: Sequence[tuple[str, Check | None]], text: str, axes: Sequenc
 def _stood(witness: Witness, last_s: float, each: str | None) -> bool:
     """Return whether every axis came to a standstill when a sentence says so: the last of them, and each where there are several."""
     axes = [part.split() for part in each.split(", ")] if each else [[witness.log.axes[0], str(last_s)]]
-    times_s = {axis: 0.0 if words[0] == "showed" else float(words[0]) for axis, *words in axes}
+    times_s = {axis: 0.0 if words[0] == "within" else float(words[0]) for axis, *words in axes}
     return max(times_s.values()) == last_s and all(witness.stood(axis, time_s) for axis, time_s in times_s.items())
 
 

@@ -43,7 +43,7 @@ function drives(state, described) {
       element("td", { class: "wrap" }, node.state || "–"),
       node.position === undefined ? "–" : `${number(node.position, 6)} ${axis ? axis.unit : ""}`,
       node.effort === undefined ? "–" : `${number(node.effort, 3)} ${axis ? axis.effort_unit : ""}`,
-      element("td", { class: node.emergency ? "wrap bad" : "dim" }, node.emergency || "none"),
+      element("td", { class: node.emergency ? "wrap bad" : "dim" }, node.emergency || (trouble ? "–" : "none")),
     ];
   });
   const note = trouble || "Heard on the bus. Between sessions the nodes are reset and silent.";

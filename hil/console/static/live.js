@@ -97,7 +97,7 @@ export function letGo() {
 // What a machine that tells does, in words, with what remains of it; what runs there may be work, or the live view.
 export function doingOf(told, isWork = false) {
   if (told.says) return told.says;
-  if (isWork && told.doing === "watching") return "The nodes are started; nothing moves yet.";
+  if (isWork && told.doing === "watching") return "The nodes are being started.";
   const left = told.remains_s === null || told.remains_s === undefined || told.doing === "recording" ? "" : ` ${Math.ceil(told.remains_s)} s to go`;
   const most = told.doing === "coming to rest" ? left.replace(" s to go", " s at most") : left;
   const which = told.doing === "homing" && told.part ? DOING.homing.replace("Homing", `Homing ${told.part}`) : DOING[told.doing];
@@ -131,7 +131,7 @@ export function showLive(bench) {
     values.brake.textContent = known(seen.brake) ? seen.brake : "–";
     values.temperature.textContent = known(seen.temperature_degC) ? `${number(seen.temperature_degC, 3)} °C` : "–";
     drive.textContent = [seen.mode, seen.drive].filter(Boolean).join(": ") || "–";
-    const homed = !told || !["watching", "homing"].includes(told.doing);
+    const homed = !told || told.homed;
     if (position !== null && !homed) place.textContent += " not homed";
     brief.textContent = `${name} ${place.textContent} · ${values.effort.textContent}`;
     const share = position === null ? 50 : (100 * (position - axis.lower)) / (axis.upper - axis.lower);
@@ -148,7 +148,7 @@ function showEmergency({ nodes, trouble }, told) {
   const sent = nodes.filter((node) => node.emergency).map((node) => `${node.name}: ${node.emergency}`);
   const faults = Object.entries(told ? told.axes : {}).filter(([, { drive }]) => drive && drive.includes("fault")).map(([name, { drive }]) => `${name}: ${drive}`);
   const found = [...sent, ...faults];
-  const none = told || !trouble ? "no emergency" : "emergencies are told by what runs";
+  const none = trouble ? "emergencies are told by what runs" : "no emergency";
   at("emergency").textContent = found.length ? `EMERGENCY ${found.join("; ")}` : none;
   at("emergency").className = found.length ? "bad" : "dim";
 }

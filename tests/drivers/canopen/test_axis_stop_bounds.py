@@ -371,6 +371,18 @@ def test_an_axis_whose_motor_encoder_shows_nothing_has_stood_since_its_link_has(
     assert 300 - width / 2.0 - 1 <= stopping.stop.rest.stood_s / T <= 300
 
 
+def test_what_a_link_alone_may_have_moved_by_is_told_beside_that_none_was_seen() -> None:
+    stopping = Stopping()
+    stopping.sample.position[1] = NAN
+    stopping.sample.brakes_open[1] = True
+    creeps(stopping, 100, side="link")
+    stopping.until(lambda: stopping.stop.rest is not None)
+    rest = stopping.stop.rest
+    assert rest is not None
+    assert (rest.stood_s, rest.within) == (0.0, f"{0.1 * TRACKING:.1e} rad")
+    assert 200 * COUNT < 0.1 * TRACKING
+
+
 def test_an_axis_that_moves_once_more_has_stood_since_then() -> None:
     stopping = Stopping()
     stopping.sample.brakes_open[1] = True

@@ -31,9 +31,11 @@ from one_stop import (
     VOLTAGE,
     WATCH,
     Stopping,
+    T,
 )
 
 from drivers.canopen.axis_stop import STANDING_SHARE
+from drivers.canopen.brake_push import BrakePush
 
 
 def test_a_drive_that_stays_in_quick_stop_is_let_go_by_its_brakes_feedback() -> None:
@@ -87,6 +89,30 @@ def test_a_push_that_the_drive_does_not_give_proves_no_brake(gives: float, prove
     if words is not None:
         assert float(words[1]) == pytest.approx(100.0 * max(gives, 0.0) * asked / rated, abs=1.0)
         assert float(words[2]) == pytest.approx(100.0 * asked / rated, abs=0.1)
+
+
+def not_given(slew: float, off_by: float, held: float = 2.0) -> str:
+    """What is said of a drive whose effort changes by at most that much a second, seen by a sensor that is off."""
+    push, gives, k = BrakePush(0.3, held, 5.0), held, 0
+    while not push.is_over(k * T):
+        gives += max(-slew * T, min(slew * T, push.effort(k * T) - gives))
+        push.take(k * T, gives + off_by)
+        k += 1
+    return push.not_given
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_drive_that_lets_go_late_has_not_pushed(way: float) -> None:
+    said = re.fullmatch(r"its drive gave (.*)% of its rated effort where 16.0% were asked", not_given(5.0, 0.0, 2.0 * way))
+    assert said is not None
+    assert float(said[1]) == pytest.approx(-10.0, abs=2.0), "it carries half an ampere still"
+    assert not_given(8.0, 0.0, 2.0 * way), "nothing is carried, and nothing is pushed"
+
+
+@pytest.mark.parametrize("off_by", [0.0, 0.3, -0.3])
+@pytest.mark.parametrize("held", [2.0, -2.0, 0.0])
+def test_a_sound_drive_whose_sensor_is_off_has_pushed(off_by: float, held: float) -> None:
+    assert not_given(100.0, off_by / 0.8 * (0.3 + 0.25 * abs(held)), held) == ""
 
 
 def test_a_drive_that_measures_no_effort_is_believed_its_push() -> None:

@@ -7,14 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bench_machines import carm_text_in
+from bench_page import until
 
-from hil.bench import attended
+from hil.bench import attended, telling
 from hil.bench.attended import Attended, Shown
 from hil.bench.bench import Bench
 from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
 from hil.bench.telling import Teller
-from hil.bench.told_state import HOLDING, HOMING, LETTING_GO, ON_THE_WAY, READY, RECORDING, SETTLING, TAKING_HOLD, WATCHING
+from hil.bench.told_state import HOLDING, HOMING, LETTING_GO, ON_THE_WAY, READY, RECORDING, SETTLING, STOPPING, TAKING_HOLD, WATCHING
 from hil.experiments import Move, Static
 from hil.machine import load_machine, machine_from_text
 
@@ -23,6 +24,8 @@ RATE_Hz = MACHINE.sample_rate_Hz
 SPEED = 0.1
 HELD_ROWS = round(1.4 * RATE_Hz)
 FEW_TICKS = 12
+ENABLED = 0x37
+TOLD_S = 10.0
 
 
 class Hand:
@@ -148,3 +151,34 @@ def test_what_remains_falls_as_the_machine_ticks() -> None:
         assert after["remains_s"] == pytest.approx(0.75)
         bench.tell(HOMING, "turn, 1 of 1", 0)
         assert (teller.state()["part"], teller.state()["remains_s"]) == ("turn, 1 of 1", None)
+
+
+@pytest.mark.parametrize("doing", [WATCHING, READY])
+def test_rest_is_told_only_while_no_stop_runs_and_no_drive_has_voltage(doing: str) -> None:
+    with open_bench(MACHINE, BenchOptions("lockstep:")) as bench:
+        teller, link = Teller(bench, rows=False), bench.wiring.link
+        with bench.session(homes=False):
+            teller.shown.doing = doing
+            assert teller.state()["doing"] == doing
+            link.stopping = True
+            assert (teller.state()["doing"], teller.state()["homed"]) == (STOPPING, doing == READY)
+            link.stopping = False
+            link.inputs[0].statusword = ENABLED
+            assert teller.state()["doing"] == STOPPING
+
+
+def test_a_stop_is_told_while_a_run_records(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(telling, "EVERY_S", 0.01)
+    said = ""
+
+    def told(doing: str) -> bool:
+        nonlocal said
+        said += capsys.readouterr().out
+        return f'"doing": "{doing}"' in said
+
+    with open_bench(MACHINE, BenchOptions("lockstep:")) as bench, Teller(bench, rows=False):
+        bench.tell(RECORDING, "still.mf4", 100)
+        until(lambda: told(RECORDING), TOLD_S)
+        bench.wiring.link.stopping = True
+        until(lambda: told(STOPPING), TOLD_S)
+        bench.wiring.link.stopping = False

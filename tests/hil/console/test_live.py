@@ -42,8 +42,8 @@ def facts() -> Facts:
     return facts_of("turntable", load_machine("turntable"), "lockstep:", live=True)
 
 
-def state_line(doing: str, position: float = 0.5) -> str:
-    return STATE + json.dumps({"doing": doing, "says": "", "axes": {"turn": {"position": position}}})
+def state_line(doing: str, position: float = 0.5, homed: bool = True) -> str:
+    return STATE + json.dumps({"doing": doing, "says": "", "homed": homed, "axes": {"turn": {"position": position}}})
 
 
 def live_of(facts: Facts, folder: Path) -> tuple[Live, Line, RowHub]:
@@ -86,13 +86,23 @@ def test_an_emulated_machine_stands_where_it_was_left(facts: Facts, tmp_path: Pa
     live.begin({})
     assert "turn=12.500000" in line.sent[-1][1]
     live.heed(starter.ENDED, 0)
-    live.heed(starter.SAID, state_line("watching", 0.0), False)  # nobody knows, before it is homed
+    live.heed(starter.SAID, state_line("stopping", 0.0, homed=False), False)  # nobody knows, before it is homed
     live.heed(starter.ENDED, 0)
     live.begin({})
     assert "turn=12.500000" in line.sent[-1][1]
     live.heed(starter.ENDED, 0)
     live.begin({"position_turn": np.radians(-3.0)})
     assert "turn=-3.000000" in line.sent[-1][1]
+
+
+def test_a_stop_from_rest_needs_no_browser_and_that_of_a_motion_does(facts: Facts, tmp_path: Path) -> None:
+    live, _, _ = live_of(facts, tmp_path)
+    live.begin({})
+    for doing, led, moves in (("ready", False, False), ("stopping", False, True), ("holding", True, True), ("stopping", True, True)):
+        live.heed(starter.SAID, state_line(doing), False)
+        assert (live.led, live.moves) == (led, moves), doing
+    live.heed(starter.ENDED, 0)
+    assert not live.led
 
 
 def test_its_rows_go_to_the_scope_and_are_no_recording(facts: Facts, tmp_path: Path) -> None:

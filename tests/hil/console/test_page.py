@@ -199,7 +199,7 @@ def jogged(page: Page, bench: BenchPage) -> Page:
     state = watcher.state()
     watcher.close()
     axis = {"position": 0.1, "speed": 0.0, "effort": 0.0, "temperature_degC": 24.0, "brake": "closed", "mode": None, "drive": None}
-    told = {"doing": "ready", "says": "", "axes": {"turn": axis}}
+    told = {"doing": "ready", "says": "", "homed": True, "axes": {"turn": axis}}
     state["live"] = {"running": True, "trouble": "", "told": told, "holds": False, "moves": False}
     body = LINE.replace("STATE", json.dumps(state | {"own": False}))
     page.route("**/worker.js", lambda asked: asked.fulfill(body=body, content_type="text/javascript"))
@@ -270,7 +270,8 @@ PASSED, STAGGERS = {"state": "passed", "why": "fine", "lines": []}, "turn: does 
 
 
 def of_machine(doing: str, part: str = "", remains_s: float | None = None, **axis: object) -> dict[str, object]:
-    return {"doing": doing, "part": part, "remains_s": remains_s, "says": "", "time_s": 1.0, "axes": {"turn": {**AXIS, **axis}}}
+    told = {"doing": doing, "part": part, "remains_s": remains_s, "says": "", "homed": doing not in ("watching", "homing"), "time_s": 1.0}
+    return told | {"axes": {"turn": {**AXIS, **axis}}}
 
 
 def told_page(page: Page, bench: BenchPage) -> Callable[..., None]:
@@ -341,6 +342,20 @@ def test_the_way_is_told_and_the_one_coloured_button_is_of_the_step_that_is_due(
     page.locator("#steps-done").wait_for()
     assert coloured.count() == 0
     assert page.evaluate("() => document.documentElement.scrollWidth <= innerWidth")
+
+
+def test_no_rest_and_no_emergency_is_claimed_that_nobody_has_looked_for(page: Page, bench: BenchPage) -> None:
+    tell, brief = told_page(page, bench), page.locator("#brief")
+    begins = WORK | {"state": "running", "holds": True, "told": of_machine("watching")}
+    tell(work=begins)
+    page.locator("#release").wait_for()
+    assert "nothing moves" not in page.locator("#now").inner_text()
+    assert "no emergency" not in brief.inner_text(), "this bus has one owner"
+    tell(work=begins, wire={"trouble": "", "nodes": []})
+    brief.get_by_text("no emergency").wait_for()
+    tell(work=begins | {"told": of_machine("stopping") | {"homed": False}})
+    page.locator("#now", has_text="Stopping the motors").wait_for()
+    assert "not homed" in brief.inner_text()
 
 
 def test_the_drawing_turns_the_arm_as_its_machine_file_has_it(page: Page, bench: BenchPage) -> None:

@@ -100,9 +100,9 @@ def test_the_told_time_to_standstill_is_that_of_the_motion() -> None:
     assert contradictions(told, stopped_after(0.1)) == [told], "it had stood for long"
     nobody_knows = stopped_after(0.4, ("motor_encoder_frozen", "link_encoder_frozen"))
     assert contradictions(told, nobody_knows) == []
-    seen = "standstill 0.30 s after the stop began (propeller showed no motion, roll 0.30 s)"
+    seen = "standstill 0.30 s after the stop began (propeller within 5.0e-03 rad, roll 0.30 s)"
     assert contradictions(seen, stopped_after(0.3)) == []
-    none = "no encoder showed motion after the stop began"
+    none = "no encoder moved by more than 5.0e-03 rad after the stop began"
     assert contradictions(none, stopped_after(0.0)) == []
     assert contradictions(none, stopped_after(0.3)) == [none]
     assert contradictions(told.replace("standstill 0.30", "standstill 0.20"), stopped_after(0.3)) != []
