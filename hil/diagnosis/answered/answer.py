@@ -105,7 +105,6 @@ def answer(
     Where the answer is not sure, what is named `again` is answered instead, if anything is.
     """
     report("weighing rivals", WEIGHED if again is None else NAMED)
-    noise = named.seen.noise
     before, named = {fitted.names: fitted for _, fitted in named.sets}, refitted(named)
     along_motion = before.get(named.best.names, named.best)
     judged = replace(named, best=along_motion)  # rivals are weighed along the motion, where equations are linear
@@ -115,7 +114,7 @@ def answer(
         along_motion = plainer.best
         others, of = _beside(judged)
     named, judged = replace(named, of=None), replace(judged, of=None)
-    tuned, best, seen = named.tuned, named.best, named.seen
+    tuned, best, seen, noise = named.tuned, named.best, named.seen, named.seen.noise
     spread = deviations(judged, best)
     values = tuned.numbers.values(best.offset[: len(tuned.numbers.indices)])
     shown = shown_findings(machine, seen)
