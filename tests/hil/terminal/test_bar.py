@@ -53,7 +53,7 @@ def test_it_follows_the_rows_and_ends_with_the_run(monkeypatch: pytest.MonkeyPat
     monkeypatch.setenv("COLUMNS", "100")
     with terminal() as shown, RecorderProcess(tmp_path / "run.csv", [("time", "s")], {}) as recorder:
         with drawn_beside(recorder, ROWS, "run.csv"):
-            shown("  0 %")
+            shown("run.csv")
             put(recorder, 0, ROWS // 2)
             assert "run.csv" in shown(" 50 %")
             put(recorder, ROWS // 2, ROWS)
