@@ -9,7 +9,9 @@ EFFECT = Effect(
     name="gear_ratio",
     plain="The gear turns the load by more or less per turn of the motor than the machine file says.",
     kind=CHANGE,
-    parameters=(Parameter("beta", unit="", low=-0.5, high=0.5, description="relative error of the ratio"),),
+    parameters=(
+        Parameter("beta", unit="", low=-0.5, high=0.5, description="relative error of the ratio"),
+    ),  # as far as the next ratio that a maker offers
     equation="N (1 + beta)",
     convention=(
         "the ratio is N (1 + beta): the motor's side turns (1 + beta) times as far, so position reads start + (1 + beta) "

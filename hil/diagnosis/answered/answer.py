@@ -28,7 +28,7 @@ from hil.diagnosis.locating.answered import where_it_is
 from hil.diagnosis.named.fitting import LEVEL, Fitted, fit
 from hil.diagnosis.named.matching import matched
 from hil.diagnosis.named.naming import Named
-from hil.diagnosis.named.search import NOT_TOLD_APART, Library, library
+from hil.diagnosis.named.search import NOT_TOLD_APART, library
 from hil.diagnosis.named.standing import (
     Alternative,
     Limit,
@@ -38,7 +38,6 @@ from hil.diagnosis.named.standing import (
     gained_by,
     is_spanned,
     numbers_help,
-    simpler,
     times_noise,
     unexplained,
 )
@@ -108,13 +107,10 @@ def answer(
     before, named = {fitted.names: fitted for _, fitted in named.sets}, refitted(named)
     along_motion = before.get(named.best.names, named.best)
     judged = replace(named, best=along_motion)  # rivals are weighed along the motion, where equations are linear
-    others, of = _beside(judged)
-    if (plainer := simpler(judged, others)) is not None:
-        named = judged = plainer
-        along_motion = plainer.best
-        others, of = _beside(judged)
-    named, judged = replace(named, of=None), replace(judged, of=None)
     tuned, best, seen, noise = named.tuned, named.best, named.seen, named.seen.noise
+    of = library(tuned, along_motion, named.of if isinstance(tuned, Tuned) else None)  # limits are beside the answer
+    named, judged = replace(named, of=None), replace(judged, of=None)
+    others = alternatives(judged, of) if best.settings else []
     spread = deviations(judged, best)
     values = tuned.numbers.values(best.offset[: len(tuned.numbers.indices)])
     shown = shown_findings(machine, seen)
@@ -161,12 +157,6 @@ def answer(
     )
     acts = *acting(best.settings), *(one.setting for one in seen.shown)
     return Answered(machine, diagnosis, names_of(seen), seen, values, acts, proposal, _columns(named))
-
-
-def _beside(named: Named) -> tuple[list[Alternative], Library]:
-    """Return what might stand in place of the answer's effects, and all laws beside the answer."""
-    of = library(named.tuned, named.best, named.of if isinstance(named.tuned, Tuned) else None)
-    return (alternatives(named, of) if named.best.settings else []), of
 
 
 def _columns(named: Named) -> tuple[np.ndarray, tuple[str, ...]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -155,31 +155,6 @@ def alternatives(named: Named, of: Library) -> list[Alternative]:
         allowed = wrong if each.has_another else 0.0
         found.append(Alternative(one.settings, behind, each.without, each.has_another, gained, len(one.parameters), allowed))
     return sorted(found, key=lambda each: each.behind)
-
-
-def simpler(named: Named, others: Sequence[Alternative]) -> Named | None:
-    """Return the same with the rival of another family that has the fewest parameters, fewer than the answer; None where there is none.
-
-    It is one of those that laws wrong by EXACT leave level with the answer: an arc of a wave too short to bend is a straight line.
-    """
-    tuned, best = named.tuned, named.best
-    families = {(effects()[one.name].family, one.at) for one in best.settings}
-    level = [
-        other
-        for other in others
-        if other.has_another
-        and other.told_apart == 0.0 < other.behind
-        and other.parameters < len(best.parameters)
-        and (effects()[other.settings[-1].name].family, other.settings[-1].at) not in families
-    ]
-    if not level or not named.is_noise_known:
-        return None
-    settings = min(level, key=lambda other: (other.parameters, other.behind)).settings
-    if isinstance(tuned, Tuned):
-        seen_anew = settled(named.seen.alongs, named.levels, best.offset, settings)
-        return replace(named, tuned=seen_anew[0], best=seen_anew[1], sets=(seen_anew,))
-    fitted = fit_to(tuned, settings, best.offset, best.dispersion)
-    return None if fitted is None else replace(named, best=fitted, sets=((tuned, fitted),))
 
 
 def deviations(named: Named, other: Fitted) -> np.ndarray:

@@ -87,6 +87,10 @@ def test_the_scale_of_all_efforts_is_as_sure_as_the_file_is() -> None:
     assert there is not None
     np.testing.assert_allclose(there[0], here[0], atol=1e-3)
     assert scattered(fitted)[-1] / value == pytest.approx(PRIOR / np.sqrt(len(scaled)), rel=0.25)
+    along = np.zeros(fitted.columns[0].shape[1])  # differences do not cancel as far as a quiet machine's recordings would show
+    along[scaled], along[-1] = 1.0 / PRIOR + fitted.offset[scaled], value
+    (columns,) = fitted.columns
+    assert np.linalg.norm(columns @ along) < 1e-9 * np.linalg.norm(columns * along)
 
 
 @pytest.mark.nightly
