@@ -46,8 +46,8 @@ def test_a_machine_that_does_not_come_to_stand_is_recorded_and_told(tmp_path: Pa
         )
     )
     timing, recording = run(tmp_path, shaken)
-    assert [note.split(" rad/s after")[1] for note in timing.notes] == [
-        f" 16 s of standstill, {2.0 * count:.1e} is standing; recorded all the same (initial.standing)" for count in COUNTS
+    assert [note.split(" deg/s after")[1] for note in timing.notes] == [
+        f" 16 s of standstill, {np.degrees(2.0 * count):.2g} deg is standing; recorded all the same (initial.standing)" for count in COUNTS
     ]
     assert [note.split(":")[0] for note in timing.notes] == list(CARM.axes)
-    assert f"{recording.metadata['initial']['standing']['deviation'][1]:+.1e} rad from its pose" in timing.notes[1]
+    assert f"{np.degrees(recording.metadata['initial']['standing']['deviation'][1]):.2g} deg from its pose" in timing.notes[1]

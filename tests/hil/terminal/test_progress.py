@@ -62,8 +62,9 @@ def test_compiling_is_said_and_how_many_functions_were_compiled(monkeypatch: pyt
     from numba.core import event
 
     assert "compiling" not in said_at(1.0, {}, monkeypatch)
-    numba.njit(lambda x: x + 1)(1)
-    with event.trigger_event("numba:compile"):
+    function = numba.njit(lambda x: x + 1)
+    function(1)
+    with event.trigger_event("numba:compile", {"dispatcher": function, "args": (), "return_type": None}):
         said = said_at(1.0, {}, monkeypatch)
     found = re.search(r", compiling \(once on a computer\), (\d+) functions so far$", said)
     assert found
