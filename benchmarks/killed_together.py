@@ -1,8 +1,9 @@
-"""What becomes of a moving axis when the bench's processes are killed together, over two processes on UDP.
+"""What becomes of a moving axis when the bench's processes are killed, or stand still for a while, over two processes on UDP.
 
 The emulated C-arm sweeps roll at 0.4 rad/s. Then the loop, the I/O's poller, the recorder or the supervisor are killed (SIGKILL), alone and
-together; in some rows somebody else goes on sending the bench's heartbeat, which keeps the drives from stopping by themselves. The truth
-is the emulator's. Time and travel count from the kill to rest. One command:
+together; in some rows somebody else goes on sending the bench's heartbeat, which keeps the drives from stopping by themselves. In other
+rows one of them, or all, are stopped (SIGSTOP) and go on after a time. The truth is the emulator's. Time and travel count from the kill to
+rest. No device has a fault: what the bench says may accuse none. Ended early, the script goes on where it was. One command:
 
     python benchmarks/killed_together.py
 """
@@ -14,6 +15,7 @@ import contextlib
 import csv
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -31,6 +33,7 @@ GROUP = "239.74.163.201"
 SPEED = 0.4
 RESTING = 1e-3  # rad/s
 WATCHED_S = 12.0
+ATTEMPTS = 4
 ROWS = (
     ("loop",),
     ("poller",),
@@ -41,6 +44,11 @@ ROWS = (
     ("loop", "poller", "recorder", "foreign heartbeat"),
     ("loop", "supervisor", "foreign heartbeat"),
 )
+PROCESSES = ("loop", "poller", "recorder", "supervisor")
+STOPPED_S = (0.2, 1.0, 5.0)
+"""For which processes are stopped: what a computer may take for other work, up to what no watchdog lets pass."""
+ACCUSES = re.compile(r"\(node \d+\): (no heartbeat|late heartbeats)|slips|frozen|second|somebody else|drifts|its drive measures|no packet")
+"""Words that blame a device, or another sender, for a silence or a motion."""
 
 
 def children(pid: int) -> list[int]:
@@ -61,8 +69,8 @@ def roles(pid: int) -> dict[str, int]:
     return found
 
 
-def run(row: tuple[str, ...], folder: Path) -> dict[str, object]:
-    """Kill these processes during a sweep, and return what the truth says."""
+def run(row: tuple[str, ...], folder: Path, stopped_s: float | None = None) -> dict[str, object]:
+    """Kill these processes during a sweep, or stop them for a while, and return what the truth says."""
     bus, truth, never = f"udp:{GROUP}", folder / "truth.csv", folder / "never.toml"
     never.write_text('[[fault]]\nname = "imu_nan"\nat = "imu"\nwhen = "abs(speed_roll) > 100.0"\n')  # the truth goes on after the last SYNC
     emulator = subprocess.Popen(
@@ -94,13 +102,24 @@ def run(row: tuple[str, ...], folder: Path) -> dict[str, object]:
             (before_s, before), (now_s, now) = positions[-32], positions[-1]
             if abs(now - before) * scaling.position_resolution / (now_s - before_s) > 0.95 * SPEED:
                 break
+    if bench.poll() is not None:  # a loaded computer: the run ended before it was to
+        emulator.send_signal(signal.SIGINT)
+        emulator.communicate(timeout=60.0)
+        line.shutdown()
+        raise RuntimeError((folder / "said.txt").read_text())
     processes = roles(bench.pid)
-    for role in row:
-        if role in processes:
-            os.kill(processes[role], signal.SIGKILL)
+    hit = [processes[role] for role in row if role in processes]
+    for process in hit:
+        with contextlib.suppress(ProcessLookupError):  # the loop's children end with it
+            os.kill(process, signal.SIGKILL if stopped_s is None else signal.SIGSTOP)
     killed_s = time.monotonic()
     stamp = os.stat(truth).st_size
-    while time.monotonic() - killed_s < WATCHED_S:
+    while time.monotonic() - killed_s < WATCHED_S + (stopped_s or 0.0):
+        if stopped_s is not None and time.monotonic() - killed_s >= stopped_s:
+            for process in hit:
+                with contextlib.suppress(ProcessLookupError):  # the bench has replaced it meanwhile
+                    os.kill(process, signal.SIGCONT)
+            hit = []
         if "foreign heartbeat" in row:
             line.send(can.Message(arbitration_id=0x77F, is_extended_id=False, data=b"\x05"))
         line.recv(0.02)
@@ -112,7 +131,8 @@ def run(row: tuple[str, ...], folder: Path) -> dict[str, object]:
     bench.wait()
     emulator.send_signal(signal.SIGINT)
     emulator.communicate(timeout=60.0)
-    return {**rest_of(truth, stamp), "said": said[-1] if said else ""}
+    last = said[-1] if said else ""
+    return {**rest_of(truth, stamp), "accuses": [words[0] for words in ACCUSES.finditer(last)], "said": last}
 
 
 def rest_of(truth: Path, size: int) -> dict[str, float | bool]:
@@ -139,11 +159,23 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])  # type: ignore[union-attr]
     parser.add_argument("--results", type=Path, default=Path(__file__).parent / "results" / "killed_together.json")
     results = parser.parse_args().results
-    rows: dict[str, dict[str, object]] = {}
-    for row in ROWS:
-        with tempfile.TemporaryDirectory() as folder:
-            rows[", ".join(row)] = run(row, Path(folder))
-        print(json.dumps(rows[", ".join(row)]), flush=True)
+    kept = json.loads(results.read_text(encoding="utf-8")) if results.exists() else {}
+    rows = {**kept.get("rows", {})}
+    wanted: list[tuple[str, tuple[str, ...], float | None]] = [(", ".join(row), row, None) for row in ROWS]
+    for each in (*((role,) for role in PROCESSES), PROCESSES):
+        wanted += [(f"{', '.join(each)}: stopped for {stopped_s:g} s", each, stopped_s) for stopped_s in STOPPED_S]
+    for name, row, stopped_s in wanted:
+        if name in rows:
+            continue
+        for left in reversed(range(ATTEMPTS)):
+            try:
+                with tempfile.TemporaryDirectory() as folder:
+                    rows[name] = run(row, Path(folder), stopped_s)
+                break
+            except RuntimeError:
+                if not left:
+                    raise
+        print(json.dumps({name: rows[name]}), flush=True)
         results.write_text(json.dumps({"speed_rad_s": SPEED, "rows": rows}, indent=1) + "\n")
 
 

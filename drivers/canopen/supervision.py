@@ -85,7 +85,7 @@ class Supervision:
         self._nodes = {node.node_id: _Watched(node.name, node.node_id, node.heartbeat_period_s, node.identity.vendor_id) for node in nodes}
         self._guarded = [watched for watched in self._nodes.values() if watched.timeout_s > 0.0]
         self._turn = 0
-        self._lost_s = self._checked_s = 0.0
+        self._lost_s = self._checked_s = self._waited_s = 0.0
         self._running = False  # nodes were started, so leaving operational is a fault
         self.boot_remarks: tuple[str, ...] = ()  # what was unusual of the last boot, in words
         self.left_operational = ""  # which started node has left operational, in words; '' while all run
@@ -167,7 +167,7 @@ class Supervision:
         """Return the last NMT state received, in words."""
         return NMT_STATES.get(self._nodes[node_id].state, "never heard")
 
-    def check_one(self, now_s: float, lost_s: float = 0.0) -> None:
+    def check_one(self, now_s: float, lost_s: float = 0.0, waited_s: float = 0.0) -> None:
         """Check the next node's heartbeat, one per call: the sample loop calls it every tick and so checks all nodes within a few ticks.
 
         Parameters
@@ -176,12 +176,16 @@ class Supervision:
         lost_s : float
             Time of all ticks that the loop has lost. It is no silence: nobody listened, and an emulated machine, whose time SYNC moves,
             stood still.
+        waited_s : float
+            Time that has passed between two ticks on purpose.
 
         Raises
         ------
         HeartbeatLostError
         """
+        lost_s, self._waited_s = lost_s + waited_s, waited_s
         if not self._guarded:
+            self._checked_s = now_s
             return
         if (away_s := now_s - self._checked_s - max(0.0, lost_s - self._lost_s)) > self._away_s:
             for each in self._guarded:  # nobody listened: this program stood still, or did something else
@@ -195,6 +199,20 @@ class Supervision:
             raise HeartbeatLostError(
                 f"{watched.who}: no heartbeat for {age_s:.3f} s, {watched.timeout_s:.3f} s allowed; its last state was {state}"
             )
+
+    def own_silence(self, now_s: float, waited_s: float, allowed_s: float) -> str:
+        """Return that this program was silent itself since the last check, in words; '' where it was not.
+
+        Parameters
+        ----------
+        now_s : float
+        waited_s : float
+            Time that has passed between two ticks on purpose, since the ticks began.
+        allowed_s : float
+            For which the nodes bear the silence of their master.
+        """
+        away_s = now_s - self._checked_s - (waited_s - self._waited_s)
+        return f"this program stood still for {away_s:.2f} s, so the nodes heard no master" if away_s > allowed_s > 0.0 else ""
 
     def boot(self, nodes: Sequence[Node]) -> None:
         """Reset every node's communication and wait until each has booted.

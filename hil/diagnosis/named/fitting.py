@@ -15,8 +15,9 @@ from hil.diagnosis.named.plausible import are_driven, on_bound, pressed_against,
 from hil.diagnosis.seen.along import Signals
 from hil.diagnosis.seen.noise import ACCURACY
 from hil.diagnosis.tuned.bounded import bounded_least_squares
+from hil.diagnosis.tuned.common_scale import common_scale, first_constant, set_constant
 from hil.diagnosis.tuned.retuning import DETERMINED, Looked, Tuned
-from virtual_bus.effects.effect import PHASE, Parameter
+from virtual_bus.effects.effect import PHASE, Parameter, power_of_force
 from virtual_bus.effects.registry import effects
 from virtual_bus.errors import EffectError
 from virtual_bus.settings import EffectSetting
@@ -142,15 +143,15 @@ def fit(
     offset = tuned.offset.copy() if offset is None else offset
     parameters = tuple((k, parameter) for k, setting in enumerate(settings) for parameter in free_parameters(setting))
     try:
-        acting = _acting(tuned, settings)
+        acting, left, squares = _there(tuned, settings, offset)
     except EffectError:
         return None
-    left, squares = _left(tuned, acting, offset)
     columns: tuple[np.ndarray, ...] = ()
     form = _form(tuned, acting, settings, dispersion)
     fastest = 0.5 / max(one.beside.along.observed.period_s for one in tuned.looked)
     for _ in range(ITERATIONS):
-        found = [_columns(tuned, one, own, settings, parameters, rest) for one, own, rest in zip(tuned.looked, acting, left, strict=True)]
+        held = _held(tuned, settings, offset, parameters)
+        found = [_columns(tuned, one, own, held, parameters, rest) for one, own, rest in zip(tuned.looked, acting, left, strict=True)]
         columns = tuple(each for each, _ in found)
         shortest = zip(parameters, _shortest(found), strict=True)
         reaches = [reach(parameter, settings[k].parameters[parameter.name], least, fastest) for (k, parameter), least in shortest]
@@ -230,6 +231,55 @@ class Acting:
     weaker: np.ndarray
 
 
+@dataclass(frozen=True, eq=False)
+class _Held:
+    """A machine and effects in forces that are so many times smaller that the first drive's constant is what it was seen with.
+
+    The equations are linear about that: weaker drives and lighter machines together would make all that is left smaller.
+
+    Attributes
+    ----------
+    offset : (P,) array
+    settings : tuple of EffectSetting
+    scale : (P + Q,) array or None
+        The common scale of forces at the machine itself; None where a motion shows it.
+    slopes : (P + Q,) array
+        What these nuisances and parameters change per unit of the machine's own.
+    """
+
+    offset: np.ndarray
+    settings: tuple[EffectSetting, ...]
+    scale: np.ndarray | None
+    slopes: np.ndarray
+
+
+def _held(
+    tuned: Tuned, settings: tuple[EffectSetting, ...], offset: np.ndarray, parameters: Sequence[tuple[int, Parameter]] | None = None
+) -> _Held:
+    parameters = parameters or [(k, parameter) for k, setting in enumerate(settings) for parameter in free_parameters(setting)]
+    count = len(offset)
+    scale = common_scale(tuned.numbers, offset, settings, parameters, tuned.looked[0].beside.along.known)
+    slopes = np.ones(count + len(parameters))
+    constant = None if scale is None else first_constant(tuned.numbers, scale)
+    if scale is None or constant is None:
+        return _Held(offset, settings, None, slopes)
+    times = float(scale[constant] / (scale[constant] + tuned.offset[constant] - offset[constant]))
+    slopes[:count][scale[:count] != 0.0] = 1.0 / times
+    changes: list[dict[str, float]] = [{} for _ in settings]
+    for number, (k, parameter) in enumerate(parameters, count):
+        slopes[number] = times ** -power_of_force(parameter.unit)
+        changes[k][parameter.name] = settings[k].parameters[parameter.name] * slopes[number]
+    moved = tuple(changed(setting, change) for setting, change in zip(settings, changes, strict=True))
+    return _Held(offset + scale[:count] * (1.0 / times - 1.0), moved, scale, slopes)
+
+
+def _there(tuned: Tuned, settings: tuple[EffectSetting, ...], offset: np.ndarray) -> tuple[list[Acting], tuple[np.ndarray, ...], float]:
+    """Return what effects do beside these nuisances, the innovations that are left, and their squares with what is unsure of them."""
+    held = _held(tuned, settings, offset)
+    acting = _acting(tuned, held.settings)
+    return acting, *_left(tuned, acting, held.offset)
+
+
 def _acting(tuned: Tuned, settings: tuple[EffectSetting, ...]) -> list[Acting]:
     """Return what effects do along every recording."""
     found = []
@@ -296,13 +346,10 @@ def _times(values: np.ndarray, factors: np.ndarray) -> np.ndarray:
 
 
 def _columns(
-    tuned: Tuned, one: Looked, acting: Acting, settings: tuple[EffectSetting, ...], parameters: Sequence[tuple[int, Parameter]],
-    rest: np.ndarray,
-) -> tuple[np.ndarray, list[float]]:  # fmt: skip
+    tuned: Tuned, one: Looked, acting: Acting, held: _Held, parameters: Sequence[tuple[int, Parameter]], rest: np.ndarray
+) -> tuple[np.ndarray, list[float]]:
     """Return what (N m, P + Q) the innovations `rest` (N m,) lose per unit of nuisances and parameters, by differences, and their steps."""
-    if not parameters:
-        return one.numbers, []
-    here, weaker = acting.signals, acting.weaker
+    settings, here, weaker = held.settings, acting.signals, acting.weaker
     columns, rescaled, steps = [], [], []
     for k, parameter in parameters:
         try:
@@ -319,6 +366,9 @@ def _columns(
     for number, gain in enumerate(rescaled, one.numbers.shape[1]):
         if gain.any():
             whole[:, number] += _times(rest, gain)
+    if held.scale is not None:
+        whole *= held.slopes
+        set_constant(tuned.numbers, held.scale, whole)
     return whole, steps
 
 
@@ -422,10 +472,9 @@ def _shortened(
         moved = tuple(changed(setting, change) for setting, change in zip(settings, changes, strict=True))
         further = offset + share * step[: len(offset)]
         try:
-            acting = _acting(tuned, moved)
+            acting, left, squares = _there(tuned, moved, further)
         except EffectError:
             continue
-        left, squares = _left(tuned, acting, further)
         if _cost(left, squares, further, form) < cost:
             return moved, further, acting, left, squares
     return None

@@ -14,10 +14,10 @@ from hil.diagnosis.named.form import FormError
 from hil.diagnosis.named.plausible import are_driven, on_bound, pressed_against
 from hil.diagnosis.named.settling import LONGEST
 from hil.diagnosis.tuned.bounded import bounded_least_squares
+from hil.diagnosis.tuned.common_scale import common_scale, set_constant
 from hil.diagnosis.tuned.retuning import STEP as NEARBY
 from hil.diagnosis.tuned.retuning import Tuned
-from virtual_bus.effects.effect import Parameter, power_of_force
-from virtual_bus.effects.registry import effects
+from virtual_bus.effects.effect import Parameter
 from virtual_bus.settings import EffectSetting
 
 SHARES = tuple(0.5**k for k in range(HALVINGS))
@@ -28,7 +28,6 @@ HOPED, BEYOND = 2, 3.0
 """Steps after which a fit is hopeless that needs more than so many times what the next one promises."""
 LITTLE = 1e-4
 """Of what is left: less is gained for nothing by one fit of many."""
-CONSTANT, BRAKE = "constant", "brake_effort"
 WORTH = 0.5
 """Share of what columns promise, below which they are computed anew."""
 
@@ -121,43 +120,11 @@ def _columns(
         if there is not None:
             for own, before, after in zip(columns, left, there, strict=True):
                 own[:, k] = (before - after) / by[k]
-    scaled = None if None in moved else _scaled(free, offset, settings, parameters)
-    if scaled is not None:
-        rest = scaled.copy()
-        constant = next(k for k, name in enumerate(free.numbers.names) if name.endswith(f".{CONSTANT}"))
-        rest[constant] = 0.0
-        for own in columns:
-            own[:, constant] = -(own @ rest) / scaled[constant]
+    known = (setting for run in free.runs for setting in run.known)
+    scale = None if None in moved else common_scale(free.numbers, offset, settings, parameters, known)
+    for own in columns if scale is not None else ():
+        set_constant(free.numbers, scale, own)
     return tuple(columns)
-
-
-def _scaled(
-    free: FreeRuns, offset: np.ndarray, settings: tuple[EffectSetting, ...], parameters: Sequence[tuple[int, Parameter]]
-) -> np.ndarray | None:
-    """Return how nuisances and parameters (P + Q,) change where all efforts and inertias are larger by one share; None where some are held.
-
-    No motion shows that: the machine moves as before (Gautier 1991, base parameters). Differences do not cancel as far as what they show.
-    """
-    numbers, values = free.numbers, free.numbers.values(offset[: len(free.numbers.indices)])
-    is_free = numbers.low < numbers.high
-    own = {int(index): k for k, index in enumerate(numbers.indices) if is_free[k]}
-    found = np.zeros(len(offset) + len(parameters))
-    for index, parameter in enumerate(free.plant.parameters):
-        power = 1.0 if parameter.quantity == CONSTANT else power_of_force(parameter.unit)
-        if power == 0.0 or values[index] == 0.0 or parameter.quantity == BRAKE:
-            continue
-        if index not in own:
-            return None
-        found[own[index]] = power * values[index] / numbers.scale[own[index]]
-    held = [(setting, {one.name for k, one in parameters if settings[k] is setting}) for setting in settings]
-    held += [(setting, set()) for run in free.runs for setting in run.known]
-    for setting, names in held:
-        every = effects()[setting.name].parameters
-        if any(one.name not in names and power_of_force(one.unit) and setting.parameters[one.name] for one in every):
-            return None
-    for column_of, (number, sought) in enumerate(parameters, len(offset)):
-        found[column_of] = power_of_force(sought.unit) * settings[number].parameters[sought.name]
-    return found if any(name.endswith(f".{CONSTANT}") and found[k] for k, name in enumerate(numbers.names)) else None
 
 
 def _step(setting: EffectSetting, parameter: Parameter) -> float:

@@ -117,6 +117,17 @@ def test_ticks_that_the_loop_has_lost_are_no_silence_of_a_node() -> None:
         supervision.check_one(bus.time_s, 5.2)
 
 
+def test_a_program_that_stood_still_itself_says_so_and_time_that_it_waited_on_purpose_is_not_such() -> None:
+    bus, network, _ = operational(ScriptedDrive(1))
+    looking = Supervision(network, NODE, period_s=1 / 256)
+    looking.check_one(bus.time_s, 0.0, 1.0)
+    network.pump_for(0.2)
+    assert looking.own_silence(bus.time_s, 1.0, 0.15) == "this program stood still for 0.20 s, so the nodes heard no master"
+    assert looking.own_silence(bus.time_s, 1.0, 0.25) == ""
+    assert looking.own_silence(bus.time_s, 1.1, 0.15) == "", "half of it was waited"
+    assert looking.own_silence(bus.time_s, 1.0, 0.0) == "", "nodes that hear no heartbeat miss none"
+
+
 @pytest.mark.parametrize(
     ("command", "words"), [(0x80, "left operational: pre-operational"), (0x02, "left operational: stopped"), (0x82, "rebooted")]
 )
