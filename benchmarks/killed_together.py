@@ -79,8 +79,20 @@ def run(row: tuple[str, ...], folder: Path, stopped_s: float | None = None) -> d
         stderr=subprocess.PIPE,
         text=True,
     )
+    try:
+        return under_way(row, folder, stopped_s, emulator, truth)
+    finally:
+        emulator.kill()
+        emulator.wait()
+
+
+def under_way(
+    row: tuple[str, ...], folder: Path, stopped_s: float | None, emulator: subprocess.Popen[str], truth: Path
+) -> dict[str, object]:
+    """Start a sweep beside an emulated machine, kill or stop processes, and return what the truth says."""
     assert emulator.stdout is not None
     emulator.stdout.readline()
+    bus = f"udp:{GROUP}"
     scan = ["scan", "-m", "carm", "--axis", "roll", "--from", "45", "--to", "-45", "--speed", f"{np.degrees(SPEED):.2f}"]
     with (folder / "said.txt").open("w") as errors:
         bench = subprocess.Popen(
@@ -103,8 +115,6 @@ def run(row: tuple[str, ...], folder: Path, stopped_s: float | None = None) -> d
             if abs(now - before) * scaling.position_resolution / (now_s - before_s) > 0.95 * SPEED:
                 break
     if bench.poll() is not None:  # a loaded computer: the run ended before it was to
-        emulator.send_signal(signal.SIGINT)
-        emulator.communicate(timeout=60.0)
         line.shutdown()
         raise RuntimeError((folder / "said.txt").read_text())
     processes = roles(bench.pid)

@@ -29,7 +29,7 @@ from drivers.canopen.process_data import drives
 from drivers.canopen.resting import Resting
 from drivers.canopen.sdo import SdoNode
 from drivers.canopen.stopping import Attempts, Attendant, Unattended
-from drivers.canopen.supervision import HEARTBEAT_TOLERANCE, Supervision, refuse_second_bench
+from drivers.canopen.supervision import Supervision, refuse_second_bench
 from drivers.canopen.watch import MotionWatch
 from drivers.errors import BusError, BusTimeoutError, DeviceFaultError, DriverError, SecondMasterError
 from drivers.interface import Clock, Sample
@@ -82,7 +82,7 @@ class TickingMachine:
         self.clock = clock
         self.period_s = settings.sync_period_s
         self.network = PolledNetwork(bus, clock)
-        self.supervision = Supervision(self.network, settings.nodes, self.period_s)
+        self.supervision = Supervision(self.network, settings.nodes, self.period_s, settings.master_heartbeat_period_s)
         self._cyclic = CyclicExchange(self.network, settings, self.supervision)
         self.scalings = settings.scalings
         self.axes = tuple(scaling.axis for scaling in settings.scalings)
@@ -183,9 +183,9 @@ class TickingMachine:
                 if self._armed[axis] and self._supplied[axis] and not source.statusword & cia402.VOLTAGE_ENABLED:
                     raise DeviceFaultError(f"{self.drives[axis].name} (node {self.drives[axis].node_id}): {NO_VOLTAGE}")
             if self.supervision.left_operational:
-                raise DeviceFaultError("; ".join(filter(None, (self._own_silence(), self.supervision.left_operational, sample.fault))))
+                raise DeviceFaultError("; ".join(filter(None, (self.supervision.left_operational, sample.fault))))
             self._check_answers(sample)
-            self.supervision.check_one(self.clock.now(), self.clock.missed * self.period_s, self._waited_s)
+            self.supervision.check_one(self.clock.now(), self.clock.missed * self.period_s + getattr(self.clock, "waited_s", 0.0))
         except BaseException:
             self.stop()
             raise
@@ -387,15 +387,6 @@ class TickingMachine:
             self._io.poll_due(self.clock.now())
             self._io.update(sample)
 
-    @property
-    def _waited_s(self) -> float:
-        return getattr(self.clock, "waited_s", 0.0)
-
-    def _own_silence(self) -> str:
-        """Return that this program was silent, in words; a heartbeat may be a period old when that begins."""
-        allowed_s = (HEARTBEAT_TOLERANCE - 1.0) * self.settings.master_heartbeat_period_s
-        return self.supervision.own_silence(self.clock.now(), self._waited_s, allowed_s)
-
     def _explain_fault(self, axis: int) -> None:
         """Raise the fault that made a drive leave operation enabled, with the EMCY that may still be in the queue."""
         for _ in range(PENDING_FRAMES):
@@ -404,7 +395,8 @@ class TickingMachine:
         node = self.drives[axis]
         emergency = self.supervision.last_emergency(node.node_id) or "no EMCY"
         why = f"left operation enabled: {cia402.describe_statusword(self.inputs[axis].statusword)}"
-        raise DeviceFaultError("; ".join(filter(None, (self._own_silence(), f"{node.name} (node {node.node_id}): {why}", emergency))))
+        words = self.supervision.own_silence, f"{node.name} (node {node.node_id}): {why}", emergency
+        raise DeviceFaultError("; ".join(filter(None, words)))
 
     @contextlib.contextmanager
     def stopping_on_error(self) -> Iterator[None]:

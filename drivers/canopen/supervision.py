@@ -77,10 +77,12 @@ class Supervision:
     nodes : sequence of Node
     period_s : float
         Between the loop's ticks; 0: it does not look every tick.
+    own_period_s : float
+        Between the heartbeats of this program, which the nodes watch; 0: they do not.
     """
 
-    def __init__(self, network: PolledNetwork, nodes: Sequence[Node], period_s: float = 0.0) -> None:
-        self._network = network
+    def __init__(self, network: PolledNetwork, nodes: Sequence[Node], period_s: float = 0.0, own_period_s: float = 0.0) -> None:
+        self._network, self._own_period_s = network, own_period_s
         self._away_s = max(AWAY_S, AWAY_PERIODS * period_s) if period_s > 0.0 else inf
         self._nodes = {node.node_id: _Watched(node.name, node.node_id, node.heartbeat_period_s, node.identity.vendor_id) for node in nodes}
         self._guarded = [watched for watched in self._nodes.values() if watched.timeout_s > 0.0]
@@ -114,7 +116,7 @@ class Supervision:
             change = "rebooted" if state == BOOT_UP else f"left operational: {NMT_STATES[state]}"
             if early:
                 change += "; it came between two heartbeats, so a second device may have its id"
-            self.left_operational = self.left_operational or f"{watched.who}: {change}"
+            self.left_operational = self.left_operational or "; ".join(filter(None, (self.own_silence, f"{watched.who}: {change}")))
         watched.state = state
 
     def _is_early(self, watched: _Watched, now_s: float) -> bool:
@@ -167,7 +169,7 @@ class Supervision:
         """Return the last NMT state received, in words."""
         return NMT_STATES.get(self._nodes[node_id].state, "never heard")
 
-    def check_one(self, now_s: float, lost_s: float = 0.0, waited_s: float = 0.0) -> None:
+    def check_one(self, now_s: float, lost_s: float = 0.0) -> None:
         """Check the next node's heartbeat, one per call: the sample loop calls it every tick and so checks all nodes within a few ticks.
 
         Parameters
@@ -176,14 +178,12 @@ class Supervision:
         lost_s : float
             Time of all ticks that the loop has lost. It is no silence: nobody listened, and an emulated machine, whose time SYNC moves,
             stood still.
-        waited_s : float
-            Time that has passed between two ticks on purpose.
 
         Raises
         ------
         HeartbeatLostError
         """
-        lost_s, self._waited_s = lost_s + waited_s, waited_s
+        self._waited_s = self._clock_waited_s
         if not self._guarded:
             self._checked_s = now_s
             return
@@ -200,19 +200,19 @@ class Supervision:
                 f"{watched.who}: no heartbeat for {age_s:.3f} s, {watched.timeout_s:.3f} s allowed; its last state was {state}"
             )
 
-    def own_silence(self, now_s: float, waited_s: float, allowed_s: float) -> str:
-        """Return that this program was silent itself since the last check, in words; '' where it was not.
+    @property
+    def _clock_waited_s(self) -> float:
+        return float(getattr(self._network.clock, "waited_s", 0.0))
 
-        Parameters
-        ----------
-        now_s : float
-        waited_s : float
-            Time that has passed between two ticks on purpose, since the ticks began.
-        allowed_s : float
-            For which the nodes bear the silence of their master.
+    @property
+    def own_silence(self) -> str:
+        """That this program was silent itself since the last check, for longer than nodes bear, in words; '' where it was not.
+
+        What its clock waited on purpose is no silence. A heartbeat may be a period old when the silence begins.
         """
-        away_s = now_s - self._checked_s - (waited_s - self._waited_s)
-        return f"this program stood still for {away_s:.2f} s, so the nodes heard no master" if away_s > allowed_s > 0.0 else ""
+        away_s = self._network.clock.now() - self._checked_s - (self._clock_waited_s - self._waited_s)
+        is_long = away_s > (HEARTBEAT_TOLERANCE - 1.0) * self._own_period_s > 0.0
+        return f"this program stood still for {away_s:.2f} s, so the nodes heard no master" if is_long else ""
 
     def boot(self, nodes: Sequence[Node]) -> None:
         """Reset every node's communication and wait until each has booted.

@@ -141,3 +141,29 @@ def columns_of(
     except EffectError:
         return []
     return columns if any(each.efforts or each.readings for own in columns for each in own) else []
+
+
+def moved(
+    settings: Sequence[EffectSetting], parameters: Sequence[tuple[int, Parameter]], steps: Sequence[float] | np.ndarray,
+    bounded: Sequence[Effect] | None = None,
+) -> tuple[EffectSetting, ...]:  # fmt: skip
+    """Return effects of which some parameters are larger by these steps, within their bounds, or those of other entries of them."""
+    bounded = bounded or [effect_sought(setting.name) for setting in settings]
+    changes: list[dict[str, float]] = [{} for _ in settings]
+    for (k, parameter), by in zip(parameters, steps, strict=True):
+        changes[k][parameter.name] = settings[k].parameters[parameter.name] + float(by)
+    changed = zip(bounded, settings, changes, strict=True)
+    return tuple(setting_of(entry, setting.at, {**setting.parameters, **change}) for entry, setting, change in changed)
+
+
+def free_parameters(settings: Sequence[EffectSetting]) -> tuple[tuple[int, Parameter], ...]:
+    """Return the parameters of effects that are fitted, each with its effect's number.
+
+    A strength that a law leaves at its neutral value stays there, unless all do.
+    """
+    found: list[tuple[int, Parameter]] = []
+    for k, setting in enumerate(settings):
+        parameters = [parameter for parameter in effect_sought(setting.name).parameters if not parameter.fixed]
+        acting = {one.name for one in parameters if one.is_strength and setting.parameters[one.name] != one.neutral}
+        found += [(k, one) for one in parameters if not (acting and one.is_strength) or one.name in acting]
+    return tuple(found)

@@ -9,15 +9,15 @@ from functools import cached_property
 import numpy as np
 
 from hil.diagnosis.candidates.columns import Column, column
-from hil.diagnosis.candidates.entries import effect_sought, setting_of
+from hil.diagnosis.candidates.entries import free_parameters, moved
 from hil.diagnosis.named.form import FormError, form_columns
+from hil.diagnosis.named.held import Held, held_at
 from hil.diagnosis.named.plausible import are_driven, on_bound, pressed_against, signals_of
 from hil.diagnosis.seen.along import Signals
 from hil.diagnosis.seen.noise import ACCURACY
 from hil.diagnosis.tuned.bounded import bounded_least_squares
-from hil.diagnosis.tuned.common_scale import common_scale, first_constant, set_constant
 from hil.diagnosis.tuned.retuning import DETERMINED, Looked, Tuned
-from virtual_bus.effects.effect import PHASE, Parameter, power_of_force
+from virtual_bus.effects.effect import PHASE, Parameter
 from virtual_bus.effects.registry import effects
 from virtual_bus.errors import EffectError
 from virtual_bus.settings import EffectSetting
@@ -141,16 +141,16 @@ def fit(
     """
     settings = tuple(settings)
     offset = tuned.offset.copy() if offset is None else offset
-    parameters = tuple((k, parameter) for k, setting in enumerate(settings) for parameter in free_parameters(setting))
+    parameters = free_parameters(settings)
     try:
-        acting, left, squares = _there(tuned, settings, offset)
+        acting, left, squares = _left(tuned, settings, offset)
     except EffectError:
         return None
     columns: tuple[np.ndarray, ...] = ()
     form = _form(tuned, acting, settings, dispersion)
     fastest = 0.5 / max(one.beside.along.observed.period_s for one in tuned.looked)
     for _ in range(ITERATIONS):
-        held = _held(tuned, settings, offset, parameters)
+        held = held_at(tuned, settings, offset, parameters)
         found = [_columns(tuned, one, own, held, parameters, rest) for one, own, rest in zip(tuned.looked, acting, left, strict=True)]
         columns = tuple(each for each, _ in found)
         shortest = zip(parameters, _shortest(found), strict=True)
@@ -197,18 +197,6 @@ def _form(tuned: Tuned, acting: Sequence[Acting], settings: tuple[EffectSetting,
     return FormError(columns, dispersion)
 
 
-def free_parameters(setting: EffectSetting) -> list[Parameter]:
-    """Return the parameters of an effect that are fitted.
-
-    A strength that a law leaves at its neutral value stays there, unless all do.
-    """
-    parameters = [parameter for parameter in effect_sought(setting.name).parameters if not parameter.fixed]
-    acting = [parameter for parameter in parameters if parameter.is_strength and setting.parameters[parameter.name] != parameter.neutral]
-    if not acting:
-        return parameters
-    return [parameter for parameter in parameters if not parameter.is_strength or parameter in acting]
-
-
 @dataclass(frozen=True, eq=False)
 class Acting:
     """What a set of effects does along one recording.
@@ -231,55 +219,6 @@ class Acting:
     weaker: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
-class _Held:
-    """A machine and effects in forces that are so many times smaller that the first drive's constant is what it was seen with.
-
-    The equations are linear about that: weaker drives and lighter machines together would make all that is left smaller.
-
-    Attributes
-    ----------
-    offset : (P,) array
-    settings : tuple of EffectSetting
-    scale : (P + Q,) array or None
-        The common scale of forces at the machine itself; None where a motion shows it.
-    slopes : (P + Q,) array
-        What these nuisances and parameters change per unit of the machine's own.
-    """
-
-    offset: np.ndarray
-    settings: tuple[EffectSetting, ...]
-    scale: np.ndarray | None
-    slopes: np.ndarray
-
-
-def _held(
-    tuned: Tuned, settings: tuple[EffectSetting, ...], offset: np.ndarray, parameters: Sequence[tuple[int, Parameter]] | None = None
-) -> _Held:
-    parameters = parameters or [(k, parameter) for k, setting in enumerate(settings) for parameter in free_parameters(setting)]
-    count = len(offset)
-    scale = common_scale(tuned.numbers, offset, settings, parameters, tuned.looked[0].beside.along.known)
-    slopes = np.ones(count + len(parameters))
-    constant = None if scale is None else first_constant(tuned.numbers, scale)
-    if scale is None or constant is None:
-        return _Held(offset, settings, None, slopes)
-    times = float(scale[constant] / (scale[constant] + tuned.offset[constant] - offset[constant]))
-    slopes[:count][scale[:count] != 0.0] = 1.0 / times
-    changes: list[dict[str, float]] = [{} for _ in settings]
-    for number, (k, parameter) in enumerate(parameters, count):
-        slopes[number] = times ** -power_of_force(parameter.unit)
-        changes[k][parameter.name] = settings[k].parameters[parameter.name] * slopes[number]
-    moved = tuple(changed(setting, change) for setting, change in zip(settings, changes, strict=True))
-    return _Held(offset + scale[:count] * (1.0 / times - 1.0), moved, scale, slopes)
-
-
-def _there(tuned: Tuned, settings: tuple[EffectSetting, ...], offset: np.ndarray) -> tuple[list[Acting], tuple[np.ndarray, ...], float]:
-    """Return what effects do beside these nuisances, the innovations that are left, and their squares with what is unsure of them."""
-    held = _held(tuned, settings, offset)
-    acting = _acting(tuned, held.settings)
-    return acting, *_left(tuned, acting, held.offset)
-
-
 def _acting(tuned: Tuned, settings: tuple[EffectSetting, ...]) -> list[Acting]:
     """Return what effects do along every recording."""
     found = []
@@ -291,14 +230,15 @@ def _acting(tuned: Tuned, settings: tuple[EffectSetting, ...]) -> list[Acting]:
     return found
 
 
-def _left(tuned: Tuned, acting: Sequence[Acting], offset: np.ndarray) -> tuple[tuple[np.ndarray, ...], float]:
-    """Return the innovations that effects and a change of the nuisances leave, and their squares with what is unsure of them."""
+def _left(tuned: Tuned, settings: tuple[EffectSetting, ...], offset: np.ndarray) -> tuple[list[Acting], tuple[np.ndarray, ...], float]:
+    """Return what effects do beside nuisances, the innovations that both leave, and their squares with what is unsure of them."""
     left = []
-    moved = offset - tuned.offset
+    held = held_at(tuned, settings, offset, free_parameters(settings))
+    acting, away = _acting(tuned, held.settings), held.offset - tuned.offset
     unsure = 0.0
     for one, its in zip(tuned.looked, acting, strict=True):
-        unsure += float(one.energies @ moved**2)
-        rest = one.innovations - one.numbers @ moved
+        unsure += float(one.energies @ away**2)
+        rest = one.innovations - one.numbers @ away
         if its.alone:
             columns = [its.together, *its.alone] if len(its.alone) > 1 else [its.together]
             whitened = one.whiten(columns)
@@ -306,7 +246,7 @@ def _left(tuned: Tuned, acting: Sequence[Acting], offset: np.ndarray) -> tuple[t
             rest = _times(rest - whitened[:, 0], 1.0 / its.weaker)
         left.append(rest)
     squares = ACCURACY**2 * unsure + float(sum(rest @ rest for rest in left))
-    return tuple(left), squares
+    return acting, tuple(left), squares
 
 
 def alone(tuned: Tuned, fitted: Fitted, number: int) -> list[np.ndarray]:
@@ -346,7 +286,7 @@ def _times(values: np.ndarray, factors: np.ndarray) -> np.ndarray:
 
 
 def _columns(
-    tuned: Tuned, one: Looked, acting: Acting, held: _Held, parameters: Sequence[tuple[int, Parameter]], rest: np.ndarray
+    tuned: Tuned, one: Looked, acting: Acting, held: Held, parameters: Sequence[tuple[int, Parameter]], rest: np.ndarray
 ) -> tuple[np.ndarray, list[float]]:
     """Return what (N m, P + Q) the innovations `rest` (N m,) lose per unit of nuisances and parameters, by differences, and their steps."""
     settings, here, weaker = held.settings, acting.signals, acting.weaker
@@ -355,7 +295,7 @@ def _columns(
         try:
             step, moved, change = _change(tuned, one, settings, k, parameter, here)
         except EffectError:
-            steps.append(difference(parameter, settings[k].parameters[parameter.name]))
+            steps.append(difference(settings, k, parameter))
             columns.append(column(here, here))
             rescaled.append(np.zeros_like(weaker))
             continue
@@ -367,8 +307,7 @@ def _columns(
         if gain.any():
             whole[:, number] += _times(rest, gain)
     if held.scale is not None:
-        whole *= held.slopes
-        set_constant(tuned.numbers, held.scale, whole)
+        held.scale.set_constant(whole)
     return whole, steps
 
 
@@ -385,17 +324,11 @@ def _change(
     Steps of shapes are short enough that little of the effect itself changes: over a recording, a wave's frequency or order is known to a
     small part of a period. Where noise is assumed they stay long: waves then stay where the lines of a spectrum put them.
     """
-    setting = settings[number]
-    value = setting.parameters[parameter.name]
-    step = difference(parameter, value)
-    if value + step > parameter.high:
-        step = -step
-    own = 0.0
+    step, own = difference(settings, number, parameter), 0.0
     if not parameter.is_strength and parameter.unit != PHASE and not tuned.levels.are_assumed:
         own = column(signals_of(tuned, one, (*settings[:number], *settings[number + 1 :])), here).size
     while True:
-        moved = (*settings[:number], changed(setting, {parameter.name: value + step}), *settings[number + 1 :])
-        there = signals_of(tuned, one, moved)
+        there = signals_of(tuned, one, moved(settings, [(number, parameter)], [step]))
         change = column(here, there, step)
         share = abs(step) * change.size / own if own > 0.0 else 0.0
         if share <= MOST_CHANGED:
@@ -403,16 +336,11 @@ def _change(
         step *= 0.5 * MOST_CHANGED / share
 
 
-def difference(parameter: Parameter, value: float) -> float:
-    """Return the step by which a parameter's effect is differentiated."""
-    if parameter.unit == PHASE:
-        return STEP
-    return STEP * abs(value) if value != 0.0 else parameter.small
-
-
-def changed(setting: EffectSetting, changes: dict[str, float]) -> EffectSetting:
-    """Return an effect with other values of some parameters, within their bounds."""
-    return setting_of(effect_sought(setting.name), setting.at, {**setting.parameters, **changes})
+def difference(settings: Sequence[EffectSetting], k: int, parameter: Parameter) -> float:
+    """Return the step by which a parameter of an effect is differentiated: down where there is no room above."""
+    value = settings[k].parameters[parameter.name]
+    step = STEP if parameter.unit == PHASE else STEP * abs(value) if value != 0.0 else parameter.small
+    return -step if value + step > parameter.high else step
 
 
 def _step(
@@ -466,15 +394,11 @@ def _shortened(
     """Return the first of the step and its halves that lowers the cost; None where none does."""
     for halving in range(HALVINGS):
         share = 0.5**halving
-        changes: list[dict[str, float]] = [{} for _ in settings]
-        for (k, parameter), by in zip(parameters, step[len(offset) :], strict=True):
-            changes[k][parameter.name] = settings[k].parameters[parameter.name] + share * float(by)
-        moved = tuple(changed(setting, change) for setting, change in zip(settings, changes, strict=True))
-        further = offset + share * step[: len(offset)]
+        there, further = moved(settings, parameters, share * step[len(offset) :]), offset + share * step[: len(offset)]
         try:
-            acting, left, squares = _there(tuned, moved, further)
+            acting, left, squares = _left(tuned, there, further)
         except EffectError:
             continue
         if _cost(left, squares, further, form) < cost:
-            return moved, further, acting, left, squares
+            return there, further, acting, left, squares
     return None

@@ -7,14 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from hil.diagnosis.candidates.columns import Column
-from hil.diagnosis.candidates.entries import Entry
+from hil.diagnosis.candidates.entries import Entry, free_parameters, moved
 from hil.diagnosis.free_runs.runs import FreeRuns, Trial
-from hil.diagnosis.named.fitting import HALVINGS, ITERATIONS, SETTLED, STEP, Fitted, changed, difference, fit, free_parameters, reach
+from hil.diagnosis.named.fitting import HALVINGS, ITERATIONS, SETTLED, STEP, Fitted, difference, fit, reach
 from hil.diagnosis.named.form import FormError
 from hil.diagnosis.named.plausible import are_driven, on_bound, pressed_against
 from hil.diagnosis.named.settling import LONGEST
 from hil.diagnosis.tuned.bounded import bounded_least_squares
-from hil.diagnosis.tuned.common_scale import common_scale, set_constant
+from hil.diagnosis.tuned.common_scale import common_scale
 from hil.diagnosis.tuned.retuning import STEP as NEARBY
 from hil.diagnosis.tuned.retuning import Tuned
 from virtual_bus.effects.effect import Parameter
@@ -58,13 +58,13 @@ def fit_freely(
     (left,) = free.left([(offset, settings)])
     if left is None:
         return None
-    parameters: list[tuple[int, Parameter]] = []
+    parameters: tuple[tuple[int, Parameter], ...] = ()
     columns: tuple[np.ndarray, ...] = ()
     numbers = None if near is None else near.columns
     fastest = 0.5 / max(run.simulator.machine.plant.sample_period_s for run in free.runs)
     for turn in range(2 * ITERATIONS):
-        parameters = [(k, parameter) for k, setting in enumerate(settings) for parameter in free_parameters(setting)]
-        steps = [_step(settings[k], parameter) for k, parameter in parameters]
+        parameters = free_parameters(settings)
+        steps = [FINE * difference(settings, *one) for one in parameters]
         is_new = not numbers
         columns = _columns(free, offset, settings, parameters, steps, left, numbers)
         reaches = [reach(one, settings[k].parameters[one.name], by / FINE, fastest) for (k, one), by in zip(parameters, steps, strict=True)]
@@ -93,7 +93,7 @@ def fit_freely(
             break
         numbers = columns if gained > max(little, WORTH * promised) else None
     else:
-        columns = _columns(free, offset, settings, parameters, [_step(settings[k], one) for k, one in parameters], left, None)
+        columns = _columns(free, offset, settings, parameters, [FINE * difference(settings, *one) for one in parameters], left, None)
     pressed = pressed_against(free, offset, columns, left, dispersion)
     none = FormError([np.zeros((len(rest), 0)) for rest in left], dispersion)
     squares = float(sum(rest @ rest for rest in left))
@@ -116,21 +116,15 @@ def _columns(
         for own, known in zip(columns, numbers, strict=True):
             own[:, : len(offset)] = known[:, : len(offset)]
     trials = [_moved(offset, settings, parameters, np.where(np.arange(len(by)) == k, by[k], 0.0)) for k in sought]
-    for k, there in zip(sought, moved := free.left(trials), strict=True):
+    for k, there in zip(sought, runs := free.left(trials), strict=True):
         if there is not None:
             for own, before, after in zip(columns, left, there, strict=True):
                 own[:, k] = (before - after) / by[k]
-    known = (setting for run in free.runs for setting in run.known)
-    scale = None if None in moved else common_scale(free.numbers, offset, settings, parameters, known)
-    for own in columns if scale is not None else ():
-        set_constant(free.numbers, scale, own)
+    besides = [setting for run in free.runs for setting in run.known]
+    if None not in runs and (scale := common_scale(free.numbers, offset, settings, parameters, besides)) is not None:
+        for own in columns:
+            scale.set_constant(own)
     return tuple(columns)
-
-
-def _step(setting: EffectSetting, parameter: Parameter) -> float:
-    value = setting.parameters[parameter.name]
-    step = FINE * difference(parameter, value)
-    return -step if value + step > parameter.high else step
 
 
 def _room(free: FreeRuns, offset: np.ndarray, reaches: Sequence[tuple[float, float]]) -> tuple[np.ndarray, np.ndarray]:
@@ -153,10 +147,7 @@ def _solved(
 
 
 def _moved(offset: np.ndarray, settings: tuple[EffectSetting, ...], parameters: Sequence[tuple[int, Parameter]], step: np.ndarray) -> Trial:
-    changes: list[dict[str, float]] = [{} for _ in settings]
-    for (k, parameter), by in zip(parameters, step[len(offset) :], strict=True):
-        changes[k][parameter.name] = settings[k].parameters[parameter.name] + float(by)
-    return offset + step[: len(offset)], tuple(changed(setting, change) for setting, change in zip(settings, changes, strict=True))
+    return offset + step[: len(offset)], moved(settings, parameters, step[len(offset) :])
 
 
 def _cost(left: Sequence[np.ndarray], offset: np.ndarray, dispersion: float) -> float:

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.diagnosis.named.fitting import HALVINGS, ITERATIONS, STEP, changed, difference, free_parameters, reach
+from hil.diagnosis.candidates.entries import free_parameters, moved
+from hil.diagnosis.named.fitting import HALVINGS, ITERATIONS, STEP, difference, reach
 from hil.diagnosis.named.naming import Named
 from hil.diagnosis.predicted.open_runs import AS_LARGE, HORIZONS_s, Machine, Runs
 from hil.diagnosis.tuned.bounded import bounded_least_squares
@@ -112,7 +113,7 @@ def _fit(runs: Sequence[Runs], numbers: Numbers, point: _Point, horizon: float, 
     unit = begin / max(sum(int(np.sum(some)) for some in used), 1)  # of a window's mean square: its error at first
     cost = begin / unit + float(point.offset @ point.offset)
     for _ in range(ITERATIONS):
-        parameters = [(k, parameter) for k, setting in enumerate(point.settings) for parameter in free_parameters(setting)]
+        parameters = free_parameters(point.settings)
         system = _normal_equations(runs, numbers, point, parameters, horizon, spread, used)
         if system is None:
             break
@@ -122,9 +123,9 @@ def _fit(runs: Sequence[Runs], numbers: Numbers, point: _Point, horizon: float, 
         slopes[:count] -= point.offset
         low = np.maximum(numbers.low - point.offset, -LONGEST)
         high = np.minimum(numbers.high - point.offset, LONGEST)
-        around = np.array([reach(one, point.settings[k].parameters[one.name], _step(point, k, one)) for k, one in parameters]).reshape(
-            -1, 2
-        )
+        steps = [difference(point.settings, *each) for each in parameters]
+        values = [point.settings[k].parameters[one.name] for k, one in parameters]
+        around = np.array([reach(one, at, by) for (_, one), at, by in zip(parameters, values, steps, strict=True)]).reshape(-1, 2)
         step = bounded_least_squares(squares, slopes, np.append(low, around[:, 0]), np.append(high, around[:, 1]))
         for halving in range(HALVINGS):
             further = _moved(point, parameters, 0.5**halving * step)
@@ -141,11 +142,7 @@ def _fit(runs: Sequence[Runs], numbers: Numbers, point: _Point, horizon: float, 
 
 def _moved(point: _Point, parameters: Sequence[tuple[int, Parameter]], step: np.ndarray) -> _Point:
     count = len(point.offset)
-    changes: list[dict[str, float]] = [{} for _ in point.settings]
-    for (k, parameter), by in zip(parameters, step[count:], strict=True):
-        changes[k][parameter.name] = point.settings[k].parameters[parameter.name] + float(by)
-    settings = tuple(changed(setting, change) for setting, change in zip(point.settings, changes, strict=True))
-    return _Point(point.offset + step[:count], settings)
+    return _Point(point.offset + step[:count], moved(point.settings, parameters, step[count:]))
 
 
 def _normal_equations(
@@ -154,7 +151,7 @@ def _normal_equations(
 ) -> tuple[np.ndarray, np.ndarray] | None:  # fmt: skip
     """Return squares and slopes of the windows' mean squares, without what other first positions and speeds would make of them."""
     count = len(point.offset)
-    steps = np.append(np.full(count, STEP), [_step(point, k, parameter) for k, parameter in parameters])
+    steps = np.append(np.full(count, STEP), [difference(point.settings, *each) for each in parameters])
     moved = [_moved(point, parameters, np.where(np.arange(len(steps)) == number, step, 0.0)) for number, step in enumerate(steps)]
     squares, slopes = np.zeros((len(steps), len(steps))), np.zeros(len(steps))
     for run, some in zip(runs, used, strict=True):
@@ -181,12 +178,6 @@ def _normal_equations(
             squares += weight * without.T @ without
             slopes -= weight * without.T @ left
     return squares, slopes
-
-
-def _step(point: _Point, number: int, parameter: Parameter) -> float:
-    value = point.settings[number].parameters[parameter.name]
-    step = difference(parameter, value)
-    return -step if value + step > parameter.high else step
 
 
 def _starts(run: Runs, horizon: float, machine: Machine, here: Sequence[np.ndarray]) -> list[list[np.ndarray]]:

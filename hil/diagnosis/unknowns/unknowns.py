@@ -9,7 +9,7 @@ from enum import Enum
 
 import numpy as np
 
-from hil.diagnosis.candidates.entries import setting_of
+from hil.diagnosis.candidates.entries import moved
 from virtual_bus.effects.bounds import effect_at
 from virtual_bus.effects.effect import PHASE, Parameter
 from virtual_bus.plant.compiled import CompiledPlant
@@ -246,14 +246,8 @@ class Point:
         free = self.free
         numbers = self.numbers.copy()
         numbers[free] += step[: len(free)]
-        changes: list[dict[str, float]] = [{} for _ in self.settings]
-        for (k, parameter), by in zip(self.parameters, step[len(free) :].tolist(), strict=True):
-            changes[k][parameter.name] = self.settings[k].parameters[parameter.name] + by
-        settings = tuple(
-            setting_of(effect_at(setting.name, setting.at, self.of), setting.at, {**setting.parameters, **change})
-            for setting, change in zip(self.settings, changes, strict=True)
-        )
-        return replace(self, numbers=numbers, settings=settings)
+        bounded = [effect_at(setting.name, setting.at, self.of) for setting in self.settings]
+        return replace(self, numbers=numbers, settings=moved(self.settings, self.parameters, step[len(free) :], bounded))
 
     def room(self, unknowns: Unknowns, reach: float) -> tuple[np.ndarray, np.ndarray]:
         """Return how far down and up a step (free + Q,) may go; parameters by a share `reach` of them."""

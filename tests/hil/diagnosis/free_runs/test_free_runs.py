@@ -15,12 +15,14 @@ from hil.bench.options import BenchOptions
 from hil.diagnosis.diagnose import audit_recordings, diagnose
 from hil.diagnosis.free_runs.runs import FreeRuns, free_runs
 from hil.diagnosis.named.covariance import scattered
+from hil.diagnosis.named.fitting import fit
 from hil.diagnosis.named.freely import fit_to
 from hil.diagnosis.named.naming import name
 from hil.diagnosis.seen.see import Seen, see
 from hil.diagnosis.tuned.numbers import PRIOR
+from hil.diagnosis.tuned.retuning import nominal_offset, tuned_at
 from hil.errors import RecordingError
-from hil.experiments import Tour
+from hil.experiments import Jog, JogOnly, Tour
 from hil.machine import Machine, load_machine
 from hil.recording import Recording, read_recording
 from hil.simulation import simulate
@@ -91,6 +93,30 @@ def test_the_scale_of_all_efforts_is_as_sure_as_the_file_is() -> None:
     along[scaled], along[-1] = 1.0 / PRIOR + fitted.offset[scaled], value
     (columns,) = fitted.columns
     assert np.linalg.norm(columns @ along) < 1e-9 * np.linalg.norm(columns * along)
+
+
+@pytest.mark.slow
+def test_along_the_motion_weaker_drives_on_a_lighter_machine_leave_no_less(tmp_path: Path) -> None:
+    """The equations are linear, and what is left is in forces: its scatter may not make machines look smaller, nor a delay shorter."""
+    machine, delay = load_machine("turntable"), EffectSetting("delay", "turn", {"Td": 0.012})
+    (plan,) = JogOnly(jog=Jog(np.radians(8.0), line=1), period_s=3.0, periods=2).plans(machine)
+    recordings = {}
+    with open_bench(machine, BenchOptions("lockstep:", seed=1, emulated=machine.with_effects((delay,))), plan.start_pose) as bench:
+        for number in range(3):
+            bench.run(plan, tmp_path / f"jog_{number}.mf4")
+            recordings[f"jog_{number}"] = read_recording(tmp_path / f"jog_{number}.mf4")
+    beside = see(machine, recordings)
+    tuned = tuned_at(beside.alongs, beside.levels, nominal_offset(beside.alongs))
+    fitted = fit(tuned, (replace(delay, parameters={"Td": 0.01}),))
+    assert fitted is not None
+    assert fitted.settings[0].parameters["Td"] == pytest.approx(0.012, abs=5e-5)
+    scaled = [k for k, number in enumerate(tuned.numbers.names) if number.split(".")[1] in ("inertia_zz", "armature", "damping", "constant")]
+    assert fitted.offset[scaled] == pytest.approx(0.0, abs=0.1)
+    assert scattered(fitted)[scaled].min() > 0.9 / np.sqrt(len(scaled)), "no more is known of any than of their mean"
+    scale = np.zeros(fitted.columns[0].shape[1])
+    scale[scaled] = 1.0 / PRIOR + fitted.offset[scaled]
+    (columns,) = fitted.columns
+    assert np.linalg.norm(columns @ scale) < 1e-6 * np.linalg.norm(columns * scale)
 
 
 @pytest.mark.nightly

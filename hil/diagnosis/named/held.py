@@ -1,0 +1,38 @@
+"""A machine in forces that are so many times smaller that the first drive's constant is what it was seen with.
+
+Equations along the motion are linear about the machine as it was seen, and what is left of them is in forces: weaker drives on a lighter
+machine would leave less of everything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.diagnosis.candidates.entries import moved
+from hil.diagnosis.tuned.common_scale import CommonScale, common_scale
+from hil.diagnosis.tuned.retuning import Tuned
+from virtual_bus.effects.effect import Parameter, power_of_force
+from virtual_bus.settings import EffectSetting
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """Nuisances (P,) and effects of that machine, and the scale of forces; None where motions show it: then it is the machine itself."""
+
+    offset: np.ndarray
+    settings: tuple[EffectSetting, ...]
+    scale: CommonScale | None
+
+
+def held_at(tuned: Tuned, settings: tuple[EffectSetting, ...], offset: np.ndarray, parameters: Sequence[tuple[int, Parameter]]) -> Held:
+    """Return it, of the machine with these nuisances (P,) and effects."""
+    scale = common_scale(tuned.numbers, offset, settings, parameters, tuned.looked[0].beside.along.known)
+    if scale is None:
+        return Held(offset, settings, None)
+    own = scale.changes[: len(offset)]
+    times = float(own[scale.constant] / (own[scale.constant] + tuned.offset[scale.constant] - offset[scale.constant]))
+    steps = [settings[k].parameters[one.name] * (times ** -power_of_force(one.unit) - 1.0) for k, one in parameters]
+    return Held(offset + own * (1.0 / times - 1.0), moved(settings, parameters, steps), scale)
