@@ -155,7 +155,7 @@ def fit(
         columns = tuple(each for each, _ in found)
         shortest = zip(parameters, _shortest(found), strict=True)
         reaches = [reach(parameter, settings[k].parameters[parameter.name], least, fastest) for (k, parameter), least in shortest]
-        step = _step(tuned, settings, offset, parameters, columns, left, 1.0 / dispersion, longest, form, reaches)
+        step = _step(tuned, held, offset, parameters, columns, left, 1.0 / dispersion, longest, form, reaches)
         cost = _cost(left, squares, offset, form)
         taken = _shortened(tuned, settings, offset, parameters, step, cost, form)
         if taken is None:
@@ -232,10 +232,8 @@ def _acting(tuned: Tuned, settings: tuple[EffectSetting, ...]) -> list[Acting]:
 
 def _left(tuned: Tuned, settings: tuple[EffectSetting, ...], offset: np.ndarray) -> tuple[list[Acting], tuple[np.ndarray, ...], float]:
     """Return what effects do beside nuisances, the innovations that both leave, and their squares with what is unsure of them."""
-    left = []
-    held = held_at(tuned, settings, offset, free_parameters(settings))
+    held, left, unsure = held_at(tuned, settings, offset, free_parameters(settings)), [], 0.0
     acting, away = _acting(tuned, held.settings), held.offset - tuned.offset
-    unsure = 0.0
     for one, its in zip(tuned.looked, acting, strict=True):
         unsure += float(one.energies @ away**2)
         rest = one.innovations - one.numbers @ away
@@ -344,7 +342,7 @@ def difference(settings: Sequence[EffectSetting], k: int, parameter: Parameter) 
 
 
 def _step(
-    tuned: Tuned, settings: tuple[EffectSetting, ...], offset: np.ndarray, parameters: Sequence[tuple[int, Parameter]],
+    tuned: Tuned, held: Held, offset: np.ndarray, parameters: Sequence[tuple[int, Parameter]],
     columns: Sequence[np.ndarray], left: Sequence[np.ndarray], weight: float, longest: float, form: FormError,
     reaches: Sequence[tuple[float, float]],
 ) -> np.ndarray:  # fmt: skip
@@ -359,11 +357,12 @@ def _step(
     slopes[:count] -= offset
     energies = ACCURACY**2 * np.diag(squares).copy()
     energies[:count] -= ACCURACY**2
-    strengths = [settings[k].parameters[p.name] - p.neutral if p.is_strength else 0.0 for k, p in parameters]
-    at = np.append(offset - tuned.offset, strengths)
+    strengths = [held.settings[k].parameters[p.name] - p.neutral if p.is_strength else 0.0 for k, p in parameters]
+    at = np.append(held.offset - tuned.offset, strengths)
     energies[count:] *= [p.is_strength for _, p in parameters]
-    squares[range(len(slopes)), range(len(slopes))] += energies
-    slopes -= energies * at
+    seen = np.eye(len(slopes)) if held.scale is None else held.scale.taken_out
+    squares += seen.T @ (energies[:, None] * seen)
+    slopes -= seen.T @ (energies * at)
     free = tuned.bounds
     low = list(np.maximum(free[0], -longest) + tuned.offset - offset)
     high = list(np.minimum(free[1], longest) + tuned.offset - offset)

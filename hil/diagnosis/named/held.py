@@ -1,7 +1,6 @@
 """A machine in forces that are so many times smaller that the first drive's constant is what it was seen with.
 
-Equations along the motion are linear about the machine as it was seen, and what is left of them is in forces: weaker drives on a lighter
-machine would leave less of everything.
+Equations along the motion are linear there, and in forces: weaker drives on a lighter machine would leave less of everything.
 """
 
 from __future__ import annotations

@@ -123,9 +123,8 @@ def _fit(runs: Sequence[Runs], numbers: Numbers, point: _Point, horizon: float, 
         slopes[:count] -= point.offset
         low = np.maximum(numbers.low - point.offset, -LONGEST)
         high = np.minimum(numbers.high - point.offset, LONGEST)
-        steps = [difference(point.settings, *each) for each in parameters]
-        values = [point.settings[k].parameters[one.name] for k, one in parameters]
-        around = np.array([reach(one, at, by) for (_, one), at, by in zip(parameters, values, steps, strict=True)]).reshape(-1, 2)
+        values = [(k, one, point.settings[k].parameters[one.name]) for k, one in parameters]
+        around = np.array([reach(one, at, difference(point.settings, k, one)) for k, one, at in values]).reshape(-1, 2)
         step = bounded_least_squares(squares, slopes, np.append(low, around[:, 0]), np.append(high, around[:, 1]))
         for halving in range(HALVINGS):
             further = _moved(point, parameters, 0.5**halving * step)

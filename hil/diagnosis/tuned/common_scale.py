@@ -20,6 +20,13 @@ class CommonScale:
     changes: np.ndarray
     constant: int
 
+    @property
+    def taken_out(self) -> np.ndarray:
+        """What (P + Q, P + Q) nuisances and parameters are, were forces so much smaller that the constant stayed."""
+        found = np.eye(len(self.changes))
+        found[:, self.constant] -= self.changes / self.changes[self.constant]
+        return found
+
     def set_constant(self, columns: np.ndarray) -> None:
         """Set the constant's column among all (N, P + Q) to what the others have it: in sum nothing shows.
 
