@@ -3,7 +3,8 @@
 The emulated C-arm sweeps roll at 0.4 rad/s. Then the loop, the I/O's poller, the recorder or the supervisor are killed (SIGKILL), alone and
 together; in some rows somebody else goes on sending the bench's heartbeat, which keeps the drives from stopping by themselves. In other
 rows one of them, or all, are stopped (SIGSTOP) and go on after a time. The truth is the emulator's. Time and travel count from the kill to
-rest. No device has a fault: what the bench says may accuse none. Ended early, the script goes on where it was. One command:
+rest; a run that goes on has none. No device has a fault: what the bench says may accuse none. Ended early, the script goes on where it
+was. One command:
 
     python benchmarks/killed_together.py
 """
@@ -134,6 +135,7 @@ def under_way(
             line.send(can.Message(arbitration_id=0x77F, is_extended_id=False, data=b"\x05"))
         line.recv(0.02)
     line.shutdown()
+    goes_on = bench.poll() is None
     said = [line for line in (folder / "said.txt").read_text().splitlines() if line.startswith("isocenter: ")]
     for left in processes.values():
         with contextlib.suppress(ProcessLookupError):
@@ -142,7 +144,8 @@ def under_way(
     emulator.send_signal(signal.SIGINT)
     emulator.communicate(timeout=60.0)
     last = said[-1] if said else ""
-    return {**rest_of(truth, stamp), "accuses": [words[0] for words in ACCUSES.finditer(last)], "said": last}
+    rest = {} if goes_on and not last else rest_of(truth, stamp)
+    return {**rest, "goes_on": goes_on and not last, "accuses": len(ACCUSES.findall(last)), "said": last}
 
 
 def rest_of(truth: Path, size: int) -> dict[str, float | bool]:

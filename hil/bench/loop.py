@@ -177,7 +177,7 @@ class SampleLoop:
                 if observer is not None:
                     observer.step(sample, self.control.demand, k)
                     excitation = np.add(excitation, observer.effort, out=self._added)
-                reason = self._step(sample, plan, k, excitation, 1 + lost) or overrun
+                reason = self._after_silence(sample, self._step(sample, plan, k, excitation, 1 + lost)) or overrun
                 handed_over_s = time.perf_counter()
                 lateness[done] = sample.lateness_s
                 work[done] = handed_over_s - self.clock.tick_began_s + tail_s
@@ -214,6 +214,12 @@ class SampleLoop:
         judged = () if self.judge is None else judged_lines(self.judge.findings, done)
         missed = self.clock.missed - missed_before
         return LoopTiming(done, missed, unanswered, lateness[:done], work[:done], answer[:done], judged=judged)
+
+    def _after_silence(self, sample: Sample, reason: str) -> str:
+        """Return why the motors must be stopped, and that this program stood still before, where it has."""
+        if not reason or reason == self.stop_request.reason or sample.lateness_s <= self.overrun_ticks * self.layout.period_s:
+            return reason
+        return f"this program stood still for {sample.lateness_s:.2f} s; {reason}"
 
     def _say_stop(self, reason: str) -> None:
         """Tell the audit trail who asked for a stop, and why."""

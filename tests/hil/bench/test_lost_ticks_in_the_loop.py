@@ -179,3 +179,15 @@ def test_judges_are_told_no_less_than_a_tick_where_the_clock_begins_anew(monkeyp
             monkeypatch.setattr(clock, "missed", missed)
             assert link.judged(link.sample) == ""
     assert told == [6, 1, 1, 3]
+
+
+def test_a_loop_that_stood_still_before_a_limit_was_passed_says_so_first() -> None:
+    def late(link: ScriptedLink) -> None:
+        link.sample.lateness_s = 0.21
+        _outside(link)
+
+    with pytest.raises(LoopAbortedError, match=r"this program stood still for 0\.21 s; roll: position 1\.0100 rad"):
+        proportional_loop(ScriptedLink(ScriptedClock(), {3: late})).run(still(30))
+    with pytest.raises(LoopAbortedError) as caught:
+        proportional_loop(ScriptedLink(ScriptedClock(), {3: _outside})).run(still(30))
+    assert "stood still" not in str(caught.value)
