@@ -1,4 +1,4 @@
-"""Since when an axis that is stopped has stood: its motor side has changed no more, and its link has stayed within its swing."""
+"""Since when an axis that is stopped has stood: its motor side has changed no more; where that showed no motion, its link either."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Standstill:
     ----------
     stood_s : float
         From the beginning of the stop until its position changed no more, 0 where no encoder has left `flicker` or `swing`; NaN where it
-        has not been seen to stand, or moves again.
+        has not been seen to stand, or moves again. A structure may swing on behind a motor side that was seen to come to rest.
     """
 
     def __init__(self, flicker: float, swing: float, moved: float, period_s: float) -> None:
@@ -57,6 +57,7 @@ class Standstill:
         if abs(motor - self._at[0]) > self._moved or abs(link - self._at[1]) > self._swing:
             self.stood_s, self._at = nan, (nan, nan)
         if stands and not isfinite(self.stood_s):
-            still = min(side.ticks for side, is_seen in zip((self.motor, self.link), seen, strict=True) if is_seen)
+            sides = [side for side, is_seen in zip((self.motor, self.link), seen, strict=True) if is_seen]
+            still = self.motor.ticks if seen[0] and self.motor.moved else min(side.ticks for side in sides)
             showed = self.motor.moved or self.link.moved
             self.stood_s, self._at = max(self._ticks - still, 0) * self._period_s if showed else 0.0, (motor, link)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 from one_stop import (
     ANSWER,
@@ -395,3 +396,16 @@ def test_an_axis_that_moves_once_more_has_stood_since_then() -> None:
     creeps(stopping, 20)
     stopping.ticks(200)
     assert stopping.stop.rest.stood_s / T == pytest.approx(CLOSING + 50 + MOVED // 2 + 200 + 20, abs=1)
+
+
+def test_a_structure_that_swings_on_behind_a_motor_side_that_stands_is_no_motion_of_the_axis() -> None:
+    stopping = Stopping()
+    stopping.sample.brakes_open[1] = True
+    creeps(stopping, 50)
+    rested, width = stopping.sample.link_position[1] / COUNT, 0.1 * TRACKING / COUNT
+    for k in range(400):
+        stopping.tick(QUICK, link=rested + 1.5 * width * np.exp(-k / 100.0) * np.sin(0.1 * k))
+    stopping.sample.brakes_open[1] = False
+    stopping.until(lambda: stopping.stop.rest is not None)
+    assert stopping.stop.rest is not None
+    assert stopping.stop.rest.stood_s / T == pytest.approx(50, abs=1)
