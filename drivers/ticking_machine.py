@@ -82,7 +82,7 @@ class TickingMachine:
         self.clock = clock
         self.period_s = settings.sync_period_s
         self.network = PolledNetwork(bus, clock)
-        self.supervision = Supervision(self.network, settings.nodes, self.period_s, settings.master_heartbeat_period_s)
+        self.supervision = Supervision(self.network, settings.nodes, self.period_s)
         self._cyclic = CyclicExchange(self.network, settings, self.supervision)
         self.scalings = settings.scalings
         self.axes = tuple(scaling.axis for scaling in settings.scalings)

@@ -22,6 +22,7 @@ QUEUED_FRAMES = 10_000  # more than a receive queue holds; a flood refills it as
 
 HEARTBEAT_PATIENCE = 1.5
 """Periods after which waiting code sends the bench's heartbeat: later than the sample loop would, sooner than a node misses it."""
+HEARTBEAT_AWAY = 2.0  # periods from which it was away: no code waits so long with it, and no node bears much more
 
 NMT_START, NMT_STOP, NMT_PRE_OPERATIONAL, NMT_RESET_NODE, NMT_RESET_COMMUNICATION = 0x01, 0x02, 0x80, 0x81, 0x82
 
@@ -56,6 +57,7 @@ class PolledNetwork(canopen.Network):
         self._heartbeat: can.Message | None = None
         self._heartbeat_patience_s = 0.0
         self._heartbeat_due_s = 0.0
+        self._heartbeat_sent_s = self._heartbeat_away_s = self._pause_s = self._pause_ended_s = 0.0
         self.unsubscribe(self.lss.LSS_RX_COBID)  # nobody here asks over LSS, and the library keeps all answers
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
@@ -145,8 +147,9 @@ class PolledNetwork(canopen.Network):
     def start_heartbeat(self, node_id: int, period_s: float) -> None:
         """Start the bench's own heartbeat: the sample loop sends it by tick count, long waits in between by time."""
         self._heartbeat = can.Message(arbitration_id=HEARTBEAT + node_id, is_extended_id=False, data=bytearray(b"\x05"))
-        self._heartbeat_patience_s = HEARTBEAT_PATIENCE * period_s
-        self._heartbeat_due_s = self.clock.now()
+        self._heartbeat_patience_s, self._heartbeat_away_s = HEARTBEAT_PATIENCE * period_s, HEARTBEAT_AWAY * period_s
+        self._heartbeat_due_s = self._heartbeat_sent_s = self.clock.now()
+        self._pause_s = 0.0
 
     def stop_heartbeat(self) -> None:
         """Stop the bench's heartbeat; nodes that watch it stop their motors."""
@@ -157,7 +160,17 @@ class PolledNetwork(canopen.Network):
         if self._heartbeat is not None:
             send_frame(self.can_bus, self._heartbeat)
             self.heartbeats_sent += 1
-            self._heartbeat_due_s = self.clock.now() + self._heartbeat_patience_s
+            now_s = self.clock.now()
+            if now_s - self._heartbeat_sent_s > self._heartbeat_away_s:
+                self._pause_s, self._pause_ended_s = now_s - self._heartbeat_sent_s, now_s
+            self._heartbeat_sent_s, self._heartbeat_due_s = now_s, now_s + self._heartbeat_patience_s
+
+    def pause_of_heartbeat(self, ago_s: float) -> float:
+        """Return how long the bench's heartbeat has stayed away, now or until at most so long ago [s]; 0 where it came as it should."""
+        now_s = self.clock.now()
+        if self._heartbeat is not None and now_s - self._heartbeat_sent_s > self._heartbeat_away_s:
+            return now_s - self._heartbeat_sent_s
+        return self._pause_s if now_s - self._pause_ended_s <= ago_s else 0.0
 
 
 def is_data_frame(message: can.Message) -> bool:

@@ -77,17 +77,15 @@ class Supervision:
     nodes : sequence of Node
     period_s : float
         Between the loop's ticks; 0: it does not look every tick.
-    own_period_s : float
-        Between the heartbeats of this program, which the nodes watch; 0: they do not.
     """
 
-    def __init__(self, network: PolledNetwork, nodes: Sequence[Node], period_s: float = 0.0, own_period_s: float = 0.0) -> None:
-        self._network, self._own_period_s = network, own_period_s
+    def __init__(self, network: PolledNetwork, nodes: Sequence[Node], period_s: float = 0.0) -> None:
+        self._network = network
         self._away_s = max(AWAY_S, AWAY_PERIODS * period_s) if period_s > 0.0 else inf
         self._nodes = {node.node_id: _Watched(node.name, node.node_id, node.heartbeat_period_s, node.identity.vendor_id) for node in nodes}
         self._guarded = [watched for watched in self._nodes.values() if watched.timeout_s > 0.0]
         self._turn = 0
-        self._lost_s = self._checked_s = self._waited_s = 0.0
+        self._lost_s = self._checked_s = 0.0
         self._running = False  # nodes were started, so leaving operational is a fault
         self.boot_remarks: tuple[str, ...] = ()  # what was unusual of the last boot, in words
         self.left_operational = ""  # which started node has left operational, in words; '' while all run
@@ -183,9 +181,7 @@ class Supervision:
         ------
         HeartbeatLostError
         """
-        self._waited_s = self._clock_waited_s
         if not self._guarded:
-            self._checked_s = now_s
             return
         if (away_s := now_s - self._checked_s - max(0.0, lost_s - self._lost_s)) > self._away_s:
             for each in self._guarded:  # nobody listened: this program stood still, or did something else
@@ -201,18 +197,10 @@ class Supervision:
             )
 
     @property
-    def _clock_waited_s(self) -> float:
-        return float(getattr(self._network.clock, "waited_s", 0.0))
-
-    @property
     def own_silence(self) -> str:
-        """That this program was silent itself since the last check, for longer than nodes bear, in words; '' where it was not.
-
-        What its clock waited on purpose is no silence. A heartbeat may be a period old when the silence begins.
-        """
-        away_s = self._network.clock.now() - self._checked_s - (self._clock_waited_s - self._waited_s)
-        is_long = away_s > (HEARTBEAT_TOLERANCE - 1.0) * self._own_period_s > 0.0
-        return f"this program stood still for {away_s:.2f} s, so the nodes heard no master" if is_long else ""
+        """That this program was silent itself, as long as what nodes made of it may still come, in words; '' where it was not."""
+        pause_s = self._network.pause_of_heartbeat(max((watched.timeout_s for watched in self._guarded), default=0.0))
+        return f"this program stood still for {pause_s:.2f} s, so the nodes heard no master" if pause_s > 0.0 else ""
 
     def boot(self, nodes: Sequence[Node]) -> None:
         """Reset every node's communication and wait until each has booted.

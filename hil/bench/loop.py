@@ -26,6 +26,8 @@ from hil.bench.timing import LoopTiming
 from hil.errors import LoopAbortedError
 
 PROGRESS_TICKS = 128
+SILENT_S = 0.05
+"""Of the loop itself, from which what happened then is told as what came of it: a computer at other work takes less."""
 """Ticks between calls of the progress callback: twice a second at 256 Hz."""
 
 
@@ -169,7 +171,8 @@ class SampleLoop:
                     overrun = f"the loop lost {lost} ticks in a row; timing.overrun_ticks bridges {self.overrun_ticks}"
                 if k >= rows:  # the plan ended within the lost ticks; the newest sample is checked regardless
                     self._see(sample)
-                    if reason := self.stop_request.reason or self._violation(sample, plan.reference[-1], 1 + lost, rows) or overrun:
+                    reason = self.stop_request.reason or self._violation(sample, plan.reference[-1], 1 + lost, rows)
+                    if reason := self._after_silence(sample, lost, reason) or overrun:
                         raise _EndedError(f"after row {done - 1}", reason)
                     break
                 tail_s = self.clock.idle_began_s - handed_over_s if done else 0.0
@@ -177,7 +180,7 @@ class SampleLoop:
                 if observer is not None:
                     observer.step(sample, self.control.demand, k)
                     excitation = np.add(excitation, observer.effort, out=self._added)
-                reason = self._after_silence(sample, self._step(sample, plan, k, excitation, 1 + lost)) or overrun
+                reason = self._after_silence(sample, lost, self._step(sample, plan, k, excitation, 1 + lost)) or overrun
                 handed_over_s = time.perf_counter()
                 lateness[done] = sample.lateness_s
                 work[done] = handed_over_s - self.clock.tick_began_s + tail_s
@@ -215,11 +218,12 @@ class SampleLoop:
         missed = self.clock.missed - missed_before
         return LoopTiming(done, missed, unanswered, lateness[:done], work[:done], answer[:done], judged=judged)
 
-    def _after_silence(self, sample: Sample, reason: str) -> str:
-        """Return why the motors must be stopped, and that this program stood still before, where it has."""
-        if not reason or reason == self.stop_request.reason or sample.lateness_s <= self.overrun_ticks * self.layout.period_s:
+    def _after_silence(self, sample: Sample, lost: int, reason: str) -> str:
+        """Return why the motors must be stopped, and that this program stood still before, where it has: asleep, or within a tick."""
+        silent_s, period_s = max(sample.lateness_s, lost * self.layout.period_s), self.layout.period_s
+        if not reason or reason == self.stop_request.reason or silent_s <= max(self.overrun_ticks * period_s, SILENT_S):
             return reason
-        return f"this program stood still for {sample.lateness_s:.2f} s; {reason}"
+        return f"this program stood still for {silent_s:.2f} s; {reason}"
 
     def _say_stop(self, reason: str) -> None:
         """Tell the audit trail who asked for a stop, and why."""

@@ -117,19 +117,27 @@ def test_ticks_that_the_loop_has_lost_are_no_silence_of_a_node() -> None:
         supervision.check_one(bus.time_s, 5.2)
 
 
-def test_a_program_that_stood_still_itself_says_so_and_time_that_it_waited_on_purpose_is_not_such() -> None:
-    bus, network, _ = operational(ScriptedDrive(1))
-    looking, unheard = (Supervision(network, NODE, 1 / 256, own_period_s) for own_period_s in (0.1, 0.0))
-    setattr(network.clock, "waited_s", 1.0)  # noqa: B010
-    for each in (looking, unheard):
-        each.check_one(bus.time_s)
-    network.pump_for(0.14)
-    assert looking.own_silence == "", "nodes bear two and a half periods, and the last heartbeat may be one old"
-    network.pump_for(0.06)
-    assert looking.own_silence == "this program stood still for 0.20 s, so the nodes heard no master"
-    assert unheard.own_silence == "", "nodes that hear no heartbeat miss none"
-    setattr(network.clock, "waited_s", 1.1)  # noqa: B010
-    assert looking.own_silence == "", "half of it was waited"
+def test_a_program_that_stood_still_itself_says_so_while_nodes_may_still_tell_what_they_made_of_it() -> None:
+    bus, network, supervision = operational(ScriptedDrive(1))
+    assert supervision.own_silence == ""
+    network.start_heartbeat(0x7F, 0.1)
+
+    def wait(hundredths: int) -> None:
+        for _ in range(hundredths):
+            network.pump_for(0.01)
+
+    wait(30)
+    assert supervision.own_silence == "", "who waits goes on sending it"
+    bus.time_s += 0.3  # 0.15 s after the last
+    assert supervision.own_silence == "this program stood still for 0.45 s, so the nodes heard no master"
+    network.send_heartbeat()
+    wait(15)
+    assert supervision.own_silence == "this program stood still for 0.45 s, so the nodes heard no master"
+    wait(20)
+    assert supervision.own_silence == "", "a node's heartbeat has come since, or is missed for itself"
+    network.stop_heartbeat()
+    bus.time_s += 5.0
+    assert supervision.own_silence == "", "it was ended on purpose"
 
 
 @pytest.mark.parametrize(

@@ -181,13 +181,24 @@ def test_judges_are_told_no_less_than_a_tick_where_the_clock_begins_anew(monkeyp
     assert told == [6, 1, 1, 3]
 
 
-def test_a_loop_that_stood_still_before_a_limit_was_passed_says_so_first() -> None:
+@pytest.mark.parametrize(("lateness_s", "lost", "says"), [(0.21, 0, "0.21"), (0.003, 50, "0.20")], ids=["asleep", "within a tick"])
+@pytest.mark.parametrize("row", [3, 18], ids=["amid", "last"])
+def test_a_loop_that_stood_still_before_a_limit_was_passed_says_so_first(lateness_s: float, lost: int, says: str, row: int) -> None:
     def late(link: ScriptedLink) -> None:
-        link.sample.lateness_s = 0.21
+        link.sample.lateness_s, link.clock.missed = lateness_s, link.clock.missed + lost
         _outside(link)
 
-    with pytest.raises(LoopAbortedError, match=r"this program stood still for 0\.21 s; roll: position 1\.0100 rad"):
-        proportional_loop(ScriptedLink(ScriptedClock(), {3: late})).run(still(30))
+    with pytest.raises(LoopAbortedError, match=rf"this program stood still for {says} s; roll: position 1\.0100 rad"):
+        proportional_loop(ScriptedLink(ScriptedClock(), {row: late})).run(still(20))
+
+
+def test_one_that_was_late_by_less_is_not_accused() -> None:
+    def late(link: ScriptedLink) -> None:
+        link.sample.lateness_s = 0.004
+        _outside(link)
+
+    loop = proportional_loop(ScriptedLink(ScriptedClock(), {3: late}))
+    loop.overrun_ticks = 0
     with pytest.raises(LoopAbortedError) as caught:
-        proportional_loop(ScriptedLink(ScriptedClock(), {3: _outside})).run(still(30))
+        loop.run(still(20))
     assert "stood still" not in str(caught.value)
