@@ -3,7 +3,7 @@
 The emulated C-arm sweeps roll at 0.4 rad/s. Then the loop, the I/O's poller, the recorder or the supervisor are killed (SIGKILL), alone and
 together; in some rows somebody else goes on sending the bench's heartbeat, which keeps the drives from stopping by themselves. In other
 rows one of them, or all, are stopped (SIGSTOP) and go on after a time. The truth is the emulator's. Time and travel count from the kill to
-rest; a run that goes on has none. No device has a fault: what the bench says may accuse none. Ended early, the script goes on where it
+rest; a run that goes on has none. No device has a fault: what the bench says must accuse none. Ended early, the script goes on where it
 was. One command:
 
     python benchmarks/killed_together.py

@@ -23,7 +23,7 @@ PRISMATIC_UNITS = {
 }
 DRIVE_UNIT = "A"  # stands for the unit of the drive's effort
 PHASE = "phase"  # an angle in rad at every joint
-FORCES = ("Nm", "N", "kg")  # what is larger where all efforts and inertias are
+FORCES = ("Nm", "N", "kg", "W")  # what is larger where all efforts and inertias are
 
 
 @dataclass(frozen=True)

@@ -17,13 +17,14 @@ FAULTS = (
         "killed_together.json",
         "Processes of the bench killed or stopped at speed",
         "The emulated C-arm moves roll at 0.4 rad/s over UDP, then processes of its bench are killed together; in some rows somebody else "
-        "goes on sending the bench's heartbeat. In others processes stand still for a while (SIGSTOP), and the run may go on. Time and "
-        "travel count from the kill to rest, by the emulator's truth. No device has a fault: words that accuse one would be wrong.",
+        "goes on sending the bench's heartbeat. In further rows processes are stopped (SIGSTOP) and go on later; the run may go on, and "
+        "then has no time to rest. Time and travel count from the kill or stop, by the emulator's truth. No device has a fault: words that "
+        "accuse one would be wrong.",
         "python benchmarks/killed_together.py",
         (),
         (
             Rows(
-                "killed",
+                "killed or stopped",
                 ("rows",),
                 (
                     Column("the run goes on", ("goes_on",)),

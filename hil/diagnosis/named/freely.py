@@ -120,8 +120,8 @@ def _columns(
         if there is not None:
             for own, before, after in zip(columns, left, there, strict=True):
                 own[:, k] = (before - after) / by[k]
-    besides = [setting for run in free.runs for setting in run.known]
-    if None not in runs and (scale := common_scale(free.numbers, offset, settings, parameters, besides)) is not None:
+    besides, energies = [setting for run in free.runs for setting in run.known], np.sum([np.sum(own**2, axis=0) for own in columns], axis=0)
+    if None not in runs and (scale := common_scale(free.numbers, offset, settings, parameters, besides, energies)) is not None:
         for own in columns:
             scale.set_constant(own)
     return tuple(columns)

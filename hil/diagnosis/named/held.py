@@ -1,4 +1,4 @@
-"""A machine in forces that are so many times smaller that the first drive's constant is what it was seen with.
+"""A machine with all forces scaled so that a drive's constant is what it was when the machine was seen.
 
 Equations along the motion are linear there, and in forces: weaker drives on a lighter machine would leave less of everything.
 """
@@ -28,7 +28,8 @@ class Held:
 
 def held_at(tuned: Tuned, settings: tuple[EffectSetting, ...], offset: np.ndarray, parameters: Sequence[tuple[int, Parameter]]) -> Held:
     """Return it, of the machine with these nuisances (P,) and effects."""
-    scale = common_scale(tuned.numbers, offset, settings, parameters, tuned.looked[0].beside.along.known)
+    energies = np.sum([one.energies for one in tuned.looked], axis=0)
+    scale = common_scale(tuned.numbers, offset, settings, parameters, tuned.looked[0].beside.along.known, energies)
     if scale is None:
         return Held(offset, settings, None)
     own = scale.changes[: len(offset)]

@@ -29,6 +29,9 @@ class _Point:
     offset: np.ndarray  # (P,) of the numbers
     settings: tuple[EffectSetting, ...]
 
+    def moved(self, parameters: Sequence[tuple[int, Parameter]], step: np.ndarray) -> _Point:
+        return _Point(self.offset + step[: len(self.offset)], moved(self.settings, parameters, step[len(self.offset) :]))
+
 
 def refitted(named: Named) -> Named:
     """Return the set that predicts windows best, in free runs, that it was not fitted to; its numbers and parameters fitted to all windows.
@@ -127,7 +130,7 @@ def _fit(runs: Sequence[Runs], numbers: Numbers, point: _Point, horizon: float, 
         around = np.array([reach(one, at, difference(point.settings, k, one)) for k, one, at in values]).reshape(-1, 2)
         step = bounded_least_squares(squares, slopes, np.append(low, around[:, 0]), np.append(high, around[:, 1]))
         for halving in range(HALVINGS):
-            further = _moved(point, parameters, 0.5**halving * step)
+            further = point.moved(parameters, 0.5**halving * step)
             there = _squares(runs, numbers, further, horizon, spread, used) / unit + float(further.offset @ further.offset)
             if there < cost:
                 break
@@ -139,11 +142,6 @@ def _fit(runs: Sequence[Runs], numbers: Numbers, point: _Point, horizon: float, 
     return point
 
 
-def _moved(point: _Point, parameters: Sequence[tuple[int, Parameter]], step: np.ndarray) -> _Point:
-    count = len(point.offset)
-    return _Point(point.offset + step[:count], moved(point.settings, parameters, step[count:]))
-
-
 def _normal_equations(
     runs: Sequence[Runs], numbers: Numbers, point: _Point, parameters: Sequence[tuple[int, Parameter]], horizon: float, spread: np.ndarray,
     used: Sequence[np.ndarray],
@@ -151,14 +149,14 @@ def _normal_equations(
     """Return squares and slopes of the windows' mean squares, without what other first positions and speeds would make of them."""
     count = len(point.offset)
     steps = np.append(np.full(count, STEP), [difference(point.settings, *each) for each in parameters])
-    moved = [_moved(point, parameters, np.where(np.arange(len(steps)) == number, step, 0.0)) for number, step in enumerate(steps)]
+    moved_ones = [point.moved(parameters, np.where(np.arange(len(steps)) == number, step, 0.0)) for number, step in enumerate(steps)]
     squares, slopes = np.zeros((len(steps), len(steps))), np.zeros(len(steps))
     for run, some in zip(runs, used, strict=True):
         here = run.off(horizon, _machine(numbers, point))
         if here is None:
             return None
         columns = []
-        for one in moved:
+        for one in moved_ones:
             there = run.off(horizon, _machine(numbers, one))
             columns.append(here if there is None else there)
         starts = _starts(run, horizon, _machine(numbers, point), here)

@@ -15,14 +15,14 @@ from virtual_bus.settings import EffectSetting
 
 @dataclass(frozen=True, eq=False)
 class CommonScale:
-    """How nuisances and parameters (P + Q,) change where it is larger by one share, and which of them is the first drive's constant."""
+    """How nuisances and parameters (P + Q,) change where the scale is larger by one share, and the constant among them that shows most."""
 
     changes: np.ndarray
     constant: int
 
     @property
     def taken_out(self) -> np.ndarray:
-        """What (P + Q, P + Q) nuisances and parameters are, were forces so much smaller that the constant stayed."""
+        """How nuisances and parameters of a machine whose constant stays change (P + Q, P + Q) with those of one on the same scale."""
         found = np.eye(len(self.changes))
         found[:, self.constant] -= self.changes / self.changes[self.constant]
         return found
@@ -39,9 +39,9 @@ class CommonScale:
 
 def common_scale(
     numbers: Numbers, offset: np.ndarray, settings: Sequence[EffectSetting], parameters: Sequence[tuple[int, Parameter]],
-    known: Iterable[EffectSetting],
+    known: Iterable[EffectSetting], energies: np.ndarray,
 ) -> CommonScale | None:  # fmt: skip
-    """Return the scale at nuisances (P,) and effects with these free parameters, beside `known` ones; None where some force is held."""
+    """Return the scale at nuisances (P,), with their columns' squares, and effects; None where a force is held, as a known one's is."""
     values = numbers.values(offset[: len(numbers.indices)])
     own = {int(index): k for k, index in enumerate(numbers.indices) if numbers.low[k] < numbers.high[k]}
     found, constants = np.zeros(len(offset) + len(parameters)), []
@@ -56,4 +56,4 @@ def common_scale(
         return None
     for column, (k, sought) in enumerate(parameters, len(offset)):
         found[column] = power_of_force(sought.unit) * settings[k].parameters[sought.name]
-    return CommonScale(found, min(constants)) if constants else None
+    return CommonScale(found, max(constants, key=lambda k: float(energies[k] * found[k] ** 2))) if constants else None
