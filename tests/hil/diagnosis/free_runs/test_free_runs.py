@@ -110,7 +110,9 @@ def test_along_the_motion_weaker_drives_on_a_lighter_machine_leave_no_less(tmp_p
     fitted = fit(tuned, (replace(delay, parameters={"Td": 0.01}),))
     assert fitted is not None
     assert fitted.settings[0].parameters["Td"] == pytest.approx(0.012, abs=5e-5)
-    scaled = [k for k, number in enumerate(tuned.numbers.names) if number.split(".")[1] in ("inertia_zz", "armature", "damping", "constant")]
+    scaled = [
+        k for k, number in enumerate(tuned.numbers.names) if number.split(".")[1] in ("inertia_zz", "armature", "damping", "constant")
+    ]
     assert fitted.offset[scaled] == pytest.approx(0.0, abs=0.1)
     assert scattered(fitted)[scaled].min() > 0.9 / np.sqrt(len(scaled)), "no more is known of any than of their mean"
     scale = np.zeros(fitted.columns[0].shape[1])
