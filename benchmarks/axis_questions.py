@@ -3,7 +3,7 @@
     python benchmarks/axis_questions.py --work WORK
 
 Each question is of the kind of a public report. Answers go to results/axis_questions.json, with the commands that led there, and a figure
-each to docs/figures. Answers that are there are kept; --only makes one anew. `python -m docs.generate` then writes their page.
+each to docs/figures. Answers that are there are kept; --only makes one anew.
 """
 
 from __future__ import annotations
