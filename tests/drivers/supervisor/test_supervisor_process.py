@@ -98,14 +98,15 @@ class Bench:
                     self.orders.write(told)
         self.own.read(self.seen)
 
-    def supervise(self, url: str = "") -> None:
+    def supervise(self, url: str = "", io_memory: str | None = None) -> None:
         """Run the process's own function to an end that it is told from the beginning, but for what it would do to the tests' process."""
+        io_memory = self.io_memory.name if io_memory is None else io_memory
         self.order(1.0, end=True)
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(process.signal, "signal", lambda *words: self.signals.append(words))
             patch.setattr(process.os, "sched_setscheduler", self.schedule)
             tap = None if url else self.there
-            process.supervise(self.settings, url, self.memory.name, self.io_memory.name, self.parent, self.priority, self.stop_socket, tap)
+            process.supervise(self.settings, url, self.memory.name, io_memory, self.parent, self.priority, self.stop_socket, tap)
         self.own.read(self.seen)
 
     def schedule(self, which: int, policy: int, parameters: os.sched_param) -> None:
@@ -323,6 +324,12 @@ def test_nobody_can_ask_without_unix_sockets(bench: Bench, monkeypatch: pytest.M
     bench.supervise()
     assert bench.seen[ROUNDS] == 1
     assert not Path("never.socket").exists()
+
+
+def test_a_machine_without_io_is_judged_by_its_bus_alone(bench: Bench) -> None:
+    bench.settings, bench.stop_socket = replace(SETTINGS, io=None), None
+    bench.supervise(io_memory="")
+    assert (bench.seen[ROUNDS], bench.seen[PERMITS], bench.seen[ANSWER], bench.own.text) == (1, 1, 0, "")
 
 
 def test_a_socket_that_cannot_be_made_keeps_nothing_from_running(bench: Bench, tmp_path: Path) -> None:
