@@ -200,7 +200,7 @@ class Supervision:
     def own_silence(self) -> str:
         """That this program was silent itself, as long as what nodes made of it may still come, in words; '' where it was not."""
         pause_s = self._network.pause_of_heartbeat(max((watched.timeout_s for watched in self._guarded), default=0.0))
-        return f"this program stood still for {pause_s:.2f} s, so the nodes heard no master" if pause_s > 0.0 else ""
+        return f"this program stood still: the nodes heard no master for {pause_s:.2f} s" if pause_s > 0.0 else ""
 
     def boot(self, nodes: Sequence[Node]) -> None:
         """Reset every node's communication and wait until each has booted.

@@ -40,7 +40,7 @@ CAUSES: tuple[tuple[str, str], ...] = (
     (r"\w+ \(node \d+\): \w+:\w+ .* is .*, .* was written: somebody, or the device itself, has changed it",
      "setting_changes|foreign_sdo|drive_(loses_power|reboots|coasts)"),
     (r"(\w+: )?its drive (did not hold it|does not hold it).*", rf"{TORQUE}|{DEPARTS}"),
-    (r"this program stood still for [\d.]+ s(, so the nodes heard no master)?", "loop_stopped"),
+    (r"this program stood still( for [\d.]+ s|: the nodes heard no master for [\d.]+ s)", "loop_stopped"),
     # ---- nodes
     (r"\w+ \(node \d+\): rebooted", "drive_reboots|foreign_nmt|drive_loses_power|node_unplugged"),
     (r"\w+ \(node \d+\): left operational: .*", "node_leaves_operational|node_stops|foreign_(nmt|heartbeat)|drive_reboots"),

@@ -129,10 +129,10 @@ def test_a_program_that_stood_still_itself_says_so_while_nodes_may_still_tell_wh
     wait(30)
     assert supervision.own_silence == "", "who waits goes on sending it"
     bus.time_s += 0.3  # 0.15 s after the last
-    assert supervision.own_silence == "this program stood still for 0.45 s, so the nodes heard no master"
+    assert supervision.own_silence == "this program stood still: the nodes heard no master for 0.45 s"
     network.send_heartbeat()
     wait(15)
-    assert supervision.own_silence == "this program stood still for 0.45 s, so the nodes heard no master"
+    assert supervision.own_silence == "this program stood still: the nodes heard no master for 0.45 s"
     wait(20)
     assert supervision.own_silence == "", "a node's heartbeat has come since, or is missed for itself"
     network.stop_heartbeat()
