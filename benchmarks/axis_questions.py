@@ -3,7 +3,7 @@
     python benchmarks/axis_questions.py --work WORK
 
 Each question is of the kind of a public report. Answers go to results/axis_questions.json, with the commands that led there, and a figure
-each to docs/figures. Answers that are there are kept; --only makes one anew.
+each to WORK. Answers that are there are kept; --only makes one anew.
 """
 
 from __future__ import annotations
@@ -29,7 +29,6 @@ from hil.recording import Recording, read_recording
 
 mpl.use("agg")
 RESULTS = Path(__file__).parent / "results" / "axis_questions.json"
-FIGURES = Path(__file__).resolve().parents[1] / "docs" / "figures"
 COMMAND = (sys.executable, "-c", "import sys; from hil.cli import main; sys.exit(main())")
 BLUE, ORANGE = "#0072B2", "#D55E00"
 EVEN, SLOW, FAST = ("--amplitude 20 --period 6", 2), ("--amplitude 5 --period 20", 1), ("--amplitude 8 --period 3", 4)
@@ -260,14 +259,14 @@ def figure(question: Question, folder: Path, path: Path) -> None:
     plt.close(fig)
 
 
-def answered(question: Question, folder: Path, path: Path) -> dict[str, Any]:
-    """Record and diagnose one question, and draw it to this path."""
+def answered(question: Question, folder: Path) -> dict[str, Any]:
+    """Record, diagnose and draw one question."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "truth.toml").write_text(question.truth)
     (folder / "geared.toml").write_text(geared())
     for line in commands(question):
         printed = typed(line, folder)
-    figure(question, folder, path)
+    figure(question, folder, folder / "symptom.png")
     said = printed.split("\nE, misfit")[0].strip().splitlines()
     return {
         "asks": question.asks,
@@ -295,7 +294,7 @@ def main() -> None:
     found = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
     for name, question in QUESTIONS.items():
         if name == arguments.only or (arguments.only is None and name not in found):
-            found[name] = answered(question, arguments.work / name, FIGURES / f"axis-{name}.png")
+            found[name] = answered(question, arguments.work / name)
             found = {each: found[each] for each in QUESTIONS if each in found}
             RESULTS.write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
             print(name, *found[name]["said"], sep="\n  ", flush=True)

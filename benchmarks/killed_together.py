@@ -144,8 +144,10 @@ def under_way(
     emulator.send_signal(signal.SIGINT)
     emulator.communicate(timeout=60.0)
     last = said[-1] if said else ""
-    rest = {} if goes_on and not last else rest_of(truth, stamp)
-    return {**rest, "goes_on": goes_on and not last, "accuses": len(ACCUSES.findall(last)), "said": last}
+    goes_on = goes_on and not last
+    rest = {} if goes_on else rest_of(truth, stamp)
+    hides = stopped_s is not None and "loop" in row and "this program stood still" not in last  # what came of it is told as the cause
+    return {**rest, "goes_on": goes_on, "accuses": len(ACCUSES.findall(last)) + hides, "said": last}
 
 
 def rest_of(truth: Path, size: int) -> dict[str, float | bool]:

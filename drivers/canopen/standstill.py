@@ -1,4 +1,4 @@
-"""Since when an axis that is stopped has stood: its motor side has changed no more; where that showed no motion, its link either."""
+"""Since when an axis that is stopped has stood: its motor side has changed no more, or, where that showed no motion, its link."""
 
 from __future__ import annotations
 

@@ -220,10 +220,11 @@ class SampleLoop:
 
     def _after_silence(self, sample: Sample, lost: int, reason: str) -> str:
         """Return why the motors must be stopped, and that this program stood still before, where it has: asleep, or within a tick."""
-        silent_s, period_s = max(sample.lateness_s, lost * self.layout.period_s), self.layout.period_s
-        if not reason or reason == self.stop_request.reason or silent_s <= max(self.overrun_ticks * period_s, SILENT_S):
+        if not reason or reason == self.stop_request.reason:
             return reason
-        return f"this program stood still for {silent_s:.2f} s; {reason}"
+        silent_s = max(sample.lateness_s, lost * self.layout.period_s)
+        is_long = silent_s > max(self.overrun_ticks * self.layout.period_s, SILENT_S)
+        return f"this program stood still for {silent_s:.2f} s; {reason}" if is_long else reason
 
     def _say_stop(self, reason: str) -> None:
         """Tell the audit trail who asked for a stop, and why."""

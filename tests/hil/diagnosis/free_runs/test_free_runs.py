@@ -12,11 +12,13 @@ from carriage import MACHINE, disturbance, recording, reference, run
 from controllers.feedback import Feedback
 from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
+from hil.diagnosis.candidates.entries import free_parameters
 from hil.diagnosis.diagnose import audit_recordings, diagnose
 from hil.diagnosis.free_runs.runs import FreeRuns, free_runs
 from hil.diagnosis.named.covariance import scattered
 from hil.diagnosis.named.fitting import fit
 from hil.diagnosis.named.freely import fit_to
+from hil.diagnosis.named.held import held_at
 from hil.diagnosis.named.naming import name
 from hil.diagnosis.seen.see import Seen, see
 from hil.diagnosis.tuned.numbers import PRIOR
@@ -115,6 +117,11 @@ def test_along_the_motion_weaker_drives_on_a_lighter_machine_leave_no_less(tmp_p
     ]
     assert fitted.offset[scaled] == pytest.approx(0.0, abs=0.1)
     assert scattered(fitted)[scaled].min() > 0.9 / np.sqrt(len(scaled)), "no more is known of any than of their mean"
+    heavier, rubs = tuned.offset.copy(), EffectSetting("coulomb_friction", "turn", {"Fc": 3.3})
+    heavier[: len(tuned.numbers.indices)] = 0.1 / PRIOR  # all of the turntable's numbers are forces or inertias, a tenth larger now
+    held = held_at(tuned, (rubs,), heavier, free_parameters((rubs,)))
+    assert held.offset == pytest.approx(tuned.offset, abs=1e-9)
+    assert held.settings[0].parameters["Fc"] == pytest.approx(3.0)
     scale = np.zeros(fitted.columns[0].shape[1])
     scale[scaled] = 1.0 / PRIOR + fitted.offset[scaled]
     (columns,) = fitted.columns
