@@ -17,8 +17,9 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 MINUTES = 90.0
 FAILED, LEFT = 1, 3
-SCRIPTS = ("wheel", "supervisor")
-"""Proofs of their own beside this file: the journeys of the README from an installed wheel; the supervisor's coverage and mutants."""
+SCRIPTS = ("wheel", "supervisor", "properties")
+"""Proofs of their own beside this file: the journeys of the README from an installed wheel; the supervisor's coverage and mutants; every
+property on all of its examples."""
 
 
 def git(*words: str) -> str:
@@ -75,6 +76,7 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=MINUTES, help="end after so many")
     parser.add_argument("--list", action="store_true", help="say what there is, and how it ended")
     options = parser.parse_args()
+    os.environ["ISOCENTER_EXAMPLES"] = "all"  # of properties, in whatever a proof starts
     end = time.monotonic() + 60.0 * options.minutes
     path = ROOT / "build" / "nightly" / f"{tree()}.json"
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -242,7 +242,7 @@ def typed(line: str, folder: Path) -> str:
     """Run a command in a folder; return what it prints."""
     words = shlex.split(line)[1:]
     done = subprocess.run([*COMMAND, *words], cwd=folder, capture_output=True, text=True, check=False, env=os.environ | {"NO_COLOR": "1"})
-    if done.returncode not in (0, 1):
+    if done.returncode not in (0, 1) or "Traceback" in done.stderr:
         raise SystemExit(f"{line}\n{done.stdout}{done.stderr}")
     return done.stdout
 

@@ -22,7 +22,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from hil.calibration.consistency.recalibrate import ORDER, recalibrate
-from hil.calibration.phantom.from_scan import calibrate_phantom_scan
+from hil.calibration.use.from_phantom_scan import calibrate_phantom_scan
 from hil.emulated.scenes import scene
 from hil.imaging.detector import Detector
 from hil.imaging.geometry import ConeBeam

@@ -46,7 +46,7 @@ from hil.imaging.nominal import nominal_beam
 from hil.imaging.phantoms import dodecahedron
 from hil.imaging.scan_folder import ImageScan, read_scan
 from hil.machine import Machine, load_machine
-from hil.observing import ObserverDesign, design_observer, observe, read_design, tune, write_design
+from hil.observing import ObserverDesign, observe, read_design, tune, write_design
 from hil.observing.observer_design import COARSE_GRID, GRID, STANDING_s, axis_grid
 from hil.observing.simulated_recordings import emulated_recording, emulated_responses
 from hil.reconstruction.fdk import line_integrals, reconstruct
@@ -54,6 +54,7 @@ from hil.reconstruction.wire_profiles import wire_quality
 from hil.recording import Channel, Recording, read_recording
 from hil.simulation import Simulator
 from hil.terminal.output import Answer
+from hil.verbs.observe import design_observer
 
 HOT_SINCE_S = 0.1  # isocenter expose's first exposure
 ASKEW = {
@@ -187,7 +188,7 @@ def designed(work: Work, first: Parameters, model: QuasiStatic) -> ObserverDesig
     if machine.own_effects:
         return own_design(machine, told=True)
     measured, standing = responses(work.shared, machine)
-    design = design_observer(machine, measured, [levelled(machine, each, model, first.values) for each in standing])
+    design = design_observer(machine, measured, standing=[levelled(machine, each, model, first.values) for each in standing])
     tuned = tune(design.model, design.noise, [levelled(machine, work.recording("before"), model, first.values)])
     return dataclasses.replace(design, noise=tuned.noise)
 
@@ -247,7 +248,7 @@ def wire_figures(scan: ImageScan, beam: ConeBeam) -> dict[str, float]:
     volume = reconstruct(images, scan.detector, beam, 128, 0.5e-3)
     rods = scene("wires-1mm")
     found = {axis: wire_quality(volume, rod.start_m, rod.end_m, rod.attenuation_1_m) for axis, rod in zip("xyz", rods, strict=True)}
-    peaks = {f"peak_{axis}_1_m": quality.mean_peak_1_m for axis, quality in found.items()}
+    peaks = {f"peak_{axis}_1_m": quality.peak_1_m for axis, quality in found.items()}
     return peaks | {f"off_{axis}_mm": 1e3 * float(np.linalg.norm(quality.offset_m)) for axis, quality in found.items()}
 
 

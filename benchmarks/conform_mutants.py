@@ -22,7 +22,7 @@ from node_mutants import SEED, Mutant, all_mutants, drawn_mutants
 from places import DATA, ROOT
 
 from drivers.canopen.eds import load_object_dictionary
-from hil.conform.run import Conformance, conform
+from hil.conform.all_checks import Conformance, conform
 from virtual_bus.canopen.bare import BareMachine
 from virtual_bus.canopen.device_bus import DeviceBus
 

@@ -26,11 +26,16 @@ from drivers.errors import DriverError
 from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
 from hil.demo.hidden import LIMITS, TIMES, Envelope, stronger
-from hil.demo.recorded import HELD_OUT, TOUR, answered_by, demo_machine, recorded
-from hil.diagnosis.named.search import library
-from hil.diagnosis.named.standing import detection_limits
+from hil.demo.recorded import HELD_OUT, TOUR, demo_machine, recorded
+from hil.diagnosis.diagnose import audit_recordings
+from hil.diagnosis.free_runs.runs import free_runs
+from hil.diagnosis.model_choice.alternatives import detection_limits
+from hil.diagnosis.model_choice.choose import choose_effects
+from hil.diagnosis.model_choice.search import library
+from hil.diagnosis.residuals.residuals import residuals_of
 from hil.errors import BenchError
 from hil.machine.effects_file import effects_text
+from hil.recording import read_recording
 from hil.terminal.progress import progress
 from virtual_bus.errors import EmulatorError
 from virtual_bus.settings import EffectSetting
@@ -45,11 +50,12 @@ def write_limits() -> None:
     with tempfile.TemporaryDirectory() as folder, progress() as bars:
         machine = demo_machine(Path(folder))
         paths, _ = recorded(machine, Envelope(0, (), ()), Path(folder), bars)
-        named = answered_by(machine, paths, bars).named
-        assert named is not None
-        if named.best.settings:
-            sys.exit(f"a machine that hides nothing: {', '.join(one.name for one in named.best.settings)} is named")
-        found = detection_limits(named, library(named.tuned, named.best))
+        recordings = {path.stem: read_recording(path) for path in paths[:-1]}
+        residuals = residuals_of(machine, recordings, freely=True)
+        choice = choose_effects(residuals, free_runs(residuals, audit_recordings(machine, recordings, {})))
+        if choice.best.settings:
+            sys.exit(f"a machine that hides nothing: {', '.join(one.name for one in choice.best.settings)} is named")
+        found = detection_limits(choice, library(choice.linear, choice.best, choice.of))
         shown = [limit.setting for limit in found if limit.setting is not None]
     with ProcessPoolExecutor() as workers:  # a load that the bench refuses to move is in no recording
         moves = list(workers.map(can_be_moved, shown))

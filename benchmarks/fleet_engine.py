@@ -157,7 +157,7 @@ def overhead(work: Path) -> dict[str, float]:
 def empty_jobs(store: Path, name: str) -> tuple[float, float]:
     """Do jobs that do nothing; return the time on the wall, and this process's own on its processor [s]."""
     from hil.fleet.keep import Keeper
-    from hil.fleet.run import FleetRun, _rows_of
+    from hil.fleet.new_work import FleetRun, _rows_of
 
     argument = {"machine": "m", "night": "2026-11-27T00:00:00+00:00", "task": "check", "experiment": "e", "recordings": [], "held_out": []}
     argument["machine_file"] = {"text": hil.open_machine("carm").text, "hash": "h"}

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.identification import LocalModel, PoseModel, fast_local, nd_local, periodic_records
-from hil.identification.local.selection import Candidate, default_candidates, select_local_model
+from hil.identification.lpm_lrm.order_selection import Candidate, default_candidates, select_local_model
 from hil.machine import load_machine
 from hil.simulation import Inputs, Simulator
 from hil.simulation.linear import sampled_response

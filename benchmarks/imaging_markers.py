@@ -23,7 +23,7 @@ from hil.calibration.marker.tube_to_panel import LINEAR, NONLINEAR, fit_marker
 from hil.emulated.marker_images import expected_image
 from hil.imaging import Detector
 from hil.imaging.markers import PLATES, MarkerProjection, experimental_plate, find_marker
-from hil.imaging.markers.edges_alone import coarse_points
+from hil.imaging.markers.canny_hough import coarse_points
 from virtual_bus.xray.imaging import Optics, exposed
 
 DETECTOR = Detector(columns=640, rows=512, pitch_m=0.5e-3)

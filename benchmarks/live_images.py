@@ -49,12 +49,13 @@ from hil.experiments import Scan, Static
 from hil.imaging.nominal import nominal_detector
 from hil.imaging.scan_folder import read_scan
 from hil.machine import load_machine
-from hil.observing import emulated_design, observe, read_design, write_design
+from hil.observing import observe, read_design, write_design
 from hil.observing.simulated_recordings import emulated_recording
 from hil.processes.real_time import real_time
 from hil.processes.second_in_line import politely
 from hil.processes.workers import end_with_the_parent
 from hil.recording import RecordingWarning, read_recording
+from hil.verbs.observe import design_observer
 from virtual_bus.emulator import Ports, run_emulator
 
 ISOCENTER = [sys.executable, "-m", "hil"]
@@ -108,7 +109,7 @@ def prepared(work: Path) -> tuple[Path, Path, Path]:
     machine = load_machine("carm")
     if not observer.exists():
         scan = emulated_recording(machine, Scan("roll", -0.5, 0.5, 0.5).plans(machine)[0], 60)
-        write_design(emulated_design(machine, [scan]), observer)
+        write_design(design_observer(machine, tuned_on=[scan]), observer)
     observe(emulated_recording(machine, Static(2.0).plans(machine)[0], 1), read_design(observer).observer())  # compiled
     if not known.exists():
         sweep = ["--axis", "roll", "--from", 10, "--to", 30, "--speed", 5, "--dwell", "0.5", "--image-rate", 2, "--image-binning", 8]

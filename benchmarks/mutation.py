@@ -66,30 +66,32 @@ class Part(NamedTuple):
 CANOPEN, TESTS = "drivers/canopen", "tests/drivers/canopen"
 PARTS = {
     "supervisor": Part(
-        ("drivers/supervisor", "drivers/modbus/refresh.py"), ("tests/drivers/supervisor", "tests/drivers/modbus/test_refresh.py"), 0.95
+        ("drivers/supervisor", "drivers/shared_memory/supervisor_blocks.py", "drivers/modbus/refresh.py"),
+        ("tests/drivers/supervisor", "tests/drivers/modbus/test_refresh.py"),
+        0.95,
     ),
     "stop": Part(
-        tuple(f"{CANOPEN}/{name}.py" for name in ("axis_stop", "brake_push", "encoder_path", "hold", "standstill", "stopping")),
-        tuple(f"{TESTS}/test_{name}.py" for name in ("axis_stop_bounds", "axis_stop_proof", "hold", "stop_and_master_bounds")),
+        tuple(f"{CANOPEN}/{name}.py" for name in ("quick_stop", "brake_proof", "encoder_path", "hold", "standstill", "stopping")),
+        tuple(f"{TESTS}/test_{name}.py" for name in ("quick_stop_bounds", "brake_proof", "hold", "stop_and_master_bounds")),
         0.90,
     ),
     "watch": Part(
-        (f"{CANOPEN}/watch.py", f"{CANOPEN}/one_master.py"),
-        (f"{TESTS}/test_watch_bounds.py", f"{TESTS}/test_motion_watch.py", f"{TESTS}/test_stop_and_master_bounds.py"),
+        (f"{CANOPEN}/motion_bounds.py", f"{CANOPEN}/one_master.py"),
+        (f"{TESTS}/test_motion_bounds.py", f"{TESTS}/test_motion_watch.py", f"{TESTS}/test_stop_and_master_bounds.py"),
         0.90,
     ),
     "whole machine": Part(
-        (f"{CANOPEN}/resting.py", f"{CANOPEN}/supervision.py"),
+        (f"{CANOPEN}/resting.py", f"{CANOPEN}/heartbeat_consumer.py"),
         tuple(
             f"{TESTS}/test_{name}.py"
-            for name in ("machine_commissioning", "machine_start", "machine_stop", "node_supervision", "one_master", "late_answers")
+            for name in ("machine_commissioning", "machine_start", "machine_stop", "heartbeat_consumer", "one_master", "late_answers")
         ),
         0.90,
         # forty whole stops for every mutant would take days, and find less than the stops that are written out
         f"{TESTS}/test_machine_stop.py::test_no_voltage_is_taken_from_an_axis_that_a_brake_does_not_hold",
     ),
     "judges": Part(("drivers/judging",), ("tests/drivers/judging",), 0.90),
-    "oversight": Part(("drivers/oversight",), ("tests/drivers/oversight",), 0.90),
+    "supervisor link": Part(("drivers/supervisor_link",), ("tests/drivers/supervisor_link",), 0.90),
     "limits": Part(
         ("hil/bench/loop.py",),
         tuple(f"tests/hil/bench/test_{name}.py" for name in ("loop_bounds", "lost_ticks_in_the_loop", "sample_loop")),

@@ -23,13 +23,13 @@ import numpy as np
 
 from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
-from hil.diagnosis.answered.answer import NEXT_EXPERIMENT
-from hil.diagnosis.answered.values import Answered
 from hil.diagnosis.diagnose import diagnose
 from hil.diagnosis.files import write_diagnosis
-from hil.diagnosis.named.fitting import fit
-from hil.diagnosis.seen.see import see
-from hil.diagnosis.tuned.retuning import nominal_offset, tuned_at
+from hil.diagnosis.model_choice.fitting import fit
+from hil.diagnosis.residuals.residuals import residuals_of
+from hil.diagnosis.retuning.linear_model import linear_at, nominal_offset
+from hil.diagnosis.verdict.answer import NEXT_EXPERIMENT
+from hil.diagnosis.verdict.values import Outcome
 from hil.experiments import Experiment, Jog, JogOnly, read_experiment
 from hil.machine import Machine, load_machine
 from hil.recording import Recording, read_recording
@@ -82,7 +82,7 @@ def jog(amplitude_deg: float) -> Experiment:
     return JogOnly(pose={}, jog=Jog(math.radians(amplitude_deg), line=1), period_s=4.0, periods=1, settle_periods=1)
 
 
-def said(outcome: Answered) -> dict[str, Any]:
+def said(outcome: Outcome) -> dict[str, Any]:
     """Verdict and plausible hypotheses."""
     hypotheses = [
         {"effects": [str(effect) for effect in h.effects], "confidence": round(h.confidence, 3)}
@@ -92,14 +92,14 @@ def said(outcome: Answered) -> dict[str, Any]:
     return {"verdict": outcome.diagnosis.verdict, "hypotheses": hypotheses}
 
 
-def shown_by(outcome: Answered, machine: Machine, recordings: Mapping[str, Recording]) -> list[float]:
+def shown_by(outcome: Outcome, machine: Machine, recordings: Mapping[str, Recording]) -> list[float]:
     """Separations of the proposal's rivals that repeats of its experiment show: of their mean, over the root of their number."""
     assert outcome.proposal is not None
-    seen = see(machine, recordings)
-    offset = nominal_offset(seen.alongs)
+    seen = residuals_of(machine, recordings)
+    offset = nominal_offset(seen.trajectories)
     first, *rivals = outcome.proposal.models
     offset[: len(first.offset)] = first.offset
-    tuned = tuned_at(seen.alongs, seen.levels, offset, first.effects)
+    tuned = linear_at(seen.trajectories, seen.levels, offset, first.effects)
     costs = [fitted.cost() if (fitted := fit(tuned, model.effects, offset)) is not None else math.nan for model in (first, *rivals)]
     excess = (np.array(costs[1:]) - costs[0]) / len(recordings)
     return [float(d) for d in np.sign(excess) * np.sqrt(np.abs(excess))]

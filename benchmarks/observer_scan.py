@@ -29,12 +29,13 @@ from controllers.observers.consistency import share_in_band
 from controllers.observers.settings import ObserverNoise
 from hil.experiments import Plan, Scan
 from hil.machine import Machine, load_machine
-from hil.observing import ObserverDesign, emulated_design, observe, read_design, tune, write_design
+from hil.observing import ObserverDesign, observe, read_design, tune, write_design
 from hil.observing.geometry import observed_chain
 from hil.observing.noise import encoder_steps
 from hil.recording import Channel, Recording
 from hil.simulation.simulate import imu_units
 from hil.terminal.output import Answer
+from hil.verbs.observe import design_observer
 from virtual_bus.effects.registry import effect_number
 from virtual_bus.physics import Physics
 from virtual_bus.plant.compiled import compile_plant
@@ -402,7 +403,7 @@ def main() -> None:
     to = Answer(options.json)
     machine = load_machine(options.machine)
     began = time.perf_counter()
-    design = read_design(options.design) if options.design else emulated_design(machine)
+    design = read_design(options.design) if options.design else design_observer(machine)
     plans = scans(machine)
     training = [
         shaken_scan(machine, plans[name], TRAINING_SEED + i).recording for i, name in enumerate(("roll 30 deg/s", "propeller 30 deg/s"))

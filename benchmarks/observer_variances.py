@@ -51,12 +51,13 @@ from controllers.observers.consistency import share_in_band
 from controllers.observers.settings import ObserverNoise
 from hil.experiments import Plan, Scan
 from hil.machine import Machine, load_machine
-from hil.observing import Estimate, ObserverDesign, emulated_design, observe, read_design, tune, write_design
+from hil.observing import Estimate, ObserverDesign, observe, read_design, tune, write_design
 from hil.observing.geometry import observed_chain
 from hil.observing.noise import LATTICE, START_TIME_s, encoder_steps, starting_noise
 from hil.observing.unmodelled import with_unmodelled
 from hil.recording import Recording
 from hil.terminal.output import Answer
+from hil.verbs.observe import design_observer
 
 FIRST_SEED = 7000
 BETWEEN_rad = np.radians(37.0)
@@ -312,7 +313,7 @@ def measure(options: argparse.Namespace, folder: Path) -> None:
         judged = scans(machine)
         tuned = None
         if not options.own_model:
-            design = read_design(Path(given[name])) if name in given else emulated_design(typical(machine))
+            design = read_design(Path(given[name])) if name in given else design_observer(typical(machine))
             plans = [judged["roll 30 deg/s, shaken"][0], judged["propeller 30 deg/s, reversed, quiet"][0]]
             training = [shaken_scan(typical(machine), plan, TRAINING_SEED + i).recording for i, plan in enumerate(plans)]
             design = dataclasses.replace(design, noise=tune(design.model, design.noise, training).noise)

@@ -52,7 +52,7 @@ ROLLOUT = '''"""Generated: a plant under given efforts; do not edit."""
 
 from PLANT import advance
 
-from virtual_bus.plant.jit import compiled_and_cached
+from virtual_bus.compilation.jit import compiled_and_cached
 
 
 @compiled_and_cached

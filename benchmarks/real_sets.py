@@ -24,9 +24,9 @@ from real.common import ControllerSide
 from real_data import DATA, RealSet
 
 from controllers.settings import AxisController
-from hil.diagnosis.named.naming import Named, name
-from hil.diagnosis.predicted.refitting import refitted
-from hil.diagnosis.seen.see import see
+from hil.diagnosis.model_choice.choose import Choice, choose_effects
+from hil.diagnosis.prediction.refitting import refitted
+from hil.diagnosis.residuals.residuals import residuals_of
 from hil.diagnosis.selection.select import Selected, select
 from hil.diagnosis.unknowns.unknowns import Machine as Trial
 from virtual_bus.settings import EffectSetting
@@ -47,14 +47,14 @@ def words(settings: tuple[EffectSetting, ...]) -> list[str]:
     ]
 
 
-def entry(named: Named, errors: dict[str, Any], seconds: float) -> dict[str, Any]:
+def entry(choice: Choice, errors: dict[str, Any], seconds: float) -> dict[str, Any]:
     """Return what the results hold of one split."""
-    best = named.ranked[0]
-    numbers = {key: float(np.round(value, 2)) for key, value in zip(named.tuned.numbers.names, named.best.offset, strict=False) if value}
+    best = choice.ranked[0]
+    numbers = {key: float(np.round(value, 2)) for key, value in zip(choice.linear.numbers.names, choice.best.offset, strict=False) if value}
     return {
-        "named": words(named.best.settings),
+        "named": words(choice.best.settings),
         "likeliest in the fast view": [
-            {"effects": words(each.fitted.settings), "behind": round(each.cost - best.cost, 1)} for each in named.ranked[:RANKS]
+            {"effects": words(each.fitted.settings), "behind": round(each.cost - best.cost, 1)} for each in choice.ranked[:RANKS]
         ],
         "numbers in standard deviations of their prior": numbers,
         "scatter": round(best.dispersion, 2),
@@ -69,14 +69,14 @@ Errors = dict[str, dict[str, float]]
 def along_the_motion(module: ModuleType, split: str, data: RealSet) -> dict[str, Any]:
     """Return what the results hold of one split."""
     begun = time.monotonic()
-    named = refitted(name(see(data.machine, data.train)))
+    choice = refitted(choose_effects(residuals_of(data.machine, data.train)))
     seconds = time.monotonic() - begun
-    values = named.tuned.numbers.values(named.best.offset[: len(named.tuned.numbers.indices)])
+    values = choice.linear.numbers.values(choice.best.offset[: len(choice.linear.numbers.indices)])
     errors = {
         "nominal": module.errors(split, data.machine, None, ()),
-        "answer": module.errors(split, data.machine, values, named.best.settings),
+        "answer": module.errors(split, data.machine, values, choice.best.settings),
     }
-    return entry(named, by_channel(errors), seconds)
+    return entry(choice, by_channel(errors), seconds)
 
 
 def by_free_runs(module: ModuleType, split: str, data: RealSet) -> dict[str, Any]:

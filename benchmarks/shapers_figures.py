@@ -16,11 +16,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from controllers.errors import DesignError
+from controllers.shapers.closed_form_htdf import second_order
 from controllers.shapers.delays import DelayFilter
 from controllers.shapers.dynamics import Dynamics
 from controllers.shapers.harmonic_time_delay import harmonic, harmonic_conditions, tap_count
 from controllers.shapers.point_to_point import zv
-from controllers.shapers.second_order import second_order
 from hil.shaping.response import Sinusoids, shaped_reference, shaped_response, sinusoids
 
 NATURAL, DAMPING = np.sqrt(2.0), 0.02

@@ -48,7 +48,7 @@ def leave_it_out_of_the_poller() -> None:
 
 def loop() -> None:
     """Run the bench's command line in this process, with or without a supervisor."""
-    from drivers.oversight.process import SupervisorProcess
+    from drivers.supervisor_link.process import SupervisorProcess
     from hil.bench import wiring
     from hil.cli import main as isocenter
 

@@ -33,11 +33,11 @@ LOOP = "/hil/bench/loop.py"
 WAITING = "/hil/bench/clock.py"
 PARTS = {
     "observer and damping": ("/hil/observing/", "/controllers/observers/", "/controllers/damping.py"),
-    "judges of sensors": ("/drivers/judging/", "/hil/bench/judging.py", "/drivers/canopen/watch.py"),
+    "judges of sensors": ("/drivers/judging/", "/hil/bench/judging.py", "/drivers/canopen/motion_bounds.py"),
     "IMU": ("/drivers/serial/",),
-    "I/O": ("/drivers/modbus/",),
+    "I/O": ("/drivers/modbus/", "/drivers/shared_memory/io_state.py"),
     "recorder": ("/hil/recording/", "/hil/bench/row_layout.py"),
-    "supervisor": ("/drivers/supervisor/", "/drivers/oversight/"),
+    "supervisor": ("/drivers/supervisor/", "/drivers/supervisor_link/", "/drivers/shared_memory/"),
     "frames": ("/drivers/canopen/", "/drivers/udp_bus.py", "/drivers/ticking_machine.py", "/drivers/machine_link.py"),
     "feedback": ("/hil/bench/control.py", "/hil/bench/expected_motion.py", "/controllers/"),
 }

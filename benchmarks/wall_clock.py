@@ -42,10 +42,11 @@ from hil.bench.clock import WallClock
 from hil.experiments import Scan, Static
 from hil.machine import Machine, load_machine, machine_from_text
 from hil.machine.convert import converted_text
-from hil.observing import emulated_design, observe, write_design
+from hil.observing import observe, write_design
 from hil.observing.simulated_recordings import emulated_recording
 from hil.processes.real_time import real_time
 from hil.recording import RecordingWarning, read_recording
+from hil.verbs.observe import design_observer
 
 ISOCENTER = [sys.executable, "-m", "hil"]
 RESULTS = Path(__file__).parent / "results" / "wall_clock_udp.json"
@@ -79,7 +80,7 @@ def prepared(rate_Hz: float, folder: Path) -> Path:
     if rate_Hz != machine.sample_rate_Hz:
         machine = machine_from_text(converted_text(machine, rate_Hz)[0])
     scan = emulated_recording(machine, Scan("roll", -0.5, 0.5, 0.5).plans(machine)[0], 60)
-    design = emulated_design(machine, [scan])
+    design = design_observer(machine, tuned_on=[scan])
     write_design(design, folder / f"observer_{rate_Hz:g}_Hz.npz")
     still = emulated_recording(machine, Static(2.0).plans(machine)[0], 1)
     observe(still, design.observer())  # compiled before anything is timed

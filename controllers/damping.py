@@ -11,6 +11,7 @@ Every parameter is evaluated at the estimated pose.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -70,9 +71,38 @@ def _against_speed(
         effort[k] = -missing * speed * scheduled.encoders[mode, 2 * n + k] / given
 
 
+class Law(NamedTuple):
+    """What the compiled step of a damping needs, and what it keeps from row to row."""
+
+    mode: int
+    ratio: float
+    limit: np.ndarray  # (axes,)
+    slew: np.ndarray  # (axes,)
+    acting: np.ndarray  # (axes,): the command that acts, as the drives round it
+    wanted: np.ndarray  # (axes,)
+    good: np.ndarray  # (axes,): the last wanted effort that was finite, limited
+    effort: np.ndarray  # (axes,)
+
+
 @exactly_compiled
-def _as_it_acts(constants: Constants, command: np.ndarray, out: np.ndarray) -> None:
-    rounded(constants, command, out)
+def _damped(constants: Constants, scheduled: Scheduled, law: Law, x: np.ndarray, command: np.ndarray, share: float) -> None:
+    """Write the effort of a row: the law's, within limit and slew rate, times the share in force.
+
+    An effort that is not finite leaves the last one that was.
+    """
+    rounded(constants, command, law.acting)
+    _against_speed(constants, scheduled, law.mode, law.ratio, x, law.acting, law.wanted)
+    largest = 0.0
+    for k in range(len(law.wanted)):
+        if law.wanted[k] != law.wanted[k]:
+            largest = np.inf
+        elif abs(law.wanted[k]) / law.limit[k] > largest:
+            largest = abs(law.wanted[k]) / law.limit[k]
+    for k in range(len(law.wanted)):
+        if largest < np.inf:
+            change = law.wanted[k] / max(largest, 1.0) - law.good[k]
+            law.good[k] += min(max(change, -law.slew[k]), law.slew[k])
+        law.effort[k] = law.good[k] * share
 
 
 class ModalDamping:
@@ -107,13 +137,12 @@ class ModalDamping:
         if not model.at(np.zeros(n))[(mode + 1) * model.mode_stride - n : (mode + 1) * model.mode_stride].any():
             raise DesignError(f"damping: mode {mode + 1}: no drive moves it at position zero")
         self.settings, self._observer = settings, observer
-        self._limit = LIMIT_SHARE * np.asarray(model.effort_limit, dtype=float)
-        self._slew = SLEW * 2.0 * np.pi * float(model.frequencies_Hz(np.zeros(n))[mode]) / model.sample_rate_Hz * self._limit
+        limit = LIMIT_SHARE * np.asarray(model.effort_limit, dtype=float)
+        slew = SLEW * 2.0 * np.pi * float(model.frequencies_Hz(np.zeros(n))[mode]) / model.sample_rate_Hz * limit
+        self._law = Law(mode, float(settings.ratio), limit, slew, np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n))
+        self.effort = self._law.effort
         self._step = 1.0 / max(round(RAMP_s * model.sample_rate_Hz), 1)
         self._proven_rows = round(PROVEN_s * model.sample_rate_Hz)
-        self._wanted, self._acting = np.zeros(n), np.zeros(n)
-        self._good = np.zeros(n)  # the last wanted effort that was finite
-        self.effort = np.zeros(n)
         self.restart(0)
 
     @property
@@ -125,7 +154,7 @@ class ModalDamping:
         """Switch off for the start of a plan of `rows` ticks; damping is off again in the last of them."""
         self.share = 0.0
         self.effort[:] = 0.0
-        self._good[:] = 0.0
+        self._law.good[:] = 0.0
         self._proven = 0
         self._rows = rows
 
@@ -153,12 +182,4 @@ class ModalDamping:
         goal = 1.0 if self._proven > self._proven_rows and left > self.ramp_rows else 0.0
         self.share = min(self.share + self._step, goal) if goal > self.share else max(self.share - self._step, goal)
         self.share = min(self.share, max(left, 0) * self._step)
-        _as_it_acts(self._observer.constants, acting, self._acting)
-        self.law(state, self._acting, self._wanted)
-        largest = 0.0
-        for wanted, limit in zip(self._wanted, self._limit, strict=True):
-            largest = max(largest, abs(wanted) / limit) if wanted == wanted else np.inf
-        if largest < np.inf:
-            change = self._wanted / max(largest, 1.0) - self._good
-            self._good += np.clip(change, -self._slew, self._slew)
-        np.multiply(self._good, self.share, out=self.effort)
+        _damped(self._observer.constants, self._observer.scheduled, self._law, state, acting, self.share)

@@ -30,6 +30,14 @@ class Band:
         Odd lines only: even distortions then fall on even lines, odd ones on odd lines that are left free.
     one_free_in : int
         One line, drawn at random, of this many consecutive chosen lines (2, 3 or 4) stays free as a detection line; 0 leaves none free.
+
+    Examples
+    --------
+    A period of 10 s has lines 0.1 Hz apart.
+
+    >>> from controllers.excitation_lines import Band
+    >>> Band(0.5, 1.2).lines(1000, 100.0).tolist()
+    [5, 7, 9, 11]
     """
 
     low_Hz: float = 0.15

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from controllers.errors import DesignError
-from controllers.orthogonal_experiments import Mixing, mixing_matrix
+from controllers.hadamard_experiments import Mixing, mixing_matrix
 
 Phases = Literal["random", "optimised"]
 
@@ -91,6 +91,16 @@ def multisine(
     ------
     DesignError
         Lines out of range, or weights or rms that are not positive.
+
+    Examples
+    --------
+    Each input has the rms that it was given, in each of the two experiments.
+
+    >>> import numpy as np
+    >>> from controllers.multisine import multisine
+    >>> made = multisine(np.arange(1, 40, 2), np.array([0.5, 2.0]), 1024)
+    >>> np.sqrt(np.mean(made.signals**2, axis=-1)).round(6).tolist()
+    [[0.5, 2.0], [0.5, 2.0]]
     """
     lines = np.asarray(lines, dtype=np.int64)
     rms = np.asarray(rms, dtype=float)

@@ -42,6 +42,16 @@ def move(start: np.ndarray, goal: np.ndarray, limits: tuple[AxisLimits, ...], sa
     ------
     DesignError
         Start or goal outside an axis's range, or limits that are not positive and finite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from controllers.settings import AxisLimits
+    >>> from controllers.trajectory import move
+    >>> roll = AxisLimits("roll", lower=-1.0, upper=1.0, speed=0.5, acceleration=1.0, jerk=10.0, tracking_error=0.05)
+    >>> moved = move(np.array([0.0]), np.array([0.5]), (roll,), 100.0)
+    >>> moved.position[-1].round(6).tolist(), float(moved.velocity.max().round(6))
+    ([0.5], 0.5)
     """
     start, goal = np.asarray(start, dtype=float), np.asarray(goal, dtype=float)
     for axis, limit in enumerate(limits):

@@ -16,7 +16,7 @@ author = "The Isocenter authors"
 version = release = installed_version("isocenter")
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "numpydoc"]
-exclude_patterns = ["figures", "generate", "_static", "**/__pycache__"]
+exclude_patterns = ["changes", "figures", "generate", "_static", "**/__pycache__"]
 
 myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence", "deflist"]
 myst_heading_anchors = 3
@@ -50,13 +50,15 @@ def _as_rst(text: str) -> str:
 def docstring_as_rst(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
     """Prepare a docstring before numpydoc reads its sections; indented paragraphs of its text become blocks of code.
 
+    Lines of an example stay as they are, up to the empty line that ends it.
+
     Sphinx reads the docstrings of imported members, too, before it leaves those members out: other packages' are not ours to prepare.
     """
     if getattr(obj, "__module__", None) and obj.__module__.partition(".")[0] not in OWN:
         return
     section = next((number - 1 for number, line in enumerate(lines) if _SECTION.match(line.strip())), len(lines))
     written: list[str] = []
-    in_block = False
+    in_block = in_example = False
     for number, line in enumerate(lines):
         is_indented = number < section and line.startswith("  ")
         if is_indented and not in_block:
@@ -66,7 +68,8 @@ def docstring_as_rst(app: Sphinx, what: str, name: str, obj: object, options: ob
             written.append("")
             in_block = False
         is_rule = bool(_SECTION.match(line.strip()))
-        written.append(line if in_block or is_rule or line.startswith(".. ") else _as_rst(line))
+        in_example = bool(line.strip()) and (in_example or line.lstrip().startswith(">>> "))
+        written.append(line if in_block or in_example or is_rule or line.startswith(".. ") else _as_rst(line))
     lines[:] = written
 
 

@@ -52,6 +52,13 @@ def parse_bus_url(url: str) -> BusUrl:
     ------
     BusUnavailableError
         The colon is missing, the interface is unknown, or the channel is invalid.
+
+    Examples
+    --------
+    >>> from drivers.bus_url import parse_bus_url
+    >>> parsed = parse_bus_url("virtual:bench")
+    >>> parsed.interface, parsed.channel
+    ('virtual', 'bench')
     """
     parsed = split_bus_url(url)
     if parsed.interface != "lockstep":

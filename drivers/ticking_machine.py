@@ -22,15 +22,15 @@ from drivers.canopen.cia406 import check_alarms
 from drivers.canopen.configuration import configure_node
 from drivers.canopen.cyclic import CyclicExchange
 from drivers.canopen.eds import load_object_dictionary
+from drivers.canopen.heartbeat_consumer import HeartbeatConsumer, refuse_second_bench
 from drivers.canopen.identity import await_identity
+from drivers.canopen.motion_bounds import MotionWatch
 from drivers.canopen.network import NMT_PRE_OPERATIONAL, NMT_START, PolledNetwork
 from drivers.canopen.own_limits import SET_SO
 from drivers.canopen.process_data import drives
 from drivers.canopen.resting import Resting
 from drivers.canopen.sdo import SdoNode
 from drivers.canopen.stopping import Attempts, Attendant, Unattended
-from drivers.canopen.supervision import Supervision, refuse_second_bench
-from drivers.canopen.watch import MotionWatch
 from drivers.errors import BusError, BusTimeoutError, DeviceFaultError, DriverError, SecondMasterError
 from drivers.interface import Clock, Sample
 from drivers.settings import BusSettings, Node
@@ -82,8 +82,8 @@ class TickingMachine:
         self.clock = clock
         self.period_s = settings.sync_period_s
         self.network = PolledNetwork(bus, clock)
-        self.supervision = Supervision(self.network, settings.nodes, self.period_s)
-        self._cyclic = CyclicExchange(self.network, settings, self.supervision)
+        self.heartbeats = HeartbeatConsumer(self.network, settings.nodes, self.period_s)
+        self._cyclic = CyclicExchange(self.network, settings, self.heartbeats)
         self.scalings = settings.scalings
         self.axes = tuple(scaling.axis for scaling in settings.scalings)
         self.drives = tuple(drives(settings))
@@ -130,9 +130,9 @@ class TickingMachine:
             self._ours = True
             if self._imu is not None:
                 self._imu.configure(self.clock.wait)
-            self.supervision.boot(self.settings.nodes)
+            self.heartbeats.boot(self.settings.nodes)
             kept = [note for note in self.notes if note.endswith(SET_SO)]
-            self.notes = (*kept, *self.supervision.boot_remarks, *[note for node in self.settings.nodes for note in self._configure(node)])
+            self.notes = (*kept, *self.heartbeats.boot_remarks, *[note for node in self.settings.nodes for note in self._configure(node)])
             self._cyclic.settings_watch.begin(self._nodes.values())
             self._resting.rests, self.modes = (), [None] * len(self.axes)
             holding = [axis for axis in range(len(self.axes)) if self._is_powered(axis)]
@@ -144,7 +144,7 @@ class TickingMachine:
             self._late_ticks.fill(0)
             self._cyclic.forget_remarks()
             self.network.passed_over.clear()
-            self.supervision.await_operational(self.settings.nodes)
+            self.heartbeats.await_operational(self.settings.nodes)
             if self.settings.master_heartbeat_period_s > 0.0:
                 self.network.start_heartbeat(self.settings.master_node_id, self.settings.master_heartbeat_period_s)
             self._malformed_before = self._malformed()
@@ -182,10 +182,10 @@ class TickingMachine:
                     self._explain_fault(axis)
                 if self._armed[axis] and self._supplied[axis] and not source.statusword & cia402.VOLTAGE_ENABLED:
                     raise DeviceFaultError(f"{self.drives[axis].name} (node {self.drives[axis].node_id}): {NO_VOLTAGE}")
-            if self.supervision.left_operational:
-                raise DeviceFaultError("; ".join(filter(None, (self.supervision.left_operational, sample.fault))))
+            if self.heartbeats.left_operational:
+                raise DeviceFaultError("; ".join(filter(None, (self.heartbeats.left_operational, sample.fault))))
             self._check_answers(sample)
-            self.supervision.check_one(self.clock.now(), self.clock.missed * self.period_s + getattr(self.clock, "waited_s", 0.0))
+            self.heartbeats.check_one(self.clock.now(), self.clock.missed * self.period_s + getattr(self.clock, "waited_s", 0.0))
         except BaseException:
             self.stop()
             raise
@@ -215,7 +215,7 @@ class TickingMachine:
             self.dropped,
             f"ignored on the bus: {passed_over}" if passed_over else "",
             *self._cyclic.remarks,
-            *self.supervision.remarks,
+            *self.heartbeats.remarks,
         )
         return tuple(filter(None, lines))
 
@@ -252,7 +252,7 @@ class TickingMachine:
             attempts = Attempts()
             for node in self.settings.nodes if self._ours else ():
                 if node.axis not in self._resting.held:
-                    attempts.make(f"resetting {node.name}", self.supervision.reset, node, RESET_PATIENCE_S)
+                    attempts.make(f"resetting {node.name}", self.heartbeats.reset, node, RESET_PATIENCE_S)
             self._ours = False  # another bench may take it after this
             self.stop_trouble += attempts.trouble
             for sdo in self._nodes.values():
@@ -332,7 +332,7 @@ class TickingMachine:
         if node.node_id not in self._dictionaries:
             self._dictionaries[node.node_id] = load_object_dictionary(node.eds, node.node_id)
         sdo = self._nodes[node.node_id] = SdoNode(self.network, node.node_id, node.name, self._dictionaries[node.node_id])
-        unnamed = await_identity(sdo, node, self.clock.now, self.supervision.has_booted)
+        unnamed = await_identity(sdo, node, self.clock.now, self.heartbeats.has_booted)
         scaling = self.scalings[self.axes.index(node.axis)] if node.role == "drive" else None
         notes = configure_node(sdo, node, self.settings, scaling)
         if node.role == "encoder":
@@ -393,9 +393,9 @@ class TickingMachine:
             if not self.network.pump(0.0):
                 break
         node = self.drives[axis]
-        emergency = self.supervision.last_emergency(node.node_id) or "no EMCY"
+        emergency = self.heartbeats.last_emergency(node.node_id) or "no EMCY"
         why = f"left operation enabled: {cia402.describe_statusword(self.inputs[axis].statusword)}"
-        words = self.supervision.own_silence, f"{node.name} (node {node.node_id}): {why}", emergency
+        words = self.heartbeats.own_silence, f"{node.name} (node {node.node_id}): {why}", emergency
         raise DeviceFaultError("; ".join(filter(None, words)))
 
     @contextlib.contextmanager
@@ -408,7 +408,7 @@ class TickingMachine:
             raise
 
     def _bring_to_rest(self) -> None:
-        self.supervision.stand_down()
+        self.heartbeats.stand_down()
         self._armed = [False] * len(self.axes)
         self._io_lost = ""
         attempts = Attempts()

@@ -43,8 +43,8 @@ if TYPE_CHECKING:
     from hil.experiments import write_experiment as write_experiment
     from hil.fleet.file import Fleet as Fleet
     from hil.fleet.file import read_fleet as read_fleet
-    from hil.fleet.run import FleetRun as FleetRun
-    from hil.fleet.run import run_fleet as run_fleet
+    from hil.fleet.new_work import FleetRun as FleetRun
+    from hil.fleet.new_work import run_fleet as run_fleet
     from hil.fleet.status import fleet_status as fleet_status
     from hil.fleet.store import query_fleet as query_fleet
     from hil.identification import FrequencyResponse as FrequencyResponse
@@ -73,26 +73,26 @@ if TYPE_CHECKING:
     from hil.shaping.shaper_file import read_shaper as read_shaper
     from hil.shaping.shaper_file import write_shaper as write_shaper
     from hil.simulation import Comparison as Comparison
-    from hil.tasks.calibrate import calibrate_model as calibrate_model
-    from hil.tasks.calibrate import calibrate_phantom as calibrate_phantom
-    from hil.tasks.calibrate import expose as expose
-    from hil.tasks.calibrate_data import DataCalibration as DataCalibration
-    from hil.tasks.calibrate_data import calibrate_data as calibrate_data
-    from hil.tasks.commission import Commissioning as Commissioning
-    from hil.tasks.commission import commission as commission
-    from hil.tasks.diagnose import diagnose as diagnose
-    from hil.tasks.identify import identify as identify
-    from hil.tasks.identify import identify_all_poses as identify_all_poses
-    from hil.tasks.machine import OpenMachine as OpenMachine
-    from hil.tasks.machine import open_machine as open_machine
-    from hil.tasks.observe import design_observer as design_observer
-    from hil.tasks.observe import observe as observe
-    from hil.tasks.plot import plot as plot
-    from hil.tasks.recordings import Recordings as Recordings
-    from hil.tasks.recordings import recording_from_frame as recording_from_frame
-    from hil.tasks.shape import shape as shape
-    from hil.tasks.simulate import compare as compare
-    from hil.tasks.simulate import simulate as simulate
+    from hil.verbs.calibrate import calibrate_model as calibrate_model
+    from hil.verbs.calibrate import calibrate_phantom as calibrate_phantom
+    from hil.verbs.calibrate import expose as expose
+    from hil.verbs.calibrate_data import DataCalibration as DataCalibration
+    from hil.verbs.calibrate_data import calibrate_data as calibrate_data
+    from hil.verbs.commission import Commissioning as Commissioning
+    from hil.verbs.commission import commission as commission
+    from hil.verbs.compare import compare as compare
+    from hil.verbs.diagnose import diagnose as diagnose
+    from hil.verbs.identify import identify as identify
+    from hil.verbs.identify import identify_all_poses as identify_all_poses
+    from hil.verbs.machine import OpenMachine as OpenMachine
+    from hil.verbs.machine import open_machine as open_machine
+    from hil.verbs.observe import design_observer as design_observer
+    from hil.verbs.observe import observe as observe
+    from hil.verbs.plot import plot as plot
+    from hil.verbs.recordings import Recordings as Recordings
+    from hil.verbs.recordings import recording_from_frame as recording_from_frame
+    from hil.verbs.shape import shape as shape
+    from hil.verbs.simulate import simulate as simulate
 
 _MODULES = {
     "controllers.excitation_lines": "Band",
@@ -102,7 +102,7 @@ _MODULES = {
     "hil.errors": "BadAnswerError BenchError ExperimentError LoopAbortedError MachineFileError RecordingError UnusableInputError",
     "hil.experiments": "Experiment Jog JogOnly Move Multisine Scan Static Tour read_experiment write_experiment",
     "hil.fleet.file": "Fleet read_fleet",
-    "hil.fleet.run": "FleetRun run_fleet",
+    "hil.fleet.new_work": "FleetRun run_fleet",
     "hil.fleet.status": "fleet_status",
     "hil.fleet.store": "query_fleet",
     "hil.identification": "FrequencyResponse LocalModel PoseModel read_frf resonances write_frf",
@@ -113,17 +113,18 @@ _MODULES = {
     "hil.shaping.choice": "ShaperChoice",
     "hil.shaping.shaper_file": "ShaperFile read_shaper write_shaper",
     "hil.simulation": "Comparison",
-    "hil.tasks.calibrate": "calibrate_model calibrate_phantom expose",
-    "hil.tasks.calibrate_data": "DataCalibration calibrate_data",
-    "hil.tasks.commission": "Commissioning commission",
-    "hil.tasks.diagnose": "diagnose",
-    "hil.tasks.identify": "identify identify_all_poses",
-    "hil.tasks.machine": "OpenMachine open_machine",
-    "hil.tasks.observe": "design_observer observe",
-    "hil.tasks.plot": "plot",
-    "hil.tasks.recordings": "Recordings recording_from_frame",
-    "hil.tasks.shape": "shape",
-    "hil.tasks.simulate": "compare simulate",
+    "hil.verbs.calibrate": "calibrate_model calibrate_phantom expose",
+    "hil.verbs.calibrate_data": "DataCalibration calibrate_data",
+    "hil.verbs.commission": "Commissioning commission",
+    "hil.verbs.compare": "compare",
+    "hil.verbs.diagnose": "diagnose",
+    "hil.verbs.identify": "identify identify_all_poses",
+    "hil.verbs.machine": "OpenMachine open_machine",
+    "hil.verbs.observe": "design_observer observe",
+    "hil.verbs.plot": "plot",
+    "hil.verbs.recordings": "Recordings recording_from_frame",
+    "hil.verbs.shape": "shape",
+    "hil.verbs.simulate": "simulate",
 }
 """Where each name is: the imports above, for programs."""
 

@@ -2,15 +2,20 @@
 
 BenchError                 base: one line that names what is wrong, where, and what would be right
 |-- UnusableInputError          exit status 2: the input cannot be used
+|   |-- RequestError           parts of a request that do not go together, or a choice that there is not
 |   |-- MachineFileError       carm.toml: drives.roll.rated_current_A = -3.0: must be positive
 |   |-- RecordingError         a CSV with a hole, an unknown unit, a recording without metadata
-|   `-- ExperimentError        a jog off the grid, an excitation that would saturate, a pose outside the limits
+|   |-- ExperimentError        a jog off the grid, an excitation that would saturate, a pose outside the limits
+|   `-- IdentificationError    an input that is not excited, periods that do not match, more unknowns than lines
 |-- NothingRunsError            exit status 3: nothing ran that could be stopped
 `-- BadAnswerError              exit status 1: it ran and the answer is bad (a limit tripped, a check failed)
     `-- LoopAbortedError            the sample loop stopped the motors: overrun, lost device, limit, hold-to-run released
 """
 
 from __future__ import annotations
+
+import re
+from collections.abc import Callable
 
 TRACEBACK_VARIABLE = "ISOCENTER_TRACEBACK"
 """Environment variable that shows the traceback of an error."""
@@ -30,6 +35,23 @@ class UnusableInputError(BenchError, ValueError):
     exit_status = 2
 
 
+class RequestError(UnusableInputError):
+    """A request that cannot be met as it is put: parts of it do not go together, or it asks for a choice that there is not.
+
+    In its text `{name}` stands for a part of the request. In Python a part is called by its name; a command calls it as its option.
+    """
+
+    _PART = re.compile(r"\{(\w+)\}")
+
+    def __init__(self, text: str) -> None:
+        super().__init__(self._PART.sub(r"\1", text))
+        self._text = text
+
+    def calling(self, part: Callable[[str], str]) -> str:
+        """Return the text with every part as `part` calls it."""
+        return self._PART.sub(lambda found: part(found[1]), self._text)
+
+
 class MachineFileError(UnusableInputError):
     """A machine or effects file that is wrong: file, key, value and what would be right."""
 
@@ -40,6 +62,14 @@ class RecordingError(UnusableInputError):
 
 class ExperimentError(UnusableInputError):
     """An experiment that must not or cannot be run on this machine."""
+
+
+class IdentificationError(UnusableInputError):
+    """Data or settings that do not allow the requested estimate.
+
+    Raised, for example, for an input that is not excited, records whose periods do not match, or a local model with more unknowns than
+    lines.
+    """
 
 
 class NothingRunsError(BenchError):

@@ -6,6 +6,7 @@ import os
 import pytest
 from browser import browser, console_errors, page  # noqa: F401
 from command_line import Isocenter, runner
+from compiled_once import compile_once
 
 for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")  # several workers' threads spinning against each other cost a hundredfold
@@ -22,6 +23,7 @@ SHARED = ("with_friction", "design", "machines")
 def pytest_configure(config: pytest.Config) -> None:
     if hasattr(config.option, "loadscopereorder"):  # files in their order, not those of many tests first
         config.option.loadscopereorder = False
+    compile_once()
 
 
 @pytest.hookimpl(tryfirst=True)

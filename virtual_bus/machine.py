@@ -70,6 +70,8 @@ class EmulatedMachine:
         self.time_s = 0.0
         self.imu_out: Callable[[bytes], None] = lambda data: None  # takes what the IMU sends
         self._witness = witness
+        if imu is not None:
+            imu.reading_of = physics.read_by_imu
 
         def nowhere(can_id: int, data: bytes) -> None:
             """Drop a frame sent before `connect`."""
@@ -166,8 +168,9 @@ class EmulatedMachine:
             if self._tick_nodes():
                 idle.spoken()
             self._act()
-            self._read(self.physics.latch_exactly())  # the noise of a row must not depend on how long the wait before it was
-            if self.imu is not None and (said := self.imu.advance(self.time_s)):
+            latched = self.physics.latch_exactly()  # the noise of a row must not depend on how long the wait before it was
+            self._read(latched)
+            if self.imu is not None and (said := self.imu.advance(self.time_s, latched.imu[:6])):
                 self.imu_out(said)
             self._advance()
 
@@ -208,7 +211,7 @@ class EmulatedMachine:
         self._read(latched)
         for node in self._sync_nodes:
             node.end_sync(counter)
-        if self.imu is not None and (said := self.imu.on_sync(latched.imu[:6], self.time_s)):
+        if self.imu is not None and (said := self.imu.on_sync(self._sampled(self.imu, latched), self.time_s)):
             self.imu_out(said)  # the master is busy with the TPDOs by then
         if self._witness is not None:
             self._witness(self.time_s)  # after the answers, which the recording must not delay
@@ -224,8 +227,12 @@ class EmulatedMachine:
         self._read(latched)
         for node in self._sync_nodes:
             node.end_sync(counter)
-        if self.imu is not None and (said := self.imu.on_sync(latched.imu[:6], self.time_s)):
+        if self.imu is not None and (said := self.imu.on_sync(self._sampled(self.imu, latched), self.time_s)):
             self.imu_out(said)
+
+    def _sampled(self, imu: EmulatedImu, latched: Latched) -> np.ndarray:
+        """Return what the IMU on the serial line takes (6,): on its own clock it reads between SYNCs, and makes noise by itself."""
+        return latched.imu[:6] if imu.is_triggered else self.physics.seen_by_imu()
 
     def _tick_nodes(self) -> bool:
         """Send what is due by the present time, node by node, and return whether there was anything."""

@@ -15,7 +15,7 @@ from virtual_bus.linear.sampled import SampledPlant, sampled
 from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.plant.drives import DRIVE_STATES
 from virtual_bus.plant.statics import holding_effort, resting_state
-from virtual_bus.sensors.effects import ANY, new_memory
+from virtual_bus.sensors.effects import ANY, DROPOUTS, new_memory
 from virtual_bus.sensors.measure import Readings, compiled_sensors, new_readings, noise_rms, plain_sensors, sensor_model
 from virtual_bus.settings import PlantSettings
 
@@ -65,6 +65,7 @@ class Physics:
         self._plain_sensors = plain_sensors(self._sensor_model)
         self._memory = new_memory(settings)
         self._imu = np.zeros(6 * len(settings.imus))
+        self._seen_by_imu = np.full(6, np.nan)
         self._noise = _Noise(settings, seed) if noise else None
         self._no_noise = np.zeros(len(self.axes) + 6 * len(settings.imus))
         self._drawn: np.ndarray | None = None  # the noise of this sample, once something has been measured with it
@@ -168,6 +169,24 @@ class Physics:
         self._prepared = None
         return self._measure(self._no_noise)
 
+    def seen_by_imu(self) -> np.ndarray:
+        """Return what the first IMU sees at the latched instant (6,): effects and bias, no noise and no lattice."""
+        axes, memory, sensors = len(self.axes), self._memory, self._sensor_model
+        readings = self._imu if self._plain_sensors is not None else memory.values[3 * axes :]
+        seen: np.ndarray = readings[:6] + sensors.imu_bias[:6]
+        if sensors.switches[DROPOUTS]:
+            lost = memory.latest[3 * axes :][:6] == memory.issued[3 * axes :][:6]
+            seen = np.where(lost & np.isfinite(self._seen_by_imu), self._seen_by_imu, seen)
+        self._seen_by_imu = seen
+        return seen
+
+    def read_by_imu(self, seen: np.ndarray) -> np.ndarray:
+        """Return a reading of the first IMU beside the rows' (6,), where it sees this (6,): with noise of its own, on its lattice."""
+        value = seen if self._noise is None else seen + self._noise.of_a_message()
+        step = self._sensor_model.imu_resolution[:6]
+        lattice = np.where(step > 0.0, step, 1.0)
+        return np.where(step > 0.0, lattice * np.floor(value / lattice + 0.5), value)
+
     def _noise_of_sample(self) -> np.ndarray:
         if self._drawn is None:
             self._drawn = self._no_noise if self._noise is None else self._noise.draw()
@@ -242,6 +261,13 @@ class _Noise:
         self._streams = [np.random.default_rng([seed, zlib.crc32(name.encode())]) for name in rms]
         self._block = np.zeros((NOISE_BLOCK, len(rms)))
         self._used = NOISE_BLOCK
+        self._imu_rms = self._rms[len(settings.drives) :][:6]
+        self._messages = np.random.default_rng([seed, zlib.crc32(b"messages of the IMU")])
+
+    def of_a_message(self) -> np.ndarray:
+        """Return the noise (6,) of a reading of the first IMU between rows."""
+        drawn: np.ndarray = self._imu_rms * self._messages.standard_normal(6)
+        return drawn
 
     def draw(self) -> np.ndarray:
         """Return the noise (channels,) of one sample, in the channels' units."""

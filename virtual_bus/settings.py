@@ -134,12 +134,16 @@ class Thermometer:
 
 @dataclass(frozen=True)
 class EffectSetting:
-    """One effect of an effects file, bound to a place of this machine: parameters in SI, in the effect's own order."""
+    """One effect of an effects file, bound to a place of this machine."""
 
     name: str
+    """Of the catalogue."""
     at: str
+    """Where it acts."""
     parameters: dict[str, float]
-    scatter: float = 0.0  # share by which its strengths differ from one start of the emulated machine to the next, standard deviation
+    """In SI, in the effect's own order."""
+    scatter: float = field(default=0.0, metadata={"json": False})
+    """Share by which its strengths differ from one start of the emulated machine to the next, standard deviation."""
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from hil.machine.load import machine_from_text
 from hil.recording import Channel, Recording, recording_metadata
 from hil.simulation import Inputs, Outputs, Simulator
 from hil.simulation.several import Prepared
-from virtual_bus.plant.along import along_module
+from virtual_bus.inverse_dynamics import along_module
 from virtual_bus.plant.compiled import CompiledPlant
 from virtual_bus.settings import EffectSetting
 

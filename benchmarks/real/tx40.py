@@ -12,7 +12,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from hil.machine import Machine
 from hil.recording import Recording
-from virtual_bus.plant.along import along_module
+from virtual_bus.inverse_dynamics import along_module
 from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.settings import EffectSetting
 

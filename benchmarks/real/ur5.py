@@ -16,7 +16,7 @@ from scipy.signal import savgol_filter
 from hil.machine import Machine
 from hil.recording import Recording
 from hil.simulation import Simulator
-from virtual_bus.plant.along import along_module
+from virtual_bus.inverse_dynamics import along_module
 from virtual_bus.settings import EffectSetting
 
 RATE_Hz = 100.0

@@ -31,6 +31,17 @@ class DenavitHartenberg:
         a [m], delta_theta [rad], alpha [rad], d [m], beta [-] a joint.
     frame_angles : (4,) array
         theta_u, theta_v of the panel, theta_y, theta_z of the phantom [rad] (2.12).
+
+    Examples
+    --------
+    Two links of 1 m: stretched, then with the first joint turned by a right angle.
+
+    >>> import numpy as np
+    >>> from controllers.models.denavit_hartenberg import DenavitHartenberg
+    >>> chain = DenavitHartenberg(("inner", "outer"), np.array([[1.0, 0.0, 0.0, 0.0, 1.0]] * 2), np.zeros(4))
+    >>> position, rotation = chain.poses(np.array([[0.0, 0.0], [np.pi / 2.0, 0.0]]))
+    >>> np.abs(position).round(6).tolist()
+    [[2.0, 0.0, 0.0], [0.0, 2.0, 0.0]]
     """
 
     joints: tuple[str, ...]

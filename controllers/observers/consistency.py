@@ -8,9 +8,12 @@ filter the corrections G K ν of published values G x are white, with the covari
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
+
+from controllers.compiled import exactly_compiled
 
 WINDOW = 64
 """Samples over which NIS is averaged, and in which a correction is forgotten to 1/e: a quarter of a second at 256 Hz."""
@@ -23,27 +26,68 @@ GROUPS = ((0, 3), (3, 6), (6, 9))
 """Among the geometric parameters: focal spot, isocentre, orientation."""
 
 
+class Innovations(NamedTuple):
+    """The last samples' normalised innovations squared, in the order of a ring."""
+
+    nis: np.ndarray  # (window,)
+    measured: np.ndarray  # (window,)
+    place: np.ndarray  # (1,) int: of the next sample
+
+
+class Corrections(NamedTuple):
+    """Sums over the past of the geometric parameters' corrections, of which a sample keeps a share."""
+
+    total: np.ndarray  # (9,)
+    variance: np.ndarray  # (9,)
+    kept: float
+    most: float  # squared norm of a point's or angles' total over its variance that raises the alarm
+
+
+@exactly_compiled
+def mean_innovation(recent: Innovations, nis: float, measured: float) -> float:
+    """Take a sample in; return the mean NIS per measurement over the window: 1 when consistent, NaN without a measurement."""
+    place = recent.place[0]
+    recent.nis[place] = nis
+    recent.measured[place] = measured
+    recent.place[0] = (place + 1) % len(recent.nis)
+    freedom, sums = 0.0, np.zeros(8)  # eight sums side by side, as NumPy adds
+    for k in range(len(recent.nis)):
+        freedom += recent.measured[k]
+        sums[k % 8] += recent.nis[k]
+    total = ((sums[0] + sums[1]) + (sums[2] + sums[3])) + ((sums[4] + sums[5]) + (sums[6] + sums[7]))
+    return total / freedom if freedom > 0.0 else math.nan
+
+
+@exactly_compiled
+def corrects_too_much(recent: Corrections, correction: np.ndarray, variance: np.ndarray) -> bool:
+    """Take a sample's correction (9,) in, and its variance (9,); tell whether it and those before are too large for chance."""
+    for g in range(9):
+        recent.total[g] = recent.total[g] * recent.kept + correction[g]
+        recent.variance[g] = recent.variance[g] * recent.kept**2 + variance[g]
+    raised = False
+    for low, high in GROUPS:
+        size, spread = 0.0, 0.0
+        for g in range(low, high):
+            size += recent.total[g] * recent.total[g]
+            spread += recent.variance[g]
+        raised = raised or size > recent.most * spread
+    return raised
+
+
 class InnovationMonitor:
     """Averages normalised innovations squared over the last `WINDOW` samples. Allocates nothing while it runs."""
 
     def __init__(self, window: int = WINDOW) -> None:
-        self._nis = np.zeros(window)
-        self._measured = np.zeros(window)
-        self.reset()
+        self.recent = Innovations(np.zeros(window), np.zeros(window), np.zeros(1, dtype=np.int64))
 
     def reset(self) -> None:
         """Forget all samples."""
-        self._nis[:] = 0.0
-        self._measured[:] = 0.0
-        self._next = 0
+        for values in self.recent:
+            values[:] = 0
 
     def step(self, nis: float, measured: float) -> float:
         """Return the mean NIS per measurement over the window: 1 when consistent, NaN without a measurement."""
-        self._nis[self._next] = nis
-        self._measured[self._next] = measured
-        self._next = (self._next + 1) % len(self._nis)
-        freedom = float(self._measured.sum())
-        return float(self._nis.sum()) / freedom if freedom else math.nan
+        return mean_innovation(self.recent, float(nis), float(measured))
 
 
 class CorrectionMonitor:
@@ -53,24 +97,17 @@ class CorrectionMonitor:
     """
 
     def __init__(self, window: float = WINDOW, false_alarm: float = FALSE_ALARM) -> None:
-        self._kept = math.exp(-1.0 / window)
-        self._most = float(stats.norm.isf(0.5 * false_alarm)) ** 2
-        self._sum, self._variance = np.zeros(9), np.zeros(9)
+        most = float(stats.norm.isf(0.5 * false_alarm)) ** 2
+        self.recent = Corrections(np.zeros(9), np.zeros(9), math.exp(-1.0 / window), most)
 
     def reset(self) -> None:
         """Forget all samples."""
-        self._sum[:] = 0.0
-        self._variance[:] = 0.0
+        self.recent.total[:] = 0.0
+        self.recent.variance[:] = 0.0
 
     def step(self, correction: np.ndarray, variance: np.ndarray) -> bool:
         """Tell whether a sample's correction (9,), with its variance (9,), and those before are too large for chance."""
-        self._sum *= self._kept
-        self._sum += correction
-        self._variance *= self._kept**2
-        self._variance += variance
-        return any(
-            float(self._sum[low:high] @ self._sum[low:high]) > self._most * float(self._variance[low:high].sum()) for low, high in GROUPS
-        )
+        return corrects_too_much(self.recent, correction, variance)
 
 
 def share_in_band(nis: np.ndarray, measured: np.ndarray, probability: float = 0.95) -> float:

@@ -9,13 +9,13 @@ from __future__ import annotations
 import numpy as np
 
 from controllers.compiled import exactly_called, exactly_compiled
-from controllers.observers.extended import ends
+from controllers.filtering.square_root import triangularise, update
+from controllers.observers.extended_kalman import ends
 from controllers.observers.kalman import look_at_rigid
 from controllers.observers.linear_part import arrived, carried, heading, others_stepped, prepare, stays
 from controllers.observers.memory import KALMAN, UNSCENTED, Memory
 from controllers.observers.modal_equations import Constants, Scheduled, moving, rounded
-from controllers.observers.square_root import triangularise, update
-from controllers.observers.unscented import bent, look_around
+from controllers.observers.unscented_kalman import bent, look_around
 
 
 @exactly_called
@@ -125,17 +125,19 @@ def correct(constants: Constants, scheduled: Scheduled, memory: Memory, kind: in
             if z[j] == z[j]:
                 array[measured + i, column] = seen[i, j]
                 column += 1
+        deviation = array[measured + i, measured:]
         for k in range(states):
-            array[measured + i, measured + k] = factor[i, k]
+            deviation[k] = factor[i, k]
     triangularise(array, measured + states, measured + states)
     log_volume = 0.0
     for j in range(measured):
         log_volume += 2.0 * np.log(array[j, j])
     nis = update(array, measured, states, whitened, memory.x, factor)
     for j in range(measured):  # whitened innovations have unit variance
+        moves = array[j, measured:]
         for k in range(states):
-            memory.correction[0, k] += array[j, measured + k] * whitened[j]
-            memory.correction[1 + j, k] = array[j, measured + k]
+            memory.correction[0, k] += moves[k] * whitened[j]
+            memory.correction[1 + j, k] = moves[k]
     return nis, measured, log_volume
 
 

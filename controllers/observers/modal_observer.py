@@ -11,7 +11,7 @@ from scipy.linalg import expm
 from controllers.errors import DesignError
 from controllers.models.modal import ModalModel, basis_at
 from controllers.observers.consistency import CorrectionMonitor, InnovationMonitor
-from controllers.observers.extended import linearised
+from controllers.observers.extended_kalman import linearised
 from controllers.observers.filter_step import filter_rows
 from controllers.observers.memory import EXTENDED, KALMAN, UNSCENTED, Memory
 from controllers.observers.modal_equations import GAINS, MODE_SIGNALS, SENSOR_SIGNALS, Constants, Scheduled
@@ -74,10 +74,10 @@ class ModalObserver:
         n = len(model.axes)
         self.channels = estimate_channels(model.axes, model.position_unit)
         self.estimate = np.full(len(self.channels), np.nan)
-        self._values = 2 * n + 12 + GEOMETRY
         self._measured = np.full(self.constants.sizes[5], np.nan)
         self._summary = np.zeros((1, 3))
         self._held = np.zeros(n)  # the command that acts until the next sample
+        self._acting, self._row = self._held[None], self._measured[None]  # the same as recordings of one row
         self._start = self._initial_factor()
         self.restart()
 
@@ -158,26 +158,20 @@ class ModalObserver:
 
     def step_measured(self, z: np.ndarray, command: np.ndarray) -> None:
         """Take one sample like `step`, with all measurements in one array (measurements,) in the order of `model.channels()`."""
-        memory = self.memory
+        self._measured[:] = z
         if self._is_first:
             self._stand_at(z)
-            acting = self._held
-            acting[:] = 0.0
-        else:
-            if not self._has_command:  # the command before row 0 is not recorded; at standstill it equals that of row 0
-                self._held[:] = command
-                self._has_command = True
-            acting = self._held
-        filter_rows(self.constants, self._scheduled, memory, self._kind, self._is_first, acting[None], z[None], self._summary)
+            self._held[:] = 0.0
+        elif not self._has_command:  # the command before row 0 is not recorded; at standstill it equals that of row 0
+            self._held[:] = command
+            self._has_command = True
+        memory, summary = self.memory, self._summary
+        filter_rows(self.constants, self._scheduled, memory, self._kind, self._is_first, self._acting, self._row, summary)
+        recent = self._innovations.recent, self._corrections.recent
+        publish(self.constants, self._scheduled.values, memory, *recent, summary, self._isocenter, self.estimate)
         if not self._is_first:
             self._held[:] = command
         self._is_first = False
-        publish(self.constants, self._scheduled.values, memory, self._isocenter, self.estimate)
-        tail = 2 * self._values
-        self.estimate[tail] = self._summary[0, 0]
-        self.estimate[tail + 1] = self._summary[0, 1]
-        self.estimate[tail + 2] = self._innovations.step(self._summary[0, 0], self._summary[0, 1])
-        self.estimate[tail + 3] = self._corrections.step(self.memory.corrected[0], self.memory.corrected[1])
 
     def skip(self, samples: int, command: np.ndarray) -> None:
         """Pass over samples without a SYNC: nothing was measured, and the command of the last sample went on acting.

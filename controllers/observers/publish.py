@@ -7,6 +7,7 @@ import numpy as np
 from controllers.compiled import exactly_called, exactly_compiled
 from controllers.models.chain import axis_screw, direction_in_world, point_in_world
 from controllers.models.vectors import dot, minus, plus, row
+from controllers.observers.consistency import Corrections, Innovations, corrects_too_much, mean_innovation
 from controllers.observers.memory import Memory
 from controllers.observers.modal_equations import Constants, first_offset
 
@@ -150,7 +151,7 @@ def quasi_static(constants: Constants, values: np.ndarray, motor: np.ndarray, ro
 
 @exactly_called
 def _moved(constants: Constants, rows: np.ndarray, states: np.ndarray, out: np.ndarray) -> None:
-    """Write what rows of deviations of the state (N, states) move: motor sides, link sides, the displacements (N, moved)."""
+    """Write what rows of deviations of the state (N, states) move: motor sides, link sides, the displacements (moved, N)."""
     n, modes = constants.sizes[0], constants.sizes[1]
     for s in range(len(states)):
         for r in range(len(rows)):
@@ -159,15 +160,27 @@ def _moved(constants: Constants, rows: np.ndarray, states: np.ndarray, out: np.n
                 total += rows[r, i] * states[s, i]
             for i in range(modes):
                 total += rows[r, n + i] * states[s, 2 * n + i]
-            out[s, r] = total
+            out[r, s] = total
         if constants.sizes[9] > n:
             for j in range(6):
-                out[s, 2 * n + j] += states[s, first_offset(constants) + n + j]
+                out[2 * n + j, s] += states[s, first_offset(constants) + n + j]
 
 
 @exactly_compiled
-def publish(constants: Constants, values: np.ndarray, memory: Memory, isocenter: np.ndarray, estimate: np.ndarray) -> None:
-    """Write values and variances into `estimate[: 2 (2 axes + 21)]`."""
+def publish(
+    constants: Constants,
+    values: np.ndarray,
+    memory: Memory,
+    innovations: Innovations,
+    corrections: Corrections,
+    summary: np.ndarray,
+    isocenter: np.ndarray,
+    estimate: np.ndarray,
+) -> None:
+    """Write `estimate` (channels,): values, their variances, and four consistency numbers, the first two from `summary` (1, 3).
+
+    All in one call, because from Python a call costs microseconds for the arrays it hands over, and so does every operation on a short one.
+    """
     n, modes, states = constants.sizes[0], constants.sizes[1], constants.sizes[4]
     x, factor = memory.x, memory.factor
     count = 2 * n + 12 + GEOMETRY
@@ -178,15 +191,15 @@ def publish(constants: Constants, values: np.ndarray, memory: Memory, isocenter:
     offset = np.zeros(moved - 2 * n)
     quasi_static(constants, values, x[:n], rows, offset)
     motion = np.zeros(moved)
-    corrections = memory.correction
-    deviations, by_sample = np.zeros((states, moved)), np.zeros((len(corrections), moved))
+    by_measurement = memory.correction
+    deviations, by_sample, spread = np.zeros((moved, states)), np.zeros((moved, len(by_measurement))), np.zeros(states)
     for r in range(moved):
         for i in range(n):
             motion[r] += rows[r, i] * x[i]
         for i in range(modes):
             motion[r] += rows[r, n + i] * x[2 * n + i]
     _moved(constants, rows, factor, deviations)
-    _moved(constants, rows, corrections, by_sample)
+    _moved(constants, rows, by_measurement, by_sample)
     if constants.sizes[9] > n:
         first = first_offset(constants) + n
         for j in range(6):
@@ -196,7 +209,7 @@ def publish(constants: Constants, values: np.ndarray, memory: Memory, isocenter:
     for r in range(wide):
         variance = 0.0
         for s in range(states):
-            variance += deviations[s, r] ** 2
+            variance += deviations[r, s] ** 2
         estimate[r] = motion[r]
         estimate[count + r] = variance
     for r in range(6):
@@ -228,18 +241,25 @@ def publish(constants: Constants, values: np.ndarray, memory: Memory, isocenter:
             gradient[g, r] = difference / (2.0 * GEOMETRY_STEP)
     memory.corrected[:] = 0.0
     for g in range(GEOMETRY):
+        for s in range(states):
+            spread[s] = 0.0
+        for r in range(moved):
+            slope = gradient[g, r]
+            for s in range(states):
+                spread[s] += slope * deviations[r, s]
         variance = 0.0
         for s in range(states):
-            total = 0.0
-            for r in range(moved):
-                total += gradient[g, r] * deviations[s, r]
-            variance += total * total
+            variance += spread[s] * spread[s]
         estimate[count + place + g] = variance
-        for s in range(len(by_sample)):
+        for s in range(len(by_measurement)):
             total = 0.0
             for r in range(moved):
-                total += gradient[g, r] * by_sample[s, r]
+                total += gradient[g, r] * by_sample[r, s]
             if s == 0:
                 memory.corrected[0, g] = total
             else:
                 memory.corrected[1, g] += total * total
+    tail = 2 * count
+    estimate[tail], estimate[tail + 1] = summary[0, 0], summary[0, 1]
+    estimate[tail + 2] = mean_innovation(innovations, summary[0, 0], summary[0, 1])
+    estimate[tail + 3] = corrects_too_much(corrections, memory.corrected[0], memory.corrected[1])

@@ -20,7 +20,18 @@ TOLERATED_VIBRATION = 0.05
 
 
 def zv(frequency_rad_s: float, damping: float) -> DelayFilter:
-    """Return the zero-vibration shaper, thesis (7.2), (7.3): two taps half a damped period apart."""
+    """Return the zero-vibration shaper, thesis (7.2), (7.3): two taps half a damped period apart.
+
+    Examples
+    --------
+    An undamped mode at 2 Hz rests after two equal steps half a period apart.
+
+    >>> import numpy as np
+    >>> from controllers.shapers.point_to_point import zv
+    >>> shaper = zv(2.0 * np.pi * 2.0, 0.0)
+    >>> shaper.delays_s.tolist(), shaper.gains.tolist()
+    ([0.0, 0.25], [0.5, 0.5])
+    """
     return _half_periods(frequency_rad_s, damping, [1.0, 1.0], "ZV")
 
 

@@ -1,32 +1,19 @@
-"""Keys of every command's JSON answer, and of diagnosis.json. A test holds them against the code."""
+"""Keys of every command's JSON answer, and of diagnosis.json: of a verb from its answer's fields; a test holds the others to the code."""
 
 from __future__ import annotations
 
+from docs.generate.answer_types import entries
 from docs.generate.format_tables import Entry
+from hil.verbs.calibrate import CalibrateAnswer
+from hil.verbs.check import CheckAnswer
+from hil.verbs.compare import CompareAnswer
+from hil.verbs.identify import ResponseAnswer
+from hil.verbs.observe import ObserveAnswer
+from hil.verbs.plot import PlotAnswer
+from hil.verbs.reconstruct import ReconstructAnswer
+from hil.verbs.shape import ShapeAnswer
+from hil.verbs.simulate import SimulateAnswer
 
-_IDENTIFY = (
-    Entry("frf", "text", 'The file that was written. Of several poses the answer is `{"poses": [one of these per pose]}`.'),
-    Entry("method, settings, notes", "text, object, list", "How the response was estimated, and what a user should know."),
-    Entry("emulated", "true or false", "Whether a recording was made on the emulator."),
-    Entry(
-        "modes",
-        "list",
-        "Resonances that the response supports, rising: `frequency_Hz`, `frequency_ci95_Hz`, `damping` (ratio), `damping_ci95`, and the "
-        "`output` and `input` in which it stands out most.",
-    ),
-    Entry(
-        "modes_method, modes_misfit, no_modes",
-        "text, number, text",
-        "How they were found; what the fit leaves in units of the noise's variance, null without one; and why there are none.",
-    ),
-    Entry("inputs, outputs", "list", "`name` and `unit` of each."),
-    Entry("lines, frequencies_Hz", "list", "Excited lines and their frequencies."),
-    Entry("magnitude, phase_rad", "(lines, outputs, inputs)", "The response."),
-    Entry("noise_standard_deviation, total_standard_deviation", "(lines, outputs, inputs) or null", "Of each complex element."),
-)
-LEFT_OUT = Entry(
-    "left_out", "list", "Effects of the machine file that the linear model of this answer does not hold: `name`, `at`, and `why`."
-)
 _RUN = (
     Entry("machine, hash", "text", "Name and hash of the machine file."),
     Entry("bus, scheduler", "text", "The bus, and how the loop was scheduled."),
@@ -238,30 +225,9 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("checks", "list of text", "What was checked, in order."),
         Entry("judged", "list of text", "What was found of the thermometers."),
     ),
-    "simulate": (
-        Entry("simulation, rows", "text, number", "The file that was written, and its rows."),
-        Entry("effects", "list", "Physics that was added: `name`, `at`, `parameters`."),
-    ),
-    "plot": (
-        Entry("page, png", "text, text or null", "Files that were written."),
-        Entry("channels", "list", "What is in the page."),
-        Entry("verdict", "text", "The sentence on top of it."),
-        Entry("emulated", "true or false", "Whether a recording is of the emulator."),
-        Entry("shifts_s", "object", "By how much each recording is shown later [s], where they were aligned."),
-    ),
-    "compare": (
-        Entry("verdict, agrees", "text, true or false", "The answer in a sentence, and whether no channel differs by more than its noise."),
-        Entry("noise", "text", "Where the noise is known from: `repeats`, `periods`, or `assumed`."),
-        Entry("emulated", "true or false", "Whether the recording was made on the emulator."),
-        Entry(
-            "channels.NAME",
-            "object",
-            "`unit`; `rms` and `largest` difference in it; its `noise` in one row, and `in_noise`, rms over noise; whether it is "
-            "`still`; `nrmse`, rms over the rms of the recording about its mean, null where it is still; `lag_rows`, by how many rows the "
-            "recording is later; `rows` compared.",
-        ),
-        Entry("only_recorded, only_simulated", "list", "Channels that only one of them has."),
-    ),
+    "simulate": entries(SimulateAnswer),
+    "plot": entries(PlotAnswer),
+    "compare": entries(CompareAnswer),
     "convert": (
         Entry("target, rows", "text, number", "The file that was written, and its rows."),
         Entry("channels", "object", "Channel to unit."),
@@ -271,7 +237,7 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("target, lines, outputs, inputs", "text, number, list, list", "Of a frequency response these four alone."),
     ),
     "foxglove": (Entry("url, place", "text", "Where it serves, and what. The object is written in one line when it listens."),),
-    "identify": _IDENTIFY,
+    "identify": entries(ResponseAnswer),
     "lpv": (
         Entry(
             "emulated, direction, pose_range",
@@ -287,55 +253,19 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
             "`A`, `B`, `C`, `D` from applied effort to outputs, continuous, and whether they are `stable`.",
         ),
     ),
-    "shape": (
-        Entry("shaper", "text", "The file that was written."),
-        Entry("chosen, recommended", "text", "The design that was written, and the recommended one."),
-        Entry("machine, hash, aim, source, output, verdict", "", "As in the notes of the SHAPER file."),
-        Entry("fit", "true or false", "Nothing is against running the design that was written; otherwise the exit status is 1."),
+    "shape": entries(ShapeAnswer),
+    "shape-plant": (
+        Entry("poles", "list", "Of the plant: real and imaginary part [rad/s]."),
+        Entry("delays_s, gains, transient_s", "list, list, number", "Taps of the filter, and after which time it has settled [s]."),
+        Entry("forcing_rad_s", "list", "Frequencies that are tracked."),
         Entry(
-            "in_time",
-            "object",
-            "`without` and `shaped`: after a step of the reference, the largest ringing `left` in the output, as a share of the step, and "
-            "`settled_s`, when it is down to a twentieth of that without a shaper; the `overshoot`, and "
-            "`ramp_lag_s`, by which a ramp is trailed.",
-        ),
-        Entry(
-            "designs",
+            "error, error_unshaped, error_forcing_off",
             "list",
-            "One verdict per design, the recommended one first: `name`; the shares `vibration`, `tracking` and the same `…_at_10` "
-            "per cent off; `lag_s`, `transient_s`, `largest_gain`, `gain_sum`, `static_gain`, `left_out`, `against`; "
-            "`residual`: `low`, `likely` and `high` share left of `moves` drawn moves as simulated, of `rms` in `unit` without a "
-            "shaper; or null.",
+            "At each of them, as a share of the reference: of the filtered plant, of the plant alone, of both with the frequency 10 % off.",
         ),
-        Entry("refused", "object", "Design to the reason why there is none."),
-        Entry("not_simulated", "text", "Why no moves were simulated; empty where they were, or for a frequency response."),
-        LEFT_OUT,
+        Entry("error_poles_off", "number", "The largest of these errors with all poles and zeros of the plant 10 % off."),
     ),
-    "observe": (
-        LEFT_OUT,
-        Entry("estimate, rows, filter, states, notes", "", "The file that was written, and what is in it."),
-        Entry(
-            "mean_nis, share_in_band, alarm_share",
-            "number",
-            "Consistency: mean normalised innovation squared per measurement, share of rows in the 95 % band, share of rows with an alarm.",
-        ),
-        Entry("emulated", "true or false", "Whether the recording was made on the emulator."),
-        Entry(
-            "alarms",
-            "list",
-            "Each alarm: `from_s`, `to_s`, `rows`; the `channel` that exceeds the usual most, its `unit` and by how many `times`; `kind` "
-            "(offset, swing, noise), `offset`, `frequency_Hz`; `low` and `high`, the range of the axes' positions [rad or m]; `outside`, "
-            "axes outside the design's poses.",
-        ),
-        Entry("outside", "list of text", "Warnings of axes that leave the poses at which the design was measured."),
-        Entry("rms", "object", "Estimate to its root mean square."),
-        Entry("not_observed", "list", "Combinations of states that the sensors do not show."),
-        Entry(
-            "live",
-            "text",
-            "How the replay compares with what ran along: `the same`, or the first difference; empty where nothing ran along.",
-        ),
-    ),
+    "observe": entries(ObserveAnswer),
     "expose": (Entry("folder, exposures", "text, number", "The scan's folder, and its images."),),
     "roadmap": (
         Entry("poses, registered", "number, true or false", "Benchmark poses, and whether worlds were laid on each other."),
@@ -374,16 +304,7 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("misfit", "number", "Residual's rms over the noise that was stated."),
         Entry("poses.FILE", "object", "`nominal` and `fitted`: `position_rms_m`, `angle_rms_rad`."),
     ),
-    "reconstruct": (
-        Entry("geometry, projections", "text, number", "The geometry that was used, and the number of images."),
-        Entry("wires.WIRE", "object", "`peak_1_m`, `peak_ratio`, `widths_m`, `offset_m`, `artefact`."),
-        Entry(
-            "aneurysm.NAME",
-            "object",
-            "With `--neck` and `--dome`, each with `value`, standard `deviation` and `unit`: `volume`, `wall_area`, `neck_width`, "
-            "`dome_height`, `dome_width`, `aspect_ratio` (height over neck), `bottleneck_factor` (dome over neck width), `sphericity`.",
-        ),
-    ),
+    "reconstruct": entries(ReconstructAnswer),
     "plane": (
         Entry("rays, views, bins", "text, number, number", "`parallel rays` or `a fan`, and the sinogram's shape."),
         Entry("size, spacing_m", "number", "Pixels along each edge of the image, and a pixel's edge."),
@@ -415,17 +336,7 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("commands", "object", "Per axis what the loop commands: `mode`, `unit`, and the `excitation_unit`."),
         Entry("nodes", "list", "`name`, `role`, `axis`, `node_id`."),
     ),
-    "machine check": (
-        Entry("machine", "text", "The machine."),
-        Entry("ok", "true or false", "Whether every check is passed."),
-        Entry(
-            "findings",
-            "list",
-            "`name` of the check, `ok`, `text` for a person, and its numbers in `values`. With `is_partial` a linear answer does not hold "
-            "all effects of the file: `note` on the terminal, not `ok`.",
-        ),
-        LEFT_OUT,
-    ),
+    "machine check": entries(CheckAnswer),
     "machine export": (Entry("mjcf, machine, hash", "text", "The file that was written, and what it is of."),),
     "machine convert": (
         Entry("machine_file, hash", "text", "The file that was written, and its hash."),
@@ -442,13 +353,7 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
     ),
     "machine schema": (Entry("schema", "text or null", "The file that was written; null where it was printed."),),
     **dict.fromkeys(("run multisine", "run scan", "run jog", "run static", "run file"), _RUN),
-    "calibrate phantom": (
-        Entry("exposures, used", "number", "Images, and those that were used."),
-        Entry("residual_um, bullets", "list", "Per exposure: residual on the panel, and bullets that were used."),
-        Entry("axes, positions, deviation", "list", "As in the LOOKUP file."),
-        Entry("sigma", "(N, 9)", "Standard deviations."),
-        Entry("aspect, skew", "number", "Shape of the pixels."),
-    ),
+    "calibrate phantom": entries(CalibrateAnswer),
     "calibrate marker": (
         Entry("plate, exposures, used, free", "", "Plate, images, those that were used, parameters that were fitted."),
         Entry("values, sigma", "(N, 9)", "Parameters of every exposure, and their standard deviations."),
@@ -494,6 +399,15 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("moved_mm, stated_mm", "number", "By how much shadows moved on the panel (rms), and how sure that is."),
         Entry("contradiction_before, contradiction_after", "number", "Rms over what noise explains."),
         Entry("deviation, sigma", "list (N, 9)", "From the geometry before, in metres and radians, and standard deviations."),
+    ),
+    "calibrate tracker": (
+        Entry("table", "text", "The look-up table that was written."),
+        Entry("poses, lost", "number", "Poses within the recording, and lines without one of the targets."),
+        Entry(
+            "rms, noise",
+            "object",
+            "`source_m`, `phantom_m`, `rotation_rad`: rms difference from what the poses were laid on, and what the tracker's noise makes.",
+        ),
     ),
     "calibrate spot": (
         Entry("time_s, spot_m, sigma_m", "list", "Place of the focal spot over time."),
@@ -560,7 +474,11 @@ DIAGNOSIS = (
     Entry("hypotheses[].effects", "list", "Effects of the set; empty: no effect is missing."),
     Entry("hypotheses[].confidence", "0 to 1", "Confidences of all sets sum to at most 1; the rest is unknown physics."),
     Entry("hypotheses[].gained", "number", "Fall of the sum of squares in units of noise, over no effect, in training."),
-    Entry("hypotheses[].gained_held_out", "number or null", "Null: held-out recordings choose no name."),
+    Entry(
+        "hypotheses[].gained_held_out",
+        "number or null",
+        "Of the answer, held out; null where noise is assumed.",
+    ),
     Entry("hypotheses[].parameters", "number", "Parameters that were fitted for it."),
     Entry("hypotheses[].is_confirmed", "true or false", "Whether it is the answer."),
     Entry(

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from docs.generate import (
+    axis_questions,
     both_machines,
     command_line,
     effects,
@@ -26,6 +27,7 @@ ROOT = Path(__file__).resolve().parents[2]
 GENERATED = ROOT / "docs" / "generated"
 
 GENERATORS = {
+    "axis-questions.md": axis_questions.page,
     "both-machines.md": both_machines.page,
     "command-line.md": command_line.page,
     "effects.md": effects.page,

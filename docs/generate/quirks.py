@@ -60,10 +60,10 @@ def _rows(chosen: list[Quirk], rows: dict[str, Any]) -> Iterator[tuple[str, ...]
         told = " · ".join(verdict if len(verdicts) == 1 else f"{', '.join(ways)}: {verdict}" for verdict, ways in verdicts.items())
         words = dict.fromkeys(outcome["said"] for outcome in outcomes.values() if outcome["said"])
         said = " · ".join(code(each.replace("`", "'")) for each in words)
-        yield code(quirk.name), quirk.does, f"[{_where(quirk.source)}]({quirk.source})", told, said
+        yield code(quirk.name), quirk.does, f"[{where(quirk.source)}]({quirk.source})", told, said
 
 
-def _where(address: str) -> str:
+def where(address: str) -> str:
     """Return the repository and number of an issue, or the host of a manual."""
     parts = address.removeprefix("https://").split("/")
     return f"{parts[2]} #{parts[4]}" if parts[0] == "github.com" else parts[0].removeprefix("www.")

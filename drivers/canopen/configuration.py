@@ -10,10 +10,10 @@ from collections.abc import Iterable
 from math import inf
 
 from drivers.canopen.cia402 import HOMING_AT_PRESENT_POSITION, NO_HOMING
+from drivers.canopen.heartbeat_consumer import HEARTBEAT_TOLERANCE
 from drivers.canopen.own_limits import allow_following_error
 from drivers.canopen.ramps import write_ramps
 from drivers.canopen.sdo import SdoNode
-from drivers.canopen.supervision import HEARTBEAT_TOLERANCE
 from drivers.canopen.units import OBJECTS, check_positions, check_units, in_data_sheet, units_of
 from drivers.errors import ConfigurationRefusedError
 from drivers.settings import AxisScaling, BusSettings, Node, Pdo

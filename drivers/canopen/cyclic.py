@@ -13,11 +13,11 @@ from math import isfinite, nan
 import can
 
 from drivers.canopen.foreign_sync import ForeignSync
+from drivers.canopen.heartbeat_consumer import HEARTBEAT_TOLERANCE, HeartbeatConsumer
 from drivers.canopen.network import PolledNetwork, is_data_frame, receive_frame, send_frame
 from drivers.canopen.one_master import OneMaster
 from drivers.canopen.process_data import AxisInput, AxisOutput, Tpdo, check_inputs, drives
 from drivers.canopen.settings_watch import SettingsWatch
-from drivers.canopen.supervision import HEARTBEAT_TOLERANCE, Supervision
 from drivers.canopen.units import MotionUnits, units_in_data_sheet
 from drivers.errors import MotionRefusedError, ProtocolError
 from drivers.interface import Sample
@@ -41,7 +41,7 @@ class CyclicExchange:
     network : PolledNetwork
         Frames that are no process data go to its subscribers.
     settings : BusSettings
-    supervision : Supervision
+    heartbeats : HeartbeatConsumer
 
     Raises
     ------
@@ -49,9 +49,9 @@ class CyclicExchange:
         An axis lacks a drive, or its PDOs lack what the loop needs.
     """
 
-    def __init__(self, network: PolledNetwork, settings: BusSettings, supervision: Supervision) -> None:
+    def __init__(self, network: PolledNetwork, settings: BusSettings, heartbeats: HeartbeatConsumer) -> None:
         self._network, self._bus, self._clock = network, network.can_bus, network.clock
-        self._supervision = supervision
+        self._heartbeats = heartbeats
         self._period_s = settings.sync_period_s
         self._answer_timeout_s = settings.answer_timeout_s
         self._sync = can.Message(arbitration_id=settings.sync_cob_id, is_extended_id=False, data=bytearray())
@@ -155,7 +155,7 @@ class CyclicExchange:
             self._one_master.flooded(self._others, self._last_other)
         self._others = 0
         self._grow_ages(sample, outstanding)
-        self._fault = self._fault or self._supervision.take_fault()
+        self._fault = self._fault or self._heartbeats.take_fault()
         sample.fault, self._fault = self._fault, ""
         return overdue_s
 

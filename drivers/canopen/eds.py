@@ -8,7 +8,9 @@ clean text. What the standard does not allow and a reader can still understand i
 from __future__ import annotations
 
 import codecs
+import functools
 import io
+import pickle
 import re
 import stat
 import warnings
@@ -58,6 +60,8 @@ _CANONICAL_SECTIONS = {
 }
 _WORDS = {"true": 1, "false": 0}
 _ACCESS_TYPES = frozenset({"ro", "wo", "rw", "rwr", "rww", "const"})
+TEXTS_KEPT = 16
+"""Texts that are not read again: a run opens its machine twice, each time with all nodes."""
 _LAST_BASIC_TYPE = datatypes.UNSIGNED64
 _FIXED_BITS = {
     datatypes.BOOLEAN: 8,  # a byte over SDO
@@ -116,30 +120,38 @@ def _text_of(path: Path) -> str:
 
 def parse_object_dictionary(text: str, node_id: int | None = None, name: str = "EDS") -> canopen.ObjectDictionary:
     """Read the text of an EDS or DCF file like `load_object_dictionary`; `name` precedes every error message."""
-    repairs = Repairs()
     try:
-        sections = _sections(text, repairs)
-        own = _own_node_id(sections, repairs)
-        if node_id is None:
-            node_id = own
-        elif own is not None and own != node_id:
-            line = sections["DeviceComissioning"].line_of("NodeID")
-            repairs.add(f"NodeID={own} is this file's, read here for node {node_id}; what follows the node id follows this one", line)
-        clean = _Reader(sections, node_id, repairs).clean()
-        dictionary: canopen.ObjectDictionary = canopen.objectdictionary.eds.import_eds(  # type: ignore[no-untyped-call]
-            io.StringIO(clean), node_id
-        )
-        dictionary.node_id = node_id
-        dictionary.bitrate = _own_bit_rate(sections, repairs)
+        pickled, repairs = _read_once(text, node_id)
     except ProtocolError as error:
         raise ProtocolError(f"{name}: {error}") from None
     except Exception as error:  # whatever error the library raises, the user needs to know one thing: the file is broken
         raise ProtocolError(f"{name}: not a usable EDS or DCF file: {type(error).__name__}: {error}".replace("\n", " ")) from error
+    dictionary: canopen.ObjectDictionary = pickle.loads(pickled)  # our own
     if not any(index >= _FIRST_OBJECT for index in dictionary):
         raise ProtocolError(f"{name}: no object from 1000h on: not an EDS or DCF file")
     if repairs:
         warnings.warn(f"{name}: {repairs}", DataSheetWarning, stacklevel=2)
     return dictionary
+
+
+@functools.lru_cache(maxsize=TEXTS_KEPT)
+def _read_once(text: str, node_id: int | None) -> tuple[bytes, Repairs]:
+    """Return the dictionary of a text, pickled since each node changes its own, and what the file bends."""
+    repairs = Repairs()
+    sections = _sections(text, repairs)
+    own = _own_node_id(sections, repairs)
+    if node_id is None:
+        node_id = own
+    elif own is not None and own != node_id:
+        line = sections["DeviceComissioning"].line_of("NodeID")
+        repairs.add(f"NodeID={own} is this file's, read here for node {node_id}; what follows the node id follows this one", line)
+    clean = _Reader(sections, node_id, repairs).clean()
+    dictionary: canopen.ObjectDictionary = canopen.objectdictionary.eds.import_eds(  # type: ignore[no-untyped-call]
+        io.StringIO(clean), node_id
+    )
+    dictionary.node_id = node_id
+    dictionary.bitrate = _own_bit_rate(sections, repairs)
+    return pickle.dumps(dictionary), repairs
 
 
 def _decode(raw: bytes) -> str:

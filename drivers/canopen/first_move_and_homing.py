@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from drivers.canopen import cia402, power_and_brakes
-from drivers.canopen.axis_stop import SETTLING_S, STANDSTILL_COUNTS
 from drivers.canopen.cia402 import HOMING_AT_PRESENT_POSITION, NO_HOMING, Homing, Mode, State
 from drivers.canopen.power_and_brakes import SETTLED_TICKS, Machine
+from drivers.canopen.quick_stop import SETTLING_S, STANDSTILL_COUNTS
 from drivers.canopen.units import in_data_sheet, units_of, whole_speed
 from drivers.errors import BusTimeoutError, MotionRefusedError
 from drivers.settings import HomingSettings

@@ -16,10 +16,10 @@ from drivers.canopen import cia402
 from drivers.canopen.axis_rest import POWERED
 from drivers.canopen.cia402 import MODES_DISPLAY, MODES_OF_OPERATION, Mode, State
 from drivers.canopen.emcy import describe_code
+from drivers.canopen.heartbeat_consumer import HeartbeatConsumer
+from drivers.canopen.motion_bounds import MotionWatch
 from drivers.canopen.process_data import AxisInput
 from drivers.canopen.sdo import SdoNode
-from drivers.canopen.supervision import Supervision
-from drivers.canopen.watch import MotionWatch
 from drivers.errors import BusTimeoutError, DeviceFaultError, MotionRefusedError
 from drivers.interface import Clock, Sample
 from drivers.settings import AxisScaling, Node
@@ -46,7 +46,7 @@ class Machine(Protocol):
 
     clock: Clock
     period_s: float  # of the ticks
-    supervision: Supervision
+    heartbeats: HeartbeatConsumer
     axes: tuple[str, ...]
     drives: tuple[Node, ...]
     scalings: tuple[AxisScaling, ...]
@@ -142,7 +142,7 @@ def reset_fault(machine: Machine, axis: int) -> None:
     if not _in_fault(machine, axis):
         return
     node = machine.drives[axis]
-    was = machine.supervision.last_emergency(node.node_id) or cia402.describe_statusword(machine.inputs[axis].statusword)
+    was = machine.heartbeats.last_emergency(node.node_id) or cia402.describe_statusword(machine.inputs[axis].statusword)
     resets = 0
     while _in_fault(machine, axis):
         if resets == FAULT_RESETS:
@@ -172,7 +172,7 @@ def fault_words(machine: Machine, axis: int) -> str:
     """Return state, error code and newest EMCY of a drive that is in fault."""
     node = machine.drives[axis]
     words = [f"{node.name} (node {node.node_id}): {cia402.describe_statusword(machine.inputs[axis].statusword)}"]
-    emergency = machine.supervision.last_emergency(node.node_id)
+    emergency = machine.heartbeats.last_emergency(node.node_id)
     if emergency:
         words.append(emergency)
     else:

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Collection
 from math import isfinite
 
+from drivers.canopen.motion_bounds import LED_SPEED_MARGIN
 from drivers.canopen.sdo import SdoNode
 from drivers.canopen.units import MotionUnits, acceleration_units, check_units, in_data_sheet, units_of, whole_speed
-from drivers.canopen.watch import LED_SPEED_MARGIN
 from drivers.errors import ConfigurationRefusedError
 from drivers.settings import AxisScaling, LoopMode, MotionLimits
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from drivers.canopen import power_and_brakes
 from drivers.canopen.axis_rest import AxisRest
-from drivers.canopen.axis_stop import AxisStop
 from drivers.canopen.cia402 import Mode
+from drivers.canopen.quick_stop import AxisStop
 from drivers.canopen.stopping import Attempts, Attendant, Stops, in_words
 from drivers.errors import DriverError, MotionRefusedError
 from drivers.settings import BusSettings
@@ -75,7 +75,7 @@ class Resting:
     def _with_node_state(self, rest: AxisRest) -> AxisRest:
         """Return how an axis ended, with what is known of a drive that does not answer: its heartbeat tells its state."""
         machine = self._machine
-        state = machine.supervision.nmt_state(machine.drives[machine.axes.index(rest.axis)].node_id)
+        state = machine.heartbeats.nmt_state(machine.drives[machine.axes.index(rest.axis)].node_id)
         known = "" if state in ("operational", "never heard") else f" (its node is {state})"
         return replace(rest, words=rest.words.replace("does not answer", f"does not answer{known}"))
 
@@ -92,7 +92,7 @@ class Resting:
         self._refuse_unproven(stops, "found under voltage at the start, and ")
 
     def rest_axes(self, axes: Sequence[int], effort: np.ndarray) -> None:
-        """Prove the closed brakes of enabled axes that stand, and take their voltage; see `drivers.canopen.axis_stop`.
+        """Prove the closed brakes of enabled axes that stand, and take their voltage; see `drivers.canopen.quick_stop`.
 
         Parameters
         ----------

@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Sequence
 from typing import Protocol
 
 from drivers.canopen.axis_rest import AxisRest
-from drivers.canopen.axis_stop import AxisStop
+from drivers.canopen.quick_stop import AxisStop
 from drivers.errors import KEEP_AWAY
 from drivers.interface import Clock, Sample
 

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
-import numpy as np
 from pymodbus.pdu.bit_message import ReadDiscreteInputsRequest, WriteMultipleCoilsRequest, WriteSingleCoilRequest
 from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadInputRegistersRequest, WriteSingleRegisterRequest
 
@@ -15,6 +14,7 @@ from drivers.interface import Sample
 from drivers.modbus.registers import MAX_READ_BITS, MAX_READ_REGISTERS, register_to_temperature
 from drivers.modbus.transport import Transport
 from drivers.settings import IoMap
+from drivers.shared_memory.io_state import IoState
 
 LAGS_BORNE = 1  # polls in a row for which a wired input may lag behind its output
 
@@ -30,33 +30,6 @@ class Io(Protocol):
 
     def command_brakes(self, brakes: Mapping[str, bool]) -> None:
         """Open (True) or close the brakes of the named axes with the next poll."""
-
-
-class IoState:
-    """The newest state of the device. Arrays have the length of the axis list."""
-
-    def __init__(self, axes: int) -> None:
-        self.temperature_degC = np.full(axes, np.nan)
-        self.brakes_open = np.zeros(axes, dtype=bool)
-        self.hold_to_run = False  # pressed, by all of its contacts
-        self.door_closed = False
-        self.time_s = -math.inf  # when it was read
-        self.word = 0  # of the output watchdog, as the device showed it last
-
-    def copy_to(self, sample: Sample, now_s: float, stale_after_s: float) -> None:
-        """Fill the sample. A state that is too old reads as the safe one: switch released, door open, no brake reported open."""
-        age_s = now_s - self.time_s
-        sample.io_age_s = age_s
-        if age_s > stale_after_s:
-            sample.temperature_degC.fill(np.nan)
-            sample.brakes_open.fill(False)
-            sample.hold_to_run = False
-            sample.door_closed = False
-            return
-        sample.temperature_degC[:] = self.temperature_degC
-        sample.brakes_open[:] = self.brakes_open
-        sample.hold_to_run = self.hold_to_run
-        sample.door_closed = self.door_closed
 
 
 class IoDriver:

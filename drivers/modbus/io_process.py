@@ -22,12 +22,12 @@ import numpy as np
 import drivers.errors
 from drivers.errors import BusTimeoutError, DriverError
 from drivers.interface import Sample
-from drivers.modbus.io import IoDriver, IoState, brake_requests
-from drivers.modbus.published import published_block, state_values, take_state, values_of
-from drivers.modbus.shared_block import Block
+from drivers.modbus.io import IoDriver, brake_requests
 from drivers.modbus.transport import REQUEST_AT_MOST_S, ClientTransport, parse_io_url
-from drivers.oversight.answers import AnswerReader
 from drivers.settings import IoMap
+from drivers.shared_memory.block import Block
+from drivers.shared_memory.io_state import IoState, published_block, state_values, take_state, values_of
+from drivers.shared_memory.supervisor_blocks import AnswerReader
 
 SLICE_S = 0.01  # how soon a brake command or the loop's death is noticed
 START_TIMEOUT_S = 60.0  # a new Python process on a loaded machine; one that fails is noticed at once

@@ -15,9 +15,9 @@ import numpy as np
 
 from drivers.bus_url import open_bus
 from drivers.errors import DriverError
-from drivers.modbus.published import published_block
 from drivers.settings import BusSettings
-from drivers.supervisor.blocks import FRAME, OWN, blocks_of
+from drivers.shared_memory.io_state import published_block
+from drivers.shared_memory.supervisor_blocks import FRAME, OWN, blocks_of
 from drivers.supervisor.rounds import Line, Rounds, Shared
 from drivers.supervisor.supervisor import Supervisor
 

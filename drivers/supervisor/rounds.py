@@ -10,11 +10,10 @@ from typing import NamedTuple, Protocol
 import can
 import numpy as np
 
-from drivers.modbus.io import IoState
-from drivers.modbus.published import state_values, take_state
-from drivers.modbus.shared_block import Block
 from drivers.settings import BusSettings
-from drivers.supervisor.blocks import ANSWER, ASKED, END, ORDERS, OWN, PERMITS, ROUNDS, SESSION, WANTED_SESSION, WORD
+from drivers.shared_memory.block import Block
+from drivers.shared_memory.io_state import IoState, state_values, take_state
+from drivers.shared_memory.supervisor_blocks import ANSWER, ASKED, END, ORDERS, OWN, PERMITS, ROUNDS, SESSION, WANTED_SESSION, WORD
 from drivers.supervisor.supervisor import NMT, Supervisor
 
 HELD_UP_ROUNDS = 8.0  # of a round's time, after which the process was held up: frames have come together meanwhile

@@ -86,6 +86,7 @@ class Bench:
         self._still = np.zeros(len(self.machine.axes))
         self.wiring.link.judged = self.judges
         self._led = False  # whether drives go by themselves
+        self.way_to = self.pose  # (n_axes,) where the present way leads, or the last one led
         self._unjudged = self._missed = 0  # ticks since the sensors were judged, and the clock's lost ones by then
 
     @property
@@ -346,6 +347,7 @@ class Bench:
     def _legs(self, way: list[Plan], stay: Plan) -> list[Plan]:
         """Return the plans that lead from the present position along a way, and tell how long they take."""
         legs = [self._bridge_to(way[0] if way else stay), *way]
+        self.way_to = stay.reference[0]
         self.tell(ON_THE_WAY, "", sum(leg.rows for leg in legs))
         return legs
 

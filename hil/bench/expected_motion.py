@@ -7,8 +7,8 @@ import numpy as np
 from drivers.judging.motion_window import Expected, Expects, Means
 from hil.machine import Machine
 from virtual_bus.effects.places import imu_channel_names
+from virtual_bus.inverse_dynamics import along_module
 from virtual_bus.physics import Physics
-from virtual_bus.plant.along import along_module
 
 
 def expectation_of(machine: Machine, model: Physics) -> Expects | None:

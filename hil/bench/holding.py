@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from drivers.canopen.brake_push import PUSH_SHARE
+from drivers.canopen.brake_proof import PUSH_SHARE
 from drivers.settings import BusSettings, MotionLimits
 from hil.machine import Machine
 from virtual_bus.physics import Physics

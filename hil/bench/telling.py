@@ -17,7 +17,7 @@ from drivers.canopen.axis_rest import POWERED
 from drivers.canopen.cia402 import decode_state, describe_statusword
 from hil.bench.attended import Shown
 from hil.bench.bench import Bench
-from hil.bench.told_state import AT_REST, HOMING, RECORDING, ROWS, STATE, STOPPING, WATCHING
+from hil.bench.told_state import AT_REST, HOMING, ON_THE_WAY, RECORDING, ROWS, SETTLING, STATE, STOPPING, WATCHING
 
 EVERY_S = 0.1
 MOST_ROWS = 4096
@@ -96,11 +96,17 @@ class Teller:
             seen = getattr(sample, name).copy()  # of a tick that is being made, what has not come yet is missing
             newest[np.isfinite(seen)] = seen[np.isfinite(seen)]
         position, speed = self._newest["position"], self._speed()
+        begun, part, ends = self._begun
+        powered = any(int(each.statusword) >= 0 and decode_state(int(each.statusword)) in POWERED for each in link.inputs)
+        doing = STOPPING if link.stopping or (powered and self.shown.doing in AT_REST) else self.shown.doing
+        if doing != begun:
+            part, ends = "", 0
         axes = {}
         for axis, units in enumerate(bench.machine.units):
             mode, word = link.modes[axis], int(link.inputs[axis].statusword)
             axes[units.axis] = {
                 "position": _known(position[axis]),
+                "goes_to": _known(bench.way_to[axis]) if doing in (ON_THE_WAY, SETTLING) else None,
                 "speed": _known(speed[axis]),
                 "effort": _known(self._newest["effort"][axis]),
                 "temperature_degC": _known(self._newest["temperature_degC"][axis]),
@@ -109,11 +115,6 @@ class Teller:
                 "drive": None if word < 0 else describe_statusword(word),
             }
         io = None if bench.machine.bus is None or bench.machine.bus.io is None else _permission(sample.hold_to_run, sample.door_closed)
-        begun, part, ends = self._begun
-        powered = any(int(each.statusword) >= 0 and decode_state(int(each.statusword)) in POWERED for each in link.inputs)
-        doing = STOPPING if link.stopping or (powered and self.shown.doing in AT_REST) else self.shown.doing
-        if doing != begun:
-            part, ends = "", 0
         return {
             "doing": doing,
             "part": part,

@@ -11,9 +11,9 @@ from math import isfinite, nan
 import can
 import numpy as np
 
+from drivers.canopen.heartbeat_consumer import refuse_second_bench
 from drivers.canopen.network import PolledNetwork
 from drivers.canopen.stopping import Attendant
-from drivers.canopen.supervision import refuse_second_bench
 from drivers.errors import BusError, BusUnavailableError
 from drivers.events import Events
 from drivers.interface import Clock, Sample
@@ -21,11 +21,11 @@ from drivers.machine_link import CanMachine
 from drivers.modbus.io import Io, IoDriver
 from drivers.modbus.io_process import IoProcess
 from drivers.modbus.transport import InProcessTransport
-from drivers.oversight.in_process import Oversight, SupervisorInProcess
-from drivers.oversight.process import SupervisorProcess
 from drivers.serial.imu import ImuDriver
 from drivers.serial.stream import open_stream
 from drivers.settings import BusSettings
+from drivers.supervisor_link.in_process import SupervisorInProcess, SupervisorLink
+from drivers.supervisor_link.process import SupervisorProcess
 from hil.bench.asking import stop_socket
 from hil.bench.attendant import LockstepAttendant, Operator
 from hil.bench.clock import ANSWERS_AWAKE_S, LockstepClock, WallClock
@@ -61,10 +61,10 @@ class HeedingMachine(CanMachine):
         imu: ImuDriver | None,
         io: Io | None,
         attendant: Attendant,
-        oversight: Oversight,
+        supervisor: SupervisorLink,
     ) -> None:
         super().__init__(settings, bus, clock, imu, io, attendant)
-        self._oversight = oversight
+        self._supervisor = supervisor
         self.troubles: list[str] = []  # errors of all stops since the last start; a repeated stop does not repeat them
         self.events = Events(clock.now)  # of the present session
         self._stop_began_s = nan
@@ -73,13 +73,13 @@ class HeedingMachine(CanMachine):
     def start(self) -> None:
         """Start as `CanMachine` does."""
         self.troubles = []
-        self._oversight.begin()
+        self._supervisor.begin()
         super().start()
 
     def close(self) -> None:
         """Close as `CanMachine` does, and end the supervisor's session."""
         super().close()
-        self._oversight.end()
+        self._supervisor.end()
 
     def stop(self) -> None:
         """Stop as `CanMachine` does; errors are kept in `troubles`, and how each axis ended in `events`."""
@@ -118,7 +118,7 @@ class HeedingMachine(CanMachine):
             self.stop()
             raise LoopAbortedError(f"{self._stop_request.reason}; {self.outcome}")
         sample = super().exchange(command)
-        if (trouble := self._oversight.trouble()) and not self.stopping:
+        if (trouble := self._supervisor.trouble()) and not self.stopping:
             self.events.add("supervisor", "stop asked", reason=trouble)
             self.stop()
             raise LoopAbortedError(f"{trouble}; {self.outcome}")
@@ -178,8 +178,8 @@ def lockstep_wiring(machine: Machine, options: BenchOptions, start_pose: np.ndar
         if faulty is not None:
             stack.callback(options.events.extend, faulty.schedule.events)
             stack.callback(faulty.let_rest, bus.pass_time, REST_AT_MOST_S)
-        oversight = SupervisorInProcess(settings, lambda: bus.time_s, bus.send_frame)
-        bus.tap = oversight.frame
+        supervisor = SupervisorInProcess(settings, lambda: bus.time_s, bus.send_frame)
+        bus.tap = supervisor.frame
         imu = ImuDriver(settings.imu, imu_line(emulated)) if settings.imu is not None else None
         io: Io | None = None
         if settings.io is not None:
@@ -189,9 +189,9 @@ def lockstep_wiring(machine: Machine, options: BenchOptions, start_pose: np.ndar
                 line.write(request)
                 return line.read()
 
-            io = IoDriver(settings.io, InProcessTransport(serve), machine.axes, oversight.refresh)
+            io = IoDriver(settings.io, InProcessTransport(serve), machine.axes, supervisor.refresh)
         clock = LockstepClock(bus.pass_time, lambda: bus.time_s, paced=options.paced)
-        link = HeedingMachine(stop_request, settings, bus, clock, imu, io, LockstepAttendant(), oversight)
+        link = HeedingMachine(stop_request, settings, bus, clock, imu, io, LockstepAttendant(), supervisor)
         yield Wiring(link, clock, True, True, truth, faulty)
 
 

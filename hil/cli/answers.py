@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hil.cli.asking import ask
 from hil.cli.emulated import say_emulated
 from hil.cli.options import EffectsOption, MachineArgument, can_be_written, load, not_an_input
+from hil.cli.shared import asks
 from hil.terminal.output import Answer, JsonOption
-from hil.terminal.progress import working
+from hil.verbs import compare as comparing
+from hil.verbs import simulate as simulating
 
 if TYPE_CHECKING:
     from hil.recording.naming import Target as NameTarget
 
-RecordingArgument = Annotated[Path, typer.Argument(metavar="REC", help="Recording (.mf4, .csv, .parquet, .mcap, .mat).")]
 OptionalMachine = Annotated[
     str | None, typer.Option("--machine", "-m", metavar="M", help="Machine file, for a recording that carries none.")
 ]
@@ -43,57 +46,32 @@ def register(app: typer.Typer) -> None:
     )(convert)
 
 
+@asks
 def simulate(
     machine_name: MachineArgument,
-    recording: RecordingArgument,
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="SIM", help="Where to write the simulation.")],
+    request: Callable[..., simulating.SimulateRequest],
     effects: EffectsOption = None,
     json_to: JsonOption = None,
 ) -> None:
     """Simulate a free run in closed loop."""
-    from hil.recording import read_recording, write_recording
-    from hil.recording.formats import check_writable
-    from hil.simulation import simulate as run_simulation
-
     answer = Answer(json_to)
-    check_writable(out)
-    can_be_written(out)
-    not_an_input(out, recording)
-    machine = load(machine_name, effects)
-    measured = read_recording(recording, machine)
-    with working(f"simulating {recording.name}"):
-        simulated = run_simulation(machine, measured)
-    write_recording(simulated, out)
-    say_emulated(answer, {recording: measured})
-    added = ", ".join(f"{effect.name} at {effect.at}" for effect in machine.added_effects) or "nothing"
-    answer.say(f"{out}: {len(simulated.time)} rows of {machine.name}; physics added to its file: {added}")
-    listed = [{"name": effect.name, "at": effect.at, "parameters": effect.parameters} for effect in machine.added_effects]
-    answer.write({"simulation": out, "rows": len(simulated.time), "effects": listed})
+    asked = request(machine=load(machine_name, effects))
+    found = ask(simulating.answer, asked, answer)
+    say_emulated(answer, {asked.recording: found.recorded})
+    answer.say(found.sentence)
+    answer.write(found)
 
 
-def compare(
-    recording: RecordingArgument,
-    simulation: Annotated[Path, typer.Argument(metavar="SIM", help="Its simulation.")],
-    repeats: Annotated[
-        list[Path] | None,
-        typer.Option("--repeat", metavar="REC", help="The same experiment recorded again, which shows the noise; repeatable."),
-    ] = None,
-    machine_name: OptionalMachine = None,
-    json_to: JsonOption = None,
-) -> None:
+@asks
+def compare(request: Callable[..., comparing.CompareRequest], machine_name: OptionalMachine = None, json_to: JsonOption = None) -> None:
     """Say whether the simulation agrees, then rms and largest difference, in units and of the noise, and NRMSE per channel."""
-    from hil.recording import read_recording
-    from hil.simulation import compare as compare_recordings
-
     answer = Answer(json_to)
-    machine = None if machine_name is None else load(machine_name)
-    measured = read_recording(recording, machine)
-    again = [read_recording(path, machine) for path in repeats or []]
-    comparison = compare_recordings(measured, read_recording(simulation, machine), again)
-    answer.say(comparison.verdict)
-    emulated = say_emulated(answer, {recording: measured})
-    answer.say(comparison.table())
-    answer.write(comparison.document() | {"emulated": emulated})
+    asked = request(machine=None if machine_name is None else load(machine_name))
+    found = ask(comparing.answer, asked, answer)
+    answer.say(found.verdict)
+    say_emulated(answer, {asked.recording: found.recorded})
+    answer.say(found.comparison.table())
+    answer.write(found)
 
 
 def convert(

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hil.cli.options import BusOption, ImuOption, IoOption, MachineOption, PoseOption, RealTimeOption, load, parse_pose
 from hil.terminal.output import Answer, JsonOption
+from hil.terminal.progress import working
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from hil.bench.bench import Bench
+    from hil.bench.options import BenchOptions
+    from hil.machine import Machine
+    from hil.observing.live import LiveObserver
 
 TellOption = Annotated[
     bool,
@@ -26,6 +33,19 @@ def telling(bench: Bench, wanted: bool) -> contextlib.AbstractContextManager[obj
     from hil.bench.telling import Teller
 
     return Teller(bench, rows=False) if wanted else contextlib.nullcontext()
+
+
+@contextlib.contextmanager
+def opened(
+    machine: Machine, options: BenchOptions, start_pose: np.ndarray | None = None, observer: LiveObserver | None = None
+) -> Iterator[Bench]:
+    """Open a bench as `hil.bench.open.open_bench` does, and tell meanwhile that it starts and what is compiled."""
+    from hil.bench.open import open_bench
+
+    with contextlib.ExitStack() as stack:
+        with working(f"starting {machine.name}"):
+            bench = stack.enter_context(open_bench(machine, options, start_pose, observer))
+        yield bench
 
 
 def register(app: typer.Typer) -> None:
@@ -53,7 +73,6 @@ def attend(
     """Tell the state until the end is ordered."""
     from hil.bench.attendant import TypedLines
     from hil.bench.attended import Attended
-    from hil.bench.open import open_bench
     from hil.bench.options import BenchOptions
     from hil.bench.telling import Teller
     from hil.experiments.plan import pose_array
@@ -62,7 +81,7 @@ def attend(
     answer = Answer(json_to)
     start = pose_array(machine, parse_pose(pose, machine))
     options = BenchOptions(bus, imu, io, real_time=real_time, paced=True)
-    with open_bench(machine, options, start) as bench, Teller(bench, rows) as teller:
+    with opened(machine, options, start) as bench, Teller(bench, rows) as teller:
         Attended(bench, TypedLines().take, teller.shown).serve()
         emulated, stands = bench.emulated, dict(zip(machine.axes, bench.pose.tolist(), strict=True))
     answer.write({"machine": machine.name, "bus": bus, "emulated": emulated, "position": stands})

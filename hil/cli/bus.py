@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.cli.attend import TellOption, telling
+from hil.cli.attend import TellOption, opened, telling
 from hil.cli.emulated import EMULATED
 from hil.cli.options import BusOption, ImuOption, IoOption, MachineOption, load, parse_pose
 from hil.terminal.output import Answer, JsonOption
@@ -68,12 +68,11 @@ def home(
     json_to: JsonOption = None,
 ) -> None:
     """Say what was checked, axis by axis."""
-    from hil.bench.open import open_bench
     from hil.bench.options import BenchOptions
 
     machine = load(machine_name)
     answer = Answer(json_to)
-    with open_bench(machine, BenchOptions(bus, imu, io)) as bench, telling(bench, tell):
+    with opened(machine, BenchOptions(bus, imu, io)) as bench, telling(bench, tell):
         report, judged = bench.commission(), bench.judged
         emulated = bench.emulated
     _say_where(machine, bus, emulated, answer)
@@ -95,13 +94,12 @@ def move(
     json_to: JsonOption = None,
 ) -> None:
     """Say where each axis stands."""
-    from hil.bench.open import open_bench
     from hil.bench.options import BenchOptions
 
     machine = load(machine_name)
     goal = parse_pose(to, machine, "--to")
     answer = Answer(json_to)
-    with open_bench(machine, BenchOptions(bus, imu, io)) as bench:
+    with opened(machine, BenchOptions(bus, imu, io)) as bench:
         pose = bench.pose.copy()
         for axis, value in goal.items():
             pose[machine.axis_index(axis)] = value

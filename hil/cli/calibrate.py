@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
+from hil.cli.asking import ask
 from hil.cli.options import MachineArgument, ScanArgument, can_be_written, load
-from hil.cli.paged import PageOption, check_page, write_paged
+from hil.cli.paged import PageOption, check_drawn, check_page, write_paged
+from hil.cli.shared import asks
 from hil.errors import UnusableInputError
 from hil.terminal.output import Answer, JsonOption, save_figure
 from hil.terminal.progress import follower, progress
+from hil.verbs import calibrate as verb
 
 if TYPE_CHECKING:
     from hil.calibration.marker.scan import MarkerScan
-    from hil.calibration.phantom.pose import PoseFit
-    from hil.calibration.use.lookup_table import LookUp
     from hil.imaging.markers import MarkerPlate
 
 app = typer.Typer(
@@ -24,9 +26,6 @@ app = typer.Typer(
     short_help="Geometric calibration.",
     help="Geometric calibration from recordings and images.\n\nExample:  isocenter calibrate phantom carm phantom_scan -o roll.lookup.npz",
 )
-
-MOST_NAMED = 8
-"""Exposures that a line names."""
 
 FigureOption = Annotated[Path | None, typer.Option("--figure", metavar="PNG", help="The nine parameters over the scan.")]
 JobsOption = Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Processes that look at images.")]
@@ -133,57 +132,34 @@ def expose(
     answer.write({"folder": out, "exposures": count})
 
 
+@asks
 def phantom(
     machine_name: MachineArgument,
-    scan_folder: ScanArgument,
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="LOOKUP", help="Look-up table to write (.npz).")],
-    six: Annotated[bool, typer.Option("--six", help="Hold the source at nominal and fit six parameters only.")] = False,
-    pixels: Annotated[bool, typer.Option("--pixels", help="Fit the pixels' aspect and skew (6.4) too, one for the whole scan.")] = False,
-    standing: Annotated[
-        bool, typer.Option("--standing", help="Keep the poses at which the machine stood, averaged: a roadmapping grid.")
-    ] = False,
+    request: Callable[..., verb.CalibrateRequest],
     figure: FigureOption = None,
     jobs: JobsOption = 1,
     page: PageOption = None,
     json_to: JsonOption = None,
 ) -> None:
     """Find the bullets, fit the poses, write the table."""
-    import numpy as np
-
-    from hil.calibration.phantom.from_scan import calibrate_phantom_scan
-    from hil.calibration.use.lookup_table import write_look_up
-    from hil.imaging.scan_folder import read_scan
-
-    machine = load(machine_name)
     answer = Answer(json_to)
-    can_be_written(out, figure)
-    check_page(page)
-    scan = read_scan(scan_folder)
-    with progress() as bars:
-        follow = follower(bars, bars.add_task("bullets", total=len(scan)))
-        found = calibrate_phantom_scan(
-            machine, scan, six=six, pixels=pixels, at_standstill=standing, jobs=jobs, progress=lambda done, total: follow(done)
-        )
-    table, fit, panel = found.table, found.fit, found.panel
-    if (known := found.pixel_sigma) is not None:
-        answer.say(f"pixels: aspect {panel.aspect:.5f}, sigma {known[0]:.5f}; skew {panel.skew:.5f}, sigma {known[1]:.5f}")
-    _report(answer, fit, table, six)
-    write_look_up(table, out)
-    answer.say(f"{out}: look-up table of {len(table.positions)} {'poses' if standing else 'exposures'}")
+    asked = request(machine=load(machine_name), jobs=jobs)
+    check_drawn(figure, page, ())
+    found = ask(verb.answer, asked, answer)
+    for line in found.lines:
+        answer.say(line)
     if figure is not None:
         from hil.figures.geometry import deviations_figure
 
-        axis = int(np.argmax(np.ptp(table.positions, axis=0)))
-        along, label = table.positions[:, axis], f"{table.axes[axis]} [m]"
-        if scan.units[axis] == "rad":
-            along, label = np.degrees(along), f"{table.axes[axis]} [deg]"
-        save_figure(deviations_figure(along, label, {"phantom": (table.deviation, table.covariance)}), figure)
-        answer.say(f"{figure}: the nine parameters over {table.axes[axis]}")
+        along, label, axis = found.over
+        save_figure(deviations_figure(along, label, {"phantom": (found.deviation, found.found.table.covariance)}), figure)
+        answer.say(f"{figure}: the nine parameters over {axis}")
     if page is not None:
         from hil.reports.calibrated import phantom_page
 
-        write_paged(answer, phantom_page(machine, fit, table, (scan_folder, out), answer.said), page)
-    answer.write({**_document(fit, table), "aspect": panel.aspect, "skew": panel.skew})
+        files = cast("tuple[Path, Path]", (asked.scan, asked.out))
+        write_paged(answer, phantom_page(asked.machine, found.found.fit, found.found.table, files, answer.said), page)
+    answer.write(found)
 
 
 def marker(
@@ -309,39 +285,3 @@ def _report_marker(answer: Answer, result: MarkerScan, plate: str) -> None:
         change = 1e3 * (result.values - result.nominal)[good, k]
         sigma = 1e3 * float(np.median(np.sqrt(result.covariance[good, k, k])))
         answer.say(f"  {name:14s} {change.min():8.3f} to {change.max():8.3f} {'mrad' if 3 <= k < 6 else 'mm'}, sigma {sigma:.3f}")
-
-
-def _report(answer: Answer, fit: PoseFit, table: LookUp, six: bool) -> None:
-    import numpy as np
-
-    from hil.imaging.geometry import DEVIATIONS
-
-    held = "; the source held at nominal" if six else ""
-    answer.say(
-        f"{int(fit.good.sum())} of {len(fit.good)} exposures, a median of {np.median(fit.used[fit.good]):.0f} bullets,"
-        f" residual {1e6 * float(np.nanmedian(fit.residual_m)):.1f} um on the panel{held}"
-    )
-    if not fit.good.all():
-        left = np.flatnonzero(~fit.good)
-        more = f" and {len(left) - MOST_NAMED} others" if len(left) > MOST_NAMED else ""
-        named = ", ".join(str(k) for k in left[:MOST_NAMED])
-        answer.say(f"  not used, they show too few bullets or something else: exposures {named}{more}")
-    for k, name in enumerate(DEVIATIONS):
-        values, sigma = table.deviation[:, k], np.sqrt(table.covariance[:, k, k])
-        unit = "mm" if k < 6 else "mrad"
-        answer.say(f"  {name:10s} {1e3 * values.min():8.3f} to {1e3 * values.max():8.3f} {unit}, sigma {1e3 * float(np.median(sigma)):.3f}")
-
-
-def _document(fit: PoseFit, table: LookUp) -> dict[str, Any]:
-    import numpy as np
-
-    return {
-        "exposures": len(fit.good),
-        "used": int(fit.good.sum()),
-        "residual_um": 1e6 * fit.residual_m,
-        "bullets": fit.used,
-        "axes": table.axes,
-        "positions": table.positions,
-        "deviation": table.deviation,
-        "sigma": np.sqrt(np.einsum("nii->ni", table.covariance)),
-    }

@@ -14,7 +14,7 @@ from hil.terminal.progress import progress
 
 if TYPE_CHECKING:
     from hil.calibration.parameter_states.drawn_runs import Conditions
-    from hil.calibration.parameter_states.model import SwingingMachine
+    from hil.calibration.parameter_states.filter_model import SwingingMachine
     from hil.calibration.parameter_states.study import Draw
 
 SHOWN = (0, 1, 2, 5, 10, 15, 20, 30, 40, 60, 80)

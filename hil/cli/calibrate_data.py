@@ -67,7 +67,7 @@ def data(
 ) -> None:
     """Observe, look at images, filter, write."""
     from hil.recording import read_recording
-    from hil.tasks.calibrate_data import calibrate_data
+    from hil.verbs.calibrate_data import calibrate_data
 
     machine = load(machine_name)
     answer = Answer(json_to)

@@ -173,7 +173,7 @@ def model(
     _refuse_unseen(fit, need or ())
     _report(answer, fit, start.values)
     lag, known = clock_lag(fit, fitted)
-    if abs(lag) > max(SURE * known, LEAST_LAG):
+    if abs(lag) > max(STANDARD_ERRORS * known, LEAST_LAG):
         answer.say(
             f"  the images were taken {lag:.3f} of an exposure's period ({known:.3f}) {'later' if lag > 0.0 else 'earlier'} than their"
             " positions say: do the panel's clock and the loop's agree?"
@@ -225,7 +225,7 @@ def model(
 
 def _table(path: Path, machine: Machine, jobs: int, answer: Answer) -> LookUp:
     """Return a table from its file, or from the images of a folder."""
-    from hil.calibration.phantom.from_scan import calibrate_phantom_scan
+    from hil.calibration.use.from_phantom_scan import calibrate_phantom_scan
     from hil.calibration.use.lookup_table import read_look_up
     from hil.imaging.scan_folder import read_scan
 
@@ -251,7 +251,7 @@ def _refuse_unseen(fit: FlexibleFit, need: list[str] | tuple[()]) -> None:
                 raise UnusableInputError(f"{name}: these scans cannot tell it from others: {combination} changes no pose of them")
 
 
-SURE, LEAST_LAG = 5.0, 2e-3
+STANDARD_ERRORS, LEAST_LAG = 5.0, 2e-3
 """A lag is reported from so many of its standard deviations, and from so much of a period, on."""
 
 MISFIT_M = 0.3e-3
@@ -304,7 +304,7 @@ def _rms_text(rms: dict[str, float]) -> str:
 
 
 def _draw(found: GeometricModel, paths: list[Path], tables: list[LookUp], fitted: int, path: Path) -> None:
-    from hil.figures.model import residual_figure
+    from hil.figures.geometric_model import residual_figure
 
     picture = residual_figure(
         [each.name for each in paths],

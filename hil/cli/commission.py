@@ -36,8 +36,8 @@ def commission(
     json_to: JsonOption = None,
 ) -> None:
     """Say of every step what it found."""
-    from hil.tasks.commission import Step
-    from hil.tasks.commission import commission as commission_machine
+    from hil.verbs.commission import Step
+    from hil.verbs.commission import commission as commission_machine
 
     if effects is not None and not bus.startswith("lockstep:"):
         raise UnusableInputError("--effects: only a run on lockstep: emulates; give them to `isocenter emulate`")

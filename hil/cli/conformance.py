@@ -46,9 +46,9 @@ def conform(
     """Print the report."""
     from drivers.canopen.eds import load_object_dictionary, own_node_id
     from drivers.errors import ProtocolError
+    from hil.conform.all_checks import conform as check
     from hil.conform.check import FAILED
     from hil.conform.report import document, lines, summary
-    from hil.conform.run import conform as check
     from hil.errors import BadAnswerError, UnusableInputError
 
     if node is not None and not 1 <= node <= 127:

@@ -16,9 +16,9 @@ from hil.terminal.output import Answer, JsonOption, plain
 from hil.terminal.progress import progress
 
 if TYPE_CHECKING:
-    from hil.diagnosis.answered.values import Answered
     from hil.diagnosis.audit.audit import Audit
     from hil.diagnosis.result import Diagnosis, Finding
+    from hil.diagnosis.verdict.values import Outcome
     from hil.machine import Machine
     from hil.recording import Recording
 
@@ -95,7 +95,7 @@ def diagnose(
     _finish(answer, outcome, machine, out, {**train, **held})
 
 
-def _finish(answer: Answer, outcome: Answered, machine: Machine, out: Path, recordings: Mapping[str, Recording]) -> None:
+def _finish(answer: Answer, outcome: Outcome, machine: Machine, out: Path, recordings: Mapping[str, Recording]) -> None:
     """Write and say the answer; leave with status 1 where the recordings do not give one."""
     from hil.diagnosis.files import write_diagnosis
     from hil.reports.made_from import was_emulated
@@ -111,7 +111,7 @@ def _stopped(step: str, answer: Answer, machine: Machine, recordings: Mapping[st
     """Say what the first steps show."""
     import numpy as np
 
-    from hil.diagnosis.seen.see import see
+    from hil.diagnosis.residuals.residuals import residuals_of
 
     for said in [
         *(fault.said for fault in audited.faults),
@@ -125,7 +125,7 @@ def _stopped(step: str, answer: Answer, machine: Machine, recordings: Mapping[st
     document: dict[str, object] = {"audit": audited.document()}
     if step == "seen" and not audited.faults:
         units = {drive.joint: "N" if drive.joint in _sliding(machine) else "Nm" for drive in machine.plant.drives}
-        missing = see(machine, recordings).missing()
+        missing = residuals_of(machine, recordings).missing()
         for each in missing:
             rms = [float(np.sqrt(np.mean(values**2))) for values in (each.given, each.missing)]
             said = f"{each.recording}, {each.joint}: effort {rms[0]:.3g} {units[each.joint]} rms,"
@@ -182,8 +182,8 @@ def _found(findings: Sequence[Finding]) -> str:
     return "; ".join(words) or "no effect"
 
 
-def _say(answer: Answer, outcome: Answered, out: Path) -> None:
-    from hil.diagnosis.answered.answer import NEXT_EXPERIMENT
+def _say(answer: Answer, outcome: Outcome, out: Path) -> None:
+    from hil.diagnosis.verdict.answer import NEXT_EXPERIMENT
 
     diagnosis = outcome.diagnosis
     answer.say(f"{diagnosis.verdict}: {diagnosis.reason}")

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+from hil.verbs.verb import EMULATED as EMULATED
 
 if TYPE_CHECKING:
     from hil.recording import Recording
     from hil.terminal.output import Answer
 
-EMULATED = "EMULATED: "
-"""How a line about an emulated machine begins."""
 
-
-def say_emulated(answer: Answer, recordings: Mapping[Path, Recording] | Mapping[str, Recording]) -> bool:
-    """Say which recordings are of an emulated machine, and return whether any is."""
+def say_emulated(answer: Answer, recordings: Mapping[Any, Recording]) -> None:
+    """Say which recordings, by their files, are of an emulated machine."""
     found = [Path(name).name for name, recording in recordings.items() if recording.emulated]
     if not found:
-        return False
+        return
     if len(found) == 1:
         which = f"{found[0]} was"
     elif len(found) == len(recordings):
@@ -26,4 +25,3 @@ def say_emulated(answer: Answer, recordings: Mapping[Path, Recording] | Mapping[
     else:
         which = f"{', '.join(found)} were"
     answer.say(f"{EMULATED}{which} made on the emulator, not on a real machine")
-    return True

@@ -56,7 +56,7 @@ def run(
 ) -> None:
     """Run the fleet; exit status 1 where something failed."""
     from hil.errors import BadAnswerError
-    from hil.fleet.run import run_fleet
+    from hil.fleet.new_work import run_fleet
 
     answer = Answer(json_to)
     with progress() as bars:

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hil.cli import machine_new
+from hil.cli.asking import ask
 from hil.cli.options import MachineArgument, can_be_written, load, not_an_input
 from hil.terminal.output import Answer, JsonOption
 from hil.terminal.progress import working
+from hil.verbs import check as verb
 
 if TYPE_CHECKING:
     from hil.machine import Finding
@@ -65,29 +67,12 @@ def show(
 )
 def check(machine_name: MachineArgument, json_to: JsonOption = None) -> None:
     """Print every finding on one line; of a file with open points these alone."""
-    from hil.machine.load import text_of
-    from hil.machine.open_points import marks
-
     answer = Answer(json_to)
-    missing, assumed = marks(text_of(machine_name))
-    from hil.machine import Finding, check_machine  # seconds, which a name that is wrong need not wait for
-
-    if missing:
-        name, findings = (
-            machine_name,
-            [Finding("open", False, f"line {mark.line}: {mark.key} is to be filled in: {mark.says}") for mark in missing],
-        )
-    else:
-        machine = load(machine_name)
-        with working(f"checking {machine.name}"):
-            name, findings = machine.name, check_machine(machine)
-    findings += [Finding("assumed", True, f"line {mark.line}: {mark.key} = {mark.value} is assumed: {mark.says}") for mark in assumed]
-    for finding in findings:
-        answer.say(f"{finding.mark:4s} {finding.text}")
-    omitted = [each for finding in findings for each in finding.values.get("left_out", ())]
-    ok = all(finding.ok for finding in findings)
-    answer.write({"machine": name, "ok": ok, "findings": [vars(finding) for finding in findings], "left_out": omitted})
-    if not all(finding.ok for finding in findings):
+    found = ask(verb.answer, verb.CheckRequest(machine_name), answer)
+    for line in found.lines:
+        answer.say(line)
+    answer.write(found)
+    if not found.ok:
         raise typer.Exit(1)
 
 
@@ -120,7 +105,7 @@ def convert(
     json_to: JsonOption = None,
 ) -> None:
     """Write the file, then print what hangs on the rate, before and after."""
-    from hil.machine import check_machine, machine_from_text
+    from hil.machine import machine_from_text
     from hil.machine.convert import converted_text
 
     answer = Answer(json_to)
@@ -136,7 +121,7 @@ def convert(
         if not isinstance(change.new, list):
             answer.say(f"     {change.key} = {change.new:.6g}, was {'not written' if change.old is None else format(change.old, '.6g')}")
     with working("checking both"):
-        before, after = check_machine(machine), check_machine(converted)
+        before, after = verb.findings_of(machine), verb.findings_of(converted)
     for line in _beside(before, after, (f"{machine.sample_rate_Hz:g} Hz", f"{rate_Hz:g} Hz")):
         answer.say(line)
     failed = [finding for finding in after if not finding.ok]

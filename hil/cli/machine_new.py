@@ -14,7 +14,7 @@ from hil.errors import UnusableInputError
 from hil.terminal.output import Answer, JsonOption
 
 if TYPE_CHECKING:
-    from hil.machine.model import Machine
+    from hil.machine.machine import Machine
     from hil.machine.new.draft import Answers, Draft, Question
     from hil.machine.new.questions import KnownDrive
 

@@ -10,14 +10,18 @@ import typer
 
 from hil.errors import ExperimentError, UnusableInputError
 from hil.files.aside import keep_earlier as keep_earlier
-from hil.terminal.output import refuse_unwritable, refuse_unwritable_folder
+from hil.files.writable import can_be_written as can_be_written
+from hil.files.writable import folder_can_be_written as folder_can_be_written
+from hil.files.writable import not_an_input as not_an_input
+from hil.verbs.identify import OverAxis
+from hil.verbs.verb import EFFECTS, SCAN
 
 if TYPE_CHECKING:
     from hil.machine import Machine
     from virtual_bus.faults.fault import FaultSetting
     from virtual_bus.quirks.quirk import QuirkSetting
-    from virtual_bus.settings import EffectSetting
 
+POSE_UNITS = {"deg": math.pi / 180.0, "m": 1.0}
 SHIPPED = Path(__file__).resolve().parents[1] / "machine" / "shipped"
 
 
@@ -36,9 +40,7 @@ MachineOption = Annotated[
         autocompletion=shipped_names,
     ),
 ]
-ScanArgument = Annotated[
-    Path, typer.Argument(metavar="SCAN", help="Folder of a scan: its images, when they were exposed, and the panel's description.")
-]
+ScanArgument = Annotated[Path, typer.Argument(metavar="SCAN", help=SCAN)]
 MachineArgument = Annotated[
     str,
     typer.Argument(metavar="M", help="Machine file, or the name of a shipped one (isocenter machine list).", autocompletion=shipped_names),
@@ -52,7 +54,7 @@ BusOption = Annotated[
         help="lockstep:, virtual:NAME, socketcan:vcan0, udp:GROUP, slcan:/dev/ttyACM0@1000000 or any INTERFACE:CHANNEL of python-can.",
     ),
 ]
-EffectsOption = Annotated[Path | None, typer.Option("--effects", metavar="FILE", help="Effects file (TOML): physics added by name.")]
+EffectsOption = Annotated[Path | None, typer.Option("--effects", metavar="FILE", help=EFFECTS)]
 FaultsOption = Annotated[
     Path | None, typer.Option("--faults", metavar="FILE", help="Faults file (TOML): what goes wrong, and when (isocenter faults list).")
 ]
@@ -80,17 +82,9 @@ NominalPeriodOption = Annotated[float, typer.Option("--period", metavar="S", hel
 
 def load(name: str, effects: Path | None = None) -> Machine:
     """Load a machine, with an effects file's physics added."""
-    from hil.machine import load_machine
+    from hil.machine.effects_file import load_with_effects
 
-    machine = load_machine(name)
-    return machine.with_effects(read_effects(effects, machine)) if effects is not None else machine
-
-
-def read_effects(path: Path, machine: Machine) -> tuple[EffectSetting, ...]:
-    """Read the effects of a file, checked against the catalogue and the machine."""
-    from hil.machine.effects_file import read_effects_file
-
-    return read_effects_file(path, machine)
+    return load_with_effects(name, effects)
 
 
 def read_faults(path: Path | None, machine: Machine, lockstep: bool) -> tuple[FaultSetting, ...]:
@@ -130,7 +124,7 @@ def read_quirks(texts: list[str] | None, machine: Machine) -> tuple[QuirkSetting
 
 def edge_scale(machine: Machine, axis: str) -> float:
     """Return one unit of the command line in SI: a degree, or a millimetre on a prismatic axis."""
-    return math.pi / 180.0 if machine.units[machine.axis_index(axis)].position == "rad" else 1e-3
+    return machine.units[machine.axis_index(axis)].edge
 
 
 def parse_pose(text: str, machine: Machine, option: str = "--pose") -> dict[str, float]:
@@ -194,47 +188,52 @@ def parse_whole_numbers(option: str, text: str) -> tuple[int, ...]:
     return numbers
 
 
-def not_an_input(out: Path, *inputs: Path) -> None:
-    """Refuse to write over an input.
+def parse_point(option: str, text: str) -> tuple[float, float, float]:
+    """Read `0,-12.5,3` in mm as a point [m].
 
     Raises
     ------
     UnusableInputError
-        `out` is one of the inputs.
+        Not of that form.
     """
-    for path in inputs:
-        if out.exists() and path.exists() and out.samefile(path):
-            raise UnusableInputError(f"{out}: is read by this command; write to another file")
+    try:
+        x, y, z = (1e-3 * float(part) for part in text.split(","))
+    except ValueError:
+        x = y = z = math.nan
+    if not math.isfinite(x + y + z):
+        raise UnusableInputError(f"{option} {text}: must be three numbers in mm, such as 0,-12.5,3")
+    return x, y, z
 
 
-def can_be_written(*paths: Path | None, suffixes: tuple[str, ...] = ()) -> None:
-    """Refuse a place that cannot be written to before the work is done, not after.
+def parse_over_axis(option: str, text: str) -> OverAxis:
+    """Read Q_n,Q_d,P and after it mirror@90deg, any number of them, and at most one period@360deg."""
+    parts = text.split(",")
+    found: dict[str, list[float]] = {"mirror": [], "period": []}
+    numbers = _three_whole_numbers(option, ",".join(parts[:3]), "Q_n,Q_d,P, such as 1,1,2")
+    for part in parts[3:]:
+        kind, _, place = part.strip().partition("@")
+        unit = next((unit for unit in POSE_UNITS if place.endswith(unit)), None)
+        try:
+            value = float(place.removesuffix(unit or "")) * POSE_UNITS[unit or ""]
+            found[kind].append(value)
+        except (KeyError, ValueError):
+            raise typer.BadParameter(f"{option} {part}: must be mirror@90deg or period@360deg, in deg or m") from None
+    if len(found["period"]) > 1:
+        raise typer.BadParameter(f"{option}: one period at most")
+    return OverAxis(*numbers, tuple(found["mirror"]), found["period"][0] if found["period"] else None)
 
-    Raises
-    ------
-    UnusableInputError
-        The folder does not exist or cannot be written to, the path is a folder, or its suffix is none of `suffixes`.
-    """
-    for path in paths:
-        if path is None:
-            continue
-        refuse_unwritable(path, str(path))
-        if suffixes and path.suffix.lower() not in suffixes:
-            raise UnusableInputError(f"{path}: must end in {', '.join(suffixes)}")
+
+def parse_orders(option: str, text: str) -> tuple[int, int, int]:
+    """Read `2,2,1`."""
+    return _three_whole_numbers(option, text, "N_n,N_m,N_d, such as 2,2,1")
 
 
-def folder_can_be_written(folder: Path) -> None:
-    """Refuse a folder that cannot be written to; it is made when there is something to put into it.
-
-    Raises
-    ------
-    UnusableInputError
-        It is a file or lies in one, or cannot be written to.
-    """
-    nearest = next(there for there in (folder.absolute(), *folder.absolute().parents) if there.exists())
-    if not nearest.is_dir():
-        raise UnusableInputError(f"{folder if nearest == folder.absolute() else nearest}: is a file; give a folder for the answer")
-    refuse_unwritable_folder(nearest, str(folder))
+def _three_whole_numbers(option: str, text: str, form: str) -> tuple[int, int, int]:
+    parts = [part.strip() for part in text.split(",")]
+    if len(parts) != 3 or not all(part.isdecimal() for part in parts):
+        raise typer.BadParameter(f"{option} {text}: must be three whole numbers {form}")
+    first, second, third = map(int, parts)
+    return first, second, third
 
 
 FASTEST_Hz = 125.0

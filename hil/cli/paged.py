@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.cli.options import can_be_written
+from hil.files.writable import can_be_written, not_an_input
 
 if TYPE_CHECKING:
     from hil.pages import Page
@@ -22,6 +23,14 @@ PageOption = Annotated[
 def check_page(path: Path | None) -> None:
     """Refuse a place that cannot be written to, or is no page's, before the work is done."""
     can_be_written(path, suffixes=(".html", ".htm"))
+
+
+def check_drawn(figure: Path | None, page: Path | None, inputs: Sequence[Path]) -> None:
+    """Refuse places of a picture and a page that cannot be written to, or are read, before the work is done."""
+    can_be_written(figure)
+    check_page(page)
+    if figure is not None:
+        not_an_input(figure, *inputs)
 
 
 def write_paged(answer: Answer, page: Page, path: Path) -> None:

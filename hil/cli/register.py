@@ -16,6 +16,7 @@ from hil.cli import (
     calibrate_data,
     calibrate_model,
     calibrate_spot,
+    calibrate_tracker,
     commission,
     conformance,
     diagnose,
@@ -36,6 +37,7 @@ from hil.cli import (
     roadmap,
     run,
     shape,
+    shape_plant,
     story,
 )
 
@@ -60,11 +62,13 @@ def commands(app: typer.Typer) -> None:
     identify.register(app)
     lpv.register(app)
     shape.register(app)
+    shape_plant.register(app)
     observe.register(app)
     calibrate.register(app)
     calibrate_data.register(calibrate.app)
     calibrate_model.register(calibrate.app)
     calibrate_spot.register(calibrate.app)
+    calibrate_tracker.register(calibrate.app)
     calibrate_consistency.register(calibrate.app)
     calibrate_chain.register(calibrate.app)
     calibrate_convergence.register(calibrate.app)

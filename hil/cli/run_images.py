@@ -83,10 +83,10 @@ def images_beside(
     from hil.imaging.mailbox import LockstepEnd
     from hil.imaging.marker_view import PLATE_M, watched_marker
     from hil.imaging.nominal import nominal_detector
+    from hil.receiving.frame_measurements import Live
     from hil.receiving.frames_beside import finished_scan, frames_beside
     from hil.receiving.panel_frames import RemotePanel, RowSpan
     from hil.receiving.receiver import ReceiverOrder
-    from hil.receiving.watch import Live
     from hil.recording import read_recording
 
     if len(recordings) != 1:

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hil.cli.attend import TellOption, telling
+from hil.cli.asking import Terminal, by_options
+from hil.cli.attend import TellOption, opened, telling
 from hil.cli.emulated import EMULATED
-from hil.cli.observe import DampingOption, ObserverOption, live_observer
+from hil.cli.observe import DampingOption, ObserverOption
 from hil.cli.options import (
     BusOption,
     EffectsOption,
@@ -26,7 +27,6 @@ from hil.cli.options import (
     keep_earlier,
     load,
     not_an_input,
-    read_effects,
     read_faults,
     read_quirks,
 )
@@ -36,6 +36,7 @@ from hil.cli.told_faults import Told
 from hil.errors import UnusableInputError
 from hil.terminal.output import Answer, JsonOption
 from hil.terminal.progress import EVERY_S, follower, progress
+from hil.verbs.observe import live_observer
 
 if TYPE_CHECKING:
     from hil.experiments import Experiment
@@ -98,7 +99,7 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
     """Plan an experiment, run it, record it, say how it went."""
     from hil.bench.audit_trail import events_path
     from hil.bench.margins import accepted_margins
-    from hil.bench.open import open_bench, recording_paths
+    from hil.bench.open import recording_paths
     from hil.bench.options import BenchOptions
     from hil.terminal.bar import drawn_beside
 
@@ -124,7 +125,9 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
     told = Told.of(faults, machine)
     records: list[dict[str, Any]] = []
     data = data_beside(machine, run.data, run.until, run.observer is not None, run.images, run.image_rate, plans, lockstep)
-    watching = live_observer(run.observer, run.damping, machine, answer, None if data is None else data.behind)
+    with by_options():
+        behind = None if data is None else data.behind
+        watching = live_observer(run.observer, machine, run.damping, behind, Terminal(answer=answer))
     frames = images_beside(
         machine,
         run.images,
@@ -153,7 +156,7 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
             real_time=run.real_time,
             accepted_margins=accepted,
         )
-        bench = stack.enter_context(open_bench(machine, options, plans[0].start_pose, watching))
+        bench = stack.enter_context(opened(machine, options, plans[0].start_pose, watching))
         stack.enter_context(telling(bench, run.tell))
         with progress(live=lockstep) as bars:
             for plan, path in zip(plans, paths, strict=True):
@@ -225,10 +228,12 @@ def _emulated(machine: Machine, run: RunOptions) -> Machine | None:
     """
     if not run.emulated and run.effects is None:
         return None
+    from hil.machine.effects_file import read_effects_file
+
     built = load(run.emulated) if run.emulated else machine
     if built.axes != machine.axes or built.sample_rate_Hz != machine.sample_rate_Hz:
         raise UnusableInputError(
             f"--emulated {run.emulated}: has {', '.join(built.axes)} at {built.sample_rate_Hz:g} Hz,"
             f" {machine.name} has {', '.join(machine.axes)} at {machine.sample_rate_Hz:g} Hz"
         )
-    return built if run.effects is None else built.with_effects(read_effects(run.effects, built))
+    return built if run.effects is None else built.with_effects(read_effects_file(run.effects, built))

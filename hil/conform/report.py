@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import groupby
 
+from hil.conform.all_checks import Conformance
 from hil.conform.check import FAILED, PASSED, SKIPPED, Result
-from hil.conform.run import Conformance
 from hil.conform.wire import Frame
 
 _MANY = 6

@@ -32,6 +32,7 @@ from hil.files.unused import unused_folder
 
 STATIC = Path(__file__).parent / "static"
 UPLOT = Path(__file__).parents[1] / "pages" / "uplot"
+JSON = "application/json"
 STOP = "stop"
 MOVE = "move "
 """How a message of the page's line begins that orders a motion, renewed for as long as a button is held."""
@@ -64,6 +65,7 @@ def application(desk: Desk, admission: Admission, hosts: Hosts) -> Starlette:
             Route("/api/step", _told(pages.step), methods=["POST"]),
             Route("/api/run", _told(pages.run), methods=["POST"]),
             Route("/api/look", _told(pages.look), methods=["POST"]),
+            Route("/api/curves", _told(pages.curves), methods=["POST"]),
             Route("/api/demo", _told(pages.demo), methods=["POST"]),
             Route("/api/move", _told(pages.move), methods=["POST"]),
             Route("/api/connect", _told(pages.connect), methods=["POST"]),
@@ -159,6 +161,15 @@ class _Pages:
         else:
             raise UnusableInputError("recordings can be plotted or diagnosed")
         self._desk.begin(order, client)
+
+    async def curves(self, asked: dict[str, Any], client: str) -> Response:
+        """Return channels of some recordings, aligned; a derived one by its text."""
+        files = self._desk.listing.recordings(asked.get("files"))
+        channels = asked.get("channels", [])
+        if not files or not isinstance(channels, list):
+            raise UnusableInputError("choose recordings first")
+        names = [str(each) for each in channels]
+        return Response(await self._desk.curves([str(path) for path in files], names, str(asked.get("align") or "")), media_type=JSON)
 
     async def demo(self, asked: dict[str, Any], client: str) -> None:
         """Hide something in an emulated arm and find it, in a folder of its own."""
@@ -282,7 +293,7 @@ def _told(answer: Callable[[dict[str, Any], str], Awaitable[Any]]) -> Answering:
             found = await answer(asked, request.headers.get("x-client", ""))
         except UnusableInputError as error:
             return JSONResponse({"error": str(error)})  # an answer to the user, no failure of the request
-        return JSONResponse({} if found is None else found)
+        return found if isinstance(found, Response) else JSONResponse({} if found is None else found)
 
     return endpoint
 

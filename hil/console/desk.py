@@ -7,9 +7,8 @@ import contextlib
 import json
 import math
 import os
-import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -21,10 +20,12 @@ from hil.console.commands import Order
 from hil.console.facts import Facts
 from hil.console.files import Listing
 from hil.console.forms import Form, forms_of
+from hil.console.helper import Helper
 from hil.console.io_state import IoWatch
 from hil.console.live import Live, Turn
 from hil.console.rows import RowHub
 from hil.console.steps import missing_before, step_named, steps_of
+from hil.console.told_rows import ToldRows
 from hil.console.wire import WireWatch
 from hil.console.work import Work
 from hil.emulated.card import find
@@ -37,6 +38,8 @@ FRESH_S = 0.1
 ALIVE_S = 0.5
 ENDS_S = 10.0
 """Longest time that a run which the supervisor has stopped is given to write its recording, before its lead is let go."""
+READ_S = 120.0
+"""Longest time for reading recordings."""
 PREVIEW_S = 120.0
 """Longest time for planning an experiment: the first on a computer compiles."""
 
@@ -62,7 +65,7 @@ class Desk:
         self.steps = steps_of(facts, folder)
         self._turn = Turn(line)
         self.live = self._turn.live = Live(line, facts, self.rows)
-        self.work = Work(self._turn, folder, self._ended)
+        self.work = Work(self._turn, folder, self._ended, ToldRows(self.rows, facts.axes).take)
         self._wire = WireWatch(facts.settings, facts.bus)
         self._io = IoWatch(facts.bus, [axis.name for axis in facts.axes])
         self.passed: dict[str, bool] = {}
@@ -71,7 +74,7 @@ class Desk:
         self._stopping: asyncio.Task[None] | None = None
         self._asking = False
         self._plans: dict[tuple[str, str], asyncio.Task[dict[str, Any]]] = {}
-        self._one_plan = asyncio.Lock()
+        self.helper = Helper(facts.name)
         self._tasks: list[asyncio.Task[None]] = []
         self._said: dict[tuple[bool, bool], tuple[float, str]] = {}
         self.results_version = 0
@@ -88,6 +91,7 @@ class Desk:
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
+        await self.helper.close()
         self._wire.close()
         self.rows.close()
 
@@ -191,32 +195,26 @@ class Desk:
         return planned | {"text": text}
 
     async def _plan(self, text: str) -> dict[str, Any]:
-        async with self._one_plan:
-            return await self._planned(text)
-
-    async def _planned(self, text: str) -> dict[str, Any]:
-        process = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-m", "hil.console.preview", self.facts.name),
-            stdin=asyncio.subprocess.PIPE,
-            stdout=asyncio.subprocess.PIPE,
-            stderr=asyncio.subprocess.DEVNULL,
-        )
         try:
-            output, _ = await asyncio.wait_for(process.communicate(text.encode()), PREVIEW_S)
-            planned: dict[str, Any] = json.loads(output)
-        except (TimeoutError, ValueError):
-            late = process.returncode is None
-            why = (
-                "planning it takes long on this computer; it is tried again"
-                if late
-                else "planning it failed; `isocenter run` with the file below says why"
-            )
-            planned = {"refused": why, "again": late}
-        finally:
-            if process.returncode is None:
-                process.kill()
-                await process.wait()
+            planned: dict[str, Any] = json.loads(await self.helper.ask({"plan": text}, PREVIEW_S))
+        except TimeoutError:
+            planned = {"refused": "planning it takes long on this computer; it is tried again", "again": True}
+        except ValueError:
+            planned = {"refused": "planning it failed; `isocenter run` with the file below says why"}
         return planned
+
+    async def curves(self, files: Sequence[str], channels: Sequence[str], align: str) -> bytes:
+        """Return channels of recordings as `hil.console.curves` does, a JSON object.
+
+        Raises
+        ------
+        UnusableInputError
+            They could not be read.
+        """
+        try:
+            return await self.helper.ask({"files": files, "channels": channels, "align": align}, READ_S)
+        except (TimeoutError, ValueError):
+            raise UnusableInputError("the recordings could not be read; `isocenter plot` with them says why") from None
 
     def stop(self, who: str) -> None:
         """Stop whatever runs on the bus: by the supervisor, as `isocenter stop` does, and what this server has started by its lead.
@@ -317,7 +315,7 @@ class Desk:
             "bodies": [vars(body) for body in facts.bodies],
             "steps": [
                 {"name": s.name, "title": s.title, "does": s.does, "fields": [vars(f) for f in s.fields], "experiment": s.experiment}
-                | {"moves": s.moves}
+                | {"moves": s.moves, "mend": s.mend}
                 for s in self.steps.values()
             ],
             "forms": [

@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers.modbus.io import IoState
-from drivers.modbus.published import state_values, take_state
-from drivers.modbus.shared_block import Block
+from drivers.shared_memory.block import Block
+from drivers.shared_memory.io_state import IoState, state_values, take_state
 from hil.bench.notice import io_memory_of
 
 SHARED = Path("/dev/shm")

@@ -15,7 +15,7 @@ from hil.console import starter
 from hil.console.commands import on_the_bus
 from hil.console.facts import Facts
 from hil.console.rows import RowHub
-from hil.console.work import Line
+from hil.console.work import PROGRESS, Line
 from hil.errors import UnusableInputError
 
 NAME = "live view"
@@ -43,6 +43,7 @@ class Live:
         self._line, self._facts, self._rows = line, facts, rows
         self._told: dict[str, Any] | None = None
         self.error = ""  # how it ended, in a line
+        self._progress = ""  # of its start
         self.led = False
         """Whether orders move an axis, or did when the stop that is under way began."""
         self._asked = self._waits = False  # its end was asked for; a drive holds an axis until an operator releases it
@@ -80,7 +81,7 @@ class Live:
         where = ["--pose", pose] if pose and facts.is_lockstep else []
         timing = [] if facts.real_time else ["--no-real-time"]
         self.running, self.trouble, self._told, self.error, self._asked, self._waits = True, "", None, "", False, False
-        self.led = False
+        self.led, self._progress = False, ""
         self.done.clear()
         self._line.send((starter.RUN, ["attend", *on_the_bus(facts), *where, *timing, "--rows"]))
 
@@ -139,6 +140,8 @@ class Live:
                 self._rows.show(NAME, block["channels"])
             else:
                 self._rows.take_shown(block["rows"], base64.b64decode(block["values"]))
+        elif text.startswith(PROGRESS):
+            self._progress = text.removeprefix(PROGRESS)
         else:
             self._waits = HOW_TO_LEAVE in text or (self._waits and HOLD_ENDED not in text)
             if text.startswith("isocenter: "):
@@ -152,7 +155,8 @@ class Live:
 
     def state(self) -> dict[str, Any]:
         """Return what the page shows, as plain values."""
-        return {"running": self.running, "trouble": self.trouble, "told": self._told, "holds": self.holds, "moves": self.moves}
+        state = {"running": self.running, "trouble": self.trouble, "told": self._told, "progress": self._progress}
+        return state | {"holds": self.holds, "moves": self.moves}
 
 
 class Turn:

@@ -1,12 +1,7 @@
-"""An experiment file planned and not run: how long it takes, its predicted peak command, or why it is refused.
-
-`python -m hil.console.preview MACHINE` reads the file's text from standard input and answers with a JSON object.
-"""
+"""An experiment file planned and not run: how long it takes, its predicted peak command, or why it is refused."""
 
 from __future__ import annotations
 
-import json
-import sys
 from typing import Any
 
 from hil.errors import UnusableInputError, in_one_line
@@ -44,7 +39,3 @@ def _notes(machine: Machine, plan: Plan) -> list[str]:
         for effort, controller, units in zip(holding, machine.controllers, machine.units, strict=True)
     )
     return [*plan.notes, f"{PEAK}: {', '.join(peaks)}"]
-
-
-if __name__ == "__main__":
-    json.dump(preview(sys.argv[1], sys.stdin.read()), sys.stdout)

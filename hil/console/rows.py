@@ -89,7 +89,7 @@ class RowHub:
         self._looks = 0
         self._history: deque[Block] = deque()
         self._kept = 0
-        self._note = ""
+        self._note = self._named = ""  # what the readers are told of, and its name
         self._readers: set[Reader] = set()
         self.number = 0
         self.recording: dict[str, Any] | None = None
@@ -127,6 +127,8 @@ class RowHub:
             return
         ended = self._tail.ended  # before the last rows are taken, so that none of them is missed
         for rows, values in self._tail.take():
+            if self._named != self._present[0].removesuffix(".part"):  # the way to its start was shown meanwhile
+                self._begin(self._present[0].removesuffix(".part"), list(self._tail.channels))
             self._spread(rows, values, self._tail.rows - rows)
             self._recorded = self.newest
         assert self.recording is not None
@@ -140,19 +142,29 @@ class RowHub:
     def show(self, name: str, channels: Sequence[Sequence[str]]) -> None:
         """Begin rows of which nothing is recorded; those of a recording go before."""
         self._shown = 0
-        if self._tail is None:
+        if not self._records:
             self._begin(name, [(each[0], each[1]) for each in channels])
 
-    def take_shown(self, rows: int, values: bytes) -> None:
-        """Take rows of which nothing is recorded."""
-        if self._tail is None and len(values) == 8 * rows * len(self._channels):
-            self._spread(rows, values, self._shown)
+    def take_shown(self, rows: int, values: bytes, are_ticks: bool = True) -> None:
+        """Take rows of which nothing is recorded; how punctual they are is told where they are ticks."""
+        if not self._records and len(values) == 8 * rows * len(self._channels):
+            self._spread(rows, values, self._shown, are_ticks)
             self._shown += rows
 
     def take_recorded(self) -> dict[str, float | None]:
         """Return the last row that was recorded since the last call; nothing where none was."""
         taken, self._recorded = self._recorded, {}
         return taken
+
+    @property
+    def awaits(self) -> bool:
+        """Whether the readers are told of a recording of which no row has come yet."""
+        return self._tail is not None and not self._records and self._named == self._present[0].removesuffix(".part")
+
+    @property
+    def _records(self) -> bool:
+        """Whether rows of a recording come; its journal is there before the machine is at its start."""
+        return self._tail is not None and self._tail.rows > 0
 
     def close(self) -> None:
         """Close the journal."""
@@ -183,7 +195,7 @@ class RowHub:
         self._history.clear()
         self._kept = 0
         self.newest = {}
-        self._channels = channels
+        self._channels, self._named = channels, name
         self.timeliness = Timeliness([channel for channel, _ in channels])
         self._note = json.dumps({"type": "recording", "number": self.number, "name": name, "channels": channels})
         for reader in self._readers:
@@ -197,13 +209,15 @@ class RowHub:
                 if status.st_mtime >= self._since_s and (path.name, status.st_ino) not in self._left:
                     yield status.st_mtime_ns, path.name, status.st_ino
 
-    def _spread(self, rows: int, values: bytes, first: int) -> None:
+    def _spread(self, rows: int, values: bytes, first: int, are_ticks: bool = True) -> None:
         block = Block(self.number, first, rows, len(self._channels), values)
         self._history.append(block)
         self._kept += len(values)
         while self._kept > HISTORY_BYTES and len(self._history) > 1:
             self._kept -= len(self._history.popleft().values)
-        last = self.timeliness.take(rows, values)
+        last = struct.unpack_from(f"<{len(self._channels)}d", values, len(values) - 8 * len(self._channels))
+        if are_ticks:
+            self.timeliness.take(rows, values)
         self.newest = {name: value if math.isfinite(value) else None for (name, _), value in zip(self._channels, last, strict=True)}
         for reader in self._readers:
             reader.put(block)

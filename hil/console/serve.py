@@ -17,7 +17,7 @@ from hil.console.facts import Facts
 from hil.console.guard import ENTRANCE, MOST_BYTES, Hosts
 from hil.console.starter import Starter
 from hil.errors import BadAnswerError, UnusableInputError
-from hil.processes.second_in_line import politely
+from hil.processes.second_in_line import PROMPT, politely
 
 CLOSES_S = 2
 END_S = 10.0
@@ -88,7 +88,11 @@ def serve(facts: Facts, folder: Path, place: Place, ready: Callable[[str], None]
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     server = context.Process(
-        target=politely, args=(_serve_pages, facts, folder, place, listening, theirs), name="isocenter-bench-server", daemon=True
+        target=politely,
+        args=(_serve_pages, facts, folder, place, listening, theirs),
+        kwargs={"niceness": PROMPT},  # it takes STOP and judges whether the browser is there: no other load may keep it from that
+        name="isocenter-bench-server",
+        daemon=True,
     )
     server.start()
     theirs.close()

@@ -33,6 +33,8 @@ class Step:
     order : callable
         From a filled form to the work.
     moves : bool
+    mend : str
+        What to do where its answer is bad, a sentence.
     """
 
     name: str
@@ -42,6 +44,7 @@ class Step:
     experiment: str
     order: Callable[[Mapping[str, Any]], Order]
     moves: bool
+    mend: str
 
 
 def steps_of(facts: Facts, folder: Path) -> dict[str, Step]:
@@ -79,6 +82,7 @@ def _check(facts: Facts) -> Step:
         "",
         lambda values: Order("Check the file", commands, step="check", judge=verdicts.check),
         moves=False,
+        mend="Change in the machine file what the findings below name: a gain, a limit, a mass, a bus rate.",
     )
 
 
@@ -100,6 +104,7 @@ def _scan(facts: Facts) -> Step:
         "",
         lambda values: Order("Look at the bus", commands, step="scan", judge=lambda answers: verdicts.scan(answers, expected)),
         moves=False,
+        mend="Switch the named node on, see that its number is the one in the file, and that no other master is on this bus.",
     )
 
 
@@ -117,6 +122,7 @@ def _home(facts: Facts) -> Step:
         "",
         lambda values: Order("First move and homing", commands, step="home", judge=verdicts.home),
         moves=True,
+        mend="Compare what is named with the machine: sign and resolution of the encoder in its file, its plug, its mounting.",
     )
 
 
@@ -136,6 +142,7 @@ def _static(facts: Facts, folder: Path, form: Form) -> Step:
         "static",
         order,
         moves=True,
+        mend="See that nothing touches the arm, that its brake opens fully, and that the named sensor sits and is wired as the file says.",
     )
 
 
@@ -161,6 +168,7 @@ def _identify(facts: Facts, folder: Path, form: Form) -> Step:
         "multisine",
         order,
         moves=True,
+        mend="See that the named sensor sits and is wired as the file says; an excitation that is too strong can be made smaller here.",
     )
 
 
@@ -188,6 +196,7 @@ def _shape(facts: Facts, folder: Path) -> Step:
         "",
         order,
         moves=False,
+        mend="Choose another axis or design from the identified response, which knows the resonances of the machine itself.",
     )
 
 
@@ -216,6 +225,7 @@ def _observe(facts: Facts, folder: Path, form: Form) -> Step:
         "scan",
         order,
         moves=True,
+        mend="Record at rest again (step 4) and excite again (step 5), so that noise and model are those of the machine as it is now.",
     )
 
 

@@ -31,8 +31,8 @@ class Timeliness:
         self._period_s = np.inf
         self.rows = self.missed = 0
 
-    def take(self, rows: int, values: bytes) -> list[float]:
-        """Count a block of rows; return the last of them."""
+    def take(self, rows: int, values: bytes) -> None:
+        """Count a block of rows."""
         table = np.frombuffer(values, dtype="<f8").reshape(rows, self._width)
         self.rows += rows
         for name, column in self._columns.items():
@@ -42,13 +42,11 @@ class Timeliness:
             self._worst[name] = max(self._worst[name], float(measured.max(initial=0.0)))
         if self._time is not None:
             steps = np.diff(table[:, self._time], prepend=self._before_s)
-            steps = steps[np.isfinite(steps)]
+            steps = steps[steps > 0.0]
             if len(steps):
                 self._period_s = min(self._period_s, float(steps.min()))
                 self.missed += int(np.rint(steps / self._period_s - 1.0).sum())
             self._before_s = float(table[-1, self._time])
-        last: list[float] = table[-1].tolist()
-        return last
 
     def summary(self) -> dict[str, Any]:
         """Return counts, edges [us], and the percentiles that the counts tell (the upper edge of their bin)."""

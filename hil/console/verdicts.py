@@ -6,9 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from hil.console.commands import Answers
-
-NIS_BAND = (0.5, 2.0)
-"""Mean squared innovation per measurement, in units of what the observer expects; 1 fits. Beyond it noise or model are off by 1.4."""
+from hil.verbs.observe import NIS_BAND
 
 
 def check(answers: Answers) -> tuple[bool, str]:

@@ -17,8 +17,8 @@ from drivers.bus_url import open_bus, parse_bus_url
 from drivers.canopen.cia402 import describe_statusword
 from drivers.canopen.emcy import decode_emergency
 from drivers.errors import DriverError
-from drivers.oversight.process import SHARED_BY_PROCESSES
 from drivers.settings import BusSettings, Node, Pdo
+from drivers.supervisor_link.process import SHARED_BY_PROCESSES
 from hil.machine.bus_load import frame_bits
 
 LISTEN_S = 0.2

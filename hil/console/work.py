@@ -16,6 +16,8 @@ from hil.console import starter
 from hil.console.commands import Order
 from hil.errors import UnusableInputError
 
+PROGRESS = "... "
+"""How a command begins a line that says how far it is, every few seconds: the newest takes the place of the one before."""
 MOST_LINES = 200
 """Newest lines of a command that the page shows."""
 
@@ -38,15 +40,23 @@ class Work:
         Where the commands' answers go, `KEY.json`.
     changed : callable
         Called when the work has ended, with its order and whether it has passed.
+    show : callable
+        Takes each state that is told.
     """
 
-    def __init__(self, line: Line, folder: Path, changed: Callable[[Order, bool], None]) -> None:
-        self._line, self._folder, self._changed = line, folder, changed
+    def __init__(
+        self,
+        line: Line,
+        folder: Path,
+        changed: Callable[[Order, bool], None],
+        show: Callable[[dict[str, Any]], None] = lambda told: None,
+    ) -> None:
+        self._line, self._folder, self._changed, self._show = line, folder, changed, show
         self._order: Order | None = None
         self._at = 0
         self._began_s = self._ended_s = 0.0
         self._lines: deque[tuple[str, bool]] = deque(maxlen=MOST_LINES)
-        self._error = ""
+        self._error = self._progress = ""
         self._told: dict[str, Any] | None = None  # by the command that moves the machine
         self.answers: dict[str, Any] = {}
         self._waits = False  # for an operator who releases what a drive holds
@@ -116,14 +126,18 @@ class Work:
         if what == starter.SAID:
             text, is_error = str(told[0]), bool(told[1])
             if text.startswith(STATE):
-                self._told = json.loads(text.removeprefix(STATE))
+                self._told = told_now = json.loads(text.removeprefix(STATE))
+                self._show(told_now)
+                return
+            if text.startswith(PROGRESS):
+                self._progress = text.removeprefix(PROGRESS)
                 return
             self._lines.append((text[:2000], is_error))
             self._waits = HOW_TO_LEAVE in text or (self._waits and HOLD_ENDED not in text)
             if is_error and text.startswith("isocenter: "):
                 self._error = text.removeprefix("isocenter: ")
         elif what == starter.ENDED and self.running:
-            self._told = None
+            self._told, self._progress = None, ""
             self._ended(cast("int", told[0]))
 
     def state_now(self) -> dict[str, Any]:
@@ -141,6 +155,7 @@ class Work:
             "why": self.why,
             "holds": self.holds,
             "told": self._told,
+            "progress": self._progress,
             "lines": self.lines if self.running else [],
             "made": [name for name in self._order.made if (self._folder / name).is_file()] if not self.running else [],
         }

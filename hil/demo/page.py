@@ -9,9 +9,9 @@ from hil.demo.hidden import Envelope
 from hil.demo.judged import in_words
 from hil.demo.recorded import REPEATS, TOLERANCE, TOUR
 from hil.demo.told import Story
-from hil.diagnosis.answered.values import unit_of
 from hil.diagnosis.report.page import telling_charts
 from hil.diagnosis.report.tables import findings, fit_table
+from hil.diagnosis.verdict.values import unit_of
 from hil.pages import Page, Section, Table, Text, Verdict, write_page
 from hil.pages.contents import Block, Kind
 from hil.reports.made_from import files_fact, machine_fact

@@ -9,9 +9,9 @@ import numpy as np
 from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
 from hil.demo.hidden import Envelope
-from hil.diagnosis.answered.values import Answered
 from hil.diagnosis.diagnose import diagnose
-from hil.diagnosis.tuned.numbers import TUNED
+from hil.diagnosis.retuning.numbers import TUNED
+from hil.diagnosis.verdict.values import Outcome
 from hil.errors import UnusableInputError
 from hil.experiments import Tour
 from hil.machine import Machine, load_machine
@@ -82,7 +82,7 @@ def recorded(machine: Machine, envelope: Envelope, out: Path, bars: Bars) -> tup
     return [path for _, path in plans], total / machine.sample_rate_Hz
 
 
-def answered_by(machine: Machine, paths: list[Path], bars: Bars) -> Answered:
+def answered_by(machine: Machine, paths: list[Path], bars: Bars) -> Outcome:
     """Diagnose what was recorded, from the files alone."""
     *train, held = ({path.stem: read_recording(path)} for path in paths)
     task = bars.add_task("diagnosing", total=None)  # nobody counts beforehand what a search takes

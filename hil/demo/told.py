@@ -7,7 +7,7 @@ from pathlib import Path
 
 from hil.demo.hidden import Envelope
 from hil.demo.judged import Judged
-from hil.diagnosis.answered.values import Answered
+from hil.diagnosis.verdict.values import Outcome
 from hil.machine import Machine
 from hil.recording import Recording
 
@@ -24,7 +24,7 @@ class Story:
     paths : tuple of Path
         Recordings, the held-out one last.
     held_out : Recording
-    answered : Answered
+    answered : Outcome
     judged : Judged
     recorded_s : float
         Of machine time.
@@ -34,6 +34,6 @@ class Story:
     envelope: Envelope
     paths: tuple[Path, ...]
     held_out: Recording
-    answered: Answered
+    answered: Outcome
     judged: Judged
     recorded_s: float

@@ -10,19 +10,20 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.diagnosis.answered.answer import NAMED, WEIGHED, answer
-from hil.diagnosis.answered.early import first_answer, nothing_seen, play_seen, wrong_recordings
-from hil.diagnosis.answered.simulated import answer_of_runs
-from hil.diagnosis.answered.values import Answered, Everyday, everyday_of
 from hil.diagnosis.audit.audit import Audit, audit
 from hil.diagnosis.audit.recordings import faults
 from hil.diagnosis.free_runs.runs import free_runs
-from hil.diagnosis.named.fitting import Fitted
-from hil.diagnosis.named.naming import Named, engineers_fit, name
-from hil.diagnosis.named.standing import is_spanned, times_noise
+from hil.diagnosis.model_choice.alternatives import is_spanned, times_noise
+from hil.diagnosis.model_choice.choose import Choice, choose_effects, engineers_fit
+from hil.diagnosis.model_choice.far_off import with_numbers_far_off
+from hil.diagnosis.model_choice.fitting import Fitted
+from hil.diagnosis.residuals.residuals import Residuals, residuals_of
 from hil.diagnosis.result import Diagnosis
-from hil.diagnosis.seen.see import Seen, see
 from hil.diagnosis.selection.select import select
+from hil.diagnosis.verdict.answer import EFFECTS_CHOSEN, WEIGHED, answer
+from hil.diagnosis.verdict.early import first_answer, nothing_moves, play_measured, wrong_recordings
+from hil.diagnosis.verdict.values import Everyday, Outcome, everyday_of
+from hil.diagnosis.verdict.without_repeats import answer_of_runs
 from hil.errors import RecordingError
 from hil.machine import Machine
 from hil.processes.kept_memory import keep_memory
@@ -45,7 +46,7 @@ def diagnose(
     first: Callable[[Diagnosis], None] = lambda diagnosis: None,
     freely: bool = False,
     jobs: int | None = None,
-) -> Answered:
+) -> Outcome:
     """Diagnose a machine from its recordings.
 
     Parameters
@@ -53,7 +54,7 @@ def diagnose(
     machine : Machine
         The simulation.
     recordings, held_out : mapping of str to Recording
-        By name; held-out ones are scored, choose no name, and where nothing repeats may lower the verdict.
+        By name; held-out ones are scored, and choose no name; they may take assurance away.
     report : callable
         Told what is being done, and the share that is done.
     first : callable
@@ -100,22 +101,22 @@ def diagnose_audited(
     jobs: int | None = None,
     report: Report = lambda what, share: None,
     first: Callable[[Diagnosis], None] = lambda diagnosis: None,
-) -> Answered:
+) -> Outcome:
     """Diagnose a machine from audited recordings; as `diagnose`, with their audit by `audit_recordings`."""
     began = time.monotonic()
     keep_memory()
     report("reading the motion", 0.0)
-    seen = _see(machine, recordings, held_out, audited, began, freely=freely)
-    if isinstance(seen, Answered):
-        return seen
-    free = free_runs(seen, audited, jobs) if freely else None
+    residuals = _residuals_or_answer(machine, recordings, held_out, audited, began, freely=freely)
+    if isinstance(residuals, Outcome):
+        return residuals
+    free = free_runs(residuals, audited, jobs) if freely else None
 
     def say(baseline: Fitted) -> None:
-        first(first_answer(machine, audited, seen, baseline, time.monotonic() - began))
+        first(first_answer(machine, audited, residuals, baseline, time.monotonic() - began))
 
-    if not freely and is_judged_by_runs(seen):
+    if not freely and is_judged_by_runs(residuals):
         report("fitting numbers and friction", 0.1)
-        levels, _, baseline = engineers_fit(seen)
+        levels, _, baseline = engineers_fit(residuals)
         say(baseline)
         tried = itertools.count(1)
 
@@ -124,26 +125,31 @@ def diagnose_audited(
             report("trying numbers and laws in simulations", FITTED + SOUGHT * done / (done + USUAL))
 
         if (selected := select(machine, recordings, trying, jobs)) is not None:
-            return answer_of_runs(machine, audited, seen, levels, selected, held_out, began, report)
-    is_settled = freely or seen.noise == "assumed" or len(seen.alongs[0].joints) > MOST_JOINTS
-    again = None if is_settled else partial(_freely, machine, recordings, audited, jobs, report)
-    return answer(machine, audited, name(seen, free, report, say), held_out, began, report, again)
+            return answer_of_runs(machine, audited, residuals, levels, selected, held_out, began, report)
+    choice = choose_effects(residuals, free, report, say)
+    if not freely and (freed := with_numbers_far_off(choice)) is not None:
+        return answer(machine, audited, freed, held_out, began, report)
+    is_converged = freely or residuals.noise == "assumed" or len(residuals.trajectories[0].joints) > MOST_JOINTS
+    again = None if is_converged else partial(_freely, machine, recordings, audited, jobs, report)
+    return answer(machine, audited, choice, held_out, began, report, again)
 
 
 def _freely(
-    machine: Machine, recordings: Mapping[str, Recording], audited: Audit, jobs: int | None, report: Report, named: Named
-) -> Named | None:
+    machine: Machine, recordings: Mapping[str, Recording], audited: Audit, jobs: int | None, report: Report, choice: Choice
+) -> Choice | None:
     """Return what free runs of the closed loop name beside what was named along the motion; None where they cannot judge, or leave more.
 
     Along a recorded motion equations are linear: where they do not settle what acts, simulations may.
     """
-    seen = see(machine, recordings, freely=True)
+    residuals = residuals_of(machine, recordings, freely=True)
     try:
-        free = free_runs(seen, audited, jobs)
+        free = free_runs(residuals, audited, jobs)
     except RecordingError:
         return None
-    found = name(seen, free, lambda what, share: report(f"{what} by free runs", NAMED + (WEIGHED - NAMED) * share))
-    return found if is_spanned(found) or times_noise(found) < times_noise(named) else None
+    found = choose_effects(
+        residuals, free, lambda what, share: report(f"{what} by free runs", EFFECTS_CHOSEN + (WEIGHED - EFFECTS_CHOSEN) * share)
+    )
+    return found if is_spanned(found) or times_noise(found) < times_noise(choice) else None
 
 
 def fit_everyday(machine: Machine, recordings: Mapping[str, Recording]) -> Everyday:
@@ -157,38 +163,38 @@ def fit_everyday(machine: Machine, recordings: Mapping[str, Recording]) -> Every
     began = time.monotonic()
     keep_memory()
     audited = audit_recordings(machine, recordings, {})
-    seen = _see(machine, recordings, {}, audited, began)
-    if isinstance(seen, Answered):
-        return Everyday(seen.diagnosis)
-    *_, fitted = engineers_fit(seen)
-    return everyday_of(machine, first_answer(machine, audited, seen, fitted, time.monotonic() - began), fitted)
+    residuals = _residuals_or_answer(machine, recordings, {}, audited, began)
+    if isinstance(residuals, Outcome):
+        return Everyday(residuals.diagnosis)
+    *_, fitted = engineers_fit(residuals)
+    return everyday_of(machine, first_answer(machine, audited, residuals, fitted, time.monotonic() - began), fitted)
 
 
-def _see(
+def _residuals_or_answer(
     machine: Machine, recordings: Mapping[str, Recording], held_out: Mapping[str, Recording], audited: Audit, began: float, *,
     freely: bool = False,
-) -> Seen | Answered:  # fmt: skip
+) -> Residuals | Outcome:  # fmt: skip
     """Return what is seen along the recordings' motion, or the answer where that needs no fit."""
     if audited.faults:
         return wrong_recordings(machine, audited, {**recordings, **held_out}, time.monotonic() - began)
-    seen = see(machine, recordings, freely=freely)
-    if seen.is_still:
-        return nothing_seen(machine, audited, seen, time.monotonic() - began)
+    residuals = residuals_of(machine, recordings, freely=freely)
+    if residuals.is_still:
+        return nothing_moves(machine, audited, residuals, time.monotonic() - began)
     if audited.has_play:
-        return play_seen(machine, audited, seen, time.monotonic() - began)
-    return seen
+        return play_measured(machine, audited, residuals, time.monotonic() - began)
+    return residuals
 
 
-def is_judged_by_runs(seen: Seen) -> bool:
+def is_judged_by_runs(residuals: Residuals) -> bool:
     """Return whether free runs of windows, or of the loop, judge: nothing repeats, and joint sensors alone follow every joint."""
-    if len(seen.alongs[0].joints) > MOST_JOINTS:
+    if len(residuals.trajectories[0].joints) > MOST_JOINTS:
         return False
-    sensors = {sensor.channel for sensor in seen.alongs[0].settings.joint_sensors}
+    sensors = {sensor.channel for sensor in residuals.trajectories[0].settings.joint_sensors}
     return (
-        seen.noise == "assumed"
-        and not seen.shown
-        and not seen.alongs[0].imposed
-        and all(along.followed.all() and sensors.issuperset(along.observed.channels) for along in seen.alongs)
+        residuals.noise == "assumed"
+        and not residuals.shown
+        and not residuals.trajectories[0].imposed
+        and all(trajectory.followed.all() and sensors.issuperset(trajectory.observed.channels) for trajectory in residuals.trajectories)
     )
 
 

@@ -6,19 +6,19 @@ import json
 import math
 from pathlib import Path
 
-from hil.diagnosis.answered.answer import NEXT_EXPERIMENT
-from hil.diagnosis.answered.machine_file import retuned_text
-from hil.diagnosis.answered.values import Answered
 from hil.diagnosis.report.page import write_report
 from hil.diagnosis.result import Diagnosis
+from hil.diagnosis.verdict.answer import NEXT_EXPERIMENT
+from hil.diagnosis.verdict.values import Outcome
 from hil.errors import UnusableInputError
 from hil.experiments.file_text import experiment_text
 from hil.machine import Machine
 from hil.machine.effects_file import effects_text
+from hil.machine.retuned_file import retuned_text
 from virtual_bus.plant.parameters import plant_parameters
 
 
-def write_diagnosis(outcome: Answered, machine: Machine, folder: Path, is_emulated: bool = False) -> None:
+def write_diagnosis(outcome: Outcome, machine: Machine, folder: Path, is_emulated: bool = False) -> None:
     """Write diagnosis.json, effects.toml, the re-tuned machine.toml and report.html, which says where the recordings are an emulator's.
 
     And the next experiment where there is one; one that an earlier answer left there is removed.
@@ -32,7 +32,8 @@ def write_diagnosis(outcome: Answered, machine: Machine, folder: Path, is_emulat
     parameters, proposal = plant_parameters(machine.plant), outcome.proposal
     try:
         (folder / "effects.toml").write_text(effects_text((*machine.added_effects, *outcome.effects), machine), encoding="utf-8")
-        (folder / "machine.toml").write_text(retuned_text(machine, parameters, outcome.values, outcome.diagnosis.retuned), encoding="utf-8")
+        intervals = {name: number.ci95 for name, number in outcome.diagnosis.retuned.items()}
+        (folder / "machine.toml").write_text(retuned_text(machine, parameters, outcome.values, intervals), encoding="utf-8")
         if proposal is not None:
             text = proposal.header() + experiment_text(proposal.experiment, machine)  # what it is for, as comments
             (folder / NEXT_EXPERIMENT).write_text(text, encoding="utf-8")

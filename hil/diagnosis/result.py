@@ -41,7 +41,7 @@ class EffectAt:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class ParameterEstimate:
     """A number with its unit and its 95 % interval."""
 
     value: float
@@ -75,7 +75,7 @@ class Finding:
 
     effect: EffectAt
     confidence: float
-    parameters: Mapping[str, Estimate]
+    parameters: Mapping[str, ParameterEstimate]
     ambiguous_with: tuple[EffectAt, ...] = ()  # what those sets have that the likeliest one has not
     ambiguous_sets: tuple[tuple[EffectAt, ...], ...] = ()  # plausible ones with another effect in its place
     separating_experiment: str | None = None  # file that `isocenter run` takes

@@ -67,7 +67,7 @@ def trial(machine: Machine, seconds: float, follow: Callable[[str], None]) -> Lo
     """
     if machine.bus is None or not machine.controllers:
         raise UnusableInputError(f"{machine.name}: its file has no [bus] or no [controller], so its loop cannot be run")
-    patient = dataclasses.replace(machine, overrun_ticks=BORNE_TICKS, stale_ticks=BORNE_TICKS)
+    patient = dataclasses.replace(machine, overrun_ticks=BORNE_TICKS, stale_ticks=BORNE_TICKS, needs_recorder=False)
     (plan,) = Static(seconds).plans(patient)
     with tempfile.TemporaryDirectory() as folder:
         follow("starting the emulated machine")

@@ -27,6 +27,13 @@ class Move:
     ----------
     start, goal : mapping
         Positions by axis name [rad or m]; axes left out stand at zero.
+
+    Examples
+    --------
+    >>> import hil
+    >>> (plan,) = hil.Move({}, {"turn": 0.5}).plans(hil.open_machine("turntable"))
+    >>> plan.reference[[0, -1]].tolist()
+    [[0.0], [0.5]]
     """
 
     start: Mapping[str, float]

@@ -9,9 +9,9 @@ import numpy as np
 
 from controllers.errors import DesignError
 from controllers.excitation_lines import Band, checked_lines
+from controllers.hadamard_experiments import Mixing
 from controllers.jog import odd_even_split
 from controllers.multisine import Phases, multisine
-from controllers.orthogonal_experiments import Mixing
 from hil.errors import ExperimentError
 from hil.experiments.jog import Jog
 from hil.experiments.metadata import experiment_metadata
@@ -48,6 +48,15 @@ class Multisine:
         "optimised" lowers the crest factor to about 1.6, for single realisations; see `controllers.multisine`.
     jog : Jog or None
     seed : int
+
+    Examples
+    --------
+    The C-arm has two axes, so that a realisation has two experiments; a period of 20 s at 256 Hz has 5120 rows.
+
+    >>> import hil
+    >>> plans = hil.Multisine(period_s=20.0, periods=2, settle_periods=1).plans(hil.open_machine("carm"))
+    >>> len(plans), plans[0].rows == 3 * 5120
+    (2, True)
     """
 
     pose: Mapping[str, float] = field(default_factory=dict)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from drivers.canopen.axis_stop import STANDING_SHARE
+from drivers.canopen.quick_stop import STANDING_SHARE
 from hil.faults.trials import FaultTrial
 from hil.machine import Machine
 from virtual_bus.faults.fault import Budget

@@ -61,7 +61,7 @@ def wires_figure(qualities: Mapping[str, WireQuality], title: str) -> Figure:
         half = 0.5e3 * (quality.section.shape[0] - 1) * quality.spacing_m
         picture, profile = panels[0, column], panels[1, column]
         picture.imshow(quality.section, cmap="gray", origin="lower", extent=(-half, half, -half, half))
-        picture.set_title(f"{name}: peak {quality.mean_peak_1_m:.0f} 1/m", fontsize=10)
+        picture.set_title(f"{name}: peak {quality.peak_1_m:.0f} 1/m", fontsize=10)
         picture.set_xlabel("across [mm]")
         picture.set_ylabel("across [mm]")
         row, at = np.unravel_index(np.argmax(quality.section), quality.section.shape)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from hil.diagnosis.answered.values import Everyday
-    from hil.diagnosis.result import Diagnosis, Estimate, RetunedValue
+    from hil.diagnosis.result import Diagnosis, ParameterEstimate, RetunedValue
+    from hil.diagnosis.verdict.values import Everyday
     from hil.identification import Resonances
     from hil.simulation import Comparison
 
@@ -123,7 +123,7 @@ def of_diagnosis(diagnosis: Diagnosis) -> list[Number]:
     return rows
 
 
-def _of_interval(quantity: str, estimate: Estimate | RetunedValue, verdict: str) -> Number:
+def _of_interval(quantity: str, estimate: ParameterEstimate | RetunedValue, verdict: str) -> Number:
     deviation = (estimate.ci95[1] - estimate.ci95[0]) / (2.0 * Z95)
     known = (deviation**2,) if math.isfinite(deviation) else ()
     return Number(quantity, estimate.value, estimate.unit, verdict, covariance=known)

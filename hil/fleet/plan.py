@@ -15,8 +15,8 @@ from hil.fleet.file import Fleet, FleetMachine, TaskName, When
 from hil.fleet.job import Job
 from hil.fleet.listing import KnownHashes, StoredRecording, list_recordings
 from hil.machine.load import load_machine
-from hil.machine.model import Machine
-from hil.tasks.errors import as_bench_errors
+from hil.machine.machine import Machine
+from hil.verbs.errors import as_bench_errors
 
 WORK = "hil.fleet.work:work"
 

@@ -17,7 +17,7 @@ from hil.errors import RecordingError, in_one_line
 from hil.extras import extra_package
 from hil.fleet.answers import Number, failure, of_comparison, of_diagnosis, of_friction, of_parameters, of_resonances
 from hil.machine.load import machine_from_text
-from hil.machine.model import Machine
+from hil.machine.machine import Machine
 from hil.recording import Recording, read_recording
 from hil.version import software_version
 
@@ -83,7 +83,8 @@ def _open(url: str) -> Any:  # noqa: ANN401, fsspec has no types
 
 
 def _check(machine: Machine, argument: dict[str, Any], folder: Path) -> list[Number]:
-    from hil.tasks.simulate import compare, simulate
+    from hil.verbs.compare import compare
+    from hil.verbs.simulate import simulate
 
     [recording] = _recordings(argument, "recordings", machine, folder).values()
     return of_comparison(compare(recording, simulate(machine, recording)))
@@ -91,7 +92,7 @@ def _check(machine: Machine, argument: dict[str, Any], folder: Path) -> list[Num
 
 def _identify(machine: Machine, argument: dict[str, Any], folder: Path) -> list[Number]:
     from hil.identification import resonances
-    from hil.tasks.identify import identify
+    from hil.verbs.identify import identify
 
     recordings = _recordings(argument, "recordings", machine, folder)
     sets = _repeats(recordings)
@@ -124,7 +125,7 @@ def _repeats(recordings: Mapping[str, Recording]) -> list[list[Recording]]:
 @functools.lru_cache(maxsize=32)
 def _modes_Hz(text: str, path: str | None, pose: tuple[float, ...]) -> tuple[float, ...]:
     """Return the lightly damped modes of a machine file, rising [Hz]."""
-    from hil.tasks.machine import open_machine
+    from hil.verbs.machine import open_machine
 
     machine = _machine(text, path)
     at = dict(zip(machine.axes, pose, strict=True)) if pose else {}
@@ -134,15 +135,15 @@ def _modes_Hz(text: str, path: str | None, pose: tuple[float, ...]) -> tuple[flo
 
 
 def _friction(machine: Machine, argument: dict[str, Any], folder: Path) -> list[Number]:
-    from hil.tasks.diagnose import fit_friction
-    from hil.tasks.recordings import Recordings
+    from hil.verbs.diagnose import fit_friction
+    from hil.verbs.recordings import Recordings
 
     return of_friction(fit_friction(machine, Recordings(_recordings(argument, "recordings", machine, folder))))
 
 
 def _diagnose(machine: Machine, argument: dict[str, Any], folder: Path) -> list[Number]:
-    from hil.tasks.diagnose import diagnose
-    from hil.tasks.recordings import Recordings
+    from hil.verbs.diagnose import diagnose
+    from hil.verbs.recordings import Recordings
 
     train = Recordings(_recordings(argument, "recordings", machine, folder))
     held = Recordings(_recordings(argument, "held_out", machine, folder))
@@ -153,7 +154,7 @@ def _calibrate(machine: Machine, argument: dict[str, Any], folder: Path) -> list
     """Return the geometry where a scan's first, middle and last image were exposed: unlike the parameters, images determine it."""
     from hil.imaging.geometry import DEVIATIONS
     from hil.imaging.scan_folder import read_scan
-    from hil.tasks.calibrate_data import calibrate_data
+    from hil.verbs.calibrate_data import calibrate_data
 
     [(_, recording)] = _recordings(argument, "recordings", machine, folder).items()
     scan = read_scan(folder / argument["recordings"][0]["scan"])

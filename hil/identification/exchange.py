@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 import scipy.io
 
-from hil.errors import UnusableInputError
+from hil.errors import IdentificationError, UnusableInputError
 from hil.extras import extra_package
 from hil.files.arrays import read_arrays
 from hil.files.atomic import write_atomically
-from hil.identification.errors import IdentificationError
 from hil.identification.frf_file import read_frf
 from hil.identification.result import FrequencyResponse
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from hil.errors import IdentificationError
 from hil.files.arrays import read_arrays, write_arrays
-from hil.identification.errors import IdentificationError
 from hil.identification.result import Distortion, FrequencyResponse
 
 FORMAT = 1

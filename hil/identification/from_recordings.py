@@ -7,9 +7,8 @@ from typing import Any, Literal, TypedDict
 
 import numpy as np
 
-from hil.errors import RecordingError
-from hil.identification.errors import IdentificationError
-from hil.identification.local.arbitrary_lpm_lrm import ArbitraryRecords
+from hil.errors import IdentificationError, RecordingError
+from hil.identification.lpm_lrm.arbitrary_lpm_lrm import ArbitraryRecords
 from hil.identification.records import PeriodicRecords, periodic_records
 from hil.recording import Recording
 from hil.recording.ticks import on_every_tick

@@ -7,16 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from hil.identification.bla.best_linear_approximation import fast_bla, robust_bla
+from hil.errors import IdentificationError
+from hil.identification.bla.fast_bla import fast_bla
+from hil.identification.bla.robust_bla import robust_bla
 from hil.identification.design.excitation import EXCITATION_RMS
-from hil.identification.errors import IdentificationError
 from hil.identification.from_recordings import Channels, PlantInput, arbitrary_records, by_pose, records_from
-from hil.identification.local.arbitrary_lpm_lrm import arbitrary_local
-from hil.identification.local.fast_lpm_lrm import fast_local
-from hil.identification.local.model import LocalModel
-from hil.identification.local.robust_lpm_lrm import robust_local
-from hil.identification.local.selection import default_candidates, select_local_model
-from hil.identification.over_poses.nd_lpm_lrm import ONE_POSE, PoseModel, nd_local
+from hil.identification.local.local_model import LocalModel
+from hil.identification.lpm_lrm.arbitrary_lpm_lrm import arbitrary_local
+from hil.identification.lpm_lrm.fast_lpm_lrm import fast_local
+from hil.identification.lpm_lrm.nd_lpm_lrm import ONE_POSE, PoseModel, nd_local
+from hil.identification.lpm_lrm.order_selection import default_candidates, select_local_model
+from hil.identification.lpm_lrm.robust_lpm_lrm import robust_local
 from hil.identification.records import PeriodicRecords
 from hil.identification.result import EMULATED, FrequencyResponse
 from hil.recording import Recording

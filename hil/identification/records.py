@@ -10,10 +10,11 @@ the factor z^-1 is absent.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypedDict
 
 import numpy as np
 
-from hil.identification.errors import IdentificationError
+from hil.errors import IdentificationError
 
 PERIODICITY_TOLERANCE = 1e-6  # of the excitation's peak; a file that rounds to single precision passes, a shifted period does not
 EXCITED_SHARE = 1e-6  # a line with less than this share of the largest amplitude counts as not excited
@@ -209,3 +210,28 @@ def _check_every_input(excitation: np.ndarray, period_samples: int, lines: np.nd
         if value <= EXCITED_SHARE * spectrum.max():
             others = ", ".join(n for n, v in zip(names, largest, strict=True) if v > EXCITED_SHARE * spectrum.max())
             raise IdentificationError(f"input {name} is not excited in any record; excite it, or identify the inputs {others} only")
+
+
+class Labels(TypedDict):
+    """What a frequency response takes over from its records, by the names of its fields."""
+
+    output_names: tuple[str, ...]
+    input_names: tuple[str, ...]
+    output_units: tuple[str, ...]
+    input_units: tuple[str, ...]
+    sample_rate_Hz: float
+    period_samples: int
+    pose: tuple[float, ...]
+
+
+def labels(records: PeriodicRecords) -> Labels:
+    """Return names, units and sampling that a result takes over from its records."""
+    return {
+        "output_names": records.output_names,
+        "input_names": records.input_names,
+        "output_units": records.output_units,
+        "input_units": records.input_units,
+        "sample_rate_Hz": records.sample_rate_Hz,
+        "period_samples": records.period_samples,
+        "pose": records.pose,
+    }

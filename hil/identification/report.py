@@ -1,8 +1,8 @@
-"""A frequency response in words and as a JSON document."""
+"""A frequency response in words."""
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -39,40 +39,6 @@ def resonance_lines(modes: Resonances) -> list[str]:
         f"  {METHOD}",
         *left,
     ]
-
-
-def resonance_document(modes: Resonances) -> dict[str, Any]:
-    """Return the resonances for JSON."""
-    found = [
-        {
-            "frequency_Hz": mode.frequency_Hz,
-            "frequency_ci95_Hz": list(mode.frequency_ci95_Hz),
-            "damping": mode.damping,
-            "damping_ci95": list(mode.damping_ci95),
-            "output": mode.output,
-            "input": mode.input,
-        }
-        for mode in modes.found
-    ]
-    return {"modes": found, "modes_method": METHOD, "modes_misfit": modes.misfit, "no_modes": modes.reason}
-
-
-def response_document(response: FrequencyResponse) -> dict[str, Any]:
-    """Return names, units, lines, magnitudes and standard deviations for JSON; arrays are (lines, outputs, inputs)."""
-    document: dict[str, Any] = {
-        "method": response.method,
-        "settings": response.settings,
-        "notes": list(response.notes),
-        "inputs": [{"name": n, "unit": u} for n, u in zip(response.input_names, response.input_units, strict=True)],
-        "outputs": [{"name": n, "unit": u} for n, u in zip(response.output_names, response.output_units, strict=True)],
-        "lines": response.lines,
-        "frequencies_Hz": response.frequencies_Hz,
-        "magnitude": np.abs(response.G),
-        "phase_rad": np.angle(response.G),
-    }
-    document["noise_standard_deviation"] = _deviation(response, "noise")
-    document["total_standard_deviation"] = _deviation(response, "total")
-    return document
 
 
 def _deviation(response: FrequencyResponse, kind: Literal["noise", "total"]) -> np.ndarray | None:

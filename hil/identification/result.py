@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from hil.errors import IdentificationError
 from hil.identification.covariance import circle_factor, hotelling_bound, variances
-from hil.identification.errors import IdentificationError
 
 EMULATED = "emulated"
 """Key of a response's settings, 1 where a recording of it was made on the emulator."""

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from hil.machine.finding import Finding
 from hil.machine.load import list_shipped, load_machine, machine_from_text
-from hil.machine.model import AxisUnits, Geometry, Machine
+from hil.machine.machine import AxisUnits, Geometry, Machine
 
 if TYPE_CHECKING:
     from hil.machine.check import check_machine

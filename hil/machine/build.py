@@ -10,8 +10,8 @@ import numpy as np
 
 from controllers.settings import AxisLimits
 from hil.machine.build_bodies import build_tree, orientation_matrix
+from hil.machine.machine import AxisUnits, Geometry
 from hil.machine.messages import ComplaintError
-from hil.machine.model import AxisUnits, Geometry
 from hil.machine.schema import CurrentTable, DriveTable, EncoderTable, ImuTable, MachineTable, SpeedTable, TemperatureTable
 from hil.machine.table import Table
 from hil.machine.units import ANGULAR, CONSTANT_UNITS, LINEAR

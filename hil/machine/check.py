@@ -13,7 +13,7 @@ from hil.machine.check_budgets import budgets
 from hil.machine.check_ramps import ramps
 from hil.machine.closed_loop import Margins, position_loop
 from hil.machine.finding import Finding, PoseResult, shown_pose
-from hil.machine.model import Machine
+from hil.machine.machine import Machine
 from virtual_bus.linear.left_out import LeftOut, left_out, sentences, without
 
 if TYPE_CHECKING:

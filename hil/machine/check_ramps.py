@@ -9,7 +9,7 @@ from drivers.canopen.ramps import PROFILE_ACCELERATION, PROFILE_DECELERATION, sp
 from drivers.canopen.units import in_data_sheet, units_of
 from drivers.errors import ConfigurationRefusedError, ProtocolError
 from hil.machine.finding import Finding
-from hil.machine.model import Machine
+from hil.machine.machine import Machine
 
 
 def ramps(machine: Machine) -> list[Finding]:

@@ -11,7 +11,7 @@ import scipy.linalg
 import scipy.signal
 
 from controllers.settings import AxisController
-from hil.machine.model import Machine
+from hil.machine.machine import Machine
 from virtual_bus.linear.plant import LinearPlant
 from virtual_bus.linear.sampled import SampledPlant, sampled
 

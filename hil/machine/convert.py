@@ -13,7 +13,7 @@ import tomlkit
 from controllers.errors import DesignError
 from controllers.rediscretise import rediscretised, rediscretised_share
 from hil.errors import MachineFileError, UnusableInputError
-from hil.machine.model import Machine
+from hil.machine.machine import Machine
 from hil.machine.schema import MachineTable
 from hil.machine.schema_judging import ImuJudgingTable
 

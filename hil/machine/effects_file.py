@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from hil.errors import MachineFileError
-from hil.machine.load import parse_toml, read_text
-from hil.machine.model import Machine
+from hil.machine.load import load_machine, parse_toml, read_text
+from hil.machine.machine import Machine
 from virtual_bus.effects.binding import as_entries, bind_effects, check_apart
 from virtual_bus.errors import EffectError
 from virtual_bus.settings import EffectSetting
@@ -32,6 +32,12 @@ def read_effects_file(path: str | Path, machine: Machine) -> tuple[EffectSetting
     """
     file = Path(path)
     return effects_from_text(read_text(file, "give the path of an effects file"), machine, str(file))
+
+
+def load_with_effects(name: str, effects: Path | None) -> Machine:
+    """Load a machine, with the physics of an effects file added where one is given; raises as `load_machine` and `read_effects_file` do."""
+    machine = load_machine(name)
+    return machine if effects is None else machine.with_effects(read_effects_file(effects, machine))
 
 
 def effects_from_text(text: str, machine: Machine, label: str) -> tuple[EffectSetting, ...]:

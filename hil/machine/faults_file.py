@@ -14,7 +14,7 @@ from pathlib import Path
 
 from hil.errors import MachineFileError
 from hil.machine.load import parse_toml, read_text
-from hil.machine.model import Machine
+from hil.machine.machine import Machine
 from virtual_bus.errors import FaultError
 from virtual_bus.faults.binding import FaultPlaces, as_entries, bind_faults
 from virtual_bus.faults.fault import FaultSetting

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hil.machine.model import Machine
+from hil.machine.machine import Machine
 
 if TYPE_CHECKING:
     from hil.machine.closed_loop import Margins
@@ -16,14 +16,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Finding:
-    """One check's answer. `values` holds its numbers in SI, for programs."""
+    """One check's answer."""
 
     name: str
+    """Of the check."""
     ok: bool
+    """Whether it is passed."""
     text: str
+    """What was found, for a person."""
     values: dict[str, Any] = field(default_factory=dict)
+    """Its numbers in SI."""
     is_partial: bool = False
-    """A linear answer about a machine whose file has effects that are not in it: passed, but not "ok"."""
+    """A linear answer that does not hold all effects of the file: `note` on the terminal, not `ok`."""
 
     @property
     def mark(self) -> str:

@@ -17,8 +17,8 @@ from hil.machine.build_bus import build_bus
 from hil.machine.build_control import build_commands, build_controllers, build_drive_loops
 from hil.machine.build_judging import build_judging
 from hil.machine.editors import without_schema_line
+from hil.machine.machine import Machine
 from hil.machine.messages import ComplaintError, from_validation, one_line
-from hil.machine.model import Machine
 from hil.machine.open_points import marks
 from hil.machine.schema import MachineTable
 from hil.machine.table import is_name
@@ -27,7 +27,14 @@ SHIPPED = Path(__file__).resolve().parent / "shipped"
 
 
 def list_shipped() -> dict[str, str]:
-    """Name and description of every machine that comes with the project."""
+    """Name and description of every machine that comes with the project.
+
+    Examples
+    --------
+    >>> import hil
+    >>> hil.list_shipped()["turntable"]
+    'A turntable on one drive, at 200 Hz'
+    """
     return {path.stem: load_machine(path).description for path in sorted(SHIPPED.glob("*.toml"), key=lambda path: path.stem)}
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from hil.machine.model import Machine
+from hil.machine.machine import Machine
 from virtual_bus.effects.binding import as_entries
 
 

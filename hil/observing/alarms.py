@@ -35,33 +35,32 @@ OUTSIDE_rad = 0.02
 
 @dataclass(frozen=True)
 class Alarm:
-    """A time in which sensors move the estimate by more than its variances allow.
-
-    Attributes
-    ----------
-    from_s, to_s : in the recording's time.
-    rows : with an alarm.
-    channel : whose innovations exceed the usual most; times : by how much.
-    unit : of the channel.
-    kind : "offset", "swing" or "noise".
-    offset : mean innovation, measured less predicted, in `unit`.
-    frequency_Hz : at which it swings; NaN unless `kind` is "swing".
-    low, high : (n_axes,) range of the measured positions meanwhile [rad or m].
-    outside : axes that were outside the design's poses meanwhile.
-    """
+    """A time in which sensors move the estimate by more than its variances allow."""
 
     from_s: float
+    """Its begin, in the recording's time."""
     to_s: float
+    """Its end."""
     rows: int
+    """Rows with an alarm."""
     channel: str
+    """Whose innovations exceed the usual most."""
     times: float
+    """By how much they do."""
     unit: str
+    """Of the channel."""
     kind: str
+    """`offset`, `swing` or `noise`."""
     offset: float
+    """Mean innovation, measured less predicted, in `unit`."""
     frequency_Hz: float
+    """At which it swings; no number unless `kind` is `swing`."""
     low: np.ndarray
+    """(n_axes,) range of the measured positions meanwhile, its lower ends [rad or m]."""
     high: np.ndarray
+    """Its upper ends."""
     outside: tuple[str, ...]
+    """Axes that were outside the design's poses meanwhile."""
 
     @property
     def reason(self) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.linalg
 
 from controllers.damping import ModalDamping
-from controllers.observers.extended import next_and_read
+from controllers.observers.extended_kalman import next_and_read
 from controllers.observers.modal_observer import ModalObserver
 from hil.errors import UnusableInputError
 from hil.machine import Machine

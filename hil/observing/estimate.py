@@ -55,6 +55,22 @@ class Estimate:
         except ValueError:
             raise UnusableInputError(f"no estimate {name}; there is {', '.join(self.names[: len(self.names) // 2])}") from None
 
+    @property
+    def mean_nis(self) -> float:
+        """Mean normalised innovation squared per measurement; 1 fits."""
+        return float(self["estimate_nis"].sum() / max(self["estimate_measured"].sum(), 1.0))
+
+    @property
+    def alarm_share(self) -> float:
+        """Share of rows with an alarm."""
+        return float(np.mean(self["estimate_alarm"]))
+
+    @property
+    def rms(self) -> dict[str, float]:
+        """Root mean square of every estimate."""
+        values = self.names.index("estimate_nis") // 2
+        return {name: float(np.sqrt(np.mean(self[name] ** 2))) for name in self.names[:values]}
+
     def frame(self) -> pd.DataFrame:
         """Return the columns over time [s], their units in `attrs["units"]`; UnusableInputError without pandas, an extra."""
         columns = dict(zip(self.names, self.values.T, strict=True))

@@ -91,10 +91,9 @@ class LiveObserver:
         self._row = MeasuredRow(observer.model)
         channels = observer.model.channels()
         self._read = np.full(len(channels), np.nan)  # an IMU without a line stays missing
-        self._imu_at = [channels.index(name) for name in (imu_channels(imu) if imu else ()) if name in channels]
-        on_bus = imu_channels(bus_imu) if bus_imu else ()
-        self._bus_imu_at = [channels.index(name) for name in on_bus if name in channels]
-        if damping is not None and not self._imu_at:
+        self._imu_at = _places(imu, channels)
+        self._bus_imu_at = _places(bus_imu, channels)
+        if damping is not None and not len(self._imu_at):
             known = ", ".join(channels[2 * axes :])
             raise UnusableInputError(
                 f"--damping: acts on an IMU's word; the bench has {imu or 'none'}, the observer's model looks at {known}"
@@ -128,9 +127,9 @@ class LiveObserver:
         read, axes = self._read, len(command)
         read[:axes] = sample.position
         read[axes : 2 * axes] = sample.link_position
-        if self._imu_at:
+        if len(self._imu_at):
             read[self._imu_at] = sample.imu
-        if self._bus_imu_at:
+        if len(self._bus_imu_at):
             read[self._bus_imu_at] = sample.bus_imu
         self._row.take(read)
         if self.calibration is not None:
@@ -170,3 +169,8 @@ class LiveObserver:
         self._alarmed = self._alarmed + 1 if self.observer.estimate[self._alarm] else 0
         is_known = self._without_imu <= IMU_GAP_ROWS and self._alarmed <= ALARM_ROWS
         return is_known and bool(np.isfinite(self.observer.state).all())
+
+
+def _places(imu: str, channels: Sequence[str]) -> np.ndarray:
+    """Return where the channels of an IMU are among those the model looks at; an array, since a list would be made one at every use."""
+    return np.array([channels.index(name) for name in (imu_channels(imu) if imu else ()) if name in channels], dtype=np.intp)

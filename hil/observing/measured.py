@@ -4,7 +4,25 @@ from __future__ import annotations
 
 import numpy as np
 
+from controllers.compiled import exactly_compiled
 from controllers.models.modal import ModalModel
+
+
+@exactly_compiled
+def _without_repeats(values: np.ndarray, last: np.ndarray) -> None:
+    """Make IMU readings, the last of values (measurements,), NaN where they repeat the last ones (sensors, 6), which the others become."""
+    first = len(values) - last.size
+    for index in range(len(last)):
+        now = values[first + 6 * index :][:6]
+        is_repeated, is_absent = True, True
+        for k in range(6):
+            is_repeated = is_repeated and now[k] == last[index, k]
+            is_absent = is_absent and now[k] != now[k]
+        for k in range(6):
+            if is_repeated:
+                now[k] = np.nan
+            elif not is_absent:
+                last[index, k] = now[k]
 
 
 class MeasuredRow:
@@ -25,9 +43,9 @@ class MeasuredRow:
     """
 
     def __init__(self, model: ModalModel) -> None:
-        self._first = 2 * len(model.axes)
         self._last = np.full((len(model.sensors), 6), np.nan)
-        self.values = np.full(self._first + 6 * len(model.sensors), np.nan)
+        self.values = np.full(2 * len(model.axes) + 6 * len(model.sensors), np.nan)
+        self.take(self.values)  # compiled before a tick waits for it
 
     def restart(self) -> None:
         """Forget all readings."""
@@ -35,11 +53,5 @@ class MeasuredRow:
 
     def take(self, read: np.ndarray) -> None:
         """Take over a row as read (measurements,)."""
-        values = self.values
-        values[:] = read
-        for index, last in enumerate(self._last):
-            now = values[self._first + 6 * index :][:6]
-            if np.array_equal(now, last):
-                now[:] = np.nan
-            elif not np.isnan(now).all():
-                last[:] = now
+        self.values[:] = read
+        _without_repeats(self.values, self._last)

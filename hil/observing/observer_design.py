@@ -17,20 +17,18 @@ from hil.identification import FrequencyResponse
 from hil.machine import Machine
 from hil.observing.directions import with_directions
 from hil.observing.geometry import observed_chain
+from hil.observing.gravity_at_rest import standing_mean, with_gravity, with_gravity_at_places
 from hil.observing.last_mode import with_last_mode
 from hil.observing.noise import effort_gain, starting_noise
 from hil.observing.over_poses import fit_observed_model, harmonics_for, untold_note
 from hil.observing.sag import sagging, with_sag
 from hil.observing.simulated_recordings import emulated_recording, emulated_responses
-from hil.observing.standing import standing_mean, with_gravity, with_gravity_at_places
 from hil.observing.structure import Structure, found_structure, with_coupling, with_inertia, with_places
 from hil.observing.tuning import tune
 from hil.observing.turning import with_turning
 from hil.observing.unmodelled import with_unmodelled
 from hil.recording import Recording
 from hil.simulation import Simulator
-
-DEFAULT_MODES = 4
 
 GRID = 11
 """Poses of the axis nearest to the detector at which an emulated machine is measured: enough for five harmonics. Shapes of modes that
@@ -85,8 +83,9 @@ def design_observer(
     responses: Sequence[FrequencyResponse],
     standing: Sequence[Recording] = (),
     tuned_on: Sequence[Recording] = (),
-    modes: int = DEFAULT_MODES,
     sweeps: Sequence[Recording] = (),
+    *,
+    modes: int,
 ) -> ObserverDesign:
     """Design an observer from measurements of a machine.
 
@@ -99,9 +98,10 @@ def design_observer(
         At rest or about a pose; sensors' noise, gravity and biases come from them.
     tuned_on : sequence of Recording
         Ordinary operation, whose innovations should be white.
-    modes : int
     sweeps : sequence of Recording
         There and back with nothing that shakes, for what turning pushes; taken with standing records only.
+    modes : int
+        Of the model.
 
     Raises
     ------
@@ -158,7 +158,8 @@ def design_observer(
 def emulated_design(
     machine: Machine,
     tuned_on: Sequence[Recording] = (),
-    modes: int = DEFAULT_MODES,
+    *,
+    modes: int,
     seed: int = 0,
     told: Callable[[int, int], None] = lambda done, total: None,
 ) -> ObserverDesign:
@@ -171,7 +172,13 @@ def emulated_design(
     modes, seed : int
     told : callable
         Told how many measurements of how many are done.
+
+    Raises
+    ------
+    UnusableInputError
+        The machine's detector cannot be observed; nothing was measured then.
     """
+    observed_chain(machine)
     last = machine.axes[-1]
     grids = {axis: axis_grid(machine, index, GRID if axis == last else COARSE_GRID) for index, axis in enumerate(machine.axes)}
     at_rest = {axis: grids[axis] if axis == last else axis_grid(machine, index, STANDING_GRID) for index, axis in enumerate(machine.axes)}
@@ -196,7 +203,7 @@ def emulated_design(
         recorded(_sweep(machine, axis, (grids[axis][0], grids[axis][-1]), still), 700 + 100 * seed + i)
         for i, (axis, still) in enumerate(ways)
     ]
-    return design_observer(machine, responses, standing, tuned_on, modes, sweeps)
+    return design_observer(machine, responses, standing, tuned_on, sweeps, modes=modes)
 
 
 def _sweep(machine: Machine, axis: str, ends: tuple[float, float], still: dict[str, float]) -> Plan:

@@ -32,7 +32,7 @@ from hil.observing.directions import shapes_at
 TURN_HARMONIC = 2
 """Of the pose, in how the mount turns about the vertical: as inertias vary."""
 
-LEVEL = 1e-3
+UPRIGHT = 1e-3
 """How far the first axis may be from horizontal; beyond, gravity pushes the other turn as well."""
 
 STEP_rad = 1e-3
@@ -128,7 +128,7 @@ def first_axis_frame(chain: Chain) -> np.ndarray | None:
     """Return rows (3, 3): the first axis, the horizontal beside it, up; None where that axis slides or is not horizontal."""
     up = -chain.gravity_m_s2 / max(float(np.linalg.norm(chain.gravity_m_s2)), 1e-12)
     axis = chain.axes[0] / np.linalg.norm(chain.axes[0])
-    if not chain.revolute[0] or not up.any() or abs(axis @ up) > LEVEL:
+    if not chain.revolute[0] or not up.any() or abs(axis @ up) > UPRIGHT:
         return None
     return np.vstack((axis, np.cross(up, axis), up))
 

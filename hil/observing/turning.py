@@ -16,8 +16,8 @@ from scipy.signal import savgol_filter
 
 from controllers.models.modal import ModalModel, basis_at, basis_size, chain_at_rest, chain_reading
 from hil.errors import RecordingError
+from hil.observing.gravity_at_rest import ENCODER_TRUST_rad, TILT_TRUST_m_s2
 from hil.observing.over_poses import embedded
-from hil.observing.standing import ENCODER_TRUST_rad, TILT_TRUST_m_s2
 from hil.recording import Recording
 
 SMOOTHED_s = 0.25

@@ -13,7 +13,7 @@ POLITE = 10
 
 
 PROMPT = 5
-"""Niceness of one that the loop's estimate waits for: before everything else of ours, but after the loop."""
+"""Niceness of one that the loop's estimate or a STOP waits for: before everything else of ours, but after the loop."""
 
 
 def politely(serve: Callable[..., None], *arguments: object, niceness: int = POLITE) -> None:

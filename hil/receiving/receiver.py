@@ -16,9 +16,9 @@ from hil.extras import extra_package
 from hil.imaging.detector import Detector
 from hil.imaging.markers import MarkerProjection
 from hil.imaging.scan_folder import FRAMES
+from hil.receiving.frame_measurements import Live, Watch
 from hil.receiving.panel_frames import FrameSource, PanelFrames, RemotePanel, SpooledFrames
 from hil.receiving.sight import marker_in, rehearse
-from hil.receiving.watch import Live, Watch
 
 LOOKS_EVERY_S = 0.01
 """A third of a frame's time at 30 a second; a panel on the network is heard at once."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -27,33 +27,22 @@ FEWEST_SLICES = 5
 
 @dataclass(frozen=True)
 class WireQuality:
-    """Quality of one wire's cross section.
+    """Quality of one wire's cross section."""
 
-    Attributes
-    ----------
-    mean_peak_1_m : float
-        Largest attenuation of the mean cross section at the wire's mean place; lower if the wire is not straight in the volume.
-    peak_ratio : float
-        Its ratio to the true attenuation of the wire; 1 where neither voxels, blur nor geometry reduce it.
-    widths_m : (2,) array
-        Full widths at half the peak, in two directions across the wire.
-    offset_m : (3,) array
-        Place of the wire relative to its drawing, in the phantom's frame.
-    artefact : float
-        Root mean square outside of the wire over the peak.
-    section : (m, m) array
-        The mean cross section.
-    spacing_m : float
-        Spacing of the section's samples.
-    """
-
-    mean_peak_1_m: float
+    peak_1_m: float
+    """Largest attenuation of the mean cross section at the wire's mean place; lower if the wire is not straight in the volume."""
     peak_ratio: float
+    """Its ratio to the true attenuation of the wire; 1 where neither voxels, blur nor geometry reduce it."""
     widths_m: np.ndarray
+    """Full widths at half the peak, (2,), in two directions across the wire."""
     offset_m: np.ndarray
+    """Place of the wire relative to its drawing, (3,), in the phantom's frame."""
     artefact: float
-    section: np.ndarray
-    spacing_m: float
+    """Root mean square outside of the wire over the peak."""
+    section: np.ndarray = field(metadata={"json": False})
+    """The mean cross section (m, m)."""
+    spacing_m: float = field(metadata={"json": False})
+    """Spacing of the section's samples."""
 
 
 def wire_quality(volume: Volume, start_m: np.ndarray, end_m: np.ndarray, attenuation_1_m: float) -> WireQuality:
@@ -97,7 +86,7 @@ def wire_quality(volume: Volume, start_m: np.ndarray, end_m: np.ndarray, attenua
     outside = np.hypot(grid[:, None] - grid[row], grid[None, :] - grid[column]) > 3.0 * volume.spacing_m
     outside &= held
     return WireQuality(
-        mean_peak_1_m=float(mean[row, column]),
+        peak_1_m=float(mean[row, column]),
         peak_ratio=float(mean[row, column] / attenuation_1_m),
         widths_m=widths,
         offset_m=_center(mean, grid, row, column, 1.5 * volume.spacing_m) @ np.array([first, second]),

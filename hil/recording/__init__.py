@@ -3,8 +3,8 @@
 from hil.recording.formats import convert, read_recording, write_recording
 from hil.recording.framelog import FrameLog
 from hil.recording.metadata import recording_metadata
-from hil.recording.model import Channel, Recording
 from hil.recording.process import RecorderProcess
+from hil.recording.recording import Channel, Recording
 from hil.recording.sink import JournalSink
 from hil.recording.warning import RecordingWarning
 

@@ -25,14 +25,14 @@ from hil.recording.can_frames import counted
 from hil.recording.joint_states import JOINT_STATE_TYPES, QUANTITIES, joint_states
 from hil.recording.mcap_stream import mcap_package, mcap_records
 from hil.recording.metadata import machine_table
-from hil.recording.model import Recording
 from hil.recording.naming import Columns, Target, is_channel
 from hil.recording.rasters import channels_on_one_raster
+from hil.recording.recording import Recording
 from hil.recording.said import listed, printable, source_table
 from hil.recording.zstd import PACKED, ZSTD_MARK, unpacked_file, unpacked_message
 
 if TYPE_CHECKING:
-    from hil.machine.model import Machine
+    from hil.machine.machine import Machine
 
 _MOST_NS = 2**62
 """Of a time of day: in the year 2116."""

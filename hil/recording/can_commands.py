@@ -12,7 +12,7 @@ import numpy as np
 
 from drivers.canopen.units import units_in_data_sheet
 from drivers.settings import AxisScaling, LoopMode, Node
-from hil.recording.model import Channel
+from hil.recording.recording import Channel
 
 TARGET_TORQUE, TARGET_POSITION, TARGET_VELOCITY = 0x6071, 0x607A, 0x60FF
 POSITION_OFFSET, VELOCITY_OFFSET, TORQUE_OFFSET = 0x60B0, 0x60B1, 0x60B2

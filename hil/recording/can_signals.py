@@ -25,12 +25,12 @@ from hil.recording.can_tables import read_frames_csv, read_frames_sqlite
 from hil.recording.can_text import read_asc, read_trc
 from hil.recording.candump import read_candump
 from hil.recording.metadata import machine_table
-from hil.recording.model import CAN_FRAMES, Channel, Recording
+from hil.recording.recording import CAN_FRAMES, Channel, Recording
 from hil.recording.said import source_table
 from hil.recording.warning import RecordingWarning
 
 if TYPE_CHECKING:
-    from hil.machine.model import AxisUnits, Machine
+    from hil.machine.machine import AxisUnits, Machine
 
 STATUSWORD, POSITION_ACTUAL, TORQUE_ACTUAL, CURRENT_ACTUAL, ENCODER_POSITION = 0x6041, 0x6064, 0x6077, 0x6078, 0x6004
 

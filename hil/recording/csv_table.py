@@ -23,15 +23,15 @@ from hil.recording.channels import check_name, is_whole
 from hil.recording.csv_dialect import Clock, Numbers, decoded, is_number, laid_out, row_of_units
 from hil.recording.csv_labels import Lines, of_one_part
 from hil.recording.metadata import machine_table, metadata_text, parse_metadata
-from hil.recording.model import CAN_FRAMES, Channel, Recording
 from hil.recording.naming import Column, Columns, Target, header_name, is_header_cell, own_target, picked, timed, with_unit
+from hil.recording.recording import CAN_FRAMES, Channel, Recording
 from hil.recording.said import listed, source_table
 from hil.recording.stamps import rows_in_order
 
 if TYPE_CHECKING:
     from _csv import Reader
 
-    from hil.machine.model import Machine
+    from hil.machine.machine import Machine
 
 
 def metadata_path(path: Path) -> Path:

@@ -14,13 +14,13 @@ from hil.recording.can_frames import is_frames_csv
 from hil.recording.candump import is_candump
 from hil.recording.csv_table import read_csv, write_csv
 from hil.recording.journal import part_path, recover
-from hil.recording.model import Recording
 from hil.recording.naming import Target, target
+from hil.recording.recording import Recording
 from hil.recording.ticks import gap_words
 from hil.recording.warning import RecordingWarning
 
 if TYPE_CHECKING:
-    from hil.machine.model import Machine
+    from hil.machine.machine import Machine
 
 WRITABLE = (".mf4", ".csv", ".parquet", ".mcap")
 READABLE = (*WRITABLE, ".mdf", ".dat", ".mat", ".db3", ".log", ".blf", ".asc", ".trc", ".db")
@@ -71,6 +71,15 @@ def read_recording(path: str | Path, machine: Machine | None = None, names: Name
     ------
     RecordingError
         The file cannot be read; one line says what is wrong, where, and what would be right.
+
+    Examples
+    --------
+    >>> import hil
+    >>> made = hil.Recording({"time": hil.Channel("s", [0.0, 0.005]), "position_roll": hil.Channel("rad", [0.0, 0.1])}, {})
+    >>> hil.write_recording(made, "roll.csv")
+    >>> recording = hil.read_recording("roll.csv")
+    >>> recording.sample_rate_Hz, recording["position_roll"].tolist()
+    (200.0, [0.0, 0.1])
     """
     path = Path(path)
     targets = {name: target(one, f"{path}: {name}") if isinstance(one, str) else one for name, one in (names or {}).items()}

@@ -28,7 +28,7 @@ except ImportError:  # Windows
 
 from hil.errors import RecordingError
 from hil.recording.metadata import metadata_text, parse_metadata
-from hil.recording.model import Channel, Recording
+from hil.recording.recording import Channel, Recording
 
 MAGIC = b"ISOJRNL1"
 BLOCK = b"ROWS"

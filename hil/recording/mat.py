@@ -19,14 +19,14 @@ from hil.recording.mat4 import is_level_4, level_4_arrays, level_4_matrices
 from hil.recording.mat5 import MatError, Value, numeric_arrays
 from hil.recording.mat73 import MARK, hdf5_arrays
 from hil.recording.metadata import machine_table
-from hil.recording.model import Recording
 from hil.recording.modelica import Modelica, is_modelica, modelica_result
 from hil.recording.naming import Column, Columns, Target, is_channel, named_channels
 from hil.recording.rasters import channels_in_order
+from hil.recording.recording import Recording
 from hil.recording.said import listed, source_table
 
 if TYPE_CHECKING:
-    from hil.machine.model import Machine
+    from hil.machine.machine import Machine
 
 EMPS_NAMES = {"t": "time", "qg": "reference", "qm": "position", "vir": "command", "pulses_N": "excitation"}
 """Variables of the Electro-Mechanical Positioning System benchmark (Janot, Gautier, Brunot 2019) and their channels."""

@@ -19,11 +19,11 @@ from hil.recording.bag import bag_of_mcap, recording_of_bag
 from hil.recording.json_rows import SCHEMA_NAME, TOPIC, row_messages, row_schema, started
 from hil.recording.mcap_stream import mcap_package
 from hil.recording.metadata import metadata_text, parse_metadata
-from hil.recording.model import Recording
 from hil.recording.naming import Column, Columns, Target, named_channels
+from hil.recording.recording import Recording
 
 if TYPE_CHECKING:
-    from hil.machine.model import Machine
+    from hil.machine.machine import Machine
 
 ATTACHMENT = "recording.toml"
 

@@ -40,13 +40,13 @@ from hil.recording.can_tables import Group, frames_of_mdf, has_only_frames
 from hil.recording.channels import is_whole
 from hil.recording.mdf4_columns import mdf4_columns
 from hil.recording.metadata import machine_table, metadata_text, parse_metadata
-from hil.recording.model import Channel, Recording
 from hil.recording.naming import Columns, Target, named_or_own
 from hil.recording.rasters import channels_on_one_raster
+from hil.recording.recording import Channel, Recording
 from hil.recording.said import source_table
 
 if TYPE_CHECKING:
-    from hil.machine.model import Machine
+    from hil.machine.machine import Machine
 
 ATTACHMENT = "recording.toml"
 """Name of the attached metadata."""
@@ -113,7 +113,7 @@ def read_mdf4(path: Path, machine: Machine | None = None, names: Mapping[str, Ta
             with MDF(io.BytesIO(content)) as mdf:
                 _check_claims(mdf, len(content), path)
                 log = frames_of_mdf(content, path) if has_only_frames(mdf) and not names else None
-                metadata = {} if log is not None else _metadata(mdf, path, machine)
+                metadata, is_own = ({}, False) if log is not None else _metadata(mdf, path, machine)
                 found = Columns({}) if log is not None else mdf4_columns(mdf)
         except RecordingError:
             raise
@@ -128,17 +128,18 @@ def read_mdf4(path: Path, machine: Machine | None = None, names: Mapping[str, Ta
 
         return recording_of_log(log, path, machine, part)
     try:
-        return _recording(found, names, metadata, machine, path, part)
+        return _recording(found, names, metadata, machine, path, part, is_own)
     except RecordingError as problem:
         raise RecordingError(str(problem) if str(problem).startswith(str(path)) else f"{path}: {problem}") from None
 
 
 def _recording(
-    found: Columns, names: Mapping[str, Target] | None, metadata: dict[str, Any], machine: Machine | None, path: Path, part: str
-) -> Recording:
+    found: Columns, names: Mapping[str, Target] | None, metadata: dict[str, Any], machine: Machine | None, path: Path, part: str,
+    is_own: bool,
+) -> Recording:  # fmt: skip
     """Return the signals as channels: under the given names, others under their own."""
     wanted, not_taken = named_or_own(found, names or {}, path, machine)
-    channels, notes = channels_on_one_raster(found, wanted, machine, path, part)
+    channels, notes = channels_on_one_raster(found, wanted, machine, path, part, is_own)
     not_taken += [f"{name}: {what}" for name, what in found.others.items()]
     notes = [*found.notes, *notes]
     if not_taken or notes or names:
@@ -210,13 +211,14 @@ def _mdf_bytes(recording: Recording, signals: list[Signal], started: datetime) -
     return content.getvalue()
 
 
-def _metadata(mdf: MDF, path: Path, machine: Machine | None) -> dict[str, Any]:
+def _metadata(mdf: MDF, path: Path, machine: Machine | None) -> tuple[dict[str, Any], bool]:
+    """Return the metadata, and whether this project attached them."""
     for attachment in mdf.attachments if mdf.version >= "4" else ():
         if attachment.file_name == ATTACHMENT:
-            return parse_metadata(bytes(attachment.extract()).decode(), f"{path}: {ATTACHMENT}")
+            return parse_metadata(bytes(attachment.extract()).decode(), f"{path}: {ATTACHMENT}"), True
     if machine is None:
         raise RecordingError(f"{path}: no {ATTACHMENT} is attached, so it is no recording of ours; name the machine with --machine")
-    return {"machine": machine_table(machine)}
+    return {"machine": machine_table(machine)}, False
 
 
 def _sealed(content: bytes) -> bytes:

@@ -29,14 +29,14 @@ from hil.recording.channels import (
     spelled,
     unit_and_factor,
 )
-from hil.recording.model import Channel
+from hil.recording.recording import Channel
 from hil.recording.said import listed, printable
 from hil.recording.steps import SAME_RATE, usual_step
 from hil.recording.unit_in_name import in_brackets, unit_in_name
 from hil.recording.warning import RecordingWarning
 
 if TYPE_CHECKING:
-    from hil.machine.model import Machine
+    from hil.machine.machine import Machine
 
 MOST_MAP_BYTES = 2**20
 """Of a file of names: ten thousand names have fewer."""

@@ -20,13 +20,13 @@ from hil.files.atomic import write_atomically
 from hil.files.regular import MOST_BYTES
 from hil.recording.channels import is_whole
 from hil.recording.metadata import machine_table, metadata_text, parse_metadata
-from hil.recording.model import Recording
 from hil.recording.naming import Column, Columns, Target, header_name, named_channels, own_target
 from hil.recording.rasters import channels_in_order
+from hil.recording.recording import Recording
 from hil.recording.said import source_table
 
 if TYPE_CHECKING:
-    from hil.machine.model import Machine
+    from hil.machine.machine import Machine
 
 _KEY, _UNIT = b"isocenter", b"unit"
 

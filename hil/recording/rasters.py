@@ -17,19 +17,21 @@ import numpy as np
 
 from hil.errors import RecordingError
 from hil.recording.channels import is_whole
-from hil.recording.model import UNEQUAL_STEP, Channel
 from hil.recording.naming import Column, Columns, Target, named_channels
+from hil.recording.recording import UNEQUAL_STEP, Channel
 from hil.recording.stamps import part_straightened, rows_in_order, said_twice
 from hil.recording.steps import LOST, SAME_RATE
 
 if TYPE_CHECKING:
-    from hil.machine.model import Machine
+    from hil.machine.machine import Machine
 
 
 def channels_on_one_raster(
-    found: Columns, names: Mapping[str, Target], machine: Machine | None, path: Path, part: str = ""
+    found: Columns, names: Mapping[str, Target], machine: Machine | None, path: Path, part: str = "", is_own: bool = False
 ) -> tuple[dict[str, Channel], list[str]]:
     """Return `time` and the channels that `names` makes of columns with times, all on one raster, and how they came onto it.
+
+    Of a file that this project wrote (`is_own`) every row stands as it is: other people's logs alone hold several senders' rows.
 
     Raises
     ------
@@ -44,7 +46,7 @@ def channels_on_one_raster(
         for channel, column in sources.items()
     }
     try:
-        time_s, values, notes = on_one_raster(columns, machine, part)
+        time_s, values, notes = on_one_raster(columns, machine, part, is_own)
     except RecordingError as problem:
         raise RecordingError(f"{path}: {problem}") from None
     return {"time": Channel("s", time_s)} | {name: Channel(channels[name].unit, values[name]) for name in channels}, notes
@@ -63,7 +65,7 @@ def channels_in_order(channels: dict[str, Channel], path: Path, part: str = "") 
 
 
 def on_one_raster(
-    columns: Mapping[str, Column], machine: Machine | None, part: str = ""
+    columns: Mapping[str, Column], machine: Machine | None, part: str = "", is_own: bool = False
 ) -> tuple[np.ndarray, dict[str, np.ndarray], list[str]]:
     """Put columns with times onto one raster.
 
@@ -75,6 +77,8 @@ def on_one_raster(
         Its rate chooses the raster.
     part : str
         As in `stamps.part_straightened`, of those signals that have several senders.
+    is_own : bool
+        Whether this project wrote them, in order of time.
 
     Returns
     -------
@@ -88,7 +92,7 @@ def on_one_raster(
     RecordingError
         A time is missing, or times go back in a way that `stamps` cannot repair.
     """
-    columns, notes = _straight(columns, part)
+    columns, notes = (columns, []) if is_own else _straight(columns, part)
     rasters = _rasters(columns)
     base = _base([times(columns[names[0]]) for names in rasters], [len(names) for names in rasters], machine) if rasters[1:] else 0
     time_s = times(columns[rasters[base][0]])

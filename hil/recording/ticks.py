@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.recording.model import CAN_FRAMES, Channel, Recording
+from hil.recording.recording import CAN_FRAMES, Channel, Recording
 from hil.recording.steps import LOST, is_even, is_on_raster, usual_step
 
 PLANNED = ("reference_", "excitation_", "feedforward_", "damping_")

@@ -51,11 +51,13 @@ def in_time(derived: Derived, recording: Recording) -> Channel:
     Raises
     ------
     UnusableInputError
-        A channel is absent, or a difference is of two units.
+        A channel is absent, a difference is of two units, or a derivative of fewer than two rows.
     """
     channels = [_channel(derived, name, recording) for name in derived.of]
     if derived.kind == "derivative":
         (one,) = channels
+        if recording.rows < 2:
+            raise UnusableInputError(f"{derived.text}: has {recording.rows} rows; a derivative needs two")
         unit = {"": "1/s", "rad/s": "rad/s^2", "m/s": "m/s^2"}.get(one.unit, f"{one.unit}/s")
         return Channel(unit, np.gradient(one.values, recording.time))
     one, other = channels

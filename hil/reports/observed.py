@@ -57,9 +57,7 @@ def _observed(source: Path, out: Path, design: Path | None) -> list[object]:
 
 def verdict(estimate: Estimate) -> Verdict:
     """Return whether the estimates are as good as they state."""
-    nis, measured = estimate["estimate_nis"], estimate["estimate_measured"]
-    mean = float(nis.sum() / max(measured.sum(), 1.0))
-    alarm = float(np.mean(estimate["estimate_alarm"] > 0.0))
+    mean, alarm = estimate.mean_nis, estimate.alarm_share
     shift = max(float(np.sqrt(np.mean(estimate[f"estimate_detector_{axis}"] ** 2))) for axis in "xyz")
     said = f"The detector was off by up to {1e3 * shift:.3g} mm rms along an axis; "
     if alarm <= FEW:

@@ -60,4 +60,4 @@ def verdict(volume: Volume, wires: Mapping[str, WireQuality]) -> Verdict:
 def _row(name: str, quality: WireQuality) -> tuple[str, ...]:
     widths = " and ".join(f"{1e3 * width:.2f}" for width in quality.widths_m)
     offset = 1e3 * float(np.linalg.norm(quality.offset_m))
-    return (name, f"{quality.mean_peak_1_m:.1f}", f"{quality.peak_ratio:.2f}", widths, f"{offset:.2f}", f"{100.0 * quality.artefact:.1f}")
+    return (name, f"{quality.peak_1_m:.1f}", f"{quality.peak_ratio:.2f}", widths, f"{offset:.2f}", f"{100.0 * quality.artefact:.1f}")

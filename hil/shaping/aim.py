@@ -12,23 +12,16 @@ from controllers.errors import DesignError
 
 @dataclass(frozen=True)
 class Aim:
-    """The design goal of a shaper; made by `sweep` or `periodic`.
-
-    Attributes
-    ----------
-    kind : "sweep" or "periodic"
-    forcing_rad_s : tuple of float
-        Frequencies tracked without error, 0 (the mean) always among them.
-    without_slope_rad_s : tuple of float
-        Those of them where dH/ds is zero, too; 0 for a ramp without lag.
-    longest_transient_s : float
-        Longest transient for which the scan has time.
-    """
+    """The design goal of a shaper; made by `sweep` or `periodic`."""
 
     kind: str
+    """`sweep` or `periodic`."""
     forcing_rad_s: tuple[float, ...]
+    """Frequencies tracked without error, 0 (the mean) always among them."""
     without_slope_rad_s: tuple[float, ...]
+    """Those of them where dH/ds is zero, too; 0 for a ramp without lag."""
     longest_transient_s: float
+    """Longest transient for which the scan has time."""
 
 
 def sweep(longest_transient_s: float = 0.6) -> Aim:

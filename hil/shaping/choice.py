@@ -11,7 +11,7 @@ import numpy as np
 
 from controllers.errors import DesignError
 from controllers.shapers.sampled import AxisShaper
-from hil.errors import UnusableInputError
+from hil.errors import RequestError, UnusableInputError
 from hil.experiments.plan import pose_array
 from hil.files.frames import data_frame
 from hil.identification.result import FrequencyResponse
@@ -140,7 +140,6 @@ def choose_shaper(
     schedule: str = "",
     output: str = "link",
     quiet_Hz: tuple[float, float] = QUIET_BAND_Hz,
-    source: str = "",
     also: Sequence[str] = (),
 ) -> ShaperChoice:
     """Design reference shapers for one axis, judge them, and choose the recommended one.
@@ -162,30 +161,40 @@ def choose_shaper(
         What shall track.
     quiet_Hz : (low, high)
         Band that the quiet design passes least in.
-    source : str
-        What the notes call the model; made up unless given.
     also : sequence of str
         Designs beside the usual ones: "shortest", "dc", "zpetc", "zmetc".
 
     Raises
     ------
-    UnusableInputError
+    RequestError
         No such axis, or a pose or schedule beside a frequency response.
     DesignError
         Nothing can be designed for this loop.
     """
-    for name in (axis, *([schedule] if schedule else [])):
-        if name not in machine.axes:
-            raise UnusableInputError(f"axis {name}: {machine.name} has {', '.join(machine.axes)}")
+    check_request(machine, axis, schedule, pose or {}, frf is not None)
     aim = aim or sweep()
     subjects = subjects_of(machine, axis, pose or {}, frf, schedule, output)
     candidates = design_all(subjects.each, aim, machine.sample_rate_Hz, quiet_Hz, also)
     if subjects.poses is not None and machine.controllers:
         candidates = as_simulated(machine, axis, subjects, candidates)
     chosen = candidates.designs[0]
-    from_what = source or ("an identified frequency response" if frf is not None else f"the closed loop of {machine.name}'s file")
+    from_what = "an identified frequency response" if frf is not None else f"the closed loop of {machine.name}'s file"
     notes = {"machine": machine.name, "hash": machine.hash, "aim": vars(aim), "source": from_what, "output": output}
     return ShaperChoice(machine, axis, aim, subjects, candidates, chosen, {**notes, "verdict": chosen.verdict.line})
+
+
+def check_request(machine: Machine, axis: str, schedule: str, pose: Mapping[str, float], is_identified: bool) -> None:
+    """Refuse an axis that there is not, and a pose or a schedule beside a frequency response, which is of one pose.
+
+    Raises
+    ------
+    RequestError
+    """
+    for part, name in (("axis", axis), ("schedule", schedule)):
+        if name not in machine.axes and (name or part == "axis"):
+            raise RequestError(f"{{{part}}} {name}: {machine.name} has {', '.join(machine.axes)}")
+    if is_identified and (schedule or pose):
+        raise RequestError("{frf}: a frequency response is of one pose; leave out {schedule} and {pose}")
 
 
 def as_simulated(machine: Machine, axis: str, subjects: Subjects, candidates: Candidates) -> Candidates:
@@ -226,8 +235,6 @@ def subjects_of(
 ) -> Subjects:
     """Return what shapers of an axis are designed for; see `choose_shaper`."""
     if frf is not None:
-        if schedule or pose:
-            raise UnusableInputError("a frequency response is of one pose; give no schedule and no pose beside it")
         found, error = subject_from_frf(machine, frf, axis, output)
         return Subjects((found,), None, fit_error=error)
     at = pose_array(machine, pose)

@@ -32,8 +32,11 @@ class LeftOut:
     """A pole that is not cancelled, and its residual of a unit step when the transient is over."""
 
     frequency_Hz: float
+    """Of the pole."""
     damping: float
+    """Its damping ratio."""
     residual: float
+    """Its share of the step."""
 
 
 @dataclass(frozen=True)
@@ -45,11 +48,17 @@ class Residual:
     """
 
     low: float
+    """Least share left of a move."""
     likely: float
+    """The median."""
     high: float
+    """The greatest."""
     moves: int
+    """How many were drawn."""
     rms: float
+    """Of the vibration that they leave without a shaper."""
     unit: str
+    """Of `rms`."""
 
 
 @dataclass(frozen=True)
@@ -60,18 +69,31 @@ class Verdict:
     """
 
     name: str
+    """Of the design."""
     vibration: float
+    """Share that is left."""
     vibration_at_10: float
+    """The same with modes 10 % off, the worst."""
     tracking: float
+    """Tracking error, as a share of the reference."""
     tracking_at_10: float
+    """The same with modes 10 % off, the worst."""
     lag_s: float
+    """By which a ramp is trailed."""
     transient_s: float
+    """How long the shaper takes."""
     largest_gain: float
+    """Over all frequencies."""
     gain_sum: float
+    """By which a shaped reference may exceed the raw one at most: the sum of its taps without their signs."""
     static_gain: float
+    """From the reference to the output at rest."""
     left_out: tuple[LeftOut, ...]
-    against: str  # why it is not recommended, or ""
-    residual: Residual | None = None  # as simulated; None where nothing was, as of a frequency response
+    """Poles that are not cancelled."""
+    against: str
+    """Why it is not recommended, or empty."""
+    residual: Residual | None = None
+    """As simulated; null where nothing was, as of a frequency response."""
 
     def simulated(self, residual: Residual) -> Verdict:
         """Return the verdict with what is left as simulated; as much as without a shaper, in the median, speaks against the design."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -45,18 +45,27 @@ STILL = 1.5
 
 @dataclass(frozen=True)
 class ChannelComparison:
-    """Comparison of one channel. rms, largest and noise are in `unit`."""
+    """Comparison of one channel."""
 
-    name: str
+    name: str = field(metadata={"json": False})
     unit: str
-    rms: float  # of simulation minus recording
-    largest: float  # |simulation - recording|
-    noise: float  # standard deviation of the recording's noise in one row
-    in_noise: float  # rms over noise
-    still: bool  # the recording does no more than its noise
-    nrmse: float  # rms over the rms of the recording about its mean; NaN for a channel that stands still
-    lag_rows: int  # delay of the recording behind the simulation, where it explains a difference beyond noise better; 0 otherwise
-    rows: int  # rows compared: both have a value
+    """Of rms, largest and noise."""
+    rms: float
+    """Root mean square of simulation minus recording."""
+    largest: float
+    """Largest difference."""
+    noise: float
+    """Standard deviation of the recording's noise in one row."""
+    in_noise: float
+    """rms over noise."""
+    still: bool
+    """Whether the recording does no more than its noise."""
+    nrmse: float
+    """rms over the rms of the recording about its mean; null for a channel that is still."""
+    lag_rows: int
+    """By how many rows the recording is later, where that explains a difference beyond noise better; 0 otherwise."""
+    rows: int
+    """Rows compared: both have a value."""
 
     @property
     def agrees(self) -> bool:

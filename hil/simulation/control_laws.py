@@ -12,7 +12,7 @@ from hil.machine import Machine
 from hil.machine.load import machine_from_text
 from hil.recording import Recording
 
-EXACT = 1e-4
+RELATIVE_ERROR = 1e-4
 """Share of the command's rms that a law may leave and be the law: positions in text files have nine digits, of which a lead takes five."""
 STEPS = 3.0
 """Times the rms that rounding to the command's own lattice leaves."""
@@ -142,7 +142,7 @@ def _off(controller: AxisController, part: Part, law: np.ndarray) -> float:
 
 def rounding(commands: np.ndarray, resolution: float) -> float:
     """Return the rms that a law may leave of commands."""
-    return STEPS * resolution / float(np.sqrt(12.0)) + EXACT * float(np.sqrt(np.mean(commands**2)))
+    return STEPS * resolution / float(np.sqrt(12.0)) + RELATIVE_ERROR * float(np.sqrt(np.mean(commands**2)))
 
 
 def command_resolution(commands: np.ndarray) -> float:

@@ -65,7 +65,7 @@ from SENSORS import measure as measure_affected
 from SENSORS import remember, start
 
 from controllers.feedback import feedback_step
-from virtual_bus.plant.jit import compiled_for_threads
+from virtual_bus.compilation.jit import compiled_for_threads
 from virtual_bus.sensors.encoder import quantised
 from virtual_bus.sensors.measure import measure
 

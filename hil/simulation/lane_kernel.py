@@ -67,7 +67,7 @@ from PLANT import imu as imu_of_one
 from PLANT import mass_and_bias as mass_and_bias_of_one
 from virtual_bus.plant import side_by_side
 from virtual_bus.plant.drives import drive_currents
-from virtual_bus.plant.jit import compiled, compiled_for_threads
+from virtual_bus.compilation.jit import compiled, compiled_for_threads
 from virtual_bus.sensors.current import current_reading
 from virtual_bus.sensors.effects import SensorEffects, SensorMemory, remember
 from virtual_bus.sensors.encoder import encoder_reading, quantised, summed_position

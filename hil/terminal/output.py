@@ -6,13 +6,13 @@ import dataclasses
 import json
 import math
 import sys
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hil.errors import UnusableInputError
+from hil.files.writable import refuse_unwritable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -62,45 +62,6 @@ class Answer:
             Path(self._json_to).write_text(text, encoding="utf-8")
 
 
-def refuse_unwritable(file: Path, named: str) -> None:
-    """Refuse a file that cannot be written, before the work is done and not after it.
-
-    Nothing is written. Where there is no such file yet, an unnamed temporary file is made in its folder and removed at once, since
-    permissions and mount options alone do not show everything that may prevent writing. A device or a pipe is left alone.
-
-    Raises
-    ------
-    UnusableInputError
-        `named` and what is wrong.
-    """
-    folder = file.absolute().parent
-    if not folder.is_dir():
-        raise UnusableInputError(f"{named}: there is no folder {file.parent}; make it first")
-    if file.is_dir():
-        raise UnusableInputError(f"{named}: is a folder; give a file in it")
-    try:
-        if file.is_file():
-            file.open("ab").close()
-        elif not file.exists():
-            refuse_unwritable_folder(folder, named)
-    except OSError as error:
-        raise UnusableInputError(f"{named}: cannot be written: {error.strerror}; give another place") from None
-
-
-def refuse_unwritable_folder(folder: Path, named: str) -> None:
-    """Refuse an existing folder that cannot be written to.
-
-    Raises
-    ------
-    UnusableInputError
-        `named` and what is wrong.
-    """
-    try:
-        tempfile.TemporaryFile(dir=folder).close()
-    except OSError as error:
-        raise UnusableInputError(f"{named}: cannot be written to: {error.strerror}; give another place") from None
-
-
 def plain(value: object) -> object:
     """Return the value in JSON's own types: arrays as lists, dataclasses as objects, NaN and infinities as null."""
     if isinstance(value, dict):
@@ -114,7 +75,7 @@ def plain(value: object) -> object:
     if isinstance(value, Path):
         return str(value)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return plain({field.name: getattr(value, field.name) for field in dataclasses.fields(value)})
+        return plain({each.name: getattr(value, each.name) for each in dataclasses.fields(value) if each.metadata.get("json", True)})
     return value
 
 

@@ -6,10 +6,11 @@ import math
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from types import CellType, FunctionType, ModuleType
+from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
     from rich.progress import TaskID
@@ -61,33 +62,79 @@ class _Task:
         return max(0.0, (self.total - done) * (ended_s - began_s) / (done - before) - (now_s - ended_s))
 
 
+class Dispatcher(Protocol):
+    """A function as numba wraps it."""
+
+    py_func: FunctionType
+    overloads: Mapping[object, object]
+    """What it was compiled for."""
+    targetoptions: Mapping[str, object]
+
+
 class _Compiled:
-    """Counts what numba compiles in this process, once it is there."""
+    """Follows what numba compiles in this process, once numba is there."""
 
     def __init__(self) -> None:
-        self.begun = self.ended = 0
+        self._running: list[Dispatcher] = []  # each for the sake of the one before
+        self._called: dict[int, list[Dispatcher]] = {}  # by identity of the function for whose sake others are compiled: it, and they
+        self._ended: set[int] = set()
         self._listens = False
 
     def say(self) -> str:
-        """Return that functions are being compiled, and how many were, in words; "" where none is."""
-        if not self._listens and "numba.core.event" in sys.modules:
-            self._listens = True
-            self._listen()
-        return f", compiling (once on a computer), {self.ended} functions so far" if self.begun > self.ended else ""
+        """Return that functions are compiled, how many were and how many are left, in words; "" where none is compiled now."""
+        self.listen()
+        running = list(self._running)
+        if not running:
+            return ""
+        called = self._called.get(id(running[0]), running)
+        left = sum(1 for each in called if id(each) not in self._ended and not each.overloads)
+        return f", compiling (once on a computer): {len(self._ended)} functions done, {left} left"
 
-    def _listen(self) -> None:
+    def listen(self) -> None:
+        """Begin to follow, where numba is there: before, nothing is compiled."""
+        if self._listens or "numba.core.event" not in sys.modules:
+            return
+        self._listens = True
         from numba.core import event
 
         counted = self
 
         class Listener(event.Listener):
-            def on_start(self, occasion: object) -> None:
-                counted.begun += 1
+            def on_start(self, occasion: event.Event) -> None:
+                function = occasion.data["dispatcher"]
+                if not counted._running:
+                    counted._called[id(function)] = _with_called(function)
+                counted._running.append(function)
 
-            def on_end(self, occasion: object) -> None:
-                counted.ended += 1
+            def on_end(self, occasion: event.Event) -> None:
+                if counted._running:  # one that began before anybody listened has no beginning
+                    counted._running.pop()
+                counted._ended.add(id(occasion.data["dispatcher"]))
 
         event.register("numba:compile", Listener())  # type: ignore[no-untyped-call]
+
+
+def _with_called(function: Dispatcher) -> list[Dispatcher]:
+    """Return a function and all that it calls by name, directly or not, of which each is compiled for itself."""
+    found: dict[int, Dispatcher] = {}
+    waiting = [function]
+    while waiting:
+        one = waiting.pop()
+        if id(one) in found or one.targetoptions.get("inline") == "always":  # which is part of its caller
+            continue
+        found[id(one)] = one
+        waiting += [each for each in _named_in(one.py_func) if hasattr(each, "py_func") and hasattr(each, "overloads")]
+    return list(found.values())
+
+
+def _named_in(function: FunctionType) -> Iterator[Any]:
+    """Yield what the names in a function's code stand for: globals, what it closes over, members of modules, elements of tuples."""
+    code = function.__code__
+    cells = [cell.cell_contents for cell in function.__closure__ or () if cell != CellType()]
+    for found in (*(function.__globals__[name] for name in code.co_names if name in function.__globals__), *cells):
+        yield from found if isinstance(found, tuple) else (found,)
+        if isinstance(found, ModuleType):
+            yield from (getattr(found, name) for name in code.co_names if hasattr(found, name))
 
 
 _compiled = _Compiled()
@@ -154,6 +201,7 @@ def progress(live: bool = True, refresh_Hz: float = 10.0, stays: bool = True) ->
     With `stays` False the bar is gone when the block has ended. With `live` False nothing is shown while the block runs: a drawing thread
     beside a sample loop on the wall clock costs it milliseconds.
     """
+    _compiled.listen()
     if live and not sys.stderr.isatty():
         lines = Lines()
         lines.start()

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import sosfilt
@@ -59,7 +60,7 @@ def test_bench_and_drive_are_the_law(mode: str, sections: np.ndarray, reference_
     assert law.limit == 8.0
 
 
-@settings(max_examples=50, deadline=None, derandomize=True)
+@settings(max_examples=examples(50), deadline=None, derandomize=True)
 @given(
     st.floats(0.0, 100.0),
     st.floats(0.01, 1e3),

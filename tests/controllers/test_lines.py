@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -25,7 +26,7 @@ bands = st.builds(
 
 
 @given(band=bands, seed=st.integers(0, 5))
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=examples(80), deadline=None)
 def test_any_band_gives_ascending_lines_within_it(band: Band, seed: int) -> None:
     lines = band.lines(PERIOD, RATE_HZ, seed)
     assert (np.diff(lines) > 0).all()
@@ -38,7 +39,7 @@ def test_any_band_gives_ascending_lines_within_it(band: Band, seed: int) -> None
 
 
 @given(band=bands.filter(lambda band: band.one_free_in), seed=st.integers(0, 5))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 def test_one_line_of_every_whole_group_stays_free(band: Band, seed: int) -> None:
     every = Band(band.low_Hz, band.high_Hz, band.per_decade, band.dense_Hz, band.odd).lines(PERIOD, RATE_HZ)
     lines = band.lines(PERIOD, RATE_HZ, seed)

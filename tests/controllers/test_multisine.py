@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from controllers.errors import DesignError
+from controllers.hadamard_experiments import mixing_matrix
 from controllers.multisine import Multisine, crest_factor, multisine
-from controllers.orthogonal_experiments import mixing_matrix
 
 PERIOD = 1024
 LINES = np.arange(3, 160, 2)
@@ -55,7 +56,7 @@ def test_single_input_experiments_excite_one_input_each() -> None:
 
 
 @given(weights=st.lists(st.floats(0.01, 10.0), min_size=len(LINES), max_size=len(LINES)))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 def test_weights_shape_the_lines_and_leave_the_rms(weights: list[float]) -> None:
     drawn = multisine(LINES, np.array([1.5]), PERIOD, weights=np.array(weights))
     size = np.abs(spectra(drawn)[:, 0, 0])
@@ -63,7 +64,7 @@ def test_weights_shape_the_lines_and_leave_the_rms(weights: list[float]) -> None
     assert np.sqrt(np.mean(drawn.signals**2)) == pytest.approx(1.5)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("phases", ["random", "optimised"])
 def test_phases_have_no_mean_over_realisations(phases: str) -> None:
     # |mean of M unit vectors| has rms 1/sqrt(M); (3.8) asks for E exp(i phi) = 0

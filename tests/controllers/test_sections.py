@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import scipy.signal
 from control import TransferFunction
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -120,7 +121,7 @@ def test_a_term_that_cannot_be_is_refused(make: Callable[..., object]) -> None:
 
 
 @given(output=st.floats(-8.0, 8.0), order=st.permutations(range(5)))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 def test_a_preloaded_cascade_holds_its_output_wherever_the_integrator_stands(output: float, order: list[int]) -> None:
     sections = np.ascontiguousarray(CONTROLLER[list(order)])
     state = preload_state(sections, output)
@@ -135,7 +136,7 @@ def test_without_an_integrator_only_zero_can_be_held() -> None:
 
 
 @given(position=st.floats(-2.0, 2.0), output=st.floats(-8.0, 8.0))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 def test_separate_filters_with_integrators_hold_together(position: float, output: float) -> None:
     from_reference = loop_shaping.cascade(loop_shaping.pid(80.0, 40.0, 0.0, 30.0, RATE_HZ), loop_shaping.lowpass(50.0, 0.8, RATE_HZ))
     from_position = loop_shaping.cascade(loop_shaping.pid(80.0, 40.0, 5.0, 30.0, RATE_HZ), loop_shaping.lowpass(50.0, 0.8, RATE_HZ))

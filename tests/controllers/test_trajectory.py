@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -28,7 +29,7 @@ def differences(position: np.ndarray) -> list[float]:
 
 
 @given(st.tuples(st.floats(-120, 120), st.floats(-90, 90)), st.tuples(st.floats(-120, 120), st.floats(-90, 90)))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 def test_any_move_keeps_its_limits_by_differences_and_arrives(start: tuple[float, float], goal: tuple[float, float]) -> None:
     start, goal = np.array(start) * DEG, np.array(goal) * DEG
     moved = move(start, goal, LIMITS, RATE_HZ)
@@ -54,7 +55,7 @@ def test_a_sweep_has_a_part_at_its_speed_and_takes_the_closed_form_time(speed_de
 
 
 @given(st.floats(1.0, 60.0))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 def test_a_way_too_short_names_the_way_that_would_do(speed_deg_s: float) -> None:
     speed, start = speed_deg_s * DEG, np.zeros(2)
     needed = way_to_reach(speed, 120 * DEG, 600 * DEG)

@@ -64,6 +64,7 @@ def test_compare_with_the_simulation(empty: Path) -> None:
     assert (empty / "compared.png").stat().st_size > 10_000
 
 
+@pytest.mark.nightly
 def test_scan_without_shaking(empty: Path) -> None:
     seen = script("scan_without_shaking")
     assert seen["after"] < 0.5 * seen["before"]
@@ -85,6 +86,7 @@ def test_stop_on_a_fault(empty: Path) -> None:
     assert "no position" in seen["recorded"].metadata["ended"]["error"]
 
 
+@pytest.mark.nightly
 def test_commission_a_machine(empty: Path) -> None:
     seen = script("commission_a_machine")
     assert seen["found"].ok
@@ -92,6 +94,7 @@ def test_commission_a_machine(empty: Path) -> None:
     assert [step.name for step in seen["found"].steps] == ["check", "home", "record", "identify", "shape", "scan", "compare"]
 
 
+@pytest.mark.nightly
 def test_observe_the_detector(empty: Path) -> None:
     seen = script("observe_the_detector")
     estimate = hil.read_estimate(empty / "scan.est.npz")
@@ -99,6 +102,7 @@ def test_observe_the_detector(empty: Path) -> None:
     assert float(np.mean(estimate["estimate_alarm"])) < 0.05
 
 
+@pytest.mark.nightly
 def test_identify_a_frequency_response(empty: Path) -> None:
     """The lowest mode of the machine file at this pose lies at 8 Hz; of 95 % bounds a few per cent fail."""
     printed = notebook("identify_a_frequency_response", empty)

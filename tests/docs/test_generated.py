@@ -295,11 +295,11 @@ class TestJson:
         effect = result.EffectAt("coulomb_friction", "roll")
         stages = result.Stages(1.0, 1.0, 1.0, 1.0, 1.0)
         spans = {"roll": ((0.0, 1.0),)}
-        finding = result.Finding(effect, 0.9, {"NAME": result.Estimate(1.0, "Nm", (0.0, 2.0))}, (effect,), ((effect,),))
+        finding = result.Finding(effect, 0.9, {"NAME": result.ParameterEstimate(1.0, "Nm", (0.0, 2.0))}, (effect,), ((effect,),))
         whole = result.Diagnosis(
             verdict="explained",
             reason="",
-            findings=(finding, result.Finding(effect, 0.9, {"value": result.Estimate(1.0, "kg", (0.0, 2.0), 3.0)}, kind="number")),
+            findings=(finding, result.Finding(effect, 0.9, {"value": result.ParameterEstimate(1.0, "kg", (0.0, 2.0), 3.0)}, kind="number")),
             hypotheses=(result.Hypothesis((effect,), 0.9),),
             retuned={"OWNER.QUANTITY": result.RetunedValue(1.0, 1.0, "kg", (0.0, 2.0))},
             frozen={"OWNER.QUANTITY": "not shown"},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -45,30 +46,57 @@ def test_every_place_is_there() -> None:
 
 METHODS = {
     "multisine": "controllers/multisine.py",
-    "jog mode": "controllers/jog.py",
-    "best linear approximation": "hil/identification/bla/best_linear_approximation.py",
-    "harmonic time-delay filter": "controllers/shapers/harmonic_time_delay.py",
+    "jog": "controllers/jog.py",
+    "robust bla": "hil/identification/bla/robust_bla.py",
+    "fast bla": "hil/identification/bla/fast_bla.py",
+    "harmonic time delay": "controllers/shapers/harmonic_time_delay.py",
+    "closed form htdf": "controllers/shapers/closed_form_htdf.py",
     "zero inversion": "controllers/shapers/zero_inversion.py",
     "shortest delays": "controllers/shapers/shortest_delays.py",
     "phantom calibration": "hil/calibration/phantom/phantom_calibration.py",
     "focal spot": "hil/calibration/marker/focal_spot.py",
-    "Kalman filter": "controllers/observers/kalman.py",
-    "extended Kalman filter": "controllers/observers/extended.py",
-    "unscented Kalman filter": "controllers/observers/unscented.py",
-    "parameters as states": "hil/calibration/data_driven/parameter_filter.py",
-    "Denavit-Hartenberg identification": "hil/calibration/kinematic/identify_denavit_hartenberg.py",
-    "hybrid median filter": "hil/imaging/markers/hybrid_median.py",
-    "Hadamard experiments": "controllers/orthogonal_experiments.py",
+    "kalman": "controllers/observers/kalman.py",
+    "extended kalman": "controllers/observers/extended_kalman.py",
+    "unscented kalman": "controllers/observers/unscented_kalman.py",
+    "parameter states": "hil/calibration/parameter_states/filter.py",
+    "parameter filter": "hil/calibration/data_driven/parameter_filter.py",
+    "identify denavit hartenberg": "hil/calibration/kinematic/identify_denavit_hartenberg.py",
+    "hybrid median": "hil/imaging/markers/hybrid_median.py",
+    "canny hough": "hil/imaging/markers/canny_hough.py",
+    "hadamard experiments": "controllers/hadamard_experiments.py",
     "detection lines": "hil/identification/bla/detection_lines.py",
-    "nD-LPM and nD-LRM": "hil/identification/over_poses/nd_lpm_lrm.py",
-    "wire evaluation": "hil/reconstruction/wire_profiles.py",
+    "nd lpm lrm": "hil/identification/lpm_lrm/nd_lpm_lrm.py",
+    "wire profiles": "hil/reconstruction/wire_profiles.py",
 }
 """Where a reader who knows the thesis and the list of files alone looks for a method."""
+
+OF_THE_BUS = {
+    "canopen heartbeat consumer": ("drivers/canopen/heartbeat_consumer.py", "virtual_bus/canopen/heartbeat_consumer.py"),
+    "brake proof": ("drivers/canopen/brake_proof.py",),
+    "quick stop": ("drivers/canopen/quick_stop.py",),
+}
+"""The same for what the standards of the bus name."""
+
+
+def found_by(words: str) -> tuple[str, ...]:
+    """Return the files of the four packages whose folders and names hold all the words."""
+    files = [
+        path.relative_to(ROOT).as_posix()
+        for floor in ("hil", "virtual_bus", "controllers", "drivers")
+        for path in (ROOT / floor).rglob("*.py")
+    ]
+    return tuple(sorted(file for file in files if set(words.split()) <= set(re.split(r"[/_.]", file))))
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_method_stands_under_its_name_and_in_the_map(method: str) -> None:
+    assert METHODS[method] in found_by(method)
     assert METHODS[method] in {place.partition(":")[0] for place in places_in(PAGE.read_text(encoding="utf-8"))}
+
+
+@pytest.mark.parametrize("method", OF_THE_BUS)
+def test_what_the_standards_name_stands_under_its_name(method: str) -> None:
+    assert found_by(method) == OF_THE_BUS[method]
 
 
 def test_the_sections_are_those_of_the_thesis() -> None:

@@ -10,9 +10,13 @@ MOST_WORDS = 30_000
 BESIDE = ("README.md", "CONTRIBUTING.md", "benchmarks/README.md")
 
 
+NO_PAGES = {"generated", "changes"}
+"""Folders of docs: what the code writes, and the coming lines of the changelog, which is no page either."""
+
+
 def by_hand(root: Path) -> list[Path]:
-    """List the pages that are written by hand: of docs all but the generated ones, and those beside it."""
-    pages = [path for path in (root / "docs").rglob("*.md") if "generated" not in path.relative_to(root).parts]
+    """List the pages that are written by hand: of docs all but `NO_PAGES`, and those beside it."""
+    pages = [path for path in (root / "docs").rglob("*.md") if NO_PAGES.isdisjoint(path.relative_to(root).parts)]
     return sorted([*pages, *(root / name for name in BESIDE if (root / name).is_file())])
 
 
@@ -29,7 +33,7 @@ def test_the_pages_written_by_hand_stay_short() -> None:
 
 def test_generated_pages_are_not_counted_and_all_others_are(tmp_path: Path) -> None:
     """In any folder of docs."""
-    for name in ("docs/index.md", "docs/how-to/a.md", "docs/generated/b.md", "README.md", "benchmarks/README.md"):
+    for name in ("docs/index.md", "docs/how-to/a.md", "docs/generated/b.md", "docs/changes/c.md", "README.md", "benchmarks/README.md"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("two words\n")
     assert [path.relative_to(tmp_path).as_posix() for path in by_hand(tmp_path)] == [

@@ -1,4 +1,4 @@
-"""What the repository holds besides code stays small."""
+"""What the repository holds besides code stays small, and its top level is the one that is agreed on."""
 
 from __future__ import annotations
 
@@ -11,6 +11,13 @@ from places import ROOT
 
 MOST_OF_RESULTS_BYTES = 3_000_000
 
+TOP_LEVEL = {
+    *("hil", "drivers", "controllers", "virtual_bus", "tests", "docs", "benchmarks"),
+    *("pyproject.toml", "README.md", "CHANGELOG.md", "CONTRIBUTING.md", "CITATION.cff", "LICENSE", "Containerfile"),
+    *(".ci", ".github", ".gitignore", ".pre-commit-config.yaml"),
+}
+"""The rooms, and the files that a project of this kind usually has."""
+
 
 def tracked(folder: str) -> list[Path]:
     """Return the files under version control below a folder."""
@@ -18,6 +25,10 @@ def tracked(folder: str) -> list[Path]:
     if listing.returncode:
         pytest.skip("not a checkout")
     return [path for name in listing.stdout.decode().split("\0") if name and (path := ROOT / name).is_file()]
+
+
+def test_the_top_level_is_the_one_that_is_agreed_on() -> None:
+    assert {path.relative_to(ROOT).parts[0] for path in tracked(".")} == TOP_LEVEL
 
 
 def test_results_of_benchmarks_are_todays_alone() -> None:

@@ -1,4 +1,4 @@
-"""No circle of files anywhere, and every room of `hil` knows only the rooms that it may."""
+"""No circle of files or folders anywhere, and every room of `hil` knows only the rooms that it may."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "simulation",
     ),
     "diagnosis": ("experiments", "files", "machine", "pages", "processes", "recording", "reports", "simulation"),
-    "tasks": (
+    "verbs": (
         "bench",
         "calibration",
         "diagnosis",
@@ -58,6 +58,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "machine",
         "observing",
         "pages",
+        "reconstruction",
         "recording",
         "reports",
         "shaping",
@@ -76,14 +77,14 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "recording",
         "reports",
         "simulation",
-        "tasks",
+        "verbs",
         "version",
     ),
-    "terminal": ("recording",),
+    "terminal": ("files", "recording"),
     "faults": ("bench", "experiments", "machine", "pages", "recording", "reports", "terminal", "version"),
     "conform": (),
     "doctor": ("bench", "emulated", "experiments", "extras", "machine", "processes"),
-    "console": ("bench", "emulated", "experiments", "files", "machine", "processes", "recording"),
+    "console": ("bench", "emulated", "experiments", "files", "machine", "processes", "recording", "reports", "verbs"),
     "demo": ("bench", "diagnosis", "experiments", "files", "machine", "pages", "recording", "reports", "simulation", "terminal"),
     "cli": (
         "bench",
@@ -112,7 +113,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "reports",
         "shaping",
         "simulation",
-        "tasks",
+        "verbs",
         "terminal",
         "version",
     ),
@@ -177,6 +178,25 @@ def circles(graph: dict[str, set[str]]) -> list[list[str]]:
     return found
 
 
+def folders_of(root: Path) -> dict[str, set[str]]:
+    """Which folder imports which, as `graph_of`.
+
+    A folder is whatever stands in it. Where it holds further folders, each of its own files counts beside them: what is built on the
+    folders and what they are built on may both stand there, a circle through one of them may not.
+    """
+    files = files_of(root)
+    holders = {folder for path in files.values() for folder in path.parent.parents}
+
+    def folder(module: str) -> str:
+        path = files[module]
+        return (path if path.parent in holders else path.parent).relative_to(root).as_posix()
+
+    graph: dict[str, set[str]] = {folder(module): set() for module in files}
+    for module, others in graph_of(root).items():
+        graph[folder(module)] |= {folder(other) for other in others} - {folder(module)}
+    return graph
+
+
 def room_of(module: str) -> str:
     """The room of a module of `hil`, "" for any other."""
     parts = module.split(".")
@@ -211,6 +231,10 @@ def test_no_files_import_each_other_in_a_circle() -> None:
     assert circles(graph_of(ROOT)) == []
 
 
+def test_no_folders_import_each_other_in_a_circle() -> None:
+    assert circles(folders_of(ROOT)) == []
+
+
 def test_every_room_knows_only_rooms_that_it_may() -> None:
     assert trespasses(ROOT) == []
 
@@ -221,6 +245,12 @@ def test_every_room_has_a_row_and_stands_on_rooms_above_it() -> None:
     assert rooms | loose == set(ROOMS)
     order = list(ROOMS)
     assert [(room, other) for room, others in ROOMS.items() for other in others if order.index(other) >= order.index(room)] == []
+
+
+def test_the_architecture_page_names_every_room() -> None:
+    page = (ROOT / "docs" / "explanation" / "architecture.md").read_text(encoding="utf-8")
+    rooms = {path.parent.name for floor in FLOORS for path in (ROOT / floor).glob("*/__init__.py")}
+    assert sorted(room for room in rooms if f"`{room}/`" not in page) == []
 
 
 @pytest.mark.parametrize(
@@ -236,6 +266,28 @@ def test_a_package_that_imports_a_file_which_imports_it_is_a_circle(tmp_path: Pa
     root = house(tmp_path, {"hil/room/inner.py": "from hil.room import public\n"})
     (root / "hil/room/__init__.py").write_text("from hil.room.inner import public\n")
     assert circles(graph_of(root)) == [["hil.room", "hil.room.inner"]]
+
+
+@pytest.mark.parametrize(
+    ("back", "found"),
+    [
+        ("from hil.room.above import f\n", ["hil/room/above.py", "hil/room/inner"]),  # a parent's own file
+        ("def f():\n    from hil.other.file import g\n", ["hil/other", "hil/room/inner"]),  # by way of another file of the other folder
+        ("from hil.room.below import f\n", []),
+    ],
+)
+def test_a_circle_of_folders_is_found_though_no_files_make_one(tmp_path: Path, back: str, found: list[str]) -> None:
+    files = {
+        "hil/room/above.py": "import hil.room.inner.first\n",
+        "hil/room/below.py": "",
+        "hil/room/inner/first.py": "",
+        "hil/room/inner/second.py": back,
+        "hil/other/file.py": "",
+        "hil/other/more.py": "if TYPE_CHECKING:\n    from hil.room.inner import first\n",
+    }
+    root = house(tmp_path, files)
+    assert circles(graph_of(root)) == []
+    assert circles(folders_of(root)) == ([found] if found else [])
 
 
 def test_a_trespass_is_found(tmp_path: Path) -> None:

@@ -9,8 +9,8 @@ from places import ROOT
 from test_floors import imports_of
 
 STEPS = (
-    "audit", "observed", "seen", "candidates", "tuned", "free_runs", "named", "unknowns", "simulation", "likelihood", "selection",
-    "predicted", "locating", "separating", "answered",
+    "audit", "observed", "residuals", "candidates", "retuning", "free_runs", "model_choice", "unknowns", "simulation", "likelihood",
+    "selection", "prediction", "location", "next_experiment", "verdict",
 )  # fmt: skip
 """Folders of `hil/diagnosis`; `report` and the files beside them but LEAVES stand on all."""
 
@@ -18,7 +18,7 @@ LEAVES = ("__init__", "result")
 """Files of `hil/diagnosis` that know nothing of it."""
 
 HERE = "hil.diagnosis"
-OUTSIDE = ("hil.cli", "hil.demo", "hil.tasks")
+OUTSIDE = ("hil.cli", "hil.demo", "hil.verbs")
 """Of the bench, what knows the diagnosis itself."""
 
 
@@ -52,17 +52,17 @@ def test_a_step_of_the_diagnosis_knows_only_the_steps_before_it() -> None:
 @pytest.mark.parametrize(
     ("file", "text"),
     [
-        ("named/form.py", "from hil.diagnosis.predicted.open_runs import Runs"),
-        ("named/form.py", "from hil.diagnosis.diagnose import diagnose"),
-        ("named/form.py", "import hil.diagnosis.report.page"),
-        ("named/form.py", "from ..predicted import open_runs"),
-        ("named/form.py", "from hil.diagnosis import predicted"),
-        ("named/form.py", "import hil.diagnosis"),
-        ("named/form.py", "from hil import diagnosis"),
-        ("named/form.py", "def late():\n    from hil.diagnosis.answered.answer import answer"),
+        ("model_choice/form_error.py", "from hil.diagnosis.prediction.open_runs import Runs"),
+        ("model_choice/form_error.py", "from hil.diagnosis.diagnose import diagnose"),
+        ("model_choice/form_error.py", "import hil.diagnosis.report.page"),
+        ("model_choice/form_error.py", "from ..prediction import open_runs"),
+        ("model_choice/form_error.py", "from hil.diagnosis import prediction"),
+        ("model_choice/form_error.py", "import hil.diagnosis"),
+        ("model_choice/form_error.py", "from hil import diagnosis"),
+        ("model_choice/form_error.py", "def late():\n    from hil.diagnosis.verdict.answer import answer"),
         ("audit/alike.py", "from hil.diagnosis.observed.rows import Observed"),
-        ("answered/answer.py", "from hil.cli.diagnose import command"),
-        ("result.py", "from hil.diagnosis.named.naming import Named"),
+        ("verdict/answer.py", "from hil.cli.diagnose import command"),
+        ("result.py", "from hil.diagnosis.model_choice.choose import Choice"),
         ("__init__.py", "from hil.diagnosis.diagnose import diagnose"),
     ],
 )
@@ -75,10 +75,15 @@ def test_a_climbing_step_is_found(tmp_path: Path, file: str, text: str) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["from hil.diagnosis.result import EffectAt", "import hil.diagnosis.result", "from hil.diagnosis import tuned", "from . import form"],
+    [
+        "from hil.diagnosis.result import EffectAt",
+        "import hil.diagnosis.result",
+        "from hil.diagnosis import retuning",
+        "from . import covariance",
+    ],
 )
 def test_a_step_down_is_none(tmp_path: Path, text: str) -> None:
-    path = tmp_path / "hil" / "diagnosis" / "named" / "form.py"
+    path = tmp_path / "hil" / "diagnosis" / "model_choice" / "form_error.py"
     path.parent.mkdir(parents=True)
     path.write_text(text + "\n")
     assert climbing_steps(tmp_path) == []

@@ -21,7 +21,7 @@ class Outcome:
     @property
     def line(self) -> str:
         """The one line of an error: there must be no other, and it must not be a traceback."""
-        lines = self.err.splitlines()
+        lines = [line for line in self.err.splitlines() if not line.startswith("... ")]  # progress of a slow computer aside
         assert len(lines) == 1, self.err
         assert lines[0].startswith("isocenter: "), self.err
         assert "Traceback" not in self.err

@@ -190,6 +190,12 @@ class SpinningMasses:
         latched.temperature_degC[:] = self.temperature_degC
         return latched
 
+    def seen_by_imu(self) -> np.ndarray:
+        return self.latch_exactly().imu
+
+    def read_by_imu(self, seen: np.ndarray) -> np.ndarray:
+        return seen
+
     def advance(self) -> None:
         self.advanced += 1
         moving = ~self.closed

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from scripted_nodes import machine_settings
 
-from drivers.canopen.axis_stop import AxisStop
+from drivers.canopen.quick_stop import AxisStop
 from drivers.interface import Sample
 from drivers.settings import MotionLimits
 

@@ -11,8 +11,8 @@ import can
 from scripted_nodes import machine_settings
 
 from drivers.canopen.cyclic import CyclicExchange
+from drivers.canopen.heartbeat_consumer import HeartbeatConsumer
 from drivers.canopen.network import PolledNetwork
-from drivers.canopen.supervision import Supervision
 from drivers.interface import Sample
 from drivers.settings import Node
 
@@ -99,8 +99,8 @@ class Machine:
             machine_settings(), nodes=tuple(all_nodes[:nodes]), sync_period_s=PERIOD_S, answer_timeout_s=PATIENCE_S
         )
         settings = dataclasses.replace(settings, **changes)
-        self.supervision = Supervision(self.network, settings.nodes)
-        self.cyclic = CyclicExchange(self.network, settings, self.supervision)
+        self.heartbeats = HeartbeatConsumer(self.network, settings.nodes)
+        self.cyclic = CyclicExchange(self.network, settings, self.heartbeats)
         self.sample = Sample(2)
 
     def tick(self, *frames: Frame | can.Message, efforts: Sequence[float] = (0.0, 0.0)) -> Sample:

@@ -18,7 +18,8 @@ from virtual_bus.canopen import communication, pdo_rules
 from virtual_bus.canopen.cob_id import CAN_ID, SYNC
 from virtual_bus.canopen.emergency import HEARTBEAT_ERROR, Emergency
 from virtual_bus.canopen.guarding import Guarding
-from virtual_bus.canopen.heartbeat import HeartbeatConsumer, HeartbeatProducer
+from virtual_bus.canopen.heartbeat_consumer import HeartbeatConsumer
+from virtual_bus.canopen.heartbeat_producer import HeartbeatProducer
 from virtual_bus.canopen.lss import REQUEST, UNCONFIGURED, LssSlave
 from virtual_bus.canopen.nmt import NMT_COMMANDS, STATE_AFTER, NmtCommand, NmtState
 from virtual_bus.canopen.objects import Entry, Objects, Value, key_of

@@ -12,10 +12,10 @@ from functools import lru_cache
 
 import numpy as np
 
+from virtual_bus.compilation.cache_keys import Same
 from virtual_bus.effects.effect import Effect, Parameter
 from virtual_bus.effects.places import joint_of_place
 from virtual_bus.effects.registry import effects
-from virtual_bus.plant.same import Same
 from virtual_bus.settings import Body, Drive, Joint, PlantSettings
 
 TIMES = 10.0

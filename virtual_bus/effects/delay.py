@@ -20,8 +20,8 @@ EFFECT = Effect(
     ),
     equation="u(t - Td)",
     convention=(
-        "the target applied at SYNC k acts from Td later on; whole and broken samples; the measured current is what the delayed target is "
-        "in the mean over the sample period that begins at the SYNC"
+        "the target applied at SYNC k acts from Td later on; whole and broken samples; the measured current is that of the target on which "
+        "the drive acts at the SYNC: a delay of a whole and a broken part of samples is over only after it"
     ),
     neighbours=("clock_offset", "drive_bandwidth", "structural_mode"),
     source="Åström and Wittenmark 1997, Sec. 3.2",

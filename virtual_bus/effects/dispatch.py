@@ -6,14 +6,14 @@ import inspect
 from functools import cache
 from types import ModuleType
 
+from virtual_bus.compilation import jit
+from virtual_bus.compilation.generated_modules import load_generated
 from virtual_bus.effects import motion
 from virtual_bus.effects.registry import dispatcher_text, effect_sources
-from virtual_bus.plant import jit
-from virtual_bus.plant.modules import load_generated
 
 HEADER = '''"""Generated: the hooks of all effects by number; do not edit."""
 
-from virtual_bus.plant.jit import compiled, compiled_inside
+from virtual_bus.compilation.jit import compiled, compiled_inside
 '''
 FUNCTIONS = {  # name in the generated module: hook of the effect files, what an effect without it returns
     "friction_of": ("level", "0.0"),

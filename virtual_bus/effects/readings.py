@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-SURE = 20.0
+LEAST_PAIRS = 20.0
 """Events of a kind that chance would have made, of which none is there: it makes none once in e^20."""
 APART = 1.5
 """Steps of the file's lattice between neighbouring readings, below which they are neighbours on it."""
@@ -84,7 +84,7 @@ def coarser_lattice(readings: Readings) -> tuple[float, float, int] | None:
     """Return the step of a lattice that is coarser than the known one, how unsure it is, and how many of its steps were seen.
 
     None where readings are on the known lattice. Motions read off a fine lattice have neighbours on it: were the readings spread over it,
-    SURE pairs of them at least would be closer than the closest are.
+    LEAST_PAIRS pairs of them at least would be closer than the closest are.
     """
     values = np.concatenate([each[np.isfinite(each)] for each in readings.values])
     seen = np.unique(values)
@@ -97,7 +97,7 @@ def coarser_lattice(readings: Readings) -> tuple[float, float, int] | None:
     if not APART * readings.step < least < reach:
         return None
     count = len(gaps)
-    if count * -np.expm1(-(least - APART * readings.step) * count / reach) < SURE:
+    if count * -np.expm1(-(least - APART * readings.step) * count / reach) < LEAST_PAIRS:
         return None
     return _lattice(seen, least, readings.step)
 
@@ -115,7 +115,7 @@ def _lattice(seen: np.ndarray, least: float, step: float) -> tuple[float, float,
         left = away[inside] - size * number
         if np.max(np.abs(left - np.median(left))) > step + 0.25 * (size - step):
             return None
-        if inside.all() or np.count_nonzero(inside) >= SURE:  # a few say less of the size than the mean of all that are close
+        if inside.all() or np.count_nonzero(inside) >= LEAST_PAIRS:  # a few say less of the size than the mean of all that are close
             size, start = np.polyfit(number, away[inside], 1)
             away = away - start
         if inside.all():
@@ -154,7 +154,7 @@ def held_readings(readings: Readings) -> Held | None:
         rows += int(np.sum(shows))
         next_to_it += int(np.sum(shows & ~still & (np.abs(change) < 1.5 * step)))
     expected = float(next_to_it)  # twice what chance makes: steps up and steps down
-    if sure <= expected + SURE + 5.0 * np.sqrt(expected):
+    if sure <= expected + LEAST_PAIRS + 5.0 * np.sqrt(expected):
         return None
     return Held(tuple(held), count, most, rows)
 

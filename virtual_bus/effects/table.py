@@ -19,6 +19,8 @@ MAX_SHARED = 8
 MAX_REACTIONS = 8
 LIMITS = 2  # of a drive's current: what its supply gives, then what its amplifier passes
 HELD_SAMPLES = 16  # targets that a delayed drive remembers
+WHOLE = 1e-9
+"""Of a sample: a delay this close to whole samples is meant to be whole."""
 ROW = 1 + MAX_PARAMETERS  # effect number, then its parameters
 
 
@@ -154,7 +156,8 @@ def fill_drives(record: np.record, chosen: Sequence[EffectSetting], ratio_of_axi
             if samples >= HELD_SAMPLES:
                 most = HELD_SAMPLES * settings.sample_period_s
                 raise EffectError(f"{setting.name} at {setting.at!r}: Td = {values[0]:g} s: a drive here remembers less than {most:g} s")
-            record["delay_samples"][axes.index(setting.at)] = samples
+            whole = round(samples)  # a quotient of decimal fractions misses it by little, which would decide what flows at a SYNC
+            record["delay_samples"][axes.index(setting.at)] = whole if abs(samples - whole) < WHOLE else samples
         elif hasattr(module, "transition"):
             axis = axes.index(setting.at)
             record["is_lagging"][axis] = values[0] > 0.0

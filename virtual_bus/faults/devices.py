@@ -132,7 +132,7 @@ class FaultyImu(EmulatedImu):
     Attributes
     ----------
     readings : Seam
-        Key "": from a sample (6,) to another.
+        Key "": from the reading (6,) of a message to another.
     messages : Seam
         Key "": from the bytes of a measurement message to those on the line.
     """
@@ -143,21 +143,18 @@ class FaultyImu(EmulatedImu):
         self._rehearsing = False
         super().__init__()
 
-    def on_sync(self, imu: np.ndarray, time_s: float) -> bytes:
-        """Take the rising SYNC line with the sample of this instant."""
-        for change in self.readings.at(""):
-            imu = change(imu)
-        return super().on_sync(imu, time_s)
-
     def rehearse(self) -> None:
         """Prepare a message without sending it."""
         self._rehearsing = True
         super().rehearse()
         self._rehearsing = False
 
-    def _mtdata2(self, device_time_s: float, status: int) -> bytes:
-        message = super()._mtdata2(device_time_s, status)
-        if not self._rehearsing:
-            for change in self.messages.at(""):
-                message = change(message)
+    def _mtdata2(self, device_time_s: float, status: int, imu: np.ndarray) -> bytes:
+        if self._rehearsing:
+            return super()._mtdata2(device_time_s, status, imu)
+        for of_reading in self.readings.at(""):
+            imu = of_reading(imu)
+        message = super()._mtdata2(device_time_s, status, imu)
+        for of_message in self.messages.at(""):
+            message = of_message(message)
         return message

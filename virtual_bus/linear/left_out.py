@@ -14,8 +14,11 @@ class LeftOut:
     """An effect of a machine that a linear model of it does not hold, or not wholly."""
 
     name: str
+    """Of the effect."""
     at: str
+    """Its place."""
     why: str
+    """Why it is left out."""
 
 
 def left_out(settings: Iterable[EffectSetting]) -> tuple[LeftOut, ...]:

@@ -5,7 +5,7 @@ Command k acts from SYNC k + 1 on, its drive's delay d T + f T (d whole, 0 <= f 
     x_(k+1) = e^(A T) x_k + N u_(k-d) + O u_(k-d-1),   u_k = command_(k-1),
     N = int_0^((1-f) T) e^(A s) B ds,   O = int_(0)^(T) e^(A s) B ds - N.
 
-What passes to a reading at once is the drive's target in the mean over the coming period, (1 - f) u_(k-d) + f u_(k-d-1). A reading that is
+What passes to a reading at once is the target on which the drive acts at the SYNC: u_(k-d), and u_(k-d-1) where f > 0. A reading that is
 old is a cubic through the samples about its age, as the emulated sensors read it (`virtual_bus/sensors/effects.py`).
 """
 
@@ -18,11 +18,9 @@ from itertools import pairwise
 import numpy as np
 import scipy.linalg
 
+from virtual_bus.effects.table import WHOLE
 from virtual_bus.linear.left_out import LeftOut
 from virtual_bus.linear.plant import LinearPlant
-
-WHOLE = 1e-9
-"""Of a sample: a delay this close to whole samples is meant to be whole."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,10 +87,9 @@ def sampled(plant: LinearPlant, period_s: float, outputs: Sequence[str]) -> Samp
         acting, share = newest + whole[axis], part[axis]
         new = whole_period[:, axis] if share == 0.0 else _held(a, b[:, [axis]], (1.0 - share) * period_s)[1][:, 0]
         step[:n, acting] += new
-        now[:, acting] += (1.0 - share) * d[:, axis]
+        now[:, acting + (share > 0.0)] += d[:, axis]
         if share > 0.0:
             step[:n, acting + 1] += whole_period[:, axis] - new
-            now[:, acting + 1] += share * d[:, axis]
     read = np.zeros_like(now)
     for number, each in enumerate(weights):
         last = first[axes + number]

@@ -33,16 +33,17 @@ from types import ModuleType
 
 import numpy as np
 
+from virtual_bus.compilation import jit
+from virtual_bus.compilation.cache_keys import Same
+from virtual_bus.compilation.generated_modules import load_generated
 from virtual_bus.effects import motion, table
 from virtual_bus.effects.dispatch import dispatch_sources
 from virtual_bus.errors import EffectError, PlantError
-from virtual_bus.plant import drives, friction, integrator, jit, linear, reactions, readings, records, terms
+from virtual_bus.plant import drives, friction, integrator, linear, reactions, readings, records, terms
 from virtual_bus.plant.checks import check_plant
 from virtual_bus.plant.generate import PlantText, plant_text
 from virtual_bus.plant.low_pass import fill_low_pass
-from virtual_bus.plant.modules import load_generated
 from virtual_bus.plant.parameters import AXES, PlantParameter, plant_parameters
-from virtual_bus.plant.same import Same
 from virtual_bus.settings import EffectSetting, PlantSettings
 
 # compiled into every generated plant
@@ -57,7 +58,7 @@ AT_POSES = '''"""Generated: equations of one plant at many poses; do not edit.""
 
 from PLANT import evaluate_equations, evaluate_imu
 
-from virtual_bus.plant.jit import compiled_and_cached
+from virtual_bus.compilation.jit import compiled_and_cached
 
 
 @compiled_and_cached

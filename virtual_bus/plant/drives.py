@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from virtual_bus.compilation.jit import compiled
 from virtual_bus.effects.motion import DriveState, LimitedBy, RippleOf
 from virtual_bus.effects.table import HELD_SAMPLES, LIMITS
-from virtual_bus.plant.jit import compiled
 
 DRIVE_STATES = 2 + HELD_SAMPLES
 
@@ -47,18 +47,15 @@ def held_target(axis: int, first: int, begin: float, end: float, state: np.ndarr
 
 @compiled
 def target_at_sync(axis: int, first: int, state: np.ndarray, effort: np.ndarray, model: np.record) -> float:
-    """Return the mean target of a delayed drive over the sample period that begins at a SYNC.
-
-    A delay shorter than a period takes its share from the older target.
-    """
+    """Return the target on which a drive acts at a SYNC: where its delay ends within the period that begins, still the older one."""
     samples = model.delay_samples[axis]
     whole = int(samples)
     held = first + axis * DRIVE_STATES + 2
+    if samples > whole:
+        older: float = state[held + whole]
+        return older
     newer: float = effort[axis] if whole == 0 else state[held + whole - 1]
-    if samples == whole:
-        return newer
-    mean: float = newer + (samples - whole) * (state[held + whole] - newer)
-    return mean
+    return newer
 
 
 @compiled

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from virtual_bus.compilation.jit import compiled
 from virtual_bus.effects.motion import FrictionOf, JointState, ReactionOf
-from virtual_bus.plant.jit import compiled
 from virtual_bus.plant.reactions import solve_reaction
 
 SWEEPS = 4  # Gauss-Seidel over the joints with friction; the inertia couples them weakly, so two sweeps are mostly enough

@@ -16,7 +16,7 @@ from math import cos, sin
 
 from EFFECTS import effort_of, friction_of, limited_by, reaction_of, ripple_of, terms_of
 from virtual_bus.plant import drives, integrator, readings, terms
-from virtual_bus.plant.jit import compiled_and_cached, compiled_inside
+from virtual_bus.compilation.jit import compiled_and_cached, compiled_inside
 '''
 
 ENTRY_POINTS = """

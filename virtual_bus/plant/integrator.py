@@ -12,11 +12,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from virtual_bus.compilation.jit import compiled
 from virtual_bus.effects.motion import FrictionOf, LimitedBy, ReactionOf, RippleOf
 from virtual_bus.effects.table import MAX_REACTIONS
 from virtual_bus.plant.drives import DRIVE_STATES, drive_joints, load_joints, remember_targets
 from virtual_bus.plant.friction import rub, rubs
-from virtual_bus.plant.jit import compiled
 from virtual_bus.plant.linear import invert, multiply
 from virtual_bus.plant.reactions import begin_reactions, end_reactions
 from virtual_bus.plant.records import Equations

@@ -26,7 +26,7 @@ from numba.core.typeconv.castgraph import Conversion
 from numba.core.typing.templates import AbstractTemplate, AttributeTemplate, Signature, infer_getattr, infer_global, signature
 from numba.extending import intrinsic, models, register_model
 
-from virtual_bus.plant.jit import FAST_MATH
+from virtual_bus.compilation.jit import FAST_MATH
 
 LANES = 8  # doubles in one register of AVX-512, or in two of AVX2
 ALIGNMENT = 64  # bytes: a vector that straddles two cache lines takes two reads

@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
+from virtual_bus.compilation.jit import compiled
 from virtual_bus.effects.motion import ReactionOf, ReactionState
-from virtual_bus.plant.jit import compiled
 
 ITERATIONS = 40  # of the secant rule on one effort; two or three are mostly enough
 HALVED_FROM = 4  # from this try on every second one halves the bracket: stiff bristles about to slip bend the secant to one side

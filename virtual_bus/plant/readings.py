@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from virtual_bus.compilation.jit import compiled
 from virtual_bus.effects.motion import FrictionOf, LimitedBy, ReactionOf, RippleOf
 from virtual_bus.plant.drives import load_instant
 from virtual_bus.plant.friction import SHARED_SWEEPS, STUCK_SPEED, SWEEPS, friction_level, rubs, shared_level, shared_speed
 from virtual_bus.plant.integrator import read_imus, read_state
-from virtual_bus.plant.jit import compiled
 from virtual_bus.plant.linear import invert, multiply
 from virtual_bus.plant.reactions import instant_reactions
 from virtual_bus.plant.records import Equations

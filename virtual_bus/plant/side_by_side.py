@@ -13,11 +13,11 @@ from typing import Protocol
 
 import numpy as np
 
+from virtual_bus.compilation.jit import compiled
 from virtual_bus.effects.motion import EffortOf, FrictionOf, LimitedBy, ReactionOf, RippleOf, TermsOf
 from virtual_bus.plant.drives import drive_joints, remember_targets
 from virtual_bus.plant.friction import rubs, settle
 from virtual_bus.plant.integrator import flow, read_imus, respond, second_order
-from virtual_bus.plant.jit import compiled
 from virtual_bus.plant.lanes import LaneRecord
 from virtual_bus.plant.linear import invert
 from virtual_bus.plant.reactions import begin_reactions, end_reactions

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from virtual_bus.compilation.jit import compiled
 from virtual_bus.effects.motion import EffortOf, JointMotion, PairMotion, TermsOf
-from virtual_bus.plant.jit import compiled
 
 
 @compiled

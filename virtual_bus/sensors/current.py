@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from virtual_bus.plant.jit import compiled
+from virtual_bus.compilation.jit import compiled
 from virtual_bus.sensors.encoder import quantised
 from virtual_bus.settings import PlantSettings
 

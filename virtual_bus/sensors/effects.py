@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from virtual_bus.compilation.jit import compiled
 from virtual_bus.effects.motion import EncoderErrorOf, LagOf, LostBy, SignedBy
 from virtual_bus.effects.places import imu_channel_names
 from virtual_bus.effects.registry import module_of
 from virtual_bus.effects.table import ROW, effect_row, values_of, with_hook
-from virtual_bus.plant.jit import compiled
 from virtual_bus.sensors.encoder import quantised
 from virtual_bus.settings import EffectSetting, PlantSettings
 

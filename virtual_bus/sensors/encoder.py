@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from virtual_bus.plant.jit import compiled
+from virtual_bus.compilation.jit import compiled
 from virtual_bus.settings import Encoder, PlantSettings, SpeedSensor
 
 

@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from virtual_bus.compilation.generated_modules import load_generated
+from virtual_bus.compilation.jit import compiled
 from virtual_bus.effects.dispatch import compiled_effects, dispatch_sources
 from virtual_bus.effects.motion import EncoderErrorOf, LagOf, LostBy, SignedBy
-from virtual_bus.plant.jit import compiled
-from virtual_bus.plant.modules import load_generated
 from virtual_bus.sensors import current, effects, encoder, imu, thermometer
 from virtual_bus.sensors.current import current_arrays, current_reading
 from virtual_bus.sensors.effects import (
@@ -228,7 +228,7 @@ def count(position: np.ndarray, resolution: np.ndarray, zero: np.ndarray, counts
 ENTRY_POINTS = '''"""Generated: the sensors as cached entry points; do not edit."""
 
 from EFFECTS import encoder_error_of, lag_of, lost_by, signed_by
-from virtual_bus.plant.jit import compiled_and_cached
+from virtual_bus.compilation.jit import compiled_and_cached
 from virtual_bus.sensors import effects as _effects
 from virtual_bus.sensors import measure as _sensors
 

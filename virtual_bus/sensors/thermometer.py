@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from virtual_bus.plant.jit import compiled
+from virtual_bus.compilation.jit import compiled
 from virtual_bus.settings import PlantSettings
 
 

@@ -6,6 +6,7 @@ its own clock. Source: Xsens, MT Low Level Communication Protocol, MT0101P.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import Enum
 
 import numpy as np
@@ -53,6 +54,10 @@ class State(Enum):
     MEASUREMENT = "measurement"
 
 
+def _as_it_is(sample: np.ndarray) -> np.ndarray:
+    return sample
+
+
 class EmulatedImu:
     """A Xsens tracker. Every method that makes it send returns the bytes it puts on the line.
 
@@ -62,6 +67,11 @@ class EmulatedImu:
         How much faster the device's clock runs than the machine's time.
     product_code, device_id, firmware
         How the device identifies itself.
+
+    Attributes
+    ----------
+    reading_of : callable
+        What a device on its own clock makes at a SYNC of what is there (6,): noise and rounding, once per message.
     """
 
     def __init__(
@@ -84,13 +94,20 @@ class EmulatedImu:
         ]
         self._sync = NO_SYNC
         self._time_s = 0.0  # machine time
-        self._imu: tuple[float, ...] = (0.0,) * 6
+        self._imu = np.zeros(6)  # the sample of that time
+        self._has_sample = False
+        self.reading_of: Callable[[np.ndarray], np.ndarray] = _as_it_is
         self.power_on()
 
     @property
     def state(self) -> State:
         """The present state of the device."""
         return self._state
+
+    @property
+    def is_triggered(self) -> bool:
+        """Whether SYNC makes it send; else its own clock does."""
+        return self._sync.function == SYNC_FUNCTION_SEND_LATEST
 
     def power_on(self) -> bytes:
         """Start anew: send WakeUp and wait half a second for its acknowledgement.
@@ -106,31 +123,35 @@ class EmulatedImu:
     def on_sync(self, imu: np.ndarray, time_s: float) -> bytes:
         """Take the rising SYNC line at `time_s` [s].
 
-        `imu` (6,) is the sample: specific force [m/s^2] and angular rate [rad/s] in the sensor's frame.
+        `imu` (6,) is the sample: specific force [m/s^2] and angular rate [rad/s] in the sensor's frame. Where the device is triggered it is
+        a reading; else it is what is there, of which `reading_of` makes readings.
         """
-        due = self.advance(time_s)
-        self._imu = tuple(imu.tolist())
-        if self._state is State.MEASUREMENT and self._sync.function == SYNC_FUNCTION_SEND_LATEST:
+        due = self.advance(time_s, imu, self.reading_of)
+        if self._state is State.MEASUREMENT and self.is_triggered:
             pulse = self._pulses - self._sync.skip_first
             self._pulses += 1
             if pulse >= 0 and pulse % (self._sync.skip_factor + 1) == 0:
-                return due + self._mtdata2(time_s * self._clock_rate, STATUS_SYNC_IN)
+                return due + self._mtdata2(time_s * self._clock_rate, STATUS_SYNC_IN, self._imu)
         return due
 
-    def advance(self, time_s: float) -> bytes:
-        """Move machine time to `time_s` [s].
+    def advance(self, time_s: float, imu: np.ndarray | None = None, reading_of: Callable[[np.ndarray], np.ndarray] = _as_it_is) -> bytes:
+        """Move machine time to `time_s` [s], at which the sample is `imu` (6,); without it, the sample before stands.
 
-        A device on its own clock sends what has become due, from the reading it holds.
+        A device on its own clock sends what has become due: each read by `reading_of` on the straight line between the two samples.
         """
-        self._time_s = time_s
+        before_s, self._time_s = self._time_s, time_s
+        now = self._imu if imu is None else imu.copy()
+        before, self._imu = self._imu if self._has_sample else now, now
+        self._has_sample |= imu is not None
         if self._state is State.WAKING and time_s - self._started_s >= WAKE_UP_WINDOW_S:
             self._measure()
-        if self._state is not State.MEASUREMENT or self._sync.function == SYNC_FUNCTION_SEND_LATEST:
+        if self._state is not State.MEASUREMENT or self.is_triggered:
             return b""
         sent = b""
         while (due := self._measuring_since + (self._sent + 1) / self._rate_Hz) <= time_s * self._clock_rate:
             self._sent += 1
-            sent += self._mtdata2(due, 0)
+            left = min((time_s - due / self._clock_rate) / (time_s - before_s), 1.0) if time_s > before_s else 0.0
+            sent += self._mtdata2(due, 0, reading_of(left * before + (1.0 - left) * now if left > 0.0 else now))
         return sent
 
     def receive(self, data: bytes) -> bytes:
@@ -152,17 +173,18 @@ class EmulatedImu:
         """Prepare a message without sending it, so that its code and data are at hand."""
         if self._state is State.MEASUREMENT:
             counter = self._counter
-            self._mtdata2(self._time_s, 0)
+            self._mtdata2(self._time_s, 0, np.zeros(6))
             self._counter = counter
 
-    def _mtdata2(self, device_time_s: float, status: int) -> bytes:
+    def _mtdata2(self, device_time_s: float, status: int, imu: np.ndarray) -> bytes:
         """Return one message with the outputs that are configured."""
         precision = self._precision
+        values = tuple(imu.tolist())
         reading = Reading(
             counter=self._counter if DataId.PACKET_COUNTER in precision else None,
             time_ticks=int(device_time_s * TIME_TICKS_Hz + 0.5) & 0xFFFFFFFF if DataId.SAMPLE_TIME_FINE in precision else None,
-            acceleration=self._imu[:3] if DataId.ACCELERATION in precision else None,
-            rate_of_turn=self._imu[3:] if DataId.RATE_OF_TURN in precision else None,
+            acceleration=values[:3] if DataId.ACCELERATION in precision else None,
+            rate_of_turn=values[3:] if DataId.RATE_OF_TURN in precision else None,
             status=STATUS_SELF_TEST_PASSED | STATUS_FILTER_VALID | status if DataId.STATUS_WORD in precision else None,
         )
         self._counter = (self._counter + 1) & 0xFFFF

@@ -47,6 +47,22 @@ def low_pass(value, middle, slope, pole_Hz, h):
 
 
 @njit(cache=True)
+def passed_by(target, limit, knee):
+    """What passes a soft limit; all of it where there is none."""
+    return target / (1.0 + abs(target / limit) ** knee) ** (1.0 / knee) if limit > 0.0 else target
+
+
+@njit(cache=True)
+def held(newer, older, part, begin, end):
+    """Mean between two shares of a row of a target that takes over from the older one at the share `part`; at an instant what acts."""
+    if part <= begin and (part < end or part == 0.0):
+        return newer
+    if part >= end:
+        return older
+    return older + (newer - older) * (end - part) / (end - begin)
+
+
+@njit(cache=True)
 def through_poles(state, target, first_Hz, second_Hz, h):
     """Mean over a step of what two different real poles in a row make of a held target, the target itself where there are none; their
     state is moved on. Exact.
@@ -75,7 +91,7 @@ def run(
     samples, n = reference.shape
     joints = qpos.shape[0]
     q, v, a, a_before = qpos.copy(), np.zeros(joints), np.zeros(joints), np.zeros(joints)
-    drive, flowing = np.zeros(joints), np.zeros(n)
+    drive, newer, older = np.zeros(joints), np.zeros(n), np.zeros(n)
     poles = np.zeros((n, 2))
     history = np.zeros((HISTORY, n))
     history[:] = command0
@@ -97,15 +113,12 @@ def run(
             history[k % HISTORY, i] = on_lattice(command[i], steps_of_target[i])
             whole = int(drives[i, 0])
             part = drives[i, 0] - whole
-            target = (1.0 - part) * history[(k - whole) % HISTORY, i] + part * history[(k - whole - 1) % HISTORY, i]
-            if drives[i, 3] > 0.0:
-                knee = drives[i, 4]
-                target = target / (1.0 + abs(target / drives[i, 3]) ** knee) ** (1.0 / knee)
-            flowing[i] = target
+            newer[i] = passed_by(history[(k - whole) % HISTORY, i], drives[i, 3], drives[i, 4])
+            older[i] = passed_by(history[(k - whole - 1) % HISTORY, i], drives[i, 3], drives[i, 4])
             if drives[i, 1] > 0.0:
                 out_effort[k, i] = poles[i, 1]
             else:
-                out_effort[k, i] = target
+                out_effort[k, i] = older[i] if part > 0.0 else newer[i]  # what flows at the SYNC
             j = axes[i]
             error = encoders[i, 0] * math.cos(q[j] + encoders[i, 1]) + encoders[i, 2] * math.cos(2.0 * q[j] + encoders[i, 3])
             error -= encoders[i, 0] * math.cos(start[j] + encoders[i, 1]) + encoders[i, 2] * math.cos(2.0 * start[j] + encoders[i, 3])
@@ -147,7 +160,9 @@ def run(
                 applied[joint] = 0.0
             for i in range(n):
                 j = axes[i]
-                current = through_poles(poles[i], flowing[i], drives[i, 1], drives[i, 2], h)
+                part = drives[i, 0] - int(drives[i, 0])
+                flowing = held(newer[i], older[i], part, max(0.0, stage - 1.0) / substeps, stage / substeps)
+                current = through_poles(poles[i], flowing, drives[i, 1], drives[i, 2], h)
                 ripple = tabulated(drives[i, 5] * qpos[j] / (2.0 * math.pi), drives[i, 6], drives[i, 7], drives[i, 8], drives[i, 9], 0.0)
                 ctrl[i] = current
                 drive[j] = gear[i] * current

@@ -30,7 +30,7 @@ ROUNDS = 6
 """Most of a Gauss-Newton fit."""
 ENOUGH = 0.1
 """Of the stated deviation: a step that ends it."""
-SURE = 12.0
+LEAST_GAIN = 12.0
 """Twice a logarithm of odds that two scales of nothing reach once in a thousand scans (Self and Liang 1987)."""
 POINTS = 60
 """In the object's sphere, whose shadows stand for the scan's shape."""
@@ -72,7 +72,7 @@ class Consistent:
 
         What is found holds its own error: of a found size m and an error s a change of m^2 - s^2 is left, and taking it up leaves s.
         """
-        return self.gain > SURE and self.moved_m**2 > 2.0 * self.stated_m**2
+        return self.gain > LEAST_GAIN and self.moved_m**2 > 2.0 * self.stated_m**2
 
 
 def recalibrate(

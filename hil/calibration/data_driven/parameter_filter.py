@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import chi2
 
-from hil.calibration.data_driven.late_images import LateImages
+from controllers.filtering.late_measurements import LateMeasurements
 from hil.calibration.data_driven.quasi_static import QuasiStatic
 from hil.calibration.data_driven.values import CHANGE, REFUSED, USED, Parameters
 
@@ -22,7 +22,7 @@ CHANGED = {size: float(chi2.ppf(1.0 - 1e-6, size)) for size in (6, 9)}
 """Limit of an image's normalised innovation by its size: beyond it the machine has changed, or the image shows something else."""
 
 
-class DataDrivenFilter(LateImages):
+class DataDrivenFilter(LateMeasurements):
     """States: p parameters, six errors of the observer's displacement, and six more for every image on its way.
 
     Parameters

@@ -14,7 +14,7 @@ from controllers.models.gravity import GravityTree
 from controllers.models.motions import frames_of
 from controllers.models.swinging_chain import PanelImu
 from hil.calibration.kinematic.chain_file import read_chain
-from hil.calibration.parameter_states.model import SwingingMachine
+from hil.calibration.parameter_states.filter_model import SwingingMachine
 from hil.errors import UnusableInputError
 
 GRAVITY_m_s2 = (0.0, 0.0, -9.81)

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from hil.calibration.parameter_states.model import PoseImage, Randomness, Run, SwingingMachine
+from hil.calibration.parameter_states.filter_model import PoseImage, Randomness, Run, SwingingMachine
 
 SWEEP_Hz = (0.08, 0.25)
 """Range of the sines that an axis moves along."""

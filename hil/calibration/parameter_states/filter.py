@@ -14,9 +14,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import chi2
 
+from controllers.filtering.late_measurements import LateMeasurements
 from controllers.models.swinging_chain import Readings, swing_step
-from hil.calibration.data_driven.late_images import LateImages
-from hil.calibration.parameter_states.model import PoseImage, Randomness, SwingingMachine, pose_gap
+from hil.calibration.parameter_states.filter_model import PoseImage, Randomness, SwingingMachine, pose_gap
 
 USED, REFUSED, FAR = "used", "refused", "far"
 """What became of an image."""
@@ -40,7 +40,7 @@ START_SPEED, START_ACCELERATION = 2.0, 10.0
 """Deviations of an axis's speed [rad/s] and acceleration [rad/s^2] before the first sample."""
 
 
-class ParameterStatesFilter(LateImages):
+class ParameterStatesFilter(LateMeasurements):
     """The filter of one run.
 
     Parameters
@@ -253,8 +253,7 @@ class ParameterStatesFilter(LateImages):
         for _ in range(ROUNDS):
             rest, gradient = self.gap(number, image, now, now[self.fixed])
             innovation = rest - gradient @ (prior - now)
-            spread = gradient @ self.covariance @ gradient.T + image.covariance
-            now = prior + np.linalg.solve(spread, gradient @ self.covariance).T @ innovation
+            now = prior + self.gain(gradient, image.covariance) @ innovation
         if self.surprise(innovation, gradient, image.covariance) > SURPRISE:
             return REFUSED
         exact, _ = self.gap(number, image, now, now[self.fixed])

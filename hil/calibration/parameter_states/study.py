@@ -10,8 +10,8 @@ import numpy as np
 from controllers.models.flexible_chain import FlexibleChain
 from hil.calibration.kinematic.flexible import fit_flexible
 from hil.calibration.parameter_states.drawn_runs import POSE_STD, Conditions, Truth, drawn_run
-from hil.calibration.parameter_states.model import Randomness, Run, SwingingMachine, pose_gap, tolerances
-from hil.calibration.parameter_states.run import Estimated, estimate
+from hil.calibration.parameter_states.filter_model import Randomness, Run, SwingingMachine, pose_gap, tolerances
+from hil.calibration.parameter_states.over_recording import Estimated, estimate
 from hil.errors import BadAnswerError
 from hil.imaging.geometry import ConeBeam
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hil.calibration.parameter_states.drawn_runs import Conditions
-from hil.calibration.parameter_states.model import SwingingMachine
+from hil.calibration.parameter_states.filter_model import SwingingMachine
 from hil.calibration.parameter_states.study import CONDITIONS, Draw, by_model, converged, curve, falling, held_out, under
 
 PARTS = 8

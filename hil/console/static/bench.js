@@ -1,9 +1,10 @@
 // The page: its line to the server, its views, its stop button.
-import { ask, element, listing } from "./parts.js";
+import { ask, element, listing, replaceIfNew } from "./parts.js";
 import { Scope } from "./scope.js";
-import { showForms, showSteps, updateSteps } from "./steps.js";
+import { dueStep, openForm, showForms, showSteps, updateSteps } from "./steps.js";
 import { showState } from "./devices.js";
-import { showFiles } from "./files.js";
+import { showFiles, ticked } from "./files.js";
+import { buildRecorded, derivedTexts, lay } from "./recorded.js";
 import { buildLive, doingOf, letGo, showLive } from "./live.js";
 
 const at = (id) => document.getElementById(id);
@@ -24,13 +25,18 @@ function show() {
   window.scrollTo(0, 0); // not to the view's own beginning: the machine stands above it
   scope.visible(view === "scope");
   if (view === "recordings") showFiles(bench);
-  if (bench.state) showState(bench);
+  if (bench.state) {
+    showState(bench);
+    showNext(bench);
+    updateSteps(bench);
+  }
 }
 
 async function stop() {
   at("stop").disabled = false;
   at("now").className = "asked";
-  at("now").replaceChildren(element("span", { class: "what" }, "stop asked"));
+  delete at("now-says").dataset.key; // whatever comes then is shown
+  at("now-says").replaceChildren(element("span", { class: "what" }, "stop asked"));
   if (await heardOnTheLine()) return;
   try {
     await ask("/api/stop", {}, bench.client);
@@ -57,22 +63,24 @@ function complain(text) {
   at("errors").append(line);
 }
 
-// What a run does now, and what remains of it.
+// What a run does now, what remains of it, and the share that is done; null where nobody knows it.
 function progressOf(work, recording) {
-  const { told } = work;
-  if (told && told.doing !== "recording") return doingOf(told, true);
+  const { told, progress } = work;
+  const counted = /(\d+) %/.exec(progress);
+  if (told && told.doing !== "recording") return [doingOf(told, true), null];
   if (recording && recording.live && recording.began) {
-    const all = told ? ` of ${told.remains_s.toFixed(0)} s` : "";
-    return `recording ${recording.name}: ${recording.rows} rows, ${(recording.rows / bench.described.machine.rate_Hz).toFixed(0)}${all || " s"}`;
+    const done_s = recording.rows / bench.described.machine.rate_Hz;
+    const all = told ? ` of ${told.remains_s.toFixed(0)} s` : " s";
+    return [`recording ${recording.name}: ${recording.rows} rows, ${done_s.toFixed(0)}${all}`, told && told.remains_s ? done_s / told.remains_s : null];
   }
-  return work.command;
+  return [progress || `${work.command} begins ...`, counted ? Number(counted[1]) / 100 : null];
 }
 
 // One event: what runs, or what came last, be it an end or a stop.
 function showNow(state) {
   const { work, recording, live, stop } = state;
   const parts = [];
-  let kind = work.state;
+  let [kind, share] = [work.state, null];
   if (stop && !stop.ran) kind = "stopped";
   else if (work.state !== "running" && live.told && live.told.doing !== "watching" && (live.moves || work.state === "idle")) {
     kind = live.moves ? "running" : "idle";
@@ -83,12 +91,13 @@ function showNow(state) {
     parts.push(element("span", { class: "what" }, `${work.title}${words}`));
     if (work.state !== "bad") parts.push(element("span", {}, `${work.seconds.toFixed(0)} s`)); // which the verdict's own sentence follows
     if (work.state === "running") {
-      parts.push(element("span", { class: "grow" }, progressOf(work, recording)));
+      const [says, done] = progressOf(work, recording);
+      share = done;
+      parts.push(element("span", { class: "grow" }, says));
       if (work.moves) {
         const whose = state.own ? "this page keeps it running: closing the page stops it" : "another browser started it";
         parts.push(element("span", { class: "dim" }, whose));
       }
-      if (work.holds) parts.push(releaseButton());
     } else {
       parts.push(element("span", { class: "grow" }, work.why));
       for (const name of work.made.filter((each) => each.endsWith(".html"))) {
@@ -96,7 +105,6 @@ function showNow(state) {
       }
     }
   }
-  if (live.holds) parts.push(releaseButton());
   if (stop) {
     const { by, seconds, trouble, lines } = stop;
     const took = seconds === null ? "stopping ..." : trouble ? trouble : `stop took ${seconds.toFixed(2)} s: ${lines.join("; ")}`;
@@ -104,17 +112,24 @@ function showNow(state) {
     if (seconds === null) kind = "asked";
   }
   at("now").className = kind;
-  at("now").replaceChildren(...parts);
+  replaceIfNew(at("now-says"), `${kind} ${parts.map((part) => part.outerHTML)}`, () => parts); // a link that is made anew under a click is not followed
+  at("share").hidden = share === null;
+  if (share !== null) at("share").value = share;
+  at("release").hidden = !(live.holds || (work.state === "running" && work.holds));
 }
 
-function releaseButton() {
-  const button = element("button", { type: "button", id: "release" }, "The axis is supported: release it");
-  button.onclick = () => {
-    const axis = prompt("The drive lets go of the axis. If the axis stands and is supported, so that it cannot fall, type its name:");
-    if (!axis) return;
-    ask("/api/release", { axis: axis.trim() }, bench.client).catch((error) => complain(error.message));
-  };
-  return button;
+// Where the way goes on from another view: the step that is due, or an experiment once all have passed. Nothing moves by it.
+function showNext(bench) {
+  const { state, described } = bench;
+  const due = dueStep(state);
+  const busy = state.work.state === "running" || (state.stop && state.stop.seconds === null);
+  const to = due ? "commission" : "experiments";
+  const next = at("next");
+  next.hidden = busy || !at(to).hidden;
+  next.href = `#${to}`;
+  const number = described.steps.findIndex(({ name }) => name === due);
+  next.textContent = due ? `Next: ${number + 1}. ${described.steps[number].title}` : "Next: an experiment";
+  if (!due && !at("experiments").hidden) openForm();
 }
 
 function heed(told) {
@@ -141,6 +156,7 @@ function heed(told) {
     document.title = `${told.emulated ? "EMULATED " : ""}${bench.described.machine.name} · Isocenter bench`;
     showNow(told);
     showLive(bench);
+    showNext(bench);
     updateSteps(bench);
     scope.told(told);
     if (!at("state").hidden) showState(bench);
@@ -177,23 +193,23 @@ worker.onmessage = (event) => heed(event.data);
 worker.postMessage({ client: sessionStorage.getItem("client") || "", address: `${scheme}://${location.host}/control` });
 scope.open(`${scheme}://${location.host}/rows`);
 
+at("release").onclick = () => {
+  const axis = prompt("The drive lets go of the axis. If the axis stands and is supported, so that it cannot fall, type its name:");
+  if (axis) ask("/api/release", { axis: axis.trim() }, bench.client).catch((error) => complain(error.message));
+};
 at("invite").onclick = async () => {
   at("invitation").textContent = (await ask("/api/invite", {}, bench.client)).address;
 };
 at("demo-line").hidden = !bench.described.has_demo;
 at("demo").onclick = () => ask("/api/demo", {}, bench.client).catch((error) => complain(error.message));
-for (const { name } of bench.described.axes) {
-  at("alignable").append(element("option", { value: `position_${name}` }));
-  for (const text of [`d(position_${name})`, `spectrum(position_${name})`, `reference_${name} - position_${name}`]) at("derivable").append(element("option", { value: text }));
-}
-at("plot").onclick = () => look("plot");
+buildRecorded(bench, complain);
+at("plot").onclick = () => lay(ticked("train")).catch((error) => complain(error.message));
+at("keep").onclick = () => look("plot");
 at("diagnose").onclick = () => look("diagnose");
 
 async function look(what) {
-  const chosen = [...document.querySelectorAll("#files input.train:checked")].map((box) => box.value);
-  const held = [...document.querySelectorAll("#files input.held:checked")].map((box) => box.value);
   try {
-    await ask("/api/look", { what, files: chosen, held_out: held, derive: at("derive").value, align: at("align").value }, bench.client);
+    await ask("/api/look", { what, files: ticked("train"), held_out: ticked("held"), derive: derivedTexts().join(","), align: at("align").value }, bench.client);
   } catch (error) {
     complain(error.message);
   }

@@ -1,4 +1,5 @@
 // The state of every device: drives, brakes, I/O, IMU, bus, and how punctual the loop is.
+import { shownAs } from "./panes.js";
 import { element, number } from "./parts.js";
 
 const at = (id) => document.getElementById(id);
@@ -41,7 +42,7 @@ function drives(state, described) {
       `${node.name} (${node.id})`,
       node.nmt || "–",
       element("td", { class: "wrap" }, node.state || "–"),
-      node.position === undefined ? "–" : `${number(node.position, 6)} ${axis ? axis.unit : ""}`,
+      node.position === undefined ? "–" : placed(node.position, axis),
       node.effort === undefined ? "–" : `${number(node.effort, 3)} ${axis ? axis.effort_unit : ""}`,
       element("td", { class: node.emergency ? "wrap bad" : "dim" }, node.emergency || (trouble ? "–" : "none")),
     ];
@@ -49,6 +50,13 @@ function drives(state, described) {
   const note = trouble || "Heard on the bus. Between sessions the nodes are reset and silent.";
   return card("Drives and encoders", true, table(["node", "network", "state", "position", "effort", "emergency"], rows),
     element("p", { class: "note" }, note));
+}
+
+// As people give it: in degrees or mm.
+function placed(position, axis) {
+  if (!axis) return number(position, 6);
+  const [unit, scale] = shownAs(axis.unit, "deg");
+  return `${(scale * position).toFixed(3)} ${unit}`;
 }
 
 function safety(state, described) {

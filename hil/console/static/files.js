@@ -12,12 +12,16 @@ function size(file) {
   return element("td", { class: "text" }, file.bytes < 2048 ? `${file.bytes} B` : `${(file.bytes / 1024).toFixed(0)} kB`);
 }
 
-function written(file) {
+const two = (value) => String(value).padStart(2, "0");
+
+// Day and time of day at which a file was written.
+function when(file) {
   const then = new Date(1000 * file.time_s);
-  const two = (value) => String(value).padStart(2, "0");
   const day = `${then.getFullYear()}-${two(then.getMonth() + 1)}-${two(then.getDate())}`;
-  return element("td", { class: "text" }, `${day} ${two(then.getHours())}:${two(then.getMinutes())}:${two(then.getSeconds())}`);
+  return [`${then.toLocaleDateString("en", { weekday: "long" })}, ${day}`, `${two(then.getHours())}:${two(then.getMinutes())}:${two(then.getSeconds())}`];
 }
+
+const cell = (text) => element("td", { class: "text" }, text);
 
 function fill(table, heads, rows, none) {
   const empty = element("tr", {}, element("td", { class: "text dim", colspan: heads.length }, none));
@@ -27,19 +31,46 @@ function fill(table, heads, rows, none) {
   );
 }
 
+// Names of the recordings that are ticked, to train or held out.
+export const ticked = (kind) => [...picked[kind]];
+const picked = { train: new Set(), held: new Set() };
+
+function tell() {
+  const [chosen, held] = [ticked("train").length, ticked("held").length];
+  at("chosen").textContent = !chosen ? "" : `${chosen} chosen, ${held ? `${held} held out` : "none held out: a diagnosis would not be tested"}`;
+}
+
 export async function showFiles(bench) {
   const response = await fetch("/api/files");
   if (!response.ok) return;
   const files = await response.json();
-  const chosen = new Set([...document.querySelectorAll("#files input:checked")].map((box) => `${box.className} ${box.value}`));
-  const box = (kind, file) =>
-    element("td", { class: "text" }, element("input", {
-      type: "checkbox", class: kind, value: file.name, checked: chosen.has(`${kind} ${file.name}`), "aria-label": `${kind} ${file.name}`,
-    }));
-  const recordings = files.filter((file) => file.kind === "recording").map((file) =>
-    element("tr", {}, written(file), element("td", { class: "text" }, file.experiment || "–"), link(file), box("train", file), box("held", file), size(file)));
-  const others = files.filter((file) => file.kind !== "recording").map((file) =>
-    element("tr", {}, written(file), link(file), element("td", { class: "text" }, file.kind), size(file)));
-  fill(at("files"), ["recorded", "experiment", "file", "choose", "held out", "size"], recordings, "No recording yet: run a step or an experiment.");
+  const of = at("of-experiment").value;
+  const box = (kind, file) => {
+    const made = element("input", { type: "checkbox", class: kind, value: file.name, checked: picked[kind].has(file.name), "aria-label": `${kind} ${file.name}` });
+    made.onchange = () => {
+      if (made.checked) picked[kind].add(file.name);
+      else picked[kind].delete(file.name);
+      tell();
+    };
+    return element("td", { class: "text" }, made);
+  };
+  const recordings = files.filter((file) => file.kind === "recording");
+  for (const names of Object.values(picked)) for (const name of names) if (!recordings.some((file) => file.name === name)) names.delete(name);
+  const kinds = [...new Set(recordings.map((file) => file.experiment).filter(Boolean))].sort();
+  at("of-experiment").replaceChildren(element("option", { value: "" }, "all experiments"),
+    ...kinds.map((kind) => element("option", { selected: kind === of }, kind)));
+  at("of-experiment").onchange = () => showFiles(bench);
+  const heads = ["recorded", "experiment", "file", "choose", "held out", "size"];
+  const rows = [];
+  let last = "";
+  for (const file of recordings.filter((each) => !of || each.experiment === of)) {
+    const [day, time] = when(file);
+    if (day !== last) rows.push(element("tr", { class: "day" }, element("th", { colspan: heads.length, scope: "rowgroup" }, day)));
+    last = day;
+    rows.push(element("tr", {}, cell(time), cell(file.experiment || "–"), link(file), box("train", file), box("held", file), size(file)));
+  }
+  const others = files.filter((file) => file.kind !== "recording").map((file) => element("tr", {}, cell(when(file).join(" ")), link(file), cell(file.kind), size(file)));
+  fill(at("files"), heads, rows, "No recording yet: run a step or an experiment.");
   fill(at("others"), ["written", "file", "kind", "size"], others, "None.");
+  tell();
 }

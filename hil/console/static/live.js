@@ -18,7 +18,10 @@ const DOING = {
   "closing brakes": "Closing the brakes ...",
   stopping: "Stopping the motors ...",
 };
+const HANDED = "The drives are off, the brakes closed. What was started takes the machine.";
+const COMPUTES = "Something is computed; the machine is not connected meanwhile.";
 const cards = new Map();
+let wasHomed = true; // as it was told last
 let held = null; // { button, timer }
 let tellMove = () => {};
 let moveDrawing = () => {};
@@ -38,7 +41,7 @@ export function buildLive(bench, tell, complain) {
     const buttons = [jog(-1, "−", "backward"), jog(1, "+", "forward")];
     const values = Object.fromEntries(["speed", "effort", "brake", "temperature"].map((what) => [what, value(what)]));
     const drive = element("div", { class: "dim drive", "data-what": "drive" }, "–");
-    const bar = element("div", { class: "range" }, element("i", {}));
+    const bar = element("div", { class: "range" }, element("i", {}), element("u", { title: "where the way leads", hidden: true }));
     const card = element("div", { class: "axis", "data-axis": axis.name },
       element("div", { class: "head" }, element("span", {}, axis.name), place),
       element("div", { class: "hold" }, buttons[0], bar, buttons[1]),
@@ -100,18 +103,33 @@ export function doingOf(told, isWork = false) {
   if (isWork && told.doing === "watching") return "The nodes are being started.";
   const left = told.remains_s === null || told.remains_s === undefined || told.doing === "recording" ? "" : ` ${Math.ceil(told.remains_s)} s to go`;
   const most = told.doing === "coming to rest" ? left.replace(" s to go", " s at most") : left;
+  const ways = told.doing !== "on the way" ? [] : Object.entries(told.axes).map(([name, seen]) => wayOf(name, seen)).filter(Boolean);
+  if (ways.length) return `${DOING[told.doing]} ${ways.join(", ")}${left && ";"}${left}`;
   const which = told.doing === "homing" && told.part ? DOING.homing.replace("Homing", `Homing ${told.part}`) : DOING[told.doing];
   return which + most;
 }
 
+// Whether a drive says itself that it is off, and no brake is open. A machine that stops tells of drives that have voltage as well.
+const isOff = ({ drive, brake }) => Boolean(drive) && drive.startsWith("switch on disabled") && brake !== "open";
+
+// How far an axis has yet to go, in its unit; "" where it is there already.
+function wayOf(name, { position, goes_to: end }) {
+  if (end === null || end === undefined || position === null || !cards.has(name)) return "";
+  const { unit, edge_unit: edge } = cards.get(name).axis;
+  const far = Math.abs(end - position) * EDGE[unit];
+  return far < 0.05 ? "" : `${name} ${far.toFixed(1)}${edge === "deg" ? "°" : ` ${edge}`} from it`;
+}
+
 export function showLive(bench) {
-  const { live, newest, recording, work, wire } = bench.state;
+  const { live, newest, recording, stop, work, wire } = bench.state;
   showEmergency(wire, live.told || work.told);
   if (at("live").hidden) return;
   const told = live.told || (work.told && work.told.doing !== "recording" ? work.told : null); // rows tell more of a recording
   const busy = work.state === "running";
-  at("live-doing").textContent = told ? doingOf(told, !live.told) : !busy ? live.trouble || "Connecting ..."
-    : recording && recording.live && recording.began ? DOING.recording : work.moves ? "What runs now begins ..." : "Something is computed; the machine is not connected meanwhile.";
+  const handed = busy && live.told && told.doing === "stopping" && !live.holds && !stop && Object.values(told.axes).every(isOff);
+  at("live-doing").textContent = told ? (handed ? HANDED : doingOf(told, !live.told))
+    : busy ? (recording && recording.live && recording.began ? DOING.recording : work.moves ? "What runs now begins ..." : COMPUTES)
+      : live.trouble || (live.running ? `Connecting: ${live.progress || "the nodes are looked for"} ...` : "Connecting ...");
   at("live-doing").className = live.trouble ? "bad" : live.moves || (busy && work.moves) ? "moves" : "";
   at("live-again").hidden = !live.trouble;
   at("live-home").disabled = !live.told || told.doing !== "watching";
@@ -119,6 +137,9 @@ export function showLive(bench) {
   const jogs = Boolean(live.told) && ["ready", "opening brakes", "holding"].includes(told.doing);
   if (!jogs) letGo();
   const positions = {};
+  const isOld = !told && !(recording && recording.live); // nobody looks at the machine just now
+  if (told) wasHomed = told.homed;
+  else if (recording && recording.live) wasHomed = true;
   for (const [name, { axis, brief, place, buttons, values, drive, bar, card }] of cards) {
     const seen = told ? told.axes[name] : fromRow(newest, name);
     const scale = EDGE[axis.unit];
@@ -131,14 +152,16 @@ export function showLive(bench) {
     values.brake.textContent = known(seen.brake) ? seen.brake : "–";
     values.temperature.textContent = known(seen.temperature_degC) ? `${number(seen.temperature_degC, 3)} °C` : "–";
     drive.textContent = [seen.mode, seen.drive].filter(Boolean).join(": ") || "–";
-    const homed = !told || told.homed;
-    if (position !== null && !homed) place.textContent += " not homed";
-    brief.textContent = `${name} ${place.textContent} · ${values.effort.textContent}`;
+    if (position !== null && !wasHomed) place.textContent += " not homed";
+    brief.textContent = `${name} ${place.textContent} · ${isOld ? "seen last" : values.effort.textContent}`;
+    const end = told && seen.goes_to !== null && seen.goes_to !== undefined ? seen.goes_to * scale : null;
+    bar.lastChild.hidden = end === null;
+    if (end !== null) bar.lastChild.style.left = `${Math.max(0, Math.min(100, (100 * (end - axis.lower)) / (axis.upper - axis.lower)))}%`;
     const share = position === null ? 50 : (100 * (position - axis.lower)) / (axis.upper - axis.lower);
     bar.firstChild.style.left = `${Math.max(0, Math.min(100, share))}%`;
     bar.title = `${axis.lower.toFixed(0)} to ${axis.upper.toFixed(0)} ${axis.edge_unit}`;
     for (const button of buttons) button.disabled = !jogs;
-    card.classList.toggle("old", !told && !(recording && recording.live));
+    card.classList.toggle("old", isOld);
   }
   moveDrawing(positions);
 }

@@ -1,4 +1,5 @@
 // The scope: rows as they come, in panes by unit, with trigger, pause, zoom and cursors.
+import { channelBoxes, lookOf, options, pane, scaleOf, shownAs, swatch } from "./panes.js";
 import { element, number } from "./parts.js";
 import { Ring, drawable, measure } from "./ring.js";
 
@@ -7,19 +8,8 @@ const HEADER_BYTES = 24;
 const DRAW_MS = 60;
 const READ_MS = 400;
 const BEFORE = 0.2; // share of the span before the trigger
-const COLOURS = ["#1257a6", "#c4161c", "#1b7a3d", "#8b3fb0", "#b35900", "#007c89", "#5c5c5c", "#a3195b"];
-const DASHES = [[], [8, 4], [2, 3], [10, 3, 2, 3]];
 const FIRST = ["position_", "command_", "imu_x", "imu_y", "imu_z"];
-const key = (unit) => unit || "none"; // of a scale
 const LEFT_OUT = new Set(["time", "imu_time"]);
-const DEGREES = 180 / Math.PI;
-const SHOWN_AS = { rad: ["deg", DEGREES], "rad/s": ["deg/s", DEGREES], m: ["mm", 1000], "m/s": ["mm/s", 1000] };
-
-// The unit in which a channel is shown, and how many of it are one of the channel's own.
-export function shownAs(unit, angles) {
-  const asIs = SHOWN_AS[unit] === undefined || (angles === "rad" && unit.startsWith("rad"));
-  return asIs ? [unit, 1] : SHOWN_AS[unit];
-}
 
 export class Scope {
   constructor() {
@@ -99,26 +89,10 @@ export class Scope {
   }
 
   list(names) {
-    const groups = new Map();
-    for (const name of names) {
-      const unit = this.unit(name) || "no unit";
-      groups.set(unit, [...(groups.get(unit) || []), name]);
-    }
-    const rows = [];
-    for (const [unit, members] of groups) {
-      rows.push(element("h4", {}, unit));
-      for (const name of members) {
-        const box = element("input", { type: "checkbox", value: name, checked: this.chosen.has(name) });
-        box.onchange = () => {
-          this.placed.delete(name);
-          this.choose(name, box.checked);
-        };
-        const label = element("label", { draggable: "true", title: "drag it onto a plot" }, box, name);
-        label.ondragstart = (event) => event.dataTransfer.setData("text/plain", name);
-        rows.push(label);
-      }
-    }
-    at("channel-list").replaceChildren(...rows);
+    at("channel-list").replaceChildren(...channelBoxes(names, (name) => this.unit(name), this.chosen, (name, is) => {
+      this.placed.delete(name);
+      this.choose(name, is);
+    }));
     const before = at("trigger-channel").value;
     at("trigger-channel").replaceChildren(
       element("option", { value: "" }, "off"),
@@ -135,16 +109,11 @@ export class Scope {
   }
 
   // A channel that was dragged onto a plot is drawn there, on an axis of its own where its unit is another.
-  takes(place, pane) {
-    place.ondragover = (event) => event.preventDefault();
-    place.ondrop = (event) => {
-      event.preventDefault();
-      const name = event.dataTransfer.getData("text/plain");
-      if (!this.ring || !this.ring.names.includes(name)) return;
-      this.placed.set(name, pane);
-      for (const box of document.querySelectorAll("#channel-list input")) if (box.value === name) box.checked = true;
-      this.choose(name, true);
-    };
+  drop(name, onto) {
+    if (!this.ring || !this.ring.names.includes(name)) return;
+    this.placed.set(name, onto);
+    for (const box of document.querySelectorAll("#channel-list input")) if (box.value === name) box.checked = true;
+    this.choose(name, true);
   }
 
   get shown() {
@@ -164,13 +133,7 @@ export class Scope {
   }
 
   style(name) {
-    const index = this.shown.indexOf(name);
-    return { stroke: COLOURS[index % COLOURS.length], dash: DASHES[Math.floor(index / COLOURS.length) % DASHES.length] };
-  }
-
-  swatch(name) {
-    const { stroke, dash } = this.style(name);
-    return element("span", { class: "swatch", style: `color:${stroke};border-top-style:${dash.length ? "dashed" : "solid"}` });
+    return { label: name, unit: this.unit(name), ...lookOf(this.shown.indexOf(name)) };
   }
 
   build() {
@@ -183,9 +146,7 @@ export class Scope {
       units.set(unit, [...(units.get(unit) || []), name]);
     }
     for (const [unit, names] of units) {
-      const legend = names.map((name) => element("span", {}, this.swatch(name), name));
-      const place = element("div", { class: "pane", "data-unit": unit }, element("div", { class: "legend" }, ...legend));
-      this.takes(place, unit);
+      const place = pane(unit, names.map((name) => this.style(name)), (name) => this.drop(name, unit));
       at("panes").append(place);
       this.panes.set(unit, { names, plot: this.plot(place, unit, names) });
     }
@@ -194,30 +155,11 @@ export class Scope {
   }
 
   plot(place, unit, names) {
-    const others = [...new Set(names.map((name) => this.unit(name)))].filter((each) => each !== unit);
-    const axis = (of, side) => ({
-      scale: key(of), side, label: of ? `[${of}]` : "no unit", labelSize: 18, size: 64, space: 22, font: "12px system-ui", labelFont: "12px system-ui",
-      grid: { show: side === 3 }, values: (_, ticks) => ticks.map((tick) => (tick === null ? "" : String(Number(tick.toPrecision(6))))),
-    });
-    const options = {
-      width: Math.max(200, at("panes").clientWidth - 12),
-      height: 200,
-      legend: { show: false },
-      cursor: { sync: { key: "scope" }, drag: { x: true, y: false, setScale: false }, points: { size: 6 } },
-      scales: { x: { time: false } },
-      axes: [
-        { label: "time [s]", labelSize: 18, size: 36, font: "12px system-ui", labelFont: "12px system-ui" },
-        axis(unit, 3),
-        ...others.map((of) => axis(of, 1)),
-      ],
-      series: [{}, ...names.map((name) => ({ label: name, scale: key(this.unit(name)), width: 1.5, points: { show: false }, ...this.style(name) }))],
-      hooks: {
-        setSelect: [(plot) => this.zoomTo(plot)],
-        draw: [(plot) => this.overlay(plot, names)],
-        ready: [(plot) => this.listen(plot)],
-      },
-    };
-    return new uPlot(options, [[], ...names.map(() => [])], place);
+    const hooks = { setSelect: [(plot) => this.zoomTo(plot)], draw: [(plot) => this.overlay(plot, names)], ready: [(plot) => this.listen(plot)] };
+    const width = Math.max(200, at("panes").clientWidth - 12);
+    const series = names.map((name) => this.style(name));
+    const how = options({ unit, series, width, height: 200, xLabel: "time [s]", sync: "scope", drag: { setScale: false }, hooks });
+    return new uPlot(how, [[], ...names.map(() => [])], place);
   }
 
   listen(plot) {
@@ -314,7 +256,7 @@ export class Scope {
       ctx.fillText("AB"[index], x + 4, top + 12 * devicePixelRatio);
     });
     if (names.includes(at("trigger-channel").value)) {
-      const y = plot.valToPos(Number(at("trigger-level").value), key(this.unit(at("trigger-channel").value)), true);
+      const y = plot.valToPos(Number(at("trigger-level").value), scaleOf(this.unit(at("trigger-channel").value)), true);
       ctx.setLineDash([4, 4]);
       ctx.beginPath();
       ctx.moveTo(left, y);
@@ -390,7 +332,7 @@ export class Scope {
       return element(
         "tr",
         { "data-channel": name },
-        element("td", {}, this.swatch(name), name),
+        element("td", {}, swatch(this.style(name)), name),
         element("td", { class: "text dim" }, this.unit(name)),
         ...cells.map((cell, index) => element("td", { "data-what": keys[index], "data-value": String(cell) }, number(cell))),
         ...marked.map((cell) => element("td", {}, number(cell))),

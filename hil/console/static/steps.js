@@ -3,9 +3,9 @@ import { ask, element, replaceIfNew } from "./parts.js";
 
 const MARKS = { passed: "✔ passed", bad: "! not passed", failed: "✘ failed", stopped: "■ stopped", running: "▶ running", todo: "to do" };
 const AGAIN = {
-  bad: "It was done, and its answer is not good enough to build on. Mend what the line above names, then start this step again.",
-  failed: "It could not be done. Mend what the line above names, then start this step again.",
-  stopped: "It was stopped. See that the machine is as it should be, then start this step again.",
+  bad: (mend) => `It was done, and its answer is not good enough to build on. ${mend} Then start this step again.`,
+  failed: () => "It could not be done, for the reason above. Mend that, see that power, emergency stop, door and hold-to-run are as they should be, then start this step again.",
+  stopped: () => "It was stopped. See that the machine is as it should be, then start this step again.",
 };
 const at = (id) => document.getElementById(id);
 const cards = new Map(); // name of a step or "form kind" -> its parts
@@ -154,10 +154,27 @@ function enable(bench, part) {
   part.start.disabled = !part.planned || Boolean(busy);
 }
 
+// What each step is at; of the one that runs, the work.
+function stepsNow({ work, steps }) {
+  return Object.entries(steps).map(([name, result]) => [name, work.state === "running" && work.step === name ? work : result]);
+}
+
+// The first step that has yet to pass; "" once all have.
+export function dueStep(state) {
+  return (stepsNow(state).find(([, now]) => now.state !== "passed") || [""])[0];
+}
+
+// The first form, unless a reader has opened one.
+let isOpened = false;
+export function openForm() {
+  const forms = [...cards.values()].filter((part) => !part.step).map((part) => part.card);
+  if (!isOpened && !forms.some((card) => card.open)) forms[0].open = true;
+  isOpened = true;
+}
+
 export function updateSteps(bench) {
-  const { work, steps } = bench.state;
-  const nows = Object.entries(steps).map(([name, result]) => [name, work.state === "running" && work.step === name ? work : result]);
-  const due = (nows.find(([, now]) => now.state !== "passed") || [""])[0];
+  const { work } = bench.state;
+  const [nows, due] = [stepsNow(bench.state), dueStep(bench.state)];
   at("steps-done").hidden = due !== "";
   for (const [name, now] of nows) {
     const part = cards.get(name);
@@ -166,7 +183,7 @@ export function updateSteps(bench) {
     part.mark.textContent = state === "todo" && name === due ? "next" : MARKS[state];
     part.start.textContent = (part.step.moves ? "Start: the machine moves" : "Start").replace("Start", state in AGAIN ? "Start again" : "Start");
     part.why.textContent = now.why || "";
-    part.advice.textContent = AGAIN[state] || "";
+    part.advice.textContent = state in AGAIN ? AGAIN[state](part.step.mend) : "";
     unfold(part, state, name === due);
     if (!now.state) continue;
     const lines = now.lines || [];

@@ -52,8 +52,8 @@ def balanced(
     nobody knows an inertia from a spring.
     """
     smooth = np.tanh(3.0 * speed / (float(np.std(speed)) or 1.0))
-    along = (position - position.mean()) / (float(np.std(position)) or 1.0)
-    springs = (along, along**2, along**3, np.sin(position), np.cos(position)) if with_springs else ()
+    centred = (position - position.mean()) / (float(np.std(position)) or 1.0)
+    springs = (centred, centred**2, centred**3, np.sin(position), np.cos(position)) if with_springs else ()
     matrix = np.column_stack((needed, speed, smooth, np.ones(len(speed)), *springs))
     norms = np.maximum(np.sqrt(np.mean(matrix**2, axis=0)), 1e-12)
     matrix = matrix / norms

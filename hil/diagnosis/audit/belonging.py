@@ -22,7 +22,7 @@ from hil.diagnosis.audit.readings import FEWEST_ROWS, Fault
 from hil.machine import Machine
 from hil.recording import Recording
 from hil.simulation.control_laws import DIGITS
-from virtual_bus.plant.along import along_module
+from virtual_bus.inverse_dynamics import along_module
 from virtual_bus.plant.compiled import CompiledPlant, compile_plant
 
 PRICE = 30.0
@@ -187,8 +187,8 @@ def _errors(machine: Machine, even: _Even, lawful: Set[str]) -> Iterator[_Error]
             for kinds in (("position",), ("current",), ("command", "current"), ("reference",)):
                 both = [(kind, axis) for kind in kinds if (kind, axis) in has and (kind, other) in has]
                 if both:
-                    named = " and ".join(f"{even.names[kind, axis]} and {even.names[kind, other]}" for kind, _ in both)
-                    yield _Error(tuple(both), f"{named} are exchanged: each axis has the other one's values", other=other)
+                    pairs = " and ".join(f"{even.names[kind, axis]} and {even.names[kind, other]}" for kind, _ in both)
+                    yield _Error(tuple(both), f"{pairs} are exchanged: each axis has the other one's values", other=other)
     every = tuple(key for key in has if key[0] in ("position", "link_position", "reference"))
     if not lawful and len(machine.axes) > 1:
         for factor, unit in of_positions(machine, machine.axes[0]).items():

@@ -16,7 +16,7 @@ from controllers.cascade import AxisCommand
 from controllers.settings import AxisController
 from hil.machine import Machine
 from hil.recording import Recording
-from hil.recording.model import UNEQUAL_STEP
+from hil.recording.recording import UNEQUAL_STEP
 from hil.simulation.control_laws import DIGITS, Part, command_resolution, free_rows, law_from_rest, of_states, part_of, rounding
 
 LATEST_ROWS = 16

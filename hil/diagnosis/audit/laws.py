@@ -15,7 +15,7 @@ from hil.diagnosis.audit.controller import LATEST_ROWS, TOLERANCE, law_leaves, r
 from hil.diagnosis.audit.readings import Fault
 from hil.machine import Machine
 from hil.recording import Recording
-from hil.recording.model import UNEQUAL_STEP
+from hil.recording.recording import UNEQUAL_STEP
 from hil.simulation.control_laws import Part, controllers_of, part_of
 
 MOST_ROWS = 2000

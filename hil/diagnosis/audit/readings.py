@@ -158,15 +158,15 @@ def _stuck(recording: Recording, axis: str, values: np.ndarray, lattice: float) 
     steps = np.diff(values)
     others = [recording[name] for name in (f"{kind}_{axis}" for kind in ("reference", *POSITIONS)) if name in recording]
     for begin, end in _runs(steps == 0.0):
-        beside = np.concatenate([np.abs(steps[max(begin - 6, 0) : begin]), np.abs(steps[end + 1 : end + 6])])
-        if end - begin < FEWEST_ROWS or end >= len(steps) or not np.isfinite(steps[end]) or not np.isfinite(beside).any():
+        nearby = np.concatenate([np.abs(steps[max(begin - 6, 0) : begin]), np.abs(steps[end + 1 : end + 6])])
+        if end - begin < FEWEST_ROWS or end >= len(steps) or not np.isfinite(steps[end]) or not np.isfinite(nearby).any():
             continue
         half = slice(begin, (begin + end) // 2)
         least = max(STEPS * lattice, abs(steps[end]) / STEPS)
         moves = begin > 0 and abs(steps[begin - 1]) > STEPS * lattice
         if not moves and not any(np.ptp(other[half]) > least for other in others):
             continue
-        if abs(steps[end]) > max(BEYOND * float(np.nanmax(beside)), STEPS * lattice):
+        if abs(steps[end]) > max(BEYOND * float(np.nanmax(nearby)), STEPS * lattice):
             return f"stays the same {_between_times(recording, begin, end + 1)} and then jumps: it was stuck"
     return ""
 

@@ -30,7 +30,8 @@ def faults(machine: Machine, recordings: Mapping[str, Recording]) -> list[Fault]
         if not any(kind != "reference" for kind, _, _ in channels_of(machine, recording)):
             wanted = f"position_{machine.axes[0]}, current_{machine.axes[0]} or command_{machine.axes[0]}"
             raise RecordingError(f"{label}: no measured channel of {machine.name}; {wanted} would be right: another machine's file?")
-        found += [fault for fault in _faults(machine, label, recording) if not _is_known(fault, found)]
+        known = {(fault.channel, fault.is_lack) for fault in found}
+        found += [fault for fault in _faults(machine, label, recording) if (fault.channel, fault.is_lack) not in known]
     return found
 
 
@@ -43,10 +44,6 @@ def _faults(machine: Machine, label: str, recording: Recording) -> list[Fault]:
     if not found and (stamps := stamp_fault(machine, label, recording)) is not None:
         found = [stamps]
     return found or belonging_faults(machine, label, recording, lawful) or smooth_faults(machine, label, recording, lawful)
-
-
-def _is_known(fault: Fault, found: list[Fault]) -> bool:
-    return any(one.channel == fault.channel and one.is_lack == fault.is_lack for one in found)
 
 
 def _copies(machine: Machine, label: str, recording: Recording) -> list[Fault]:
@@ -62,8 +59,10 @@ def _copies(machine: Machine, label: str, recording: Recording) -> list[Fault]:
     lattices |= {current.channel: current.resolution for current in machine.plant.currents}
     found = []
     for name, other in pairs:
-        if name in recording and other in recording and _is_copy(recording[name], recording[other], lattices.get(name, 0.0)):
-            what = f"what was asked for ({other})" if other.startswith(("reference", "command")) else other
+        is_asked = other.startswith(("reference", "command"))
+        lattice = lattices.get(name, 0.0) if is_asked else 0.0
+        if name in recording and other in recording and _is_copy(recording[name], recording[other], lattice):
+            what = f"what was asked for ({other})" if is_asked else other
             found.append(
                 Fault(
                     label,
@@ -76,9 +75,10 @@ def _copies(machine: Machine, label: str, recording: Recording) -> list[Fault]:
 
 
 def _is_copy(values: np.ndarray, others: np.ndarray, lattice: float) -> bool:
-    there = np.isfinite(values) & np.isfinite(others)
-    if there.sum() < 2 or np.ptp(others[there]) == 0.0:
-        return False
-    if lattice > 0.0 and np.abs(others[there] / lattice - np.round(others[there] / lattice)).max() < 1e-3:
-        return False
-    return any(np.array_equal(values[there][rows:], others[there][: there.sum() - rows]) for rows in (0, 1))
+    for rows in (0, 1):
+        mine, theirs = values[rows:], others[: len(others) - rows]
+        there = np.isfinite(mine) & np.isfinite(theirs)
+        mine, theirs = mine[there], theirs[there]
+        if len(mine) > 1 and np.ptp(theirs) > 0.0 and np.array_equal(mine, theirs):
+            return lattice == 0.0 or bool(np.abs(theirs / lattice - np.round(theirs / lattice)).max() >= 1e-3)
+    return False

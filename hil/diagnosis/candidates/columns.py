@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.diagnosis.seen.along import Signals
-from hil.diagnosis.seen.filtering import Whitening
+from hil.diagnosis.residuals.trajectory import Signals
+from hil.diagnosis.residuals.whitening import Whitening
 
 ROWS = 256
 """Filtered at once: a block of some hundred columns fits the processor's cache."""
@@ -57,7 +57,7 @@ class Filtered:
     def __init__(self, filtered: Whitening, columns: Sequence[Column], joints: int, channels: int) -> None:
         self._filtered, self._columns = filtered, columns
         self._joints, self._channels = joints, channels
-        self._state = np.zeros((filtered.along.transition.shape[1], len(columns)))
+        self._state = np.zeros((filtered.linearised.transition.shape[1], len(columns)))
 
     def whole(self, rows: int) -> np.ndarray:
         """Return the whitened rows (N m, C)."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.diagnosis.candidates.columns import Column, column
 from hil.diagnosis.candidates.places import joint_of, place_of
-from hil.diagnosis.seen.along import Along, Motion, Signals
+from hil.diagnosis.residuals.trajectory import Motion, Signals, Trajectory
 from virtual_bus.effects.bounds import effect_at
 from virtual_bus.effects.effect import Effect, Parameter
 from virtual_bus.effects.law import Law
@@ -59,10 +59,10 @@ def effect_sought(name: str) -> Effect:
     They are the catalogue's own for machines of any size, as the search was measured, and not those of `virtual_bus.effects.bounds`.
     """
     effect = effects()[name]
-    return replace(effect, parameters=tuple(_sought(parameter) for parameter in effect.parameters))
+    return replace(effect, parameters=tuple(_searched(parameter) for parameter in effect.parameters))
 
 
-def _sought(parameter: Parameter) -> Parameter:
+def _searched(parameter: Parameter) -> Parameter:
     if parameter.sought is None:
         return parameter
     low, high = max(parameter.low, parameter.sought[0]), min(parameter.high, parameter.sought[1])
@@ -76,7 +76,7 @@ def _is_sought(effect: Effect, law: Law) -> bool:
     return all(p.low <= column.get(p.name, p.low) <= p.high for column in law.columns for p in narrow)
 
 
-def different_places(effect: Effect, along: Along, is_whole: bool = False) -> list[str]:
+def different_places(effect: Effect, trajectory: Trajectory, is_whole: bool = False) -> list[str]:
     """Return the places of an effect, each joint once: an axis and the body that its joint carries are the same place.
 
     They are all that the catalogue has, or those where it is sought along the motion.
@@ -84,42 +84,42 @@ def different_places(effect: Effect, along: Along, is_whole: bool = False) -> li
     Where the effect is known already, and acts but once at a place, it is not sought.
     """
     found: dict[object, str] = {}
-    bodies = {body.name for body in along.settings.tree.bodies}
+    bodies = {body.name for body in trajectory.settings.tree.bodies}
 
     def place(at: str) -> object:
-        joint = joint_of(effect, at, along)
-        is_joint = joint is not None and (at in bodies or any(drive.axis == at for drive in along.settings.drives))
+        joint = joint_of(effect, at, trajectory)
+        is_joint = joint is not None and (at in bodies or any(drive.axis == at for drive in trajectory.settings.drives))
         return joint if is_joint else at
 
-    if effect.is_slow or (effect.kind.before_current and along.observed.are_measured.all()):
+    if effect.is_slow or (effect.kind.before_current and trajectory.observed.are_measured.all()):
         return []
-    for at in places(effect.kind, along.settings, None if is_whole else effect.sought_at):
+    for at in places(effect.kind, trajectory.settings, None if is_whole else effect.sought_at):
         found.setdefault(place(at), at)
     if not effect.several:
-        for one in along.known:
+        for one in trajectory.known:
             if one.name == effect.name:
                 found.pop(place(one.at), None)
     return list(found.values())
 
 
 def entries(
-    alongs: Sequence[Along], motions: Sequence[Motion], nominal: Sequence[Signals], values: np.ndarray, missing: Sequence[np.ndarray],
-    inertias: np.ndarray, is_whole: bool = False, everywhere: bool = False,
+    trajectories: Sequence[Trajectory], motions: Sequence[Motion], nominal: Sequence[Signals], values: np.ndarray,
+    missing: Sequence[np.ndarray], inertias: np.ndarray, is_whole: bool = False, everywhere: bool = False,
 ) -> Iterator[Entry]:  # fmt: skip
     """Yield the laws of all effects at all places.
 
     Parameters
     ----------
     nominal : sequence of Signals
-        Along these motions with these values and no effect.
+        Along these motions with these values, and no effect but such as change numbers of joints.
     is_whole : bool
         Whether of the whole catalogue, in the bounds of a machine of this size; `everywhere`, at all its places, in the usual bounds.
     """
     for name, effect in effects().items():
-        for at in different_places(effect, alongs[0], is_whole or everywhere):
-            place = place_of(effect, at, alongs, motions, nominal, missing, inertias)
+        for at in different_places(effect, trajectories[0], is_whole or everywhere):
+            place = place_of(effect, at, trajectories, motions, nominal, missing, inertias)
             if is_whole:
-                own = effect_at(name, at, alongs[0].settings)
+                own = effect_at(name, at, trajectories[0].settings)
                 yield from (Entry(own, at, law) for law in module_of(name).laws(place))
                 continue
             own = effect_sought(name)
@@ -129,15 +129,20 @@ def entries(
 
 
 def columns_of(
-    entry: Entry, alongs: Sequence[Along], motions: Sequence[Motion], nominal: Sequence[Signals], values: np.ndarray
-) -> list[list[Column]]:
-    """Return what a law changes, for every recording one column a weight; none where it changes nothing or the machine cannot take it."""
-    columns: list[list[Column]] = [[] for _ in alongs]
+    entry: Entry, trajectories: Sequence[Trajectory], motions: Sequence[Motion], nominal: Sequence[Signals], values: np.ndarray,
+    others: Sequence[EffectSetting] = (),
+) -> list[list[Column]]:  # fmt: skip
+    """Return what a law changes, for every recording one column a weight; none where it changes nothing or the machine cannot take it.
+
+    `nominal` are the machine's signals with the effects `others`.
+    """
+    columns: list[list[Column]] = [[] for _ in trajectories]
     try:
         for parameters in entry.law.columns:
             one = (setting_of(entry.effect, entry.at, dict(parameters)),)
-            for own, along, motion, without in zip(columns, alongs, motions, nominal, strict=True):
-                own.append(column(without, along.signals(motion, along.model(values, one), one, beside=without)))
+            for own, trajectory, motion, without in zip(columns, trajectories, motions, nominal, strict=True):
+                both = (*others, *one)
+                own.append(column(without, trajectory.signals(motion, trajectory.model(values, both), both, nearby=without)))
     except EffectError:
         return []
     return columns if any(each.efforts or each.readings for own in columns for each in own) else []

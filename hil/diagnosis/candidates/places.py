@@ -6,21 +6,21 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.diagnosis.seen.along import Along, Motion, Signals
+from hil.diagnosis.residuals.trajectory import Motion, Signals, Trajectory
 from virtual_bus.effects.effect import TRANSMISSION, Effect
 from virtual_bus.effects.law import Place
 from virtual_bus.effects.places import imu_channel_names, joint_at, joint_of_place
 
 
-def joint_of(effect: Effect, at: str, along: Along) -> int | None:
+def joint_of(effect: Effect, at: str, trajectory: Trajectory) -> int | None:
     """Return the number of the joint that an effect acts at; None for a sensor that no joint carries."""
-    name = joint_of_place(effect.kind, at, along.settings)
-    return None if name is None else along.joints.index(name)
+    name = joint_of_place(effect.kind, at, trajectory.settings)
+    return None if name is None else trajectory.joints.index(name)
 
 
 def place_of(
-    effect: Effect, at: str, alongs: Sequence[Along], motions: Sequence[Motion], signals: Sequence[Signals], missing: Sequence[np.ndarray],
-    inertias: np.ndarray,
+    effect: Effect, at: str, trajectories: Sequence[Trajectory], motions: Sequence[Motion], signals: Sequence[Signals],
+    missing: Sequence[np.ndarray], inertias: np.ndarray,
 ) -> Place:  # fmt: skip
     """Return what one place did, over all recordings together.
 
@@ -31,7 +31,7 @@ def place_of(
     inertias : (n,) array
         Of what moves with each joint.
     """
-    first = alongs[0]
+    first = trajectories[0]
     settings = first.settings
     joint = joint_of(effect, at, first)
     axis = next((k for k, drive in enumerate(settings.drives) if drive.axis == at), None)
@@ -42,7 +42,7 @@ def place_of(
     speed = np.concatenate([motion.speed[:, moving] for motion in motions])
     effort = np.concatenate([each.needed[:, j] for each in signals])
     short = np.concatenate([each[:, :, j] for each in missing], axis=1)
-    current = 0.0 if axis is None else max(float(np.abs(along.observed.targets[:, axis]).max()) for along in alongs)
+    current = 0.0 if axis is None else max(float(np.abs(trajectory.observed.targets[:, axis]).max()) for trajectory in trajectories)
     lowest, highest = np.quantile(position, [0.0, 1.0])
     if effect.kind.needs == "spring" and not of_motor:
         largest = max(abs(float(lowest)), abs(float(highest)))
@@ -57,7 +57,7 @@ def place_of(
         stiffness=settings.tree.joints[j].stiffness,
         inertia=float(inertias[j]),
         period_s=first.observed.period_s,
-        duration_s=max(float(along.observed.time[-1]) for along in alongs),
+        duration_s=max(float(trajectory.observed.time[-1]) for trajectory in trajectories),
         is_seen_twice=joint is not None and _seen_twice(first, joint),
         is_prismatic=settings.tree.joints[moving].kind == "prismatic",
         position=position,
@@ -66,9 +66,9 @@ def place_of(
     )
 
 
-def _seen_twice(along: Along, joint: int) -> bool:
+def _seen_twice(trajectory: Trajectory, joint: int) -> bool:
     """Return whether an encoder beyond the motor's, on the link or with the next joints, or an IMU reads what a joint does, too."""
-    channels = set(along.observed.channels)
-    name = along.joints[joint]
-    read = [encoder for encoder in along.settings.encoders if name in encoder.joints and encoder.channel in channels]
-    return len(read) > 1 or any(len(encoder.joints) > 1 for encoder in read) or bool(channels & set(imu_channel_names(along.settings)))
+    channels = set(trajectory.observed.channels)
+    name = trajectory.joints[joint]
+    read = [encoder for encoder in trajectory.settings.encoders if name in encoder.joints and encoder.channel in channels]
+    return len(read) > 1 or any(len(encoder.joints) > 1 for encoder in read) or bool(channels & set(imu_channel_names(trajectory.settings)))

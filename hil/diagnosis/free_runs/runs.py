@@ -19,11 +19,11 @@ from hil.diagnosis.audit.audit import Audit
 from hil.diagnosis.free_runs.scatter import Scatter
 from hil.diagnosis.observed.groups import Group
 from hil.diagnosis.observed.rows import Observed
-from hil.diagnosis.seen.along import Along
-from hil.diagnosis.seen.beside import Levels
-from hil.diagnosis.seen.see import Seen
-from hil.diagnosis.tuned.numbers import Numbers, numbers_of
-from hil.diagnosis.tuned.retuning import DETERMINED, Tuned, ZERO_m, ZERO_rad, biases_of, bounds_of, nominal_offset, tuned_at
+from hil.diagnosis.residuals.equation_errors import Levels
+from hil.diagnosis.residuals.residuals import Residuals
+from hil.diagnosis.residuals.trajectory import Trajectory
+from hil.diagnosis.retuning.linear_model import DETERMINED, LinearModel, ZERO_m, ZERO_rad, biases_of, bounds_of, linear_at, nominal_offset
+from hil.diagnosis.retuning.numbers import Numbers, numbers_of
 from hil.errors import BenchError, RecordingError
 from hil.machine import Machine
 from hil.recording.ticks import on_every_tick
@@ -135,7 +135,7 @@ class FreeRuns:
     runs : tuple of FreeRun
     readings : int
     levels : Levels
-    along : Tuned
+    linear : LinearModel
         The machine as it is seen along the recorded motion: what its places did there is where laws begin from.
     are_shown : (P,) bool array
         Which nuisances the recordings say more of than their prior does; the others stay at the file's numbers.
@@ -148,18 +148,18 @@ class FreeRuns:
     runs: tuple[FreeRun, ...]
     readings: int
     levels: Levels
-    along: Tuned
+    linear: LinearModel
     are_shown: np.ndarray
     jobs: int | None = None
 
-    def about(self, alongs: Sequence[Along], trial: Trial, columns: Sequence[np.ndarray]) -> FreeRuns:
+    def about(self, trajectories: Sequence[Trajectory], trial: Trial, columns: Sequence[np.ndarray]) -> FreeRuns:
         """Return the same, seen at a machine; `columns` (N C, P, at least) are what misfits lose there per unit of each nuisance."""
         offset, settings = trial
-        along = tuned_at(alongs, self.levels, offset, settings)
+        linear = linear_at(trajectories, self.levels, offset, settings)
         nuisances = [each[:, : len(offset)] for each in columns]
         are_shown = np.sum([np.einsum("ij,ij->j", each, each) for each in nuisances], axis=0) > DETERMINED
         runs = tuple(run.about(self.numbers, trial) for run in self.runs)
-        return replace(self, offset=offset, along=along, are_shown=are_shown, runs=runs)
+        return replace(self, offset=offset, linear=linear, are_shown=are_shown, runs=runs)
 
     @property
     def together(self) -> int:
@@ -208,7 +208,7 @@ class FreeRuns:
         return found
 
 
-def free_runs(seen: Seen, audit: Audit, jobs: int | None = None) -> FreeRuns:
+def free_runs(residuals: Residuals, audit: Audit, jobs: int | None = None) -> FreeRuns:
     """Return free runs beside what was seen; with `jobs`, simulations take no more processors.
 
     Raises
@@ -217,23 +217,25 @@ def free_runs(seen: Seen, audit: Audit, jobs: int | None = None) -> FreeRuns:
         An experiment has no repeats, a controller or its states at row 0 are not known, or the file's machine cannot run.
     """
     machine = audit.machine
-    if single := [group.names[0] for group in seen.groups if len(group.repeats) < 2]:
+    if single := [group.names[0] for group in residuals.groups if len(group.repeats) < 2]:
         raise RecordingError(f"{single[0]}: free runs need repeats of its experiment; record some, or judge without free runs")
-    if lacks := lacking(seen, audit):
+    if lacks := lacking(residuals, audit):
         raise RecordingError(lacks)
-    numbers, offset = numbers_of(seen.alongs[0].plant), nominal_offset(seen.alongs)
+    numbers, offset = numbers_of(residuals.trajectories[0].plant), nominal_offset(residuals.trajectories)
     try:
-        runs = tuple(_free_run(seen, number, group).about(numbers, (offset, ())) for number, group in enumerate(seen.groups))
+        runs = tuple(_free_run(residuals, number, group).about(numbers, (offset, ())) for number, group in enumerate(residuals.groups))
     except (BenchError, EmulatorError, ControlError) as error:
         raise RecordingError(f"no free runs of {machine.name}: {error}; judge without them") from None
-    along = tuned_at(seen.alongs, seen.levels, offset)
-    found = FreeRuns(numbers, offset, runs, sum(run.mean.size for run in runs), seen.levels, along, np.ones(len(offset), dtype=bool), jobs)
+    linear = linear_at(residuals.trajectories, residuals.levels, offset)
+    found = FreeRuns(
+        numbers, offset, runs, sum(run.mean.size for run in runs), residuals.levels, linear, np.ones(len(offset), dtype=bool), jobs
+    )
     if found.left([(offset, ())]) == [None]:
         raise RecordingError(f"free runs of {machine.name} run away; judge without them")
     return found
 
 
-def lacking(seen: Seen, audit: Audit) -> str:
+def lacking(residuals: Residuals, audit: Audit) -> str:
     """Return what free runs of the closed loop lack beside recordings; '' where they are possible."""
     machine = audit.machine
     if not machine.controllers:
@@ -242,10 +244,10 @@ def lacking(seen: Seen, audit: Audit) -> str:
     if unknown := [axis for axis in machine.axes if axis not in known]:
         needs = "free runs need the controller that recorded, and its reference, command and position"
         return f"{unknown[0]}: {needs}; correct the machine file, or judge without free runs"
-    for group in seen.groups:
+    for group in residuals.groups:
         if len({str(repeat.recording.metadata.get("machine", {}).get("text")) for repeat in group.repeats}) > 1:
             return f"{group.names[0]}: its repeats were recorded by several machine files; free runs need one; judge without free runs"
-    for repeat in (repeat for group in seen.groups for repeat in group.repeats):
+    for repeat in (repeat for group in residuals.groups for repeat in group.repeats):
         has_states = "controller_states" in repeat.recording.metadata.get("initial", {})
         if not has_states and states_at_start(simulated_loop(repeat), repeat.recording) is None:
             why = "its commands, which are not what the controller computes, do not show the controller's states at row 0"
@@ -275,7 +277,7 @@ def simulated_loop(first: Observed) -> Machine:
     return controllers_of(first.machine, first.recording)
 
 
-def _free_run(seen: Seen, number: int, group: Group) -> FreeRun:
+def _free_run(residuals: Residuals, number: int, group: Group) -> FreeRun:
     """Return the repeats of a group, their last few rows left out where spectra of all rows would be slow."""
     first = group.repeats[0]
     whole = on_every_tick(first.recording)
@@ -284,23 +286,23 @@ def _free_run(seen: Seen, number: int, group: Group) -> FreeRun:
     channels, parts, readings = measured_by(group)
     rows = scipy.fft.prev_fast_len(readings.shape[1], real=True)
     parts, readings = tuple(slice(part.start, part.start + rows) for part in parts), readings[:, :rows]
-    along = seen.alongs[number]
-    encoder_steps = {sensor.channel: sensor.resolution for sensor in along.settings.joint_sensors}
+    trajectory = residuals.trajectories[number]
+    encoder_steps = {sensor.channel: sensor.resolution for sensor in trajectory.settings.joint_sensors}
     mean, is_missing = mean_of(readings)
     deviations = readings - mean
     for each in deviations:
         _fill(each, ~np.isfinite(each))
-    biases = biases_of(seen.alongs)
+    biases = biases_of(residuals.trajectories)
     zeros = np.zeros((*mean.shape, len(biases)))
     for k, bias in enumerate(biases):
         own = bias.of(number)
         if own is not None:
-            encoder = next(each for each in along.settings.encoders if each.channel == channels[own.channel])
-            kind = along.settings.tree.joints[along.joints.index(encoder.joints[0])].kind
+            encoder = next(each for each in trajectory.settings.encoders if each.channel == channels[own.channel])
+            kind = trajectory.settings.tree.joints[trajectory.joints.index(encoder.joints[0])].kind
             zeros[:, own.channel, k] = ZERO_m if kind == "prismatic" else ZERO_rad
             if bias.recording is not None:  # each repeat has its own zero
                 deviations[:, :, own.channel] -= deviations[:, :, own.channel].mean(axis=1, keepdims=True)
-    inputs, known, none = inputs_of(machine, whole), tuple(along.known), np.zeros_like(mean)
+    inputs, known, none = inputs_of(machine, whole), tuple(trajectory.known), np.zeros_like(mean)
     stepped = replace(machine, plant=replace(machine.plant, substeps=simulator.machine.plant.substeps))
     with_lattices, without = (readings_of(one, one.run(inputs, effects=known), parts, channels) for one in (Simulator(stepped), simulator))
     steps = np.array([encoder_steps.get(name, 0.0) for name in channels])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.signal
 
-from hil.diagnosis.tuned.bounded import ROUNDING
+from hil.diagnosis.retuning.bounded import ROUNDING
 
 LINES = 10
 """Of a spectrum, on either side of each, over which the scatter is averaged; as many as there are channels at least."""

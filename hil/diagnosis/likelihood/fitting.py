@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.diagnosis.likelihood.judge import BLOCKS, CELLS, FOLDS, Judge, Left
+from hil.diagnosis.likelihood.judge import CELLS, FOLDS, PARTS, Judge, Left
+from hil.diagnosis.retuning.bounded import bounded_least_squares
 from hil.diagnosis.simulation.windows import Starts
-from hil.diagnosis.tuned.bounded import bounded_least_squares
 from hil.diagnosis.unknowns.unknowns import Kind, Point, Unknowns
 from virtual_bus.errors import EffectError
 
@@ -20,9 +20,9 @@ CHORDS = 8
 """Steps from the whole fit to one of some folds, by the whole fit's columns, at most."""
 PASSES = 2
 """In which errors and what they are weighed by settle."""
-SETTLED = 0.05
+CONVERGED = 0.05
 """Gain of log likelihood below which a fit has ended."""
-SETTLED_FOLD = 0.3
+CONVERGED_FOLD = 0.3
 """The same of a fit to some folds: a tenth of what a parameter must be worth."""
 NEARBY = 0.01
 """Of a difference, in standard deviations of a window's first state: what falls grows a hundredfold in seconds."""
@@ -136,11 +136,11 @@ class Fitting:
             steps = [self._step(here.point, squares, down, damping) for damping in DAMPINGS]
             found = [one for one in self.at([here.point.moved(step) for step in steps]) if one is not None]
             best = min(found, key=lambda one: one.cost, default=here)
-            if not best.cost < here.cost - SETTLED:
-                settled = here if not best.cost < here.cost else replace(best, slopes=here.slopes, columns=here.columns)
-                if not (freed := self._freed(settled)):
-                    return settled
-                best = replace(settled, point=replace(settled.point, held=settled.point.held - freed))
+            if not best.cost < here.cost - CONVERGED:
+                converged = here if not best.cost < here.cost else replace(best, slopes=here.slopes, columns=here.columns)
+                if not (freed := self._freed(converged)):
+                    return converged
+                best = replace(converged, point=replace(converged.point, held=converged.point.held - freed))
             here = best
         return self.with_slopes(here)
 
@@ -197,7 +197,7 @@ class Fitting:
                 for (fold, _), one in zip(tried, found, strict=True):
                     if one is not None and (cost := self._cost_but(one, fold)) < costs[fold]:
                         there[fold], costs[fold] = one, cost
-                moving += [fold for fold in ended if costs[fold] < begun[fold][1] - SETTLED_FOLD]
+                moving += [fold for fold in ended if costs[fold] < begun[fold][1] - CONVERGED_FOLD]
                 ended = [fold for fold in ended if not costs[fold] < begun[fold][1]]
             if not moving:
                 break
@@ -210,8 +210,8 @@ class Fitting:
         squares = fitted.slopes.squares.sum(axis=0) + np.diag(prior(fitted.point)[1])
         scale = np.sqrt(np.maximum(np.diag(squares), 1e-300))
         bent = np.diag(np.linalg.pinv(squares / np.outer(scale, scale), rcond=1e-9, hermitian=True)) / scale**2
-        points = np.array([one.point.coordinates for one in folded]).reshape(-1, BLOCKS, len(bent))
-        return bent, (BLOCKS - 1.0) * np.var(points, axis=1).max(axis=0)
+        points = np.array([one.point.coordinates for one in folded]).reshape(-1, PARTS, len(bent))
+        return bent, (PARTS - 1.0) * np.var(points, axis=1).max(axis=0)
 
     def _without(self, fitted: Fit, one: Fit, fold: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the normal equations of all folds but one, by the columns of the whole fit."""
@@ -285,10 +285,10 @@ class Fitting:
                     first = states[:, inside]
                     inner = np.einsum("swlc,twlc->wst", first * precision[block.horizon], first, optimize=True) + np.eye(len(first))
                     across = np.einsum("pwlc,swlc->wsp", weighted, first, optimize=True)
-                    along = np.einsum("swlc,wlc->ws", first * precision[block.horizon], rest, optimize=True)
+                    projected = np.einsum("swlc,wlc->ws", first * precision[block.horizon], rest, optimize=True)
                     solved = np.linalg.solve(inner, across)
                     squares[cell] -= np.einsum("wsp,wsq->pq", across, solved, optimize=True)
-                    slopes[cell] += np.einsum("wsp,ws->p", solved, along, optimize=True)
+                    slopes[cell] += np.einsum("wsp,ws->p", solved, projected, optimize=True)
         return Slopes(squares, slopes)
 
     def _step(self, point: Point, squares: np.ndarray, slopes: np.ndarray, damping: float) -> np.ndarray:

@@ -10,14 +10,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from hil.diagnosis.likelihood.fitting import REACH, prior
-from hil.diagnosis.seen.along import Along, Motion
-from hil.diagnosis.seen.assumed import efforts_by_encoders
-from hil.diagnosis.tuned.bounded import bounded_least_squares
+from hil.diagnosis.residuals.assumed_noise import efforts_by_encoders
+from hil.diagnosis.residuals.trajectory import Motion, Trajectory
+from hil.diagnosis.retuning.bounded import bounded_least_squares
 from hil.diagnosis.unknowns.unknowns import Machine, Point, Unknowns
 from virtual_bus.errors import EffectError
 
 ITERATIONS = 20
-SETTLED = 1e-3
+CONVERGED = 1e-3
 """Share of the cost that a further step must gain."""
 ROWS = 4000
 """Of all recordings, at most: neighbouring rows say the same."""
@@ -33,15 +33,15 @@ class Inverse:
 
     Parameters
     ----------
-    alongs : sequence of Along
+    trajectories : sequence of Trajectory
     unknowns : Unknowns
     """
 
-    def __init__(self, alongs: Sequence[Along], unknowns: Unknowns) -> None:
+    def __init__(self, trajectories: Sequence[Trajectory], unknowns: Unknowns) -> None:
         self.unknowns = unknowns
-        self.alongs, self.motions = list(alongs), [_slow(along) for along in alongs]
-        self._joints = sorted(alongs[0].smooth)
-        self._every = max(1, sum(along.observed.rows for along in alongs) // ROWS)
+        self.trajectories, self.motions = list(trajectories), [_slow(trajectory) for trajectory in trajectories]
+        self._joints = sorted(trajectories[0].smooth)
+        self._every = max(1, sum(trajectory.observed.rows for trajectory in trajectories) // ROWS)
 
     def errors(self, point: Point) -> np.ndarray:
         """Return what the motion takes less what is given (rows, followed joints)."""
@@ -49,8 +49,8 @@ class Inverse:
 
     def _errors(self, machine: Machine) -> np.ndarray:
         found = []
-        for along, motion in zip(self.alongs, self.motions, strict=True):
-            signals = along.signals(motion, along.model(machine.values, machine.effects), machine.effects)
+        for trajectory, motion in zip(self.trajectories, self.motions, strict=True):
+            signals = trajectory.signals(motion, trajectory.model(machine.values, machine.effects), machine.effects)
             found.append((signals.needed - signals.given)[:: self._every, self._joints])
         return np.vstack(found)
 
@@ -88,7 +88,7 @@ class Inverse:
                 its = self.errors(there)
                 tried.append((self._cost(its, floor, there, share), there, its))
             best, there, its = min(tried, key=lambda each: each[0])
-            if not best < cost - SETTLED * abs(cost):
+            if not best < cost - CONVERGED * abs(cost):
                 return there if best < cost else point
             point, errors = there, its
         return point
@@ -98,9 +98,9 @@ class Inverse:
         return float(0.5 * INDEPENDENT * len(errors) * np.sum(np.log(mean)) + share * np.sum(np.log1p(point.numbers**2)))
 
 
-def _slow(along: Along) -> Motion:
+def _slow(trajectory: Trajectory) -> Motion:
     """Return the motion with the slow accelerations that encoders show: what is faster is noise for the most part."""
-    motion = efforts_by_encoders(along)[0]
-    for joint, one in along.smooth.items():
+    motion = efforts_by_encoders(trajectory)[0]
+    for joint, one in trajectory.smooth.items():
         motion.acceleration[:, joint] = one.slow[:, 2]
     return motion

@@ -17,16 +17,16 @@ import numpy as np
 from hil.diagnosis.simulation.windows import Errors, Simulated, Starts, Windows
 from hil.diagnosis.unknowns.unknowns import Machine
 
-BLOCKS = 4
+PARTS = 4
 """Of the recordings that are left out in turn: stretches of time, and then places, windows whose readings are near each other.
 
 A law that is bent to what was seen predicts a stretch that passes where others did; a place that none of them came to tells."""
 MOST_ROWS = 20_000
 """Of the windows of one length, and of those that errors are computed at: more would say the same again."""
-CELLS = BLOCKS**2
-FOLDS = np.array([[cell // BLOCKS == block for cell in range(CELLS)] for block in range(BLOCKS)]
-                 + [[cell % BLOCKS == block for cell in range(CELLS)] for block in range(BLOCKS)])  # fmt: skip
-"""(2 BLOCKS, CELLS): which cells, of a stretch and a place each, are left out."""
+CELLS = PARTS**2
+FOLDS = np.array([[cell // PARTS == block for cell in range(CELLS)] for block in range(PARTS)]
+                 + [[cell % PARTS == block for cell in range(CELLS)] for block in range(PARTS)])  # fmt: skip
+"""(2 PARTS, CELLS): which cells, of a stretch and a place each, are left out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,12 +99,12 @@ class Judge:
                 windows = Windows(first, rows)
                 stride = max(1, len(first) * rows * every // (run.rows * MOST_ROWS))
                 picked = np.arange(min(stride, rows - 1), rows, stride)
-                stretch = np.minimum(((passed + first + 0.5 * rows) * BLOCKS / every).astype(np.int64), BLOCKS - 1)
+                stretch = np.minimum(((passed + first + 0.5 * rows) * PARTS / every).astype(np.int64), PARTS - 1)
                 own.append(Block(run, h, windows, picked, stretch))
                 passed += run.rows
             ends = np.cumsum([len(block.cell) for block in own])[:-1]
             blocks += [
-                replace(block, cell=BLOCKS * block.cell + place) for block, place in zip(own, np.split(_places(own), ends), strict=True)
+                replace(block, cell=PARTS * block.cell + place) for block, place in zip(own, np.split(_places(own), ends), strict=True)
             ]
         self.blocks = tuple(blocks)
         self.present = tuple(np.isfinite(block.recorded) for block in self.blocks)
@@ -210,7 +210,7 @@ def _places(blocks: Sequence[Block]) -> np.ndarray:
     every = np.concatenate(means)
     spread = every.std(axis=0)
     scaled = (every - every.mean(axis=0)) / np.where(spread > 0.0, spread, np.inf)
-    along = scaled @ np.linalg.svd(scaled, full_matrices=False)[2][0]
-    places = np.empty(len(along), dtype=np.int64)
-    places[np.argsort(along, kind="stable")] = np.arange(len(along)) * BLOCKS // len(along)
+    projected = scaled @ np.linalg.svd(scaled, full_matrices=False)[2][0]
+    places = np.empty(len(projected), dtype=np.int64)
+    places[np.argsort(projected, kind="stable")] = np.arange(len(projected)) * PARTS // len(projected)
     return places

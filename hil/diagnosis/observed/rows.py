@@ -163,10 +163,12 @@ def observed(machine: Machine, name: str, recording: Recording, may_be_imposed: 
     period = float(np.median(gaps))
     rows = np.arange(len(time)) * period if recording.is_even else np.arange(0.0, time[-1] + 0.5 * period, period)
     commands, currents = _efforts(machine, name, recording)
+    tick = min(1.0 / machine.sample_rate_Hz, period)  # after which a command acts
     if recording.is_even:
-        acting, flowing = _one_tick_later(commands, 1.0 / (machine.sample_rate_Hz * period)), currents
+        acting, flowing = _one_tick_later(commands, tick / period), currents
     else:
-        acting, flowing = (np.column_stack([np.interp(rows, time, column) for column in values.T]) for values in (commands, currents))
+        each = ((rows - tick, commands), (rows, currents))
+        acting, flowing = (np.column_stack([np.interp(at, time, column) for column in values.T]) for at, values in each)
     missing = np.isnan(acting)
     acting = np.where(missing, flowing, acting)
     lattice = np.array([drive.resolution for drive in machine.plant.drives])
@@ -201,10 +203,9 @@ def _efforts(machine: Machine, name: str, recording: Recording) -> tuple[np.ndar
     return commands, currents
 
 
-def _one_tick_later(commands: np.ndarray, tick: float) -> np.ndarray:
-    """Return what acts from each row on, on average: a command acts one tick later, a share `tick` of a row; 1 at most.
+def _one_tick_later(commands: np.ndarray, share: float) -> np.ndarray:
+    """Return what acts from each row on, on average: a command acts one tick later, a share of a row.
 
     At the machine's rate the command of row k acts from row k + 1; before the first one what it asks for.
     """
-    share = min(tick, 1.0)
     return share * np.vstack([commands[:1], commands[:-1]]) + (1.0 - share) * commands

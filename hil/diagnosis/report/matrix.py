@@ -23,10 +23,10 @@ def cosines(columns: np.ndarray) -> np.ndarray:
 
 def matrix_figure(columns: np.ndarray, names: Sequence[str]) -> Figure | None:
     """Draw the matrix as an image, with numbers below its diagonal; None with fewer than two numbers."""
-    seen = np.flatnonzero(np.linalg.norm(columns, axis=0) > 0.0)
-    if len(seen) < 2:
+    changed = np.flatnonzero(np.linalg.norm(columns, axis=0) > 0.0)
+    if len(changed) < 2:
         return None
-    order = np.sort(seen[np.argsort(-np.linalg.norm(columns[:, seen], axis=0))][:LEGIBLE])
+    order = np.sort(changed[np.argsort(-np.linalg.norm(columns[:, changed], axis=0))][:LEGIBLE])
     values = cosines(columns[:, order])
     size = 0.42 * len(order) + 2.8
     figure = Figure(figsize=(size + 0.8, size), layout="constrained")

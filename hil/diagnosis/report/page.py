@@ -8,16 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.diagnosis.answered.answer import NEXT_EXPERIMENT
-from hil.diagnosis.answered.values import Answered
 from hil.diagnosis.report.matrix import matrix_figure
 from hil.diagnosis.report.style import STAGE_NAMES
 from hil.diagnosis.report.tables import disturbance_shares, falling, findings, fit_table, hypotheses, retuned_table, verdict
 from hil.diagnosis.report.waterfall import waterfall_figure
+from hil.diagnosis.residuals.residuals import Missing
 from hil.diagnosis.result import DetectionLimit, Diagnosis, Location
-from hil.diagnosis.seen.see import Missing
+from hil.diagnosis.verdict.answer import NEXT_EXPERIMENT
+from hil.diagnosis.verdict.values import Outcome
 from hil.machine.load import name_to_load
-from hil.machine.model import AxisUnits
+from hil.machine.machine import AxisUnits
 from hil.pages import Chart, Charts, Page, Scale, Section, Series, Table, Text, write_page
 from hil.pages.contents import Block
 from hil.pages.picture import drawn as picture
@@ -33,27 +33,27 @@ MISSING = (
 )
 
 
-def write_report(answered: Answered, folder: Path, is_emulated: bool = False) -> Path:
+def write_report(outcome: Outcome, folder: Path, is_emulated: bool = False) -> Path:
     """Write `report.html` into a folder that is there; returns its path."""
-    return write_page(_page(answered, folder, is_emulated), folder / "report.html")
+    return write_page(_page(outcome, folder, is_emulated), folder / "report.html")
 
 
-def _page(answered: Answered, folder: Path, is_emulated: bool) -> Page:
-    diagnosis, machine = answered.diagnosis, answered.machine
+def _page(outcome: Outcome, folder: Path, is_emulated: bool) -> Page:
+    diagnosis, machine = outcome.diagnosis, outcome.machine
     command, reason = next_command(diagnosis, name_to_load(machine), folder)
     units = {units.axis: units for units in machine.units}
-    is_searched = answered.seen is not None
-    sections = [Section("Findings", findings(diagnosis, answered.proposal))]
+    is_searched = outcome.residuals is not None
+    sections = [Section("Findings", findings(diagnosis, outcome.proposal))]
     if is_searched:
-        sections += _what_it_leaves(answered)
+        sections += _what_it_leaves(outcome)
     if diagnosis.location.channels:
         sections.append(Section("Where it is", [_location(diagnosis, units)], is_folded=True))
     if is_searched:
         sections.append(Section("What else was weighed", hypotheses(diagnosis), is_folded=True))
     if not diagnosis.audit.get("recordings"):  # else controllers were not audited
-        sections.append(Section("Controllers", [_audit(answered)], is_folded=True))
+        sections.append(Section("Controllers", [_audit(outcome)], is_folded=True))
     if is_searched:
-        sections += _what_it_shows(answered)
+        sections += _what_it_shows(outcome)
     return Page(
         f"Diagnosis of {machine.name}",
         verdict(diagnosis),
@@ -62,7 +62,7 @@ def _page(answered: Answered, folder: Path, is_emulated: bool) -> Page:
         reason,
         {
             "Machine": f"{machine_fact(machine)}, {machine.description}",
-            "Recordings": ", ".join(answered.recordings),
+            "Recordings": ", ".join(outcome.recordings),
             **({"Noise": NOISE[diagnosis.noise]} if is_searched else {}),
             "Computed in": f"{diagnosis.seconds:.1f} s",
         },
@@ -70,24 +70,24 @@ def _page(answered: Answered, folder: Path, is_emulated: bool) -> Page:
     )
 
 
-def _what_it_leaves(answered: Answered) -> list[Section]:
+def _what_it_leaves(outcome: Outcome) -> list[Section]:
     """Return what the machine file's equations lack, and how well what was named of it predicts."""
-    diagnosis = answered.diagnosis
+    diagnosis = outcome.diagnosis
     waterfall = waterfall_figure(diagnosis.fit, [finding.effect for finding in diagnosis.findings if finding.kind == "effect"])
     fell: list[Block] = [] if waterfall is None else [picture(waterfall, "Waterfall of the mismatch above noise")]
-    missing: list[Block] = [Text(MISSING.format(share=diagnosis.unexplained_share)), *missing_charts(answered)]
+    missing: list[Block] = [Text(MISSING.format(share=diagnosis.unexplained_share)), *missing_charts(outcome)]
     return [
         Section("What is missing, and what was named of it", [*missing, *disturbance_shares(diagnosis)]),
         Section("How well it predicts", [Text(_how_predicted(diagnosis)), *fell, fit_table(diagnosis)]),
     ]
 
 
-def _what_it_shows(answered: Answered) -> list[Section]:
+def _what_it_shows(outcome: Outcome) -> list[Section]:
     """Return the numbers that a search fitted, and what it could not have shown."""
-    numbers: list[Block] = [*retuned_table(answered.diagnosis), *_matrix(answered)]
+    numbers: list[Block] = [*retuned_table(outcome.diagnosis), *_matrix(outcome)]
     return [
         Section("Numbers of the machine file", numbers, is_folded=True),
-        Section("What these recordings could not show", _limits(answered.diagnosis.detection_limits), is_folded=True),
+        Section("What these recordings could not show", _limits(outcome.diagnosis.detection_limits), is_folded=True),
     ]
 
 
@@ -104,8 +104,8 @@ def _how_predicted(diagnosis: Diagnosis) -> str:
     return f"Free runs driven by the recorded efforts, {runs}: their rms errors as shares of each channel's rms about its mean."
 
 
-def _audit(answered: Answered) -> Block:
-    axes = answered.diagnosis.audit.get("axes", {})
+def _audit(outcome: Outcome) -> Block:
+    axes = outcome.diagnosis.audit.get("axes", {})
     rows = []
     for name, axis in axes.items():
         gain = axis["gain"]["value"]
@@ -126,40 +126,40 @@ def _limits(limits: tuple[DetectionLimit, ...]) -> list[Block]:
     return [Text("An effect that is weaker than this would not have been named."), Table(header, rows, frozenset({2}))]
 
 
-def missing_charts(answered: Answered) -> list[Charts]:
+def missing_charts(outcome: Outcome) -> list[Charts]:
     """Return charts for every driven joint: what the machine file's equations lack over speed and position, and what was named of it."""
-    joints, named = _missing_and_named(answered)
-    return [_of_joint(answered, joint, parts, named) for joint, parts in joints.items()]
+    joints, explained = _missing_and_explained(outcome)
+    return [_of_joint(outcome, joint, parts, explained) for joint, parts in joints.items()]
 
 
-def telling_charts(answered: Answered) -> list[Charts]:
+def telling_charts(outcome: Outcome) -> list[Charts]:
     """Return the charts of `missing_charts` for the joint of which the answer says most, by power; none where it says nothing of any."""
-    joints, named = _missing_and_named(answered)
+    joints, explained = _missing_and_explained(outcome)
 
     def said(joint: str) -> float:
-        pairs = [(part.missing, named[part.recording, joint]) for part in joints[joint]]
+        pairs = [(part.missing, explained[part.recording, joint]) for part in joints[joint]]
         return sum(float(np.sum(missing**2) - np.sum((missing - effort) ** 2)) for missing, effort in pairs)
 
-    told = max(joints, key=said, default="") if named else ""
-    return [_of_joint(answered, told, joints[told], named)] if told and said(told) > 0.0 else []
+    told = max(joints, key=said, default="") if explained else ""
+    return [_of_joint(outcome, told, joints[told], explained)] if told and said(told) > 0.0 else []
 
 
-def _missing_and_named(answered: Answered) -> tuple[dict[str, list[Missing]], dict[tuple[str, str], np.ndarray]]:
+def _missing_and_explained(outcome: Outcome) -> tuple[dict[str, list[Missing]], dict[tuple[str, str], np.ndarray]]:
     """Return what the machine file's equations lack, by joint, and what was named of it, by recording and joint."""
     joints: dict[str, list[Missing]] = {}
-    if answered.seen is None:
+    if outcome.residuals is None:
         return joints, {}
-    missing = answered.seen.missing()
+    missing = outcome.residuals.missing()
     for each in missing:
         joints.setdefault(each.joint, []).append(each)
-    if not answered.effects:
+    if not outcome.effects:
         return joints, {}
-    said = answered.seen.said_by(answered.values, answered.effects)
+    said = outcome.residuals.said_by(outcome.values, outcome.effects)
     return joints, {(each.recording, each.joint): effort for each, effort in zip(missing, said, strict=True)}
 
 
-def _of_joint(answered: Answered, joint: str, parts: list[Missing], named: dict[tuple[str, str], np.ndarray]) -> Charts:
-    slides = any(each.name == joint and each.kind == "prismatic" for each in answered.machine.plant.tree.joints)
+def _of_joint(outcome: Outcome, joint: str, parts: list[Missing], explained: dict[tuple[str, str], np.ndarray]) -> Charts:
+    slides = any(each.name == joint and each.kind == "prismatic" for each in outcome.machine.plant.tree.joints)
     length, effort = ("m", "N") if slides else ("rad", "Nm")
     every = max(1, sum(len(part.time) for part in parts) // MOST_POINTS)
     lacked = np.concatenate([part.missing[::every] for part in parts])
@@ -170,19 +170,19 @@ def _of_joint(answered: Answered, joint: str, parts: list[Missing], named: dict[
     for quantity, unit in (("speed", f"{length}/s"), ("position", length)):
         x = np.concatenate([getattr(part, quantity)[::every] for part in parts])
         series = [Series("given less taken by the machine file", x, lacked, is_points=True, look=0)]
-        if named:
-            fitted = np.concatenate([named[part.recording, joint][::every] for part in parts])
+        if explained:
+            fitted = np.concatenate([explained[part.recording, joint][::every] for part in parts])
             series.append(Series(f"{STAGE_NAMES['extended']}: what the answer says of it", x, fitted, is_points=True, look=1))
         title = f"Missing effort on {joint} over its {quantity}"
         charts.append(Chart(title, Scale(f"{quantity} of {joint} [{unit}]"), scale, series, height=SCATTER_PX))
     return Charts(charts, columns=2)
 
 
-def _matrix(answered: Answered) -> list[Block]:
+def _matrix(outcome: Outcome) -> list[Block]:
     """Return how alike the numbers' and parameters' columns are behind the filter."""
-    if answered.columns is None or not len(answered.columns[0]):
+    if outcome.columns is None or not len(outcome.columns[0]):
         return []
-    figure = matrix_figure(*answered.columns)
+    figure = matrix_figure(*outcome.columns)
     return [] if figure is None else [picture(figure, "Identifiability matrix")]
 
 

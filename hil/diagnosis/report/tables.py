@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from hil.diagnosis.next_experiment.proposal import Proposal
 from hil.diagnosis.report.style import STAGE_NAMES
-from hil.diagnosis.result import STAGES, Diagnosis, Estimate, Finding, Stages
-from hil.diagnosis.separating.next_experiment import Proposal
+from hil.diagnosis.result import STAGES, Diagnosis, Finding, ParameterEstimate, Stages
 from hil.pages import Bullets, Table, Text, Verdict
 from hil.pages.contents import Block, Kind
 
@@ -54,7 +54,7 @@ def known(diagnosis: Diagnosis) -> str:
     )
 
 
-def _estimate(estimate: Estimate) -> str:
+def _estimate(estimate: ParameterEstimate) -> str:
     unit = f" {estimate.unit}" if estimate.unit else ""
     return f"{estimate.value:.4g}{unit} ({estimate.ci95[0]:.4g} to {estimate.ci95[1]:.4g})"
 

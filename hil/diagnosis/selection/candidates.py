@@ -13,8 +13,8 @@ from hil.diagnosis.candidates.columns import Column
 from hil.diagnosis.candidates.entries import Entry, columns_of, entries
 from hil.diagnosis.likelihood.fitting import Fit, Fitting, prior
 from hil.diagnosis.likelihood.inverse import Inverse
-from hil.diagnosis.likelihood.judge import BLOCKS, FOLDS
-from hil.diagnosis.tuned.bounded import bounded_least_squares
+from hil.diagnosis.likelihood.judge import FOLDS, PARTS
+from hil.diagnosis.retuning.bounded import bounded_least_squares
 from hil.diagnosis.unknowns.unknowns import Machine
 from virtual_bus.effects.law import SMOOTHED
 from virtual_bus.errors import EffectError
@@ -27,26 +27,26 @@ OWN = 1e-6
 
 def library(inverse: Inverse, machine: Machine) -> list[tuple[Entry, np.ndarray]]:
     """Return the laws of all effects at all places beside a machine, with weights at which each is small."""
-    alongs, motions = inverse.alongs, inverse.motions
+    trajectories, motions = inverse.trajectories, inverse.motions
     signals = [
-        along.signals(motion, along.model(machine.values, machine.effects), machine.effects)
-        for along, motion in zip(alongs, motions, strict=True)
+        trajectory.signals(motion, trajectory.model(machine.values, machine.effects), machine.effects)
+        for trajectory, motion in zip(trajectories, motions, strict=True)
     ]
     asked = [_evened(each.given - each.needed)[None] for each in signals]
-    inertias = alongs[0].plant.inertias(alongs[0].model(machine.values), motions[0].position[0])
-    plain = [along.signals(motion, along.model(machine.values)) for along, motion in zip(alongs, motions, strict=True)]
+    inertias = trajectories[0].plant.inertias(trajectories[0].model(machine.values), motions[0].position[0])
+    plain = [trajectory.signals(motion, trajectory.model(machine.values)) for trajectory, motion in zip(trajectories, motions, strict=True)]
     found = []
-    for law in entries(alongs, motions, plain, machine.values, asked, inertias, is_whole=True):
-        columns = columns_of(law, alongs, motions, plain, machine.values)
+    for law in entries(trajectories, motions, plain, machine.values, asked, inertias, is_whole=True):
+        columns = columns_of(law, trajectories, motions, plain, machine.values)
         if columns:
             efforts = [np.sqrt(np.mean(each.needed**2, axis=0)) + 1e-12 for each in plain]
-            readings = [np.nanstd(np.hstack([a.observed.readings, a.observed.currents]), axis=0) for a in alongs]
+            readings = [np.nanstd(np.hstack([a.observed.readings, a.observed.currents]), axis=0) for a in trajectories]
             found.append((law, _small(columns, efforts, readings)))
     return found
 
 
 @dataclass(frozen=True, eq=False)
-class Beside:
+class EquationErrors:
     """A fitted machine with laws beside it, as far as equations are linear.
 
     Attributes
@@ -92,7 +92,7 @@ class Beside:
         return own
 
 
-def beside(fitting: Fitting, here: Fit, laws: Sequence[tuple[Entry, np.ndarray]]) -> Beside:
+def equation_errors(fitting: Fitting, here: Fit, laws: Sequence[tuple[Entry, np.ndarray]]) -> EquationErrors:
     """Simulate what each law changes beside a fitted machine."""
     here = here if here.slopes is not None else fitting.with_slopes(here)
     base = fitting.unknowns.machine(here.point)
@@ -126,7 +126,7 @@ def beside(fitting: Fitting, here: Fit, laws: Sequence[tuple[Entry, np.ndarray]]
     readings = fitting.weights * fitting.judge.counts_of_folds / fitting.judge.counts
     left = readings * fitting.judge.mean_squares_of_folds([here.reduced] * len(FOLDS)) / here.mean_squares
     of_folds = (each.sum(axis=(1, 2)) for each in (readings, left))
-    return Beside(here, tuple(used), tuple(parts), np.array(sizes), slopes.squares, slopes.slopes, *of_folds)
+    return EquationErrors(here, tuple(used), tuple(parts), np.array(sizes), slopes.squares, slopes.slopes, *of_folds)
 
 
 def _with(machine: Machine, law: Entry, weights: np.ndarray) -> list[Machine]:
@@ -135,7 +135,7 @@ def _with(machine: Machine, law: Entry, weights: np.ndarray) -> list[Machine]:
     return [replace(machine, effects=(*machine.effects, trial)) for trial in trials]
 
 
-def gain_left_out(of: Beside, kept: np.ndarray, held: np.ndarray, room: tuple[np.ndarray, np.ndarray]) -> float:
+def gain_left_out(of: EquationErrors, kept: np.ndarray, held: np.ndarray, room: tuple[np.ndarray, np.ndarray]) -> float:
     """Return what log likelihood of left-out windows gains by fitting some unknowns, as far as equations are linear.
 
     Of stretches and places that are left out, it is what gains less. Errors count by their logarithm, as where machines are simulated:
@@ -160,10 +160,10 @@ def gain_left_out(of: Beside, kept: np.ndarray, held: np.ndarray, room: tuple[np
             return -np.inf
         less = float(2.0 * own_slopes @ step - step @ own_squares @ step)
         gained.append(-0.5 * readings * math.log(max(1.0 - less / left, LEAST)) if left > 0.0 else 0.0)
-    return min(sum(gained[:BLOCKS]), sum(gained[BLOCKS:]))
+    return min(sum(gained[:PARTS]), sum(gained[PARTS:]))
 
 
-def added(of: Beside, room: tuple[np.ndarray, np.ndarray], worth: float, most: int) -> list[tuple[Entry, np.ndarray, float]]:
+def added(of: EquationErrors, room: tuple[np.ndarray, np.ndarray], worth: float, most: int) -> list[tuple[Entry, np.ndarray, float]]:
     """Return laws that would predict better what is left out, one after the other, with their weights and what each gains."""
     own, size = of.own, of.squares.shape[1]
     low, high = of.bounds(room)
@@ -195,7 +195,7 @@ def added(of: Beside, room: tuple[np.ndarray, np.ndarray], worth: float, most: i
     return [(of.laws[number], of.weights(step, number), gain) for number, gain in chosen]
 
 
-def alone_laws(of: Beside, room: tuple[np.ndarray, np.ndarray], worth: float, most: int) -> list[tuple[Entry, np.ndarray]]:
+def alone_laws(of: EquationErrors, room: tuple[np.ndarray, np.ndarray], worth: float, most: int) -> list[tuple[Entry, np.ndarray]]:
     """Return the laws that alone would predict best what is left out, one an effect and place, with their weights."""
     own, size = of.own, of.squares.shape[1]
     low, high = of.bounds(room)
@@ -216,7 +216,7 @@ def alone_laws(of: Beside, room: tuple[np.ndarray, np.ndarray], worth: float, mo
     return found
 
 
-def _weights(of: Beside, kept: np.ndarray, room: tuple[np.ndarray, np.ndarray], held: np.ndarray | None = None) -> np.ndarray:
+def _weights(of: EquationErrors, kept: np.ndarray, room: tuple[np.ndarray, np.ndarray], held: np.ndarray | None = None) -> np.ndarray:
     """Return the step (M,) of some unknowns that fits all windows best, the others changed by `held`, as far as equations are linear."""
     own = of.own
     pull, stiffness = prior(of.fit.point)
@@ -237,12 +237,12 @@ class Neighbours:
 
     Parameters
     ----------
-    of : Beside
+    of : EquationErrors
     room : pair of (P,) arrays
         Of the machine's own unknowns and parameters.
     """
 
-    def __init__(self, of: Beside, room: tuple[np.ndarray, np.ndarray]) -> None:
+    def __init__(self, of: EquationErrors, room: tuple[np.ndarray, np.ndarray]) -> None:
         self.of, self._room, self._none = of, of.bounds(room), np.zeros(of.squares.shape[1])
         self._everything = self._gain(np.arange(of.own), self._none)
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from hil.diagnosis.candidates.entries import Entry
 from hil.diagnosis.likelihood.fitting import Fit
-from hil.diagnosis.likelihood.judge import BLOCKS
-from hil.diagnosis.named.search import NOT_TOLD_APART
-from hil.diagnosis.selection.candidates import Beside, Neighbours, library
+from hil.diagnosis.likelihood.judge import PARTS
+from hil.diagnosis.model_choice.search import NOT_TOLD_APART
+from hil.diagnosis.selection.candidates import EquationErrors, Neighbours, library
 from hil.diagnosis.selection.search import TESTED, Search
 from virtual_bus.settings import EffectSetting
 
@@ -47,7 +47,7 @@ class Rival:
 
 def behind(search: Search, one: Fit, answer: Fit) -> float:
     """Return how far a fit is behind the answer: by stretches or by places that were left out, whichever tells less."""
-    gains = (search.scores(one) - search.scores(answer)).reshape(-1, BLOCKS).sum(axis=1)
+    gains = (search.scores(one) - search.scores(answer)).reshape(-1, PARTS).sum(axis=1)
     return 2.0 * float(min(gains, key=abs))
 
 
@@ -61,7 +61,7 @@ def rivals(search: Search, answer: Fit, near: Neighbours) -> tuple[tuple[int, ..
 
     What is foretold to be far behind is not fitted.
     """
-    named, found = [], []
+    accepted, found = [], []
     for number, setting in enumerate(answer.point.settings):
         kept = tuple(each for k, each in enumerate(answer.point.settings) if k != number)
         worth = search.worth([setting])
@@ -71,7 +71,7 @@ def rivals(search: Search, answer: Fit, near: Neighbours) -> tuple[tuple[int, ..
             sparer = search.fitting.fit(search.fitting.based(replace(answer.point, settings=kept)))
             if sparer is not None and not search.is_better(answer, sparer, worth):
                 continue
-        named.append(number)
+        accepted.append(number)
         lost = foretold if sparer is None else behind(search, sparer, answer)
         parameters = len(answer.point.parameters) - sum(k == number for k, _ in answer.point.parameters)
         found.append(Rival(kept, number, False, lost, parameters, sparer))
@@ -86,10 +86,10 @@ def rivals(search: Search, answer: Fit, near: Neighbours) -> tuple[tuple[int, ..
                 found.append(Rival(fit.point.settings, number, True, behind(search, fit, answer), len(fit.point.parameters), fit))
             elif 2.0 * lag >= TESTED * NOT_TOLD_APART:
                 found.append(Rival(its, number, True, 2.0 * lag, parameters + len(weights)))
-    return tuple(named), tuple(sorted(found, key=lambda each: each.behind))
+    return tuple(accepted), tuple(sorted(found, key=lambda each: each.behind))
 
 
-def shown(of: Beside) -> list[tuple[Entry, np.ndarray]]:
+def shown(of: EquationErrors) -> list[tuple[Entry, np.ndarray]]:
     """Return what log likelihood gains with a law beside an answer: squares (w, w) of its weights, without what other numbers would do."""
     squares = of.squares.sum(axis=0)
     own = squares[: of.own, : of.own] + np.diag(np.full(of.own, 1e-300))

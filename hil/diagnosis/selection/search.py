@@ -11,8 +11,8 @@ import numpy as np
 from hil.diagnosis.candidates.entries import Entry
 from hil.diagnosis.likelihood.fitting import REACH, Fit, Fitting
 from hil.diagnosis.likelihood.inverse import Inverse
-from hil.diagnosis.likelihood.judge import BLOCKS
-from hil.diagnosis.selection.candidates import Neighbours, added, alone_laws, beside, library
+from hil.diagnosis.likelihood.judge import PARTS
+from hil.diagnosis.selection.candidates import Neighbours, added, alone_laws, equation_errors, library
 from hil.diagnosis.unknowns.unknowns import Point
 from virtual_bus.effects.registry import effects
 from virtual_bus.settings import EffectSetting
@@ -71,8 +71,8 @@ class Search:
 
     def is_better(self, one: Fit, other: Fit, worth: float) -> bool:
         """Return whether a fit predicts better than another, by so much and by more than stretches, and places, differ about it."""
-        gains = (self.scores(other) - self.scores(one)).reshape(-1, BLOCKS)
-        return all(each.sum() > max(worth, float(np.sqrt(BLOCKS) * each.std(ddof=1))) for each in gains)
+        gains = (self.scores(other) - self.scores(one)).reshape(-1, PARTS)
+        return all(each.sum() > max(worth, float(np.sqrt(PARTS) * each.std(ddof=1))) for each in gains)
 
     def worth(self, settings: Sequence[EffectSetting]) -> float:
         """Return the gain of log likelihood that effects must bring: their parameters' worth; of those that are not everyday, more.
@@ -87,7 +87,7 @@ class Search:
     def neighbours(self, fit: Fit, laws: Sequence[tuple[Entry, np.ndarray]]) -> Neighbours:
         """Return sets near a fitted one, with all numbers free: one that others stand in for may stand in for an effect."""
         freed = replace(fit, point=replace(fit.point, held=frozenset()), slopes=None)
-        return Neighbours(beside(self.fitting, freed, laws), freed.point.room(self.fitting.unknowns, REACH))
+        return Neighbours(equation_errors(self.fitting, freed, laws), freed.point.room(self.fitting.unknowns, REACH))
 
     def best(self, starts: Sequence[Fit]) -> Fit:
         """Add laws that predict better what is left out, leave out those that are not missed, until nothing changes.
@@ -118,7 +118,7 @@ class Search:
             return []
         everything = library(self.inverse, self.fitting.unknowns.machine(start))
         self._tried = len(everything)
-        of = beside(self.fitting, here, everything)
+        of = equation_errors(self.fitting, here, everything)
         laws = alone_laws(of, here.point.room(self.fitting.unknowns, REACH), self._material, MOST_ALONE)
         found = []
         for law, weights in laws:
@@ -133,7 +133,7 @@ class Search:
         """Return the fit with laws that promise most: all that do, or else the best of the first few alone."""
         laws = library(self.inverse, self.fitting.unknowns.machine(fit.point))
         self._tried = len(laws)
-        of = beside(self.fitting, fit, laws)
+        of = equation_errors(self.fitting, fit, laws)
         room = fit.point.room(self.fitting.unknowns, REACH)
         found = added(of, room, self._material, MOST_AT_ONCE)
         self.say("promising: " + ", ".join(f"{law.effect.name}@{law.at} {gain:.1f}" for law, _, gain in found))

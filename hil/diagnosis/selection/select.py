@@ -12,16 +12,16 @@ from hil.diagnosis.candidates.entries import setting_of
 from hil.diagnosis.likelihood.fitting import Fit, Fitting
 from hil.diagnosis.likelihood.inverse import Inverse
 from hil.diagnosis.likelihood.judge import Judge
-from hil.diagnosis.named.everyday import everyday_effects
+from hil.diagnosis.model_choice.everyday import everyday_effects
 from hil.diagnosis.observed.rows import between_samples, observed
-from hil.diagnosis.seen.along import Along
-from hil.diagnosis.seen.assumed import efforts_by_encoders
-from hil.diagnosis.selection.candidates import Beside
+from hil.diagnosis.residuals.assumed_noise import efforts_by_encoders
+from hil.diagnosis.residuals.trajectory import Trajectory
+from hil.diagnosis.retuning.linear_model import ZERO_m, ZERO_rad
+from hil.diagnosis.selection.candidates import EquationErrors
 from hil.diagnosis.selection.rivals import Rival, around, rivals
 from hil.diagnosis.selection.search import Search
 from hil.diagnosis.simulation.closed_loop import ClosedLoop
 from hil.diagnosis.simulation.windows import OpenLoop, Simulated
-from hil.diagnosis.tuned.retuning import ZERO_m, ZERO_rad
 from hil.diagnosis.unknowns.unknowns import Kind, Point, Unknown, Unknowns, numbers_of
 from hil.machine import Machine
 from hil.recording import Recording
@@ -59,11 +59,11 @@ class Selected:
         The engineer's.
     plain : Fit
         Numbers alone.
-    named : tuple of int
+    accepted : tuple of int
         Effects of the best machine that are missed without them.
     rivals : tuple of Rival
         Machines without one of them.
-    of : Beside
+    of : EquationErrors
         The best machine with all laws beside it.
     closed : bool
         Whether the closed loop was simulated, from its references on.
@@ -73,9 +73,9 @@ class Selected:
     fit: Fit
     baseline: Fit
     plain: Fit
-    named: tuple[int, ...]
+    accepted: tuple[int, ...]
     rivals: tuple[Rival, ...]
-    of: Beside
+    of: EquationErrors
     closed: bool
 
     @property
@@ -87,21 +87,24 @@ class Selected:
 def is_closed(machine: Machine, recordings: Mapping[str, Recording]) -> bool:
     """Return whether recordings have all that the machine's loop was given."""
     names = [f"reference_{axis}" for axis in machine.axes]
-    return bool(machine.controllers) and all(name in one for one in recordings.values() for name in names)
+    recorded = all(name in one and np.isfinite(one[name]).any() for one in recordings.values() for name in names)
+    return bool(machine.controllers) and recorded
 
 
-def runs_of(machine: Machine, recordings: Mapping[str, Recording], closed: bool, first: int = 0) -> tuple[list[Along], list[Simulated]]:
+def runs_of(
+    machine: Machine, recordings: Mapping[str, Recording], closed: bool, first: int = 0
+) -> tuple[list[Trajectory], list[Simulated]]:
     """Return the recordings' motions, and free runs beside them, numbered from `first` on.
 
     There are no runs where no encoder follows a joint, or recordings have not the same channels.
     """
     every = [between_samples(observed(machine, name, recording)) for name, recording in recordings.items()]
-    alongs = [Along(one) for one in every]
-    numbered = enumerate(zip(every, alongs, strict=True), first)
-    if not all(along.smooth for along in alongs):
-        return alongs, []
-    runs: list[Simulated] = [ClosedLoop(k, one) if closed else OpenLoop(k, one, along) for k, (one, along) in numbered]
-    return alongs, runs if all(run.channels == runs[0].channels for run in runs) else []
+    trajectories = [Trajectory(one) for one in every]
+    numbered = enumerate(zip(every, trajectories, strict=True), first)
+    if not all(trajectory.smooth for trajectory in trajectories):
+        return trajectories, []
+    runs: list[Simulated] = [ClosedLoop(k, one) if closed else OpenLoop(k, one, trajectory) for k, (one, trajectory) in numbered]
+    return trajectories, runs if all(run.channels == runs[0].channels for run in runs) else []
 
 
 def select(
@@ -112,13 +115,13 @@ def select(
     Simulations take `jobs` processors at most, all by default.
     """
     closed = is_closed(machine, recordings)
-    alongs, runs = runs_of(machine, recordings, closed)
+    trajectories, runs = runs_of(machine, recordings, closed)
     if not runs:
         return None
     unknowns = _unknowns(machine, runs, closed)
-    inverse = Inverse(alongs, unknowns)
-    everyday = everyday_effects(alongs[0])
-    of_sets = [inverse.fits(unknowns.start(each)) for each in engineers_sets(alongs, everyday)]
+    inverse = Inverse(trajectories, unknowns)
+    everyday = everyday_effects(trajectories[0])
+    of_sets = [inverse.fits(unknowns.start(each)) for each in engineers_sets(trajectories, everyday)]
     say(f"inverse: {_words(unknowns, of_sets[0][0])}")
     grown = _grown(runs, unknowns, of_sets[0], closed, say, jobs)
     if grown is None:
@@ -130,7 +133,7 @@ def select(
     others += search.from_the_file(unknowns.start(everyday), baseline)
     best = search.best([baseline, *(one for one in others if one is not None)])
     near = around(search, best)
-    named, against = rivals(search, best, near)
+    accepted, against = rivals(search, best, near)
     for _ in range(EXCHANGES):
         better = min((one for one in against if one.has_another and one.fit is not None), key=lambda one: one.behind, default=None)
         if better is None or better.fit is None:
@@ -141,38 +144,38 @@ def select(
         say(f"exchanged: {_words(unknowns, better.fit.point)}")
         best = search.best([better.fit])
         near = around(search, best)
-        named, against = rivals(search, best, near)
-    while len(named) < len(best.point.settings):  # all together are fitted and judged anew, so that the answer is what is named
-        sparer = fitting.fit(fitting.based(replace(best.point, settings=tuple(best.point.settings[k] for k in named))))
+        accepted, against = rivals(search, best, near)
+    while len(accepted) < len(best.point.settings):  # all together are fitted and judged anew, so that the answer is what is named
+        sparer = fitting.fit(fitting.based(replace(best.point, settings=tuple(best.point.settings[k] for k in accepted))))
         if sparer is None:
             break
         best = sparer
         near = around(search, best)
-        named, against = rivals(search, best, near)
+        accepted, against = rivals(search, best, near)
     plain = fitting.fit(fitting.based(replace(inverse.fits(unknowns.start())[0], held=frozenset())))
-    return Selected(search, best, baseline, baseline if plain is None else plain, named, against, near.of, closed)
+    return Selected(search, best, baseline, baseline if plain is None else plain, accepted, against, near.of, closed)
 
 
-def engineers_sets(alongs: Sequence[Along], everyday: Sequence[EffectSetting]) -> list[tuple[EffectSetting, ...]]:
+def engineers_sets(trajectories: Sequence[Trajectory], everyday: Sequence[EffectSetting]) -> list[tuple[EffectSetting, ...]]:
     """Return the sets that an engineer would try: everyday effects; a power of speed in place of viscous friction; friction of the load.
 
     Friction of the load is tried where something loads an axis: elsewhere it does what another inertia does.
     """
-    of = alongs[0].settings
+    of = trajectories[0].settings
     power = tuple(setting_of(effect_at(POWER, each.at, of), each.at, {}) if each.name == VISCOUS else each for each in everyday)
-    loaded = [drive.axis for drive in of.drives if any(_is_loaded(along, drive.joint) for along in alongs)]
+    loaded = [drive.axis for drive in of.drives if any(_is_loaded(trajectory, drive.joint) for trajectory in trajectories)]
     of_load = tuple(setting_of(effect_at(OF_LOAD, axis, of), axis, {}) for axis in loaded)
     sets = [tuple(everyday), power]
     return sets + ([(*each, *of_load) for each in sets] if of_load else [])
 
 
-def _is_loaded(along: Along, joint: str) -> bool:
+def _is_loaded(trajectory: Trajectory, joint: str) -> bool:
     """Return whether what hangs on a joint asks for much of its effort."""
-    k = along.joints.index(joint)
-    motion = efforts_by_encoders(along)[0]
+    k = trajectory.joints.index(joint)
+    motion = efforts_by_encoders(trajectory)[0]
     still = replace(motion, speed=np.zeros_like(motion.speed), acceleration=np.zeros_like(motion.acceleration))
-    held = along.signals(still, along.model(along.plant.nominal))
-    return k in along.smooth and float(np.std(held.needed[:, k])) > LOADED * float(np.std(held.given[:, k]))
+    held = trajectory.signals(still, trajectory.model(trajectory.plant.nominal))
+    return k in trajectory.smooth and float(np.std(held.needed[:, k])) > LOADED * float(np.std(held.given[:, k]))
 
 
 def _unknowns(machine: Machine, runs: Sequence[Simulated], closed: bool) -> Unknowns:
@@ -192,7 +195,7 @@ def _unknowns(machine: Machine, runs: Sequence[Simulated], closed: bool) -> Unkn
             further.append(Unknown(f"{name}.controller_gain", Kind.GAIN, axis, 1.0, 0.15, is_log=True))
             further.append(Unknown(f"{name}.command_early", Kind.EARLY, axis, 0.0, STAMPS, is_left_out=True, most=1.0))
             values = np.concatenate([run.recorded[:, c] for run in runs for c, a in run.axis_of.items() if a == axis])  # type: ignore[attr-defined]
-            fastest = max(float(np.abs(np.diff(run.recorded_reference[:, axis]) / np.diff(run.recorded_time)).max()) for run in runs)  # type: ignore[attr-defined]
+            fastest = max(float(np.nanmax(np.abs(np.diff(run.recorded_reference[:, axis]) / np.diff(run.recorded_time)))) for run in runs)  # type: ignore[attr-defined]
             if fastest > 0.0:
                 further.append(Unknown(f"{name}.speed_limit", Kind.SPEED_LIMIT, axis, fastest, -0.15, is_log=True))
             if len(values):

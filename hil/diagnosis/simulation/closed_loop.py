@@ -9,7 +9,7 @@ import numpy as np
 import scipy.signal
 
 from hil.diagnosis.observed.rows import Observed
-from hil.diagnosis.simulation.windows import MOST_STEPS, Errors, Starts, Windows
+from hil.diagnosis.simulation.windows import MOST_STEPS, Errors, Starts, Windows, in_order
 from hil.diagnosis.unknowns.unknowns import Machine
 from hil.machine import Machine as Bench
 from hil.recording import Recording
@@ -49,7 +49,7 @@ class ClosedLoop:
         self.axis_of = {c: given.index(name) for c, name in enumerate(self.channels) if name in given}
         self.recorded = np.column_stack([recording[name] for name in self.channels])
         self.rows, self.period_s = recording.rows, float(np.median(np.diff(self.recorded_time)))
-        self.noise = np.array([max(_rounding(machine, name), 1e-6 * float(np.nanstd(recording[name]))) for name in self.channels])
+        self.noise = np.array([_scatter(observed.machine, recording, name) for name in self.channels])
         self.starts: tuple[Starts, ...] = ()
         initial = recording.metadata.get("initial", {})
         self._states = initial.get("controller_states") or states_at_start(machine, recording, with_gain=True)
@@ -65,7 +65,8 @@ class ClosedLoop:
         }
 
     def _on_ticks(self, columns: np.ndarray, lateness_s: float) -> np.ndarray:
-        return np.column_stack([np.interp(self._ticks - lateness_s, self.recorded_time, column) for column in columns.T])
+        at, each = self._ticks - lateness_s, ((np.isfinite(column), column) for column in columns.T)
+        return np.column_stack([np.interp(at, self.recorded_time[there], column[there]) for there, column in each])
 
     def begin(
         self, machines: Sequence[Machine], starts: Sequence[Starts | None], windows: Sequence[Windows], threads: ThreadPoolExecutor
@@ -84,15 +85,7 @@ class ClosedLoop:
             trials = [(machines[k].values, (*self.known, *machines[k].effects)) for k in members]
             own = [Own(machines[k].gain, np.zeros(joints), np.zeros(joints), machines[k].early) for k in members]
             waiting.append((members, self.simulator.begin_all(inputs, trials, threads, own, MOST_STEPS)))
-
-        def ended() -> list[Errors]:
-            found: list[Errors] = [None] * len(machines)
-            for members, outputs in waiting:
-                for k, one in zip(members, outputs(), strict=True):
-                    found[k] = self._off(machines[k], one, windows)
-            return found
-
-        return ended
+        return in_order(len(machines), waiting, lambda k, outputs: self._off(machines[k], outputs, windows))
 
     def _off(self, machine: Machine, outputs: object, windows: Sequence[Windows]) -> Errors:
         if not isinstance(outputs, Outputs):
@@ -125,17 +118,13 @@ def _has(recording: Recording, name: str) -> bool:
     return name in recording and bool(np.isfinite(recording[name]).any())
 
 
-def _rounding(machine: Bench, name: str) -> float:
-    """Return the rms error of a channel's steps."""
-    for sensor in (*machine.plant.joint_sensors, *machine.plant.currents):
-        if sensor.channel == name:
-            return float(sensor.resolution / np.sqrt(12.0))
-    return 0.0
+def _scatter(machine: Bench, recording: Recording, name: str) -> float:
+    """Return the rms error of a channel by the machine file: of its steps, and of a current's noise."""
+    steps = {sensor.channel: sensor.resolution / np.sqrt(12.0) for sensor in (*machine.plant.joint_sensors, *machine.plant.currents)}
+    noise = {sensor.channel: sensor.noise_rms for sensor in machine.plant.currents}
+    return max(float(np.hypot(steps.get(name, 0.0), noise.get(name, 0.0))), 1e-6 * float(np.nanstd(recording[name])))
 
 
 def _first(axes: Sequence[str], recording: Recording) -> np.ndarray:
-    pose = np.zeros(len(axes))
-    for i, axis in enumerate(axes):
-        values = recording[f"position_{axis}"]
-        pose[i] = values[np.isfinite(values)][0]
-    return pose
+    each = (recording[f"position_{axis}"] for axis in axes)
+    return np.array([values[np.isfinite(values)][0] for values in each])

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from hil.diagnosis.observed.rows import Observed
-from hil.diagnosis.seen.along import Along
+from hil.diagnosis.residuals.trajectory import Trajectory
 from hil.diagnosis.unknowns.unknowns import Machine
 from hil.simulation import Inputs, Outputs, Simulator
 from hil.simulation.inputs import Restarts
@@ -43,8 +43,7 @@ class Windows:
     @property
     def at(self) -> np.ndarray:
         """Rows (W rows,) of the recording, one window after the other."""
-        found: np.ndarray = (self.first[:, None] + np.arange(self.rows)).reshape(-1)
-        return found
+        return np.asarray((self.first[:, None] + np.arange(self.rows)).reshape(-1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,11 +85,11 @@ class OpenLoop:
     number : int
         Of the recording.
     observed : Observed
-    along : Along
+    trajectory : Trajectory
         Of the same: its smoothed motion says how fast windows begin.
     """
 
-    def __init__(self, number: int, observed: Observed, along: Along) -> None:
+    def __init__(self, number: int, observed: Observed, trajectory: Trajectory) -> None:
         machine = observed.machine
         plant = replace(machine.plant, sample_period_s=observed.period_s, effects=())
         self.number = number
@@ -103,44 +102,44 @@ class OpenLoop:
         self.period_s, self.rows = observed.period_s, observed.rows
         self.first_row = min(ENDS, self.rows // 2)
         self._targets, self._are_measured = observed.targets, observed.are_measured
-        followed = sorted(along.smooth)
+        followed = sorted(trajectory.smooth)
         self._followed = np.array(followed, dtype=np.int64)
         self._position, self._speed = (
-            np.column_stack([getattr(along.smooth[j], name) for j in followed]) for name in ("position", "speed")
+            np.column_stack([getattr(trajectory.smooth[j], name) for j in followed]) for name in ("position", "speed")
         )
-        self._encoder = self._encoders(along, followed)
+        self._encoder = self._encoders(trajectory, followed)
         for f, c in self._encoder.items():  # as it was read: a smoothed position of a fast motion lags
             there = np.isfinite(self.recorded[:, c])
             self._position[there, f] = self.recorded[there, c]
-        self.noise = np.array([self._noise(along, channel) for channel in self.channels])
+        self.noise = np.array([self._noise(trajectory, channel) for channel in self.channels])
         joints = self.simulator.plant.joints
         begun = []
         for joint in followed:
-            one = along.smooth[joint]
+            one = trajectory.smooth[joint]
             for name, size in (("position", one.noise), ("speed", float(np.median(one.speed_deviation)))):
                 shift = {"position": np.zeros(joints), "speed": np.zeros(joints)}
                 shift[name][joint] = max(size, 1e-12)
                 begun.append(Starts(**shift))
         self.starts = tuple(begun)
 
-    def _encoders(self, along: Along, followed: Sequence[int]) -> dict[int, int]:
+    def _encoders(self, trajectory: Trajectory, followed: Sequence[int]) -> dict[int, int]:
         """Return, of the followed joints that have one of their own, the encoder's channel."""
         found: dict[int, int] = {}
-        for encoder in along.settings.encoders:
+        for encoder in trajectory.settings.encoders:
             if len(encoder.joints) == 1 and encoder.channel in self.channels:
-                joint = along.joints.index(encoder.joints[0])
+                joint = trajectory.joints.index(encoder.joints[0])
                 if joint in followed:
                     found.setdefault(followed.index(joint), self.channels.index(encoder.channel))
         return found
 
-    def _noise(self, along: Along, channel: str) -> float:
-        sensor = next(each for each in along.settings.joint_sensors if each.channel == channel)
-        joints = [along.joints.index(joint) for joint in sensor.joints]
-        if sensor not in along.settings.encoders:
+    def _noise(self, trajectory: Trajectory, channel: str) -> float:
+        sensor = next(each for each in trajectory.settings.joint_sensors if each.channel == channel)
+        joints = [trajectory.joints.index(joint) for joint in sensor.joints]
+        if sensor not in trajectory.settings.encoders:
             c = self.channels.index(channel)
-            moved = sum((along.smooth[joint].speed for joint in joints if joint in along.smooth), np.zeros(self.rows))
+            moved = sum((trajectory.smooth[joint].speed for joint in joints if joint in trajectory.smooth), np.zeros(self.rows))
             return float(np.nanstd(self.recorded[:, c] - moved))
-        return max((along.smooth[joint].noise for joint in joints if joint in along.smooth), default=sensor.resolution) + 1e-12
+        return max((trajectory.smooth[joint].noise for joint in joints if joint in trajectory.smooth), default=sensor.resolution) + 1e-12
 
     def _efforts(self, lateness_s: float) -> np.ndarray:
         """Return what acts from each row to the next (N, axes).
@@ -187,15 +186,7 @@ class OpenLoop:
             trials = [(machines[k].values, (*self.known, *machines[k].effects)) for k in members]
             own = [self._own(machines[k], starts[k]) for k in members]
             waiting.append((members, self.simulator.begin_all(inputs, trials, threads, own, MOST_STEPS)))
-
-        def ended() -> list[Errors]:
-            found: list[Errors] = [None] * len(machines)
-            for members, outputs in waiting:
-                for k, one in zip(members, outputs(), strict=True):
-                    found[k] = self._off(machines[k], one, windows)
-            return found
-
-        return ended
+        return in_order(len(machines), waiting, lambda k, outputs: self._off(machines[k], outputs, windows))
 
     def _own(self, machine: Machine, start: Starts | None) -> Own:
         joints = self.simulator.plant.joints
@@ -215,3 +206,18 @@ class OpenLoop:
             simulated[:, c] += machine.zeros.get((self.number, c), 0.0)
         parts = np.split(simulated, np.cumsum([len(each.at) for each in windows])[:-1])
         return tuple(part - self.recorded[each.at] for part, each in zip(parts, windows, strict=True))
+
+
+def in_order(
+    count: int, waiting: Sequence[tuple[Sequence[int], Callable[[], list[Any]]]], off: Callable[[int, object], Errors]
+) -> Callable[[], list[Errors]]:
+    """Return what waits for groups of simulations and returns, in the order of their machines, what each errs by."""
+
+    def ended() -> list[Errors]:
+        found: list[Errors] = [None] * count
+        for members, outputs in waiting:
+            for k, one in zip(members, outputs(), strict=True):
+                found[k] = off(k, one)
+        return found
+
+    return ended

@@ -166,7 +166,7 @@ class Unknowns:
             elif unknown.kind is Kind.EFFORT_ZERO:
                 effort_zero[unknown.place] = value
             elif unknown.kind is Kind.SPEED_LIMIT:
-                limits.append((unknown.place, value))
+                limits += [(unknown.place, value)] if value < unknown.nominal else []  # none is known above what was recorded
             elif unknown.kind is Kind.EFFORT_LAG:
                 effort_lag[unknown.place] = max(value, 0.0)
             else:

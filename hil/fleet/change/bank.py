@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import norm
 
 from hil.fleet.change.comparing import LEAST_INFORMATION, compare
-from hil.fleet.change.model import FEWEST, MEDIAN_OF_NORMAL, MEDIAN_VARIANCE, FleetModel
+from hil.fleet.change.scatter_model import FEWEST, MEDIAN_OF_NORMAL, MEDIAN_VARIANCE, FleetModel
 
 CUT = 2.5
 """Deviations: what a night can say at most. With thresholds near 5.5 at least five nights must agree before anything is said, so that a

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hil.fleet.change.bank import CUT
-from hil.fleet.change.model import deviation
+from hil.fleet.change.scatter_model import deviation
 
 INTERVAL = 3.84
 """By which twice the log likelihood falls at the ends of a 95 % interval (chi square, one degree of freedom)."""

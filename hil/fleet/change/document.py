@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from hil.fleet.change.night_by_night import FleetChange
 from hil.fleet.change.sentences import common_sentences, day, fleet_sentence, sentences
-from hil.fleet.change.watch import FleetChange
 from hil.version import software_version
 
 

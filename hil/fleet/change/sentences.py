@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from hil.fleet.change.watch import Change, FleetChange
+from hil.fleet.change.night_by_night import Change, FleetChange
 
 COMMON_SAID = 5.0
 """Deviations of the fleet's median from which its own move is said: above what a machine's alarm needs it is nobody's chance."""

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import norm
 
 from hil.fleet.change.bank import CUT, Bank
-from hil.fleet.change.model import FleetModel
+from hil.fleet.change.scatter_model import FleetModel
 
 YEAR = 365
 STATED_PER_MACHINE_YEAR = 0.01

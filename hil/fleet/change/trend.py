@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.fleet.change.model import FEWEST, deviation
-from hil.fleet.change.watch import FleetChange
+from hil.fleet.change.night_by_night import FleetChange
+from hil.fleet.change.scatter_model import FEWEST, deviation
 
 FARTHEST = 2.5
 """Deviations from which on a night counts less (Huber), as in the bank."""

@@ -10,10 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.identification.errors import IdentificationError
-from hil.identification.local.model import LocalModel, powers, transient_offsets
+from hil.errors import IdentificationError
+from hil.identification.bla.detection_lines import distortion
+from hil.identification.local.local_model import LocalModel, powers, transient_offsets
 from hil.identification.local.regression import fits_with_true_residuals
 from hil.identification.records import PeriodicRecords
+from hil.identification.result import Distortion
 from hil.identification.spectra import record_spectra
 
 
@@ -76,6 +78,13 @@ def steady_state(records: PeriodicRecords, model: LocalModel, lines: np.ndarray)
         periods=periods,
         notes=notes,
     )
+
+
+def even_odd(records: PeriodicRecords, steady: SteadyState, G: np.ndarray) -> Distortion | None:
+    """Return the distortion on the detection lines, which follow the excited ones in `steady`."""
+    spectrum = np.zeros((*steady.z.shape[:2], records.period_samples // 2 + 1, steady.z.shape[3]), complex)
+    spectrum[:, :, steady.lines] = steady.z
+    return distortion(records, spectrum, G, lambda at: steady.noise[:, :, len(records.lines) :] if len(at) else None)
 
 
 def complete_periods(records: PeriodicRecords, skip: int) -> tuple[tuple[np.ndarray, ...], int, tuple[str, ...]]:

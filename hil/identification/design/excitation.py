@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.identification.errors import IdentificationError
+from hil.errors import IdentificationError
 from hil.identification.result import FrequencyResponse
 
 SIGNIFICANT = 3.0  # standard deviations by which a change from line to line must stand out

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.identification.errors import IdentificationError
+from hil.errors import IdentificationError
 from hil.identification.result import FrequencyResponse
 
 

@@ -1,1 +1,1 @@
-"""Local polynomial and rational methods, LPM and LRM (thesis Secs. 3.4 and 4.5), and the choice of their orders."""
+"""The local models of these methods: orders, bases, regression and least squares (thesis Secs. 3.4.2 and 4.3)."""

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from hil.identification.errors import IdentificationError
+from hil.errors import IdentificationError
 from hil.identification.local.least_squares import LocalFits, local_fits
-from hil.identification.over_poses.windows import symmetric_monomials
+from hil.identification.local.monomials import symmetric_monomials
 
 CENTRED = 1e-6  # offsets are scaled to 1: a mean below it counts as none
 

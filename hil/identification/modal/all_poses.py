@@ -16,7 +16,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from scipy import linalg
 
-from hil.identification.errors import IdentificationError
+from hil.errors import IdentificationError
 from hil.identification.modal.pole_blocks import Block
 from hil.identification.modal.weights import fit_variance
 from hil.identification.result import FrequencyResponse

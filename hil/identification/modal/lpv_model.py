@@ -16,7 +16,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from scipy import special
 
-from hil.identification.errors import IdentificationError
+from hil.errors import IdentificationError
 from hil.identification.modal.all_poses import JointFit, JointProblem
 from hil.identification.modal.choice import HIGHEST_ORDER, choose_blocks, mode_blocks, modes_along, with_better_form, with_chosen_orders
 from hil.identification.modal.pole_blocks import Block

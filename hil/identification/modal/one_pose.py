@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import optimize
 
-from hil.identification.errors import IdentificationError
+from hil.errors import IdentificationError
 from hil.identification.modal.pole_blocks import block_responses
 from hil.identification.modal.weights import fit_variance
 from hil.identification.result import FrequencyResponse

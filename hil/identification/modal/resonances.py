@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from hil.identification.errors import IdentificationError
+from hil.errors import IdentificationError
 from hil.identification.modal.one_pose import PoseModes, choose_pairs
 from hil.identification.result import FrequencyResponse
 
@@ -93,6 +93,24 @@ def resonances(response: FrequencyResponse, probability: float = 0.95) -> Resona
         With independent errors from line to line for the bounds to hold: BLA or robust local methods.
     probability : float
         Of the bounds.
+
+    Examples
+    --------
+    A resonance at 8 Hz with 5 % of damping, sampled at 200 Hz, and noise.
+
+    >>> import hil
+    >>> import numpy as np
+    >>> from scipy.signal import lfilter
+    >>> (plan,) = hil.Multisine(period_s=2.0, periods=4, jog=None).plans(hil.open_machine("turntable"))
+    >>> command, noise = plan.excitation[:, 0], np.random.default_rng(0).normal(0.0, 1e-6, plan.rows)
+    >>> pole = np.exp(2.0 * np.pi * 8.0 * (-0.05 + 1j * np.sqrt(1.0 - 0.05**2)) / 200.0)
+    >>> answered = lfilter([0.0, 1e-3], [1.0, -2.0 * pole.real, abs(pole) ** 2], command) + noise
+    >>> signals = {"time": ("s", np.arange(plan.rows) / 200.0), "excitation_turn": ("A", command), "command_turn": ("A", command)}
+    >>> signals["position_turn"] = ("rad", answered)
+    >>> recording = hil.Recording({name: hil.Channel(*each) for name, each in signals.items()}, {"experiment": plan.metadata})
+    >>> (mode,) = hil.resonances(hil.identify(recording, "fast_bla")).found
+    >>> round(mode.frequency_Hz, 2), round(mode.damping, 3)
+    (8.0, 0.05)
     """
     if response.noise_covariance is None:
         return Resonances((), "the response has no noise covariance; record two periods or more", np.nan)

@@ -18,8 +18,8 @@ def read_xa(path: Path) -> Positioner:
     UnusableInputError
         No pydicom, no DICOM file, or an attribute is missing or malformed.
     """
-    pydicom = pydicom_package()
     check_regular(path)
+    pydicom = pydicom_package()
     try:
         data = pydicom.dcmread(path, stop_before_pixels=True)
     except OSError as error:

@@ -10,7 +10,7 @@ from controllers.loop_shaping import cascade, lag, lead
 from controllers.sections import response
 from controllers.settings import AxisController
 from hil.machine.check import failing_controllers, pose_grid
-from hil.machine.model import Machine
+from hil.machine.machine import Machine
 
 HIGHEST_SHARE = 0.02
 """Of the sample rate: a crossover there loses 11 degrees to the delay of a sample and a half."""

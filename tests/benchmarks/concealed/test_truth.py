@@ -104,11 +104,22 @@ def test_every_kind_of_physics_changes_some_channel_and_goes_to_none_with_its_st
             np.linalg.norm(faint[channel] - bases[name][channel]) / (np.linalg.norm(changed[channel] - bases[name][channel]) + 1e-6)
             for channel in machine.channels()
         )
-        if worst > 0.05 and kind.name != "drive_bandwidth":  # a drive that lags at all shows the current before its new command
+        if worst > 0.05 and kind.name not in ("drive_bandwidth", "delay"):  # late at all, a drive shows the current before its new command
             abrupt.append((kind.name, round(float(worst), 3)))
     assert silent == []
     assert loud == []
     assert abrupt == []
+
+
+@pytest.mark.parametrize(
+    ("begin", "end", "mean"), [(0.0, 0.0, 3.0), (0.0, 0.25, 3.0), (0.25, 0.5, 2.2), (0.5, 0.75, 1.0), (0.75, 1.0, 1.0)]
+)
+def test_a_late_target_acts_until_the_new_one_takes_over(begin: float, end: float, mean: float) -> None:
+    """At two fifths of a row, from 3 to 1."""
+    from concealed.truth.loop import held
+
+    assert held.py_func(1.0, 3.0, 0.4, begin, end) == pytest.approx(mean)
+    assert held.py_func(1.0, 3.0, 0.0, begin, end) == 1.0
 
 
 def test_coulomb_friction_costs_its_level_in_each_direction(machines: dict[str, Machine]) -> None:

@@ -10,7 +10,7 @@ from observed_models import DenseModel, drawn_rows, small_model, small_noise
 from scipy.linalg import expm
 
 from controllers.errors import DesignError
-from controllers.observers.extended import linearised
+from controllers.observers.extended_kalman import linearised
 from controllers.observers.modal_observer import ModalObserver
 
 SPEEDS = np.array([0.7, -0.4])
@@ -50,6 +50,7 @@ def test_at_rest_nothing_is_coupled() -> None:
     assert np.array_equal(*steps)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("kind", ["kf", "ukf"])
 def test_a_command_acts_as_the_drive_rounds_it(kind: str) -> None:
     model, noise = small_model(), small_noise()

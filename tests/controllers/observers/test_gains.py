@@ -10,7 +10,7 @@ from observed_models import DenseModel, drawn_rows, small_model, small_noise
 from scipy.spatial.transform import Rotation
 
 from controllers.errors import DesignError
-from controllers.observers.extended import next_and_read
+from controllers.observers.extended_kalman import next_and_read
 from controllers.observers.modal_observer import FilterKind, ModalObserver
 
 GAINED = replace(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from observed_models import DenseModel, FREQUENCIES_Hz, drawn_rows, small_model, small_noise, with_lower_mode
 
-from controllers.observers.extended import next_and_read
+from controllers.observers.extended_kalman import next_and_read
 from controllers.observers.modal_observer import ModalObserver
 
 

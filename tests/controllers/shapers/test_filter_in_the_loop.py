@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.signal
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_arrays
@@ -40,7 +41,7 @@ def run(shaper: ReferenceShaper, raw: np.ndarray, start: np.ndarray) -> np.ndarr
     delays=st.lists(st.integers(1, 60), min_size=5, max_size=5, unique=True),
     start=st.floats(-1.0, 1.0),
 )
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 def test_it_is_the_convolution_with_its_taps_from_a_standstill(gains: np.ndarray, delays: list[int], start: float) -> None:
     gains = np.append(gains, 1.0 - gains.sum())
     delays = np.array([0, *sorted(delays)])

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from refusals import answer_or_refusal
 from thesis_plants import DAMPING, NATURAL, example_7_1
 
 from controllers.errors import DesignError
+from controllers.shapers.closed_form_htdf import second_order
 from controllers.shapers.conditions import equations, residuals
 from controllers.shapers.delays import DelayFilter
 from controllers.shapers.dynamics import Dynamics
 from controllers.shapers.harmonic_time_delay import check_static_gain, harmonic, harmonic_conditions, tap_count
 from controllers.shapers.quiet import quiet
-from controllers.shapers.second_order import second_order
 from controllers.shapers.shortest_delays import shortest_delays
 from controllers.shapers.zero_inversion import tail_of
 from hil.shaping.response import shaped_response, sinusoids
@@ -46,7 +47,7 @@ def step_outputs(plant: Dynamics, shaper: DelayFilter, reference: np.ndarray) ->
     damping=st.floats(0.001, 0.1),
     delay=st.floats(0.2, 0.6),
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 def test_the_linear_method_meets_all_conditions_or_says_which_it_cannot(
     frequencies: list[float], forcing: list[float], damping: float, delay: float
 ) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -24,7 +25,7 @@ def residual_vibration(shaper: DelayFilter, frequency: float, damping: float) ->
 
 
 @given(frequency=st.floats(0.5, 200.0), damping=st.floats(0.0, 0.3))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=examples(50), deadline=None)
 def test_zv_and_zvd_leave_nothing_and_move_all_the_way(frequency: float, damping: float) -> None:
     for make in (zv, zvd):
         shaper = make(frequency, damping)

@@ -7,12 +7,12 @@ import pytest
 import scipy.signal
 from thesis_plants import DAMPING, FORCING_7_2, NATURAL, TABLE_7_2, example_7_1, sixth_order
 
+from controllers.shapers.closed_form_htdf import second_order
 from controllers.shapers.conditions import residuals
 from controllers.shapers.delays import DelayFilter
 from controllers.shapers.dynamics import Dynamics
 from controllers.shapers.harmonic_time_delay import harmonic, harmonic_conditions
 from controllers.shapers.point_to_point import zv
-from controllers.shapers.second_order import second_order
 from hil.shaping.response import shaped_reference, shaped_response, sinusoids
 
 NONE = DelayFilter(np.zeros(1), np.ones(1))

@@ -11,8 +11,8 @@ import pytest
 from scripted_nodes import PERIOD_S, BusClock, ScriptedBus, machine_settings
 
 from drivers.canopen.cyclic import CyclicExchange
+from drivers.canopen.heartbeat_consumer import HeartbeatConsumer
 from drivers.canopen.network import PolledNetwork
-from drivers.canopen.supervision import Supervision
 from drivers.interface import Sample
 
 SYNC, TPDO = 0x080, 0x181
@@ -73,7 +73,7 @@ def rows(delays: list[float | None], ticks: int, awake_s: float = 0.0) -> list[f
     clock = TickingClock(bus)
     clock.awake_s = awake_s
     network = PolledNetwork(bus, clock)
-    cyclic = CyclicExchange(network, bus_settings, Supervision(network, bus_settings.nodes))
+    cyclic = CyclicExchange(network, bus_settings, HeartbeatConsumer(network, bus_settings.nodes))
     resolution = bus_settings.scalings[0].sign * bus_settings.scalings[0].position_resolution
     sample = Sample(1)
     seen = []

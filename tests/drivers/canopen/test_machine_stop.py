@@ -7,6 +7,7 @@ import struct
 
 import numpy as np
 import pytest
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from machine_rig import ZERO, Rig
@@ -278,7 +279,7 @@ def test_a_bench_that_finds_a_drive_holding_proves_the_brake_before_anything_els
     assert fallen(loaded) < 1e-4
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=examples(40), deadline=None, derandomize=True)
 @given(
     jams=st.sets(st.sampled_from(["propeller", "roll"])),
     lies=st.booleans(),

@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from drivers.canopen.watch import MotionWatch
+from drivers.canopen.motion_bounds import MotionWatch
 from drivers.interface import Sample
 from drivers.settings import AxisScaling, HomingSettings, MotionLimits
 from hil.machine import load_machine

@@ -65,7 +65,7 @@ class Machine:
         self.inputs = [SimpleNamespace(statusword=OFF) for _ in self.axes]
         self.objects = [Objects(f"{drive.name} (node {drive.node_id})") for drive in self.drives]
         self.emergencies: dict[int, str] = {}
-        self.supervision = SimpleNamespace(last_emergency=lambda node_id: self.emergencies.get(node_id, ""))
+        self.heartbeats = SimpleNamespace(last_emergency=lambda node_id: self.emergencies.get(node_id, ""))
         self.sample = Sample(3)
         self.open_brakes: set[str] = set()
         self.judged = lambda sample: ""

@@ -287,8 +287,8 @@ def test_what_is_not_sent_with_every_sync_may_come_as_often_as_it_likes() -> Non
 def test_frames_that_are_no_process_data_reach_whoever_they_are_for(monkeypatch: pytest.MonkeyPatch) -> None:
     machine = Machine()
     heard: list[object] = []
-    monkeypatch.setattr(machine.supervision, "heartbeat", lambda node, data: heard.append(("beat", node, bytes(data))))
-    monkeypatch.setattr(machine.supervision, "emergency", lambda node, data: heard.append(("emergency", node, bytes(data))))
+    monkeypatch.setattr(machine.heartbeats, "heartbeat", lambda node, data: heard.append(("beat", node, bytes(data))))
+    monkeypatch.setattr(machine.heartbeats, "emergency", lambda node, data: heard.append(("emergency", node, bytes(data))))
     machine.network.subscribe(0x582, lambda can_id, data, stamp: heard.append((can_id, bytes(data), stamp)))
     others: list[Frame] = [(0.0, 0x70C, b"\x05"), (0.0, 0x081, b"12345678"), (0.0, 0x582, b"abc")]
     machine.tick(*others, *ALL)
@@ -400,7 +400,7 @@ def test_a_rehearsal_changes_nothing_and_rehearses_the_bus() -> None:
     machine.cyclic.rehearse()
     rehearsed: list[bool] = []
     machine.wire.rehearse = lambda: rehearsed.append(True)
-    machine.cyclic = CyclicExchange(machine.network, machine_settings(), machine.supervision)
+    machine.cyclic = CyclicExchange(machine.network, machine_settings(), machine.heartbeats)
     machine.cyclic.rehearse()
     assert rehearsed == [True]
     assert machine.wire.log == []

@@ -20,13 +20,24 @@ import pytest
 from bench_machines import CARM
 
 from drivers.errors import BusUnavailableError
-from drivers.modbus.io import IoState
-from drivers.modbus.published import published_block, state_values, values_of
 from drivers.modbus.refresh import FIRST_WORD, following_word
-from drivers.modbus.shared_block import Block
-from drivers.oversight.answers import AnswerReader
+from drivers.shared_memory.block import Block
+from drivers.shared_memory.io_state import IoState, published_block, state_values, values_of
+from drivers.shared_memory.supervisor_blocks import (
+    ANSWER,
+    ASKED,
+    END,
+    FRAME,
+    ORDERS,
+    OWN,
+    PERMITS,
+    ROUNDS,
+    SESSION,
+    WORD,
+    AnswerReader,
+    blocks_of,
+)
 from drivers.supervisor import process, rounds
-from drivers.supervisor.blocks import ANSWER, ASKED, END, FRAME, ORDERS, OWN, PERMITS, ROUNDS, SESSION, WORD, blocks_of
 from drivers.supervisor.process import BusLine, StopSocket, Tap
 from drivers.supervisor.rounds import Clock, Line, Rounds, Shared
 from drivers.supervisor.supervisor import Supervisor

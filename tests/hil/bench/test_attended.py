@@ -124,8 +124,17 @@ def test_a_run_tells_its_phases_and_what_remains_of_the_way(tmp_path: Path) -> N
     """The way is told with all its ticks, one second of bridge among them; the loop has its computer to itself while it records."""
     (plan,) = Static(1.0, {"turn": 0.3}).plans(MACHINE)
     told: list[tuple[str, str, int]] = []
+    ends: dict[str, float | None] = {}
     with open_bench(MACHINE, BenchOptions("lockstep:"), np.array([0.0])) as bench:
-        bench.tell = lambda doing, part, ticks: told.append((doing, part, ticks))
+        teller = Teller(bench, rows=False)
+        begin = bench.tell
+
+        def heard(doing: str, part: str, ticks: int) -> None:
+            begin(doing, part, ticks)
+            told.append((doing, part, ticks))
+            ends[doing] = teller.state()["axes"]["turn"]["goes_to"]
+
+        bench.tell = heard
         began = bench.wiring.link.syncs
         bench.run(plan, tmp_path / "still.mf4")
         assert bench.wiring.link.syncs > began
@@ -136,6 +145,7 @@ def test_a_run_tells_its_phases_and_what_remains_of_the_way(tmp_path: Path) -> N
     assert ticks[RECORDING] == plan.rows
     assert told[0][1] == "turn, 1 of 1"
     assert told[4][1] == "still.mf4"
+    assert ends == {doing: pytest.approx(0.3) if doing in (ON_THE_WAY, SETTLING) else None for doing in ticks}
 
 
 def test_what_remains_falls_as_the_machine_ticks() -> None:

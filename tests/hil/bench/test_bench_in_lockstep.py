@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from bench_machines import CARM, STOPWATCH, LosingBus, carm_at_1_kHz, read_truth, run_in_lockstep
 
-from drivers.canopen.axis_stop import STANDING_SHARE
+from drivers.canopen.quick_stop import STANDING_SHARE
 from drivers.errors import DeviceFaultError
 from drivers.interface import Sample
 from hil.bench.bench import Bench
@@ -77,7 +77,7 @@ def test_another_seed_changes_the_sensors_noise_and_nothing_the_bench_decides(
     assert not any(name.startswith(("time", "reference", "excitation", "feedforward")) for name in different)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_run_at_1_kHz_keeps_its_time_and_is_what_the_simulation_says(folder: Path) -> None:
     machine = carm_at_1_kHz()
     plans = Multisine(

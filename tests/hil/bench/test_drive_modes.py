@@ -24,6 +24,8 @@ from hil.recording import Channel, Recording
 from hil.simulation import in_effort, simulate
 
 MODES = ("velocity", "position")
+ONE_BY_DAY = (pytest.param("velocity", marks=pytest.mark.nightly), "position")
+"""Where the mode changes a number and not the way."""
 COUNT_rad = 2.0 * np.pi / (4096 * 500)
 ROWS = 400
 STEP_A = 0.005  # of the torque on the wire, and of what is measured
@@ -112,7 +114,7 @@ def test_one_axis_may_be_led_and_the_other_be_commanded_in_effort(tmp_path: Path
     assert np.abs(recording["reference_roll"] - recording["position_roll"]).max() < 0.01
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", ONE_BY_DAY)
 def test_a_led_axis_that_is_asked_to_stop_ends_with_its_brake_proven(mode: str, tmp_path: Path) -> None:
     machine = machine_in(mode)
     (plan,) = Static(2.0, {"roll": 0.5}).plans(machine)
@@ -145,7 +147,7 @@ def test_a_stop_on_the_way_leaves_no_target_of_the_motion(mode: str, tmp_path: P
         assert abs(target - (positions[-1] if mode == "position" else 0)) <= 4
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", ONE_BY_DAY)
 def test_a_drive_is_judged_by_the_effort_that_was_asked_for_in_the_same_tick(mode: str, tmp_path: Path) -> None:
     machine = machine_in(mode)
     plan = Multisine(period_s=2.0, periods=1, settle_periods=0, amplitude_A=0.5, jog=None).plans(machine)[0]

@@ -16,7 +16,7 @@ from hil.experiments import Move
 from hil.machine import Machine, machine_from_text
 from hil.machine.faults_file import faults_from_text
 from hil.machine.summary import machine_lines
-from hil.recording import RecordingWarning, read_recording
+from hil.recording import Recording, RecordingWarning, read_recording
 from virtual_bus.lockstep import LockstepBus
 from virtual_bus.machine import EmulatedMachine
 
@@ -27,10 +27,25 @@ MOVING = 'when = "abs(speed_roll) > 0.2"'
 TRAVEL = 0.11  # rad: ten ticks at 0.4 rad/s, and what Ctrl-C takes with a margin of 1.5
 
 
-def test_the_arm_moves_as_under_the_benchs_own_sync(tmp_path: Path) -> None:
-    plan = WAY.plans(CARM)
-    (own,) = run_in_lockstep(tmp_path, plan, CARM, name="own", noise=False)
-    (following,) = run_in_lockstep(tmp_path, plan, FOLLOWING, name="following", noise=False)
+@pytest.fixture(scope="module")
+def followed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Recording, list[int]]:
+    """The way under the SYNC of another device, and the identifiers of what the bench sends."""
+    sent: list[int] = []
+
+    class Listening(LockstepBus):
+        def send_frame(self, can_id: int, data: bytes) -> None:
+            sent.append(can_id)
+            super().send_frame(can_id, data)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("hil.bench.wiring.LockstepBus", Listening)
+        (following,) = run_in_lockstep(tmp_path_factory.mktemp("followed"), WAY.plans(FOLLOWING), FOLLOWING, noise=False)
+    return following, sent
+
+
+def test_the_arm_moves_as_under_the_benchs_own_sync(followed: tuple[Recording, list[int]], tmp_path: Path) -> None:
+    following, _ = followed
+    (own,) = run_in_lockstep(tmp_path, WAY.plans(CARM), CARM, name="own", noise=False)
     for name in ("position_roll", "position_propeller", "command_roll", "link_position_roll", "imu_x"):
         np.testing.assert_allclose(following.channel(name).values, own.channel(name).values, rtol=0.0, atol=1e-12, err_msg=name)
     assert following.rows == own.rows
@@ -42,16 +57,8 @@ def test_the_summary_of_a_machine_says_who_sends_sync(machine: Machine, who: str
     assert f"bus, 1000 kbit/s, SYNC from {who} at 256 Hz" in machine_lines(machine)
 
 
-def test_the_bench_sends_no_sync(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    sent: list[int] = []
-
-    class Listening(LockstepBus):
-        def send_frame(self, can_id: int, data: bytes) -> None:
-            sent.append(can_id)
-            super().send_frame(can_id, data)
-
-    monkeypatch.setattr("hil.bench.wiring.LockstepBus", Listening)
-    run_in_lockstep(tmp_path, WAY.plans(FOLLOWING), FOLLOWING)
+def test_the_bench_sends_no_sync(followed: tuple[Recording, list[int]]) -> None:
+    _, sent = followed
     assert sent.count(0x201) > 1000
     assert 0x080 not in sent
 

@@ -40,6 +40,7 @@ def test_its_drive_goes_to_a_pose_by_its_own_profile(maker: str) -> None:
     assert reached == pytest.approx(GOAL, abs=NEAR_rad)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("maker", ["maxon EPOS4", "Elmo Gold", "Faulhaber MCBL 300"])
 def test_the_loop_leads_a_drive_that_ramps_its_velocity_in_its_own_unit(maker: str, monkeypatch: pytest.MonkeyPatch) -> None:
     file = DATA / FILES[maker]

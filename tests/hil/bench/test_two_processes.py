@@ -65,7 +65,7 @@ def emulated_and_run(
     return done
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_run_over_udp_finds_the_emulators_ports_and_records_what_the_truth_says_and_what_the_panel_shows(
     patient_carm: Path, tmp_path: Path
 ) -> None:

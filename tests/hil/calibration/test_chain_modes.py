@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hil.calibration.parameter_states.chain_modes import read_swinging
-from hil.calibration.parameter_states.model import SwingingMachine
+from hil.calibration.parameter_states.filter_model import SwingingMachine
 from hil.errors import UnusableInputError
 
 CHAINS = Path(__file__).parents[3] / "benchmarks" / "chains"

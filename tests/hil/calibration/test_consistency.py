@@ -152,6 +152,7 @@ def test_a_scan_tells_what_has_changed_in_its_shape_and_how_sure_that_is() -> No
     assert 0.7 < np.exp(np.mean(np.log(ratios))) < 1.5
 
 
+@pytest.mark.nightly
 def test_a_scan_that_is_right_already_is_left_alone() -> None:
     beam = circle(VIEWS)
     for seed in range(SEED, SEED + 3):

@@ -21,6 +21,7 @@ def exit_of(*arguments: str) -> int:
     return int(leave.value.code or 0)
 
 
+@pytest.mark.nightly
 def test_tables_figure_and_what_follows_the_withdrawal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, figure = tmp_path / "answer.json", tmp_path / "figure.png"
     command = ["calibrate", "convergence", DRAWING, "--true", BUILT, *SHORT, "--withdraw", "12", "--drift", "4"]

@@ -29,6 +29,7 @@ def scanned(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.nightly
 def test_the_geometry_of_a_scan_is_the_true_one_within_its_deviations(scanned: Path) -> None:
     machine, scan = load_machine("carm"), read_scan(scanned / "images")
     true = true_beam(xray_side(machine, scanned / "truth.csv", STILL, 0.0), scan.start_s, scan.width_s)

@@ -51,7 +51,7 @@ def test_at_the_nominal_table_the_last_two_angles_are_one() -> None:
     assert {name for name, share in result.null[0].shares if abs(share) > 0.1} == {"delta_theta_j4", "theta_z"}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_it_converges_from_a_hundred_starts() -> None:
     data = poses((1, 2, 3, 4), 200, seed=16)
     rng = np.random.default_rng(17)
@@ -64,7 +64,7 @@ def test_it_converges_from_a_hundred_starts() -> None:
     assert worst < 0.03e-3
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_reported_covariance_is_the_spread_over_noise_draws() -> None:
     start = IDENTIFIED
     angles = poses((1, 2, 3, 4), 60, seed=19)[0]

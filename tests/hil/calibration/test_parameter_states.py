@@ -11,8 +11,8 @@ import pytest
 from hil.calibration.parameter_states.chain_modes import read_swinging
 from hil.calibration.parameter_states.drawn_runs import Conditions, drawn_run
 from hil.calibration.parameter_states.filter import ParameterStatesFilter
-from hil.calibration.parameter_states.model import pose_gap
-from hil.calibration.parameter_states.run import estimate
+from hil.calibration.parameter_states.filter_model import pose_gap
+from hil.calibration.parameter_states.over_recording import estimate
 from hil.calibration.parameter_states.study import (
     Draw,
     by_model,
@@ -137,6 +137,7 @@ def test_a_late_image_counts_for_what_it_would_have_in_time() -> None:
     assert moved.max() > 3.0
 
 
+@pytest.mark.nightly
 def test_wrong_images_are_refused_and_a_machine_far_off_its_drawing_is_believed() -> None:
     wrong = under(START, None, 1, SHORT, {"wrong_images": 0.15})
     assert 1 <= len(wrong.found.refused) <= 10
@@ -147,6 +148,7 @@ def test_wrong_images_are_refused_and_a_machine_far_off_its_drawing_is_believed(
     assert held_out(far.true.chain, far.true.chain.with_values(far.found.values[-1][:p]))[0] < 0.3e-3
 
 
+@pytest.mark.nightly
 def test_with_images_withdrawn_poses_stay_true_and_drifting_frequencies_are_followed() -> None:
     seconds = 14.0
     true = drawn_machine(START, RANDOM, 2)

@@ -101,6 +101,7 @@ def test_images_without_bullets_show_none_and_unusable_ones_are_named() -> None:
         fit_poses(PHANTOM.centers_m, np.full((1, 23, 2), np.nan), np.full((1, 23), np.nan), beam)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("beside", "dark"), [(0.0, 0.8), (2.0, 0.33)])  # the second has no centre at all: it runs off the image
 def test_a_dark_spot_in_a_ring_that_darkens_its_rim_is_doubtful(beside: float, dark: float) -> None:
     columns, rows = np.meshgrid(np.arange(160), np.arange(160))

@@ -78,6 +78,7 @@ def test_compensated_images_are_those_of_the_nominal_geometry(scanned: Path) -> 
         assert least <= off.max() < most, (path, off)
 
 
+@pytest.mark.nightly
 def test_the_volume_of_the_scan_is_told(scanned: Path) -> None:
     """That of the truth, within what calibrations by a phantom are off by; a single nominal exposure sees no smaller ball."""
     found = []

@@ -90,10 +90,17 @@ def test_a_machine_that_is_not_there_is_refused_before_anything_heavy_is_importe
     assert not {"hil.machine.check", "scipy.signal", "canopen", "numba"} & set(told.stdout.split())
 
 
+def test_a_machine_that_cannot_be_observed_is_refused_before_it_is_measured() -> None:
+    told: list[tuple[int, int]] = []
+    with pytest.raises(UnusableInputError, match=r"turntable: its file has no \[geometry\]"):
+        emulated_design(load_machine("turntable"), modes=4, told=lambda done, total: told.append((done, total)))
+    assert told == []
+
+
 @pytest.mark.nightly
 def test_an_observer_s_design_says_how_much_is_measured() -> None:
     told: list[tuple[int, int]] = []
-    emulated_design(load_machine("turntable"), told=lambda done, total: told.append((done, total)))
+    emulated_design(load_machine("carm"), modes=4, told=lambda done, total: told.append((done, total)))
     (total,) = {total for _, total in told}
     assert [done for done, _ in told] == list(range(total + 1))
 

@@ -18,8 +18,8 @@ from drivers import bus_url
 from drivers.canopen.eds import load_object_dictionary
 from drivers.errors import BusUnavailableError
 from hil.cli.conformance import conform as conform_command
+from hil.conform.all_checks import Conformance, conform
 from hil.conform.report import document, lines
-from hil.conform.run import Conformance, conform
 from hil.emulated.machine import build_emulated
 from hil.errors import UnusableInputError
 from hil.machine import load_machine

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import multiprocessing
+import sys
 import tempfile
 from collections.abc import AsyncIterator, Callable, Iterator
 from multiprocessing.connection import Connection
@@ -165,15 +166,17 @@ def test_one_plan_is_made_at_a_time_and_the_newest_of_a_card(tmp_path: Path, mon
     script, log = tmp_path / "plan", tmp_path / "log"
     lines = (
         "#!/bin/sh",
+        "while read line; do",
         f"echo begun >> {log}",
-        "case $(cat) in *36*) exec sleep 1000;; esac",
+        "case $line in *36*) exec sleep 1000;; esac",
         "sleep 0.2",  # another that began meanwhile would tell so before this one ends
         f"echo ended >> {log}",
         "echo '{\"recordings\": []}'",
+        "done",
     )
     script.write_text("\n".join(lines))
     script.chmod(0o700)
-    monkeypatch.setattr(desks.sys, "executable", str(script))
+    monkeypatch.setattr(sys, "executable", str(script))
 
     async def plan() -> None:
         desk, _ = desk_of(tmp_path)
@@ -184,5 +187,6 @@ def test_one_plan_is_made_at_a_time_and_the_newest_of_a_card(tmp_path: Path, mon
         assert "changed" in answers[0]["refused"]
         assert [each["recordings"] for each in answers[1:]] == [[], []]
         assert log.read_text().split() == ["begun", *2 * ["begun", "ended"]]
+        await desk.helper.close()
 
     asyncio.run(plan())

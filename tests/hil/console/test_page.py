@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import dataclasses
 import functools
 import json
@@ -11,6 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 from bench_page import BenchPage, Watcher, bench_page, until
 from browser import WIDTHS, browser_or_skip, listen
@@ -21,7 +23,7 @@ from hil.console.facts import facts_of
 from hil.machine import load_machine
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page
+    from playwright.sync_api import Browser, Page, Route
 
 VIEWS = ("commission", "scope", "experiments", "state", "recordings")
 STEP_MS = 240_000.0  # a step starts a process, on a computer that may be busy
@@ -61,11 +63,19 @@ def ended(page: Page, state: str) -> str:
     return page.locator("#now").inner_text()
 
 
-def test_the_scope_shows_a_sine_with_its_amplitude_and_frequency(page: Page, bench: BenchPage) -> None:
+@pytest.fixture(scope="module")
+def sine(browser: Browser, bench: BenchPage) -> None:
+    """A jog, which the bench has recorded last when the first tests begin."""
+    page = browser.new_page()
     opened(page, bench, "experiments")
     fill_and_run(page, "jog", jog=AMPLITUDE_DEG, period=PERIOD_S, periods=4)
     ended(page, "passed")
-    page.goto(f"{bench.address}/#scope")
+    page.close()
+
+
+@pytest.mark.usefixtures("sine")
+def test_the_scope_shows_a_sine_with_its_amplitude_and_frequency(page: Page, bench: BenchPage) -> None:
+    opened(page, bench, "scope")
     page.get_by_label("reference_turn", exact=True).check()
     row = page.locator("tr[data-channel=reference_turn]")
     row.wait_for()
@@ -88,11 +98,9 @@ def test_the_scope_shows_a_sine_with_its_amplitude_and_frequency(page: Page, ben
     assert page.get_by_label("current_turn", exact=True).is_checked()
 
 
+@pytest.mark.usefixtures("sine")
 def test_a_trigger_holds_the_crossing_still_and_a_zoom_pauses(page: Page, bench: BenchPage) -> None:
-    opened(page, bench, "experiments")
-    fill_and_run(page, "jog", jog=AMPLITUDE_DEG, period=PERIOD_S, periods=4)
-    ended(page, "passed")
-    page.goto(f"{bench.address}/#scope")
+    opened(page, bench, "scope")
     page.locator("#readout tr").first.wait_for(timeout=STEP_MS)
     page.get_by_label("reference_turn", exact=True).check()
     page.select_option("#span", "5")
@@ -263,6 +271,7 @@ WORK = {
     "seconds": 3.0,
     "why": "",
     "holds": False,
+    "progress": "",
     "lines": [],
     "made": [],
 }
@@ -280,7 +289,7 @@ def told_page(page: Page, bench: BenchPage) -> Callable[..., None]:
     state = watcher.state()
     watcher.close()
     steps = {name: PASSED if name in ("check", "scan", "home") else {} for name in state["steps"]}
-    live = {"running": False, "trouble": "", "told": None, "holds": False, "moves": False}
+    live = {"running": False, "trouble": "", "told": None, "progress": "", "holds": False, "moves": False}
     state |= {"steps": steps, "stop": None, "recording": None, "own": True, "live": live}
     body = 'onmessage = (event) => event.data.fake && postMessage(event.data.fake); postMessage({ type: "welcome", client: "mine" });'
     page.route("**/worker.js", lambda asked: asked.fulfill(body=body, content_type="text/javascript"))
@@ -301,7 +310,7 @@ def told_page(page: Page, bench: BenchPage) -> Callable[..., None]:
 def test_the_way_is_told_and_the_one_coloured_button_is_of_the_step_that_is_due(page: Page, bench: BenchPage, width: int) -> None:
     page.set_viewport_size({"width": width, "height": 900})
     tell = told_page(page, bench)
-    now, coloured, brief = page.locator("#now"), page.locator("button.main:visible"), page.locator("#brief")
+    now, coloured, brief = page.locator("#now"), page.locator(".main:visible"), page.locator("#brief")
 
     def told(work: dict[str, object], **other: object) -> str:
         tell(work=WORK | work, **other)
@@ -310,7 +319,7 @@ def test_the_way_is_told_and_the_one_coloured_button_is_of_the_step_that_is_due(
 
     for doing, says in (
         (of_machine("homing", "turn, 1 of 1"), "Homing turn, 1 of 1: an axis is pushed"),
-        (of_machine("on the way", remains_s=6.2), "On the way to the pose where it starts. It moves. 7 s to go"),
+        (of_machine("on the way", remains_s=6.2, goes_to=0.3), "where it starts. It moves. turn 11.5° from it; 7 s to go"),
         (of_machine("coming to rest", remains_s=15.0), "waiting until it stands. 15 s at most"),
     ):
         assert says in told({"state": "running", "told": doing})
@@ -330,6 +339,12 @@ def test_the_way_is_told_and_the_one_coloured_button_is_of_the_step_that_is_due(
     assert STAGGERS in said
     assert "failed" not in said
     assert coloured.all_inner_texts() == ["Start again: the machine moves"]
+    assert "nothing touches the arm" in page.locator("[data-step=static] .advice").inner_text()
+    for view in VIEWS[1:]:
+        page.locator(f"#tabs a[href='#{view}']").click()
+        assert coloured.all_inner_texts() == ["Next: 4. At rest"], "it leads to what is due, and moves nothing"
+    coloured.click()
+    assert coloured.all_inner_texts() == ["Start again: the machine moves"]
     assert "EMERGENCY turn: fault" in brief.inner_text()
     assert page.locator("[data-step=static] ul").evaluate("(list) => getComputedStyle(list).fontWeight") == "400", (
         "what it does is no error"
@@ -340,8 +355,60 @@ def test_the_way_is_told_and_the_one_coloured_button_is_of_the_step_that_is_due(
     )
     told({"state": "passed", "told": None}, steps={name: PASSED for name in steps})
     page.locator("#steps-done").wait_for()
-    assert coloured.count() == 0
+    coloured.click()
+    assert coloured.all_inner_texts() == ["Run: the machine moves"]
+    assert page.locator("[data-form=static][open]").count() == 1
     assert page.evaluate("() => document.documentElement.scrollWidth <= innerWidth")
+
+
+def test_what_a_command_says_of_its_progress_stands_in_the_bar(page: Page, bench: BenchPage) -> None:
+    tell, share = told_page(page, bench), page.locator("#share")
+    says = "diagnosing: 40 % after 12 s, about 18 s to go, compiling (once on a computer): 3 functions done, 20 left"
+    tell(work=WORK | {"state": "running", "moves": False, "told": None, "progress": says})
+    page.locator("#now", has_text=says).wait_for()
+    assert share.evaluate("(bar) => bar.value") == pytest.approx(0.4)
+    tell(work=WORK | {"state": "running", "moves": False, "told": None, "progress": "diagnosing: 240 s"})
+    page.locator("#now", has_text="diagnosing: 240 s").wait_for()
+    assert share.is_hidden(), "nothing was counted"
+
+
+def test_recordings_are_laid_over_each_other_aligned_and_with_what_is_derived(page: Page, bench: BenchPage) -> None:
+    """The second is the first, seven tenths of a second later."""
+    time = np.arange(0.0, 10.0, 0.01)
+    for name, late_s in (("one", 0.0), ("two", 0.7)):
+        phase = 0.6 * math.pi * (time - late_s)
+        rows = np.column_stack((time, 0.2 * np.sin(phase), 0.1 * np.sin(phase), 2.0 * np.cos(phase)))
+        head = "time [s],position_turn [rad],reference_turn [rad],current_turn [A]"
+        np.savetxt(bench.folder / f"{name}.csv", rows, "%.9g", ",", header=head, comments="")
+    opened(page, bench, "recordings")
+    page.locator("tr.day", has_text=re.compile(r"\w+day, \d{4}-\d\d-\d\d")).first.wait_for()
+    for name in ("one", "two"):
+        page.get_by_label(f"train {name}.csv").check()
+    assert "2 chosen, none held out" in page.locator("#chosen").inner_text()
+    page.locator("#plot").click()
+    panes = page.locator("#recorded-panes")
+    degrees = panes.locator(".pane[data-unit=deg]")
+    degrees.wait_for(timeout=STEP_MS)
+    assert [" ".join(text.split()) for text in degrees.locator(".legend > span").all_inner_texts()] == [
+        f"position_turn · {name}.csv" for name in ("one", "two")
+    ]
+    page.select_option("#align", "position_turn")
+    page.locator("#recorded-note", has_text="shifted against one.csv: two.csv -0.700 s").wait_for(timeout=STEP_MS)
+    page.locator("#recorded-channels label", has_text="current_turn").drag_to(degrees)
+    degrees.locator(".legend", has_text="current_turn").wait_for(timeout=STEP_MS)
+    for how, pane in (("difference", "deg"), ("derivative", "deg/s"), ("spectrum", "spectrum deg")):
+        page.select_option("#derive-how", how)
+        page.select_option("#derive-of", "position_turn")
+        page.locator("#derive-add").click()
+        panes.locator(f".pane[data-unit='{pane}'] .legend", has_text=re.compile(r"position_turn - |d\(|spectrum\(")).wait_for(
+            timeout=STEP_MS
+        )
+    plot = degrees.locator(".u-over")
+    plot.hover(position={"x": 200, "y": 50})
+    values = degrees.locator(".legend > span", has_text="one.csv").locator("output").all_inner_texts()
+    position, current, difference = map(float, values)
+    assert difference == pytest.approx(0.5 * position, rel=1e-3)
+    assert (position / math.degrees(0.2)) ** 2 + (current / 2.0) ** 2 == pytest.approx(1.0, abs=1e-3)
 
 
 def test_no_rest_and_no_emergency_is_claimed_that_nobody_has_looked_for(page: Page, bench: BenchPage) -> None:
@@ -356,6 +423,71 @@ def test_no_rest_and_no_emergency_is_claimed_that_nobody_has_looked_for(page: Pa
     tell(work=begins | {"told": of_machine("stopping") | {"homed": False}})
     page.locator("#now", has_text="Stopping the motors").wait_for()
     assert "not homed" in brief.inner_text()
+
+
+def test_drives_are_called_off_while_work_takes_over_only_where_all_say_so(page: Page, bench: BenchPage) -> None:
+    tell, doing = told_page(page, bench), page.locator("#live-doing")
+    off: dict[str, object] = {"drive": "switch on disabled (0250h)", "brake": "closed"}
+    stop: dict[str, object] = {"by": "STOP in a browser", "lines": [], "seconds": None, "trouble": "", "ran": True}
+
+    def stopping(axis: dict[str, object], holds: bool = False, **other: object) -> None:
+        told = of_machine("stopping") | {"axes": {"turn": AXIS | axis}}
+        live = {"running": True, "trouble": "", "progress": "", "told": told, "holds": holds, "moves": True}
+        tell(work=WORK | {"state": "running", "told": None}, live=live, **other)
+
+    for axis, holds, other in (
+        ({"drive": "operation enabled (0237h)"}, False, {}),
+        ({"drive": None}, False, {}),
+        ({"brake": "open"}, False, {}),
+        ({}, True, {}),
+        ({}, False, {"stop": stop}),
+    ):
+        stopping(off | axis, holds, **other)
+        doing.get_by_text("Stopping the motors").wait_for()
+        stopping(off)
+        doing.get_by_text("The drives are off, the brakes closed.").wait_for()
+
+
+def test_what_cannot_be_derived_and_what_comes_late_spoil_no_plot(page: Page, bench: BenchPage) -> None:
+    """The server's curves are the test's: of the file late.csv they wait until another was chosen."""
+    late: list[Callable[[], None]] = []
+
+    def answer(route: Route) -> None:
+        asked: dict[str, list[str]] = route.request.post_data_json or {}
+        value = 1.0 if asked["files"] == ["late.csv"] else 2.0
+        packed = {axis: base64.b64encode(np.array([0.0, value]).tobytes()).decode() for axis in "xy"}
+        curve = {"of": 0, "unit": "A", "kind": "time"} | packed
+        found = [{"channel": text} | ({"of": 0, "error": "has 1 rows"} if "(" in text else curve) for text in asked["channels"]]
+        told = {"channels": [["command_turn", "A"]], "shifts_s": [0.0], "curves": found}
+        if value == 1.0 and asked["channels"]:
+            late.append(functools.partial(route.fulfill, json=told))
+        else:
+            route.fulfill(json=told)
+
+    for name in ("late", "next"):
+        (bench.folder / f"{name}.csv").write_text("time [s],command_turn [A]\n0,0\n1,1\n")
+    page.route("**/api/curves", answer)
+    opened(page, bench, "recordings")
+    page.get_by_label("train late.csv").check()
+    page.locator("#plot").click()
+    until(lambda: page.evaluate("1") and late, STEP_MS / 1e3)
+    page.get_by_label("train late.csv").uncheck()
+    page.get_by_label("train next.csv").check()
+    page.locator("#plot").click()
+    pane, box = page.locator("#recorded-panes .pane"), page.locator("#recorded-channels input")
+    pane.wait_for()
+    page.evaluate("document.querySelector('#recorded-panes .pane').id = 'of-next'")
+    with page.expect_response("**/api/curves"):
+        late[0]()
+    page.select_option("#derive-how", "derivative")
+    page.locator("#derive-add").click()
+    page.locator("#errors", has_text="has 1 rows").wait_for()
+    assert box.count() == 1, "what could not be derived is not chosen"
+    assert page.locator("#of-next").count() == 1, "what came late was not drawn"
+    box.uncheck()
+    pane.wait_for(state="detached")
+    box.check()
+    pane.wait_for()
 
 
 def test_the_drawing_turns_the_arm_as_its_machine_file_has_it(page: Page, bench: BenchPage) -> None:
@@ -383,7 +515,9 @@ def test_what_is_not_known_leaves_a_gap_and_its_pane_a_scale(page: Page, bench: 
     assert drawn == [1.0, None, 2.0]
 
 
-def test_a_reload_and_a_second_browser_do_no_harm(page: Page, browser: Browser, bench: BenchPage, console_errors: list[str]) -> None:
+def test_a_reload_and_a_second_browser_do_no_harm_and_closing_stops(browser: Browser, bench: BenchPage, console_errors: list[str]) -> None:
+    page = browser.new_page()
+    listen(page, console_errors)
     opened(page, bench, "experiments")
     fill_and_run(page, "static", seconds=36000)
     page.locator("#now", has_text="recording static").wait_for(timeout=STEP_MS)
@@ -397,16 +531,6 @@ def test_a_reload_and_a_second_browser_do_no_harm(page: Page, browser: Browser, 
     rows = page.locator("#now", has_text="this page keeps it running").inner_text()
     page.wait_for_timeout(2500)  # longer than a browser may be silent
     assert page.locator("#now.running").inner_text() != rows
-    page.locator("#stop").click()
-    ended(page, "stopped")
-
-
-def test_a_browser_that_is_closed_stops_what_it_started(browser: Browser, bench: BenchPage, console_errors: list[str]) -> None:
-    page = browser.new_page()
-    listen(page, console_errors)
-    opened(page, bench, "experiments")
-    fill_and_run(page, "static", seconds=36000)
-    page.locator("#now", has_text="recording static").wait_for(timeout=STEP_MS)
     watcher = Watcher(bench)
     page.close()
     work = watcher.work(lambda work: work["state"] != "running", 30.0)
@@ -456,7 +580,7 @@ def test_the_emulated_arm_is_commissioned_from_the_first_click_to_the_observer(b
             page.locator(f"[data-step={step}].passed").wait_for(timeout=4 * STEP_MS)
             page.locator(f"[data-step={step}]:not([open])").wait_for()
         page.locator("#steps-done").wait_for()
-        assert page.locator("button.main:visible").count() == 0
+        assert page.locator(".main:visible").all_inner_texts() == ["Next: an experiment"]
         assert moved == [False, False, True, True, True, False, True]
         assert (bench.folder / "machine.observer.npz").is_file()
         for name, width in WIDTHS.items():

@@ -11,8 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hil.bench.told_state import LETTING_GO, ON_THE_WAY, RECORDING, WATCHING
+from hil.console.facts import facts_of
 from hil.console.rows import LOOKS_AROUND, QUEUE_BYTES, Reader, RowHub
 from hil.console.timeliness import Timeliness
+from hil.console.told_rows import ToldRows
+from hil.machine import load_machine
 from hil.recording.journal import Journal
 
 CHANNELS = [("time", "s"), ("sync_lateness", "s"), ("work_time", "s")]
@@ -45,6 +49,53 @@ def test_a_reader_gets_every_row_as_it_was_recorded(tmp_path: Path) -> None:
     assert heads == [(1, 3, 3, 0, 0.0), (1, 2, 3, 0, 3.0)]
     values = np.concatenate([np.frombuffer(frame, "<f8", offset=HEADER.size) for frame in frames if isinstance(frame, bytes)])
     assert values.reshape(-1, 3) == pytest.approx(table_of(5), abs=0.0)
+    hub.close()
+
+
+def told(time_s: float, doing: str, position: float) -> dict[str, object]:
+    axis = {"position": position, "speed": None, "effort": 1.5}
+    return {"doing": doing, "time_s": time_s, "axes": {name: axis for name in ("propeller", "roll")}}
+
+
+def test_the_way_to_the_start_is_shown_until_rows_are_recorded(tmp_path: Path) -> None:
+    hub = RowHub(tmp_path, 0.0)
+    way = ToldRows(hub, facts_of("carm", load_machine("carm"), "lockstep:").axes)
+    reader = hub.join()
+    with Journal.create(tmp_path / "run.mf4.part", CHANNELS, {}) as journal:
+        hub.look()  # the journal is there before the machine is at its start
+        way.take(told(7.0, ON_THE_WAY, 0.1))
+        way.take(told(7.1, ON_THE_WAY, 0.2))
+        way.take(told(7.2, RECORDING, 0.3))
+        journal.append(table_of(3))
+        hub.look()
+    messages = taken(reader, 6)
+    notes = [json.loads(each) for each in messages if isinstance(each, str)]
+    assert [note["name"] for note in notes] == ["run.mf4", "before the recording", "run.mf4"]
+    assert ["position_roll", "rad"] in notes[1]["channels"]
+    _, second, recorded = (each for each in messages if isinstance(each, bytes))
+    seen = np.frombuffer(second, "<f8", offset=HEADER.size)
+    assert seen[:4] == pytest.approx([0.1, 0.2, np.nan, 1.5], nan_ok=True)
+    assert HEADER.unpack(recorded[: HEADER.size]) == (3, 3, 3, 0, 0.0)
+    hub.close()
+
+
+def test_the_way_is_shown_also_where_it_is_told_before_the_journal_is_there(tmp_path: Path) -> None:
+    hub = RowHub(tmp_path, 0.0)
+    way = ToldRows(hub, facts_of("carm", load_machine("carm"), "lockstep:").axes)
+    reader = hub.join()
+    way.take(told(7.0, WATCHING, 0.1))
+    with Journal.create(tmp_path / "run.mf4.part", CHANNELS, {}) as journal:
+        hub.look()
+        way.take(told(7.1, ON_THE_WAY, 0.2))
+        way.take(told(7.2, ON_THE_WAY, 0.3))
+        journal.append(table_of(3))
+        hub.look()
+        way.take(told(7.3, LETTING_GO, 0.4))
+    messages = taken(reader, 8)
+    notes = [json.loads(each)["name"] for each in messages if isinstance(each, str)]
+    assert notes == ["before the recording", "run.mf4", "before the recording", "run.mf4"]
+    places = [np.frombuffer(each, "<f8", offset=HEADER.size)[1] for each in messages if isinstance(each, bytes)]
+    assert places == [0.1, 0.2, 0.3, 1e-5]
     hub.close()
 
 
@@ -175,3 +226,19 @@ def test_rows_without_times_of_the_host_have_no_histogram() -> None:
     counted = Timeliness(["time", "work_time"])
     counted.take(10, table.tobytes())
     assert counted.summary()["measured"] == {}
+
+
+def test_two_states_of_one_instant_are_no_ticks_and_none_of_the_recording_s_rows(tmp_path: Path) -> None:
+    hub = RowHub(tmp_path, 0.0)
+    way = ToldRows(hub, facts_of("carm", load_machine("carm"), "lockstep:").axes)
+    with Journal.create(tmp_path / "run.mf4.part", CHANNELS, {}) as journal:
+        hub.look()
+        for time_s in (7.0, 7.0, 7.1):
+            way.take(told(time_s, ON_THE_WAY, 0.1))
+        hub.look()
+        assert hub.recording is not None
+        assert (hub.recording["rows"], hub.recording["began"], hub.timeliness.missed) == (0, "", 0)
+        journal.append(table_of(3))
+        hub.look()
+        assert (hub.recording["rows"], hub.timeliness.rows) == (3, 3)
+    hub.close()

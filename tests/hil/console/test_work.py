@@ -78,6 +78,16 @@ def test_commands_follow_one_another_and_know_the_answers_before(work: Work, lin
     assert (work.state, work.why) == ("passed", "b is 5")
 
 
+def test_the_newest_line_of_progress_is_told_and_none_is_kept(work: Work, tmp_path: Path) -> None:
+    work.begin(Order("A", (command("a", "diagnose"),)), "me")
+    for text in ("... fitting: 5 s", "... fitting: 10 s"):
+        work.heed(starter.SAID, text, True)
+    assert work.state_now()["progress"] == "fitting: 10 s"
+    assert [text for text, _ in work.lines] == ["$ isocenter diagnose"]
+    work.heed(starter.ENDED, 1)
+    assert work.state_now()["progress"] == ""
+
+
 def test_a_command_that_fails_ends_the_order_and_says_why(work: Work, line: Line) -> None:
     work.begin(Order("Both", (command("a", "run"), command("b", "identify"))), "me")
     work.heed(starter.SAID, "carm: booting", True)

@@ -17,7 +17,7 @@ from hil.demo.hidden import LIMITS, TIMES, Envelope, drawn, stronger
 from hil.demo.judged import judged
 from hil.demo.recorded import TOLERANCE, answered_by, demo_machine, recorded
 from hil.diagnosis.result import Diagnosis, EffectAt, Finding, Verdict
-from hil.diagnosis.tuned.numbers import TUNED
+from hil.diagnosis.retuning.numbers import TUNED
 from hil.machine import Machine
 from hil.machine.effects_file import read_effects_file
 from hil.terminal.progress import progress

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from carriage import MACHINE, MASS_kg, repeats
 
-from hil.diagnosis.answered.values import Answered
 from hil.diagnosis.diagnose import diagnose
+from hil.diagnosis.verdict.values import Outcome
 from hil.recording import Recording
 
 COULOMB_N = 20.0
@@ -21,5 +21,5 @@ def with_friction() -> tuple[dict[str, Recording], dict[str, Recording]]:
 
 
 @pytest.fixture(scope="session")
-def friction(with_friction: tuple[dict[str, Recording], dict[str, Recording]]) -> Answered:
+def friction(with_friction: tuple[dict[str, Recording], dict[str, Recording]]) -> Outcome:
     return diagnose(MACHINE, *with_friction)

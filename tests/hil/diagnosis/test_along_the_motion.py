@@ -12,13 +12,13 @@ from carriage import MACHINE, MASS_kg, recording, repeats
 from command_line import Isocenter
 from places import DATA, needs_data
 
-from hil.diagnosis.named.fitting import fit
-from hil.diagnosis.named.naming import Named, name
-from hil.diagnosis.named.search import library
-from hil.diagnosis.named.standing import detection_limits
-from hil.diagnosis.predicted.open_runs import predicted
-from hil.diagnosis.predicted.refitting import refitted
-from hil.diagnosis.seen.see import see
+from hil.diagnosis.model_choice.alternatives import detection_limits
+from hil.diagnosis.model_choice.choose import Choice, choose_effects
+from hil.diagnosis.model_choice.fitting import fit
+from hil.diagnosis.model_choice.search import library
+from hil.diagnosis.prediction.open_runs import predicted
+from hil.diagnosis.prediction.refitting import refitted
+from hil.diagnosis.residuals.residuals import residuals_of
 from hil.machine.effects_file import read_effects_file
 from hil.machine.load import machine_from_text
 from hil.recording import Channel, Recording, write_recording
@@ -37,8 +37,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture(scope="module")
-def rubbing() -> Named:
-    return name(see(MACHINE, repeats(1, **TRUTH)))
+def rubbing() -> Choice:
+    return choose_effects(residuals_of(MACHINE, repeats(1, **TRUTH)))
 
 
 def answer(isocenter: Isocenter, folder: Path, *words: str, status: int = 0) -> tuple[dict[str, Any], str]:
@@ -53,10 +53,10 @@ def test_the_command_names_friction_and_load_of_one_recording_after_a_first_answ
     found, said = answer(isocenter, folder, "train_run_0_0.csv", "--held-out", "held_run_1_0.csv")
     assert "first answer: " in said
     assert "provisional" in said
-    named = {finding["effect"]: finding for finding in found["findings"]}
-    assert set(named) == {"coulomb_friction", "constant_load"}
+    found_effects = {finding["effect"]: finding for finding in found["findings"]}
+    assert set(found_effects) == {"coulomb_friction", "constant_load"}
     for effect, parameter, truth in (("coulomb_friction", "Fc", COULOMB_N), ("constant_load", "tau0", LOAD_N)):
-        low, high = sorted(abs(end) for end in named[effect]["parameters"][parameter]["ci95"])
+        low, high = sorted(abs(end) for end in found_effects[effect]["parameters"][parameter]["ci95"])
         assert low <= truth <= high, effect
     assert found["noise"] == "assumed"
     assert found["provisional"] is False
@@ -66,12 +66,13 @@ def test_the_command_names_friction_and_load_of_one_recording_after_a_first_answ
     assert stages["extended"] < 0.1 * stages["nominal"]
     assert found["audit"]["axes"]["carriage"]["status"] == "unknown"  # its command has noise that no law gives
     assert sum(h["confidence"] for h in found["hypotheses"]) <= 1.0 + 1e-9
-    assert {each.name for each in read_effects_file(folder / "found" / "effects.toml", MACHINE)} == set(named)
+    assert {each.name for each in read_effects_file(folder / "found" / "effects.toml", MACHINE)} == set(found_effects)
     machine_from_text((folder / "found" / "machine.toml").read_text(), label="re-tuned")
     assert "coulomb_friction at carriage" in (folder / "found" / "report.html").read_text()
 
 
-def test_friction_and_load_of_one_recording_are_named(rubbing: Named) -> None:
+@pytest.mark.nightly
+def test_friction_and_load_of_one_recording_are_named(rubbing: Choice) -> None:
     assert {(setting.name, setting.at) for setting in rubbing.best.settings} == {
         ("coulomb_friction", "carriage"),
         ("constant_load", "carriage"),
@@ -80,8 +81,8 @@ def test_friction_and_load_of_one_recording_are_named(rubbing: Named) -> None:
 
 def test_what_was_seen_is_said_without_a_search(folder: Path, isocenter: Isocenter) -> None:
     done = isocenter("diagnose", "emps", "train_run_0_0.csv", "-o", "found", "--stop-after", "seen", "--json", "-")
-    seen = json.loads(done.out)["seen"]
-    assert [(each["recording"], each["joint"], each["unit"]) for each in seen] == [("train_run_0_0", "carriage", "N")]
+    lacking = json.loads(done.out)["seen"]
+    assert [(each["recording"], each["joint"], each["unit"]) for each in lacking] == [("train_run_0_0", "carriage", "N")]
     assert not (folder / "found").exists() or not any((folder / "found").iterdir())
 
 
@@ -106,53 +107,59 @@ def test_a_pause_longer_than_a_window_is_no_obstacle() -> None:
     (whole,) = repeats(1, **TRUTH).values()
     kept = (whole.time < 2.0) | (whole.time > 4.5)
     channels = {label: Channel(channel.unit, channel.values[kept]) for label, channel in whole.channels.items()}
-    found = refitted(name(see(MACHINE, {"paused": Recording(channels, whole.metadata)})))
+    found = refitted(choose_effects(residuals_of(MACHINE, {"paused": Recording(channels, whole.metadata)})))
     assert np.isfinite(found.best.offset).all()
 
 
 @pytest.mark.nightly
 def test_a_friction_of_three_times_its_limit_is_found_and_a_third_is_not() -> None:
-    nothing = name(see(MACHINE, repeats(1, duration_s=6.0)))
-    (limit,) = [each for each in detection_limits(nothing, library(nothing.tuned)) if each.effect == "coulomb_friction"]
+    nothing = choose_effects(residuals_of(MACHINE, repeats(1, duration_s=6.0)))
+    (limit,) = [each for each in detection_limits(nothing, library(nothing.linear)) if each.effect == "coulomb_friction"]
     assert 0.0 < limit.strength < COULOMB_N
     found = [
-        {setting.name for setting in name(see(MACHINE, repeats(1, duration_s=6.0, coulomb_N=by * limit.strength))).best.settings}
+        {
+            setting.name
+            for setting in choose_effects(residuals_of(MACHINE, repeats(1, duration_s=6.0, coulomb_N=by * limit.strength))).best.settings
+        }
         for by in (3.0, 1.0 / 3.0)
     ]
     assert "coulomb_friction" in found[0]
     assert "coulomb_friction" not in found[1]
 
 
-def test_a_refit_keeps_strengths_and_predicts_no_worse(rubbing: Named) -> None:
+def test_a_refit_keeps_strengths_and_predicts_no_worse(rubbing: Choice) -> None:
     after = refitted(rubbing)
     strengths = {setting.name: setting.parameters for setting in after.best.settings}
     assert strengths["coulomb_friction"]["Fc"] == pytest.approx(COULOMB_N, rel=0.05)
-    numbers = rubbing.tuned.numbers
+    numbers = rubbing.linear.numbers
     machines = {
         label: (numbers.values(each.best.offset[: len(numbers.indices)]), each.best.settings)
         for label, each in (("before", rubbing), ("after", after))
     }
-    errors = predicted(rubbing.seen.alongs, {"position_carriage": 1e-7}, machines, "before")
+    errors = predicted(rubbing.residuals.trajectories, {"position_carriage": 1e-7}, machines, "before")
     assert errors is not None
     table = errors.channels["position_carriage"]
     assert table["after"] <= 1.05 * table["before"]
 
 
-def test_a_gear_whose_losses_would_hide_what_is_not_explained_is_no_better_explanation(rubbing: Named) -> None:
+def test_a_gear_whose_losses_would_hide_what_is_not_explained_is_no_better_explanation(rubbing: Choice) -> None:
     """A motor that hardly does anything but overcome friction gives an effort in proportion to it: a bad gear would explain anything."""
-    tuned = rubbing.tuned
-    (one,) = tuned.looked
+    linear = rubbing.linear
+    (one,) = linear.records
     gear, dry = EffectSetting("motor_load_friction", "carriage", {"Km": 0.6}), EffectSetting("coulomb_friction", "carriage", {"Fc": 1.0})
-    shares = [one.beside.along.passed_by_friction(one.motion, one.beside.along.model(None, (each,)))[0] for each in (gear, dry)]
+    shares = [
+        one.equations.trajectory.passed_by_friction(one.motion, one.equations.trajectory.model(None, (each,)))[0] for each in (gear, dry)
+    ]
     assert shares[1] == 1.0
     assert 0.4 < shares[0] < 0.95
     load = EffectSetting("constant_load", "carriage", {"tau0": LOAD_N})
-    fits = [fit(tuned, (each, load), rubbing.best.offset, rubbing.best.dispersion) for each in (gear, dry)]
+    fits = [fit(linear, (each, load), rubbing.best.offset, rubbing.best.dispersion) for each in (gear, dry)]
     assert fits[0] is not None
     assert fits[1] is not None
     assert fits[0].squares > 1.5 * fits[1].squares
 
 
+@pytest.mark.nightly
 def test_a_heavier_carriage_is_a_matter_of_numbers(tmp_path: Path, isocenter: Isocenter, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for label, each in repeats(1, duration_s=6.0, mass=1.1 * MASS_kg).items():

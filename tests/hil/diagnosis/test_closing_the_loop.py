@@ -12,8 +12,8 @@ import pytest
 
 from hil.cli.app import main
 from hil.diagnosis import files
-from hil.diagnosis.answered.answer import NEXT_EXPERIMENT
 from hil.diagnosis.diagnose import diagnose
+from hil.diagnosis.verdict.answer import NEXT_EXPERIMENT
 from hil.machine import load_machine
 from hil.recording import Recording, read_recording
 

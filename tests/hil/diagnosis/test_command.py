@@ -51,7 +51,7 @@ REPEATS = ("monday/run_0_0.csv", "monday/run_0_1.csv")
 def test_recordings_given_twice_and_places_that_cannot_be_written_to_are_one_line(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], said: str
 ) -> None:
-    monkeypatch.setattr("hil.diagnosis.diagnose.see", lambda *_, **__: pytest.fail("it computed"))
+    monkeypatch.setattr("hil.diagnosis.diagnose.residuals_of", lambda *_, **__: pytest.fail("it computed"))
     with pytest.raises(SystemExit) as left:
         main(["diagnose", "emps", *words])
     assert left.value.code == 2
@@ -67,7 +67,7 @@ def test_a_place_where_nothing_may_be_written_is_refused_before_the_computation(
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr("tempfile.TemporaryFile", refuse)  # who runs the tests may be allowed everything
-    monkeypatch.setattr("hil.diagnosis.diagnose.see", lambda *_, **__: pytest.fail("it computed"))
+    monkeypatch.setattr("hil.diagnosis.diagnose.residuals_of", lambda *_, **__: pytest.fail("it computed"))
     with pytest.raises(SystemExit) as left:
         main(["diagnose", "emps", *REPEATS, *words])
     assert left.value.code == 2
@@ -86,6 +86,7 @@ def test_a_recording_of_another_machine_is_refused_by_its_machine_and_axes(folde
     assert "monday/run_0_0.csv: recorded of emps with axes carriage; carm has propeller, roll" in line
 
 
+@pytest.mark.nightly
 def test_another_day_s_recording_of_the_same_name_may_be_held_out(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(SystemExit) as left:
         main(["diagnose", "emps", *REPEATS, "--held-out", "tuesday/run_0_0.csv", "-o", "answer"])

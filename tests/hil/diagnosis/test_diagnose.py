@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from carriage import DAMPING, MACHINE, MASS_kg, disturbance, recording, reference, repeats, run
 
-from hil.diagnosis.answered.values import Answered
 from hil.diagnosis.diagnose import diagnose
 from hil.diagnosis.files import write_diagnosis
+from hil.diagnosis.verdict.values import Outcome
 from hil.machine import load_machine
 from hil.machine.effects_file import read_effects_file
 from hil.recording import Recording
@@ -22,7 +22,7 @@ from virtual_bus.plant.parameters import plant_parameters
 COULOMB_N = 20.0  # of the friction in conftest.py
 
 
-def test_coulomb_friction_is_named_with_its_strength(friction: Answered) -> None:
+def test_coulomb_friction_is_named_with_its_strength(friction: Outcome) -> None:
     diagnosis = friction.diagnosis
     assert diagnosis.verdict == "explained"
     assert [str(finding.effect) for finding in diagnosis.findings] == ["coulomb_friction at carriage"]
@@ -37,7 +37,7 @@ def test_coulomb_friction_is_named_with_its_strength(friction: Answered) -> None
     assert all(h.gained <= 1.01 * first.gained for h in others)
 
 
-def test_the_extended_machine_predicts_recordings_it_was_not_fitted_to_down_to_noise(friction: Answered) -> None:
+def test_the_extended_machine_predicts_recordings_it_was_not_fitted_to_down_to_noise(friction: Outcome) -> None:
     fit = friction.diagnosis.fit
     assert fit.held_out is not None
     assert fit.horizon_s == pytest.approx(1.0 / MACHINE.sample_rate_Hz)
@@ -67,7 +67,7 @@ def test_held_out_recordings_that_an_answer_does_not_predict_take_its_assurance_
     assert int(said[1]) == pytest.approx(100.0 * (errors.extended**2 - 1.0) / (errors.retuned**2 - 1.0), abs=1.0)
 
 
-def test_the_answer_is_written_as_promised(friction: Answered, tmp_path: Path) -> None:
+def test_the_answer_is_written_as_promised(friction: Outcome, tmp_path: Path) -> None:
     write_diagnosis(friction, MACHINE, tmp_path)
     document = json.loads((tmp_path / "diagnosis.json").read_text())
     promised = {"verdict", "findings", "hypotheses", "retuned", "noise", "location", "fit", "unexplained_share", "seconds"}
@@ -83,7 +83,7 @@ def test_the_answer_is_written_as_promised(friction: Answered, tmp_path: Path) -
     assert document["noise"] == "repeats"
 
 
-def test_the_files_of_the_answer_load_and_hold_what_was_found(friction: Answered, tmp_path: Path) -> None:
+def test_the_files_of_the_answer_load_and_hold_what_was_found(friction: Outcome, tmp_path: Path) -> None:
     write_diagnosis(friction, MACHINE, tmp_path)
     machine = load_machine(tmp_path / "machine.toml")
     (effect,) = read_effects_file(tmp_path / "effects.toml", machine)
@@ -122,6 +122,7 @@ def test_a_ripple_of_half_a_newton_beside_a_newton_of_disturbances_is_named() ->
         assert low < value < high
 
 
+@pytest.mark.nightly
 def test_periods_of_one_recording_are_its_repeats() -> None:
     """Eight periods of a second, the first of which settles."""
     period = 1000
@@ -141,6 +142,7 @@ def _shaken(rows: int) -> np.ndarray:
     return np.asarray(slow)
 
 
+@pytest.mark.nightly
 def test_pushes_three_times_as_large_as_the_disturbances_are_no_physics() -> None:
     """For a tenth of a second, once in every repeat, at another time each."""
     wanted = reference(4.0)
@@ -164,6 +166,7 @@ def test_too_few_rows_are_said_to_be_too_few(rows: int) -> None:
     assert "record 100 at least" in found.reason
 
 
+@pytest.mark.nightly
 def test_a_stop_that_every_repeat_meets_once_is_named() -> None:
     """It shows in a twentieth of the recordings, and in all of them: a disturbance would show in one."""
     farthest = float(np.max(reference(3.0)))

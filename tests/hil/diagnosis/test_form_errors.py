@@ -9,11 +9,11 @@ import pytest
 from carriage import MACHINE, disturbance, recording, reference, run
 
 from hil.diagnosis.candidates.columns import Column
-from hil.diagnosis.named.form import FORM, FormError, form_columns
-from hil.diagnosis.named.naming import Named, name
-from hil.diagnosis.seen.along import Motion
-from hil.diagnosis.seen.see import see
-from hil.diagnosis.tuned.retuning import Tuned, nominal_offset, tuned_at
+from hil.diagnosis.model_choice.choose import Choice, choose_effects
+from hil.diagnosis.model_choice.form_error import FORM, FormError, form_columns
+from hil.diagnosis.residuals.residuals import residuals_of
+from hil.diagnosis.residuals.trajectory import Motion
+from hil.diagnosis.retuning.linear_model import LinearModel, linear_at, nominal_offset
 from hil.recording import Recording
 
 RATE_Hz = 1000.0
@@ -62,14 +62,14 @@ def carried(at: Callable[[float], float] = lambda x: 0.0, friction_N: float = 0.
 
 
 @pytest.fixture(scope="module")
-def still_sound() -> Tuned:
-    seen = see(MACHINE, carried())
-    return tuned_at(seen.alongs, seen.levels, nominal_offset(seen.alongs))
+def still_sound() -> LinearModel:
+    residuals = residuals_of(MACHINE, carried())
+    return linear_at(residuals.trajectories, residuals.levels, nominal_offset(residuals.trajectories))
 
 
-def test_scores_are_the_adjoint_of_whitening(still_sound: Tuned) -> None:
-    one, random = still_sound.looked[0], np.random.default_rng(8)
-    rows, joints = one.beside.missing.shape
+def test_scores_are_the_adjoint_of_whitening(still_sound: LinearModel) -> None:
+    one, random = still_sound.records[0], np.random.default_rng(8)
+    rows, joints = one.equations.missing.shape
     for joint in range(joints):
         effort = random.standard_normal(rows).astype(np.float32)
         whitened = one.whiten([Column({joint: (effort, effort)}, {})])[:, 0]
@@ -82,19 +82,19 @@ ONE_FRICTION = {"coulomb_friction", "asymmetric_friction"}
 """Where the disturbances' mean is a small load, both are equal."""
 
 
-def friction_levels(found: Named) -> list[float]:
+def friction_levels(found: Choice) -> list[float]:
     """Coulomb friction [N], one or both ways."""
     (friction,) = [setting for setting in found.best.settings if setting.name in ONE_FRICTION]
     return [value for key, value in friction.parameters.items() if key.startswith("Fc")]
 
 
-def names(found: Named) -> set[str]:
+def names(found: Choice) -> set[str]:
     return {setting.name for setting in found.best.settings}
 
 
 @pytest.mark.nightly
 def test_a_wave_a_twentieth_as_large_as_the_friction_beside_it_is_found() -> None:
-    found = name(see(MACHINE, carried(lambda x: 1.5 * np.cos(150.0 * x + 0.4), friction_N=30.0)))
+    found = choose_effects(residuals_of(MACHINE, carried(lambda x: 1.5 * np.cos(150.0 * x + 0.4), friction_N=30.0)))
     assert len(found.best.settings) == 2
     assert names(found) - ONE_FRICTION == {"cogging"}
     assert friction_levels(found) == pytest.approx([30.0] * len(friction_levels(found)), rel=0.06)
@@ -105,7 +105,7 @@ def test_a_wave_a_twentieth_as_large_as_the_friction_beside_it_is_found() -> Non
 @pytest.mark.nightly
 def test_friction_a_twentieth_off_the_law_is_one_friction() -> None:
     """It is 5 % more at one end of the rail and 5 % less at the other."""
-    found = name(see(MACHINE, bent()))
+    found = choose_effects(residuals_of(MACHINE, bent()))
     assert len(found.best.settings) == 1
     assert names(found) <= ONE_FRICTION
     assert friction_levels(found) == pytest.approx([30.0] * len(friction_levels(found)), rel=0.06)

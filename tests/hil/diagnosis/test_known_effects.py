@@ -11,12 +11,12 @@ from carriage import MACHINE, repeats
 from command_line import Isocenter
 
 from hil.diagnosis.diagnose import diagnose
-from hil.diagnosis.named.everyday import everyday_effects
-from hil.diagnosis.named.fitting import fit
-from hil.diagnosis.named.search import library
-from hil.diagnosis.seen.beside import Levels
-from hil.diagnosis.seen.see import Seen, see
-from hil.diagnosis.tuned.retuning import nominal_offset, tuned_at
+from hil.diagnosis.model_choice.everyday import everyday_effects
+from hil.diagnosis.model_choice.fitting import fit
+from hil.diagnosis.model_choice.search import library
+from hil.diagnosis.residuals.equation_errors import Levels
+from hil.diagnosis.residuals.residuals import Residuals, residuals_of
+from hil.diagnosis.retuning.linear_model import linear_at, nominal_offset
 from hil.machine.effects_file import read_effects_file
 from hil.recording import write_recording
 from virtual_bus.settings import EffectSetting
@@ -36,6 +36,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.nightly
 def test_the_command_names_what_is_missing_beside_what_is_known(folder: Path, isocenter: Isocenter) -> None:
     (folder / "known.toml").write_text(FILE)
     done = isocenter("diagnose", "emps", "run.csv", "-o", "found", "--known", "known.toml")
@@ -82,32 +83,32 @@ def test_beside_repeats_what_is_known_is_no_finding() -> None:
     assert both.findings == ()
 
 
-def looked(seen: Seen, levels: Levels, settings: tuple[EffectSetting, ...]) -> np.ndarray:
-    offset = nominal_offset(seen.alongs)
-    tuned = tuned_at(seen.alongs, levels, offset, settings)
-    fitted = fit(tuned, settings, offset, longest=0.0)
+def innovations_with(residuals: Residuals, levels: Levels, settings: tuple[EffectSetting, ...]) -> np.ndarray:
+    offset = nominal_offset(residuals.trajectories)
+    linear = linear_at(residuals.trajectories, levels, offset, settings)
+    fitted = fit(linear, settings, offset, longest=0.0)
     assert fitted is not None
     return np.concatenate(fitted.innovations)
 
 
 def test_along_the_motion_what_is_known_explains_what_it_would_explain_if_found() -> None:
     recordings = repeats(1, **TRUTH)
-    plain, knowing = see(MACHINE, recordings), see(MACHINE.with_effects((FRICTION,)), recordings)
-    without = looked(plain, plain.levels, ())
-    known = looked(knowing, plain.levels, ())
-    tuned = tuned_at(plain.alongs, plain.levels, nominal_offset(plain.alongs), (FRICTION,))
-    (one,) = tuned.looked
-    along = plain.alongs[0]
-    signals = along.signals(one.motion, along.model(tuned.values, (FRICTION,)), (FRICTION,))
-    found = one.beside.given_along(signals).whitened(one.whitening).reshape(-1)
+    plain, knowing = residuals_of(MACHINE, recordings), residuals_of(MACHINE.with_effects((FRICTION,)), recordings)
+    without = innovations_with(plain, plain.levels, ())
+    known = innovations_with(knowing, plain.levels, ())
+    linear = linear_at(plain.trajectories, plain.levels, nominal_offset(plain.trajectories), (FRICTION,))
+    (one,) = linear.records
+    trajectory = plain.trajectories[0]
+    signals = trajectory.signals(one.motion, trajectory.model(linear.values, (FRICTION,)), (FRICTION,))
+    found = one.equations.given_along(signals).whitened(one.whitening).reshape(-1)
     assert np.sum(known**2) < 0.5 * np.sum(without**2)
     np.testing.assert_allclose(known, found, atol=0.02)  # of noise: near a reversal the motion that was seen decides how much is unknown
 
 
 def test_no_law_is_sought_where_it_is_known() -> None:
-    knowing = see(MACHINE.with_effects((FRICTION,)), repeats(1, **TRUTH))
-    assert {one.name for one in everyday_effects(knowing.alongs[0])} == {"constant_load", "viscous_friction"}
-    tuned = tuned_at(knowing.alongs, knowing.levels, nominal_offset(knowing.alongs))
-    laws = {law.effect.name for law in library(tuned).laws}
+    knowing = residuals_of(MACHINE.with_effects((FRICTION,)), repeats(1, **TRUTH))
+    assert {one.name for one in everyday_effects(knowing.trajectories[0])} == {"constant_load", "viscous_friction"}
+    linear = linear_at(knowing.trajectories, knowing.levels, nominal_offset(knowing.trajectories))
+    laws = {law.effect.name for law in library(linear).laws}
     assert "coulomb_friction" not in laws
     assert {"asymmetric_friction", "constant_load"} <= laws

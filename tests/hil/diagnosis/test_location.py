@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from carriage import repeats
 
-from hil.diagnosis.answered.values import Answered
 from hil.diagnosis.diagnose import diagnose
-from hil.diagnosis.locating.location import Mismatch, locate
+from hil.diagnosis.location.location import Mismatch, locate
 from hil.diagnosis.result import Location
+from hil.diagnosis.verdict.values import Outcome
 from hil.machine import load_machine
 
 EMPS = load_machine("emps")
@@ -77,10 +77,11 @@ def test_periods_are_times_of_their_recording() -> None:
     assert spans[1] == pytest.approx((4.5, 4.7), abs=0.15)
 
 
-def test_friction_is_located_in_the_drives_effort(friction: Answered) -> None:
+def test_friction_is_located_in_the_drives_effort(friction: Outcome) -> None:
     assert friction.diagnosis.location.channels["effort_carriage"] > 0.95
 
 
+@pytest.mark.nightly
 def test_a_stop_is_located_where_it_is_met() -> None:
     """From 0.046 m on, of a way of 0.056 m."""
     found = diagnose(EMPS, repeats(4, 3.0, at=lambda x: -20000.0 * max(x - 0.046, 0.0))).diagnosis

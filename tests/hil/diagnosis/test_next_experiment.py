@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from pushed_mass import NOISE, RAIL, recorded
 
-from hil.diagnosis.named.fitting import fit
-from hil.diagnosis.seen.beside import Levels
-from hil.diagnosis.seen.see import see
-from hil.diagnosis.separating.next_experiment import Proposal, propose
-from hil.diagnosis.separating.separation import Model, Separation
-from hil.diagnosis.tuned.retuning import nominal_offset, tuned_at
+from hil.diagnosis.model_choice.fitting import fit
+from hil.diagnosis.next_experiment.proposal import Proposal, propose
+from hil.diagnosis.next_experiment.separation import Model, Separation
+from hil.diagnosis.residuals.equation_errors import Levels
+from hil.diagnosis.residuals.residuals import residuals_of
+from hil.diagnosis.retuning.linear_model import linear_at, nominal_offset
 from hil.experiments import Jog, JogOnly, Plan, Scan, experiment_from_text
 from hil.experiments.file_text import experiment_text
 from hil.machine import load_machine
@@ -76,11 +76,11 @@ def test_a_run_on_another_simulation_confirms_the_prediction(rivals: list[Model]
     plan = slow_jog()
     ((predicted, _),) = Separation(RAIL, rivals, LEVELS, CHANNELS).of_plan(plan)
     one = recorded(plan.reference[:, 0], lambda time, position, speed: -QUADRATIC * speed * abs(speed), 1, excitation=plan.excitation[:, 0])
-    alongs = see(RAIL, {"run": one}).alongs
-    offset = nominal_offset(alongs)
+    trajectories = residuals_of(RAIL, {"run": one}).trajectories
+    offset = nominal_offset(trajectories)
     right, other = rivals
-    tuned = tuned_at(alongs, LEVELS, offset, right.effects)
-    own, its = (fit(tuned, each.effects, offset) for each in (right, other))
+    linear = linear_at(trajectories, LEVELS, offset, right.effects)
+    own, its = (fit(linear, each.effects, offset) for each in (right, other))
     assert own is not None
     assert its is not None
     assert np.sqrt(max(its.cost() - own.cost(), 0.0)) == pytest.approx(predicted, rel=0.5, abs=2.0)

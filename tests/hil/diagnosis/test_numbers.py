@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil.diagnosis.answered.simulated import NO_HELP
-from hil.diagnosis.answered.values import Answered
 from hil.diagnosis.diagnose import diagnose
+from hil.diagnosis.verdict.answer import NO_HELP
+from hil.diagnosis.verdict.values import Outcome
 from hil.machine.load import machine_from_text
 from tests.hil.diagnosis.pushed_mass import RAIL, MASS_kg, recorded
 
@@ -29,7 +29,7 @@ def nothing(_time: float, _position: float, _speed: float) -> float:
 
 
 @pytest.fixture(scope="module")
-def heavier() -> Answered:
+def heavier() -> Outcome:
     """A file that says a third of the mass, one recording to fit and another held out."""
     machine = replace(
         machine_from_text(RAIL.text.replace("mass_kg = 20.0", f"mass_kg = {MASS_kg / 3.0}"), label="rail.toml"), controllers=()
@@ -37,7 +37,7 @@ def heavier() -> Answered:
     return diagnose(machine, {"run": recorded(reference(11), nothing, 12)}, {"other": recorded(reference(13), nothing, 14)})
 
 
-def test_a_mass_three_times_the_files_is_a_finding_with_what_the_file_says(heavier: Answered) -> None:
+def test_a_mass_three_times_the_files_is_a_finding_with_what_the_file_says(heavier: Outcome) -> None:
     (finding,) = heavier.diagnosis.findings
     document = finding.document()
     assert (document["kind"], document["number"], document["at"]) == ("number", "block.mass", "block")
@@ -49,7 +49,7 @@ def test_a_mass_three_times_the_files_is_a_finding_with_what_the_file_says(heavi
     assert "block.mass" in heavier.diagnosis.reason
 
 
-def test_the_machine_that_is_found_predicts_the_recording_that_was_held_out(heavier: Answered) -> None:
+def test_the_machine_that_is_found_predicts_the_recording_that_was_held_out(heavier: Outcome) -> None:
     stages = heavier.diagnosis.fit.held_out
     assert stages is not None
     assert stages.nominal is not None
@@ -58,13 +58,14 @@ def test_the_machine_that_is_found_predicts_the_recording_that_was_held_out(heav
     assert heavier.effects == ()
 
 
+@pytest.mark.nightly
 def test_a_machine_that_is_its_file_is_left_as_it_is() -> None:
     machine = replace(RAIL, controllers=())
-    answered = diagnose(machine, {"run": recorded(reference(15), nothing, 16)})
-    assert answered.diagnosis.verdict in ("consistent", "retuned")
-    assert answered.diagnosis.findings == ()
-    assert answered.effects == ()
-    mass = answered.diagnosis.retuned.get("block.mass")
+    outcome = diagnose(machine, {"run": recorded(reference(15), nothing, 16)})
+    assert outcome.diagnosis.verdict in ("consistent", "retuned")
+    assert outcome.diagnosis.findings == ()
+    assert outcome.effects == ()
+    mass = outcome.diagnosis.retuned.get("block.mass")
     assert mass is None or mass.value == pytest.approx(MASS_kg, rel=0.01)
 
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from places import BENCHMARKS
 
-from hil.diagnosis.named.naming import name
-from hil.diagnosis.named.search import library
-from hil.diagnosis.named.settling import settled
-from hil.diagnosis.seen.see import see
-from hil.diagnosis.tuned.retuning import nominal_offset
+from hil.diagnosis.model_choice.choose import choose_effects
+from hil.diagnosis.model_choice.convergence import converged
+from hil.diagnosis.model_choice.search import library
+from hil.diagnosis.residuals.residuals import residuals_of
+from hil.diagnosis.retuning.linear_model import nominal_offset
 from hil.machine import machine_from_text
 from hil.recording import Recording
 from hil.simulation import compare, simulate
@@ -81,8 +81,8 @@ def test_pieces_of_the_motors_record_begin_in_motion() -> None:
 def test_cogging_of_a_motor_is_found_at_its_first_order_and_not_at_twice_that() -> None:
     """Effort at 144 a turn stands out as well; started there alone, a fit would have no 72."""
     data = REAL_SETS["laas_anti_cogging"]()
-    seen = see(data.machine, data.train)
-    levels = name(seen).levels
-    of = library(*settled(seen.alongs, levels, nominal_offset(seen.alongs)))
+    residuals = residuals_of(data.machine, data.train)
+    levels = choose_effects(residuals).levels
+    of = library(*converged(residuals.trajectories, levels, nominal_offset(residuals.trajectories)))
     orders = {float(law.setting(np.ones(law.width)).parameters["Np"]) for law in of.laws if law.effect.name == "cogging"}
     assert min(abs(order - 72.0) for order in orders) < 0.5

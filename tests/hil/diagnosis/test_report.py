@@ -10,11 +10,11 @@ import pytest
 from carriage import MACHINE, repeats
 from matplotlib.figure import Figure
 
-from hil.diagnosis.answered.values import Answered
 from hil.diagnosis.diagnose import diagnose
 from hil.diagnosis.report.page import missing_charts, write_report
 from hil.diagnosis.report.waterfall import left_above_noise, waterfall_figure
 from hil.diagnosis.result import EffectAt, ErrorsOf, Stages
+from hil.diagnosis.verdict.values import Outcome
 from hil.recording import Channel
 
 COULOMB_N = 20.0  # of the friction in conftest.py
@@ -27,7 +27,7 @@ def bars(figure: Figure) -> list[tuple[str, float, float]]:
     return [(name, bar.get_y(), bar.get_height()) for name, bar in zip(names, axes.patches, strict=True)]  # type: ignore[attr-defined]
 
 
-def test_the_waterfall_ends_in_what_is_unexplained(friction: Answered) -> None:
+def test_the_waterfall_ends_in_what_is_unexplained(friction: Outcome) -> None:
     e = Stages(nominal=np.sqrt(101.0), retuned=np.sqrt(81.0), extended=np.sqrt(6.0), placebo=None, noise_floor=1.0)
     fit = replace(friction.diagnosis.fit, held_out=e)
     figure = waterfall_figure(fit, (EffectAt("coulomb_friction", "carriage"), EffectAt("constant_load", "carriage")))
@@ -42,20 +42,20 @@ def test_a_mismatch_below_noise_has_no_waterfall() -> None:
     assert left_above_noise(Stages(0.9, 0.9, 0.9, None, 1.0)) is None
 
 
-def test_the_missing_effort_of_friction_is_its_level_on_both_sides(friction: Answered) -> None:
+def test_the_missing_effort_of_friction_is_its_level_on_both_sides(friction: Outcome) -> None:
     (shown,) = missing_charts(friction)
     over_speed = shown.cells[0]
     assert over_speed.x.label == "speed of carriage [m/s]"
     assert over_speed.y.label == "effort on carriage [N]"
-    missing, named = over_speed.series
+    missing, explained = over_speed.series
     for side in (-1.0, 1.0):
         far = side * missing.x > 0.5 * np.max(side * missing.x)
         assert np.mean(missing.y[far]) == pytest.approx(side * COULOMB_N, rel=0.5)  # of a machine whose other numbers are off, too
-        fitted = side * named.x > 0.5 * np.max(side * named.x)
-        assert np.mean(named.y[fitted]) == pytest.approx(np.mean(missing.y[far]), abs=3.0)
+        fitted = side * explained.x > 0.5 * np.max(side * explained.x)
+        assert np.mean(explained.y[fitted]) == pytest.approx(np.mean(missing.y[far]), abs=3.0)
 
 
-def test_places_and_speeds_and_efforts_have_their_units(friction: Answered, tmp_path: Path) -> None:
+def test_places_and_speeds_and_efforts_have_their_units(friction: Outcome, tmp_path: Path) -> None:
     spans = {"carriage": ((0.125, 0.25),)}
     location = replace(friction.diagnosis.location, position=spans, speed=spans, effort=spans)
     outcome = replace(friction, diagnosis=replace(friction.diagnosis, location=location))
@@ -66,7 +66,7 @@ def test_places_and_speeds_and_efforts_have_their_units(friction: Answered, tmp_
     assert page.index('<p class="verdict good">') < page.index("coulomb_friction at carriage: Fc = ") < page.index("<h2>")
 
 
-def test_an_answer_without_findings_says_so(friction: Answered, tmp_path: Path) -> None:
+def test_an_answer_without_findings_says_so(friction: Outcome, tmp_path: Path) -> None:
     nothing = replace(friction.diagnosis, findings=(), hypotheses=(), lacking={}, verdict="consistent", reason="nothing")
     bare = write_report(replace(friction, diagnosis=nothing, effects=()), tmp_path).read_text(encoding="utf-8")
     assert "No effort is missing." in bare
@@ -74,7 +74,7 @@ def test_an_answer_without_findings_says_so(friction: Answered, tmp_path: Path) 
     assert "No effect is named." in bare
 
 
-def test_errors_are_in_units_of_noise_or_shares_of_the_motion(friction: Answered, tmp_path: Path) -> None:
+def test_errors_are_in_units_of_noise_or_shares_of_the_motion(friction: Outcome, tmp_path: Path) -> None:
     stages = Stages(nominal=12.5, retuned=8.0, extended=1.25, placebo=None, noise_floor=1.0)
     fit = replace(friction.diagnosis.fit, channels={"position_carriage": stages})
     of: tuple[tuple[ErrorsOf, str, str], ...] = (
@@ -89,7 +89,7 @@ def test_errors_are_in_units_of_noise_or_shares_of_the_motion(friction: Answered
         assert f'position_carriage</td><td class="number" data-head="nominal">{shown}</td>' in page
 
 
-def test_no_column_is_empty(friction: Answered, tmp_path: Path) -> None:
+def test_no_column_is_empty(friction: Outcome, tmp_path: Path) -> None:
     page = write_report(friction, tmp_path).read_text(encoding="utf-8")
     assert "placebo" not in page
     assert "held-out by" not in page
@@ -102,11 +102,11 @@ def test_wrong_recordings_have_shares_that_sum_to_one_and_no_word_of_a_search(tm
         replace(run, channels={**run.channels, "position_carriage": Channel("m", position)})
         for run, position in ((first, missing), (second, 1000.0 * second["position_carriage"]))  # a gap, and millimetres
     ]
-    answered = diagnose(MACHINE, dict(zip("ab", spoilt, strict=True)))
-    assert "a: position_carriage is missing" in answered.diagnosis.reason
-    assert "b: position_carriage is in mm" in answered.diagnosis.reason
-    assert answered.diagnosis.location.channels == pytest.approx({"position_carriage": 1.0})
-    page = write_report(answered, tmp_path).read_text(encoding="utf-8")
+    outcome = diagnose(MACHINE, dict(zip("ab", spoilt, strict=True)))
+    assert "a: position_carriage is missing" in outcome.diagnosis.reason
+    assert "b: position_carriage is in mm" in outcome.diagnosis.reason
+    assert outcome.diagnosis.location.channels == pytest.approx({"position_carriage": 1.0})
+    page = write_report(outcome, tmp_path).read_text(encoding="utf-8")
     assert "Misconfigured" in page
     assert "No effect is named." in page
     for untold in ("no repeats were recorded", "The answer leaves", "Free runs", "No recording has the reference", "None was computed"):

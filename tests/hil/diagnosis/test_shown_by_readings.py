@@ -25,6 +25,7 @@ def changed(recordings: dict[str, Recording], by: Callable[[np.ndarray, np.rando
     return found
 
 
+@pytest.mark.nightly
 def test_a_lattice_coarser_than_the_files_is_named_with_its_step() -> None:
     step = 17.0 * MACHINE.plant.encoders[0].resolution
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.diagnosis.answered.values import acting
 from hil.diagnosis.candidates.entries import effect_sought, setting_of
-from hil.diagnosis.tuned.bounded import bounded_least_squares
+from hil.diagnosis.retuning.bounded import bounded_least_squares
+from hil.diagnosis.verdict.values import acting
 
 
 def test_effects_without_strength_are_left_out() -> None:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.diagnosis.answered.machine_file import retuned_text
-from hil.diagnosis.named.naming import Named, name
-from hil.diagnosis.seen.see import see
+from hil.diagnosis.model_choice.choose import Choice, choose_effects
+from hil.diagnosis.residuals.residuals import residuals_of
 from hil.errors import MachineFileError
 from hil.machine import Machine, load_machine
 from hil.machine.load import machine_from_text
+from hil.machine.retuned_file import retuned_text
 from hil.recording import Channel, Recording, recording_metadata
 from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.plant.parameters import plant_parameters
@@ -89,15 +89,15 @@ def arm(tolerances: str = "") -> Machine:
     return machine_from_text(ARM + tolerances, label="pendulum.toml")
 
 
-def tuned(machine: Machine, **truth: float) -> tuple[Named, dict[str, float]]:
+def linear(machine: Machine, **truth: float) -> tuple[Choice, dict[str, float]]:
     """The naming, and the numbers of the plant as it leaves them."""
-    found = name(see(machine, {"run": swung(machine, **truth)}))
-    names = [parameter.name for parameter in found.tuned.plant.parameters]
-    return found, dict(zip(names, found.tuned.numbers.values(found.best.offset[: len(found.tuned.numbers.indices)]), strict=True))
+    found = choose_effects(residuals_of(machine, {"run": swung(machine, **truth)}))
+    names = [parameter.name for parameter in found.linear.plant.parameters]
+    return found, dict(zip(names, found.linear.numbers.values(found.best.offset[: len(found.linear.numbers.indices)]), strict=True))
 
 
 def test_an_offset_of_the_mass_that_the_file_calls_zero_is_a_number_where_it_has_a_tolerance() -> None:
-    found, numbers = tuned(arm("\n[tolerances]\narm = { center_of_mass_x_m = 0.05 }\n"), offset_m=OFFSET_m)
+    found, numbers = linear(arm("\n[tolerances]\narm = { center_of_mass_x_m = 0.05 }\n"), offset_m=OFFSET_m)
     assert numbers["arm.center_of_mass_x_m"] == pytest.approx(OFFSET_m, rel=0.05)
     assert not found.best.settings
 
@@ -117,10 +117,11 @@ def test_without_a_tolerance_a_zero_is_no_number() -> None:
     assert "arm.center_of_mass_x_m" not in [parameter.name for parameter in plant_parameters(arm().plant)]
 
 
+@pytest.mark.nightly
 def test_a_mass_goes_as_far_as_its_tolerance_and_what_is_more_is_physics() -> None:
     others = "center_of_mass_z_m = 1e-6, inertia_yy_kg_m2 = 1e-6 }\nshoulder = { constant_Nm_A = 1e-6 }"
     for tolerance, is_enough in ((3.0, True), (0.2, False)):
-        found, numbers = tuned(arm(f"\n[tolerances]\narm = {{ mass_kg = {tolerance}, {others}\n"), mass_kg=HEAVIER * MASS_kg)
+        found, numbers = linear(arm(f"\n[tolerances]\narm = {{ mass_kg = {tolerance}, {others}\n"), mass_kg=HEAVIER * MASS_kg)
         if is_enough:
             assert numbers["arm.mass_kg"] == pytest.approx(HEAVIER * MASS_kg, rel=0.02)
             assert not found.best.settings

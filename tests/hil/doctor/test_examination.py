@@ -16,6 +16,8 @@ from hil.doctor.examine import examine
 from hil.doctor.trial import wake_ups
 
 LEVELS = ("ok", "look", "bad", "not known")
+TRIALS = 3
+"""Tried at most: beside other tests the emulator may be kept from its processor for longer than a brake may take."""
 
 
 @pytest.mark.slow
@@ -28,10 +30,13 @@ def test_the_loop_is_tried_on_an_emulated_machine_whatever_addresses_the_machine
     machine.write_text(edited('^url = ""', 'url = "tcp:192.0.2.7:502"', text))
     monkeypatch.setattr(wire, "benches", lambda root: 0)
     monkeypatch.chdir(tmp_path)
-    outcome = isocenter("doctor", "-m", machine, "--seconds", 4.0, "--json", "-")
-    assert outcome.status in (0, 1), outcome.err
-    answer = json.loads(outcome.out)
-    findings = {finding["check"]: finding for finding in answer["findings"]}
+    for _ in range(TRIALS):
+        outcome = isocenter("doctor", "-m", machine, "--seconds", 4.0, "--json", "-")
+        assert outcome.status in (0, 1), outcome.err
+        answer = json.loads(outcome.out)
+        findings = {finding["check"]: finding for finding in answer["findings"]}
+        if "not closed within" not in findings.get("trial", {}).get("found", ""):
+            break
     assert "trial" not in findings, findings["trial"]
     assert answer["ok"] is (outcome.status == 0)
     assert answer["ok"] is all(finding["level"] != "bad" for finding in findings.values())

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import ROOT
@@ -69,13 +70,13 @@ experiments = st.one_of(
 
 @pytest.mark.slow
 @given(experiments)
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 def test_any_experiment_reads_back_equal(experiment: Experiment) -> None:
     assert experiment_from_text(experiment_text(experiment, CARM), CARM) == experiment
 
 
 @given(st.text(max_size=200))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 def test_any_text_is_an_experiment_or_one_line(text: str) -> None:
     for prefix in ("", 'format = 1\nkind = "multisine"\n', 'format = 1\nkind = "scan"\n'):
         _, refusal = answer_or_refusal(ExperimentError, experiment_from_text, prefix + text, CARM, "e.toml")

@@ -20,6 +20,8 @@ from hil.pages import html_of
 
 BY_ITSELF = machine_from_text(carm_text_in("profile_position"))
 AT_SWITCH = machine_from_text(homing_at_switch_text())
+HOT = "thermometer_high/roll/sweep", "temperature_roll: 150.0 degC, 120.0 are allowed"
+CLOSED = "brake_feedback_stuck_closed/roll/sweep", "roll: its brake reports closed during the motion"
 
 
 def tried(machine: Machine, motion: MotionName, folder: Path, *names: str) -> list[TrialOutcome]:
@@ -40,8 +42,9 @@ def test_a_homing_run_that_moves_nothing_is_refused() -> None:
         motion_of(CARM, "roll", "homing")
 
 
-@pytest.mark.parametrize("method", [17, 18])
-@pytest.mark.parametrize("direction", [1, -1])
+@pytest.mark.parametrize(
+    ("method", "direction"), [(17, 1), (18, -1), *(pytest.param(*each, marks=pytest.mark.nightly) for each in ((17, -1), (18, 1)))]
+)
 def test_a_homing_run_begins_before_the_switch_that_its_drive_searches(method: int, direction: int, tmp_path: Path) -> None:
     text = edited(r"^\[drives.roll\]$", rf"\g<0>\ndirection = {direction}", homing_at_switch_text())
     if method == 18:
@@ -73,21 +76,22 @@ def test_faults_come_near_the_motions_greatest_speed_and_are_stopped(
     assert document_of(machine, "roll", outcomes, motion_of(machine, "roll", motion))["motion"] == motion
 
 
-def test_what_is_found_of_the_sensors_on_a_way_is_told(tmp_path: Path) -> None:
-    for machine in (CARM, BY_ITSELF):
-        silent, sound = tried(machine, "move", tmp_path, "imu_silent/imu/sweep", "frames_remote/roll_encoder/sweep")
-        assert (silent.verdict, silent.exit_status) == ("noted", 1)
-        assert "imu" in silent.said
-        assert "late heartbeats" not in silent.said, "the nodes are sound"
-        assert sound.exit_status == 0
+@pytest.mark.parametrize("machine", [pytest.param(CARM, marks=pytest.mark.nightly), BY_ITSELF])
+def test_what_is_found_of_the_sensors_on_a_way_is_told(machine: Machine, tmp_path: Path) -> None:
+    silent, sound = tried(machine, "move", tmp_path, "imu_silent/imu/sweep", "frames_remote/roll_encoder/sweep")
+    assert (silent.verdict, silent.exit_status) == ("noted", 1)
+    assert "imu" in silent.said
+    assert "late heartbeats" not in silent.said, "the nodes are sound"
+    assert sound.exit_status == 0
 
 
-@pytest.mark.parametrize(("machine", "motion"), [(BY_ITSELF, "move"), (AT_SWITCH, "homing")])
 @pytest.mark.parametrize(
-    ("name", "words"),
+    ("machine", "motion", "name", "words"),
     [
-        ("thermometer_high/roll/sweep", "temperature_roll: 150.0 degC, 120.0 are allowed"),
-        ("brake_feedback_stuck_closed/roll/sweep", "roll: its brake reports closed during the motion"),
+        (BY_ITSELF, "move", *HOT),
+        (AT_SWITCH, "homing", *CLOSED),
+        pytest.param(AT_SWITCH, "homing", *HOT, marks=pytest.mark.nightly),
+        pytest.param(BY_ITSELF, "move", *CLOSED, marks=pytest.mark.nightly),
     ],
 )
 def test_what_stops_a_run_stops_a_motion_that_nobody_records(

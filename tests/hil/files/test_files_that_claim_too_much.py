@@ -12,7 +12,9 @@ import zlib
 from collections.abc import Callable
 from pathlib import Path
 
+import asammdf  # noqa: F401  the readers import both when first asked: not what is timed here
 import numpy as np
+import pydicom  # noqa: F401
 import pytest
 
 from drivers.canopen.eds import load_object_dictionary
@@ -29,7 +31,7 @@ from hil.imaging.scan_folder import EXPOSURES, FRAMES, read_scan, write_descript
 from hil.machine import load_machine
 from hil.recording import read_recording
 from hil.recording.formats import READABLE, write_recording
-from hil.recording.model import Channel, Recording
+from hil.recording.recording import Channel, Recording
 from virtual_bus.xray.motion import FocalSpot
 
 NO_SPOT = FocalSpot(np.zeros(3), 1.0, np.zeros(3), 0.0)

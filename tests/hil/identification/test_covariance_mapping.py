@@ -36,7 +36,7 @@ def test_noise_on_averaged_outputs_and_inputs_maps_to_the_plant() -> None:
     assert np.abs(normalised_difference(expected, errors)).max() < 0.05
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_fast_estimate_reports_its_full_covariance_under_coupling() -> None:
     """(3.45), (3.46) with static gains, so that nothing but the mapping can be wrong."""
     rng = np.random.default_rng(71)

@@ -51,6 +51,7 @@ def test_lines_crowd_where_a_response_changes() -> None:
     assert interpolation_error(loop, design.frequencies_Hz) < interpolation_error(loop, even) / 3
 
 
+@pytest.mark.nightly
 def test_a_resonance_that_moves_gets_its_whole_range() -> None:
     poses = [measured(frequencies_Hz=(f, 7.0), seed=k)[0] for k, f in enumerate((3.0, 3.5, 4.0))]
     at_one = design_excitation(poses[:1], lines=80, band_Hz=BAND_HZ, period_samples=8 * PERIOD).frequencies_Hz

@@ -36,7 +36,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return at
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_recordings_of_two_poses_give_two_responses(folder: Path) -> None:
     first, second = (read_frf(folder / f"carm_p{number}.frf.npz") for number in (1, 2))
     assert first.pose == (0.0, 0.0)
@@ -106,7 +106,7 @@ def test_options_that_do_not_go_together_are_one_line(
     assert said.count("\n") == 1
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_any_excitation_is_identified_from_one_long_period(folder: Path, tmp_path: Path) -> None:
     """Every bin excited: what an arbitrary method takes; a single record, started at rest."""
     run = (*RUN, "--pose", "roll=0", "--period", "16", "--periods", "1", "--settle-periods", "0", "--band", "0.5:45", "--every-line")

@@ -15,7 +15,7 @@ from hil.errors import UnusableInputError
 from hil.figures.frf import frf_figure
 from hil.figures.frf_over_poses import surface_figure, variance_figure
 from hil.identification import IdentificationError, PoseModel, identify, identify_poses, read_frf, write_frf
-from hil.recording.model import Channel, Recording
+from hil.recording.recording import Channel, Recording
 
 PERIOD, SETTLE, LINES = 256, 6, np.arange(1, 100, 2)
 AXES = ("propeller", "roll")

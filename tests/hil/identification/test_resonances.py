@@ -11,9 +11,10 @@ from simulated_loop import SAMPLE_RATE_HZ, experiment, two_mode_loop
 
 from hil.figures.frf import frf_figure
 from hil.identification import FrequencyResponse, Resonance, periodic_records, resonances, robust_bla
-from hil.identification.report import resonance_document, resonance_lines
+from hil.identification.report import resonance_lines
 from hil.machine import load_machine
 from hil.simulation.linear import sampled_response
+from hil.verbs.identify import ResponseAnswer
 from virtual_bus.physics import Physics
 
 FREQUENCIES_Hz, DAMPING = (3.0, 7.0), (0.03, 0.02)
@@ -57,7 +58,8 @@ def held(found: Sequence[Resonance], truth: Sequence[tuple[float, float]]) -> li
 
 
 def test_both_modes_are_found_and_told() -> None:
-    found = resonances(measured(1, np.arange(5, 160)))
+    response = measured(1, np.arange(5, 160))
+    found = resonances(response)
     assert [one.frequency_Hz for one in found.found] == pytest.approx(FREQUENCIES_Hz, rel=2e-3)
     assert [one.damping for one in found.found] == pytest.approx(DAMPING, rel=0.1)
     head, *lines = resonance_lines(found)
@@ -67,9 +69,9 @@ def test_both_modes_are_found_and_told() -> None:
     assert lines[0].startswith("  3.0")
     assert " Hz ± 0.0" in lines[0]
     assert "damping 3." in lines[0] or "damping 2.9" in lines[0]
-    document = resonance_document(found)
-    assert document["modes"][1]["frequency_Hz"] == found.found[1].frequency_Hz
-    assert document["no_modes"] == ""
+    answer = ResponseAnswer.of(None, False, response, found)
+    assert answer.modes[1].frequency_Hz == found.found[1].frequency_Hz
+    assert answer.no_modes == ""
 
 
 @pytest.mark.slow
@@ -79,7 +81,7 @@ def test_the_bounds_hold_what_they_promise() -> None:
     assert 0.88 <= np.mean(inside) <= 1.0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_modes_of_the_emulated_c_arm_are_its_plants_eigenvalues() -> None:
     """Monte Carlo: the response of the plant with errors drawn from a known covariance, against the eigenvalues of its linearisation."""
     machine, rng = load_machine("carm"), np.random.default_rng(3)

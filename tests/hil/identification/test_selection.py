@@ -7,7 +7,7 @@ import pytest
 from simulated_loop import SAMPLE_RATE_HZ, experiment, plant_response, two_mode_loop
 
 from hil.identification import IdentificationError, LocalModel, PeriodicRecords, PoseModel, fast_local, nd_local, periodic_records
-from hil.identification.local.selection import Candidate, select_local_model
+from hil.identification.lpm_lrm.order_selection import Candidate, select_local_model
 
 PERIOD, LINES = 1024, np.arange(1, 200)
 MODELS = [Candidate(LocalModel(n, 2, d, plant_window=w)) for n, d in ((1, 0), (2, 0), (4, 0), (1, 1), (2, 1)) for w in (8, 12, 20)]

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -57,7 +58,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @given(beam=beams(), suffix=st.sampled_from([".csv", ".json"]))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_matrices_read_back(folder: Path, beam: ConeBeam, suffix: str) -> None:
     path = folder / f"matrices{suffix}"
     write_matrices(path, beam, DETECTOR)
@@ -68,7 +69,7 @@ def test_matrices_read_back(folder: Path, beam: ConeBeam, suffix: str) -> None:
 
 
 @given(beam=beams(), rows_up=st.booleans())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_rtk_s_xml_reads_back(folder: Path, beam: ConeBeam, rows_up: bool) -> None:
     write_rtk(folder / "rtk.xml", beam, rows_up)
     found, flipped = read_rtk(folder / "rtk.xml")
@@ -78,7 +79,7 @@ def test_rtk_s_xml_reads_back(folder: Path, beam: ConeBeam, rows_up: bool) -> No
 
 @pytest.mark.nightly
 @given(beam=beams(), rows_up=st.booleans())
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 def test_rtk_reads_our_file_as_its_own_and_we_read_rtk_s(folder: Path, beam: ConeBeam, rows_up: bool) -> None:
     itk = pytest.importorskip("itk")
     rtk = itk.RTK
@@ -112,7 +113,7 @@ def test_rtk_reads_our_file_as_its_own_and_we_read_rtk_s(folder: Path, beam: Con
     distance=st.floats(0.5, 1.0),
     further=st.floats(0.2, 0.6),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_dicom_s_attributes_read_back(folder: Path, primary: list[float], secondary: float, distance: float, further: float) -> None:
     pytest.importorskip("pydicom")
     from hil.imaging.exchange.dicom_xa import Positioner

@@ -15,7 +15,7 @@ from hil.emulated.beam import Beam
 from hil.emulated.marker_images import steel
 from hil.errors import UnusableInputError
 from hil.imaging.markers import PLATES, MarkerProjection, experimental_plate, find_marker
-from hil.imaging.markers.edges_alone import coarse_points
+from hil.imaging.markers.canny_hough import coarse_points
 from hil.imaging.markers.hybrid_median import hybrid_median
 from hil.imaging.markers.pieces import fit_pieces, profiles
 from virtual_bus.xray.imaging import exposed

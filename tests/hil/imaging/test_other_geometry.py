@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -49,7 +50,7 @@ def read_back(path: Path) -> Vectors:
     return read_vectors(path, dict(np.load(path)), Detector(1, 1, 1e-3))
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 @given(seed=st.integers(0, 2**20), program=st.sampled_from(["astra", "leap", "tigre"]))
 def test_vectors_read_back_with_their_panel(tmp_path_factory: pytest.TempPathFactory, seed: int, program: str) -> None:
     path = tmp_path_factory.mktemp("vectors") / f"{program}.npz"

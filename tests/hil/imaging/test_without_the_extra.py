@@ -10,7 +10,7 @@ import pytest
 from commands import isocenter
 
 from hil.errors import UnusableInputError
-from hil.imaging.markers.edges_alone import edges_of
+from hil.imaging.markers.canny_hough import edges_of
 from hil.reconstruction.filtered_backprojection import parallel_projections
 
 PACKAGES = ("tifffile", "skimage", "itk", "pydicom")  # what scikit-image, itk-rtk and pydicom of the extra bring

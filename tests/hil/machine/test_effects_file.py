@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from refusals import answer_or_refusal
@@ -29,7 +30,7 @@ def test_a_prismatic_axis_takes_forces() -> None:
 
 
 @given(st.floats(0.0, 1000.0), st.sampled_from(["propeller", "roll"]))
-@settings(deadline=None, max_examples=30, derandomize=True)
+@settings(deadline=None, max_examples=examples(30), derandomize=True)
 def test_what_is_written_reads_back(level: float, at: str) -> None:
     effects = (EffectSetting("coulomb_friction", at, {"Fc": level}),)
     assert effects_from_text(effects_text(effects, CARM), CARM, "f.toml") == effects
@@ -68,7 +69,7 @@ def test_a_wrong_effects_file_gets_one_line(text: str, words: list[str]) -> None
 
 
 @given(st.text(max_size=60))
-@settings(deadline=None, max_examples=100, derandomize=True)
+@settings(deadline=None, max_examples=examples(100), derandomize=True)
 def test_any_text_gives_effects_or_one_line(text: str) -> None:
     effects, refusal = answer_or_refusal(MachineFileError, effects_from_text, text, CARM, "f.toml")
     assert isinstance(effects, tuple) if refusal is None else "\n" not in refusal

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from bench_machines import CARM, edited
+from examples import examples
 from hypothesis import given
 from hypothesis import settings as limits
 from hypothesis import strategies as st
@@ -47,7 +48,7 @@ def faults(draw: st.DrawFn) -> FaultSetting:
 
 
 @given(st.lists(faults(), max_size=3))
-@limits(deadline=None, max_examples=60, derandomize=True)
+@limits(deadline=None, max_examples=examples(60), derandomize=True)
 def test_what_is_written_is_read_back(written: list[FaultSetting]) -> None:
     assert faults_from_text(faults_text(written), CARM, "faults.toml") == tuple(written)
 
@@ -58,7 +59,7 @@ KEYS = st.sampled_from(["name", "at", "when", "from_s", "for_s", "share", "code"
 
 
 @given(st.dictionaries(KEYS, st.one_of(VALUES, st.sampled_from([*fault_kinds(), *PLACES.drives, *CARM.axes, "moving"]))))
-@limits(deadline=None, max_examples=100, derandomize=True)
+@limits(deadline=None, max_examples=examples(100), derandomize=True)
 def test_whatever_stands_in_a_table_is_read_or_refused_in_one_line(table: dict[str, object]) -> None:
     text = "[[fault]]\n" + "".join(f"{key} = {_toml(value)}\n" for key, value in table.items())
     try:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from examples import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -15,7 +16,7 @@ from hil.machine import Machine, load_machine, machine_from_text
 from hil.machine.load import parse_toml
 
 CARM = load_machine("carm").text
-FAST = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True)
+FAST = settings(max_examples=examples(150), deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True)
 
 # what is replaced (first occurrence), by what, and words the line must have
 ROLL_ENCODER = CARM[CARM.index("[bus.nodes.roll_encoder]") : CARM.index("[bus.homing.propeller]")]

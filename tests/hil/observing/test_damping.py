@@ -95,6 +95,7 @@ def test_without_damping_the_whole_loop_is_the_position_loop(machine: Machine, d
     assert whole.damping_ratio(8.3) > 0.03
 
 
+@pytest.mark.nightly
 def test_the_ring_down_on_the_bus_is_that_of_the_linear_loop(machine: Machine, design: ObserverDesign, tmp_path: Path) -> None:
     physics = Physics(machine.plant, noise=False)
     found = {}

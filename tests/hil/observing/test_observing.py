@@ -176,7 +176,7 @@ def test_what_cannot_be_observed_is_refused_in_one_line(machine: Machine, design
     with pytest.raises(RecordingError, match="missing in row 7"):
         observe(Recording(holes, scan.metadata), observer)
     with pytest.raises(UnusableInputError, match="frequency responses"):
-        design_observer(machine, [])
+        design_observer(machine, [], modes=4)
     (tmp_path / "other.npz").write_bytes(b"nothing")
     for read in (read_design, read_estimate):
         with pytest.raises(UnusableInputError, match="not an"):
@@ -225,7 +225,7 @@ def test_what_cannot_be_observed_is_refused_in_one_line(machine: Machine, design
     with pytest.raises(UnusableInputError, match="not an EST file: the array time_s is missing"):
         read_estimate(tmp_path / "part.npz")
     with pytest.raises(UnusableInputError, match="geometry"):
-        design_observer(load_machine("emps"), emulated_responses_none())
+        design_observer(load_machine("emps"), emulated_responses_none(), modes=4)
     with pytest.raises(BadAnswerError, match="no further resonance"):
         design_observer(machine, emulated_responses(machine, [{"roll": 0.0}]), modes=9)
 

@@ -7,6 +7,7 @@ import sys
 import numpy as np
 from places import BENCHMARKS
 
+from controllers.observers.consistency import CorrectionMonitor, InnovationMonitor
 from controllers.observers.linear_part import prepare
 from controllers.observers.publish import publish
 from hil.machine import Machine, load_machine, machine_from_text
@@ -47,7 +48,8 @@ def test_focal_spot_and_isocentre_are_those_of_the_bent_machine() -> None:
     x[:2], x[4 : 4 + OWN_MODES] = coordinates[:2], coordinates[2:]
     prepare(observer.constants, x, observer.scheduled)
     estimate = np.zeros(len(observer.channels))
-    publish(observer.constants, observer.scheduled.values, observer.memory, design.isocenter_m, estimate)
+    recent = InnovationMonitor().recent, CorrectionMonitor().recent
+    publish(observer.constants, observer.scheduled.values, observer.memory, *recent, np.zeros((1, 3)), design.isocenter_m, estimate)
     first = [name for name, _ in observer.channels].index("estimate_source_x")
 
     poses = emulated.plant.body_poses(emulated.model, bent)

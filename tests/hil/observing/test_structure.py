@@ -14,11 +14,11 @@ from controllers.models.modal import ModalModel, basis_values
 from hil.errors import BadAnswerError
 from hil.machine import Machine, load_machine
 from hil.observing.geometry import observed_chain
+from hil.observing.gravity_at_rest import Standing, with_gravity, with_gravity_at_places
 from hil.observing.last_mode import with_last_mode
 from hil.observing.noise import effort_gain
 from hil.observing.observer_design import axis_grid
 from hil.observing.sag import with_sag
-from hil.observing.standing import Standing, with_gravity, with_gravity_at_places
 from hil.observing.structure import Structure, found_structure, with_coupling, with_inertia, with_places
 from virtual_bus.physics import Physics
 

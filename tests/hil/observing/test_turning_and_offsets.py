@@ -89,7 +89,7 @@ def test_sweeps_that_tell_nothing_are_refused_in_one_line(machine: Machine, desi
     with pytest.raises(RecordingError, match="the model has none"):
         with_turning(replace(design.model, directions=None, places=()), design.noise.bias, [sweep], gain)
     with pytest.raises(UnusableInputError, match="standing records"):
-        design_observer(machine, [None], sweeps=[sweep])  # type: ignore[list-item]
+        design_observer(machine, [None], sweeps=[sweep], modes=4)  # type: ignore[list-item]
 
 
 def test_an_offset_of_a_motor_counter_is_found_and_those_that_only_images_tell_are_named() -> None:

@@ -14,9 +14,9 @@ from hil.imaging.mailbox import LETTERS, POSES, LoopEnd, Mailbox, Sighting
 from hil.imaging.nominal import nominal_detector
 from hil.imaging.scan_folder import FRAMES
 from hil.machine import load_machine
-from hil.receiving import watch as watch_module
+from hil.receiving import frame_measurements as watch_module
+from hil.receiving.frame_measurements import Live, Watch
 from hil.receiving.receiver import ReceiverOrder, serve
-from hil.receiving.watch import Live, Watch
 
 CONTEXT, PERIOD = multiprocessing.get_context("spawn"), 1.0 / 256.0
 

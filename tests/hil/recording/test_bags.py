@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from examples import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.writer import Writer as McapWriter
@@ -26,7 +27,7 @@ PERIOD_ns = 3_906_250
 START_ns = 1_700_000_000_000_000_000
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 TYPES = STORE.types
-FILES = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+FILES = settings(max_examples=examples(60), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 SUFFIXES = {StoragePlugin.MCAP: ".mcap", StoragePlugin.SQLITE3: ".db3"}
 both = pytest.mark.parametrize("plugin", list(StoragePlugin))
 

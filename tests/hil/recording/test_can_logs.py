@@ -8,6 +8,7 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
+from examples import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from places import DATA, needs_data
@@ -20,7 +21,7 @@ from hil.recording import FrameLog, RecordingWarning, convert, read_recording
 CONFORMANCE = DATA / "canopen" / "canopennode_cct_conformance.log"
 PERIOD_S = 1.0 / 256.0
 START_S = 1.7e9  # a Unix time: what logs of real buses begin with
-FILES = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+FILES = settings(max_examples=examples(60), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @pytest.fixture(scope="module")

@@ -13,6 +13,7 @@ import can
 import numpy as np
 import pytest
 from bus_ticks import PERIOD_S, START_S, Frame, roll_current, tick_frames
+from examples import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from refusals import answer_or_refusal
@@ -22,7 +23,7 @@ from hil.machine import Machine, load_machine
 from hil.recording import Recording, RecordingWarning, read_recording
 
 TICKS = 12
-FILES = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+FILES = settings(max_examples=examples(60), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 ASC_HEAD = "date Thu Mar 6 09:12:40.000 am 2025\nbase hex  timestamps absolute\nno internal events logged\n"
 
 

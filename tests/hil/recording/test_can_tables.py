@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from asammdf import MDF, Signal
 from bus_ticks import PERIOD_S, START_S, roll_current, tick_frames
+from examples import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from refusals import answer_or_refusal
@@ -22,7 +23,7 @@ from hil.recording import Recording, RecordingWarning, read_recording
 
 TICKS = 12
 SUFFIXES = [".csv", ".db", ".mf4"]
-FILES = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+FILES = settings(max_examples=examples(40), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @pytest.fixture(scope="module")

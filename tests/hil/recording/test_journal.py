@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -16,7 +17,7 @@ from hil.recording.journal import Journal, recover
 
 CHANNELS = [("time", "s"), ("position_roll", "rad"), ("statusword_roll", "")]
 METADATA = {"machine": {"name": "carm", "hash": "ab", "axes": ["roll"], "text": "ä"}, "experiment": {"seed": 1}}
-FILES = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+FILES = settings(max_examples=examples(150), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 def rows(first: int, last: int) -> np.ndarray:

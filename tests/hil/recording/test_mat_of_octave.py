@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from refusals import answer_or_refusal
@@ -16,7 +17,7 @@ from hil.errors import RecordingError
 from hil.machine import Machine, load_machine
 from hil.recording import Recording, RecordingWarning, read_recording
 
-FILES = settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+FILES = settings(max_examples=examples(80), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 T, Q = np.arange(4) / 256.0, np.array([0.5, -1.0, 2.0, 3.0])
 TEXT = """# Created by Octave 7.3.0, Mon Jan 05 12:00:00 2026 UTC <me@rig>
 # name: t

@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 import pytest
 import scipy.io
+from examples import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from refusals import answer_or_refusal
@@ -22,7 +23,7 @@ from hil.recording import Recording, RecordingWarning, read_recording
 Save = Callable[[Path, dict[str, Any]], Path]
 TIME = np.arange(6) / 256.0
 ANGLE = np.array([1.0, 2.0, 4.0, 8.0, 16.0, 32.0])
-FILES = settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+FILES = settings(max_examples=examples(80), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from places import SUPPORT
@@ -355,7 +356,7 @@ def test_a_failed_run_is_kept_with_its_reason(tmp_path: Path) -> None:
     assert recording.metadata["ended"] == {"error": "a limit tripped"}
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(60), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(capacity=st.integers(1, 9), steps=st.lists(st.tuples(st.integers(0, 12), st.integers(1, 12)), max_size=20))
 def test_what_is_taken_from_a_ring_is_what_was_put_in_order(capacity: int, steps: list[tuple[int, int]]) -> None:
     ring = Ring(1, capacity)

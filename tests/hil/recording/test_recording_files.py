@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from asammdf import MDF
+from examples import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from refusals import answer_or_refusal
@@ -17,7 +19,7 @@ from hil.errors import RecordingError
 from hil.files.toml_text import plain, toml_text
 from hil.recording import Channel, Recording, convert, read_recording, write_recording
 
-FILES = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+FILES = settings(max_examples=examples(60), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 text = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
 scalars = st.one_of(st.booleans(), st.integers(-(2**63), 2**63 - 1), st.floats(allow_nan=False), text)
@@ -62,7 +64,16 @@ def test_what_is_written_reads_back_bit_for_bit(tmp_path: Path, recording: Recor
     path.unlink()
 
 
-@settings(max_examples=200, deadline=None)
+@pytest.mark.parametrize("suffix", [".mf4", ".csv", ".parquet"])
+def test_a_row_that_jumps_off_the_raster_stays_in_a_recording_of_ours(tmp_path: Path, suffix: str) -> None:
+    """In another's log such a row is a second sender's; a faulty encoder's is what was recorded."""
+    time_s, position = np.array([1.0, 2.0, 4.0, 6.0, 7.0, 8.0, 10.0]), np.array([np.nan, 1.0, np.nan, 0.0, 21.0, 0.0, np.nan])
+    recording = replace(example(), channels={"time": Channel("s", time_s), "position_roll": Channel("rad", position)})
+    write_recording(recording, tmp_path / f"run{suffix}")
+    assert_same(read_recording(tmp_path / f"run{suffix}"), recording)
+
+
+@settings(max_examples=examples(200), deadline=None)
 @given(tables)
 def test_toml_text_reads_back_equal(table: dict[str, object]) -> None:
     assert tomllib.loads(toml_text(table)) == plain(table)
@@ -218,7 +229,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 
 @pytest.mark.slow
-@settings(FILES, max_examples=30)
+@settings(FILES, max_examples=examples(30))
 @given(cut=st.integers(1, 2400))
 def test_a_truncated_mf4_is_refused_or_whole(tmp_path: Path, written: bytes, cut: int) -> None:
     read_or_refused(tmp_path / "cut.mf4", written[: max(len(written) - cut, 0)])

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import scipy.io
 import scipy.sparse
+from examples import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from places import DATA, needs_data
@@ -129,7 +130,7 @@ def test_whatever_numeric_type_scipy_saves_is_read_as_it_is(tmp_path: Path) -> N
             np.testing.assert_array_equal(found[name], values)
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(200), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(place=st.integers(0, 10_000), byte=st.integers(0, 255), keep=st.integers(0, 10_000))
 def test_a_damaged_mat_is_read_or_refused_in_one_line(carm: Machine, tmp_path: Path, place: int, byte: int, keep: int) -> None:
     path = save(tmp_path / "x.mat", time=[0.0, 0.5], position_roll=[0.1, 0.2], text="abc")

@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 from asammdf import MDF, Signal
 from asammdf.blocks.conversion_utils import from_dict
+from examples import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -26,7 +27,7 @@ from hil.recording import Channel, Recording, RecordingWarning, read_recording, 
 from hil.recording.naming import Target, read_names
 
 RATE_Hz = 256.0
-FILES = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+FILES = settings(max_examples=examples(60), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 DEG = np.pi / 180.0
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from asammdf import MDF, Signal, Source
 from asammdf.blocks import v4_constants as v4c
+from examples import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from test_bags import bag, joint_state
@@ -23,7 +24,7 @@ from hil.recording import Recording, RecordingWarning, read_recording
 ROWS, STEP_S = 200, 1.0 / 256.0
 COUNT = 1e-4  # rad from one sample of the known signal to the next
 START_ns = 1_760_000_000_000_000_000
-EACH = settings(max_examples=12, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+EACH = settings(max_examples=examples(12), deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @pytest.fixture(scope="module")

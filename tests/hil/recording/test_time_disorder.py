@@ -12,6 +12,7 @@ import can
 import numpy as np
 import pytest
 from asammdf import MDF, Signal
+from examples import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.writer import Writer
@@ -24,7 +25,7 @@ from hil.recording import Recording, RecordingWarning, read_recording
 STEP_S = 0.005
 START_ns = 1_760_000_000_000_000_000
 COUNT = 1e-4  # rad between neighbouring samples of the known signal: its value says which sample it is
-EACH = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+EACH = settings(max_examples=examples(40), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 Sample = tuple[int, float]  # stamp [us], number of the sample
 

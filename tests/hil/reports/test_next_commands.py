@@ -192,4 +192,4 @@ def test_pages_of_recordings_name_a_shipped_machine_and_no_other(mine: Machine, 
         moved = hil.Recording({**other.channels, "position_turn": hil.Channel("rad", other["position_turn"] + 1.0)}, other.metadata)
         page = plot_page([Plotted(paths[0], other, moved)], ["position_turn"])
         assert parsed(command_line, page.next_command)["machine_name"] == name
-        assert parsed(command_line, plot_page([Plotted(paths[0], other)], ["position_turn"]).next_command)["simulated"]
+        assert parsed(command_line, plot_page([Plotted(paths[0], other)], ["position_turn"]).next_command)["simulate"]

@@ -15,7 +15,7 @@ from hil.machine import Machine, load_machine, machine_from_text
 from hil.shaping.choice import ShaperChoice, choose_shaper
 from hil.shaping.plans import shaped
 from hil.simulation import Inputs, Simulator
-from hil.tasks.shape import shape
+from hil.verbs.shape import shape
 
 STEP_rad = 1e-4
 

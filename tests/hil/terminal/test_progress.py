@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import re
 import sys
@@ -57,18 +58,31 @@ def test_where_no_work_was_counted_no_number_is_given(monkeypatch: pytest.Monkey
     assert said_at(240.0, {100.0: 10, 120.0: 50}, monkeypatch) == "... run.mf4: 25 % after 240 s", "it stands still since"
 
 
-def test_compiling_is_said_and_how_many_functions_were_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_compiling_is_said_and_how_many_functions_are_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a caller and the two functions that it calls, one of them through another, those that are not compiled yet are left."""
     numba = pytest.importorskip("numba")
     from numba.core import event
 
+    inner = numba.njit(lambda x: x + 1)
+    middle = numba.njit(lambda x: 2 * inner(x))
+    outer = numba.njit(lambda x: middle(x) - inner(x))
+
+    def said(*compiled: object) -> tuple[int, int]:
+        with contextlib.ExitStack() as stack:
+            for function in compiled:
+                stack.enter_context(event.trigger_event("numba:compile", {"dispatcher": function, "args": (), "return_type": None}))
+            line = said_at(1.0, {}, monkeypatch)
+        found = re.search(r", compiling \(once on a computer\): (\d+) functions done, (\d+) left$", line)
+        assert found, line
+        return int(found[1]), int(found[2])
+
     assert "compiling" not in said_at(1.0, {}, monkeypatch)
-    function = numba.njit(lambda x: x + 1)
-    function(1)
-    with event.trigger_event("numba:compile", {"dispatcher": function, "args": (), "return_type": None}):
-        said = said_at(1.0, {}, monkeypatch)
-    found = re.search(r", compiling \(once on a computer\), (\d+) functions so far$", said)
-    assert found
-    assert int(found[1]) >= 1
+    done, left = said(outer)
+    inner(1)
+    assert left == 3
+    assert said(outer, middle) == (done + 2, 1), "the caller had its turn, and one that it calls is compiled"
+    middle(1)
+    assert said(outer)[1] == 0
     assert "compiling" not in said_at(1.0, {}, monkeypatch)
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from device_wires import DRIVE_EDS, ENCODER_EDS, VENDOR_FILES, Wire, needs_vendor_files
+from examples import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -72,7 +73,7 @@ states = st.tuples(st.just(0x000), st.builds(lambda command: bytes((command, 5))
 
 @pytest.mark.slow
 @pytest.mark.parametrize("eds", [DRIVE_EDS, ENCODER_EDS], ids=lambda path: path.name)
-@settings(max_examples=60, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(60), deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(traffic=st.lists(st.one_of(frames.map(lambda many: many[0] if many else (0x080, b"")), sdo_writes, states), max_size=60))
 def test_no_traffic_breaks_a_device(eds: Path, traffic: list[tuple[int, bytes]]) -> None:
     wire = wired(eds)

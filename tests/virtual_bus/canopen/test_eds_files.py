@@ -9,6 +9,7 @@ from pathlib import Path
 import canopen
 import pytest
 from device_wires import DRIVE_EDS, ENCODER_EDS, VENDOR_FILES, needs_vendor_files
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from refusals import answer_or_refusal
@@ -208,7 +209,7 @@ def test_a_missing_file_is_named() -> None:
 _ORIGINAL = ENCODER_EDS.read_bytes()
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=examples(60), deadline=None, derandomize=True)
 @given(data=st.data())
 def test_a_corrupted_file_loads_or_is_refused_in_one_line(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
     raw = bytearray(_ORIGINAL)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import canopen
 import pytest
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from refusals import answer_or_refusal
@@ -63,7 +64,7 @@ def test_nothing_is_said_where_nothing_is_lost(text: str) -> None:
     assert parsed(SHEET + text)[1] == ""
 
 
-@settings(max_examples=200, deadline=None, derandomize=True)
+@settings(max_examples=examples(200), deadline=None, derandomize=True)
 @given(
     at=st.integers(1, SHEET.count("\n")),
     line=st.text(st.characters(min_codepoint=32, max_codepoint=255, exclude_characters="[;#\x7f\x85"), min_size=1, max_size=20)
@@ -84,7 +85,7 @@ def test_a_line_more_is_taken_told_or_refused(at: int, line: str) -> None:
     assert said or empty or content(dictionary) != content(parsed(SHEET)[0]), line
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=examples(60), deadline=None, derandomize=True)
 @given(at=st.integers(0, len(SHEET) - 1), inserted=st.binary(min_size=1, max_size=6))
 def test_any_damage_gives_one_line(tmp_path_factory: pytest.TempPathFactory, at: int, inserted: bytes) -> None:
     path = tmp_path_factory.getbasetemp() / "damaged.eds"

@@ -9,6 +9,7 @@ from itertools import pairwise
 import canopen
 import pytest
 from canopen.objectdictionary import datatypes
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -229,7 +230,7 @@ def is_taken(head: str, names: set[str], dictionary: canopen.ObjectDictionary) -
     return False
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(names=st.sets(st.sampled_from(sorted(SECTIONS))), shuffled=st.randoms(use_true_random=False))
 def test_any_subset_of_the_sections_is_taken_or_listed(names: set[str], shuffled: object) -> None:
     heads = sorted(names)

@@ -8,6 +8,7 @@ import canopen
 import pytest
 from device_wires import DRIVE_EDS, PERIOD_S, RESOLUTION, Wire, abort_code, client, drive_settings
 from drive_master import Answer, DriveMaster
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -251,7 +252,7 @@ moves = st.fixed_dictionaries(
 events = st.sampled_from([None, None, None, None, None, "fault", "limit", "load", "option"])
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=examples(60), deadline=None, derandomize=True)
 @given(plan=st.lists(st.tuples(moves, st.integers(1, 12), events, st.integers(0, 8)), min_size=3, max_size=25))
 def test_no_sequence_of_commands_breaks_a_promise(plan: list[tuple[dict[str, int], int, str | None, int]]) -> None:
     master = DriveMaster()

@@ -8,6 +8,7 @@ from pathlib import Path
 import canopen
 import pytest
 from device_wires import DRIVE_EDS, Wire, abort_code, bare_wire, client, u8, u16, u32
+from examples import examples
 from full_device import NODE as FULL_NODE
 from full_device import full_device_eds
 from hypothesis import given, settings
@@ -281,7 +282,7 @@ BITS_EDS = "[DeviceInfo]\nProductName=bits\n[1000]\nParameterName=t\nDataType=7\
 )
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=examples(60), deadline=None, derandomize=True)
 @given(order=st.permutations(range(6)), raw=st.integers(0, 2**64 - 1))
 def test_values_of_any_width_lie_in_the_frame_in_mapping_order_lowest_bit_first(order: list[int], raw: int) -> None:
     node = Node(parse_object_dictionary(BITS_EDS, 4), 4, lambda can_id, data: None)

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 import ruckig
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -39,14 +40,14 @@ def agree(profile: Profile, trajectory: ruckig.Trajectory) -> None:
         assert profile.at(float(time_s)) == (pytest.approx(position, abs=1e-6), pytest.approx(speed, abs=1e-6))
 
 
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=examples(300), deadline=None, derandomize=True)
 @given(start=near, target=near, speed=few, acceleration=some, deceleration=some)
 def test_from_rest_it_is_ruckigs(start: float, target: float, speed: float, acceleration: float, deceleration: float) -> None:
     limits = Limits(speed, acceleration, deceleration)
     agree(to_target(start, 0.0, target, limits), by_ruckig(start, 0.0, target, limits))
 
 
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=examples(300), deadline=None, derandomize=True)
 @given(start=near, target=near, initial=st.floats(-8.0, 8.0), speed=few, acceleration=some)
 def test_from_any_speed_it_is_ruckigs(start: float, target: float, initial: float, speed: float, acceleration: float) -> None:
     limits = Limits(speed, acceleration, acceleration)
@@ -85,7 +86,7 @@ def test_to_rest_is_the_shortest_way() -> None:
     assert to_rest(5.0, 0.0, 50.0).at(0.0) == (5.0, 0.0)
 
 
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=examples(300), deadline=None, derandomize=True)
 @given(start=places, target=places, initial=st.floats(-1e5, 1e5), speed=speeds, acceleration=rates, deceleration=rates)
 def test_no_limit_is_passed_and_nothing_jumps(
     start: int, target: int, initial: float, speed: float, acceleration: float, deceleration: float
@@ -104,7 +105,7 @@ def test_no_limit_is_passed_and_nothing_jumps(
     assert profile.at(profile.duration_s) == (target, 0.0)
 
 
-@settings(max_examples=200, deadline=None, derandomize=True)
+@settings(max_examples=examples(200), deadline=None, derandomize=True)
 @given(speed=st.floats(-1e4, 1e4), target=st.floats(-1e4, 1e4), acceleration=rates, deceleration=rates, pieces=st.integers(1, 50))
 def test_a_ramp_of_speed_does_not_depend_on_how_often_it_is_sampled(
     speed: float, target: float, acceleration: float, deceleration: float, pieces: int

@@ -9,6 +9,7 @@ from pathlib import Path
 import canopen
 import pytest
 from device_wires import DRIVE_EDS, Wire, abort_code, bare_wire, client, u16, u32
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -267,7 +268,7 @@ def test_a_write_is_seen_by_the_next_read_on_the_shipped_drive() -> None:
     assert remote.sdo[0x6085].raw == 123456
 
 
-@settings(max_examples=150, deadline=None, derandomize=True)
+@settings(max_examples=examples(150), deadline=None, derandomize=True)
 @given(frames=st.lists(st.binary(min_size=8, max_size=8), min_size=1, max_size=12))
 def test_no_sequence_of_requests_breaks_the_server(frames: list[bytes]) -> None:
     wire = Wire()

@@ -218,11 +218,21 @@ def test_a_delay_of_two_and_a_half_samples_shifts_what_flows_and_what_moves() ->
     pulse = np.zeros(8)
     pulse[1] = 5.0
     effect = EffectSetting("delay", "rail", {"Td": 2.5 * PERIOD_s})
-    np.testing.assert_array_equal(latched(effect, pulse), [0, 0, 0, 2.5, 2.5, 0, 0, 0])  # from 3.5 to 4.5 samples: means over theirs
+    np.testing.assert_array_equal(latched(effect, pulse), [0, 0, 0, 0, 5, 0, 0, 0])  # it flows from 3.5 to 4.5 samples, and so at SYNC 4
     moved = latched(effect, pulse, "position")
     assert moved[3] == 0.0
     assert moved[4] == pytest.approx(0.5 * 5.0 / M * (0.5 * PERIOD_s) ** 2, rel=1e-9)
     assert moved[5] == pytest.approx(0.5 * 5.0 / M * PERIOD_s**2 + 5.0 / M * PERIOD_s * 0.5 * PERIOD_s, rel=1e-9)
+
+
+@pytest.mark.parametrize("rows", [1, 3, 7, 12])
+def test_a_delay_of_whole_rows_is_whole_whatever_its_quotient_rounds_to(rows: int) -> None:
+    """At a SYNC the new target flows, as it does without a delay, and not the one that has just ended."""
+    pulse = np.zeros(16)
+    pulse[1] = 5.0
+    for delay_s in (rows * PERIOD_s, np.nextafter(rows * PERIOD_s, 1.0), np.nextafter(rows * PERIOD_s, 0.0)):
+        got = latched(EffectSetting("delay", "rail", {"Td": float(delay_s)}), pulse)
+        np.testing.assert_array_equal(got, np.roll(pulse, rows))
 
 
 def test_the_current_answers_a_step_as_a_second_order_low_pass() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -28,7 +29,7 @@ def on_lattice(values: np.ndarray, step: float) -> np.ndarray:
     return np.floor(values / step + 0.5) * step
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=examples(40), deadline=None, derandomize=True)
 @given(seed=SEEDS, times=st.floats(3.0, 60.0), offset=st.floats(-1.0, 1.0))
 def test_a_coarser_lattice_is_found_with_its_step(seed: int, times: float, offset: float) -> None:
     q = times * STEP
@@ -41,7 +42,7 @@ def test_a_coarser_lattice_is_found_with_its_step(seed: int, times: float, offse
     assert found.step == value
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=examples(40), deadline=None, derandomize=True)
 @given(seed=SEEDS, noise=st.floats(0.0, 30.0))
 def test_readings_on_the_files_lattice_show_none(seed: int, noise: float) -> None:
     random = np.random.default_rng(seed)
@@ -57,7 +58,7 @@ def held(values: np.ndarray, share: float, length: int, random: np.random.Genera
     return values[np.maximum.accumulate(np.where(lost, 0, np.arange(ROWS)))]
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=examples(40), deadline=None, derandomize=True)
 @given(seed=SEEDS, share=st.floats(0.05, 0.4), length=st.integers(1, 4), is_position=st.booleans())
 def test_held_readings_are_found_in_their_share(seed: int, share: float, length: int, is_position: bool) -> None:
     random = np.random.default_rng(seed)
@@ -77,7 +78,7 @@ def test_held_readings_are_found_in_their_share(seed: int, share: float, length:
     assert value == pytest.approx(share, abs=spread, rel=0.3 if is_position else 0.0)  # of positions in slow motion it hardly shows
 
 
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=examples(30), deadline=None, derandomize=True)
 @given(seed=SEEDS)
 def test_a_joint_that_friction_stops_holds_no_readings(seed: int) -> None:
     """Stick and slip: it slides with a speed that falls to nothing, and begins again from there."""

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from small_plants import GRAVITY, run
 
-from virtual_bus.plant.along import along_module
+from virtual_bus.inverse_dynamics import along_module
 from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.settings import Body, Drive, EffectSetting, Encoder, Joint, PlantSettings, Tree
 

@@ -138,6 +138,15 @@ def test_an_effect_changes_the_linear_model_as_it_changes_small_motions(
     assert relative(change - shown, seen) < 0.03 * size
 
 
+@pytest.mark.parametrize("delay_s", [0.0, 0.0013, 0.0163])
+def test_an_accelerometer_without_a_low_pass_feels_a_late_drive_as_it_acts_at_the_sync(delay_s: float) -> None:
+    settings = without_lattices((EffectSetting("delay", "roll", {"Td": delay_s}),) if delay_s else ())
+    settings = replace(settings, imus=tuple(replace(imu, accelerometer_bandwidth_Hz=0.0) for imu in settings.imus))
+    seen = emulated_response(settings)[:, 4:7]
+    shown = linear_response(Physics(settings, noise=False).sampled(POSE, CHANNELS))[:, 4:7]
+    assert relative(shown - seen, seen) < 0.02
+
+
 @pytest.mark.parametrize("name", [name for name in EXAMPLES if effects()[name].left_out])
 def test_what_the_linear_model_leaves_out_is_named_and_not_in_it(name: str, plain_linear: np.ndarray) -> None:
     setting = EXAMPLES[name]

@@ -15,10 +15,10 @@ from hil.machine import load_machine
 from hil.simulation.kernel import closed_loop_kernel
 from hil.simulation.lane_kernel import DEPENDENCIES as OF_LANES
 from hil.simulation.lane_kernel import lane_kernel
+from virtual_bus.compilation.jit import compiled
 from virtual_bus.effects.dispatch import dispatch_sources
-from virtual_bus.plant.along import along_sources
+from virtual_bus.inverse_dynamics import along_sources
 from virtual_bus.plant.compiled import DEPENDENCIES, compile_plant
-from virtual_bus.plant.jit import compiled
 
 VIRTUAL_BUS = ROOT / "virtual_bus"
 NAMED_BY = "\n".join(inspect.getsource(module) for module in (*DEPENDENCIES, *OF_LANES)) + dispatch_sources() + along_sources()

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba.core.errors import NumbaError
 
-from virtual_bus.plant.jit import FAST_MATH, compiled
+from virtual_bus.compilation.jit import FAST_MATH, compiled
 from virtual_bus.plant.lanes import LANES, LaneRecord
 
 RECORD = LaneRecord({"angle": (3,), "sine": (3,), "cosine": (3,), "table": (2, 3), "level": (2,)})

@@ -10,6 +10,7 @@ import mujoco
 import numba
 import numpy as np
 import pytest
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -78,7 +79,7 @@ def interpreted(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("interpreted")
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=examples(60), deadline=None, derandomize=True)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 5))
 def test_accelerations_imu_and_poses_of_any_tree_are_those_of_mujoco(seed: int, count: int) -> None:
     machine = random_tree(seed, count)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 
+import numpy as np
 import pytest
 from imu_wiring import IMU, PERIOD_S, Bench, answers, no_wait
 
@@ -18,6 +19,8 @@ from drivers.serial.xbus import (
     encode_output_configuration,
     encode_sync_settings,
 )
+from hil.emulated.machine import build_emulated
+from hil.machine import load_machine
 from virtual_bus.serial.pipe import pipe
 from virtual_bus.serial.xsens_imu import EmulatedImu, State
 
@@ -105,6 +108,50 @@ def test_the_status_word_marks_readings_drawn_by_sync(bench: Bench) -> None:
     (message,) = StreamParser().feed(bench.device.on_sync(IMU, 1.0))
     assert decode_reading(message.data).status == 1 << 21 | 0b11
     assert message.data[-4:] == struct.pack(">I", 1 << 21 | 0b11)
+
+
+@pytest.mark.parametrize(("rate_Hz", "clock_ppm"), [(100, 0.0), (400, 0.0), (400, 3000.0)])
+def test_on_its_own_clock_a_reading_is_that_of_the_instant_it_is_stamped_with(rate_Hz: int, clock_ppm: float) -> None:
+    """A rate of turn of 2 Hz, which a straight line over a SYNC period misses by (2 pi 2 Hz T)^2 / 8 of it at most."""
+    device = EmulatedImu(clock_error_ppm=clock_ppm)
+    answers(device, MessageId.GO_TO_CONFIG)
+    asked = [(DataId.SAMPLE_TIME_FINE, 7), (DataId.ACCELERATION, rate_Hz), (DataId.RATE_OF_TURN, rate_Hz)]
+    answers(device, MessageId.SET_OUTPUT_CONFIGURATION, encode_output_configuration(asked))
+    answers(device, MessageId.GO_TO_MEASUREMENT)
+    sent = b""
+    for number in range(256):
+        turning = np.sin(2.0 * np.pi * 2.0 * number * PERIOD_S)
+        sent += device.on_sync(np.array([0.0, 0.0, 9.81, 0.0, 0.0, turning]), number * PERIOD_S)
+    readings = [decode_reading(message.data) for message in StreamParser().feed(sent)]
+    assert len(readings) == pytest.approx(rate_Hz, abs=3)
+    time_s = np.array([each.time_ticks for each in readings]) / 10_000.0 / (1.0 + clock_ppm * 1e-6)
+    wanted = np.sin(2.0 * np.pi * 2.0 * time_s)
+    shown = np.array([each.rate_of_turn[2] for each in readings])
+    assert np.abs(shown - wanted).max() < (2.0 * np.pi * 2.0 * PERIOD_S) ** 2 / 8.0 + 2.0 * np.pi * 2.0 * 5e-5  # ticks are 0.1 ms
+
+
+def test_standing_on_its_own_clock_each_message_has_the_noise_of_the_file_and_none_of_the_one_before() -> None:
+    """At four messages in a SYNC period, with seed 3: a standard deviation is sure to 1 / sqrt(2 N), a correlation to 1 / sqrt(N)."""
+    machine = load_machine("carm")
+    emulated = build_emulated(machine, seed=3)
+    assert emulated.imu is not None
+    answers(emulated.imu, MessageId.GO_TO_CONFIG)
+    asked = [(DataId.ACCELERATION, 1000), (DataId.RATE_OF_TURN, 1000)]
+    answers(emulated.imu, MessageId.SET_OUTPUT_CONFIGURATION, encode_output_configuration(asked))
+    answers(emulated.imu, MessageId.GO_TO_MEASUREMENT)
+    sent: list[bytes] = []
+    emulated.imu_out = sent.append
+    for _ in range(512):
+        emulated.receive(emulated.bus.sync_cob_id, b"")
+    readings = [decode_reading(message.data) for message in StreamParser().feed(b"".join(sent))]
+    count = len(readings)
+    assert count == pytest.approx(2000, abs=5)
+    shown = np.array([[*each.acceleration, *each.rate_of_turn] for each in readings])
+    (unit,) = machine.plant.imus
+    stated = np.concatenate([unit.accelerometer_noise_rms_m_s2, unit.gyro_noise_rms_rad_s])
+    np.testing.assert_allclose(shown.std(axis=0), stated, rtol=4.0 / np.sqrt(2.0 * count))
+    following = [np.corrcoef(channel[:-1], channel[1:])[0, 1] for channel in shown.T]
+    assert np.abs(following).max() < 4.0 / np.sqrt(count)
 
 
 def test_a_pipe_nobody_reads_loses_new_bytes_as_a_port_does() -> None:

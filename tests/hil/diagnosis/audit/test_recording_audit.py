@@ -148,6 +148,20 @@ def test_what_is_asked_for_is_no_measurement(turned: Recording) -> None:
     assert "it is a copy of what was asked for (command_turn)" in found.said
 
 
+def test_a_copy_a_row_late_is_one_with_a_missing_row_too(turned: Recording) -> None:
+    asked = during(500, 501, lambda v: np.nan)(late(1)(turned["command_turn"]))
+    found = only(faults(TURNTABLE, {"a": changed(turned, "current_turn", lambda v: asked)}))
+    assert "it is a copy of what was asked for (command_turn)" in found.said
+
+
+def test_another_axis_encoder_is_a_copy_though_both_lie_on_a_lattice() -> None:
+    step = next(each.resolution for each in CARM.plant.encoders if each.channel == "position_roll")
+    turning = step * np.round(0.2 * np.sin(2.0 * np.pi * 0.3 * TIME_s) / step)
+    channels = {"time": Channel("s", TIME_s), **{f"position_{axis}": Channel("rad", turning) for axis in CARM.axes}}
+    found = only(faults(CARM, {"a": Recording(channels, recording_metadata(CARM))}))
+    assert found.said.startswith("a: position_roll has the numbers of position_propeller")
+
+
 def test_every_n_th_row_of_a_lively_command_is_too_slow(turned: Recording) -> None:
     shaken = changed(turned, "command_turn", lambda v: v + 3.0 * v.std() * np.random.default_rng(5).normal(size=ROWS))
     found = only(faults(TURNTABLE, {"a": shaken.part(slice(None, None, 10))}))

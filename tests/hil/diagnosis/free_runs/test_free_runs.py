@@ -15,14 +15,14 @@ from hil.bench.options import BenchOptions
 from hil.diagnosis.candidates.entries import free_parameters
 from hil.diagnosis.diagnose import audit_recordings, diagnose
 from hil.diagnosis.free_runs.runs import FreeRuns, free_runs
-from hil.diagnosis.named.covariance import scattered
-from hil.diagnosis.named.fitting import fit
-from hil.diagnosis.named.freely import fit_to
-from hil.diagnosis.named.held import held_at
-from hil.diagnosis.named.naming import name
-from hil.diagnosis.seen.see import Seen, see
-from hil.diagnosis.tuned.numbers import PRIOR
-from hil.diagnosis.tuned.retuning import nominal_offset, tuned_at
+from hil.diagnosis.model_choice.choose import choose_effects
+from hil.diagnosis.model_choice.covariance import scattered
+from hil.diagnosis.model_choice.fitting import fit
+from hil.diagnosis.model_choice.fixed_scale import held_at
+from hil.diagnosis.model_choice.free_run_fit import fit_to
+from hil.diagnosis.residuals.residuals import Residuals, residuals_of
+from hil.diagnosis.retuning.linear_model import linear_at, nominal_offset
+from hil.diagnosis.retuning.numbers import PRIOR
 from hil.errors import RecordingError
 from hil.experiments import Jog, JogOnly, Tour
 from hil.machine import Machine, load_machine
@@ -52,18 +52,18 @@ def recorded(count: int = 3, coulomb_N: float = 0.0, duration_s: float = 4.0) ->
 
 def freely(recordings: dict[str, Recording], machine: Machine = MACHINE) -> FreeRuns:
     """Free runs beside recordings."""
-    return free_runs(seen(recordings, machine), audit_recordings(machine, recordings, {}))
+    return free_runs(residuals_in(recordings, machine), audit_recordings(machine, recordings, {}))
 
 
-def seen(recordings: dict[str, Recording], machine: Machine = MACHINE) -> Seen:
+def residuals_in(recordings: dict[str, Recording], machine: Machine = MACHINE) -> Residuals:
     """What is seen of them, where free runs judge."""
-    return see(machine, recordings, freely=True)
+    return residuals_of(machine, recordings, freely=True)
 
 
 def test_friction_that_disturbances_hide_in_each_row_is_named_with_its_level() -> None:
     recordings = recorded(coulomb_N=FRICTION_N)
     free = freely(recordings)
-    best = name(seen(recordings), free).best
+    best = choose_effects(residuals_in(recordings), free).best
     assert [(one.name, one.at) for one in best.settings] == [("coulomb_friction", "carriage")]
     assert best.settings[0].parameters["Fc"] == pytest.approx(FRICTION_N, rel=0.1)
     assert best.squares / free.readings == pytest.approx(1.0, abs=0.1)
@@ -72,7 +72,7 @@ def test_friction_that_disturbances_hide_in_each_row_is_named_with_its_level() -
 def test_a_sound_machine_has_no_effect_and_leaves_noise() -> None:
     recordings = recorded()
     free = freely(recordings)
-    best = name(seen(recordings), free).best
+    best = choose_effects(residuals_in(recordings), free).best
     assert best.settings == ()
     assert best.squares / free.readings == pytest.approx(1.0, abs=0.1)
 
@@ -91,10 +91,10 @@ def test_the_scale_of_all_efforts_is_as_sure_as_the_file_is() -> None:
     assert there is not None
     np.testing.assert_allclose(there[0], here[0], atol=1e-3)
     assert scattered(fitted)[-1] / value == pytest.approx(PRIOR / np.sqrt(len(scaled)), rel=0.25)
-    along = np.zeros(fitted.columns[0].shape[1])  # differences do not cancel as far as a quiet machine's recordings would show
-    along[scaled], along[-1] = 1.0 / PRIOR + fitted.offset[scaled], value
+    direction = np.zeros(fitted.columns[0].shape[1])  # differences do not cancel as far as a quiet machine's recordings would show
+    direction[scaled], direction[-1] = 1.0 / PRIOR + fitted.offset[scaled], value
     (columns,) = fitted.columns
-    assert np.linalg.norm(columns @ along) < 1e-9 * np.linalg.norm(columns * along)
+    assert np.linalg.norm(columns @ direction) < 1e-9 * np.linalg.norm(columns * direction)
 
 
 @pytest.mark.slow
@@ -107,20 +107,20 @@ def test_along_the_motion_weaker_drives_on_a_lighter_machine_leave_no_less(tmp_p
         for number in range(3):
             bench.run(plan, tmp_path / f"jog_{number}.mf4")
             recordings[f"jog_{number}"] = read_recording(tmp_path / f"jog_{number}.mf4")
-    beside = see(machine, recordings)
-    tuned = tuned_at(beside.alongs, beside.levels, nominal_offset(beside.alongs))
-    fitted = fit(tuned, (replace(delay, parameters={"Td": 0.01}),))
+    nearby = residuals_of(machine, recordings)
+    linear = linear_at(nearby.trajectories, nearby.levels, nominal_offset(nearby.trajectories))
+    fitted = fit(linear, (replace(delay, parameters={"Td": 0.01}),))
     assert fitted is not None
     assert fitted.settings[0].parameters["Td"] == pytest.approx(0.012, abs=5e-5)
     scaled = [
-        k for k, number in enumerate(tuned.numbers.names) if number.split(".")[1] in ("inertia_zz", "armature", "damping", "constant")
+        k for k, number in enumerate(linear.numbers.names) if number.split(".")[1] in ("inertia_zz", "armature", "damping", "constant")
     ]
     assert fitted.offset[scaled] == pytest.approx(0.0, abs=0.1)
     assert scattered(fitted)[scaled].min() > 0.9 / np.sqrt(len(scaled)), "no more is known of any than of their mean"
-    heavier, rubs = tuned.offset.copy(), EffectSetting("coulomb_friction", "turn", {"Fc": 3.3})
-    heavier[: len(tuned.numbers.indices)] = 0.1 / PRIOR  # all of the turntable's numbers are forces or inertias, a tenth larger now
-    held = held_at(tuned, (rubs,), heavier, free_parameters((rubs,)))
-    assert held.offset == pytest.approx(tuned.offset, abs=1e-9)
+    heavier, rubs = linear.offset.copy(), EffectSetting("coulomb_friction", "turn", {"Fc": 3.3})
+    heavier[: len(linear.numbers.indices)] = 0.1 / PRIOR  # all of the turntable's numbers are forces or inertias, a tenth larger now
+    held = held_at(linear, (rubs,), heavier, free_parameters((rubs,)))
+    assert held.offset == pytest.approx(linear.offset, abs=1e-9)
     assert held.settings[0].parameters["Fc"] == pytest.approx(3.0)
     scale = np.zeros(fitted.columns[0].shape[1])
     scale[scaled] = 1.0 / PRIOR + fitted.offset[scaled]
@@ -148,7 +148,7 @@ def test_fits_end_at_the_same_cost_from_wherever_they_begin(tmp_path: Path) -> N
 
 def test_what_the_recorded_motion_speaks_against_is_not_named() -> None:
     """Free runs that lack a friction, beside recordings of a motion without."""
-    assert name(seen(recorded()), freely(recorded(coulomb_N=FRICTION_N))).best.settings == ()
+    assert choose_effects(residuals_in(recorded()), freely(recorded(coulomb_N=FRICTION_N))).best.settings == ()
 
 
 def test_held_out_errors_are_those_of_the_closed_loop() -> None:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.diagnosis.likelihood.judge import BLOCKS, CELLS, FOLDS
-from hil.diagnosis.selection.candidates import Beside, gain_left_out
+from hil.diagnosis.likelihood.judge import CELLS, FOLDS, PARTS
+from hil.diagnosis.selection.candidates import EquationErrors, gain_left_out
 from hil.diagnosis.unknowns.unknowns import Point
 
 READINGS = 30  # of a cell
@@ -36,7 +36,7 @@ def test_gains_are_those_of_the_logarithm_of_squares_that_are_left_out() -> None
         fitted = np.linalg.lstsq(columns[~left_out], -errors[~left_out], rcond=None)[0]
         before, after = (float(np.mean(own[left_out] ** 2)) for own in (errors, errors + columns @ fitted))
         gains.append(-0.5 * left_out.sum() * np.log(after / before))
-    of = Beside(
+    of = EquationErrors(
         fit=Nothing(Point(np.zeros(0), (), None)),  # type: ignore[arg-type]
         laws=(),
         parts=(),
@@ -48,4 +48,4 @@ def test_gains_are_those_of_the_logarithm_of_squares_that_are_left_out() -> None
     )
     far = np.full(2, np.inf)
     found = gain_left_out(of, np.arange(2), np.zeros(2), (-far, far))
-    assert found == pytest.approx(min(sum(gains[:BLOCKS]), sum(gains[BLOCKS:])), rel=1e-4)
+    assert found == pytest.approx(min(sum(gains[:PARTS]), sum(gains[PARTS:])), rel=1e-4)

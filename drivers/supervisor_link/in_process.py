@@ -1,0 +1,72 @@
+"""The supervisor in the loop's own process, for lockstep: the same judgements, stepped by the frames, repeat bit for bit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+from drivers.settings import BusSettings
+from drivers.shared_memory.io_state import IoState
+from drivers.supervisor.supervisor import NMT, Supervisor
+
+
+def took_back(reason: str) -> str:
+    """Return how the end of a permission is told."""
+    return f"the supervisor took its permission back: {reason}"
+
+
+class SupervisorLink(Protocol):
+    """What the machine's link knows of its supervisor."""
+
+    def begin(self) -> None:
+        """Begin a session."""
+
+    def end(self) -> None:
+        """End the session: nothing is permitted before the next."""
+
+    def trouble(self) -> str:
+        """Return why nothing may move, in words; '' where it may."""
+
+
+class SupervisorInProcess:
+    """A supervisor that is stepped by what passes.
+
+    Parameters
+    ----------
+    settings : BusSettings
+    now : callable
+        Virtual time [s].
+    send : callable
+        Sends a frame: identifier and data.
+    """
+
+    def __init__(self, settings: BusSettings, now: Callable[[], float], send: Callable[[int, bytes], None]) -> None:
+        self._supervisor = Supervisor(settings)
+        self._sync_id = settings.sync_cob_id
+        self._now, self._send = now, send
+
+    def begin(self) -> None:
+        """Begin a session."""
+        self._supervisor.begin()
+
+    def end(self) -> None:
+        """End the session: nothing is permitted before the next."""
+        self._supervisor.end()
+
+    def trouble(self) -> str:
+        """Return why nothing may move, in words; '' where it may."""
+        return took_back(self._supervisor.reason) if self._supervisor.reason else ""
+
+    def frame(self, time_s: float, can_id: int, data: bytes) -> None:
+        """Take a frame of the bus; judge with every SYNC."""
+        supervisor = self._supervisor
+        supervisor.frame(time_s, can_id, data)
+        if can_id == self._sync_id and not supervisor.check(time_s):
+            for command in supervisor.commands(time_s):
+                self._send(NMT, bytes(command))
+
+    def refresh(self, state: IoState) -> int | None:
+        """Take a state of the I/O; return the word that refreshes its outputs, None without permission."""
+        now_s = self._now()
+        self._supervisor.io(now_s, state.hold_to_run, state.door_closed, state.brakes_open)
+        return self._supervisor.answer(now_s, state.word)

@@ -1,1 +1,0 @@
-"""Local models over scheduling parameters: nD-LPM and nD-LRM (thesis Chapter 4)."""

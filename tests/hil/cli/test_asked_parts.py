@@ -1,0 +1,62 @@
+"""A part of a request is an option that is written once: a command reads it as its metavar says and the request has it in SI."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from hil.cli.asking import by_options
+from hil.cli.shared import asks, names_of
+from hil.errors import RequestError
+from hil.verbs.verb import argument, option
+
+
+@dataclass(frozen=True)
+class Request:
+    machine: str
+    scans: Sequence[Path] = argument("Scans.", "SCAN...")
+    out: Path | None = option("Where to write.", "FILE", "-o", "--out", is_needed=True)
+    edge_m: float = option("Edge.", "MM", "--edge", default=0.5e-3)
+    band_Hz: tuple[float, float] | None = option("Band.", "LOW:HIGH", "--band")
+    names: Sequence[str] = option("Names.", "NAME,...", "--names", default=())
+    repeats: Sequence[Path] = option("Repeats.", "REC", "--repeat", default=(), is_several=True)
+
+
+def asked(*typed: str) -> tuple[int, str, list[Request]]:
+    found: list[Request] = []
+    app = typer.Typer()
+
+    @app.command()
+    @asks
+    def command(request: Callable[..., Request], machine: str = "carm") -> None:
+        found.append(request(machine=machine))
+
+    done = CliRunner().invoke(app, typed, env={"COLUMNS": "200"})
+    return done.exit_code, done.output, found
+
+
+def test_what_is_typed_is_read_by_its_metavar() -> None:
+    status, _, found = asked("a", "b", "-o", "c", "--edge", "2", "--band", "1:8", "--names", "x, y", "--repeat", "d", "--repeat", "e")
+    assert status == 0
+    assert found == [Request("carm", [Path("a"), Path("b")], Path("c"), 2e-3, (1.0, 8.0), ("x", "y"), [Path("d"), Path("e")])]
+
+
+def test_what_is_not_typed_is_the_request_s_own_and_shown_in_the_option_s_unit() -> None:
+    assert asked("a", "-o", "c")[2] == [Request("carm", [Path("a")], Path("c"))]
+    assert "[default: 0.5]" in asked("--help")[1]
+
+
+def test_what_a_command_needs_is_asked_for() -> None:
+    status, said, found = asked("a")
+    assert (status, found) == (2, [])
+    assert "--out" in said
+
+
+def test_an_error_names_a_part_by_its_option() -> None:
+    with pytest.raises(typer.BadParameter, match=r"^--edge 0: too small for --repeat$"), by_options(names_of(Request)):
+        raise RequestError("{edge_m} 0: too small for {repeats}")
