@@ -64,6 +64,21 @@ class LateMeasurements:
         self.x = self.x + gain @ innovation
         self.covariance = rest @ self.covariance @ rest.T + gain @ covariance @ gain.T
 
+    def update_whitened(self, innovation: np.ndarray, gradient: np.ndarray, covariance: np.ndarray) -> float:
+        """Take an innovation in and return its normalised square, for what is measured at every sample.
+
+        With W the whitened rows of H P, P - WᵀW is a fraction of the work of Joseph's form. It loses the digits by which a measurement is
+        surer than the estimate: few for samples in a row, many for an image of a machine as on its drawing.
+        """
+        shown = gradient @ self.covariance
+        lower = np.linalg.cholesky(shown @ gradient.T + covariance)
+        whitened = np.linalg.solve(lower, np.column_stack([shown, innovation]))
+        rows, rest = whitened[:, :-1], whitened[:, -1]
+        self.x = self.x + rest @ rows
+        left = self.covariance - rows.T @ rows
+        self.covariance = 0.5 * (left + left.T)
+        return float(rest @ rest)
+
     def surprise(self, innovation: np.ndarray, gradient: np.ndarray, covariance: np.ndarray) -> float:
         """Return the normalised innovation squared."""
         return float(innovation @ np.linalg.solve(self.spread(gradient, covariance), innovation))

@@ -160,7 +160,12 @@ class FlexibleChain:
         rotation : (N, 3, 3) array
             From phantom to detector coordinates.
         """
-        chain, tube = self._motions(positions, swing)
+        return self._poses(positions, self.deflections(positions), swing)
+
+    def _poses(
+        self, positions: np.ndarray, deflected: tuple[np.ndarray, np.ndarray], swing: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        chain, tube = self._motions(positions, deflected, swing)
         end = frames_of(chain, len(positions))[-1]
         seen = frames_of(tube, len(positions))[-1]
         return seen[:, :3, :3] @ self.source_m + seen[:, :3, 3], end[:, :3, 3], end[:, :3, :3]
@@ -172,7 +177,17 @@ class FlexibleChain:
     def jacobian_of_all(self, positions: np.ndarray) -> np.ndarray:
         """Return `jacobian`, then the change per axis position [rad] and per deflection of an elastic joint, (N, 9, p + axes + e)."""
         positions = np.atleast_2d(np.asarray(positions, dtype=float))
-        chain, tube = self._motions(positions, with_gains=True)
+        return self._jacobian(positions, self.deflections(positions))
+
+    def poses_and_jacobian(
+        self, positions: np.ndarray, swing: np.ndarray | None = None
+    ) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
+        """Return `poses` with a swing, and `jacobian_of_all`, which is without; gravity bends the machine once for both."""
+        deflected = self.deflections(positions)
+        return self._poses(positions, deflected, swing), self._jacobian(positions, deflected)
+
+    def _jacobian(self, positions: np.ndarray, deflected: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+        chain, tube = self._motions(positions, deflected, with_gains=True)
         size, rigid = len(self.names) + positions.shape[1] + len(self.elastic), len(self.chain.names)
         result = np.zeros((len(positions), 9, size))
         frames = frames_of(chain, len(positions))
@@ -184,11 +199,15 @@ class FlexibleChain:
         return result
 
     def _motions(
-        self, positions: np.ndarray, swing: np.ndarray | None = None, with_gains: bool = False
+        self,
+        positions: np.ndarray,
+        deflected: tuple[np.ndarray, np.ndarray],
+        swing: np.ndarray | None = None,
+        with_gains: bool = False,
     ) -> tuple[list[Motion], list[Motion]]:
         """Return the motions from the panel to the phantom, and from the panel to the tube."""
         rows = self.chain.motions(self.angles(positions))
-        bent, effort = self.deflections(positions)
+        bent, effort = deflected
         first = len(self.chain.names) + len(SOURCE_NAMES)
         axes, swings = len(self.names), len(self.names) + len(self.driven)
         if with_gains:

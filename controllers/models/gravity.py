@@ -46,17 +46,20 @@ class GravityTree:
         count, bodies = len(coordinates), len(self.parent)
         origin = np.zeros((bodies, count, 3))
         rotation = np.zeros((bodies, count, 3, 3))
+        moving = self.coordinate >= 0
+        amount = coordinates.T[self.coordinate][:, :, None] * self.axis[:, None, :]
+        # Of all bodies at once: a call to SciPy costs what fifty turns do
+        turn_by = np.where((moving & self.revolute)[:, None, None], amount, 0.0).reshape(-1, 3)
+        turned = Rotation.from_rotvec(turn_by).as_matrix().reshape(rotation.shape)
         for b in range(bodies):
             above = self.parent[b]
             start = np.zeros((count, 3)) if above < 0 else origin[above]
             turn = np.broadcast_to(np.eye(3), (count, 3, 3)) if above < 0 else rotation[above]
             start, turn = start + turn @ self.position_m[b], turn @ self.orientation[b]
-            if self.coordinate[b] >= 0:
-                amount = coordinates[:, self.coordinate[b], None] * self.axis[b]
-                if self.revolute[b]:
-                    turn = turn @ Rotation.from_rotvec(amount).as_matrix()
-                else:
-                    start = start + (turn @ amount[..., None])[..., 0]
+            if moving[b] and self.revolute[b]:
+                turn = turn @ turned[b]
+            elif moving[b]:
+                start = start + (turn @ amount[b, :, :, None])[..., 0]
             origin[b], rotation[b] = start, turn
         mass = self.mass_kg.astype(float).copy()
         moment = mass[:, None, None] * (origin + (rotation @ self.center_of_mass_m[:, None, :, None])[..., 0])
@@ -65,13 +68,10 @@ class GravityTree:
                 mass[self.parent[b]] += mass[b]
                 moment[self.parent[b]] += moment[b]
         result = np.zeros_like(coordinates, dtype=float)
-        crossed = np.cross(np.eye(3), self.gravity_m_s2)  # a vector's product with this is its cross product with gravity
-        for b in range(bodies):
-            if self.coordinate[b] < 0:
-                continue
-            along = rotation[b] @ self.axis[b]
-            load = mass[b] * self.gravity_m_s2
-            if self.revolute[b]:
-                load = (moment[b] - mass[b] * origin[b]) @ crossed
-            result[:, self.coordinate[b]] = np.sum(along * load, axis=1)
+        x, y, z = self.gravity_m_s2
+        crossed = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])  # a vector's product with this is its cross product with gravity
+        along = (rotation @ self.axis[:, None, :, None])[..., 0]
+        weight = mass[:, None, None] * self.gravity_m_s2
+        load = np.where(self.revolute[:, None, None], (moment - mass[:, None, None] * origin) @ crossed, weight)
+        result[:, self.coordinate[moving]] = np.sum(along * load, axis=2)[moving].T
         return result

@@ -25,8 +25,8 @@ class Motion(NamedTuple):
 def frames_of(motions: Sequence[Motion], count: int) -> list[np.ndarray]:
     """Return the frame (N, 4, 4) before each motion and after the last, seen from the first."""
     frames = [np.broadcast_to(np.eye(4), (count, 4, 4))]
-    for motion in motions:
-        frames.append(frames[-1] @ _transform(motion))
+    for step in _transforms(motions, count):
+        frames.append(frames[-1] @ step)
     return frames
 
 
@@ -36,27 +36,31 @@ def motion_jacobian(motions: Sequence[Motion], frames: Sequence[np.ndarray], end
     Both are seen from the first frame.
     """
     result = np.zeros((len(end), 6, parameters))
-    for motion, before in zip(motions, frames, strict=False):
-        if not motion.parameters:
-            continue
-        direction = before[:, :3, :3] @ motion.axis
-        if motion.turns:
-            arm = end - before[:, :3, 3] - before[:, :3, :3] @ motion.point
-            screw = np.concatenate([np.cross(direction, arm), direction], axis=1)
-        else:
-            screw = np.concatenate([direction, np.zeros_like(direction)], axis=1)
+    moved = [(motion, frame) for motion, frame in zip(motions, frames, strict=False) if motion.parameters]
+    if not moved:
+        return result
+    before = np.array([frame for _, frame in moved])  # (motions, N, 4, 4)
+    turns = np.array([motion.turns for motion, _ in moved])[:, None, None]
+    axis, point = (np.array(each)[:, None, :, None] for each in zip(*((motion.axis, motion.point) for motion, _ in moved), strict=True))
+    direction = (before[..., :3, :3] @ axis)[..., 0]
+    arm = end - before[..., :3, 3] - (before[..., :3, :3] @ point)[..., 0]
+    shift = np.where(turns, np.cross(direction, arm), direction)
+    screws = np.concatenate([shift, np.where(turns, direction, 0.0)], axis=2)
+    for (motion, _), screw in zip(moved, screws, strict=True):
         for column, gain in motion.parameters:
-            result[:, :, column] += screw * np.broadcast_to(gain, len(end))[:, None]
+            result[:, :, column] += screw * np.reshape(gain, (-1, 1))
     return result
 
 
-def _transform(motion: Motion) -> np.ndarray:
-    """Return the transform (N, 4, 4) of one motion."""
-    result = np.tile(np.eye(4), (len(motion.amount), 1, 1))
-    if motion.turns:
-        turned = Rotation.from_rotvec(motion.amount[:, None] * motion.axis).as_matrix()
-        result[:, :3, :3] = turned
-        result[:, :3, 3] = motion.point - turned @ motion.point
-    else:
-        result[:, :3, 3] = motion.amount[:, None] * motion.axis
+def _transforms(motions: Sequence[Motion], count: int) -> np.ndarray:
+    """Return the transforms (motions, N, 4, 4)."""
+    result = np.zeros((len(motions), count, 4, 4))
+    if not motions:
+        return result
+    turns = np.array([motion.turns for motion in motions])[:, None, None]
+    moved = np.array([motion.amount for motion in motions])[..., None] * np.array([motion.axis for motion in motions])[:, None]
+    point = np.array([motion.point for motion in motions])[:, None]
+    turned = Rotation.from_rotvec(np.where(turns, moved, 0.0).reshape(-1, 3)).as_matrix().reshape(len(motions), count, 3, 3)
+    result[..., :3, :3], result[..., 3, 3] = turned, 1.0
+    result[..., :3, 3] = np.where(turns, point - (turned @ point[..., None])[..., 0], moved)
     return result

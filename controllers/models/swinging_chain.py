@@ -64,19 +64,13 @@ def readings(
     """
     n, p = len(positions), len(chain.names)
     h = STENCIL_s
-    turned, to_panel, place = [], [], []
-    panel_turns, sensor_moves = [], []
-    for step in (-h, 0.0, h):
-        at = positions + step * speeds + 0.5 * step * step * accelerations
-        _, phantom, rotation = chain.poses(at)
-        jacobian = chain.jacobian_of_all(at)
-        arm = imu.position_m - phantom
-        back = np.swapaxes(rotation, 1, 2)
-        to_panel.append(rotation)
-        place.append((back @ arm[..., None])[..., 0])
-        panel_turns.append(jacobian[:, 6:])
-        sensor_moves.append(back @ (_cross_matrix(arm) @ jacobian[:, 6:] - jacobian[:, 3:6]))
-        turned.append(back)
+    at = np.concatenate([positions + step * speeds + 0.5 * step * step * accelerations for step in (-h, 0.0, h)])
+    (_, phantom, rotation), jacobian = chain.poses_and_jacobian(at)
+    arm, back = imu.position_m - phantom, np.swapaxes(rotation, 1, 2)
+    moves = back @ (_cross_matrix(arm) @ jacobian[:, 6:] - jacobian[:, 3:6])
+    place = ((back @ arm[..., None])[..., 0]).reshape(3, n, 3)
+    to_panel, turned = rotation.reshape(3, n, 3, 3), back.reshape(3, n, 3, 3)
+    panel_turns, sensor_moves = jacobian[:, 6:].reshape(3, n, 3, -1), moves.reshape(3, n, 3, -1)
     force = (to_panel[1] @ ((place[2] - 2.0 * place[1] + place[0]) / h**2 - gravity_m_s2)[..., None])[..., 0]
     between = to_panel[2] @ turned[0]
     passed = Rotation.from_matrix(between).as_rotvec()
@@ -101,11 +95,11 @@ def readings(
 
 
 def swing_step(omega: np.ndarray, damping: np.ndarray, seconds: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return Φ (m, 2, 2) and Γ (m, 2) of modes η'' = -ω² η - 2 ζ ω η' + f over a time, exact while f is held (5.30).
+    """Return Φ (..., m, 2, 2) and Γ (..., m, 2) of modes η'' = -ω² η - 2 ζ ω η' + f over a time, exact while f is held (5.30).
 
     Parameters
     ----------
-    omega, damping : (m,) arrays
+    omega, damping : (..., m) arrays
         Natural frequency [rad/s], and ratio below 1.
     seconds : float
     """
@@ -113,8 +107,11 @@ def swing_step(omega: np.ndarray, damping: np.ndarray, seconds: float) -> tuple[
     e, c = np.exp(-decay * seconds), np.cos(turning * seconds)
     s = np.sin(turning * seconds) / turning
     first = e * (c + decay * s)
-    phi = np.stack([np.stack([first, e * s], -1), np.stack([-(omega**2) * e * s, e * (c - decay * s)], -1)], -2)
-    return phi, np.stack([(1.0 - first) / omega**2, e * s], -1)
+    phi, gamma = np.empty((*first.shape, 2, 2)), np.empty((*first.shape, 2))
+    phi[..., 0, 0], phi[..., 0, 1] = first, e * s
+    phi[..., 1, 0], phi[..., 1, 1] = -(omega**2) * e * s, e * (c - decay * s)
+    gamma[..., 0], gamma[..., 1] = (1.0 - first) / omega**2, e * s
+    return phi, gamma
 
 
 def _seen_by(imu: PanelImu, vectors: np.ndarray) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -54,6 +55,10 @@ def convergence(
     figure: Annotated[
         Path | None, typer.Option("--figure", metavar="PNG", help="Convergence of the first four parameters (Fig. 5.8).")
     ] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option("--jobs", "-j", metavar="N", min=1, help="Processors that runs may use; all by default. Same answer."),
+    ] = None,
     json_to: JsonOption = None,
 ) -> None:
     """Draw runs, filter them, judge."""
@@ -77,16 +82,16 @@ def convergence(
     true = None if true_file is None else _as_built(start, read_swinging(true_file), true_file)
     conditions = Conditions(seconds=seconds, images_Hz=image_rate, late_s=1e-3 * late)
     if robustness:
-        answer.write({"robustness": _robustness(answer, start, true, conditions, draws, seed)})
+        answer.write({"robustness": _robustness(answer, start, true, conditions, draws, seed, jobs)})
         return
     made: list[Draw] = []
     told = study.falling(0.01 * drift, seconds) if drift else None
+    of_seed = partial(study.draw_of, start, true, conditions=conditions, withdrawn=withdraw, drift=told)
     with progress() as bars:
         task = bars.add_task("runs", total=draws)
-        for k in range(draws):
-            machine = true or study.drawn_machine(start, study.randomness(start), seed + k)
-            made.append(study.draw(start, machine, seed + k, conditions, withdraw, told))
-            bars.update(task, completed=k + 1)
+        for each in study.side_by_side(of_seed, range(seed, seed + draws), jobs):
+            made.append(each)
+            bars.update(task, completed=len(made))
     document = convergence_table(start, made, conditions, is_drawn=true is None)
     _say_tables(answer, document, seconds)
     document["along"] = along_table(made, conditions, 0.01 * drift)
@@ -166,7 +171,13 @@ def _say_along(answer: Answer, rows: list[dict[str, float]], withdraw: int | Non
 
 
 def _robustness(
-    answer: Answer, start: SwingingMachine, true: SwingingMachine | None, conditions: Conditions, draws: int, seed: int
+    answer: Answer,
+    start: SwingingMachine,
+    true: SwingingMachine | None,
+    conditions: Conditions,
+    draws: int,
+    seed: int,
+    jobs: int | None,
 ) -> dict[str, Any]:
     from hil.calibration.parameter_states.study import CONDITIONS
     from hil.calibration.parameter_states.summary import robustness_rows
@@ -175,7 +186,7 @@ def _robustness(
     answer.say(f"medians of {draws} runs; squared errors over what is stated are 1 where it is true")
     with progress() as bars:
         task = bars.add_task("conditions", total=len(CONDITIONS))
-        for name, row in robustness_rows(start, true, conditions, draws, seed):
+        for name, row in robustness_rows(start, true, conditions, draws, seed, jobs):
             result[name] = row
             when = "never converged" if row["converged"] is None else f"{row['converged']} images"
             answer.say(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import expm
@@ -67,14 +68,45 @@ class Truth:
 
     Attributes
     ----------
-    pose : callable
-        Time [s] to the poses (source, phantom, rotation), each of one row.
+    machine : SwingingMachine
+    time_s : (N,) array
+    reach, sweep : (axes,), (2, axes, sines) arrays
+        Sines that the axes move along, see `_sines`.
+    state : (N, 3, m) array
+        Deflection, speed and acceleration of the modes.
+    force : (N, m) array
+        Acts on the modes from a sample to the next.
     frequency_ratio : callable
         Time to the modes' frequencies over those at the beginning.
     """
 
-    pose: Callable[[float], tuple[np.ndarray, np.ndarray, np.ndarray]]
+    machine: SwingingMachine
+    time_s: np.ndarray
+    reach: np.ndarray
+    sweep: np.ndarray
+    state: np.ndarray
+    force: np.ndarray
     frequency_ratio: Callable[[float], float]
+
+    def motion(self, at_s: np.ndarray) -> np.ndarray:
+        """Return the axes' positions (K, axes) at times (K,)."""
+        moved: np.ndarray = self.reach * _sum(self.sweep, at_s) / np.sqrt(2.0)
+        return moved
+
+    def poses(self, at_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the poses (source, phantom, rotation) at times (K,)."""
+        last = np.clip(np.searchsorted(self.time_s, at_s, side="right") - 1, 0, len(self.time_s) - 1)
+        deflection = np.zeros((len(at_s), self.machine.modes))
+        for row, (at, i) in enumerate(zip(at_s, last, strict=True)):
+            for k in range(self.machine.modes):
+                whole = _matrix(self.machine, k, self.frequency_ratio(float(at)))
+                deflection[row, k] = (expm(whole * (at - self.time_s[i]))[0]) @ np.array([*self.state[i, :2, k], self.force[i, k]])
+        return self.machine.chain.poses(self.motion(at_s), self.machine.swing(deflection))
+
+
+def steady(at_s: float) -> float:
+    """Return the ratio 1: frequencies that do not drift."""
+    return 1.0
 
 
 def drawn_run(
@@ -82,7 +114,7 @@ def drawn_run(
     random: Randomness,
     conditions: Conditions,
     seed: int,
-    ratio: Callable[[float], float] = lambda _: 1.0,
+    ratio: Callable[[float], float] = steady,
 ) -> tuple[Run, Truth]:
     """Return a run of a machine and what happened in it.
 
@@ -102,32 +134,30 @@ def drawn_run(
     time = np.arange(round(conditions.seconds * conditions.rate_Hz)) * period
     sweep = _sines(rng, n, 2, SWEEP_Hz)
     reach = np.broadcast_to(np.asarray(conditions.reach_rad, float), (n,))
-
-    def motion(at: np.ndarray) -> np.ndarray:
-        moved: np.ndarray = reach * _sum(sweep, at) / np.sqrt(2.0)
-        return moved
-
     effort = conditions.effort * _sum(_sines(rng, n, SINES, SHAKEN_Hz), time)
-    state, deflection = _swung(machine, random, effort, time, ratio, rng)
-    imu = _sensed(machine, motion, time, state, deflection)
+    state, force = _swung(machine, random, effort, time, ratio, rng)
+    truth = Truth(machine, time, reach, sweep, state, force, ratio)
+    imu = _sensed(truth)
     imu = imu + rng.normal(0.0, random.bias) + np.cumsum(rng.normal(0.0, random.bias_walk * np.sqrt(period), imu.shape), axis=0)
     imu += conditions.noise * rng.normal(0.0, random.imu, imu.shape)
-    encoder = motion(time) + conditions.noise * rng.normal(0.0, random.encoder, (len(time), n))
-
-    def pose(at: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return machine.chain.poses(motion(np.array([at])), machine.swing(deflection(at)[None]))
-
+    encoder = truth.motion(time) + conditions.noise * rng.normal(0.0, random.encoder, (len(time), n))
     pose_std = POSE_STD if conditions.pose_std is None else conditions.pose_std
     images = []
-    for at in np.arange(0.5 / conditions.images_Hz + 0.003, time[-1] - conditions.late_s - period, 1.0 / conditions.images_Hz):
-        source, phantom, rotation = pose(float(at))
+    exposed = np.arange(0.5 / conditions.images_Hz + 0.003, time[-1] - conditions.late_s - period, 1.0 / conditions.images_Hz)
+    for at, source, phantom, rotation in zip(exposed, *truth.poses(exposed), strict=True):
         off = conditions.noise * rng.normal(0.0, pose_std)
         if rng.random() < conditions.wrong_images:
             off = off + rng.normal(0.0, np.repeat([0.02, 0.02, 0.05], 3))
-        turned = Rotation.from_rotvec(off[6:]).as_matrix() @ rotation[0]
+        turned = Rotation.from_rotvec(off[6:]).as_matrix() @ rotation
         arrives = float(at) + conditions.late_s
-        images.append(PoseImage(float(at), arrives, source[0] + off[:3], phantom[0] + off[3:6], turned, np.diag(pose_std**2)))
-    return Run(time, encoder, imu, effort, tuple(images)), Truth(pose, ratio)
+        images.append(PoseImage(float(at), arrives, source + off[:3], phantom + off[3:6], turned, np.diag(pose_std**2)))
+    return Run(time, encoder, imu, effort, tuple(images)), truth
+
+
+def _matrix(machine: SwingingMachine, k: int, ratio: float) -> np.ndarray:
+    """Return the matrix (3, 3) of mode k's deflection, speed and what pushes it, which is held."""
+    omega = 2.0 * np.pi * machine.frequency_Hz[k] * ratio
+    return np.array([[0.0, 1.0, 0.0], [-(omega**2), -2.0 * machine.damping[k] * omega, 1.0], [0.0, 0.0, 0.0]])
 
 
 def _sines(rng: np.random.Generator, signals: int, count: int, within_Hz: tuple[float, float]) -> np.ndarray:
@@ -148,50 +178,37 @@ def _swung(
     time: np.ndarray,
     ratio: Callable[[float], float],
     rng: np.random.Generator,
-) -> tuple[np.ndarray, Callable[[float], np.ndarray]]:
-    """Return deflection, speed and acceleration (N, 3, m) of the modes, and the deflection (m,) at any time."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return deflection, speed and acceleration (N, 3, m) of the modes, and what pushes them (N, m)."""
     period, m = float(time[1] - time[0]), machine.modes
     kept = np.exp(-period / random.push_s)
     push = rng.normal(0.0, random.push)
     state = np.zeros((len(time), 3, m))
     forces = np.zeros((len(time), m))
 
-    def matrices(k: int, at: float, seconds: float) -> tuple[np.ndarray, np.ndarray]:
-        omega = 2.0 * np.pi * machine.frequency_Hz[k] * ratio(at)
-        whole = np.zeros((3, 3))
-        whole[:2, :2] = [[0.0, 1.0], [-(omega**2), -2.0 * machine.damping[k] * omega]]
-        whole[1, 2] = 1.0
-        return whole, expm(whole * seconds)
+    @lru_cache(maxsize=m)  # a ratio that stays asks for one exponential per mode
+    def stepping(k: int, ratio: float) -> tuple[np.ndarray, np.ndarray]:
+        whole = _matrix(machine, k, ratio)
+        return whole, expm(whole * period)
 
     for i, at in enumerate(time):
         if i:
             for k in range(m):
-                whole, step = matrices(k, at, period)
+                whole, step = stepping(k, ratio(at))
                 now = step @ np.array([*state[i - 1, :2, k], forces[i - 1, k]])
                 state[i, :2, k], state[i, 2, k] = now[:2], (whole @ now)[1]
         forces[i] = machine.gain @ effort[i] + push
         push = kept * push + np.sqrt(1.0 - kept**2) * rng.normal(0.0, random.push)
-
-    def deflection(at: float) -> np.ndarray:
-        i = min(max(int(np.floor((at - time[0]) / period)), 0), len(time) - 1)
-        ends = [matrices(k, at, at - time[i])[1] @ np.array([*state[i, :2, k], forces[i, k]]) for k in range(m)]
-        return np.array([end[0] for end in ends])
-
-    return state, deflection
+    return state, forces
 
 
-def _sensed(
-    machine: SwingingMachine,
-    motion: Callable[[np.ndarray], np.ndarray],
-    time: np.ndarray,
-    state: np.ndarray,
-    deflection: Callable[[float], np.ndarray],
-) -> np.ndarray:
+def _sensed(truth: Truth) -> np.ndarray:
     """Return what the sensor reads (N, 6) without noise."""
+    machine, state = truth.machine, truth.state
     places, turns = [], []
     for step in (-HALF_s, 0.0, HALF_s):
         swing = machine.swing(state[:, 0] + step * state[:, 1] + 0.5 * step * step * state[:, 2])
-        _, phantom, rotation = machine.chain.poses(motion(time + step), swing)
+        _, phantom, rotation = machine.chain.poses(truth.motion(truth.time_s + step), swing)
         back = np.swapaxes(rotation, 1, 2)
         places.append((back @ (machine.imu.position_m - phantom)[..., None])[..., 0])
         turns.append(rotation)

@@ -36,6 +36,9 @@ NEGLECTED = 0.01
 LOG_STEP = 1e-5
 """Difference step of a logarithm."""
 
+LOG_STEPS = LOG_STEP * np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])[:, :, None]
+"""Of frequency and damping: none, then a step to either side of each."""
+
 START_SPEED, START_ACCELERATION = 2.0, 10.0
 """Deviations of an axis's speed [rad/s] and acceleration [rad/s^2] before the first sample."""
 
@@ -96,6 +99,9 @@ class ParameterStatesFilter(LateMeasurements):
             ]
         )
         super().__init__(x, np.diag(std**2), np.r_[0:n, 3 * n : 3 * n + m])
+        self._walk = np.zeros(ends[-1])  # variance that a second adds
+        self._walk[self.bias], self._walk[self.dynamic] = random.bias_walk**2, np.repeat(random.dynamic_walk, m) ** 2
+        self._walk[self.fixed] = random.parameter_walk**2
 
     @property
     def ratios(self) -> np.ndarray:
@@ -107,42 +113,40 @@ class ParameterStatesFilter(LateMeasurements):
         """Let time pass under an effort (axes,): (5.7), (5.9)."""
         if seconds <= 0.0:
             return
-        machine, random = self.machine, self.random
-        n, m = machine.axes, machine.modes
-        F = np.eye(len(self.x))
-        after = self.x.copy()
-        for i in range(n):
-            F[i, n + i] = F[n + i, 2 * n + i] = seconds
-            F[i, 2 * n + i] = 0.5 * seconds**2
-        after[self.axis] = F[self.axis, self.axis] @ self.x[self.axis]
-        kept = np.exp(-seconds / random.push_s)
-        eta, speed, push = self.x[self.mode].reshape(3, m)
-        log = self.x[self.dynamic].reshape(3, m)
-        pushed = (machine.gain @ effort) * np.exp(-log[2])
-        force, state = pushed + push, np.stack([eta, speed], -1)
-        phi, gamma = self._step(log, seconds)
-        after[self.mode] = np.concatenate([*(phi @ state[..., None])[..., 0].T + gamma.T * force, kept * push])
-        by_log = []
-        for kind in range(2):
-            moved = np.zeros_like(log)
-            moved[kind] = LOG_STEP
-            ahead, behind = self._step(log + moved, seconds), self._step(log - moved, seconds)
-            change = ((ahead[0] - behind[0]) @ state[..., None])[..., 0] + (ahead[1] - behind[1]) * force[:, None]
-            by_log.append(change / (2.0 * LOG_STEP))
-        by_log.append(-gamma * pushed[:, None])
-        for k in range(m):
-            place = self.mode.start + k + m * np.arange(3)
-            F[np.ix_(place[:2], place[:2])] = phi[k]
-            F[place[:2], place[2]], F[place[2], place[2]] = gamma[k], kept
-            for kind in range(3):
-                F[place[:2], self.dynamic.start + kind * m + k] = by_log[kind][k]
-        self.x = after
-        self.covariance = F @ self.covariance @ F.T
+        F, moved, kept = self._moves(seconds, effort)
+        moving, known = F.shape
+        # The other states stay: F P Fᵀ is P but for the rows and columns of what moves
+        ahead = F @ self.covariance[:known]
+        among = ahead[:, :known] @ F.T
+        self.x = np.concatenate([moved, self.x[moving:]])
+        self.covariance[:moving], self.covariance[:, :moving] = ahead, ahead.T
+        self.covariance[:moving, :moving] = 0.5 * (among + among.T)
         self._grow(seconds, kept)
 
-    def _step(self, log: np.ndarray, seconds: float) -> tuple[np.ndarray, np.ndarray]:
-        omega = 2.0 * np.pi * self.machine.frequency_Hz * np.exp(log[0])
-        return swing_step(omega, self.machine.damping * np.exp(log[1]), seconds)
+    def _moves(self, seconds: float, effort: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        """Return the rows F of what moves (axes, modes) per what moves it, its states after that time, and the share left of a push."""
+        machine = self.machine
+        n, m = machine.axes, machine.modes
+        F = np.eye(self.mode.stop, self.dynamic.stop)
+        axis = np.arange(n)
+        F[axis, n + axis] = F[n + axis, 2 * n + axis] = seconds
+        F[axis, 2 * n + axis] = 0.5 * seconds**2
+        kept = float(np.exp(-seconds / self.random.push_s))
+        states, log = self.x[self.mode].reshape(3, m), self.x[self.dynamic].reshape(3, m)
+        pushed = (machine.gain @ effort) * np.exp(-log[2])
+        force = pushed + states[2]
+        logs = log[:2] + LOG_STEPS
+        phi, gamma = swing_step(2.0 * np.pi * machine.frequency_Hz * np.exp(logs[:, 0]), machine.damping * np.exp(logs[:, 1]), seconds)
+        ends = (phi @ states[:2].T[:, :, None])[..., 0] + gamma * force[:, None]  # (5, m, 2): at the logarithms, and a step to either side
+        phi, gamma = phi[0], gamma[0]
+        mode = self.mode.start + np.arange(3 * m).reshape(3, m)
+        swings, parameters = mode[:2, None], self.dynamic.start + np.arange(3 * m).reshape(3, m)
+        F[swings, mode[:2]] = phi.transpose(1, 2, 0)
+        F[mode[:2], mode[2]], F[mode[2], mode[2]] = gamma.T, kept
+        F[swings, parameters[:2]] = (ends[1::2] - ends[2::2]).transpose(2, 0, 1) / (2.0 * LOG_STEP)
+        F[mode[:2], parameters[2]] = -(gamma * pushed[:, None]).T
+        moved = np.concatenate([F[self.axis, self.axis] @ self.x[self.axis], *ends[0].T, kept * states[2]])
+        return F, moved, kept
 
     def _grow(self, seconds: float, kept: float) -> None:
         """Add what the process noise adds, (5.9)."""
@@ -150,19 +154,23 @@ class ParameterStatesFilter(LateMeasurements):
         white = np.array(
             [[t**5 / 20.0, t**4 / 8.0, t**3 / 6.0], [t**4 / 8.0, t**3 / 3.0, t**2 / 2.0], [t**3 / 6.0, t**2 / 2.0, t]]
         )  # white jerk, integrated
-        for i in range(n):
-            self.covariance[np.ix_([i, n + i, 2 * n + i], [i, n + i, 2 * n + i])] += random.jerk[i] ** 2 * white
-        spots = np.arange(self.mode.start + 2 * m, self.mode.stop)
-        self.covariance[spots, spots] += (1.0 - kept**2) * random.push**2
-        for place, walk in (
-            (self.bias, random.bias_walk),
-            (self.dynamic, np.repeat(random.dynamic_walk, m)),
-            (self.fixed, random.parameter_walk),
-        ):
-            spots = np.arange(place.start, place.stop)
-            self.covariance[spots, spots] += seconds * walk**2
+        axis = np.arange(3 * n).reshape(3, n)
+        self.covariance[axis[:, None], axis] += white[:, :, None] * random.jerk**2
+        grown = seconds * self._walk
+        grown[self.mode.stop - m : self.mode.stop] = (1.0 - kept**2) * random.push**2
+        spots = np.arange(len(grown))
+        self.covariance[spots, spots] += grown
 
-    def sense(self, encoder: np.ndarray, imu: np.ndarray, effort: np.ndarray, rows: Readings, k: int, motion: np.ndarray) -> float:
+    def sense(
+        self,
+        encoder: np.ndarray,
+        imu: np.ndarray,
+        effort: np.ndarray,
+        rows: Readings,
+        k: int,
+        motion: np.ndarray,
+        wrong: np.ndarray,
+    ) -> float:
         """Take in the encoders (axes,) and the sensor (6,) at one sample.
 
         Parameters
@@ -176,6 +184,8 @@ class ParameterStatesFilter(LateMeasurements):
             The sample's place in `rows`, which are linearised about `about`.
         motion : (3 axes,) array
             The motion that they are linearised about.
+        wrong : (6,) array
+            What they are wrong by, see `beyond_first_order`.
 
         Returns
         -------
@@ -209,30 +219,26 @@ class ParameterStatesFilter(LateMeasurements):
         seen[:, logs + m : logs + 2 * m] = -by[2] * (rubbed * speed)
         seen[:, logs + 2 * m : logs + 3 * m] = -by[2] * pushed
         measured = np.concatenate([encoder, imu])
-        self._leave_to_bias(seen, rows.values[k])
+        spots = np.arange(self.bias.start, self.bias.stop)
+        self.covariance[spots, spots] += wrong**2
         known = np.isfinite(measured)
         if not known.any():
             return float("nan")
         innovation, H = (measured - expected)[known], H[known]
         noise = np.diag(np.concatenate([self.random.encoder, self.random.imu])[known] ** 2)
-        nis = self.surprise(innovation, H, noise) / len(innovation)
-        self.update(innovation, H, noise)
-        self.covariance = 0.5 * (self.covariance + self.covariance.T)
-        return nis
+        return self.update_whitened(innovation, H, noise) / len(innovation)
 
-    def _leave_to_bias(self, seen: np.ndarray, values: np.ndarray) -> None:
-        """Make the sensor's bias as unsure as its linearisation is wrong while the chain's parameters are hardly known.
+    def beyond_first_order(self, rows: Readings) -> np.ndarray:
+        """Return by how much (N, 6) readings are wrong beyond first order while the chain's parameters are hardly known; 0: negligible.
 
-        A tilt of standard deviation σ makes a specific force f wrong by f σ²/2 beyond first order, in all samples alike. Without this
-        ten thousand samples would tell parameters what none of them knows.
+        A tilt of standard deviation σ makes a specific force f wrong by f σ²/2, in all samples alike. Unless the sensor's bias is made as
+        unsure, ten thousand samples would tell parameters what none of them knows.
         """
-        fixed = seen[:3, self.fixed]
-        spread = float(np.trace(fixed @ self.unsure @ fixed.T))
-        force, rate = float(np.linalg.norm(values[:3])), float(np.linalg.norm(values[3:]))
-        left = 0.5 * spread / force**2
-        wrong = np.repeat([left * force, left * rate], 3)
-        spots = np.arange(self.bias.start, self.bias.stop)
-        self.covariance[spots, spots] += np.where(wrong > NEGLECTED * self.random.imu, wrong**2, 0.0)
+        fixed = rows.by_parameter[:, :3]
+        spread = np.sum((fixed @ self.unsure) * fixed, axis=(1, 2))
+        force, rate = np.linalg.norm(rows.values[:, :3], axis=1), np.linalg.norm(rows.values[:, 3:], axis=1)
+        wrong = np.repeat((0.5 * spread / force**2)[:, None] * np.stack([force, rate], axis=1), 3, axis=1)
+        return np.where(wrong > NEGLECTED * self.random.imu, wrong, 0.0)
 
     def see(self, number: int, image: PoseImage, is_newest: bool = True) -> str:
         """Take in an image exposed as `number`. `is_newest`: `about` does not know of it yet.
@@ -274,9 +280,8 @@ class ParameterStatesFilter(LateMeasurements):
         """
         machine, n, place = self.machine, self.machine.axes, self.copies(number)
         chain = machine.chain.with_values(about)
-        position, deflection = x[place][None, :n], x[place][None, n:]
-        rest = pose_gap(image.source[None], image.phantom[None], image.rotation[None], chain.poses(position, machine.swing(deflection)))[0]
-        table = chain.jacobian_of_all(position)[0]
+        poses, jacobian = chain.poses_and_jacobian(x[place][None, :n], machine.swing(x[place][None, n:]))
+        rest, table = pose_gap(image.source[None], image.phantom[None], image.rotation[None], poses)[0], jacobian[0]
         p = len(chain.names)
         gradient = np.zeros((9, len(x)))
         gradient[:, self.fixed] = table[:, :p]
@@ -287,13 +292,12 @@ class ParameterStatesFilter(LateMeasurements):
         """Return the poses of focal spot and phantom now, as of `FlexibleChain.poses`, and their covariance (9, 9)."""
         machine, n, m = self.machine, self.machine.axes, self.machine.modes
         chain = machine.chain.with_values(self.x[self.fixed])
-        position, deflection = self.x[None, :n], self.x[None, self.mode][:, :m]
-        table = chain.jacobian_of_all(position)[0]
-        p = len(chain.names)
+        poses, jacobian = chain.poses_and_jacobian(self.x[None, :n], machine.swing(self.x[None, self.mode][:, :m]))
+        p, table = len(chain.names), jacobian[0]
         gradient = np.zeros((9, len(self.x)))
         gradient[:, self.fixed], gradient[:, :n] = table[:, :p], table[:, p : p + n]
         gradient[:, self.mode.start : self.mode.start + m] = table[:, [p + n + j for j in machine.swinging]]
-        return chain.poses(position, machine.swing(deflection)), gradient @ self.covariance @ gradient.T
+        return poses, gradient @ self.covariance @ gradient.T
 
     def found(self) -> SwingingMachine:
         """Return the machine with the parameters of now."""

@@ -15,8 +15,8 @@ from hil.calibration.parameter_states.filter_model import PoseImage, Randomness,
 SMOOTH_s, ORDER = 0.2, 4
 """The motion that readings are linearised about is a polynomial of this order through the encoders over this span."""
 
-CHUNK = 1024
-"""Samples linearised at once."""
+CHUNK = 128
+"""Samples linearised at once: most beginnings are in a run's first seconds, and linearise no further."""
 
 MOST_BEGUN = 2
 """Most beginnings for one image; the next image begins anew where these left the estimate out of reach."""
@@ -133,6 +133,7 @@ class _Way:
         window = max(ORDER + 2, round(SMOOTH_s / period)) | 1
         self.motion = [savgol_filter(run.encoder, window, ORDER, deriv=d, delta=period, axis=0) for d in range(3)]
         self.rows: Readings | None = None
+        self.wrong = np.zeros((0, 6))
         self.first = self.stop = 0
 
     def begin(self) -> None:
@@ -176,10 +177,11 @@ class _Way:
             part = slice(self.first, self.stop)
             position, speed, acceleration = (each[part] for each in self.motion)
             self.rows = readings(chain, work.machine.imu, position, speed, acceleration, work.machine.gravity_m_s2)
+            self.wrong = work.beyond_first_order(self.rows)
         work.predict(float(run.time_s[row]) - self.now, self.effort)
         self.now = float(run.time_s[row])
         motion = np.concatenate([each[row] for each in self.motion])
-        nis = work.sense(run.encoder[row], run.imu[row], self.effort, self.rows, row - self.first, motion)
+        nis = work.sense(run.encoder[row], run.imu[row], self.effort, self.rows, row - self.first, motion, self.wrong[row - self.first])
         self.effort = run.effort[row]
         self.row += 1
         if row < self.told_rows:  # told before this beginning

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 
 from controllers.models.flexible_chain import FlexibleChain
 from hil.calibration.kinematic.flexible import fit_flexible
-from hil.calibration.parameter_states.drawn_runs import POSE_STD, Conditions, Truth, drawn_run
+from hil.calibration.parameter_states.drawn_runs import POSE_STD, Conditions, Truth, drawn_run, steady
 from hil.calibration.parameter_states.filter_model import Randomness, Run, SwingingMachine, pose_gap, tolerances
 from hil.calibration.parameter_states.over_recording import Estimated, estimate
 from hil.errors import BadAnswerError
 from hil.imaging.geometry import ConeBeam
+from hil.processes.workers import end_with_the_parent
 
 ENCODER_rad, PUSH_rad_s2, PUSH_s, JERK = 2e-5, 0.05, 0.1, 1.0
 IMU = np.repeat([5e-3, 5e-4], 3)
@@ -62,14 +66,12 @@ class Draw:
             _normalised(work.x[work.dynamic] - self.target[p:], work.covariance[work.dynamic, work.dynamic]),
         )
 
+    @cached_property
     def gaps(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the true poses less the estimated ones along the run (K, 9), and their normalised squares over nine (K,)."""
-        rows, squares = [], []
-        for at, pose, covariance in zip(self.found.at_s, self.found.poses, self.found.covariances, strict=True):
-            gap = pose_gap(*self.truth.pose(at), pose)[0]
-            rows.append(gap)
-            squares.append(_normalised(gap, covariance))
-        return np.array(rows), np.array(squares)
+        source, phantom, rotation = (np.concatenate(each) for each in zip(*self.found.poses, strict=True))
+        rows = pose_gap(*self.truth.poses(np.array(self.found.at_s)), (source, phantom, rotation))
+        return rows, np.array([_normalised(*each) for each in zip(rows, self.found.covariances, strict=True)])
 
 
 def _normalised(error: np.ndarray, covariance: np.ndarray) -> float:
@@ -120,15 +122,54 @@ def draw(
 ) -> Draw:
     """Draw one run of the machine `true` and filter it from `start`."""
     random = randomness(start, drift is not None)
-    run, truth = drawn_run(true, random, conditions, seed, drift or (lambda _: 1.0))
+    run, truth = drawn_run(true, random, conditions, seed, drift or steady)
     return Draw(true, run, truth, estimate(start, random, run, withdrawn))
+
+
+def draw_of(
+    start: SwingingMachine,
+    base: SwingingMachine | None,
+    seed: int,
+    conditions: Conditions,
+    withdrawn: int | None = None,
+    drift: Callable[[float], float] | None = None,
+) -> Draw:
+    """Return `draw` of the machine `base`, else of one drawn with the run's seed."""
+    return draw(start, base or drawn_machine(start, randomness(start), seed), seed, conditions, withdrawn, drift)
+
+
+def side_by_side(of_seed: Callable[[int], Draw], seeds: range, jobs: int | None = None) -> Iterator[Draw]:
+    """Yield what becomes of each seed, in their order.
+
+    Parameters
+    ----------
+    of_seed : callable
+        A function of a module with its arguments (`functools.partial`): processes are sent it.
+    seeds : range
+    jobs : int, optional
+        Processes, else as many as there are processors. A run is the same in any of them.
+    """
+    jobs = min(jobs or os.cpu_count() or 1, len(seeds))
+    if jobs > 1:
+        with ProcessPoolExecutor(jobs, initializer=end_with_the_parent) as pool:
+            yield from pool.map(of_seed, seeds)
+    else:
+        yield from map(of_seed, seeds)
 
 
 def held_out(true: FlexibleChain, found: FlexibleChain, reach_rad: np.ndarray | float = 1.0) -> tuple[float, float]:
     """Return the rms distance [m] and angle [rad] of phantom poses between two chains, over poses within the reach."""
-    axes = len(true.driven)
-    positions = np.random.default_rng(9000).uniform(-1.0, 1.0, (HELD_OUT, axes)) * reach_rad
-    gap = pose_gap(*true.poses(positions), found.poses(positions))
+    positions = _unseen(true, reach_rad)
+    return _apart(true.poses(positions), found.poses(positions))
+
+
+def _unseen(chain: FlexibleChain, reach_rad: np.ndarray | float) -> np.ndarray:
+    positions: np.ndarray = np.random.default_rng(9000).uniform(-1.0, 1.0, (HELD_OUT, len(chain.driven))) * reach_rad
+    return positions
+
+
+def _apart(true: tuple[np.ndarray, np.ndarray, np.ndarray], found: tuple[np.ndarray, np.ndarray, np.ndarray]) -> tuple[float, float]:
+    gap = pose_gap(*true, found)
     return float(np.sqrt(np.mean(np.sum(gap[:, 3:6] ** 2, axis=1)))), float(np.sqrt(np.mean(np.sum(gap[:, 6:] ** 2, axis=1))))
 
 
@@ -185,7 +226,11 @@ def under(start: SwingingMachine, base: SwingingMachine | None, seed: int, condi
 
 def falling(share: float, seconds: float) -> Callable[[float], float]:
     """Return a ratio that falls from 1 by a share over a time, evenly."""
-    return lambda at: 1.0 - share * at / seconds
+    return partial(_fallen, share, seconds)
+
+
+def _fallen(share: float, seconds: float, at: float) -> float:
+    return 1.0 - share * at / seconds
 
 
 def _farther(start: SwingingMachine, true: SwingingMachine, scale: float, modes: float) -> SwingingMachine:
@@ -205,8 +250,10 @@ def curve(draws: list[Draw], reach_rad: np.ndarray | float) -> np.ndarray:
     result = np.zeros((len(draws), count, 2))
     for number, each in enumerate(draws):
         chain, p = each.true.chain, len(each.true.chain.names)
+        positions = _unseen(chain, reach_rad)
+        true = chain.poses(positions)
         for k in range(count):
-            result[number, k] = held_out(chain, chain.with_values(each.found.values[k][:p]), reach_rad)
+            result[number, k] = _apart(true, chain.with_values(each.found.values[k][:p]).poses(positions))
     return result
 
 

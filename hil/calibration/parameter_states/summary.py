@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from hil.calibration.parameter_states.drawn_runs import Conditions
 from hil.calibration.parameter_states.filter_model import SwingingMachine
-from hil.calibration.parameter_states.study import CONDITIONS, Draw, by_model, converged, curve, falling, held_out, under
+from hil.calibration.parameter_states.study import CONDITIONS, Draw, by_model, converged, curve, falling, held_out, side_by_side, under
 
 PARTS = 8
 """Parts of a run that are told apart."""
@@ -75,7 +76,7 @@ def convergence_table(start: SwingingMachine, made: Sequence[Draw], conditions: 
         "nees": {
             "chain": float(nees[:, 0].mean()),
             "dynamic": float(nees[:, 1].mean()),
-            "poses": float(np.concatenate([each.gaps()[1] for each in made]).mean()),
+            "poses": float(np.concatenate([each.gaps[1] for each in made]).mean()),
         },
         "refused": sum(len(each.found.refused) for each in made),
         "widened": sum(each.found.widened > 0 for each in made),
@@ -85,7 +86,7 @@ def convergence_table(start: SwingingMachine, made: Sequence[Draw], conditions: 
 def along_table(made: Sequence[Draw], conditions: Conditions, drift: float) -> list[dict[str, float]]:
     """Return how far poses and frequencies are off in each part of the runs; `drift`: share by which frequencies fall over a run."""
     fall = falling(drift, conditions.seconds)
-    gaps = [each.gaps() for each in made]
+    gaps = [each.gaps for each in made]
     rows = []
     for first, stop in pairwise(np.linspace(0.0, conditions.seconds, PARTS + 1)):
         place, stated, squares, wrong, still = ([] for _ in range(5))
@@ -115,12 +116,12 @@ def along_table(made: Sequence[Draw], conditions: Conditions, drift: float) -> l
 
 
 def robustness_rows(
-    start: SwingingMachine, true: SwingingMachine | None, conditions: Conditions, draws: int, seed: int
+    start: SwingingMachine, true: SwingingMachine | None, conditions: Conditions, draws: int, seed: int, jobs: int | None = None
 ) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield each condition's name and row, medians of its runs; `true`: the machine, else one is drawn for each run."""
     m, p = start.modes, len(start.chain.names)
     for name, changes in CONDITIONS.items():
-        made = [under(start, true, seed + k, conditions, changes) for k in range(draws)]
+        made = list(side_by_side(partial(under, start, true, conditions=conditions, changes=changes), range(seed, seed + draws), jobs))
         reach = np.where(np.ptp(made[0].run.encoder, axis=0) > MOVES_rad, np.max(conditions.reach_rad), 0.0)
         held, everywhere = curve(made, reach), curve(made, conditions.reach_rad)[:, -1, 0]
         nees = np.array([each.nees() for each in made])
@@ -134,7 +135,7 @@ def robustness_rows(
                 "converged": converged(np.median(held, axis=0), conditions),
                 "nees_chain": float(np.median(nees[:, 0])),
                 "nees_dynamic": float(np.median(nees[:, 1])),
-                "nees_poses": float(np.median([each.gaps()[1].mean() for each in made])),
+                "nees_poses": float(np.median([each.gaps[1].mean() for each in made])),
                 "frequency_share": float(np.median(off)),
                 "refused": sum(len(each.found.refused) for each in made),
                 "widened": sum(each.found.widened > 0 for each in made),

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
+from controllers.filtering.late_measurements import LateMeasurements
 from hil.calibration.parameter_states.chain_modes import read_swinging
 from hil.calibration.parameter_states.drawn_runs import Conditions, drawn_run
 from hil.calibration.parameter_states.filter import ParameterStatesFilter
@@ -17,10 +20,12 @@ from hil.calibration.parameter_states.study import (
     Draw,
     by_model,
     draw,
+    draw_of,
     drawn_machine,
     falling,
     held_out,
     randomness,
+    side_by_side,
     under,
 )
 
@@ -56,12 +61,71 @@ def test_a_step_s_derivatives_are_its_differences() -> None:
         np.testing.assert_allclose(found, np.outer(difference, difference), atol=1e-5 * np.abs(found).max(), err_msg=str(k))
 
 
+def test_a_step_s_covariance_is_the_dense_product() -> None:
+    rng, seconds, n, m = np.random.default_rng(4), 0.013, START.axes, START.modes
+    effort = rng.normal(0.0, 5.0, n)
+    work = ParameterStatesFilter(START, RANDOM, rng.normal(size=n))
+    work.x += np.sqrt(np.diag(work.covariance)) * rng.normal(size=len(work.x))
+    work.exposed(0)
+    x, scale = work.x, np.sqrt(np.diag(work.covariance))
+    root = scale[:, None] * rng.normal(size=(len(x), len(x)))
+    F = np.eye(len(x))
+    F[: 3 * n, : 3 * n] = expm(np.kron(np.diag([seconds, seconds], 1), np.eye(n)))
+    mode, log = (np.arange(3 * m).reshape(3, m) + first for first in (work.mode.start, work.dynamic.start))
+
+    def swung(k: int, states: np.ndarray, logs: np.ndarray) -> np.ndarray:
+        """Mode k's deflection and speed after the step: the exponential of the equation of motion with what pushes it held."""
+        omega, damping = 2.0 * np.pi * START.frequency_Hz[k] * np.exp(logs[0]), START.damping[k] * np.exp(logs[1])
+        held = states[2] + START.gain[k] @ effort * np.exp(-logs[2])
+        motion = np.array([[0.0, 1.0, 0.0], [-(omega**2), -2.0 * damping * omega, 1.0], [0.0, 0.0, 0.0]])
+        after: np.ndarray = (expm(seconds * motion) @ [states[0], states[1], held])[:2]
+        return after
+
+    for k in range(m):
+        states, logs = x[mode[:, k]], x[log[:, k]]
+        for kind, step in enumerate(1e-5 * np.eye(3)):
+            F[mode[:2, k], mode[kind, k]] = swung(k, step * 1e5, logs) - swung(k, 0.0 * step, logs)
+            F[mode[:2, k], log[kind, k]] = (swung(k, states, logs + step) - swung(k, states, logs - step)) / 2e-5
+        F[mode[2, k], mode[2, k]] = np.exp(-seconds / RANDOM.push_s)
+    work.covariance = np.zeros_like(root)
+    work.predict(seconds, effort)
+    noise = work.covariance
+    work.x, work.covariance = x, root @ root.T
+    work.predict(seconds, effort)
+    expected = F @ root @ root.T @ F.T + noise
+    scale = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(work.covariance / np.outer(scale, scale), expected / np.outer(scale, scale), atol=1e-8)
+
+
+def test_a_sample_s_update_is_joseph_s() -> None:
+    rng = np.random.default_rng(6)
+    states, measured = 20, 10
+    root = rng.normal(size=(states, states)) * np.geomspace(1e-4, 1.0, states)[:, None]
+    told = rng.normal(size=measured), rng.normal(size=(measured, states)), np.diag(np.geomspace(1e-3, 1.0, measured) ** 2)
+    quick, joseph = (LateMeasurements(np.ones(states), root @ root.T, np.arange(2)) for _ in range(2))
+    surprise = joseph.surprise(*told)
+    joseph.update(*told)
+    assert quick.update_whitened(*told) == pytest.approx(surprise)
+    scale = np.sqrt(np.diag(joseph.covariance))
+    np.testing.assert_allclose(quick.x / scale, joseph.x / scale, atol=1e-6)
+    np.testing.assert_allclose(quick.covariance / np.outer(scale, scale), joseph.covariance / np.outer(scale, scale), atol=1e-6)
+
+
+def test_runs_are_the_same_side_by_side() -> None:
+    of_seed = partial(draw_of, START, None, conditions=replace(SHORT, seconds=2.0), drift=falling(0.05, 2.0))
+    alone, together = (list(side_by_side(of_seed, range(3, 5), jobs)) for jobs in (1, 2))
+    for one, other in zip(alone, together, strict=True):
+        np.testing.assert_array_equal(one.found.final.x, other.found.final.x)
+        np.testing.assert_array_equal(one.gaps[0], other.gaps[0])
+    assert not np.array_equal(alone[0].found.final.x, alone[1].found.final.x)
+
+
 @pytest.mark.nightly
 def test_what_is_stated_is_true_of_drawn_machines(draws: list[Draw]) -> None:
     nees = np.array([each.nees() for each in draws])
     assert 0.5 < nees[:, 0].mean() < 1.5  # 29 parameters, four draws: 0.74 to 1.29 at 95 %, less what jerk is stated too large
     assert 0.3 < nees[:, 1].mean() < 2.0
-    assert 0.5 < np.mean([each.gaps()[1].mean() for each in draws]) < 1.5
+    assert 0.5 < np.mean([each.gaps[1].mean() for each in draws]) < 1.5
     assert not any(each.found.refused for each in draws)
 
 
@@ -154,7 +218,7 @@ def test_with_images_withdrawn_poses_stay_true_and_drifting_frequencies_are_foll
     true = drawn_machine(START, RANDOM, 2)
     found = draw(START, true, 2, replace(SHORT, seconds=seconds), withdrawn=20, drift=falling(0.1, seconds))
     assert len(found.found.used) == 20
-    gap, squares = found.gaps()
+    gap, squares = found.gaps
     after = np.array(found.found.at_s) > 8.0
     assert np.sqrt(np.mean(np.sum(gap[after, 3:6] ** 2, axis=1))) < 0.15e-3
     assert 0.3 < squares[after].mean() < 2.0
