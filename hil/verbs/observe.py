@@ -210,7 +210,7 @@ def replay(request: ObserveRequest, listener: Listener = NOBODY) -> Replayed:
     modes = design.model.modes
     if any(not 0 <= mode < modes for mode in request.adapted) or len(set(request.adapted)) < len(request.adapted):
         asked = ",".join(str(mode + 1) for mode in request.adapted)
-        raise RequestError(f"{{adapted}} {asked}: the model has modes 1 to {modes}, each named once")
+        raise RequestError("{adapted} {}: the model has modes 1 to {}, each named once", asked, modes)
     observer = design.observer(cast("FilterKind", request.filter), request.adapted)
     calibration = _calibration(machine, observer, request.data, request.images)
     name = request.recording.name if isinstance(request.recording, Path) else "replaying"
@@ -391,10 +391,9 @@ def _check(request: ObserveRequest) -> None:
     from hil.files.writable import can_be_written, not_an_input
 
     if request.filter not in KINDS:
-        raise RequestError(f"{{filter}} {request.filter}: must be {', '.join(KINDS)}")
+        raise RequestError("{filter} {}: must be {}", request.filter, ", ".join(KINDS))
     if request.design is not None and request.measured.every:
-        others = "{responses}, {multisines}, {standing}, {sweeps} and {tuned_on}"
-        raise RequestError(f"{{design}}: a design is ready; {others} make a new one")
+        raise RequestError("{design}: a design is ready; {responses}, {multisines}, {standing}, {sweeps} and {tuned_on} make a new one")
     if (request.data is None) != (request.images is None):
         raise RequestError("{data} and {images}: a live calibration is replayed from both")
     can_be_written(request.out, suffixes=(".npz", ".mf4", ".csv"))

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import ast
+import pickle
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 import typer
+from places import ROOT
 from typer.testing import CliRunner
 
 from hil.cli.asking import by_options
@@ -60,3 +63,20 @@ def test_what_a_command_needs_is_asked_for() -> None:
 def test_an_error_names_a_part_by_its_option() -> None:
     with pytest.raises(typer.BadParameter, match=r"^--edge 0: too small for --repeat$"), by_options(names_of(Request)):
         raise RequestError("{edge_m} 0: too small for {repeats}")
+
+
+def test_braces_of_a_file_s_name_are_told_as_they_are() -> None:
+    refusal = RequestError("{scans} {}: lacks what {repeats} {} has", Path("{edge_m}/a{}.mf4"), "{x}")
+    for told in (refusal, pickle.loads(pickle.dumps(refusal))):
+        assert str(told) == "scans {edge_m}/a{}.mf4: lacks what repeats {x} has"
+        assert told.calling("--{}".format) == "--scans {edge_m}/a{}.mf4: lacks what --repeats {x} has"
+
+
+def test_a_text_of_a_refusal_is_written_without_values_in_it() -> None:
+    """A value in the text itself would be searched for parts."""
+    wrong = []
+    for path in sorted((ROOT / "hil").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and ast.unparse(node.func) == "RequestError" and isinstance(node.args[0], ast.JoinedStr):
+                wrong.append(f"{path.relative_to(ROOT)}:{node.lineno}")
+    assert wrong == []
