@@ -188,6 +188,14 @@ def parse_whole_numbers(option: str, text: str) -> tuple[int, ...]:
     return numbers
 
 
+def parse_modes(option: str, text: str) -> tuple[int, ...]:
+    """Read modes, counted from 1, such as `1,2`, as modes from 0."""
+    try:
+        return tuple(int(part) - 1 for part in text.split(",") if part.strip())
+    except ValueError:
+        raise typer.BadParameter(f"{option} {text}: must be mode numbers, such as 1,2") from None
+
+
 def parse_point(option: str, text: str) -> tuple[float, float, float]:
     """Read `0,-12.5,3` in mm as a point [m].
 

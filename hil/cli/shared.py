@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 import typer
 
-from hil.cli.options import parse_band, parse_orders, parse_over_axis, parse_point
+from hil.cli.options import parse_band, parse_modes, parse_orders, parse_over_axis, parse_point
 from hil.verbs.verb import Option
 
 Command = Callable[..., None]
@@ -23,9 +23,10 @@ FORMS: dict[str, Callable[[str, str], object]] = {
     "N_n,N_m,N_d": parse_orders,
     "Q_n,Q_d,P[,SYMMETRY]": parse_over_axis,
     "X,Y,Z": parse_point,
+    "modes": parse_modes,
     "NAME,...": lambda _, text: tuple(name.strip() for name in text.split(",") if name.strip()),
 }
-"""How text is read, by its metavar."""
+"""How text is read, by its form or metavar."""
 
 SCALES = {"MM": 1e-3}
 """Units of the command line in SI, by their metavar."""
@@ -83,11 +84,12 @@ def _options(request: type) -> list[dataclasses.Field[Any]]:
 def _typed(part: dataclasses.Field[Any]) -> Parameter:
     """Return a part as Typer wants it."""
     told: Option = part.metadata["option"]
-    kind: Any = str if told.metavar in FORMS else told.kind
+    is_read = (told.form or told.metavar) in FORMS
+    kind: Any = str if is_read else told.kind
     default: Any = part.default
     if told.is_several:
         kind, default = list[kind], None
-    elif told.metavar in FORMS:
+    elif is_read:
         default = ""
     elif told.metavar in SCALES:
         default /= SCALES[told.metavar]
@@ -106,8 +108,8 @@ def _read(part: dataclasses.Field[Any], given: Any) -> object:  # noqa: ANN401 -
     told: Option = part.metadata["option"]
     if given in (None, ""):
         return part.default
-    if told.metavar in FORMS:
-        name, read = max(told.names, key=len), FORMS[told.metavar]
+    if (form := told.form or told.metavar) in FORMS:
+        name, read = max(told.names, key=len), FORMS[form]
         return [read(name, each) for each in given] if told.is_several else read(name, given)
     return SCALES[told.metavar] * given if told.metavar in SCALES else given
 

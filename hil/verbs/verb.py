@@ -40,6 +40,8 @@ class Option:
     """Whether it may be given again and again."""
     least: float | None = None
     most: float | None = None
+    form: str = ""
+    """How its text is read, unless as its metavar says."""
 
 
 def option(help: str, metavar: str | None, *names: str, default: object = None, **more: Any) -> Any:  # noqa: ANN401 - as `dataclasses.field`

@@ -24,7 +24,7 @@ def test_python_calls_parts_by_their_names_and_a_command_by_its_options(tmp_path
     carm = hil.open_machine("carm")
     nothing = hil.Recording({"time": hil.Channel("s", np.arange(3.0))}, {})
     with pytest.raises(RequestError, match=r"^design: a design is ready; responses, multisines, standing, sweeps and tuned_on make"):
-        observe.answer(observe.ObserveRequest(carm, nothing, tmp_path / "a.npz", observe.Measured(tuned_on=[nothing])))
+        observe.answer(observe.ObserveRequest(carm, nothing, design=tmp_path / "a.npz", tuned_on=[nothing]))
     told = runner(capsys)("observe", "carm", "b.mf4", "-o", tmp_path / "x.npz", "--design", "a.npz", "--tune", "c.mf4")
     assert told.status == 2
     assert "--design: a design is ready; --frf, --multisine, --standing, --sweep and --tune make a new one (see " in told.line
