@@ -21,6 +21,7 @@ KEPT = {"json": False}
 
 RECORDING = "Recording (.mf4, .csv, .parquet, .mcap, .mat)."
 EFFECTS = "Effects file (TOML): physics added by name."
+POSE = "Start pose, in degrees (mm on a prismatic axis); axes left out stand at 0."
 SCAN = "Folder of a scan: its images, when they were exposed, and the panel's description."
 
 
@@ -42,6 +43,8 @@ class Option:
     most: float | None = None
     form: str = ""
     """How its text is read, unless as its metavar says."""
+    none: float | None = None
+    """Number that is typed for none."""
 
 
 def option(help: str, metavar: str | None, *names: str, default: object = None, **more: Any) -> Any:  # noqa: ANN401 - as `dataclasses.field`

@@ -28,6 +28,9 @@ class Request:
     band_Hz: tuple[float, float] | None = option("Band.", "LOW:HIGH", "--band")
     names: Sequence[str] = option("Names.", "NAME,...", "--names", default=())
     repeats: Sequence[Path] = option("Repeats.", "REC", "--repeat", default=(), is_several=True)
+    harmonics: Sequence[int] = option("Harmonics.", "N,N,...", "--harmonics", default=(1, 3))
+    adapted: Sequence[int] = option("Modes, from 1.", "N,N,...", "--adapt", default=(), form="modes")
+    period_s: float | None = option("Period; 0: none.", "S", "--period", kind=float, none=0.0)
 
 
 def asked(*typed: str) -> tuple[int, str, list[Request]]:
@@ -51,7 +54,13 @@ def test_what_is_typed_is_read_by_its_metavar() -> None:
 
 def test_what_is_not_typed_is_the_request_s_own_and_shown_in_the_option_s_unit() -> None:
     assert asked("a", "-o", "c")[2] == [Request("carm", [Path("a")], Path("c"))]
-    assert "[default: 0.5]" in asked("--help")[1]
+    assert asked("a", "-o", "c", "--period", "0", "--harmonics", "1,3")[2] == [Request("carm", [Path("a")], Path("c"))]
+    assert all(f"[default: {shown}]" in asked("--help")[1] for shown in ("0.5", "1,3", "0.0"))
+
+
+def test_text_of_one_metavar_may_have_forms_of_its_own() -> None:
+    (read,) = asked("a", "-o", "c", "--harmonics", "2", "--adapt", "2", "--period", "3")[2]
+    assert (read.harmonics, read.adapted, read.period_s) == ((2,), (1,), 3.0)
 
 
 def test_what_a_command_needs_is_asked_for() -> None:
