@@ -31,7 +31,7 @@ FORMS: dict[str, Callable[[str, str], object]] = {
 A_POSE = "AXIS=VALUE,..."
 """Metavar of what is read in the units of the request's machine."""
 
-SCALES = {"MM": 1e-3}
+SCALES = {"MM": 1e-3, "MS": 1e-3}
 """Units of the command line in SI, by their metavar."""
 
 

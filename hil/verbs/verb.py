@@ -31,7 +31,7 @@ class Option:
 
     help: str
     metavar: str | None
-    """What is typed; `MM` is read in SI, `LOW:HIGH`, `X,Y,Z` [mm], `NAME,...` and the like as several values."""
+    """What is typed; `MM` and `MS` are read in SI, `LOW:HIGH`, `X,Y,Z` [mm], `NAME,...` and the like as several values."""
     names: tuple[str, ...] = ()
     """As they are typed; without, it is told by its place."""
     kind: type = Path

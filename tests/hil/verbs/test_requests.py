@@ -30,6 +30,14 @@ def test_python_calls_parts_by_their_names_and_a_command_by_its_options(tmp_path
     assert "--design: a design is ready; --frf, --multisine, --standing, --sweep and --tune make a new one (see " in told.line
 
 
+def test_what_is_exposed_is_refused_in_both_faces_by_the_same_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    carm = hil.open_machine("carm")
+    with pytest.raises(RequestError, match=r"^rate_Hz 0: must be a positive number$"):
+        hil.expose(carm, hil.Recording({"time": hil.Channel("s", np.arange(3.0))}, {}), tmp_path / "t.csv", tmp_path, rate_Hz=0.0)
+    told = runner(capsys)("expose", "carm", "b.mf4", "--truth", "t.csv", "-o", tmp_path / "x", "--width=-2")
+    assert (told.status, told.line) == (2, "isocenter: --width -2: must be a positive number")
+
+
 def test_an_axis_that_is_not_there_is_told_by_its_part() -> None:
     with pytest.raises(RequestError, match=r"^schedule yaw: carm has propeller, roll$"):
         hil.shape(hil.open_machine("carm"), "roll", schedule="yaw")
