@@ -75,13 +75,13 @@ if TYPE_CHECKING:
     from hil.simulation import Comparison as Comparison
     from hil.verbs.calibrate import calibrate_model as calibrate_model
     from hil.verbs.calibrate import calibrate_phantom as calibrate_phantom
-    from hil.verbs.calibrate import expose as expose
     from hil.verbs.calibrate_data import DataCalibration as DataCalibration
     from hil.verbs.calibrate_data import calibrate_data as calibrate_data
     from hil.verbs.commission import Commissioning as Commissioning
     from hil.verbs.commission import commission as commission
     from hil.verbs.compare import compare as compare
     from hil.verbs.diagnose import diagnose as diagnose
+    from hil.verbs.expose import expose as expose
     from hil.verbs.identify import identify as identify
     from hil.verbs.identify import identify_all_poses as identify_all_poses
     from hil.verbs.machine import OpenMachine as OpenMachine
@@ -113,11 +113,12 @@ _MODULES = {
     "hil.shaping.choice": "ShaperChoice",
     "hil.shaping.shaper_file": "ShaperFile read_shaper write_shaper",
     "hil.simulation": "Comparison",
-    "hil.verbs.calibrate": "calibrate_model calibrate_phantom expose",
+    "hil.verbs.calibrate": "calibrate_model calibrate_phantom",
     "hil.verbs.calibrate_data": "DataCalibration calibrate_data",
     "hil.verbs.commission": "Commissioning commission",
     "hil.verbs.compare": "compare",
     "hil.verbs.diagnose": "diagnose",
+    "hil.verbs.expose": "expose",
     "hil.verbs.identify": "identify identify_all_poses",
     "hil.verbs.machine": "OpenMachine open_machine",
     "hil.verbs.observe": "design_observer observe",

@@ -38,18 +38,22 @@ class UnusableInputError(BenchError, ValueError):
 class RequestError(UnusableInputError):
     """A request that cannot be met as it is put: parts of it do not go together, or it asks for a choice that there is not.
 
-    In its text `{name}` stands for a part of the request. In Python a part is called by its name; a command calls it as its option.
+    In its text `{name}` stands for a part of the request, and `{}` for each of `values` in turn, which are told as they are. In Python a
+    part is called by its name; a command calls it as its option.
     """
 
-    _PART = re.compile(r"\{(\w+)\}")
+    def __init__(self, text: str, *values: object) -> None:
+        super().__init__(text, *values)
 
-    def __init__(self, text: str) -> None:
-        super().__init__(self._PART.sub(r"\1", text))
-        self._text = text
+    def __str__(self) -> str:
+        """Return the text with every part by its name."""
+        return self.calling(str)
 
     def calling(self, part: Callable[[str], str]) -> str:
         """Return the text with every part as `part` calls it."""
-        return self._PART.sub(lambda found: part(found[1]), self._text)
+        text, *values = self.args
+        left = iter(values)
+        return re.sub(r"\{(\w*)\}", lambda found: part(found[1]) if found[1] else str(next(left)), text)
 
 
 class MachineFileError(UnusableInputError):

@@ -7,6 +7,7 @@ from docs.generate.format_tables import Entry
 from hil.verbs.calibrate import CalibrateAnswer
 from hil.verbs.check import CheckAnswer
 from hil.verbs.compare import CompareAnswer
+from hil.verbs.expose import ExposeAnswer
 from hil.verbs.identify import ResponseAnswer
 from hil.verbs.observe import ObserveAnswer
 from hil.verbs.plot import PlotAnswer
@@ -266,7 +267,7 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry("error_poles_off", "number", "The largest of these errors with all poles and zeros of the plant 10 % off."),
     ),
     "observe": entries(ObserveAnswer),
-    "expose": (Entry("folder, exposures", "text, number", "The scan's folder, and its images."),),
+    "expose": entries(ExposeAnswer),
     "roadmap": (
         Entry("poses, registered", "number, true or false", "Benchmark poses, and whether worlds were laid on each other."),
         Entry("overlay_m", "object", "Calibration to place on the image to `max`, `max_90` (of the best 90 %) and `mean`."),

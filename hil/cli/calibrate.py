@@ -16,10 +16,10 @@ from hil.errors import UnusableInputError
 from hil.terminal.output import Answer, JsonOption, save_figure
 from hil.terminal.progress import follower, progress
 from hil.verbs import calibrate as verb
+from hil.verbs import expose as exposing
 
 if TYPE_CHECKING:
     from hil.calibration.marker.scan import MarkerScan
-    from hil.imaging.markers import MarkerPlate
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -52,84 +52,14 @@ def register(parent: typer.Typer) -> None:
     parent.add_typer(app, name="calibrate")
 
 
-def expose(
-    machine_name: MachineArgument,
-    recording_file: Annotated[Path, typer.Argument(metavar="REC", help="Recording of the scan, for its axis positions.")],
-    truth: Annotated[Path, typer.Option("--truth", metavar="FILE", help="Truth file of the same run.")],
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder to write.")],
-    scene_name: Annotated[
-        str, typer.Option("--scene", help="What stands in the beam: dodecahedron, wires-1mm, wires-0.2mm, vessel, aneurysm.")
-    ] = "dodecahedron",
-    rate: Annotated[float, typer.Option("--rate", metavar="HZ", help="Exposures a second, by the panel's own clock.")] = 7.0,
-    width: Annotated[float, typer.Option("--width", metavar="MS", help="Length of an exposure, milliseconds.")] = 8.0,
-    binning: Annotated[int, typer.Option("--binning", min=1, help="Pixels read as one, in each direction.")] = 4,
-    marker_name: Annotated[
-        str | None, typer.Option("--marker", metavar="PLATE", help="In place of a scene, a plate on the tube: experimental, clinical.")
-    ] = None,
-    distance: Annotated[float, typer.Option("--distance", metavar="MM", help="From the focal spot to the marker plate.")] = 250.0,
-    patient_seed: Annotated[
-        int | None,
-        typer.Option(
-            "--patient",
-            metavar="N",
-            min=0,
-            help="Draw patient N on a table, besides: tissue, bone, wires, vessels; even: a head, odd: a trunk.",
-        ),
-    ] = None,
-    photons: Annotated[
-        float | None, typer.Option("--photons", help="Mean count of a pixel in the open beam; 2000, or 20000 with a patient.")
-    ] = None,
-    seed: Annotated[int, typer.Option("--seed", help="Seed of the photons.")] = 0,
-    json_to: JsonOption = None,
-) -> None:
+@asks
+def expose(machine_name: MachineArgument, request: Callable[..., exposing.ExposeRequest], json_to: JsonOption = None) -> None:
     """Render, one image after the other."""
-    import numpy as np
-
-    from hil.emulated.anatomy import PHOTONS, with_patient
-    from hil.emulated.beam import Beam
-    from hil.emulated.images import Exposures, xray_side
-    from hil.emulated.images import expose as render
-    from hil.emulated.marker_images import TubeMarker
-    from hil.emulated.scenes import scene
-    from hil.imaging.nominal import nominal_detector, panel_in_tube
-    from hil.recording import read_recording
-    from virtual_bus.xray.imaging import Optics
-
-    if photons is None:
-        photons = Optics().photons if patient_seed is None else PHOTONS
-    for option, value in (("--rate", rate), ("--width", width), ("--photons", photons)):
-        if not 0.0 < value < np.inf:
-            raise UnusableInputError(f"{option} {value:g}: must be a positive number")
-    machine = load(machine_name)
+    asked = request(machine=load(machine_name))
     answer = Answer(json_to)
-    recording = read_recording(recording_file, machine)
-    exposures = Exposures(rate_Hz=rate, width_s=1e-3 * width)
-    detector = nominal_detector(machine, binning)
-    shown = {"scene": scene_name} if marker_name is None else {"marker": marker_name, "marker_distance_mm": distance}
-    plate = None if marker_name is None else TubeMarker(_plate(marker_name), 1e-3 * _positive(distance), panel_in_tube(machine))
-    beam = Beam(scene(scene_name) if plate is None else [], plate, Optics(photons=photons))
-    if patient_seed is not None:
-        beam, shown = with_patient(beam, patient_seed, photons), {**shown, "patient": patient_seed}
-    side = xray_side(machine, truth, beam.spot, exposures.first_s)
-    with progress() as bars:
-        task = bars.add_task("exposing", total=None)
-        count = render(
-            machine,
-            side,
-            exposures,
-            beam,
-            detector,
-            out,
-            recording,
-            seed,
-            lambda done, total: bars.update(task, completed=done, total=total),
-            {**shown, "recording": recording_file.name},
-        )
-    answer.say(
-        f"{out}: {count} images of {detector.columns} x {detector.rows} pixels, {marker_name or scene_name}"
-        + ("" if patient_seed is None else f" and patient {patient_seed}")
-    )
-    answer.write({"folder": out, "exposures": count})
+    found = ask(exposing.answer, asked, answer, told_as=UnusableInputError)
+    answer.say(found.sentence)
+    answer.write(found)
 
 
 @asks
@@ -191,6 +121,7 @@ def marker(
 
     from hil.calibration.marker.scan import calibrate_marker, nominal_marker, write_marker_scan
     from hil.calibration.marker.tube_to_panel import NONLINEAR
+    from hil.imaging.marker_view import plate_at_m, plate_of
     from hil.imaging.nominal import nominal_beam
     from hil.imaging.scan_folder import read_scan
 
@@ -203,8 +134,8 @@ def marker(
     away = distance if distance is not None else scan.notes.get("marker_distance_mm")
     if name is None or away is None:
         raise UnusableInputError(f"{scan_folder}/scan.toml names no marker and marker_distance_mm; give --plate and --distance")
-    distance_m = 1e-3 * _positive(away)
-    plate = _plate(str(name))
+    distance_m = plate_at_m(away)
+    plate = plate_of(str(name))
     positions = np.nan_to_num(scan.positions)  # tube and panel stand the same to each other in every nominal pose
     nominal = nominal_marker(nominal_beam(machine, positions), distance_m)
     with progress() as bars:
@@ -241,22 +172,6 @@ def marker(
             "suspect_exposures": result.quality.suspects,
         }
     )
-
-
-def _plate(name: str) -> MarkerPlate:
-    from hil.imaging.markers import PLATES
-
-    if name not in PLATES:
-        raise UnusableInputError(f"marker plate {name}: there are {', '.join(PLATES)}")
-    return PLATES[name]()
-
-
-def _positive(distance_mm: object) -> float:
-    import numpy as np
-
-    if not isinstance(distance_mm, (int, float)) or not 0.0 < distance_mm < np.inf:
-        raise UnusableInputError(f"distance of the marker plate {distance_mm} mm: must be a positive number")
-    return float(distance_mm)
 
 
 def _report_marker(answer: Answer, result: MarkerScan, plate: str) -> None:

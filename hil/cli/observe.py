@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 import typer
 
@@ -11,10 +12,10 @@ from hil.cli.asking import ask
 from hil.cli.emulated import say_emulated
 from hil.cli.options import MachineArgument, load
 from hil.cli.paged import PageOption, check_drawn, write_paged
+from hil.cli.shared import asks
 from hil.terminal.output import Answer, JsonOption, save_figure
 from hil.verbs import observe as verb
 
-OPTIONS = {"responses": "frf", "multisines": "multisine", "sweeps": "sweep", "tuned_on": "tune", "adapted": "adapt"}
 ObserverOption = Annotated[
     Path | None,
     typer.Option("--observer", metavar="FILE", help="Observer design to run along: estimates join the recording (isocenter observe)."),
@@ -38,68 +39,32 @@ def register(app: typer.Typer) -> None:
     )(observe)
 
 
+@asks
 def observe(
     machine_name: MachineArgument,
-    recording_path: Annotated[Path, typer.Argument(metavar="REC", help="Recording (.mf4, .csv, .parquet, .mcap, .mat).")],
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="EST", help="Estimates (.npz), or the recording with them (.mf4, .csv).")],
-    design_path: Annotated[Path | None, typer.Option("--design", metavar="FILE", help="Observer design to use.")] = None,
-    frf: Annotated[
-        list[Path] | None, typer.Option("--frf", metavar="FRF", help="Frequency response to design from; once per pose.")
-    ] = None,
-    multisine: Annotated[
-        list[Path] | None,
-        typer.Option("--multisine", metavar="REC", help="Recording of a multisine to identify for the design; all poses."),
-    ] = None,
-    standing: Annotated[
-        list[Path] | None, typer.Option("--standing", metavar="REC", help="Recording at rest, for noise, gravity and biases; repeatable.")
-    ] = None,
-    sweep: Annotated[
-        list[Path] | None,
-        typer.Option("--sweep", metavar="REC", help="Recording of a sweep there and back, for what turning axes push; repeatable."),
-    ] = None,
-    tune: Annotated[
-        list[Path] | None, typer.Option("--tune", metavar="REC", help="Recording of ordinary operation to tune on; repeatable.")
-    ] = None,
-    save_design: Annotated[Path | None, typer.Option("--save-design", metavar="FILE", help="Write the design as well.")] = None,
-    modes: Annotated[int, typer.Option("--modes", min=1, help="Modes of the model.")] = verb.DEFAULT_MODES,
-    filter_name: Annotated[str, typer.Option("--filter", help="kf, ekf or ukf.")] = "ukf",
-    adapt: Annotated[str, typer.Option("--adapt", metavar="N,N,...", help="Modes (from 1) whose frequency is a state.")] = "",
-    data: Annotated[
-        Path | None, typer.Option("--data", metavar="FILE", help="Replay the live calibration too: what it went on from (run --data).")
-    ] = None,
-    images: Annotated[Path | None, typer.Option("--images", metavar="DIR", help="With --data: the folder of that run's images.")] = None,
+    request: Callable[..., verb.ObserveRequest],
     figure: Annotated[Path | None, typer.Option("--figure", metavar="PNG", help="Draw it as well.")] = None,
     page: PageOption = None,
     json_to: JsonOption = None,
 ) -> None:
     """Design or read, replay, write."""
-    machine = load(machine_name)
+    asked = request(machine=load(machine_name))
     answer = Answer(json_to)
-    measured = verb.Measured(frf or (), multisine or (), standing or (), sweep or (), tune or (), modes)
-    files = {"data": data, "images": images, "out": out, "save_design": save_design}
-    request = verb.ObserveRequest(machine, recording_path, design_path, measured, filter_name, _modes(adapt), **files)
-    check_drawn(figure, page, request.inputs)
-    found = ask(verb.answer, request, answer, OPTIONS)
-    replayed = found.replayed
+    check_drawn(figure, page, asked.inputs)
+    found = ask(verb.answer, asked, answer)
+    replayed, files = found.replayed, cast("tuple[Path, Path]", (asked.recording, asked.out))
     if figure is not None:
         from hil.figures.observer import observer_figure
 
         save_figure(observer_figure(replayed.estimate), figure)
         answer.say(f"{figure}: figure")
     answer.say(found.sentence)
-    say_emulated(answer, {recording_path: replayed.recording})
+    say_emulated(answer, {files[0]: replayed.recording})
     for line in found.lines:
         answer.say(line)
     if page is not None:
         from hil.reports.observed import observed_page
 
-        files_shown, design_file = (recording_path, out), design_path or save_design
-        write_paged(answer, observed_page(machine, replayed.estimate, replayed.recording, files_shown, design_file, answer.said), page)
+        design = cast("Path | None", asked.design or asked.save_design)
+        write_paged(answer, observed_page(asked.machine, replayed.estimate, replayed.recording, files, design, answer.said), page)
     answer.write(found)
-
-
-def _modes(text: str) -> tuple[int, ...]:
-    try:
-        return tuple(int(part) - 1 for part in text.split(",") if part.strip())
-    except ValueError:
-        raise typer.BadParameter(f"--adapt {text}: must be mode numbers, such as 1,2") from None

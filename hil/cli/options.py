@@ -14,7 +14,7 @@ from hil.files.writable import can_be_written as can_be_written
 from hil.files.writable import folder_can_be_written as folder_can_be_written
 from hil.files.writable import not_an_input as not_an_input
 from hil.verbs.identify import OverAxis
-from hil.verbs.verb import EFFECTS, SCAN
+from hil.verbs.verb import EFFECTS, POSE, SCAN
 
 if TYPE_CHECKING:
     from hil.machine import Machine
@@ -62,9 +62,7 @@ QuirksOption = Annotated[
     list[str] | None,
     typer.Option("--quirk", metavar="DRIVE:NAME", help="This drive bends the standard so; once for each (isocenter faults quirks)."),
 ]
-PoseOption = Annotated[
-    str, typer.Option("--pose", metavar="AXIS=VALUE,...", help="Start pose, in degrees (mm on a prismatic axis); axes left out stand at 0.")
-]
+PoseOption = Annotated[str, typer.Option("--pose", metavar="AXIS=VALUE,...", help=POSE)]
 ImuOption = Annotated[
     str, typer.Option("--imu", metavar="DEVICE", help="Serial device of the IMU, or tcp:HOST:PORT, where the machine file names none.")
 ]
@@ -186,6 +184,14 @@ def parse_whole_numbers(option: str, text: str) -> tuple[int, ...]:
     if min(numbers) < 1:
         raise UnusableInputError(f"{option} {text}: must be whole numbers from 1, such as 1,3,5")
     return numbers
+
+
+def parse_modes(option: str, text: str) -> tuple[int, ...]:
+    """Read modes, counted from 1, such as `1,2`, as modes from 0."""
+    try:
+        return tuple(int(part) - 1 for part in text.split(",") if part.strip())
+    except ValueError:
+        raise typer.BadParameter(f"{option} {text}: must be mode numbers, such as 1,2") from None
 
 
 def parse_point(option: str, text: str) -> tuple[float, float, float]:

@@ -3,23 +3,16 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 import typer
 
 from hil.cli.asking import ask
-from hil.cli.options import (
-    EffectsOption,
-    MachineArgument,
-    PoseOption,
-    can_be_written,
-    load,
-    parse_band,
-    parse_pose,
-    parse_whole_numbers,
-)
+from hil.cli.options import EffectsOption, MachineArgument, can_be_written, load
 from hil.cli.paged import PageOption, check_drawn, write_paged
+from hil.cli.shared import asks
 from hil.errors import UnusableInputError
 from hil.terminal.output import Answer, JsonOption, save_figure
 from hil.verbs import shape as verb
@@ -39,24 +32,10 @@ def register(app: typer.Typer) -> None:
     )(shape)
 
 
+@asks
 def shape(
     machine_name: MachineArgument,
-    axis: Annotated[str, typer.Option("--axis", help="Axis whose reference is shaped.")],
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="SHAPER", help="Where to write the shaper (.npz).")],
-    pose: PoseOption = "",
-    period: Annotated[float, typer.Option("--period", metavar="S", help="Period of a scan that repeats; 0 for a sweep.")] = 0.0,
-    harmonics: Annotated[str, typer.Option("--harmonics", metavar="N,N,...", help="Of the period: tracked without error.")] = "1,3,5",
-    longest: Annotated[
-        float, typer.Option("--longest", metavar="S", help="Longest transient; 0.6 s for a sweep, one period otherwise.")
-    ] = 0.0,
-    schedule: Annotated[str, typer.Option("--schedule", metavar="AXIS", help="Design over the range of this axis and interpolate.")] = "",
-    output: Annotated[str, typer.Option("--output", help="What shall track: link, detector or motor.")] = "link",
-    frf: Annotated[Path | None, typer.Option("--frf", metavar="FRF", help="Design from an identified frequency response.")] = None,
-    quiet: Annotated[str, typer.Option("--quiet", metavar="LOW:HIGH", help="Band [Hz] that the quiet design passes least in.")] = "4:20",
-    also: Annotated[
-        str, typer.Option("--also", metavar="NAME,...", help="Designs beside the usual ones: shortest, dc, zpetc, zmetc.")
-    ] = "",
-    take: Annotated[str, typer.Option("--take", metavar="NAME", help="Write this design instead of the recommended one.")] = "",
+    request: Callable[..., verb.ShapeRequest],
     table: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Verdicts as CSV.")] = None,
     figure: Annotated[
         Path | None, typer.Option("--figure", metavar="PNG", help="Taps, frequency responses, map of delays, before and after in time.")
@@ -69,23 +48,9 @@ def shape(
     machine = load(machine_name, effects)
     answer = Answer(json_to)
     can_be_written(table)
-    request = verb.ShapeRequest(
-        machine,
-        axis,
-        parse_pose(pose, machine),
-        frf,
-        period or None,
-        parse_whole_numbers("--harmonics", harmonics) if period else (),
-        longest or None,
-        schedule,
-        output,
-        parse_band("--quiet", quiet),
-        [name.strip() for name in also.split(",") if name.strip()],
-        take,
-        out,
-    )
-    check_drawn(figure, page, request.inputs)
-    found = ask(verb.answer, request, answer, told_as=UnusableInputError)
+    asked = request(machine=machine)
+    check_drawn(figure, page, asked.inputs)
+    found = ask(verb.answer, asked, answer, told_as=UnusableInputError)
     choice = found.choice
     for line in (found.sentence, *found.lines):
         answer.say(line)
@@ -95,7 +60,7 @@ def shape(
     if figure is not None:
         from hil.figures.shapers import design_figure
 
-        title = f"{axis} of {machine.name}, {found.source}"
+        title = f"{asked.axis} of {machine.name}, {found.source}"
         subjects, rate = choice.subjects.each, machine.sample_rate_Hz
         save_figure(design_figure(choice.designs, subjects, found.aim, rate, found.steps, title), figure)
         answer.say(f"{figure}: figure")
@@ -104,7 +69,9 @@ def shape(
 
         facts = {"Aim": found.aim.kind, "From": found.source}
         subjects = choice.subjects.each
-        shown = shaped_page(machine, axis, found.sentence, choice.candidates, choice.chosen, subjects, found.steps, out, facts)
+        shown = shaped_page(
+            machine, asked.axis, found.sentence, choice.candidates, choice.chosen, subjects, found.steps, cast(Path, asked.out), facts
+        )
         write_paged(answer, shown, page)
     answer.write(found)
     if not found.fit:

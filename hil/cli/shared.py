@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import collections.abc
 import dataclasses
-import functools
 import inspect
 import typing
 from collections.abc import Callable, Sequence
@@ -13,7 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
-from hil.cli.options import parse_band, parse_orders, parse_over_axis, parse_point
+from hil.cli.options import parse_band, parse_modes, parse_orders, parse_over_axis, parse_point, parse_pose, parse_whole_numbers
 from hil.verbs.verb import Option
 
 Command = Callable[..., None]
@@ -23,11 +22,16 @@ FORMS: dict[str, Callable[[str, str], object]] = {
     "N_n,N_m,N_d": parse_orders,
     "Q_n,Q_d,P[,SYMMETRY]": parse_over_axis,
     "X,Y,Z": parse_point,
+    "N,N,...": parse_whole_numbers,
+    "modes": parse_modes,
     "NAME,...": lambda _, text: tuple(name.strip() for name in text.split(",") if name.strip()),
 }
-"""How text is read, by its metavar."""
+"""How text is read, by its form or metavar."""
 
-SCALES = {"MM": 1e-3}
+A_POSE = "AXIS=VALUE,..."
+"""Metavar of what is read in the units of the request's machine."""
+
+SCALES = {"MM": 1e-3, "MS": 1e-3}
 """Units of the command line in SI, by their metavar."""
 
 
@@ -64,8 +68,12 @@ def asks(command: Command) -> Command:
     parts = _options(request)
 
     def run(**given: Any) -> None:  # noqa: ANN401 - what is typed
-        read = {part.name: _read(part, given.pop(part.name)) for part in parts}
-        command(**given, **{own[place].name: functools.partial(request, **read)})
+        typed = {part: given.pop(part.name) for part in parts}
+
+        def made(**others: Any) -> object:  # noqa: ANN401 - parts of any kind
+            return request(**others, **{part.name: _read(part, text, others.get("machine")) for part, text in typed.items()})
+
+        command(**given, **{own[place].name: made})
 
     return _as_command(command, [*own[:place], *map(_typed, parts), *own[place + 1 :]], run)
 
@@ -83,12 +91,15 @@ def _options(request: type) -> list[dataclasses.Field[Any]]:
 def _typed(part: dataclasses.Field[Any]) -> Parameter:
     """Return a part as Typer wants it."""
     told: Option = part.metadata["option"]
-    kind: Any = str if told.metavar in FORMS else told.kind
+    is_read = (told.form or told.metavar) in {*FORMS, A_POSE}
+    kind: Any = str if is_read else told.kind
     default: Any = part.default
     if told.is_several:
         kind, default = list[kind], None
-    elif told.metavar in FORMS:
-        default = ""
+    elif is_read:
+        default = (":" if told.metavar == "LOW:HIGH" else ",").join(f"{number:g}" for number in default or ())
+    elif told.none is not None:
+        default = told.none
     elif told.metavar in SCALES:
         default /= SCALES[told.metavar]
     if told.is_needed:
@@ -102,12 +113,14 @@ def _typed(part: dataclasses.Field[Any]) -> Parameter:
     return Parameter(part.name, Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, how])
 
 
-def _read(part: dataclasses.Field[Any], given: Any) -> object:  # noqa: ANN401 - what is typed
+def _read(part: dataclasses.Field[Any], given: Any, machine: Any) -> object:  # noqa: ANN401 - what is typed
     told: Option = part.metadata["option"]
-    if given in (None, ""):
+    if given in (None, "", told.none):
         return part.default
-    if told.metavar in FORMS:
-        name, read = max(told.names, key=len), FORMS[told.metavar]
+    if told.metavar == A_POSE:
+        return parse_pose(given, machine)
+    if (form := told.form or told.metavar) in FORMS:
+        name, read = max(told.names, key=len), FORMS[form]
         return [read(name, each) for each in given] if told.is_several else read(name, given)
     return SCALES[told.metavar] * given if told.metavar in SCALES else given
 

@@ -192,7 +192,7 @@ def check_request(machine: Machine, axis: str, schedule: str, pose: Mapping[str,
     """
     for part, name in (("axis", axis), ("schedule", schedule)):
         if name not in machine.axes and (name or part == "axis"):
-            raise RequestError(f"{{{part}}} {name}: {machine.name} has {', '.join(machine.axes)}")
+            raise RequestError("{" + part + "} {}: {} has {}", name, machine.name, ", ".join(machine.axes))
     if is_identified and (schedule or pose):
         raise RequestError("{frf}: a frequency response is of one pose; leave out {schedule} and {pose}")
 

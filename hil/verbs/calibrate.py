@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from hil.calibration.use.lookup_table import LookUp
     from hil.imaging.scan_folder import ImageScan
     from hil.machine import Machine
-    from hil.recording import Recording
-    from hil.verbs.recordings import Recordings
 
 MOST_NAMED = 8
 """Exposures that a line names."""
@@ -133,65 +131,6 @@ def answer(request: CalibrateRequest, listener: Listener = NOBODY) -> CalibrateA
         request,
         found,
     )
-
-
-@as_bench_errors()
-def expose(
-    machine: Machine,
-    recording: Recording | Recordings,
-    truth: str | Path,
-    out: str | Path,
-    *,
-    scene: str = "dodecahedron",
-    rate_Hz: float = 7.0,
-    binning: int = 4,
-    seed: int = 0,
-    patient: int | None = None,
-) -> ImageScan:
-    """Make the images of a scan as the emulated machine's panel takes them.
-
-    Parameters
-    ----------
-    machine : Machine
-        The emulated one.
-    recording : Recording
-        Of the scan, for its axis positions.
-    truth : str or Path
-        Truth file of the same run: `machine.run(..., truth=...)`.
-    out : str or Path
-        Folder to write.
-    scene : str
-        What stands in the beam: `dodecahedron` (the calibration phantom), `wires-1mm`, `wires-0.2mm`, `vessel`, `aneurysm`, or a marker
-        plate on the tube, `experimental` or `clinical`.
-    rate_Hz : float
-        Exposures a second.
-    binning : int
-        Pixels read as one, in each direction.
-    seed : int
-        Of the photons.
-    patient : int, optional
-        A drawn patient in the beam, too, who lets fewer photons through: even numbers are heads, odd ones trunks.
-
-    Raises
-    ------
-    UnusableInputError
-        No such scene, a truth file of another run, or a package of the extra `imaging` is missing.
-    """
-    from hil.emulated.anatomy import with_patient
-    from hil.emulated.beam import beam_of
-    from hil.emulated.images import Exposures, xray_side
-    from hil.emulated.images import expose as expose_images
-    from hil.imaging.nominal import nominal_detector
-    from hil.imaging.scan_folder import read_scan
-    from hil.verbs.recordings import the_one
-
-    exposures, folder, beam = Exposures(rate_Hz=rate_Hz), Path(out), beam_of(machine, scene)
-    notes: dict[str, object] = {"scene": scene}
-    if patient is not None:
-        beam, notes = with_patient(beam, patient), {**notes, "patient": patient}
-    side = xray_side(machine, Path(truth), beam.spot, exposures.first_s)
-    expose_images(machine, side, exposures, beam, nominal_detector(machine, binning), folder, the_one(recording), seed, notes=notes)
-    return read_scan(folder)
 
 
 @as_bench_errors()

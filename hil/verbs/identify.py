@@ -339,7 +339,7 @@ def _read(request: IdentifyRequest) -> list[Recording]:
     from hil.verbs.recordings import every_one
 
     if request.plant_input not in PLANT_INPUTS:
-        raise RequestError(f"{{plant_input}} {request.plant_input}: must be {' or '.join(PLANT_INPUTS)}")
+        raise RequestError("{plant_input} {}: must be {}", request.plant_input, " or ".join(PLANT_INPUTS))
     read = list(every_one(request.recordings, machine=request.machine).values())
     return [in_effort(each, request.machine) for each in read] if request.plant_input == "command" else read
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, cast
 
 from hil.errors import RequestError, UnusableInputError
 from hil.verbs.errors import as_bench_errors
-from hil.verbs.verb import KEPT, NOBODY, Listener
+from hil.verbs.verb import KEPT, NOBODY, RECORDING, Listener, argument, option
 
 if TYPE_CHECKING:
     from controllers.observers.modal_observer import FilterKind, ModalObserver
@@ -31,15 +31,37 @@ NIS_BAND = (0.5, 2.0)
 
 
 @dataclass(frozen=True)
-class Measured:
-    """What an observer is designed from: recordings and responses, or their files; the parts are those of `design_observer`."""
+class Replay:
+    """A recording, or its file, and the observer that goes over it."""
 
-    responses: Sequence[FrequencyResponse | str | Path] = ()
-    multisines: Sequence[Given] = ()
-    standing: Sequence[Given] = ()
-    sweeps: Sequence[Given] = ()
-    tuned_on: Sequence[Given] = ()
-    modes: int = DEFAULT_MODES
+    machine: Machine
+    recording: Given = argument(RECORDING, "REC")
+    out: Path | None = option("Estimates (.npz), or the recording with them (.mf4, .csv).", "EST", "-o", "--out", is_needed=True)
+    design: ObserverDesign | str | Path | None = option("Observer design to use.", "FILE", "--design")
+    """None: it is made from what was measured, and tuned on the recording itself where that says nothing of tuning."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What an observer is designed from: recordings and responses, or their files."""
+
+    responses: Sequence[FrequencyResponse | str | Path] = option(
+        "Frequency response to design from; once per pose.", "FRF", "--frf", default=(), is_several=True
+    )
+    multisines: Sequence[Given] = option(
+        "Recording of a multisine to identify for the design; all poses.", "REC", "--multisine", default=(), is_several=True
+    )
+    standing: Sequence[Given] = option(
+        "Recording at rest, for noise, gravity and biases; repeatable.", "REC", "--standing", default=(), is_several=True
+    )
+    sweeps: Sequence[Given] = option(
+        "Recording of a sweep there and back, for what turning axes push; repeatable.", "REC", "--sweep", default=(), is_several=True
+    )
+    tuned_on: Sequence[Given] = option(
+        "Recording of ordinary operation to tune on; repeatable.", "REC", "--tune", default=(), is_several=True
+    )
+    save_design: Path | None = option("Write the design as well.", "FILE", "--save-design")
+    modes: int = option("Modes of the model.", None, "--modes", default=DEFAULT_MODES, least=1)
 
     @property
     def every(self) -> list[object]:
@@ -48,28 +70,19 @@ class Measured:
 
 
 @dataclass(frozen=True)
-class ObserveRequest:
-    """An observer over a recording, or its file."""
+class ObserveRequest(Measured, Replay):
+    """An observer over a recording; what is replayed stands before what was measured."""
 
-    machine: Machine
-    recording: Given
-    design: ObserverDesign | str | Path | None = None
-    """None: it is made from what was measured, and tuned on the recording itself where that says nothing of tuning."""
-    measured: Measured = Measured()
-    filter: str = "ukf"
-    adapted: tuple[int, ...] = ()
-    """Modes, from 0, whose frequency is a state."""
-    data: Path | None = None
-    """Calibration that ran along, to be replayed with the images."""
-    images: Path | None = None
-    out: Path | None = None
-    """Estimates (.npz), or the recording with them."""
-    save_design: Path | None = None
+    filter: str = option("kf, ekf or ukf.", None, "--filter", default="ukf")
+    adapted: tuple[int, ...] = option("Modes (from 1) whose frequency is a state.", "N,N,...", "--adapt", default=(), form="modes")
+    """Modes, from 0."""
+    data: Path | None = option("Replay the live calibration too: what it went on from (run --data).", "FILE", "--data")
+    images: Path | None = option("With --data: the folder of that run's images.", "DIR", "--images")
 
     @property
     def inputs(self) -> list[Path]:
         """Files that are read."""
-        return [Path(one) for one in (self.recording, *self.measured.every, self.design, self.data) if isinstance(one, str | Path)]
+        return [Path(one) for one in (self.recording, *self.every, self.design, self.data) if isinstance(one, str | Path)]
 
 
 @dataclass(frozen=True)
@@ -210,7 +223,7 @@ def replay(request: ObserveRequest, listener: Listener = NOBODY) -> Replayed:
     modes = design.model.modes
     if any(not 0 <= mode < modes for mode in request.adapted) or len(set(request.adapted)) < len(request.adapted):
         asked = ",".join(str(mode + 1) for mode in request.adapted)
-        raise RequestError(f"{{adapted}} {asked}: the model has modes 1 to {modes}, each named once")
+        raise RequestError("{adapted} {}: the model has modes 1 to {}, each named once", asked, modes)
     observer = design.observer(cast("FilterKind", request.filter), request.adapted)
     calibration = _calibration(machine, observer, request.data, request.images)
     name = request.recording.name if isinstance(request.recording, Path) else "replaying"
@@ -223,17 +236,7 @@ def replay(request: ObserveRequest, listener: Listener = NOBODY) -> Replayed:
 
 
 def designed(machine: Machine, measured: Measured, listener: Listener = NOBODY) -> ObserverDesign:
-    """Return the observer that measurements give, or without responses those of the emulated machine.
-
-    Raises
-    ------
-    RequestError
-        Standing recordings or sweeps without responses.
-    UnusableInputError
-        Sweeps without standing recordings.
-    BadAnswerError
-        The modal model cannot be fitted.
-    """
+    """Return the observer that measurements give, or without responses those of the emulated machine; raises as `design_observer` does."""
     from hil.identification import identify_poses, read_frf
     from hil.observing import design_observer, emulated_design
     from hil.observing.over_poses import observed_channels
@@ -344,7 +347,7 @@ def design_observer(
     from hil.verbs.recordings import each_of
 
     excited, still, moved, tuned = (each_of(given) for given in (multisines, standing, sweeps, tuned_on))
-    return designed(machine, Measured(list(responses), excited, still, moved, tuned, modes))
+    return designed(machine, Measured(list(responses), excited, still, moved, tuned, modes=modes))
 
 
 @as_bench_errors()
@@ -383,7 +386,8 @@ def observe(
     RecordingError
         Another sample rate, none of the channels, or a hole in the commands.
     """
-    return replay(ObserveRequest(machine, recording, design, filter=filter, adapted=tuple(adapted)), Listener(progress)).estimate
+    request = ObserveRequest(machine, recording, design=design, filter=filter, adapted=tuple(adapted))
+    return replay(request, Listener(progress)).estimate
 
 
 def _check(request: ObserveRequest) -> None:
@@ -391,10 +395,9 @@ def _check(request: ObserveRequest) -> None:
     from hil.files.writable import can_be_written, not_an_input
 
     if request.filter not in KINDS:
-        raise RequestError(f"{{filter}} {request.filter}: must be {', '.join(KINDS)}")
-    if request.design is not None and request.measured.every:
-        others = "{responses}, {multisines}, {standing}, {sweeps} and {tuned_on}"
-        raise RequestError(f"{{design}}: a design is ready; {others} make a new one")
+        raise RequestError("{filter} {}: must be {}", request.filter, ", ".join(KINDS))
+    if request.design is not None and request.every:
+        raise RequestError("{design}: a design is ready; {responses}, {multisines}, {standing}, {sweeps} and {tuned_on} make a new one")
     if (request.data is None) != (request.images is None):
         raise RequestError("{data} and {images}: a live calibration is replayed from both")
     can_be_written(request.out, suffixes=(".npz", ".mf4", ".csv"))
@@ -408,11 +411,10 @@ def _design(request: ObserveRequest, recording: Recording, listener: Listener) -
     """Return the design that was given, or the one that is made, tuned on the recording unless there is another to tune on."""
     if request.design is not None:
         return read_fitting(request.design, request.machine, listener)
-    measured = request.measured
-    if not measured.tuned_on:
+    if not request.tuned_on:
         listener.say("tuned on the recording itself; --tune gives another")
-        measured = replace(measured, tuned_on=[recording])
-    return designed(request.machine, measured, listener)
+        request = replace(request, tuned_on=[recording])
+    return designed(request.machine, request, listener)
 
 
 def _calibration(machine: Machine, observer: ModalObserver, data: Path | None, images: Path | None) -> LiveCalibration | None:

@@ -83,7 +83,7 @@ class PlotAnswer:
 
         drawn = drawn_channels(self.plotted, self.channels)
         if not drawn:
-            raise RequestError(f"{{png}} {self.png}: no channel changes; there is nothing to draw")
+            raise RequestError("{png} {}: no channel changes; there is nothing to draw", self.png)
         return still(Charts(charts_of(self.plotted, drawn), columns=min(2, len(drawn))))
 
 
@@ -134,7 +134,7 @@ def _simulation(path: Path, recording: Recording, machine: Machine | None) -> Re
 
     if machine is None:
         if not recording.machine_text:
-            raise RequestError(f"{path}: carries no machine file to simulate; give {{machine}}")
+            raise RequestError("{}: carries no machine file to simulate; give {machine}", path)
         machine = machine_from_text(recording.machine_text, label=f"{path}: its machine file")
     return simulate(machine, recording)
 

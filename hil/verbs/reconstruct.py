@@ -88,7 +88,7 @@ def answer(request: ReconstructRequest, listener: Listener = NOBODY) -> Reconstr
     from hil.reconstruction.fdk import line_integrals, reconstruct, write_volume
 
     if not 0.0 < request.spacing_m < math.inf:
-        raise RequestError(f"{{spacing_m}} {1e3 * request.spacing_m:g}: must be a positive number")
+        raise RequestError("{spacing_m} {}: must be a positive number", f"{1e3 * request.spacing_m:g}")
     if (request.neck is None) != (request.dome is None):
         raise RequestError("{neck} and {dome}: give both, or none")
     if request.lookup is not None and request.geometry is not None:
@@ -191,6 +191,8 @@ def _require_memory(size: int, projections: tuple[int, int, int], listener: List
     if hasattr(os, "sysconf"):  # Windows does not say
         there_is = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     if needed > there_is:
-        raise RequestError(f"{{size}} {size}: takes {needed / 1e9:.1f} GB of memory; this computer has {there_is / 1e9:.1f} GB")
+        raise RequestError(
+            "{size} {}: takes {} GB of memory; this computer has {} GB", size, f"{needed / 1e9:.1f}", f"{there_is / 1e9:.1f}"
+        )
     if needed > LARGE_BYTES:
         listener.say(f"a volume of {size} voxels a side takes {needed / 1e9:.1f} GB of memory")

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hil.verbs.errors import as_bench_errors
-from hil.verbs.verb import EMULATED, KEPT, NOBODY, Listener
+from hil.verbs.verb import EMULATED, KEPT, NOBODY, POSE, Listener, option
 
 if TYPE_CHECKING:
     from hil.identification import FrequencyResponse
@@ -22,24 +22,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ShapeRequest:
-    """Shapers of one axis of a machine: the parts are those of `shape`."""
+    """Shapers of one axis of a machine."""
 
     machine: Machine
-    axis: str
-    pose: Mapping[str, float] = field(default_factory=dict)
-    frf: FrequencyResponse | str | Path | None = None
-    """Design from this identified response, or its file, instead."""
-    period_s: float | None = None
-    harmonics: Sequence[int] = (1, 3, 5)
-    longest_s: float | None = None
-    schedule: str = ""
-    output: str = "link"
-    quiet_Hz: tuple[float, float] | None = None
-    """Band that the quiet design passes least in, unless the usual one."""
-    also: Sequence[str] = ()
-    take: str = ""
-    """Design that is chosen, unless the recommended one."""
-    out: Path | None = None
+    axis: str = option("Axis whose reference is shaped.", None, "--axis", kind=str, is_needed=True)
+    out: Path | None = option("Where to write the shaper (.npz).", "SHAPER", "-o", "--out", is_needed=True)
+    pose: Mapping[str, float] | None = option(POSE, "AXIS=VALUE,...", "--pose")
+    period_s: float | None = option("Period of a scan that repeats; 0 for a sweep.", "S", "--period", kind=float, none=0.0)
+    harmonics: Sequence[int] = option("Of the period: tracked without error.", "N,N,...", "--harmonics", default=(1, 3, 5))
+    longest_s: float | None = option("Longest transient; 0.6 s for a sweep, one period otherwise.", "S", "--longest", kind=float, none=0.0)
+    schedule: str = option("Design over the range of this axis and interpolate.", "AXIS", "--schedule", default="")
+    output: str = option("What shall track: link, detector or motor.", None, "--output", default="link")
+    frf: FrequencyResponse | str | Path | None = option("Design from an identified frequency response.", "FRF", "--frf")
+    quiet_Hz: tuple[float, float] = option("Band [Hz] that the quiet design passes least in.", "LOW:HIGH", "--quiet", default=(4.0, 20.0))
+    also: Sequence[str] = option("Designs beside the usual ones: shortest, dc, zpetc, zmetc.", "NAME,...", "--also", default=())
+    take: str = option("Write this design instead of the recommended one.", "NAME", "--take", default="")
 
     @property
     def inputs(self) -> list[Path]:
@@ -97,7 +94,7 @@ class ShapeAnswer:
     """Why no moves were simulated; empty where they were, or for a frequency response."""
     choice: ShaperChoice = field(metadata=KEPT, repr=False)
     steps: Mapping[str, InTime] = field(metadata=KEPT, repr=False)
-    quiet_Hz: tuple[float, float] = field(metadata=KEPT, repr=False)
+    request: ShapeRequest = field(metadata=KEPT, repr=False)
 
     @property
     def sentence(self) -> str:
@@ -120,7 +117,7 @@ class ShapeAnswer:
         from hil.shaping.in_time import in_time_lines
         from hil.shaping.report import design_lines, left_out_lines, outside_lines
 
-        choice, (low, high) = self.choice, self.quiet_Hz
+        choice, (low, high) = self.choice, self.request.quiet_Hz
         poses = len(choice.subjects.each)
         return [
             f"{self.aim.kind} of {choice.axis}, from {self.source}",
@@ -145,7 +142,6 @@ def answer(request: ShapeRequest, listener: Listener = NOBODY) -> ShapeAnswer:
     """
     from hil.files.writable import can_be_written, not_an_input
     from hil.shaping.in_time import after_step, settled
-    from hil.shaping.shaper_design import QUIET_BAND_Hz
     from hil.shaping.shaper_file import write_shaper
 
     if request.out is not None:
@@ -177,7 +173,7 @@ def answer(request: ShapeRequest, listener: Listener = NOBODY) -> ShapeAnswer:
         choice.candidates.not_simulated,
         choice,
         steps,
-        request.quiet_Hz or QUIET_BAND_Hz,
+        request,
     )
 
 
@@ -186,9 +182,8 @@ def choose(request: ShapeRequest, listener: Listener = NOBODY) -> ShaperChoice:
     from hil.identification import read_frf
     from hil.shaping.aim import periodic, sweep
     from hil.shaping.choice import check_request, choose_shaper
-    from hil.shaping.shaper_design import QUIET_BAND_Hz
 
-    check_request(request.machine, request.axis, request.schedule, request.pose, request.frf is not None)
+    check_request(request.machine, request.axis, request.schedule, request.pose or {}, request.frf is not None)
     longest = {} if request.longest_s is None else {"longest_transient_s": request.longest_s}
     aim = sweep(**longest) if request.period_s is None else periodic(request.period_s, request.harmonics, request.longest_s)
     frf = read_frf(request.frf) if isinstance(request.frf, str | Path) else request.frf
@@ -201,7 +196,7 @@ def choose(request: ShapeRequest, listener: Listener = NOBODY) -> ShaperChoice:
             aim=aim,
             schedule=request.schedule,
             output=request.output,
-            quiet_Hz=request.quiet_Hz or QUIET_BAND_Hz,
+            quiet_Hz=request.quiet_Hz,
             also=request.also,
         )
     choice = choice.named(request.take) if request.take else choice
@@ -274,7 +269,7 @@ def shape(
     >>> bool(choice.chosen.name != "none"), float(choice.shaper.gains.sum().round(6)), choice.shaper.transient_samples < 200
     (True, 1.0, True)
     """
-    return choose(ShapeRequest(machine, axis, pose or {}, frf, period_s, harmonics, longest_s, schedule, output, also=also))
+    return choose(ShapeRequest(machine, axis, None, pose, period_s, harmonics, longest_s, schedule, output, frf, also=also))
 
 
 def _source(choice: ShaperChoice, frf: FrequencyResponse | str | Path | None) -> str:

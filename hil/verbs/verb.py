@@ -21,6 +21,7 @@ KEPT = {"json": False}
 
 RECORDING = "Recording (.mf4, .csv, .parquet, .mcap, .mat)."
 EFFECTS = "Effects file (TOML): physics added by name."
+POSE = "Start pose, in degrees (mm on a prismatic axis); axes left out stand at 0."
 SCAN = "Folder of a scan: its images, when they were exposed, and the panel's description."
 
 
@@ -30,7 +31,7 @@ class Option:
 
     help: str
     metavar: str | None
-    """What is typed; `MM` is read in SI, `LOW:HIGH`, `X,Y,Z` [mm], `NAME,...` and the like as several values."""
+    """What is typed; `MM` and `MS` are read in SI, `LOW:HIGH`, `X,Y,Z` [mm], `NAME,...` and the like as several values."""
     names: tuple[str, ...] = ()
     """As they are typed; without, it is told by its place."""
     kind: type = Path
@@ -40,6 +41,10 @@ class Option:
     """Whether it may be given again and again."""
     least: float | None = None
     most: float | None = None
+    form: str = ""
+    """How its text is read, unless as its metavar says."""
+    none: float | None = None
+    """Number that is typed for none."""
 
 
 def option(help: str, metavar: str | None, *names: str, default: object = None, **more: Any) -> Any:  # noqa: ANN401 - as `dataclasses.field`

@@ -24,10 +24,18 @@ def test_python_calls_parts_by_their_names_and_a_command_by_its_options(tmp_path
     carm = hil.open_machine("carm")
     nothing = hil.Recording({"time": hil.Channel("s", np.arange(3.0))}, {})
     with pytest.raises(RequestError, match=r"^design: a design is ready; responses, multisines, standing, sweeps and tuned_on make"):
-        observe.answer(observe.ObserveRequest(carm, nothing, tmp_path / "a.npz", observe.Measured(tuned_on=[nothing])))
+        observe.answer(observe.ObserveRequest(carm, nothing, design=tmp_path / "a.npz", tuned_on=[nothing]))
     told = runner(capsys)("observe", "carm", "b.mf4", "-o", tmp_path / "x.npz", "--design", "a.npz", "--tune", "c.mf4")
     assert told.status == 2
     assert "--design: a design is ready; --frf, --multisine, --standing, --sweep and --tune make a new one (see " in told.line
+
+
+def test_what_is_exposed_is_refused_in_both_faces_by_the_same_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    carm = hil.open_machine("carm")
+    with pytest.raises(RequestError, match=r"^rate_Hz 0: must be a positive number$"):
+        hil.expose(carm, hil.Recording({"time": hil.Channel("s", np.arange(3.0))}, {}), tmp_path / "t.csv", tmp_path, rate_Hz=0.0)
+    told = runner(capsys)("expose", "carm", "b.mf4", "--truth", "t.csv", "-o", tmp_path / "x", "--width=-2")
+    assert (told.status, told.line) == (2, "isocenter: --width -2: must be a positive number")
 
 
 def test_an_axis_that_is_not_there_is_told_by_its_part() -> None:
