@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 
     from hil.machine.machine import Machine
 
+_TAKEN_BY_NAME = "where --map names columns, others that hold no numbers are left out"
+
 
 def metadata_path(path: Path) -> Path:
     """Return the path of a CSV recording's metadata."""
@@ -214,7 +216,8 @@ def _parse(
             except ValueError:
                 one, cell = targets[place], cells[place].strip()
                 if one is None or not named or one.channel in {"time", *named}:
-                    raise RecordingError(f"{path}: line {line}: {header[place]} = {cell!r} is no number") from None
+                    way_out = "" if strict or named or (one and one.channel == "time") else f"; {_TAKEN_BY_NAME}"
+                    raise RecordingError(f"{path}: line {line}: {header[place]} = {cell!r} is no number{way_out}") from None
                 row.append(np.nan)
                 no_numbers.setdefault(place, f"{header[place]}: line {line}: {cell[:40]!r} is no number")
         try:
