@@ -40,6 +40,7 @@ def connect_modules(sections: Sections, repairs: Repairs, integer: Integer) -> N
         repairs.add(words, min(_info(sections, number).line for number in free))
     extensions: dict[int, list[_Extension]] = {}
     for number in connected:
+        _tell_missing(sections, repairs, number, integer)
         for head in [head for head in sections if head.startswith(f"M{number}")]:
             match = MODULE.match(head)
             if match is None or int(match[1]) != number or match[3] is None:
@@ -53,6 +54,16 @@ def connect_modules(sections: Sections, repairs: Repairs, integer: Integer) -> N
                 extensions.setdefault(index, []).append(_Extension(index, count, next_object, head))
     for those in extensions.values():
         _extend(sections, repairs, those)
+
+
+def _tell_missing(sections: Sections, repairs: Repairs, number: int, integer: Integer) -> None:
+    """Tell which objects a module's lists name without a section of them."""
+    for title, part in (("SubExtends", "SubExt"), ("FixedObjects", "Fixed")):
+        listing = sections.get(f"M{number}{title.upper()}", Section(0))
+        indices = entries_of(listing, f"M{number}{title}", integer)
+        if lacking := [f"[M{number}{part}{index:04X}]" for index in indices if f"M{number}{part.upper()}{index:04X}" not in sections]:
+            more = f" and {len(lacking) - _SHOWN} more" if lacking[_SHOWN:] else ""
+            repairs.add(f"[M{number}{title}] lists objects without a section: {', '.join(lacking[:_SHOWN])}{more}", listing.line)
 
 
 def _info(sections: Sections, number: int) -> Section:

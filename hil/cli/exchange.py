@@ -23,6 +23,12 @@ if TYPE_CHECKING:
 FAR = 1.25
 """Ratio of focal lengths beyond which matrices are of other pixels: binning goes in steps of 1.5 and more."""
 
+_SQUARE = 0.01
+"""Largest difference of a pixel's height from its width, as a share, that is not told."""
+
+_SHOWN = 8
+"""Names of arrays in one message."""
+
 SUFFIXES = (".npz", ".csv", ".json", ".xml", ".dcm")
 READABLE = (*SUFFIXES, ".npy")
 ENHANCED = "enhanced-xa"
@@ -111,6 +117,10 @@ def _read(path: Path, machine: Machine, calibration: Path | None, binning: int) 
         arrays = read_arrays(path, "an archive of vectors or a look-up table")
         if program_of(arrays):
             return _vectors(path, machine, read_vectors(path, arrays, detector))
+        if "format" not in arrays:
+            has = ", ".join(sorted(arrays)[:_SHOWN]) + (", ..." if len(arrays) > _SHOWN else "")
+            known = "Vectors of ASTRA, sourcePositions or phis of LEAP, DSO and DSD of TIGRE, format of a table"
+            raise UnusableInputError(f"{path}: holds {has or 'nothing'}; what is read has one of: {known}")
         table = read_calibration(path, machine)
         if not isinstance(table, LookUp):
             raise UnusableInputError(f"{path}: a model has no exposures of its own; convert a scan's folder --with it")
@@ -130,7 +140,16 @@ def _read(path: Path, machine: Machine, calibration: Path | None, binning: int) 
         from hil.imaging.exchange.dicom_file import read_xa
 
         found = read_xa(path)
-        pixels = () if found.detector else (f"it names no pixels: those of {machine.name} with --binning {binning} were taken",)
+        if found.detector is None and found.size not in (None, (detector.columns, detector.rows)):
+            own, wanted = (" x ".join(map(str, each)) for each in (found.size or (), (detector.columns, detector.rows)))
+            words = f"no ImagerPixelSpacing, and {own} pixels, where {machine.name} with --binning {binning} has {wanted}"
+            raise UnusableInputError(f"{path}: {words}; name the --binning of its images")
+        named = "no size of its pixels: that" if found.size else "no pixels: those"
+        pixels = (
+            ()
+            if found.detector
+            else (f"it names {named} of {machine.name} with --binning {binning} {'was' if found.size else 'were'} taken",)
+        )
         return _Geometry(found.beam, found.detector or detector, notes=(*found.notes, *pixels))
     raise UnusableInputError(f"{path}: must be a scan's folder or end in {', '.join(READABLE)}")
 
@@ -181,7 +200,10 @@ def _write(path: Path, read: _Geometry, machine: Machine, rows_up: bool, images:
         from hil.imaging.exchange.matrices import write_matrices
 
         write_matrices(path, read.beam, read.detector)
-        return [f"for images of {read.detector.columns} x {read.detector.rows} pixels of {1e3 * read.detector.pitch_m:.4g} mm"]
+        panel = read.detector
+        wide, high = 1e3 * panel.pitch_m, 1e3 * panel.pitch_m * panel.aspect
+        height = f" x {high:.4g}" if abs(high - wide) > _SQUARE * wide else ""
+        return [f"for images of {panel.columns} x {panel.rows} pixels of {wide:.4g}{height} mm"]
     if suffix == ".xml":
         from hil.imaging.exchange.rtk_xml import write_rtk
 

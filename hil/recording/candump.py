@@ -34,6 +34,9 @@ _BITS = 8
 
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 _ERROR_FRAME = 0x20000000
+_DROPPED = re.compile(r"DROPCOUNT: dropped (\d+) CAN frames? on .*")
+"""What candump -d says, in the log too, when the socket was full."""
+
 _FALLEN = 0.5
 """A time stamp below this share of the one before it may be a difference: frames out of order are apart by milliseconds."""
 
@@ -50,26 +53,39 @@ _SHORT = 6
 def read_candump(path: Path) -> CanLog:
     """Return the frames of a candump log in file order; RecordingError names the first line that is no frame."""
     try:
-        lines = path.read_bytes().decode("ascii").splitlines()
+        text = path.read_bytes().decode("ascii")
     except OSError as problem:
         raise RecordingError(f"{path}: cannot be read: {problem.strerror}") from None
     except UnicodeDecodeError as problem:
         number = problem.object[: problem.start].count(b"\n") + 1
         raise RecordingError(f"{path}: line {number}: no ASCII text, so no log of candump") from None
     frames: list[CanFrame] = []
-    errors = 0
+    errors, dropped, notes = 0, 0, list[str]()
     stamps: set[str] = set()
+    lines = text.splitlines()
+    unfinished = len(lines) if len(lines) > 1 and not text.endswith("\n") else 0
     for number, line in enumerate(lines, 1):
         if not line.strip() or (errors and line.startswith("\t")):  # after an error frame `-e` explains it
             continue
-        frame, stamp = _frame(_COLOURS.sub("", line).strip(), path, number)
+        line = _COLOURS.sub("", line).strip()
+        if match := _DROPPED.fullmatch(line):
+            dropped += int(match[1])
+            continue
+        try:
+            frame, stamp = _frame(line, path, number)
+        except RecordingError:
+            if number != unfinished:
+                raise
+            notes.append(f"line {number}, the last, is cut off ({line[:60]!r}) and was left out")
+            break
         stamps.add(stamp)
         if len(stamps) > 1:
             raise RecordingError(f"{path}: line {number}: another kind of time stamp than in the lines before; keep the lines of one run")
         if frame.extended and frame.can_id & _ERROR_FRAME:
             errors += 1
         frames.append(frame)
-    notes = []
+    if dropped:
+        notes.append(f"{counted(dropped, 'frame')} that candump itself dropped, by its own count")
     if stamps == {"count"} and _are_differences([frame.time_s for frame in frames]):
         times = itertools.accumulate(frame.time_s for frame in frames)
         frames = [frame._replace(time_s=time_s) for frame, time_s in zip(frames, times, strict=True)]

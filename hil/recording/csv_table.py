@@ -19,7 +19,7 @@ from hil.errors import RecordingError
 from hil.files.atomic import write_atomically
 from hil.files.regular import check_regular
 from hil.recording.can_frames import counted
-from hil.recording.channels import check_name, is_whole
+from hil.recording.channels import check_name, is_whole, unit_and_factor
 from hil.recording.csv_dialect import Clock, Numbers, decoded, is_number, laid_out, row_of_units
 from hil.recording.csv_labels import Lines, of_one_part
 from hil.recording.metadata import machine_table, metadata_text, parse_metadata
@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from _csv import Reader
 
     from hil.machine.machine import Machine
+
+_TAKEN_BY_NAME = "where --map names columns, others that hold no numbers are left out"
 
 
 def metadata_path(path: Path) -> Path:
@@ -86,18 +88,22 @@ def read_csv(path: Path, machine: Machine | None = None, names: Mapping[str, Tar
     if rows is not None and not text.endswith("\n"):
         raise RecordingError(f"{path}: line {text.count(chr(10)) + 1}: the last line is not complete; the file was cut off")
     table = _parse(path, text, names or {}, machine, part="" if part[:1] == "@" else part)
-    values, lines, notes = table.values, table.lines, [*notes, *table.notes]
+    values, lines, notes, targets = table.values, table.lines, [*notes, *table.notes], list(table.targets)
     if rows is not None and rows != len(values):
         beside = metadata_path(path).name
         raise RecordingError(f"{path}: {len(values)} rows, but {beside} says rows = {rows}; the file was cut off or edited")
     if not metadata_path(path).exists():
         try:
-            own, names_of = part if part[:1] == "@" else "", [one.channel for one in table.targets]
+            own, names_of = part if part[:1] == "@" else "", [one.channel for one in targets]
+            place = names_of.index("time")
+            factor = unit_and_factor("time", table.targets[place].unit or "s")[1]
+            targets[place] = targets[place]._replace(unit="s")  # what is said of times is in s
+            values[:, place] *= factor
             values, order = rows_in_order(values, names_of, "line", lines, own, table.heads)
         except RecordingError as problem:
             raise RecordingError(f"{path}: {problem}") from None
         notes = [*notes, *order]
-    channels = {one.channel: Channel(one.unit or "", values[:, column]) for column, one in enumerate(table.targets)}
+    channels = {one.channel: Channel(one.unit or "", values[:, column]) for column, one in enumerate(targets)}
     _check_time(path, channels["time"].values, lines, may_repeat=metadata.get("kind") == CAN_FRAMES)
     if names or table.not_taken or notes:
         renamed = {name: one.channel for name, one in (names or {}).items()}
@@ -210,7 +216,8 @@ def _parse(
             except ValueError:
                 one, cell = targets[place], cells[place].strip()
                 if one is None or not named or one.channel in {"time", *named}:
-                    raise RecordingError(f"{path}: line {line}: {header[place]} = {cell!r} is no number") from None
+                    way_out = "" if strict or named or (one and one.channel == "time") else f"; {_TAKEN_BY_NAME}"
+                    raise RecordingError(f"{path}: line {line}: {header[place]} = {cell!r} is no number{way_out}") from None
                 row.append(np.nan)
                 no_numbers.setdefault(place, f"{header[place]}: line {line}: {cell[:40]!r} is no number")
         try:

@@ -256,7 +256,8 @@ def named_or_own(
                 raise RecordingError(f"{path}: {problem}") from None
             not_taken.append(f"{name}: {problem}")
     if not wanted:
-        raise RecordingError(f"{path}: holds no numeric signals")
+        why = listed(list(dict.fromkeys(found.others.values())))
+        raise RecordingError(f"{path}: holds no numeric signals with a time{f'; others: {why}' if why else ''}")
     return wanted, not_taken
 
 

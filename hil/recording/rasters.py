@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hil.errors import RecordingError
-from hil.recording.channels import is_whole
+from hil.recording.channels import is_whole, unit_and_factor
 from hil.recording.naming import Column, Columns, Target, named_channels
 from hil.recording.recording import UNEQUAL_STEP, Channel
 from hil.recording.stamps import part_straightened, rows_in_order, said_twice
@@ -56,6 +56,8 @@ def channels_in_order(channels: dict[str, Channel], path: Path, part: str = "") 
     """Return the channels of one table in order of its time, and what was done; RecordingError where `stamps` refuses."""
     if "time" not in channels or len({channel.values.size for channel in channels.values()}) > 1:
         return channels, []  # what is wrong is told elsewhere
+    time = channels["time"]
+    channels = {**channels, "time": Channel("s", unit_and_factor("time", time.unit)[1] * time.values)}  # what is said of times is in s
     table = np.column_stack([channel.values for channel in channels.values()])
     try:
         table, notes = rows_in_order(table, list(channels), part=part)

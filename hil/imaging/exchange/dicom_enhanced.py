@@ -13,7 +13,17 @@ import numpy as np
 
 from hil.errors import UnusableInputError
 from hil.imaging.detector import Detector
-from hil.imaging.exchange.dicom_xa import Positioner, decimal, new_dataset, not_taken, notes_of, pydicom_package, sop_class, write_dataset
+from hil.imaging.exchange.dicom_xa import (
+    Positioner,
+    decimal,
+    new_dataset,
+    not_taken,
+    notes_of,
+    pydicom_package,
+    size_of,
+    sop_class,
+    write_dataset,
+)
 
 if TYPE_CHECKING:
     from pydicom.dataset import Dataset
@@ -58,7 +68,7 @@ def enhanced_positioner(path: Path, data: Dataset) -> Positioner:
     views = [item[_VIEW].value[0] for item in (shared, *groups) if item is not None and _VIEW in item and item[_VIEW].value]
     turned = {words for item in (data, *views) for words in not_taken(item)}
     detector = _detector(path, data, [(item, shared) for item in groups or (None,)])
-    return Positioner(primary, secondary, to_patient, to_detector, detector, notes_of(*sorted(there), *sorted(turned)))
+    return Positioner(primary, secondary, to_patient, to_detector, detector, notes_of(*sorted(there), *sorted(turned)), size_of(data))
 
 
 def _value(path: Path, data: Dataset, items: tuple[Dataset | None, Dataset | None], frame: int, group: str, name: str) -> Any:  # noqa: ANN401

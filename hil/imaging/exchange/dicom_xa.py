@@ -40,7 +40,9 @@ class Positioner:
     source_to_patient_m, source_to_detector_m : float or (N,) arrays
         Focal spot to isocentre, and to the panel.
     detector : Detector or None
-        None where the file names no pixels.
+        None where the file names no pixels, or not their size.
+    size : tuple of int or None
+        Columns and rows, where the file names them.
     notes : tuple of str
         What the file holds and is not taken.
     """
@@ -51,6 +53,7 @@ class Positioner:
     source_to_detector_m: float | np.ndarray
     detector: Detector | None
     notes: tuple[str, ...] = ()
+    size: tuple[int, int] | None = None
 
     @property
     def beam(self) -> ConeBeam:
@@ -150,7 +153,13 @@ def classic_positioner(path: Path, data: Dataset) -> Positioner:
         source_to_detector_m=1e-3 * _number(path, data, "DistanceSourceToDetector"),
         detector=detector,
         notes=notes_of(*not_taken(data), *moves),
+        size=size_of(data),
     )
+
+
+def size_of(data: Dataset) -> tuple[int, int] | None:
+    """Return columns and rows, where a file names both."""
+    return (int(data.Columns), int(data.Rows)) if data.get("Rows") and data.get("Columns") else None
 
 
 def not_taken(item: Dataset) -> list[str]:

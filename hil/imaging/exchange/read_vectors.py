@@ -24,7 +24,10 @@ SAME_PANEL = 1e-4
 """Largest difference of steps between exposures, as a share of a pixel, that single precision leaves of one panel."""
 
 _LEAP = ("sourcePositions", "moduleCenters", "rowVectors", "colVectors", "pixelHeight", "pixelWidth")
-_TIGRE = ("DSO", "DSD", "angles")
+_TIGRE = ("dso", "dsd")
+_TURNS = 4.0 * np.pi
+"""Span of angles [rad] from which it is said that they are taken in rad: a scan seldom goes round twice."""
+
 _NUMBERS_OF_CONE = 12
 _NUMBERS_OF = {6: "fan beam, fanflat_vec", 12: "cone_vec"}
 
@@ -59,7 +62,7 @@ def program_of(arrays: Mapping[str, np.ndarray]) -> str:
         return "astra"
     if {name.lower() for name in _LEAP[:4]} <= names or set(LEAP_CONE[:3]) <= names:
         return "leap"
-    return "tigre" if {name.lower() for name in _TIGRE} <= names else ""
+    return "tigre" if set(_TIGRE) <= names else ""
 
 
 def read_bare_vectors(path: Path, detector: Detector) -> Vectors:
@@ -114,7 +117,8 @@ def _astra(found: Mapping[str, np.ndarray], detector: Detector) -> Vectors:
     columns = _whole(found, ("det_col_count", "detectorcolcount"), detector.columns)
     if kind == "cone":
         source, center, u, v = (1e-3 * one for one in astra_circle(found))
-        return _from_steps("astra", source, center, u, v, columns, rows)
+        read = _from_steps("astra", source, center, u, v, columns, rows)
+        return read._replace(notes=_turns(np.asarray(found["projectionangles"], dtype=np.float64)))
     vectors = np.asarray(found["vectors"], dtype=np.float64)
     if vectors.ndim != 2 or vectors.shape[1] != _NUMBERS_OF_CONE or not len(vectors):
         is_fan = vectors.ndim == 2 and vectors.shape[1] in _NUMBERS_OF
@@ -147,9 +151,8 @@ def _tigre(found: Mapping[str, np.ndarray], detector: Detector) -> Vectors:
     if str(found.get("mode", "cone")) != "cone":
         raise ValueError(f"mode = {found['mode']}; cone is read")
     count = len(angles)
-    to_origin, to_panel = (_each(found[name], count) for name in ("dso", "dsd"))
-    offset = _rows_of(found.get("offdetector", np.zeros(2)), count, 2)
-    tilt = _rows_of(found.get("rotdetector", np.zeros(3)), count, 3)
+    to_origin, to_panel = (_each(found, name, count) for name in ("dso", "dsd"))
+    offset, tilt = _rows_of(found, "offdetector", count, 2), _rows_of(found, "rotdetector", count, 3)
     if "ddetector" in found:
         height, width = (1e-3 * float(one) for one in np.asarray(found["ddetector"], dtype=np.float64))
     else:
@@ -161,13 +164,11 @@ def _tigre(found: Mapping[str, np.ndarray], detector: Detector) -> Vectors:
     panel = gantry @ Rotation.from_euler("ZYX", tilt).as_matrix()
     source = to_origin[:, None] * gantry[:, :, 0]
     center = (gantry @ np.column_stack([to_origin - to_panel, offset[:, 1], offset[:, 0]])[..., None])[..., 0]
-    aside = _each(found.get("cor", np.zeros(1)), count)[:, None] * np.column_stack(
-        [-np.sin(angles[:, 0]), np.cos(angles[:, 0]), np.zeros(count)]
-    )
+    aside = _each(found, "cor", count)[:, None] * np.column_stack([-np.sin(angles[:, 0]), np.cos(angles[:, 0]), np.zeros(count)])
     source, center = source + aside, center + aside  # a centre of rotation beside the origin moves both
     read = _from_steps("tigre", 1e-3 * source, 1e-3 * center, width * panel[:, :, 1], height * panel[:, :, 2], columns, rows)
-    moved = np.any(found.get("offorigin", 0.0))
-    return read._replace(notes=("offOrigin is the volume's place and was not taken",) if moved else ())
+    notes = ("offOrigin is the volume's place and was not taken",) if np.any(found.get("offorigin", 0.0)) else ()
+    return read._replace(notes=(*notes, *_turns(angles[:, 0])))
 
 
 def _from_steps(program: str, source: np.ndarray, center: np.ndarray, u: np.ndarray, v: np.ndarray, columns: int, rows: int) -> Vectors:
@@ -197,12 +198,31 @@ def _from_steps(program: str, source: np.ndarray, center: np.ndarray, u: np.ndar
     return Vectors(program, ConeBeam.from_frames(source, center, rotation), detector, bool(flipped.all()))
 
 
-def _each(values: np.ndarray, count: int) -> np.ndarray:
-    return np.broadcast_to(np.asarray(values, dtype=np.float64).ravel(), (count,)).astype(np.float64)
+def _turns(angles_rad: np.ndarray) -> tuple[str, ...]:
+    """Return a note on angles that go round often, as degrees taken for rad do."""
+    span = float(np.ptp(angles_rad)) if angles_rad.size else 0.0
+    return (f"its angles span {span:.4g}, taken in rad: {span / (2.0 * np.pi):.3g} turns",) if span > _TURNS else ()
 
 
-def _rows_of(values: np.ndarray, count: int, width: int) -> np.ndarray:
-    return np.broadcast_to(np.asarray(values, dtype=np.float64), (count, width)).astype(np.float64)
+def _each(found: Mapping[str, np.ndarray], name: str, count: int) -> np.ndarray:
+    """Return a number of each exposure (N,), 0 where there is none but DSO and DSD."""
+    values = np.asarray(found[name] if name in _TIGRE else found.get(name, 0.0), dtype=np.float64).ravel()
+    if values.size not in (1, count):
+        raise ValueError(f"{_written(name)} has {values.size} numbers; 1 or {count}, those of angles, would be right")
+    return np.broadcast_to(values, (count,)).astype(np.float64)
+
+
+def _rows_of(found: Mapping[str, np.ndarray], name: str, count: int, width: int) -> np.ndarray:
+    """Return some numbers of each exposure (N, width), 0 where there are none."""
+    values = np.asarray(found.get(name, np.zeros(width)), dtype=np.float64)
+    if values.shape not in ((width,), (1, width), (count, width)):
+        raise ValueError(f"{_written(name)} of shape {values.shape}; ({width},) or ({count}, {width}) would be right")
+    return np.broadcast_to(values, (count, width)).astype(np.float64)
+
+
+def _written(name: str) -> str:
+    """Return a name as TIGRE writes it."""
+    return {"offdetector": "offDetector", "rotdetector": "rotDetector"}.get(name, name.upper())
 
 
 def _number(found: Mapping[str, np.ndarray], name: str) -> float:

@@ -11,6 +11,7 @@ import pytest
 from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from hil.cli import main
 from hil.errors import UnusableInputError
@@ -345,6 +346,74 @@ def test_the_command_tells_whose_pixels_it_took(tmp_path: Path, capsys: pytest.C
     with pytest.raises(SystemExit):
         main(["geometry", "convert", "carm", str(tmp_path / "c.dcm"), str(tmp_path / "o.csv")])
     assert "it names no pixels: those of carm with --binning 4 were taken" in capsys.readouterr().out
+
+
+def test_images_of_other_pixels_whose_size_nothing_says_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pydicom = pytest.importorskip("pydicom")
+    write_xa(tmp_path / "c.dcm", Positioner(np.zeros(2), np.zeros(2), 0.81, 1.16, None))
+    write_enhanced_xa(tmp_path / "e.dcm", Positioner(np.zeros(2), np.zeros(2), 0.81, 1.16, PANEL))
+    for name in ("c.dcm", "e.dcm"):
+        data = pydicom.dcmread(tmp_path / name)
+        data.Rows, data.Columns = 512, 500
+        for item in data.get("SharedFunctionalGroupsSequence", []):
+            item.pop("FramePixelDataPropertiesSequence", None)
+        for item in data.get("PerFrameFunctionalGroupsSequence", []):
+            item.pop("FramePixelDataPropertiesSequence", None)
+        data.save_as(tmp_path / name)
+        with pytest.raises(SystemExit) as ended:
+            main(["geometry", "convert", "carm", str(tmp_path / name), str(tmp_path / "o.csv")])
+        assert ended.value.code == 2
+        words = "no ImagerPixelSpacing, and 500 x 512 pixels, where carm with --binning 4 has 620 x 480; name the --binning of its images"
+        assert words in capsys.readouterr().err
+        assert not (tmp_path / "o.csv").exists()
+
+
+def test_an_archive_of_something_else_is_told_by_what_it_holds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    np.savez(tmp_path / "a.npz", gain=1.0, dark=2.0)
+    with pytest.raises(SystemExit):
+        main(["geometry", "convert", "carm", str(tmp_path / "a.npz"), str(tmp_path / "o.csv")])
+    said = capsys.readouterr().err
+    assert "a.npz: holds dark, gain; what is read has one of: Vectors of ASTRA" in said
+    assert "look-up table of isocenter" not in said
+
+
+TIGRE = {"DSO": 810.0, "DSD": 1160.0, "angles": np.linspace(0.0, 3.3, 9), "nDetector": [480, 620], "dDetector": [0.6, 0.6]}
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"angles": None}, "TIGRE's vectors without angles"),
+        ({"offDetector": np.zeros((2, 9))}, r"offDetector of shape \(2, 9\); \(2,\) or \(9, 2\) would be right"),
+        ({"rotDetector": np.zeros(2)}, r"rotDetector of shape \(2,\); \(3,\) or \(9, 3\) would be right"),
+        ({"COR": np.zeros(4)}, "COR has 4 numbers; 1 or 9, those of angles, would be right"),
+        ({"DSO": np.full(8, 810.0)}, "DSO has 8 numbers; 1 or 9"),
+    ],
+)
+def test_arrays_of_tigre_that_do_not_fit_are_named(tmp_path: Path, changed: dict[str, object], words: str) -> None:
+    np.savez(tmp_path / "t.npz", **{name: np.asarray(one) for name, one in (TIGRE | changed).items() if one is not None})
+    with pytest.raises(UnusableInputError, match=words):
+        read_back(tmp_path / "t.npz")
+
+
+def test_offsets_of_tigre_s_panel_may_differ_from_exposure_to_exposure(tmp_path: Path) -> None:
+    """Its documented geometry: the panel's middle is (DSO - DSD, offDetector[1], offDetector[0]), turned about z by the angle."""
+    angles = np.linspace(0.0, 3.3, 9)
+    offset = np.column_stack([3.0 * np.sin(angles), 150.0 + 5.0 * np.cos(angles)])
+    np.savez(tmp_path / "t.npz", **TIGRE, offDetector=offset)
+    found = read_back(tmp_path / "t.npz").beam
+    seen = 1e3 * (found.detector_in_phantom_m - found.source_in_phantom_m)
+    turn = Rotation.from_euler("z", angles[:, None])
+    np.testing.assert_allclose(1e3 * found.source_in_phantom_m, turn.apply([810.0, 0.0, 0.0]), atol=1e-9)
+    np.testing.assert_allclose(seen, turn.apply(np.column_stack([np.full(9, -1160.0), offset[:, 1], offset[:, 0]])), atol=1e-9)
+
+
+def test_angles_that_go_round_often_are_told_in_turns(tmp_path: Path) -> None:
+    degrees = np.degrees(np.linspace(0.0, 3.3, 9))
+    np.savez(tmp_path / "t.npz", **TIGRE | {"angles": degrees})
+    assert read_back(tmp_path / "t.npz").notes == ("its angles span 189.1, taken in rad: 30.1 turns",)
+    np.savez(tmp_path / "t.npz", **TIGRE)
+    assert read_back(tmp_path / "t.npz").notes == ()
 
 
 def test_a_dicom_file_of_another_kind_is_named(tmp_path: Path) -> None:

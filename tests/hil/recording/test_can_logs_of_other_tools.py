@@ -67,6 +67,10 @@ def absolute(frames: list[Frame]) -> list[str]:
     return [f" ({START_S + frame[0]:.6f})  {plain(frame)}" for frame in frames]
 
 
+def filed(frames: list[Frame]) -> list[str]:
+    return [f"({START_S + time_s:.6f}) can0 {can_id:03X}#{data.hex().upper()}" for time_s, can_id, data in frames]
+
+
 def dated(frames: list[Frame]) -> list[str]:
     return [f" ({datetime.fromtimestamp(START_S + frame[0], UTC):%Y-%m-%d %H:%M:%S.%f})  {plain(frame)}" for frame in frames]
 
@@ -153,6 +157,30 @@ def test_candumps_other_rows_are_counted(carm: Machine, tmp_path: Path) -> None:
     bare, _ = read(path, None)
     assert bare.rows == 3 * TICKS + 5
     np.testing.assert_array_equal(bare["can_length"][bare["can_fd"] == 1], [12])
+
+
+@pytest.mark.parametrize(("form", "kept"), [(absolute, 9), (absolute, 40), (filed, 9), (filed, 27)])
+def test_a_log_whose_writer_was_killed_is_read_up_to_there(
+    form: Callable[[list[Frame]], list[str]], kept: int, carm: Machine, tmp_path: Path
+) -> None:
+    path = tmp_path / "dump.log"
+    lines = form(tick_frames(TICKS))
+    path.write_text("\n".join([*lines, lines[-1][:kept]]))
+    with pytest.warns(RecordingWarning, match=rf"line {len(lines) + 1}, the last, is cut off \(.*\) and was left out"):
+        is_the_run(read_recording(path, carm), carm)
+    path.write_text("\n".join([*lines, lines[-1][:kept], lines[-1]]))
+    with pytest.raises(RecordingError, match=f"line {len(lines) + 1}: "):
+        read_recording(path, carm)
+
+
+def test_frames_that_candump_dropped_are_counted(carm: Machine, tmp_path: Path) -> None:
+    path = tmp_path / "dump.log"
+    lines = absolute(tick_frames(TICKS))
+    for place, many in ((9, 3), (20, 1)):
+        lines.insert(place, f"DROPCOUNT: dropped {many} CAN frame{'s' if many > 1 else ''} on 'can0' socket (total drops {many})")
+    path.write_text("\n".join(lines) + "\n")
+    with pytest.warns(RecordingWarning, match="4 frames that candump itself dropped, by its own count"):
+        is_the_run(read_recording(path, carm), carm)
 
 
 def test_a_log_of_busmasters_own_is_sent_to_its_converter(tmp_path: Path) -> None:

@@ -340,6 +340,15 @@ def test_columns_of_a_csv_get_names_and_what_is_no_channel_is_listed(carm: Machi
     assert source["not_taken"][0].startswith("Bemerkung, frei: ")
 
 
+def test_a_column_of_words_is_refused_with_the_way_out(carm: Machine, tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("time [s],position_roll [rad],comment\n0,0.1,up\n0.00390625,0.2,down\n")
+    with pytest.raises(RecordingError, match="line 2: comment = 'up' is no number; where --map names columns, others that hold no numbers"):
+        read_recording(path, carm)
+    recording, _ = quietly(path, carm, {"time": "time", "position_roll": "position_roll"})
+    np.testing.assert_array_equal(recording["position_roll"], [0.1, 0.2])
+
+
 @FILES
 @given(
     numbers=st.lists(st.tuples(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6)), min_size=1, max_size=8),

@@ -139,6 +139,17 @@ def test_a_connected_module_without_a_description_is_named() -> None:
     assert "module 7 is connected and not described" in said
 
 
+def test_objects_that_a_module_lists_and_does_not_describe_are_named() -> None:
+    text = MODULES.replace("[M1SubExt6000]", "[M1SubExt1]").replace("[M2Fixed2A00]", "[M2Fixed2A01]")
+    _, said = parsed(DEVICE_TYPE + MODULES + "[ConnectedModules]\n1=1\n2=2\n")
+    assert "without a section" not in said
+    dictionary, said = parsed(DEVICE_TYPE + text + "[ConnectedModules]\n1=1\n2=2\n")
+    assert 0x6000 not in dictionary
+    assert "[M1SubExtends] lists objects without a section: [M1SubExt6000]" in said
+    assert "[M2FixedObjects] lists objects without a section: [M2Fixed2A00]" in said
+    assert "not taken: [M1SUBEXT1]" in said
+
+
 def test_the_node_id_of_a_dcf_counts_and_another_is_told() -> None:
     text = (
         DEVICE_TYPE
@@ -247,6 +258,9 @@ def test_any_subset_of_the_sections_is_taken_or_listed(names: set[str], shuffled
         else:
             assert "not taken" in said, (head, said)
             assert head.upper() in said.upper() or "..." in said, (head, said, lines)
+    for listing, head in (("[M1SubExtends]", "[M1SubExt1027]"), ("[M1FixedObjects]", "[M1Fixed2A00]")):
+        lacking = {"[ConnectedModules]", listing} <= names and head not in names
+        assert (f"{listing} lists objects without a section: {head}" in said) == lacking
 
 
 @pytest.mark.parametrize("missing", ["0x1001", "0x2000"])
