@@ -189,7 +189,7 @@ def alternatives(choice: Choice, of: Library) -> list[Alternative]:
 def simpler_choice(choice: Choice, others: Sequence[Alternative]) -> Choice | None:
     """Return the same with the set of fewer parameters that is likelier, as far as repeats agree in that; None where none is."""
     count = len(choice.best.parameters)
-    fewer = [other for other in others if other.told_apart < 0.0 and other.parameters < count]
+    fewer = [other for other in others if other.has_another and other.told_apart < 0.0 and other.parameters < count]
     if not fewer or not choice.is_noise_known:
         return None
     least = min(fewer, key=lambda other: other.told_apart)

@@ -115,7 +115,7 @@ def answer(
     of = library(linear, weighed, choice.of if isinstance(linear, LinearModel) else None)  # limits are beside the answer
     choice, judged = replace(choice, of=None), replace(judged, of=None)
     others = alternatives(judged, of) if best.settings else []
-    if (simpler := simpler_choice(choice, [other for other in others if other.has_another])) is not None:
+    if (simpler := simpler_choice(choice, others)) is not None:
         del of  # as much as all else together
         return answer(machine, audit, simpler, held_out, began, report, again, best.names)
     spread = deviations(judged, best)
@@ -126,7 +126,6 @@ def answer(
     limits = detection_limits(judged, of)
     del of  # it would fill the memory beside that of free runs
     nearest = sorted((other for other in others if other.has_another), key=lambda other: other.told_apart)[:MOST_RIVALS]
-    nearest += [other for other in others if not other.has_another]
     train, *unseen = _predicted(machine, choice, held_out, nearest)
     held = unseen[0] if unseen else None
     for near_one in nearest if (left := {} if held is None else held.squares) else ():
@@ -143,8 +142,6 @@ def answer(
     verdict, reason = _verdict(audit, judged, findings, near, unseen_at(machine, residuals, limits), errors, is_better)
     if again is not None and verdict in ("ambiguous", "unknown_physics") and (other := again(judged)) is not None:
         return answer(machine, audit, other, held_out, began, report)
-    if (simpler := simpler_choice(choice, [other for other in others if not other.has_another])) is not None:
-        return answer(machine, audit, simpler, held_out, began, report)
     if imposed := residuals.trajectories[0].observed.imposed:
         reason += f"; no effort of {', '.join(imposed)} was recorded: its motion is given, and sensors are judged by each other"
     if not findings and verdict not in ("inconclusive", "misconfigured"):
@@ -322,24 +319,23 @@ def _predicted(
 ) -> tuple[Predicted | None, ...]:
     """Return the errors of the machine at every stage, in training and, where there are such recordings, held out, by the same measure.
 
+    Held out, those of the nearest alternatives are beside them.
+
     In free runs of the closed loop where these judged and the held-out controller is known; else row by row where noise is known, and in
-    free runs by the recorded efforts where it is not. Where noise is known, what each stage and the nearest alternatives leave of held-out
-    recordings is counted row by row in any case.
+    free runs by the recorded efforts where it is not.
     """
     sets = [choice.residuals, *([residuals_of(choice.residuals.machine, held_out, choice.residuals)] if held_out else [])]
     numbers = choice.linear.numbers
     count = len(numbers.indices)
     fits = {"retuned": choice.plain, "baseline": choice.baseline, "extended": choice.best}
     stages = {"nominal": (np.zeros(count), ()), **{name: (each.offset[:count], each.settings) for name, each in fits.items()}}
-    theirs = {words(other.settings): (other.offset[:count], other.settings) for other in nearest}
     if isinstance(choice.linear, FreeRuns) and not (held_out and lacking(sets[-1], audit_of(machine, held_out))):
         try:
-            train, *unseen = (closed_runs(choice.linear, residuals, stages) for residuals in sets)
-            by_row = [one_ahead(choice, residuals, stages | theirs) for residuals in sets[1:]]
-            return train, *(replace(runs, squares=rows.squares) for runs, rows in zip(unseen, by_row, strict=True))
+            return tuple(closed_runs(choice.linear, residuals, stages) for residuals in sets)
         except RecordingError:
             pass
     if not choice.levels.are_assumed:
+        theirs = {words(other.settings): (other.offset[:count], other.settings) for other in nearest}
         return tuple(one_ahead(choice, residuals, stages | own) for residuals, own in zip(sets, ({}, theirs), strict=False))
     channels = choice.residuals.trajectories[0].observed.channels
     scales = dict(zip(channels, choice.levels.sensors.tolist(), strict=False))  # efforts follow them

@@ -8,7 +8,6 @@ from hil.diagnosis.diagnose import diagnose
 from hil.diagnosis.verdict.answer import NO_HELP
 
 FRICTION_N = 3.0
-LONG_s = 60.0
 
 
 def test_an_effect_that_held_out_recordings_have_not_is_ambiguous_and_one_that_they_have_is_explained() -> None:
@@ -21,10 +20,3 @@ def test_an_effect_that_held_out_recordings_have_not_is_ambiguous_and_one_that_t
         assert gained is not None
         assert (gained > 0.0) is (verdict == "explained")
         assert (NO_HELP in found.findings[0].evidence_against) is (verdict == "ambiguous")
-
-
-def test_an_effect_that_held_out_recordings_deny_by_more_than_repeats_show_is_not_named() -> None:
-    train = repeats(3, seed=31, coulomb_N=FRICTION_N)
-    found = diagnose(MACHINE, train, repeats(1, seed=32, experiment=1, duration_s=LONG_s)).diagnosis
-    assert not found.findings, found.reason
-    assert found.verdict in ("consistent", "retuned")
