@@ -457,7 +457,7 @@ DIAGNOSIS = (
         "`AXIS.command_early`, `AXIS.speed_limit`, `AXIS.effort_zero`, `AXIS.effort_lag`, `CHANNEL.zero`, `lateness`).",
     ),
     Entry("findings[].at", "text", "Where it acts."),
-    Entry("findings[].confidence", "0 to 1", "Of all hypotheses together that have this effect."),
+    Entry("findings[].confidence", "0 to 1", "Share of the evidence, times the share of answers with this verdict that were right."),
     Entry(
         "findings[].parameters.NAME",
         "object",
@@ -473,7 +473,7 @@ DIAGNOSIS = (
     Entry("findings[].variants", "list", "Laws of the family at this place that may be it: `effect`, `at`, `confidence`."),
     Entry("hypotheses", "list", "All sets that were weighed, the likeliest first."),
     Entry("hypotheses[].effects", "list", "Effects of the set; empty: no effect is missing."),
-    Entry("hypotheses[].confidence", "0 to 1", "Confidences of all sets sum to at most 1; the rest is unknown physics."),
+    Entry("hypotheses[].confidence", "0 to 1", "Likewise; all sum to at most 1."),
     Entry("hypotheses[].gained", "number", "Fall of the sum of squares in units of noise, over no effect, in training."),
     Entry(
         "hypotheses[].gained_held_out",

@@ -183,6 +183,7 @@ def _found(findings: Sequence[Finding]) -> str:
 
 
 def _say(answer: Answer, outcome: Outcome, out: Path) -> None:
+    from hil.diagnosis.report.tables import how_sure
     from hil.diagnosis.verdict.answer import NEXT_EXPERIMENT
 
     diagnosis = outcome.diagnosis
@@ -191,6 +192,8 @@ def _say(answer: Answer, outcome: Outcome, out: Path) -> None:
         answer.say(f"  known: {', '.join(str(one.effect) for one in diagnosis.known)}")
     for finding in diagnosis.findings:
         answer.say(f"  {finding.name}: confidence {finding.confidence:.2f}; {_found([finding]).split(': ', 1)[1]}")
+    if diagnosis.findings:
+        answer.say(f"  how sure: {how_sure(diagnosis)}")
     if errors := _errors(diagnosis):
         answer.say(errors)
     if outcome.proposal is not None:

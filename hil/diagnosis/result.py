@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from hil.files.frames import data_frame
@@ -16,9 +16,6 @@ NoiseKind = Literal["repeats", "periods", "assumed"]
 ErrorsOf = Literal["rows", "closed_loop", "efforts"]
 """Rows that are predicted from those before them, in units of noise; or free runs, of the closed loop or driven by the recorded efforts."""
 Span = tuple[float, float]
-
-READ_OFF = 0.99
-"""Confidence of what recordings show by themselves, with nothing fitted."""
 
 STAGES = ("nominal", "retuned", "extended", "placebo", "noise_floor", "baseline")
 
@@ -89,6 +86,10 @@ class Finding:
     def name(self) -> str:
         """What it is called in a sentence."""
         return str(self.effect) if self.kind == "effect" else self.effect.effect
+
+    def times(self, sure: float) -> Finding:
+        """Return the same, so much less sure."""
+        return replace(self, confidence=sure * self.confidence, variants=tuple((at, sure * share) for at, share in self.variants))
 
     def document(self) -> dict[str, Any]:
         """Return plain values for JSON."""

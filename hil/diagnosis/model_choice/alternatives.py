@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,8 +12,17 @@ from hil.diagnosis.candidates.entries import Entry
 from hil.diagnosis.free_runs.runs import FreeRuns
 from hil.diagnosis.model_choice.choose import Choice
 from hil.diagnosis.model_choice.convergence import converged
-from hil.diagnosis.model_choice.covariance import scattered
-from hil.diagnosis.model_choice.cross_validation import STANDARD_ERRORS, STEADY, agreement_in, differences, left_out, neighbours, steady
+from hil.diagnosis.model_choice.covariance import away_from, scattered
+from hil.diagnosis.model_choice.cross_validation import (
+    STANDARD_ERRORS,
+    STEADY,
+    Neighbour,
+    agreement_in,
+    differences,
+    left_out,
+    neighbours,
+    steady,
+)
 from hil.diagnosis.model_choice.fitting import NOISE_MARGIN, STRETCHES, Fitted
 from hil.diagnosis.model_choice.free_run_fit import fit_to
 from hil.diagnosis.model_choice.search import LAW_ERROR, NOT_TOLD_APART, Library, reduced_by
@@ -105,9 +114,8 @@ class Limit:
 
 def unexplained(choice: Choice) -> float:
     """Return the share that the answer leaves of what its numbers leave without effects."""
-    best = choice.best
-    empty = fit_to(choice.linear, (), best.offset, best.dispersion)
-    return 1.0 if empty is None else min(1.0, best.squares / max(empty.squares, 1e-300))
+    empty = choice.without_effects
+    return 1.0 if empty is None else min(1.0, choice.best.squares / max(empty.squares, 1e-300))
 
 
 def is_spanned(choice: Choice) -> bool:
@@ -118,7 +126,7 @@ def is_spanned(choice: Choice) -> bool:
     best = choice.best
     if not choice.is_noise_known:
         return True
-    empty = fit_to(choice.linear, (), best.offset, best.dispersion)
+    empty = choice.without_effects
     explained = 0.0 if empty is None else max(empty.squares - best.squares, 0.0)
     stretches = np.array([float(np.mean(part**2)) for rest in best.innovations for part in np.array_split(rest, STRETCHES)])
     sure = float(stretches.mean() - STANDARD_ERRORS * stretches.std(ddof=1) / math.sqrt(len(stretches)))
@@ -134,9 +142,8 @@ def times_noise(choice: Choice) -> float:
 
 def gained_by(choice: Choice) -> float:
     """Return by how much the answer's effects lower the squares, in units of what scatters."""
-    best = choice.best
-    empty = fit_to(choice.linear, (), best.offset, best.dispersion)
-    return 0.0 if empty is None else empty.cost(best.dispersion) - best.cost(best.dispersion)
+    empty, unit = choice.without_effects, choice.best.dispersion
+    return 0.0 if empty is None else empty.cost(unit) - choice.best.cost(unit)
 
 
 def numbers_help(choice: Choice) -> bool:
@@ -161,8 +168,7 @@ def alternatives(choice: Choice, of: Library) -> list[Alternative]:
     """
     linear, best = choice.linear, choice.best
     unit = best.dispersion
-    empty = fit_to(linear, (), best.offset, unit)
-    nothing = math.inf if empty is None else empty.cost(unit)
+    nothing = math.inf if choice.without_effects is None else choice.without_effects.cost(unit)
 
     def evidence(fitted: Fitted) -> float:
         if isinstance(linear, LinearModel) and not choice.is_noise_known:
@@ -173,9 +179,9 @@ def alternatives(choice: Choice, of: Library) -> list[Alternative]:
     wrong = LAW_ERROR**2 * max(nothing - best.cost(unit), 0.0) if choice.is_noise_known and math.isfinite(nothing) else 0.0
     repeats = differences(choice.residuals, linear) if choice.is_noise_known else []
     found = []
-    for each in neighbours(linear, best, of):
+    for each in (*neighbours(linear, best, of), *_engineers(choice)):
         one = each.fitted
-        is_one = each.has_another and len(each.without) == 1
+        is_one = each.has_another and len(each.without) == 1 and len(one.settings) == len(best.settings)
         if is_one and isinstance(linear, LinearModel) and is_same_law(linear, best, one, *each.without):
             continue
         gained, behind = nothing - one.cost(unit), evidence(one) - own
@@ -184,6 +190,22 @@ def alternatives(choice: Choice, of: Library) -> list[Alternative]:
         counts = gained, len(one.parameters), allowed, (one.squares - best.squares) / unit, agreed
         found.append(Alternative(one.settings, behind, each.without, each.has_another, *counts, one.offset))
     return sorted(found, key=lambda each: each.behind)
+
+
+def _engineers(choice: Choice) -> Iterator[Neighbour]:
+    """Yield the everyday effects that the engineer's fit shows, where noise is known and they are neither part of the answer nor hold it."""
+    linear, best, fitted = choice.linear, choice.best, choice.baseline
+    if not choice.is_noise_known:
+        return
+    least = math.log(linear.readings)
+    settings = tuple(one for number, one in enumerate(fitted.settings) if away_from(fitted, number) > least)
+    names = {(one.name, one.at) for one in settings}
+    if best.names <= names or names <= best.names:
+        return
+    without = tuple(k for k, one in enumerate(best.settings) if (one.name, one.at) not in names)
+    other = fit_to(linear, settings, best.offset, best.dispersion)
+    if other is not None and other.is_sensible:
+        yield Neighbour(other, without, has_another=True)
 
 
 def simpler_choice(choice: Choice, others: Sequence[Alternative]) -> Choice | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -66,6 +67,11 @@ class Choice:
     best: Fitted
     sets: tuple[tuple[LinearModel | FreeRuns, Fitted], ...]
     of: Library | None
+
+    @cached_property
+    def without_effects(self) -> Fitted | None:
+        """The answer's numbers fitted alone; None where the machine cannot run without its effects."""
+        return fit_to(self.linear, (), self.best.offset, self.best.dispersion)
 
     @property
     def is_noise_known(self) -> bool:

@@ -344,7 +344,7 @@ def _change(
 def difference(settings: Sequence[EffectSetting], k: int, parameter: Parameter) -> float:
     """Return the step by which a parameter of an effect is differentiated: down where there is no room above."""
     value = settings[k].parameters[parameter.name]
-    step = STEP if parameter.unit == PHASE else STEP * abs(value) if value != 0.0 else parameter.small
+    step = STEP if parameter.unit == PHASE else STEP * abs(value) if abs(value) > parameter.small else parameter.small
     return -step if value + step > parameter.high else step
 
 
@@ -391,7 +391,7 @@ def reach(parameter: Parameter, value: float, step: float, fastest_Hz: float = n
     high = max(min(parameter.high, fastest_Hz), value) if parameter.unit == "Hz" and not parameter.is_strength else parameter.high
     if parameter.unit == PHASE:
         most = PHASE_STEP
-    elif value == 0.0:
+    elif abs(value) <= parameter.small:  # a strength that has met zero may go on to the other side
         most = np.inf if parameter.is_strength else parameter.small
     else:
         most = STRENGTH_STEP * abs(value) if parameter.is_strength else SHAPE_STEPS * abs(step)

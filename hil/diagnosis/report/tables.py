@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from hil.diagnosis.next_experiment.proposal import Proposal
 from hil.diagnosis.report.style import STAGE_NAMES
 from hil.diagnosis.result import STAGES, Diagnosis, Finding, ParameterEstimate, Stages
+from hil.diagnosis.verdict.values import RIGHT, counted_as
 from hil.pages import Bullets, Table, Text, Verdict
 from hil.pages.contents import Block, Kind
 
@@ -39,7 +40,16 @@ def findings(diagnosis: Diagnosis, proposal: Proposal | None) -> list[Block]:
             blocks.append(Text(f"Instead, these recordings allow: {others}."))
         if finding.separating_experiment and proposal is not None:
             blocks.append(Text(f"The next experiment: {proposal.said(finding.separating_experiment)}."))
-    return blocks if diagnosis.findings else [*blocks, Text("No effect is named.")]
+    said = f"Confidence: {how_sure(diagnosis)}." if diagnosis.findings else "No effect is named."
+    return [*blocks, Text(said)]
+
+
+def how_sure(diagnosis: Diagnosis) -> str:
+    """Return in words what confidences rest on."""
+    verdict = counted_as(diagnosis)
+    right, answers = RIGHT[verdict]
+    beside = "; none of those was without repeats, as this one is" if diagnosis.noise == "assumed" else ""
+    return f"where the truth was known, {right} of {answers} answers called {verdict} were right{beside}"
 
 
 def _numbers_of(finding: Finding) -> str:
@@ -73,7 +83,7 @@ def hypotheses(diagnosis: Diagnosis) -> list[Block]:
     ]
     said = "For a set: by how much it lowers the sum of squares in units of noise, in training. Against it: how many parameters it takes"
     said += " for that. One of the sets is the answer."
-    lacking = "What these confidences lack of 1 is for physics that none of them holds."
+    lacking = "What these confidences lack of 1 is for physics that none of them holds, and for wrong answers of this kind."
     header = ("hypothesis", "confidence", "lowers training by", "parameters", "is the answer")
     return [Text(said), Table(header, rows, frozenset((1, 2, 3))), Text(lacking)] if rows else [Text("No hypothesis was weighed.")]
 

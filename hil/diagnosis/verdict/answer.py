@@ -55,7 +55,6 @@ from hil.diagnosis.verdict.far_off import far_off
 from hil.diagnosis.verdict.findings import Names, hypotheses_of, rivals_of, told, weights, words
 from hil.diagnosis.verdict.fit import fit_of, helps
 from hil.diagnosis.verdict.values import (
-    LARGEST,
     WITHIN_95,
     Outcome,
     acting,
@@ -65,6 +64,7 @@ from hil.diagnosis.verdict.values import (
     names_of,
     shown_findings,
     unit_of,
+    with_confidence,
 )  # fmt: skip
 from hil.errors import RecordingError
 from hil.machine import Machine
@@ -133,7 +133,7 @@ def answer(
         others[others.index(near_one)] = replace(near_one, held_out=behind)
     others.sort(key=lambda other: other.told_apart)
     rivals = rivals_of(best.settings, others, given_up)
-    found = told(best.settings, others, rivals, estimates_of(machine.plant, best, spread), LARGEST[noise])
+    found = told(best.settings, others, rivals, estimates_of(machine.plant, best, spread))
     errors, gained = fit_of(train, held, has_held_out=held_out != {}), None if held is None else held.gained
     is_better = not best.settings or helps(held, "retuned") is not False
     against = () if is_better else (NO_HELP,)
@@ -159,7 +159,7 @@ def answer(
         reason=reason,
         findings=findings,
         hypotheses=hypotheses_of(
-            best.settings, len(best.parameters), (gained_by(judged), gained), others, LARGEST[noise], tuple(one.effect for one in shown)
+            best.settings, len(best.parameters), (gained_by(judged), gained), others, tuple(one.effect for one in shown)
         ),
         retuned=retuned,
         frozen=frozen,
@@ -171,12 +171,12 @@ def answer(
         lacking={residuals.trajectories[0].joints[joint]: share for joint, share in shares_of(residuals).items()},
         audit=audit.document(),
         detection_limits=tuple(limit_of(limit, machine.plant) for limit in limits),
-        baseline=baseline_of(machine, choice.baseline, noise),
+        baseline=baseline_of(machine, choice.baseline),
         known=known_effects(machine.plant),
         separations=() if proposal is None else separations_of(proposal),
     )
     acts = *acting(best.settings), *(one.setting for one in residuals.shown)
-    return Outcome(machine, diagnosis, names_of(residuals), residuals, values, acts, proposal, _columns(choice))
+    return Outcome(machine, with_confidence(diagnosis), names_of(residuals), residuals, values, acts, proposal, _columns(choice))
 
 
 def _columns(choice: Choice) -> tuple[np.ndarray, tuple[str, ...]]:

@@ -11,7 +11,7 @@ from hil.diagnosis.model_choice.far_off import beyond_tolerance, stand_ins
 from hil.diagnosis.model_choice.fitting import Fitted
 from hil.diagnosis.result import EffectAt, Finding, RetunedValue
 from hil.diagnosis.retuning.linear_model import LinearModel
-from hil.diagnosis.verdict.values import LARGEST, WITHIN_95, number_finding
+from hil.diagnosis.verdict.values import WITHIN_95, number_finding
 from hil.machine import Machine
 from virtual_bus.plant.parameters import PlantParameter
 
@@ -24,7 +24,7 @@ def far_off(
     for one in beyond_tolerance(machine, linear, fitted.offset, WITHIN_95 * spread):
         if (number := retuned.get(_name(one))) is not None:
             instead = tuple(EffectAt(_name(other), other.owner) for other in stand_ins(linear, fitted, one))
-            finding = number_finding(EffectAt(_name(one), one.owner), number, LARGEST["repeats"])
+            finding = number_finding(EffectAt(_name(one), one.owner), number)
             found.append(replace(finding, ambiguous_with=instead, ambiguous_sets=tuple((each,) for each in instead)))
     return tuple(found)
 

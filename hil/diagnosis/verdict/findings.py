@@ -24,7 +24,8 @@ def words(settings: Sequence[EffectSetting]) -> str:
 def is_variant(settings: Sequence[EffectSetting], other: Alternative) -> bool:
     """Whether an alternative has another law of the same family at the same place."""
     own, its = settings[other.without[0]], other.settings[-1]
-    return len(other.without) == 1 and own.at == its.at and effects()[own.name].family == effects()[its.name].family
+    is_one = len(other.without) == 1 and len(other.settings) == len(settings)
+    return is_one and own.at == its.at and effects()[own.name].family == effects()[its.name].family
 
 
 def rivals_of(settings: Sequence[EffectSetting], others: Sequence[Alternative], given_up: Names = frozenset()) -> list[Alternative]:
@@ -51,9 +52,8 @@ def told(
     others: Sequence[Alternative],
     rivals: Sequence[Alternative],
     estimates: Sequence[Mapping[str, ParameterEstimate]],
-    cap: float,
 ) -> tuple[Finding, ...]:
-    """Return the effects of an answer as findings, each with what might act in its place."""
+    """Return the effects of an answer as findings, each with its share of the evidence and what might act in its place."""
     found = []
     for number, (setting, table) in enumerate(zip(settings, estimates, strict=True)):
         if setting not in acting(settings):
@@ -61,18 +61,18 @@ def told(
         mine = [other for other in others if number in other.without]
         own, shares = weights(mine)
         at, family = EffectAt(setting.name, setting.at), effects()[setting.name].family
-        variants = [(at, cap * own)]
+        variants = [(at, own)]
         against, missing = [other for other in mine if other in rivals], 0.0
         for other, share in zip(mine, shares, strict=True):
             if other.has_another and other not in rivals and is_variant(settings, other):
-                variants.append((EffectAt(other.settings[-1].name, other.settings[-1].at), cap * share))
+                variants.append((EffectAt(other.settings[-1].name, other.settings[-1].at), share))
             elif not other.has_another:
                 missing = other.behind
         confidence = sum(share for _, share in variants)
         found.append(
             Finding(
                 at,
-                confidence=min(confidence, cap),
+                confidence=min(confidence, 1.0),
                 parameters=table,
                 ambiguous_with=tuple(EffectAt(other.settings[-1].name, other.settings[-1].at) for other in against),
                 ambiguous_sets=tuple(tuple(EffectAt(one.name, one.at) for one in other.settings) for other in against),
@@ -90,14 +90,13 @@ def hypotheses_of(
     parameters: int,
     gained: tuple[float, float | None],
     others: Sequence[Alternative],
-    cap: float,
     shown: tuple[EffectAt, ...],
 ) -> tuple[Hypothesis, ...]:  # fmt: skip
     """Return the sets of effects that were weighed, the surest first; the answer gained so much in training, and held out."""
     own, shares = weights(others)
     named = tuple(EffectAt(one.name, one.at) for one in acting(settings))
-    sets = [Hypothesis((*named, *shown), cap * own, *gained, parameters, True)]
+    sets = [Hypothesis((*named, *shown), own, *gained, parameters, True)]
     for other, share in list(zip(others, shares, strict=True))[:MOST_HYPOTHESES]:
         what = tuple(EffectAt(one.name, one.at) for one in other.settings)
-        sets.append(Hypothesis((*what, *shown), cap * share, other.gained, None, other.parameters, False))
+        sets.append(Hypothesis((*what, *shown), share, other.gained, None, other.parameters, False))
     return tuple(sorted(sets, key=lambda each: -each.confidence))

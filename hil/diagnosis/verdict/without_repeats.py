@@ -42,7 +42,7 @@ from hil.diagnosis.verdict.answer import (
 )
 from hil.diagnosis.verdict.findings import hypotheses_of, rivals_of, told, words
 from hil.diagnosis.verdict.fit import fit_of, helps
-from hil.diagnosis.verdict.values import LARGEST, Outcome, acting, known_effects, names_of, number_finding, unit_of
+from hil.diagnosis.verdict.values import Outcome, acting, known_effects, names_of, number_finding, unit_of, with_confidence
 from hil.machine import Machine
 from hil.recording import Recording
 from virtual_bus.effects.bounds import effect_at
@@ -69,7 +69,7 @@ def answer_of_runs(
     noise = residuals.noise
     values = search.fitting.unknowns.machine(point).values
     rivals = rivals_of(settings, others)
-    found = told(settings, others, rivals, _estimates(selected, accepted, half), LARGEST[noise])
+    found = told(settings, others, rivals, _estimates(selected, accepted, half))
     limits = _limits(selected, accepted)
     train, held = _predicted(machine, selected, held_out, len(residuals.trajectories))
     unexplained = _unexplained(selected, bool(numbers))
@@ -92,7 +92,7 @@ def answer_of_runs(
         verdict=verdict,
         reason=reason,
         findings=(*found, *numbers),
-        hypotheses=hypotheses_of(settings, len(point.parameters), (gained, None), others, LARGEST[noise], ()),
+        hypotheses=hypotheses_of(settings, len(point.parameters), (gained, None), others, ()),
         retuned={} if is_nothing else retuned,
         frozen={} if is_nothing else frozen,
         noise=noise,
@@ -103,7 +103,7 @@ def answer_of_runs(
         lacking={residuals.trajectories[0].joints[joint]: share for joint, share in shares_of(residuals).items()},
         audit=audit.document(),
         detection_limits=tuple(limit_of(limit, machine.plant) for limit in limits),
-        baseline=_baseline(selected, noise),
+        baseline=_baseline(selected),
         known=known_effects(machine.plant),
         separations=() if proposal is None else separations_of(proposal),
     )
@@ -111,9 +111,8 @@ def answer_of_runs(
     names = [selected.unknowns.each[k].name for k in point.free]
     if is_nothing:  # the file stays as it is
         values, settings = selected.unknowns.plant.nominal, ()
-    return Outcome(
-        machine, diagnosis, names_of(residuals), residuals, values, acting(settings), proposal, (columns, (*names, *parameters_of(fit)))
-    )
+    acts, told_of = acting(settings), (columns, (*names, *parameters_of(fit)))
+    return Outcome(machine, with_confidence(diagnosis), names_of(residuals), residuals, values, acts, proposal, told_of)
 
 
 def _alternative(selected: Selected, accepted: Sequence[int], rival: Rival) -> Alternative:
@@ -167,7 +166,7 @@ def _numbers(selected: Selected, half: np.ndarray) -> tuple[dict[str, RetunedVal
             axes = " and ".join(drive.axis for drive in unknowns.plant.settings.drives)
             place = EffectAt(unknown.name, axes if unknown.kind is Kind.LATENESS else unknown.name.partition(".")[0])
             of = "" if unknown.recording is None else f" (recording {unknown.recording + 1})"
-            found.append(number_finding(place, number, LARGEST["assumed"], of))
+            found.append(number_finding(place, number, of))
     return shown_numbers, frozen, tuple(found)
 
 
@@ -185,13 +184,13 @@ def _unit(selected: Selected, unknown: Unknown) -> str:
     return f"{length}/s" if unknown.kind is Kind.SPEED_LIMIT else length
 
 
-def _baseline(selected: Selected, noise: str) -> tuple[Finding, ...]:
+def _baseline(selected: Selected) -> tuple[Finding, ...]:
     """Return the engineer's fit."""
     baseline = replace(selected, fit=selected.baseline)
     settings = selected.baseline.point.settings
     tables = _estimates(baseline, range(len(settings)), _half_widths(baseline))
     return tuple(
-        Finding(EffectAt(setting.name, setting.at), 0.5 * LARGEST[noise], table, family=effects()[setting.name].family)
+        Finding(EffectAt(setting.name, setting.at), 0.5, table, family=effects()[setting.name].family)
         for setting, table in zip(settings, tables, strict=True)
     )
 
