@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from places import ROOT
 
-LINES = 10_000 + 2_600 + 350
+LINES = 10_000 + 2_600 + 375
 """The second part is the judge by free runs, from `unknowns` to `selection`, beside the one along the motion until that goes. The third is
 what that one lacked: numbers wrong by far, effects in the filter's equations, what held-out recordings say, how often verdicts are
 right."""

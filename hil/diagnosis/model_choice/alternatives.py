@@ -193,7 +193,7 @@ def alternatives(choice: Choice, of: Library) -> list[Alternative]:
 
 
 def _engineers(choice: Choice) -> Iterator[Neighbour]:
-    """Yield the everyday effects that the engineer's fit shows, where noise is known and they are neither part of the answer nor hold it."""
+    """Yield the everyday effects that the engineer's fit shows, where they are neither part of the answer nor hold it."""
     linear, best, fitted = choice.linear, choice.best, choice.baseline
     if not choice.is_noise_known:
         return
