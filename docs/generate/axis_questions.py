@@ -18,7 +18,7 @@ turntable, emulated, and the file `truth.toml` is what it has beside its machine
 sinusoidal *jog* are recorded, and a fourth recording of another motion is held out. The plots show the first recording and what the
 machine file alone makes of the same reference: look for the shape of the difference. The answer is what `diagnose` printed, right or not.
 `geared.toml` is the turntable with a gear that gives way between motor and table (200 kNm/rad).
-`python benchmarks/axis_questions.py --work WORK` makes all of it again.
+`python benchmarks/axis_questions.py --work WORK` makes all of it again, these files too.
 """
 
 

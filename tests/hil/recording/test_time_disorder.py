@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import struct
 import warnings
 from collections.abc import Callable
@@ -73,8 +74,46 @@ def candump(folder: Path, samples: list[Sample], carm: Machine) -> Path:
     return path
 
 
-WRITERS: dict[str, Callable[[Path, list[Sample], Machine], Path]] = {"csv": csv_file, "mcap": json_bag, "mf4": mdf, "candump": candump}
-PERIOD_us = {"csv": 5000, "mcap": 5000, "mf4": 5000, "candump": 3906}
+def frames(samples: list[Sample]) -> list[tuple[int, str, str]]:
+    """The same as stamp [us], identifier and bytes, long after the log began: none is before it."""
+    found = []
+    for stamp, k in samples:
+        found += [(10**9 + stamp, "080", ""), (10**9 + stamp + 200, "182", struct.pack("<Hih", 0x1237, int(k), 0).hex(" ").upper())]
+    return found
+
+
+def asc(folder: Path, samples: list[Sample], carm: Machine) -> Path:
+    path = folder / "log.asc"
+    head = "date Thu Mar 6 09:12:40.000 am 2025\nbase hex  timestamps absolute\nno internal events logged\n"
+    lines = [f"{at * 1e-6:.6f} 1  {name}             Rx   d {len(data.split())} {data}".rstrip() for at, name, data in frames(samples)]
+    path.write_text(head + "\n".join(lines) + "\n")
+    return path
+
+
+def trc(folder: Path, samples: list[Sample], carm: Machine) -> Path:
+    path = folder / "log.trc"
+    head = [";$FILEVERSION=2.1", ";$STARTTIME=45722.3838", ";$COLUMNS=N,O,T,B,I,d,R,L,D"]
+    each = enumerate(frames(samples), 1)
+    lines = [f"{n:7d} {at * 1e-3:13.3f} DT 1 {int(name, 16):04X} Rx - {len(data.split())} {data}".rstrip() for n, (at, name, data) in each]
+    path.write_text("\n".join(head + lines) + "\n")
+    return path
+
+
+def ros_bag(folder: Path, samples: list[Sample], carm: Machine) -> Path:
+    """Logged in this order, a millisecond apart, whatever the stamps say."""
+    place = folder / "bag"
+    shutil.rmtree(place, ignore_errors=True)
+    messages = []
+    for number, (stamp, k) in enumerate(samples):
+        sent = joint_state(START_ns + 1000 * stamp, ["roll"], [COUNT * k])
+        messages.append(("/joint_states", START_ns + number * 1_000_000, sent))
+    return bag(place, messages)
+
+
+WRITERS: dict[str, Callable[[Path, list[Sample], Machine], Path]] = {
+    "csv": csv_file, "mcap": json_bag, "mf4": mdf, "candump": candump, "asc": asc, "trc": trc, "bag": ros_bag,
+}  # fmt: skip
+PERIOD_us = dict.fromkeys(WRITERS, 5000) | dict.fromkeys(("candump", "asc", "trc"), 3906)
 
 
 def read(path: Path, carm: Machine) -> tuple[Recording | None, str]:
