@@ -77,12 +77,16 @@ def told(
                 ambiguous_with=tuple(EffectAt(other.settings[-1].name, other.settings[-1].at) for other in against),
                 ambiguous_sets=tuple(tuple(EffectAt(one.name, one.at) for one in other.settings) for other in against),
                 evidence_for=(f"without it, twice the log of the evidence falls by {missing:.4g}",),
-                evidence_against=tuple(f"{words(other.settings)} is {other.told_apart:.3g} such units behind" for other in against),
+                evidence_against=tuple(f"{words(other.settings)} is {_behind(other.told_apart)}" for other in against),
                 family=family,
                 variants=tuple(sorted(variants, key=lambda pair: -pair[1])),
             )
         )
     return tuple(found)
+
+
+def _behind(units: float) -> str:
+    return "as likely" if abs(units) < 1.0 else f"{abs(units):.3g} such units {'behind' if units > 0.0 else 'likelier'}"
 
 
 def hypotheses_of(

@@ -93,8 +93,7 @@ def everyday_of(machine: Machine, diagnosis: Diagnosis, fitted: Fitted) -> Every
 
 def counted_as(diagnosis: Diagnosis) -> str:
     """Return the verdict whose right answers were counted: its own, or the one that is as sure."""
-    nothing_missing = diagnosis.verdict in ("consistent", "retuned")
-    return "retuned" if nothing_missing else "explained" if diagnosis.verdict == "explained" else "ambiguous"
+    return {"consistent": "retuned"}.get(diagnosis.verdict, diagnosis.verdict if diagnosis.verdict in RIGHT else "ambiguous")
 
 
 def with_confidence(diagnosis: Diagnosis) -> Diagnosis:
