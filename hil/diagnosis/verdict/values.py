@@ -19,7 +19,7 @@ from virtual_bus.effects.places import drive_unit, is_prismatic
 from virtual_bus.effects.registry import effects
 from virtual_bus.settings import EffectSetting, PlantSettings
 
-RIGHT = {"explained": (17, 30), "ambiguous": (9, 37), "retuned": (92, 131)}
+RIGHT = {"explained": (21, 38), "ambiguous": (10, 49), "retuned": (120, 177)}
 """By verdict, how many answers to opened cases of the concealed benchmark were right, and how many there were. `retuned` is right where
 nothing was hidden, or a number alone."""
 ASSUMED = 0.9
