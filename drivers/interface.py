@@ -12,6 +12,21 @@ from typing import Protocol
 
 import numpy as np
 
+ANSWER = np.dtype(
+    [
+        ("position", "f8"),
+        ("link_position", "f8"),
+        ("effort", "f8"),
+        ("statusword", "i8"),
+        ("position_late", "?"),
+        ("link_late", "?"),
+    ],
+    align=True,
+)
+"""What one axis's devices answer to a SYNC, as compiled code takes it; `Sample` says what each is."""
+
+NO_ANSWER = np.array((np.nan, np.nan, np.nan, -1, False, False), ANSWER)
+
 
 @dataclass
 class Sample:
@@ -22,6 +37,7 @@ class Sample:
     """
 
     axes: int
+    answers: np.ndarray = field(init=False)  # ANSWER; the arrays of its fields, below, are views of it
     position: np.ndarray = field(init=False)  # rad or m
     link_position: np.ndarray = field(init=False)  # rad or m; NaN without a link encoder
     effort: np.ndarray = field(init=False)  # in the drive's unit
@@ -49,18 +65,25 @@ class Sample:
 
     def __post_init__(self) -> None:
         """Fill the arrays with missing values."""
-        self.position = np.full(self.axes, np.nan)
-        self.link_position = np.full(self.axes, np.nan)
-        self.effort = np.full(self.axes, np.nan)
+        self.answers = np.full(self.axes, NO_ANSWER)
+        self.position, self.link_position, self.effort = (self.answers[name] for name in ("position", "link_position", "effort"))
+        self.statusword = self.answers["statusword"]
+        self.position_late, self.link_late = self.answers["position_late"], self.answers["link_late"]
         self.commanded = np.full(self.axes, np.nan)
-        self.statusword = np.full(self.axes, -1, dtype=np.int64)
         self.age_s = np.zeros(self.axes)
-        self.position_late = np.zeros(self.axes, dtype=bool)
-        self.link_late = np.zeros(self.axes, dtype=bool)
         self.imu = np.full(6, np.nan)
         self.bus_imu = np.full(6, np.nan)
         self.temperature_degC = np.full(self.axes, np.nan)
         self.brakes_open = np.zeros(self.axes, dtype=bool)
+
+    def forget_answers(self) -> None:
+        """Mark all that the devices answer to a SYNC as missing."""
+        self.answers[:] = NO_ANSWER
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether every axis's devices have answered this SYNC, as far as their bus is in time."""
+        return not self.unanswered and True not in self.position_late.tolist()
 
 
 class Clock(Protocol):

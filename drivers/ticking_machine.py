@@ -106,7 +106,7 @@ class TickingMachine:
         self.open_brakes: set[str] = set()  # of these axes: they have reported open, and were not told to close since
         self.judged: Callable[[Sample], str] = lambda sample: ""  # why sensors stop the motors, in ticks that the machine makes by itself
         self._malformed_before = (0, 0, 0, 0)
-        self._late_ticks = np.zeros(len(self.axes), dtype=int)  # in a row in which each position came too late
+        self._late_ticks = [0] * len(self.axes)  # in a row in which each position came too late
         self.zeros = np.zeros(len(self.axes))  # no effort on any axis
 
     def start(self) -> None:
@@ -141,7 +141,7 @@ class TickingMachine:
             for node in self.settings.nodes:
                 self.network.command_nmt(NMT_START, node.node_id)
             self._cyclic.syncs = self.sample.unanswered = 0
-            self._late_ticks.fill(0)
+            self._late_ticks = [0] * len(self.axes)
             self._cyclic.forget_remarks()
             self.network.passed_over.clear()
             self.heartbeats.await_operational(self.settings.nodes)
@@ -356,9 +356,11 @@ class TickingMachine:
     def _check_answers(self, sample: Sample) -> None:
         """Where no node answers, or one too late, a bus or host is late: such ticks are lost, for as long as a node may be silent."""
         bridged_s = self._cyclic.silent_ticks * self.period_s
-        self._late_ticks = (self._late_ticks + 1) * sample.position_late
-        if (late_s := int(self._late_ticks.max()) * self.period_s) > bridged_s:
-            late = ", ".join(axis for axis, ticks in zip(self.axes, self._late_ticks, strict=True) if ticks)
+        late_ticks = self._late_ticks
+        for axis, is_late in enumerate(sample.position_late.tolist()):
+            late_ticks[axis] = late_ticks[axis] + 1 if is_late else 0
+        if (late_s := max(late_ticks) * self.period_s) > bridged_s:
+            late = ", ".join(axis for axis, ticks in zip(self.axes, late_ticks, strict=True) if ticks)
             raise BusTimeoutError(f"{late}: position too late for {late_s:.3f} s, {bridged_s:.3f} s allowed, as for a heartbeat")
         if sample.unanswered > self._cyclic.silent_ticks:
             raise BusTimeoutError(

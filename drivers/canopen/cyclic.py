@@ -139,14 +139,14 @@ class CyclicExchange:
         if self._foreign is not None:
             self._late = 0
             sample.lateness_s = self._foreign.wait(partial(self._drop, sample), before_sync)
-            self._clear(sample)
+            sample.forget_answers()
         else:
             sample.lateness_s = self._clock.wait_tick()
             self._late = 0
             self._drop_stale(sample)
             if before_sync is not None:
                 before_sync()
-            self._clear(sample)
+            sample.forget_answers()
             send_frame(bus, self._sync)
         self.syncs += 1
         overdue_s = self._clock.now() + self._answer_timeout_s
@@ -205,14 +205,6 @@ class CyclicExchange:
         if self._foreign is not None and self._foreign.left_out:
             found.append(f"{self._foreign.who}: {self._foreign.left_out} SYNCs did not come")
         return [*found, *self.settings_watch.remarks]
-
-    def _clear(self, sample: Sample) -> None:
-        sample.position.fill(nan)
-        sample.link_position.fill(nan)
-        sample.effort.fill(nan)
-        sample.statusword.fill(-1)
-        sample.position_late.fill(False)
-        sample.link_late.fill(False)
 
     def _receive(self, sample: Sample, overdue_s: float) -> int:
         """Read until all answers to this SYNC are there or overdue; return a mask of those that are not.

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections import deque
 from math import isfinite, nan
+
+import numpy as np
+from numba.extending import register_jitable
 
 from drivers.canopen.cia402 import WARNING
 from drivers.interface import Sample
 from drivers.judging.motion_window import WINDOW_S, MotionWindow
+from drivers.judging.records import Record, record_of
 from drivers.judging.settings import DriveJudging, Follows
 
 LOST = 2.0
@@ -15,6 +18,85 @@ LOST = 2.0
 
 UNSURE = 3.0
 """Standard deviations of a friction of unknown direction that are allowed: it may act fully either way."""
+
+CHECKS = ("", "effort", "warning", "load")
+_FINE, _EFFORT, _WARNING, _LOAD = range(4)
+
+DRIVE = np.dtype(
+    [
+        ("axis", "i8"),
+        ("tolerance", "f8"),  # drive's unit
+        ("stop_tolerance", "f8"),
+        ("settling_ticks", "i8"),
+        ("bridged_ticks", "i8"),
+        ("window_ticks", "i8"),  # of the motion window
+        # what was seen
+        ("commands", "i8"),  # how many were sent, at most settling_ticks + 1
+        ("newest", "i8"),  # place of the newest of them
+        ("off_ticks", "i8"),
+        ("far_ticks", "i8"),
+        ("measured", "f8"),  # drive's unit: the last effort that was off
+        ("expected", "f8"),
+        ("statusword", "i8"),  # with its warning
+        ("overloaded", "?"),
+        ("is_lost", "?"),  # the newest finding stops the motors, whatever follows otherwise
+        ("lag_ticks", "i8"),
+    ],
+    align=True,
+)
+"""Settings and memory of a drive's judge."""
+
+
+@register_jitable
+def judged_drive(drive: Record, sent: np.ndarray, answer: Record, commanded: float, ticks: int, window_over: bool) -> int:
+    """Return which of `CHECKS` the newest sample fails, 0 when none; callable from compiled code.
+
+    Parameters
+    ----------
+    drive : DRIVE
+        Advanced in place.
+    sent : (settling_ticks + 1 or more,) array
+        The last efforts sent [drive's unit], in the order of a ring; advanced in place.
+    answer : ANSWER
+        Of its axis.
+    commanded : float
+        Effort sent before this SYNC [drive's unit].
+    ticks : int
+        Passed since the sample before.
+    window_over : bool
+        Whether this sample ended a motion window, by which `overloaded` was set.
+    """
+    kept = drive.settling_ticks + 1
+    drive.newest = (drive.newest + 1) % kept
+    sent[drive.newest] = commanded
+    drive.commands = min(drive.commands + 1, kept)
+    low = high = sent[(drive.newest + 1 - drive.commands) % kept]
+    for k in range(2 - drive.commands, 1):
+        effort = sent[(drive.newest + k) % kept]
+        if effort < low:
+            low = effort
+        if effort > high:
+            high = effort
+    measured = answer.effort
+    if low - drive.tolerance <= measured <= high + drive.tolerance:
+        drive.off_ticks = drive.far_ticks = 0
+    elif measured == measured and low == low:
+        drive.off_ticks += ticks
+        drive.measured, drive.expected = measured, low if measured < low else high
+        is_far = abs(drive.measured - drive.expected) > drive.stop_tolerance
+        if abs(drive.measured) <= drive.tolerance and isfinite(drive.stop_tolerance):
+            is_far = is_far or abs(drive.expected) > LOST * drive.tolerance
+        drive.far_ticks = drive.far_ticks + ticks if is_far else 0
+    drive.lag_ticks, drive.is_lost = 0, False
+    if drive.off_ticks > drive.bridged_ticks:
+        drive.lag_ticks = drive.off_ticks - 1
+        drive.is_lost = drive.far_ticks > drive.bridged_ticks
+        return _EFFORT
+    if answer.statusword >= 0 and answer.statusword & WARNING:
+        drive.statusword = answer.statusword
+        return _WARNING
+    drive.lag_ticks = drive.window_ticks - 1 if drive.overloaded and window_over else 0
+    return _LOAD if drive.overloaded else _FINE
 
 
 class DriveJudge:
@@ -29,76 +111,70 @@ class DriveJudge:
     settings : DriveJudging
     window : MotionWindow, optional
         Of the machine, stepped before this; without one the load is not judged.
-
-    Attributes
-    ----------
-    lag_ticks : int
-        For how many ticks before the newest one the readings are in doubt too.
-    follows : str
-        What follows the newest finding.
+    state : (1,) array of DRIVE, optional
+        Its memory.
+    sent : (settling_ticks + 1 or more,) array, optional
+        Memory of what it was sent.
     """
 
-    def __init__(self, settings: DriveJudging, window: MotionWindow | None = None) -> None:
+    checks = CHECKS
+
+    def __init__(
+        self,
+        settings: DriveJudging,
+        window: MotionWindow | None = None,
+        state: np.ndarray | None = None,
+        sent: np.ndarray | None = None,
+    ) -> None:
         self.sensor = settings.sensor
-        self.follows: Follows = settings.follows
         self._settings = settings
         self._window = window
-        self._statusword = 0
+        self._state = record_of(np.zeros(1, DRIVE) if state is None else state)
+        self._sent = np.full(settings.settling_ticks + 1, nan) if sent is None else sent
         self.begin()
 
     def begin(self) -> None:
         """Begin anew: no command is known."""
-        self.lag_ticks = 0
-        self._sent: deque[float] = deque(maxlen=self._settings.settling_ticks + 1)
-        self._off_ticks = self._far_ticks = 0
-        self._measured = self._expected = self._load_off = nan
-        self._overloaded = False
+        state, settings = self._state, self._settings
+        state.axis, state.tolerance, state.stop_tolerance = settings.axis, settings.tolerance, settings.stop_tolerance
+        state.settling_ticks, state.bridged_ticks = settings.settling_ticks, settings.bridged_ticks
+        state.window_ticks = 1 if self._window is None else self._window.ticks
+        state.commands, state.newest = 0, -1
+        state.off_ticks = state.far_ticks = state.lag_ticks = 0
+        state.measured = state.expected = self._load_off = nan
+        state.overloaded = state.is_lost = False
+
+    @property
+    def lag_ticks(self) -> int:
+        """For how many ticks before the newest one the readings are in doubt too."""
+        return int(self._state.lag_ticks)
+
+    @property
+    def follows(self) -> Follows:
+        """What follows the newest finding."""
+        return "stop" if self._state.is_lost else self._settings.follows
 
     def step(self, sample: Sample, ticks: int) -> str:
         """Return which check the newest sample fails, '' when none; `ticks` passed since the one before."""
-        settings = self._settings
-        axis = settings.axis
-        self._sent.append(float(sample.commanded[axis]))
-        measured = float(sample.effort[axis])
-        low, high = min(self._sent), max(self._sent)
-        if low - settings.tolerance <= measured <= high + settings.tolerance:
-            self._off_ticks = self._far_ticks = 0
-        elif measured == measured and low == low:
-            self._off_ticks += ticks
-            self._measured, self._expected = measured, low if measured < low else high
-            self._far_ticks = self._far_ticks + ticks if self._is_far() else 0
-        self.lag_ticks, self.follows = 0, settings.follows
-        overloaded = self._is_overloaded(axis)
-        if self._off_ticks > settings.bridged_ticks:
-            self.lag_ticks = self._off_ticks - 1
-            self.follows = "stop" if self._far_ticks > settings.bridged_ticks else settings.follows
-            return "effort"
-        statusword = int(sample.statusword[axis])
-        if statusword >= 0 and statusword & WARNING:
-            self._statusword = statusword
-            return "warning"
-        self.lag_ticks = self._window.ticks - 1 if overloaded and self._window is not None and self._window.over else 0
-        return "load" if overloaded else ""
+        axis, is_over = self._settings.axis, self._window is not None and self._window.over
+        if is_over:
+            self.take_window()
+        answer = record_of(sample.answers[axis : axis + 1])
+        return CHECKS[judged_drive(self._state, self._sent, answer, sample.commanded[axis], ticks, is_over)]
 
-    def _is_far(self) -> bool:
-        """Whether the drive has lost its torque, or gives what it was not sent."""
-        settings, lost = self._settings, abs(self._measured) <= self._settings.tolerance
-        far = abs(self._measured - self._expected) > settings.stop_tolerance
-        return far or (lost and isfinite(settings.stop_tolerance) and abs(self._expected) > LOST * settings.tolerance)
-
-    def _is_overloaded(self, axis: int) -> bool:
-        """Judge the window that is over; what it found stands to the end of the next one."""
-        window = self._window
-        if window is not None and window.over:
-            off = float(window.effort_off[axis])
-            allowed = self._settings.load_tolerance + UNSURE * float(window.effort_unsure[axis])
-            self._overloaded, self._load_off = abs(off) > allowed, off
-        return self._overloaded
+    def take_window(self) -> None:
+        """Judge the load by the window that is over; what is found stands to the end of the next one."""
+        assert self._window is not None
+        axis = self._settings.axis
+        self._load_off = float(self._window.effort_off[axis])
+        allowed = self._settings.load_tolerance + UNSURE * float(self._window.effort_unsure[axis])
+        self._state.overloaded = abs(self._load_off) > allowed
 
     def says(self, check: str) -> str:
         """Return a failed check in words."""
+        state = self._state
         if check == "warning":
-            return f"its drive warns (statusword {self._statusword:04X}h)"
+            return f"its drive warns (statusword {int(state.statusword):04X}h)"
         unit = self._settings.unit
         if check == "load":
             return (
@@ -106,6 +182,6 @@ class DriveJudge:
                 f"{self._settings.load_tolerance:.2g} {unit} are allowed: brake, friction, load or motor differ from it"
             )
         return (
-            f"its drive measures {self._measured:+.3g} {unit} where it was sent {self._expected:+.3g} {unit}; "
+            f"its drive measures {state.measured:+.3g} {unit} where it was sent {state.expected:+.3g} {unit}; "
             f"they may differ by {self._settings.tolerance:.2g} {unit}"
         )

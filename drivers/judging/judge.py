@@ -2,28 +2,57 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
+
+import numpy as np
 
 from drivers.interface import Sample
-from drivers.judging.drive import DriveJudge
-from drivers.judging.encoders import EncoderJudge
-from drivers.judging.imu import ImuJudge
+from drivers.judging.drive import DRIVE, DriveJudge
+from drivers.judging.encoders import PAIR, PATH, EncoderJudge
+from drivers.judging.imu import PACKETS, ImuJudge
 from drivers.judging.motion_window import MotionWindow
 from drivers.judging.settings import Follows, JudgingSettings
-from drivers.judging.temperature import TemperatureJudge
+from drivers.judging.temperature import THERMOMETER, TemperatureJudge
 
 MOST_FINDINGS = 64
 """Findings kept, a sensor and a check each; there are fewer pairs on a machine of six axes."""
+
+
+class Memory(NamedTuple):
+    """What all judges of a machine know, one array a kind, as compiled code takes it."""
+
+    imus: np.ndarray  # (0 or 1,) PACKETS
+    pairs: np.ndarray  # (encoder pairs,) PAIR
+    paths: np.ndarray  # (encoder pairs, 2) PATH
+    thermometers: np.ndarray  # THERMOMETER
+    drives: np.ndarray  # DRIVE
+    sent: np.ndarray  # (drives, commands) efforts, drive's unit
+    found: np.ndarray  # (judges,) which of its checks each failed last, 0 when none
+
+
+Law = Callable[[Memory, Sample, int, bool, bool], bool]
+"""Judges a sample by all laws at once: memory, sample, ticks since the one before, whether a motion window is over, whether all axes are
+led. It overwrites `found` and returns whether anything is."""
 
 
 class Judge(Protocol):
     """One sensor's judge."""
 
     sensor: str
-    follows: Follows
-    lag_ticks: int
+
+    @property
+    def checks(self) -> Sequence[str]:
+        """What it may find, in words of the recording; the first is nothing."""
+
+    @property
+    def follows(self) -> Follows:
+        """What follows the newest finding."""
+
+    @property
+    def lag_ticks(self) -> int:
+        """For how many ticks before the newest one the readings are in doubt too."""
 
     def begin(self) -> None:
         """Forget what was seen."""
@@ -59,6 +88,8 @@ class SensorJudge:
         Between ticks.
     noticed : callable, optional
         Called with time, sensor, check and words when a check begins to fail, and with no words when it ends.
+    law : Law, optional
+        Of all judges at once, compiled; without it each judges by itself, which takes longer and finds the same.
 
     Attributes
     ----------
@@ -68,15 +99,36 @@ class SensorJudge:
         A bit per sensor that is not to be believed at the newest sample.
     """
 
-    def __init__(self, settings: JudgingSettings, period_s: float, noticed: Callable[[float, str, str, str], None] | None = None) -> None:
+    def __init__(
+        self,
+        settings: JudgingSettings,
+        period_s: float,
+        noticed: Callable[[float, str, str, str], None] | None = None,
+        law: Law | None = None,
+    ) -> None:
         axes = len(settings.drives)
-        self._window = None if settings.expects is None else MotionWindow(settings.expects, axes, period_s)
+        window = self._window = None if settings.expects is None else MotionWindow(settings.expects, axes, period_s)
+        imu, encoders, temperatures, drives = settings.imu, settings.encoders, settings.temperatures, settings.drives
+        longest = max((each.settling_ticks + 1 for each in drives), default=1)
+        memory = self._memory = Memory(
+            np.zeros(int(imu is not None), PACKETS),
+            np.zeros(len(encoders), PAIR),
+            np.zeros((len(encoders), 2), PATH),
+            np.zeros(len(temperatures), THERMOMETER),
+            np.zeros(len(drives), DRIVE),
+            np.full((len(drives), longest), np.nan),
+            np.zeros((imu is not None) + len(encoders) + len(temperatures) + len(drives), np.int64),
+        )
+        self._imu = None if imu is None else ImuJudge(imu, window, memory.imus)
+        drive_judges = [DriveJudge(each, window, memory.drives[k : k + 1], memory.sent[k]) for k, each in enumerate(drives)]
         self._judges: list[Judge] = [
-            *([ImuJudge(settings.imu, self._window)] if settings.imu is not None else []),
-            *(EncoderJudge(each) for each in settings.encoders),
-            *(TemperatureJudge(each) for each in settings.temperatures),
-            *(DriveJudge(each, self._window) for each in settings.drives),
+            *([] if self._imu is None else [self._imu]),
+            *(EncoderJudge(each, memory.pairs[k : k + 1], memory.paths[k]) for k, each in enumerate(encoders)),
+            *(TemperatureJudge(each, memory.thermometers[k : k + 1]) for k, each in enumerate(temperatures)),
+            *drive_judges,
         ]
+        self._of_windows: list[DriveJudge | ImuJudge] = [*drive_judges, *([] if self._imu is None else [self._imu])]
+        self._law: Law = self._each if law is None else law
         self.sensors = tuple(judge.sensor for judge in self._judges)
         self._period_s = period_s
         self._noticed = noticed
@@ -93,6 +145,8 @@ class SensorJudge:
     def restart(self) -> None:
         """Begin a recording: findings so far are not its own; what is still wrong is found again."""
         self.marks = 0
+        self._is_failing = False
+        self._memory.found[:] = 0
         self._failed = [""] * len(self._judges)
         self._findings: dict[tuple[str, str], Finding] = {}
 
@@ -119,13 +173,35 @@ class SensorJudge:
         str
             Why the motors must be stopped, in words; '' when they need not.
         """
-        marks, reason = 0, ""
-        if self._window is not None and led:
-            self._window.step(sample, ticks)
+        window, is_over = self._window, False
+        if window is not None and led:
+            window.step(sample, ticks)
+            is_over = window.over
+        if is_over:
+            for each in self._of_windows:
+                each.take_window()
+        if self._imu is not None and sample.imu_fault:
+            self._imu.take_fault(sample)
+        is_failing = self._law(self._memory, sample, ticks, is_over, led)
+        if not is_failing and not self._is_failing:
+            return ""
+        self._is_failing = is_failing
+        return self._take_findings(time_s, led=led)
+
+    def _each(self, memory: Memory, sample: Sample, ticks: int, window_over: bool, led: bool) -> bool:
+        """Judge a sample by each judge itself."""
         for bit, judge in enumerate(self._judges):
+            if led or isinstance(judge, TemperatureJudge):
+                memory.found[bit] = judge.checks.index(judge.step(sample, ticks))
+        return bool(memory.found.any())
+
+    def _take_findings(self, time_s: float, *, led: bool) -> str:
+        """Keep what was found in the newest sample; return why the motors must be stopped, or ''."""
+        marks, reason = 0, ""
+        for bit, (judge, found) in enumerate(zip(self._judges, self._memory.found.tolist(), strict=True)):
             if not led and not isinstance(judge, TemperatureJudge):
                 continue
-            check = judge.step(sample, ticks)
+            check = judge.checks[found]
             if check != self._failed[bit]:
                 self._change(bit, judge, check, time_s)
             if check:

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from math import isfinite, nan
 
+import numpy as np
+from numba.extending import register_jitable
+
 from drivers.interface import Sample
+from drivers.judging.records import Record, record_of
 from drivers.judging.settings import TemperatureJudging
 
 WINDOW_S = 10.0
@@ -13,6 +17,55 @@ WINDOW_S = 10.0
 STEPS = 3.0
 """Steps of its resolution by which a sound thermometer flickers: one either way, and one of rounding on the wire."""
 
+CHECKS = ("", "broken", "limit", "rate")
+_FINE, _BROKEN, _LIMIT, _RATE = range(4)
+
+THERMOMETER = np.dtype(
+    [
+        ("axis", "i8"),
+        ("limit_degC", "f8"),
+        ("rate_K_s", "f8"),
+        ("step_K", "f8"),
+        ("io_stale_s", "f8"),
+        ("period_s", "f8"),
+        ("window", "i8"),  # ticks
+        # what was seen
+        ("reference", "f8"),  # degC, at the start of the window
+        ("newest", "f8"),
+        ("ticks", "i8"),  # of the window, so far
+    ],
+    align=True,
+)
+"""Settings and memory of a thermometer's judge."""
+
+
+@register_jitable
+def judged_temperature(thermometer: Record, newest: float, io_age_s: float, ticks: int) -> int:
+    """Return which of `CHECKS` a temperature [degC] fails, 0 when none; callable from compiled code.
+
+    Parameters
+    ----------
+    thermometer : THERMOMETER
+        Advanced in place.
+    newest, io_age_s : float
+        Temperature and age of the I/O's state.
+    ticks : int
+        Passed since the sample before.
+    """
+    if io_age_s > thermometer.io_stale_s:  # the I/O is silent, which is no fault of the thermometer
+        return _FINE
+    thermometer.newest = newest
+    if not isfinite(newest):
+        return _BROKEN
+    if newest > thermometer.limit_degC:
+        return _LIMIT
+    thermometer.ticks += ticks
+    allowed = thermometer.rate_K_s * thermometer.ticks * thermometer.period_s + STEPS * thermometer.step_K
+    found = _RATE if abs(newest - thermometer.reference) > allowed else _FINE
+    if thermometer.ticks >= thermometer.window or not isfinite(thermometer.reference):
+        thermometer.reference, thermometer.ticks = newest, 0
+    return found
+
 
 class TemperatureJudge:
     """Judges the thermometer of one axis.
@@ -20,6 +73,8 @@ class TemperatureJudge:
     Parameters
     ----------
     settings : TemperatureJudging
+    state : (1,) array of THERMOMETER, optional
+        Its memory.
 
     Attributes
     ----------
@@ -27,41 +82,33 @@ class TemperatureJudge:
         For how many ticks before the newest one the readings are in doubt too: none.
     """
 
+    checks = CHECKS
     lag_ticks = 0
 
-    def __init__(self, settings: TemperatureJudging) -> None:
+    def __init__(self, settings: TemperatureJudging, state: np.ndarray | None = None) -> None:
         self.sensor, self.follows = settings.sensor, settings.follows
         self._settings = settings
-        self._window = round(WINDOW_S / settings.period_s)
+        self._state = record_of(np.zeros(1, THERMOMETER) if state is None else state)
         self.begin()
 
     def begin(self) -> None:
         """Begin anew: no temperature is known."""
-        self._reference = self._newest = nan
-        self._ticks = 0
+        state, settings = self._state, self._settings
+        state.axis, state.limit_degC, state.rate_K_s, state.step_K = settings.axis, settings.limit_degC, settings.rate_K_s, settings.step_K
+        state.io_stale_s, state.period_s, state.window = settings.io_stale_s, settings.period_s, round(WINDOW_S / settings.period_s)
+        state.reference = state.newest = nan
+        state.ticks = 0
 
     def step(self, sample: Sample, ticks: int) -> str:
         """Return which check the newest sample fails, '' when none; `ticks` passed since the one before."""
-        settings = self._settings
-        if sample.io_age_s > settings.io_stale_s:  # the I/O is silent, which is no fault of the thermometer
-            return ""
-        self._newest = newest = float(sample.temperature_degC[settings.axis])
-        if not isfinite(newest):
-            return "broken"
-        if newest > settings.limit_degC:
-            return "limit"
-        self._ticks += ticks
-        allowed = settings.rate_K_s * self._ticks * settings.period_s + STEPS * settings.step_K
-        found = "rate" if abs(newest - self._reference) > allowed else ""
-        if self._ticks >= self._window or not isfinite(self._reference):
-            self._reference, self._ticks = newest, 0
-        return found
+        return CHECKS[judged_temperature(self._state, sample.temperature_degC[self._settings.axis], sample.io_age_s, ticks)]
 
     def says(self, check: str) -> str:
         """Return a failed check in words."""
-        settings = self._settings
+        settings, newest = self._settings, float(self._state.newest)
         if check == "broken":
             return "reads no temperature: its wire is broken, or it is not connected"
         if check == "limit":
-            return f"{self._newest:.1f} degC, {settings.limit_degC:.1f} are allowed"
-        return f"{self._newest - self._reference:+.1f} K within {WINDOW_S:g} s; a winding changes by at most {settings.rate_K_s:.2g} K/s"
+            return f"{newest:.1f} degC, {settings.limit_degC:.1f} are allowed"
+        change = newest - float(self._state.reference)
+        return f"{change:+.1f} K within {WINDOW_S:g} s; a winding changes by at most {settings.rate_K_s:.2g} K/s"

@@ -165,7 +165,7 @@ class SampleLoop:
                 lost = self.clock.missed - missed_seen
                 missed_seen += lost
                 k += 1 + (lost if done else 0)  # row 0 is wherever the run begins
-                unanswered += bool(sample.unanswered or sample.position_late.any())
+                unanswered += not sample.is_whole
                 overrun = ""
                 if lost > self.overrun_ticks:
                     overrun = f"the loop lost {lost} ticks in a row; timing.overrun_ticks bridges {self.overrun_ticks}"
@@ -237,7 +237,7 @@ class SampleLoop:
         self._see(sample)
         reference = plan.reference[k]
         feedforward = self._zeros if plan.feedforward is None else plan.feedforward[k]
-        if not sample.unanswered and not sample.position_late.any():
+        if sample.is_whole:
             self.control.step(reference, self._position, excitation, feedforward)
         return self.stop_request.reason or self._violation(sample, reference, ticks, k)
 
@@ -245,7 +245,7 @@ class SampleLoop:
         """Let the filters of axes whose drives close loops of their own make up for ticks whose positions did not come."""
         for axis in self.control.led:
             position = float(sample.position[axis])
-            if sample.unanswered or sample.position_late.any() or position != position:
+            if not sample.is_whole or position != position:
                 self.control.fall_behind(axis)
             elif self._position[axis] == self._position[axis]:
                 self.control.catch_up(axis, plan.reference[: max(k, 1), axis], float(self._position[axis]), position)

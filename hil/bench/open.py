@@ -13,6 +13,7 @@ from drivers.judging.judge import SensorJudge
 from drivers.modbus.transport import parse_io_url
 from hil.bench.bench import Bench
 from hil.bench.clock import WallClock
+from hil.bench.compiled_judging import judged_at_once
 from hil.bench.control import Control
 from hil.bench.holding import with_holding_efforts
 from hil.bench.judging import judging_of
@@ -80,7 +81,7 @@ def open_bench(
         links.append(wiring.link)
         io = machine.bus.io
         judging = judging_of(machine, model, noise=options.noise)
-        judge = SensorJudge(judging, 1.0 / machine.sample_rate_Hz, _noticing(wiring.link.events))
+        judge = SensorJudge(judging, 1.0 / machine.sample_rate_Hz, _noticing(wiring.link.events), judged_at_once)
         loop = SampleLoop(
             wiring.link,
             wiring.clock,
