@@ -67,9 +67,9 @@ class BusLine:
         self._bus = open_bus(url, bitrate)
         stack.callback(self._bus.shutdown)
 
-    def receive(self, timeout_s: float) -> tuple[int, bytes] | None:
-        """Return the next data frame with an 11-bit identifier; None where none comes."""
-        message = self._bus.recv(timeout_s)
+    def receive(self) -> tuple[int, bytes] | None:
+        """Return the next data frame with an 11-bit identifier that has come; None where none has."""
+        message = self._bus.recv(0.0)
         if message is None or message.is_extended_id or message.is_error_frame or message.is_remote_frame or message.is_fd:
             return None
         return message.arbitration_id, bytes(message.data)
@@ -84,19 +84,18 @@ class Tap:
 
     def __init__(self, tap: socket.socket) -> None:
         self._tap = tap
+        tap.setblocking(False)
 
-    def receive(self, timeout_s: float) -> tuple[int, bytes] | None:
-        """Return the next data frame; None where none comes."""
-        self._tap.settimeout(timeout_s)
+    def receive(self) -> tuple[int, bytes] | None:
+        """Return the next data frame that has come; None where none has."""
         try:
             can_id, length, data = FRAME.unpack(self._tap.recv(FRAME.size))
-        except (TimeoutError, BlockingIOError):
+        except BlockingIOError:
             return None
         return can_id, data[:length]
 
     def send(self, can_id: int, data: bytes) -> None:
         """Hand a frame to the owner, which sends it with its next one."""
-        self._tap.settimeout(0.0)
         self._tap.send(FRAME.pack(can_id, len(data), data))
 
 

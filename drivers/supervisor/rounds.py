@@ -1,4 +1,7 @@
-"""What the supervisor's process does, round by round: take frames for half a period, then judge and answer."""
+"""What the supervisor's process does, round by round: sleep for half a period, take the frames that came meanwhile, judge and answer.
+
+It does not wait for frames: one that wakes it with every frame takes the processor from whoever exchanges them, at each of them.
+"""
 
 from __future__ import annotations
 
@@ -24,8 +27,8 @@ LINGERS_S = 2.0  # for which it goes on judging after the loop's process is gone
 class Line(Protocol):
     """A bus that is read and written frame by frame."""
 
-    def receive(self, timeout_s: float) -> tuple[int, bytes] | None:
-        """Return the next data frame; None where none comes."""
+    def receive(self) -> tuple[int, bytes] | None:
+        """Return the next data frame that has come; None where none has. Never waits."""
 
     def send(self, can_id: int, data: bytes) -> None:
         """Send a frame."""
@@ -113,15 +116,15 @@ class Rounds:
         self._judge(now_s)
 
     def _take_frames(self, until_s: float) -> bool:
+        """Take what has come by the end of the round; return whether that is all."""
+        self._clock.sleep(max(0.0, until_s - self._clock.monotonic()))
         try:
             for _ in range(MOST_FRAMES):
-                if (frame := self._line.receive(max(0.0, until_s - self._clock.monotonic()))) is not None:
-                    self._supervisor.frame(self._clock.monotonic(), *frame)
-                elif self._clock.monotonic() >= until_s:
+                if (frame := self._line.receive()) is None:
                     return True
+                self._supervisor.frame(self._clock.monotonic(), *frame)
         except (can.CanError, OSError) as error:
             self._supervisor.refuse(self._clock.monotonic(), f"the bus cannot be read: {error}")
-            self._clock.sleep(self._round_s)
         return False
 
     def _heed(self) -> None:

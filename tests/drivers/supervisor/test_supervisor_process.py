@@ -226,7 +226,7 @@ def test_what_is_no_data_frame_is_not_heard() -> None:
         others = ({"is_extended_id": True}, {"is_remote_frame": True}, {"is_error_frame": True}, {"is_fd": True}, {})
         for kind in others:
             other.send(can.Message(arbitration_id=SYNC, **{"is_extended_id": False, **kind}))  # type: ignore[arg-type]
-        assert [line.receive(0.0) for _ in others] == [None, None, None, None, (SYNC, b"")]
+        assert [line.receive() for _ in others] == [None, None, None, None, (SYNC, b"")]
     other.shutdown()
 
 
@@ -397,9 +397,7 @@ class HeldUp:
 
     def send(self, can_id: int, data: bytes) -> None: ...
 
-    def receive(self, timeout_s: float) -> tuple[int, bytes] | None:
-        if timeout_s > 0.0 and not self.frames:
-            self.now_s += timeout_s
+    def receive(self) -> tuple[int, bytes] | None:
         if self.now_s > 1.0:
             self.now_s, self._held_up_s = self.now_s + self._held_up_s, 0.0
         while self._sent_s <= self.now_s:
@@ -417,20 +415,6 @@ def test_a_supervisor_that_was_held_up_reads_what_lies_there_before_it_judges(be
     assert line.now_s > 1.9
     assert bench.own.text == ""
     assert bench.seen[PERMITS] == 1
-
-
-class WakesEarly(HeldUp):
-    """A bus whose waits end before their time, without a frame."""
-
-    def receive(self, timeout_s: float) -> tuple[int, bytes] | None:
-        return super().receive(0.4 * timeout_s)
-
-
-def test_a_wait_that_ends_early_without_a_frame_is_gone_on_with(bench: Bench) -> None:
-    line = WakesEarly(0.0)
-    bench.run(rounds=100, io=False, line=line, clock=line)
-    assert line.now_s > 0.9 * 100 * 0.5 * SETTINGS.sync_period_s, "a round lasts half a period, as ever"
-    assert bench.own.text == ""
 
 
 def test_a_flood_does_not_keep_it_from_judging(bench: Bench) -> None:
@@ -531,22 +515,29 @@ def test_a_priority_that_is_refused_keeps_nothing_from_running(bench: Bench) -> 
 
 
 class Measured(HeldUp):
-    """A bus on which nothing comes, and that keeps for how long it is waited for."""
+    """A bus that keeps how long is slept before it is read, and how often it is read."""
 
     def __init__(self) -> None:
         super().__init__(0.0)
-        self.waits: list[float] = []
+        self.slept_s: list[float] = []
+        self.read = 0
 
-    def receive(self, timeout_s: float) -> tuple[int, bytes] | None:
-        self.waits.append(timeout_s)
-        self.now_s += timeout_s + 1e-5
-        return None
+    def sleep(self, seconds: float) -> None:
+        self.slept_s.append(seconds)
+        super().sleep(seconds)
+
+    def receive(self) -> tuple[int, bytes] | None:
+        self.read += 1
+        return super().receive()
 
 
-def test_a_round_waits_for_frames_for_half_a_period(bench: Bench) -> None:
+def test_a_round_sleeps_for_half_a_period_and_takes_what_has_come(bench: Bench) -> None:
+    """A process that waits for frames is woken by each, and takes the processor from whoever exchanges them."""
     line = Measured()
-    bench.run(rounds=20, line=line, clock=line)
-    assert line.waits == [pytest.approx(0.5 * SETTINGS.sync_period_s)] * 21  # one a round; it hears of the end in the last
+    bench.run(rounds=20, io=False, line=line, clock=line)
+    assert line.slept_s == [pytest.approx(0.5 * SETTINGS.sync_period_s, abs=1e-6)] * 21  # one a round; it hears of the end in the last
+    assert 2 * 10 <= line.read - 21 <= 2 * 12, "SYNC and TPDO of ten or eleven periods"
+    assert line.read - 21 + len(line.frames) >= 20
 
 
 def test_a_round_that_took_long_was_held_up(bench: Bench) -> None:
@@ -625,13 +616,10 @@ class StalledLine:
 
     def send(self, can_id: int, data: bytes) -> None: ...
 
-    def receive(self, timeout_s: float) -> tuple[int, bytes] | None:
-        until_s = self.now_s + timeout_s
-        next_s = 100.0 + self._sent // 2 * self._share * SETTINGS.sync_period_s
-        if next_s > until_s:
-            self.now_s = until_s
+    def receive(self) -> tuple[int, bytes] | None:
+        if 100.0 + self._sent // 2 * self._share * SETTINGS.sync_period_s > self.now_s:
             return None
-        self.now_s = max(self.now_s, next_s) + 1e-4
+        self.now_s += 1e-5
         if self.now_s > self._stall_at_s:
             self.now_s, self._stall_at_s = self.now_s + self._stalls_s, np.inf
         self._sent += 1
