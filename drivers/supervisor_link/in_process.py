@@ -24,6 +24,9 @@ class SupervisorLink(Protocol):
     def end(self) -> None:
         """End the session: nothing is permitted before the next."""
 
+    def ticks_begin(self) -> None:
+        """Take note that the loop's ticks begin now, a period apart."""
+
     def trouble(self) -> str:
         """Return why nothing may move, in words; '' where it may."""
 
@@ -52,6 +55,9 @@ class SupervisorInProcess:
     def end(self) -> None:
         """End the session: nothing is permitted before the next."""
         self._supervisor.end()
+
+    def ticks_begin(self) -> None:
+        """Take note of nothing: frames step it."""
 
     def trouble(self) -> str:
         """Return why nothing may move, in words; '' where it may."""

@@ -17,7 +17,7 @@ from drivers.bus_url import parse_bus_url
 from drivers.errors import BusUnavailableError
 from drivers.settings import BusSettings
 from drivers.shared_memory.block import Block
-from drivers.shared_memory.supervisor_blocks import ASKED, END, ORDERS, OWN, PERMITS, ROUNDS, SESSION, WANTED_SESSION, blocks_of
+from drivers.shared_memory.supervisor_blocks import ASKED, END, ORDERS, OWN, PERMITS, ROUNDS, SESSION, TICK_S, WANTED_SESSION, blocks_of
 from drivers.supervisor.process import supervise
 from drivers.supervisor_link.in_process import took_back
 from drivers.supervisor_link.tapped_bus import TappedBus
@@ -120,6 +120,11 @@ class SupervisorProcess:
     def end(self) -> None:
         """End the session: nothing is permitted before the next."""
         self._told[WANTED_SESSION] = -self._session
+        self._orders.write(self._told)
+
+    def ticks_begin(self) -> None:
+        """Tell when the loop's ticks begin, which is now: between them there is time for the supervisor's rounds."""
+        self._told[TICK_S] = time.monotonic()
         self._orders.write(self._told)
 
     def trouble(self) -> str:

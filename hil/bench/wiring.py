@@ -76,6 +76,12 @@ class HeedingMachine(CanMachine):
         self._supervisor.begin()
         super().start()
 
+    def resume_ticks(self) -> None:
+        """Start the ticks as `CanMachine` does, and tell the supervisor when."""
+        super().resume_ticks()
+        if not self.settings.sync_producer:
+            self._supervisor.ticks_begin()
+
     def close(self) -> None:
         """Close as `CanMachine` does, and end the supervisor's session."""
         super().close()

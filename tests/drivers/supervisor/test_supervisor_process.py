@@ -33,6 +33,7 @@ from drivers.shared_memory.supervisor_blocks import (
     PERMITS,
     ROUNDS,
     SESSION,
+    TICK_S,
     WORD,
     AnswerReader,
     blocks_of,
@@ -538,6 +539,51 @@ def test_a_round_sleeps_for_half_a_period_and_takes_what_has_come(bench: Bench) 
     assert line.slept_s == [pytest.approx(0.5 * SETTINGS.sync_period_s, abs=1e-6)] * 21  # one a round; it hears of the end in the last
     assert 2 * 10 <= line.read - 21 <= 2 * 12, "SYNC and TPDO of ten or eleven periods"
     assert line.read - 21 + len(line.frames) >= 20
+
+
+class Beside(Measured):
+    """A bus on which nothing comes, and that keeps when it is first read in each round."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.read_at_s: list[float] = []
+
+    def receive(self) -> tuple[int, bytes] | None:
+        self.read_at_s.append(self.now_s)
+        self.now_s += 1e-5
+        return None
+
+
+@pytest.mark.parametrize("tick_s", [1e-3, 0.2, 0.5003, 1.0 - 1e-9])
+def test_rounds_end_between_the_ticks_that_the_loop_tells(bench: Bench, tick_s: float) -> None:
+    line, period_s = Beside(), SETTINGS.sync_period_s
+    line.now_s = 1.0
+
+    def tell(number: int) -> None:
+        told = np.zeros(ORDERS)
+        bench.orders.read(told)
+        told[TICK_S] = tick_s
+        bench.orders.write(told)
+
+    bench.run(rounds=41, io=False, line=line, clock=line, during=tell)
+    places = (np.array(line.read_at_s[2:]) - tick_s) / period_s % 1.0
+    assert np.minimum(abs(places - 0.35), abs(places - 0.85)).max() < 1e-3
+    assert max(line.slept_s) <= 0.5 * period_s + 1e-9
+    assert line.read_at_s[-1] - line.read_at_s[2] == pytest.approx(0.5 * period_s * (len(line.read_at_s) - 3), abs=1e-5), "none left out"
+
+
+@pytest.mark.parametrize("tick_s", [-1.0, 1e9, np.inf, np.nan])
+def test_a_tick_that_cannot_have_been_changes_no_round(bench: Bench, tick_s: float) -> None:
+    line = Beside()
+
+    def tell(number: int) -> None:
+        told = np.zeros(ORDERS)
+        bench.orders.read(told)
+        told[TICK_S] = tick_s
+        bench.orders.write(told)
+
+    bench.run(rounds=10, io=False, line=line, clock=line, during=tell)
+    assert line.slept_s == [pytest.approx(0.5 * SETTINGS.sync_period_s, abs=1e-6)] * 11
 
 
 def test_a_round_that_took_long_was_held_up(bench: Bench) -> None:

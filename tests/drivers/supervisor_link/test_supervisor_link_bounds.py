@@ -18,7 +18,7 @@ from drivers.modbus.refresh import FIRST_WORD, following_word
 from drivers.settings import Pdo
 from drivers.shared_memory.block import Block
 from drivers.shared_memory.io_state import IoState
-from drivers.shared_memory.supervisor_blocks import ASKED, END, ORDERS, OWN, PERMITS, ROUNDS, SESSION, WANTED_SESSION, blocks_of
+from drivers.shared_memory.supervisor_blocks import ASKED, END, ORDERS, OWN, PERMITS, ROUNDS, SESSION, TICK_S, WANTED_SESSION, blocks_of
 from drivers.supervisor_link import process
 from drivers.supervisor_link.in_process import SupervisorInProcess
 from drivers.supervisor_link.process import SILENT_S, SupervisorProcess
@@ -64,6 +64,15 @@ class Both:
 def both(monkeypatch: pytest.MonkeyPatch) -> Iterator[Both]:
     with contextlib.closing(Both(monkeypatch)) as both:
         yield both
+
+
+def test_when_ticks_begin_is_told_and_changes_no_session(both: Both) -> None:
+    values = np.zeros(ORDERS)
+    both.supervisor.begin()
+    both.now_s = 123.25
+    both.supervisor.ticks_begin()
+    both.orders.read(values)
+    assert (values[TICK_S], both.ordered) == (123.25, (1.0, 0.0))
 
 
 def test_sessions_are_numbered_and_one_that_has_ended_is_not_wanted_any_more(both: Both) -> None:

@@ -21,7 +21,7 @@ SETTINGS = JudgingSettings(
     (
         EncoderJudging(
             *("encoders_0", 0, "rad", "mark", PERIOD_S, 1e-3, 50.0, 1e-3, 50.0, 3, 0.2, 0.1, 1e-3),
-            **{"compliance": 1e-3, "inertia": 2.0, "damping": 0.5, "effort_scale": 3.0},
+            *(1e-3, 2.0, 0.5, 3.0),
         ),
         EncoderJudging("encoders_1", 1, "rad", "stop", PERIOD_S, 1e-3, 80.0),
     ),
