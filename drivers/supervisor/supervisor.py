@@ -275,8 +275,12 @@ class Supervisor:
         self._sent = self._fields(((node.axis, pdo) for node in settings.nodes for pdo in node.tpdos), _SEEN)
         self._asked = self._fields(((node.axis, pdo) for node in settings.nodes for pdo in node.rpdos), _ASKED)
 
-    def _fields(self, pdos: Iterable[tuple[str, Pdo]], indices: Collection[int]) -> dict[int, tuple[_Axis, list[_Field]]]:
-        return {pdo.cob_id: (self._axis_of[axis], [_Field(pdo.entries, index) for index in indices]) for axis, pdo in pdos}
+    def _fields(self, pdos: Iterable[tuple[str, Pdo]], indices: Collection[int]) -> dict[int, tuple[_Axis, dict[int, _Field]]]:
+        """Return what each PDO carries of these objects, by its identifier."""
+        return {
+            pdo.cob_id: (self._axis_of[axis], {index: field for index in indices if (field := _Field(pdo.entries, index)).bits})
+            for axis, pdo in pdos
+        }
 
     def end(self) -> None:
         """End the session: nothing is permitted before the next."""
@@ -297,7 +301,8 @@ class Supervisor:
                 axis.unanswered += 1
         elif (asked := self._asked.get(can_id)) is not None:
             axis, fields = asked
-            for field, (kind, unit) in zip(fields, _ASKED.values(), strict=True):
+            for index, field in fields.items():
+                kind, unit = _ASKED[index]
                 value = field.read(data)
                 much, most = (0.0, 0.0) if value is None else axis.asks(kind, value, field.bits)
                 if abs(much) > most:
@@ -305,15 +310,16 @@ class Supervisor:
         elif data[:4] == WRITES_MODE and can_id in self._requests:
             self._requests[can_id].mode = data[4]
         elif (sent := self._sent.get(can_id)) is not None:
-            axis, (status, position, link, current, torque) = sent
-            if (word := status.read(data)) is not None:
+            axis, fields = sent
+            if _STATUSWORD in fields and (word := fields[_STATUSWORD].read(data)) is not None:
                 axis.status(time_s, word)
-            if (effort := current.read(data) if current.bits else torque.read(data)) is not None:
-                axis.effort(time_s, effort)
-            if (counts := position.read(data)) is not None:
-                axis.position(time_s, counts, position.bits)
-            if axis.link is not None and (counts := link.read(data)) is not None:
-                axis.link_position(time_s, counts, link.bits)
+            effort = fields.get(_CURRENT) or fields.get(_TORQUE)
+            if effort is not None and (permille := effort.read(data)) is not None:
+                axis.effort(time_s, permille)
+            if _POSITION in fields and (counts := fields[_POSITION].read(data)) is not None:
+                axis.position(time_s, counts, fields[_POSITION].bits)
+            if axis.link is not None and _LINK_POSITION in fields and (counts := fields[_LINK_POSITION].read(data)) is not None:
+                axis.link_position(time_s, counts, fields[_LINK_POSITION].bits)
 
     def io(self, time_s: float, hold_to_run: bool, door_closed: bool, brakes_open: Iterable[bool] = ()) -> None:
         """Take a state of the I/O; `brakes_open` in the order of the axes, empty where it is not known."""
