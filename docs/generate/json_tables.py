@@ -23,8 +23,9 @@ _RUN = (
         "recordings",
         "list",
         "`recording` and `events` (the files), `experiment` (its metadata), `notes`, `judged` (a line for every check that a sensor "
-        "failed; with any the exit status is 1), and `timing`: `ticks`, `missed`, and of `lateness`, "
-        "`work_time`, `answer_time` and `own_work_time` the keys `…_p50_us`, `…_p99_us`, `…_p99.9_us` and `…_max_us`.",
+        "failed; with any the exit status is 1), and `timing`: `ticks`, `missed`, and of `lateness`, `work_time`, its parts `answer_time`, "
+        "`compute_time` and `write_time`, and `own_work_time`, the last two together, the keys `…_p50_us`, `…_p99_us`, `…_p99.9_us` and "
+        "`…_max_us`.",
     ),
     Entry(
         "calibration",

@@ -152,7 +152,7 @@ class SampleLoop:
         observer = self.observer if sink is not None else None
         if observer is not None:
             observer.restart(rows)
-        lateness, work, answer = np.zeros(rows), np.zeros(rows), np.zeros(rows)
+        lateness, work, answer, write = np.zeros((4, rows))
         missed_before = missed_seen = self.clock.missed
         handed_over_s = 0.0
         done = unanswered = 0
@@ -184,6 +184,7 @@ class SampleLoop:
                 handed_over_s = time.perf_counter()
                 lateness[done] = sample.lateness_s
                 work[done] = handed_over_s - self.clock.tick_began_s + tail_s
+                write[done] = tail_s
                 answer[done] = sample.arrived_s - self.clock.tick_began_s
                 done += 1
                 if sink is not None:
@@ -216,7 +217,7 @@ class SampleLoop:
             self.judge.finish(max(k, 0) * self.layout.period_s)
         judged = () if self.judge is None else judged_lines(self.judge.findings, done)
         missed = self.clock.missed - missed_before
-        return LoopTiming(done, missed, unanswered, lateness[:done], work[:done], answer[:done], judged=judged)
+        return LoopTiming(done, missed, unanswered, lateness[:done], work[:done], answer[:done], write[:done], judged=judged)
 
     def _after_silence(self, sample: Sample, lost: int, reason: str) -> str:
         """Return why the motors must be stopped, and that this program stood still before, where it has: asleep, or within a tick."""

@@ -15,6 +15,7 @@ from drivers.bus_url import BusUrl, parse_bus_url
 from drivers.errors import DriverError
 from drivers.modbus.transport import parse_io_url
 from hil.bench.open import row_layout
+from hil.bench.timing import LoopTiming
 from hil.doctor import computer, software, storage, wire
 from hil.doctor.finding import LEVELS, Finding, Level, unknown
 from hil.doctor.tail import BLOCK_S, HORIZON_S, LEAST_BLOCKS, Prediction, missed_ticks, predict
@@ -125,6 +126,7 @@ def examine(machine: Machine, bus_url: str, seconds: float, folder: Path, say: S
         found = f"{timing.missed} of {timing.missed + timing.ticks} ticks were missed, too many to foretell anything"
         findings.append(Finding("bad", "trial", found, "end other work on this computer, and mend what is said above"))
         return Examination(tuple(findings), None, wake_up_us, timing.summary(), "")
+    findings.append(_parts(timing))
     suspects = [finding.check for finding in findings if finding.level in ("look", "bad") and finding.check in SUSPECTS]
     findings += predicted(prediction, int(missed_ticks(tick_s, prediction.period_s).max()), machine.overrun_ticks, suspects)
     if timing.unanswered:
@@ -162,6 +164,14 @@ def predicted(prediction: Prediction, most_at_once: int, overrun_ticks: int, sus
         yield Finding("look", "missed ticks", found, f"{mend}; a longer trial (--seconds) narrows the interval")
     else:
         yield Finding("ok", "missed ticks", found)
+
+
+def _parts(timing: LoopTiming) -> Finding:
+    """Say where a tick's time goes; writing is that of its row and its commands."""
+    parts = {"frames": timing.answer_time_s, "computing": timing.compute_time_s, "writing": timing.write_time_s}
+    times = {"wake-up": _percentiles_us(timing.lateness_s)} | {name: _percentiles_us(values) for name, values in parts.items()}
+    each = [f"{name} " + ", ".join(f"{share} {value:.0f}" for share, value in found.items()) for name, found in times.items()]
+    return Finding("ok", "parts of a tick", f"{'; '.join(each)} us")
 
 
 def _settings(machine: Machine, real_bus: bool, folder: Path, root: Path, idle: bool) -> Iterator[Finding]:

@@ -258,6 +258,9 @@ def test_in_lockstep_the_hosts_times_stay_out_of_the_rows_and_in_the_summary() -
     assert np.isnan(rows[:, [column("work_time"), column("answer_time")]]).all()
     assert timing.lateness_s.tolist() == [3e-5] * 5
     assert timing.answer_time_s.tolist() == [1e-3] * 5
+    parts = timing.answer_time_s + timing.compute_time_s + timing.write_time_s
+    assert parts.tolist() == pytest.approx(timing.work_time_s.tolist())
+    assert timing.write_time_s[0] == 0.0, "nothing was commanded before"
 
 
 # ---- an observer

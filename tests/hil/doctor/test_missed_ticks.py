@@ -85,7 +85,7 @@ def test_too_few_ticks_are_refused() -> None:
 
 def test_on_a_can_bus_its_own_answer_time_takes_the_place_of_the_emulators() -> None:
     one = np.ones(3)
-    timing = LoopTiming(3, 0, 0, 1e-5 * one, 9e-4 * one, 6e-4 * one)
+    timing = LoopTiming(3, 0, 0, 1e-5 * one, 9e-4 * one, 6e-4 * one, 1e-4 * one)
     assert tick_times(timing) == pytest.approx(9.1e-4)
     assert tick_times(timing, 8e-4) == pytest.approx(1.11e-3)
 
