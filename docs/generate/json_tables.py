@@ -244,7 +244,7 @@ COMMANDS: dict[str, tuple[Entry, ...]] = {
         Entry(
             "emulated, direction, pose_range",
             "true or false, number, list",
-            "Coordinate of the poses that varies, and its ends [rad or m].",
+            "Coordinate of the poses that varies, and its ends [rad or m]; of two, lists of both.",
         ),
         Entry("misfit", "number", "Weighted sum of squares over its degrees of freedom; 1 where noise alone is left."),
         Entry("outputs, inputs", "list", "Channels."),

@@ -13,11 +13,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.polynomial import legendre
 from scipy import linalg
 
 from hil.errors import IdentificationError
 from hil.identification.modal.pole_blocks import Block
+from hil.identification.modal.pose_basis import over_poses, whole_degrees
 from hil.identification.modal.weights import fit_variance
 from hil.identification.result import FrequencyResponse
 
@@ -48,7 +48,7 @@ class JointFit:
 
 
 class JointProblem:
-    """Weighted responses of all poses, at the same lines; numerators are solved for given denominators."""
+    """Weighted responses of all poses x (poses, axes), at the same lines; numerators are solved for given denominators."""
 
     def __init__(self, responses: Sequence[FrequencyResponse], x: np.ndarray) -> None:
         first = responses[0]
@@ -95,12 +95,15 @@ class JointProblem:
         """Return the order of least BIC for every element's numerators, denominators held."""
         self._require_usable(blocks)
         found = []
-        by_order = [JointState(self, tuple(blocks), (order,) * self.elements) for order in range(highest + 1)]
+        orders = whole_degrees(self.x.shape[1], highest)
+        by_order = [JointState(self, tuple(blocks), (order,) * self.elements) for order in orders]
         rows = self.equations // self.elements
         columns = 1 + sum(block.order for block in blocks)
         for e in range(self.elements):
-            criteria = [rows * np.log(s.squares[e] / rows) + (p + 1) * columns * np.log(rows) for p, s in enumerate(by_order)]
-            found.append(int(np.argmin(criteria)))
+            criteria = [
+                rows * np.log(s.squares[e] / rows) + (p + 1) * columns * np.log(rows) for p, s in zip(orders, by_order, strict=True)
+            ]
+            found.append(orders[int(np.argmin(criteria))])
         return tuple(found)
 
     def _require_usable(self, blocks: Sequence[Block]) -> None:
@@ -134,7 +137,7 @@ class JointState:
         self.squares = np.sum(R[:, :, S1, S1] ** 2, axis=0)
         self.numerators = []
         for e, order in enumerate(orders):
-            K, target = _over_poses(R[:, e, :S1, :S1], problem.x, order), R[:, e, :S1, S1].ravel()
+            K, target = _by_products(R[:, e, :S1, :S1], problem.x, order), R[:, e, :S1, S1].ravel()
             size = np.linalg.norm(K, axis=0)
             solution = linalg.lstsq(K / size, target, lapack_driver="gelsy", check_finite=False)[0] / size
             self.squares[e] += np.sum((target - K @ solution) ** 2)
@@ -177,7 +180,7 @@ class JointState:
         covariances = []
         for e, order in enumerate(self.orders):
             R = np.asarray(np.linalg.qr(self.columns[:, e], mode="r"))
-            inverse = np.linalg.pinv(_over_poses(R, problem.x, order))
+            inverse = np.linalg.pinv(_by_products(R, problem.x, order))
             covariances.append(inverse @ inverse.T * spread)
         return JointFit(
             blocks=self.blocks,
@@ -197,7 +200,7 @@ class JointState:
 
     def _split(self, R: np.ndarray, S1: int, e: int) -> tuple[np.ndarray, np.ndarray]:
         """Return an orthonormal basis of the numerators' span, and the denominators' slopes orthogonal to it."""
-        K = _over_poses(R[..., :S1], self.problem.x, self.orders[e])
+        K = _by_products(R[..., :S1], self.problem.x, self.orders[e])
         Q = np.linalg.qr(K / np.linalg.norm(K, axis=0))[0]
         J = self._denominator_columns(R[..., S1:])
         return Q, J - Q @ (Q.T @ J)
@@ -206,7 +209,7 @@ class JointState:
         """Return the slopes of the residuals in the data's own rows: (poses 2 L, coefficients)."""
         problem, order = self.problem, self.orders[e]
         moved = self._denominator_columns(moved_columns)
-        K = _over_poses(self.columns[:, e], problem.x, order)
+        K = _by_products(self.columns[:, e], problem.x, order)
         size = np.linalg.norm(K, axis=0)
         R = np.linalg.qr(K / size, mode="r")
         along = linalg.solve_triangular(R, linalg.solve_triangular(R, (K / size).T @ moved, trans="T"))
@@ -218,15 +221,15 @@ class JointState:
         columns, at = [], 0
         for block in self.blocks:
             for c in block.coefficients:
-                over_poses = legendre.legvander(self.problem.x, len(c) - 1)
-                columns.append((moved[:, :, at, None] * over_poses[:, None, :]).reshape(-1, len(c)))
+                at_poses = over_poses(self.problem.x, len(c))
+                columns.append((moved[:, :, at, None] * at_poses[:, None, :]).reshape(-1, len(c)))
                 at += 1
         return np.concatenate(columns, axis=1)
 
     def _moved_columns(self) -> np.ndarray:
         """(poses, elements, 2 L, S) weighted slopes of the responses with each scaled denominator coefficient, numerators held."""
         problem, first, columns = self.problem, 0, []
-        at_poses = np.stack([legendre.legvander(problem.x, len(n) - 1) @ n for n in self.numerators], axis=1)  # (poses, elements, S + 1)
+        at_poses = np.stack([over_poses(problem.x, len(n)) @ n for n in self.numerators], axis=1)  # (poses, elements, S + 1)
         for block in self.blocks:
             values, n = block.values(problem.x), block.order
             for k in range(n):
@@ -265,9 +268,10 @@ def _moved(blocks: tuple[Block, ...], move: np.ndarray) -> tuple[Block, ...]:
     return tuple(made)
 
 
-def _over_poses(K: np.ndarray, x: np.ndarray, order: int) -> np.ndarray:
+def _by_products(K: np.ndarray, x: np.ndarray, order: int) -> np.ndarray:
     """Multiply every column with every polynomial: (poses, rows, S + 1) to (poses rows, (order + 1) (S + 1))."""
-    return (K[:, :, None, :] * legendre.legvander(x, order)[:, None, :, None]).reshape(K.shape[0] * K.shape[1], -1)
+    products: np.ndarray = K[:, :, None, :] * over_poses(x, order + 1)[:, None, :, None]
+    return products.reshape(K.shape[0] * K.shape[1], -1)
 
 
 def _by_element(values: np.ndarray) -> np.ndarray:

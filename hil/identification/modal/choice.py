@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.polynomial import legendre
 
+from hil.errors import IdentificationError
 from hil.identification.modal.all_poses import JointFit, JointProblem, JointState
 from hil.identification.modal.one_pose import PoseModes, choose_pairs, fit_modes
 from hil.identification.modal.pole_blocks import Block
+from hil.identification.modal.pose_basis import over_poses, whole_degrees
 from hil.identification.result import FrequencyResponse
 
-HIGHEST_ORDER = 12  # of a polynomial over the poses, and one degree of freedom is left
+HIGHEST_ORDERS = {1: 12, 2: 20}  # by axes, of a polynomial over the poses: of two axes those up to degree 5
 LIGHT = 0.5  # damping ratio below which a pair counts as a mode
 MOVE = 1.5  # factor in a_0 by which a mode's motion from pose to pose is carried on at most
 MOST_OUTSIDE = 4  # pairs of poles below the band, and above it
@@ -21,26 +23,59 @@ BELOW, BELOW_DAMPING = 0.25, 0.1  # of the lowest line's frequency: where poles 
 ABOVE, ABOVE_DAMPING = 2.0, 0.4  # of the highest line's: where those above start
 
 
-def modes_along(ordered: Sequence[FrequencyResponse]) -> tuple[tuple[PoseModes, ...], np.ndarray]:
-    """Fit single poses, each from its neighbour's poles, and tell which pairs are modes in the band at every pose.
+def highest_order(x: np.ndarray) -> int:
+    """Return the highest order of a polynomial over poses (poses, axes): one degree of freedom is left, along each axis and in all.
 
-    The number of pairs is chosen at the middle or an outermost pose: at the one that shows most modes.
+    Raises
+    ------
+    IdentificationError
+        There are more axes than the model takes, or the poses lie on one line.
+    """
+    poses, axes = x.shape
+    if axes not in HIGHEST_ORDERS:
+        raise IdentificationError(f"{axes} axes vary between the poses: a model over the poses takes one or two")
+    levels = min(len(np.unique(np.round(along, 6))) for along in x.T)
+    orders = whole_degrees(axes, min(HIGHEST_ORDERS[axes], poses - 2))[: levels - 1]
+    known = [order for order in orders if np.linalg.matrix_rank(over_poses(x, order + 1)) == order + 1]
+    if axes > 1 and len(known) < 2:
+        raise IdentificationError("the poses lie on one line, or at two levels of an axis: a model over two axes takes three of each")
+    return known[-1]
+
+
+def modes_over(ordered: Sequence[FrequencyResponse], x: np.ndarray) -> tuple[tuple[PoseModes, ...], np.ndarray]:
+    """Fit single poses, each from its nearest neighbour's poles, and tell which pairs are modes in the band at every pose.
+
+    `x` (poses, axes) are the poses scaled to -1 ... 1. The number of pairs is chosen at the middle or an outermost pose: at the one that
+    shows most modes.
     """
     band = 2 * np.pi * np.array([ordered[0].frequencies_Hz[0], ordered[0].frequencies_Hz[-1]])
-    chosen = {index: choose_pairs(ordered[index]) for index in dict.fromkeys((len(ordered) // 2, 0, len(ordered) - 1))}
+    middle, inwards = np.argmin(np.abs(x).sum(axis=1)), x @ np.array(list(itertools.product((1.0, -1.0), repeat=x.shape[1]))).T
+    chosen = {int(index): choose_pairs(ordered[index]) for index in dict.fromkeys((middle, *np.argmin(inwards, axis=0)))}
     first = max(chosen, key=lambda index: np.count_nonzero(_are_modes(chosen[index].a0, chosen[index].a1, band)))
     fits = {first: chosen[first]}
-    for index in (*range(first + 1, len(ordered)), *range(first - 1, -1, -1)):
-        inner, further = (index - 1, index - 2) if index > first else (index + 1, index + 2)
+    while len(fits) < len(ordered):
+        index, inner, further = _next(x, list(fits))
         near = fits[inner]
         starts = [(near.a0, near.a1)]
-        if further in fits:  # a mode that moves goes on moving
+        if further is not None:  # a mode that moves goes on moving
             moving = _are_modes(near.a0, near.a1, band) & _are_modes(fits[further].a0, fits[further].a1, band)
             ratio = np.clip(near.a0 / np.where(moving, fits[further].a0, near.a0), 1.0 / MOVE, MOVE)
             starts.append((near.a0 * np.where(moving, ratio, 1.0), near.a1))
         fits[index] = min((fit_modes(ordered[index], start) for start in starts), key=lambda fit: fit.criterion)
     along = tuple(fits[index] for index in range(len(ordered)))
     return along, np.all([_are_modes(fit.a0, fit.a1, band) for fit in along], axis=0)
+
+
+def _next(x: np.ndarray, fitted: list[int]) -> tuple[int, int, int | None]:
+    """Return the pose nearest to a fitted one, that one, and the fitted one behind it, from where the way goes on; None without one."""
+    apart = np.linalg.norm(x[:, None] - x[None, fitted], axis=2)
+    apart[fitted] = np.inf
+    nearest = apart.min(axis=1)
+    index = int(np.flatnonzero(nearest <= nearest.min() + 1e-9)[-1])
+    inner = fitted[int(np.argmin(apart[index]))]
+    others = [other for other in fitted if other != inner]
+    behind = np.linalg.norm(x[others] - (2.0 * x[inner] - x[index]), axis=1)
+    return index, inner, others[int(np.argmin(behind))] if len(others) and behind.min() < 0.75 * nearest[index] else None
 
 
 def mode_blocks(fits: Sequence[PoseModes], modes: np.ndarray, x: np.ndarray, order: int, *, flexible: bool = True) -> list[Block]:
@@ -58,11 +93,19 @@ def mode_blocks(fits: Sequence[PoseModes], modes: np.ndarray, x: np.ndarray, ord
             values = a0 / scale**2, a1 / scale
             sizes = np.sqrt(variance[0]) / scale**2, np.sqrt(variance[1]) / scale
         coefficients = [
-            legendre.legfit(x, value, order, w=1.0 / np.maximum(size, 1e-9 * np.abs(value).max()))
+            _smoothed(x, value, order, 1.0 / np.maximum(size, 1e-9 * np.abs(value).max()))
             for value, size in zip(values, sizes, strict=True)
         ]
         blocks.append(Block(scale, tuple(coefficients), flexible, is_mode=True))
     return sorted(blocks, key=lambda block: block.scale)
+
+
+def _smoothed(x: np.ndarray, values: np.ndarray, order: int, weight: np.ndarray) -> np.ndarray:
+    """Return the polynomial of this order over the poses that fits values (poses,) best."""
+    products = over_poses(x, order + 1) * weight[:, None]
+    size = np.linalg.norm(products, axis=0)
+    polynomial: np.ndarray = np.linalg.lstsq(products / size, values * weight, rcond=None)[0] / size
+    return polynomial
 
 
 def outside_block(pairs: int, frequency_rad_s: float, damping: float) -> list[Block]:

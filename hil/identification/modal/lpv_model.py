@@ -1,4 +1,4 @@
-"""Parametric LPV modal model, Sec. 5.4: poles and numerators as smooth functions of a scheduling parameter, from responses over poses.
+"""Parametric LPV modal model, Sec. 5.4: poles and numerators as smooth functions of one or two scheduling parameters, over poses.
 
 Every mode in the band has a denominator with coefficients that are polynomials of the pose. Poles below and above the band represent the
 effect of the dynamics there within the band. All poses are fitted together, weighted by the covariances (`all_poses`). The number of modes,
@@ -13,17 +13,24 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.polynomial import legendre
 from scipy import special
 
 from hil.errors import IdentificationError
 from hil.identification.modal.all_poses import JointFit, JointProblem
-from hil.identification.modal.choice import HIGHEST_ORDER, choose_blocks, mode_blocks, modes_along, with_better_form, with_chosen_orders
+from hil.identification.modal.choice import choose_blocks, highest_order, mode_blocks, modes_over, with_better_form, with_chosen_orders
 from hil.identification.modal.pole_blocks import Block
+from hil.identification.modal.pose_basis import over_poses
 from hil.identification.result import FrequencyResponse
 
 if TYPE_CHECKING:
     import control
+
+
+Pose = float | Sequence[float]
+"""Of one scheduling parameter, or of two [rad or m]."""
+
+FEWEST, NUMBER = {1: 3, 2: 6}, {3: "three", 6: "six"}
+"""Poses that a model takes, by its axes: for every polynomial of first degree, or of second over two axes, and one more."""
 
 
 @dataclass(frozen=True)
@@ -33,20 +40,20 @@ class ModalFrfModel:
     Attributes
     ----------
     fit : polynomials of the pose scaled to -1 ... 1.
-    pose_range : lowest and highest pose fitted. direction : which scheduling parameter of the responses.
-    poses : (n,) fitted. alone : (n, K, 2) natural frequency [Hz] and damping ratio of every mode, from each pose alone.
+    pose_range : (axes, 2) lowest and highest pose fitted, of each scheduling parameter. directions : which of the responses' they are.
+    poses : (n, axes) fitted. alone : (n, K, 2) natural frequency [Hz] and damping ratio of every mode, from each pose alone.
     """
 
     fit: JointFit
-    pose_range: tuple[float, float]
-    direction: int
+    pose_range: np.ndarray
+    directions: tuple[int, ...]
     poses: np.ndarray
     alone: np.ndarray
     output_names: tuple[str, ...]
     input_names: tuple[str, ...]
     sample_rate_Hz: float
 
-    def modes(self, pose: float, probability: float = 0.95) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def modes(self, pose: Pose, probability: float = 0.95) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return natural frequencies [Hz] and damping ratios (K,) of the modes in the band, and half widths of their intervals."""
         x = self._scaled(pose)
         factor = special.ndtri(0.5 + probability / 2)
@@ -54,17 +61,17 @@ class ModalFrfModel:
         for block in self.fit.blocks:
             size = sum(len(c) for c in block.coefficients)
             if block.is_mode:
-                over_poses = np.zeros((2, size))
+                products = np.zeros((2, size))
                 split = len(block.coefficients[0])
-                over_poses[0, :split] = legendre.legvander(x, split - 1)[0]
-                over_poses[1, split:] = legendre.legvander(x, size - split - 1)[0]
-                covariance = over_poses @ self.fit.pole_covariance[at : at + size, at : at + size] @ over_poses.T
+                products[0, :split] = over_poses(x, split)[0]
+                products[1, split:] = over_poses(x, size - split)[0]
+                covariance = products @ self.fit.pole_covariance[at : at + size, at : at + size] @ products.T
                 found.append(_mode(block, block.values(x)[0], covariance))
             at += size
         values = np.array(found).reshape(-1, 4)
         return values[:, 0], values[:, 1], factor * values[:, 2], factor * values[:, 3]
 
-    def state_space(self, pose: float) -> control.StateSpace:
+    def state_space(self, pose: Pose) -> control.StateSpace:
         """Return the continuous model from the applied effort to the outputs.
 
         A mode takes two states, a pole outside the band one per input.
@@ -95,7 +102,7 @@ class ModalFrfModel:
         D = numerators[..., -1]
         return control.ss(A, np.vstack(blocks_B), np.hstack(blocks_C), D, inputs=list(self.input_names), outputs=list(self.output_names))
 
-    def response(self, pose: float, frequencies_Hz: np.ndarray) -> np.ndarray:
+    def response(self, pose: Pose, frequencies_Hz: np.ndarray) -> np.ndarray:
         """Return the sampled response from command to outputs, including delay of one tick and hold: (L, n_y, n_u)."""
         x = self._scaled(pose)
         parts = [block.responses(block.values(x)[0], frequencies_Hz, self.sample_rate_Hz) for block in self.fit.blocks]
@@ -103,7 +110,7 @@ class ModalFrfModel:
         G: np.ndarray = np.einsum("ls,ijs->lij", np.concatenate((*parts, tick[:, None]), axis=1), self._numerators(pose))
         return G
 
-    def is_stable(self, pose: float) -> bool:
+    def is_stable(self, pose: Pose) -> bool:
         """Tell whether every pole of `state_space` is damped.
 
         The data only determine the effect within the band of poles outside it.
@@ -111,7 +118,7 @@ class ModalFrfModel:
         roots = [np.roots(np.concatenate(([1.0], c[::-1]))) for c in self._monic(pose)]
         return bool(np.all(np.concatenate(roots).real < 0.0))
 
-    def passive_modes(self, pose: float) -> np.ndarray:
+    def passive_modes(self, pose: Pose) -> np.ndarray:
         """Tell whether each mode's collocated numerators are not negative beyond their 95 % intervals.
 
         Returns (K, pairs of one axis's position and command). Effort and speed at the same place exchange power with the machine one way
@@ -129,11 +136,11 @@ class ModalFrfModel:
         passive = np.empty((len(at), len(collocated)), bool)
         for p, e in enumerate(collocated):
             polynomials = self.fit.numerators[e]
-            over_poses = legendre.legvander(x, len(polynomials) - 1)[0]
+            products = over_poses(x, len(polynomials))[0]
             for k, s in enumerate(at):
                 places = np.arange(len(polynomials)) * polynomials.shape[1] + s
-                variance = over_poses @ self.fit.numerator_covariance[e][np.ix_(places, places)] @ over_poses
-                passive[k, p] = over_poses @ polynomials[:, s] >= -special.ndtri(0.975) * np.sqrt(variance)
+                variance = products @ self.fit.numerator_covariance[e][np.ix_(places, places)] @ products
+                passive[k, p] = products @ polynomials[:, s] >= -special.ndtri(0.975) * np.sqrt(variance)
         return passive
 
     @property
@@ -141,51 +148,61 @@ class ModalFrfModel:
         """n_y, n_u."""
         return len(self.output_names), len(self.input_names)
 
-    def _scaled(self, pose: float) -> np.ndarray:
-        low, high = self.pose_range
-        x = 2.0 * (pose - low) / (high - low) - 1.0
-        if abs(x) > 1.0 + 1e-9:
-            raise IdentificationError(f"pose {pose:g} is outside {low:g} to {high:g}, over which the model was fitted")
-        return np.array([x])
+    def _scaled(self, pose: Pose) -> np.ndarray:
+        """Return a pose as the polynomials take it (1, axes)."""
+        values = np.atleast_1d(np.asarray(pose, dtype=float))
+        if values.shape != (len(self.pose_range),):
+            raise IdentificationError(f"pose {values.tolist()}: {len(values)} numbers, and the model is over {len(self.pose_range)}")
+        x = _scaled(values[None], self.pose_range)
+        for value, (low, high), place in zip(values, self.pose_range, x[0], strict=True):
+            if abs(place) > 1.0 + 1e-9:
+                raise IdentificationError(f"pose {value:g} is outside {low:g} to {high:g}, over which the model was fitted")
+        return x
 
-    def _numerators(self, pose: float) -> np.ndarray:
+    def _numerators(self, pose: Pose) -> np.ndarray:
         """Return the scaled numerators, D last: (n_y, n_u, S + 1)."""
         x = self._scaled(pose)
-        return np.stack([legendre.legvander(x, len(n) - 1)[0] @ n for n in self.fit.numerators]).reshape(*self.shape, -1)
+        return np.stack([over_poses(x, len(n))[0] @ n for n in self.fit.numerators]).reshape(*self.shape, -1)
 
-    def _monic(self, pose: float) -> list[np.ndarray]:
+    def _monic(self, pose: Pose) -> list[np.ndarray]:
         x = self._scaled(pose)
         return [block.monic(block.values(x))[0][0] for block in self.fit.blocks]
 
 
-def fit_modal_model(responses: Sequence[FrequencyResponse], direction: int) -> ModalFrfModel:
-    """Fit the model to responses at poses along one scheduling parameter.
+def fit_modal_model(responses: Sequence[FrequencyResponse], directions: int | Sequence[int]) -> ModalFrfModel:
+    """Fit the model to responses at poses along one scheduling parameter, or all over two.
 
     The number of modes and every polynomial's order are chosen from the data.
 
     Parameters
     ----------
     responses : at the same lines, with independent errors from line to line for the intervals to hold: BLA or robust local methods.
-    direction : column of the poses that varies.
+    directions : column of the poses that varies, or both.
 
     Raises
     ------
     IdentificationError
-        Fewer than three poses, different lines, too few lines, no mode in the band.
+        Fewer than three poses, or than six over two axes; two responses of one pose; different lines, too few lines, no mode in the band.
     """
-    if len(responses) < 3:
-        raise IdentificationError(f"{len(responses)} poses: a model over the pose takes three or more")
+    columns = (directions,) if isinstance(directions, int) else tuple(directions)
+    least = FEWEST.get(len(columns), 0)
+    if len(responses) < least:
+        over = "the pose" if len(columns) == 1 else "two axes"
+        raise IdentificationError(f"{len(responses)} poses: a model over {over} takes {NUMBER[least]} or more")
     if any(not np.array_equal(response.lines, responses[0].lines) for response in responses):
         raise IdentificationError("the poses' responses are at different lines: a model over the pose takes the same at every pose")
-    ordered = sorted(responses, key=lambda response: response.pose[direction])
-    poses = np.array([response.pose[direction] for response in ordered])
-    x = 2.0 * (poses - poses[0]) / (poses[-1] - poses[0]) - 1.0
-    alone, modes = modes_along(ordered)
+    ordered = sorted(responses, key=lambda response: [response.pose[column] for column in columns])
+    poses = np.array([[response.pose[column] for column in columns] for response in ordered])
+    if len(np.unique(poses, axis=0)) < len(poses):
+        raise IdentificationError("two responses are of one pose: give one of each")
+    pose_range = np.stack((poses.min(axis=0), poses.max(axis=0)), axis=1)
+    x = _scaled(poses, pose_range)
+    highest = highest_order(x)
+    alone, modes = modes_over(ordered, x)
     if not modes.any():
         raise IdentificationError(
             f"no mode between {ordered[0].frequencies_Hz[0]:g} and {ordered[0].frequencies_Hz[-1]:g} Hz is seen at every pose"
         )
-    highest = min(HIGHEST_ORDER, len(poses) - 2)
     problem = JointProblem(ordered, x)
     middle = 2 * np.pi * np.sqrt(ordered[0].frequencies_Hz[0] * ordered[0].frequencies_Hz[-1])
     outside = np.sqrt(np.median([np.abs(fit.a0) for fit in alone], axis=0))[~modes]
@@ -196,14 +213,20 @@ def fit_modal_model(responses: Sequence[FrequencyResponse], direction: int) -> M
     first = ordered[0]
     return ModalFrfModel(
         fit=with_chosen_orders(problem, chosen, highest),
-        pose_range=(float(poses[0]), float(poses[-1])),
-        direction=direction,
+        pose_range=pose_range,
+        directions=columns,
         poses=poses,
         alone=np.array([[(np.sqrt(f.a0[k]) / (2 * np.pi), f.a1[k] / (2 * np.sqrt(f.a0[k]))) for k in rising] for f in alone]),
         output_names=first.output_names,
         input_names=first.input_names,
         sample_rate_Hz=first.sample_rate_Hz,
     )
+
+
+def _scaled(poses: np.ndarray, pose_range: np.ndarray) -> np.ndarray:
+    """Return poses (n, axes) with each axis scaled to -1 ... 1 over its range (axes, 2)."""
+    scaled: np.ndarray = 2.0 * (poses - pose_range[:, 0]) / (pose_range[:, 1] - pose_range[:, 0]) - 1.0
+    return scaled
 
 
 def _mode(block: Block, values: np.ndarray, covariance: np.ndarray) -> tuple[float, float, float, float]:

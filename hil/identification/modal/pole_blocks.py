@@ -13,8 +13,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.polynomial import legendre
 from scipy import linalg
+
+from hil.identification.modal.pose_basis import over_poses
 
 FASTEST = 10.0  # of the sample rate: a pole beyond it is a constant to the samples, and its exponential overflows
 
@@ -27,7 +28,7 @@ class Block:
     ----------
     scale : [rad/s] that makes the coefficients comparable: with p = s / scale the denominator is p^n + c_(n-1) p^(n-1) + ... + c_0, or,
         where `flexible`, 1 + c_1 p + ... + c_n p^n.
-    coefficients : n arrays (order + 1,) of Legendre polynomials of the pose scaled to -1 ... 1; c_0 ... c_(n-1), or c_1 ... c_n.
+    coefficients : n arrays (order + 1,) of the pose's polynomials (`pose_basis`); c_0 ... c_(n-1), or c_1 ... c_n.
     flexible : which form. Where masses move and springs stay, 1 / omega^2 of a mode is a smoother function of the pose than omega^2.
     is_mode : a vibrating mode in the band; otherwise poles outside it.
     """
@@ -43,8 +44,8 @@ class Block:
         return len(self.coefficients)
 
     def values(self, x: np.ndarray) -> np.ndarray:
-        """Return the scaled coefficients at poses x: (poses, n)."""
-        return np.stack([legendre.legval(x, c) for c in self.coefficients], axis=-1)
+        """Return the scaled coefficients at poses x (poses, axes): (poses, n)."""
+        return np.stack([over_poses(x, len(c)) @ c for c in self.coefficients], axis=-1)
 
     def is_usable(self, x: np.ndarray, sample_rate_Hz: float) -> bool:
         """Tell whether at every pose no pole is far faster than the sample rate and no mode has omega^2 below zero."""

@@ -88,7 +88,7 @@ def test_modes_and_state_space_at_poses_between_are_those_of_the_machine(folder:
     ("poses", "message"),
     [
         ([(0.0, 0.0), (0.0, 0.0)], "no axis varies between the responses' poses"),
-        ([(0.0, 0.0), (0.5, 0.5)], "2 axes vary between the responses' poses"),
+        ([(0.0, 0.0), (0.5, 0.5)], "2 poses: a model over two axes takes six or more"),
         ([(0.0, 0.0), (0.0, 0.5)], "2 poses: a model over the pose takes three or more"),
         ([(), ()], "the responses carry no poses"),
     ],

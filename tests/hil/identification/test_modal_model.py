@@ -60,7 +60,7 @@ def model(responses: list[FrequencyResponse]) -> ModalFrfModel:
 
 @pytest.mark.parametrize("wrong", [-0.5, 0.5], ids=["no vibration", "too fast"])
 def test_poles_that_cannot_be_a_start_are_one_line(responses: list[FrequencyResponse], wrong: float) -> None:
-    problem = JointProblem(responses[:3], np.array([-1.0, 0.0, 1.0]))
+    problem = JointProblem(responses[:3], np.array([[-1.0], [0.0], [1.0]]))
     scale = 20.0 if wrong < 0.0 else 1e6
     start = [Block(scale, (np.array([wrong]), np.array([0.1])), flexible=False, is_mode=True)]
     with pytest.raises(IdentificationError, match=r"the poles near .* Hz are not followed over the poses by polynomials of order 0"):
