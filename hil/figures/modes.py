@@ -68,7 +68,7 @@ def _maps(model: ModalFrfModel, angle: bool, names: tuple[str, ...]) -> Figure:
             colours = {"cmap": "viridis", "vmin": limits[0], "vmax": limits[1]}
             shown = axes.pcolormesh(scale * first, scale * second, values, shading="nearest", **colours)
             axes.scatter(*(scale * model.poses).T, c=alone, edgecolors="white", linewidths=0.8, s=36, **colours)
-            figure.colorbar(shown, ax=axes, label=what).formatter.set_useOffset(False)
+            figure.colorbar(shown, ax=axes, label=what, format="%.4g")
             axes.set_title(f"mode {k + 1}", fontsize="small")
         row[0].set_ylabel(f"{names[1]} [{unit}]")
     for axes in figure.axes[2 * (modes - 1) : 2 * modes]:
