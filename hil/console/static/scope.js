@@ -1,5 +1,5 @@
 // The scope: rows as they come, in panes by unit, with trigger, pause, zoom and cursors.
-import { channelBoxes, lookOf, options, pane, scaleOf, shownAs, swatch } from "./panes.js";
+import { channelBoxes, lookOf, options, pane, scaleOf, shownAs, swatch, whenAngles } from "./panes.js";
 import { element, number } from "./parts.js";
 import { Ring, drawable, measure } from "./ring.js";
 
@@ -26,12 +26,10 @@ export class Scope {
     this.lastRead = 0;
     this.info = "";
     at("pause").onclick = () => this.pause(this.paused === null);
-    at("angles").value = localStorage.getItem("angles") || "deg";
-    at("angles").onchange = () => {
-      localStorage.setItem("angles", at("angles").value);
+    whenAngles(() => {
       if (this.ring) this.list(this.ring.names.filter((name) => !LEFT_OUT.has(name)));
       this.build();
-    };
+    });
     at("cursors").onchange = () => {
       this.marks = [];
       this.dirty();
@@ -121,11 +119,11 @@ export class Scope {
   }
 
   unit(name) {
-    return shownAs(this.ring.units[name], at("angles").value)[0];
+    return shownAs(this.ring.units[name])[0];
   }
 
   scale(name) {
-    return shownAs(this.ring.units[name], at("angles").value)[1];
+    return shownAs(this.ring.units[name])[1];
   }
 
   get span() {

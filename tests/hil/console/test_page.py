@@ -342,8 +342,10 @@ def test_the_way_is_told_and_the_one_coloured_button_is_of_the_step_that_is_due(
     assert "nothing touches the arm" in page.locator("[data-step=static] .advice").inner_text()
     for view in VIEWS[1:]:
         page.locator(f"#tabs a[href='#{view}']").click()
+        page.locator(f"#{view}").wait_for()
         assert coloured.all_inner_texts() == ["Next: 4. At rest"], "it leads to what is due, and moves nothing"
     coloured.click()
+    page.locator("#commission").wait_for()
     assert coloured.all_inner_texts() == ["Start again: the machine moves"]
     assert "EMERGENCY turn: fault" in brief.inner_text()
     assert page.locator("[data-step=static] ul").evaluate("(list) => getComputedStyle(list).fontWeight") == "400", (
@@ -356,6 +358,7 @@ def test_the_way_is_told_and_the_one_coloured_button_is_of_the_step_that_is_due(
     told({"state": "passed", "told": None}, steps={name: PASSED for name in steps})
     page.locator("#steps-done").wait_for()
     coloured.click()
+    page.locator("#experiments").wait_for()  # its address has changed
     assert coloured.all_inner_texts() == ["Run: the machine moves"]
     assert page.locator("[data-form=static][open]").count() == 1
     assert page.evaluate("() => document.documentElement.scrollWidth <= innerWidth")
@@ -370,6 +373,61 @@ def test_what_a_command_says_of_its_progress_stands_in_the_bar(page: Page, bench
     tell(work=WORK | {"state": "running", "moves": False, "told": None, "progress": "diagnosing: 240 s"})
     page.locator("#now", has_text="diagnosing: 240 s").wait_for()
     assert share.is_hidden(), "nothing was counted"
+
+
+def test_angles_are_shown_and_taken_in_radians_on_request_and_the_plan_stays(page: Page, bench: BenchPage) -> None:
+    tell = told_page(page, bench)
+    live = {
+        "running": True,
+        "trouble": "",
+        "progress": "",
+        "told": of_machine("ready", position=0.1, speed=0.02),
+        "holds": False,
+        "moves": False,
+    }
+    steps = {name: PASSED for name in ("check", "scan", "home")} | {name: {} for name in ("static", "identify", "shape", "observe")}
+    asked: list[float] = []
+
+    def planned(route: Route) -> None:
+        asked.append((route.request.post_data_json or {})["values"]["pose_turn"])
+        route.fulfill(json={"recordings": [{"rows": 1, "seconds": 1.0, "notes": []}], "text": ""})
+
+    page.route("**/api/preview", planned)
+    tell(work={"state": "idle"}, steps=steps, live=live)
+    place, card = page.locator("#live-axes .place"), page.locator("[data-step=static]")
+    entry = card.locator("[name=pose_turn]")
+    place.get_by_text("5.73°").wait_for()
+    entry.fill("20")
+    until(lambda: page.evaluate("1") and asked[-1:] == [20.0], STEP_MS / 1e3)
+    page.select_option("#angles", "rad")
+    assert place.inner_text() == "0.1000 rad"
+    assert page.locator("#brief").inner_text().startswith("turn 0.1000 rad")
+    assert page.locator("#live-axes [data-what=speed]").inner_text() == "0.020 rad/s"
+    assert page.locator("#jog-speed option").first.inner_text() == "0.0175 rad/s"
+    assert float(entry.input_value()) == pytest.approx(math.radians(20.0), rel=1e-9)
+    assert entry.locator("xpath=..").inner_text().strip() == "rad"
+    entry.fill("0.2")
+    until(lambda: page.evaluate("1") and asked[-1] != 20.0, STEP_MS / 1e3)
+    assert asked[-1] == pytest.approx(math.degrees(0.2), rel=1e-6)
+    page.select_option("#angles", "deg")
+    assert float(entry.input_value()) == pytest.approx(math.degrees(0.2), rel=1e-6)
+
+
+def test_the_state_of_a_machine_that_is_connected_is_told_where_nothing_can_listen_beside(page: Page, bench: BenchPage) -> None:
+    tell, devices = told_page(page, bench), page.locator("#devices")
+    page.locator("#tabs a[href='#state']").click()
+    told = of_machine("watching", brake="closed") | {"io": {"hold_to_run": False, "door_closed": True}}
+    tell(work={"state": "idle"}, live={"running": True, "trouble": "", "told": told, "holds": False, "moves": False}, io=None)
+    devices.get_by_text("released").wait_for()
+    rows = [" ".join(text.split()) for text in devices.locator(".card", has_text="Brakes and I/O").locator("tr").all_inner_texts()]
+    assert "turn closed 24.0 °C" in rows
+    assert "door closed" in rows
+    assert devices.get_by_text("silent").count() == 0, "nobody listens"
+    assert devices.locator("[data-what=load]").inner_text() == "–"
+    for speed, says in ((0.08, "moves for as long as its button is held"), (0.0004, "The drives hold")):
+        holds = of_machine("holding", speed=speed)
+        tell(work={"state": "idle"}, live={"running": True, "trouble": "", "told": holds, "holds": False, "moves": True})
+        page.locator("#live-doing", has_text=says).wait_for()
 
 
 def test_recordings_are_laid_over_each_other_aligned_and_with_what_is_derived(page: Page, bench: BenchPage) -> None:

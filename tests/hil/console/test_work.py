@@ -73,6 +73,7 @@ def test_commands_follow_one_another_and_know_the_answers_before(work: Work, lin
     work.heed(starter.ENDED, 0)
     assert line.sent[-1] == (starter.RUN, ["identify", "ms.mf4", "--json", str(tmp_path / "b.json")])
     assert not work.moves  # nothing does now, so nobody must answer
+    assert not work.state_now()["moves"]  # what is computed last is not told as a motion
     answer(tmp_path, "b", 5)
     work.heed(starter.ENDED, 0)
     assert (work.state, work.why) == ("passed", "b is 5")
