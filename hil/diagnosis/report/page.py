@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -28,8 +29,8 @@ MOST_POINTS = 4000
 SCATTER_PX = 300
 NOISE = {"repeats": "from repeats", "periods": "from periods", "assumed": "assumed: no repeats were recorded"}
 MISSING = (
-    "Black: the effort that the drive gave, less what the recorded motion takes by the machine file. Orange: what the re-tuned numbers and"
-    " the named effects say of it. The answer leaves {share:.1%} of what re-tuned numbers leave, by power."
+    "Black: the effort that the drive gave, less what the recorded motion takes by the machine file; blue: their mean. Orange: what the"
+    " re-tuned numbers and the named effects say of it. The answer leaves {share:.1%} of what re-tuned numbers leave, by power."
 )
 
 
@@ -173,9 +174,16 @@ def _of_joint(outcome: Outcome, joint: str, parts: list[Missing], explained: dic
         if explained:
             fitted = np.concatenate([explained[part.recording, joint][::every] for part in parts])
             series.append(Series(f"{STAGE_NAMES['extended']}: what the answer says of it", x, fitted, is_points=True, look=1))
+        series.append(Series("mean of the points", *_mean_along(x, lacked), look=6))
         title = f"Missing effort on {joint} over its {quantity}"
         charts.append(Chart(title, Scale(f"{quantity} of {joint} [{unit}]"), scale, series, height=SCATTER_PX))
     return Charts(charts, columns=2)
+
+
+def _mean_along(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the means of points (N,) in steps along x that hold about as many points each as there are steps."""
+    steps = np.array_split(np.argsort(x, kind="stable"), math.isqrt(len(x)))
+    return np.array([x[step].mean() for step in steps]), np.array([y[step].mean() for step in steps])
 
 
 def _matrix(outcome: Outcome) -> list[Block]:
