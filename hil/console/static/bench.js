@@ -10,8 +10,8 @@ import { buildLive, doingOf, letGo, showLive } from "./live.js";
 
 const at = (id) => document.getElementById(id);
 const VIEWS = ["commission", "scope", "experiments", "state", "recordings"];
-const bench = { client: "", described: null, state: null };
 const scope = new Scope();
+const bench = { client: "", described: null, state: null, speedOf: (axis) => scope.speedOf(axis) };
 const worker = new Worker("/static/worker.js");
 const HEARD_MS = 500;
 const tellOfStop = []; // who waits to know whether the server has heard a stop

@@ -139,7 +139,7 @@ function wayOf(name, { position, goes_to: end }) {
 }
 
 export function showLive(bench) {
-  const { live, newest, recording, stop, work, wire } = bench.state;
+  const { live, recording, stop, work, wire } = bench.state;
   showEmergency(wire, live.told || work.told);
   if (at("live").hidden) return;
   const told = live.told || (work.told && work.told.doing !== "recording" ? work.told : null); // rows tell more of a recording
@@ -159,9 +159,9 @@ export function showLive(bench) {
   if (told) wasHomed = told.homed;
   else if (recording && recording.live) wasHomed = true;
   for (const [name, { axis, brief, place, buttons, values, drive, bar, card }] of cards) {
-    const seen = told ? told.axes[name] : fromRow(newest, name);
+    const seen = told ? told.axes[name] : fromRow(bench, name, isOld);
     const scale = EDGE[axis.unit];
-    const known = (value) => value !== undefined && value !== null;
+    const known = (value) => value !== undefined && value !== null && !Number.isNaN(value);
     const position = known(seen.position) ? seen.position * scale : null;
     if (position !== null) positions[name] = seen.position;
     place.textContent = position === null ? "–" : inUnit(seen.position, axis.unit, 2);
@@ -194,7 +194,12 @@ function showEmergency({ nodes, trouble }, told) {
   at("emergency").className = found.length ? "bad" : "dim";
 }
 
-function fromRow(newest, name) {
-  const effort = newest[`current_${name}`] ?? newest[`effort_${name}`];
-  return { position: newest[`position_${name}`], effort, temperature_degC: newest[`temperature_${name}`] };
+// What rows tell of an axis, and while they come what does not change in a recording: mode and brake, as its beginning was told.
+function fromRow({ state, speedOf }, name, isOld) {
+  const { newest, wire, work, io } = state;
+  const seen = { position: newest[`position_${name}`], effort: newest[`current_${name}`] ?? newest[`effort_${name}`], temperature_degC: newest[`temperature_${name}`] };
+  if (isOld) return seen;
+  const { mode, brake } = work.told ? work.told.axes[name] : { brake: io ? (io.brakes_open[name] ? "open" : "closed") : null };
+  const drive = wire.nodes.find((node) => node.axis === name && node.role === "drive");
+  return { ...seen, speed: speedOf(name), mode, brake, drive: drive && drive.state };
 }

@@ -7,6 +7,7 @@ const at = (id) => document.getElementById(id);
 const HEADER_BYTES = 24;
 const DRAW_MS = 60;
 const READ_MS = 400;
+const SPEED_S = 0.05;
 const BEFORE = 0.2; // share of the span before the trigger
 const FIRST = ["position_", "command_", "imu_x", "imu_y", "imu_z"];
 const LEFT_OUT = new Set(["time", "imu_time"]);
@@ -77,6 +78,11 @@ export class Scope {
     this.list(names);
     this.pause(false);
     this.build();
+  }
+
+  // Speed of an axis by the newest rows; NaN where they do not tell it.
+  speedOf(axis) {
+    return this.ring ? this.ring.rate(`position_${axis}`, SPEED_S) : NaN;
   }
 
   take(buffer) {

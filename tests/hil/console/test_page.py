@@ -327,10 +327,17 @@ def test_the_way_is_told_and_the_one_coloured_button_is_of_the_step_that_is_due(
         assert "1.50 A" in brief.inner_text()
         assert "not homed" in brief.inner_text() or doing["doing"] != "homing"
         assert coloured.count() == 0
+    drive: dict[str, object] = {"name": "turn_drive", "id": 1, "role": "drive", "axis": "turn", "nmt": "told by its rows", "emergency": ""}
     recording = {"name": "still.mf4", "rows": 800, "live": True, "began": "12:00:00", "experiment": "static"}
     assert "recording still.mf4: 800 rows, 4 of 10 s" in told(
-        {"state": "running", "told": of_machine("recording", "still.mf4", 10.0)}, recording=recording
+        {"state": "running", "told": of_machine("recording", "still.mf4", 10.0, mode="torque")},
+        recording=recording,
+        newest={"position_turn": 0.1, "current_turn": 1.5},
+        wire={"trouble": "one owner", "nodes": [drive | {"state": "operation enabled"}], "load": 0.0, "frames_Hz": 0.0, "sync_Hz": 0.0},
     )
+    of_axis = " ".join(page.locator("[data-axis=turn]").inner_text().split())
+    assert "brake open" in of_axis, "as the recording's beginning was told"
+    assert "torque: operation enabled" in of_axis, "as its rows tell"
     passed, todo = ("check", "scan", "home"), ("identify", "shape", "observe")
     staggers = {"state": "bad", "why": STAGGERS, "lines": []}
     steps = {name: PASSED for name in passed} | {"static": staggers} | {name: {} for name in todo}
@@ -571,6 +578,24 @@ def test_what_is_not_known_leaves_a_gap_and_its_pane_a_scale(page: Page, bench: 
     column = "async (values) => (await import('/static/ring.js')).drawable(Float64Array.from(values, (value) => value ?? NaN))"
     drawn = page.evaluate(f"async (values) => Array.from(await ({column})(values))", [1.0, None, 2.0])
     assert drawn == [1.0, None, 2.0]
+
+
+def test_a_speed_by_rows_is_that_of_the_newest_ones(page: Page, bench: BenchPage) -> None:
+    let_in(page, bench)
+    page.goto(f"{bench.address}/#state")
+    found = page.evaluate(
+        """async () => {
+            const { Ring } = await import("/static/ring.js");
+            const ring = new Ring([["time", "s"], ["position_turn", "rad"]], 100);
+            const [none, rows] = [ring.rate("position_turn", 0.05), []];
+            for (let k = 0; k < 3000; k += 1) rows.push(0.01 * k, k < 2900 ? 0 : 0.003 * (k - 2900));
+            ring.put(Float64Array.from(rows));
+            return [none, ring.rate("position_turn", 0.05), ring.rate("position_of_another", 0.05)];
+        }"""
+    )
+    assert found[1] == pytest.approx(0.3)
+    assert math.isnan(found[0])
+    assert math.isnan(found[2])
 
 
 def test_a_reload_and_a_second_browser_do_no_harm_and_closing_stops(browser: Browser, bench: BenchPage, console_errors: list[str]) -> None:
