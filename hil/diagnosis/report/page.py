@@ -161,7 +161,7 @@ def _missing_and_explained(outcome: Outcome) -> tuple[dict[str, list[Missing]], 
 
 def _of_joint(outcome: Outcome, joint: str, parts: list[Missing], explained: dict[tuple[str, str], np.ndarray]) -> Charts:
     slides = any(each.name == joint and each.kind == "prismatic" for each in outcome.machine.plant.tree.joints)
-    length, effort = ("m", "N") if slides else ("rad", "Nm")
+    length, effort, scaled = ("m", "N", 1.0) if slides else ("deg", "Nm", math.degrees(1.0))
     every = max(1, sum(len(part.time) for part in parts) // MOST_POINTS)
     lacked = np.concatenate([part.missing[::every] for part in parts])
     middle = float(np.median(lacked))
@@ -169,7 +169,7 @@ def _of_joint(outcome: Outcome, joint: str, parts: list[Missing], explained: dic
     scale = Scale(f"effort on {joint} [{effort}]", ends=(middle - reach, middle + reach) if reach > 0.0 else None)
     charts = []
     for quantity, unit in (("speed", f"{length}/s"), ("position", length)):
-        x = np.concatenate([getattr(part, quantity)[::every] for part in parts])
+        x = scaled * np.concatenate([getattr(part, quantity)[::every] for part in parts])
         series = [Series("given less taken by the machine file", x, lacked, is_points=True, look=0)]
         if explained:
             fitted = np.concatenate([explained[part.recording, joint][::every] for part in parts])
