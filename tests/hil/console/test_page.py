@@ -646,6 +646,30 @@ def test_a_step_that_builds_on_another_says_so(page: Page, bench: BenchPage) -> 
 
 
 @pytest.mark.nightly
+def test_a_diagnosis_from_the_page_is_read_in_its_bar(page: Page, bench: BenchPage) -> None:
+    """Two recordings, and one that moves otherwise held out; the bar has the verdict's own sentence, and links the report."""
+    opened(page, bench, "experiments")
+    names = []
+    for amplitude_deg, period_s in ((3.4, 10.0), (3.4, 10.0), (2.6, 8.0)):
+        page.reload()
+        fill_and_run(page, "jog", jog=amplitude_deg, period=period_s, periods=1)
+        page.locator("#now.running").wait_for(timeout=STEP_MS)
+        found = re.search(r"jog-\d+-\d+", ended(page, "passed"))
+        assert found
+        names.append(f"{found[0]}.mf4")
+    page.goto(f"{bench.address}/#recordings")
+    for kind, name in zip(("train", "train", "held"), names, strict=True):
+        page.get_by_label(f"{kind} {name}").check()
+    assert "2 chosen, 1 held out" in page.locator("#chosen").inner_text()
+    page.locator("#diagnose").click()
+    page.locator("#now.passed, #now.bad").filter(has_text="Diagnose").wait_for(timeout=4 * STEP_MS)
+    answer = json.loads((bench.folder / "diagnosis.json").read_text())
+    said = " ".join(page.locator("#now").inner_text().split())
+    assert f"{answer['verdict'].replace('_', ' ')}: {answer['reason']}" in said
+    assert page.get_by_role("link", name="open diagnosis/report.html").is_visible()
+
+
+@pytest.mark.nightly
 def test_the_emulated_arm_is_commissioned_from_the_first_click_to_the_observer(browser: Browser, tmp_path: Path) -> None:
     with bench_page(tmp_path, "carm", "lockstep:") as bench:
         pictures = ROOT / "build" / "screenshots"
