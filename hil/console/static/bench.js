@@ -108,7 +108,7 @@ function showNow(state) {
   }
   if (stop) {
     const { by, seconds, trouble, lines } = stop;
-    const took = seconds === null ? "stopping ..." : trouble ? trouble : `stop took ${seconds.toFixed(2)} s: ${lines.join("; ")}`;
+    const took = seconds === null ? "stopping ..." : trouble ? trouble : `${lines.join("; ")}, ${seconds.toFixed(2)} s after STOP`;
     parts.push(element("span", { class: trouble ? "bad" : "dim", title: by, id: "stop-answer" }, took));
     if (seconds === null) kind = "asked";
   }

@@ -359,7 +359,7 @@ def test_the_way_is_told_and_the_one_coloured_button_is_of_the_step_that_is_due(
         "what it does is no error"
     )
     stop = {"by": "STOP in a browser", "lines": ["nothing runs here"], "seconds": 0.06, "trouble": "", "ran": False}
-    assert told({"state": "bad", "why": STAGGERS, "told": None}, steps=steps, stop=stop) == "stop took 0.06 s: nothing runs here", (
+    assert told({"state": "bad", "why": STAGGERS, "told": None}, steps=steps, stop=stop) == "nothing runs here, 0.06 s after STOP", (
         "one event"
     )
     told({"state": "passed", "told": None}, steps={name: PASSED for name in steps})
