@@ -30,7 +30,7 @@ with tempfile.TemporaryDirectory() as folder, bench_page(Path(folder), "carm", "
     assert box is not None
     page.mouse.move(box["x"] + 10, box["y"] + 10)
     page.mouse.down()
-    page.locator("#live-doing", has_text="drives hold").wait_for()
-    page.wait_for_timeout(4000)
+    page.locator("#live-doing", has_text="moves for as long").wait_for()
+    page.wait_for_timeout(3500)
     page.screenshot(path=PICTURE)
     page.mouse.up()

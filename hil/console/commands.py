@@ -67,7 +67,9 @@ def run_command(facts: Facts, folder: Path, name: str, text: str) -> Command:
         path = folder / f"{name}.toml"
         path.write_text(text, encoding="utf-8")
         timing = [] if facts.real_time else ["--no-real-time"]
-        return ["run", str(path), *on_the_bus(facts), "-o", str(folder / f"{name}.mf4"), *timing, "--tell"]
+        # of an emulated machine no two recordings in the folder have the same noise: repeats would be one recording, twice
+        noise = ["--seed", str(sum(1 for _ in folder.glob("*.mf4")))] if facts.is_lockstep else []
+        return ["run", str(path), *on_the_bus(facts), "-o", str(folder / f"{name}.mf4"), *timing, *noise, "--tell"]
 
     return Command(name, arguments, moves=True)
 

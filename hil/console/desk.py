@@ -22,6 +22,7 @@ from hil.console.files import Listing
 from hil.console.forms import Form, forms_of
 from hil.console.helper import Helper
 from hil.console.io_state import IoWatch
+from hil.console.live import NAME as LIVE_ROWS
 from hil.console.live import Live, Turn
 from hil.console.rows import RowHub
 from hil.console.steps import missing_before, step_named, steps_of
@@ -278,6 +279,7 @@ class Desk:
     def state(self) -> dict[str, Any]:
         """Return everything that changes, as plain values."""
         rows = self.rows
+        rows_are_now = rows.named == LIVE_ROWS if self.live.running else rows.recording is not None and rows.recording["live"]
         return {
             "type": "state",
             "emulated": self._emulated(),
@@ -285,10 +287,11 @@ class Desk:
             "live": self.live.state(),
             "steps": {name: self._results.get(name, {}) for name in self.steps},
             "stop": None if self._stop is None else {key: self._stop[key] for key in ("by", "lines", "seconds", "trouble", "ran")},
-            "wire": self._wire.state(rows.newest if rows.recording is not None and rows.recording["live"] else {}),
+            "wire": self._wire.state(rows.newest if rows_are_now else {}),
             "io": self._io.state(),
             "recording": rows.recording,
             "newest": rows.newest,
+            "rows_are_now": rows_are_now,
             "timeliness": rows.timeliness.summary(),
             "readers": rows.readers,
         }

@@ -16,6 +16,8 @@ from hil.processes.second_in_line import POLITE, PROMPT, politely
 
 IDLE_S = 120.0
 """Time without a question after which its memory is given back."""
+LEFT_S = 5.0
+"""Time that a question which nobody waits for any more may keep the next one waiting: about what another process takes to begin."""
 MOST_BYTES = 1 << 28
 """Longest answer."""
 
@@ -33,10 +35,11 @@ class Helper:
         self._machine = machine
         self._process: asyncio.subprocess.Process | None = None
         self._one = asyncio.Lock()
+        self._left: asyncio.Task[bytes] | None = None  # of whoever was cancelled: it is answered, and nobody hears it
         self._ends: asyncio.TimerHandle | None = None
 
     async def ask(self, question: Mapping[str, Any], longest_s: float) -> bytes:
-        """Return the answer, a JSON object; whoever is cancelled while it is sought ends the process with it.
+        """Return the answer, a JSON object; the process outlives whoever is cancelled while it is sought.
 
         Raises
         ------
@@ -48,18 +51,35 @@ class Helper:
         async with self._one:
             if self._ends is not None:
                 self._ends.cancel()
-            answered = False
-            try:
-                answer = await asyncio.wait_for(self._answer(question), longest_s)
-                answered = True
-            finally:
-                if not answered:
-                    await self.close()
-            self._ends = asyncio.get_running_loop().call_later(IDLE_S, self._end)
-            return answer
+            await self._come_to_rest()
+            self._left = asyncio.create_task(self._answer(question))
+            self._ends = asyncio.get_running_loop().call_later(max(IDLE_S, longest_s), self._end)
+            await asyncio.wait([self._left], timeout=longest_s)
+            sought, self._left = self._left, None
+            answered = sought.done() and sought.exception() is None
+            if not answered:
+                await self._kill(sought)
+            if not sought.done() or sought.cancelled():
+                raise TimeoutError(f"no answer in {longest_s:g} s")
+            return sought.result()
 
     async def close(self) -> None:
         """End the process."""
+        if self._ends is not None:
+            self._ends.cancel()
+        await self._kill(self._left)
+
+    async def _come_to_rest(self) -> None:
+        """Wait for the answer that nobody hears, or end the process with it."""
+        if self._left is not None:
+            await asyncio.wait([self._left], timeout=LEFT_S)
+            if not self._left.done() or self._left.exception() is not None:
+                await self._kill(self._left)
+            self._left = None
+
+    async def _kill(self, sought: asyncio.Task[bytes] | None) -> None:
+        if sought is not None:
+            sought.cancel()
         process, self._process = self._process, None
         if process is not None and process.returncode is None:
             process.kill()
@@ -67,8 +87,8 @@ class Helper:
 
     def _end(self) -> None:
         process, self._process = self._process, None
-        if process is not None and process.stdin is not None:
-            process.stdin.close()
+        if process is not None and process.returncode is None:
+            process.kill()
 
     async def _answer(self, question: Mapping[str, Any]) -> bytes:
         if self._process is None or self._process.returncode is not None:

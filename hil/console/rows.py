@@ -118,6 +118,11 @@ class RowHub:
         """Number of readers."""
         return len(self._readers)
 
+    @property
+    def named(self) -> str:
+        """Name of what the newest rows are of."""
+        return self._named
+
     def look(self) -> None:
         """Take what has been recorded since the last look."""
         self._looks += 1

@@ -97,7 +97,7 @@ class WireWatch:
             "id": node.node_id,
             "role": node.role,
             "axis": node.axis,
-            "nmt": seen.nmt if fresh else "silent",
+            "nmt": seen.nmt if fresh else "not heard" if self.trouble else "silent",
             "emergency": seen.emergency,
             "fresh": fresh,
         }
@@ -127,7 +127,7 @@ class WireWatch:
         if is_drive:
             values["effort"] = newest.get(f"current_{axis}", newest.get(f"effort_{axis}"))
             found["state"] = describe_statusword(int(statusword))
-        return found | {key: value for key, value in values.items() if value is not None} | {"nmt": "in the run's rows"}
+        return found | {key: value for key, value in values.items() if value is not None} | {"nmt": "told by its rows"}
 
     def _listen(self) -> None:
         while not self._ends.is_set():

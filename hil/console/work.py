@@ -149,7 +149,7 @@ class Work:
             "state": self.state,
             "title": self._order.title,
             "step": self._order.step,
-            "moves": self._order.moves,
+            "moves": self.moves,
             "command": self._order.commands[self._at].key if self._at < len(self._order.commands) else "",
             "seconds": round(took_s, 1),
             "why": self.why,

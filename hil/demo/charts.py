@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import suppress
 from pathlib import Path
 
@@ -25,18 +26,21 @@ def held_out_charts(story: Story, folder: Path) -> Charts:
     left out. The zero of an encoder is not known: its residual is about its mean, as in the table of errors.
     """
     held, channel = story.held_out, _telling(story)
-    unit = held.channels[channel].unit
+    unit, scaled = held.channels[channel].unit, 1.0
+    if unit.startswith("rad"):
+        unit, scaled = unit.replace("rad", "deg"), math.degrees(1.0)
+    measured = scaled * held[channel]
     simulated = {}
     retuned = load_machine(folder / "diagnosis" / "machine.toml")
     for label, machine, effects in ((NOMINAL, story.machine, ()), (ANSWER, retuned, story.answered.effects)):
         with suppress(BadAnswerError):
             values = simulate(machine, held, effects)[channel]
             is_encoder = channel in {encoder.channel for encoder in machine.plant.encoders}
-            simulated[label] = values + np.nanmean(held[channel] - values) if is_encoder else values
+            simulated[label] = scaled * (values + np.nanmean(held[channel] - values) if is_encoder else values)
     seconds, pose = Scale("time [s]"), pose_of(held)
-    left = [Series(label, held.time, held[channel] - values, look=look) for look, (label, values) in enumerate(simulated.items(), start=1)]
+    left = [Series(label, held.time, measured - values, look=look) for look, (label, values) in enumerate(simulated.items(), start=1)]
     whole = [
-        Series("recorded", held.time, held[channel], look=0),
+        Series("recorded", held.time, measured, look=0),
         *(Series(f"simulated, {label}", held.time, values, look=look) for look, (label, values) in enumerate(simulated.items(), start=1)),
     ]
     said = channel.replace("_", " ")

@@ -32,8 +32,9 @@ CHOSEN = (
     " recordings could show, so that the eye finds it, too."
 )
 MISSING = (
-    "Each black point is a sample: the effort that the drive gave, less what the machine file's equations say that the motion takes. Were"
-    " the file complete, they would lie on a straight line at zero. Orange is the law that the tool named, with the numbers that it found."
+    "Each black point is the effort that the drive gave from one sample to the next, less what the machine file's equations say that the"
+    " motion takes; blue is their mean. Were the file complete, they would lie about a straight line at zero. Orange is the law that the"
+    " tool named, with the numbers that it found."
 )
 HELPS = (
     "Neither simulation has seen this recording. One is of the machine file as it is, the other of the tool's answer; of all channels this"

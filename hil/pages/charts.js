@@ -143,12 +143,17 @@
     }
   }
 
-  function drawOver(u, spec) { // points, and marks with their numbers
+  function withinPlot(u, draw) {
     const ctx = u.ctx, box = u.bbox, scale = devicePixelRatio, inside = (x) => x >= box.left - 1 && x <= box.left + box.width + 1;
     ctx.save();
     ctx.beginPath();
     ctx.rect(box.left - 4 * scale, box.top - 4 * scale, box.width + 8 * scale, box.height + 8 * scale); // points on the edge are whole
     ctx.clip();
+    draw(ctx, box, scale, inside);
+    ctx.restore();
+  }
+
+  const drawPoints = (u, spec) => withinPlot(u, (ctx, box, scale, inside) => { // below the lines, which a cloud would hide
     spec.series.forEach((one, place) => {
       if (!one.marker || !u.series[place + 1].show) return;
       const many = u.data[0].length > 150;
@@ -164,6 +169,9 @@
       });
       if (one.marker === "circle") ctx.fill(); else ctx.stroke();
     });
+  });
+
+  const drawMarks = (u, spec) => withinPlot(u, (ctx, box, scale, inside) => { // with their numbers
     ctx.font = `${11 * scale}px system-ui, sans-serif`;
     ctx.textAlign = "center";
     ctx.textBaseline = "middle";
@@ -190,8 +198,7 @@
       ctx.fillStyle = INK;
       ctx.fillText(String(name), left, top + 0.5 * scale);
     });
-    ctx.restore();
-  }
+  });
 
   function nearest(values, at) { // where several x are joined most rows of a series are empty
     for (let away = 0; away < 12; away++) {
@@ -236,7 +243,7 @@
         drag: { x: true, y: false, setScale: false }, points: { size: 6 },
         bind: { dblclick: () => () => zoom(group, null) },
         sync: { key, scales: ["x", null], setSeries: false, filters: { pub: (type) => type === "mousemove" || type === "mouseleave" } } },
-      hooks: { draw: [(u) => drawOver(u, spec)], setCursor: [() => readOut(chart)], setSelect: [(u) => selected(u, group)] },
+      hooks: { drawAxes: [(u) => drawPoints(u, spec)], draw: [(u) => drawMarks(u, spec)], setCursor: [() => readOut(chart)], setSelect: [(u) => selected(u, group)] },
     }, dataOf(chart, group.ends), plot);
     group.charts.push(chart);
     figure.chart = chart;

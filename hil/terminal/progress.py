@@ -81,14 +81,17 @@ class _Compiled:
         self._listens = False
 
     def say(self) -> str:
-        """Return that functions are compiled, how many were and how many are left, in words; "" where none is compiled now."""
+        """Return in words that functions are compiled, how many were, and how many are left of those that the call that waits needs.
+
+        What is called later may need others: nobody knows them yet. "" where none is compiled now.
+        """
         self.listen()
         running = list(self._running)
         if not running:
             return ""
         called = self._called.get(id(running[0]), running)
         left = sum(1 for each in called if id(each) not in self._ended and not each.overloads)
-        return f", compiling (once on a computer): {len(self._ended)} functions done, {left} left"
+        return f", compiling (once on a computer): {len(self._ended)} functions done, {left} left before it goes on"
 
     def listen(self) -> None:
         """Begin to follow, where numba is there: before, nothing is compiled."""

@@ -5,12 +5,13 @@ import { dueStep, openForm, showForms, showSteps, updateSteps } from "./steps.js
 import { showState } from "./devices.js";
 import { showFiles, ticked } from "./files.js";
 import { buildRecorded, derivedTexts, lay } from "./recorded.js";
+import { angles } from "./panes.js";
 import { buildLive, doingOf, letGo, showLive } from "./live.js";
 
 const at = (id) => document.getElementById(id);
 const VIEWS = ["commission", "scope", "experiments", "state", "recordings"];
-const bench = { client: "", described: null, state: null };
 const scope = new Scope();
+const bench = { client: "", described: null, state: null, speedOf: (axis) => scope.speedOf(axis) };
 const worker = new Worker("/static/worker.js");
 const HEARD_MS = 500;
 const tellOfStop = []; // who waits to know whether the server has heard a stop
@@ -73,7 +74,7 @@ function progressOf(work, recording) {
     const all = told ? ` of ${told.remains_s.toFixed(0)} s` : " s";
     return [`recording ${recording.name}: ${recording.rows} rows, ${done_s.toFixed(0)}${all}`, told && told.remains_s ? done_s / told.remains_s : null];
   }
-  return [progress || `${work.command} begins ...`, counted ? Number(counted[1]) / 100 : null];
+  return [progress || "begins ...", counted ? Number(counted[1]) / 100 : null];
 }
 
 // One event: what runs, or what came last, be it an end or a stop.
@@ -107,7 +108,7 @@ function showNow(state) {
   }
   if (stop) {
     const { by, seconds, trouble, lines } = stop;
-    const took = seconds === null ? "stopping ..." : trouble ? trouble : `stop took ${seconds.toFixed(2)} s: ${lines.join("; ")}`;
+    const took = seconds === null ? "stopping ..." : trouble ? trouble : `${lines.join("; ")}, ${seconds.toFixed(2)} s after STOP`;
     parts.push(element("span", { class: trouble ? "bad" : "dim", title: by, id: "stop-answer" }, took));
     if (seconds === null) kind = "asked";
   }
@@ -168,6 +169,15 @@ function heed(told) {
 }
 
 at("stop").addEventListener("click", stop);
+at("angles").value = angles();
+at("angles").onchange = () => {
+  localStorage.setItem("angles", at("angles").value);
+  window.dispatchEvent(new Event("angles"));
+  if (bench.state) {
+    showLive(bench);
+    showState(bench);
+  }
+};
 window.addEventListener("keydown", (event) => {
   if (event.key === "Escape") {
     event.preventDefault();

@@ -52,17 +52,17 @@ function drives(state, described) {
     element("p", { class: "note" }, note));
 }
 
-// As people give it: in degrees or mm.
+// In the unit in which the page shows angles, or mm.
 function placed(position, axis) {
   if (!axis) return number(position, 6);
-  const [unit, scale] = shownAs(axis.unit, "deg");
+  const [unit, scale] = shownAs(axis.unit);
   return `${(scale * position).toFixed(3)} ${unit}`;
 }
 
 function safety(state, described) {
-  const { io } = state;
+  const io = state.io || ioTold(state.live.told || state.work.told);
   if (!io) {
-    const why = described.has_io ? "Polled while a session runs on the bus; none does now." : "The machine file has no [bus.io].";
+    const why = described.has_io ? "Polled while the machine is connected or runs; nobody asks it now." : "The machine file has no [bus.io].";
     return card("Brakes and I/O", false, element("p", { class: "note" }, why));
   }
   const rows = described.axes.map((axis) => [
@@ -77,9 +77,17 @@ function safety(state, described) {
     table(["permission", ""], [
       ["hold-to-run", yes(io.hold_to_run, io.hold_to_run ? "pressed" : "released")],
       ["door", yes(io.door_closed, io.door_closed ? "closed" : "open")],
-      ["age of this state", `${(io.age_s * 1000).toFixed(0)} ms`],
+      ...(io.age_s === undefined ? [] : [["age of this state", `${(io.age_s * 1000).toFixed(0)} ms`]]),
     ]),
   );
+}
+
+// What a machine says of its I/O that is emulated in the run's own process, where nobody else can read it.
+function ioTold(told) {
+  if (!told || !told.io) return null;
+  const of = (what) => Object.fromEntries(Object.entries(told.axes).map(([name, axis]) => [name, axis[what]]));
+  const open = Object.fromEntries(Object.entries(of("brake")).map(([name, brake]) => [name, brake === "open"]));
+  return { ...told.io, brakes_open: open, temperature_degC: of("temperature_degC") };
 }
 
 function imu(state, described) {
@@ -88,24 +96,24 @@ function imu(state, described) {
     const why = described.has_imu ? "Its values are in the rows of a run; none was recorded yet." : "The machine file has no [bus.imu].";
     return card("IMU", false, element("p", { class: "note" }, why));
   }
-  const live = state.recording && state.recording.live;
   return card(
     "IMU",
     false,
-    table(["channel", live ? "now" : "last row"], names.map((name) => [name, number(state.newest[name], 5)])),
+    table(["channel", state.rows_are_now ? "now" : "last row"], names.map((name) => [name, number(state.newest[name], 5)])),
   );
 }
 
 function bus(state, described) {
   const { load, frames_Hz: frames, sync_Hz: sync, trouble } = state.wire;
+  const heard = (text) => (trouble ? "–" : text); // nobody listens
   const meter = element("div", { class: "meter" }, element("i", { style: `width:${Math.min(100, 100 * load).toFixed(1)}%` }));
   return card(
     "Bus",
     false,
     table(["quantity", "value"], [
-      ["load, worst stuffing", element("td", { "data-what": "load" }, `${(100 * load).toFixed(1)} %`)],
-      ["frames", `${frames.toFixed(0)} /s`],
-      ["SYNC", `${sync.toFixed(1)} Hz of ${number(described.machine.rate_Hz, 4)}`],
+      ["load, worst stuffing", element("td", { "data-what": "load" }, heard(`${(100 * load).toFixed(1)} %`))],
+      ["frames", heard(`${frames.toFixed(0)} /s`)],
+      ["SYNC", `${heard(`${sync.toFixed(1)} Hz`)} of ${number(described.machine.rate_Hz, 4)} Hz`],
     ]),
     element("p", {}),
     meter,

@@ -1,5 +1,6 @@
 // The live view: position, speed, effort, brake, mode and temperature of every axis, and buttons that move it for as long as they are held.
 import { draw } from "./drawing.js";
+import { shownAs, whenAngles } from "./panes.js";
 import { ask, element, number } from "./parts.js";
 
 const at = (id) => document.getElementById(id);
@@ -18,6 +19,7 @@ const DOING = {
   "closing brakes": "Closing the brakes ...",
   stopping: "Stopping the motors ...",
 };
+const JOGS = "An axis moves for as long as its button is held.";
 const HANDED = "The drives are off, the brakes closed. What was started takes the machine.";
 const COMPUTES = "Something is computed; the machine is not connected meanwhile.";
 const cards = new Map();
@@ -56,9 +58,14 @@ export function buildLive(bench, tell, complain) {
   const { pictures, move } = draw(bench.described.bodies, bench.described.axes.map(inside));
   at("live-drawing").append(...pictures.map(({ name, svg }) => element("figure", {}, svg, element("figcaption", { class: "dim" }, name))));
   moveDrawing = move;
-  for (const speed of SPEEDS) {
-    at("jog-speed").append(element("option", { value: speed, selected: speed === 5 }, `${speed} ${bench.described.axes[0].edge_unit}/s`));
-  }
+  const first = bench.described.axes[0];
+  at("jog-speed").append(...SPEEDS.map((speed) => element("option", { value: speed, selected: speed === 5 })));
+  const nameSpeeds = () => [...at("jog-speed").options].forEach((option) => {
+    const [unit, scale] = shownAs(first.unit);
+    option.textContent = `${Number(((option.value / EDGE[first.unit]) * scale).toPrecision(3))} ${unit}/s`;
+  });
+  nameSpeeds();
+  whenAngles(nameSpeeds);
   at("live-home").onclick = () => ask("/api/move", { order: "home" }, bench.client).catch((error) => complain(error.message));
   at("live-again").onclick = () => ask("/api/connect", {}, bench.client).catch((error) => complain(error.message));
   for (const gone of ["blur", "pagehide"]) window.addEventListener(gone, letGo);
@@ -105,6 +112,7 @@ export function doingOf(told, isWork = false) {
   const most = told.doing === "coming to rest" ? left.replace(" s to go", " s at most") : left;
   const ways = told.doing !== "on the way" ? [] : Object.entries(told.axes).map(([name, seen]) => wayOf(name, seen)).filter(Boolean);
   if (ways.length) return `${DOING[told.doing]} ${ways.join(", ")}${left && ";"}${left}`;
+  if (told.doing === "holding" && Object.entries(told.axes).some(([name, seen]) => isSeenToMove(name, seen))) return JOGS;
   const which = told.doing === "homing" && told.part ? DOING.homing.replace("Homing", `Homing ${told.part}`) : DOING[told.doing];
   return which + most;
 }
@@ -112,16 +120,26 @@ export function doingOf(told, isWork = false) {
 // Whether a drive says itself that it is off, and no brake is open. A machine that stops tells of drives that have voltage as well.
 const isOff = ({ drive, brake }) => Boolean(drive) && drive.startsWith("switch on disabled") && brake !== "open";
 
+// A position or a speed in the unit in which the page shows it; radians with two digits more.
+function inUnit(value, of, digits, after = "") {
+  const [unit, scale] = shownAs(of);
+  const text = (value * scale).toFixed(digits + (unit === "rad" ? 2 : 0)).replace(/^-(0\.0+)$/, "$1");
+  return `${text}${unit === "deg" && !after ? "°" : ` ${unit}${after}`}`;
+}
+
+// Whether the speed that the page shows of an axis is other than zero.
+const isSeenToMove = (name, { speed }) => speed !== null && cards.has(name) && Math.abs(speed) * EDGE[cards.get(name).axis.unit] >= 0.05;
+
 // How far an axis has yet to go, in its unit; "" where it is there already.
 function wayOf(name, { position, goes_to: end }) {
   if (end === null || end === undefined || position === null || !cards.has(name)) return "";
-  const { unit, edge_unit: edge } = cards.get(name).axis;
-  const far = Math.abs(end - position) * EDGE[unit];
-  return far < 0.05 ? "" : `${name} ${far.toFixed(1)}${edge === "deg" ? "°" : ` ${edge}`} from it`;
+  const { unit } = cards.get(name).axis;
+  const far = Math.abs(end - position);
+  return far * EDGE[unit] < 0.05 ? "" : `${name} ${inUnit(far, unit, 1)} from it`;
 }
 
 export function showLive(bench) {
-  const { live, newest, recording, stop, work, wire } = bench.state;
+  const { live, recording, stop, work, wire } = bench.state;
   showEmergency(wire, live.told || work.told);
   if (at("live").hidden) return;
   const told = live.told || (work.told && work.told.doing !== "recording" ? work.told : null); // rows tell more of a recording
@@ -141,13 +159,13 @@ export function showLive(bench) {
   if (told) wasHomed = told.homed;
   else if (recording && recording.live) wasHomed = true;
   for (const [name, { axis, brief, place, buttons, values, drive, bar, card }] of cards) {
-    const seen = told ? told.axes[name] : fromRow(newest, name);
+    const seen = told ? told.axes[name] : fromRow(bench, name, isOld);
     const scale = EDGE[axis.unit];
-    const known = (value) => value !== undefined && value !== null;
+    const known = (value) => value !== undefined && value !== null && !Number.isNaN(value);
     const position = known(seen.position) ? seen.position * scale : null;
     if (position !== null) positions[name] = seen.position;
-    place.textContent = position === null ? "–" : `${position.toFixed(2).replace(/^-(0\.00)$/, "$1")} ${axis.edge_unit === "deg" ? "°" : axis.edge_unit}`;
-    values.speed.textContent = known(seen.speed) ? `${(seen.speed * scale).toFixed(1)} ${axis.edge_unit}/s` : "–";
+    place.textContent = position === null ? "–" : inUnit(seen.position, axis.unit, 2);
+    values.speed.textContent = known(seen.speed) ? inUnit(seen.speed, axis.unit, 1, "/s") : "–";
     values.effort.textContent = known(seen.effort) ? `${seen.effort.toFixed(2)} ${axis.effort_unit}` : "–";
     values.brake.textContent = known(seen.brake) ? seen.brake : "–";
     values.temperature.textContent = known(seen.temperature_degC) ? `${number(seen.temperature_degC, 3)} °C` : "–";
@@ -159,7 +177,7 @@ export function showLive(bench) {
     if (end !== null) bar.lastChild.style.left = `${Math.max(0, Math.min(100, (100 * (end - axis.lower)) / (axis.upper - axis.lower)))}%`;
     const share = position === null ? 50 : (100 * (position - axis.lower)) / (axis.upper - axis.lower);
     bar.firstChild.style.left = `${Math.max(0, Math.min(100, share))}%`;
-    bar.title = `${axis.lower.toFixed(0)} to ${axis.upper.toFixed(0)} ${axis.edge_unit}`;
+    bar.title = [axis.lower, axis.upper].map((end) => inUnit(end / scale, axis.unit, 0)).join(" to ");
     for (const button of buttons) button.disabled = !jogs;
     card.classList.toggle("old", isOld);
   }
@@ -176,7 +194,12 @@ function showEmergency({ nodes, trouble }, told) {
   at("emergency").className = found.length ? "bad" : "dim";
 }
 
-function fromRow(newest, name) {
-  const effort = newest[`current_${name}`] ?? newest[`effort_${name}`];
-  return { position: newest[`position_${name}`], effort, temperature_degC: newest[`temperature_${name}`] };
+// What rows tell of an axis, and while they come what does not change in a recording: mode and brake, as its beginning was told.
+function fromRow({ state, speedOf }, name, isOld) {
+  const { newest, wire, work, io } = state;
+  const seen = { position: newest[`position_${name}`], effort: newest[`current_${name}`] ?? newest[`effort_${name}`], temperature_degC: newest[`temperature_${name}`] };
+  if (isOld) return seen;
+  const { mode, brake } = work.told ? work.told.axes[name] : { brake: io ? (io.brakes_open[name] ? "open" : "closed") : null };
+  const drive = wire.nodes.find((node) => node.axis === name && node.role === "drive");
+  return { ...seen, speed: speedOf(name), mode, brake, drive: drive && drive.state };
 }

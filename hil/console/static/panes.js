@@ -8,11 +8,15 @@ const DASHES = [[], [8, 4], [2, 3], [10, 3, 2, 3]];
 const DEGREES = 180 / Math.PI;
 const SHOWN_AS = { rad: ["deg", DEGREES], "rad/s": ["deg/s", DEGREES], "rad/s^2": ["deg/s^2", DEGREES], m: ["mm", 1000], "m/s": ["mm/s", 1000] };
 const FONT = "12px system-ui";
+
+// In which unit the page shows angles and takes them, and who is told when that changes.
+export const angles = () => localStorage.getItem("angles") || "deg";
+export const whenAngles = (heed) => window.addEventListener("angles", heed);
 export const scaleOf = (unit) => unit || "none";
 
 // The unit in which a channel is shown, and how many of it are one of the channel's own.
-export function shownAs(unit, angles) {
-  const asIs = SHOWN_AS[unit] === undefined || (angles === "rad" && unit.startsWith("rad"));
+export function shownAs(unit, of = angles()) {
+  const asIs = SHOWN_AS[unit] === undefined || (of === "rad" && unit.startsWith("rad"));
   return asIs ? [unit, 1] : SHOWN_AS[unit];
 }
 

@@ -1,5 +1,5 @@
 // Recordings laid over each other: chosen channels and what is derived from them, aligned, in panes by unit.
-import { channelBoxes, look, lookOf, options, pane, shownAs } from "./panes.js";
+import { channelBoxes, look, lookOf, options, pane, shownAs, whenAngles } from "./panes.js";
 import { ask, element } from "./parts.js";
 import { drawable } from "./ring.js";
 
@@ -27,6 +27,7 @@ export const derivedTexts = () => derived.filter((text) => chosen.has(text));
 
 export function buildRecorded(bench, complain) {
   client = () => bench.client;
+  at("recorded-channels").parentElement.open = window.innerWidth >= 900;
   const tried = (does) => () => does().catch((error) => complain(error.message));
   at("align").onchange = tried(async () => {
     begin();
@@ -42,6 +43,7 @@ export function buildRecorded(bench, complain) {
     chosen.add(text);
     await show();
   });
+  whenAngles(tried(show));
   at("recorded-channels").addEventListener("change", tried(show)); // a box has chosen already
   new ResizeObserver(() => plots.forEach((plot) => plot.setSize({ width: widthNow(), height: HEIGHT }))).observe(at("recorded-panes"));
 }
@@ -81,8 +83,6 @@ function offer() {
   at("derive-add").disabled = at("derive-how").value === "difference" && !same.length;
 }
 
-const angles = () => localStorage.getItem("angles") || "deg";
-
 // Read curves; whether they are still asked for when they come.
 async function load(texts) {
   const mine = generation;
@@ -106,7 +106,7 @@ async function show() {
   const lacking = [...chosen].flatMap((text) => read.get(text) || []).filter(({ error }) => error);
   at("recorded-note").textContent = [...aligned, ...lacking.map(whyNot)].join("; ");
   const names = [...derived, ...units.keys()];
-  const boxes = channelBoxes(names, (text) => (units.has(text) ? shownAs(units.get(text), angles())[0] : "derived"), chosen, (text, is) => {
+  const boxes = channelBoxes(names, (text) => (units.has(text) ? shownAs(units.get(text))[0] : "derived"), chosen, (text, is) => {
     placed.delete(text);
     if (is) chosen.add(text);
     else chosen.delete(text);
@@ -128,7 +128,7 @@ function draw() {
   const members = new Map(); // the channels in it
   for (const text of chosen) {
     for (const curve of (read.get(text) || []).filter(({ error }) => !error)) {
-      const [unit, scale] = shownAs(curve.unit, angles());
+      const [unit, scale] = shownAs(curve.unit);
       const key = placed.get(text) ?? (curve.kind === "spectrum" ? `spectrum ${unit}` : unit);
       if (!members.has(key)) members.set(key, []);
       if (!members.get(key).includes(text)) members.get(key).push(text);

@@ -48,6 +48,14 @@ export class Ring {
     return low;
   }
 
+  // Mean rate at which a channel has changed over the newest rows of so many seconds; NaN where that is not known.
+  rate(name, seconds) {
+    const [column, last] = [this.names.indexOf(name), this.end - 1];
+    const from = this.end ? this.row(this.newest - seconds) : 0;
+    if (column < 0 || from >= last) return NaN;
+    return (this.at(last, column) - this.at(from, column)) / (this.newest - this.at(from, this.time));
+  }
+
   column(name, from, to) {
     const column = this.names.indexOf(name);
     const found = new Float64Array(Math.max(0, to - from));

@@ -1,5 +1,5 @@
 // The scope: rows as they come, in panes by unit, with trigger, pause, zoom and cursors.
-import { channelBoxes, lookOf, options, pane, scaleOf, shownAs, swatch } from "./panes.js";
+import { channelBoxes, lookOf, options, pane, scaleOf, shownAs, swatch, whenAngles } from "./panes.js";
 import { element, number } from "./parts.js";
 import { Ring, drawable, measure } from "./ring.js";
 
@@ -7,6 +7,7 @@ const at = (id) => document.getElementById(id);
 const HEADER_BYTES = 24;
 const DRAW_MS = 60;
 const READ_MS = 400;
+const SPEED_S = 0.05;
 const BEFORE = 0.2; // share of the span before the trigger
 const FIRST = ["position_", "command_", "imu_x", "imu_y", "imu_z"];
 const LEFT_OUT = new Set(["time", "imu_time"]);
@@ -26,12 +27,10 @@ export class Scope {
     this.lastRead = 0;
     this.info = "";
     at("pause").onclick = () => this.pause(this.paused === null);
-    at("angles").value = localStorage.getItem("angles") || "deg";
-    at("angles").onchange = () => {
-      localStorage.setItem("angles", at("angles").value);
+    whenAngles(() => {
       if (this.ring) this.list(this.ring.names.filter((name) => !LEFT_OUT.has(name)));
       this.build();
-    };
+    });
     at("cursors").onchange = () => {
       this.marks = [];
       this.dirty();
@@ -81,6 +80,11 @@ export class Scope {
     this.build();
   }
 
+  // Speed of an axis by the newest rows; NaN where they do not tell it.
+  speedOf(axis) {
+    return this.ring ? this.ring.rate(`position_${axis}`, SPEED_S) : NaN;
+  }
+
   take(buffer) {
     const head = new DataView(buffer);
     if (!this.ring || head.getUint32(0, true) !== this.number) return;
@@ -121,11 +125,11 @@ export class Scope {
   }
 
   unit(name) {
-    return shownAs(this.ring.units[name], at("angles").value)[0];
+    return shownAs(this.ring.units[name])[0];
   }
 
   scale(name) {
-    return shownAs(this.ring.units[name], at("angles").value)[1];
+    return shownAs(this.ring.units[name])[1];
   }
 
   get span() {

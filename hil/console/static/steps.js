@@ -1,4 +1,5 @@
 // The guided commissioning and the forms of experiments: both show a plan before anything moves.
+import { angles, whenAngles } from "./panes.js";
 import { ask, element, replaceIfNew } from "./parts.js";
 
 const MARKS = { passed: "✔ passed", bad: "! not passed", failed: "✘ failed", stopped: "■ stopped", running: "▶ running", todo: "to do" };
@@ -73,14 +74,30 @@ function fieldsOf(fields) {
     }
     return element("input", { ...attributes, type: "number", step: field.whole ? 1 : "any", value: field.value });
   });
+  const names = fields.map((field) => element("span", {}, field.unit));
   const labels = fields.map((field, index) =>
-    element("label", {}, field.label, element("span", { class: "entry" }, inputs[index], field.unit)),
+    element("label", {}, field.label, element("span", { class: "entry" }, inputs[index], names[index])),
   );
+  let shown = "deg"; // in which the entries of angles are; the server takes degrees
+  const inDegrees = (input) => (input.isAngle && shown === "rad" ? rounded((input.value * 180) / Math.PI, 9) : Number(input.value));
+  const show = () => {
+    for (const [index, input] of inputs.entries()) {
+      input.isAngle = fields[index].unit.startsWith("deg");
+      if (!input.isAngle || shown === angles()) continue;
+      input.value = angles() === "rad" ? rounded((input.value * Math.PI) / 180, 12) : inDegrees(input);
+      names[index].textContent = fields[index].unit.replace("deg", angles());
+    }
+    shown = angles();
+  };
+  show();
+  whenAngles(show);
   const box = element("div", { class: fields.length ? "fields" : "" }, ...labels);
   const values = () =>
-    Object.fromEntries(inputs.map((input) => [input.name, input.type === "number" ? Number(input.value) : input.value]));
+    Object.fromEntries(inputs.map((input) => [input.name, input.type === "number" ? inDegrees(input) : input.value]));
   return { box, values, listen: (heed) => inputs.forEach((input) => input.addEventListener("input", heed)) };
 }
+
+const rounded = (value, digits) => Number(value.toPrecision(digits));
 
 // Shows the plan of a form whenever it changes; what has no plan cannot be started.
 function planner(bench, part, kind, form, place, isOpen) {

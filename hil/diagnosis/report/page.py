@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -28,8 +29,8 @@ MOST_POINTS = 4000
 SCATTER_PX = 300
 NOISE = {"repeats": "from repeats", "periods": "from periods", "assumed": "assumed: no repeats were recorded"}
 MISSING = (
-    "Black: the effort that the drive gave, less what the recorded motion takes by the machine file. Orange: what the re-tuned numbers and"
-    " the named effects say of it. The answer leaves {share:.1%} of what re-tuned numbers leave, by power."
+    "Black: the effort that the drive gave, less what the recorded motion takes by the machine file; blue: their mean. Orange: what the"
+    " re-tuned numbers and the named effects say of it. The answer leaves {share:.1%} of what re-tuned numbers leave, by power."
 )
 
 
@@ -160,7 +161,7 @@ def _missing_and_explained(outcome: Outcome) -> tuple[dict[str, list[Missing]], 
 
 def _of_joint(outcome: Outcome, joint: str, parts: list[Missing], explained: dict[tuple[str, str], np.ndarray]) -> Charts:
     slides = any(each.name == joint and each.kind == "prismatic" for each in outcome.machine.plant.tree.joints)
-    length, effort = ("m", "N") if slides else ("rad", "Nm")
+    length, effort, scaled = ("m", "N", 1.0) if slides else ("deg", "Nm", math.degrees(1.0))
     every = max(1, sum(len(part.time) for part in parts) // MOST_POINTS)
     lacked = np.concatenate([part.missing[::every] for part in parts])
     middle = float(np.median(lacked))
@@ -168,14 +169,21 @@ def _of_joint(outcome: Outcome, joint: str, parts: list[Missing], explained: dic
     scale = Scale(f"effort on {joint} [{effort}]", ends=(middle - reach, middle + reach) if reach > 0.0 else None)
     charts = []
     for quantity, unit in (("speed", f"{length}/s"), ("position", length)):
-        x = np.concatenate([getattr(part, quantity)[::every] for part in parts])
+        x = scaled * np.concatenate([getattr(part, quantity)[::every] for part in parts])
         series = [Series("given less taken by the machine file", x, lacked, is_points=True, look=0)]
         if explained:
             fitted = np.concatenate([explained[part.recording, joint][::every] for part in parts])
             series.append(Series(f"{STAGE_NAMES['extended']}: what the answer says of it", x, fitted, is_points=True, look=1))
+        series.append(Series("mean of the points", *_mean_along(x, lacked), look=6))
         title = f"Missing effort on {joint} over its {quantity}"
         charts.append(Chart(title, Scale(f"{quantity} of {joint} [{unit}]"), scale, series, height=SCATTER_PX))
     return Charts(charts, columns=2)
+
+
+def _mean_along(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the means of points (N,) in steps along x that hold about as many points each as there are steps."""
+    steps = np.array_split(np.argsort(x, kind="stable"), math.isqrt(len(x)))
+    return np.array([x[step].mean() for step in steps]), np.array([y[step].mean() for step in steps])
 
 
 def _matrix(outcome: Outcome) -> list[Block]:

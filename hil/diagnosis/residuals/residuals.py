@@ -32,7 +32,8 @@ class Missing:
     ----------
     recording, joint : str
     time, position, speed, given, missing : (N,) arrays
-        [s]; [rad or m]; per second; the drive's effort on the joint, and what of it the motion does not take [Nm or N].
+        Between one row and the next: [s]; [rad or m]; per second; the drive's mean effort on the joint, and what of it the motion does not
+        take [Nm or N].
     """
 
     recording: str
@@ -117,9 +118,12 @@ class Residuals:
             driven = {drive.joint for drive in trajectory.settings.drives}
             for joint in trajectory.smooth:
                 if trajectory.joints[joint] in driven and joint not in trajectory.imposed:
-                    columns = (motion.position, motion.speed, given, left)
-                    values = (each[:, joint] for each in columns)
-                    found.append(Missing(trajectory.observed.name, trajectory.joints[joint], trajectory.observed.time, *values))
+                    time_s, position, speed, needed = map(
+                        _between, (trajectory.observed.time, motion.position[:, joint], motion.speed[:, joint], (given - left)[:, joint])
+                    )
+                    effort = given[:-1, joint]  # is a mean from its row to the next, as the others are now
+                    name = trajectory.joints[joint]
+                    found.append(Missing(trajectory.observed.name, name, time_s, position, speed, effort, effort - needed))
         return found
 
     def said_by(self, values: np.ndarray, effects: Sequence[EffectSetting]) -> list[np.ndarray]:
@@ -128,12 +132,18 @@ class Residuals:
         for trajectory, motion in ((trajectory, efforts_by_encoders(trajectory)[0]) for trajectory in self.trajectories):
             nominal = trajectory.signals(motion, trajectory.model())
             other = trajectory.signals(motion, trajectory.model(values, effects), effects)
-            said = (other.needed - nominal.needed) - (other.given - nominal.given)
+            said = _between(other.needed - nominal.needed) - (other.given - nominal.given)[:-1]
             driven = {drive.joint for drive in trajectory.settings.drives}
             found += [
                 said[:, joint] for joint in trajectory.smooth if trajectory.joints[joint] in driven and joint not in trajectory.imposed
             ]
         return found
+
+
+def _between(values: np.ndarray) -> np.ndarray:
+    """Return means (N - 1, ...) from each row to the next of what is linear between rows (N, ...), as accelerations are."""
+    means: np.ndarray = 0.5 * (values[1:] + values[:-1])
+    return means
 
 
 def residuals_of(

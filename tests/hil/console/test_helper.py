@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import base64
 import json
 import os
@@ -13,7 +14,10 @@ import numpy as np
 import pytest
 
 from hil.console.curves import MOST_ROWS, curves
+from hil.console.helper import Helper
 from hil.recording import Channel, Recording, write_recording
+
+PATIENCE_S = 120.0
 
 
 def written(path: Path, position: np.ndarray) -> str:
@@ -54,3 +58,55 @@ def test_the_helper_comes_after_the_server_that_takes_the_stop() -> None:
         assert json.loads(helper.stdout.readline())["curves"] == []
         assert os.getpriority(os.PRIO_PROCESS, helper.pid) > os.getpriority(os.PRIO_PROCESS, 0)
         helper.stdin.close()
+
+
+RECORDINGS: dict[str, object] = {"files": [], "channels": [], "align": ""}
+NO_PLAN: dict[str, object] = {"plan": "format = 1"}
+ENDLESS_PLAN: dict[str, object] = {
+    "plan": 'format = 1\nkind = "multisine"\nperiod_s = 1000\nperiods = 200\namplitude_A = 0.5\nband = { low_Hz = 0.1, high_Hz = 40 }\n'
+}
+
+
+def processes() -> set[str]:
+    """The children of this process (Linux)."""
+    return set(Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split())
+
+
+def answers_around(given_up: dict[str, object]) -> tuple[set[str], set[str], list[dict[str, object]]]:
+    """The processes before and after a question whose asker is cancelled, and the answers before and after it."""
+
+    async def asked() -> tuple[set[str], set[str], list[dict[str, object]]]:
+        there, helper = processes(), Helper("turntable")
+        try:
+            first = json.loads(await helper.ask(RECORDINGS, PATIENCE_S))
+            before = processes() - there
+            asker = asyncio.create_task(helper.ask(given_up, PATIENCE_S))
+            await asyncio.sleep(0)  # it has asked
+            await asyncio.sleep(0)
+            asker.cancel()
+            await asyncio.gather(asker, return_exceptions=True)
+            assert asker.cancelled()
+            second = json.loads(await helper.ask(RECORDINGS, PATIENCE_S))
+            return before, processes() - there, [first, second]
+        finally:
+            await helper.close()
+            assert processes() == there
+
+    return asyncio.run(asked())
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="children are read from /proc")
+def test_a_question_that_is_cancelled_does_not_end_the_helper_and_its_answer_is_nobodys() -> None:
+    before, after, (first, second) = answers_around(NO_PLAN)
+    assert len(before) == 1
+    assert after == before
+    assert first == second == {"channels": [], "shifts_s": [], "curves": []}
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="children are read from /proc")
+def test_a_cancelled_question_that_keeps_the_next_waiting_is_given_up_with_its_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hil.console.helper.LEFT_S", 0.1)
+    before, after, (first, second) = answers_around(ENDLESS_PLAN)
+    assert len(after) == 1
+    assert after != before
+    assert first == second

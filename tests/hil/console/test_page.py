@@ -327,10 +327,17 @@ def test_the_way_is_told_and_the_one_coloured_button_is_of_the_step_that_is_due(
         assert "1.50 A" in brief.inner_text()
         assert "not homed" in brief.inner_text() or doing["doing"] != "homing"
         assert coloured.count() == 0
+    drive: dict[str, object] = {"name": "turn_drive", "id": 1, "role": "drive", "axis": "turn", "nmt": "told by its rows", "emergency": ""}
     recording = {"name": "still.mf4", "rows": 800, "live": True, "began": "12:00:00", "experiment": "static"}
     assert "recording still.mf4: 800 rows, 4 of 10 s" in told(
-        {"state": "running", "told": of_machine("recording", "still.mf4", 10.0)}, recording=recording
+        {"state": "running", "told": of_machine("recording", "still.mf4", 10.0, mode="torque")},
+        recording=recording,
+        newest={"position_turn": 0.1, "current_turn": 1.5},
+        wire={"trouble": "one owner", "nodes": [drive | {"state": "operation enabled"}], "load": 0.0, "frames_Hz": 0.0, "sync_Hz": 0.0},
     )
+    of_axis = " ".join(page.locator("[data-axis=turn]").inner_text().split())
+    assert "brake open" in of_axis, "as the recording's beginning was told"
+    assert "torque: operation enabled" in of_axis, "as its rows tell"
     passed, todo = ("check", "scan", "home"), ("identify", "shape", "observe")
     staggers = {"state": "bad", "why": STAGGERS, "lines": []}
     steps = {name: PASSED for name in passed} | {"static": staggers} | {name: {} for name in todo}
@@ -342,20 +349,23 @@ def test_the_way_is_told_and_the_one_coloured_button_is_of_the_step_that_is_due(
     assert "nothing touches the arm" in page.locator("[data-step=static] .advice").inner_text()
     for view in VIEWS[1:]:
         page.locator(f"#tabs a[href='#{view}']").click()
+        page.locator(f"#{view}").wait_for()
         assert coloured.all_inner_texts() == ["Next: 4. At rest"], "it leads to what is due, and moves nothing"
     coloured.click()
+    page.locator("#commission").wait_for()
     assert coloured.all_inner_texts() == ["Start again: the machine moves"]
     assert "EMERGENCY turn: fault" in brief.inner_text()
     assert page.locator("[data-step=static] ul").evaluate("(list) => getComputedStyle(list).fontWeight") == "400", (
         "what it does is no error"
     )
     stop = {"by": "STOP in a browser", "lines": ["nothing runs here"], "seconds": 0.06, "trouble": "", "ran": False}
-    assert told({"state": "bad", "why": STAGGERS, "told": None}, steps=steps, stop=stop) == "stop took 0.06 s: nothing runs here", (
+    assert told({"state": "bad", "why": STAGGERS, "told": None}, steps=steps, stop=stop) == "nothing runs here, 0.06 s after STOP", (
         "one event"
     )
     told({"state": "passed", "told": None}, steps={name: PASSED for name in steps})
     page.locator("#steps-done").wait_for()
     coloured.click()
+    page.locator("#experiments").wait_for()  # its address has changed
     assert coloured.all_inner_texts() == ["Run: the machine moves"]
     assert page.locator("[data-form=static][open]").count() == 1
     assert page.evaluate("() => document.documentElement.scrollWidth <= innerWidth")
@@ -370,6 +380,61 @@ def test_what_a_command_says_of_its_progress_stands_in_the_bar(page: Page, bench
     tell(work=WORK | {"state": "running", "moves": False, "told": None, "progress": "diagnosing: 240 s"})
     page.locator("#now", has_text="diagnosing: 240 s").wait_for()
     assert share.is_hidden(), "nothing was counted"
+
+
+def test_angles_are_shown_and_taken_in_radians_on_request_and_the_plan_stays(page: Page, bench: BenchPage) -> None:
+    tell = told_page(page, bench)
+    live = {
+        "running": True,
+        "trouble": "",
+        "progress": "",
+        "told": of_machine("ready", position=0.1, speed=0.02),
+        "holds": False,
+        "moves": False,
+    }
+    steps = {name: PASSED for name in ("check", "scan", "home")} | {name: {} for name in ("static", "identify", "shape", "observe")}
+    asked: list[float] = []
+
+    def planned(route: Route) -> None:
+        asked.append((route.request.post_data_json or {})["values"]["pose_turn"])
+        route.fulfill(json={"recordings": [{"rows": 1, "seconds": 1.0, "notes": []}], "text": ""})
+
+    page.route("**/api/preview", planned)
+    tell(work={"state": "idle"}, steps=steps, live=live)
+    place, card = page.locator("#live-axes .place"), page.locator("[data-step=static]")
+    entry = card.locator("[name=pose_turn]")
+    place.get_by_text("5.73°").wait_for()
+    entry.fill("20")
+    until(lambda: page.evaluate("1") and asked[-1:] == [20.0], STEP_MS / 1e3)
+    page.select_option("#angles", "rad")
+    assert place.inner_text() == "0.1000 rad"
+    assert page.locator("#brief").inner_text().startswith("turn 0.1000 rad")
+    assert page.locator("#live-axes [data-what=speed]").inner_text() == "0.020 rad/s"
+    assert page.locator("#jog-speed option").first.inner_text() == "0.0175 rad/s"
+    assert float(entry.input_value()) == pytest.approx(math.radians(20.0), rel=1e-9)
+    assert entry.locator("xpath=..").inner_text().strip() == "rad"
+    entry.fill("0.2")
+    until(lambda: page.evaluate("1") and asked[-1] != 20.0, STEP_MS / 1e3)
+    assert asked[-1] == pytest.approx(math.degrees(0.2), rel=1e-6)
+    page.select_option("#angles", "deg")
+    assert float(entry.input_value()) == pytest.approx(math.degrees(0.2), rel=1e-6)
+
+
+def test_the_state_of_a_machine_that_is_connected_is_told_where_nothing_can_listen_beside(page: Page, bench: BenchPage) -> None:
+    tell, devices = told_page(page, bench), page.locator("#devices")
+    page.locator("#tabs a[href='#state']").click()
+    told = of_machine("watching", brake="closed") | {"io": {"hold_to_run": False, "door_closed": True}}
+    tell(work={"state": "idle"}, live={"running": True, "trouble": "", "told": told, "holds": False, "moves": False}, io=None)
+    devices.get_by_text("released").wait_for()
+    rows = [" ".join(text.split()) for text in devices.locator(".card", has_text="Brakes and I/O").locator("tr").all_inner_texts()]
+    assert "turn closed 24.0 °C" in rows
+    assert "door closed" in rows
+    assert devices.get_by_text("silent").count() == 0, "nobody listens"
+    assert devices.locator("[data-what=load]").inner_text() == "–"
+    for speed, says in ((0.08, "moves for as long as its button is held"), (0.0004, "The drives hold")):
+        holds = of_machine("holding", speed=speed)
+        tell(work={"state": "idle"}, live={"running": True, "trouble": "", "told": holds, "holds": False, "moves": True})
+        page.locator("#live-doing", has_text=says).wait_for()
 
 
 def test_recordings_are_laid_over_each_other_aligned_and_with_what_is_derived(page: Page, bench: BenchPage) -> None:
@@ -515,6 +580,24 @@ def test_what_is_not_known_leaves_a_gap_and_its_pane_a_scale(page: Page, bench: 
     assert drawn == [1.0, None, 2.0]
 
 
+def test_a_speed_by_rows_is_that_of_the_newest_ones(page: Page, bench: BenchPage) -> None:
+    let_in(page, bench)
+    page.goto(f"{bench.address}/#state")
+    found = page.evaluate(
+        """async () => {
+            const { Ring } = await import("/static/ring.js");
+            const ring = new Ring([["time", "s"], ["position_turn", "rad"]], 100);
+            const [none, rows] = [ring.rate("position_turn", 0.05), []];
+            for (let k = 0; k < 3000; k += 1) rows.push(0.01 * k, k < 2900 ? 0 : 0.003 * (k - 2900));
+            ring.put(Float64Array.from(rows));
+            return [none, ring.rate("position_turn", 0.05), ring.rate("position_of_another", 0.05)];
+        }"""
+    )
+    assert found[1] == pytest.approx(0.3)
+    assert math.isnan(found[0])
+    assert math.isnan(found[2])
+
+
 def test_a_reload_and_a_second_browser_do_no_harm_and_closing_stops(browser: Browser, bench: BenchPage, console_errors: list[str]) -> None:
     page = browser.new_page()
     listen(page, console_errors)
@@ -560,6 +643,30 @@ def test_a_step_that_builds_on_another_says_so(page: Page, bench: BenchPage) -> 
     card.locator("summary").first.click()
     card.locator("button.start:enabled").click(timeout=STEP_MS)
     card.locator(".refused", has_text="first identify").wait_for()
+
+
+@pytest.mark.nightly
+def test_a_diagnosis_from_the_page_is_read_in_its_bar(page: Page, bench: BenchPage) -> None:
+    """Two recordings, and one that moves otherwise held out; the bar has the verdict's own sentence, and links the report."""
+    opened(page, bench, "experiments")
+    names = []
+    for amplitude_deg, period_s in ((3.4, 10.0), (3.4, 10.0), (2.6, 8.0)):
+        page.reload()
+        fill_and_run(page, "jog", jog=amplitude_deg, period=period_s, periods=1)
+        page.locator("#now.running").wait_for(timeout=STEP_MS)
+        found = re.search(r"jog-\d+-\d+", ended(page, "passed"))
+        assert found
+        names.append(f"{found[0]}.mf4")
+    page.goto(f"{bench.address}/#recordings")
+    for kind, name in zip(("train", "train", "held"), names, strict=True):
+        page.get_by_label(f"{kind} {name}").check()
+    assert "2 chosen, 1 held out" in page.locator("#chosen").inner_text()
+    page.locator("#diagnose").click()
+    page.locator("#now.passed, #now.bad").filter(has_text="Diagnose").wait_for(timeout=4 * STEP_MS)
+    answer = json.loads((bench.folder / "diagnosis.json").read_text())
+    said = " ".join(page.locator("#now").inner_text().split())
+    assert f"{answer['verdict'].replace('_', ' ')}: {answer['reason']}" in said
+    assert page.get_by_role("link", name="open diagnosis/report.html").is_visible()
 
 
 @pytest.mark.nightly

@@ -14,7 +14,7 @@ import pytest
 from hil.bench.attendant import Operator
 from hil.console import starter
 from hil.console.attention import AWAY_S, SILENT_S, Attention
-from hil.console.commands import Answers, Command, Order
+from hil.console.commands import Answers, Command, Order, run_command
 from hil.console.facts import Facts, facts_of
 from hil.console.forms import forms_of
 from hil.console.preview import preview
@@ -73,6 +73,7 @@ def test_commands_follow_one_another_and_know_the_answers_before(work: Work, lin
     work.heed(starter.ENDED, 0)
     assert line.sent[-1] == (starter.RUN, ["identify", "ms.mf4", "--json", str(tmp_path / "b.json")])
     assert not work.moves  # nothing does now, so nobody must answer
+    assert not work.state_now()["moves"]  # what is computed last is not told as a motion
     answer(tmp_path, "b", 5)
     work.heed(starter.ENDED, 0)
     assert (work.state, work.why) == ("passed", "b is 5")
@@ -286,3 +287,15 @@ def test_the_bus_must_have_the_nodes_of_the_file_and_no_others(nodes: list[int],
     found = scan({"scan": {"nodes": [{"node_id": each} for each in nodes]}}, {1: "propeller", 2: "roll"})
     assert found[0] is passed
     assert re.search(why, found[1])
+
+
+def test_no_two_runs_of_an_emulated_machine_have_the_same_noise_and_a_real_one_is_given_none(carm: Machine, tmp_path: Path) -> None:
+    """Recordings with the same rows are refused as repeats."""
+    emulated, real = (facts_of("carm", carm, bus) for bus in ("lockstep:", "udp:"))
+    seeds = []
+    for name in ("first", "second"):
+        arguments = run_command(emulated, tmp_path, name, "").arguments({})
+        seeds.append(arguments[arguments.index("--seed") + 1])
+        (tmp_path / f"{name}.mf4").touch()
+    assert len(set(seeds)) == 2
+    assert "--seed" not in run_command(real, tmp_path, "third", "").arguments({})

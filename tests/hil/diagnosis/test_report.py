@@ -47,10 +47,11 @@ def test_the_missing_effort_of_friction_is_its_level_on_both_sides(friction: Out
     over_speed = shown.cells[0]
     assert over_speed.x.label == "speed of carriage [m/s]"
     assert over_speed.y.label == "effort on carriage [N]"
-    missing, explained = over_speed.series
+    missing, explained, mean = over_speed.series
     for side in (-1.0, 1.0):
         far = side * missing.x > 0.5 * np.max(side * missing.x)
         assert np.mean(missing.y[far]) == pytest.approx(side * COULOMB_N, rel=0.5)  # of a machine whose other numbers are off, too
+        assert np.mean(mean.y[side * mean.x > 0.5 * np.max(side * mean.x)]) == pytest.approx(np.mean(missing.y[far]), abs=1.0)
         fitted = side * explained.x > 0.5 * np.max(side * explained.x)
         assert np.mean(explained.y[fitted]) == pytest.approx(np.mean(missing.y[far]), abs=3.0)
 

@@ -72,7 +72,7 @@ def test_compiling_is_said_and_how_many_functions_are_left(monkeypatch: pytest.M
             for function in compiled:
                 stack.enter_context(event.trigger_event("numba:compile", {"dispatcher": function, "args": (), "return_type": None}))
             line = said_at(1.0, {}, monkeypatch)
-        found = re.search(r", compiling \(once on a computer\): (\d+) functions done, (\d+) left$", line)
+        found = re.search(r", compiling \(once on a computer\): (\d+) functions done, (\d+) left before it goes on$", line)
         assert found, line
         return int(found[1]), int(found[2])
 
