@@ -13,8 +13,8 @@ from drivers.shared_memory.io_state import IoState
 ROUNDS, SESSION, PERMITS, WORD, ANSWER, ASKED, OWN = range(7)
 """Its count of rounds, the session, its permission, the word that it has answered, the answer, and whether somebody asked for a stop."""
 WANTED_SESSION, END, TICK_S, ORDERS = range(4)
-"""The session that the loop wants, whether the supervisor is to end, and when a tick of the loop was, by the clock of all processes, 0 before
-the first."""
+"""The session that the loop wants, whether the supervisor is to end, and when a tick of the loop was, by the clock of all processes; before
+the first, 0."""
 FRAME = struct.Struct("<IB8s")
 """A frame that the bus's owner passes on: identifier, length, data."""
 
