@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from hil.errors import UnusableInputError
 from hil.imaging.detector import Detector
@@ -102,15 +102,28 @@ class Expected:
         keep: np.ndarray = (along > max(first + margin, 2.0)) & (along < min(last - margin, len(along) - 3.0))
         return keep
 
-    def clear(self, k: int, lines: dict[int, CoarseLine]) -> np.ndarray:
-        """Return which places on line k are `inside` and away from every crossing line: (along,) bool."""
-        keep, line = self.inside(k), lines[k]
-        middle = line.at(0.5 * len(keep))
-        for other in self.family(len(self.width) - 1 if k < self.upright else 0):
-            crossing = lines[other] if other in lines else self.line(other)
-            there, margin = crossing.at(line.at(crossing.at(middle))), (0.5 + CLEAR_OF_CROSSINGS) * self.width[other]
-            keep[max(0, math.ceil(there - margin)) : max(0, math.floor(there + margin) + 1)] = False
-        return keep
+    def clear(self, k: int, offset: np.ndarray, slope: np.ndarray) -> np.ndarray:
+        """Return which share (along,) of each place on line k is `inside` and away from every crossing line.
+
+        Lines are as found, across = offset + slope * along; where these are no numbers, as expected.
+        """
+        others = self.family(len(self.width) - 1 if k < self.upright else 0)
+        start, turn = offset[others.start : others.stop].copy(), slope[others.start : others.stop].copy()
+        for each in np.flatnonzero(~(np.isfinite(start) & np.isfinite(turn))):
+            start[each], turn[each] = self.line(others[each]).offset, self.line(others[each]).slope
+        there = (start + turn * offset[k]) / (1.0 - turn * slope[k])
+        margin = (0.5 + CLEAR_OF_CROSSINGS) * self.width[others.start : others.stop]
+        return _without(self.inside(k), there - margin, there + margin)
+
+
+@njit(cache=True)
+def _without(keep: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """Return the share (along,) of each place that is kept and in none of the intervals; place k reaches from k - 1/2 to k + 1/2."""
+    share = keep.astype(np.float64)
+    for k in range(len(first)):
+        for place in range(max(0, int(np.rint(first[k]))), min(len(share), int(np.rint(last[k])) + 1)):
+            share[place] *= 1.0 - min(max(min(place + 0.5, last[k]) - max(place - 0.5, first[k]), 0.0), 1.0)
+    return share
 
 
 def usable(image: np.ndarray, detector: Detector) -> np.ndarray:

@@ -8,16 +8,23 @@ with the others; the pieces beside it stay.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numba import njit
 
 BIN = 0.5
-"""Bins of a profile across a groove [pixel]; the mean place of each bin's pixels is kept, so its width costs nothing but resolution."""
+"""Finest bins of a profile across a groove [pixel]; the mean place of each bin's pixels is kept: a bin's width costs resolution alone."""
 
-REACH = 1.4
+MOST_BINS = 72
+"""Of a profile that is fitted: as many finest bins are put together as it takes; its blur is then two of them wide at least."""
+
+REACH = 1.75
 """A profile reaches this many grooves' widths to either side."""
+
+FADE = 0.4
+"""Share of the reach over which pixels count less and less: a line that moves by a hair must not take in a whole column of pixels."""
 
 SIZE = 6
 """Parameters of a piece: place, contrast, background (level, slope, curvature across), slope of the contrast across.
@@ -26,14 +33,17 @@ Anatomy dims a groove and its surroundings by one factor, which leaves the contr
 the contrast falls as the background grows. The slope is held, as by a measurement, to zero within what scatter alone would make of it."""
 
 STEPS = 5
-SETTLED_PIXELS = 2e-3
+SETTLED_PIXELS = 2e-4
 """Steps shrink at least tenfold; what is left is below the photons' noise."""
 
 OUTLIER = 6.0
 """A pixel this many standard deviations from its neighbours along the groove is dead, or under a wire that crosses."""
 
-SHAPED = 8
-"""So many pieces of a line, spread over it, tell its width and blur: many more cost time and add little."""
+SHAPED = 32
+"""So many pieces of a direction, spread over its grooves, tell their width and blur: many more cost time and add little."""
+
+SHAPE_SETTLED = 5e-3
+"""Steps of width and blur are below this [pixel] in the end."""
 
 FEWEST_BINS = SIZE + 2
 
@@ -43,7 +53,7 @@ TABLE_STEP = 1.0 / 16.0
 
 @dataclass(frozen=True)
 class Profiles:
-    """Counts across the pieces of one line, in bins.
+    """Counts across the pieces of lines, in bins.
 
     Attributes
     ----------
@@ -52,7 +62,7 @@ class Profiles:
     line : (P,) array
         Where the profile's zero lies across, at `along`.
     counts, number, place : (P, bins) arrays
-        Mean counts, pixels, and mean distance from zero.
+        Mean counts, pixels (in part, where they count in part), and mean distance from zero.
     """
 
     along: np.ndarray
@@ -61,10 +71,16 @@ class Profiles:
     number: np.ndarray
     place: np.ndarray
 
+    @classmethod
+    def none(cls, reach: float) -> Profiles:
+        """Return no piece, with the bins of this reach."""
+        empty = np.zeros((0, -(-_bins(reach) // _merged(reach, MOST_BINS))))
+        return cls(np.zeros(0), np.zeros(0), empty, empty, empty)
+
 
 @dataclass(frozen=True)
 class Pieces:
-    """Fitted pieces of one line.
+    """Fitted pieces of lines.
 
     Attributes
     ----------
@@ -103,7 +119,17 @@ def split(keep: np.ndarray, length: float) -> np.ndarray:
     return number
 
 
-def profiles(image: np.ndarray, offset: float, slope: float, piece: np.ndarray, reach: float, stride: int = 1) -> Profiles:
+def profiles(
+    image: np.ndarray,
+    offset: float,
+    slope: float,
+    piece: np.ndarray,
+    reach: float,
+    share: np.ndarray | None = None,
+    stride: int = 1,
+    fade: float = 0.0,
+    most: int = 1 << 30,
+) -> Profiles:
     """Gather profiles across a line.
 
     Parameters
@@ -116,34 +142,79 @@ def profiles(image: np.ndarray, offset: float, slope: float, piece: np.ndarray, 
         Of `split`.
     reach : float
         To either side [pixel].
+    share : (along,) array, optional
+        What each place counts for; without it 1.
     stride : int
         Every so many places along are looked at.
+    fade : float
+        Share of the reach over which pixels count less and less, to nothing at its end.
+    most : int
+        Bins at most.
     """
-    along, counts, number, place = _gather(image, offset, slope, piece, reach, stride)
+    counted = np.ones(len(piece)) if share is None else share
+    along, counts, number, place = _gather(image, offset, slope, piece, counted, reach, fade, stride, _merged(reach, most))
     return Profiles(along, offset + slope * along, counts, number, place)
 
 
-def fit_pieces(seen: Profiles, width: float, blur: float) -> Pieces:
-    """Fit every piece: a box of `width` blurred by a Gaussian of `blur` [pixel], on a background."""
+def together(lines: Sequence[Profiles]) -> Profiles:
+    """Return the pieces of several lines, gathered with one reach, as those of one."""
+    return Profiles(*(np.concatenate([getattr(each, field.name) for each in lines]) for field in fields(Profiles)))
+
+
+def fit_pieces(seen: Profiles, width: np.ndarray | float, blur: float, start: Pieces | None = None) -> Pieces:
+    """Fit every piece: a box of its `width` blurred by a Gaussian of `blur` [pixel], on a background.
+
+    With `start`, the fit of these pieces with a shape not far from this one, where that is from.
+    """
     count = len(seen.along)
-    values, variance, misfit = np.zeros((count, SIZE)), np.full(count, np.inf), np.full(count, np.inf)
-    contrast_sigma = np.full(count, np.inf)
-    shape = _table(width, blur)
-    _fit(seen.counts, seen.number, seen.place, shape, 0.5 * width, values, variance, misfit, contrast_sigma)
+    values = np.zeros((count, SIZE)) if start is None else start.values.copy()
+    variance, misfit, contrast_sigma = np.full((3, count), np.inf)
+    known = np.zeros(count, dtype=bool) if start is None else np.isfinite(start.variance)
+    widths = np.broadcast_to(np.asarray(width, dtype=float), count)
+    _fit(seen.counts, seen.number, seen.place, widths, blur, known, values, variance, misfit, contrast_sigma)
     return Pieces(seen.along, seen.line + values[:, 0], variance, misfit, values, contrast_sigma)
 
 
-def shape_of(seen: Profiles, pieces: Pieces, good: np.ndarray, width: float, blur: float) -> tuple[float, float]:
-    """Return width and blur [pixel] that fit the good pieces best, each with its place, contrast and background as fitted."""
-    shape, those = np.array([width, blur]), np.flatnonzero(good)
-    some = np.zeros(len(good), dtype=bool)
-    some[those[:: max(1, len(those) // SHAPED)]] = True
+def shape_of(seen: Profiles, pieces: Pieces, good: np.ndarray, width: np.ndarray, start: tuple[float, float]) -> tuple[float, float]:
+    """Return the shape of grooves of one direction by the good pieces: width, as a share of the drawing's, and blur [pixel].
+
+    Places, contrasts and backgrounds are fitted along with it: held, they would keep it near where it started.
+
+    Parameters
+    ----------
+    seen : Profiles
+    pieces : Pieces
+        Fitted with about this shape.
+    good : (P,) bool array
+    width : (P,) array
+        Of each piece by the drawing [pixel].
+    start : (2,)
+        Share and blur to start from.
+    """
+    those = np.flatnonzero(good)
+    those = those[:: max(1, len(those) // SHAPED)]
+    if not len(those):
+        return start
+    counts, number, place, values, width = seen.counts[those], seen.number[those], seen.place[those], pieces.values[those], width[those]
+    share, blur = start
     for _ in range(STEPS):
-        change = _shape_step(seen.counts, seen.number, seen.place, pieces.values, some, shape[0], shape[1])
-        shape = np.clip(shape + change, [0.8 * width, 0.3], [1.25 * width, 0.5 * width])
-        if np.abs(change).max() < 5e-3:
+        change = _shape_step(counts, number, place, values, width, share, blur)
+        widest = 0.5 * float(width.mean())
+        share, blur = min(max(share + change[0], 0.8), 1.25), min(max(blur + change[1], 0.3), widest)
+        if abs(change[0]) * widest < SHAPE_SETTLED and abs(change[1]) < SHAPE_SETTLED:
             break
-    return float(shape[0]), float(shape[1])
+    return float(share), float(blur)
+
+
+@njit(inline="always")
+def _bins(reach: float) -> int:
+    return math.ceil(2.0 * reach / BIN) + 1
+
+
+@njit(inline="always")
+def _merged(reach: float, most: int) -> int:
+    """Return how many bins become one, so that there are not more than `most`."""
+    return -(-_bins(reach) // most)
 
 
 @njit(cache=True)
@@ -160,16 +231,25 @@ def _table(width: float, blur: float) -> np.ndarray:
 
 @njit(cache=True, error_model="numpy")
 def _gather(
-    image: np.ndarray, offset: float, slope: float, piece: np.ndarray, reach: float, stride: int
+    image: np.ndarray,
+    offset: float,
+    slope: float,
+    piece: np.ndarray,
+    share: np.ndarray,
+    reach: float,
+    fade: float,
+    stride: int,
+    merged: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return mean place of each piece; mean counts, number and mean place of the pixels in its bins.
 
     Neighbouring pixels are two bins apart. So even and odd bins are kept apart: a row of pixels then goes to places that follow each
     other, which the processor adds several at a time.
     """
-    pieces, bins = piece.max() + 1, math.ceil(2.0 * reach / BIN) + 1
+    pieces, bins = piece.max() + 1, _bins(reach)
     sums, along_sums = np.zeros((pieces, 2, 3, bins // 2 + 1)), np.zeros((pieces, 2))
     limit, one, nothing = np.float32(OUTLIER**2), np.float32(1.0), np.float32(0.0)
+    far, fading = np.float32(reach), np.float32(1.0 / max(fade * reach, 1e-6))
     keep, kept = np.empty(image.shape[1], dtype=np.float32), np.empty(image.shape[1], dtype=np.float32)
     for along in range(2, len(piece) - 2, stride):
         k = piece[along]
@@ -177,9 +257,10 @@ def _gather(
             continue
         center = offset + slope * along
         first, last = max(0, math.ceil(center - reach)), min(image.shape[1] - 1, math.floor(center + reach))
-        along_sums[k, 0] += along
-        along_sums[k, 1] += 1.0
+        along_sums[k, 0] += share[along] * along
+        along_sums[k, 1] += share[along]
         start, width = first - center, last + 1 - first
+        near, whole = np.float32(start), np.float32(share[along])
         lowest = int((start + reach) / BIN)
         odd, j = lowest % 2, lowest // 2
         for n in range(width):
@@ -189,7 +270,8 @@ def _gather(
             low, high = max(min(a, b), min(c, d)), min(max(a, b), max(c, d))
             usual = max(min(low, high), min(max(low, high), seen))
             away = seen - usual
-            keep[n] = one if away * away <= limit * max(usual, one) else nothing
+            weight = whole * max(nothing, min(one, (far - abs(near + np.float32(n))) * fading))
+            keep[n] = weight if away * away <= limit * max(usual, one) else nothing
             kept[n] = keep[n] * seen
         for n in range(width):
             sums[k, odd, 0, j + n] += keep[n]
@@ -197,15 +279,17 @@ def _gather(
             sums[k, odd, 1, j + n] += kept[n]
         for n in range(width):
             sums[k, odd, 2, j + n] += keep[n] * (start + n)
-    middle, counts, number, place = np.zeros(pieces), np.zeros((pieces, bins)), np.zeros((pieces, bins)), np.zeros((pieces, bins))
+    middle, result = np.zeros(pieces), np.zeros((3, pieces, -(-bins // merged)))
     for k in range(pieces):
-        middle[k] = along_sums[k, 0] / max(along_sums[k, 1], 1.0)
+        middle[k] = along_sums[k, 0] / max(along_sums[k, 1], 1e-3)
         for each in range(bins):
-            number[k, each] = sums[k, each % 2, 0, each // 2]
-            if number[k, each] > 0.0:
-                counts[k, each] = sums[k, each % 2, 1, each // 2] / number[k, each]
-                place[k, each] = sums[k, each % 2, 2, each // 2] / number[k, each]
-    return middle, counts, number, place
+            for i in range(3):
+                result[i, k, each // merged] += sums[k, each % 2, i, each // 2]
+        for each in range(result.shape[2]):
+            if result[0, k, each] > 0.0:
+                result[1, k, each] /= result[0, k, each]
+                result[2, k, each] /= result[0, k, each]
+    return middle, result[1], result[0], result[2]
 
 
 @njit(inline="always")
@@ -222,12 +306,16 @@ def _looked_up(table: np.ndarray, d: float) -> tuple[float, float]:
 
 @njit(cache=True, error_model="numpy")
 def _fit(
-    counts: np.ndarray, number: np.ndarray, place: np.ndarray, table: np.ndarray, gate: float, values: np.ndarray, variance: np.ndarray,
-    misfit: np.ndarray, contrast_sigma: np.ndarray,
+    counts: np.ndarray, number: np.ndarray, place: np.ndarray, width: np.ndarray, blur: float, known: np.ndarray, values: np.ndarray,
+    variance: np.ndarray, misfit: np.ndarray, contrast_sigma: np.ndarray,
 ) -> None:  # fmt: skip
     bins = counts.shape[1]
     row, normal, slope = np.empty(SIZE), np.empty((SIZE, SIZE)), np.empty(SIZE)
+    table, tabulated = np.empty((0, 2)), -1.0
     for k in range(counts.shape[0]):
+        gate = 0.5 * width[k]
+        if width[k] != tabulated:
+            table, tabulated = _table(width[k], blur), width[k]
         filled, level = 0, 0.0
         for j in range(bins):
             if number[k, j] > 0.0:
@@ -236,9 +324,10 @@ def _fit(
         if filled < FEWEST_BINS or not level > 0.0:
             continue
         v = values[k]
-        v[0], v[1], v[2], v[3], v[4], v[5] = 0.0, 0.8, level / filled / 1.3, 0.0, 0.0, 0.0
+        if not known[k]:
+            v[0], v[1], v[2], v[3], v[4], v[5] = 0.0, 0.8, level / filled / 1.3, 0.0, 0.0, 0.0
         total = 0.0
-        for step in range(STEPS):
+        for step in range(2 if known[k] else 0, STEPS):
             normal[:], slope[:], total = 0.0, 0.0, 0.0
             for j in range(bins):
                 if number[k, j] == 0.0:
@@ -260,8 +349,7 @@ def _fit(
             for a in range(SIZE):
                 for b in range(a + 1, SIZE):
                     normal[a, b] = normal[b, a]
-            by_scatter = v[1] * v[3] / v[2]
-            held = 1.0 / (by_scatter**2 + 1e-12)
+            held = _held(v)
             normal[5, 5] += held
             slope[5] -= held * v[5]
             determined = normal[0, 0] > 0.0
@@ -307,33 +395,78 @@ def _solve(normal: np.ndarray, right: np.ndarray) -> bool:
 
 @njit(cache=True, error_model="numpy")
 def _shape_step(
-    counts: np.ndarray, number: np.ndarray, place: np.ndarray, values: np.ndarray, good: np.ndarray, width: float, blur: float
+    counts: np.ndarray, number: np.ndarray, place: np.ndarray, values: np.ndarray, width: np.ndarray, share: float, blur: float
 ) -> np.ndarray:
-    n00 = n01 = n11 = s0 = s1 = 0.0
+    """Take a step of Gauss-Newton for the share of the width, the blur and the pieces' values, which are replaced; return the first two.
+
+    The normal equations have a block for each piece; what is left when those are eliminated is two by two.
+    """
+    pieces, bins = counts.shape
     root, peak = 1.0 / (math.sqrt(2.0) * blur), 1.0 / (math.sqrt(2.0 * math.pi) * blur)
-    for k in range(counts.shape[0]):
-        if not good[k]:
-            continue
-        for j in range(counts.shape[1]):
+    n00 = n01 = n11 = s0 = s1 = 0.0
+    own, by_shape = np.zeros((pieces, SIZE)), np.zeros((pieces, 2, SIZE))
+    row, normal, both, slope = np.empty(SIZE), np.empty((SIZE, SIZE)), np.empty((2, SIZE)), np.empty(SIZE)
+    for k in range(pieces):
+        v = values[k]
+        normal[:], slope[:], both[:] = 0.0, 0.0, 0.0
+        m00 = m01 = m11 = r0 = r1 = 0.0
+        for j in range(bins):
             if number[k, j] == 0.0:
                 continue
             d = place[k, j]
-            left, right = d - values[k, 0] + 0.5 * width, d - values[k, 0] - 0.5 * width
+            left, right = d - v[0] + 0.5 * share * width[k], d - v[0] - 0.5 * share * width[k]
             shape = 0.5 * (math.erf(left * root) - math.erf(right * root))
             one, other = peak * math.exp(-((left * root) ** 2)), peak * math.exp(-((right * root) ** 2))
-            background = values[k, 2] + values[k, 3] * d + values[k, 4] * d * d
-            contrast = values[k, 1] + values[k, 5] * d
-            model = background * (1.0 + contrast * shape)
-            weight = number[k, j] / max(model, 1.0)
-            rest = counts[k, j] - model
-            a = background * contrast * 0.5 * (one + other)
+            background, contrast = v[2] + v[3] * d + v[4] * d * d, v[1] + v[5] * d
+            through = 1.0 + contrast * shape
+            weight = number[k, j] / max(background * through, 1.0)
+            rest = counts[k, j] - background * through
+            row[0], row[1], row[5] = -background * contrast * (one - other), background * shape, background * shape * d
+            row[2], row[3], row[4] = through, through * d, through * d * d
+            a = background * contrast * 0.5 * (one + other) * width[k]
             b = -background * contrast * (left * one - right * other) / blur
-            n00 += weight * a * a
-            n01 += weight * a * b
-            n11 += weight * b * b
-            s0 += weight * a * rest
-            s1 += weight * b * rest
+            for i in range(SIZE):
+                weighted = weight * row[i]
+                slope[i] += weighted * rest
+                both[0, i] += weighted * a
+                both[1, i] += weighted * b
+                for n in range(i + 1):
+                    normal[i, n] += weighted * row[n]
+            m00 += weight * a * a
+            m01 += weight * a * b
+            m11 += weight * b * b
+            r0 += weight * a * rest
+            r1 += weight * b * rest
+        for i in range(SIZE):
+            for n in range(i + 1, SIZE):
+                normal[i, n] = normal[n, i]
+        held = _held(v)
+        normal[5, 5] += held
+        slope[5] -= held * v[5]
+        if not _solve(normal, slope):
+            continue
+        own[k] = slope
+        for i in range(SIZE):
+            for n in range(SIZE):
+                by_shape[k, 0, i] += normal[i, n] * both[0, n]
+                by_shape[k, 1, i] += normal[i, n] * both[1, n]
+        for i in range(SIZE):
+            m00 -= both[0, i] * by_shape[k, 0, i]
+            m01 -= both[0, i] * by_shape[k, 1, i]
+            m11 -= both[1, i] * by_shape[k, 1, i]
+            r0 -= both[0, i] * own[k, i]
+            r1 -= both[1, i] * own[k, i]
+        n00, n01, n11, s0, s1 = n00 + m00, n01 + m01, n11 + m11, s0 + r0, s1 + r1
     determinant = n00 * n11 - n01 * n01
     if not determinant > 1e-12 * n00 * n11:
         return np.zeros(2)
-    return np.array([(n11 * s0 - n01 * s1) / determinant, (n00 * s1 - n01 * s0) / determinant])
+    change = np.array([(n11 * s0 - n01 * s1) / determinant, (n00 * s1 - n01 * s0) / determinant])
+    values += own - change[0] * by_shape[:, 0] - change[1] * by_shape[:, 1]
+    return change
+
+
+@njit(inline="always")
+def _held(v: np.ndarray) -> float:
+    """Return how firmly a piece's slope of the contrast is held to zero."""
+    by_scatter = v[1] * v[3] / v[2]
+    return float(1.0 / (by_scatter**2 + 1e-12))
