@@ -14,7 +14,7 @@ from hil.errors import UnusableInputError
 from hil.imaging.detector import Detector
 from hil.imaging.markers.expected import LEAST_IN_VIEW, CoarseLine, Expected, usable
 from hil.imaging.markers.fine_lines import FineLine, beyond_chance, line_through, widened
-from hil.imaging.markers.pieces import FADE, MOST_BINS, REACH, SIZE, Pieces, Profiles, fit_pieces, profiles, shape_of, split, together
+from hil.imaging.markers.pieces import FADE, REACH, SIZE, Pieces, Profiles, fit_pieces, profiles, shape_of, split, together
 from hil.imaging.markers.plane import CUT, Plane
 from hil.imaging.markers.plates import MarkerPlate
 from hil.imaging.markers.projection import MarkerProjection
@@ -45,8 +45,8 @@ FAINTEST = 0.35
 FEWEST_PIECES, LEAST_GOOD = 3, 0.25
 """A line with fewer pieces, or a smaller share of its pieces, in line with the plate is refused."""
 
-CENTRED = 0.03
-"""Where the plate has moved by less than this, in grooves' widths, since the profiles' places were chosen, they are centred well enough."""
+CENTRED = 0.015
+"""Where the plate is within this of the profiles' middles, in grooves' widths, they are centred."""
 
 MOST_REFUSED = 1.0 / 3.0
 """With a larger share of the lines missing or out of place it is unknown which of the others are right."""
@@ -109,8 +109,8 @@ def find_marker(
         Where it should be, to less than half the distance of two grooves and 6 degrees.
     detector : Detector
     before : MarkerPoints, optional
-        What the image before showed, of the same plate, looked for in the same place. Grooves are then fitted where it had them, once.
-        Where one is lost or found again, or the plate has left the middle of the profiles, the image is looked at as if it were the first.
+        What the image before showed, of the same plate, looked for in the same place. Grooves are then fitted where it had them. Where one
+        is lost or found again, or the plate has moved by more than a window's error, the image is looked at as if it were the first.
 
     Raises
     ------
@@ -156,14 +156,25 @@ def _looked_for(counts: Both, plate: MarkerPlate, seen: Expected, detector: Dete
 
 
 def _followed(counts: Both, plate: MarkerPlate, seen: Expected, before: MarkerPoints) -> MarkerPoints | None:
-    """Return the crossings by one fit about the grooves of the image before; None where they are elsewhere, or others than these."""
+    """Return the crossings by a fit about the grooves of the image before, and another about those it finds where they have moved.
+
+    None where they are elsewhere, or others than these.
+    """
     if before.start is None:
         return None
-    old, plane = before.start.plane, before.start.plane.copy()
-    fitted = _Fitted.of(_Gathered.of(counts, plane, seen), before.start.shapes, plane)
+    plane, shapes = before.start.plane.copy(), before.start.shapes
     lines, ends = np.arange(plate.lines), seen.ends[:, :, 0].T
-    moved = np.array([plane.across(lines, along) - old.across(lines, along) for along in ends])
-    if not (np.abs(moved) < CENTRED * seen.width).all() or not _in_reach(plane, seen):
+    for _ in range(2):
+        about = plane.copy()
+        fitted = _Fitted.of(_Gathered.of(counts, about, seen), shapes, plane)
+        moved = np.array([plane.across(lines, along) - about.across(lines, along) for along in ends])
+        if (np.abs(moved) < CENTRED * seen.width).all():
+            break
+        if not (np.abs(moved) < WINDOW_SIGMA * seen.width).all():
+            return None
+    else:
+        return None
+    if not _in_reach(plane, seen):
         return None
     try:
         points = fitted.shaped().points(plate)
@@ -216,9 +227,7 @@ class _Gathered:
                     continue
                 share = seen.clear(k, start, slope)
                 if (piece := split(share, PIECE * seen.width[k])).max() >= 0:
-                    profiled.append(
-                        profiles(counts[first > 0], float(start[k]), float(slope[k]), piece, reach, share, fade=FADE, most=MOST_BINS)
-                    )
+                    profiled.append(profiles(counts[first > 0], float(start[k]), float(slope[k]), piece, reach, share, fade=FADE))
                     line.append(np.full(len(profiled[-1].along), k))
             sides.append(together(profiled))
         which = np.concatenate([np.zeros(0, dtype=int), *line])

@@ -17,6 +17,9 @@ CLEAR_OF_CROSSINGS = 0.7
 """Beyond half a groove this far, in grooves' widths, from a crossing line's middle and from a line's end, scatter and blur have rounded
 the corners."""
 
+BORDER = 2.5
+"""Of the image [pixel]: a pixel is compared with two to either side."""
+
 LEAST_IN_VIEW = 30
 """A groove with fewer places inside plate and image [pixel] is not looked for."""
 
@@ -103,25 +106,40 @@ class Expected:
         return keep
 
     def clear(self, k: int, offset: np.ndarray, slope: np.ndarray) -> np.ndarray:
-        """Return which share (along,) of each place on line k is `inside` and away from every crossing line.
+        """Return which share (along,) of each place on line k lies on the plate and in the image, away from its ends and crossing lines.
 
-        Lines are as found, across = offset + slope * along; where these are no numbers, as expected.
+        Lines are as found, across = offset + slope * along; where these are no numbers, as expected. The ends move with the crossing lines.
         """
-        others = self.family(len(self.width) - 1 if k < self.upright else 0)
-        start, turn = offset[others.start : others.stop].copy(), slope[others.start : others.stop].copy()
-        for each in np.flatnonzero(~(np.isfinite(start) & np.isfinite(turn))):
-            start[each], turn[each] = self.line(others[each]).offset, self.line(others[each]).slope
-        there = (start + turn * offset[k]) / (1.0 - turn * slope[k])
-        margin = (0.5 + CLEAR_OF_CROSSINGS) * self.width[others.start : others.stop]
-        return _without(self.inside(k), there - margin, there + margin)
+        family = self.family(len(self.width) - 1 if k < self.upright else 0)
+        others = slice(family.start, family.stop)
+        drawn = np.array([(line.offset, line.slope) for line in map(self.line, family)]).T
+        found = np.isfinite(offset[others]) & np.isfinite(slope[others])
+        there = _crossed(self.line(k), *drawn)
+        ends = self.ends[k, :, 0]
+        expected = there.copy()
+        there[found] = _crossed(CoarseLine(offset[k], slope[k]), offset[others], slope[others])[found]
+        moved = there - expected
+        ends = ends + moved[0] + (ends - expected[0]) * (moved[-1] - moved[0]) / (expected[-1] - expected[0])
+        margin, own = (0.5 + CLEAR_OF_CROSSINGS) * self.width[others], (0.5 + CLEAR_OF_CROSSINGS) * self.width[k]
+        last = float(self.length(k) - 1)
+        begin, end = max(ends[0] + own, BORDER), min(ends[1] - own, last - BORDER)
+        first, beyond = np.concatenate([there - margin, [-1.0, end]]), np.concatenate([there + margin, [begin, last + 1.0]])
+        return _without(self.length(k), first, beyond)
+
+
+def _crossed(line: CoarseLine, offset: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """Return where along a line others cross it."""
+    with np.errstate(invalid="ignore"):
+        places: np.ndarray = (offset + slope * line.offset) / (1.0 - slope * line.slope)
+    return places
 
 
 @njit(cache=True)
-def _without(keep: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """Return the share (along,) of each place that is kept and in none of the intervals; place k reaches from k - 1/2 to k + 1/2."""
-    share = keep.astype(np.float64)
+def _without(count: int, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """Return the share (count,) of each place that is in none of the intervals; place k reaches from k - 1/2 to k + 1/2."""
+    share = np.ones(count)
     for k in range(len(first)):
-        for place in range(max(0, int(np.rint(first[k]))), min(len(share), int(np.rint(last[k])) + 1)):
+        for place in range(max(0, int(np.rint(max(first[k], -1.0)))), min(count, int(np.rint(min(last[k], count))) + 1)):
             share[place] *= 1.0 - min(max(min(place + 0.5, last[k]) - max(place - 0.5, first[k]), 0.0), 1.0)
     return share
 

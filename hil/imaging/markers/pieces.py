@@ -15,10 +15,7 @@ import numpy as np
 from numba import njit
 
 BIN = 0.5
-"""Finest bins of a profile across a groove [pixel]; the mean place of each bin's pixels is kept: a bin's width costs resolution alone."""
-
-MOST_BINS = 72
-"""Of a profile that is fitted: as many finest bins are put together as it takes; its blur is then two of them wide at least."""
+"""Bins of a profile across a groove [pixel]; the mean place of each bin's pixels is kept: a bin's width costs resolution alone."""
 
 REACH = 1.75
 """A profile reaches this many grooves' widths to either side."""
@@ -39,7 +36,7 @@ SETTLED_PIXELS = 2e-4
 OUTLIER = 6.0
 """A pixel this many standard deviations from its neighbours along the groove is dead, or under a wire that crosses."""
 
-SHAPED = 32
+SHAPED = 64
 """So many pieces of a direction, spread over its grooves, tell their width and blur: many more cost time and add little."""
 
 SHAPE_SETTLED = 5e-3
@@ -74,7 +71,7 @@ class Profiles:
     @classmethod
     def none(cls, reach: float) -> Profiles:
         """Return no piece, with the bins of this reach."""
-        empty = np.zeros((0, -(-_bins(reach) // _merged(reach, MOST_BINS))))
+        empty = np.zeros((0, _bins(reach)))
         return cls(np.zeros(0), np.zeros(0), empty, empty, empty)
 
 
@@ -104,18 +101,25 @@ class Pieces:
 
 
 @njit(cache=True)
-def split(keep: np.ndarray, length: float) -> np.ndarray:
-    """Return the number of the piece each place along a line belongs to, -1 where not kept; pieces are about `length` long."""
-    number = np.full(len(keep), -1, dtype=np.int64)
+def split(share: np.ndarray, length: float) -> np.ndarray:
+    """Return the number of the piece each place along a line belongs to, -1 where its share is nothing; pieces are about `length` long.
+
+    Lengths are sums of shares, which change by a little where a line moves by a little: so does their number seldom.
+    """
+    number = np.full(len(share), -1, dtype=np.int64)
     count = first = 0
-    for k in range(len(keep) + 1):
-        if k < len(keep) and keep[k]:
+    total = 0.0
+    for k in range(len(share) + 1):
+        if k < len(share) and share[k] > 0.0:
+            total += share[k]
             continue
-        parts = int(np.rint((k - first) / length))
+        parts = int(np.rint(total / length))
+        before = 0.0
         for each in range(first, k if parts else first):
-            number[each] = count + ((each - first) * parts) // (k - first)
+            number[each] = count + min(int((before + 0.5 * share[each]) / total * parts), parts - 1)
+            before += share[each]
         count += parts
-        first = k + 1
+        first, total = k + 1, 0.0
     return number
 
 
@@ -128,7 +132,6 @@ def profiles(
     share: np.ndarray | None = None,
     stride: int = 1,
     fade: float = 0.0,
-    most: int = 1 << 30,
 ) -> Profiles:
     """Gather profiles across a line.
 
@@ -148,11 +151,9 @@ def profiles(
         Every so many places along are looked at.
     fade : float
         Share of the reach over which pixels count less and less, to nothing at its end.
-    most : int
-        Bins at most.
     """
     counted = np.ones(len(piece)) if share is None else share
-    along, counts, number, place = _gather(image, offset, slope, piece, counted, reach, fade, stride, _merged(reach, most))
+    along, counts, number, place = _gather(image, offset, slope, piece, counted, reach, fade, stride)
     return Profiles(along, offset + slope * along, counts, number, place)
 
 
@@ -191,8 +192,8 @@ def shape_of(seen: Profiles, pieces: Pieces, good: np.ndarray, width: np.ndarray
     start : (2,)
         Share and blur to start from.
     """
-    those = np.flatnonzero(good)
-    those = those[:: max(1, len(those) // SHAPED)]
+    those = np.arange(0, len(good), max(1, len(good) // SHAPED))
+    those = those[good[those]]
     if not len(those):
         return start
     counts, number, place, values, width = seen.counts[those], seen.number[those], seen.place[those], pieces.values[those], width[those]
@@ -209,12 +210,6 @@ def shape_of(seen: Profiles, pieces: Pieces, good: np.ndarray, width: np.ndarray
 @njit(inline="always")
 def _bins(reach: float) -> int:
     return math.ceil(2.0 * reach / BIN) + 1
-
-
-@njit(inline="always")
-def _merged(reach: float, most: int) -> int:
-    """Return how many bins become one, so that there are not more than `most`."""
-    return -(-_bins(reach) // most)
 
 
 @njit(cache=True)
@@ -239,7 +234,6 @@ def _gather(
     reach: float,
     fade: float,
     stride: int,
-    merged: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return mean place of each piece; mean counts, number and mean place of the pixels in its bins.
 
@@ -279,13 +273,13 @@ def _gather(
             sums[k, odd, 1, j + n] += kept[n]
         for n in range(width):
             sums[k, odd, 2, j + n] += keep[n] * (start + n)
-    middle, result = np.zeros(pieces), np.zeros((3, pieces, -(-bins // merged)))
+    middle, result = np.zeros(pieces), np.zeros((3, pieces, bins))
     for k in range(pieces):
         middle[k] = along_sums[k, 0] / max(along_sums[k, 1], 1e-3)
         for each in range(bins):
             for i in range(3):
-                result[i, k, each // merged] += sums[k, each % 2, i, each // 2]
-        for each in range(result.shape[2]):
+                result[i, k, each] = sums[k, each % 2, i, each // 2]
+        for each in range(bins):
             if result[0, k, each] > 0.0:
                 result[1, k, each] /= result[0, k, each]
                 result[2, k, each] /= result[0, k, each]
