@@ -4,12 +4,10 @@
 
 The emulated machine jogs its roll axis, on `udp:`, in a process of its own. Its panel is another, which sends frames that were made
 beforehand over one period of the jog, each at the end of its exposure, at three binnings of the panel; a fast panel so. It waits until the
-jog repeats itself, and exposes where the frames do. `isocenter run jog --observer --data --images` receives them. Every case without images beside it is the pair: the same loop with the same observer. Under load two processes compute all the time,
-with the lowest priority. FOLDER keeps frames, observer and first calibration. Cases that the result holds already are left out: it goes on
-where it was ended.
-
-Processor time is that of the process that looks at images, without its start, over the images; where others compute beside this benchmark it
-says more than shares in time do.
+jog repeats itself, and exposes where the frames do. `isocenter run jog --observer --data --images` receives them. Every case without images
+beside it is the pair: the same loop with the same observer. Under load two processes compute all the time, with the lowest priority. FOLDER
+keeps frames, observer and first calibration. Cases that the result holds already are left out: it goes on where it was ended. Shares in
+time are of this machine with what else it does: imaging_speed.py has processor time.
 
 An image's age is from the middle of its exposure to the row that takes it in. It is in time where it is taken in before the middle of the
 next exposure.
@@ -65,7 +63,7 @@ ISOCENTER = [sys.executable, "-m", "hil"]
 RESULTS = Path(__file__).parent / "results" / "live_images.json"
 BUS = "udp:239.74.163.83"
 RATE_Hz, WIDTH_S = 30.0, 0.008
-PERIOD_S, FRAMES = 2.0, 60
+PERIOD_S, FRAMES = 3.0, 90
 """Of the jog, and the frames that one period takes at this rate."""
 
 STARTS, AMPLITUDE_DEG, JOGS = "propeller=0,roll=20", 2.0, "roll"
@@ -130,7 +128,7 @@ def prepared(work: Path) -> tuple[Path, Path, Path]:
 
 
 def made(work: Path, scene: str, binning: int) -> Path:
-    """Return the file of frames (FRAMES, rows, columns) that show the machine over one period of its jog, and the tube's places (FRAMES, 3)."""
+    """Return the file of frames (FRAMES, rows, columns) over one period of the jog, and of the tube's places (FRAMES, 3)."""
     file, truth = work / f"{scene}_{binning}.npz", work / "jog.truth.csv"
     if file.exists():
         return file
