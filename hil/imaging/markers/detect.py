@@ -14,7 +14,8 @@ from hil.errors import UnusableInputError
 from hil.imaging.detector import Detector
 from hil.imaging.markers.expected import LEAST_IN_VIEW, CoarseLine, Expected, usable
 from hil.imaging.markers.fine_lines import FineLine, beyond_chance, line_through, widened
-from hil.imaging.markers.pieces import FADE, REACH, SIZE, Pieces, Profiles, fit_pieces, profiles, shape_of, split, together
+from hil.imaging.markers.groove_shape import shape_of
+from hil.imaging.markers.pieces import FADE, REACH, SIZE, Pieces, Profiles, fit_pieces, profiles, split, together
 from hil.imaging.markers.plane import CUT, Plane
 from hil.imaging.markers.plates import MarkerPlate
 from hil.imaging.markers.projection import MarkerProjection
