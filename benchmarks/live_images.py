@@ -2,11 +2,12 @@
 
     python benchmarks/live_images.py --work FOLDER [--json benchmarks/results/live_images.json] [--seconds 8] [--only NAME ...] [--again]
 
-The emulated machine stands, on `udp:`, in a process of its own. Its panel is another, which sends frames that were made beforehand, each
-at the end of its exposure, at three binnings of the panel; a fast panel so. `isocenter run static --observer --data --images` receives
-them. Every case without images beside it is the pair: the same loop with the same observer. Under load two processes compute all the time,
-with the lowest priority. FOLDER keeps frames, observer and first calibration. Cases that the result holds already are left out: it goes on
-where it was ended.
+The emulated machine jogs its roll axis, on `udp:`, in a process of its own. Its panel is another, which sends frames that were made
+beforehand over one period of the jog, each at the end of its exposure, at three binnings of the panel; a fast panel so. It waits until the
+jog repeats itself, and exposes where the frames do. `isocenter run jog --observer --data --images` receives them. Every case without images
+beside it is the pair: the same loop with the same observer. Under load two processes compute all the time, with the lowest priority. FOLDER
+keeps frames, observer and first calibration. Cases that the result holds already are left out: it goes on where it was ended. Shares in
+time are of this machine with what else it does: imaging_speed.py has processor time.
 
 An image's age is from the middle of its exposure to the row that takes it in. It is in time where it is taken in before the middle of the
 next exposure.
@@ -62,10 +63,13 @@ ISOCENTER = [sys.executable, "-m", "hil"]
 RESULTS = Path(__file__).parent / "results" / "live_images.json"
 BUS = "udp:239.74.163.83"
 RATE_Hz, WIDTH_S = 30.0, 0.008
-FRAMES = 4
-"""Made of each kind, alike but for their noise, and sent in turn."""
+PERIOD_S, FRAMES = 3.0, 90
+"""Of the jog, and the frames that one period takes at this rate."""
 
-STANDS = "propeller=0,roll=20"
+STARTS, AMPLITUDE_DEG, JOGS = "propeller=0,roll=20", 2.0, "roll"
+REPEATS_WITHIN_S = 2e-3
+"""The jog has settled where two periods differ by less."""
+
 PATIENT = {"overrun_ticks": "10000", "stale_ticks": "10000"}
 BUSY, LOWEST = 2, 19
 LOOKS_EVERY_S = 5e-4
@@ -124,24 +128,53 @@ def prepared(work: Path) -> tuple[Path, Path, Path]:
 
 
 def made(work: Path, scene: str, binning: int) -> Path:
-    """Return the file of frames (FRAMES, rows, columns) that show the machine as it stands."""
-    file, truth = work / f"{scene}_{binning}.npy", work / "standing.truth.csv"
+    """Return the file of frames (FRAMES, rows, columns) over one period of the jog, and of the tube's places (FRAMES, 3)."""
+    file, truth = work / f"{scene}_{binning}.npz", work / "jog.truth.csv"
     if file.exists():
         return file
     machine = load_machine("carm")
     if not truth.exists():
-        at = ["--pose", STANDS, "--seconds", 2, "--truth", truth]
-        command("run", "static", "-m", "carm", "-b", "lockstep:", *at, "-o", work / "standing.mf4")
-    beam, rng = beam_of(machine, scene), np.random.default_rng(0)
+        command("run", "jog", "-m", "carm", "-b", "lockstep:", *jogging(3 * PERIOD_S), "--truth", truth, "-o", work / "jog.mf4")
+    beam, rng, detector = beam_of(machine, scene), np.random.default_rng(0), nominal_detector(machine, binning)
     side = xray_side(machine, truth, beam.spot, 0.1)
-    frames = [beam.image(side, 1.0, WIDTH_S, nominal_detector(machine, binning), rng) for _ in range(FRAMES)]
-    np.save(file, np.array(frames))
+    middle_s = PERIOD_S + np.arange(FRAMES) / RATE_Hz
+    frames = [beam.image(side, middle - 0.5 * WIDTH_S, WIDTH_S, detector, rng) for middle in middle_s]
+    np.savez(file, frames=np.array(frames), tube_m=side.tube(middle_s)[0])
     return file
+
+
+def jogging(seconds: float) -> list[object]:
+    """Return the words that make the machine jog so long."""
+    how = ["--axes", JOGS, "--amplitude", AMPLITUDE_DEG, "--period", PERIOD_S, "--periods", round(seconds / PERIOD_S)]
+    return ["--pose", STARTS, *how]
+
+
+class Passage:
+    """When the tube passes the first frame's place, going as it went there."""
+
+    def __init__(self, board: PoseBoard, tube_m: np.ndarray) -> None:
+        self._board, self._place_m = board, tube_m[0]
+        self._forward = (tube_m[1] - tube_m[-1]) / np.linalg.norm(tube_m[1] - tube_m[-1])
+
+    def settled_s(self) -> float | None:
+        """Return the last time, where the time before was a period earlier; None where the jog has not settled."""
+        now_s = self._board.now_s
+        span = self._board.around(now_s - 1.2 * PERIOD_S, now_s, 0) if np.isfinite(now_s) else None
+        if span is None or len(span.time_s) < 2:
+            return None
+        ahead = (span.tube[:, :3] - self._place_m) @ self._forward
+        passed = np.flatnonzero((ahead[:-1] < 0.0) & (ahead[1:] >= 0.0))
+        if len(passed) < 2:
+            return None
+        share = ahead[passed] / (ahead[passed] - ahead[passed + 1])
+        times = span.time_s[passed] + share * np.diff(span.time_s)[passed]
+        return float(times[-1]) if abs(times[-1] - times[-2] - PERIOD_S) < REPEATS_WITHIN_S else None
 
 
 def _panel(board: PoseBoard, file: str, ready: Connection) -> None:
     """Serve the frames of a file to one host: each at the end of its exposure."""
-    frames = np.load(file).astype("<u2")
+    with np.load(file) as made_before:
+        frames, passage = made_before["frames"].astype("<u2"), Passage(board, made_before["tube_m"])
     with contextlib.suppress(PermissionError):  # a device of its own: punctual, but after the loop
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PANEL_PRIORITY))
     with socket.create_server(("127.0.0.1", 0)) as listener:
@@ -150,12 +183,14 @@ def _panel(board: PoseBoard, file: str, ready: Connection) -> None:
             caller, _ = listener.accept()
             with caller, contextlib.suppress(ConnectionError):
                 caller.sendall(end_bytes(0))
-                _exposures(caller, board, frames)
+                _exposures(caller, board, frames, passage)
 
 
-def _exposures(caller: socket.socket, board: PoseBoard, frames: np.ndarray) -> None:
-    first_s, count, said = np.inf, 0, b""
+def _exposures(caller: socket.socket, board: PoseBoard, frames: np.ndarray, passage: Passage) -> None:
+    first_s, count, said, is_asked = np.inf, 0, b"", False
     while True:
+        if is_asked and np.isinf(first_s) and (passed_s := passage.settled_s()) is not None:
+            first_s = passed_s + PERIOD_S - 0.5 * WIDTH_S
         start_s = first_s + count / RATE_Hz
         if board.now_s >= start_s + WIDTH_S and (span := board.around(start_s, start_s + WIDTH_S, 0)) is not None:
             sync = int(span.sync[np.searchsorted(span.time_s, start_s)])
@@ -173,9 +208,10 @@ def _exposures(caller: socket.socket, board: PoseBoard, frames: np.ndarray) -> N
             line, _, said = said.partition(b"\n")
             if read_command(line) is None:
                 caller.sendall(end_bytes(count))
-                first_s = np.inf
+                is_asked = False
             else:
-                first_s, count = board.now_s + 0.1, 0
+                is_asked, count = True, 0
+            first_s = np.inf
 
 
 def _emulate(machine_file: str, file: str, scene: str, ready: Connection) -> None:
@@ -189,7 +225,7 @@ def _emulate(machine_file: str, file: str, scene: str, ready: Connection) -> Non
         ours, theirs = context.Pipe(duplex=False)
         context.Process(target=politely, args=(_panel, board, file, theirs), daemon=True).start()
         url = f"tcp:127.0.0.1:{ours.recv()}"
-    pose = dict(part.split("=") for part in STANDS.split(","))
+    pose = dict(part.split("=") for part in STARTS.split(","))
     start = np.radians([float(pose[axis]) for axis in machine.axes])
     assert machine.bus is not None
     with contextlib.ExitStack() as stack, open_bus(BUS, machine.bus.bitrate_bit_s) as bus:
@@ -225,7 +261,7 @@ def measure(case: Case, work: Path, seconds: float) -> dict[str, object]:
     busy = load(BUSY if case.loaded else 0, LOWEST)
     with tempfile.TemporaryDirectory(dir=work) as scratch, busy, emulated(machine_file, file, case.scene):
         images, recorded, told = (Path(scratch) / name for name in ("images", "run.mf4", "run.json"))
-        words = ["run", "static", "-m", machine_file, "-b", BUS, "--pose", STANDS, "--seconds", seconds, "--observer", observer]
+        words = ["run", "jog", "-m", machine_file, "-b", BUS, *jogging(seconds), "--observer", observer]
         if case.scene:
             words += ["--data", known, "--images", images, "--scene", case.scene]
             words += ["--image-rate", RATE_Hz, "--image-binning", case.binning]

@@ -14,7 +14,7 @@ from hil.imaging.mailbox import Mailbox, Sighting
 from hil.imaging.markers import MarkerProjection
 from hil.imaging.nominal import nominal_beam
 from hil.machine import Machine
-from hil.receiving.sight import phantom_in
+from hil.receiving.sight import SeenMarker, phantom_in
 
 TOLD_WITHIN_S = 0.1
 """Longest wait for a row: the loop has stopped, or loses ticks."""
@@ -57,10 +57,10 @@ class Watch:
         self._panel_s: list[float] = []
         self._pulse_s: list[float] = []
         self._ids: list[int] = []
-        self._waiting: list[tuple[Frame, tuple[np.ndarray, np.ndarray, int] | None]] = []
+        self._waiting: list[tuple[Frame, SeenMarker | None]] = []
         self._handled = 0
 
-    def take(self, frame: Frame, plate: tuple[np.ndarray, np.ndarray, int] | None) -> None:
+    def take(self, frame: Frame, plate: SeenMarker | None) -> None:
         """Take one frame, and the marker plate's parameters in it, where one is looked for.
 
         They come from `hil.receiving.sight.marker_in`.
@@ -95,7 +95,7 @@ class Watch:
         while self._mailbox.newest(syncs=self._counts_syncs) < row and time.monotonic() < given_up_s:
             time.sleep(ASKS_EVERY_S)
 
-    def _send(self, frame: Frame, plate: tuple[np.ndarray, np.ndarray, int] | None, clock: PanelClock) -> None:
+    def _send(self, frame: Frame, plate: SeenMarker | None, clock: PanelClock) -> None:
         time_s = float(clock.to_loop(np.array(frame.panel_s))) + 0.5 * frame.width_s * clock.rate
         is_before_row_0 = time_s < 0.0
         self._until_told(time_s)

@@ -18,7 +18,7 @@ from hil.imaging.markers import MarkerProjection
 from hil.imaging.scan_folder import FRAMES
 from hil.receiving.frame_measurements import Live, Watch
 from hil.receiving.panel_frames import FrameSource, PanelFrames, RemotePanel, SpooledFrames
-from hil.receiving.sight import marker_in, rehearse
+from hil.receiving.sight import SeenMarker, marker_in, rehearse
 
 LOOKS_EVERY_S = 0.01
 """A third of a frame's time at 30 a second; a panel on the network is heard at once."""
@@ -78,6 +78,7 @@ def _serve(order: ReceiverOrder, is_over: Event, is_ready: Event) -> None:
         stamp_rows, marker_rows = csv.writer(stamps), csv.writer(markers)
         marker_rows.writerow(["exposure_id", *WATCHED, "points"])
         is_ready.set()
+        marker: SeenMarker | None = None
         while True:
             over = is_over.is_set()
             frames = source.poll()
@@ -92,13 +93,14 @@ def _serve(order: ReceiverOrder, is_over: Event, is_ready: Event) -> None:
                 if watch is not None and k < skipped:
                     watch.skip(frame)
                     continue
-                seen = None
                 if order.plate is not None and order.nominal is not None:
-                    seen = marker_in(frame.image, order.detector, order.plate, order.nominal)
-                    cells = [""] * len(WATCHED) + [0] if seen is None else [*(repr(float(value)) for value in seen[0]), seen[2]]
+                    marker = marker_in(frame.image, order.detector, order.plate, order.nominal, marker)
+                    cells = [""] * len(WATCHED) + [0]
+                    if marker is not None:
+                        cells = [*(repr(float(value)) for value in marker[0]), len(marker[2].index)]
                     marker_rows.writerow([frame.exposure_id, *cells])
                 if watch is not None:
-                    watch.take(frame, seen)
+                    watch.take(frame, marker)
             for frame in frames:
                 images.write(frame.image, contiguous=True)
                 stamp_rows.writerow([frame.exposure_id, repr(frame.panel_s), repr(frame.width_s), repr(frame.pulse_s)])

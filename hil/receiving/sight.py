@@ -11,7 +11,7 @@ from hil.calibration.phantom.phantom_calibration import bullets_seen
 from hil.calibration.phantom.pose import fit_poses
 from hil.errors import UnusableInputError
 from hil.imaging.detector import Detector
-from hil.imaging.markers import PLATES, MarkerProjection, find_marker
+from hil.imaging.markers import PLATES, MarkerPoints, MarkerProjection, find_marker
 from hil.imaging.nominal import nominal_beam
 from hil.imaging.phantoms import dodecahedron
 from hil.machine import Machine
@@ -36,18 +36,21 @@ def phantom_in(image: np.ndarray, detector: Detector, machine: Machine, position
     return fit.beam.deviation_from(nominal)[0], fit.covariance[0] + np.diag(np.repeat([SPOT_M**2, 0.0], [3, 6]))
 
 
-def marker_in(image: np.ndarray, detector: Detector, name: str, nominal: MarkerProjection) -> tuple[np.ndarray, np.ndarray, int] | None:
-    """Return six parameters (6,) of (6.8) by the plate of this name, their covariance (6, 6) and the crossings seen.
+SeenMarker = tuple[np.ndarray, np.ndarray, MarkerPoints]
+"""Six parameters (6,) of (6.8), their covariance (6, 6), and the crossings."""
 
-    None if the plate is not seen.
-    """
+
+def marker_in(
+    image: np.ndarray, detector: Detector, name: str, nominal: MarkerProjection, before: SeenMarker | None = None
+) -> SeenMarker | None:
+    """Return what the plate of this name shows, None if it is not seen; `before` is what it showed in the image before."""
     plate = PLATES[name]()
     try:
-        found = find_marker(image, plate, nominal, detector)
+        found = find_marker(image, plate, nominal, detector, None if before is None else before[2])
         fit = fit_marker(found, plate, detector, nominal, spot_m=SPOT_ON_TUBE_M)
     except UnusableInputError:
         return None
-    return fit.projection.values[:6], fit.covariance[:6, :6], len(found.index)
+    return fit.projection.values[:6], fit.covariance[:6, :6], found
 
 
 def rehearse(detector: Detector, machine: Machine, plate: str | None, nominal: MarkerProjection | None) -> None:
@@ -61,7 +64,7 @@ def rehearse(detector: Detector, machine: Machine, plate: str | None, nominal: M
             across, along = (column, row) if k < len(drawn.x_m) else (row, column)
             one, other = (0, 1) if k < len(drawn.x_m) else (1, 0)
             image[(np.abs(across - first[one]) < groove) & (along > first[other]) & (along < last[other])] = 2 * BRIGHT
-        marker_in(image, detector, plate, nominal)
+        marker_in(image, detector, plate, nominal, marker_in(image, detector, plate, nominal))
         return
     zero = np.zeros(len(machine.axes))
     phantom, beam = dodecahedron(), nominal_beam(machine, zero)

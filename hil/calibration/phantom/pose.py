@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from scipy.optimize import linear_sum_assignment
+from scipy.optimize import brentq, linear_sum_assignment
 
 from hil.errors import UnusableInputError
 from hil.imaging.detector import Detector
@@ -23,6 +23,9 @@ STEPS = 12
 OUTLIER = 5.0
 """A bullet this many standard deviations off, robustly estimated, is left out: a wrong match or an undetected overlap."""
 
+DRAWN_M = 2e-3
+"""Standard deviation of a focal spot's place about the drawing's, where it is held there: errors of assembly, and bending."""
+
 MISFIT = 5.0
 """An exposure whose residuals exceed its bullets' deviations by this factor shows something other than this phantom."""
 
@@ -38,7 +41,11 @@ class PoseFit:
     ----------
     beam : ConeBeam
     covariance : (N, 9, 9) array
-        Of the deviations (`ConeBeam.moved`) [m, rad]; zero for a source that was held; NaN where an exposure could not be used.
+        Of the deviations (`ConeBeam.moved`) [m, rad]; zero for a source that was held, whose own error is in the others'; NaN where an
+        exposure could not be used.
+    shared : (N, 9, 9) array
+        The part of it that exposures of one pose share, so that their mean is no better: pixels cut every shadow alike, and a source that
+        was held errs alike.
     residual_m : (N,) array
         Root mean square distance on the panel, per coordinate.
     used : (N,) int array
@@ -49,6 +56,7 @@ class PoseFit:
 
     beam: ConeBeam
     covariance: np.ndarray
+    shared: np.ndarray
     residual_m: np.ndarray
     used: np.ndarray
     good: np.ndarray
@@ -139,9 +147,10 @@ def fit_poses(points_m: np.ndarray, observed_m: np.ndarray, sigma_m: np.ndarray,
             f"no exposure shows {needed} bullets (the most is {int(present.sum(axis=1).max(initial=0))}); is the phantom in the beam?"
         )
     beam = start
+    further_m = 0.0
     for outer in range(2):
         good = present.sum(axis=1) >= needed
-        weight = np.where(present & good[:, None], 1.0 / np.where(present, sigma_m, 1.0), 0.0)
+        weight = np.where(present & good[:, None], 1.0 / np.hypot(np.where(present, sigma_m, 1.0), further_m), 0.0)
         for _ in range(STEPS):
             residual = np.nan_to_num(observed_m - beam.project(points_m)) * weight[..., None]
             jacobian = _jacobian(beam, points_m, fitted) * weight[..., None, None]
@@ -152,19 +161,54 @@ def fit_poses(points_m: np.ndarray, observed_m: np.ndarray, sigma_m: np.ndarray,
             beam = beam.moved(change)
             if np.abs(change).max() < 1e-9:
                 break
-        standard = np.linalg.norm(residual, axis=2) / np.sqrt(2.0)
+        distance = np.where(weight[..., None] > 0.0, np.nan_to_num(observed_m - beam.project(points_m)), 0.0)
+        standard = np.linalg.norm(distance, axis=2) / np.where(weight > 0.0, sigma_m, 1.0) / np.sqrt(2.0)
         if outer == 0:
             shown = good[:, None] & (weight > 0.0)
             spread = np.nanmedian(np.where(shown | ~good[:, None], np.where(shown, standard, 0.0), np.nan), axis=1, keepdims=True)
             present = present & ~(standard > OUTLIER * np.maximum(spread, 1.0))
+            further_m = _further(np.where(present & good[:, None], standard, np.nan), sigma_m, size)
     used = (weight > 0.0).sum(axis=1)
     good &= np.sum(standard**2, axis=1) * 2.0 < MISFIT**2 * np.maximum(2 * used - size, 1)
-    covariance = np.zeros((count, 9, 9))
-    covariance[:, fitted, fitted] = np.linalg.inv(normal)
-    covariance[~good] = np.nan
-    distance = np.where(weight[..., None] > 0.0, np.nan_to_num(observed_m - beam.project(points_m)), 0.0)
+    inverse = np.linalg.inv(normal)
+    covariance, shared = np.zeros((2, count, 9, 9))
+    covariance[:, fitted, fitted] = inverse
+    # of what is in the weights the photons' part averages away
+    photons = np.where(weight > 0.0, weight * sigma_m, 0.0)[..., None, None] * jacobian
+    shared[:, fitted, fitted] = inverse - inverse @ np.einsum("npia,npib->nab", photons, photons) @ inverse
+    if not nine:
+        by_source = _jacobian(beam, points_m, slice(0, 3)) * weight[..., None, None]
+        taken = inverse @ np.einsum("npia,npib->nab", jacobian, by_source)
+        bias = DRAWN_M**2 * taken @ np.swapaxes(taken, 1, 2)
+        covariance[:, fitted, fitted] += bias
+        shared[:, fitted, fitted] += bias
+    covariance[~good] = shared[~good] = np.nan
     residual_m = np.sqrt(np.sum(distance**2, axis=(1, 2)) / np.maximum(2 * used, 1))
-    return PoseFit(beam, covariance, np.where(good, residual_m, np.nan), used, good)
+    return PoseFit(beam, covariance, shared, np.where(good, residual_m, np.nan), used, good)
+
+
+def _further(standard: np.ndarray, sigma_m: np.ndarray, size: int) -> float:
+    """Return the deviation of every coordinate beside its bullet's own that explains residuals as large as these [m]; 0 if none is needed.
+
+    Pixels sample every bullet's edge in a phase of its own, which photons' deviations leave out. `standard` (N, P) has the residuals in
+    bullets' deviations, per coordinate, NaN where there is none; most exposures are to show the phantom.
+    """
+    seen = np.isfinite(standard)
+    freedom = 2 * seen.sum(axis=1) - size
+    those = freedom > 0
+    if not those.any():
+        return 0.0
+    squares, variance = np.where(seen, standard, 0.0)[those] ** 2, np.where(seen, sigma_m, 1.0)[those] ** 2
+
+    def excess(further: float) -> float:
+        return float(np.median(2.0 * np.sum(squares * variance / (variance + further), axis=1) / freedom[those])) - 1.0
+
+    highest = float(variance.max())
+    if excess(0.0) <= 0.0:
+        return 0.0
+    while excess(highest) > 0.0:
+        highest *= 4.0
+    return float(np.sqrt(brentq(excess, 0.0, highest, rtol=1e-3)))
 
 
 def _jacobian(beam: ConeBeam, points_m: np.ndarray, fitted: slice) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +71,8 @@ class LookUp:
     covariance : (N, 9, 9) array
     notes : mapping
         Machine, its hash, scan type; `speed`, that of each axis (`sweep_speed`).
+    shared : (N, 9, 9) array, optional
+        The part of the covariance that exposures of one pose share (`PoseFit`); without it none.
     """
 
     axes: tuple[str, ...]
@@ -78,6 +80,7 @@ class LookUp:
     deviation: np.ndarray
     covariance: np.ndarray
     notes: Mapping[str, Any] = field(default_factory=dict)
+    shared: np.ndarray | None = None
 
     def require(self, machine: Machine) -> None:
         """Refuse a table whose deviations are from another machine's geometry, or over other axes.
@@ -159,7 +162,7 @@ def look_up_of(fit: PoseFit, nominal: ConeBeam, axes: tuple[str, ...], positions
             f"{int(good.sum())} of {len(good)} exposures show the phantom where it is expected; compare phantom, positions and"
             " order of the images with the scan, and whether they are mirrored"
         )
-    return LookUp(axes, positions[good], fit.beam.deviation_from(nominal)[good], fit.covariance[good], dict(notes))
+    return LookUp(axes, positions[good], fit.beam.deviation_from(nominal)[good], fit.covariance[good], dict(notes), fit.shared[good])
 
 
 def standing(table: LookUp) -> LookUp:
@@ -176,11 +179,11 @@ def standing(table: LookUp) -> LookUp:
         raise UnusableInputError(
             f"no two exposures in a row within {SAME_POSE:g} rad (m): the machine never stood; use a tour with dwell_s"
         )
-    names = ("positions", "deviation", "covariance")
-    positions, deviation, covariance = ([getattr(table, name)[run].mean(axis=0) for run in runs] for name in names)
-    covariance = [each / len(run) for each, run in zip(covariance, runs, strict=True)]
+    every = table.positions, table.deviation, table.covariance, np.zeros_like(table.covariance) if table.shared is None else table.shared
+    positions, deviation, covariance, shared = (np.array([each[run].mean(axis=0) for run in runs]) for each in every)
+    covariance = shared + (covariance - shared) / np.array([len(run) for run in runs])[:, None, None]
     notes = {name: value for name, value in table.notes.items() if name != "speed"}
-    return replace(table, positions=np.array(positions), deviation=np.array(deviation), covariance=np.array(covariance), notes=notes)
+    return LookUp(table.axes, positions, deviation, covariance, notes, None if table.shared is None else shared)
 
 
 def write_look_up(table: LookUp, path: Path) -> None:
@@ -193,7 +196,7 @@ def write_look_up(table: LookUp, path: Path) -> None:
         "covariance": table.covariance,
         "notes": json.dumps(dict(table.notes)),
     }
-    write_arrays(path, arrays)
+    write_arrays(path, arrays | ({} if table.shared is None else {"shared": table.shared}))
 
 
 def read_look_up(path: Path) -> LookUp:
@@ -223,15 +226,16 @@ def look_up_from(path: Path, arrays: Mapping[str, np.ndarray]) -> LookUp:
         if int(arrays["format"]) != FORMAT:
             raise UnusableInputError(f"{path}: format {int(arrays['format'])}; this version reads {FORMAT}")
         axes, notes = tuple(str(axis) for axis in arrays["axes"]), json.loads(str(arrays["notes"]))
-        numbers = [np.asarray(arrays[name], dtype=float) for name in ("positions", "deviation", "covariance")]
-        table = LookUp(axes, numbers[0], numbers[1], numbers[2], notes)
+        names = ["positions", "deviation", "covariance"] + ["shared"] * ("shared" in arrays)
+        numbers = [np.asarray(arrays[name], dtype=float) for name in names]
+        table = LookUp(axes, numbers[0], numbers[1], numbers[2], notes, *numbers[3:])
     except UnusableInputError:
         raise
     except (ValueError, KeyError, TypeError) as error:
         raise UnusableInputError(f"{path}: no look-up table of isocenter calibrate phantom ({error})") from None
     count = len(table.positions) if table.positions.ndim else 0
-    shapes = (table.positions.shape, table.deviation.shape, table.covariance.shape)
-    if not count or shapes != ((count, len(axes)), (count, 9), (count, 9, 9)) or not isinstance(notes, dict):
+    shapes = [each.shape for each in numbers]
+    if not count or shapes != [(count, len(axes)), (count, 9), *[(count, 9, 9)] * (len(numbers) - 2)] or not isinstance(notes, dict):
         raise UnusableInputError(
             f"{path}: arrays do not belong together; a look-up table has positions (N, axes), deviation (N, 9), covariance"
         )

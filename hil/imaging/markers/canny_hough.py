@@ -206,9 +206,12 @@ def _coarse_lines(counts: np.ndarray, plate: MarkerPlate, seen: Expected) -> dic
     found: dict[int, CoarseLine] = {}
     for edges, numbers, shape in zip(families, (range(count), range(count, plate.lines)), (counts.shape, counts.shape[::-1]), strict=True):
         found |= _family(edges, np.array(numbers), shape, seen)
+    offset, slope = np.full((2, plate.lines), np.nan)
+    for k, line in found.items():
+        offset[k], slope[k] = line.offset, line.slope
     result = {}
     for k, line in found.items():
-        fitted = fit_edges(families[k >= count], line, seen.width[k], seen.clear(k, found))
+        fitted = fit_edges(families[k >= count], line, seen.width[k], seen.clear(k, offset, slope) == 1.0)
         if fitted is not None:
             result[k] = fitted
     return result

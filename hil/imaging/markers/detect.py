@@ -14,11 +14,12 @@ from hil.errors import UnusableInputError
 from hil.imaging.detector import Detector
 from hil.imaging.markers.expected import LEAST_IN_VIEW, CoarseLine, Expected, usable
 from hil.imaging.markers.fine_lines import FineLine, beyond_chance, line_through, widened
-from hil.imaging.markers.pieces import REACH, SIZE, Pieces, Profiles, fit_pieces, profiles, shape_of, split
+from hil.imaging.markers.groove_shape import shape_of
+from hil.imaging.markers.pieces import FADE, REACH, SIZE, Pieces, Profiles, fit_pieces, profiles, split, together
 from hil.imaging.markers.plane import CUT, Plane
 from hil.imaging.markers.plates import MarkerPlate
 from hil.imaging.markers.projection import MarkerProjection
-from hil.imaging.markers.windows import Window, look
+from hil.imaging.markers.windows import WIDEST_TURN, Window, look
 
 GATE_SHARE = 0.45
 """All lines together may be off by this share of their least distance; beyond, one is mistaken for the next."""
@@ -45,8 +46,23 @@ FAINTEST = 0.35
 FEWEST_PIECES, LEAST_GOOD = 3, 0.25
 """A line with fewer pieces, or a smaller share of its pieces, in line with the plate is refused."""
 
+CENTRED = 0.015
+"""Where the plate is within this of the profiles' middles, in grooves' widths, they are centred."""
+
 MOST_REFUSED = 1.0 / 3.0
 """With a larger share of the lines missing or out of place it is unknown which of the others are right."""
+
+
+Shapes = tuple[tuple[float, float], tuple[float, float]]
+"""Of the grooves along y and of those along x: width as a share of the drawing's, and blur [pixel]."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """What one image tells of the next: where the plate is, and its grooves' shapes."""
+
+    plane: Plane
+    shapes: Shapes
 
 
 @dataclass(frozen=True)
@@ -67,6 +83,8 @@ class MarkerPoints:
         Grooves found or expected and not used, by number, with the reason.
     spoilt : float
         Share of the grooves' pieces that were not used.
+    start : Start, optional
+        Where the next image's grooves are looked for.
     """
 
     index: np.ndarray
@@ -75,9 +93,12 @@ class MarkerPoints:
     lines: dict[int, FineLine]
     refused: dict[int, str]
     spoilt: float = 0.0
+    start: Start | None = None
 
 
-def find_marker(image: np.ndarray, plate: MarkerPlate, expected: MarkerProjection, detector: Detector) -> MarkerPoints:
+def find_marker(
+    image: np.ndarray, plate: MarkerPlate, expected: MarkerProjection, detector: Detector, before: MarkerPoints | None = None
+) -> MarkerPoints:
     """Find a plate's crossings.
 
     Parameters
@@ -88,6 +109,9 @@ def find_marker(image: np.ndarray, plate: MarkerPlate, expected: MarkerProjectio
     expected : MarkerProjection
         Where it should be, to less than half the distance of two grooves and 6 degrees.
     detector : Detector
+    before : MarkerPoints, optional
+        What the image before showed, of the same plate, looked for in the same place. Grooves are then fitted where it had them. Where one
+        is lost or found again, or the plate has moved by more than a window's error, the image is looked at as if it were the first.
 
     Raises
     ------
@@ -97,22 +121,13 @@ def find_marker(image: np.ndarray, plate: MarkerPlate, expected: MarkerProjectio
     upright = usable(image, detector)
     counts = upright, np.ascontiguousarray(upright.T)
     seen = Expected.of(plate, expected, detector)
+    if before is not None and (points := _followed(counts, plate, seen, before)) is not None:
+        return points
     plane = _looked_for(counts, plate, seen, detector)
-    shapes = {k: (float(seen.width[k]), FIRST_BLUR * float(seen.width[k])) for k in range(plate.lines)}
-    gathered = _gathered(counts, plane, seen)
-    rough = _Fitted.of(gathered, shapes, plane, seen)
-    for k, pieces in rough.pieces.items():
-        shapes[k] = shape_of(gathered[k], pieces, rough.good[k], *shapes[k])
-    gathered = _gathered(counts, plane, seen)  # again, centred on the grooves
-    fitted = _Fitted.of(gathered, shapes, plane, seen)
-    lines, refused = {}, {k: "not in the image" for k in range(plate.lines) if k not in fitted.pieces}
-    for k, pieces in fitted.pieces.items():
-        if reason := fitted.trouble(k):
-            refused[k] = reason
-        else:
-            lines[k] = line_through(pieces, fitted.good[k], fitted.sigma[k], shapes[k])
-    _enough(lines, plate, refused)
-    return _points(widened(lines, plane), plate, refused, 1.0 - float(np.mean(np.concatenate(list(fitted.good.values())))))
+    rough = [(1.0, FIRST_BLUR * float(seen.width[list(seen.family(k))].mean())) for k in (0, seen.upright)]
+    shapes = rough[0], rough[1]
+    _Fitted.of(_Gathered.of(counts, plane, seen), shapes, plane)
+    return _Fitted.of(_Gathered.of(counts, plane, seen), shapes, plane).shaped().points(plate)  # again, centred on the grooves
 
 
 Both = tuple[np.ndarray, np.ndarray]
@@ -141,70 +156,159 @@ def _looked_for(counts: Both, plate: MarkerPlate, seen: Expected, detector: Dete
     return plane
 
 
+def _followed(counts: Both, plate: MarkerPlate, seen: Expected, before: MarkerPoints) -> MarkerPoints | None:
+    """Return the crossings by a fit about the grooves of the image before, and another about those it finds where they have moved.
+
+    None where they are elsewhere, or others than these.
+    """
+    if before.start is None:
+        return None
+    plane, shapes = before.start.plane.copy(), before.start.shapes
+    lines, ends = np.arange(plate.lines), seen.ends[:, :, 0].T
+    for _ in range(2):
+        about = plane.copy()
+        fitted = _Fitted.of(_Gathered.of(counts, about, seen), shapes, plane)
+        moved = np.array([plane.across(lines, along) - about.across(lines, along) for along in ends])
+        if (np.abs(moved) < CENTRED * seen.width).all():
+            break
+        if not (np.abs(moved) < WINDOW_SIGMA * seen.width).all():
+            return None
+    else:
+        return None
+    if not _in_reach(plane, seen):
+        return None
+    try:
+        points = fitted.shaped().points(plate)
+    except UnusableInputError:
+        return None
+    return points if points.refused.keys() == before.refused.keys() else None
+
+
+def _in_reach(plane: Plane, seen: Expected) -> bool:
+    """Tell whether the plate is where the windows would find it: beyond, a groove is mistaken for the next."""
+    for first in (0, seen.upright):
+        lines = np.array(seen.family(first))
+        last = float(seen.length(first) - 1)
+        begin, end = (plane.across(lines, np.full(len(lines), at)) - [seen.line(k).at(at) for k in lines] for at in (0.0, last))
+        shift, turn = 0.5 * float(np.median(begin + end)), float(np.median(end - begin)) / last
+        if not (abs(shift) < GATE_SHARE * seen.apart(first) and abs(turn) < WIDEST_TURN):
+            return False
+    return True
+
+
 def _values(line: CoarseLine) -> tuple[float, float]:
     return line.offset, line.slope
 
 
-def _gathered(counts: Both, plane: Plane, seen: Expected) -> dict[int, Profiles]:
-    """Return the profiles of every line that has pieces, about where the plane puts it."""
-    lines = {}
-    for k in range(len(seen.width)):
-        first, last = 0.0, float(seen.length(k) - 1)
-        start, end = plane.across(np.array([k, k]), np.array([first, last]))
-        if np.isfinite([start, end]).all():  # a plane that was fitted to another plate may cut a groove's image nowhere
-            lines[k] = CoarseLine(float(start), float((end - start) / (last - first)))
-    result = {}
-    for k, line in lines.items():
-        piece = split(seen.clear(k, lines), PIECE * seen.width[k])
-        if piece.max() >= 0:
-            result[k] = profiles(counts[k >= seen.upright], line.offset, line.slope, piece, REACH * seen.width[k])
-    return result
+@dataclass(frozen=True)
+class _Gathered:
+    """Profiles about where a plane puts the grooves: the groove of each piece, its width by the drawing, and the profiles by direction."""
+
+    line: np.ndarray
+    width: np.ndarray
+    sides: tuple[Profiles, ...]
+
+    @classmethod
+    def of(cls, counts: Both, plane: Plane, seen: Expected) -> _Gathered:
+        """Gather them from an image."""
+        numbers = np.arange(len(seen.width))
+        last = np.array([seen.length(k) - 1.0 for k in range(len(numbers))])
+        start, end = plane.across(numbers, np.zeros(len(numbers))), plane.across(numbers, last)
+        slope, cuts = (
+            (end - start) / last,
+            np.isfinite(start) & np.isfinite(end),
+        )  # a plane fitted to another plate may cut a groove's image nowhere
+        sides, line = [], []
+        for first in (0, seen.upright):
+            family = list(seen.family(first))
+            reach = REACH * float(seen.width[family].mean())
+            profiled = [Profiles.none(reach)]
+            for k in family:
+                if not cuts[k]:
+                    continue
+                share = seen.clear(k, start, slope)
+                if (piece := split(share, PIECE * seen.width[k])).max() >= 0:
+                    profiled.append(profiles(counts[first > 0], float(start[k]), float(slope[k]), piece, reach, share, fade=FADE))
+                    line.append(np.full(len(profiled[-1].along), k))
+            sides.append(together(profiled))
+        which = np.concatenate([np.zeros(0, dtype=int), *line])
+        return cls(which, seen.width[which], tuple(sides))
+
+    def by_direction(self, each: np.ndarray) -> list[np.ndarray]:
+        """Return a value of each piece, parted by direction."""
+        return np.split(each, [len(self.sides[0].along)])
 
 
 @dataclass(frozen=True)
 class _Fitted:
-    """Pieces by line: fitted, their deviations [pixel], which are good, and what they miss the plane by."""
+    """All pieces: fitted, their deviations [pixel], which are good, and what they miss the plane by."""
 
-    pieces: dict[int, Pieces]
-    sigma: dict[int, np.ndarray]
-    good: dict[int, np.ndarray]
-    rest: dict[int, np.ndarray]
+    gathered: _Gathered
+    sides: tuple[Pieces, ...]
+    start: Start
+    along: np.ndarray
+    across: np.ndarray
+    sigma: np.ndarray
+    good: np.ndarray
+    rest: np.ndarray
 
     @classmethod
-    def of(cls, gathered: dict[int, Profiles], shapes: dict[int, tuple[float, float]], plane: Plane, seen: Expected) -> _Fitted:
-        """Fit the pieces, and the plane to them."""
-        pieces = {k: fit_pieces(each, *shapes[k]) for k, each in gathered.items()}
-        sizes = [len(each.along) for each in pieces.values()]
-        line = np.repeat(np.array(list(pieces), dtype=int), sizes)
-        along, across, variance, misfit, sigma = (
-            np.concatenate([np.zeros(0), *(getattr(each, name) for each in pieces.values())])
-            for name in ("along", "across", "variance", "misfit", "contrast_sigma")
+    def of(cls, gathered: _Gathered, shapes: Shapes, plane: Plane, before: tuple[Pieces | None, ...] = (None, None)) -> _Fitted:
+        """Fit the pieces, from what they were before where that is told, and the plane to them."""
+        line, widths = gathered.line, gathered.by_direction(gathered.width)
+        sides = tuple(
+            fit_pieces(side, share * width, blur, start)
+            for side, width, (share, blur), start in zip(gathered.sides, widths, shapes, before, strict=True)
         )
-        contrast = np.concatenate([np.zeros(0), *(each.values[:, 1] for each in pieces.values())])
+        along, across, variance, misfit, sigma = (
+            np.concatenate([getattr(side, name) for side in sides]) for name in ("along", "across", "variance", "misfit", "contrast_sigma")
+        )
+        contrast = np.concatenate([side.values[:, 1] for side in sides])
         shown = np.isfinite(variance) & (contrast > CLEAREST * sigma)
         good, rest, deviation = np.zeros(len(line), dtype=bool), np.full(len(line), np.inf), np.full(len(line), 1.0)
         if shown.sum() >= 5 * FEWEST_PIECES:
             clearness = (contrast[shown] / sigma[shown]) ** 2
             shape_error = max(0.0, float(np.median((misfit[shown] - 1.0) / clearness)))
             ratio = misfit[shown] / (1.0 + shape_error * clearness)
-            freedom = np.concatenate([np.count_nonzero(each.number, axis=1) - SIZE for each in gathered.values()])[shown]
+            freedom = np.concatenate([np.count_nonzero(side.number, axis=1) - SIZE for side in gathered.sides])[shown]
             deviation[shown] = np.sqrt(variance[shown] * beyond_chance(ratio, freedom))
             shown[shown] = (ratio < MISFIT) & (contrast[shown] > FAINTEST * float(np.median(contrast[shown])))
         if shown.sum() >= 5 * FEWEST_PIECES:
             rest[shown], further = plane.fitted(line[shown], along[shown], across[shown], deviation[shown])
             deviation = np.hypot(deviation, further)
             good = np.abs(rest) < CUT * deviation
-        cuts = np.cumsum(sizes)[:-1]
-        parts = (dict(zip(pieces, np.split(each, cuts), strict=True)) for each in (deviation, good, rest))
-        return cls(pieces, *parts)
+        return cls(gathered, sides, Start(plane, shapes), along, across, deviation, good, rest)
 
-    def trouble(self, k: int) -> str:
-        """Return why line k cannot be used; empty if it can."""
-        good, rest = self.good[k], self.rest[k]
-        shown = np.isfinite(rest)
-        if good.sum() >= max(FEWEST_PIECES, LEAST_GOOD * len(good)):
+    def shaped(self) -> _Fitted:
+        """Return the fit with the shapes that the good pieces show: those of this image, whatever they were before."""
+        widths, good = self.gathered.by_direction(self.gathered.width), self.gathered.by_direction(self.good)
+        first, other = (shape_of(*each) for each in zip(self.gathered.sides, self.sides, good, widths, self.start.shapes, strict=True))
+        return _Fitted.of(self.gathered, (first, other), self.start.plane, self.sides)
+
+    def points(self, plate: MarkerPlate) -> MarkerPoints:
+        """Return the crossings of the lines that can be used; UnusableInputError where these are too few."""
+        lines, refused = {}, {}
+        for k in range(plate.lines):
+            there = slice(*np.searchsorted(self.gathered.line, [k, k + 1]))
+            if reason := self._trouble(there):
+                refused[k] = reason
+                continue
+            good = np.flatnonzero(self.good[there]) + there.start
+            share, blur = self.start.shapes[k >= len(plate.x_m)]
+            shape = share * float(self.gathered.width[there.start]), blur
+            lines[k] = line_through(self.along[good], self.across[good], self.sigma[good], shape)
+        _enough(lines, plate, refused)
+        return _points(widened(lines, self.start.plane), plate, refused, 1.0 - float(np.mean(self.good)), self.start)
+
+    def _trouble(self, there: slice) -> str:
+        """Return why the line of these pieces cannot be used; empty if it can."""
+        good, rest = self.good[there], self.rest[there]
+        if not len(good):
+            return "not in the image"
+        shown, enough = np.isfinite(rest), max(FEWEST_PIECES, LEAST_GOOD * len(good))
+        if good.sum() >= enough:
             return ""
-        if shown.sum() < max(FEWEST_PIECES, LEAST_GOOD * len(good)):
+        if shown.sum() < enough:
             return f"{shown.sum()} of its {len(good)} pieces show a groove"
         if good.any():
             return f"{good.sum()} of its {len(good)} pieces are where the other lines put it"
@@ -227,7 +331,7 @@ def _enough(lines: dict[int, FineLine], plate: MarkerPlate, refused: dict[int, s
         )
 
 
-def _points(lines: dict[int, FineLine], plate: MarkerPlate, refused: dict[int, str], spoilt: float) -> MarkerPoints:
+def _points(lines: dict[int, FineLine], plate: MarkerPlate, refused: dict[int, str], spoilt: float, start: Start) -> MarkerPoints:
     """Return the crossings, with the covariance of the lines carried over."""
     numbers = sorted(lines)
     upright, flat = (np.array([k for k in numbers if (k < len(plate.x_m)) == first]) for first in (True, False))
@@ -250,4 +354,5 @@ def _points(lines: dict[int, FineLine], plate: MarkerPlate, refused: dict[int, s
         covariance[k, :, k] = line.covariance
     by_lines = change.reshape(2 * len(i), -1)
     of_points = by_lines @ covariance.reshape(2 * plate.lines, -1) @ by_lines.T
-    return MarkerPoints(i * len(plate.y_m) + j - len(plate.x_m), np.stack([column, row], axis=1), of_points, lines, refused, spoilt)
+    index, pixels = i * len(plate.y_m) + j - len(plate.x_m), np.stack([column, row], axis=1)
+    return MarkerPoints(index, pixels, of_points, lines, refused, spoilt, start)

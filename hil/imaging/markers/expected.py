@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from hil.errors import UnusableInputError
 from hil.imaging.detector import Detector
@@ -16,6 +16,9 @@ from hil.imaging.pixels import check_exposed, counted
 CLEAR_OF_CROSSINGS = 0.7
 """Beyond half a groove this far, in grooves' widths, from a crossing line's middle and from a line's end, scatter and blur have rounded
 the corners."""
+
+BORDER = 2.5
+"""Of the image [pixel]: a pixel is compared with two to either side."""
 
 LEAST_IN_VIEW = 30
 """A groove with fewer places inside plate and image [pixel] is not looked for."""
@@ -102,15 +105,43 @@ class Expected:
         keep: np.ndarray = (along > max(first + margin, 2.0)) & (along < min(last - margin, len(along) - 3.0))
         return keep
 
-    def clear(self, k: int, lines: dict[int, CoarseLine]) -> np.ndarray:
-        """Return which places on line k are `inside` and away from every crossing line: (along,) bool."""
-        keep, line = self.inside(k), lines[k]
-        middle = line.at(0.5 * len(keep))
-        for other in self.family(len(self.width) - 1 if k < self.upright else 0):
-            crossing = lines[other] if other in lines else self.line(other)
-            there, margin = crossing.at(line.at(crossing.at(middle))), (0.5 + CLEAR_OF_CROSSINGS) * self.width[other]
-            keep[max(0, math.ceil(there - margin)) : max(0, math.floor(there + margin) + 1)] = False
-        return keep
+    def clear(self, k: int, offset: np.ndarray, slope: np.ndarray) -> np.ndarray:
+        """Return which share (along,) of each place on line k lies on the plate and in the image, away from its ends and crossing lines.
+
+        Lines are as found, across = offset + slope * along; where these are no numbers, as expected. The ends move with the crossing lines.
+        """
+        family = self.family(len(self.width) - 1 if k < self.upright else 0)
+        others = slice(family.start, family.stop)
+        drawn = np.array([(line.offset, line.slope) for line in map(self.line, family)]).T
+        found = np.isfinite(offset[others]) & np.isfinite(slope[others])
+        there = _crossed(self.line(k), *drawn)
+        ends = self.ends[k, :, 0]
+        expected = there.copy()
+        there[found] = _crossed(CoarseLine(offset[k], slope[k]), offset[others], slope[others])[found]
+        moved = there - expected
+        ends = ends + moved[0] + (ends - expected[0]) * (moved[-1] - moved[0]) / (expected[-1] - expected[0])
+        margin, own = (0.5 + CLEAR_OF_CROSSINGS) * self.width[others], (0.5 + CLEAR_OF_CROSSINGS) * self.width[k]
+        last = float(self.length(k) - 1)
+        begin, end = max(ends[0] + own, BORDER), min(ends[1] - own, last - BORDER)
+        first, beyond = np.concatenate([there - margin, [-1.0, end]]), np.concatenate([there + margin, [begin, last + 1.0]])
+        return _without(self.length(k), first, beyond)
+
+
+def _crossed(line: CoarseLine, offset: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """Return where along a line others cross it."""
+    with np.errstate(invalid="ignore"):
+        places: np.ndarray = (offset + slope * line.offset) / (1.0 - slope * line.slope)
+    return places
+
+
+@njit(cache=True)
+def _without(count: int, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """Return the share (count,) of each place that is in none of the intervals; place k reaches from k - 1/2 to k + 1/2."""
+    share = np.ones(count)
+    for k in range(len(first)):
+        for place in range(max(0, int(np.rint(max(first[k], -1.0)))), min(count, int(np.rint(min(last[k], count))) + 1)):
+            share[place] *= 1.0 - min(max(min(place + 0.5, last[k]) - max(place - 0.5, first[k]), 0.0), 1.0)
+    return share
 
 
 def usable(image: np.ndarray, detector: Detector) -> np.ndarray:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import brentq
 
-from hil.imaging.markers.pieces import Pieces
 from hil.imaging.markers.plane import Plane
 
 ASIDE = 1.0 / np.sqrt(3.0)
@@ -23,8 +22,8 @@ class FineLine:
     offset, slope, middle : float
     covariance : (2, 2) array
         Of offset and slope.
-    width, blur, contrast : float
-        Of the profile [pixel, pixel, share of the background].
+    width, blur : float
+        Of the profile [pixel].
     half_length : float
         Of what was used of it [pixel].
     """
@@ -35,7 +34,6 @@ class FineLine:
     covariance: np.ndarray
     width: float
     blur: float
-    contrast: float
     half_length: float
 
     def at(self, along: np.ndarray | float) -> np.ndarray | float:
@@ -51,20 +49,17 @@ def beyond_chance(square: np.ndarray | float, freedom: np.ndarray | float) -> np
     return np.asarray(np.maximum(square - np.sqrt(2.0 / freedom), 1.0))
 
 
-def line_through(pieces: Pieces, good: np.ndarray, sigma: np.ndarray, shape: tuple[float, float]) -> FineLine:
-    """Fit a line to the good pieces by least squares.
+def line_through(along: np.ndarray, across: np.ndarray, sigma: np.ndarray, shape: tuple[float, float]) -> FineLine:
+    """Fit a line to places by least squares.
 
     Parameters
     ----------
-    pieces : Pieces
-    good : (P,) bool array
-        Three at least.
-    sigma : (P,) array
-        Deviations of their places [pixel].
+    along, across, sigma : (P,) arrays
+        Three at least, and their deviations across [pixel].
     shape : (2,)
         Width and blur of the profile.
     """
-    along, across, weight = pieces.along[good], pieces.across[good], 1.0 / sigma[good] ** 2
+    weight = 1.0 / sigma**2
     middle, half = 0.5 * (along.min() + along.max()), 0.5 * np.ptp(along)
     design = np.stack([np.ones_like(along), along - middle], axis=1)
     covariance = np.linalg.inv(design.T @ (design * weight[:, None]))
@@ -72,8 +67,7 @@ def line_through(pieces: Pieces, good: np.ndarray, sigma: np.ndarray, shape: tup
     rest = across - offset - slope * (along - middle)
     freedom = max(len(along) - 2, 1)
     scatter = float(beyond_chance(float(weight @ rest**2) / freedom, freedom))
-    contrast = float(np.median(pieces.values[good, 1]))
-    return FineLine(float(offset), float(slope), float(middle), covariance * scatter, *shape, contrast, float(half))
+    return FineLine(float(offset), float(slope), float(middle), covariance * scatter, *shape, float(half))
 
 
 def widened(lines: dict[int, FineLine], plane: Plane) -> dict[int, FineLine]:

@@ -8,16 +8,20 @@ with the others; the pieces beside it stay.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numba import njit
 
 BIN = 0.5
-"""Bins of a profile across a groove [pixel]; the mean place of each bin's pixels is kept, so its width costs nothing but resolution."""
+"""Bins of a profile across a groove [pixel]; the mean place of each bin's pixels is kept: a bin's width costs resolution alone."""
 
-REACH = 1.4
+REACH = 1.75
 """A profile reaches this many grooves' widths to either side."""
+
+FADE = 0.4
+"""Share of the reach over which pixels count less and less: a line that moves by a hair must not take in a whole column of pixels."""
 
 SIZE = 6
 """Parameters of a piece: place, contrast, background (level, slope, curvature across), slope of the contrast across.
@@ -26,14 +30,11 @@ Anatomy dims a groove and its surroundings by one factor, which leaves the contr
 the contrast falls as the background grows. The slope is held, as by a measurement, to zero within what scatter alone would make of it."""
 
 STEPS = 5
-SETTLED_PIXELS = 2e-3
+SETTLED_PIXELS = 2e-4
 """Steps shrink at least tenfold; what is left is below the photons' noise."""
 
 OUTLIER = 6.0
 """A pixel this many standard deviations from its neighbours along the groove is dead, or under a wire that crosses."""
-
-SHAPED = 8
-"""So many pieces of a line, spread over it, tell its width and blur: many more cost time and add little."""
 
 FEWEST_BINS = SIZE + 2
 
@@ -43,7 +44,7 @@ TABLE_STEP = 1.0 / 16.0
 
 @dataclass(frozen=True)
 class Profiles:
-    """Counts across the pieces of one line, in bins.
+    """Counts across the pieces of lines, in bins.
 
     Attributes
     ----------
@@ -52,7 +53,7 @@ class Profiles:
     line : (P,) array
         Where the profile's zero lies across, at `along`.
     counts, number, place : (P, bins) arrays
-        Mean counts, pixels, and mean distance from zero.
+        Mean counts, pixels (in part, where they count in part), and mean distance from zero.
     """
 
     along: np.ndarray
@@ -61,10 +62,16 @@ class Profiles:
     number: np.ndarray
     place: np.ndarray
 
+    @classmethod
+    def none(cls, reach: float) -> Profiles:
+        """Return no piece, with the bins of this reach."""
+        empty = np.zeros((0, _bins(reach)))
+        return cls(np.zeros(0), np.zeros(0), empty, empty, empty)
+
 
 @dataclass(frozen=True)
 class Pieces:
-    """Fitted pieces of one line.
+    """Fitted pieces of lines.
 
     Attributes
     ----------
@@ -88,22 +95,38 @@ class Pieces:
 
 
 @njit(cache=True)
-def split(keep: np.ndarray, length: float) -> np.ndarray:
-    """Return the number of the piece each place along a line belongs to, -1 where not kept; pieces are about `length` long."""
-    number = np.full(len(keep), -1, dtype=np.int64)
+def split(share: np.ndarray, length: float) -> np.ndarray:
+    """Return the number of the piece each place along a line belongs to, -1 where its share is nothing; pieces are about `length` long.
+
+    Lengths are sums of shares, which change by a little where a line moves by a little: so does their number seldom.
+    """
+    number = np.full(len(share), -1, dtype=np.int64)
     count = first = 0
-    for k in range(len(keep) + 1):
-        if k < len(keep) and keep[k]:
+    total = 0.0
+    for k in range(len(share) + 1):
+        if k < len(share) and share[k] > 0.0:
+            total += share[k]
             continue
-        parts = int(np.rint((k - first) / length))
+        parts = int(np.rint(total / length))
+        before = 0.0
         for each in range(first, k if parts else first):
-            number[each] = count + ((each - first) * parts) // (k - first)
+            number[each] = count + min(int((before + 0.5 * share[each]) / total * parts), parts - 1)
+            before += share[each]
         count += parts
-        first = k + 1
+        first, total = k + 1, 0.0
     return number
 
 
-def profiles(image: np.ndarray, offset: float, slope: float, piece: np.ndarray, reach: float, stride: int = 1) -> Profiles:
+def profiles(
+    image: np.ndarray,
+    offset: float,
+    slope: float,
+    piece: np.ndarray,
+    reach: float,
+    share: np.ndarray | None = None,
+    stride: int = 1,
+    fade: float = 0.0,
+) -> Profiles:
     """Gather profiles across a line.
 
     Parameters
@@ -116,34 +139,40 @@ def profiles(image: np.ndarray, offset: float, slope: float, piece: np.ndarray, 
         Of `split`.
     reach : float
         To either side [pixel].
+    share : (along,) array, optional
+        What each place counts for; without it 1.
     stride : int
         Every so many places along are looked at.
+    fade : float
+        Share of the reach over which pixels count less and less, to nothing at its end.
     """
-    along, counts, number, place = _gather(image, offset, slope, piece, reach, stride)
+    counted = np.ones(len(piece)) if share is None else share
+    along, counts, number, place = _gather(image, offset, slope, piece, counted, reach, fade, stride)
     return Profiles(along, offset + slope * along, counts, number, place)
 
 
-def fit_pieces(seen: Profiles, width: float, blur: float) -> Pieces:
-    """Fit every piece: a box of `width` blurred by a Gaussian of `blur` [pixel], on a background."""
+def together(lines: Sequence[Profiles]) -> Profiles:
+    """Return the pieces of several lines, gathered with one reach, as those of one."""
+    return Profiles(*(np.concatenate([getattr(each, field.name) for each in lines]) for field in fields(Profiles)))
+
+
+def fit_pieces(seen: Profiles, width: np.ndarray | float, blur: float, start: Pieces | None = None) -> Pieces:
+    """Fit every piece: a box of its `width` blurred by a Gaussian of `blur` [pixel], on a background.
+
+    With `start`, the fit of these pieces with a shape not far from this one, where that is from.
+    """
     count = len(seen.along)
-    values, variance, misfit = np.zeros((count, SIZE)), np.full(count, np.inf), np.full(count, np.inf)
-    contrast_sigma = np.full(count, np.inf)
-    shape = _table(width, blur)
-    _fit(seen.counts, seen.number, seen.place, shape, 0.5 * width, values, variance, misfit, contrast_sigma)
+    values = np.zeros((count, SIZE)) if start is None else start.values.copy()
+    variance, misfit, contrast_sigma = np.full((3, count), np.inf)
+    known = np.zeros(count, dtype=bool) if start is None else np.isfinite(start.variance)
+    widths = np.broadcast_to(np.asarray(width, dtype=float), count)
+    _fit(seen.counts, seen.number, seen.place, widths, blur, known, values, variance, misfit, contrast_sigma)
     return Pieces(seen.along, seen.line + values[:, 0], variance, misfit, values, contrast_sigma)
 
 
-def shape_of(seen: Profiles, pieces: Pieces, good: np.ndarray, width: float, blur: float) -> tuple[float, float]:
-    """Return width and blur [pixel] that fit the good pieces best, each with its place, contrast and background as fitted."""
-    shape, those = np.array([width, blur]), np.flatnonzero(good)
-    some = np.zeros(len(good), dtype=bool)
-    some[those[:: max(1, len(those) // SHAPED)]] = True
-    for _ in range(STEPS):
-        change = _shape_step(seen.counts, seen.number, seen.place, pieces.values, some, shape[0], shape[1])
-        shape = np.clip(shape + change, [0.8 * width, 0.3], [1.25 * width, 0.5 * width])
-        if np.abs(change).max() < 5e-3:
-            break
-    return float(shape[0]), float(shape[1])
+@njit(inline="always")
+def _bins(reach: float) -> int:
+    return math.ceil(2.0 * reach / BIN) + 1
 
 
 @njit(cache=True)
@@ -160,16 +189,24 @@ def _table(width: float, blur: float) -> np.ndarray:
 
 @njit(cache=True, error_model="numpy")
 def _gather(
-    image: np.ndarray, offset: float, slope: float, piece: np.ndarray, reach: float, stride: int
+    image: np.ndarray,
+    offset: float,
+    slope: float,
+    piece: np.ndarray,
+    share: np.ndarray,
+    reach: float,
+    fade: float,
+    stride: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return mean place of each piece; mean counts, number and mean place of the pixels in its bins.
 
     Neighbouring pixels are two bins apart. So even and odd bins are kept apart: a row of pixels then goes to places that follow each
     other, which the processor adds several at a time.
     """
-    pieces, bins = piece.max() + 1, math.ceil(2.0 * reach / BIN) + 1
+    pieces, bins = piece.max() + 1, _bins(reach)
     sums, along_sums = np.zeros((pieces, 2, 3, bins // 2 + 1)), np.zeros((pieces, 2))
     limit, one, nothing = np.float32(OUTLIER**2), np.float32(1.0), np.float32(0.0)
+    far, fading = np.float32(reach), np.float32(1.0 / max(fade * reach, 1e-6))
     keep, kept = np.empty(image.shape[1], dtype=np.float32), np.empty(image.shape[1], dtype=np.float32)
     for along in range(2, len(piece) - 2, stride):
         k = piece[along]
@@ -177,9 +214,10 @@ def _gather(
             continue
         center = offset + slope * along
         first, last = max(0, math.ceil(center - reach)), min(image.shape[1] - 1, math.floor(center + reach))
-        along_sums[k, 0] += along
-        along_sums[k, 1] += 1.0
+        along_sums[k, 0] += share[along] * along
+        along_sums[k, 1] += share[along]
         start, width = first - center, last + 1 - first
+        near, whole = np.float32(start), np.float32(share[along])
         lowest = int((start + reach) / BIN)
         odd, j = lowest % 2, lowest // 2
         for n in range(width):
@@ -189,7 +227,8 @@ def _gather(
             low, high = max(min(a, b), min(c, d)), min(max(a, b), max(c, d))
             usual = max(min(low, high), min(max(low, high), seen))
             away = seen - usual
-            keep[n] = one if away * away <= limit * max(usual, one) else nothing
+            weight = whole * max(nothing, min(one, (far - abs(near + np.float32(n))) * fading))
+            keep[n] = weight if away * away <= limit * max(usual, one) else nothing
             kept[n] = keep[n] * seen
         for n in range(width):
             sums[k, odd, 0, j + n] += keep[n]
@@ -197,15 +236,17 @@ def _gather(
             sums[k, odd, 1, j + n] += kept[n]
         for n in range(width):
             sums[k, odd, 2, j + n] += keep[n] * (start + n)
-    middle, counts, number, place = np.zeros(pieces), np.zeros((pieces, bins)), np.zeros((pieces, bins)), np.zeros((pieces, bins))
+    middle, result = np.zeros(pieces), np.zeros((3, pieces, bins))
     for k in range(pieces):
-        middle[k] = along_sums[k, 0] / max(along_sums[k, 1], 1.0)
+        middle[k] = along_sums[k, 0] / max(along_sums[k, 1], 1e-3)
         for each in range(bins):
-            number[k, each] = sums[k, each % 2, 0, each // 2]
-            if number[k, each] > 0.0:
-                counts[k, each] = sums[k, each % 2, 1, each // 2] / number[k, each]
-                place[k, each] = sums[k, each % 2, 2, each // 2] / number[k, each]
-    return middle, counts, number, place
+            for i in range(3):
+                result[i, k, each] = sums[k, each % 2, i, each // 2]
+        for each in range(bins):
+            if result[0, k, each] > 0.0:
+                result[1, k, each] /= result[0, k, each]
+                result[2, k, each] /= result[0, k, each]
+    return middle, result[1], result[0], result[2]
 
 
 @njit(inline="always")
@@ -222,12 +263,16 @@ def _looked_up(table: np.ndarray, d: float) -> tuple[float, float]:
 
 @njit(cache=True, error_model="numpy")
 def _fit(
-    counts: np.ndarray, number: np.ndarray, place: np.ndarray, table: np.ndarray, gate: float, values: np.ndarray, variance: np.ndarray,
-    misfit: np.ndarray, contrast_sigma: np.ndarray,
+    counts: np.ndarray, number: np.ndarray, place: np.ndarray, width: np.ndarray, blur: float, known: np.ndarray, values: np.ndarray,
+    variance: np.ndarray, misfit: np.ndarray, contrast_sigma: np.ndarray,
 ) -> None:  # fmt: skip
     bins = counts.shape[1]
     row, normal, slope = np.empty(SIZE), np.empty((SIZE, SIZE)), np.empty(SIZE)
+    table, tabulated = np.empty((0, 2)), -1.0
     for k in range(counts.shape[0]):
+        gate = 0.5 * width[k]
+        if width[k] != tabulated:
+            table, tabulated = _table(width[k], blur), width[k]
         filled, level = 0, 0.0
         for j in range(bins):
             if number[k, j] > 0.0:
@@ -236,9 +281,10 @@ def _fit(
         if filled < FEWEST_BINS or not level > 0.0:
             continue
         v = values[k]
-        v[0], v[1], v[2], v[3], v[4], v[5] = 0.0, 0.8, level / filled / 1.3, 0.0, 0.0, 0.0
+        if not known[k]:
+            v[0], v[1], v[2], v[3], v[4], v[5] = 0.0, 0.8, level / filled / 1.3, 0.0, 0.0, 0.0
         total = 0.0
-        for step in range(STEPS):
+        for step in range(2 if known[k] else 0, STEPS):
             normal[:], slope[:], total = 0.0, 0.0, 0.0
             for j in range(bins):
                 if number[k, j] == 0.0:
@@ -260,15 +306,14 @@ def _fit(
             for a in range(SIZE):
                 for b in range(a + 1, SIZE):
                     normal[a, b] = normal[b, a]
-            by_scatter = v[1] * v[3] / v[2]
-            held = 1.0 / (by_scatter**2 + 1e-12)
-            normal[5, 5] += held
-            slope[5] -= held * v[5]
+            stiffness = held(v)
+            normal[5, 5] += stiffness
+            slope[5] -= stiffness * v[5]
             determined = normal[0, 0] > 0.0
             if step == 0:  # contrast and background first, at the place that was told: both far off would be taken for the place
                 normal[0, 1:], normal[1:, 0], slope[0] = 0.0, 0.0, 0.0
                 normal[0, 0] = max(normal[0, 0], 1.0)
-            if not determined or not _solve(normal, slope):
+            if not determined or not solve(normal, slope):
                 total = np.inf
                 break
             for a in range(SIZE):
@@ -284,7 +329,7 @@ def _fit(
 
 
 @njit(cache=True, error_model="numpy")
-def _solve(normal: np.ndarray, right: np.ndarray) -> bool:
+def solve(normal: np.ndarray, right: np.ndarray) -> bool:
     """Replace a positive definite matrix by its inverse and the right side by the solution (Gauss-Jordan); False where it is singular."""
     size = len(right)
     for i in range(size):
@@ -305,35 +350,8 @@ def _solve(normal: np.ndarray, right: np.ndarray) -> bool:
     return True
 
 
-@njit(cache=True, error_model="numpy")
-def _shape_step(
-    counts: np.ndarray, number: np.ndarray, place: np.ndarray, values: np.ndarray, good: np.ndarray, width: float, blur: float
-) -> np.ndarray:
-    n00 = n01 = n11 = s0 = s1 = 0.0
-    root, peak = 1.0 / (math.sqrt(2.0) * blur), 1.0 / (math.sqrt(2.0 * math.pi) * blur)
-    for k in range(counts.shape[0]):
-        if not good[k]:
-            continue
-        for j in range(counts.shape[1]):
-            if number[k, j] == 0.0:
-                continue
-            d = place[k, j]
-            left, right = d - values[k, 0] + 0.5 * width, d - values[k, 0] - 0.5 * width
-            shape = 0.5 * (math.erf(left * root) - math.erf(right * root))
-            one, other = peak * math.exp(-((left * root) ** 2)), peak * math.exp(-((right * root) ** 2))
-            background = values[k, 2] + values[k, 3] * d + values[k, 4] * d * d
-            contrast = values[k, 1] + values[k, 5] * d
-            model = background * (1.0 + contrast * shape)
-            weight = number[k, j] / max(model, 1.0)
-            rest = counts[k, j] - model
-            a = background * contrast * 0.5 * (one + other)
-            b = -background * contrast * (left * one - right * other) / blur
-            n00 += weight * a * a
-            n01 += weight * a * b
-            n11 += weight * b * b
-            s0 += weight * a * rest
-            s1 += weight * b * rest
-    determinant = n00 * n11 - n01 * n01
-    if not determinant > 1e-12 * n00 * n11:
-        return np.zeros(2)
-    return np.array([(n11 * s0 - n01 * s1) / determinant, (n00 * s1 - n01 * s0) / determinant])
+@njit(inline="always")
+def held(v: np.ndarray) -> float:
+    """Return how firmly a piece's slope of the contrast is held to zero."""
+    by_scatter = v[1] * v[3] / v[2]
+    return float(1.0 / (by_scatter**2 + 1e-12))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 
 from hil.imaging.detector import Detector
@@ -41,6 +43,12 @@ class Plane:
         self._values = np.append(np.linalg.lstsq(matrix, x, rcond=None)[0], 1.0)
         return self
 
+    def copy(self) -> Plane:
+        """Return a plane that can be fitted anew."""
+        other = copy.copy(self)
+        other._values = self._values.copy()
+        return other
+
     def across(self, line: np.ndarray, along: np.ndarray) -> np.ndarray:
         """Return where grooves `line` (n,) lie across at places `along` them [pixel]."""
         a, b, c = self._image_line(line)
@@ -70,6 +78,8 @@ class Plane:
         """
         for _ in range(STEPS):
             rest = across - self.across(line, along)
+            if not np.isfinite(rest).all():  # the places are no plate's
+                return np.full(len(rest), np.inf), 0.0
             further = _further(rest, sigma)
             deviation = np.hypot(sigma, further)
             weight = np.maximum(1.0 - (rest / (CUT * deviation)) ** 2, 0.0) / deviation
@@ -78,7 +88,7 @@ class Plane:
             if np.abs(change).max() < SETTLED:
                 break
         rest = across - self.across(line, along)
-        return rest, _further(rest, sigma)
+        return (rest, _further(rest, sigma)) if np.isfinite(rest).all() else (np.full(len(rest), np.inf), 0.0)
 
     def least_squares(self, line: np.ndarray, along: np.ndarray, across: np.ndarray, sigma: np.ndarray) -> np.ndarray:
         """Return what all places miss the plane by that fits them best, without refusing any; arguments as in `fitted`."""

@@ -53,7 +53,7 @@ def look(image: np.ndarray, windows: list[Window], width: float, gate: float) ->
     box = max(1, round(0.5 * width / BIN))
     evidence, place = [], []
     for window in windows:
-        seen = profiles(image, window.offset, window.slope, split(window.keep, PIECE * width), reach, STRIDE)
+        seen = profiles(image, window.offset, window.slope, split(window.keep, PIECE * width), reach, stride=STRIDE)
         evidence.append(_evidence(seen.counts, seen.number, box))
         place.append((seen.along - middle) / half)
     center = round(reach / BIN)

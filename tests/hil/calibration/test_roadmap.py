@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -114,11 +115,11 @@ def test_a_grid_holds_the_poses_at_which_the_machine_stood() -> None:
     positions = way + rng.normal(0.0, 1e-4, way.shape)
     notes = {"machine": "carm", "speed": [0.1, 0.2]}
     table = LookUp(("propeller", "roll"), positions, way.sum(axis=1)[:, None] * np.ones(9), np.tile(np.eye(9), (19, 1, 1)), notes)
-    grid = standing(table)
+    grid = standing(replace(table, shared=0.4 * table.covariance))
     assert grid.notes == {"machine": "carm"}, "what stands has no speed"
     np.testing.assert_allclose(grid.positions, places, atol=2e-4)
     np.testing.assert_allclose(grid.deviation[:, 0], places.sum(axis=1), atol=1e-12)
-    np.testing.assert_allclose(grid.covariance[:, 0, 0], [1 / 5, 1 / 4, 1 / 3])
+    np.testing.assert_allclose(grid.covariance[:, 0, 0], [0.4 + 0.6 / 5, 0.4 + 0.6 / 4, 0.4 + 0.6 / 3])
     with pytest.raises(UnusableInputError, match="the machine never stood"):
         standing(LookUp(("propeller", "roll"), np.linspace([0, 0], [1, 1], 9), np.zeros((9, 9)), np.zeros((9, 9, 9))))
 
