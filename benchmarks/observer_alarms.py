@@ -14,13 +14,13 @@ import dataclasses
 import functools
 import sys
 
-from drawn_machines import drawn, typical
 from observer_scan import SKIPPED_S, ShakenScan, shaken_scan
 from observer_variances import FIRST_SEED, Told, errors_and_variances, nine, own_design, scans, told
 from on_engine import add_scheduler, answers
 
 from hil.experiments.plan import Plan
 from hil.machine import Machine, load_machine
+from hil.machine.drawn import drawn, typical
 from hil.observing import ObserverDesign, observe
 from hil.recording import Recording
 from hil.terminal.output import Answer

@@ -6,8 +6,8 @@
 Per machine an observer is designed on its emulation and tuned on two scans, as a user's is; then it is judged on others. With `--own-model`
 it is not identified: masses, springs, dampers and sensors' noise are the file's own, and disturbances those of the shaken scans, so that
 what is false is what the effects do, and nothing else. Each seed draws the noise of the sensors, the shaking, and the machine: every effect
-that its file states lies somewhere in its range (`drawn_machines`), of which the design knows the root mean square alone. What is measured
-of a scan is kept in `--kept` and not measured again.
+that its file states lies somewhere in its range (`hil.machine.drawn`), of which the design knows the root mean square alone. What is
+measured of a scan is kept in `--kept` and not measured again.
 
 The truth is that of the nine geometric parameters: focal spot and isocentre in the detector's frame, and the detector's orientation. The
 error is the root mean square over the rows of all seeds after the first second, of three components together; the stated deviation
@@ -29,7 +29,6 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from drawn_machines import drawn, typical
 from observer_scan import (
     OWN_MODES,
     SKIPPED_S,
@@ -51,6 +50,7 @@ from controllers.observers.consistency import share_in_band
 from controllers.observers.settings import ObserverNoise
 from hil.experiments import Plan, Scan
 from hil.machine import Machine, load_machine
+from hil.machine.drawn import drawn, typical
 from hil.observing import Estimate, ObserverDesign, observe, read_design, tune, write_design
 from hil.observing.geometry import observed_chain
 from hil.observing.noise import LATTICE, START_TIME_s, encoder_steps, starting_noise

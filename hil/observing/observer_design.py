@@ -11,8 +11,9 @@ import numpy as np
 from controllers.models.modal import ModalModel
 from controllers.observers.modal_observer import FilterKind, ModalObserver
 from controllers.observers.settings import ObserverNoise
-from hil.errors import ExperimentError, UnusableInputError
+from hil.errors import UnusableInputError
 from hil.experiments import Plan, Scan, Static
+from hil.experiments.modest import holdable, possible_scan
 from hil.identification import FrequencyResponse
 from hil.machine import Machine
 from hil.observing.directions import with_directions
@@ -26,7 +27,7 @@ from hil.observing.simulated_recordings import emulated_recording, emulated_resp
 from hil.observing.structure import Structure, found_structure, with_coupling, with_inertia, with_places
 from hil.observing.tuning import tune
 from hil.observing.turning import with_turning
-from hil.observing.unmodelled import with_unmodelled
+from hil.observing.unmodelled import with_unmodelled, without_counted
 from hil.recording import Recording
 from hil.simulation import Simulator
 
@@ -43,8 +44,8 @@ COARSE_GRID = 5
 STANDING_GRID = 9
 """Positions of the other axes in which it stands: what gravity bends is a sum over modes, each with a shape that turns with them."""
 
-SWEEP_SHARES = (0.75, 0.5, 0.35)
-"""Of the largest speed, at the first possible of which an emulated machine's axes are swept: what turning pushes grows with the square."""
+SWEEP_SHARE = 0.75
+"""Of the largest speed, at which an emulated machine's axes are swept where they can be: what turning pushes grows with the square."""
 
 STANDING_s = 4.0
 """Length of an emulated standing record: a thousand samples of noise."""
@@ -165,6 +166,9 @@ def emulated_design(
 ) -> ObserverDesign:
     """Design an observer for a machine that has not been measured, from measurements of its emulation.
 
+    Experiments are scaled to what the machine can give beside its friction and gravity. Friction, play and sensors' errors of its file are
+    not in what is measured, as they are in no modal model: they are counted in the noise, as far as one machine may differ from another.
+
     Parameters
     ----------
     machine : Machine
@@ -177,12 +181,16 @@ def emulated_design(
     ------
     UnusableInputError
         The machine's detector cannot be observed; nothing was measured then.
+    ExperimentError
+        Its drives hold it at none of the poses, or can give none of an experiment.
     """
     observed_chain(machine)
     last = machine.axes[-1]
     grids = {axis: axis_grid(machine, index, GRID if axis == last else COARSE_GRID) for index, axis in enumerate(machine.axes)}
     at_rest = {axis: grids[axis] if axis == last else axis_grid(machine, index, STANDING_GRID) for index, axis in enumerate(machine.axes)}
-    poses, places = ([dict(zip(each, pose, strict=True)) for pose in product(*each.values())] for each in (grids, at_rest))
+    poses, places = (
+        holdable(machine, [dict(zip(each, pose, strict=True)) for pose in product(*each.values())]) for each in (grids, at_rest)
+    )
     ways = [
         (axis, dict(zip([name for name in machine.axes if name != axis], place, strict=True)))
         for axis in machine.axes
@@ -190,8 +198,9 @@ def emulated_design(
     ]
     done, total = count(1), len(poses) + len(places) + len(ways)
     told(0, total)
-    responses = emulated_responses(machine, poses, seed, lambda: told(next(done), total))
-    simulator = Simulator(machine)
+    plain = without_counted(machine)
+    responses = emulated_responses(machine, poses, seed, lambda: told(next(done), total), plain)
+    simulator = Simulator(plain)
 
     def recorded(plan: Plan, its_seed: int) -> Recording:
         recording = emulated_recording(machine, plan, its_seed, simulator)
@@ -199,22 +208,11 @@ def emulated_design(
         return recording
 
     standing = [recorded(Static(STANDING_s, place).plans(machine)[0], 500 + 100 * seed + i) for i, place in enumerate(places)]
-    sweeps = [
-        recorded(_sweep(machine, axis, (grids[axis][0], grids[axis][-1]), still), 700 + 100 * seed + i)
-        for i, (axis, still) in enumerate(ways)
-    ]
+    sweeps = []
+    for i, (axis, still) in enumerate(ways):
+        scan = Scan(axis, grids[axis][0], grids[axis][-1], SWEEP_SHARE * machine.limits[machine.axis_index(axis)].speed, still, sweeps=2)
+        sweeps.append(recorded(possible_scan(machine, scan)[0], 700 + 100 * seed + i))
     return design_observer(machine, responses, standing, tuned_on, sweeps, modes=modes)
-
-
-def _sweep(machine: Machine, axis: str, ends: tuple[float, float], still: dict[str, float]) -> Plan:
-    """Return a sweep there and back, at a speed that the drives can give beside the friction."""
-    fastest = machine.limits[machine.axes.index(axis)].speed
-    for share in SWEEP_SHARES[:-1]:
-        try:
-            return Scan(axis, *ends, share * fastest, still, sweeps=2).plans(machine)[0]
-        except ExperimentError:
-            continue
-    return Scan(axis, *ends, SWEEP_SHARES[-1] * fastest, still, sweeps=2).plans(machine)[0]
 
 
 def axis_grid(machine: Machine, axis: int, count: int) -> list[float]:

@@ -18,6 +18,7 @@ from controllers.models.modal import ModalModel
 from controllers.observers.modal_equations import GAINS
 from controllers.observers.settings import ObserverNoise
 from hil.machine import Machine
+from hil.machine.drawn import typical
 from hil.observing.geometry import placed_bodies
 from hil.observing.noise import effort_gain
 from virtual_bus.effects.places import spring_at
@@ -48,6 +49,9 @@ GAPS = {"backlash": ("b",), "transmission_error": ("e1", "e2")}
 """Strengths that are deflections of a gear [rad]. An error of the teeth pushes as its wheel turns; play, which the load holds at one flank,
 sets the motor side apart and pushes only for the instant in which it is crossed."""
 
+COUNTED = frozenset({*LEVELS, *PER_SPEED, *PER_POSITION, *GAPS})
+AS_OFFSETS = frozenset({"encoder_eccentricity", "thermal_bending", "imu_misalignment", "imu_scale_bias"})
+
 RUN_s = 10.0
 """Length of a scan, at whose end a structure is warmer."""
 
@@ -56,6 +60,8 @@ AXES = ("x", "y", "z")
 
 def with_unmodelled(noise: ObserverNoise, model: ModalModel, machine: Machine, effort_per_unit: np.ndarray | None = None) -> ObserverNoise:
     """Return the noise with the effects that the machine's file states; unchanged where it states none.
+
+    Where the file says in which range a size lies on one machine or another, its root mean square counts.
 
     Parameters
     ----------
@@ -69,6 +75,7 @@ def with_unmodelled(noise: ObserverNoise, model: ModalModel, machine: Machine, e
     """
     if not machine.own_effects:
         return noise
+    machine = typical(machine)
     axes, n = machine.axes, len(machine.axes)
     unit = effort_gain(machine) if effort_per_unit is None else effort_per_unit
     stiffness = {joint.name: joint.stiffness for joint in machine.plant.tree.joints}
@@ -121,6 +128,13 @@ def with_unmodelled(noise: ObserverNoise, model: ModalModel, machine: Machine, e
         initial_offset=offset,
         offset_walk=walk,
     )
+
+
+def without_counted(machine: Machine) -> Machine:
+    """Return the machine without the effects that `with_unmodelled` counts: with what a modal model can have in it."""
+    kept = tuple(effect for effect in machine.own_effects if effect.name not in COUNTED | AS_OFFSETS)
+    effects = (*kept, *machine.added_effects)
+    return dataclasses.replace(machine, plant=dataclasses.replace(machine.plant, effects=effects), own_effects=kept)
 
 
 def _in_order(model: ModalModel, machine: Machine) -> list:  # type: ignore[type-arg]

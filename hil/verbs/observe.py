@@ -315,7 +315,7 @@ def live_observer(
 
 @as_bench_errors()
 def design_observer(
-    machine: Machine,
+    machine: Machine | str | Path,
     responses: Sequence[FrequencyResponse] = (),
     *,
     multisines: Sequence[Given] = (),
@@ -328,7 +328,7 @@ def design_observer(
 
     Parameters
     ----------
-    machine : Machine
+    machine : Machine, its file, or the name of a shipped one
     responses : sequence of FrequencyResponse
         One per pose.
     multisines : Recording, Recordings or several of them
@@ -344,9 +344,11 @@ def design_observer(
     BadAnswerError
         The modal model cannot be fitted.
     """
+    from hil.machine import load_machine
     from hil.verbs.recordings import each_of
 
     excited, still, moved, tuned = (each_of(given) for given in (multisines, standing, sweeps, tuned_on))
+    machine = load_machine(machine) if isinstance(machine, str | Path) else machine
     return designed(machine, Measured(list(responses), excited, still, moved, tuned, modes=modes))
 
 

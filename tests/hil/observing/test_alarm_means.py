@@ -13,10 +13,11 @@ from hil.machine import Machine, load_machine
 from hil.observing import ObserverDesign, observe
 
 sys.path.insert(0, str(BENCHMARKS))
-from drawn_machines import drawn, typical
 from observer_alarms import SENSORS, AT_s, judged, spoilt
 from observer_scan import ShakenScan, shaken_scan
 from observer_variances import own_design, scans, told
+
+from hil.machine.drawn import drawn, typical
 
 RATE_Hz = 256.0
 
