@@ -61,12 +61,13 @@ TRAINING_SEED = 100
 
 @dataclass(frozen=True)
 class ShakenScan:
-    """A recording and what only the emulator knows: detector position (N, 3) and rotation (N, 3, 3), focal spot (N, 3)."""
+    """A recording and what only the emulator knows: detector (N, 3) and (N, 3, 3), focal spot (N, 3), motor sides (N, axes)."""
 
     recording: Recording
     position: np.ndarray
     rotation: np.ndarray
     source: np.ndarray
+    motor: np.ndarray
 
 
 def shaken_plant(machine: Machine, shaken_Nm: dict[str, float]) -> PlantSettings:
@@ -106,6 +107,7 @@ def shaken_scan(machine: Machine, plan: Plan, seed: int, loudness: float = 1.0) 
     physics.place(plan.start_pose)
     axes, geometry = len(machine.axes), machine.geometry
     assert geometry is not None
+    driven = [machine.plant.tree.joint_index(drive.joint) for drive in machine.plant.drives]
     physics.set_brakes(np.zeros(axes, dtype=bool))
     feedback = Feedback(machine.controllers)
     feedback.preload(holding, plan.start_pose, np.zeros(axes))
@@ -113,7 +115,7 @@ def shaken_scan(machine: Machine, plan: Plan, seed: int, loudness: float = 1.0) 
     command, answer, nothing = holding.copy(), holding.copy(), np.zeros(axes)
     settle, rows = round(SETTLE_S * machine.sample_rate_Hz), len(plan.reference)
     push = loudness * shaking(machine, settle + rows, seed)
-    kept: dict[str, list[np.ndarray]] = {name: [] for name in ("position", "link", "imu", "command", "pose", "source")}
+    kept: dict[str, list[np.ndarray]] = {name: [] for name in ("position", "link", "imu", "command", "pose", "source", "motor")}
     for k in range(settle + rows):
         rows_of_model[shaken, 1] = push[k]
         physics.apply(step * np.round(command / step))
@@ -127,6 +129,7 @@ def shaken_scan(machine: Machine, plan: Plan, seed: int, loudness: float = 1.0) 
             kept["command"].append(answer.copy())
             kept["pose"].append(truth[f"pose_{geometry.detector_body}"])
             kept["source"].append(truth[f"pose_{geometry.source_body}"])
+            kept["motor"].append(truth["joint_position"][driven])
         command[:] = answer
         physics.advance()
     table = {name: np.array(values) for name, values in kept.items()}
@@ -139,7 +142,7 @@ def shaken_scan(machine: Machine, plan: Plan, seed: int, loudness: float = 1.0) 
         channels[name] = Channel(unit, values)
     pose, tube = table["pose"], table["source"]
     source = tube[:, :3] + tube[:, 3:].reshape(-1, 3, 3) @ geometry.source_position_m
-    return ShakenScan(Recording(channels, {}), pose[:, :3], pose[:, 3:].reshape(-1, 3, 3), source)
+    return ShakenScan(Recording(channels, {}), pose[:, :3], pose[:, 3:].reshape(-1, 3, 3), source, table["motor"])
 
 
 def nominal_pose(machine: Machine, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -168,7 +168,7 @@ class ModalObserver:
         memory, summary = self.memory, self._summary
         filter_rows(self.constants, self._scheduled, memory, self._kind, self._is_first, self._acting, self._row, summary)
         recent = self._innovations.recent, self._corrections.recent
-        publish(self.constants, self._scheduled.values, memory, *recent, summary, self._isocenter, self.estimate)
+        publish(self.constants, self._scheduled, memory, *recent, summary, self._isocenter, self.estimate)
         if not self._is_first:
             self._held[:] = command
         self._is_first = False
@@ -412,6 +412,7 @@ def _memory(constants: Constants) -> tuple[Scheduled, Memory]:
         rubbing=np.zeros((n + modes, n + modes)),
         forces=np.zeros((rows, n + modes)),
         shapes=np.zeros((sensors, modes, 6)),
+        rates=np.zeros(modes * (2 + 3 * n + 6 * sensors)),
         looks=np.zeros((sensors, 3 * modes, SENSOR_SIGNALS)),
         steps=np.zeros((rows, moving + MODE_SIGNALS * adapted)),
         sees=np.zeros((rows, signals)),

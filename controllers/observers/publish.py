@@ -8,8 +8,9 @@ from controllers.compiled import exactly_called, exactly_compiled
 from controllers.models.chain import axis_screw, direction_in_world, point_in_world
 from controllers.models.vectors import dot, minus, plus, row
 from controllers.observers.consistency import Corrections, Innovations, corrects_too_much, mean_innovation
+from controllers.observers.linear_part import TURN_STEP_s
 from controllers.observers.memory import Memory
-from controllers.observers.modal_equations import Constants, first_offset
+from controllers.observers.modal_equations import Constants, Scheduled, first_offset
 
 TWIST = ("x", "y", "z", "rx", "ry", "rz")
 GEOMETRY = 9
@@ -103,6 +104,19 @@ def displacement_rows(constants: Constants, values: np.ndarray, motor: np.ndarra
 
 
 @exactly_called
+def _turning_rows(constants: Constants, scheduled: Scheduled, x: np.ndarray, rates: np.ndarray) -> None:
+    """Write how fast the rows of `displacement_rows` of the displacements change as the axes of a state move."""
+    n = constants.sizes[0]
+    later, sooner = np.zeros(rates.shape), np.zeros(rates.shape)
+    displacement_rows(constants, scheduled.values, x[:n] + TURN_STEP_s * x[n : 2 * n], later)
+    displacement_rows(constants, scheduled.values, x[:n] - TURN_STEP_s * x[n : 2 * n], sooner)
+    displacement_rows(constants, scheduled.rates, x[:n], rates)
+    for r in range(2 * n, len(rates)):
+        for c in range(rates.shape[1]):
+            rates[r, c] += (later[r, c] - sooner[r, c]) / (2.0 * TURN_STEP_s)
+
+
+@exactly_called
 def quasi_static(constants: Constants, values: np.ndarray, motor: np.ndarray, rows: np.ndarray, out: np.ndarray) -> None:
     """Write M_qs (5.37) into out (6,): the model's offsets of the detector's twist, less the shift that gravity's force on the modes gives.
 
@@ -169,7 +183,7 @@ def _moved(constants: Constants, rows: np.ndarray, states: np.ndarray, out: np.n
 @exactly_compiled
 def publish(
     constants: Constants,
-    values: np.ndarray,
+    scheduled: Scheduled,
     memory: Memory,
     innovations: Innovations,
     corrections: Corrections,
@@ -181,7 +195,7 @@ def publish(
 
     All in one call, because from Python a call costs microseconds for the arrays it hands over, and so does every operation on a short one.
     """
-    n, modes, states = constants.sizes[0], constants.sizes[1], constants.sizes[4]
+    n, modes, states, values = constants.sizes[0], constants.sizes[1], constants.sizes[4], scheduled.values
     x, factor = memory.x, memory.factor
     count = 2 * n + 12 + GEOMETRY
     wide = 2 * n + 6
@@ -212,14 +226,16 @@ def publish(
             variance += deviations[r, s] ** 2
         estimate[r] = motion[r]
         estimate[count + r] = variance
+    turning = np.zeros((moved, n + modes))
+    _turning_rows(constants, scheduled, x, turning)
     for r in range(6):
         speed, variance = 0.0, 0.0
         for i in range(modes):
-            speed += rows[2 * n + r, n + i] * x[2 * n + modes + i]
+            speed += rows[2 * n + r, n + i] * x[2 * n + modes + i] + turning[2 * n + r, n + i] * x[2 * n + i]
         for s in range(states):
             total = 0.0
             for i in range(modes):
-                total += rows[2 * n + r, n + i] * factor[s, 2 * n + modes + i]
+                total += rows[2 * n + r, n + i] * factor[s, 2 * n + modes + i] + turning[2 * n + r, n + i] * factor[s, 2 * n + i]
             variance += total * total
         estimate[wide + r] = speed
         estimate[count + wide + r] = variance

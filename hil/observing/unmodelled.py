@@ -49,6 +49,10 @@ GAPS = {"backlash": ("b",), "transmission_error": ("e1", "e2")}
 """Strengths that are deflections of a gear [rad]. An error of the teeth pushes as its wheel turns; play, which the load holds at one flank,
 sets the motor side apart and pushes only for the instant in which it is crossed."""
 
+RUBS_s = 1.0
+"""Friction is constant but where an axis turns, starts or stops, as a telegraph signal that switches every two seconds: its spectrum is
+that of a process of first order with half of that for its correlation time."""
+
 COUNTED = frozenset({*LEVELS, *PER_SPEED, *PER_POSITION, *GAPS})
 AS_OFFSETS = frozenset({"encoder_eccentricity", "thermal_bending", "imu_misalignment", "imu_scale_bias"})
 
@@ -113,8 +117,10 @@ def with_unmodelled(noise: ObserverNoise, model: ModalModel, machine: Machine, e
             k = sensors[effect.at]
             gain[k, 3:6], gain[k, 6] = _size(effect, [f"s{x}" for x in AXES]) / np.sqrt(3.0), abs(effect.parameters["sg"])
             bias[k, :3], bias[k, 3:] = _size(effect, [f"b{x}" for x in AXES]) / np.sqrt(3.0), abs(effect.parameters["bg"])
-    disturbance = noise.disturbance.copy()
+    disturbance, time_s = noise.disturbance.copy(), noise.disturbance_time_s.copy()
     disturbance[:n] = np.hypot(disturbance[:n], drive / unit)
+    beside = (noise.disturbance[:n] / disturbance[:n]) ** 2  # of the variance; power above both corners is the sum of both powers
+    time_s[:n] = 1.0 / (beside / noise.disturbance_time_s[:n] + (1.0 - beside) / RUBS_s)
     gears = [j for j, place in enumerate(model.places) if place == "gear"]
     for number, j in enumerate(gears):
         disturbance[j] = np.hypot(disturbance[j], gear[number] if len(gears) == n else gear.max())
@@ -123,6 +129,7 @@ def with_unmodelled(noise: ObserverNoise, model: ModalModel, machine: Machine, e
     return dataclasses.replace(
         noise,
         disturbance=disturbance,
+        disturbance_time_s=time_s,
         initial_bias=np.hypot(noise.initial_bias, bias.ravel()),
         initial_gain=gain.ravel(),
         initial_offset=offset,
