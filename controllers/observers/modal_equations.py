@@ -49,6 +49,7 @@ class Constants(NamedTuple):
     kept: np.ndarray  # (states - moving,): share of a ratio, an offset, a gain or a bias that a sample leaves
     noise_std: np.ndarray  # (noise sources,): commands, disturbances, quadratures, adapted, offsets, gains, biases
     measurement_std: np.ndarray  # (measurements,)
+    published: np.ndarray  # (values,): by what stated variances are multiplied
 
 
 class Scheduled(NamedTuple):

@@ -15,7 +15,7 @@ from controllers.observers.extended_kalman import linearised
 from controllers.observers.filter_step import filter_rows
 from controllers.observers.memory import EXTENDED, KALMAN, UNSCENTED, Memory
 from controllers.observers.modal_equations import GAINS, MODE_SIGNALS, SENSOR_SIGNALS, Constants, Scheduled
-from controllers.observers.publish import GEOMETRY, TWIST, estimate_channels, publish
+from controllers.observers.publish import GEOMETRY, QUANTITIES, TWIST, estimate_channels, of_quantities, publish
 from controllers.observers.settings import ObserverNoise
 
 FilterKind = Literal["kf", "ekf", "ukf"]
@@ -270,6 +270,8 @@ def _constants(model: ModalModel, noise: ObserverNoise, adapted: tuple[int, ...]
         )
     if not (np.concatenate((noise.offset_walk, noise.initial_offset)) >= 0.0).all():
         raise DesignError("observer noise: offset_walk and initial_offset must not be negative")
+    if len(noise.published) not in (0, len(QUANTITIES)) or not (np.asarray(noise.published) > 0.0).all():
+        raise DesignError(f"observer noise: published must be {len(QUANTITIES)} numbers above zero or none, not {noise.published}")
     if len(noise.bias) not in (0, 6 * sensors) or not np.isfinite(noise.bias).all():
         raise DesignError(f"observer noise: bias must be {6 * sensors} numbers or none, not {noise.bias}")
     if not (np.asarray(noise.measurement) > 0.0).all():
@@ -333,6 +335,7 @@ def _constants(model: ModalModel, noise: ObserverNoise, adapted: tuple[int, ...]
         kept=np.concatenate((np.ones(len(adapted)), kept, np.ones(len(noise.initial_gain) + 6 * sensors))),
         noise_std=std,
         measurement_std=np.array(noise.measurement, dtype=float),
+        published=(np.array(noise.published, dtype=float)[of_quantities(n)] if len(noise.published) else np.ones(2 * n + 21)) ** 2,
     )
 
 

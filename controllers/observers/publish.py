@@ -14,6 +14,10 @@ from controllers.observers.modal_equations import Constants, Scheduled, first_of
 
 TWIST = ("x", "y", "z", "rx", "ry", "rz")
 GEOMETRY = 9
+QUANTITIES = (
+    "motor side", "link side", "displacement", "turn", "velocity", "angular velocity", "focal spot", "isocentre", "orientation",
+)  # fmt: skip
+"""What the published values are of, in their order."""
 GEOMETRY_STEP = 1e-6
 """Difference step [rad, m] for the variances of the geometric parameters; the gradient's error is 1e-10."""
 
@@ -28,6 +32,11 @@ def estimate_channels(axes: tuple[str, ...], units: tuple[str, ...]) -> list[tup
     values += [(f"estimate_orientation_{name}", "rad") for name in "xyz"]
     variances = [(f"{name}_variance", squared(unit)) for name, unit in values]
     return values + variances + [("estimate_nis", ""), ("estimate_measured", ""), ("estimate_nis_window", ""), ("estimate_alarm", "")]
+
+
+def of_quantities(axes: int) -> np.ndarray:
+    """Return which of `QUANTITIES` each published value (values,) is of."""
+    return np.repeat(np.arange(len(QUANTITIES)), [axes, axes, *[3] * (len(QUANTITIES) - 2)])
 
 
 def squared(unit: str) -> str:
@@ -225,7 +234,7 @@ def publish(
         for s in range(states):
             variance += deviations[r, s] ** 2
         estimate[r] = motion[r]
-        estimate[count + r] = variance
+        estimate[count + r] = variance * constants.published[r]
     turning = np.zeros((moved, n + modes))
     _turning_rows(constants, scheduled, x, turning)
     for r in range(6):
@@ -238,7 +247,7 @@ def publish(
                 total += rows[2 * n + r, n + i] * factor[s, 2 * n + modes + i] + turning[2 * n + r, n + i] * factor[s, 2 * n + i]
             variance += total * total
         estimate[wide + r] = speed
-        estimate[count + wide + r] = variance
+        estimate[count + wide + r] = variance * constants.published[wide + r]
     place = wide + 6
     geometry, upper, lower = estimate[place : place + GEOMETRY], np.zeros(GEOMETRY), np.zeros(GEOMETRY)
     gradient = np.zeros((GEOMETRY, moved))
@@ -266,7 +275,7 @@ def publish(
         variance = 0.0
         for s in range(states):
             variance += spread[s] * spread[s]
-        estimate[count + place + g] = variance
+        estimate[count + place + g] = variance * constants.published[place + g]
         for s in range(len(by_measurement)):
             total = 0.0
             for r in range(moved):

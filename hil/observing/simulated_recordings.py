@@ -55,13 +55,9 @@ def emulated_responses(
     poses: Sequence[Mapping[str, float]],
     seed: int = 0,
     done: Callable[[], None] = lambda: None,
-    simulated: Machine | None = None,
 ) -> list[FrequencyResponse]:
-    """Return frequency responses at poses, from multisines on the emulated machine under jog; `done` is called after each.
-
-    The experiments are those that the machine can make. `simulated` is simulated in its place where it is given.
-    """
-    simulator = Simulator(machine if simulated is None else simulated)
+    """Return frequency responses at poses, from multisines on the emulated machine under jog; `done` is called after each."""
+    simulator = Simulator(machine)
     amplitude = {each.axis: EXCITATION_SHARE * each.limit for each in machine.controllers}
     responses = []
     for index, pose in enumerate(poses):

@@ -62,7 +62,7 @@ RUN_s = 10.0
 AXES = ("x", "y", "z")
 
 
-def with_unmodelled(noise: ObserverNoise, model: ModalModel, machine: Machine, effort_per_unit: np.ndarray | None = None) -> ObserverNoise:
+def with_unmodelled(noise: ObserverNoise, model: ModalModel, machine: Machine) -> ObserverNoise:
     """Return the noise with the effects that the machine's file states; unchanged where it states none.
 
     Where the file says in which range a size lies on one machine or another, its root mean square counts.
@@ -74,14 +74,12 @@ def with_unmodelled(noise: ObserverNoise, model: ModalModel, machine: Machine, e
     model : ModalModel
         With disturbances at places, drives first.
     machine : Machine
-    effort_per_unit : (n_axes,) array, optional
-        Effort on the joint [Nm] of one unit of a drive's disturbance; that of the drive's unit unless given.
     """
     if not machine.own_effects:
         return noise
     machine = typical(machine)
     axes, n = machine.axes, len(machine.axes)
-    unit = effort_gain(machine) if effort_per_unit is None else effort_per_unit
+    unit = effort_gain(machine)
     stiffness = {joint.name: joint.stiffness for joint in machine.plant.tree.joints}
     drive, gear, apart, read = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     turned, warming = np.zeros(3), np.zeros(3)

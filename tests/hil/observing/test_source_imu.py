@@ -13,11 +13,12 @@ from controllers.observers.linear_part import prepare
 from controllers.observers.publish import publish
 from hil.machine import Machine, load_machine, machine_from_text
 from hil.observing.geometry import observed_chain
-from hil.observing.observer_design import axis_grid
+from hil.observing.over_poses import axis_grid
+from hil.observing.own_model import Emulated
+from hil.observing.true_scan import nine
 
 sys.path.insert(0, str(BENCHMARKS))
-from observer_truth import Emulated
-from observer_variances import OWN_MODES, nine, own_design
+from observer_variances import OWN_MODES, own_design
 
 BENT_rad = np.array([3e-5, 2e-5, 0.0, 4e-5, 0.0, -3e-5, 5e-5])  # mount, arm, propeller, its gear, roll, its gear, detector
 
@@ -54,7 +55,7 @@ def test_focal_spot_and_isocentre_are_those_of_the_bent_machine() -> None:
     first = [name for name, _ in observer.channels].index("estimate_source_x")
 
     poses = emulated.plant.body_poses(emulated.model, bent)
-    detector, tube = (poses[body] for body in emulated.sensed)
+    detector, tube = (poses[body] for body, _, _ in emulated.bodies)
     rotation = detector[3:].reshape(1, 3, 3)
     true = nine(detector[None, :3], rotation, tube[None, :3], np.zeros(3))[0]
     np.testing.assert_allclose(estimate[first : first + 9], true, rtol=0, atol=5e-8)
@@ -62,7 +63,7 @@ def test_focal_spot_and_isocentre_are_those_of_the_bent_machine() -> None:
     follows_the_links = true[:3].copy()
     links = bent.copy()
     links[[0, 1, 6]] = 0.0  # what no encoder sees
-    rigid = emulated.plant.body_poses(emulated.model, links)[emulated.sensed[1]][:3]
+    rigid = emulated.plant.body_poses(emulated.model, links)[emulated.bodies[1][0]][:3]
     follows_the_links[:] = rotation[0].T @ (rigid - detector[:3])
     assert np.abs(follows_the_links - true[:3]).max() > 1e-5  # without the IMU it would be wrong by so much
 
@@ -113,7 +114,7 @@ def test_a_gyro_and_the_published_velocity_know_that_a_bend_before_an_axis_turns
     def displaced(roll: float) -> np.ndarray:
         axes, here = np.zeros(len(bent)), bent.copy()
         axes[emulated.driven] = here[emulated.driven] = pose[0], roll
-        (p, R), (there, S) = (emulated.detector_at(each) for each in (axes, here))
+        (p, R), (there, S) = (emulated.body_at(each, 0) for each in (axes, here))
         turn = R.T @ S
         return np.concatenate(
             (R.T @ (there - p), 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]))
