@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 
 from hil.errors import ExperimentError
 from hil.experiments.multisine import Multisine
-from hil.experiments.plan import Plan, pose_array
-from hil.experiments.safety import Safety
+from hil.experiments.plan import Plan
 from hil.experiments.scan import Scan
 from hil.machine import Machine
 
@@ -65,25 +64,17 @@ def modest_scan(machine: Machine, axis: str, pose: Mapping[str, float]) -> Scan:
     return Scan(axis, at - half, at + half, speed, others)
 
 
-def holdable(machine: Machine, poses: Sequence[Mapping[str, float]]) -> list[Mapping[str, float]]:
-    """Return the poses [rad or m] at which the drives hold the machine and keep a margin.
+@dataclass(frozen=True)
+class Possible:
+    """A scan or a multisine as large as the machine can make it."""
 
-    Raises
-    ------
-    ExperimentError
-        There is none.
-    """
-    held, refused = [], None
-    for pose in poses:
-        try:
-            Safety(machine, pose_array(machine, pose))
-        except ExperimentError as error:
-            refused = refused or error
-        else:
-            held.append(pose)
-    if not held and refused is not None:
-        raise refused
-    return held
+    experiment: Scan | Multisine
+
+    def plans(self, machine: Machine) -> list[Plan]:
+        """Return its plans, or those of the first lesser one that is possible; raises as they do."""
+        return (
+            possible_scan(machine, self.experiment) if isinstance(self.experiment, Scan) else possible_multisine(machine, self.experiment)
+        )
 
 
 def possible_scan(machine: Machine, scan: Scan) -> list[Plan]:

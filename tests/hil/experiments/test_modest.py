@@ -9,7 +9,7 @@ import pytest
 
 from hil.errors import ExperimentError
 from hil.experiments import Jog, Multisine, Scan
-from hil.experiments.modest import holdable, possible_multisine, possible_scan
+from hil.experiments.modest import Possible, possible_multisine, possible_scan
 from hil.machine import Machine, load_machine
 
 AT_THE_END = {"propeller": -2.122}
@@ -41,6 +41,7 @@ def test_a_scan_that_asks_too_much_lies_in_its_ramps_before_it_slows(real: Machi
 def test_a_scan_that_can_be_made_is_left_as_it_is(real: Machine) -> None:
     scan = Scan("roll", -1.0, 1.0, 0.5)
     np.testing.assert_array_equal(possible_scan(real, scan)[0].reference, scan.plans(real)[0].reference)
+    np.testing.assert_array_equal(Possible(scan).plans(real)[0].reference, scan.plans(real)[0].reference)
 
 
 def test_where_an_end_of_the_way_takes_all_effort_the_way_is_shorter(real: Machine) -> None:
@@ -64,13 +65,3 @@ def test_a_multisine_is_as_large_as_the_drives_can_give(real: Machine) -> None:
         asked.plans(real)
     given = possible_multisine(real, asked)[0].metadata["amplitude"]
     assert set(given) == {0.75} or set(given) == {1.5}
-
-
-def test_poses_that_the_drives_cannot_hold_are_left_out(real: Machine) -> None:
-    poses = [{"roll": 0.0}, {"roll": 1.5}, {"propeller": 0.0, "roll": -0.5}]
-    assert holdable(real, poses) == poses
-    weaker = with_limit(real, 2.6)
-    held = holdable(weaker, poses)
-    assert 0 < len(held) < 3
-    with pytest.raises(ExperimentError, match="may be used"):
-        holdable(weaker, [pose for pose in poses if pose not in held])
