@@ -41,9 +41,6 @@ LARGEST_rad = np.radians(80.0)
 SKIPPED_s = 1.0
 """Of each scan, in which the filter finds its biases."""
 
-LEAST_TRUE = 0.85
-"""No kind of scan may be stated by less than this share of its error: 0.7, and what a root mean square of so many scans is off by."""
-
 
 @dataclass(frozen=True)
 class Held:
@@ -62,9 +59,8 @@ class Held:
 
     @property
     def factors(self) -> np.ndarray:
-        """Return by what deviations (quantities,) are to be multiplied: true on the mean, and of no scan below `LEAST_TRUE`."""
-        wanted = 1.0 / self.ratios
-        factors: np.ndarray = np.maximum(np.exp(np.log(wanted).mean(axis=0)), LEAST_TRUE * wanted.max(axis=0))
+        """Return by what deviations (quantities,) are to be multiplied, so that of no kind of scan too little is stated."""
+        factors: np.ndarray = np.max(1.0 / self.ratios, axis=0)
         return factors
 
     def notes(self) -> list[str]:
