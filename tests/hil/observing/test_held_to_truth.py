@@ -28,7 +28,7 @@ def design() -> ObserverDesign:
 
 def stated_over_true(design: ObserverDesign) -> np.ndarray:
     machine = load_machine("carm-real")
-    (plan,) = Scan("propeller", *np.radians([-60.0, 60.0]), np.radians(30.0), sweeps=2).plans(machine)
+    (plan,) = Scan("propeller", np.radians(-60.0), np.radians(60.0), np.radians(30.0), sweeps=2).plans(machine)
     groups, sums = of_quantities(2), np.zeros((2, len(QUANTITIES)))
     for number in range(MACHINES):
         one = drawn(machine, number, MACHINES, seed=5)
@@ -42,7 +42,8 @@ def stated_over_true(design: ObserverDesign) -> np.ndarray:
 @pytest.mark.slow
 def test_the_design_of_the_hard_arm_is_true_of_machines_it_has_not_seen(design: ObserverDesign) -> None:
     ratios = stated_over_true(design)
-    assert ((ratios > 0.6) & (ratios < 1.7)).all(), dict(zip(QUANTITIES, ratios.round(2), strict=True))
+    known_to = 1.4  # of six machines a root mean square is known to 29 %; without factors velocities are 2.4 to 3.4 times too wide
+    assert ((ratios > 0.7 / known_to) & (ratios < 1.5 * known_to)).all(), dict(zip(QUANTITIES, ratios.round(2), strict=True))
     assert any("held to the truth" in note for note in design.notes)
 
 
