@@ -47,7 +47,7 @@ from hil.imaging.phantoms import dodecahedron
 from hil.imaging.scan_folder import ImageScan, read_scan
 from hil.machine import Machine, load_machine
 from hil.observing import ObserverDesign, observe, read_design, tune, write_design
-from hil.observing.observer_design import COARSE_GRID, GRID, STANDING_s, axis_grid
+from hil.observing.over_poses import axis_grid
 from hil.observing.simulated_recordings import emulated_recording, emulated_responses
 from hil.reconstruction.fdk import line_integrals, reconstruct
 from hil.reconstruction.wire_profiles import wire_quality
@@ -169,7 +169,7 @@ def command(*arguments: object) -> None:
 
 def responses(folder: Path, machine: Machine) -> tuple[list, list[Recording]]:
     """Frequency responses and standing records of the machine as built, undisturbed."""
-    grids = {axis: axis_grid(machine, k, n) for k, (axis, n) in enumerate(zip(machine.axes, (COARSE_GRID, GRID), strict=True))}
+    grids = {axis: axis_grid(machine, k, n) for k, (axis, n) in enumerate(zip(machine.axes, (5, 11), strict=True))}
     poses = [dict(zip(grids, pose, strict=True)) for pose in product(*grids.values())]
     files = [folder / "responses" / f"{k}.npz" for k in range(len(poses))]
     built = load_machine(str(folder / "before.toml"))
@@ -178,7 +178,7 @@ def responses(folder: Path, machine: Machine) -> tuple[list, list[Recording]]:
         for file, response in zip(files, emulated_responses(built, poses), strict=True):
             write_frf(response, file)
     simulator = Simulator(built)
-    standing = [emulated_recording(built, Static(STANDING_s, pose).plans(built)[0], 500 + k, simulator) for k, pose in enumerate(poses)]
+    standing = [emulated_recording(built, Static(4.0, pose).plans(built)[0], 500 + k, simulator) for k, pose in enumerate(poses)]
     return [read_frf(file) for file in files], standing
 
 

@@ -14,14 +14,15 @@ import dataclasses
 import functools
 import sys
 
-from drawn_machines import drawn, typical
-from observer_scan import SKIPPED_S, ShakenScan, shaken_scan
-from observer_variances import FIRST_SEED, Told, errors_and_variances, nine, own_design, scans, told
+from observer_scan import SKIPPED_S, shaken_scan
+from observer_variances import FIRST_SEED, Told, errors_and_variances, own_design, scans, told
 from on_engine import add_scheduler, answers
 
 from hil.experiments.plan import Plan
 from hil.machine import Machine, load_machine
+from hil.machine.drawn import drawn, typical
 from hil.observing import ObserverDesign, observe
+from hil.observing.true_scan import TrueScan, nine
 from hil.recording import Recording
 from hil.terminal.output import Answer
 
@@ -65,7 +66,7 @@ def spoilt(recording: Recording, added: dict[str, float], at_s: float = AT_s) ->
     return Recording(channels, recording.metadata)
 
 
-def judged(machine: Machine, design: ObserverDesign, scan: ShakenScan, recording: Recording, from_s: float) -> Told:
+def judged(machine: Machine, design: ObserverDesign, scan: TrueScan, recording: Recording, from_s: float) -> Told:
     """Return what the alarm tells of a recording of a scan."""
     first, rate_Hz = round(SKIPPED_S * machine.sample_rate_Hz), machine.sample_rate_Hz
     assert machine.geometry is not None

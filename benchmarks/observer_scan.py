@@ -8,7 +8,7 @@ emulated machine's own equations with the true noise, the true spectrum of the s
 not told the places: it takes every joint for shaken, in the true spectrum.
 
 `--own-model` reads "oracle" as the observer's own filter instead: the same modal form with all parameters the emulator's, the true noise of
-sensors, and disturbances at the true places with their true strengths in the form that the filter has (`observer_truth`).
+sensors, and disturbances at the true places with their true strengths in the form that the filter has (`hil.observing.own_model`).
 """
 
 from __future__ import annotations
@@ -16,30 +16,26 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from observer_truth import true_model
 from scipy import signal
 from scipy.spatial.transform import Rotation
 
-from controllers.feedback import Feedback
 from controllers.observers.consistency import share_in_band
 from controllers.observers.settings import ObserverNoise
 from hil.experiments import Plan, Scan
 from hil.machine import Machine, load_machine
 from hil.observing import ObserverDesign, observe, read_design, tune, write_design
-from hil.observing.geometry import observed_chain
-from hil.observing.noise import encoder_steps
-from hil.recording import Channel, Recording
-from hil.simulation.simulate import imu_units
+from hil.observing.noise import effort_gain, encoder_steps
+from hil.observing.own_model import own_model
+from hil.observing.true_scan import SETTLE_s, TrueScan, nominal_pose, true_scan
+from hil.recording import Recording
 from hil.terminal.output import Answer
 from hil.verbs.observe import design_observer
-from virtual_bus.effects.registry import effect_number
 from virtual_bus.physics import Physics
 from virtual_bus.plant.compiled import compile_plant
-from virtual_bus.settings import Drive, EffectSetting, PlantSettings
+from virtual_bus.settings import Drive, PlantSettings
 
 SHAKEN_Nm = {"mount_sway": 40.0, "propeller_gear": 15.0, "roll_gear": 15.0, "detector_mount": 2.0}
 """Rms torque at joints that no drive turns: people and ceiling at the mount, cables at the arc, hands at the detector."""
@@ -48,25 +44,16 @@ UNTOLD_Nm = 15.0
 """What the oracle that is not told the places believes of every other joint: as much as shakes the gears."""
 
 BAND_Hz = (1.0, 12.0)
-SETTLE_S = 2.0
 SKIPPED_S = 1.0  # of every scan, in which the filters find their biases
 OWN_MODES = 5
+OWN_GRID = (9, 13)
+"""Poses per axis."""
 OWN_EVALUATIONS = 150  # it starts near
 OWN_DRIVES_Nm = 0.1
 """What the tuning of the observer's own oracle starts from at the drives, which nothing disturbs: what its linear form leaves."""
 
 JUDGED_SEEDS = (7, 1007, 2007)
 TRAINING_SEED = 100
-
-
-@dataclass(frozen=True)
-class ShakenScan:
-    """A recording and what only the emulator knows: detector position (N, 3) and rotation (N, 3, 3), focal spot (N, 3)."""
-
-    recording: Recording
-    position: np.ndarray
-    rotation: np.ndarray
-    source: np.ndarray
 
 
 def shaken_plant(machine: Machine, shaken_Nm: dict[str, float]) -> PlantSettings:
@@ -93,67 +80,13 @@ def white_std(machine: Machine, shaken_Nm: dict[str, float]) -> np.ndarray:
     return np.array(list(shaken_Nm.values())) / np.sqrt(np.sum(answer**2))
 
 
-def shaken_scan(machine: Machine, plan: Plan, seed: int, loudness: float = 1.0) -> ShakenScan:
+def shaken_scan(machine: Machine, plan: Plan, seed: int, loudness: float = 1.0) -> TrueScan:
     """Run a plan in closed loop on the shaken machine; `loudness` scales the shaking, 0 leaves sensors' noise alone."""
-    still = Physics(machine.plant, noise=False)
-    still.place(plan.start_pose)
-    holding = still.holding_effort(plan.start_pose)
-    bodies = {body.joint.name: body.name for body in machine.plant.tree.bodies if body.joint is not None}
-    loads = tuple(EffectSetting("constant_load", bodies[joint], {"tau0": 0.0}) for joint in SHAKEN_Nm)
-    physics = Physics(dataclasses.replace(machine.plant, effects=(*machine.plant.effects, *loads)), seed)
-    rows_of_model = physics.model["effort_rows"].reshape(-1, physics.model["effort_rows"].shape[-1])
-    shaken = np.flatnonzero(rows_of_model[:, 0] == effect_number("constant_load"))[-len(loads) :]
-    physics.place(plan.start_pose)
-    axes, geometry = len(machine.axes), machine.geometry
-    assert geometry is not None
-    physics.set_brakes(np.zeros(axes, dtype=bool))
-    feedback = Feedback(machine.controllers)
-    feedback.preload(holding, plan.start_pose, np.zeros(axes))
-    step = np.array([drive.resolution for drive in machine.plant.drives])
-    command, answer, nothing = holding.copy(), holding.copy(), np.zeros(axes)
-    settle, rows = round(SETTLE_S * machine.sample_rate_Hz), len(plan.reference)
-    push = loudness * shaking(machine, settle + rows, seed)
-    kept: dict[str, list[np.ndarray]] = {name: [] for name in ("position", "link", "imu", "command", "pose", "source")}
-    for k in range(settle + rows):
-        rows_of_model[shaken, 1] = push[k]
-        physics.apply(step * np.round(command / step))
-        latched = physics.latch()
-        row = max(k - settle, 0)
-        feedback.step(plan.reference[row], latched.position, plan.excitation[row], nothing, answer)
-        if k >= settle:
-            truth = physics.truth()
-            for name, value in (("position", latched.position), ("link", latched.link_position), ("imu", latched.imu)):
-                kept[name].append(value.copy())
-            kept["command"].append(answer.copy())
-            kept["pose"].append(truth[f"pose_{geometry.detector_body}"])
-            kept["source"].append(truth[f"pose_{geometry.source_body}"])
-        command[:] = answer
-        physics.advance()
-    table = {name: np.array(values) for name, values in kept.items()}
-    channels = {"time": Channel("s", np.arange(rows) / machine.sample_rate_Hz)}
-    for i, axis in enumerate(machine.axes):
-        channels[f"command_{axis}"] = Channel("A", table["command"][:, i])
-        channels[f"position_{axis}"] = Channel("rad", table["position"][:, i])
-        channels[f"link_position_{axis}"] = Channel("rad", table["link"][:, i])
-    for (name, unit), values in zip(imu_units(machine).items(), table["imu"].T, strict=True):
-        channels[name] = Channel(unit, values)
-    pose, tube = table["pose"], table["source"]
-    source = tube[:, :3] + tube[:, 3:].reshape(-1, 3, 3) @ geometry.source_position_m
-    return ShakenScan(Recording(channels, {}), pose[:, :3], pose[:, 3:].reshape(-1, 3, 3), source)
+    push = loudness * shaking(machine, round(SETTLE_s * machine.sample_rate_Hz) + plan.rows, seed)
+    return true_scan(machine, plan, seed, dict(zip(SHAKEN_Nm, push.T, strict=True)))
 
 
-def nominal_pose(machine: Machine, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Detector position (N, 3) and rotation (N, 3, 3) of the rigid C-arm with its axes at (N, n)."""
-    chain, sensors, _, _ = observed_chain(machine)
-    turn = Rotation.identity(len(axes))
-    position = np.zeros((len(axes), 3))
-    for i in range(axes.shape[1]):
-        position = position + turn.apply(chain.points[i])
-        turn = turn * Rotation.from_rotvec(axes[:, i : i + 1] * chain.axes[i])
-    return position + turn.apply(sensors[0].body_end_m), turn.as_matrix()
-
-
-def errors(scan: ShakenScan, position: np.ndarray, rotation: np.ndarray, first: int) -> dict[str, float]:
+def errors(scan: TrueScan, position: np.ndarray, rotation: np.ndarray, first: int) -> dict[str, float]:
     """Rms of the error of a pose from row `first` on, in the detector's frame: shift [um] and turn [urad], with their components."""
     shift = np.einsum("nji,nj->ni", scan.rotation, position - scan.position)[first:] * 1e6
     turn = (Rotation.from_matrix(scan.rotation).inv() * Rotation.from_matrix(rotation)).as_rotvec()[first:] * 1e6
@@ -215,7 +148,7 @@ class Oracle:
         self.plant.advance(state, effort, self.brakes, self.model, self.work)
         return np.concatenate((state[: 2 * self.n], state[4 * self.n : 4 * self.n + 6]))
 
-    def run(self, scan: ShakenScan, start_state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def run(self, scan: TrueScan, start_state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Detector poses (N, 3), (N, 3, 3)."""
         recording, machine, core = scan.recording, self.machine, self.core
         a, b, c, d = self.colour
@@ -309,13 +242,14 @@ def own_design(machine: Machine, design: ObserverDesign, training: list[Recordin
 
     Tuning starts at the true strengths; the sensors' noise is the true one, and the command's is its rounding, which the filter knows.
     """
-    model = true_model(machine, design.model, OWN_MODES, tuple(SHAKEN_Nm))
-    axes, imu = len(machine.axes), machine.plant.imus[0]
+    model = own_model(machine, OWN_MODES, OWN_GRID, tuple(SHAKEN_Nm))
+    imu, gain = machine.plant.imus[0], effort_gain(machine)
+    axes = len(gain)
     steps = encoder_steps(model, machine)
     start = dataclasses.replace(
         design.noise,
         command=np.array([drive.resolution for drive in machine.plant.drives]) / np.sqrt(12.0),
-        disturbance=np.concatenate((np.full(axes, OWN_DRIVES_Nm), list(SHAKEN_Nm.values()))),
+        disturbance=np.concatenate((OWN_DRIVES_Nm / gain, list(SHAKEN_Nm.values()))),
         disturbance_time_s=np.full(axes + len(SHAKEN_Nm), 0.1),
         disturbance_Hz=np.concatenate((np.zeros(axes), np.full(len(SHAKEN_Nm), BAND_Hz[0]))),
         low_pass=np.zeros(0, dtype=bool),

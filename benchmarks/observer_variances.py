@@ -6,8 +6,8 @@
 Per machine an observer is designed on its emulation and tuned on two scans, as a user's is; then it is judged on others. With `--own-model`
 it is not identified: masses, springs, dampers and sensors' noise are the file's own, and disturbances those of the shaken scans, so that
 what is false is what the effects do, and nothing else. Each seed draws the noise of the sensors, the shaking, and the machine: every effect
-that its file states lies somewhere in its range (`drawn_machines`), of which the design knows the root mean square alone. What is measured
-of a scan is kept in `--kept` and not measured again.
+that its file states lies somewhere in its range (`hil.machine.drawn`), of which the design knows the root mean square alone. What is
+measured of a scan is kept in `--kept` and not measured again.
 
 The truth is that of the nine geometric parameters: focal spot and isocentre in the detector's frame, and the detector's orientation. The
 error is the root mean square over the rows of all seeds after the first second, of three components together; the stated deviation
@@ -29,31 +29,30 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from drawn_machines import drawn, typical
 from observer_scan import (
+    OWN_GRID,
     OWN_MODES,
     SKIPPED_S,
     TRAINING_SEED,
     BAND_Hz,
     OWN_DRIVES_Nm,
     SHAKEN_Nm,
-    ShakenScan,
-    nominal_pose,
     shaken_scan,
     without,
 )
-from observer_truth import GRID, true_model
 from on_engine import add_scheduler, each
-from scipy.spatial.transform import Rotation
 
 from controllers.models.modal import ModalModel
 from controllers.observers.consistency import share_in_band
 from controllers.observers.settings import ObserverNoise
 from hil.experiments import Plan, Scan
 from hil.machine import Machine, load_machine
+from hil.machine.drawn import drawn, typical
 from hil.observing import Estimate, ObserverDesign, observe, read_design, tune, write_design
 from hil.observing.geometry import observed_chain
-from hil.observing.noise import LATTICE, START_TIME_s, encoder_steps, starting_noise
+from hil.observing.noise import LATTICE, START_TIME_s, effort_gain, encoder_steps, starting_noise
+from hil.observing.own_model import own_model
+from hil.observing.true_scan import TrueScan, nine, nominal_pose
 from hil.observing.unmodelled import with_unmodelled
 from hil.recording import Recording
 from hil.terminal.output import Answer
@@ -84,12 +83,6 @@ def scans(machine: Machine) -> dict[str, tuple[Plan, float]]:
         "roll 55 deg/s, quiet": (Scan("roll", *roll, fast).plans(machine)[0], 0.0),
         "propeller 30 deg/s, reversed, quiet": (Scan("propeller", *propeller, slow, sweeps=2).plans(machine)[0], 0.0),
     }
-
-
-def nine(position: np.ndarray, rotation: np.ndarray, source: np.ndarray, isocenter: np.ndarray) -> np.ndarray:
-    """Return the nine parameters (N, 9) of detectors (N, 3), (N, 3, 3) and focal spots (N, 3)."""
-    inside = [np.einsum("nji,nj->ni", rotation, point - position) for point in (source, isocenter)]
-    return np.hstack([*inside, Rotation.from_matrix(rotation).as_euler("xyz")])
 
 
 def by_encoders(machine: Machine, recording: Recording, prefix: str) -> np.ndarray:
@@ -199,7 +192,7 @@ class Sums:
         return found
 
 
-def take(sums: dict[str, Sums], machine: Machine, design: ObserverDesign, scan: ShakenScan, untold: ObserverDesign | None) -> None:
+def take(sums: dict[str, Sums], machine: Machine, design: ObserverDesign, scan: TrueScan, untold: ObserverDesign | None) -> None:
     """Add one scan as every method sees it; `untold`: the same observer, whose noise counts no effect."""
     first = round(SKIPPED_S * machine.sample_rate_Hz)
     recording = scan.recording
@@ -231,7 +224,7 @@ def own_noise(machine: Machine, model: ModalModel) -> ObserverNoise:
     steps = encoder_steps(model, machine)
     return dataclasses.replace(
         starting_noise(model, machine, (), (), biases),
-        disturbance=np.concatenate((np.full(len(machine.axes), OWN_DRIVES_Nm), list(SHAKEN_Nm.values()))),
+        disturbance=np.concatenate((OWN_DRIVES_Nm / effort_gain(machine), list(SHAKEN_Nm.values()))),
         disturbance_time_s=np.concatenate((np.full(len(machine.axes), START_TIME_s), np.full(len(SHAKEN_Nm), BAND_TIME_s))),
         disturbance_Hz=np.concatenate((np.zeros(len(machine.axes)), np.full(len(SHAKEN_Nm), np.sqrt(np.prod(BAND_Hz))))),
         low_pass=np.zeros(0, dtype=bool),
@@ -239,25 +232,17 @@ def own_noise(machine: Machine, model: ModalModel) -> ObserverNoise:
     )
 
 
-def own_design(machine: Machine, counts: tuple[int, ...] = GRID, *, told: bool = False) -> ObserverDesign:
+def own_design(machine: Machine, counts: tuple[int, ...] = OWN_GRID, *, told: bool = False) -> ObserverDesign:
     """Return the observer whose model has the file's numbers, and knows of no effect but the bias that it would find at rest.
 
     `told`: its noise counts the effects that the file states.
     """
     plain = dataclasses.replace(machine, plant=dataclasses.replace(machine.plant, effects=()))
-    chain, sensors, source, isocenter = observed_chain(machine)
-    n, axes = len(machine.axes), machine.axes
-    rows = OWN_MODES * (2 + 3 * n + 6 * len(sensors)) + n * (n + 1) + n + OWN_MODES + 6
-    empty = ModalModel(
-        axes=axes, chain=chain, sensors=sensors, source_end_m=source, harmonics=(0,) * n, coefficients=np.zeros((rows, 1)),
-        sample_rate_Hz=machine.sample_rate_Hz, effort_limit=np.array([drive.limit for drive in machine.plant.drives]),
-        effort_step=np.array([drive.resolution for drive in machine.plant.drives]),
-        position_unit=tuple(units.position for units in machine.units),
-    )  # fmt: skip
-    model = true_model(plain, empty, OWN_MODES, tuple(SHAKEN_Nm), counts)
+    *_, isocenter = observed_chain(machine)
+    model = own_model(plain, OWN_MODES, counts, tuple(SHAKEN_Nm))
     noise = own_noise(machine, model)
     if told:
-        noise = with_unmodelled(noise, model, machine, np.ones(n))  # `true_model` has its drives in Nm
+        noise = with_unmodelled(noise, model, machine)
     return ObserverDesign(model, noise, isocenter, machine.name, machine.hash, ("the file's own numbers",))
 
 

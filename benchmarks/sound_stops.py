@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from drawn_machines import drawn
 
 from hil.bench.open import open_bench
 from hil.bench.options import BenchOptions
@@ -33,6 +32,7 @@ from hil.experiments import Jog, Multisine, Plan, Scan
 from hil.faults.budget import standing
 from hil.faults.claims import Witness, contradictions
 from hil.machine import Machine, load_machine
+from hil.machine.drawn import drawn
 from virtual_bus.faults.motion_log import MotionLog
 
 RESULTS = Path(__file__).parent / "results" / "sound_stops.json"

@@ -144,6 +144,8 @@ class EffectSetting:
     """In SI, in the effect's own order."""
     scatter: float = field(default=0.0, metadata={"json": False})
     """Share by which its strengths differ from one start of the emulated machine to the next, standard deviation."""
+    between: dict[str, tuple[float, float]] = field(default_factory=dict, metadata={"json": False})
+    """Where parameters lie on one machine or another of this kind, in SI; those that are not here are known."""
 
 
 @dataclass(frozen=True)

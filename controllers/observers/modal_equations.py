@@ -49,6 +49,7 @@ class Constants(NamedTuple):
     kept: np.ndarray  # (states - moving,): share of a ratio, an offset, a gain or a bias that a sample leaves
     noise_std: np.ndarray  # (noise sources,): commands, disturbances, quadratures, adapted, offsets, gains, biases
     measurement_std: np.ndarray  # (measurements,)
+    published: np.ndarray  # (values,): by what stated variances are multiplied
 
 
 class Scheduled(NamedTuple):
@@ -68,6 +69,7 @@ class Scheduled(NamedTuple):
     rubbing: np.ndarray  # (axes + modes, axes + modes): by drives' friction and turning; row: per speed of a coordinate; column: on one
     forces: np.ndarray  # (table rows, axes + modes): accelerations of the axes, and forces on the modes
     shapes: np.ndarray  # (sensors, modes, 6): shift at the sensor, turn
+    rates: np.ndarray  # (rows of the modes,): how fast their values, shapes above all, change as the axes move
     looks: np.ndarray  # (sensors, 3 modes, SENSOR_SIGNALS): a sensor's signals of a mode's deflection, speed and force; adapted modes: zero
     steps: np.ndarray  # (table rows, moving + MODE_SIGNALS adapted): moving states one sample later, and the adapted modes at this sample
     sees: np.ndarray  # (table rows, signals)

@@ -15,7 +15,7 @@ from controllers.observers.extended_kalman import linearised
 from controllers.observers.filter_step import filter_rows
 from controllers.observers.memory import EXTENDED, KALMAN, UNSCENTED, Memory
 from controllers.observers.modal_equations import GAINS, MODE_SIGNALS, SENSOR_SIGNALS, Constants, Scheduled
-from controllers.observers.publish import GEOMETRY, TWIST, estimate_channels, publish
+from controllers.observers.publish import GEOMETRY, QUANTITIES, TWIST, estimate_channels, of_quantities, publish
 from controllers.observers.settings import ObserverNoise
 
 FilterKind = Literal["kf", "ekf", "ukf"]
@@ -168,7 +168,7 @@ class ModalObserver:
         memory, summary = self.memory, self._summary
         filter_rows(self.constants, self._scheduled, memory, self._kind, self._is_first, self._acting, self._row, summary)
         recent = self._innovations.recent, self._corrections.recent
-        publish(self.constants, self._scheduled.values, memory, *recent, summary, self._isocenter, self.estimate)
+        publish(self.constants, self._scheduled, memory, *recent, summary, self._isocenter, self.estimate)
         if not self._is_first:
             self._held[:] = command
         self._is_first = False
@@ -270,6 +270,8 @@ def _constants(model: ModalModel, noise: ObserverNoise, adapted: tuple[int, ...]
         )
     if not (np.concatenate((noise.offset_walk, noise.initial_offset)) >= 0.0).all():
         raise DesignError("observer noise: offset_walk and initial_offset must not be negative")
+    if len(noise.published) not in (0, len(QUANTITIES)) or not (np.asarray(noise.published) > 0.0).all():
+        raise DesignError(f"observer noise: published must be {len(QUANTITIES)} numbers above zero or none, not {noise.published}")
     if len(noise.bias) not in (0, 6 * sensors) or not np.isfinite(noise.bias).all():
         raise DesignError(f"observer noise: bias must be {6 * sensors} numbers or none, not {noise.bias}")
     if not (np.asarray(noise.measurement) > 0.0).all():
@@ -333,6 +335,7 @@ def _constants(model: ModalModel, noise: ObserverNoise, adapted: tuple[int, ...]
         kept=np.concatenate((np.ones(len(adapted)), kept, np.ones(len(noise.initial_gain) + 6 * sensors))),
         noise_std=std,
         measurement_std=np.array(noise.measurement, dtype=float),
+        published=(np.array(noise.published, dtype=float)[of_quantities(n)] if len(noise.published) else np.ones(2 * n + 21)) ** 2,
     )
 
 
@@ -412,6 +415,7 @@ def _memory(constants: Constants) -> tuple[Scheduled, Memory]:
         rubbing=np.zeros((n + modes, n + modes)),
         forces=np.zeros((rows, n + modes)),
         shapes=np.zeros((sensors, modes, 6)),
+        rates=np.zeros(modes * (2 + 3 * n + 6 * sensors)),
         looks=np.zeros((sensors, 3 * modes, SENSOR_SIGNALS)),
         steps=np.zeros((rows, moving + MODE_SIGNALS * adapted)),
         sees=np.zeros((rows, signals)),

@@ -8,11 +8,16 @@ from controllers.compiled import exactly_called, exactly_compiled
 from controllers.models.chain import axis_screw, direction_in_world, point_in_world
 from controllers.models.vectors import dot, minus, plus, row
 from controllers.observers.consistency import Corrections, Innovations, corrects_too_much, mean_innovation
+from controllers.observers.linear_part import TURN_STEP_s
 from controllers.observers.memory import Memory
-from controllers.observers.modal_equations import Constants, first_offset
+from controllers.observers.modal_equations import Constants, Scheduled, first_offset
 
 TWIST = ("x", "y", "z", "rx", "ry", "rz")
 GEOMETRY = 9
+QUANTITIES = (
+    "motor side", "link side", "displacement", "turn", "velocity", "angular velocity", "focal spot", "isocentre", "orientation",
+)  # fmt: skip
+"""What the published values are of, in their order."""
 GEOMETRY_STEP = 1e-6
 """Difference step [rad, m] for the variances of the geometric parameters; the gradient's error is 1e-10."""
 
@@ -27,6 +32,11 @@ def estimate_channels(axes: tuple[str, ...], units: tuple[str, ...]) -> list[tup
     values += [(f"estimate_orientation_{name}", "rad") for name in "xyz"]
     variances = [(f"{name}_variance", squared(unit)) for name, unit in values]
     return values + variances + [("estimate_nis", ""), ("estimate_measured", ""), ("estimate_nis_window", ""), ("estimate_alarm", "")]
+
+
+def of_quantities(axes: int) -> np.ndarray:
+    """Return which of `QUANTITIES` each published value (values,) is of."""
+    return np.repeat(np.arange(len(QUANTITIES)), [axes, axes, *[3] * (len(QUANTITIES) - 2)])
 
 
 def squared(unit: str) -> str:
@@ -103,6 +113,19 @@ def displacement_rows(constants: Constants, values: np.ndarray, motor: np.ndarra
 
 
 @exactly_called
+def _turning_rows(constants: Constants, scheduled: Scheduled, x: np.ndarray, rates: np.ndarray) -> None:
+    """Write how fast the rows of `displacement_rows` of the displacements change as the axes of a state move."""
+    n = constants.sizes[0]
+    later, sooner = np.zeros(rates.shape), np.zeros(rates.shape)
+    displacement_rows(constants, scheduled.values, x[:n] + TURN_STEP_s * x[n : 2 * n], later)
+    displacement_rows(constants, scheduled.values, x[:n] - TURN_STEP_s * x[n : 2 * n], sooner)
+    displacement_rows(constants, scheduled.rates, x[:n], rates)
+    for r in range(2 * n, len(rates)):
+        for c in range(rates.shape[1]):
+            rates[r, c] += (later[r, c] - sooner[r, c]) / (2.0 * TURN_STEP_s)
+
+
+@exactly_called
 def quasi_static(constants: Constants, values: np.ndarray, motor: np.ndarray, rows: np.ndarray, out: np.ndarray) -> None:
     """Write M_qs (5.37) into out (6,): the model's offsets of the detector's twist, less the shift that gravity's force on the modes gives.
 
@@ -169,7 +192,7 @@ def _moved(constants: Constants, rows: np.ndarray, states: np.ndarray, out: np.n
 @exactly_compiled
 def publish(
     constants: Constants,
-    values: np.ndarray,
+    scheduled: Scheduled,
     memory: Memory,
     innovations: Innovations,
     corrections: Corrections,
@@ -181,7 +204,7 @@ def publish(
 
     All in one call, because from Python a call costs microseconds for the arrays it hands over, and so does every operation on a short one.
     """
-    n, modes, states = constants.sizes[0], constants.sizes[1], constants.sizes[4]
+    n, modes, states, values = constants.sizes[0], constants.sizes[1], constants.sizes[4], scheduled.values
     x, factor = memory.x, memory.factor
     count = 2 * n + 12 + GEOMETRY
     wide = 2 * n + 6
@@ -211,18 +234,20 @@ def publish(
         for s in range(states):
             variance += deviations[r, s] ** 2
         estimate[r] = motion[r]
-        estimate[count + r] = variance
+        estimate[count + r] = variance * constants.published[r]
+    turning = np.zeros((moved, n + modes))
+    _turning_rows(constants, scheduled, x, turning)
     for r in range(6):
         speed, variance = 0.0, 0.0
         for i in range(modes):
-            speed += rows[2 * n + r, n + i] * x[2 * n + modes + i]
+            speed += rows[2 * n + r, n + i] * x[2 * n + modes + i] + turning[2 * n + r, n + i] * x[2 * n + i]
         for s in range(states):
             total = 0.0
             for i in range(modes):
-                total += rows[2 * n + r, n + i] * factor[s, 2 * n + modes + i]
+                total += rows[2 * n + r, n + i] * factor[s, 2 * n + modes + i] + turning[2 * n + r, n + i] * factor[s, 2 * n + i]
             variance += total * total
         estimate[wide + r] = speed
-        estimate[count + wide + r] = variance
+        estimate[count + wide + r] = variance * constants.published[wide + r]
     place = wide + 6
     geometry, upper, lower = estimate[place : place + GEOMETRY], np.zeros(GEOMETRY), np.zeros(GEOMETRY)
     gradient = np.zeros((GEOMETRY, moved))
@@ -250,7 +275,7 @@ def publish(
         variance = 0.0
         for s in range(states):
             variance += spread[s] * spread[s]
-        estimate[count + place + g] = variance
+        estimate[count + place + g] = variance * constants.published[place + g]
         for s in range(len(by_measurement)):
             total = 0.0
             for r in range(moved):

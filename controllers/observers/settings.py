@@ -46,6 +46,8 @@ class ObserverNoise:
         accelerometers (3) and of its gyros. Empty: no states.
     bias : (6 sensors,) array
         Expected value of the biases when it starts; empty: zero.
+    published : (quantities,) array
+        By what stated deviations of `publish.QUANTITIES` are multiplied, so that they are true; empty: 1.
     """
 
     command: np.ndarray
@@ -62,3 +64,4 @@ class ObserverNoise:
     offset_walk: np.ndarray = field(default_factory=lambda: np.zeros(0))
     initial_offset: np.ndarray = field(default_factory=lambda: np.zeros(0))
     initial_gain: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    published: np.ndarray = field(default_factory=lambda: np.zeros(0))

@@ -47,7 +47,8 @@ PLACES = (
 
 STRENGTH_TEXT = """
 `scatter_percent`, in any effect, is the standard deviation by which its strengths differ from run to run: the emulator
-draws them at its start, from its seed. `simulate` takes the stated values.
+draws them at its start, from its seed. `simulate` takes the stated values. `KEY_between = [least, most]`, beside a
+parameter, is where it lies on one machine or another: the observer counts that.
 
 An effect may act once at a place, unless its section says that several may. Parameters marked *strength* turn the
 effect off: with all of them at the neutral value the machine is the same bit for bit. Time in an effect counts from

@@ -120,7 +120,8 @@ def _stand_under_holding_effort(machine: Machine, axis: int, settings: HomingSet
         if abs(position - began) >= settings.agreement_tolerance:
             raise MotionRefusedError(
                 f"{name}: moves by {position - began:+.2e} {unit} under its holding effort of {holding[axis]:.3g} alone; "
-                "the holding effort is wrong"
+                f"the holding effort is wrong, or the load is not the {abs(holding[axis]) / machine.scalings[axis].rated:.0%} "
+                "of the rated effort that the file says"
             )
 
 
@@ -140,12 +141,15 @@ def _push_until_moved(machine: Machine, axis: int, settings: HomingSettings, hol
         if moved <= -travel:
             raise MotionRefusedError(
                 f"{name}: moved {moved:+.2e} {unit} on a positive effort; "
-                "motor wiring, encoder direction or the machine file's sign is reversed"
+                "motor wiring, encoder direction or the machine file's sign is reversed, or a load that the file does not know "
+                f"outweighs {push / machine.scalings[axis].rated:.2%} of the rated effort"
             )
         if elapsed > settings.direction_check_timeout_s:
             raise MotionRefusedError(
                 f"{name}: moved {moved:+.2e} {unit} where {travel:.2e} was expected within {settings.direction_check_timeout_s:.1f} s at "
-                f"{settings.direction_check_effort:.3g} above its holding effort; brake, friction or a disconnected motor"
+                f"{settings.direction_check_effort:.3g} above its holding effort; brake, friction, a load of "
+                f"{settings.direction_check_effort / machine.scalings[axis].rated:.0%} of the rated effort that the file does not know, "
+                "or a disconnected motor"
             )
 
 

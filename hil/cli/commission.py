@@ -33,6 +33,7 @@ def commission(
     seed: Annotated[int, typer.Option("--seed", help="In lockstep: seed of the emulated sensors' noise.")] = 0,
     imu: ImuOption = "",
     io: IoOption = "",
+    observer: Annotated[bool, typer.Option("--observer", help="Design the observer as well, which takes a minute.")] = False,
     json_to: JsonOption = None,
 ) -> None:
     """Say of every step what it found."""
@@ -65,6 +66,7 @@ def commission(
             seed=seed,
             imu=imu,
             io=io,
+            observer=observer,
             told=told,
             progress=follow,
         )

@@ -83,10 +83,12 @@ def write_effects_file(effects: Sequence[EffectSetting], machine: Machine, path:
 
 def _plain(entry: dict[str, Any]) -> dict[str, Any]:
     """Whole numbers as floats where they fit one; what does not is left for the check to refuse as no number."""
-    return {key: _as_float(value) if isinstance(value, int) and not isinstance(value, bool) else value for key, value in entry.items()}
+    return {key: [_as_float(each) for each in value] if isinstance(value, list) else _as_float(value) for key, value in entry.items()}
 
 
-def _as_float(value: int) -> float | str:
+def _as_float(value: object) -> object:
+    if not isinstance(value, int) or isinstance(value, bool):
+        return value
     try:
         return float(value)
     except OverflowError:

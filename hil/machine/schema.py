@@ -346,7 +346,7 @@ class MachineTable(Table):
     """Time and travel to standstill, by axis."""
     judging: JudgingTable | None = None
     """What is allowed of the sensors in a run."""
-    effect: Annotated[tuple[dict[Name, Number | Text], ...], Field(default=())]
+    effect: Annotated[tuple[dict[Name, Number | Text | tuple[Number, Number]], ...], Field(default=())]
     """Physics of the catalogue that this machine has: friction, play, cables. One `[[effect]]` table each, with the keys of an effects
     file. What `--effects` adds comes beside them."""
     tolerances: Annotated[dict[Name, dict[Name, Positive]], Field(default_factory=dict)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -115,6 +116,20 @@ def starting_noise(
         offset_walk=LATTICE * steps[:n] / np.sqrt(ROUNDING_STANDS_s),
         initial_offset=LATTICE * np.sqrt(2.0 * steps[:n] ** 2 + steps[n:] ** 2),
     )
+
+
+def stated_noise(model: ModalModel, machine: Machine) -> ObserverNoise:
+    """Return the noise before tuning of the sensors that the file states, their biases known as a standing machine shows them."""
+    imus = {f"{imu.name}_x": imu for imu in machine.plant.imus}
+    bias, deviation = [], []
+    for sensor in model.sensors:
+        imu = imus[sensor.channels[0]]
+        bias += [imu.accelerometer_bias_m_s2, imu.gyro_bias_rad_s]
+        deviation += [np.hypot(imu.accelerometer_noise_rms_m_s2, LATTICE * imu.accelerometer_resolution_m_s2)]
+        deviation += [np.hypot(imu.gyro_noise_rms_rad_s, LATTICE * imu.gyro_resolution_rad_s)]
+    noise = starting_noise(model, machine, (), (), (np.concatenate(bias), np.zeros(6 * len(model.sensors))))
+    n = 2 * len(model.axes)
+    return replace(noise, measurement=np.maximum(noise.measurement, np.concatenate((np.zeros(n), *deviation))))
 
 
 def effort_gain(machine: Machine) -> np.ndarray:

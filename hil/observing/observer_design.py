@@ -4,50 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from itertools import count, product
+from itertools import product
 
 import numpy as np
 
 from controllers.models.modal import ModalModel
 from controllers.observers.modal_observer import FilterKind, ModalObserver
 from controllers.observers.settings import ObserverNoise
-from hil.errors import ExperimentError, UnusableInputError
-from hil.experiments import Plan, Scan, Static
+from hil.errors import UnusableInputError
 from hil.identification import FrequencyResponse
 from hil.machine import Machine
 from hil.observing.directions import with_directions
 from hil.observing.geometry import observed_chain
 from hil.observing.gravity_at_rest import standing_mean, with_gravity, with_gravity_at_places
+from hil.observing.held_to_truth import held_to_truth, scaled
 from hil.observing.last_mode import with_last_mode
-from hil.observing.noise import effort_gain, starting_noise
-from hil.observing.over_poses import fit_observed_model, harmonics_for, untold_note
+from hil.observing.noise import effort_gain, starting_noise, stated_noise
+from hil.observing.over_poses import axis_grid, fit_observed_model, harmonics_for, untold_note
+from hil.observing.own_model import own_model
 from hil.observing.sag import sagging, with_sag
-from hil.observing.simulated_recordings import emulated_recording, emulated_responses
 from hil.observing.structure import Structure, found_structure, with_coupling, with_inertia, with_places
 from hil.observing.tuning import tune
 from hil.observing.turning import with_turning
-from hil.observing.unmodelled import with_unmodelled
+from hil.observing.unmodelled import with_unmodelled, without_counted
 from hil.recording import Recording
-from hil.simulation import Simulator
 
-GRID = 11
-"""Poses of the axis nearest to the detector at which an emulated machine is measured: enough for five harmonics. Shapes of modes that
-near each other change within 20°."""
-
-JOG_ROOM = 0.06
-"""rad (m) that the outermost poses keep from the ends of the range: the jog and what it brings."""
-
-COARSE_GRID = 5
-"""Positions of the other axes: the mount turns against the detector with them, as one or two harmonics."""
-
-STANDING_GRID = 9
-"""Positions of the other axes in which it stands: what gravity bends is a sum over modes, each with a shape that turns with them."""
-
-SWEEP_SHARES = (0.75, 0.5, 0.35)
-"""Of the largest speed, at the first possible of which an emulated machine's axes are swept: what turning pushes grows with the square."""
-
-STANDING_s = 4.0
-"""Length of an emulated standing record: a thousand samples of noise."""
+GRID, COARSE_GRID = 13, 9
+"""Poses of the axis nearest to the detector at which a model with the file's numbers is made, and of the others: enough for five and four
+harmonics."""
 
 
 @dataclass(frozen=True)
@@ -145,12 +129,8 @@ def design_observer(
         notes += [note] if note else []
     noise = with_unmodelled(starting_noise(model, machine, responses, standing, biases), model, machine)
     if tuned_on:
-        tuning = tune(model, noise, tuned_on)
-        noise = tuning.noise
-        notes.append(
-            f"tuned on {len(tuned_on)} recordings: NIS {tuning.mean_nis:.2f} per measurement,"
-            f" {100.0 * tuning.share_in_band:.1f} % in the 95 % band"
-        )
+        noise, note = _tuned(model, noise, tuned_on)
+        notes.append(note)
     _, _, _, isocenter = observed_chain(machine)
     return ObserverDesign(model, noise, isocenter, machine.name, machine.hash, tuple(notes), np.array(poses))
 
@@ -163,71 +143,44 @@ def emulated_design(
     seed: int = 0,
     told: Callable[[int, int], None] = lambda done, total: None,
 ) -> ObserverDesign:
-    """Design an observer for a machine that has not been measured, from measurements of its emulation.
+    """Design an observer for a machine that has not been measured: with the numbers of its file, held to the truth of its emulation.
+
+    Friction, play and sensors' errors of the file are in no modal model: they are counted in the noise, as far as one machine may differ
+    from another, and what is stated then is scaled until it is true of emulated machines.
 
     Parameters
     ----------
     machine : Machine
     tuned_on : sequence of Recording
     modes, seed : int
+        One mode above `modes` is in the model, too.
     told : callable
-        Told how many measurements of how many are done.
+        Told how many scans of how many are done.
 
     Raises
     ------
     UnusableInputError
-        The machine's detector cannot be observed; nothing was measured then.
+        The machine's detector cannot be observed.
+    ExperimentError
+        It can make none of the scans.
     """
-    observed_chain(machine)
-    last = machine.axes[-1]
-    grids = {axis: axis_grid(machine, index, GRID if axis == last else COARSE_GRID) for index, axis in enumerate(machine.axes)}
-    at_rest = {axis: grids[axis] if axis == last else axis_grid(machine, index, STANDING_GRID) for index, axis in enumerate(machine.axes)}
-    poses, places = ([dict(zip(each, pose, strict=True)) for pose in product(*each.values())] for each in (grids, at_rest))
-    ways = [
-        (axis, dict(zip([name for name in machine.axes if name != axis], place, strict=True)))
-        for axis in machine.axes
-        for place in product(*(grids[name][:: 2 if len(grids[name]) > COARSE_GRID else 1] for name in machine.axes if name != axis))
-    ]
-    done, total = count(1), len(poses) + len(places) + len(ways)
-    told(0, total)
-    responses = emulated_responses(machine, poses, seed, lambda: told(next(done), total))
-    simulator = Simulator(machine)
-
-    def recorded(plan: Plan, its_seed: int) -> Recording:
-        recording = emulated_recording(machine, plan, its_seed, simulator)
-        told(next(done), total)
-        return recording
-
-    standing = [recorded(Static(STANDING_s, place).plans(machine)[0], 500 + 100 * seed + i) for i, place in enumerate(places)]
-    sweeps = [
-        recorded(_sweep(machine, axis, (grids[axis][0], grids[axis][-1]), still), 700 + 100 * seed + i)
-        for i, (axis, still) in enumerate(ways)
-    ]
-    return design_observer(machine, responses, standing, tuned_on, sweeps, modes=modes)
+    _, _, _, isocenter = observed_chain(machine)
+    counts = tuple(GRID if axis == machine.axes[-1] else COARSE_GRID for axis in machine.axes)
+    model = own_model(without_counted(machine), modes + 1, counts)
+    noise = with_unmodelled(stated_noise(model, machine), model, machine)
+    notes = [f"{model.modes} modes, gravity and turning with the numbers of the machine file"]
+    if tuned_on:
+        noise, note = _tuned(model, noise, tuned_on)
+        notes.append(note)
+    held = held_to_truth(machine, ModalObserver(model, noise, isocenter_m=isocenter), seed, told)
+    ends = [axis_grid(machine, axis, 2) for axis in range(len(machine.axes))]
+    return ObserverDesign(
+        model, scaled(noise, held.factors), isocenter, machine.name, machine.hash, (*notes, *held.notes()), np.array(list(product(*ends)))
+    )
 
 
-def _sweep(machine: Machine, axis: str, ends: tuple[float, float], still: dict[str, float]) -> Plan:
-    """Return a sweep there and back, at a speed that the drives can give beside the friction."""
-    fastest = machine.limits[machine.axes.index(axis)].speed
-    for share in SWEEP_SHARES[:-1]:
-        try:
-            return Scan(axis, *ends, share * fastest, still, sweeps=2).plans(machine)[0]
-        except ExperimentError:
-            continue
-    return Scan(axis, *ends, SWEEP_SHARES[-1] * fastest, still, sweeps=2).plans(machine)[0]
-
-
-def axis_grid(machine: Machine, axis: int, count: int) -> list[float]:
-    """Return positions of one axis over its range [rad or m], closer together towards the ends.
-
-    They are Chebyshev points of the arc, for trigonometric polynomials, stretched to reach its ends: between equidistant points the
-    polynomials oscillate, most near the ends.
-    """
-    limit = machine.limits[axis]
-    is_bounded = bool(np.isfinite([limit.lower, limit.upper]).all())
-    low, high = (limit.lower + JOG_ROOM, limit.upper - JOG_ROOM) if is_bounded else (-1.0, 1.0)
-    middle, half = 0.5 * (low + high), 0.5 * (high - low)
-    if half >= np.pi:
-        return [float(position) for position in np.linspace(low, high, count)]
-    points = -np.cos((np.arange(count) + 0.5) * np.pi / count) / np.cos(0.5 * np.pi / count)
-    return [float(position) for position in middle + 2.0 * np.arcsin(np.sin(0.5 * half) * points)]
+def _tuned(model: ModalModel, noise: ObserverNoise, recordings: Sequence[Recording]) -> tuple[ObserverNoise, str]:
+    """Return the noise that recordings make most likely, and a note."""
+    tuning = tune(model, noise, recordings)
+    share = 100.0 * tuning.share_in_band
+    return tuning.noise, f"tuned on {len(recordings)} recordings: NIS {tuning.mean_nis:.2f} per measurement, {share:.1f} % in the 95 % band"

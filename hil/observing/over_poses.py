@@ -19,6 +19,9 @@ from hil.observing.modal_fit import PoseFit, TURN_LENGTH_m, drive_friction, fit_
 HIGHEST_HARMONIC = 5
 """Of an axis position: inertias vary with the second harmonic, frequencies and shapes with what division makes of it."""
 
+JOG_ROOM = 0.06
+"""rad (m) that the outermost poses keep from the ends of the range: the jog and what it brings."""
+
 APART_rad = np.radians(2.0)
 """Positions closer than this are one position."""
 
@@ -90,6 +93,22 @@ def harmonics_for(poses: np.ndarray) -> tuple[int, ...]:
     while basis_size(tuple(orders)) > len(poses):
         orders[int(np.argmax(orders))] -= 1
     return tuple(orders)
+
+
+def axis_grid(machine: Machine, axis: int, count: int) -> list[float]:
+    """Return positions of one axis over its range [rad or m], closer together towards the ends.
+
+    They are Chebyshev points of the arc, for trigonometric polynomials, stretched to reach its ends: between equidistant points the
+    polynomials oscillate, most near the ends.
+    """
+    limit = machine.limits[axis]
+    is_bounded = bool(np.isfinite([limit.lower, limit.upper]).all())
+    low, high = (limit.lower + JOG_ROOM, limit.upper - JOG_ROOM) if is_bounded else (-1.0, 1.0)
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    if half >= np.pi:
+        return [float(position) for position in np.linspace(low, high, count)]
+    points = -np.cos((np.arange(count) + 0.5) * np.pi / count) / np.cos(0.5 * np.pi / count)
+    return [float(position) for position in middle + 2.0 * np.arcsin(np.sin(0.5 * half) * points)]
 
 
 def untold_note(poses: Sequence[np.ndarray] | np.ndarray, harmonics: tuple[int, ...], measured: str) -> tuple[str, ...]:

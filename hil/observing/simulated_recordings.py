@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from controllers.excitation_lines import Band
 from hil.experiments import Jog, Multisine, Plan
+from hil.experiments.modest import possible_multisine
 from hil.identification import FrequencyResponse, identify
 from hil.machine import Machine
 from hil.observing.over_poses import observed_channels
@@ -17,7 +18,7 @@ from hil.simulation import Inputs, Simulator
 from virtual_bus.sensors.measure import noise_rms
 
 EXCITED_Hz = (1.0, 40.0)
-EXCITATION_RMS = 0.8  # of the drives' unit: far above noise, far below the limits
+EXCITATION_SHARE = 0.1  # of what a drive may give, rms: far above noise, far below the limit
 PERIOD_s = 20.0
 PERIODS = 2
 
@@ -50,16 +51,20 @@ def emulated_recording(machine: Machine, plan: Plan, seed: int, simulator: Simul
 
 
 def emulated_responses(
-    machine: Machine, poses: Sequence[dict[str, float]], seed: int = 0, done: Callable[[], None] = lambda: None
+    machine: Machine,
+    poses: Sequence[Mapping[str, float]],
+    seed: int = 0,
+    done: Callable[[], None] = lambda: None,
 ) -> list[FrequencyResponse]:
     """Return frequency responses at poses, from multisines on the emulated machine under jog; `done` is called after each."""
     simulator = Simulator(machine)
+    amplitude = {each.axis: EXCITATION_SHARE * each.limit for each in machine.controllers}
     responses = []
     for index, pose in enumerate(poses):
         experiment = Multisine(
-            pose=pose, lines=Band(*EXCITED_Hz), amplitude_A=EXCITATION_RMS, period_s=PERIOD_s, periods=PERIODS, jog=Jog(), seed=seed + index
+            pose=pose, lines=Band(*EXCITED_Hz), amplitude_A=amplitude, period_s=PERIOD_s, periods=PERIODS, jog=Jog(), seed=seed + index
         )
-        plans = experiment.plans(machine)
+        plans = possible_multisine(machine, experiment)
         recordings = [emulated_recording(machine, plan, 1000 * (seed + 1) + 10 * index + j, simulator) for j, plan in enumerate(plans)]
         responses.append(identify(recordings, "robust_bla", outputs=observed_channels(machine)))
         done()

@@ -18,6 +18,7 @@ from controllers.models.modal import ModalModel
 from controllers.observers.modal_equations import GAINS
 from controllers.observers.settings import ObserverNoise
 from hil.machine import Machine
+from hil.machine.drawn import typical
 from hil.observing.geometry import placed_bodies
 from hil.observing.noise import effort_gain
 from virtual_bus.effects.places import spring_at
@@ -48,14 +49,23 @@ GAPS = {"backlash": ("b",), "transmission_error": ("e1", "e2")}
 """Strengths that are deflections of a gear [rad]. An error of the teeth pushes as its wheel turns; play, which the load holds at one flank,
 sets the motor side apart and pushes only for the instant in which it is crossed."""
 
+RUBS_s = 1.0
+"""Friction is constant but where an axis turns, starts or stops, as a telegraph signal that switches every two seconds: its spectrum is
+that of a process of first order with half of that for its correlation time."""
+
+COUNTED = frozenset({*LEVELS, *PER_SPEED, *PER_POSITION, *GAPS})
+AS_OFFSETS = frozenset({"encoder_eccentricity", "thermal_bending", "imu_misalignment", "imu_scale_bias"})
+
 RUN_s = 10.0
 """Length of a scan, at whose end a structure is warmer."""
 
 AXES = ("x", "y", "z")
 
 
-def with_unmodelled(noise: ObserverNoise, model: ModalModel, machine: Machine, effort_per_unit: np.ndarray | None = None) -> ObserverNoise:
+def with_unmodelled(noise: ObserverNoise, model: ModalModel, machine: Machine) -> ObserverNoise:
     """Return the noise with the effects that the machine's file states; unchanged where it states none.
+
+    Where the file says in which range a size lies on one machine or another, its root mean square counts.
 
     Parameters
     ----------
@@ -64,13 +74,12 @@ def with_unmodelled(noise: ObserverNoise, model: ModalModel, machine: Machine, e
     model : ModalModel
         With disturbances at places, drives first.
     machine : Machine
-    effort_per_unit : (n_axes,) array, optional
-        Effort on the joint [Nm] of one unit of a drive's disturbance; that of the drive's unit unless given.
     """
     if not machine.own_effects:
         return noise
+    machine = typical(machine)
     axes, n = machine.axes, len(machine.axes)
-    unit = effort_gain(machine) if effort_per_unit is None else effort_per_unit
+    unit = effort_gain(machine)
     stiffness = {joint.name: joint.stiffness for joint in machine.plant.tree.joints}
     drive, gear, apart, read = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     turned, warming = np.zeros(3), np.zeros(3)
@@ -106,8 +115,10 @@ def with_unmodelled(noise: ObserverNoise, model: ModalModel, machine: Machine, e
             k = sensors[effect.at]
             gain[k, 3:6], gain[k, 6] = _size(effect, [f"s{x}" for x in AXES]) / np.sqrt(3.0), abs(effect.parameters["sg"])
             bias[k, :3], bias[k, 3:] = _size(effect, [f"b{x}" for x in AXES]) / np.sqrt(3.0), abs(effect.parameters["bg"])
-    disturbance = noise.disturbance.copy()
+    disturbance, time_s = noise.disturbance.copy(), noise.disturbance_time_s.copy()
     disturbance[:n] = np.hypot(disturbance[:n], drive / unit)
+    beside = (noise.disturbance[:n] / disturbance[:n]) ** 2  # of the variance; power above both corners is the sum of both powers
+    time_s[:n] = 1.0 / (beside / noise.disturbance_time_s[:n] + (1.0 - beside) / RUBS_s)
     gears = [j for j, place in enumerate(model.places) if place == "gear"]
     for number, j in enumerate(gears):
         disturbance[j] = np.hypot(disturbance[j], gear[number] if len(gears) == n else gear.max())
@@ -116,11 +127,19 @@ def with_unmodelled(noise: ObserverNoise, model: ModalModel, machine: Machine, e
     return dataclasses.replace(
         noise,
         disturbance=disturbance,
+        disturbance_time_s=time_s,
         initial_bias=np.hypot(noise.initial_bias, bias.ravel()),
         initial_gain=gain.ravel(),
         initial_offset=offset,
         offset_walk=walk,
     )
+
+
+def without_counted(machine: Machine) -> Machine:
+    """Return the machine without the effects that `with_unmodelled` counts: with what a modal model can have in it."""
+    kept = tuple(effect for effect in machine.own_effects if effect.name not in COUNTED | AS_OFFSETS)
+    effects = (*kept, *machine.added_effects)
+    return dataclasses.replace(machine, plant=dataclasses.replace(machine.plant, effects=effects), own_effects=kept)
 
 
 def _in_order(model: ModalModel, machine: Machine) -> list:  # type: ignore[type-arg]

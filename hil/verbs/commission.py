@@ -16,13 +16,14 @@ from hil.bench.open import open_bench, recording_paths
 from hil.bench.options import BenchOptions
 from hil.errors import UnusableInputError
 from hil.experiments import Experiment, Jog, JogOnly, Multisine, Static
-from hil.experiments.modest import middle_pose, modest_scan
+from hil.experiments.modest import Possible, middle_pose, modest_scan
 from hil.experiments.plan import pose_array
 from hil.files.unused import unused_folder
 from hil.identification import identify_poses, resonances, write_frf
 from hil.identification.report import resonance_lines
 from hil.machine import Machine
 from hil.machine.load import name_to_load
+from hil.observing import emulated_design, write_design
 from hil.pages import Verdict, write_page
 from hil.pages.contents import Kind
 from hil.recording import Recording, read_recording
@@ -34,6 +35,7 @@ from hil.shaping.shaper_file import write_shaper
 from hil.simulation import Comparison, compare, in_effort, simulate
 from hil.verbs.check import findings_of
 from hil.verbs.errors import as_bench_errors
+from hil.verbs.observe import DEFAULT_MODES
 
 STILL_S = 5.0
 """A thousand rows of noise."""
@@ -138,6 +140,7 @@ def commission(
     seed: int = 0,
     imu: str = "",
     io: str = "",
+    observer: bool = False,
     told: Callable[[Step], None] = lambda step: None,
     progress: Callable[[str, int, int], None] = lambda name, done, total: None,
 ) -> Commissioning:
@@ -156,6 +159,8 @@ def commission(
         In lockstep, of the emulated sensors' noise.
     imu, io : str
         Addresses of IMU and I/O where the machine file names none.
+    observer : bool
+        Whether an observer is designed from the machine file, too.
     told : callable
         Told of every step when it is done.
     progress : callable
@@ -173,7 +178,7 @@ def commission(
     """
     if emulated is not None and not bus.startswith("lockstep:"):
         raise UnusableInputError("emulated: only a run on lockstep: emulates; give that machine to `isocenter emulate`")
-    under_way = _UnderWay(machine, unused_folder(Path(out)), told, progress)
+    under_way = _UnderWay(machine, unused_folder(Path(out)), told, progress, observes=observer)
     if under_way.check():
         under_way.folder.mkdir(parents=True, exist_ok=True)
         options = BenchOptions(bus, imu, io, seed=seed, emulated=emulated)
@@ -196,12 +201,14 @@ def _verdict(machine: Machine, steps: Sequence[Step], comparison: Comparison | N
 class _UnderWay:
     """A commissioning under way."""
 
-    def __init__(self, machine: Machine, folder: Path, told: Callable[[Step], None], progress: Callable[[str, int, int], None]) -> None:
-        self.machine, self.folder, self._told, self._progress = machine, folder, told, progress
+    def __init__(
+        self, machine: Machine, folder: Path, told: Callable[[Step], None], progress: Callable[[str, int, int], None], *, observes: bool
+    ) -> None:
+        self.machine, self.folder, self._told, self._progress, self._observes = machine, folder, told, progress, observes
         self._middle = middle_pose(machine, ROOM)
         self._disbelieved: list[str] = []
         self._repeats: list[Recording] = []
-        self._scan: Experiment = modest_scan(machine, machine.axes[0], self._middle)
+        self._scan: Experiment = Possible(modest_scan(machine, machine.axes[0], self._middle))
         self.steps: list[Step] = []
         self.emulated = False
         self.comparison: Comparison | None = None
@@ -214,7 +221,8 @@ class _UnderWay:
 
     def run(self, bench: Bench) -> None:
         """Home, record, identify, shape, scan, compare; a step that fails is the last."""
-        for step in (self._home, self._move_about, self._identify, self._shape, self._sweep, self._compare):
+        steps = [self._home, self._move_about, self._identify, self._shape, self._sweep, self._compare]
+        for step in [*steps, *([self._observe] if self._observes else [])]:
             if not step(bench):
                 return
 
@@ -273,7 +281,7 @@ class _UnderWay:
         """Excite every axis by a tenth of what its drive may give; write the frequency response."""
         amplitude = {each.axis: EXCITATION_SHARE * each.limit for each in self.machine.controllers}
         experiment = Multisine(self._middle, amplitude_A=amplitude, periods=PERIODS, realisations=REALISATIONS)
-        recordings = self._record(bench, "multisine", experiment)
+        recordings = self._record(bench, "multisine", Possible(experiment))
         if self._disbelieved:
             return self._done("identify", True, [])
         (response,) = identify_poses(recordings, "robust_bla")
@@ -309,6 +317,13 @@ class _UnderWay:
         first, *others = self._repeats
         self.comparison = compare(first, simulate(self.machine, first), others)
         return self._done("compare", True, [self.comparison.verdict])
+
+    def _observe(self, bench: Bench) -> bool:
+        """Design an observer with the file's numbers, held to the truth of emulated machines."""
+        design = emulated_design(self.machine, modes=DEFAULT_MODES, told=partial(self._progress, "observer"))
+        path = self.folder / f"{self.machine.name}.observer.npz"
+        write_design(design, path)
+        return self._done("observe", True, list(design.notes), (path,))
 
     def next_command(self) -> tuple[str, str]:
         """Return what to type next, and what that brings."""

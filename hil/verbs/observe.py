@@ -236,7 +236,7 @@ def replay(request: ObserveRequest, listener: Listener = NOBODY) -> Replayed:
 
 
 def designed(machine: Machine, measured: Measured, listener: Listener = NOBODY) -> ObserverDesign:
-    """Return the observer that measurements give, or without responses those of the emulated machine; raises as `design_observer` does."""
+    """Return the observer that measurements give, or without responses the machine file; raises as `design_observer` does."""
     from hil.identification import identify_poses, read_frf
     from hil.observing import design_observer, emulated_design
     from hil.observing.over_poses import observed_channels
@@ -246,18 +246,10 @@ def designed(machine: Machine, measured: Measured, listener: Listener = NOBODY) 
     excited = efforts(measured.multisines, machine)
     if not measured.responses and not excited:
         if measured.standing or measured.sweeps:
-            raise RequestError("{standing} and {sweeps} go with {responses} or {multisines}: without them the emulated machine is measured")
-        listener.say(
-            f"no --design, --frf or --multisine: the model is identified on the emulated {machine.name}, not on the recorded machine"
-        )
-        with listener.working(f"measuring the emulated {machine.name}") as work:
-
-            def told(done: int, total: int) -> None:
-                work.done(done, total)
-                if done == total:
-                    work.then("fitting the model, then tuning")
-
-            return emulated_design(machine, tuned, modes=measured.modes, told=told)
+            raise RequestError("{standing} and {sweeps} go with {responses} or {multisines}: without them the model is the file's")
+        listener.say(f"no --design, --frf or --multisine: the model has the numbers of {machine.name}'s file, not of the recorded machine")
+        with listener.working(f"holding the design to the truth of the emulated {machine.name}") as work:
+            return emulated_design(machine, tuned, modes=measured.modes, told=work.done)
     responses = [read_frf(each) if isinstance(each, str | Path) else each for each in measured.responses]
     with listener.working("designing the observer"):
         if excited:
@@ -315,7 +307,7 @@ def live_observer(
 
 @as_bench_errors()
 def design_observer(
-    machine: Machine,
+    machine: Machine | str | Path,
     responses: Sequence[FrequencyResponse] = (),
     *,
     multisines: Sequence[Given] = (),
@@ -324,11 +316,11 @@ def design_observer(
     tuned_on: Several = (),
     modes: int = DEFAULT_MODES,
 ) -> ObserverDesign:
-    """Design an observer from measurements of a machine; without any, of its emulation.
+    """Design an observer from measurements of a machine; without any, from its file.
 
     Parameters
     ----------
-    machine : Machine
+    machine : Machine, its file, or the name of a shipped one
     responses : sequence of FrequencyResponse
         One per pose.
     multisines : Recording, Recordings or several of them
@@ -344,9 +336,11 @@ def design_observer(
     BadAnswerError
         The modal model cannot be fitted.
     """
+    from hil.machine import load_machine
     from hil.verbs.recordings import each_of
 
     excited, still, moved, tuned = (each_of(given) for given in (multisines, standing, sweeps, tuned_on))
+    machine = load_machine(machine) if isinstance(machine, str | Path) else machine
     return designed(machine, Measured(list(responses), excited, still, moved, tuned, modes=modes))
 
 
@@ -367,7 +361,7 @@ def observe(
     machine : Machine
     recording : Recording, or its file
     design : ObserverDesign or path, optional
-        Without one, it is designed on the emulated machine and tuned on the recording itself, which takes a while.
+        Without one, it is designed from the machine file and tuned on the recording itself, which takes a while.
     filter : "kf", "ekf" or "ukf"
     adapted : sequence of int
         Modes, from 0, whose frequency is a state.

@@ -214,7 +214,7 @@ class TestMachineFile:
                     lost.add(key)
                 for inner in value if isinstance(value, list) else [value]:
                     if key == "effect":  # the page of effects has their keys
-                        lost |= set(inner) - of_effects - {"name", "at", "scatter_percent"}
+                        lost |= {each.removesuffix("_between") for each in inner} - of_effects - {"name", "at", "scatter_percent"}
                     elif isinstance(inner, dict):
                         lost |= undocumented(inner, key in maps and not by_name)
             return lost

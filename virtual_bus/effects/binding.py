@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from typing import TypeGuard
 
 from virtual_bus.effects.bounds import effect_at
 from virtual_bus.effects.effect import Effect, Parameter
@@ -15,6 +16,8 @@ from virtual_bus.settings import EffectSetting, PlantSettings
 
 SCATTER = "scatter_percent"
 MOST_SCATTER_percent = 100.0
+BETWEEN = "_between"
+"""Behind a parameter's key: the range in which it lies on one machine or another of this kind."""
 RESERVED = ("name", "at", SCATTER)
 NEEDS = {"": "", "spring": " with a sprung joint", "neighbour": " beside another axis"}
 
@@ -53,7 +56,8 @@ def as_entries(bound: Iterable[EffectSetting], settings: PlantSettings) -> list[
         keys = {parameter.name: key for key, (parameter, _) in _keys(effects()[setting.name], setting.at, settings).items()}
         numbers = {keys[name]: value for name, value in setting.parameters.items()}
         scatter = {SCATTER: 100.0 * setting.scatter} if setting.scatter else {}
-        entries.append({"name": setting.name, "at": setting.at, **numbers, **scatter})
+        ranges = {f"{keys[name]}{BETWEEN}": list(ends) for name, ends in setting.between.items()}
+        entries.append({"name": setting.name, "at": setting.at, **numbers, **scatter, **ranges})
     return entries
 
 
@@ -74,7 +78,7 @@ def _bind(entry: Mapping[str, object], settings: PlantSettings, where: str) -> E
     assert isinstance(at, str)
     where = f"{where}: {name} at {at!r}"
     keys = _keys(effect_at(name, at, settings), at, settings)
-    return EffectSetting(name, at, _parameters(entry, keys, where), _scatter(entry, where))
+    return EffectSetting(name, at, _parameters(entry, keys, where), _scatter(entry, where), _between(entry, keys, where))
 
 
 def _scatter(entry: Mapping[str, object], where: str) -> float:
@@ -82,6 +86,24 @@ def _scatter(entry: Mapping[str, object], where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= MOST_SCATTER_percent:
         raise EffectError(f"{where}: {SCATTER} = {value!r}: must be a number from 0 to {MOST_SCATTER_percent:g}")
     return float(value) / 100.0
+
+
+def _between(entry: Mapping[str, object], keys: Mapping[str, tuple[Parameter, str]], where: str) -> dict[str, tuple[float, float]]:
+    ranges = {}
+    for key, (parameter, unit) in keys.items():
+        ends = entry.get(f"{key}{BETWEEN}")
+        if ends is None:
+            continue
+        low, high = ends if isinstance(ends, list | tuple) and len(ends) == 2 else (None, None)
+        if not (_is_number(low) and _is_number(high) and parameter.low <= low < high <= parameter.high):
+            bounds = f"{parameter.low:g} to {parameter.high:g} {unit}".rstrip()
+            raise EffectError(f"{where}: {key}{BETWEEN} = {ends!r}: must be [least, most], numbers from {bounds}, the least first")
+        ranges[parameter.name] = float(low), float(high)
+    return ranges
+
+
+def _is_number(value: object) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _keys(effect: Effect, at: str, settings: PlantSettings) -> dict[str, tuple[Parameter, str]]:
@@ -92,15 +114,14 @@ def _keys(effect: Effect, at: str, settings: PlantSettings) -> dict[str, tuple[P
 
 def _parameters(entry: Mapping[str, object], keys: Mapping[str, tuple[Parameter, str]], where: str) -> dict[str, float]:
     for key in entry:
-        if key not in keys and key not in RESERVED:
+        if key.removesuffix(BETWEEN) not in keys and key not in RESERVED:
             raise EffectError(f"{where}: no parameter {key!r}; {_listed('it takes', keys)}")
     values = {}
     for key, (parameter, unit) in keys.items():
         if key not in entry and parameter.default is None:
             raise EffectError(f"{where}: {key} is missing: {parameter.description}")
         value = entry.get(key, parameter.default)
-        is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-        if not isinstance(value, int | float) or not is_number or not parameter.low <= float(value) <= parameter.high:
+        if not _is_number(value) or not parameter.low <= value <= parameter.high:
             bounds = f"{parameter.low:g} to {parameter.high:g} {unit}".rstrip()
             raise EffectError(f"{where}: {key} = {value!r}: must be a number from {bounds}")
         values[parameter.name] = float(value)

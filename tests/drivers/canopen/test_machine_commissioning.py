@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Callable
 
 import numpy as np
@@ -224,8 +225,9 @@ def test_only_the_axis_under_check_has_voltage_and_an_open_brake(rig: Rig) -> No
 
 def test_an_axis_that_moves_the_wrong_way_is_refused_after_the_least_travel(rig: Rig) -> None:
     rig.drives[0].direction = -1
-    with pytest.raises(MotionRefusedError, match=r"propeller: moved -.* on a positive effort; motor wiring"):
+    with pytest.raises(MotionRefusedError, match=r"propeller: moved -.* on a positive effort; motor wiring") as told:
         rig.machine.home()
+    assert re.search(r"or a load that the file does not know outweighs \d\.\d\d% of the rated effort", str(told.value))
     assert rig.at_rest()
     assert abs(rig.drives[0].counts - 1000) * RESOLUTION < 4 * 3.5e-4
 

@@ -11,6 +11,7 @@ from command_line import Isocenter
 from page_text import page_text
 
 from hil.machine import load_machine
+from hil.observing import read_design
 from hil.recording import read_recording
 
 COGGING = """[[effect]]
@@ -75,3 +76,17 @@ def test_effects_on_a_bus_are_refused(tmp_path: Path, isocenter: Isocenter) -> N
     done = isocenter("commission", "turntable", "-b", "udp:", "--effects", effects, "-o", tmp_path / "arm")
     assert done.status == 2
     assert "--effects: only a run on lockstep: emulates" in done.line
+
+
+@pytest.mark.slow
+@pytest.mark.nightly
+def test_the_hard_arm_is_commissioned_up_to_an_observer_that_was_held_to_truth(
+    tmp_path: Path, isocenter: Isocenter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = isocenter("commission", "carm-real", "-b", "lockstep:", "--observer", "-o", "arm", "--json", "arm.json")
+    assert done.status == 0, done.err
+    last = json.loads(Path("arm.json").read_text())["steps"][-1]
+    assert (last["name"], last["ok"]) == ("observe", True)
+    assert any("held to the truth" in line for line in last["said"])
+    assert read_design(Path("arm/carm-real.observer.npz")).machine == "carm-real"

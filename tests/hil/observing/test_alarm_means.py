@@ -13,10 +13,12 @@ from hil.machine import Machine, load_machine
 from hil.observing import ObserverDesign, observe
 
 sys.path.insert(0, str(BENCHMARKS))
-from drawn_machines import drawn, typical
 from observer_alarms import SENSORS, AT_s, judged, spoilt
-from observer_scan import ShakenScan, shaken_scan
+from observer_scan import shaken_scan
 from observer_variances import own_design, scans, told
+
+from hil.machine.drawn import drawn, typical
+from hil.observing.true_scan import TrueScan
 
 RATE_Hz = 256.0
 
@@ -32,7 +34,7 @@ def design(machine: Machine) -> ObserverDesign:
 
 
 @pytest.fixture(scope="module", params=[0.0, 1.0], ids=["quiet", "shaken"])
-def scan(machine: Machine, request: pytest.FixtureRequest) -> ShakenScan:
+def scan(machine: Machine, request: pytest.FixtureRequest) -> TrueScan:
     return shaken_scan(drawn(machine, 2, 5), scans(machine)["roll 30 deg/s, quiet"][0], 11, request.param)
 
 
@@ -54,14 +56,14 @@ def test_sums_over_a_while_find_a_pull_that_no_single_correction_shows() -> None
 
 
 @pytest.mark.nightly
-def test_a_sound_machine_raises_none(machine: Machine, design: ObserverDesign, scan: ShakenScan) -> None:
+def test_a_sound_machine_raises_none(machine: Machine, design: ObserverDesign, scan: TrueScan) -> None:
     assert not observe(scan.recording, design.observer())["estimate_alarm"].any()
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("fault", [name for name in SENSORS if "motor" not in name])
 def test_a_false_sensor_is_told_within_a_second_of_spoiling_the_estimate(
-    machine: Machine, design: ObserverDesign, scan: ShakenScan, fault: str
+    machine: Machine, design: ObserverDesign, scan: TrueScan, fault: str
 ) -> None:
     found = judged(machine, design, scan, spoilt(scan.recording, SENSORS[fault]), AT_s)
     assert found.passed >= 1

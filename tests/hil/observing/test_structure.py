@@ -13,17 +13,16 @@ from scipy.spatial.transform import Rotation
 from controllers.models.modal import ModalModel, basis_values
 from hil.errors import BadAnswerError
 from hil.machine import Machine, load_machine
-from hil.observing.geometry import observed_chain
 from hil.observing.gravity_at_rest import Standing, with_gravity, with_gravity_at_places
 from hil.observing.last_mode import with_last_mode
 from hil.observing.noise import effort_gain
-from hil.observing.observer_design import axis_grid
+from hil.observing.over_poses import axis_grid
+from hil.observing.own_model import Emulated, own_model
 from hil.observing.sag import with_sag
 from hil.observing.structure import Structure, found_structure, with_coupling, with_inertia, with_places
 from virtual_bus.physics import Physics
 
 sys.path.insert(0, str(BENCHMARKS))
-from observer_truth import Emulated, true_model
 
 COUNTS = (5, 11)
 GRAVITY_POSES = [np.array([propeller, roll]) for propeller in (-1.5, -0.7, 0.0, 0.7, 1.5) for roll in (-1.0, 0.0, 1.0)]
@@ -37,13 +36,7 @@ def machine() -> Machine:
 @pytest.fixture(scope="module")
 def exact(machine: Machine) -> ModalModel:
     """Modes and shapes of the emulator's equations, which the springs stand in."""
-    chain, sensors, source, _ = observed_chain(machine)
-    rows = 4 * (2 + 3 * 2 + 6 + 1) + 2 * 3 + 2 + 6
-    empty = ModalModel(
-        axes=machine.axes, chain=chain, sensors=sensors, source_end_m=source, harmonics=(0, 0), coefficients=np.zeros((rows, 1)),
-        sample_rate_Hz=256.0, effort_limit=np.full(2, 8.0), position_unit=("rad", "rad"),
-    )  # fmt: skip
-    return true_model(machine, empty, 4, ("propeller_gear", "roll_gear", "detector_mount", "mount_sway", "arm_yaw"), COUNTS)
+    return own_model(machine, 4, COUNTS, ("propeller_gear", "roll_gear", "detector_mount", "mount_sway", "arm_yaw"))
 
 
 @pytest.fixture(scope="module")
@@ -125,7 +118,7 @@ def detector_by(model: ModalModel, pose: np.ndarray) -> np.ndarray:
 
 def test_the_mode_that_no_line_excited_is_what_the_springs_leave_for_it(machine: Machine, exact: ModalModel, structure: Structure) -> None:
     joints = ("propeller_gear", "roll_gear", "detector_mount", "mount_sway", "arm_yaw")
-    true = true_model(machine, exact, 5, joints, COUNTS)
+    true = own_model(machine, 5, COUNTS, joints)
     placed = with_coupling(with_places(exact, structure), structure, effort_gain(machine))
     whole, note = with_last_mode(placed, structure, 40.0)
     assert whole.modes == 5
@@ -184,7 +177,7 @@ def test_gravity_at_its_places_is_told_through_noise_that_bends_told_pose_by_pos
         q, *_ = emulated.modes_at(pose, 4)
         rigid = np.zeros(len(q))
         rigid[emulated.driven] = pose
-        (_, bent), (_, straight) = emulated.detector_at(q), emulated.detector_at(rigid)
+        (_, bent), (_, straight) = emulated.body_at(q, 0), emulated.body_at(rigid, 0)
         true = Rotation.from_matrix(straight.T @ bent).as_rotvec()
         for name, model in (("alone", alone), ("together", together)):
             n, modes, stride = len(pose), model.modes, model.mode_stride
@@ -195,7 +188,7 @@ def test_gravity_at_its_places_is_told_through_noise_that_bends_told_pose_by_pos
             chain = pose - bend @ table[:, 2 : 2 + n]  # where the axes stand when the motor sides stand at the pose
             at_chain = np.zeros(len(q))
             at_chain[emulated.driven] = chain
-            _, turned = emulated.detector_at(at_chain)
+            _, turned = emulated.body_at(at_chain, 0)
             found = Rotation.from_matrix(straight.T @ turned @ Rotation.from_rotvec(bend @ table[:, 5 + 2 * n : 8 + 2 * n]).as_matrix())
             errors[name].append(float(np.linalg.norm(found.as_rotvec() - true)))
     rms = {name: np.sqrt(np.mean(np.square(each))) for name, each in errors.items()}

@@ -19,8 +19,7 @@ from hil.observing import ObserverDesign, design_observer, observe
 from hil.observing.modal_fit import drive_friction
 from hil.observing.noise import effort_gain
 from hil.observing.observability import observability
-from hil.observing.observer_design import axis_grid
-from hil.observing.over_poses import harmonics_for, untold_note
+from hil.observing.over_poses import axis_grid, harmonics_for, untold_note
 from hil.observing.simulated_recordings import emulated_recording, emulated_responses
 from hil.observing.turning import moments_of, with_turning
 from hil.recording import Recording
