@@ -356,9 +356,8 @@ class TickingMachine:
     def _check_answers(self, sample: Sample) -> None:
         """Where no node answers, or one too late, a bus or host is late: such ticks are lost, for as long as a node may be silent."""
         bridged_s = self._cyclic.silent_ticks * self.period_s
-        late_ticks = self._late_ticks
-        for axis, is_late in enumerate(sample.position_late.tolist()):
-            late_ticks[axis] = late_ticks[axis] + 1 if is_late else 0
+        late_ticks = [ticks + 1 if is_late else 0 for ticks, is_late in zip(self._late_ticks, sample.position_late.tolist(), strict=True)]
+        self._late_ticks = late_ticks
         if (late_s := max(late_ticks) * self.period_s) > bridged_s:
             late = ", ".join(axis for axis, ticks in zip(self.axes, late_ticks, strict=True) if ticks)
             raise BusTimeoutError(f"{late}: position too late for {late_s:.3f} s, {bridged_s:.3f} s allowed, as for a heartbeat")

@@ -9,10 +9,7 @@ from numba.extending import register_jitable
 
 from drivers.interface import Sample
 from drivers.judging.records import Record, record_of
-from drivers.judging.settings import EncoderJudging
-
-WINDOW_S = 0.5
-"""Time over which the difference of both encoders is averaged: vibrations of the structure, above 4 Hz, leave nothing in it."""
+from drivers.judging.settings import ENCODERS_WINDOW_S, EncoderJudging
 
 GROWING = 4
 """Windows in a row in which a difference must grow to count as a drift. What friction and play leave ends soon after the reversal."""
@@ -201,7 +198,7 @@ class EncoderJudge:
         """Begin anew, with both encoders as they are."""
         state, settings = self._state, self._settings
         state.axis, state.has_link, state.period_s = settings.axis, settings.link_resolution > 0.0, settings.period_s
-        state.window, state.stale_ticks = max(1, round(WINDOW_S / settings.period_s)), settings.stale_ticks
+        state.window, state.stale_ticks = max(1, round(ENCODERS_WINDOW_S / settings.period_s)), settings.stale_ticks
         state.tolerance, state.drift, state.growth = settings.tolerance, settings.drift, settings.growth
         state.compliance, state.inertia = settings.compliance, settings.inertia
         state.damping, state.effort_scale = settings.damping, settings.effort_scale
@@ -250,7 +247,7 @@ class EncoderJudge:
         if check == "drift":
             return (
                 f"its link encoder has departed from the motor side by {float(state.departed):+.2e} {settings.unit} and goes on at "
-                f"{amount / WINDOW_S:+.1e} {settings.unit}/s; {settings.drift:.2e} are allowed: one of them drifts"
+                f"{amount / ENCODERS_WINDOW_S:+.1e} {settings.unit}/s; {settings.drift:.2e} are allowed: one of them drifts"
             )
         return (
             f"its link encoder stands {amount:+.2e} {settings.unit} from where motor side and load put it; "

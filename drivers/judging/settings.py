@@ -12,6 +12,10 @@ Follows = Literal["stop", "mark"]
 """What follows a finding: the motors are stopped, or the run goes on and its rows are marked."""
 
 
+ENCODERS_WINDOW_S = 0.5
+"""Time over which the difference of both encoders is averaged: vibrations of the structure, above 4 Hz, leave nothing in it."""
+
+
 @dataclass(frozen=True)
 class ImuJudging:
     """What is allowed of an IMU."""

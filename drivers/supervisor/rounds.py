@@ -1,7 +1,7 @@
 """What the supervisor's process does, round by round: sleep for half a period, take the frames that came meanwhile, judge and answer.
 
 It does not wait for frames, which would wake it at each of them, and its rounds end between the loop's ticks: on a computer of two
-processors it would else take that of whoever exchanges them, at that moment.
+processors it would else take that of whoever exchanges them, at that moment. Where others send SYNC, nobody tells it when.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from drivers.supervisor.supervisor import NMT, Supervisor
 
 HELD_UP_ROUNDS = 8.0  # of a round's time, after which the process was held up: frames have come together meanwhile
 ENDS = 0.7
-"""Of a round's time after a tick of the loop, at which a round ends, and so on: 1.4 and 3.3 ms after a tick of 3.9 ms. By then a loop has
-exchanged its frames, and before the next tick it is not yet awake."""
+"""Of a round's time after a tick of the loop, at which a round ends, and so on: 1.4 and 3.3 ms after a tick of 3.9 ms. By then a loop at
+256 Hz has exchanged its frames, and before the next tick it is not yet awake. At 1 kHz the first falls among them."""
 MOST_FRAMES = 64  # taken in a round, those of 9 ticks: who judges with frames unread calls a bus silent, who never does is silent itself
 LINGERS_S = 2.0  # for which it goes on judging after the loop's process is gone
 
@@ -91,6 +91,7 @@ class Rounds:
         self._supervisor.end()  # until the bench begins a session
         self._round_s = 0.5 * settings.sync_period_s
         self._gone_s = 0.0
+        self._has_left = False  # frames that the last round did not take
         self._told = np.zeros(ORDERS)
         self._values = np.zeros(OWN)
         self._state = IoState(len(settings.scalings))
@@ -126,13 +127,16 @@ class Rounds:
         return float(began_s + left * self._round_s)
 
     def _take_frames(self, until_s: float) -> bool:
-        """Take what has come by the end of the round; return whether that is all."""
-        self._clock.sleep(max(0.0, until_s - self._clock.monotonic()))
+        """Take what has come by the end of the round, or at once where the last one left frames; return whether that is all."""
+        if not self._has_left:
+            self._clock.sleep(max(0.0, until_s - self._clock.monotonic()))
+        self._has_left = False
         try:
             for _ in range(MOST_FRAMES):
                 if (frame := self._line.receive()) is None:
                     return True
                 self._supervisor.frame(self._clock.monotonic(), *frame)
+            self._has_left = True
         except (can.CanError, OSError) as error:
             self._supervisor.refuse(self._clock.monotonic(), f"the bus cannot be read: {error}")
         return False

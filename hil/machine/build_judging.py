@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 
 from drivers.judging.chances import deviations, packets_until_frozen, share_of
-from drivers.judging.encoders import WINDOW_S
-from drivers.judging.settings import DriveJudging, EncoderJudging, ImuJudging, JudgingSettings, TemperatureJudging
+from drivers.judging.settings import ENCODERS_WINDOW_S, DriveJudging, EncoderJudging, ImuJudging, JudgingSettings, TemperatureJudging
 from drivers.modbus.registers import TEMPERATURE_STEP_K
 from drivers.settings import AxisScaling, BusSettings
 from hil.machine.build import joint_of, require_kind, require_known
@@ -114,8 +113,8 @@ def _growth(axis: str, table: MachineTable, rules: JudgingTable, scaling: AxisSc
     """Return by how much two windows' mean differences of a sound axis differ at most: the effort's noise, and a count of each encoder."""
     current = _current(axis, table)
     noise = 0.0 if current is None else current.noise_rms
-    mean = per_effort * noise * math.sqrt(2.0 * period_s / WINDOW_S)
-    away = deviations(share_of(rules.false_alarm_probability, 1.0 / WINDOW_S))
+    mean = per_effort * noise * math.sqrt(2.0 * period_s / ENCODERS_WINDOW_S)
+    away = deviations(share_of(rules.false_alarm_probability, 1.0 / ENCODERS_WINDOW_S))
     return away * mean + scaling.position_resolution + scaling.link_resolution
 
 

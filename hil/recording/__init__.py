@@ -1,5 +1,6 @@
 """Recordings: one row per SYNC, as MDF4 or CSV, which survive a killed process."""
 
+from hil.recording.between_rows import means_between_rows
 from hil.recording.formats import convert, read_recording, write_recording
 from hil.recording.framelog import FrameLog
 from hil.recording.metadata import recording_metadata
@@ -16,6 +17,7 @@ __all__ = [
     "Recording",
     "RecordingWarning",
     "convert",
+    "means_between_rows",
     "read_recording",
     "recording_metadata",
     "write_recording",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -22,6 +21,7 @@ from hil.machine.machine import AxisUnits
 from hil.pages import Chart, Charts, Page, Scale, Section, Series, Table, Text, write_page
 from hil.pages.contents import Block
 from hil.pages.picture import drawn as picture
+from hil.recording.between_rows import means_along
 from hil.reports.made_from import machine_fact
 
 MOST_POINTS = 4000
@@ -161,7 +161,7 @@ def _missing_and_explained(outcome: Outcome) -> tuple[dict[str, list[Missing]], 
 
 def _of_joint(outcome: Outcome, joint: str, parts: list[Missing], explained: dict[tuple[str, str], np.ndarray]) -> Charts:
     slides = any(each.name == joint and each.kind == "prismatic" for each in outcome.machine.plant.tree.joints)
-    length, effort, scaled = ("m", "N", 1.0) if slides else ("deg", "Nm", math.degrees(1.0))
+    length, effort, scaled = ("m", "N", 1.0) if slides else ("deg", "Nm", 180.0 / np.pi)
     every = max(1, sum(len(part.time) for part in parts) // MOST_POINTS)
     lacked = np.concatenate([part.missing[::every] for part in parts])
     middle = float(np.median(lacked))
@@ -174,16 +174,10 @@ def _of_joint(outcome: Outcome, joint: str, parts: list[Missing], explained: dic
         if explained:
             fitted = np.concatenate([explained[part.recording, joint][::every] for part in parts])
             series.append(Series(f"{STAGE_NAMES['extended']}: what the answer says of it", x, fitted, is_points=True, look=1))
-        series.append(Series("mean of the points", *_mean_along(x, lacked), look=6))
-        title = f"Missing effort on {joint} over its {quantity}"
-        charts.append(Chart(title, Scale(f"{quantity} of {joint} [{unit}]"), scale, series, height=SCATTER_PX))
+        series.append(Series("mean of the points", *means_along(x, lacked), look=6))
+        along = Scale(f"{quantity} of {joint} [{unit}]")
+        charts.append(Chart(f"Missing effort on {joint} over its {quantity}", along, scale, series, height=SCATTER_PX))
     return Charts(charts, columns=2)
-
-
-def _mean_along(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the means of points (N,) in steps along x that hold about as many points each as there are steps."""
-    steps = np.array_split(np.argsort(x, kind="stable"), math.isqrt(len(x)))
-    return np.array([x[step].mean() for step in steps]), np.array([y[step].mean() for step in steps])
 
 
 def _matrix(outcome: Outcome) -> list[Block]:

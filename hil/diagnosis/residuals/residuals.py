@@ -17,7 +17,7 @@ from hil.diagnosis.residuals.trajectory import Trajectory
 from hil.diagnosis.result import NoiseKind
 from hil.errors import RecordingError
 from hil.machine import Machine
-from hil.recording import Recording
+from hil.recording import Recording, means_between_rows
 from virtual_bus.settings import EffectSetting
 
 STANDSTILL = 3.0
@@ -32,8 +32,7 @@ class Missing:
     ----------
     recording, joint : str
     time, position, speed, given, missing : (N,) arrays
-        Between one row and the next: [s]; [rad or m]; per second; the drive's mean effort on the joint, and what of it the motion does not
-        take [Nm or N].
+        Between rows: [s]; [rad or m]; per second; the drive's mean effort on the joint, and what of it no motion takes [Nm or N].
     """
 
     recording: str
@@ -115,15 +114,12 @@ class Residuals:
         found = []
         for trajectory in self.trajectories:
             motion, given, left = efforts_by_encoders(trajectory)
-            driven = {drive.joint for drive in trajectory.settings.drives}
+            driven, of = {drive.joint for drive in trajectory.settings.drives}, trajectory.observed
+            time_s, *motions, needed = map(means_between_rows, (of.time, motion.position, motion.speed, given - left))
+            columns = (*motions, given[:-1], given[:-1] - needed)  # an effort is a mean from its row to the next
             for joint in trajectory.smooth:
                 if trajectory.joints[joint] in driven and joint not in trajectory.imposed:
-                    time_s, position, speed, needed = map(
-                        _between, (trajectory.observed.time, motion.position[:, joint], motion.speed[:, joint], (given - left)[:, joint])
-                    )
-                    effort = given[:-1, joint]  # is a mean from its row to the next, as the others are now
-                    name = trajectory.joints[joint]
-                    found.append(Missing(trajectory.observed.name, name, time_s, position, speed, effort, effort - needed))
+                    found.append(Missing(of.name, trajectory.joints[joint], time_s, *(each[:, joint] for each in columns)))
         return found
 
     def said_by(self, values: np.ndarray, effects: Sequence[EffectSetting]) -> list[np.ndarray]:
@@ -132,18 +128,12 @@ class Residuals:
         for trajectory, motion in ((trajectory, efforts_by_encoders(trajectory)[0]) for trajectory in self.trajectories):
             nominal = trajectory.signals(motion, trajectory.model())
             other = trajectory.signals(motion, trajectory.model(values, effects), effects)
-            said = _between(other.needed - nominal.needed) - (other.given - nominal.given)[:-1]
+            said = means_between_rows(other.needed - nominal.needed) - (other.given - nominal.given)[:-1]
             driven = {drive.joint for drive in trajectory.settings.drives}
             found += [
                 said[:, joint] for joint in trajectory.smooth if trajectory.joints[joint] in driven and joint not in trajectory.imposed
             ]
         return found
-
-
-def _between(values: np.ndarray) -> np.ndarray:
-    """Return means (N - 1, ...) from each row to the next of what is linear between rows (N, ...), as accelerations are."""
-    means: np.ndarray = 0.5 * (values[1:] + values[:-1])
-    return means
 
 
 def residuals_of(

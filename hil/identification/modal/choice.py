@@ -16,6 +16,8 @@ from hil.identification.modal.pose_basis import over_poses, whole_degrees
 from hil.identification.result import FrequencyResponse
 
 HIGHEST_ORDERS = {1: 12, 2: 20}  # by axes, of a polynomial over the poses: of two axes those up to degree 5
+APART = 0.01  # of an axis's range scaled to -1 ... 1: two poses that are nearer are at one level of it
+WELL_KNOWN = 1e3  # condition of the polynomials at the poses: beyond, a thousandth of an error at them is as large as the whole between
 LIGHT = 0.5  # damping ratio below which a pair counts as a mode
 MOVE = 1.5  # factor in a_0 by which a mode's motion from pose to pose is carried on at most
 MOST_OUTSIDE = 4  # pairs of poles below the band, and above it
@@ -26,6 +28,8 @@ ABOVE, ABOVE_DAMPING = 2.0, 0.4  # of the highest line's: where those above star
 def highest_order(x: np.ndarray) -> int:
     """Return the highest order of a polynomial over poses (poses, axes): one degree of freedom is left, along each axis and in all.
 
+    The axis with the fewest levels bounds the degree in both.
+
     Raises
     ------
     IdentificationError
@@ -34,9 +38,9 @@ def highest_order(x: np.ndarray) -> int:
     poses, axes = x.shape
     if axes not in HIGHEST_ORDERS:
         raise IdentificationError(f"{axes} axes vary between the poses: a model over the poses takes one or two")
-    levels = min(len(np.unique(np.round(along, 6))) for along in x.T)
+    levels = min(np.count_nonzero(np.diff(np.sort(along)) > APART) + 1 for along in x.T)
     orders = whole_degrees(axes, min(HIGHEST_ORDERS[axes], poses - 2))[: levels - 1]
-    known = [order for order in orders if np.linalg.matrix_rank(over_poses(x, order + 1)) == order + 1]
+    known = [order for order in orders if np.linalg.cond(over_poses(x, order + 1)) < WELL_KNOWN]
     if axes > 1 and len(known) < 2:
         raise IdentificationError("the poses lie on one line, or at two levels of an axis: a model over two axes takes three of each")
     return known[-1]

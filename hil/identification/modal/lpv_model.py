@@ -30,7 +30,7 @@ Pose = float | Sequence[float]
 """Of one scheduling parameter, or of two [rad or m]."""
 
 FEWEST, NUMBER = {1: 3, 2: 6}, {3: "three", 6: "six"}
-"""Poses that a model takes, by its axes: for every polynomial of first degree, or of second over two axes, and one more."""
+"""Poses that a model takes, by its axes: of one, what a straight line leaves one of; of two, three levels of one at two of the other."""
 
 
 @dataclass(frozen=True)
@@ -177,14 +177,14 @@ def fit_modal_model(responses: Sequence[FrequencyResponse], directions: int | Se
     Parameters
     ----------
     responses : at the same lines, with independent errors from line to line for the intervals to hold: BLA or robust local methods.
-    directions : column of the poses that varies, or both.
+    directions : column of the poses that varies, or both. The model then holds in the box that the poses span, best among them.
 
     Raises
     ------
     IdentificationError
         Fewer than three poses, or than six over two axes; two responses of one pose; different lines, too few lines, no mode in the band.
     """
-    columns = (directions,) if isinstance(directions, int) else tuple(directions)
+    columns = (directions,) if isinstance(directions, int | np.integer) else tuple(directions)
     least = FEWEST.get(len(columns), 0)
     if len(responses) < least:
         over = "the pose" if len(columns) == 1 else "two axes"

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from drivers.interface import Sample
-from drivers.judging.encoders import WINDOW_S
 from drivers.judging.judge import SensorJudge
+from drivers.judging.settings import ENCODERS_WINDOW_S as WINDOW_S
 from drivers.judging.settings import EncoderJudging, JudgingSettings
 
 PERIOD_S = 1 / 256

@@ -13,6 +13,7 @@ from drivers.events import Events
 from drivers.interface import Sample
 from drivers.judging.judge import SensorJudge
 from drivers.judging.settings import DriveJudging, JudgingSettings
+from hil.bench import loop as loop_module
 from hil.bench.loop import SampleLoop
 from hil.bench.row_layout import AxisColumns, RowLayout
 from hil.errors import LoopAbortedError
@@ -258,9 +259,17 @@ def test_in_lockstep_the_hosts_times_stay_out_of_the_rows_and_in_the_summary() -
     assert np.isnan(rows[:, [column("work_time"), column("answer_time")]]).all()
     assert timing.lateness_s.tolist() == [3e-5] * 5
     assert timing.answer_time_s.tolist() == [1e-3] * 5
-    parts = timing.answer_time_s + timing.compute_time_s + timing.write_time_s
-    assert parts.tolist() == pytest.approx(timing.work_time_s.tolist())
-    assert timing.write_time_s[0] == 0.0, "nothing was commanded before"
+
+
+def test_a_ticks_time_is_that_of_answers_of_computing_and_of_writing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The command is ready 3 ms after a tick began; writing the row and the command before took 2 ms, the answers 1 ms."""
+    clock = ScriptedClock()
+    clock.idle_began_s = 5e-3
+    monkeypatch.setattr(loop_module.time, "perf_counter", lambda: 3e-3)
+    timing = proportional_loop(ScriptedLink(clock, dict.fromkeys(range(4), sets(arrived_s=1e-3)))).run(still(4))
+    assert timing.write_time_s.tolist() == pytest.approx([0.0, 2e-3, 2e-3, 2e-3]), "nothing was written before the first"
+    assert timing.compute_time_s.tolist() == pytest.approx([2e-3] * 4)
+    assert timing.work_time_s.tolist() == pytest.approx([3e-3, 5e-3, 5e-3, 5e-3])
 
 
 # ---- an observer
