@@ -41,7 +41,7 @@ TIMING = (
     Shown(
         "supervisor_cost.json",
         "What the supervisor costs the sample loop",
-        "The emulated C-arm stands under control at 256 Hz over UDP, on a computer of two processors that has other work, too: short runs "
+        "The emulated C-arm stands under control at 256 Hz over UDP, on an idle computer of two processors: short runs "
         "in pairs, with the supervisor's process and without, their order turned from pair to pair. A whole tick lasts from the SYNC until "
         "the loop is ready to wait again. Ratios are those of a pair.",
         "python benchmarks/supervisor_cost.py",
@@ -55,6 +55,30 @@ TIMING = (
         (
             Rows(
                 "supervisor",
+                ("together",),
+                (
+                    Column("ticks", ("ticks",)),
+                    Column("missed", ("missed",)),
+                    *(Column(f"whole tick, {share} % [µs]", (f"p{share}_us",)) for share in ("50", "99", "99.9")),
+                ),
+            ),
+        ),
+    ),
+    Shown(
+        "bench_clients.json",
+        "What watching costs the sample loop",
+        "The same with the bench's page: short runs in pairs, one that nobody watches and one with a browser on the scope and nine readers "
+        "at full rate.",
+        "python benchmarks/bench_clients.py",
+        (
+            Figure("added to a whole tick, 50 %, median of the pairs", ("added_us", "p50", "median"), "µs"),
+            Figure("added to a whole tick, 99.9 %, median of the pairs", ("added_us", "p99.9", "median"), "µs"),
+            Figure("smallest", ("added_us", "p99.9", "smallest"), "µs"),
+            Figure("largest", ("added_us", "p99.9", "largest"), "µs"),
+        ),
+        (
+            Rows(
+                "watched by",
                 ("together",),
                 (
                     Column("ticks", ("ticks",)),
