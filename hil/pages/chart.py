@@ -158,3 +158,9 @@ def _check(label: str, x: np.ndarray, *others: np.ndarray) -> None:
         raise ValueError(f"{label}: shapes {', '.join(str(np.shape(one)) for one in (x, *others))}; all (N,) would be right")
     if not np.isfinite(x).all():
         raise ValueError(f"{label}: x is not finite")
+
+
+def means_along(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the means of points (N,) in steps along x that hold about as many points each as there are steps."""
+    steps = np.array_split(np.argsort(x, kind="stable"), max(1, int(np.sqrt(len(x)))))
+    return np.array([x[step].mean() for step in steps]), np.array([y[step].mean() for step in steps])

@@ -9,9 +9,3 @@ def means_between_rows(values: np.ndarray) -> np.ndarray:
     """Return means (N - 1, ...) from each row to the next of what is linear between rows (N, ...), as accelerations are."""
     means: np.ndarray = 0.5 * (values[1:] + values[:-1])
     return means
-
-
-def means_along(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the means of points (N,) in steps along x that hold about as many points each as there are steps."""
-    steps = np.array_split(np.argsort(x, kind="stable"), max(1, int(np.sqrt(len(x)))))
-    return np.array([x[step].mean() for step in steps]), np.array([y[step].mean() for step in steps])

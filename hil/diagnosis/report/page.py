@@ -19,9 +19,9 @@ from hil.diagnosis.verdict.values import Outcome
 from hil.machine.load import name_to_load
 from hil.machine.machine import AxisUnits
 from hil.pages import Chart, Charts, Page, Scale, Section, Series, Table, Text, write_page
+from hil.pages.chart import means_along
 from hil.pages.contents import Block
 from hil.pages.picture import drawn as picture
-from hil.recording.between_rows import means_along
 from hil.reports.made_from import machine_fact
 
 MOST_POINTS = 4000

@@ -30,7 +30,7 @@ Pose = float | Sequence[float]
 """Of one scheduling parameter, or of two [rad or m]."""
 
 FEWEST, NUMBER = {1: 3, 2: 6}, {3: "three", 6: "six"}
-"""Poses that a model takes, by its axes: of one, what a straight line leaves one of; of two, three levels of one at two of the other."""
+"""Poses that a model takes, by its axes: one more than a line has terms, or twice as many as a plane; see `highest_order`, too."""
 
 
 @dataclass(frozen=True)

@@ -80,6 +80,12 @@ class Bench:
         told[0], told[END] = session, end
         self.orders.write(told)
 
+    def tell_tick(self, tick_s: float) -> None:
+        told = np.zeros(ORDERS)
+        self.orders.read(told)
+        told[TICK_S] = tick_s
+        self.orders.write(told)
+
     def run(
         self,
         *,
@@ -566,14 +572,7 @@ class Beside(Measured):
 def test_rounds_end_between_the_ticks_that_the_loop_tells(bench: Bench, tick_s: float) -> None:
     line, period_s = Beside(), SETTINGS.sync_period_s
     line.now_s = 1.0
-
-    def tell(number: int) -> None:
-        told = np.zeros(ORDERS)
-        bench.orders.read(told)
-        told[TICK_S] = tick_s
-        bench.orders.write(told)
-
-    bench.run(rounds=41, io=False, line=line, clock=line, during=tell)
+    bench.run(rounds=41, io=False, line=line, clock=line, during=lambda number: bench.tell_tick(tick_s))
     places = (np.array(line.read_at_s[2:]) - tick_s) / period_s % 1.0
     assert np.minimum(abs(places - 0.35), abs(places - 0.85)).max() < 1e-3
     assert max(line.slept_s) <= 0.5 * period_s + 1e-9
@@ -583,14 +582,7 @@ def test_rounds_end_between_the_ticks_that_the_loop_tells(bench: Bench, tick_s: 
 @pytest.mark.parametrize("tick_s", [-1.0, 1e9, np.inf, np.nan])
 def test_a_tick_that_cannot_have_been_changes_no_round(bench: Bench, tick_s: float) -> None:
     line = Beside()
-
-    def tell(number: int) -> None:
-        told = np.zeros(ORDERS)
-        bench.orders.read(told)
-        told[TICK_S] = tick_s
-        bench.orders.write(told)
-
-    bench.run(rounds=10, io=False, line=line, clock=line, during=tell)
+    bench.run(rounds=10, io=False, line=line, clock=line, during=lambda number: bench.tell_tick(tick_s))
     assert line.slept_s == [pytest.approx(0.5 * SETTINGS.sync_period_s, abs=1e-6)] * 11
 
 
