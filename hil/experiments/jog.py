@@ -11,7 +11,7 @@ from controllers.errors import DesignError
 from controllers.jog import jog, jog_line
 from hil.errors import ExperimentError
 from hil.experiments.metadata import experiment_metadata
-from hil.experiments.plan import Plan, axis_indices, check_periods, period_in_samples, pose_array
+from hil.experiments.plan import Plan, axis_indices, check_duration, check_periods, period_in_samples, pose_array
 from hil.experiments.safety import Safety
 from hil.machine import Machine
 
@@ -118,6 +118,8 @@ class JogOnly:
         check_periods(self.settle_periods, self.periods)
         pose = pose_array(machine, self.pose)
         period_samples = period_in_samples(machine, self.period_s)
+        repeats = self.settle_periods + self.periods
+        check_duration("jog", repeats * self.period_s, f"{repeats} periods of {self.period_s:g} s")
         deviation = self.jog.motion(machine, self.axes, period_samples, self.settle_periods, self.periods)
         reference = pose + deviation
         safety = Safety(machine, pose)

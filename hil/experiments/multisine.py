@@ -15,7 +15,7 @@ from controllers.multisine import Phases, multisine
 from hil.errors import ExperimentError
 from hil.experiments.jog import Jog
 from hil.experiments.metadata import experiment_metadata
-from hil.experiments.plan import Plan, axis_indices, check_periods, period_in_samples, pose_array
+from hil.experiments.plan import Plan, axis_indices, check_duration, check_periods, period_in_samples, pose_array
 from hil.experiments.safety import Safety
 from hil.machine import Machine
 
@@ -89,6 +89,12 @@ class Multisine:
         rms = self._rms(machine, excited)
         period_samples = period_in_samples(machine, self.period_s)
         repeats = self.settle_periods + self.periods
+        recordings = self.realisations * len(excited)
+        check_duration(
+            "multisine",
+            recordings * repeats * self.period_s,
+            f"{recordings} recordings of {repeats} periods of {self.period_s:g} s",
+        )
         jog_on_line = None if self.jog is None else self.jog.on_line(machine, period_samples)
         lines = self._lines(machine, period_samples, jog_on_line)
         split, reason = odd_even_split(lines, jog_on_line)

@@ -12,6 +12,9 @@ from controllers.edge_units import at_the_edge
 from hil.errors import ExperimentError
 from hil.machine import Machine
 
+LONGEST_S = 86400.0
+"""Of all recordings of an experiment together: a plan holds every row in memory."""
+
 
 @dataclass(frozen=True)
 class Plan:
@@ -101,7 +104,7 @@ def period_in_samples(machine: Machine, period_s: float) -> int:
         It is not a whole number of samples; the message names the nearest one.
     """
     samples = period_s * machine.sample_rate_Hz
-    if not 4.0 <= samples < 1e9:
+    if not 4.0 <= samples < np.inf:
         raise ExperimentError(f"period_s = {period_s:g}: must hold at least 4 samples at {machine.sample_rate_Hz:g} Hz")
     if abs(samples - round(samples)) > 1e-6:
         nearest = round(samples) / machine.sample_rate_Hz
@@ -117,6 +120,27 @@ def check_periods(settle_periods: int, periods: int) -> None:
         raise ExperimentError(f"periods = {periods}: must be at least 1")
     if settle_periods < 0:
         raise ExperimentError(f"settle_periods = {settle_periods}: must not be negative")
+
+
+def check_duration(experiment: str, least_s: float, settings: str) -> None:
+    """Require that an experiment takes a day at most, before its rows are made.
+
+    Parameters
+    ----------
+    experiment : str
+        Its kind.
+    least_s : float
+        What all of its recordings take at least [s].
+    settings : str
+        What makes it as long, in words.
+
+    Raises
+    ------
+    ExperimentError
+        It takes longer.
+    """
+    if not least_s <= LONGEST_S:
+        raise ExperimentError(f"{experiment}: takes {least_s:.3g} s at least with {settings}: a day at most")
 
 
 def _known_axes(machine: Machine, names: Mapping[str, Any] | tuple[str, ...], what: str) -> None:

@@ -12,7 +12,7 @@ from controllers.settings import AxisLimits
 from controllers.trajectory import sweep
 from hil.errors import ExperimentError
 from hil.experiments.metadata import experiment_metadata
-from hil.experiments.plan import Plan, axis_indices, pose_array
+from hil.experiments.plan import Plan, axis_indices, check_duration, pose_array
 from hil.experiments.safety import Safety
 from hil.machine import Machine
 
@@ -55,6 +55,9 @@ class Scan:
             raise ExperimentError(f"scan: dwell_s = {self.dwell_s:g}: must not be negative")
         axis = int(axis_indices(machine, (self.axis,))[0])
         start = pose_array(machine, {**self.pose, self.axis: self.start})
+        if self.speed > 0.0:  # another is refused below
+            each_s = abs(self.stop - self.start) / self.speed + self.dwell_s
+            check_duration("scan", self.sweeps * each_s, f"{self.sweeps} sweeps of {each_s:.3g} s, standstill included")
         try:
             there = sweep(axis, start, self.stop, self.speed, self._limits(machine, axis), machine.sample_rate_Hz).position
         except DesignError as error:

@@ -11,12 +11,9 @@ from controllers.errors import DesignError
 from controllers.trajectory import move
 from hil.errors import ExperimentError
 from hil.experiments.metadata import experiment_metadata
-from hil.experiments.plan import Plan, pose_array
+from hil.experiments.plan import Plan, check_duration, pose_array
 from hil.experiments.safety import Safety
 from hil.machine import Machine
-
-LONGEST_S = 86400.0
-"""Longest tour, since a plan is held in memory: a day at 256 Hz is 350 MB for every signal of two axes."""
 
 
 @dataclass(frozen=True)
@@ -50,10 +47,7 @@ class Tour:
             for each in machine.limits
         )
         here = start = pose_array(machine, self.stops[0])
-        if not (least := self._least_s(machine)) <= LONGEST_S:
-            raise ExperimentError(
-                f"tour: takes {least:.3g} s at least with pace = {self.pace:g}, dwell_s = {self.dwell_s:g}: a day at most"
-            )
+        check_duration("tour", self._least_s(machine), f"pace = {self.pace:g}, dwell_s = {self.dwell_s:g}")
         still = round(self.dwell_s * machine.sample_rate_Hz)
         blocks = [np.tile(start, (still, 1))]
         for stop in self.stops[1:]:
