@@ -13,7 +13,7 @@ its axis on, or its communication is stopped; one that is told to hold its axis 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Iterable
 from math import copysign, inf, isfinite, nan
 from statistics import median
 
@@ -46,7 +46,7 @@ WRITES_MODE, TORQUE_MODE = b"\x2f\x60\x60\x00", 10  # an SDO request that choose
 NMT, NMT_STOP, NMT_RESET = 0x000, 0x02, 0x81  # identifier, and commands that stop a node's communication, and reset it (CiA 301)
 _TORQUE_ON = 0x04  # of the statusword: the drive may apply torque, in operation enabled, quick stop and fault reaction active
 _ENABLED_MASK, _ENABLED = 0x6F, 0x27  # of a statusword in operation enabled; a drive with torque in another state is to hold
-_SEEN = _STATUSWORD, _POSITION, _LINK_POSITION, _CURRENT, _TORQUE = 0x6041, 0x6064, 0x6004, 0x6078, 0x6077
+_STATUSWORD, _POSITION, _LINK_POSITION, _CURRENT, _TORQUE = 0x6041, 0x6064, 0x6004, 0x6078, 0x6077
 _ASKED = {0x6071: ("torque", "per mille"), 0x60B2: ("torque", "per mille"), 0x60FF: ("velocity", "counts/s"), 0x607A: ("way", "counts")}
 _SIGNED = (_POSITION, _CURRENT, _TORQUE, *_ASKED)
 
@@ -54,21 +54,26 @@ _SIGNED = (_POSITION, _CURRENT, _TORQUE, *_ASKED)
 class _Field:
     """Where a mapped object lies in the data of its PDO."""
 
-    def __init__(self, entries: tuple[tuple[int, int, int], ...], index: int) -> None:
-        self.shift = self.bits = 0
-        self.signed = index in _SIGNED
-        for mapped, _, bits in entries:
-            if mapped == index:
-                self.bits = bits
-                return
-            self.shift += bits
+    def __init__(self, shift: int, bits: int, *, signed: bool) -> None:
+        self.shift, self.bits, self.signed = shift, bits, signed
+        self.end, self.mask, self.half = shift + bits, (1 << bits) - 1, 1 << bits - 1
 
     def read(self, data: bytes) -> int | None:
-        """Return the value, or None where the PDO lacks it or the frame is too short."""
-        if not self.bits or 8 * len(data) < self.shift + self.bits:
+        """Return the value, or None where the frame is too short."""
+        if 8 * len(data) < self.end:
             return None
-        value = int.from_bytes(data, "little") >> self.shift & (1 << self.bits) - 1
-        return value - (1 << self.bits) if self.signed and value >> self.bits - 1 else value
+        value = int.from_bytes(data, "little") >> self.shift & self.mask
+        return value - 2 * self.half if self.signed and value >= self.half else value
+
+
+def _fields(entries: Iterable[tuple[int, int, int]]) -> dict[int, _Field]:
+    """Return where the objects lie that a PDO maps, by their index."""
+    found: dict[int, _Field] = {}
+    shift = 0
+    for index, _, bits in entries:
+        found.setdefault(index, _Field(shift, bits, signed=index in _SIGNED))
+        shift += bits
+    return found
 
 
 class _Encoder:
@@ -117,7 +122,7 @@ class _Encoder:
     @property
     def too_fast(self) -> bool:
         """Whether most of the last steps were faster than the axis may move."""
-        return sum(self._too_fast) > SPEED_STEPS // 2
+        return self._too_fast.count(True) > SPEED_STEPS // 2
 
     @property
     def speed(self) -> float:
@@ -164,7 +169,7 @@ class _Axis:
             most = most if isfinite(most) else limits.upper - limits.lower  # where no link encoder tells
         return way, (most + limits.tracking_error) / self.motor.resolution if new and self.enabled else inf
 
-    def status(self, time_s: float, word: int) -> None:
+    def status(self, time_s: float, word: int, bits: int) -> None:
         """Take a statusword; from the moment at which torque is on, the encoders count from zero."""
         powered, self.enabled = bool(word & _TORQUE_ON), word & _ENABLED_MASK == _ENABLED
         holds = powered and not self.enabled
@@ -194,7 +199,7 @@ class _Axis:
                 return side
         return ""
 
-    def effort(self, time_s: float, permille: int) -> None:
+    def effort(self, time_s: float, permille: int, bits: int) -> None:
         """Take a measured torque: a drive in torque mode gives no more than was asked for, one that holds no more than some pose takes."""
         if time_s - self._since_s > self._ramp_s:
             self._pushed += (permille - self._pushed) * self._period_s / PUSHED_S
@@ -232,7 +237,7 @@ class _Axis:
     def wrong(self) -> str:
         """Return what is wrong with the motion, in words; '' where nothing is."""
         limits, unit = self.limits, self.scaling.position_unit
-        if sum(map(bool, self._off)) > SPEED_STEPS // 2:
+        if SPEED_STEPS - self._off.count(0) > SPEED_STEPS // 2:
             return f"{self.name}: its drive measures a torque of {max(self._off, key=abs)} per mille, {self._torques[-1]} was asked for"
         for side, encoder in self.encoders.items():
             if encoder.too_fast:
@@ -244,8 +249,7 @@ class _Axis:
         if abs(apart) > limits.tracking_error:
             return f"{self.name}: its encoders are {apart:+.2e} {unit} apart since it was released"
         beyond = max(limits.lower - self.link_at, self.link_at - limits.upper)
-        outwards = self.link.speed if self.link_at > limits.upper else -self.link.speed
-        if beyond > limits.tracking_error and outwards > 0.0:
+        if beyond > limits.tracking_error and (self.link.speed if self.link_at > limits.upper else -self.link.speed) > 0.0:
             return f"{self.name}: its link shows {self.link_at:+.3f} {unit}, out of its range and moving on"
         return ""
 
@@ -272,15 +276,22 @@ class Supervisor:
         self._axis_of = {axis.name: axis for axis in self._axes}
         self._drives = [(self._axis_of[node.axis], node.node_id) for node in settings.nodes if node.role == "drive"]
         self._requests = {0x600 + node: axis for axis, node in self._drives}
-        self._sent = self._fields(((node.axis, pdo) for node in settings.nodes for pdo in node.tpdos), _SEEN)
-        self._asked = self._fields(((node.axis, pdo) for node in settings.nodes for pdo in node.rpdos), _ASKED)
+        self._sent = {pdo.cob_id: self._seen_in(node.axis, pdo) for node in settings.nodes for pdo in node.tpdos}
+        self._asked = {pdo.cob_id: self._asked_in(node.axis, pdo) for node in settings.nodes for pdo in node.rpdos}
 
-    def _fields(self, pdos: Iterable[tuple[str, Pdo]], indices: Collection[int]) -> dict[int, tuple[_Axis, dict[int, _Field]]]:
-        """Return what each PDO carries of these objects, by its identifier."""
-        return {
-            pdo.cob_id: (self._axis_of[axis], {index: field for index in indices if (field := _Field(pdo.entries, index)).bits})
-            for axis, pdo in pdos
-        }
+    def _seen_in(self, name: str, pdo: Pdo) -> list[tuple[_Field, Callable[[float, int, int], object]]]:
+        """Return what a TPDO tells of its axis: where it lies, and who takes it."""
+        axis, fields = self._axis_of[name], _fields(pdo.entries)
+        effort = _CURRENT if _CURRENT in fields else _TORQUE
+        takes = {_STATUSWORD: axis.status, effort: axis.effort, _POSITION: axis.position}
+        if axis.link is not None:
+            takes[_LINK_POSITION] = axis.link_position
+        return [(fields[index], take) for index, take in takes.items() if index in fields]
+
+    def _asked_in(self, name: str, pdo: Pdo) -> tuple[_Axis, list[tuple[_Field, str, str]]]:
+        """Return what an RPDO asks of its axis: where it lies, its kind and its unit."""
+        fields = _fields(pdo.entries)
+        return self._axis_of[name], [(fields[index], *what) for index, what in _ASKED.items() if index in fields]
 
     def end(self) -> None:
         """End the session: nothing is permitted before the next."""
@@ -301,8 +312,7 @@ class Supervisor:
                 axis.unanswered += 1
         elif (asked := self._asked.get(can_id)) is not None:
             axis, fields = asked
-            for index, field in fields.items():
-                kind, unit = _ASKED[index]
+            for field, kind, unit in fields:
                 value = field.read(data)
                 much, most = (0.0, 0.0) if value is None else axis.asks(kind, value, field.bits)
                 if abs(much) > most:
@@ -310,16 +320,9 @@ class Supervisor:
         elif data[:4] == WRITES_MODE and can_id in self._requests:
             self._requests[can_id].mode = data[4]
         elif (sent := self._sent.get(can_id)) is not None:
-            axis, fields = sent
-            if _STATUSWORD in fields and (word := fields[_STATUSWORD].read(data)) is not None:
-                axis.status(time_s, word)
-            effort = fields.get(_CURRENT) or fields.get(_TORQUE)
-            if effort is not None and (permille := effort.read(data)) is not None:
-                axis.effort(time_s, permille)
-            if _POSITION in fields and (counts := fields[_POSITION].read(data)) is not None:
-                axis.position(time_s, counts, fields[_POSITION].bits)
-            if axis.link is not None and _LINK_POSITION in fields and (counts := fields[_LINK_POSITION].read(data)) is not None:
-                axis.link_position(time_s, counts, fields[_LINK_POSITION].bits)
+            for field, take in sent:
+                if (value := field.read(data)) is not None:
+                    take(time_s, value, field.bits)
 
     def io(self, time_s: float, hold_to_run: bool, door_closed: bool, brakes_open: Iterable[bool] = ()) -> None:
         """Take a state of the I/O; `brakes_open` in the order of the axes, empty where it is not known."""

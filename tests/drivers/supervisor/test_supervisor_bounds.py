@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from drivers.canopen.pdo import PdoCodec
 from drivers.settings import BusSettings, Pdo
 from drivers.supervisor import supervisor as rules
-from drivers.supervisor.supervisor import Supervisor, _Axis, _Encoder, _Field
+from drivers.supervisor.supervisor import Supervisor, _Axis, _Encoder, _fields
 
 assert CARM.bus is not None
 PERIOD_S, COUNT, SPEED, TRACKING = 2.0**-8, 2.0**-16, 0.25, 2.0**-5
@@ -81,13 +81,14 @@ def test_a_field_reads_what_the_codec_packs(bits: list[int], data: st.DataObject
         for width, signed in zip(codec.bits, codec.signed, strict=True)
     ]
     packed = codec.pack(*values)
+    fields = _fields((index, 0, width) for index, width in zip(indices, bits, strict=True))
+    assert set(fields) == set(indices)
     for index, value in zip(indices, values, strict=True):
-        field = _Field(tuple((i, 0, width) for i, width in zip(indices, bits, strict=True)), index)
+        field = fields[index]
         if index != 0x6077:
             assert field.read(packed) == value
         cut = packed[: (field.shift + field.bits) // 8 - 1]
         assert field.read(cut) is None
-    assert _Field(tuple((i, 0, width) for i, width in zip(indices, bits, strict=True)), 0x1234).read(packed) is None
 
 
 @pytest.mark.parametrize("bits", [16, 32])
@@ -452,7 +453,7 @@ def test_a_speed_is_told_with_what_is_allowed() -> None:
 
 
 def test_a_frame_that_lacks_a_byte_says_nothing() -> None:
-    field = _Field((STATUS, POSITION), 0x6064)
+    field = _fields((STATUS, POSITION))[0x6064]
     assert field.read(bytes(5)) is None
     assert field.read(bytes(6)) == 0
 
@@ -475,7 +476,7 @@ def test_a_drive_that_was_never_heard_has_as_long_as_any() -> None:
 
 
 def test_a_field_whose_last_bits_are_missing_says_nothing() -> None:
-    field = _Field(((0x6041, 0, 48), (0x6064, 0, 12)), 0x6064)
+    field = _fields(((0x6041, 0, 48), (0x6064, 0, 12)))[0x6064]
     assert field.read(bytes(7)) is None
     assert field.read(bytes(8)) == 0
 
