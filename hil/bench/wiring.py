@@ -67,7 +67,7 @@ class HeedingMachine(CanMachine):
         self._supervisor = supervisor
         self.troubles: list[str] = []  # errors of all stops since the last start; a repeated stop does not repeat them
         self.events = Events(clock.now)  # of the present session
-        self._stop_began_s = nan
+        self._stop_began: int | None = None  # at this tick
         self._stop_request = stop_request
 
     def start(self) -> None:
@@ -89,9 +89,9 @@ class HeedingMachine(CanMachine):
 
     def stop(self) -> None:
         """Stop as `CanMachine` does; errors are kept in `troubles`, and how each axis ended in `events`."""
-        before, began_s = self.rests, self.clock.now()
+        before, began = self.rests, self.syncs
         super().stop()
-        self._stop_began_s = began_s if self.rests is not before else self._stop_began_s
+        self._stop_began = began if self.rests is not before else self._stop_began
         for rest in self.rests if self.rests is not before else ():
             what = "axis stopped" if rest.safe else "axis not proven at rest"
             took = {step.replace(" ", "_") + "_s": seconds for step, seconds in rest.steps}
@@ -102,8 +102,8 @@ class HeedingMachine(CanMachine):
 
     @property
     def since_stop_s(self) -> float:
-        """Time since the last stop began; NaN where there was none."""
-        return self.clock.now() - self._stop_began_s
+        """Ticks since the last stop began, in seconds; NaN where there was none."""
+        return nan if self._stop_began is None else (self.syncs - self._stop_began) * self.period_s
 
     @property
     def standstill(self) -> str:

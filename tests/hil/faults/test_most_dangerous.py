@@ -38,6 +38,13 @@ def test_it_is_stopped_and_everything_is_at_rest_and_held(name: str) -> None:
     assert outcome.travel == pytest.approx(KEPT[name]["travel"], rel=0.1, abs=2e-3)
 
 
+def test_waiting_for_frames_that_do_not_come_is_no_time_of_the_machine() -> None:
+    (row,) = trials(CARM, "roll", ["pdos_lost/roll_encoder/sweep"])
+    outcome = run_trial(CARM, "roll", row, motion_of(CARM, "roll"))
+    assert "standstill 0.16 s after the stop began" in outcome.said
+    assert not outcome.contradicted
+
+
 @pytest.mark.nightly
 def test_every_fault_of_the_table_ends_as_its_page_says(tmp_path: Path) -> None:
     outcomes = check_faults(CARM, "roll", trials(CARM, "roll"), tmp_path)
