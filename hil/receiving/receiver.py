@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import time
 from dataclasses import dataclass
 from multiprocessing.synchronize import Event
 from pathlib import Path
@@ -31,6 +32,9 @@ LOOKS_EVERY_S = 0.01
 
 PIECE_BYTES = 2**16
 """Written at once: a kernel may leave a processor with whoever writes until that is done, 5 ms for a frame, whatever the loop needs."""
+
+RESTS = 0.25
+"""Share of what images took that a receiver leaves to others where it cannot keep up: under real-time scheduling they would get nothing."""
 
 STAMPS, MARKERS, TROUBLE = "stamps.csv", "markers.csv", "trouble.txt"
 WATCHED = ("focal_u [m]", "focal_v [m]", "focal_length [m]", "theta_x [rad]", "theta_y [rad]", "theta_z [rad]")
@@ -93,7 +97,7 @@ def _serve(order: ReceiverOrder, is_over: Event, is_ready: Event) -> None:
         marker: SeenMarker | None = None
         while True:
             over = is_over.is_set()
-            frames = source.poll()
+            frames, began_s = source.poll(), time.monotonic()
             for frame in frames:
                 if frame.image.shape != shape:
                     came = f"{frame.image.shape[1]} x {frame.image.shape[0]}"
@@ -121,6 +125,8 @@ def _serve(order: ReceiverOrder, is_over: Event, is_ready: Event) -> None:
                 stamps.flush()
             if over and source.is_over:
                 return
+            if order.live is not None and order.live.real_time and len(frames) > 1:
+                time.sleep(RESTS * (time.monotonic() - began_s))
             source.wait(LOOKS_EVERY_S)
 
 

@@ -16,6 +16,7 @@ from hil.imaging.nominal import nominal_detector
 from hil.imaging.scan_folder import FRAMES
 from hil.machine import load_machine
 from hil.receiving import frame_measurements as watch_module
+from hil.receiving import receiver as receiver_module
 from hil.receiving.frame_measurements import Live, Watch
 from hil.receiving.receiver import PIECE_BYTES, ReceiverOrder, serve
 
@@ -110,3 +111,27 @@ def test_of_frames_that_wait_only_the_newest_is_looked_at_unless_time_stands_sti
     assert kept.shape == (4, panel.rows, panel.columns), "all are kept"
     assert np.array_equal(kept, dark - np.uint16(3) + np.arange(4, dtype=np.uint16)[:, None, None]), "whole, though written in pieces"
     assert panel.rows * panel.columns * 2 > PIECE_BYTES
+
+
+@pytest.mark.parametrize("behind", [False, True])
+def test_a_receiver_that_cannot_keep_up_leaves_some_time_to_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, behind: bool) -> None:
+    machine, is_over, slept = load_machine("carm"), CONTEXT.Event(), []
+    box, panel, scan = Mailbox(CONTEXT, 2), nominal_detector(machine, 8), tmp_path / "scan"
+    scan.mkdir()
+    for row in range(300):
+        LoopEnd(box).tell(row, row * PERIOD, np.zeros(2))
+    for number in range(2 if behind else 1):
+        write_frame(
+            tmp_path, Frame(number, 5000.0 + 0.1 * number, 8e-3, 0.1 * number, np.zeros((panel.rows, panel.columns), dtype=np.uint16))
+        )
+
+    def sleep(seconds: float) -> None:
+        slept.append(seconds)
+        is_over.set()
+
+    monkeypatch.setattr(receiver_module, "behind_the_loop", lambda: None)
+    monkeypatch.setattr(receiver_module.time, "sleep", sleep)
+    serve(ReceiverOrder(tmp_path, scan, panel, None, None, Live(machine, box, skips=True, real_time=True)), is_over, CONTEXT.Event())
+    assert not (scan / receiver_module.TROUBLE).exists()
+    assert slept.count(receiver_module.LOOKS_EVERY_S) == 1
+    assert len(slept) == 1 + behind
