@@ -12,6 +12,7 @@ from drivers.imaging.clock import FEWEST
 from hil.imaging.detector import Detector
 from hil.imaging.mailbox import LETTERS, POSES, LoopEnd, Mailbox, Sighting
 from hil.imaging.marker_view import watched_marker
+from hil.imaging.markers import MarkerPoints
 from hil.imaging.nominal import nominal_detector
 from hil.imaging.scan_folder import FRAMES
 from hil.machine import load_machine
@@ -54,7 +55,7 @@ def test_the_first_image_is_not_kept_until_the_panels_clock_is_known_better() ->
     end, watch = LoopEnd(box), Watch(Live(machine, box), panel, nominal)
     for row in range(100):
         end.tell(row, row * PERIOD, np.zeros(2))
-    seen = (nominal.values[:6] + 1e-3, np.eye(6), None)
+    seen = nominal.values[:6] + 1e-3, np.eye(6), MarkerPoints(np.arange(0), np.zeros((0, 2)), np.zeros((0, 0)), {}, {})
     watch.take(Frame(0, 5000.0, 8e-3, 40 * PERIOD, np.zeros((panel.rows, panel.columns), dtype=np.uint16)), seen)
     (sighting,) = end.collect(99)
     assert sighting.time_s == pytest.approx(39.5 * PERIOD + 4e-3, abs=1e-6), "in the middle of the period in which its pulse came"
