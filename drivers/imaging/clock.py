@@ -44,6 +44,9 @@ class PanelClock:
         Period of the loop.
     exposure_id : (N,) array of int, optional
         Numbers of the exposures in error messages; without it they are counted from 0.
+    fewest : int
+        Pulses that it takes. The rate is believed where they are fewer than `FEWEST`: one pulse alone tells its exposure's time to half a
+        period, for who will not wait for more.
 
     Attributes
     ----------
@@ -62,26 +65,18 @@ class PanelClock:
         There are too few pulses, or they do not lie on a line with a rate near 1.
     """
 
-    def __init__(self, panel_s: np.ndarray, pulse_s: np.ndarray, period_s: float, exposure_id: np.ndarray | None = None) -> None:
+    def __init__(
+        self, panel_s: np.ndarray, pulse_s: np.ndarray, period_s: float, exposure_id: np.ndarray | None = None, fewest: int = FEWEST
+    ) -> None:
         panel, middles = np.asarray(panel_s, float), np.asarray(pulse_s, float) - 0.5 * period_s
-        if len(panel) < FEWEST:
+        if len(panel) < fewest:
             raise ClocksDisagreeError(
-                f"{len(panel)} exposures; the panel's clock needs {FEWEST} pulses at least to be known in the loop's time"
+                f"{len(panel)} exposures; the panel's clock needs {fewest} pulses at least to be known in the loop's time"
             )
-        if not (np.ptp(panel) > 0.0 and np.ptp(middles) > 0.0):
-            raise ClocksDisagreeError(f"{len(panel)} exposures at one time: the panel's clock or the loop's pulses stand still")
-        self._origin = float(panel.mean())
-        along, (doubt, by_squares) = panel - self._origin, _rate(panel - panel.mean(), middles, period_s)
-        if by_squares <= 0.0:
-            raise ClocksDisagreeError(
-                "the panel's stamps do not grow with the loop's pulses; frames and pulses are not of the same exposures"
-            )
-        if abs(by_squares - 1.0) > RATE_TRUST + doubt:
-            raise ClocksDisagreeError(
-                f"the panel's clock runs {1e6 * (1.0 / by_squares - 1.0):+.0f} ppm against the loop's; two clocks differ by 100"
-            )
-        self.rate_doubt = min(doubt, 2.0 * RATE_TRUST)
-        self._at, self.rate = _narrowest(along, middles)
+        self._origin, self.rate_doubt = float(panel.mean()), 2.0 * RATE_TRUST
+        if len(panel) >= FEWEST:
+            self._check_rate(panel - self._origin, middles, period_s)
+        self._at, self.rate = _narrowest(panel - self._origin, middles)
         error = middles - self.to_loop(panel)
         self.residual_s = float(np.sqrt(np.mean(error**2)))
         worst = int(np.argmax(np.abs(error)))
@@ -93,6 +88,20 @@ class PanelClock:
             )
 
         self.doubt_s = max(0.0, 0.5 * period_s - abs(float(error[worst]))) / np.sqrt(3.0)
+
+    def _check_rate(self, along: np.ndarray, middles: np.ndarray, period_s: float) -> None:
+        if not (np.ptp(along) > 0.0 and np.ptp(middles) > 0.0):
+            raise ClocksDisagreeError(f"{len(along)} exposures at one time: the panel's clock or the loop's pulses stand still")
+        doubt, by_squares = _rate(along, middles, period_s)
+        if by_squares <= 0.0:
+            raise ClocksDisagreeError(
+                "the panel's stamps do not grow with the loop's pulses; frames and pulses are not of the same exposures"
+            )
+        if abs(by_squares - 1.0) > RATE_TRUST + doubt:
+            raise ClocksDisagreeError(
+                f"the panel's clock runs {1e6 * (1.0 / by_squares - 1.0):+.0f} ppm against the loop's; two clocks differ by 100"
+            )
+        self.rate_doubt = min(doubt, self.rate_doubt)
 
     def to_loop(self, panel_s: np.ndarray) -> np.ndarray:
         """Return loop times of panel times."""

@@ -59,6 +59,7 @@ def images_beside(
     truth: Path | None,
     answer: Answer,
     lockstep: bool,
+    real_time: bool,
     beside: DataBeside | None = None,
 ) -> Iterator[tuple[Path | None, RowSpan | None]]:
     """Receive frames while the block runs.
@@ -98,7 +99,7 @@ def images_beside(
     url = _panel_url(spool, panel_url, bus, lockstep, scene_name)
     beam = beam_of(machine, scene_name) if spool is None else None
     with tempfile.TemporaryDirectory() as scratch:
-        live = None if beside is None else Live(machine, beside.mailbox, counts_syncs=bool(url), skips=not lockstep)
+        live = None if beside is None else Live(machine, beside.mailbox, counts_syncs=bool(url), skips=not lockstep, real_time=real_time)
         source: Path | RemotePanel = spool or Path(scratch) / "spool"
         rows = None
         if url:

@@ -141,6 +141,7 @@ def run_and_tell(machine: Machine, experiment: Experiment, run: RunOptions, note
         run.truth,
         answer,
         lockstep,
+        run.real_time and not lockstep,
         data,
     )
     accepted = accepted_margins(machine, run.accept_margins, "--accept-margins")

@@ -38,7 +38,7 @@ class Sighting:
     ----------
     exposure_id : int
     handled : int
-        Images that had been looked at when this one was sent: those of before the panel's clock was known are sent with the first after.
+        Images that had been looked at when this one was sent.
     time_s : float
         Middle of the exposure in the loop's time.
     kind : "phantom" or "marker"

@@ -13,6 +13,9 @@ from dataclasses import dataclass
 FIFO_PRIORITY = 50
 """Middle of the range, the priority of ordinary interrupt threads: the loop need not be above or below them."""
 
+BEHIND_THE_LOOP = 25
+"""Of what the loop's estimate waits for: after the loop, its lines and its watchers, before all that is not real-time."""
+
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 
 
@@ -57,3 +60,15 @@ def real_time(wanted: bool = True) -> Iterator[Scheduling]:
         if locked:
             with contextlib.suppress(OSError, AttributeError):
                 ctypes.CDLL(None).munlockall()
+
+
+def behind_the_loop() -> None:
+    """Request SCHED_FIFO after the loop's for this thread, and freeze what is there by now, through which every collection would go.
+
+    Where the system refuses, the scheduler stays as it is. A thread under SCHED_FIFO that the loop's interrupts goes on at once on a
+    processor that is free, or has less urgent work; another waits until the processors' loads are compared.
+    """
+    with contextlib.suppress(AttributeError, PermissionError, OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(BEHIND_THE_LOOP))
+    gc.collect()
+    gc.freeze()

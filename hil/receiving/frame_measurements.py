@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 
 from drivers.imaging import Frame, PanelClock
-from drivers.imaging.clock import FEWEST
 from hil.imaging.detector import Detector
 from hil.imaging.mailbox import Mailbox, Sighting
 from hil.imaging.markers import MarkerProjection
@@ -21,26 +21,31 @@ TOLD_WITHIN_S = 0.1
 
 ASKS_EVERY_S = 1e-3
 
+PULSES = 1024
+"""The last of them tell the panel's clock to a thousandth of a tick; all of an hour's would take as long as the image."""
+
 
 @dataclass(frozen=True)
 class Live:
     """What a receiver needs to serve a live calibration: the machine, and where its measurements go.
 
     `counts_syncs` is a panel's whose pulses are in periods of SYNC, not in the loop's time. With `skips`, a frame behind which a newer one
-    waits is not looked at, so that what is looked at is never old; in lockstep, where time stands still meanwhile, all are.
+    waits is not looked at, so that what is looked at is never old; in lockstep, where time stands still meanwhile, all are. With
+    `real_time`, the receiver asks for real-time scheduling, after the loop.
     """
 
     machine: Machine
     mailbox: Mailbox
     counts_syncs: bool = False
     skips: bool = False
+    real_time: bool = False
 
 
 class Watch:
     """Turns frames into sightings.
 
-    The panel's clock in the loop's time is a line through the pulses so far, known to some part of a tick. Until there are enough of them,
-    frames wait. The clock's uncertainty is counted in the covariance: a pose that is some milliseconds off is off along the motion.
+    The panel's clock in the loop's time is a line through the last pulses, known to some part of a tick; to half of one from the first.
+    Its uncertainty is counted in the covariance: a pose that is some milliseconds off is off along the motion.
 
     Parameters
     ----------
@@ -54,10 +59,9 @@ class Watch:
         self._machine, self._mailbox, self._detector, self._nominal = live.machine, live.mailbox, detector, nominal
         self._counts_syncs = live.counts_syncs
         self._period_s = 1.0 / live.machine.sample_rate_Hz
-        self._panel_s: list[float] = []
-        self._pulse_s: list[float] = []
-        self._ids: list[int] = []
-        self._waiting: list[tuple[Frame, SeenMarker | None]] = []
+        self._panel_s: deque[float] = deque(maxlen=PULSES)
+        self._pulse_s: deque[float] = deque(maxlen=PULSES)
+        self._ids: deque[int] = deque(maxlen=PULSES)
         self._handled = 0
 
     def take(self, frame: Frame, plate: SeenMarker | None) -> None:
@@ -70,12 +74,8 @@ class Watch:
         ClocksDisagreeError
         """
         self._stamp(frame)
-        self._waiting.append((frame, plate))
-        if len(self._panel_s) >= FEWEST:
-            clock = PanelClock(np.array(self._panel_s), np.array(self._pulse_s), self._period_s, np.array(self._ids))
-            for each, seen in self._waiting:
-                self._send(each, seen, clock)
-            self._waiting.clear()
+        clock = PanelClock(np.array(self._panel_s), np.array(self._pulse_s), self._period_s, np.array(self._ids), fewest=1)
+        self._send(frame, plate, clock)
         self._mailbox.handled()
         self._handled += 1
 

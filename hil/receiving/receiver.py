@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import csv
+import io
+import time
 from dataclasses import dataclass
 from multiprocessing.synchronize import Event
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,12 +19,22 @@ from hil.extras import extra_package
 from hil.imaging.detector import Detector
 from hil.imaging.markers import MarkerProjection
 from hil.imaging.scan_folder import FRAMES
+from hil.processes.real_time import behind_the_loop
 from hil.receiving.frame_measurements import Live, Watch
 from hil.receiving.panel_frames import FrameSource, PanelFrames, RemotePanel, SpooledFrames
 from hil.receiving.sight import SeenMarker, marker_in, rehearse
 
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
+
 LOOKS_EVERY_S = 0.01
 """A third of a frame's time at 30 a second; a panel on the network is heard at once."""
+
+PIECE_BYTES = 2**16
+"""Written at once: a kernel may leave a processor with whoever writes until that is done, 5 ms for a frame, whatever the loop needs."""
+
+RESTS = 0.25
+"""Share of what images took that a receiver leaves to others where it cannot keep up: under real-time scheduling they would get nothing."""
 
 STAMPS, MARKERS, TROUBLE = "stamps.csv", "markers.csv", "trouble.txt"
 WATCHED = ("focal_u [m]", "focal_v [m]", "focal_length [m]", "theta_x [rad]", "theta_y [rad]", "theta_z [rad]")
@@ -70,8 +83,11 @@ def _serve(order: ReceiverOrder, is_over: Event, is_ready: Event) -> None:
     shape = order.detector.rows, order.detector.columns
     if order.live is not None:
         rehearse(order.detector, order.live.machine, order.plate, order.nominal)
+        if order.live.real_time:
+            behind_the_loop()
     with (
-        tifffile.TiffWriter(folder / FRAMES) as images,
+        _InPieces(folder / FRAMES, "w") as file,
+        tifffile.TiffWriter(file) as images,
         (folder / STAMPS).open("w", newline="", encoding="utf-8") as stamps,
         (folder / MARKERS).open("w", newline="", encoding="utf-8") as markers,
     ):
@@ -81,7 +97,7 @@ def _serve(order: ReceiverOrder, is_over: Event, is_ready: Event) -> None:
         marker: SeenMarker | None = None
         while True:
             over = is_over.is_set()
-            frames = source.poll()
+            frames, began_s = source.poll(), time.monotonic()
             for frame in frames:
                 if frame.image.shape != shape:
                     came = f"{frame.image.shape[1]} x {frame.image.shape[0]}"
@@ -109,7 +125,24 @@ def _serve(order: ReceiverOrder, is_over: Event, is_ready: Event) -> None:
                 stamps.flush()
             if over and source.is_over:
                 return
+            if order.live is not None and order.live.real_time and len(frames) > 1:
+                time.sleep(RESTS * (time.monotonic() - began_s))
             source.wait(LOOKS_EVERY_S)
+
+
+class _InPieces(io.FileIO):
+    """A file that is written in pieces of `PIECE_BYTES`."""
+
+    def fileno(self) -> int:
+        """Refuse, as NumPy would write by it, in one piece."""
+        raise io.UnsupportedOperation("fileno")
+
+    def write(self, data: ReadableBuffer) -> int:
+        """Write all of it."""
+        rest = whole = memoryview(data).cast("B")
+        while rest:
+            rest = rest[super().write(rest[:PIECE_BYTES]) :]
+        return len(whole)
 
 
 def received(folder: Path, period_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, PanelClock]:

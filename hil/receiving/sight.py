@@ -47,7 +47,8 @@ def marker_in(
     plate = PLATES[name]()
     try:
         found = find_marker(image, plate, nominal, detector, None if before is None else before[2])
-        fit = fit_marker(found, plate, detector, nominal, spot_m=SPOT_ON_TUBE_M)
+        start = nominal if before is None else MarkerProjection(np.append(before[0], nominal.values[6:]))
+        fit = fit_marker(found, plate, detector, start, spot_m=SPOT_ON_TUBE_M)
     except UnusableInputError:
         return None
     return fit.projection.values[:6], fit.covariance[:6, :6], found

@@ -156,7 +156,9 @@ def _jacobian(values: np.ndarray, where: np.ndarray) -> np.ndarray:
     result[:, :, 2] = seen[:, :2] / depth[:, None]
     axes = (rotation[:, 0], np.array([-np.sin(turn_z), np.cos(turn_z), 0.0]), np.array([0.0, 0.0, 1.0]))
     for k, axis in enumerate(axes):  # about which the angle turns what is seen: extrinsic x first, z last
-        result[:, :, 3 + k] = np.einsum("nij,nj->ni", by_point, np.cross(axis, seen))
+        x, y, z = axis
+        across = seen @ np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # the axis' cross product with it
+        result[:, :, 3 + k] = (by_point @ across[:, :, None])[:, :, 0]
     result[:, :, 6:] = by_point @ rotation
     return result.reshape(-1, 9)
 

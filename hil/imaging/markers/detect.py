@@ -189,7 +189,8 @@ def _in_reach(plane: Plane, seen: Expected) -> bool:
     for first in (0, seen.upright):
         lines = np.array(seen.family(first))
         last = float(seen.length(first) - 1)
-        begin, end = (plane.across(lines, np.full(len(lines), at)) - [seen.line(k).at(at) for k in lines] for at in (0.0, last))
+        offset, slope = (each[lines] for each in seen.drawn)
+        begin, end = (plane.across(lines, np.full(len(lines), at)) - offset - slope * at for at in (0.0, last))
         shift, turn = 0.5 * float(np.median(begin + end)), float(np.median(end - begin)) / last
         if not (abs(shift) < GATE_SHARE * seen.apart(first) and abs(turn) < WIDEST_TURN):
             return False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -75,14 +76,21 @@ class Expected:
         order = np.argsort(ends[:, :, 0], axis=1)
         return cls(np.take_along_axis(ends, order[..., None], axis=1), across, count, (detector.rows, detector.columns))
 
+    @cached_property
+    def drawn(self) -> tuple[np.ndarray, np.ndarray]:
+        """Offsets and slopes of the lines, (lines,) each."""
+        first, last = self.ends[:, 0], self.ends[:, 1]
+        slope = (last[:, 1] - first[:, 1]) / (last[:, 0] - first[:, 0])
+        return first[:, 1] - slope * first[:, 0], slope
+
     def slope(self, k: int) -> float:
         """Return the slope of line k."""
-        (first, start), (last, end) = self.ends[k]
-        return float((end - start) / (last - first))
+        return float(self.drawn[1][k])
 
     def line(self, k: int) -> CoarseLine:
         """Return line k."""
-        return CoarseLine(float(self.ends[k, 0, 1] - self.slope(k) * self.ends[k, 0, 0]), self.slope(k))
+        offset, slope = self.drawn
+        return CoarseLine(float(offset[k]), float(slope[k]))
 
     def length(self, k: int) -> int:
         """Return the size of the image along line k [pixel]."""
@@ -110,14 +118,11 @@ class Expected:
 
         Lines are as found, across = offset + slope * along; where these are no numbers, as expected. The ends move with the crossing lines.
         """
-        family = self.family(len(self.width) - 1 if k < self.upright else 0)
-        others = slice(family.start, family.stop)
-        drawn = np.array([(line.offset, line.slope) for line in map(self.line, family)]).T
-        found = np.isfinite(offset[others]) & np.isfinite(slope[others])
-        there = _crossed(self.line(k), *drawn)
+        others = slice(self.upright, None) if k < self.upright else slice(self.upright)
+        expected = _crossed(self.line(k), self.drawn[0][others], self.drawn[1][others])
+        there = _crossed(CoarseLine(offset[k], slope[k]), offset[others], slope[others])
+        there = np.where(np.isfinite(offset[others]) & np.isfinite(slope[others]), there, expected)
         ends = self.ends[k, :, 0]
-        expected = there.copy()
-        there[found] = _crossed(CoarseLine(offset[k], slope[k]), offset[others], slope[others])[found]
         moved = there - expected
         ends = ends + moved[0] + (ends - expected[0]) * (moved[-1] - moved[0]) / (expected[-1] - expected[0])
         margin, own = (0.5 + CLEAR_OF_CROSSINGS) * self.width[others], (0.5 + CLEAR_OF_CROSSINGS) * self.width[k]

@@ -61,10 +61,12 @@ def line_through(along: np.ndarray, across: np.ndarray, sigma: np.ndarray, shape
     """
     weight = 1.0 / sigma**2
     middle, half = 0.5 * (along.min() + along.max()), 0.5 * np.ptp(along)
-    design = np.stack([np.ones_like(along), along - middle], axis=1)
-    covariance = np.linalg.inv(design.T @ (design * weight[:, None]))
-    offset, slope = covariance @ (design.T @ (weight * across))
-    rest = across - offset - slope * (along - middle)
+    aside = along - middle
+    weighted = weight * aside
+    total, first, second = weight.sum(), weighted.sum(), weighted @ aside
+    covariance = np.array([[second, -first], [-first, total]]) / (total * second - first**2)
+    offset, slope = covariance @ np.array([weight @ across, weighted @ across])
+    rest = across - offset - slope * aside
     freedom = max(len(along) - 2, 1)
     scatter = float(beyond_chance(float(weight @ rest**2) / freedom, freedom))
     return FineLine(float(offset), float(slope), float(middle), covariance * scatter, *shape, float(half))

@@ -261,13 +261,15 @@ def _looked_up(table: np.ndarray, d: float) -> tuple[float, float]:
     return shape, (slope if d >= 0.0 else -slope)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
 def _fit(
     counts: np.ndarray, number: np.ndarray, place: np.ndarray, width: np.ndarray, blur: float, known: np.ndarray, values: np.ndarray,
     variance: np.ndarray, misfit: np.ndarray, contrast_sigma: np.ndarray,
 ) -> None:  # fmt: skip
+    """Fit the pieces; sums run over the bins, several of which the processor adds at a time."""
     bins = counts.shape[1]
-    row, normal, slope = np.empty(SIZE), np.empty((SIZE, SIZE)), np.empty(SIZE)
+    seen, many, d, rest, weighted = np.empty(bins), np.empty(bins), np.empty(bins), np.empty(bins), np.empty(bins)
+    row, normal, slope = np.empty((SIZE, bins)), np.empty((SIZE, SIZE)), np.empty(SIZE)
     table, tabulated = np.empty((0, 2)), -1.0
     for k in range(counts.shape[0]):
         gate = 0.5 * width[k]
@@ -276,6 +278,7 @@ def _fit(
         filled, level = 0, 0.0
         for j in range(bins):
             if number[k, j] > 0.0:
+                seen[filled], many[filled], d[filled] = counts[k, j], number[k, j], place[k, j]
                 filled += 1
                 level += counts[k, j]
         if filled < FEWEST_BINS or not level > 0.0:
@@ -285,27 +288,28 @@ def _fit(
             v[0], v[1], v[2], v[3], v[4], v[5] = 0.0, 0.8, level / filled / 1.3, 0.0, 0.0, 0.0
         total = 0.0
         for step in range(2 if known[k] else 0, STEPS):
-            normal[:], slope[:], total = 0.0, 0.0, 0.0
-            for j in range(bins):
-                if number[k, j] == 0.0:
-                    continue
-                d = place[k, j]
-                shape, by_place = _looked_up(table, d - v[0])
-                background, contrast = v[2] + v[3] * d + v[4] * d * d, v[1] + v[5] * d
+            for j in range(filled):
+                shape, by_place = _looked_up(table, d[j] - v[0])
+                background, contrast = v[2] + v[3] * d[j] + v[4] * d[j] * d[j], v[1] + v[5] * d[j]
                 through = 1.0 + contrast * shape
-                rest = counts[k, j] - background * through
+                row[0, j], row[1, j], row[2, j] = -background * contrast * by_place, background * shape, through
+                row[3, j], row[4, j], row[5, j] = through * d[j], through * d[j] * d[j], background * shape * d[j]
+                rest[j] = seen[j] - background * through
                 # at first the counts themselves say how much they scatter, from then on the model does, which is not biased by them
-                weight = number[k, j] / max(counts[k, j] if step == 0 else background * through, 1.0)
-                row[0], row[1], row[5] = -background * contrast * by_place, background * shape, background * shape * d
-                row[2], row[3], row[4] = through, through * d, through * d * d
-                total += weight * rest * rest
-                for a in range(SIZE):
-                    slope[a] += weight * row[a] * rest
-                    for b in range(a + 1):
-                        normal[a, b] += weight * row[a] * row[b]
+                weighted[j] = many[j] / max(seen[j] if step == 0 else background * through, 1.0)
+            total = 0.0
+            for j in range(filled):
+                total += weighted[j] * rest[j] * rest[j]
             for a in range(SIZE):
-                for b in range(a + 1, SIZE):
-                    normal[a, b] = normal[b, a]
+                summed = 0.0
+                for j in range(filled):
+                    summed += weighted[j] * row[a, j] * rest[j]
+                slope[a] = summed
+                for b in range(a + 1):
+                    summed = 0.0
+                    for j in range(filled):
+                        summed += weighted[j] * row[a, j] * row[b, j]
+                    normal[a, b] = normal[b, a] = summed
             stiffness = held(v)
             normal[5, 5] += stiffness
             slope[5] -= stiffness * v[5]

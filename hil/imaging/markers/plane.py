@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 
 import numpy as np
+from numba import njit
 
 from hil.imaging.detector import Detector
 from hil.imaging.markers.plates import MarkerPlate
@@ -51,13 +52,7 @@ class Plane:
 
     def across(self, line: np.ndarray, along: np.ndarray) -> np.ndarray:
         """Return where grooves `line` (n,) lie across at places `along` them [pixel]."""
-        a, b, c = self._image_line(line)
-        upright = self._upright[line]
-        v = (along - np.where(upright, self._center[1], self._center[0])) / self._scale
-        with np.errstate(divide="ignore", invalid="ignore"):  # of no plate: lines along the places asked for
-            u = -(np.where(upright, b, a) * v + c) / np.where(upright, a, b)
-        result: np.ndarray = u * self._scale + np.where(upright, self._center[0], self._center[1])
-        return result
+        return _across(self._values, self._upright[line], self._place[line], self._center, self._scale, along)
 
     def fitted(self, line: np.ndarray, along: np.ndarray, across: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, float]:
         """Fit robustly by Gauss-Newton.
@@ -83,7 +78,7 @@ class Plane:
             further = _further(rest, sigma)
             deviation = np.hypot(sigma, further)
             weight = np.maximum(1.0 - (rest / (CUT * deviation)) ** 2, 0.0) / deviation
-            change = np.linalg.lstsq(self._jacobian(line, along, across) * weight[:, None], rest * weight, rcond=None)[0]
+            change = _least(self._jacobian(line, along, across) * weight[:, None], rest * weight)
             self._values[:8] += change
             if np.abs(change).max() < SETTLED:
                 break
@@ -94,27 +89,51 @@ class Plane:
         """Return what all places miss the plane by that fits them best, without refusing any; arguments as in `fitted`."""
         rest = across - self.across(line, along)  # one step: the plane has been fitted to much the same places
         matrix = self._jacobian(line, along, across) / sigma[:, None]
-        result: np.ndarray = rest - sigma * (matrix @ np.linalg.lstsq(matrix, rest / sigma, rcond=None)[0])
+        result: np.ndarray = rest - sigma * (matrix @ _least(matrix, rest / sigma))
         return result
 
     def _points(self, upright: np.ndarray, along: np.ndarray, across: np.ndarray) -> np.ndarray:
         pixels = np.where(upright[:, None], np.stack([across, along], axis=1), np.stack([along, across], axis=1))
         return np.concatenate([(pixels - self._center) / self._scale, np.ones((len(along), 1))], axis=1)
 
-    def _image_line(self, line: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        g = self._values.reshape(3, 3)
-        first = np.where(self._upright[line][:, None], g[0], g[1]) - self._place[line][:, None] * g[2]
-        return first[:, 0], first[:, 1], first[:, 2]
-
     def _jacobian(self, line: np.ndarray, along: np.ndarray, across: np.ndarray) -> np.ndarray:
         """Return the derivatives (n, 8) of `across` by the homography's values."""
-        a, b, _ = self._image_line(line)
-        upright = self._upright[line]
-        points = self._points(upright, along, across)
-        by_line = -points * (self._scale / np.where(upright, a, b))[:, None]
-        zero = np.zeros_like(by_line)
-        of_rows = np.concatenate([np.where(upright[:, None], by_line, zero), np.where(upright[:, None], zero, by_line)], axis=1)
-        return np.concatenate([of_rows, -self._place[line][:, None] * by_line[:, :2]], axis=1)
+        return _derivatives(self._values, self._upright[line], self._place[line], self._center, self._scale, along, across)
+
+
+def _least(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Return the least squares (8,) by the normal equations, whose numbers are about 1 here, of the least norm where they are singular."""
+    result: np.ndarray = np.linalg.lstsq(matrix.T @ matrix, matrix.T @ right, rcond=None)[0]
+    return result
+
+
+@njit(cache=True, error_model="numpy")
+def _across(values: np.ndarray, upright: np.ndarray, place: np.ndarray, center: np.ndarray, scale: float, along: np.ndarray) -> np.ndarray:
+    """Return `Plane.across` (n,); of no plate it is no number."""
+    result = np.empty(len(along))
+    for k in range(len(along)):
+        own, other = (0, 1) if upright[k] else (1, 0)
+        a = values[3 * own + own] - place[k] * values[6 + own]
+        b = values[3 * own + other] - place[k] * values[6 + other]
+        c = values[3 * own + 2] - place[k] * values[8]
+        result[k] = center[own] - scale * (b * (along[k] - center[other]) / scale + c) / a
+    return result
+
+
+@njit(cache=True, error_model="numpy")
+def _derivatives(
+    values: np.ndarray, upright: np.ndarray, place: np.ndarray, center: np.ndarray, scale: float, along: np.ndarray, across: np.ndarray
+) -> np.ndarray:
+    """Return `Plane._jacobian` (n, 8)."""
+    result = np.zeros((len(along), 8))
+    for k in range(len(along)):
+        own, other = (0, 1) if upright[k] else (1, 0)
+        by = -scale / (values[4 * own] - place[k] * values[6 + own])
+        result[k, 3 * own + own] = by * (across[k] - center[own]) / scale
+        result[k, 3 * own + other] = by * (along[k] - center[other]) / scale
+        result[k, 3 * own + 2] = by
+        result[k, 6 + own], result[k, 6 + other] = -place[k] * result[k, 3 * own + own], -place[k] * result[k, 3 * own + other]
+    return result
 
 
 def _further(rest: np.ndarray, sigma: np.ndarray) -> float:

@@ -15,7 +15,7 @@ import pytest
 from hil.cli.running import RunOptions, stepped_over
 from hil.emulated.card import EmulatorCard, find, published
 from hil.processes.private_folder import private_folder
-from hil.processes.real_time import real_time
+from hil.processes.real_time import BEHIND_THE_LOOP, FIFO_PRIORITY, real_time
 
 BUS = "udp:239.74.163.77"
 
@@ -69,6 +69,16 @@ def test_real_time_is_given_back_and_garbage_is_collected_again() -> None:
     assert gc.isenabled()
     assert gc.get_freeze_count() == 0
     assert os.sched_getscheduler(0) == before
+
+
+def test_what_the_loop_waits_for_is_behind_it_and_before_all_that_is_not_real_time() -> None:
+    words = "import gc, os; from hil.processes.real_time import behind_the_loop; behind_the_loop();"
+    words += "print(gc.get_freeze_count() > 0, os.sched_getscheduler(0), os.sched_getparam(0).sched_priority)"
+    told = subprocess.run([sys.executable, "-c", words], capture_output=True, text=True, check=True)
+    with real_time() as granted:
+        is_given = granted.scheduler != "default scheduler"
+    assert told.stdout.split() == ["True", *map(str, (os.SCHED_FIFO, BEHIND_THE_LOOP) if is_given else (os.SCHED_OTHER, 0))]
+    assert BEHIND_THE_LOOP < FIFO_PRIORITY
 
 
 def test_real_time_that_is_not_wanted_is_not_asked_for() -> None:

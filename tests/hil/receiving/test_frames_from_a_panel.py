@@ -41,6 +41,15 @@ def test_the_panels_clock_is_known_to_a_small_part_of_a_tick(count: int, rate: f
     assert abs(1e6 * (1.0 / clock.rate - 1.0) - 20.0) < 1e6 * clock.rate_doubt <= 200.0
 
 
+def test_who_does_not_wait_for_more_knows_the_time_to_half_a_tick_from_one_pulse() -> None:
+    start, panel, pulse = stamps()
+    for count in (1, 2):
+        clock = PanelClock(panel[:count], pulse[:count], PERIOD, fewest=1)
+        assert np.abs(clock.to_loop(panel[:count]) - start[:count]).max() <= 0.5 * PERIOD
+        assert clock.doubt_s <= PERIOD / np.sqrt(12.0) + 1e-12
+    assert PanelClock(panel[:1], pulse[:1], PERIOD, fewest=1).doubt_s == pytest.approx(PERIOD / np.sqrt(12.0))
+
+
 def test_the_panels_clock_is_the_linear_programs_line() -> None:
     """Least largest distance, as SciPy's solver finds it."""
     random = np.random.default_rng(4)
@@ -66,6 +75,8 @@ def test_clocks_that_disagree_are_told() -> None:
         PanelClock(panel[:-1], np.delete(pulse, 30), PERIOD)
     with pytest.raises(ClocksDisagreeError, match="2 exposures; the panel's clock needs 3"):
         PanelClock(panel[:2], pulse[:2], PERIOD)
+    with pytest.raises(ClocksDisagreeError, match="clock was set meanwhile"):
+        PanelClock(panel[[0, 2]], pulse[:2], PERIOD, fewest=1)
     for stands in ((np.full(60, 7.0), pulse), (panel, np.full(60, 7.0))):
         with pytest.raises(ClocksDisagreeError, match="60 exposures at one time"):
             PanelClock(*stands, PERIOD)

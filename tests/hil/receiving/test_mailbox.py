@@ -11,12 +11,15 @@ from drivers.imaging import Frame, write_frame
 from drivers.imaging.clock import FEWEST
 from hil.imaging.detector import Detector
 from hil.imaging.mailbox import LETTERS, POSES, LoopEnd, Mailbox, Sighting
+from hil.imaging.marker_view import watched_marker
+from hil.imaging.markers import MarkerPoints
 from hil.imaging.nominal import nominal_detector
 from hil.imaging.scan_folder import FRAMES
 from hil.machine import load_machine
 from hil.receiving import frame_measurements as watch_module
+from hil.receiving import receiver as receiver_module
 from hil.receiving.frame_measurements import Live, Watch
-from hil.receiving.receiver import ReceiverOrder, serve
+from hil.receiving.receiver import PIECE_BYTES, ReceiverOrder, serve
 
 CONTEXT, PERIOD = multiprocessing.get_context("spawn"), 1.0 / 256.0
 
@@ -41,6 +44,21 @@ def test_what_a_full_mailbox_has_no_place_for_is_counted_and_what_it_holds_is_wh
     box.send(Sighting(99, 99, 9.9, "phantom", np.zeros(2), np.zeros(9), np.eye(9)))
     assert [each.exposure_id for each in end.collect(1)] == [99]
     assert end.lost == 3
+
+
+def test_the_first_image_is_not_kept_until_the_panels_clock_is_known_better() -> None:
+    machine = load_machine("carm")
+    box, panel = Mailbox(CONTEXT, 2), nominal_detector(machine, 8)
+    plate, nominal = watched_marker(machine, "clinical")
+    assert plate is not None
+    assert nominal is not None
+    end, watch = LoopEnd(box), Watch(Live(machine, box), panel, nominal)
+    for row in range(100):
+        end.tell(row, row * PERIOD, np.zeros(2))
+    seen = nominal.values[:6] + 1e-3, np.eye(6), MarkerPoints(np.arange(0), np.zeros((0, 2)), np.zeros((0, 0)), {}, {})
+    watch.take(Frame(0, 5000.0, 8e-3, 40 * PERIOD, np.zeros((panel.rows, panel.columns), dtype=np.uint16)), seen)
+    (sighting,) = end.collect(99)
+    assert sighting.time_s == pytest.approx(39.5 * PERIOD + 4e-3, abs=1e-6), "in the middle of the period in which its pulse came"
 
 
 def test_an_image_of_a_row_that_is_kept_no_longer_is_counted_and_one_of_before_row_0_is_not() -> None:
@@ -83,11 +101,38 @@ def test_of_frames_that_wait_only_the_newest_is_looked_at_unless_time_stands_sti
         end.tell(row, row * PERIOD, np.zeros(2))
     for number in range(4):
         pulse_s = (40 + 11 * number) * PERIOD
-        dark = np.full((panel.rows, panel.columns), number, dtype=np.uint16)
+        dark = np.arange(panel.rows * panel.columns, dtype=np.uint16).reshape(panel.rows, panel.columns) + np.uint16(number)
         write_frame(tmp_path, Frame(number, 5000.0 + pulse_s - 0.5 * PERIOD, 8e-3, pulse_s, dark))
     is_over.set()
     scan = tmp_path / "scan"
     scan.mkdir()
     serve(ReceiverOrder(tmp_path, scan, panel, None, None, Live(machine, box, skips=skips)), is_over, CONTEXT.Event())
     assert (end.looked_at, end.skipped) == (looked_at, 4 - looked_at)
-    assert tifffile.imread(scan / FRAMES).shape == (4, panel.rows, panel.columns), "all are kept"
+    kept = tifffile.imread(scan / FRAMES)
+    assert kept.shape == (4, panel.rows, panel.columns), "all are kept"
+    assert np.array_equal(kept, dark - np.uint16(3) + np.arange(4, dtype=np.uint16)[:, None, None]), "whole, though written in pieces"
+    assert panel.rows * panel.columns * 2 > PIECE_BYTES
+
+
+@pytest.mark.parametrize("behind", [False, True])
+def test_a_receiver_that_cannot_keep_up_leaves_some_time_to_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, behind: bool) -> None:
+    machine, is_over, slept = load_machine("carm"), CONTEXT.Event(), []
+    box, panel, scan = Mailbox(CONTEXT, 2), nominal_detector(machine, 8), tmp_path / "scan"
+    scan.mkdir()
+    for row in range(300):
+        LoopEnd(box).tell(row, row * PERIOD, np.zeros(2))
+    for number in range(2 if behind else 1):
+        write_frame(
+            tmp_path, Frame(number, 5000.0 + 0.1 * number, 8e-3, 0.1 * number, np.zeros((panel.rows, panel.columns), dtype=np.uint16))
+        )
+
+    def sleep(seconds: float) -> None:
+        slept.append(seconds)
+        is_over.set()
+
+    monkeypatch.setattr(receiver_module, "behind_the_loop", lambda: None)
+    monkeypatch.setattr(receiver_module.time, "sleep", sleep)
+    serve(ReceiverOrder(tmp_path, scan, panel, None, None, Live(machine, box, skips=True, real_time=True)), is_over, CONTEXT.Event())
+    assert not (scan / receiver_module.TROUBLE).exists()
+    assert slept.count(receiver_module.LOOKS_EVERY_S) == 1
+    assert len(slept) == 1 + behind
