@@ -177,7 +177,7 @@ def _refusal(
         load += f", which its effects change by {load_between[0] / rated:+.0%} to {load_between[1] / rated:+.0%}"
     wrong = "the holding effort is wrong or not given"
     if motion.acceleration * before > 0.0:
-        wrong += " (with less against it, it gained no more); motor wiring, encoder direction or the machine file's sign is reversed"
+        wrong += ", or acts the other way (with less it gained no more): motor wiring, encoder direction or the machine file's sign"
     moves = f"moves by {motion.moved:+.2e} {unit} under its holding effort of {tried:.3g} alone"
     return MotionRefusedError(f"{machine.axes[axis]}: {moves}; {wrong}, or {load}")
 

@@ -69,7 +69,7 @@ def test_the_same_machine_with_a_reversed_motor_is_refused_with_no_more_motion_t
     drives[1] = dataclasses.replace(drives[1], constant=-drives[1].constant)
     seen = Seen()
     reversed_ = dataclasses.replace(STIFF, plant=dataclasses.replace(STIFF.plant, drives=tuple(drives)))
-    words = r"roll: moves by -.*; .* sign is reversed, or the load is not the 62% .* by -6% to \+46%"
+    words = r"roll: moves by -.*; .* the machine file's sign, or the load is not the 62% .* by -6% to \+46%"
     with standing(reversed_, seen) as bench, pytest.raises(MotionRefusedError, match=words):
         bench.commission()
     assert seen.travel < 15e-3, "what it was when the first motion was refused at once"
