@@ -21,7 +21,7 @@ SAMPLE_TIMEOUT_S = 1.0  # for one row in which motor side and link encoder both 
 ATTAINED = (Homing.DONE, Homing.SETTLING)
 """What a drive may say of an earlier run still: it counts once the drive has said otherwise since this one began."""
 SMALLEST_SHARE = 0.07
-"""Of the range in which a load may lie: after four halvings friction that holds nothing of what is left is none."""
+"""Of the range in which a load may lie: an axis that moves on still, after four halvings, has no friction to speak of."""
 WEAKER = 0.7
 """Share of the acceleration before with which an axis that is held by more may still move on: midway between half of it, to which it falls
 at least, and all of it."""
