@@ -31,12 +31,20 @@ class CanMachine(TickingMachine):
     """A ticking machine and the phases in which it ticks by itself: homing, enabling, brakes.
 
     Each phase is watched, and stops the motors when it refuses. Parameters as for `TickingMachine`.
+
+    Attributes
+    ----------
+    found_load : (n_axes,) array
+        Effort beside the expected one that the last first move of each axis found to hold it, in the drive's unit.
     """
+
+    found_load: np.ndarray = np.zeros(0)
 
     def home(
         self,
         holding_effort: np.ndarray | None = None,
         windup: np.ndarray | None = None,
+        load_between: np.ndarray | None = None,
         *,
         check_first_move: bool = True,
         begins: Callable[[int], None] = lambda axis: None,
@@ -49,6 +57,8 @@ class CanMachine(TickingMachine):
             Effort that holds each axis where it is, in the drives' units; none where the machine is balanced.
         windup : (n_axes,) array, optional
             How far each gear's deflection puts the link ahead of the motor side where the machine stands [rad or m].
+        load_between : (n_axes, 2) array, optional
+            Least and most effort beside the holding effort that may be what holds each axis of a sound machine; zero by default.
         check_first_move : bool
             Whether each axis is pushed a little to check that it moves in the right direction.
         begins : callable, optional
@@ -66,13 +76,17 @@ class CanMachine(TickingMachine):
         DeviceFaultError, HeartbeatLostError, BusError
         """
         holding = self.zeros.copy() if holding_effort is None else np.asarray(holding_effort, dtype=float).copy()
+        between = np.zeros((len(self.axes), 2)) if load_between is None else load_between
         found: list[str] = []
+        self.found_load = self.zeros.copy()
         with self.stopping_on_error():
             self._check_permission()
             for axis, homing in enumerate(self.settings.homings):
                 begins(axis)
                 alone = np.where(np.arange(len(self.axes)) == axis, holding, 0.0)
-                found += commission_axis(self, axis, homing, alone, 0.0 if windup is None else float(windup[axis]), push=check_first_move)
+                ahead = 0.0 if windup is None else float(windup[axis])
+                found += commission_axis(self, axis, homing, alone, ahead, between[axis], push=check_first_move)
+                self.found_load[axis] = alone[axis] - holding[axis]
         return tuple(found)
 
     def enable(self, hold: power_and_brakes.Hold | None = None) -> None:

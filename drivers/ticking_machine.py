@@ -424,7 +424,7 @@ class TickingMachine:
                 attempts.make(f"{node.name} to pre-operational", self.network.command_nmt, NMT_PRE_OPERATIONAL, node.node_id)
         self.stop_trouble = attempts.trouble + ([f"I/O: {self._io_lost}"] if self._io_lost else [])
 
-    def rest_axes(self, axes: Sequence[int], effort: np.ndarray) -> None:
+    def rest_axes(self, axes: Sequence[int], effort: np.ndarray | None) -> None:
         """Prove the closed brakes of standing axes and take their voltage; see `drivers.canopen.resting.Resting.rest_axes`."""
         self._resting.rest_axes(axes, effort)
 

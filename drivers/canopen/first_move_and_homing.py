@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import copysign, isfinite, nan
+
 import numpy as np
 
 from drivers.canopen import cia402, power_and_brakes
@@ -10,6 +12,7 @@ from drivers.canopen.power_and_brakes import SETTLED_TICKS, Machine
 from drivers.canopen.quick_stop import SETTLING_S, STANDSTILL_COUNTS
 from drivers.canopen.units import in_data_sheet, units_of, whole_speed
 from drivers.errors import BusTimeoutError, MotionRefusedError
+from drivers.interface import Sample
 from drivers.settings import HomingSettings
 
 DRIFT_WATCH_S = 0.1  # how long an axis must stand under holding effort alone before it is pushed
@@ -17,6 +20,11 @@ RAMP_SHARE = 0.5  # share of the direction check's time-out in which the effort 
 SAMPLE_TIMEOUT_S = 1.0  # for one row in which motor side and link encoder both answered
 ATTAINED = (Homing.DONE, Homing.SETTLING)
 """What a drive may say of an earlier run still: it counts once the drive has said otherwise since this one began."""
+SMALLEST_SHARE = 0.07
+"""Of the range in which a load may lie: an axis that moves on still, after four halvings, has no friction to speak of."""
+WEAKER = 0.7
+"""Share of the acceleration before with which an axis that is held by more may still move on: midway between half of it, to which it falls
+at least, and all of it."""
 STALE_S = 0.25
 """[s] After which it counts, where homing takes the present position, even if the drive has said nothing else: such a run may be over
 between two frames."""
@@ -28,7 +36,9 @@ HOME_OFFSET = 0x607C
 HOMING_METHOD, HOMING_SPEEDS, HOMING_ACCELERATION = 0x6098, 0x6099, 0x609A
 
 
-def commission_axis(machine: Machine, axis: int, settings: HomingSettings, holding: np.ndarray, windup: float, *, push: bool) -> list[str]:
+def commission_axis(
+    machine: Machine, axis: int, settings: HomingSettings, holding: np.ndarray, windup: float, load_between: np.ndarray, *, push: bool
+) -> list[str]:
     """Check the first move (if `push`), home and check encoder agreement of one axis, all others braked and without voltage.
 
     Parameters
@@ -38,9 +48,11 @@ def commission_axis(machine: Machine, axis: int, settings: HomingSettings, holdi
     settings : HomingSettings
         Of this axis.
     holding : (n_axes,) array
-        Effort that holds this axis where it is; zero for the others.
+        Effort that should hold this axis where it is; zero for the others. The first move sets it to what has held it.
     windup : float
         How far the gear's deflection puts the link ahead of the motor side, brake closed [rad or m].
+    load_between : (2,) array
+        Least and most effort beside `holding` that may hold this axis on a sound machine.
     push : bool
         Whether the axis is moved a little first.
 
@@ -59,20 +71,19 @@ def commission_axis(machine: Machine, axis: int, settings: HomingSettings, holdi
         found.append(f"{machine.axes[axis]}: its first move was not checked, because its drive takes no effort: look at its first motion")
     elif push:
         power_and_brakes.set_mode(machine, axis, Mode.CYCLIC_SYNCHRONOUS_TORQUE)
-        machine.watch.stand()
-        power_and_brakes.reach(machine, State.OPERATION_ENABLED, [axis], lambda _: holding)
-        power_and_brakes.open_brakes(machine, [axis], lambda _: holding)
-        found.append(check_first_move(machine, axis, settings, holding))
-        power_and_brakes.come_to_rest(machine, [axis], lambda _: holding)
+        found.append(make_first_move(machine, axis, settings, holding, load_between))
     home_drive(machine, axis, settings, holding, windup)
     found.append(check_agreement(machine, axis, settings, holding, windup))
     return found
 
 
-def check_first_move(machine: Machine, axis: int, settings: HomingSettings, holding: np.ndarray) -> str:
-    """Push an enabled axis, brake open, gently in the positive direction: it must move that way, and its link with it.
+def make_first_move(machine: Machine, axis: int, settings: HomingSettings, holding: np.ndarray, load_between: np.ndarray) -> str:
+    """Open the brake of an axis, check that a push moves it the right way, and close it; set `holding` to the effort that held it.
 
-    The effort rises from the holding effort to `direction_check_effort` above it, and falls back once `direction_check_travel` is reached.
+    An axis that moves on under its holding effort is stopped, its brake is proven, and it is released anew under the middle of what is
+    left of the range in which its load may lie. That takes away half of the doubt, and at least half of what pulls it: one that gains as
+    much as before has a reversed motor, or a load outside the range. As long as another effort is left, the least travel is a motion; under
+    the last one, what its encoders would have to agree by.
 
     Returns
     -------
@@ -82,34 +93,140 @@ def check_first_move(machine: Machine, axis: int, settings: HomingSettings, hold
     Raises
     ------
     MotionRefusedError
-        It moves on under holding effort alone, the wrong way, or not at all; or the link encoder does not follow.
+        It moves on under every holding effort that a sound machine may take, or the wrong way, or not at all; or the link encoder does not
+        follow.
+    """
+    expected, before = float(holding[axis]), 0.0
+    least, most = expected + min(0.0, float(load_between[0])), expected + max(0.0, float(load_between[1]))
+    known = SMALLEST_SHARE * (most - least)
+    while True:
+        machine.watch.stand()
+        is_last = most - least <= known
+        released = _Released(machine, axis, holding, settings.agreement_tolerance if is_last else settings.direction_check_travel)
+        try:
+            power_and_brakes.reach(machine, State.OPERATION_ENABLED, [axis], released)
+            power_and_brakes.open_brakes(machine, [axis], released)
+            seen, push = check_first_move(machine, axis, settings, released, most)
+            holding[axis] += max(0.0, push - settings.direction_check_effort)  # friction takes no more than that: it is load
+        except _MovesOnError as motion:
+            effort = float(holding[axis])
+            if is_last or motion.acceleration * before > WEAKER * before**2:
+                raise _refusal(machine, axis, expected, load_between, effort, motion, before) from None
+            machine.rest_axes([axis], None)
+            least, most = (effort, most) if motion.acceleration < 0.0 else (least, effort)
+            before, holding[axis] = motion.acceleration, 0.5 * (least + most)
+            continue
+        power_and_brakes.come_to_rest(machine, [axis], lambda _: holding)
+        beside = float(holding[axis]) - expected
+        return f"{seen}; what holds it is {beside:+.3g} beside the file's {expected:.3g}" if beside else seen
+
+
+class _MovesOnError(Exception):
+    """An axis moves on under its holding effort alone: how far it has, and how much it gains [rad, rad/s^2 or m, m/s^2]."""
+
+    def __init__(self, moved: float, acceleration: float) -> None:
+        super().__init__(f"moves by {moved:+.2e}")
+        self.moved, self.acceleration = moved, acceleration
+
+
+class _Released:
+    """Holds an axis by its holding effort alone, from before its brake opens, and raises where it moves on.
+
+    What its load differs from the holding effort by, dry friction takes up, which bends before it slides: such an axis moves a little and
+    stands. One that moves by more than `most` is held by nothing.
+    """
+
+    def __init__(self, machine: Machine, axis: int, holding: np.ndarray, most: float) -> None:
+        self.holding = holding
+        self._machine, self._axis, self._most = machine, axis, most
+        self._began = self._half = self._half_s = self._last = self._last_s = nan
+
+    def __call__(self, sample: Sample) -> np.ndarray:
+        """Return the command that holds."""
+        position, now_s = float(sample.position[self._axis]), self._machine.clock.now()
+        if not isfinite(position):
+            return self.holding
+        if not isfinite(self._began):
+            self._began = position
+        moved = position - self._began
+        if abs(moved) >= self._most:
+            self._raise(moved, now_s)
+        if abs(moved) < 0.5 * self._most:
+            self._half = nan
+        elif not isfinite(self._half):
+            self._half, self._half_s = moved, now_s
+        self._last, self._last_s = moved, now_s
+        return self.holding
+
+    def _raise(self, moved: float, now_s: float) -> None:
+        """Tell of the motion: its acceleration is that of one that began at rest, from its mean speed over its second half."""
+        before, before_s = (self._half, self._half_s) if isfinite(self._half) else (self._last, self._last_s)
+        if not now_s > before_s:
+            before, before_s = 0.0, now_s - self._machine.period_s
+        speed = (moved - before) / (now_s - before_s)
+        raise _MovesOnError(moved, copysign(speed**2 / max(abs(moved + before), self._most), moved))
+
+
+def _refusal(
+    machine: Machine, axis: int, expected: float, load_between: np.ndarray, tried: float, motion: _MovesOnError, before: float
+) -> MotionRefusedError:
+    """Return the error that tells why no effort holds an axis: what it did under the one that was tried last."""
+    rated, unit = machine.scalings[axis].rated, machine.scalings[axis].position_unit
+    load = f"the load is not the {abs(expected) / rated:.0%} of the rated effort that the file says"
+    if load_between.any():
+        load += f", which its effects change by {load_between[0] / rated:+.0%} to {load_between[1] / rated:+.0%}"
+    wrong = "the holding effort is wrong or not given"
+    if motion.acceleration * before > 0.0:
+        wrong += ", or acts the other way (with less it gained no more): motor wiring, encoder direction or the machine file's sign"
+    moves = f"moves by {motion.moved:+.2e} {unit} under its holding effort of {tried:.3g} alone"
+    return MotionRefusedError(f"{machine.axes[axis]}: {moves}; {wrong}, or {load}")
+
+
+def check_first_move(machine: Machine, axis: int, settings: HomingSettings, released: _Released, most: float) -> tuple[str, float]:
+    """Push an enabled axis, brake open, gently in the positive direction: it must move that way, and its link with it.
+
+    The effort rises from the holding effort to `direction_check_effort` above it, which is more than the friction, and as much further as
+    the load may pull that friction has held, up to `most` of its holding effort. It falls back once `direction_check_travel` is reached.
+
+    Returns
+    -------
+    str
+        What was seen, for an operator.
+    float
+        Effort above holding that it took.
+
+    Raises
+    ------
+    MotionRefusedError
+        It moves the wrong way, or not at all; or the link encoder does not follow.
     """
     name, unit, travel = machine.axes[axis], machine.scalings[axis].position_unit, settings.direction_check_travel
-    start, link_start = _stand_under_holding_effort(machine, axis, settings, holding)
-    push = _push_until_moved(machine, axis, settings, holding, start)
-    position, link = _positions(machine, axis, holding)
+    holding = released.holding
+    start, link_start = _stand_released(machine, axis, settings, released)
+    pulls = min(settings.direction_check_effort, max(0.0, most - float(holding[axis])))
+    push = _push_until_moved(machine, axis, settings, holding, start, settings.direction_check_effort + pulls)
+    position, link = _positions(machine, axis, lambda _: holding)
     moved, link_moved = position - start, link - link_start
     if link_moved <= -0.5 * travel or abs(moved - link_moved) > settings.agreement_tolerance:
         raise MotionRefusedError(
             f"{name}: the motor side moved {moved:+.2e} {unit}, its link encoder {link_moved:+.2e}; "
             "the link encoder counts the wrong way, or is not on this axis"
         )
-    return f"{name}: moved {moved:+.2e} {unit} when pushed by {push:+.3g}, the right way"
+    return f"{name}: moved {moved:+.2e} {unit} when pushed by {push:+.3g}, the right way", push
 
 
-def _stand_under_holding_effort(machine: Machine, axis: int, settings: HomingSettings, holding: np.ndarray) -> tuple[float, float]:
+def _stand_released(machine: Machine, axis: int, settings: HomingSettings, released: _Released) -> tuple[float, float]:
     """Watch an axis under its holding effort alone until it stands; return where its motor side and its link do.
 
-    What its gravity differs from the holding effort by, dry friction takes up, which bends before it slides: such an axis moves a little
-    and stands. One that moves on until its encoders would have to agree no more, or for longer than an axis settles, is held by nothing.
+    One that moves on for longer than an axis settles is held by nothing.
     """
     name, unit = machine.axes[axis], machine.scalings[axis].position_unit
-    position, link = began, _ = _positions(machine, axis, holding)
+    position, _ = _positions(machine, axis, released)
     ends_s = machine.clock.now() + SETTLING_S
     while True:
         before = position
-        power_and_brakes.run_for(machine, DRIFT_WATCH_S, lambda _: holding)
-        position, link = _positions(machine, axis, holding)
+        power_and_brakes.run_for(machine, DRIFT_WATCH_S, released)
+        position, link = _positions(machine, axis, released)
         if abs(position - before) < settings.direction_check_travel:
             return position, link
         if machine.clock.now() > ends_s:
@@ -117,23 +234,18 @@ def _stand_under_holding_effort(machine: Machine, axis: int, settings: HomingSet
                 f"{name}: {SETTLING_S:g} s after its brake opened it still moves by more than {settings.direction_check_travel:.1e} {unit} "
                 f"in {DRIFT_WATCH_S:g} s; wait until the structure is at rest, or raise bus.homing.{name}.direction_check_travel"
             )
-        if abs(position - began) >= settings.agreement_tolerance:
-            raise MotionRefusedError(
-                f"{name}: moves by {position - began:+.2e} {unit} under its holding effort of {holding[axis]:.3g} alone; "
-                f"the holding effort is wrong, or the load is not the {abs(holding[axis]) / machine.scalings[axis].rated:.0%} "
-                "of the rated effort that the file says"
-            )
 
 
-def _push_until_moved(machine: Machine, axis: int, settings: HomingSettings, holding: np.ndarray, start: float) -> float:
-    """Raise the effort until the axis has moved; return the effort above holding that it took."""
+def _push_until_moved(machine: Machine, axis: int, settings: HomingSettings, holding: np.ndarray, start: float, most: float) -> float:
+    """Raise the effort until the axis has moved, at the rate of the check's own push; return the effort above holding that it took."""
     name, unit, travel = machine.axes[axis], machine.scalings[axis].position_unit, settings.direction_check_travel
-    ramp_s = RAMP_SHARE * settings.direction_check_timeout_s
+    rate = settings.direction_check_effort / (RAMP_SHARE * settings.direction_check_timeout_s)
+    timeout_s = settings.direction_check_timeout_s * most / settings.direction_check_effort
     command = holding.copy()
     elapsed = 0.0
     while True:
         elapsed += machine.period_s
-        push = settings.direction_check_effort * min(1.0, elapsed / ramp_s)
+        push = min(most, rate * elapsed)
         command[axis] = holding[axis] + push
         moved = power_and_brakes.tick(machine, command).position[axis] - start
         if moved >= travel:
@@ -144,11 +256,11 @@ def _push_until_moved(machine: Machine, axis: int, settings: HomingSettings, hol
                 "motor wiring, encoder direction or the machine file's sign is reversed, or a load that the file does not know "
                 f"outweighs {push / machine.scalings[axis].rated:.2%} of the rated effort"
             )
-        if elapsed > settings.direction_check_timeout_s:
+        if elapsed > timeout_s:
             raise MotionRefusedError(
-                f"{name}: moved {moved:+.2e} {unit} where {travel:.2e} was expected within {settings.direction_check_timeout_s:.1f} s at "
-                f"{settings.direction_check_effort:.3g} above its holding effort; brake, friction, a load of "
-                f"{settings.direction_check_effort / machine.scalings[axis].rated:.0%} of the rated effort that the file does not know, "
+                f"{name}: moved {moved:+.2e} {unit} where {travel:.2e} was expected within {timeout_s:.1f} s at "
+                f"{most:.3g} above its holding effort; brake, friction, a load of "
+                f"{most / machine.scalings[axis].rated:.0%} of the rated effort that the file does not know, "
                 "or a disconnected motor"
             )
 
@@ -255,12 +367,12 @@ def check_agreement(machine: Machine, axis: int, settings: HomingSettings, comma
     return f"{name}: homed at {position:+.5f} {unit}; motor side and link encoder differ by {abs(position - link):.1e} {unit}"
 
 
-def _positions(machine: Machine, axis: int, command: np.ndarray) -> tuple[float, float]:
+def _positions(machine: Machine, axis: int, hold: power_and_brakes.Hold) -> tuple[float, float]:
     """Motor-side and link position of one complete sample; the link's is NaN when the axis has no link encoder."""
     has_link = machine.scalings[axis].link_resolution != 0.0
     deadline = machine.clock.now() + SAMPLE_TIMEOUT_S
     while True:
-        sample = power_and_brakes.tick(machine, command)
+        sample = power_and_brakes.tick(machine, hold(machine.sample))
         position, link = float(sample.position[axis]), float(sample.link_position[axis])
         if np.isfinite(position) and (np.isfinite(link) or not has_link):
             return position, link
@@ -271,7 +383,7 @@ def _positions(machine: Machine, axis: int, command: np.ndarray) -> tuple[float,
 
 def _mean_positions(machine: Machine, axis: int, command: np.ndarray) -> tuple[float, float]:
     """Return motor-side position and link position, averaged at a standstill in which the structure may still swing."""
-    rows = [_positions(machine, axis, command) for _ in range(power_and_brakes.ticks_in(machine, AVERAGING_S))]
+    rows = [_positions(machine, axis, lambda _: command) for _ in range(power_and_brakes.ticks_in(machine, AVERAGING_S))]
     position, link = np.mean(rows, axis=0)
     return float(position), float(link)
 

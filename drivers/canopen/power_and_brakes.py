@@ -79,8 +79,8 @@ class Machine(Protocol):
     def has_brake(self, axis: int) -> bool:
         """Return whether the I/O commands a brake of this axis."""
 
-    def rest_axes(self, axes: Sequence[int], effort: np.ndarray) -> None:
-        """Prove the closed brakes of enabled axes that stand with this effort, and take their voltage."""
+    def rest_axes(self, axes: Sequence[int], effort: np.ndarray | None) -> None:
+        """Prove the closed brakes of enabled axes that stand with this effort, None: that move, and take their voltage."""
 
     def refusal(self) -> str:
         """Return in words why hold-to-run, door or I/O forbid motion; '' when they permit it."""

@@ -91,14 +91,14 @@ class Resting:
         stops.run()
         self._refuse_unproven(stops, "found under voltage at the start, and ")
 
-    def rest_axes(self, axes: Sequence[int], effort: np.ndarray) -> None:
+    def rest_axes(self, axes: Sequence[int], effort: np.ndarray | None) -> None:
         """Prove the closed brakes of enabled axes that stand, and take their voltage; see `drivers.canopen.quick_stop`.
 
         Parameters
         ----------
         axes : sequence of int
-        effort : (n_axes,) array
-            With which the drives hold them now.
+        effort : (n_axes,) array or None
+            With which the drives hold them now; None: nothing holds them yet, and they are stopped first.
 
         Raises
         ------
@@ -108,7 +108,8 @@ class Resting:
         stops = self._stops(axes)
         for axis in stops.axes:
             self._machine.arm(axis.axis, False)
-            axis.prove(float(effort[axis.axis]))
+            if effort is not None:
+                axis.prove(float(effort[axis.axis]))
         stops.run()
         self._refuse_unproven(stops)
 

@@ -17,7 +17,7 @@ LOST = 2.0
 """Multiple of the tolerance that a drive was sent, of which it measures none: it has lost its torque, and what it should hold may fall."""
 
 UNSURE = 3.0
-"""Standard deviations of a friction of unknown direction that are allowed: it may act fully either way."""
+"""Standard deviations that are allowed: of a friction of unknown direction, which may act fully either way, and of an unknown load."""
 
 CHECKS = ("", "effort", "warning", "load")
 _FINE, _EFFORT, _WARNING, _LOAD = range(4)
@@ -141,7 +141,7 @@ class DriveJudge:
         state.window_ticks = 1 if self._window is None else self._window.ticks
         state.commands, state.newest = 0, -1
         state.off_ticks = state.far_ticks = state.lag_ticks = 0
-        state.measured = state.expected = self._load_off = nan
+        state.measured = state.expected = self._load_off = self._allowed = nan
         state.overloaded = state.is_lost = False
 
     @property
@@ -167,8 +167,8 @@ class DriveJudge:
         assert self._window is not None
         axis = self._settings.axis
         self._load_off = float(self._window.effort_off[axis])
-        allowed = self._settings.load_tolerance + UNSURE * float(self._window.effort_unsure[axis])
-        self._state.overloaded = abs(self._load_off) > allowed
+        self._allowed = self._settings.load_tolerance + UNSURE * float(self._window.effort_unsure[axis])
+        self._state.overloaded = abs(self._load_off) > self._allowed
 
     def says(self, check: str) -> str:
         """Return a failed check in words."""
@@ -179,7 +179,7 @@ class DriveJudge:
         if check == "load":
             return (
                 f"its mean effort over {WINDOW_S:g} s is {self._load_off:+.3g} {unit} from what the machine file says of this motion, "
-                f"{self._settings.load_tolerance:.2g} {unit} are allowed: brake, friction, load or motor differ from it"
+                f"{self._allowed:.2g} {unit} are allowed: brake, friction, load or motor differ from it"
             )
         return (
             f"its drive measures {state.measured:+.3g} {unit} where it was sent {state.expected:+.3g} {unit}; "

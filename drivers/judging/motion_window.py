@@ -25,7 +25,7 @@ class Expected:
     """What a machine file makes of a motion."""
 
     effort: np.ndarray  # (axes,) drive's unit, friction included
-    unsure: np.ndarray  # (axes,) drive's unit: standard deviation, where friction has no known direction
+    unsure: np.ndarray  # (axes,) drive's unit: standard deviation, of friction without a known direction and of the load
     imu: np.ndarray  # (6,) m/s^2 and rad/s; empty without an IMU
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from drivers.errors import DriverError, MotionRefusedError
 from drivers.interface import Sample
 from hil.bench.audit_trail import events_table, write_events
+from hil.bench.holding import Loads
 from hil.bench.judging import judged_table
 from hil.bench.loop import SampleLoop
 from hil.bench.options import BenchOptions
@@ -86,6 +87,8 @@ class Bench:
         self._still = np.zeros(len(self.machine.axes))
         self.wiring.link.judged = self.judges
         self._led = False  # whether drives go by themselves
+        self._loads = Loads(self.machine, self.model)
+        self._beside = self._still  # (n_axes,) effort beside the model's that held the axes where they stand
         self.way_to = self.pose  # (n_axes,) where the present way leads, or the last one led
         self._unjudged = self._missed = 0  # ticks since the sensors were judged, and the clock's lost ones by then
 
@@ -153,9 +156,7 @@ class Bench:
             self.tell(SETTLING, "", SETTLE_AT_MOST_S * stay.rows)
             settle(self.loop, link, self.machine.limits, stay)
             self.pose = pose.copy()
-            self.tell(LETTING_GO, "", 0)
-            link.close_brakes(self.holding())
-            self.see_pose()
+            self._let_go()
         return self.pose
 
     def _tell_of_sensors(self) -> None:
@@ -248,10 +249,8 @@ class Bench:
                     rows.end(self.wiring.link.syncs)
                 self.wiring.pause_truth()
                 self.pose = plan.reference[-1].copy()
-                self.tell(LETTING_GO, "", 0)
-                self.wiring.link.close_brakes(self.holding())
+                self._let_go()
                 events.add("bench", "brakes closed, drives disabled")
-                self.see_pose()
             if not self.wiring.lockstep:
                 tables["timing"] = timing.summary()
             tables["bench"] = self._circumstances()
@@ -312,17 +311,21 @@ class Bench:
 
     def home(self) -> None:
         """In a session: check the first move, home, and check encoder agreement of every axis."""
-        pose, windup = standing(self.machine, self.model, self.wiring.link.exchange(self._still))
-        axes = self.machine.axes
-        found = self.wiring.link.home(
-            self.model.holding_effort(pose),
+        link, axes = self.wiring.link, self.machine.axes
+        pose, windup = standing(self.machine, self.model, link.exchange(self._still))
+        between = self._loads.between(pose)
+        beside = np.clip(self._beside, *between.T)
+        found = link.home(
+            self.model.holding_effort(pose) + beside,
             windup,
+            between - beside[:, None],
             check_first_move=not self.commissioning,
             begins=lambda axis: self.tell(HOMING, f"{axes[axis]}, {axis + 1} of {len(axes)}", 0),
         )
+        self._beside = beside + link.found_load
         self.commissioning = self.commissioning or tuple(found)
         for line in found:
-            self.wiring.link.events.add("bench", "commissioned", finding=line)
+            link.events.add("bench", "commissioned", finding=line)
 
     def take_hold(self) -> None:
         """Let the feedback hold the machine in place, enable the drives, open the brakes.
@@ -332,12 +335,19 @@ class Bench:
         link = self.wiring.link
         self.tell(TAKING_HOLD, "", 0)
         self.see_pose()
-        effort = self.model.holding_effort(self.pose)
+        effort = self.model.holding_effort(self.pose) + np.clip(self._beside, *self._loads.between(self.pose).T)
         self.loop.control.preload(effort, self.pose, self._feedforward())
         link.enable(self.holding())
         link.events.add("bench", "drives enabled")
         link.release_brakes(self.holding())
         link.events.add("bench", "brakes open")
+
+    def _let_go(self) -> None:
+        """Close the brakes of a machine that is held, and keep what its load differs from the model's by."""
+        self.tell(LETTING_GO, "", 0)
+        self.wiring.link.close_brakes(self.holding())
+        self.see_pose()
+        self._beside = self.loop.control.effort - self.model.holding_effort(self.pose)
 
     def see_pose(self) -> None:
         """Read the position of the homed machine."""

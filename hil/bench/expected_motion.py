@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from drivers.judging.drive import UNSURE
 from drivers.judging.motion_window import Expected, Expects, Means
+from hil.bench.holding import Loads
 from hil.machine import Machine
 from virtual_bus.effects.places import imu_channel_names
 from virtual_bus.inverse_dynamics import along_module
@@ -14,7 +16,8 @@ from virtual_bus.physics import Physics
 def expectation_of(machine: Machine, model: Physics) -> Expects | None:
     """Return what the machine file makes of a motion; None where nothing is compared with it.
 
-    The axis's joint moves as its motor side, the joint of its gear as the link does beyond that. Joints that no encoder follows rest.
+    The axis's joint moves as its motor side, the joint of its gear as the link does beyond that. Joints that no encoder follows rest. What
+    holds an axis may differ as far as the ranges of the file's effects let it.
     """
     judging = machine.judging
     tolerances = [each.load_tolerance for each in judging.drives]
@@ -32,7 +35,7 @@ def expectation_of(machine: Machine, model: Physics) -> Expects | None:
         behind = [] if link is None else [names.index(joint) for joint in link.joints if joint != drive.joint]
         if len(behind) == 1:
             gears[machine.axes.index(axis)] = behind[0]
-    channels = imu_channel_names(settings)
+    loads, channels = Loads(machine, model), imu_channel_names(settings)
     name = "" if judging.imu is None else judging.imu.sensor
     first = next((6 * number for number, imu in enumerate(settings.imus) if imu.name == name), None)
 
@@ -55,7 +58,7 @@ def expectation_of(machine: Machine, model: Physics) -> Expects | None:
             module.readings(model.model, work, *motion, imu)
         return Expected(
             (needed + friction)[0, joints] / scale,
-            np.sqrt(variance[0, joints]) / scale,
+            np.sqrt(variance[0, joints]) / scale + np.abs(loads.between_at(motion[0][0])).max(axis=1) / UNSURE,
             imu[0, first : first + 6] if first is not None else np.zeros(0),
         )
 

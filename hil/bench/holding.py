@@ -11,13 +11,19 @@ import numpy as np
 from drivers.canopen.brake_proof import PUSH_SHARE
 from drivers.settings import BusSettings, MotionLimits
 from hil.machine import Machine
+from hil.machine.drawn import ends
+from virtual_bus.effects.effect import BODY_CHANGE, CHANGE, EFFORT
+from virtual_bus.effects.registry import effects
 from virtual_bus.physics import Physics
+from virtual_bus.plant.statics import effort_at, equilibrium
 
 POSITIONS = 9
 """Of each axis at which its load is looked at: over a whole turn, steps of 45 degrees miss 8 % of the greatest load."""
 MOST_POSES = POSITIONS**3
 """Of machines with more axes no effort is judged: at 8 % an axis, four of them would miss more than the quarter that is added."""
 TURN = 2.0 * math.pi
+LOADS = (EFFORT, CHANGE, BODY_CHANGE)
+"""Kinds of effects that change what holds an axis; friction holds it too, and opposes what moves it."""
 
 _known: dict[str, np.ndarray] = {}
 """Greatest loads by plant and positions: they take a tenth of a second, and each bench that is opened asks for them."""
@@ -26,9 +32,10 @@ _known: dict[str, np.ndarray] = {}
 def with_holding_efforts(machine: Machine, model: Physics) -> Machine:
     """Return a machine whose drives and supervisor know how much effort a hold takes at most.
 
-    An axis that stands free takes its load, less or more of its dry friction. The load is that of the pose with the greatest one, and the
-    share of it by which a proof of the brake exceeds it. The friction is less than the first move's push, with which every start shows
-    that the axis moves. What the drive's own measurement is off by comes on top. More than the drive can give is no limit.
+    An axis that stands free takes its load, less or more of its dry friction. The load is that of the pose with the greatest one, as great
+    as the ranges of the file's effects let it be, and the share of it by which a proof of the brake exceeds it. The friction is less than
+    the first move's push, with which every start shows that the axis moves. What the drive's own measurement is off by comes on top. More
+    than the drive can give is no limit.
 
     Parameters
     ----------
@@ -59,8 +66,50 @@ def _greatest_loads(machine: Machine, model: Physics, bus: BusSettings) -> np.nd
         return np.full(len(ways), math.inf)
     key = repr((machine.plant, ways))
     if key not in _known:
-        _known[key] = np.max([np.abs(model.holding_effort(np.array(pose))) for pose in itertools.product(*ways)], axis=0)
+        loads, poses = Loads(machine, model), [np.array(pose) for pose in itertools.product(*ways)]
+        held = [np.abs(model.holding_effort(pose)[:, None] + loads.between(pose)).max(axis=1) for pose in poses]
+        _known[key] = np.max(held, axis=0)
     return _known[key]
+
+
+class Loads:
+    """By how much what holds a sound machine may differ from what holds the model of its file.
+
+    Each effect of the file that pulls, or changes masses or what a drive's effort makes, is looked at where its ranges end, the others as
+    they are; their loads add up. How the structure bends is left out.
+
+    Parameters
+    ----------
+    machine : Machine
+    model : Physics
+        Of the machine file.
+    """
+
+    def __init__(self, machine: Machine, model: Physics) -> None:
+        own, added = machine.own_effects, machine.added_effects
+        self._model = model
+        self._ends = [
+            [model.plant.model(effects=(*own[:number], each, *own[number + 1 :], *added)) for each in ends(effect)]
+            for number, effect in enumerate(own)
+            if effect.between and effects()[effect.name].kind in LOADS
+        ]
+
+    def between(self, pose: np.ndarray) -> np.ndarray:
+        """Return the least and the most effort (n_axes, 2) beside the model's at a pose (n_axes,), in the drives' units."""
+        if not self._ends:
+            return np.zeros((len(pose), 2))
+        return self.between_at(equilibrium(self._model.plant, self._model.model, pose))
+
+    def between_at(self, joints: np.ndarray) -> np.ndarray:
+        """Return the same at joint positions (n,)."""
+        plant, own = self._model.plant, self._model.model
+        between = np.zeros((len(plant.driven_joints), 2))
+        stated = effort_at(plant, own, joints)
+        for changed in self._ends:
+            beside = [effort_at(plant, each, joints) - stated for each in changed]
+            between[:, 0] += np.min(beside, axis=0, initial=0.0)
+            between[:, 1] += np.max(beside, axis=0, initial=0.0)
+        return between
 
 
 def _positions(limits: MotionLimits, unit: str) -> np.ndarray:

@@ -94,8 +94,11 @@ def facts_of(name: str, machine: Machine, bus: str, imu: str = "", io: str = "",
     axes = []
     for units, limit, scaling, homing in zip(machine.units, machine.limits, settings.scalings, settings.homings, strict=True):
         edge, scale = ("deg", 180.0 / math.pi) if units.position == "rad" else ("mm", 1e3)
+        push = homing.direction_check_effort * (
+            2.0 if any(each.between for each in machine.own_effects) else 1.0
+        )  # of load, as of friction
         words = (
-            f"{units.axis}: beside what holds it, a push of at most {homing.direction_check_effort:g} {units.effort} "
+            f"{units.axis}: beside what holds it, a push of at most {push:g} {units.effort} "
             f"(limit {scaling.limit:g} {units.effort}) until it has moved {homing.direction_check_travel * scale:.2g} {edge} "
             f"the right way; then homing method {homing.method}"
         )

@@ -8,13 +8,15 @@ the sensors' noise.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from hil.machine.machine import Machine
 from virtual_bus.effects.registry import effects
+from virtual_bus.settings import EffectSetting
 
 
 def drawn(machine: Machine, number: int, of: int, seed: int = 0) -> Machine:
@@ -47,11 +49,26 @@ def typical(machine: Machine) -> Machine:
     return _with(machine, size)
 
 
+def ends(effect: EffectSetting) -> Iterator[EffectSetting]:
+    """Yield an effect at every combination of its ranges' ends, of either sign where it may have one; nothing where it has no ranges."""
+    if not effect.between:
+        return
+    ways = []
+    for name, (low, high) in effect.between.items():
+        both = low > 0.0 and _is_signed(effect, name)
+        ways.append((low, high, -low, -high) if both else (low, high))
+    for values in itertools.product(*ways):
+        yield replace(effect, parameters=effect.parameters | dict(zip(effect.between, values, strict=True)))
+
+
+def _is_signed(effect: EffectSetting, name: str) -> bool:
+    return next(each.low < 0.0 for each in effects()[effect.name].parameters if each.name == name)
+
+
 def _with(machine: Machine, size: Callable[[float, float, bool], float]) -> Machine:
     own = []
     for effect in machine.own_effects:
-        signed = {each.name: each.low < 0.0 for each in effects()[effect.name].parameters}
-        values = {name: size(*ends, signed[name]) for name, ends in effect.between.items()}
+        values = {name: size(*pair, _is_signed(effect, name)) for name, pair in effect.between.items()}
         own.append(replace(effect, parameters=effect.parameters | values, scatter=0.0, between={}))
     chosen = (*own, *machine.added_effects)
     return replace(machine, plant=replace(machine.plant, effects=chosen), own_effects=tuple(own))

@@ -105,7 +105,7 @@ class HomingTable(Table):
     agreement_tolerance: Annotated[Positive, Quantity("angle", "length")]
     """Largest difference between motor side and link encoder afterwards."""
     direction_check_effort: Annotated[Positive, Quantity(*EFFORT_DIMENSIONS)]
-    """Effort of the direction check, in addition to the holding effort."""
+    """Effort of the direction check beside the holding effort, above dry friction; up to twice where `_between` leaves the load open."""
     direction_check_travel: Annotated[Positive, Quantity("angle", "length")]
     """Travel that must follow."""
     direction_check_timeout: Seconds

@@ -115,8 +115,13 @@ def _is_stable(gradient: np.ndarray) -> bool:
 
 def holding_effort(plant: CompiledPlant, model: np.ndarray, axis_positions: np.ndarray) -> np.ndarray:
     """Return the drive efforts (axes,) in the drives' units that hold the machine at rest at these positions."""
-    q = equilibrium(plant, model, axis_positions)
-    return targets_at_rest(model, _drives_effort(static_effort(plant, model, q)[plant.driven_joints], plant.drive_gains(model, q)))
+    return effort_at(plant, model, equilibrium(plant, model, axis_positions))
+
+
+def effort_at(plant: CompiledPlant, model: np.ndarray, joint_positions: np.ndarray) -> np.ndarray:
+    """Return the drive efforts (axes,) in the drives' units that standstill at these joint positions (n,) takes besides the springs."""
+    effort = static_effort(plant, model, joint_positions)[plant.driven_joints]
+    return targets_at_rest(model, _drives_effort(effort, plant.drive_gains(model, joint_positions)))
 
 
 def _drives_effort(effort: np.ndarray, gains: np.ndarray) -> np.ndarray:

@@ -299,6 +299,70 @@ def test_a_holding_effort_that_balances_lets_the_check_pass(rig: Rig) -> None:
     assert rig.at_rest()
 
 
+UNKNOWN_A = np.array([[-0.2, 1.0], [0.0, 0.0]])
+"""By how much the load of the first axis may differ from its holding effort."""
+
+
+def releases(rig: Rig) -> list[float]:
+    """Return the efforts [A] with which the first axis's brake was opened, one after the other, as they will have been."""
+    efforts, on_sync, drive = [], rig.drives[0].on_sync, rig.drives[0]
+    before = [False]
+
+    def watch() -> None:
+        if drive.brake_open and not before[0]:
+            efforts.append(round(5e-3 * int.from_bytes(drive.objects[0x6071, 0], "little", signed=True), 3))
+        before[0] = drive.brake_open
+        on_sync()
+
+    drive.on_sync = watch  # type: ignore[method-assign]
+    return efforts
+
+
+def test_a_load_within_its_range_is_found_by_halving_it_each_time_after_a_stop_with_the_brake_proven(rig: Rig) -> None:
+    rig.drives[0].gravity, rig.drives[0].friction = 90.0, 20.0  # 0.45 A; 0.1 A hold it where it stands
+    opened = releases(rig)
+    findings = rig.machine.home(load_between=UNKNOWN_A)
+    assert opened == [0.0, 0.5]
+    assert re.search(r"propeller: moved \+.*, the right way; what holds it is \+0\.5 beside the file's 0$", findings[0])
+    np.testing.assert_allclose(rig.machine.found_load, [0.5, 0.0])
+    assert rig.at_rest()
+
+
+def test_a_load_beyond_its_range_is_refused_once_the_range_is_searched_or_does_not_tell(rig: Rig) -> None:
+    rig.drives[0].gravity = 300.0  # 1.5 A
+    opened = releases(rig)
+    with pytest.raises(
+        MotionRefusedError, match=r"propeller: moves by -.*; .* the load is not the 0% .*, which its effects change by -4% to \+20%"
+    ):
+        rig.machine.home(load_between=UNKNOWN_A)
+    assert opened[0] == 0.0
+    assert len(opened) <= 4
+    assert rig.at_rest()
+
+
+def test_a_reversed_motor_that_a_load_moves_is_not_pushed_harder_than_once(rig: Rig) -> None:
+    rig.drives[0].gravity, rig.drives[0].direction = 90.0, -1
+    opened = releases(rig)
+    with pytest.raises(
+        MotionRefusedError, match=r"propeller: moves by -.* under its holding effort of 0\.5 alone; .* acts the other way .*sign, or"
+    ):
+        rig.machine.home(load_between=UNKNOWN_A)
+    assert opened == [0.0, 0.5]
+    assert rig.at_rest()
+
+
+def test_a_load_that_friction_holds_is_pushed_by_as_much_more_as_the_file_lets_it_pull(rig: Rig) -> None:
+    rig.drives[0].gravity, rig.drives[0].friction = 50.0, 55.0  # 0.25 A held by 0.275 A: it takes 0.525 A, the check's push is 0.3 A
+    with pytest.raises(MotionRefusedError, match=r"where 3\.50e-04 was expected within 2\.0 s at 0\.3 above its holding effort"):
+        rig.machine.home()
+    rig.machine.start()
+    rig.bus.log.clear()
+    rig.machine.home(load_between=UNKNOWN_A)
+    pushes = [int.from_bytes(data[2:], "little", signed=True) for data in rig.bus.sent(0x201)]
+    assert 105 <= max(pushes) < 120, "twice the check's push, no more"
+    assert rig.machine.found_load[0] == pytest.approx(0.225, abs=0.02), "what the push took beyond the check's is load"
+
+
 def test_a_link_encoder_that_counts_backwards_is_found(rig: Rig) -> None:
     rig.encoders[1].direction = -1
     with pytest.raises(MotionRefusedError, match=r"roll: the motor side moved .* the link encoder counts the wrong way"):

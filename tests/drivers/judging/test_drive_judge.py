@@ -181,7 +181,7 @@ def test_a_load_may_be_off_by_the_tolerance_and_three_deviations_of_an_unsure_fr
     assert half_a_second(roll, 0.0) == [""] * 127 + ["load"]
     assert roll.judge.lag_ticks == 127, "over the whole window"
     assert roll.judge.says("load") == (
-        f"its mean effort over 0.5 s is {-way:+.3g} Nm from what the machine file says of this motion, 0.25 Nm are allowed: "
+        f"its mean effort over 0.5 s is {-way:+.3g} Nm from what the machine file says of this motion, 1 Nm are allowed: "
         "brake, friction, load or motor differ from it"
     )
     assert half_a_second(roll, way) == ["load"] * 127 + [""], "until a window without it is over"

@@ -5,13 +5,15 @@ from __future__ import annotations
 import dataclasses
 import math
 
+import numpy as np
 import pytest
 from bench_machines import CARM
 from falling_arm import EFFORT_Nm_A, falling_arm
 
-from hil.bench.holding import with_holding_efforts
+from hil.bench.holding import Loads, with_holding_efforts
 from hil.machine import Machine, load_machine
 from virtual_bus.physics import Physics
+from virtual_bus.settings import EffectSetting
 
 
 def limits_of(machine: Machine) -> list[float]:
@@ -65,3 +67,17 @@ def test_an_axis_that_turns_further_than_a_turn_is_looked_at_as_closely() -> Non
     changed = dataclasses.replace(arm, bus=dataclasses.replace(arm.bus, motions=(wide,)))
     load_A = 30.0 * 9.81 * 0.1 / EFFORT_Nm_A
     assert limits_of(changed)[0] > load_A + 0.3 + arm.judging.drives[0].tolerance, "what a sound axis may take at its heaviest pose"
+
+
+def test_a_load_that_the_file_leaves_open_is_the_effects_own_range_and_is_held_at_most() -> None:
+    pushes = EffectSetting("constant_load", "turn", {"tau0": 1.0}, between={"tau0": (-3.0, 6.0)})
+    arm = falling_arm()
+    open_ = dataclasses.replace(arm, plant=dataclasses.replace(arm.plant, effects=(pushes,)), own_effects=(pushes,))
+    assert open_.bus is not None
+    model = Physics(open_.plant, noise=False)
+    for pose in (-0.4, 0.7):
+        np.testing.assert_allclose(Loads(open_, model).between(np.array([pose])), [[-5.0 / EFFORT_Nm_A, 4.0 / EFFORT_Nm_A]])
+    stated = dataclasses.replace(pushes, between={})
+    known = dataclasses.replace(arm, plant=dataclasses.replace(arm.plant, effects=(stated,)), own_effects=(stated,))
+    assert not Loads(known, model).between(np.zeros(1)).any()
+    assert limits_of(open_)[0] - limits_of(known)[0] == pytest.approx(1.25 * 5.0 / EFFORT_Nm_A), "the arm is held by negative efforts"
