@@ -220,7 +220,7 @@ CALIBRATION = (
         "live_images.json",
         "Images beside the loop",
         "Phantom (`dodecahedron`) or plate at 30 frames a second, found by a process beside the loop at 256 Hz on a UDP bus, two virtual "
-        "processors. Emulated machine and panel share them; the machine stands, and frames are made beforehand. Binning 2 is 1240 x 960 "
+        "processors. Emulated machine and panel share them; the machine jogs, and frames are made beforehand. Binning 2 is 1240 x 960 "
         "pixels. An image is *in time* where it is taken in before the middle of the next exposure; its age counts from the middle of its "
         "own. *No images* is the same loop and observer alone; *loaded*: two processes of lowest priority compute all the time. A tick "
         "lasts from when it is due until the loop waits again.",
