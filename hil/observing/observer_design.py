@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
@@ -174,8 +174,9 @@ def emulated_design(
         notes.append(note)
     held = held_to_truth(machine, ModalObserver(model, noise, isocenter_m=isocenter), seed, told)
     ends = [axis_grid(machine, axis, 2) for axis in range(len(machine.axes))]
+    noise = replace(scaled(noise, held.factors), usual=held.usual)
     return ObserverDesign(
-        model, scaled(noise, held.factors), isocenter, machine.name, machine.hash, (*notes, *held.notes()), np.array(list(product(*ends)))
+        model, noise, isocenter, machine.name, machine.hash, (*notes, *held.notes()), np.array(list(product(*ends)))
     )
 
 
