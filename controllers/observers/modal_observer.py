@@ -10,7 +10,7 @@ from scipy.linalg import expm
 
 from controllers.errors import DesignError
 from controllers.models.modal import ModalModel, basis_at
-from controllers.observers.consistency import WINDOWS_s, CorrectionMonitor, InnovationMonitor
+from controllers.observers.consistency import CorrectionMonitor, InnovationMonitor, WINDOWS_s
 from controllers.observers.extended_kalman import linearised
 from controllers.observers.filter_step import filter_rows
 from controllers.observers.memory import EXTENDED, KALMAN, UNSCENTED, Memory

@@ -54,12 +54,14 @@ class Held:
     kinds : names of the scans
     nis : mean NIS per measurement
     usual : (windows, measurements) `ObserverNoise.usual`; empty: not known
+    scans : how many were made
     """
 
     ratios: np.ndarray
     kinds: tuple[str, ...]
     nis: float
     usual: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    scans: int = 0
 
     @property
     def factors(self) -> np.ndarray:
@@ -115,6 +117,11 @@ def errors_and_variances(
     return error[first:], estimate.values[first:, count : 2 * count], nis
 
 
+def whitened_into(seen: list[np.ndarray]) -> Callable[[ModalObserver], None]:
+    """Return what adds the whitened innovations (measurements,) of a row to a list."""
+    return lambda observer: seen.append(observer.memory.whitened.copy())
+
+
 def held_to_truth(
     machine: Machine, observer: ModalObserver, seed: int = 0, told: Callable[[int, int], None] = lambda done, total: None
 ) -> Held:
@@ -138,16 +145,15 @@ def held_to_truth(
         one, (how, axis) = drawn(machine, number, MACHINES, SEED + seed), kinds[kind]
         plan = plan_of(one, axis, how, np.random.default_rng([SEED, seed, number, kind]) if number % 2 else None)
         seen: list[np.ndarray] = []
-        error, variance, consistency = errors_and_variances(
-            one, true_scan(one, plan, SEED + seed + number), observer, lambda each, seen=seen: seen.append(each.memory.whitened.copy())
-        )
+        scan = true_scan(one, plan, SEED + seed + number)
+        error, variance, consistency = errors_and_variances(one, scan, observer, whitened_into(seen))
         nis.append(consistency)
         surprises.append(means(np.array(seen), machine.sample_rate_Hz))
         for q in range(len(QUANTITIES)):
             sums[kind, :, q] += np.mean(variance[:, groups == q]), np.mean(error[:, groups == q] ** 2)
         told(done, len(jobs))
     ratios, names = np.sqrt(sums[:, 0] / sums[:, 1]), tuple(f"{how} {machine.axes[axis]}" for how, axis in kinds)
-    return Held(ratios, names, float(np.mean(nis)), usual_means(surprises, machine.sample_rate_Hz))
+    return Held(ratios, names, float(np.mean(nis)), usual_means(surprises, machine.sample_rate_Hz), len(jobs))
 
 
 def scaled(noise: ObserverNoise, factors: Sequence[float] | np.ndarray) -> ObserverNoise:

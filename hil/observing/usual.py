@@ -1,9 +1,10 @@
 """How large the mean innovations of sound machines become: the ellipsoids beyond which the observer's alarm is raised.
 
-Whitened innovations of a filter whose noise counts friction, play and sensors' errors as random are not white on one machine, on which these
-are what they are. So the mean squares of their means come from emulated machines drawn from the file, and so does how far the sum of squares
-over these goes: the largest of each scan follow a Gumbel distribution (largest of many, tails as of chi-square), which is extrapolated to
-the rate of false alarms that is wanted.
+Whitened innovations of a filter whose noise counts friction, play and sensors' errors as random are not white on one machine, on which
+these are what they are. So the mean squares of their means come from emulated machines drawn from the file, and so does how far the sum of
+squares over these goes: the largest of each scan follow a Gumbel distribution (largest of many, tails as of chi-square), which is
+extrapolated to the rate of false alarms that is wanted. Channels count one by one: their covariance, of so few machines, would fit these
+alone, and fewer channels may be measured than in the design.
 """
 
 from __future__ import annotations

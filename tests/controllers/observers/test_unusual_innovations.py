@@ -9,13 +9,14 @@ import pytest
 from observed_models import DenseModel, drawn_rows, small_model, small_noise
 
 from controllers.errors import DesignError
-from controllers.observers.consistency import WINDOWS_s, CorrectionMonitor, is_unusual, means
+from controllers.observers.consistency import CorrectionMonitor, WINDOWS_s, is_unusual, means
 from controllers.observers.modal_observer import ModalObserver
+from controllers.observers.settings import ObserverNoise
 
 RATE_Hz, ROWS = 256.0, 400
 
 
-def whitened_and_alarms(noise, measured: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[no-untyped-def]
+def whitened_and_alarms(noise: ObserverNoise, measured: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     observer, rows, alarms = ModalObserver(small_model(), noise), [], []
     for k in range(len(measured)):
         observer.step_measured(measured[k], commands[max(k - 1, 0)])
