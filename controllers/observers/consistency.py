@@ -30,6 +30,9 @@ WINDOWS_s = (0.25, 1.0, 4.0)
 """In which an innovation is forgotten to 1/e: a shock, what has to be told within a second, and half a scan. Four times one another, so
 that whatever lasts some time between is seen at no less than 0.9 of what its own window would show."""
 
+LASTING = 2.0
+"""Windows that an alarm of a passing push may last: as long as it takes to be forgotten."""
+
 GROUPS = ((0, 3), (3, 6), (6, 9))
 """Among the geometric parameters: focal spot, isocentre, orientation."""
 
@@ -53,6 +56,7 @@ class Corrections(NamedTuple):
     weights: np.ndarray  # (windows, measurements) variances that these have where innovations are white
     forgets: np.ndarray  # (windows,) as `kept`
     usual: np.ndarray  # (windows, measurements) `ObserverNoise.usual`
+    lasts: np.ndarray  # (windows or 1,) int: rows since which each has raised the alarm
 
 
 @exactly_compiled
@@ -83,6 +87,7 @@ def corrects_too_much(recent: Corrections, correction: np.ndarray, variance: np.
             size += recent.total[g] * recent.total[g]
             spread += recent.variance[g]
         raised = raised or size > recent.most * spread
+    recent.lasts[0] = recent.lasts[0] + 1 if raised else 0
     return raised
 
 
@@ -100,6 +105,7 @@ def is_unusual(recent: Corrections, whitened: np.ndarray) -> bool:
             recent.sums[w, j], recent.weights[w, j] = total, weight
             if weight > 0.0:
                 size += total * total / (weight * recent.usual[w, j])
+        recent.lasts[w] = recent.lasts[w] + 1 if size > 1.0 else 0
         raised = raised or size > 1.0
     return raised
 
@@ -143,13 +149,21 @@ class CorrectionMonitor:
         most = float(stats.norm.isf(0.5 * false_alarm)) ** 2
         limits = np.zeros((0, 0)) if usual is None else np.array(usual, float)
         forgets = np.exp(-1.0 / (rate_Hz * np.array(WINDOWS_s[: len(limits)])))
-        bank = np.zeros(limits.shape), np.zeros(limits.shape), forgets, limits
+        rows = rate_Hz * np.array(WINDOWS_s) if len(limits) else np.array([window])
+        self._passes = (LASTING * rows).tolist()
+        bank = np.zeros(limits.shape), np.zeros(limits.shape), forgets, limits, np.zeros(len(rows), dtype=np.int64)
         self.recent = Corrections(np.zeros(9), np.zeros(9), math.exp(-1.0 / window), most, *bank)
 
     def reset(self) -> None:
         """Forget all samples."""
-        for values in (self.recent.total, self.recent.variance, self.recent.sums, self.recent.weights):
-            values[:] = 0.0
+        recent = self.recent
+        for values in (recent.total, recent.variance, recent.sums, recent.weights, recent.lasts):
+            values[:] = 0
+
+    @property
+    def is_lasting(self) -> bool:
+        """Whether an alarm outlasts its window by far: a passing one is a push, a lasting one means that the model is wrong."""
+        return any(rows > passes for rows, passes in zip(self.recent.lasts.tolist(), self._passes, strict=True))
 
     def step(self, correction: np.ndarray, variance: np.ndarray) -> bool:
         """Tell whether a sample's correction (9,), with its variance (9,), and those before are too large for chance."""

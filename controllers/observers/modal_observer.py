@@ -87,6 +87,11 @@ class ModalObserver:
         return self.memory.innovation
 
     @property
+    def has_lasting_alarm(self) -> bool:
+        """Whether the alarm of the last step has been raised for longer than a passing push raises it."""
+        return self._corrections.is_lasting
+
+    @property
     def state(self) -> np.ndarray:
         """Estimate (states,) of the state, see `state_names`."""
         return self.memory.x

@@ -22,14 +22,17 @@ from hil.observing.true_scan import true_scan
 from virtual_bus.effects.places import spring_at
 from virtual_bus.settings import EffectSetting
 
-SIZES = np.geomspace(0.05, 20.0, 120)
-"""Over that of the probe: 5 % from one to the next."""
+SIZES = np.geomspace(0.05, 10.0, 109)
+"""Over that of the probe: 5 % from one to the next, as far as what is of first order may be taken for the whole."""
 
 GEOMETRY = (slice(-9, -6), slice(-6, -3), slice(-3, None))
 """Focal spot, isocentre and orientation among the published values."""
 
 TWICE = 2.0
 """An error that passes so many stated deviations should raise the alarm."""
+
+IN_TIME_s = 1.0
+"""Of that."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +58,8 @@ class Unseen:
     """Largest error of focal spot or isocentre of a smaller one, in a scan without an alarm [m]."""
     times: float
     """By which the error of focal spot, isocentre or orientation is then larger than stated."""
-    late_s: float
-    """How long after the error passes twice what is stated one of twice that size is seen at the latest."""
+    in_time: float
+    """From which on every alarm is raised within `IN_TIME_s` of the error's passing twice what is stated, in `unit`; or no number."""
 
     @property
     def note(self) -> str:
@@ -64,8 +67,9 @@ class Unseen:
         most = f"up to {1e3 * self.error_m:.2g} mm off, {self.times:.2g} times what is stated"
         if not np.isfinite(self.size):
             return f"the alarm does not see {self.what}: focal spot or isocentre are {most}"
-        late = f"; one twice as large is seen within {self.late_s:.2g} s of passing twice what is stated" if self.late_s > 0.0 else ""
-        return f"the alarm sees {self.what} from {self.size:.2g} {self.unit} on: with less, focal spot or isocentre are {most}{late}"
+        known = f"from {self.in_time:.2g} {self.unit} on" if np.isfinite(self.in_time) else "of no size for certain"
+        when = f"within {IN_TIME_s:g} s of passing twice what is stated, {known}"
+        return f"the alarm sees {self.what} from {self.size:.2g} {self.unit} on: with less, focal spot or isocentre are {most}; {when}"
 
 
 def probes(machine: Machine, axis: int, imu: str) -> Iterator[Probe]:
@@ -149,7 +153,10 @@ class _Seen:
     """One scan with something wrong of any size."""
 
     def __init__(self, without: _Scanned, with_it: _Scanned, usual: np.ndarray, rate_Hz: float) -> None:
-        self.alarmed, self.error_m, self.times, self.late_s = [], [], [], []
+        self.alarmed: list[bool] = []
+        self.in_time: list[bool] = []
+        self.error_m: list[float] = []
+        self.times: list[float] = []
         stated = np.array([np.sqrt(np.sum(without.variance[:, at], axis=1)) for at in GEOMETRY])
         for size in SIZES:
             seen = without.means + size * (with_it.means - without.means)
@@ -161,21 +168,20 @@ class _Seen:
             self.alarmed.append(bool(len(raised)))
             self.error_m.append(float(off[:2].max()))
             self.times.append(float(times.max()))
-            self.late_s.append((raised[0] - passed[0]) / rate_Hz if len(passed) and len(raised) else 0.0)
+            self.in_time.append(not len(passed) or bool(len(raised) and raised[0] <= passed[0] + IN_TIME_s * rate_Hz))
 
 
 def _judged(probe: Probe, scans: list[_Seen]) -> Unseen:
-    alarmed = np.array([scan.alarmed for scan in scans])
-    quiet = np.flatnonzero(~alarmed.all(axis=0))
-    last = int(quiet[-1]) if len(quiet) else 0
+    from_alarmed = _from(np.array([scan.alarmed for scan in scans]).all(axis=0))
+    from_in_time = max(_from(np.array([scan.in_time for scan in scans]).all(axis=0)), from_alarmed)
+    last = max(from_alarmed - 1, 0)
     unseen_by = [scan for scan in scans if not scan.alarmed[last]] or scans
-    size = probe.size * float(SIZES[last + 1]) if last + 1 < len(SIZES) else float("nan")
-    twice = min(last + int(np.ceil(np.log(2.0) / np.log(SIZES[1] / SIZES[0]))), len(SIZES) - 1)
-    return Unseen(
-        probe.what,
-        size,
-        probe.unit,
-        max(scan.error_m[last] for scan in unseen_by),
-        max(scan.times[last] for scan in unseen_by),
-        max(scan.late_s[twice] for scan in scans),
-    )
+    sizes = np.append(probe.size * SIZES, np.nan)
+    most = max(scan.error_m[last] for scan in unseen_by), max(scan.times[last] for scan in unseen_by)
+    return Unseen(probe.what, float(sizes[from_alarmed]), probe.unit, *most, float(sizes[from_in_time]))
+
+
+def _from(is_so: np.ndarray) -> int:
+    """Return from which size on something is so of all; how many there are where it is not so of the largest."""
+    isnt = np.flatnonzero(~is_so)
+    return int(isnt[-1]) + 1 if len(isnt) else 0
