@@ -172,8 +172,8 @@ class _Seen:
 
 
 def _judged(probe: Probe, scans: list[_Seen]) -> Unseen:
-    from_alarmed = _from(np.array([scan.alarmed for scan in scans]).all(axis=0))
-    from_in_time = max(_from(np.array([scan.in_time for scan in scans]).all(axis=0)), from_alarmed)
+    from_alarmed = _from(np.all([scan.alarmed for scan in scans], axis=0))
+    from_in_time = max(_from(np.all([scan.in_time for scan in scans], axis=0)), from_alarmed)
     last = max(from_alarmed - 1, 0)
     unseen_by = [scan for scan in scans if not scan.alarmed[last]] or scans
     sizes = np.append(probe.size * SIZES, np.nan)
