@@ -9,7 +9,8 @@ twice what is stated counts from the fault on, how often the alarm is in time an
 Then the design of `hil.design_observer(MACHINE)`, whose alarm knows what is usual of sound machines: each effect of a list is drawn over a
 range, on a machine that is drawn, too, in a quiet, fast or reversed scan of either axis. The same machine without it makes the same scan;
 where its error passes as well, that is none of the effect's. Sound machines make scans besides. "before" is the alarm by corrections alone,
-in the same replay. What is drawn is kept in `--kept` and not measured again.
+in the same replay. What is drawn is kept in `--kept` and not measured again. `--part` measures one of both tables and `--machine`
+one machine; the rest of the file stays as it is.
 """
 
 from __future__ import annotations
@@ -277,6 +278,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--machine", action="append", help="carm, carm-real (both unless given)")
     parser.add_argument("--seeds", type=int, default=20, help="and machines, per fault")
+    parser.add_argument("--part", choices=("fixed", "drawn"), help="of the answer; both unless given")
     parser.add_argument("--draws", type=int, default=24, help="and machines, per effect of the drawn list")
     parser.add_argument("--sound", type=int, default=96, help="sound machines beside them")
     parser.add_argument("--designs", metavar="FOLDER", default="designs", help="of `hil.design_observer`, made there unless they are there")
@@ -285,9 +287,21 @@ def main() -> None:
     add_scheduler(parser)
     options = parser.parse_args()
     to = Answer(options.json)
-    rows: dict[str, dict[str, float | None]] = {}
     names = options.machine or ["carm", "carm-real"]
-    of_list = drawn_rows(options, names)
+    file, is_part = Path(options.json), options.part or options.machine
+    found: dict[str, Any] = json.loads(file.read_text(encoding="utf-8")) if is_part and file.is_file() else {}
+    if options.part != "fixed":
+        of_list = drawn_rows(options, names)
+        seen = {name: [dataclasses.asdict(one) for one in made(name, options.designs)[1].unseen] for name in names}
+        found |= {"drawn": found.get("drawn", {}) | of_list, "unseen": found.get("unseen", {}) | seen}
+    if options.part != "drawn":
+        found |= {"seeds": options.seeds, "rows": found.get("rows", {}) | fixed_rows(options, names)}
+    to.write(found)
+
+
+def fixed_rows(options: argparse.Namespace, names: list[str]) -> dict[str, dict[str, float | None]]:
+    """Return the table of faults of one size each."""
+    rows: dict[str, dict[str, float | None]] = {}
     for name in names:
         draws = [{"name": name, "number": number, "seeds": options.seeds} for number in range(options.seeds)]
         found: dict[str, list[Told]] = {}
@@ -295,8 +309,7 @@ def main() -> None:
             for fault, values in of_machine.items():
                 found.setdefault(fault, []).append(Told(*values))
         rows |= {f"{name}: {fault}": row(scans_of, load_machine(name).sample_rate_Hz) for fault, scans_of in found.items()}
-    seen = {name: [dataclasses.asdict(one) for one in made(name, options.designs)[1].unseen] for name in names}
-    to.write({"seeds": options.seeds, "draws": options.draws, "sound": options.sound, "drawn": of_list, "unseen": seen, "rows": rows})
+    return rows
 
 
 if __name__ == "__main__":
