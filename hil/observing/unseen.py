@@ -22,7 +22,7 @@ from hil.observing.true_scan import true_scan
 from virtual_bus.effects.places import spring_at
 from virtual_bus.settings import EffectSetting
 
-SIZES = np.geomspace(0.05, 10.0, 109)
+SIZES = np.geomspace(0.001, 10.0, 190)
 """Over that of the probe: 5 % from one to the next, as far as what is of first order may be taken for the whole."""
 
 GEOMETRY = (slice(-9, -6), slice(-6, -3), slice(-3, None))
