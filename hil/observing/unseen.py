@@ -67,9 +67,9 @@ class Unseen:
         most = f"up to {1e3 * self.error_m:.2g} mm off, {self.times:.2g} times what is stated"
         if not np.isfinite(self.size):
             return f"the alarm does not see {self.what}: focal spot or isocentre are {most}"
-        known = f"from {self.in_time:.2g} {self.unit} on" if np.isfinite(self.in_time) else "of no size for certain"
+        known = f"from {self.in_time:.3g} {self.unit} on" if np.isfinite(self.in_time) else "of no size for certain"
         when = f"within {IN_TIME_s:g} s of passing twice what is stated, {known}"
-        return f"the alarm sees {self.what} from {self.size:.2g} {self.unit} on: with less, focal spot or isocentre are {most}; {when}"
+        return f"the alarm sees {self.what} from {self.size:.3g} {self.unit} on: with less, focal spot or isocentre are {most}; {when}"
 
 
 def probes(machine: Machine, axis: int, imu: str) -> Iterator[Probe]:

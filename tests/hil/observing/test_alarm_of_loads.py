@@ -78,7 +78,7 @@ def test_sound_machines_raise_none(machine: Machine, design: ObserverDesign, num
 def test_a_design_says_in_its_notes_and_in_its_file_what_its_alarm_does_not_see(design: ObserverDesign, tmp_path: Path) -> None:
     load = load_of(design)
     assert load.note in design.notes
-    assert f"the alarm sees a load at the detector that the file does not know from {load.size:.2g} kg on" in load.note
+    assert f"the alarm sees a load at the detector that the file does not know from {load.size:.3g} kg on" in load.note
     assert f"up to {1e3 * load.error_m:.2g} mm off" in load.note
     write_design(design, tmp_path / "made.npz")
     read = read_design(tmp_path / "made.npz")
