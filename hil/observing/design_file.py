@@ -44,7 +44,7 @@ def write_design(design: ObserverDesign, path: str | Path) -> None:
     arrays |= {"isocenter_m": design.isocenter_m, "machine": design.machine, "machine_hash": design.machine_hash}
     arrays["poses"] = design.poses
     arrays["notes"] = np.array(design.notes, dtype=np.str_)
-    for name in _UNSEEN:
+    for name in _UNSEEN if design.unseen else ():
         arrays[f"unseen_{name}"] = np.array([getattr(each, name) for each in design.unseen], dtype=_UNSEEN[name])
     write_arrays(path, arrays)
 

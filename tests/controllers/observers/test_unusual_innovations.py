@@ -74,3 +74,20 @@ def test_a_table_of_what_is_usual_that_does_not_fit_is_refused() -> None:
     for usual in (np.ones((3, 2)), np.zeros((3, 10))):
         with pytest.raises(DesignError, match="usual must be 3 times"):
             ModalObserver(small_model(), replace(small_noise(), usual=usual))
+
+
+def test_an_alarm_lasts_when_it_outlasts_twice_its_own_window() -> None:
+    """A push is forgotten by then: the long window's alarm of eight seconds is no sign of a false model yet, the short one's is."""
+    large = np.full((len(WINDOWS_s), 1), 1e9)
+    for w, window_s in enumerate(WINDOWS_s):
+        usual = large.copy()
+        usual[w] = 1e-9
+        monitor = CorrectionMonitor(usual=usual, rate_Hz=RATE_Hz)
+        lasting = [(is_unusual(monitor.recent, np.ones(1)), monitor.is_lasting)[1] for _ in range(round(2.5 * window_s * RATE_Hz))]
+        assert sum(not lasts for lasts in lasting) == round(2.0 * window_s * RATE_Hz)
+        assert lasting[-1]
+    corrections = CorrectionMonitor()
+    lasting = [(corrections.step(np.full(9, 9.0), np.ones(9)), corrections.is_lasting)[1] for _ in range(200)]
+    assert sum(not lasts for lasts in lasting) == 128
+    corrections.reset()
+    assert not corrections.is_lasting
