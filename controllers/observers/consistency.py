@@ -3,6 +3,10 @@
 Innovations that are not white say that something acts which the model lacks; what is published may be right all the same. In a consistent
 filter the corrections G K ν of published values G x are white, with the covariance G K S Kᵀ Gᵀ by which the sample narrows their variance
 (Kailath 1968). So their sum over a while is as large as the stated variances say, and where it is larger, these are false.
+
+What pulls an estimate in a direction that the sensors hardly see corrects it by little for long: no sum of corrections shows that. Where
+the design was held to drawn machines, it knows how large the mean innovations of sound ones become, the part that is wrong in them
+included, and the alarm looks at these means instead, over a short time for a jump and over longer ones for what stays.
 """
 
 from __future__ import annotations
@@ -11,7 +15,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
+from scipy import signal, stats
 
 from controllers.compiled import exactly_compiled
 
@@ -21,6 +25,13 @@ WINDOW = 64
 FALSE_ALARM = 1e-6
 """Probability that one sample's sum of corrections of one point or angle raises the alarm by chance: of three at 256 Hz once in twenty
 minutes if samples were independent, less often as they are not."""
+
+WINDOWS_s = (0.25, 1.0, 4.0)
+"""In which an innovation is forgotten to 1/e: a shock, what has to be told within a second, and half a scan. Four times one another, so
+that whatever lasts some time between is seen at no less than 0.9 of what its own window would show."""
+
+LASTING = 2.0
+"""Windows that an alarm of a passing push may last: as long as it takes to be forgotten."""
 
 GROUPS = ((0, 3), (3, 6), (6, 9))
 """Among the geometric parameters: focal spot, isocentre, orientation."""
@@ -41,6 +52,11 @@ class Corrections(NamedTuple):
     variance: np.ndarray  # (9,)
     kept: float
     most: float  # squared norm of a point's or angles' total over its variance that raises the alarm
+    sums: np.ndarray  # (windows, measurements) of whitened innovations; no window where it is not known what is usual
+    weights: np.ndarray  # (windows, measurements) variances that these have where innovations are white
+    forgets: np.ndarray  # (windows,) as `kept`
+    usual: np.ndarray  # (windows, measurements) `ObserverNoise.usual`
+    lasts: np.ndarray  # (windows or 1,) int: rows since which each has raised the alarm
 
 
 @exactly_compiled
@@ -71,7 +87,38 @@ def corrects_too_much(recent: Corrections, correction: np.ndarray, variance: np.
             size += recent.total[g] * recent.total[g]
             spread += recent.variance[g]
         raised = raised or size > recent.most * spread
+    recent.lasts[0] = recent.lasts[0] + 1 if raised else 0
     return raised
+
+
+@exactly_compiled
+def is_unusual(recent: Corrections, whitened: np.ndarray) -> bool:
+    """Take a sample's whitened innovations (measurements,) in; tell whether a mean of them and of those before leaves what is usual."""
+    raised = False
+    for w in range(len(recent.forgets)):
+        kept, size = recent.forgets[w], 0.0
+        for j in range(len(whitened)):
+            total, weight = recent.sums[w, j] * kept, recent.weights[w, j] * kept**2
+            if whitened[j] == whitened[j]:
+                total += whitened[j]
+                weight += 1.0
+            recent.sums[w, j], recent.weights[w, j] = total, weight
+            if weight > 0.0:
+                size += total * total / (weight * recent.usual[w, j])
+        recent.lasts[w] = recent.lasts[w] + 1 if size > 1.0 else 0
+        raised = raised or size > 1.0
+    return raised
+
+
+def means(whitened: np.ndarray, rate_Hz: float) -> np.ndarray:
+    """Return the means (N, windows, measurements) of whitened innovations (N, measurements) that `is_unusual` looks at."""
+    known = np.isfinite(whitened)
+    found = np.zeros((len(whitened), len(WINDOWS_s), whitened.shape[1]))
+    for w, kept in enumerate(np.exp(-1.0 / (rate_Hz * np.array(WINDOWS_s)))):
+        total = signal.lfilter([1.0], [1.0, -kept], np.where(known, whitened, 0.0), axis=0)
+        weight = signal.lfilter([1.0], [1.0, -(kept**2)], known.astype(float), axis=0)
+        found[:, w] = np.divide(total, np.sqrt(weight), out=np.zeros_like(total), where=weight > 0.0)
+    return found
 
 
 class InnovationMonitor:
@@ -91,19 +138,32 @@ class InnovationMonitor:
 
 
 class CorrectionMonitor:
-    """Compares the recent corrections of the geometric parameters with their variances.
+    """Compares recent innovations with what is usual, or where that is not known corrections of geometric parameters with their variances.
 
     The squared norm of a point's correction is a weighted sum of chi-squares; far out it is largest where one direction has all the weight.
     """
 
-    def __init__(self, window: float = WINDOW, false_alarm: float = FALSE_ALARM) -> None:
+    def __init__(
+        self, window: float = WINDOW, false_alarm: float = FALSE_ALARM, usual: np.ndarray | None = None, rate_Hz: float = 1.0
+    ) -> None:
         most = float(stats.norm.isf(0.5 * false_alarm)) ** 2
-        self.recent = Corrections(np.zeros(9), np.zeros(9), math.exp(-1.0 / window), most)
+        limits = np.zeros((0, 0)) if usual is None else np.array(usual, float)
+        forgets = np.exp(-1.0 / (rate_Hz * np.array(WINDOWS_s[: len(limits)])))
+        rows = rate_Hz * np.array(WINDOWS_s) if len(limits) else np.array([window])
+        self._passes = (LASTING * rows).tolist()
+        bank = np.zeros(limits.shape), np.zeros(limits.shape), forgets, limits, np.zeros(len(rows), dtype=np.int64)
+        self.recent = Corrections(np.zeros(9), np.zeros(9), math.exp(-1.0 / window), most, *bank)
 
     def reset(self) -> None:
         """Forget all samples."""
-        self.recent.total[:] = 0.0
-        self.recent.variance[:] = 0.0
+        recent = self.recent
+        for values in (recent.total, recent.variance, recent.sums, recent.weights, recent.lasts):
+            values[:] = 0
+
+    @property
+    def is_lasting(self) -> bool:
+        """Whether an alarm outlasts its window by far: a passing one is a push, a lasting one means that the model is wrong."""
+        return any(rows > passes for rows, passes in zip(self.recent.lasts.tolist(), self._passes, strict=True))
 
     def step(self, correction: np.ndarray, variance: np.ndarray) -> bool:
         """Tell whether a sample's correction (9,), with its variance (9,), and those before are too large for chance."""

@@ -98,6 +98,7 @@ def correct(constants: Constants, scheduled: Scheduled, memory: Memory, kind: in
     else:
         look_around(constants, scheduled, memory, kind)
     memory.correction[:] = 0.0
+    memory.whitened[:] = np.nan
     measured = 0
     for j in range(measurements):
         measured += z[j] == z[j]
@@ -138,6 +139,11 @@ def correct(constants: Constants, scheduled: Scheduled, memory: Memory, kind: in
         for k in range(states):
             memory.correction[0, k] += moves[k] * whitened[j]
             memory.correction[1 + j, k] = moves[k]
+    column = 0
+    for j in range(measurements):
+        if z[j] == z[j]:
+            memory.whitened[j] = whitened[column]
+            column += 1
     return nis, measured, log_volume
 
 

@@ -10,7 +10,7 @@ from scipy.linalg import expm
 
 from controllers.errors import DesignError
 from controllers.models.modal import ModalModel, basis_at
-from controllers.observers.consistency import CorrectionMonitor, InnovationMonitor
+from controllers.observers.consistency import CorrectionMonitor, InnovationMonitor, WINDOWS_s
 from controllers.observers.extended_kalman import linearised
 from controllers.observers.filter_step import filter_rows
 from controllers.observers.memory import EXTENDED, KALMAN, UNSCENTED, Memory
@@ -70,7 +70,7 @@ class ModalObserver:
         self._isocenter = np.zeros(3) if isocenter_m is None else np.asarray(isocenter_m, float)
         self.constants = _constants(model, noise, self.adapted)
         self._scheduled, self.memory = _memory(self.constants)
-        self._innovations, self._corrections = InnovationMonitor(), CorrectionMonitor()
+        self._innovations, self._corrections = InnovationMonitor(), CorrectionMonitor(usual=noise.usual, rate_Hz=model.sample_rate_Hz)
         n = len(model.axes)
         self.channels = estimate_channels(model.axes, model.position_unit)
         self.estimate = np.full(len(self.channels), np.nan)
@@ -85,6 +85,11 @@ class ModalObserver:
     def innovation(self) -> np.ndarray:
         """Innovation z - ẑ (measurements,) of the last step; NaN where nothing was measured."""
         return self.memory.innovation
+
+    @property
+    def has_lasting_alarm(self) -> bool:
+        """Whether the alarm of the last step has been raised for longer than a passing push raises it."""
+        return self._corrections.is_lasting
 
     @property
     def state(self) -> np.ndarray:
@@ -130,7 +135,7 @@ class ModalObserver:
         self.memory.x[:] = 0.0
         self.memory.x[len(self.memory.x) - len(self.noise.bias) :] = self.noise.bias
         self.memory.factor[:] = self._start
-        self.memory.innovation[:] = np.nan
+        self.memory.innovation[:] = self.memory.whitened[:] = np.nan
         self._is_first = True
         self._has_command = False
         self._innovations.reset()
@@ -272,6 +277,8 @@ def _constants(model: ModalModel, noise: ObserverNoise, adapted: tuple[int, ...]
         raise DesignError("observer noise: offset_walk and initial_offset must not be negative")
     if len(noise.published) not in (0, len(QUANTITIES)) or not (np.asarray(noise.published) > 0.0).all():
         raise DesignError(f"observer noise: published must be {len(QUANTITIES)} numbers above zero or none, not {noise.published}")
+    if np.size(noise.usual) and (np.shape(noise.usual) != (len(WINDOWS_s), measurements) or not (np.asarray(noise.usual) > 0.0).all()):
+        raise DesignError(f"observer noise: usual must be {len(WINDOWS_s)} times {measurements} numbers above zero, or none")
     if len(noise.bias) not in (0, 6 * sensors) or not np.isfinite(noise.bias).all():
         raise DesignError(f"observer noise: bias must be {6 * sensors} numbers or none, not {noise.bias}")
     if not (np.asarray(noise.measurement) > 0.0).all():
@@ -424,6 +431,7 @@ def _memory(constants: Constants) -> tuple[Scheduled, Memory]:
         x=np.zeros(states),
         factor=np.zeros((states, states)),
         innovation=np.full(measurements, np.nan),
+        whitened=np.full(measurements, np.nan),
         correction=np.zeros((1 + measurements, states)),
         corrected=np.zeros((2, GEOMETRY)),
         bends=np.zeros((states, 2 * adapted)),

@@ -7,7 +7,7 @@ import numpy as np
 from controllers.compiled import exactly_called, exactly_compiled
 from controllers.models.chain import axis_screw, direction_in_world, point_in_world
 from controllers.models.vectors import dot, minus, plus, row
-from controllers.observers.consistency import Corrections, Innovations, corrects_too_much, mean_innovation
+from controllers.observers.consistency import Corrections, Innovations, corrects_too_much, is_unusual, mean_innovation
 from controllers.observers.linear_part import TURN_STEP_s
 from controllers.observers.memory import Memory
 from controllers.observers.modal_equations import Constants, Scheduled, first_offset
@@ -287,4 +287,7 @@ def publish(
     tail = 2 * count
     estimate[tail], estimate[tail + 1] = summary[0, 0], summary[0, 1]
     estimate[tail + 2] = mean_innovation(innovations, summary[0, 0], summary[0, 1])
-    estimate[tail + 3] = corrects_too_much(corrections, memory.corrected[0], memory.corrected[1])
+    if len(corrections.usual):
+        estimate[tail + 3] = is_unusual(corrections, memory.whitened)
+    else:
+        estimate[tail + 3] = corrects_too_much(corrections, memory.corrected[0], memory.corrected[1])

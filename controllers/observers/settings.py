@@ -48,6 +48,9 @@ class ObserverNoise:
         Expected value of the biases when it starts; empty: zero.
     published : (quantities,) array
         By what stated deviations of `publish.QUANTITIES` are multiplied, so that they are true; empty: 1.
+    usual : (windows, measurements) array
+        Squared semi-axes of the ellipsoid that the mean whitened innovations over each of `consistency.WINDOWS_s`, over the deviation of
+        such a mean of white ones, do not leave on a sound machine. Empty: not known.
     """
 
     command: np.ndarray
@@ -65,3 +68,4 @@ class ObserverNoise:
     initial_offset: np.ndarray = field(default_factory=lambda: np.zeros(0))
     initial_gain: np.ndarray = field(default_factory=lambda: np.zeros(0))
     published: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    usual: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))

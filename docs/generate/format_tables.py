@@ -255,7 +255,7 @@ ESTIMATES = (
         "",
         "Mean of it per measurement over 64 rows; 1 for a consistent filter, more where something acts unknown to it.",
     ),
-    Entry("estimate_alarm", "", "1 where sensors lately moved the geometric parameters by more than the stated variances allow."),
+    Entry("estimate_alarm", "", "1 where sensors surprise more than a sound machine's, or moved the geometry more than is stated."),
 )
 
 DESIGN = ArrayFile(
@@ -301,6 +301,7 @@ DESIGN = ArrayFile(
         Entry("machine, machine_hash", "", "The machine that it was made for."),
         Entry("poses", "(poses, axes)", "At which it was measured [rad or m]; empty: not known. Optional."),
         Entry("notes", "(any,)", "What a user should know."),
+        Entry("unseen_*", "(any,)", "Fields of `hil.observing.unseen.Unseen`: what the alarm does not see. Optional."),
     ),
 )
 

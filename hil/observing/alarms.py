@@ -12,7 +12,7 @@ from hil.observing.estimate import Estimate
 from hil.recording import Recording
 
 APART_s = 0.5
-"""Alarms nearer to each other than this are told as one: the monitor's window is half as long."""
+"""Alarms nearer to each other than this are told as one: the shortest window is half as long."""
 
 OFFSET_SHARE = 0.7
 """Share of a channel's mean square innovation that its mean makes, from which the reading is off rather than shaken."""
@@ -35,7 +35,7 @@ OUTSIDE_rad = 0.02
 
 @dataclass(frozen=True)
 class Alarm:
-    """A time in which sensors move the estimate by more than its variances allow."""
+    """A time in which sensors surprise more than a sound machine's, or move the estimate by more than its variances allow."""
 
     from_s: float
     """Its begin, in the recording's time."""

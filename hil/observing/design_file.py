@@ -15,10 +15,12 @@ from controllers.observers.settings import ObserverNoise
 from hil.errors import UnusableInputError
 from hil.files.arrays import read_arrays, write_arrays
 from hil.observing.observer_design import ObserverDesign
+from hil.observing.unseen import Unseen
 
 FORMAT, WITHOUT_COUPLING = 3, 2
 """The format that is written, and an older one that can be read: without coupling, steps of drives, places and low passes."""
 
+_UNSEEN: dict[str, type] = {field.name: np.str_ if field.type == "str" else float for field in fields(Unseen)}
 _CHAIN = ("axes", "points", "revolute", "gravity_m_s2")
 _SENSOR = ("body_end_m", "sensor_end_m", "rotation", "lag_s", "channels")
 
@@ -42,6 +44,8 @@ def write_design(design: ObserverDesign, path: str | Path) -> None:
     arrays |= {"isocenter_m": design.isocenter_m, "machine": design.machine, "machine_hash": design.machine_hash}
     arrays["poses"] = design.poses
     arrays["notes"] = np.array(design.notes, dtype=np.str_)
+    for name in _UNSEEN if design.unseen else ():
+        arrays[f"unseen_{name}"] = np.array([getattr(each, name) for each in design.unseen], dtype=_UNSEEN[name])
     write_arrays(path, arrays)
 
 
@@ -110,7 +114,16 @@ def _design(arrays: dict[str, np.ndarray]) -> ObserverDesign:
         str(arrays["machine_hash"]),
         tuple(str(note) for note in arrays["notes"]),
         arrays.get("poses", np.zeros((0, 0))),
+        _unseen(arrays),
     )
+
+
+def _unseen(arrays: dict[str, np.ndarray]) -> tuple[Unseen, ...]:
+    """Return what the alarm does not see; nothing of a design from before it was found."""
+    if "unseen_what" not in arrays:
+        return ()
+    columns = [arrays[f"unseen_{name}"].tolist() for name in _UNSEEN]
+    return tuple(Unseen(*row) for row in zip(*columns, strict=True))
 
 
 def _plain(value: np.ndarray) -> float | np.ndarray:

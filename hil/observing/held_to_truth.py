@@ -9,11 +9,12 @@ poses of its own, and of every published quantity the error that was is compared
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
 
+from controllers.observers.consistency import means
 from controllers.observers.modal_observer import ModalObserver
 from controllers.observers.publish import QUANTITIES, of_quantities
 from controllers.observers.settings import ObserverNoise
@@ -24,6 +25,7 @@ from hil.machine import Machine
 from hil.machine.drawn import drawn
 from hil.observing.replay import observe
 from hil.observing.true_scan import TrueScan, published_truth, true_scan
+from hil.observing.usual import usual_means
 
 MACHINES = 8
 """Of a Latin hypercube. A slow error counts once a scan: of 8 scans of a kind a root mean square is known to a quarter."""
@@ -51,11 +53,15 @@ class Held:
     ratios : (kinds, quantities) stated over true, root mean squares of all machines, before they are scaled
     kinds : names of the scans
     nis : mean NIS per measurement
+    usual : (windows, measurements) `ObserverNoise.usual`; empty: not known
+    scans : how many were made
     """
 
     ratios: np.ndarray
     kinds: tuple[str, ...]
     nis: float
+    usual: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    scans: int = 0
 
     @property
     def factors(self) -> np.ndarray:
@@ -96,14 +102,24 @@ def plan_of(machine: Machine, axis: int, kind: str, random: np.random.Generator 
         return possible_scan(machine, replace(scan, pose={name: middle[name] for name in others}))[0]
 
 
-def errors_and_variances(machine: Machine, scan: TrueScan, observer: ModalObserver) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return errors (N, values) of all that an observer publishes over a scan, their stated variances, and the NIS per measurement."""
-    estimate, first = observe(scan.recording, observer), round(SKIPPED_s * machine.sample_rate_Hz)
+def errors_and_variances(
+    machine: Machine, scan: TrueScan, observer: ModalObserver, after: Callable[[ModalObserver], None] | None = None
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return errors (N, values) of all that an observer publishes over a scan, their stated variances, and the NIS per measurement.
+
+    `after` is given the observer after each row.
+    """
+    estimate, first = observe(scan.recording, observer, after=after), round(SKIPPED_s * machine.sample_rate_Hz)
     count = len(of_quantities(len(machine.axes)))
     error = estimate.values[:, :count] - published_truth(machine, scan)
     error[:, -3:] = (error[:, -3:] + np.pi) % (2.0 * np.pi) - np.pi
     nis = float(estimate["estimate_nis"][first:].sum() / estimate["estimate_measured"][first:].sum())
     return error[first:], estimate.values[first:, count : 2 * count], nis
+
+
+def whitened_into(seen: list[np.ndarray]) -> Callable[[ModalObserver], None]:
+    """Return what adds the whitened innovations (measurements,) of a row to a list."""
+    return lambda observer: seen.append(observer.memory.whitened.copy())
 
 
 def held_to_truth(
@@ -122,18 +138,22 @@ def held_to_truth(
     """
     groups = of_quantities(len(machine.axes))
     kinds = list(product(KINDS, range(len(machine.axes))))
-    sums, nis = np.zeros((len(kinds), 2, len(QUANTITIES))), []
+    sums, nis, surprises = np.zeros((len(kinds), 2, len(QUANTITIES))), [], []
     jobs = list(product(range(MACHINES), range(len(kinds))))
     told(0, len(jobs))
     for done, (number, kind) in enumerate(jobs, start=1):
         one, (how, axis) = drawn(machine, number, MACHINES, SEED + seed), kinds[kind]
         plan = plan_of(one, axis, how, np.random.default_rng([SEED, seed, number, kind]) if number % 2 else None)
-        error, variance, consistency = errors_and_variances(one, true_scan(one, plan, SEED + seed + number), observer)
+        seen: list[np.ndarray] = []
+        scan = true_scan(one, plan, SEED + seed + number)
+        error, variance, consistency = errors_and_variances(one, scan, observer, whitened_into(seen))
         nis.append(consistency)
+        surprises.append(means(np.array(seen), machine.sample_rate_Hz))
         for q in range(len(QUANTITIES)):
             sums[kind, :, q] += np.mean(variance[:, groups == q]), np.mean(error[:, groups == q] ** 2)
         told(done, len(jobs))
-    return Held(np.sqrt(sums[:, 0] / sums[:, 1]), tuple(f"{how} {machine.axes[axis]}" for how, axis in kinds), float(np.mean(nis)))
+    ratios, names = np.sqrt(sums[:, 0] / sums[:, 1]), tuple(f"{how} {machine.axes[axis]}" for how, axis in kinds)
+    return Held(ratios, names, float(np.mean(nis)), usual_means(surprises, machine.sample_rate_Hz), len(jobs))
 
 
 def scaled(noise: ObserverNoise, factors: Sequence[float] | np.ndarray) -> ObserverNoise:

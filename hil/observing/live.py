@@ -23,9 +23,6 @@ if TYPE_CHECKING:
 IMU_GAP_ROWS = 8
 """Rows without an IMU over which the estimate is still acted upon: 31 ms at 256 Hz, a quarter of an 8 Hz period."""
 
-ALARM_ROWS = 128
-"""Rows of an alarm likewise, two of its windows: a passing alarm is a push, a lasting one means that the model is wrong."""
-
 
 class LiveObserver:
     """One observer for the loop.
@@ -88,7 +85,6 @@ class LiveObserver:
             self.metadata["calibration"] = {"until_m": calibration.until_m}
         self.estimate = np.full(len(self.channels), np.nan)
         self._observed = len(observer.channels)
-        self._alarm = [name for name, _ in observer.channels].index("estimate_alarm")
         self._row = MeasuredRow(observer.model)
         channels = observer.model.channels()
         self._read = np.full(len(channels), np.nan)  # an IMU without a line stays missing
@@ -113,7 +109,7 @@ class LiveObserver:
         self.observer.restart()
         self._understudy.restart()
         self.estimate[:] = np.nan
-        self._without_imu = self._alarmed = self._rows = self._tick = 0
+        self._without_imu = self._rows = self._tick = 0
         if self.calibration is not None:
             self.calibration.restart(rows)
         if self.damping is not None:
@@ -168,8 +164,7 @@ class LiveObserver:
         axes = len(self.effort)
         read = self._row.values[2 * axes :].tolist()
         self._without_imu = 0 if any(value == value for value in read) else self._without_imu + 1
-        self._alarmed = self._alarmed + 1 if self.observer.estimate[self._alarm] else 0
-        is_known = self._without_imu <= IMU_GAP_ROWS and self._alarmed <= ALARM_ROWS
+        is_known = self._without_imu <= IMU_GAP_ROWS and not self.observer.has_lasting_alarm
         return is_known and isfinite(sum(self.observer.state.tolist()))  # of arrays so short NumPy takes longer
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
@@ -27,6 +27,7 @@ from hil.observing.structure import Structure, found_structure, with_coupling, w
 from hil.observing.tuning import tune
 from hil.observing.turning import with_turning
 from hil.observing.unmodelled import with_unmodelled, without_counted
+from hil.observing.unseen import Unseen, scans_of, unseen
 from hil.recording import Recording
 
 GRID, COARSE_GRID = 13, 9
@@ -47,6 +48,7 @@ class ObserverDesign:
     machine_hash : of the machine file
     notes : how it was made and how well it fits
     poses : (P, n_axes) at which the machine was measured for it [rad or m]; (0, 0) where that is not known
+    unseen : what its alarm does not see, and how wrong it is then; empty where that is not known
     """
 
     model: ModalModel
@@ -56,6 +58,7 @@ class ObserverDesign:
     machine_hash: str
     notes: tuple[str, ...] = field(default=())
     poses: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    unseen: tuple[Unseen, ...] = ()
 
     def observer(self, kind: FilterKind = "ukf", adapted: Sequence[int] = ()) -> ModalObserver:
         """Return a fresh observer of this design."""
@@ -146,7 +149,8 @@ def emulated_design(
     """Design an observer for a machine that has not been measured: with the numbers of its file, held to the truth of its emulation.
 
     Friction, play and sensors' errors of the file are in no modal model: they are counted in the noise, as far as one machine may differ
-    from another, and what is stated then is scaled until it is true of emulated machines.
+    from another, and what is stated then is scaled until it is true of emulated machines. The alarm knows from them what is usual, and the
+    notes say what it does not see.
 
     Parameters
     ----------
@@ -172,11 +176,14 @@ def emulated_design(
     if tuned_on:
         noise, note = _tuned(model, noise, tuned_on)
         notes.append(note)
-    held = held_to_truth(machine, ModalObserver(model, noise, isocenter_m=isocenter), seed, told)
+    more = scans_of(machine, model)
+    held = held_to_truth(machine, ModalObserver(model, noise, isocenter_m=isocenter), seed, lambda done, of: told(done, of + more))
+    noise = replace(scaled(noise, held.factors), usual=held.usual)
+    alarming = ModalObserver(model, noise, isocenter_m=isocenter)
+    blind = unseen(machine, alarming, seed, lambda done: told(held.scans + done, held.scans + more))
+    notes += [*held.notes(), *(each.note for each in blind)]
     ends = [axis_grid(machine, axis, 2) for axis in range(len(machine.axes))]
-    return ObserverDesign(
-        model, scaled(noise, held.factors), isocenter, machine.name, machine.hash, (*notes, *held.notes()), np.array(list(product(*ends)))
-    )
+    return ObserverDesign(model, noise, isocenter, machine.name, machine.hash, tuple(notes), np.array(list(product(*ends))), blind)
 
 
 def _tuned(model: ModalModel, noise: ObserverNoise, recordings: Sequence[Recording]) -> tuple[ObserverNoise, str]:

@@ -25,6 +25,7 @@ def observe(
     notes: tuple[str, ...] = (),
     calibration: LiveCalibration | None = None,
     progress: Callable[[int], None] | None = None,
+    after: Callable[[ModalObserver], None] | None = None,
 ) -> Estimate:
     """Replay an observer over a recording, from its first row on.
 
@@ -36,6 +37,8 @@ def observe(
         Is restarted.
     calibration : LiveCalibration, optional
         Behind it, as live: levels what it reads, its columns follow. Is restarted.
+    after : callable, optional
+        Given the observer after each row.
 
     Raises
     ------
@@ -65,6 +68,8 @@ def observe(
             observer.skip(int(ticks[k] - ticks[k - 1] - 1), commands[k - 1])
         observer.step_measured(row.values, commands[max(k - 1, 0)])
         values[k, :width], innovation[k], states[k] = observer.estimate, observer.innovation, observer.state
+        if after is not None:
+            after(observer)
         if calibration is not None:
             calibration.step(int(ticks[k]), values[k, :width])
             values[k, width:] = calibration.values

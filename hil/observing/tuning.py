@@ -229,6 +229,7 @@ def tune(
             bounds = np.concatenate((low, limits[:, 0])), np.concatenate((high, limits[:, 1]))
             found = _compass(cost, tried[int(np.argmin(costs))], *bounds, evaluations // 2, REFINED_STEP)
             tuned = _in_bands_but(np.isin(model.places, LOW_PASSED), noise(found), tuned)
+    tuned = replace(tuned, usual=np.zeros((0, 0)))  # that was of other innovations
     observer = ModalObserver(model, tuned, kind)
     summaries = [observer.likelihood(measured, commands)[1][SETTLED_ROWS:] for measured, commands in data]
     together = np.concatenate(summaries)

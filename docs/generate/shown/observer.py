@@ -101,10 +101,33 @@ OBSERVER = (
         "alarm in ten minutes, and 90 % of alarms within 1 s where the true error passes twice what is stated."
         "\n\nNot met on `carm-real`: a detector half as heavy again bends from the beginning as a warm one may, and the alarm comes "
         "later, as the pose changes; after a motor encoder's slip, which the link side puts right, the error passes later and by little. "
-        "And on sound machines, where an error is far out in its range by chance: no sensor shows that.",
+        "And on sound machines, where an error is far out in its range by chance: no sensor shows that."
+        "\n\nThen effects drawn over a range, on machines that are drawn, too, with the design that `hil.design_observer(MACHINE)` makes, "
+        "whose alarm knows sound machines; beside it the alarm by corrections, in the same replay. An error that the same machine without "
+        "the effect has as well does not count. What bends the arm does so from the beginning, and at rest looks like an IMU that sits "
+        "askew: the alarm comes as gravity turns in the arm's frame. False alarms of a drawn effect are true of the machine: something is "
+        "wrong with it, but the error stays below twice what is stated. Not met: loads and soft mounts are seldom told within 1 s, "
+        "which the designs say. A first set of 72 sound machines of `carm-real` raised one false alarm in 10.1 minutes, "
+        "the 84 shown raise none.",
         "python benchmarks/observer_alarms.py --seeds 12 --json benchmarks/results/observer_alarms.json",
         (Figure("machines per fault", ("seeds",)),),
         (
+            Rows(
+                "machine: drawn effect",
+                ("drawn",),
+                (
+                    Column("scans", ("scans",)),
+                    Column("largest error over stated, median", ("median_ratio",)),
+                    Column("error passed twice the stated", ("passed_twice",)),
+                    Column("alarm within 1 s", ("in_time",)),
+                    Column("by corrections", ("in_time_before",)),
+                    Column("scans in which it passed", ("scans_that_passed",)),
+                    Column("with an alarm", ("alarmed_that_passed",)),
+                    Column("by corrections", ("alarmed_that_passed_before",)),
+                    Column("false alarms in ten minutes", ("false_alarms_in_ten_minutes",)),
+                    Column("by corrections", ("false_alarms_in_ten_minutes_before",)),
+                ),
+            ),
             Rows(
                 "machine: fault",
                 ("rows",),
