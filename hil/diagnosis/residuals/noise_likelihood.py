@@ -124,7 +124,7 @@ def _with_logs(levels: Levels, logs: np.ndarray) -> Levels:
     return replace(levels, disturbance=disturbance, jolts=jolts, sensors=sensors, tones=tones)
 
 
-@numba.njit(cache=True, fastmath=False)
+@numba.njit(cache=True, fastmath=False, no_cfunc_wrapper=True)
 def _scores(
     stride: int,
     transition: np.ndarray,
@@ -184,7 +184,9 @@ def _scores(
                 for part in range(parts):
                     jolts[j] += pushed[j, part] ** 2
         transposed_times(transition[before], adjoint, carried)
-        adjoint[:] = carried
+        for i in range(size):
+            for part in range(parts):
+                adjoint[i, part] = carried[i, part]
         times(weight, transition[before], work)
         transposed_times(transition[before], work, weight)
     return start, process, jolts, reading

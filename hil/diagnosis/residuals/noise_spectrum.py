@@ -65,7 +65,7 @@ def colour_of(innovations: Sequence[np.ndarray]) -> np.ndarray:
     return filters
 
 
-@numba.njit(cache=True, fastmath=True, nogil=True)
+@numba.njit(cache=True, fastmath=True, nogil=True, no_cfunc_wrapper=True)
 def whitened_by(filters: np.ndarray, values: np.ndarray) -> None:
     """Pass columns (N m, C) of innovations, row by row, through their channels' filters (m, p + 1), in place."""
     channels, lags = filters.shape

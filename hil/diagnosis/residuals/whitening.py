@@ -143,21 +143,11 @@ def whitening(linearised: Linearised, present: np.ndarray, extra: np.ndarray | N
     return Whitening(linearised, gains, roots, more, shocks, float(total), int(present.sum()))
 
 
-@numba.njit(cache=True, fastmath=False)
+@numba.njit(cache=True, fastmath=False, no_cfunc_wrapper=True)
 def _covariances(
-    stride: int,
-    transition: np.ndarray,
-    of_effort: np.ndarray,
-    observation: np.ndarray,
-    noise: np.ndarray,
-    process: np.ndarray,
-    start: np.ndarray,
-    present: np.ndarray,
-    extra: np.ndarray,
-    jolts: np.ndarray,
-    gains: np.ndarray,
-    roots: np.ndarray,
-) -> float:
+    stride: int, transition: np.ndarray, of_effort: np.ndarray, observation: np.ndarray, noise: np.ndarray, process: np.ndarray,
+    start: np.ndarray, present: np.ndarray, extra: np.ndarray, jolts: np.ndarray, gains: np.ndarray, roots: np.ndarray,
+) -> float:  # fmt: skip
     rows, channels = present.shape
     states = transition.shape[1]
     p, work = np.zeros((states, states)), np.zeros((states, states))
@@ -214,7 +204,7 @@ def smooth_states(
     return states, deviations
 
 
-@numba.njit(cache=True, fastmath=False)
+@numba.njit(cache=True, fastmath=False, no_cfunc_wrapper=True)
 def _smoothed(
     stride: int,
     transition: np.ndarray,
@@ -249,8 +239,10 @@ def _smoothed(
     for k in range(rows):
         number = k // stride
         a, h = transition[number], observation[number]
-        covariances[k] = p
-        states[k] = x
+        for i in range(size):
+            states[k, i] = x[i]
+            for j in range(size):
+                covariances[k, i, j] = p[i, j]
         times_transposed(p, h, ph)
         for c in range(channels):
             value = readings[k, c]
@@ -295,7 +287,8 @@ def _smoothed(
             for c in range(channels):
                 value -= visible[c, i] * innovations[k, c]
             moved[i] = value
-        adjoint[:] = moved
+        for i in range(size):
+            adjoint[i] = moved[i]
         for i in range(size):
             for j in range(size):
                 states[k, i] -= covariances[k, i, j] * adjoint[j]
@@ -319,13 +312,14 @@ def _smoothed(
                 for j in range(size):
                     value += a[j, i] * adjoint[j]
                 moved[i] = value
-            adjoint[:] = moved
+            for i in range(size):
+                adjoint[i] = moved[i]
             if unsure > 0:
                 times(a.T, weight, turned)
                 times(turned, a, weight)
 
 
-@numba.njit(cache=True, fastmath=True, nogil=True)
+@numba.njit(cache=True, fastmath=True, nogil=True, no_cfunc_wrapper=True)
 def _adjoint(
     stride: int,
     transition: np.ndarray,
@@ -341,44 +335,40 @@ def _adjoint(
     states, channels, joints = transition.shape[1], whitened.shape[1], out.shape[1]
     later, carried, less = np.zeros((states, 1)), np.zeros((states, 1)), np.zeros((states, 1))
     visible, more, pushed, at_once = np.zeros((channels, 1)), np.zeros((channels, 1)), np.zeros((joints, 1)), np.zeros((joints, 1))
+    seen = np.zeros((channels, 1))
     for k in range(len(whitened) - 1, -1, -1):
         number = k // stride
         transposed_times(transition[number], later, carried)
-        transposed_times(roots[k], whitened[k].reshape(channels, 1), visible)
+        for c in range(channels):
+            seen[c, 0] = whitened[k, c]
+        transposed_times(roots[k], seen, visible)
         transposed_times(gains[k], carried, more)
-        visible += more
+        for c in range(channels):
+            visible[c, 0] += more[c, 0]
         transposed_times(of_effort[number], later, pushed)
         transposed_times(through[number], visible, at_once)
-        out[k] = pushed[:, 0] - at_once[:, 0]
+        for j in range(joints):
+            out[k, j] = pushed[j, 0] - at_once[j, 0]
         transposed_times(observation[number], visible, less)
-        later[:] = carried - less
+        for i in range(states):
+            later[i, 0] = carried[i, 0] - less[i, 0]
 
 
-@numba.njit(cache=True, fastmath=True, nogil=True)
+@numba.njit(cache=True, fastmath=True, nogil=True, no_cfunc_wrapper=True)
 def _columns(
-    stride: int,
-    transition: np.ndarray,
-    of_effort: np.ndarray,
-    of_rise: np.ndarray,
-    observation: np.ndarray,
-    through: np.ndarray,
-    gains: np.ndarray,
-    roots: np.ndarray,
-    efforts: np.ndarray,
-    ends: np.ndarray,
-    readings: np.ndarray,
-    first: int,
-    state: np.ndarray,
+    stride: int, transition: np.ndarray, of_effort: np.ndarray, of_rise: np.ndarray, observation: np.ndarray, through: np.ndarray,
+    gains: np.ndarray, roots: np.ndarray, efforts: np.ndarray, ends: np.ndarray, readings: np.ndarray, first: int, state: np.ndarray,
     out: np.ndarray,
-) -> None:
+) -> None:  # fmt: skip
     rows, channels, count = readings.shape
     states, joints = state.shape[0], efforts.shape[1]
     innovation, corrected = np.zeros((channels, count)), np.zeros((states, count))
     for r in range(rows):
         k = first + r
         number = k // stride
-        innovation[:] = readings[r]
         for i in range(channels):
+            for c in range(count):
+                innovation[i, c] = readings[r, i, c]
             for j in range(states):
                 weight = observation[number, i, j]
                 if weight != 0.0:
