@@ -117,6 +117,15 @@ class CompiledPlant:
         return 4 * self.joints + 6 * len(self.settings.imus) + 1
 
     @property
+    def filtered(self) -> slice:
+        """Where in a state vector the IMUs' channels stand after their low passes."""
+        return slice(4 * self.joints, 4 * self.joints + 6 * len(self.settings.imus))
+
+    def filters_all(self, model: np.ndarray) -> bool:
+        """Return whether every channel of the IMUs has a low pass, so that what they read stands in the state."""
+        return bool(model["is_filtered"][0, : 6 * len(self.settings.imus)].all())
+
+    @property
     def advance(self) -> Callable[..., None]:
         """Compiled: one sample period."""
         function: Callable[..., None] = self.module.advance

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
+
+from hil.diagnosis.residuals.propagation import exactly_compiled
 
 TAYLOR = 12
 """Order of the matrix exponential's series, after halving until the step is below one half: its error is 0.5^13/13! = 2e-14."""
 
 
-@numba.njit(cache=True, fastmath=False, no_cfunc_wrapper=True)
+@exactly_compiled
 def discretised(
     period: float, inverses: np.ndarray, stiffnesses: np.ndarray, dampings: np.ndarray, felt: np.ndarray, through: np.ndarray,
     corners: np.ndarray, transition: np.ndarray, of_effort: np.ndarray, of_rise: np.ndarray,

@@ -9,11 +9,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from hil.diagnosis.residuals.noise_spectrum import whitened_by
-from hil.diagnosis.residuals.propagation import inverse_root, propagated, times, times_transposed, transposed_times
+from hil.diagnosis.residuals.propagation import (
+    exactly_compiled,
+    inverse_root,
+    propagated,
+    quickly_compiled,
+    times,
+    times_transposed,
+    transposed_times,
+)
 
 DETERMINED = 1e-12
 """Share of the largest pivot: a smaller one is rounding."""
@@ -143,7 +150,7 @@ def whitening(linearised: Linearised, present: np.ndarray, extra: np.ndarray | N
     return Whitening(linearised, gains, roots, more, shocks, float(total), int(present.sum()))
 
 
-@numba.njit(cache=True, fastmath=False, no_cfunc_wrapper=True)
+@exactly_compiled
 def _covariances(
     stride: int, transition: np.ndarray, of_effort: np.ndarray, observation: np.ndarray, noise: np.ndarray, process: np.ndarray,
     start: np.ndarray, present: np.ndarray, extra: np.ndarray, jolts: np.ndarray, gains: np.ndarray, roots: np.ndarray,
@@ -204,29 +211,13 @@ def smooth_states(
     return states, deviations
 
 
-@numba.njit(cache=True, fastmath=False, no_cfunc_wrapper=True)
+@exactly_compiled
 def _smoothed(
-    stride: int,
-    transition: np.ndarray,
-    of_effort: np.ndarray,
-    of_rise: np.ndarray,
-    observation: np.ndarray,
-    through: np.ndarray,
-    noise: np.ndarray,
-    process: np.ndarray,
-    start: np.ndarray,
-    extra: np.ndarray,
-    jolts: np.ndarray,
-    gains: np.ndarray,
-    roots: np.ndarray,
-    efforts: np.ndarray,
-    ends: np.ndarray,
-    readings: np.ndarray,
-    present: np.ndarray,
-    first: int,
-    states: np.ndarray,
+    stride: int, transition: np.ndarray, of_effort: np.ndarray, of_rise: np.ndarray, observation: np.ndarray, through: np.ndarray,
+    noise: np.ndarray, process: np.ndarray, start: np.ndarray, extra: np.ndarray, jolts: np.ndarray, gains: np.ndarray, roots: np.ndarray,
+    efforts: np.ndarray, ends: np.ndarray, readings: np.ndarray, present: np.ndarray, first: int, states: np.ndarray,
     deviations: np.ndarray,
-) -> None:
+) -> None:  # fmt: skip
     rows, channels = readings.shape
     size, unsure = transition.shape[1], deviations.shape[1]
     covariances = np.zeros((rows, size, size))
@@ -319,7 +310,7 @@ def _smoothed(
                 times(turned, a, weight)
 
 
-@numba.njit(cache=True, fastmath=True, nogil=True, no_cfunc_wrapper=True)
+@quickly_compiled
 def _adjoint(
     stride: int,
     transition: np.ndarray,
@@ -354,7 +345,7 @@ def _adjoint(
             later[i, 0] = carried[i, 0] - less[i, 0]
 
 
-@numba.njit(cache=True, fastmath=True, nogil=True, no_cfunc_wrapper=True)
+@quickly_compiled
 def _columns(
     stride: int, transition: np.ndarray, of_effort: np.ndarray, of_rise: np.ndarray, observation: np.ndarray, through: np.ndarray,
     gains: np.ndarray, roots: np.ndarray, efforts: np.ndarray, ends: np.ndarray, readings: np.ndarray, first: int, state: np.ndarray,
