@@ -31,7 +31,8 @@ class Decorator(Protocol):
 
 PACKAGES = ("controllers", "drivers", "hil", "virtual_bus")
 
-# The entries for calls from Python and C take a fifth of the compilation; functions that only compiled code calls do without them.
+# The entries for calls from Python and C take a fifth of the compilation. Nothing calls from C; functions that only compiled code calls do
+# without both.
 INNER: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 # These are compiled into whatever calls them, and cannot be called from Python. Without an explicit setting they would inherit fast math
@@ -54,7 +55,7 @@ def kept_on_disk(signature: object = None, **options: object) -> Decorator:
         named = code.replace(co_freevars=(*code.co_freevars, "sources_digest"))
         keyed = FunctionType(named, plain.__globals__, plain.__name__, plain.__defaults__, cells)
         functools.update_wrapper(keyed, plain)
-        return cast(F, cast(Callable[..., Decorator], njit)(signature, cache=True, **options)(keyed))
+        return cast(F, cast(Callable[..., Decorator], njit)(signature, cache=True, no_cfunc_wrapper=True, **options)(keyed))
 
     return compile_and_keep
 

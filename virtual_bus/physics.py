@@ -59,6 +59,7 @@ class Physics:
         self.axes = tuple(drive.axis for drive in settings.drives)
         self.plant = compile_plant(settings)
         self.model = self.plant.model()
+        self._reads_state = self.plant.filters_all(self.model)  # which saves compiling what an IMU without a low pass reads
         self._work = self.plant.new_work()
         self._sensors = compiled_sensors()
         self._sensor_model = sensor_model(settings)
@@ -193,7 +194,10 @@ class Physics:
         return self._drawn
 
     def _measure(self, noise: np.ndarray) -> Latched:
-        self.plant.imu_reading(self._state, self._effort, self._brakes, self.model, self._work, self._imu)
+        if self._reads_state:
+            self._imu[:] = self._state[self.plant.filtered]
+        else:
+            self.plant.imu_reading(self._state, self._effort, self._brakes, self.model, self._work, self._imu)
         self.plant.drive_currents(self._state, self._effort, self.model, self._currents)
         readings, latched = self._readings, self._latched
         true = self._state, self._currents, self._temperature_rise, self._imu, noise

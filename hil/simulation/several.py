@@ -62,11 +62,6 @@ class Prepared:
     own: Own | None = None
 
 
-def can_be_side_by_side(prepared: Prepared, imus: int) -> bool:
-    """Return whether the lane kernel takes this machine: every channel of its IMUs must have a low pass."""
-    return bool(prepared.model["is_filtered"][0][: 6 * imus].all())
-
-
 class SideBySide:
     """The lane kernel of a plant with its controllers, and its memory."""
 

@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from hil.errors import BadAnswerError, BenchError, ExperimentError
 from hil.machine import Machine
 from hil.simulation.inputs import COMPILED_FOR, Inputs
 from hil.simulation.kernel import Loop, Rows, closed_loop_kernel, new_scratch
-from hil.simulation.several import Own, Prepared, SideBySide, Taken, can_be_side_by_side
+from hil.simulation.several import Own, Prepared, SideBySide, Taken
 from virtual_bus.errors import EmulatorError
 from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.plant.lanes import LANES
@@ -51,7 +51,7 @@ class Simulator:
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
         self.plant = compile_plant(machine.plant)
-        self._kernel = closed_loop_kernel(self.plant)
+        self._kernel = cache(partial(closed_loop_kernel, self.plant))
         self._work = self.plant.new_work()
         self._scratch = new_scratch(len(machine.axes), len(machine.plant.imus))
 
@@ -76,7 +76,7 @@ class Simulator:
         prepared = self._prepared(inputs, values, effects)
         rows = self._rows(inputs)
         settings = self.machine.plant
-        failed = self._kernel.run(
+        failed = self._kernel(self.plant.filters_all(prepared.model)).run(
             inputs.command is None,
             prepared.state,
             prepared.target,
@@ -137,7 +137,7 @@ class Simulator:
             if most_steps is not None and int(found[k].model["inner_steps"][0]) > most_steps:
                 found[k] = BadAnswerError(f"{self.machine.name}: moves too fast to be simulated in {most_steps} steps of a plant step")
                 continue
-            if can_be_side_by_side(found[k], len(self.machine.plant.imus)):
+            if self.plant.filters_all(found[k].model):  # as the lane kernel takes them
                 alike = int(found[k].model["inner_steps"][0])
                 waiting[alike].append(k)
                 if len(waiting[alike]) == LANES:

@@ -56,7 +56,7 @@ STANDSTILL_TIME_s = -1.0  # before the start, when no disturbance has begun
 
 AT_POSES = '''"""Generated: equations of one plant at many poses; do not edit."""
 
-from PLANT import evaluate_equations, evaluate_imu
+from PLANT import equations, imu
 
 from virtual_bus.compilation.jit import compiled_and_cached
 
@@ -68,7 +68,7 @@ def evaluate(model, work, positions, speeds, inertias, biases):
         for i in range(joints):
             work[0].query_position[i] = positions[row, i]
             work[0].query_speed[i] = speeds[row, i]
-        evaluate_equations(model, work)
+        equations(model[0], work[0])
         for i in range(joints):
             biases[row, i] = work[0].bias[i]
             for j in range(i + 1):
@@ -83,7 +83,7 @@ def imu_motions(model, work, positions, speeds, accelerations, readings):
             work[0].query_position[i] = positions[row, i]
             work[0].query_speed[i] = speeds[row, i]
             work[0].query_acceleration[i] = accelerations[row, i]
-        evaluate_imu(model, work)
+        imu(model[0], work[0])
         for i in range(readings.shape[1]):
             readings[row, i] = work[0].reading[i]
 '''
@@ -115,6 +115,15 @@ class CompiledPlant:
     def first_drive_state(self) -> int:
         """Where in a state vector the drives' part begins; the time [s] stands before it."""
         return 4 * self.joints + 6 * len(self.settings.imus) + 1
+
+    @property
+    def filtered(self) -> slice:
+        """Where in a state vector the IMUs' channels stand after their low passes."""
+        return slice(4 * self.joints, 4 * self.joints + 6 * len(self.settings.imus))
+
+    def filters_all(self, model: np.ndarray) -> bool:
+        """Return whether every channel of the IMUs has a low pass, so that what they read stands in the state."""
+        return bool(model["is_filtered"][0, : 6 * len(self.settings.imus)].all())
 
     @property
     def advance(self) -> Callable[..., None]:

@@ -66,11 +66,6 @@ def evaluate_gains(model, work):
 
 
 @compiled_and_cached
-def evaluate_equations(model, work):
-    equations(model[0], work[0])
-
-
-@compiled_and_cached
 def evaluate_imu(model, work):
     imu(model[0], work[0])
 

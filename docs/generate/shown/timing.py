@@ -140,6 +140,19 @@ TIMING = (
         ),
     ),
     Shown(
+        "cold_and_warm.json",
+        "First use",
+        "Processor time with no compiled code kept, over that with it.",
+        "python benchmarks/cold_and_warm.py",
+        (
+            Figure("`demo`", ("demo", "cold_over_warm"), asked="at most 1.5"),
+            Figure("`run jog`", ("run jog", "cold_over_warm"), asked="at most 1.5"),
+            Figure("`machine show carm`, the next use", ("machine show carm", "warm_processor_s"), "s"),
+            Figure("`--help`", ("--help", "warm_processor_s"), "s"),
+            Figure("`stop`", ("stop", "warm_processor_s"), "s"),
+        ),
+    ),
+    Shown(
         "plot_opens.json",
         "Time until a page of recordings is open",
         "A minute at 256 Hz with 30 channels of `isocenter plot`, from disk in headless Chromium, until the last chart is drawn.",

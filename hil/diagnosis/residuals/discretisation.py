@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
+
+from hil.diagnosis.residuals.propagation import exactly_compiled
 
 TAYLOR = 12
 """Order of the matrix exponential's series, after halving until the step is below one half: its error is 0.5^13/13! = 2e-14."""
 
 
-@numba.njit(cache=True, fastmath=False)
+@exactly_compiled
 def discretised(
-    period: float,
-    inverses: np.ndarray,
-    stiffnesses: np.ndarray,
-    dampings: np.ndarray,
-    felt: np.ndarray,
-    through: np.ndarray,
-    corners: np.ndarray,
-    transition: np.ndarray,
-    of_effort: np.ndarray,
-    of_rise: np.ndarray,
-) -> None:
+    period: float, inverses: np.ndarray, stiffnesses: np.ndarray, dampings: np.ndarray, felt: np.ndarray, through: np.ndarray,
+    corners: np.ndarray, transition: np.ndarray, of_effort: np.ndarray, of_rise: np.ndarray,
+) -> None:  # fmt: skip
     """Write what a period does to positions, speeds and low passes, and what efforts do that are held or rise over it.
 
     `felt` (L, i, 2n) and `through` (L, i, n) are what IMU channels feel of positions and speeds, and of efforts; `corners` (i,) are their
@@ -31,21 +24,30 @@ def discretised(
     count, n, _ = inverses.shape
     imus = len(corners)
     size = 4 * n + imus
-    f = np.zeros((size, size))
+    f, term, total, product = np.zeros((size, size)), np.zeros((size, size)), np.zeros((size, size)), np.zeros((size, size))
+    of_position, of_speed = np.zeros((n, n)), np.zeros((n, n))
     low, rise = 3 * n, 3 * n + imus
     for k in range(count):
-        f[:] = 0.0
+        for i in range(size):
+            for j in range(size):
+                f[i, j] = 0.0
+                term[i, j] = total[i, j] = 1.0 if i == j else 0.0
+        np.dot(inverses[k], stiffnesses[k], of_position)
+        np.dot(inverses[k], dampings[k], of_speed)
         for i in range(n):
             f[i, n + i] = period
             f[2 * n + i, rise + i] = 1.0
-        f[n : 2 * n, :n] = -period * np.dot(inverses[k], stiffnesses[k])
-        f[n : 2 * n, n : 2 * n] = -period * np.dot(inverses[k], dampings[k])
-        f[n : 2 * n, 2 * n : 3 * n] = period * inverses[k]
+            for j in range(n):
+                f[n + i, j] = -period * of_position[i, j]
+                f[n + i, n + j] = -period * of_speed[i, j]
+                f[n + i, 2 * n + j] = period * inverses[k, i, j]
         for c in range(imus):
             pull = period * corners[c]
             f[low + c, low + c] = -pull
-            f[low + c, : 2 * n] = pull * felt[k, c]
-            f[low + c, 2 * n : 3 * n] = pull * through[k, c]
+            for j in range(2 * n):
+                f[low + c, j] = pull * felt[k, c, j]
+            for j in range(n):
+                f[low + c, 2 * n + j] = pull * through[k, c, j]
         norm = 1.0
         for i in range(n):
             norm = max(norm, abs(f[n + i, n + i]) + np.sqrt(abs(f[n + i, i]) * period))
@@ -55,17 +57,23 @@ def discretised(
         while norm > 0.5 and halvings < 30:
             norm *= 0.5
             halvings += 1
-        term = np.eye(size)
-        total = np.eye(size)
-        small = f / 2.0**halvings
+        share = 2.0**halvings
+        for i in range(size):
+            for j in range(size):
+                f[i, j] /= share
         for order in range(1, TAYLOR + 1):
-            term = np.dot(term, small) / order
-            total += term
+            np.dot(term, f, product)
+            for i in range(size):
+                for j in range(size):
+                    term[i, j] = product[i, j] / order
+                    total[i, j] += term[i, j]
         for _ in range(halvings):
-            total = np.dot(total, total)
-        transition[k] = total[:rise, :rise]
-        of_effort[k] = total[:rise, 2 * n : 3 * n]
-        of_rise[k] = total[:rise, rise:]
-        for i in range(n):
-            of_effort[k, 2 * n : 3 * n, i] = 0.0
-            of_rise[k, 2 * n : 3 * n, i] = 0.0
+            np.dot(total, total, product)
+            total, product = product, total
+        for i in range(rise):
+            for j in range(rise):
+                transition[k, i, j] = total[i, j]
+            for j in range(n):
+                stays = 2 * n <= i < 3 * n
+                of_effort[k, i, j] = 0.0 if stays else total[i, 2 * n + j]
+                of_rise[k, i, j] = 0.0 if stays else total[i, rise + j]

@@ -9,12 +9,11 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numba
 import numpy as np
 import scipy.optimize
 
 from hil.diagnosis.residuals.equation_errors import EquationErrors, Levels
-from hil.diagnosis.residuals.propagation import times, transposed_times
+from hil.diagnosis.residuals.propagation import exactly_compiled, times, transposed_times
 from hil.diagnosis.residuals.whitening import whitening
 
 LONGEST_ROWS = 1200
@@ -124,7 +123,7 @@ def _with_logs(levels: Levels, logs: np.ndarray) -> Levels:
     return replace(levels, disturbance=disturbance, jolts=jolts, sensors=sensors, tones=tones)
 
 
-@numba.njit(cache=True, fastmath=False)
+@exactly_compiled
 def _scores(
     stride: int,
     transition: np.ndarray,
@@ -184,7 +183,9 @@ def _scores(
                 for part in range(parts):
                     jolts[j] += pushed[j, part] ** 2
         transposed_times(transition[before], adjoint, carried)
-        adjoint[:] = carried
+        for i in range(size):
+            for part in range(parts):
+                adjoint[i, part] = carried[i, part]
         times(weight, transition[before], work)
         transposed_times(transition[before], work, weight)
     return start, process, jolts, reading

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numba
 import numpy as np
 import scipy.linalg
+
+from hil.diagnosis.residuals.propagation import quickly_compiled
 
 QUIETEST = 0.01
 """Share of the mean square below which nothing is quiet: a stretch in which an encoder's lattice hides all noise says nothing of it."""
@@ -65,7 +66,7 @@ def colour_of(innovations: Sequence[np.ndarray]) -> np.ndarray:
     return filters
 
 
-@numba.njit(cache=True, fastmath=True, nogil=True)
+@quickly_compiled
 def whitened_by(filters: np.ndarray, values: np.ndarray) -> None:
     """Pass columns (N m, C) of innovations, row by row, through their channels' filters (m, p + 1), in place."""
     channels, lags = filters.shape

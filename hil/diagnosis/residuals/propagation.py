@@ -5,8 +5,13 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from virtual_bus.compilation.jit import OUTER, Compiler
 
-@numba.njit(cache=True, fastmath=True, nogil=True)
+exactly_compiled: Compiler = numba.njit(cache=True, fastmath=False, **OUTER)
+quickly_compiled: Compiler = numba.njit(cache=True, fastmath=True, nogil=True, **OUTER)
+
+
+@quickly_compiled
 def times(a: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
     """Write the product of two small matrices; their zeros cost nothing."""
     for i in range(a.shape[0]):
@@ -18,7 +23,7 @@ def times(a: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
                     out[i, j] += weight * b[k, j]
 
 
-@numba.njit(cache=True, fastmath=True, nogil=True)
+@quickly_compiled
 def times_transposed(a: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
     """Write a b'."""
     for i in range(a.shape[0]):
@@ -29,7 +34,7 @@ def times_transposed(a: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
             out[i, j] = total
 
 
-@numba.njit(cache=True, fastmath=True, nogil=True)
+@quickly_compiled
 def transposed_times(a: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
     """Write a' b; zeros of a cost nothing."""
     out[:] = 0.0
@@ -41,7 +46,7 @@ def transposed_times(a: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
                     out[i, j] += weight * b[k, j]
 
 
-@numba.njit(cache=True, fastmath=False, nogil=True)
+@exactly_compiled
 def inverse_root(s: np.ndarray, out: np.ndarray) -> bool:
     """Write the inverse of the lower Cholesky factor of a small matrix, and return whether it has one; `s` is overwritten."""
     size = len(s)
@@ -65,7 +70,7 @@ def inverse_root(s: np.ndarray, out: np.ndarray) -> bool:
     return True
 
 
-@numba.njit(cache=True, fastmath=True, nogil=True)
+@quickly_compiled
 def propagated(
     p: np.ndarray,
     transition: np.ndarray,

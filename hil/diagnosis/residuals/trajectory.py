@@ -289,7 +289,7 @@ class Trajectory:
             return Signals(needed, given, flowing, self._plain_readings(motion), model, driven, flowing, imus)
         out = np.zeros((rows, 4 * axes + imus.shape[1]))
         self._module.sense(
-            motion.position, motion.speed, flowing, imus, self.plant.new_state(motion.position[0]), np.zeros(axes),
+            motion.position, motion.speed, flowing, np.ascontiguousarray(imus), self.plant.new_state(motion.position[0]), np.zeros(axes),
             np.zeros(axes + imus.shape[1]), with_effects(self._sensors, self.settings, effects), new_memory(self.settings),
             new_readings(self.settings), out,
         )  # fmt: skip

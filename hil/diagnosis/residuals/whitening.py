@@ -9,11 +9,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from hil.diagnosis.residuals.noise_spectrum import whitened_by
-from hil.diagnosis.residuals.propagation import inverse_root, propagated, times, times_transposed, transposed_times
+from hil.diagnosis.residuals.propagation import (
+    exactly_compiled,
+    inverse_root,
+    propagated,
+    quickly_compiled,
+    times,
+    times_transposed,
+    transposed_times,
+)
 
 DETERMINED = 1e-12
 """Share of the largest pivot: a smaller one is rounding."""
@@ -143,21 +150,11 @@ def whitening(linearised: Linearised, present: np.ndarray, extra: np.ndarray | N
     return Whitening(linearised, gains, roots, more, shocks, float(total), int(present.sum()))
 
 
-@numba.njit(cache=True, fastmath=False)
+@exactly_compiled
 def _covariances(
-    stride: int,
-    transition: np.ndarray,
-    of_effort: np.ndarray,
-    observation: np.ndarray,
-    noise: np.ndarray,
-    process: np.ndarray,
-    start: np.ndarray,
-    present: np.ndarray,
-    extra: np.ndarray,
-    jolts: np.ndarray,
-    gains: np.ndarray,
-    roots: np.ndarray,
-) -> float:
+    stride: int, transition: np.ndarray, of_effort: np.ndarray, observation: np.ndarray, noise: np.ndarray, process: np.ndarray,
+    start: np.ndarray, present: np.ndarray, extra: np.ndarray, jolts: np.ndarray, gains: np.ndarray, roots: np.ndarray,
+) -> float:  # fmt: skip
     rows, channels = present.shape
     states = transition.shape[1]
     p, work = np.zeros((states, states)), np.zeros((states, states))
@@ -214,29 +211,13 @@ def smooth_states(
     return states, deviations
 
 
-@numba.njit(cache=True, fastmath=False)
+@exactly_compiled
 def _smoothed(
-    stride: int,
-    transition: np.ndarray,
-    of_effort: np.ndarray,
-    of_rise: np.ndarray,
-    observation: np.ndarray,
-    through: np.ndarray,
-    noise: np.ndarray,
-    process: np.ndarray,
-    start: np.ndarray,
-    extra: np.ndarray,
-    jolts: np.ndarray,
-    gains: np.ndarray,
-    roots: np.ndarray,
-    efforts: np.ndarray,
-    ends: np.ndarray,
-    readings: np.ndarray,
-    present: np.ndarray,
-    first: int,
-    states: np.ndarray,
+    stride: int, transition: np.ndarray, of_effort: np.ndarray, of_rise: np.ndarray, observation: np.ndarray, through: np.ndarray,
+    noise: np.ndarray, process: np.ndarray, start: np.ndarray, extra: np.ndarray, jolts: np.ndarray, gains: np.ndarray, roots: np.ndarray,
+    efforts: np.ndarray, ends: np.ndarray, readings: np.ndarray, present: np.ndarray, first: int, states: np.ndarray,
     deviations: np.ndarray,
-) -> None:
+) -> None:  # fmt: skip
     rows, channels = readings.shape
     size, unsure = transition.shape[1], deviations.shape[1]
     covariances = np.zeros((rows, size, size))
@@ -249,8 +230,10 @@ def _smoothed(
     for k in range(rows):
         number = k // stride
         a, h = transition[number], observation[number]
-        covariances[k] = p
-        states[k] = x
+        for i in range(size):
+            states[k, i] = x[i]
+            for j in range(size):
+                covariances[k, i, j] = p[i, j]
         times_transposed(p, h, ph)
         for c in range(channels):
             value = readings[k, c]
@@ -295,7 +278,8 @@ def _smoothed(
             for c in range(channels):
                 value -= visible[c, i] * innovations[k, c]
             moved[i] = value
-        adjoint[:] = moved
+        for i in range(size):
+            adjoint[i] = moved[i]
         for i in range(size):
             for j in range(size):
                 states[k, i] -= covariances[k, i, j] * adjoint[j]
@@ -319,13 +303,14 @@ def _smoothed(
                 for j in range(size):
                     value += a[j, i] * adjoint[j]
                 moved[i] = value
-            adjoint[:] = moved
+            for i in range(size):
+                adjoint[i] = moved[i]
             if unsure > 0:
                 times(a.T, weight, turned)
                 times(turned, a, weight)
 
 
-@numba.njit(cache=True, fastmath=True, nogil=True)
+@quickly_compiled
 def _adjoint(
     stride: int,
     transition: np.ndarray,
@@ -341,44 +326,40 @@ def _adjoint(
     states, channels, joints = transition.shape[1], whitened.shape[1], out.shape[1]
     later, carried, less = np.zeros((states, 1)), np.zeros((states, 1)), np.zeros((states, 1))
     visible, more, pushed, at_once = np.zeros((channels, 1)), np.zeros((channels, 1)), np.zeros((joints, 1)), np.zeros((joints, 1))
+    seen = np.zeros((channels, 1))
     for k in range(len(whitened) - 1, -1, -1):
         number = k // stride
         transposed_times(transition[number], later, carried)
-        transposed_times(roots[k], whitened[k].reshape(channels, 1), visible)
+        for c in range(channels):
+            seen[c, 0] = whitened[k, c]
+        transposed_times(roots[k], seen, visible)
         transposed_times(gains[k], carried, more)
-        visible += more
+        for c in range(channels):
+            visible[c, 0] += more[c, 0]
         transposed_times(of_effort[number], later, pushed)
         transposed_times(through[number], visible, at_once)
-        out[k] = pushed[:, 0] - at_once[:, 0]
+        for j in range(joints):
+            out[k, j] = pushed[j, 0] - at_once[j, 0]
         transposed_times(observation[number], visible, less)
-        later[:] = carried - less
+        for i in range(states):
+            later[i, 0] = carried[i, 0] - less[i, 0]
 
 
-@numba.njit(cache=True, fastmath=True, nogil=True)
+@quickly_compiled
 def _columns(
-    stride: int,
-    transition: np.ndarray,
-    of_effort: np.ndarray,
-    of_rise: np.ndarray,
-    observation: np.ndarray,
-    through: np.ndarray,
-    gains: np.ndarray,
-    roots: np.ndarray,
-    efforts: np.ndarray,
-    ends: np.ndarray,
-    readings: np.ndarray,
-    first: int,
-    state: np.ndarray,
+    stride: int, transition: np.ndarray, of_effort: np.ndarray, of_rise: np.ndarray, observation: np.ndarray, through: np.ndarray,
+    gains: np.ndarray, roots: np.ndarray, efforts: np.ndarray, ends: np.ndarray, readings: np.ndarray, first: int, state: np.ndarray,
     out: np.ndarray,
-) -> None:
+) -> None:  # fmt: skip
     rows, channels, count = readings.shape
     states, joints = state.shape[0], efforts.shape[1]
     innovation, corrected = np.zeros((channels, count)), np.zeros((states, count))
     for r in range(rows):
         k = first + r
         number = k // stride
-        innovation[:] = readings[r]
         for i in range(channels):
+            for c in range(count):
+                innovation[i, c] = readings[r, i, c]
             for j in range(states):
                 weight = observation[number, i, j]
                 if weight != 0.0:

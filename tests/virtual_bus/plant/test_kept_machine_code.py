@@ -60,5 +60,5 @@ def test_whole_simulations_let_other_threads_go_on_and_what_a_loop_calls_every_s
     functions = [one for one in vars(plant.module).values() if hasattr(one, "targetoptions")]
     assert plant.advance in functions
     assert not any(one.targetoptions.get("nogil") for one in functions)
-    for kernel in (closed_loop_kernel(plant), lane_kernel(plant, 4)):
+    for kernel in (closed_loop_kernel(plant, filters_all=True), lane_kernel(plant, 4)):
         assert kernel.run.targetoptions["nogil"]
