@@ -6,8 +6,6 @@ from collections.abc import Callable
 from typing import Any, Protocol, TypeVar
 
 import numba
-from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler as Pipeline
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -32,41 +30,9 @@ UNCOUNTED: dict[str, Any] = {"_nrt": False}
 OUTER: dict[str, Any] = {"no_cfunc_wrapper": True}
 INNER: dict[str, Any] = {"no_cpython_wrapper": True, **OUTER}
 
-
-class _Part(JITCodeLibrary):
-    """A function that is part of its callers: nothing runs it by itself, so that no machine code is made of it."""
-
-    @property
-    def codegen(self) -> _Part:
-        """Whom numba tells the address of what the machine code refers to."""
-        return self
-
-    def set_env(self, name: str, environment: object) -> None:
-        """There is no machine code."""
-
-    def _finalize_final_module(self) -> None:
-        self._finalize_dynamic_globals()  # type: ignore[no-untyped-call]
-        self._finalized = True
-
-
-class _IntoCallers(Pipeline):
-    """Compiles a function as far as its callers need it.
-
-    It is optimised before them all the same: left to the outermost, whose code is then larger, plants side by side run an eighth slower.
-    """
-
-    def define_pipelines(self) -> list[Any]:
-        """Return numba's own passes, with a library of code that is not made into machine code."""
-        self.state.library = _Part(self.state.targetctx.codegen(), self.state.func_id.func_qualname)  # type: ignore[no-untyped-call]
-        passes: list[Any] = super().define_pipelines()  # type: ignore[no-untyped-call]
-        return passes
-
-
 # For functions compiled into a generated module. Inlining is forced: a function handed over as an argument leaves a trace that numba cannot
 # cache unless the call disappears, and the compiler then sees one body with known sizes.
-compiled: Compiler = numba.njit(
-    fastmath=FAST_MATH, error_model="numpy", forceinline=True, pipeline_class=_IntoCallers, **UNCOUNTED, **INNER
-)
+compiled: Compiler = numba.njit(fastmath=FAST_MATH, error_model="numpy", forceinline=True, **UNCOUNTED, **INNER)
 
 # For the functions of a generated module: machine code of their own, kept on disk. The second is for those that Python does not call.
 compiled_and_cached: Compiler = numba.njit(fastmath=FAST_MATH, error_model="numpy", cache=True, **UNCOUNTED, **OUTER)
