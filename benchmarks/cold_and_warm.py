@@ -35,7 +35,7 @@ MOST = 1.5
 
 def taken(words: tuple[str, ...], cache: Path) -> tuple[float, float]:
     """Return processor time and time [s] that a command takes; all that it writes goes to a folder that is then gone."""
-    environment = {**os.environ, "XDG_CACHE_HOME": str(cache), "NUMBA_CACHE_DIR": str(cache / "numba"), "PYTHONPATH": str(ROOT)}
+    environment = {**os.environ, "ISOCENTER_CACHE": str(cache), "NUMBA_CACHE_DIR": str(cache / "numba"), "PYTHONPATH": str(ROOT)}
     with tempfile.TemporaryDirectory() as folder:
         began = time.monotonic()
         silent = subprocess.DEVNULL

@@ -9,8 +9,8 @@ beside it is the pair: the same loop with the same observer. Under load two proc
 keeps frames, observer and first calibration. Cases that the result holds already are left out: it goes on where it was ended. Shares in
 time are of this machine with what else it does: imaging_speed.py has processor time.
 
-A tick that the loop loses moves the jog on by a row, and not the machine's time, by which the frames go: from then on they show the machine
-elsewhere than it is. The phantom's images say so (change), and one whose rows were lost has no place (unplaced).
+A tick that the loop loses delays the jog by one row, while the panel goes on by the machine's time: from then on the frames show the
+machine elsewhere than it is. The phantom's images say so (change), and one whose rows were lost has no place (unplaced).
 
 An image's age is from the middle of its exposure to the row that takes it in. It is in time where it is taken in before the middle of the
 next exposure.

@@ -45,8 +45,8 @@ class PanelClock:
     exposure_id : (N,) array of int, optional
         Numbers of the exposures in error messages; without it they are counted from 0.
     fewest : int
-        Pulses that it takes. The rate is believed where they are fewer than `FEWEST`: one pulse alone tells its exposure's time to half a
-        period, for who will not wait for more.
+        Pulses that it takes. Fewer than `FEWEST` do not check the rate, and one pulse alone tells its exposure's time to half a period,
+        with a rate of 1: for who will not wait for more.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class PanelClock:
         self._origin, self.rate_doubt = float(panel.mean()), 2.0 * RATE_TRUST
         if len(panel) >= FEWEST:
             self._check_rate(panel - self._origin, middles, period_s)
-        self._at, self.rate = _narrowest(panel - self._origin, middles)
+        self._at, self.rate = _narrowest(panel - self._origin, middles) if np.ptp(panel) > 0.0 else (float(np.median(middles)), 1.0)
         error = middles - self.to_loop(panel)
         self.residual_s = float(np.sqrt(np.mean(error**2)))
         worst = int(np.argmax(np.abs(error)))

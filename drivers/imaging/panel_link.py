@@ -109,7 +109,7 @@ class PanelLink:
         if address is None:
             raise BusUnavailableError(f"panel {url}: its address reads tcp:HOST:PORT, e.g. tcp:192.168.0.7:4100")
         self.url, self.exposures = url, None
-        self._period_s, self._first = period_s, 0
+        self._period_s, self._first, self._is_gone = period_s, 0, False
         self._header, self._image = bytearray(HEADER.size), np.empty(0, dtype="<u2")
         self._missing = memoryview(self._header)
         try:
@@ -133,8 +133,11 @@ class PanelLink:
         self._say(STOP_COMMAND)
 
     def wait(self, seconds: float) -> None:
-        """Wait until data come, at most this long."""
-        select.select([self._socket], [], [], seconds)
+        """Wait until data come, at most this long; from a panel that has hung up none do."""
+        if self._is_gone:
+            time.sleep(seconds)
+        else:
+            select.select([self._socket], [], [], seconds)
 
     def poll(self) -> list[Frame]:
         """Return the frames that have come since the last call, in order; pulses are in periods of SYNC since the first.
@@ -149,6 +152,7 @@ class PanelLink:
             if self._missing:  # nothing more has come
                 return frames
             frames += self._completed()
+        self._is_gone = True
         if not frames and self.exposures is None:
             raise PanelError(f"panel {self.url} is gone: {gone}")
         return frames

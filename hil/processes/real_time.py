@@ -65,10 +65,12 @@ def real_time(wanted: bool = True) -> Iterator[Scheduling]:
 def behind_the_loop() -> None:
     """Request SCHED_FIFO after the loop's for this thread, and freeze what is there by now, through which every collection would go.
 
-    Where the system refuses, the scheduler stays as it is. A thread under SCHED_FIFO that the loop's interrupts goes on at once on a
-    processor that is free, or has less urgent work; another waits until the processors' loads are compared.
+    Where the system refuses the loop's priority, which the loop then has not either, the scheduler stays as it is. A thread under
+    SCHED_FIFO that the loop's interrupts goes on at once on a processor that is free, or has less urgent work; one under the default
+    scheduler waits until the next balancing of loads.
     """
     with contextlib.suppress(AttributeError, PermissionError, OSError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(BEHIND_THE_LOOP))
+        for priority in (FIFO_PRIORITY, BEHIND_THE_LOOP):
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     gc.collect()
     gc.freeze()

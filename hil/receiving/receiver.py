@@ -34,7 +34,8 @@ PIECE_BYTES = 2**16
 """Written at once: a kernel may leave a processor with whoever writes until that is done, 5 ms for a frame, whatever the loop needs."""
 
 RESTS = 0.25
-"""Share of what images took that a receiver leaves to others where it cannot keep up: under real-time scheduling they would get nothing."""
+"""Share of what an image takes that a receiver leaves to others, if need be before the next one: under real-time scheduling they would get
+nothing from one that cannot keep up."""
 
 STAMPS, MARKERS, TROUBLE = "stamps.csv", "markers.csv", "trouble.txt"
 WATCHED = ("focal_u [m]", "focal_v [m]", "focal_length [m]", "theta_x [rad]", "theta_y [rad]", "theta_z [rad]")
@@ -95,9 +96,10 @@ def _serve(order: ReceiverOrder, is_over: Event, is_ready: Event) -> None:
         marker_rows.writerow(["exposure_id", *WATCHED, "points"])
         is_ready.set()
         marker: SeenMarker | None = None
+        busy_s = idle_s = 0.0  # since the last frame was done with
         while True:
-            over = is_over.is_set()
-            frames, began_s = source.poll(), time.monotonic()
+            over, began_s = is_over.is_set(), time.monotonic()
+            frames = source.poll()
             for frame in frames:
                 if frame.image.shape != shape:
                     came = f"{frame.image.shape[1]} x {frame.image.shape[0]}"
@@ -125,9 +127,14 @@ def _serve(order: ReceiverOrder, is_over: Event, is_ready: Event) -> None:
                 stamps.flush()
             if over and source.is_over:
                 return
-            if order.live is not None and order.live.real_time and len(frames) > 1:
-                time.sleep(RESTS * (time.monotonic() - began_s))
+            busy_s += time.monotonic() - began_s
+            if frames:
+                if order.live is not None and order.live.real_time and (rest_s := RESTS * busy_s - idle_s) > 0.0:
+                    time.sleep(rest_s)
+                busy_s = idle_s = 0.0
+            began_s = time.monotonic()
             source.wait(LOOKS_EVERY_S)
+            idle_s += time.monotonic() - began_s
 
 
 class _InPieces(io.FileIO):

@@ -255,6 +255,11 @@ def test_frames_come_whole_whatever_pieces_they_come_in(wire: tuple[PanelLink, s
     assert read_command(panel.recv(100).rstrip(b"\n")) is None
     panel.close()
     assert link.poll() == [], "a panel that has said that it ended may go"
+    waited: list[float] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(panel_link.time, "sleep", waited.append)
+        link.wait(0.01)
+    assert waited == [0.01], "whoever waits for one that is gone does not spin"
 
 
 @pytest.mark.parametrize(("said", "line"), [(b"HTTP/1.1 400 Bad Request" * 3, "what it sends is no frame"), (b"", "it hung up")])

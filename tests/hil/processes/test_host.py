@@ -15,7 +15,7 @@ import pytest
 from hil.cli.running import RunOptions, stepped_over
 from hil.emulated.card import EmulatorCard, find, published
 from hil.processes.private_folder import private_folder
-from hil.processes.real_time import BEHIND_THE_LOOP, FIFO_PRIORITY, real_time
+from hil.processes.real_time import BEHIND_THE_LOOP, FIFO_PRIORITY, behind_the_loop, real_time
 
 BUS = "udp:239.74.163.77"
 
@@ -79,6 +79,22 @@ def test_what_the_loop_waits_for_is_behind_it_and_before_all_that_is_not_real_ti
         is_given = granted.scheduler != "default scheduler"
     assert told.stdout.split() == ["True", *map(str, (os.SCHED_FIFO, BEHIND_THE_LOOP) if is_given else (os.SCHED_OTHER, 0))]
     assert BEHIND_THE_LOOP < FIFO_PRIORITY
+
+
+def test_what_the_loop_waits_for_is_never_before_a_loop_without_real_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    granted: list[int] = []
+
+    def at_most_40(_: int, scheduler: int, parameters: os.sched_param) -> None:
+        if parameters.sched_priority > 40:
+            raise PermissionError
+        granted.append(parameters.sched_priority)
+
+    monkeypatch.setattr(os, "sched_setscheduler", at_most_40)
+    with real_time() as loop:
+        behind_the_loop()
+        gc.unfreeze()
+    assert loop.scheduler == "default scheduler"
+    assert not granted
 
 
 def test_real_time_that_is_not_wanted_is_not_asked_for() -> None:

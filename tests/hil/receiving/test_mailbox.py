@@ -1,7 +1,10 @@
 """Shared memory between the loop and who looks at images: what is told and sent comes whole, and what is lost is counted."""
 
+import io
 import multiprocessing
 from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -20,6 +23,9 @@ from hil.receiving import frame_measurements as watch_module
 from hil.receiving import receiver as receiver_module
 from hil.receiving.frame_measurements import Live, Watch
 from hil.receiving.receiver import PIECE_BYTES, ReceiverOrder, serve
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
 
 CONTEXT, PERIOD = multiprocessing.get_context("spawn"), 1.0 / 256.0
 
@@ -93,7 +99,9 @@ def test_an_image_that_is_there_before_its_row_waits_for_it(monkeypatch: pytest.
 
 
 @pytest.mark.parametrize(("skips", "looked_at"), [(True, 1), (False, 4)])
-def test_of_frames_that_wait_only_the_newest_is_looked_at_unless_time_stands_still(tmp_path: Path, skips: bool, looked_at: int) -> None:
+def test_of_frames_that_wait_only_the_newest_is_looked_at_unless_time_stands_still(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, skips: bool, looked_at: int
+) -> None:
     machine = load_machine("carm")
     box, panel, is_over = Mailbox(CONTEXT, 2), nominal_detector(machine, 8), CONTEXT.Event()
     end = LoopEnd(box)
@@ -106,33 +114,60 @@ def test_of_frames_that_wait_only_the_newest_is_looked_at_unless_time_stands_sti
     is_over.set()
     scan = tmp_path / "scan"
     scan.mkdir()
+    written: list[int] = []
+
+    class Noting(io.FileIO):
+        def write(self, data: "ReadableBuffer") -> int:
+            written.append(memoryview(data).nbytes)
+            return super().write(data)
+
+    class InPieces(receiver_module._InPieces, Noting):
+        """As the receiver's, which hands its pieces to a file that notes their sizes."""
+
+    monkeypatch.setattr(receiver_module, "_InPieces", InPieces)
     serve(ReceiverOrder(tmp_path, scan, panel, None, None, Live(machine, box, skips=skips)), is_over, CONTEXT.Event())
     assert (end.looked_at, end.skipped) == (looked_at, 4 - looked_at)
     kept = tifffile.imread(scan / FRAMES)
     assert kept.shape == (4, panel.rows, panel.columns), "all are kept"
     assert np.array_equal(kept, dark - np.uint16(3) + np.arange(4, dtype=np.uint16)[:, None, None]), "whole, though written in pieces"
-    assert panel.rows * panel.columns * 2 > PIECE_BYTES
+    assert sum(written) > 4 * panel.rows * panel.columns * 2 > PIECE_BYTES >= max(written)
 
 
-@pytest.mark.parametrize("behind", [False, True])
-def test_a_receiver_that_cannot_keep_up_leaves_some_time_to_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, behind: bool) -> None:
-    machine, is_over, slept = load_machine("carm"), CONTEXT.Event(), []
+@pytest.mark.parametrize(("takes_s", "waits_s", "rests_s"), [(0.032, 0.0, [0.008] * 3), (0.032, 0.002, [0.006] * 3), (0.012, 0.02, [])])
+def test_a_receiver_that_cannot_keep_up_leaves_some_time_to_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, takes_s: float, waits_s: float, rests_s: list[float]
+) -> None:
+    machine, is_over = load_machine("carm"), CONTEXT.Event()
     box, panel, scan = Mailbox(CONTEXT, 2), nominal_detector(machine, 8), tmp_path / "scan"
     scan.mkdir()
     for row in range(300):
         LoopEnd(box).tell(row, row * PERIOD, np.zeros(2))
-    for number in range(2 if behind else 1):
-        write_frame(
-            tmp_path, Frame(number, 5000.0 + 0.1 * number, 8e-3, 0.1 * number, np.zeros((panel.rows, panel.columns), dtype=np.uint16))
-        )
+    now_s, slept, polls = 0.0, [], 0
 
-    def sleep(seconds: float) -> None:
-        slept.append(seconds)
-        is_over.set()
+    class Frames:
+        is_over = True
+
+        def __init__(self, folder: Path) -> None:
+            """Frames that come one by one, each as soon as the one before has been looked at, or later."""
+
+        def poll(self) -> list[Frame]:
+            nonlocal now_s, polls
+            polls += 1
+            if polls == 1:
+                return []
+            now_s += takes_s
+            if polls == 4:
+                is_over.set()
+            at_s = 0.1 * polls
+            return [Frame(polls, 5000.0 + at_s, 8e-3, at_s, np.zeros((panel.rows, panel.columns), dtype=np.uint16))]
+
+        def wait(self, seconds: float) -> None:
+            nonlocal now_s
+            now_s += waits_s
 
     monkeypatch.setattr(receiver_module, "behind_the_loop", lambda: None)
-    monkeypatch.setattr(receiver_module.time, "sleep", sleep)
+    monkeypatch.setattr(receiver_module, "SpooledFrames", Frames)
+    monkeypatch.setattr(receiver_module, "time", SimpleNamespace(monotonic=lambda: now_s, sleep=slept.append))
     serve(ReceiverOrder(tmp_path, scan, panel, None, None, Live(machine, box, skips=True, real_time=True)), is_over, CONTEXT.Event())
     assert not (scan / receiver_module.TROUBLE).exists()
-    assert slept.count(receiver_module.LOOKS_EVERY_S) == 1
-    assert len(slept) == 1 + behind
+    assert slept == pytest.approx(rests_s)

@@ -12,6 +12,8 @@ from hil.errors import BadAnswerError, ExperimentError, RecordingError
 from hil.machine import Machine, load_machine, machine_from_text
 from hil.recording import Channel, Recording
 from hil.simulation import Simulator, inputs_of, simulate
+from virtual_bus.physics import Physics
+from virtual_bus.plant.compiled import CompiledPlant
 from virtual_bus.settings import EffectSetting
 
 EMPS = load_machine("emps")
@@ -242,3 +244,19 @@ def test_what_damping_added_to_the_command_drives_the_simulation_lost_ticks_incl
     kept = np.delete(np.arange(ROWS), [200, 201])
     gapped = Recording({name: Channel(channel.unit, channel.values[kept]) for name, channel in damped.channels.items()}, {"bench": {}})
     assert simulate(CARM, gapped)["position_roll"] == pytest.approx(expected["position_roll"][kept], abs=1e-4)
+
+
+def test_imus_that_are_all_filtered_read_the_same_from_the_state_as_from_the_equations(monkeypatch: pytest.MonkeyPatch) -> None:
+    inputs, found = inputs_of(CARM, recording_of(CARM, 40)), []
+    for filters_all in (True, False):
+        with monkeypatch.context() as patch:
+            patch.setattr(CompiledPlant, "filters_all", lambda plant, model, answer=filters_all: answer)
+            physics = Physics(CARM.plant, noise=False)
+            physics.place(np.zeros(2))
+            physics.apply(np.array([0.5, -0.5]))
+            for _ in range(20):
+                physics.advance()
+            found.append((physics.latch().imu.copy(), Simulator(CARM).run(inputs).imu))
+    assert np.ptp(found[0][1], axis=0).min() > 0.0
+    np.testing.assert_allclose(found[0][0], found[1][0], rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(found[0][1], found[1][1], rtol=1e-9, atol=1e-9)
