@@ -59,7 +59,7 @@ CAUSES: tuple[tuple[str, str], ...] = (
     (r"\w+ \(node \d+\): .* reads back .* after .* was written", "writes_forgotten"),
     (r"the device does not take this value", "writes_forgotten"),
     # ---- PDOs and the bus
-    (r"\w+: TPDO .*: \d+ SYNCs were not answered in time", SILENT),
+    (r"\w+: TPDO .*: \d+ SYNCs were not answered in time since bring-up", SILENT),
     (r"\w+: TPDO .* comes more than once per SYNC: a second device sends it.*", "foreign_tpdo|bus_repeats_frames|node_id_twice"),
     (r"\w+: TPDO .*: \d+ frames were longer than .*|the rest was ignored", "pdos_long"),
     (r"dropped because malformed: \d+ frames .*", "frames_empty|pdos_short|bus_damages_frames"),
