@@ -70,6 +70,18 @@ def test_a_gap_in_the_measurements_tells_nothing_new() -> None:
     assert not is_unusual(monitor.recent, np.array([1.0, np.nan]))
 
 
+def test_an_observer_that_adapts_modes_compares_corrections_as_what_is_usual_was_seen_without() -> None:
+    measured, commands, _ = drawn_rows(DenseModel(small_model(), small_noise()), small_noise(), 60, seed=5)
+    usual = np.full((len(WINDOWS_s), measured.shape[1]), 1e-6)
+    for adapted, share in (((), 1.0), ((0,), 0.0)):
+        observer = ModalObserver(small_model(), replace(small_noise(adapted_walk=1e-3), usual=usual), adapted=adapted)
+        alarms = []
+        for k in range(len(measured)):
+            observer.step_measured(measured[k], commands[max(k - 1, 0)])
+            alarms.append(observer.estimate[-1])
+        assert np.mean(alarms) == share
+
+
 def test_a_table_of_what_is_usual_that_does_not_fit_is_refused() -> None:
     for usual in (np.ones((3, 2)), np.zeros((3, 10))):
         with pytest.raises(DesignError, match="usual must be 3 times"):
