@@ -137,8 +137,9 @@ def means(whitened: np.ndarray, rate_Hz: float) -> np.ndarray:
 def _since(forgotten: np.ndarray, fading: np.ndarray, kept: float) -> np.ndarray:
     """Return fading sums (N, measurements) of what came after a row (N, measurements), which counts from 1; 0: of all."""
     rows = np.arange(1, 1 + len(fading))[:, None]
-    before: np.ndarray = np.take_along_axis(np.vstack((np.zeros(fading.shape[1]), fading)), forgotten, axis=0)
-    return fading - kept ** (rows - forgotten) * before
+    before = np.take_along_axis(np.vstack((np.zeros(fading.shape[1]), fading)), forgotten, axis=0)
+    left: np.ndarray = fading - kept ** (rows - forgotten) * before
+    return left
 
 
 class InnovationMonitor:
