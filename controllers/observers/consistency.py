@@ -31,7 +31,8 @@ WINDOWS_s = (0.25, 1.0, 4.0)
 that whatever lasts some time between is seen at no less than 0.9 of what its own window would show."""
 
 LASTING = 2.0
-"""Windows that an alarm of a passing push may last: as long as it takes to be forgotten."""
+"""Windows that an alarm of a passing push may last, and for which a silent channel's mean still counts: as long as it takes to be
+forgotten. The weight of what was seen is then e^-4, its share in a mean e^-2."""
 
 GROUPS = ((0, 3), (3, 6), (6, 9))
 """Among the geometric parameters: focal spot, isocentre, orientation."""
@@ -56,6 +57,8 @@ class Corrections(NamedTuple):
     weights: np.ndarray  # (windows, measurements) variances that these have where innovations are white
     forgets: np.ndarray  # (windows,) as `kept`
     usual: np.ndarray  # (windows, measurements) `ObserverNoise.usual`
+    silent: np.ndarray  # (measurements,) int: rows since each was measured
+    passes: np.ndarray  # (windows or 1,) rows of `LASTING` windows
     lasts: np.ndarray  # (windows or 1,) int: rows since which each has raised the alarm
 
 
@@ -93,8 +96,13 @@ def corrects_too_much(recent: Corrections, correction: np.ndarray, variance: np.
 
 @exactly_compiled
 def is_unusual(recent: Corrections, whitened: np.ndarray) -> bool:
-    """Take a sample's whitened innovations (measurements,) in; tell whether a mean of them and of those before leaves what is usual."""
+    """Take a sample's whitened innovations (measurements,) in; tell whether a mean of them and of those before leaves what is usual.
+
+    Sums and weights of a silent channel fade alike, so that its mean would stand for ever: it is forgotten after `LASTING` windows.
+    """
     raised = False
+    for j in range(len(whitened)):
+        recent.silent[j] = 0 if whitened[j] == whitened[j] else recent.silent[j] + 1
     for w in range(len(recent.forgets)):
         kept, size = recent.forgets[w], 0.0
         for j in range(len(whitened)):
@@ -102,6 +110,8 @@ def is_unusual(recent: Corrections, whitened: np.ndarray) -> bool:
             if whitened[j] == whitened[j]:
                 total += whitened[j]
                 weight += 1.0
+            if recent.silent[j] > recent.passes[w]:
+                total, weight = 0.0, 0.0
             recent.sums[w, j], recent.weights[w, j] = total, weight
             if weight > 0.0:
                 size += total * total / (weight * recent.usual[w, j])
@@ -112,13 +122,24 @@ def is_unusual(recent: Corrections, whitened: np.ndarray) -> bool:
 
 def means(whitened: np.ndarray, rate_Hz: float) -> np.ndarray:
     """Return the means (N, windows, measurements) of whitened innovations (N, measurements) that `is_unusual` looks at."""
-    known = np.isfinite(whitened)
+    known, rows = np.isfinite(whitened), np.arange(1, 1 + len(whitened))[:, None]
+    silent = rows - np.maximum.accumulate(np.where(known, rows, 0))
     found = np.zeros((len(whitened), len(WINDOWS_s), whitened.shape[1]))
-    for w, kept in enumerate(np.exp(-1.0 / (rate_Hz * np.array(WINDOWS_s)))):
-        total = signal.lfilter([1.0], [1.0, -kept], np.where(known, whitened, 0.0), axis=0)
-        weight = signal.lfilter([1.0], [1.0, -(kept**2)], known.astype(float), axis=0)
+    for w, window in enumerate(rate_Hz * np.array(WINDOWS_s)):
+        kept = np.exp(-1.0 / window)
+        forgotten = np.maximum.accumulate(np.where(silent > LASTING * window, rows, 0))  # the last row by which nothing was left
+        total = _since(forgotten, signal.lfilter([1.0], [1.0, -kept], np.where(known, whitened, 0.0), axis=0), kept)
+        weight = _since(forgotten, signal.lfilter([1.0], [1.0, -(kept**2)], known.astype(float), axis=0), kept**2)
         found[:, w] = np.divide(total, np.sqrt(weight), out=np.zeros_like(total), where=weight > 0.0)
     return found
+
+
+def _since(forgotten: np.ndarray, fading: np.ndarray, kept: float) -> np.ndarray:
+    """Return fading sums (N, measurements) of what came after a row (N, measurements), which counts from 1; 0: of all."""
+    rows = np.arange(1, 1 + len(fading))[:, None]
+    before = np.take_along_axis(np.vstack((np.zeros(fading.shape[1]), fading)), forgotten, axis=0)
+    left: np.ndarray = fading - kept ** (rows - forgotten) * before
+    return left
 
 
 class InnovationMonitor:
@@ -150,20 +171,20 @@ class CorrectionMonitor:
         limits = np.zeros((0, 0)) if usual is None else np.array(usual, float)
         forgets = np.exp(-1.0 / (rate_Hz * np.array(WINDOWS_s[: len(limits)])))
         rows = rate_Hz * np.array(WINDOWS_s) if len(limits) else np.array([window])
-        self._passes = (LASTING * rows).tolist()
-        bank = np.zeros(limits.shape), np.zeros(limits.shape), forgets, limits, np.zeros(len(rows), dtype=np.int64)
+        silent, lasts = (np.zeros(count, dtype=np.int64) for count in (limits.shape[1], len(rows)))
+        bank = np.zeros(limits.shape), np.zeros(limits.shape), forgets, limits, silent, LASTING * rows, lasts
         self.recent = Corrections(np.zeros(9), np.zeros(9), math.exp(-1.0 / window), most, *bank)
 
     def reset(self) -> None:
         """Forget all samples."""
         recent = self.recent
-        for values in (recent.total, recent.variance, recent.sums, recent.weights, recent.lasts):
+        for values in (recent.total, recent.variance, recent.sums, recent.weights, recent.silent, recent.lasts):
             values[:] = 0
 
     @property
     def is_lasting(self) -> bool:
         """Whether an alarm outlasts its window by far: a passing one is a push, a lasting one means that the model is wrong."""
-        return any(rows > passes for rows, passes in zip(self.recent.lasts.tolist(), self._passes, strict=True))
+        return any(rows > passes for rows, passes in zip(self.recent.lasts.tolist(), self.recent.passes.tolist(), strict=True))
 
     def step(self, correction: np.ndarray, variance: np.ndarray) -> bool:
         """Tell whether a sample's correction (9,), with its variance (9,), and those before are too large for chance."""

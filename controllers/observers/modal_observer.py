@@ -70,7 +70,8 @@ class ModalObserver:
         self._isocenter = np.zeros(3) if isocenter_m is None else np.asarray(isocenter_m, float)
         self.constants = _constants(model, noise, self.adapted)
         self._scheduled, self.memory = _memory(self.constants)
-        self._innovations, self._corrections = InnovationMonitor(), CorrectionMonitor(usual=noise.usual, rate_Hz=model.sample_rate_Hz)
+        usual = None if self.adapted else noise.usual
+        self._innovations, self._corrections = InnovationMonitor(), CorrectionMonitor(usual=usual, rate_Hz=model.sample_rate_Hz)
         n = len(model.axes)
         self.channels = estimate_channels(model.axes, model.position_unit)
         self.estimate = np.full(len(self.channels), np.nan)

@@ -50,7 +50,8 @@ class ObserverNoise:
         By what stated deviations of `publish.QUANTITIES` are multiplied, so that they are true; empty: 1.
     usual : (windows, measurements) array
         Squared semi-axes of the ellipsoid that the mean whitened innovations over each of `consistency.WINDOWS_s`, over the deviation of
-        such a mean of white ones, do not leave on a sound machine. Empty: not known.
+        such a mean of white ones, do not leave on a sound machine. Empty: not known. An observer that adapts modes does not look at it:
+        while a frequency still moves, innovations are others.
     """
 
     command: np.ndarray

@@ -1,4 +1,4 @@
-"""Where and why an observer's estimates are not to be trusted: its alarms in words, and poses outside those of its design."""
+"""Where and why an observer's estimates may be worse than stated: its alarms in words, and poses outside those of its design."""
 
 from __future__ import annotations
 

@@ -122,7 +122,7 @@ def _unseen(arrays: dict[str, np.ndarray]) -> tuple[Unseen, ...]:
     """Return what the alarm does not see; nothing of a design from before it was found."""
     if "unseen_what" not in arrays:
         return ()
-    columns = [arrays[f"unseen_{name}"].tolist() for name in _UNSEEN]
+    columns = [arrays[f"unseen_{name}"].tolist() for name in _UNSEEN if name != "tried" or "unseen_tried" in arrays]
     return tuple(Unseen(*row) for row in zip(*columns, strict=True))
 
 

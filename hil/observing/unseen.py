@@ -8,7 +8,7 @@ same noise. To first order the difference of the mean innovations and of the pub
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -55,18 +55,21 @@ class Unseen:
     """From which on every scan raises the alarm, in `unit`; no number where none of `SIZES` does."""
     unit: str
     error_m: float
-    """Largest error of focal spot or isocentre of a smaller one, in a scan without an alarm [m]."""
+    """Largest error of focal spot or isocentre of any smaller one, in a scan without an alarm [m]."""
     times: float
-    """By which the error of focal spot, isocentre or orientation is then larger than stated."""
+    """By which the error of focal spot, isocentre or orientation is then larger than stated, at most."""
     in_time: float
     """From which on every alarm is raised within `IN_TIME_s` of the error's passing twice what is stated, in `unit`; or no number."""
+    tried: float = float("nan")
+    """The largest that was tried, in `unit`; no number where that is not known."""
 
     @property
     def note(self) -> str:
         """Return it in words."""
         most = f"up to {1e3 * self.error_m:.2g} mm off, {self.times:.2g} times what is stated"
         if not np.isfinite(self.size):
-            return f"the alarm does not see {self.what}: focal spot or isocentre are {most}"
+            tried = f" up to {self.tried:.3g} {self.unit}" if np.isfinite(self.tried) else ""
+            return f"the alarm does not see {self.what}{tried}: focal spot or isocentre are {most}"
         known = f"from {self.in_time:.3g} {self.unit} on" if np.isfinite(self.in_time) else "of no size for certain"
         when = f"within {IN_TIME_s:g} s of passing twice what is stated, {known}"
         return f"the alarm sees {self.what} from {self.size:.3g} {self.unit} on: with less, focal spot or isocentre are {most}; {when}"
@@ -109,16 +112,16 @@ def unseen(machine: Machine, observer: ModalObserver, seed: int = 0, told: Calla
     told : callable
         Told how many scans are done.
     """
-    found: dict[str, tuple[Probe, list[_Seen]]] = {}
+    found: dict[str, tuple[Probe, list[Seen]]] = {}
     imu, done = detector_imu(observer.model), 0
     for axis in range(len(machine.axes)):
         without = _scanned(machine, observer, axis, (), seed)
         told(done := done + 1)
         for probe in probes(machine, axis, imu):
             with_it = _scanned(machine, observer, axis, probe.effects, seed)
-            found.setdefault(probe.what, (probe, []))[1].append(_Seen(without, with_it, observer.noise.usual, machine.sample_rate_Hz))
+            found.setdefault(probe.what, (probe, []))[1].append(_seen(without, with_it, observer.noise.usual, machine.sample_rate_Hz))
             told(done := done + 1)
-    return tuple(_judged(*each) for each in found.values())
+    return tuple(judged(*each) for each in found.values())
 
 
 def scans_of(machine: Machine, model: ModalModel) -> int:
@@ -149,36 +152,43 @@ def _scanned(machine: Machine, observer: ModalObserver, axis: int, effects: tupl
     return _Scanned(means(np.array(whitened), machine.sample_rate_Hz)[first:], error, variance)
 
 
-class _Seen:
-    """One scan with something wrong of any size."""
+@dataclass(frozen=True)
+class Seen:
+    """One scan with something wrong of each of `SIZES`: whether it is alarmed, and in time, and the largest errors as `Unseen` has them."""
 
-    def __init__(self, without: _Scanned, with_it: _Scanned, usual: np.ndarray, rate_Hz: float) -> None:
-        self.alarmed: list[bool] = []
-        self.in_time: list[bool] = []
-        self.error_m: list[float] = []
-        self.times: list[float] = []
-        stated = np.array([np.sqrt(np.sum(without.variance[:, at], axis=1)) for at in GEOMETRY])
-        for size in SIZES:
-            seen = without.means + size * (with_it.means - without.means)
-            error = without.error + size * (with_it.error - without.error)
-            alarm = (np.sum(seen**2 / usual, axis=2) > 1.0).any(axis=1)
-            off = np.array([np.sqrt(np.sum(error[:, at] ** 2, axis=1)) for at in GEOMETRY])
-            times = np.max(off / stated, axis=0)
-            passed, raised = np.flatnonzero(times > TWICE), np.flatnonzero(alarm)
-            self.alarmed.append(bool(len(raised)))
-            self.error_m.append(float(off[:2].max()))
-            self.times.append(float(times.max()))
-            self.in_time.append(not len(passed) or bool(len(raised) and raised[0] <= passed[0] + IN_TIME_s * rate_Hz))
+    alarmed: list[bool] = field(default_factory=list)
+    in_time: list[bool] = field(default_factory=list)
+    error_m: list[float] = field(default_factory=list)
+    times: list[float] = field(default_factory=list)
 
 
-def _judged(probe: Probe, scans: list[_Seen]) -> Unseen:
+def _seen(without: _Scanned, with_it: _Scanned, usual: np.ndarray, rate_Hz: float) -> Seen:
+    found = Seen()
+    stated = np.array([np.sqrt(np.sum(without.variance[:, at], axis=1)) for at in GEOMETRY])
+    for size in SIZES:
+        means_of_it = without.means + size * (with_it.means - without.means)
+        error = without.error + size * (with_it.error - without.error)
+        alarm = (np.sum(means_of_it**2 / usual, axis=2) > 1.0).any(axis=1)
+        off = np.array([np.sqrt(np.sum(error[:, at] ** 2, axis=1)) for at in GEOMETRY])
+        times = np.max(off / stated, axis=0)
+        passed, raised = np.flatnonzero(times > TWICE), np.flatnonzero(alarm)
+        found.alarmed.append(bool(len(raised)))
+        found.error_m.append(float(off[:2].max()))
+        found.times.append(float(times.max()))
+        found.in_time.append(not len(passed) or bool(len(raised) and raised[0] <= passed[0] + IN_TIME_s * rate_Hz))
+    return found
+
+
+def judged(probe: Probe, scans: list[Seen]) -> Unseen:
+    """Return what is not seen in scans with something wrong."""
     from_alarmed = _from(np.all([scan.alarmed for scan in scans], axis=0))
     from_in_time = max(_from(np.all([scan.in_time for scan in scans], axis=0)), from_alarmed)
-    last = max(from_alarmed - 1, 0)
-    unseen_by = [scan for scan in scans if not scan.alarmed[last]] or scans
-    sizes = np.append(probe.size * SIZES, np.nan)
-    most = max(scan.error_m[last] for scan in unseen_by), max(scan.times[last] for scan in unseen_by)
-    return Unseen(probe.what, float(sizes[from_alarmed]), probe.unit, *most, float(sizes[from_in_time]))
+    smaller = slice(0, max(from_alarmed, 1))
+    unseen_by = ~np.array([scan.alarmed[smaller] for scan in scans])
+    counts = unseen_by if unseen_by.any() else np.ones_like(unseen_by)
+    error_m, times = (float(np.array([getattr(scan, of)[smaller] for scan in scans])[counts].max()) for of in ("error_m", "times"))
+    sizes, tried = np.append(probe.size * SIZES, np.nan), float(probe.size * SIZES[-1])
+    return Unseen(probe.what, float(sizes[from_alarmed]), probe.unit, error_m, times, float(sizes[from_in_time]), tried)
 
 
 def _from(is_so: np.ndarray) -> int:

@@ -17,7 +17,8 @@ from scipy import stats
 from controllers.observers.consistency import WINDOWS_s
 
 FALSE_ALARMS_per_s = 1.0 / 3600.0
-"""On sound machines: one in an hour. One in ten minutes may be; a few minutes of drawn scans tell so rare a thing to a factor of some."""
+"""On sound machines: one in an hour. One in ten minutes may be: a few minutes of drawn scans tell so rare a thing only to
+a factor of several."""
 
 SMALLEST = 1e-6
 """Of a mean square, where a channel of the emulation never surprises."""

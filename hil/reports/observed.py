@@ -17,7 +17,7 @@ from hil.reports.made_from import command_line, machine_fact, pose_of, was_emula
 
 BAND = 0.95
 FEW, MANY = 0.01, 0.10
-"""Shares of rows with an alarm: fewer are chance, more say that the estimates are worse than they state."""
+"""Shares of rows with an alarm: fewer are chance, more say that the machine is not that of the model."""
 
 LEAST_NIS = 1e-3
 SECONDS = Scale("time [s]")
@@ -62,7 +62,7 @@ def verdict(estimate: Estimate) -> Verdict:
     said = f"The detector was off by up to {1e3 * shift:.3g} mm rms along an axis; "
     if alarm <= FEW:
         return Verdict(said + f"the sensors bear out its accuracy (squared innovations {mean:.2f} of what is expected).", "good")
-    said += f"by the alarm this is worse than stated in {alarm:.1%} of the rows "
+    said += f"in {alarm:.1%} of the rows an alarm says that the sensors contradict the model: it may be worse than stated there "
     return Verdict(said + f"(squared innovations {mean:.2f} of what is expected).", "unsure" if alarm <= MANY else "bad")
 
 

@@ -141,7 +141,10 @@ class ObserveAnswer:
             longest = max(self.alarms, key=lambda alarm: alarm.rows)
             times = f"{len(self.alarms)} times" if len(self.alarms) > 1 else f"once, from {longest.from_s:.2f} to {longest.to_s:.2f} s"
             share = 100.0 * self.alarm_share
-            return f"The estimates are not to be trusted in {share:.1f} % of rows: the alarm is raised {times}, most by {longest.channel}."
+            return (
+                f"The sensors contradict the observer's model in {share:.1f} % of rows, where its estimates may be worse than stated:"
+                f" the alarm is raised {times}, most by {longest.channel}."
+            )
         return f"The estimates agree with the sensors: no alarm in {self.rows} rows, NIS {self.mean_nis:.2f} (1 fits)."
 
     @property

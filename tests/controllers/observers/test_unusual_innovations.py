@@ -60,14 +60,46 @@ def test_a_weak_lasting_pull_is_seen_by_the_long_window_alone_and_a_jump_by_the_
     assert 5120 <= first[0] < first[2] < 5120 + RATE_Hz
 
 
-def test_a_gap_in_the_measurements_tells_nothing_new() -> None:
+def test_a_gap_in_the_measurements_tells_nothing_new_and_after_two_windows_a_silent_channel_is_forgotten() -> None:
     monitor = CorrectionMonitor(usual=np.full((len(WINDOWS_s), 2), 20.0), rate_Hz=RATE_Hz)
     raised = [is_unusual(monitor.recent, np.array([1.0, np.nan])) for _ in range(64)]
     assert raised[-1]
     assert not raised[0]
-    assert all(is_unusual(monitor.recent, np.full(2, np.nan)) for _ in range(round(30 * RATE_Hz)))
+    silent = [is_unusual(monitor.recent, np.full(2, np.nan)) for _ in range(round(30 * RATE_Hz))]
+    assert silent == [k < 2 * WINDOWS_s[-1] * RATE_Hz for k in range(len(silent))]
     monitor.reset()
     assert not is_unusual(monitor.recent, np.array([1.0, np.nan]))
+
+
+def test_what_a_silent_channel_showed_does_not_outlive_it_beside_others_and_its_return_begins_anew() -> None:
+    """A minute and a half of silence makes its weights so small that they cannot be divided by: no window goes blind."""
+    generator = np.random.default_rng(4)
+    rows = generator.standard_normal((round(150 * RATE_Hz), 2))
+    rows[: round(5 * RATE_Hz), 1] += 3.0
+    lost, back = round(5 * RATE_Hz), round(140 * RATE_Hz)
+    rows[lost:back, 1] = np.nan
+    rows[back - 400 : back - 300, 0] = np.nan  # a shorter gap is carried over
+    usual = np.array([[60.0, 60.0], [60.0, 60.0], [60.0, 1e-6 * 60.0]])
+    monitor = CorrectionMonitor(usual=usual, rate_Hz=RATE_Hz)
+    alarms, forgotten = np.array([is_unusual(monitor.recent, row) for row in rows]), lost + round(2 * WINDOWS_s[-1] * RATE_Hz)
+    found = means(rows, RATE_Hz)
+    assert np.array_equal(alarms, (np.sum(found**2 / usual, axis=2) > 1.0).any(axis=1))
+    assert alarms[lost:forgotten].all()
+    assert not alarms[forgotten:back].any()
+    assert found[back, :, 1] == pytest.approx(rows[back, 1], rel=1e-12)
+    assert alarms[back:].any()
+
+
+def test_an_observer_that_adapts_modes_compares_corrections_as_what_is_usual_was_seen_without() -> None:
+    measured, commands, _ = drawn_rows(DenseModel(small_model(), small_noise()), small_noise(), 60, seed=5)
+    usual = np.full((len(WINDOWS_s), measured.shape[1]), 1e-6)
+    for adapted, share in (((), 1.0), ((0,), 0.0)):
+        observer = ModalObserver(small_model(), replace(small_noise(adapted_walk=1e-3), usual=usual), adapted=adapted)
+        alarms = []
+        for k in range(len(measured)):
+            observer.step_measured(measured[k], commands[max(k - 1, 0)])
+            alarms.append(observer.estimate[-1])
+        assert np.mean(alarms) == share
 
 
 def test_a_table_of_what_is_usual_that_does_not_fit_is_refused() -> None:

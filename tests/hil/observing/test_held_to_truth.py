@@ -14,8 +14,8 @@ from controllers.observers.publish import QUANTITIES, of_quantities
 from hil.experiments import Scan
 from hil.machine import load_machine
 from hil.machine.drawn import drawn
-from hil.observing import ObserverDesign
-from hil.observing.held_to_truth import Held, errors_and_variances
+from hil.observing import ObserverDesign, observe
+from hil.observing.held_to_truth import Held, errors_and_variances, plan_of
 from hil.observing.true_scan import true_scan
 
 MACHINES = 6
@@ -45,6 +45,17 @@ def test_the_design_of_the_hard_arm_is_true_of_machines_it_has_not_seen(design: 
     known_to = 1.4  # of six machines a root mean square is known to 29 %; without factors velocities are 2.4 to 3.4 times too wide
     assert ((ratios > 0.7 / known_to) & (ratios < 1.5 * known_to)).all(), dict(zip(QUANTITIES, ratios.round(2), strict=True))
     assert any("held to the truth" in note for note in design.notes)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", range(3))
+def test_sound_machines_that_differ_from_their_file_raise_no_alarm(design: ObserverDesign, number: int) -> None:
+    machine = load_machine("carm-real")
+    one = drawn(machine, number, 3, seed=6)
+    assert one.plant.effects != machine.plant.effects
+    for axis, how in enumerate(("fast", "reversed")):
+        scan = true_scan(one, plan_of(one, axis, how, np.random.default_rng(number)), 4200 + number)
+        assert not observe(scan.recording, design.observer())["estimate_alarm"].any()
 
 
 @pytest.mark.slow

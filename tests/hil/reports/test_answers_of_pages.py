@@ -38,6 +38,7 @@ def test_an_observer_is_as_good_as_its_innovations(alarms: int, kind: str) -> No
     assert said.kind == kind
     assert "2 mm rms" in said.text
     assert "1.00 of what is expected" in said.text
+    assert ("may be worse than stated" in said.text) == (alarms > 0)
 
 
 @pytest.mark.parametrize(("used", "kind"), [(20, "good"), (10, "unsure"), (0, "bad")])
