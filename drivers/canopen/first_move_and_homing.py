@@ -80,10 +80,9 @@ def commission_axis(
 def make_first_move(machine: Machine, axis: int, settings: HomingSettings, holding: np.ndarray, load_between: np.ndarray) -> str:
     """Open the brake of an axis, check that a push moves it the right way, and close it; set `holding` to the effort that held it.
 
-    An axis that moves on under its holding effort is stopped, the brake that it has is proven, and it is released anew under the middle of
-    what is left of the range in which its load may lie. That takes away half of the doubt, and at least half of what pulls it: one that
-    gains as much as before has a reversed motor, or a load outside the range. As long as an effort is left against a motion, the least
-    travel is one; else what its encoders would have to agree by.
+    An axis that moves on under its holding effort is stopped, any brake proven, and it is released anew under the middle of what is left of
+    the range in which its load may lie. That takes away half of the doubt, and at least half of what pulls it: one that gains as much as
+    before has a reversed motor, or a load outside the range. With no effort left against it, only what encoders disagree by is a motion.
 
     Returns
     -------
@@ -115,8 +114,7 @@ def make_first_move(machine: Machine, axis: int, settings: HomingSettings, holdi
                 raise _refusal(machine, axis, expected, load_between, effort, motion, first) from None
             machine.rest_axes([axis], None)
             least, most = (effort, most) if motion.moved < 0.0 else (least, effort)
-            first, before = first or motion.acceleration, motion.acceleration
-            holding[axis] = 0.5 * (least + most)
+            first, before, holding[axis] = first or motion.acceleration, motion.acceleration, 0.5 * (least + most)
             continue
         power_and_brakes.come_to_rest(machine, [axis], lambda _: holding)
         beside = float(holding[axis]) - expected
