@@ -80,10 +80,9 @@ def commission_axis(
 def make_first_move(machine: Machine, axis: int, settings: HomingSettings, holding: np.ndarray, load_between: np.ndarray) -> str:
     """Open the brake of an axis, check that a push moves it the right way, and close it; set `holding` to the effort that held it.
 
-    An axis that moves on under its holding effort is stopped, its brake is proven, and it is released anew under the middle of what is
-    left of the range in which its load may lie. That takes away half of the doubt, and at least half of what pulls it: one that gains as
-    much as before has a reversed motor, or a load outside the range. As long as another effort is left, the least travel is a motion; under
-    the last one, what its encoders would have to agree by.
+    An axis that moves on under its holding effort is stopped, any brake proven, and it is released anew under the middle of what is left of
+    the range in which its load may lie. That takes away half of the doubt, and at least half of what pulls it: one that gains as much as
+    before has a reversed motor, or a load outside the range. With no effort left against it, only what encoders disagree by is a motion.
 
     Returns
     -------
@@ -96,25 +95,26 @@ def make_first_move(machine: Machine, axis: int, settings: HomingSettings, holdi
         It moves on under every holding effort that a sound machine may take, or the wrong way, or not at all; or the link encoder does not
         follow.
     """
-    expected, before = float(holding[axis]), 0.0
+    expected, first, before = float(holding[axis]), 0.0, 0.0
     least, most = expected + min(0.0, float(load_between[0])), expected + max(0.0, float(load_between[1]))
     known = SMALLEST_SHARE * (most - least)
     while True:
         machine.watch.stand()
-        is_last = most - least <= known
-        released = _Released(machine, axis, holding, settings.agreement_tolerance if is_last else settings.direction_check_travel)
+        effort, is_last = float(holding[axis]), most - least <= known
+        left = [effort < most and not is_last, effort > least and not is_last]  # another effort, against a motion down and up
+        travels = [settings.direction_check_travel if another else settings.agreement_tolerance for another in left]
+        released = _Released(machine, axis, holding, travels)
         try:
             power_and_brakes.reach(machine, State.OPERATION_ENABLED, [axis], released)
             power_and_brakes.open_brakes(machine, [axis], released)
             seen, push = check_first_move(machine, axis, settings, released, most)
             holding[axis] += max(0.0, push - settings.direction_check_effort)  # friction takes no more than that: it is load
         except _MovesOnError as motion:
-            effort = float(holding[axis])
-            if is_last or motion.acceleration * before > WEAKER * before**2:
-                raise _refusal(machine, axis, expected, load_between, effort, motion, before) from None
+            if not left[motion.moved > 0.0] or motion.acceleration * before > WEAKER * before**2:
+                raise _refusal(machine, axis, expected, load_between, effort, motion, first) from None
             machine.rest_axes([axis], None)
-            least, most = (effort, most) if motion.acceleration < 0.0 else (least, effort)
-            before, holding[axis] = motion.acceleration, 0.5 * (least + most)
+            least, most = (effort, most) if motion.moved < 0.0 else (least, effort)
+            first, before, holding[axis] = first or motion.acceleration, motion.acceleration, 0.5 * (least + most)
             continue
         power_and_brakes.come_to_rest(machine, [axis], lambda _: holding)
         beside = float(holding[axis]) - expected
@@ -133,12 +133,12 @@ class _Released:
     """Holds an axis by its holding effort alone, from before its brake opens, and raises where it moves on.
 
     What its load differs from the holding effort by, dry friction takes up, which bends before it slides: such an axis moves a little and
-    stands. One that moves by more than `most` is held by nothing.
+    stands. One that moves by more than `travels`, down and up, is held by nothing.
     """
 
-    def __init__(self, machine: Machine, axis: int, holding: np.ndarray, most: float) -> None:
+    def __init__(self, machine: Machine, axis: int, holding: np.ndarray, travels: list[float]) -> None:
         self.holding = holding
-        self._machine, self._axis, self._most = machine, axis, most
+        self._machine, self._axis, self._travels = machine, axis, travels
         self._began = self._half = self._half_s = self._last = self._last_s = nan
 
     def __call__(self, sample: Sample) -> np.ndarray:
@@ -149,35 +149,36 @@ class _Released:
         if not isfinite(self._began):
             self._began = position
         moved = position - self._began
-        if abs(moved) >= self._most:
-            self._raise(moved, now_s)
-        if abs(moved) < 0.5 * self._most:
+        most = self._travels[moved > 0.0]
+        if abs(moved) >= most:
+            self._raise(moved, now_s, most)
+        if abs(moved) < 0.5 * most:
             self._half = nan
         elif not isfinite(self._half):
             self._half, self._half_s = moved, now_s
         self._last, self._last_s = moved, now_s
         return self.holding
 
-    def _raise(self, moved: float, now_s: float) -> None:
+    def _raise(self, moved: float, now_s: float, most: float) -> None:
         """Tell of the motion: its acceleration is that of one that began at rest, from its mean speed over its second half."""
         before, before_s = (self._half, self._half_s) if isfinite(self._half) else (self._last, self._last_s)
         if not now_s > before_s:
             before, before_s = 0.0, now_s - self._machine.period_s
         speed = (moved - before) / (now_s - before_s)
-        raise _MovesOnError(moved, copysign(speed**2 / max(abs(moved + before), self._most), moved))
+        raise _MovesOnError(moved, copysign(speed**2 / max(abs(moved + before), most), moved))
 
 
 def _refusal(
-    machine: Machine, axis: int, expected: float, load_between: np.ndarray, tried: float, motion: _MovesOnError, before: float
+    machine: Machine, axis: int, expected: float, load_between: np.ndarray, tried: float, motion: _MovesOnError, first: float
 ) -> MotionRefusedError:
-    """Return the error that tells why no effort holds an axis: what it did under the one that was tried last."""
+    """Return the error that tells why no effort holds an axis: what it did under the last one, and had gained under the first."""
     rated, unit = machine.scalings[axis].rated, machine.scalings[axis].position_unit
     load = f"the load is not the {abs(expected) / rated:.0%} of the rated effort that the file says"
     if load_between.any():
         load += f", which its effects change by {load_between[0] / rated:+.0%} to {load_between[1] / rated:+.0%}"
     wrong = "the holding effort is wrong or not given"
-    if motion.acceleration * before > 0.0:
-        wrong += ", or acts the other way (with less it gained no more): motor wiring, encoder direction or the machine file's sign"
+    if motion.acceleration * first > WEAKER * first**2:
+        wrong += ", or acts the other way (another effort hardly slowed it): motor wiring, encoder direction or the machine file's sign"
     moves = f"moves by {motion.moved:+.2e} {unit} under its holding effort of {tried:.3g} alone"
     return MotionRefusedError(f"{machine.axes[axis]}: {moves}; {wrong}, or {load}")
 

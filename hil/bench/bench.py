@@ -347,7 +347,9 @@ class Bench:
         self.tell(LETTING_GO, "", 0)
         self.wiring.link.close_brakes(self.holding())
         self.see_pose()
-        self._beside = self.loop.control.effort - self.model.holding_effort(self.pose)
+        beside = self.loop.control.effort - self.model.holding_effort(self.pose)
+        beside[self.loop.control.led] = self._beside[self.loop.control.led]  # their drives hold them, by loops of their own
+        self._beside = beside
 
     def see_pose(self) -> None:
         """Read the position of the homed machine."""
@@ -385,8 +387,7 @@ class Bench:
 
     def holding(self) -> Callable[[Sample], np.ndarray]:
         """Return the function from a sample to the command that holds the present pose, for phases in which the link ticks by itself."""
-        control, pose, feedforward = self.loop.control, self.pose.copy(), self._feedforward()
-        position = pose.copy()
+        control, pose, position, feedforward = self.loop.control, self.pose.copy(), self.pose.copy(), self._feedforward()
 
         def hold(sample: Sample) -> np.ndarray:
             known = np.isfinite(sample.position)

@@ -17,7 +17,7 @@ def expectation_of(machine: Machine, model: Physics) -> Expects | None:
     """Return what the machine file makes of a motion; None where nothing is compared with it.
 
     The axis's joint moves as its motor side, the joint of its gear as the link does beyond that. Joints that no encoder follows rest. What
-    holds an axis may differ as far as the ranges of the file's effects let it.
+    holds an axis is expected in the middle of what the ranges of the file's effects let it be, and may differ by half of that.
     """
     judging = machine.judging
     tolerances = [each.load_tolerance for each in judging.drives]
@@ -56,9 +56,10 @@ def expectation_of(machine: Machine, model: Physics) -> Expects | None:
         imu = np.zeros((1, len(channels)))
         if channels:
             module.readings(model.model, work, *motion, imu)
+        least, most = loads.between_at(motion[0][0]).T
         return Expected(
-            (needed + friction)[0, joints] / scale,
-            np.sqrt(variance[0, joints]) / scale + np.abs(loads.between_at(motion[0][0])).max(axis=1) / UNSURE,
+            (needed + friction)[0, joints] / scale + 0.5 * (least + most),
+            np.sqrt(variance[0, joints]) / scale + 0.5 * (most - least) / UNSURE,
             imu[0, first : first + 6] if first is not None else np.zeros(0),
         )
 

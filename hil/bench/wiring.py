@@ -72,7 +72,7 @@ class HeedingMachine(CanMachine):
 
     def start(self) -> None:
         """Start as `CanMachine` does."""
-        self.troubles = []
+        self.troubles, self._stop_began = [], None
         self._supervisor.begin()
         super().start()
 

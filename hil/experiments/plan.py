@@ -13,7 +13,7 @@ from hil.errors import ExperimentError
 from hil.machine import Machine
 
 LONGEST_S = 86400.0
-"""Of all recordings of an experiment together: a plan holds every row in memory."""
+"""Of all recordings of a jog, multisine, scan or tour together: a plan holds every row in memory. `Static` has a wider bound of its own."""
 
 
 @dataclass(frozen=True)

@@ -49,15 +49,15 @@ def typical(machine: Machine) -> Machine:
     return _with(machine, size)
 
 
+def spans(effect: EffectSetting) -> dict[str, list[tuple[float, float]]]:
+    """Return in which ranges each size of an effect may lie, the least first: in two where it may have either sign."""
+    both = {name: low > 0.0 and _is_signed(effect, name) for name, (low, _) in effect.between.items()}
+    return {name: [(-high, -low), (low, high)] if both[name] else [(low, high)] for name, (low, high) in effect.between.items()}
+
+
 def ends(effect: EffectSetting) -> Iterator[EffectSetting]:
-    """Yield an effect at every combination of its ranges' ends, of either sign where it may have one; nothing where it has no ranges."""
-    if not effect.between:
-        return
-    ways = []
-    for name, (low, high) in effect.between.items():
-        both = low > 0.0 and _is_signed(effect, name)
-        ways.append((low, high, -low, -high) if both else (low, high))
-    for values in itertools.product(*ways):
+    """Yield an effect at every combination of the least and the greatest of its sizes; itself where it has no ranges."""
+    for values in itertools.product(*((each[0][0], each[-1][1]) for each in spans(effect).values())):
         yield replace(effect, parameters=effect.parameters | dict(zip(effect.between, values, strict=True)))
 
 

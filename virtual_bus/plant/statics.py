@@ -118,9 +118,12 @@ def holding_effort(plant: CompiledPlant, model: np.ndarray, axis_positions: np.n
     return effort_at(plant, model, equilibrium(plant, model, axis_positions))
 
 
-def effort_at(plant: CompiledPlant, model: np.ndarray, joint_positions: np.ndarray) -> np.ndarray:
-    """Return the drive efforts (axes,) in the drives' units that standstill at these joint positions (n,) takes besides the springs."""
-    effort = static_effort(plant, model, joint_positions)[plant.driven_joints]
+def effort_at(plant: CompiledPlant, model: np.ndarray, joint_positions: np.ndarray, pulls: np.ndarray | float = 0.0) -> np.ndarray:
+    """Return the drive efforts (axes,) in the drives' units that standstill at these joint positions (n,) takes besides the springs.
+
+    `pulls` (axes,) are efforts on the driven joints [Nm or N] beside the model's.
+    """
+    effort = static_effort(plant, model, joint_positions)[plant.driven_joints] - pulls
     return targets_at_rest(model, _drives_effort(effort, plant.drive_gains(model, joint_positions)))
 
 

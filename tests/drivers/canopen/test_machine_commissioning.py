@@ -340,6 +340,35 @@ def test_a_load_beyond_its_range_is_refused_once_the_range_is_searched_or_does_n
     assert rig.at_rest()
 
 
+def test_a_load_beyond_its_range_that_more_effort_slows_is_not_blamed_on_the_motor(rig: Rig) -> None:
+    rig.drives[0].gravity = 240.0  # 1.2 A
+    opened = releases(rig)
+    with pytest.raises(
+        MotionRefusedError, match=r"propeller: moves by -.* effort of 0\.875 alone; the holding effort is wrong or not given, or the load"
+    ):
+        rig.machine.home(load_between=UNKNOWN_A)
+    assert opened == [0.0, 0.5, 0.75, 0.875]
+    assert rig.at_rest()
+
+
+def test_an_effort_at_the_end_of_the_range_is_not_tried_twice(rig: Rig) -> None:
+    rig.drives[0].gravity = -60.0
+    opened = releases(rig)
+    with pytest.raises(
+        MotionRefusedError, match=r"propeller: moves by \+.* under its holding effort of 0 alone; .* change by \+0% to \+20%"
+    ):
+        rig.machine.home(load_between=np.maximum(UNKNOWN_A, 0.0))
+    assert opened == [0.0]
+    assert rig.at_rest()
+
+
+def test_dry_friction_that_bends_at_the_end_of_the_range_and_then_stands_is_no_wrong_effort(rig: Rig) -> None:
+    creeps(rig, 50, 3.0)
+    opened = releases(rig)
+    assert "propeller: moved +" in rig.machine.home(load_between=np.maximum(UNKNOWN_A, 0.0))[0]
+    assert opened == [0.0]
+
+
 def test_a_reversed_motor_that_a_load_moves_is_not_pushed_harder_than_once(rig: Rig) -> None:
     rig.drives[0].gravity, rig.drives[0].direction = 90.0, -1
     opened = releases(rig)

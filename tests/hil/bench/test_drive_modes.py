@@ -22,6 +22,7 @@ from hil.experiments import Multisine, Plan, Scan, Static
 from hil.machine import Machine, check_machine, machine_from_text
 from hil.recording import Channel, Recording
 from hil.simulation import in_effort, simulate
+from virtual_bus.physics import Physics
 
 MODES = ("velocity", "position")
 ONE_BY_DAY = (pytest.param("velocity", marks=pytest.mark.nightly), "position")
@@ -126,6 +127,29 @@ def test_a_led_axis_that_is_asked_to_stop_ends_with_its_brake_proven(mode: str, 
         LoopAbortedError, match="somebody asked; the motors were stopped: propeller, roll at rest: brake proven, voltage off"
     ):
         run_in_lockstep(tmp_path, [plan], machine, progress=ask)
+
+
+LOAD = """
+[[effect]]
+name = "constant_load"
+at = "roll"
+tau0_Nm = 0.0
+tau0_Nm_between = [-100.0, 100.0]
+"""
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_after_a_way_the_brakes_of_a_led_axis_open_under_what_holds_it_there(mode: str) -> None:
+    machine, ends = machine_from_text(carm_text_in(mode) + LOAD), (1.2, -0.9)
+    model = Physics(machine.plant, noise=False)
+    with open_bench(machine, BenchOptions("lockstep:"), np.array([0.0, ends[0]])) as bench:
+        bench.move(np.array([0.0, ends[1]]))
+        with bench.session():
+            bench.take_hold()
+            beside = bench.loop.control.effort - model.holding_effort(bench.pose)
+            way = abs(bench.wiring.link.exchange(bench.loop.control.effort).position[1] - ends[1])
+    assert abs(beside[1]) < 0.2, "the load of the pose that it came from differs by 3.3 A"
+    assert way < 5e-4
 
 
 @pytest.mark.parametrize("mode", MODES)

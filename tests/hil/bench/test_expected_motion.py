@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from bench_machines import CARM
 
+from drivers.judging.drive import UNSURE
 from drivers.judging.motion_window import Means
 from hil.bench.expected_motion import expectation_of
 from hil.faults.check import run_trial
@@ -15,6 +16,7 @@ from hil.faults.motion import motion_of
 from hil.faults.trials import trials
 from virtual_bus.physics import Physics
 from virtual_bus.plant.linearise import inertia_matrix
+from virtual_bus.settings import EffectSetting
 
 MODEL = Physics(CARM.plant, noise=False)
 EXPECTS = expectation_of(CARM, MODEL)
@@ -37,6 +39,18 @@ def test_at_rest_the_drives_hold_the_load_and_the_imu_shows_gravity(pose: list[f
     np.testing.assert_allclose(expected.effort, MODEL.holding_effort(np.array(pose)), atol=0.02)  # the structure bends, which is left out
     assert np.linalg.norm(expected.imu[:3]) == pytest.approx(GRAVITY, rel=1e-9)
     np.testing.assert_allclose(expected.imu[3:], 0.0, atol=1e-12)
+
+
+def test_a_load_that_is_open_is_allowed_as_far_as_its_range_reaches_on_either_side() -> None:
+    load = EffectSetting("constant_load", "roll", {"tau0": 1.0})
+    known, open_ = (
+        dataclasses.replace(CARM, plant=dataclasses.replace(CARM.plant, effects=(each,)), own_effects=(each,))
+        for each in (load, dataclasses.replace(load, between={"tau0": (-2.0, 20.0)}))
+    )
+    at = moving([0.5, -0.8])
+    stated, expected = (expectation_of(each, Physics(each.plant, noise=False))(at) for each in (known, open_))
+    beside, more = expected.effort[ROLL] - stated.effort[ROLL], UNSURE * (expected.unsure[ROLL] - stated.unsure[ROLL])
+    assert np.array([beside - more, beside + more]) * SCALE[ROLL] == pytest.approx([-19.0, 3.0])
 
 
 def test_an_acceleration_takes_inertia_and_a_speed_is_what_the_gyroscope_turns_by() -> None:

@@ -172,3 +172,14 @@ def test_a_machine_that_moved_a_little_is_led_to_its_way_without_a_jump(tmp_path
         bench.run(Static(1.0, dict(zip(CARM.axes, map(float, START), strict=True))).plans(CARM)[0], tmp_path / "run.mf4")
     steps = np.abs(np.diff(np.vstack(legs[:2]), axis=0))
     assert 0.0 < steps.max() < 1e-5  # a thousandth of a radian over 256 ticks; the whole of it at once would be a hundred times that
+
+
+def test_the_time_since_a_stop_is_that_of_its_own_session() -> None:
+    with open_bench(CARM, BenchOptions("lockstep:"), START) as bench:
+        link = bench.wiring.link
+        with bench.session():
+            bench.take_hold()
+            link.stop()
+            assert link.since_stop_s > 0.0
+        with bench.session(homes=False):
+            assert np.isnan(link.since_stop_s)
