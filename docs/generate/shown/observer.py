@@ -107,9 +107,8 @@ OBSERVER = (
         "the effect has as well does not count. What bends the arm does so from the beginning, and at rest looks like an IMU that sits "
         "askew: the alarm comes as gravity turns in the arm's frame. False alarms of a drawn effect are true of the machine: something is "
         "wrong with it, but the error stays below twice what is stated. Not met on `carm-real`: loads and soft mounts are seldom told "
-        "within 1 s (1 of 4 and 7 of 20; on `carm` 3 of 3 and 10 of 15), as its design says. What designs do not see is of this tree, the "
-        "rows of the one before, in which the mean of a sensor that is lost stood for ever. A first set of 72 sound machines of "
-        "`carm-real` raised one false alarm in 10.1 minutes, the 84 shown raise none.",
+        "within 1 s (1 of 4 and 7 of 20; on `carm` 3 of 3 and 10 of 15), as its design says. No sensor is lost in "
+        "these scans. Another 72 sound machines of `carm-real` raised one false alarm in 10.1 minutes.",
         "python benchmarks/observer_alarms.py --seeds 12 --json benchmarks/results/observer_alarms.json",
         (Figure("machines per fault", ("seeds",)),),
         (
