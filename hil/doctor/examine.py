@@ -147,15 +147,16 @@ def predicted(prediction: Prediction, most_at_once: int, overrun_ticks: int, sus
     period_us = MICROSECONDS * prediction.period_s
     times = [MICROSECONDS * value for value in (prediction.p50_s, prediction.p99_s, prediction.p999_s, prediction.max_s)]
     least, most = (MICROSECONDS * value for value in (prediction.p999_least_s, prediction.p999_most_s))
-    found = "p50 {:.0f}, p99 {:.0f}, p99.9 {:.0f} ({:.0f} to {:.0f}), max {:.0f} us".format(*times[:3], least, most, times[3])
-    found += f" of {period_us:.0f} us, {prediction.ticks} ticks"
+    found = "p50 {:.0f}, p99 {:.0f}, p99.9 {:.0f}, max {:.0f} us".format(*times)
+    found += f" of {period_us:.0f} us, {prediction.ticks} ticks; "
+    found += f"p99.9 of the {HORIZON_S / 60.0:g} minutes after it {least:.0f} to {most:.0f} us, nine times of ten"
     if prediction.p999_s <= GOOD_SHARE * prediction.period_s:
         yield Finding("ok", "whole tick", found)
     else:
         advice = f"p99.9 of at most {GOOD_SHARE * period_us:.0f} us; {mend}"
         yield Finding("bad" if prediction.p999_s > prediction.period_s else "look", "whole tick", found, advice)
     expected = f"{_count(prediction.expected_missed)} expected in {HORIZON_S / 60.0:g} minutes (block maxima)"
-    interval = f"between {_count(prediction.least_missed)} and {_count(prediction.most_missed)} with 95 % confidence (binomial)"
+    interval = f"between {_count(prediction.least_missed)} and {_count(prediction.most_missed)} nine times of ten"
     found = f"{prediction.missed_in_trial} in the trial; {expected}, {interval}"
     if most_at_once > overrun_ticks:
         advice = f"{most_at_once} at once stop the motors, timing.overrun_ticks bridges {overrun_ticks}: {mend}"

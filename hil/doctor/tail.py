@@ -6,14 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import gamma
-from scipy.stats import beta, genextreme
+from scipy.stats import beta, genextreme, t
 
 HORIZON_S = 600.0
 BLOCK_S = 0.25
 """Length of a block, of which the longest tick counts: stalls of a host last some ticks, so that those of two blocks are independent."""
 LEAST_BLOCKS = 8
-CONFIDENCE = 0.95
+CONFIDENCE = 0.9
 RESAMPLED = 400
+WINDOWS = 8
+"""Equal parts of a trial, whose differences tell how a computer's punctuality wanders."""
 LOST_AT_ONCE = 1000
 """Ticks lost in one stall up to which an extrapolation is summed."""
 
@@ -22,9 +24,11 @@ LOST_AT_ONCE = 1000
 class Prediction:
     """What to expect of a loop, from a trial.
 
-    `expected_missed` extrapolates block maxima with a generalised extreme-value distribution. The interval does not rest on it: it is the
-    exact binomial one (Clopper and Pearson 1934) of the share of blocks with a lost tick, times the ticks that such a block loses. That of
-    the 99.9th percentile is the bootstrap's over whole blocks (Kuensch 1989), as the ticks of one stall are late together.
+    `expected_missed` extrapolates block maxima with a generalised extreme-value distribution. The intervals do not rest on it. They are for
+    what the `HORIZON_S` after the trial will show, nine times of ten. Load, other guests of a host and its clock change over minutes, so
+    that ten minutes differ from a trial by more than chance: see `wandering`. `p999_least_s` to `p999_most_s` is that of the 99.9th
+    percentile. `least_missed` to `most_missed` begins with the exact binomial interval (Clopper and Pearson 1934) of the share of blocks
+    with a lost tick, times the ticks that such a block loses.
     """
 
     ticks: int
@@ -74,22 +78,63 @@ def predict(tick_s: np.ndarray, period_s: float) -> Prediction:
         raise ValueError(f"{len(tick_s)} ticks: at least {LEAST_BLOCKS * rows} are needed for {LEAST_BLOCKS} blocks of {BLOCK_S:g} s")
     used = tick_s[len(tick_s) - blocks * rows :].reshape(blocks, rows)
     lost = missed_ticks(used, period_s).sum(axis=1)
-    bad = int(np.count_nonzero(lost))
+    is_bad = lost > 0
+    bad = int(np.count_nonzero(is_bad))
     in_horizon = HORIZON_S / (rows * period_s)
     each = float(lost.sum()) / bad if bad else 1.0
     miss = 0.5 * (1.0 - CONFIDENCE)
-    low = float(beta.ppf(miss, bad, blocks - bad + 1)) if bad else 0.0
-    high = float(beta.ppf(1.0 - miss, bad + 1, blocks - bad)) if bad < blocks else 1.0
+    scale = 1.0 / _dispersion(is_bad, in_horizon / blocks)
+    low = float(beta.ppf(miss, scale * bad, scale * (blocks - bad) + 1)) if bad else 0.0
+    high = float(beta.ppf(1.0 - miss, scale * bad + 1, scale * (blocks - bad))) if bad < blocks else 1.0
     p50, p99, p999 = np.percentile(tick_s, [50.0, 99.0, 99.9]).tolist()
+    longest = used.max(axis=1)
+    levels = np.array([np.log(part).mean() for part in np.array_split(longest, WINDOWS)])
+    wander = t.ppf(0.5 * (1.0 + CONFIDENCE), WINDOWS - 2) * np.sqrt(wandering(levels, in_horizon / blocks))
+    below, above = (float(np.hypot(np.log(end / p999), wander)) for end in _p999_interval(used))
     return Prediction(
         len(tick_s),
         period_s,
-        *(p50, p99, p999, *_p999_interval(used), float(tick_s.max())),
+        *(p50, p99, p999, p999 * np.exp(-below), p999 * np.exp(above), float(tick_s.max())),
         int(missed_ticks(tick_s, period_s).sum()),
-        in_horizon * _lost_per_block(used.max(axis=1), period_s),
+        in_horizon * _lost_per_block(longest, period_s),
         in_horizon * low * each,
         in_horizon * high * each,
     )
+
+
+def wandering(windows: np.ndarray, horizon: float) -> float:
+    """Return the variance of the mean over a horizon less that over the windows before it, for a level that wanders.
+
+    A level with a spectrum of 1/f has no mean to which it returns, and its adjacent windows differ by the same, however long they are
+    (Allan 1966). From its covariance -c ln|t|, with the means I(A, B) of ln|s - t| over windows and horizon, the difference of both has the
+    variance c (2 I(A, B) - I(A, A) - I(B, B)); that of adjacent equal windows is 4 c ln 2.
+
+    Parameters
+    ----------
+    windows : (n,) array
+        Level of each.
+    horizon : float
+        Length of the horizon over that of all windows.
+    """
+
+    def double(length: float) -> float:
+        return float(length**2 * (np.log(length) - 1.5))
+
+    across = (double(1.0 + horizon) - double(1.0) - double(horizon)) / (2.0 * horizon)
+    share = (2.0 * across + 3.0 - np.log(horizon)) / (4.0 * np.log(2.0))
+    return float(share * np.mean(np.diff(windows) ** 2))
+
+
+def _dispersion(is_bad: np.ndarray, horizon: float) -> float:
+    """Return how many times the binomial variance the share of bad blocks of a horizon has about that of a trial, at least 1.
+
+    What the windows of the trial differ by beyond chance is wandering (quasi-likelihood: McCullagh and Nelder 1989, section 4.5).
+    """
+    shares = np.array([part.mean() for part in np.array_split(is_bad, WINDOWS)])
+    chance = max(is_bad.mean() * (1.0 - is_bad.mean()), np.finfo(float).tiny) / len(is_bad)
+    by_chance = 2.0 * WINDOWS * chance  # mean squared difference of adjacent windows
+    beyond = max(0.0, float(np.mean(np.diff(shares) ** 2)) / by_chance - 1.0)
+    return float(1.0 + beyond * wandering(np.array([0.0, np.sqrt(by_chance)]), horizon) / chance)
 
 
 def _p999_interval(blocks: np.ndarray) -> tuple[float, float]:

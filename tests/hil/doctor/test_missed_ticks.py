@@ -8,7 +8,7 @@ from scipy.stats import genextreme
 
 from hil.bench.timing import LoopTiming
 from hil.doctor.examine import predicted
-from hil.doctor.tail import extreme_value_distribution, missed_ticks, predict
+from hil.doctor.tail import HORIZON_S, WINDOWS, extreme_value_distribution, missed_ticks, predict, wandering
 from hil.doctor.trial import tick_times
 
 PERIOD_S = 1.0 / 256.0
@@ -42,7 +42,7 @@ def test_the_interval_holds_the_truth_as_often_as_it_says_and_the_extrapolation_
     lost = sum(np.exp(-(j * PERIOD_S - 5e-4) / scale_s) for j in range(2, 50)) * 600.0 / PERIOD_S
     found = [predict(exponential(scale_s, 2560, seed), PERIOD_S) for seed in range(100)]
     held = sum(one.least_missed <= lost <= one.most_missed for one in found)
-    assert held >= 93
+    assert held >= 88
     assert np.median([one.expected_missed for one in found]) == pytest.approx(lost, rel=0.5)
 
 
@@ -55,6 +55,39 @@ def test_the_interval_of_the_percentile_holds_that_of_a_long_run_whose_stalls_la
     assert narrow < 3.0
 
 
+def flicker(windows: int, seed: int) -> np.ndarray:
+    """A level (16 windows,) with a spectrum of 1/f, drawn in the frequency domain."""
+    rng, n = np.random.default_rng(seed), 64 * windows * 16
+    spectrum = np.maximum(np.fft.rfftfreq(n), 1.0 / n) ** -0.5
+    return np.fft.irfft(spectrum * (rng.standard_normal(len(spectrum)) + 1j * rng.standard_normal(len(spectrum))), n)[: 16 * windows]
+
+
+@pytest.mark.parametrize("horizon", [1, 10])
+def test_the_variance_of_a_wandering_level_is_that_of_drawn_ones(horizon: int) -> None:
+    foretold, came = 0.0, 0.0
+    for seed in range(1000):
+        drawn = flicker(WINDOWS * (1 + horizon), seed).reshape(-1, 16).mean(axis=1)
+        foretold += wandering(drawn[:WINDOWS], horizon)
+        came += (drawn[WINDOWS:].mean() - drawn[:WINDOWS].mean()) ** 2
+    assert foretold == pytest.approx(came, rel=0.15)
+
+
+def test_the_intervals_hold_what_comes_after_a_trial_though_the_computer_wanders() -> None:
+    """Ticks whose tail wanders: 60 s tell of the 600 s after them."""
+    trial = 15_360
+    p999 = missed = 0
+    for seed in range(40):
+        level = np.exp(0.15 * flicker(WINDOWS * 11, seed) / np.std(flicker(WINDOWS * 11, seed)))
+        scale_s = np.repeat(8e-4 * level, round(HORIZON_S * 1.1 / PERIOD_S) // len(level))
+        ticks = 5e-4 + np.random.default_rng(seed).exponential(scale_s)
+        one, after = predict(ticks[:trial], PERIOD_S), ticks[trial:]
+        p999 += one.p999_least_s <= float(np.percentile(after, 99.9)) <= one.p999_most_s
+        lost = int(missed_ticks(after, PERIOD_S).sum()) * HORIZON_S / (len(after) * PERIOD_S)
+        missed += one.least_missed <= lost <= one.most_missed
+    assert p999 >= 34
+    assert missed >= 32
+
+
 def stalling(blocks: int, seed: int) -> np.ndarray:
     """Quarter seconds of which one in eight has a stall of five ticks."""
     rng = np.random.default_rng(seed)
@@ -64,12 +97,12 @@ def stalling(blocks: int, seed: int) -> np.ndarray:
 
 
 def test_a_quiet_trial_promises_no_more_than_its_length_can() -> None:
-    """Nothing seen in 40 blocks: 95 % two-sided is 1 - 0.025^(1/40) of the blocks (Clopper and Pearson)."""
+    """Nothing seen in 40 blocks: 90 % two-sided is 1 - 0.05^(1/40) of the blocks (Clopper and Pearson)."""
     found = predict(exponential(1e-5, 2560, 0), PERIOD_S)
     assert found.missed_in_trial == 0
     assert found.expected_missed < 1e-6
     assert found.least_missed == 0.0
-    assert found.most_missed == pytest.approx(2400.0 * (1.0 - 0.025 ** (1.0 / 40.0)), rel=1e-6)
+    assert found.most_missed == pytest.approx(2400.0 * (1.0 - 0.05 ** (1.0 / 40.0)), rel=1e-6)
     longer = predict(exponential(1e-5, 25_600, 0), PERIOD_S)
     assert longer.most_missed < 0.11 * found.most_missed
 
