@@ -3,7 +3,8 @@
 In each case the doctor predicts first. Then a bare loop, the bench, and a bare loop again exchange frames with the same emulator, the bench
 for as long as both bare loops together, so that what else the computer does meets both alike. The bare loop sends SYNC at absolute times,
 the same commands and heartbeats, and waits for the same answers; it computes nothing, records nothing and knows neither IMU nor I/O. A
-whole tick lasts from when it is due until the loop is ready to wait again. Bench and bare loop have the same scheduler. The machine file's
+whole tick lasts from when it is due until the loop is ready to wait again. Bench and bare loop have the same scheduler. Where there is a C
+compiler, `peers/udp_loop.c` does as the bare loop does after all of them: the floor that kernel and emulator set. The machine file's
 limits of lost ticks and stale positions are lifted, so that a stall of the host is counted instead of ending the run.
 
     python benchmarks/wall_clock.py --case quiet
@@ -23,6 +24,7 @@ import multiprocessing
 import os
 import platform
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -34,10 +36,12 @@ from pathlib import Path
 
 import can
 import numpy as np
+from can.interfaces.udp_multicast.utils import pack_message
 
 from drivers.bus_url import open_bus
 from drivers.settings import BusSettings
 from drivers.ticking_machine import TickingMachine
+from drivers.udp_bus import PYTHON_CAN_PORT
 from hil.bench.clock import WallClock
 from hil.experiments import Scan, Static
 from hil.machine import Machine, load_machine, machine_from_text
@@ -92,19 +96,60 @@ def prepared(rate_Hz: float, folder: Path) -> Path:
     return made.rename(file)
 
 
+@dataclass(frozen=True)
+class Frames:
+    """What a tick exchanges."""
+
+    sync: can.Message
+    beat: can.Message
+    every: int  # ticks between heartbeats
+    commands: list[can.Message]
+    expected: set[int]  # identifiers of the answers to a SYNC
+
+
+def frames_of(settings: BusSettings) -> Frames:
+    """The frames of a bench that holds nothing."""
+    return Frames(
+        can.Message(arbitration_id=settings.sync_cob_id, is_extended_id=False),
+        can.Message(arbitration_id=0x700 + settings.master_node_id, is_extended_id=False, data=[5]),
+        max(1, int(settings.master_heartbeat_period_s / settings.sync_period_s)),
+        [
+            can.Message(arbitration_id=pdo.cob_id, is_extended_id=False, data=bytes(sum(bits for *_, bits in pdo.entries) // 8))
+            for node in settings.nodes
+            for pdo in node.rpdos
+        ],
+        {pdo.cob_id for node in settings.nodes for pdo in node.tpdos if pdo.transmission_type == 1},
+    )
+
+
+def c_loop(settings: BusSettings, seconds: float, folder: Path) -> dict[str, object] | None:
+    """Have `peers/udp_loop.c` exchange the frames of a bench that holds nothing, for so long; None without a compiler."""
+    compiler = shutil.which("cc")
+    if compiler is None:
+        return None
+    program, frames = folder / "udp_loop", frames_of(settings)
+    subprocess.run([compiler, "-O2", "-D_GNU_SOURCE", "-o", str(program), str(Path(__file__).parent / "peers" / "udp_loop.c")], check=True)
+    bus = open_bus(BUS, settings.bitrate_bit_s)
+    machine = TickingMachine(settings, bus, WallClock())
+    ticks = round(seconds / settings.sync_period_s)
+    times = [f"{1e9 * settings.sync_period_s:.0f}", str(ticks), f"{1e9 * settings.answer_timeout_s:.0f}", str(frames.every)]
+    datagrams = [pack_message(frame).hex() for frame in (frames.sync, frames.beat, *frames.commands)]
+    words = [BUS.removeprefix("udp:"), str(PYTHON_CAN_PORT), *times, ",".join(map(str, sorted(frames.expected))), *datagrams]
+    machine.start()
+    done = subprocess.run([str(program), *words], check=True, capture_output=True, text=True)
+    machine.close()
+    bus.shutdown()
+    if int(done.stderr.split()[0]) < ANSWERED_SHARE * ticks:
+        raise SystemExit(f"the C loop: {done.stderr.strip()}: no comparison")
+    found = np.array([line.split() for line in done.stdout.splitlines()], float)
+    return {"whole_s": 1e-9 * found[:, 0], "missed": int(found[:, 1].sum())}
+
+
 def bare_loop(settings: BusSettings, seconds: float) -> dict[str, object]:
     """Exchange the frames of a bench that holds nothing, for so long; return whole ticks [s] and how many were missed."""
     bus = open_bus(BUS, settings.bitrate_bit_s)
     machine = TickingMachine(settings, bus, WallClock())
-    syncs = can.Message(arbitration_id=settings.sync_cob_id, is_extended_id=False)
-    beat = can.Message(arbitration_id=0x700 + settings.master_node_id, is_extended_id=False, data=[5])
-    commands = [
-        can.Message(arbitration_id=pdo.cob_id, is_extended_id=False, data=bytes(sum(bits for *_, bits in pdo.entries) // 8))
-        for node in settings.nodes
-        for pdo in node.rpdos
-    ]
-    expected = {pdo.cob_id for node in settings.nodes for pdo in node.tpdos if pdo.transmission_type == 1}
-    every = max(1, int(settings.master_heartbeat_period_s / settings.sync_period_s))
+    frames = frames_of(settings)
     period_s, timeout_s = settings.sync_period_s, settings.answer_timeout_s
     ticks, missed = round(seconds / period_s), 0
     whole = []
@@ -126,15 +171,15 @@ def bare_loop(settings: BusSettings, seconds: float) -> dict[str, object]:
                 pass
             while bus.recv(0.0) is not None:
                 pass
-            bus.send(syncs)
-            overdue_s, awaited = now() + timeout_s, set(expected)
+            bus.send(frames.sync)
+            overdue_s, awaited = now() + timeout_s, set(frames.expected)
             while awaited and (message := bus.recv(max(0.0, overdue_s - now()))) is not None:
                 awaited.discard(message.arbitration_id)
             answered += not awaited
-            for command in commands:
+            for command in frames.commands:
                 bus.send(command)
-            if k % every == 0:
-                bus.send(beat)
+            if k % frames.every == 0:
+                bus.send(frames.beat)
             whole.append(now() - due_s)
     machine.close()
     bus.shutdown()
@@ -217,6 +262,7 @@ def measure(case: Case, folder: Path, kept: Path) -> dict[str, object]:
             before = bare_loop(machine.bus, case.seconds / 2.0)
             ours = bench(file, folder, case.seconds)
             after = bare_loop(machine.bus, case.seconds / 2.0)
+            in_c = c_loop(machine.bus, case.seconds / 2.0, folder)
         finally:
             emulator.terminate()
             emulator.wait()
@@ -234,6 +280,7 @@ def measure(case: Case, folder: Path, kept: Path) -> dict[str, object]:
         "stolen_share": stolen / max(all_of_it, 1),
         "bench": own,
         "bare": bare,
+        "in_c": None if in_c is None else figures(in_c["whole_s"], in_c["missed"]),
         "bare_before_p99.9_us": figures(before["whole_s"], 0)["p99.9_us"],
         "bare_after_p99.9_us": figures(after["whole_s"], 0)["p99.9_us"],
         "ratio_p99.9": own["p99.9_us"] / bare["p99.9_us"],
