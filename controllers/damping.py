@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from controllers.bound import Bound, bound
 from controllers.compiled import exactly_compiled
 from controllers.errors import DesignError
 from controllers.observers.linear_part import transition
@@ -85,11 +86,12 @@ class Law(NamedTuple):
 
 
 @exactly_compiled
-def _damped(constants: Constants, scheduled: Scheduled, law: Law, x: np.ndarray, command: np.ndarray, share: float) -> None:
+def _damped(of: Bound, x: np.ndarray, command: np.ndarray, share: float) -> None:
     """Write the effort of a row: the law's, within limit and slew rate, times the share in force.
 
-    An effort that is not finite leaves the last one that was.
+    `of` binds constants, scheduled model and law. An effort that is not finite leaves the last one that was.
     """
+    constants, scheduled, law = of.held
     rounded(constants, command, law.acting)
     _against_speed(constants, scheduled, law.mode, law.ratio, x, law.acting, law.wanted)
     largest = 0.0
@@ -140,6 +142,7 @@ class ModalDamping:
         limit = LIMIT_SHARE * np.asarray(model.effort_limit, dtype=float)
         slew = SLEW * 2.0 * np.pi * float(model.frequencies_Hz(np.zeros(n))[mode]) / model.sample_rate_Hz * limit
         self._law = Law(mode, float(settings.ratio), limit, slew, np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n))
+        self._bound = bound((observer.constants, observer.scheduled, self._law))
         self.effort = self._law.effort
         self._step = 1.0 / max(round(RAMP_s * model.sample_rate_Hz), 1)
         self._proven_rows = round(PROVEN_s * model.sample_rate_Hz)
@@ -182,4 +185,4 @@ class ModalDamping:
         goal = 1.0 if self._proven > self._proven_rows and left > self.ramp_rows else 0.0
         self.share = min(self.share + self._step, goal) if goal > self.share else max(self.share - self._step, goal)
         self.share = min(self.share, max(left, 0) * self._step)
-        _damped(self._observer.constants, self._observer.scheduled, self._law, state, acting, self.share)
+        _damped(self._bound, state, acting, self.share)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from controllers.bound import Bound
 from controllers.compiled import exactly_called, exactly_compiled
 from controllers.filtering.square_root import triangularise, update
 from controllers.observers.extended_kalman import ends
@@ -149,9 +150,7 @@ def correct(constants: Constants, scheduled: Scheduled, memory: Memory, kind: in
 
 @exactly_compiled
 def filter_rows(
-    constants: Constants,
-    scheduled: Scheduled,
-    memory: Memory,
+    filter_: Bound,
     kind: int,
     is_first: bool,
     acted: np.ndarray,
@@ -161,8 +160,9 @@ def filter_rows(
     """Filter N samples in order: one in the loop, all of a recording for tuning. One function serves both because compiling takes long.
 
     `acted` (N, axes) holds the commands that acted until each sample, which drives round; `summaries` (N, 3) receives what `correct`
-    returns. `is_first`: no sample came before the first of these.
+    returns. `is_first`: no sample came before the first of these. `filter_` binds constants, scheduled model and memory first.
     """
+    constants, scheduled, memory = filter_.held[0], filter_.held[1], filter_.held[2]
     for k in range(len(measured)):
         rounded(constants, acted[k], scheduled.command)
         if is_first and k == 0:

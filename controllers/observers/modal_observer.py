@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from scipy.linalg import expm
 
+from controllers.bound import bound
 from controllers.errors import DesignError
 from controllers.models.modal import ModalModel, basis_at
 from controllers.observers.consistency import CorrectionMonitor, InnovationMonitor, WINDOWS_s
@@ -72,6 +73,7 @@ class ModalObserver:
         self._scheduled, self.memory = _memory(self.constants)
         usual = None if self.adapted else noise.usual
         self._innovations, self._corrections = InnovationMonitor(), CorrectionMonitor(usual=usual, rate_Hz=model.sample_rate_Hz)
+        self._bound = bound((self.constants, self._scheduled, self.memory, self._innovations.recent, self._corrections.recent))
         n = len(model.axes)
         self.channels = estimate_channels(model.axes, model.position_unit)
         self.estimate = np.full(len(self.channels), np.nan)
@@ -171,10 +173,8 @@ class ModalObserver:
         elif not self._has_command:  # the command before row 0 is not recorded; at standstill it equals that of row 0
             self._held[:] = command
             self._has_command = True
-        memory, summary = self.memory, self._summary
-        filter_rows(self.constants, self._scheduled, memory, self._kind, self._is_first, self._acting, self._row, summary)
-        recent = self._innovations.recent, self._corrections.recent
-        publish(self.constants, self._scheduled, memory, *recent, summary, self._isocenter, self.estimate)
+        filter_rows(self._bound, self._kind, self._is_first, self._acting, self._row, self._summary)
+        publish(self._bound, self._summary, self._isocenter, self.estimate)
         if not self._is_first:
             self._held[:] = command
         self._is_first = False
@@ -201,7 +201,7 @@ class ModalObserver:
         summaries = np.zeros((len(measured), 3))
         acted = np.zeros(commands.shape)  # unknown until row 0
         acted[1:] = commands[np.maximum(np.arange(1, len(commands)) - 2, 0)]  # command k-2 from row k-1 to k; before row 0 that of row 0
-        filter_rows(self.constants, self._scheduled, self.memory, self._kind, True, acted, measured, summaries)
+        filter_rows(self._bound, self._kind, True, acted, measured, summaries)
         self.restart()
         return 0.5 * float(summaries[:, 0].sum() + summaries[:, 2].sum()), summaries[:, :2]
 

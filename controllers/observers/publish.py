@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from controllers.bound import Bound
 from controllers.compiled import exactly_called, exactly_compiled
 from controllers.models.chain import axis_screw, direction_in_world, point_in_world
 from controllers.models.vectors import dot, minus, plus, row
-from controllers.observers.consistency import Corrections, Innovations, corrects_too_much, is_unusual, mean_innovation
+from controllers.observers.consistency import corrects_too_much, is_unusual, mean_innovation
 from controllers.observers.linear_part import TURN_STEP_s
-from controllers.observers.memory import Memory
 from controllers.observers.modal_equations import Constants, Scheduled, first_offset
 
 TWIST = ("x", "y", "z", "rx", "ry", "rz")
@@ -190,20 +190,12 @@ def _moved(constants: Constants, rows: np.ndarray, states: np.ndarray, out: np.n
 
 
 @exactly_compiled
-def publish(
-    constants: Constants,
-    scheduled: Scheduled,
-    memory: Memory,
-    innovations: Innovations,
-    corrections: Corrections,
-    summary: np.ndarray,
-    isocenter: np.ndarray,
-    estimate: np.ndarray,
-) -> None:
+def publish(filter_: Bound, summary: np.ndarray, isocenter: np.ndarray, estimate: np.ndarray) -> None:
     """Write `estimate` (channels,): values, their variances, and four consistency numbers, the first two from `summary` (1, 3).
 
-    All in one call, because from Python a call costs microseconds for the arrays it hands over, and so does every operation on a short one.
+    `filter_` binds constants, scheduled model, memory, and what the two monitors remember.
     """
+    constants, scheduled, memory, innovations, corrections = filter_.held
     n, modes, states, values = constants.sizes[0], constants.sizes[1], constants.sizes[4], scheduled.values
     x, factor = memory.x, memory.factor
     count = 2 * n + 12 + GEOMETRY

@@ -7,6 +7,7 @@ import sys
 import numpy as np
 from places import BENCHMARKS
 
+from controllers.bound import bound
 from controllers.observers.consistency import CorrectionMonitor, InnovationMonitor
 from controllers.observers.extended_kalman import next_and_read
 from controllers.observers.linear_part import prepare
@@ -51,7 +52,7 @@ def test_focal_spot_and_isocentre_are_those_of_the_bent_machine() -> None:
     prepare(observer.constants, x, observer.scheduled)
     estimate = np.zeros(len(observer.channels))
     recent = InnovationMonitor().recent, CorrectionMonitor().recent
-    publish(observer.constants, observer.scheduled, observer.memory, *recent, np.zeros((1, 3)), design.isocenter_m, estimate)
+    publish(bound((observer.constants, observer.scheduled, observer.memory, *recent)), np.zeros((1, 3)), design.isocenter_m, estimate)
     first = [name for name, _ in observer.channels].index("estimate_source_x")
 
     poses = emulated.plant.body_poses(emulated.model, bent)
@@ -100,7 +101,7 @@ def test_a_gyro_and_the_published_velocity_know_that_a_bend_before_an_axis_turns
         next_and_read(observer.constants, observer.scheduled, x, np.zeros(2), np.zeros(len(x)), read[which])
         estimate = np.zeros(len(names))
         recent = InnovationMonitor().recent, CorrectionMonitor().recent
-        publish(observer.constants, observer.scheduled, observer.memory, *recent, np.zeros((1, 3)), design.isocenter_m, estimate)
+        publish(bound((observer.constants, observer.scheduled, observer.memory, *recent)), np.zeros((1, 3)), design.isocenter_m, estimate)
         first = names.index("estimate_detector_vx")
         published[which] = estimate[first : first + 6]
     q, v = bent.copy(), np.zeros(len(bent))
