@@ -11,6 +11,7 @@ import ast
 import functools
 import hashlib
 import importlib.util
+import pickle
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -18,6 +19,8 @@ from types import CellType, FunctionType, ModuleType
 from typing import Any, Protocol, TypeVar, cast
 
 from numba import njit
+from numba.core.caching import IndexDataCacheFile
+from numba.extending import is_jitted
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -41,6 +44,16 @@ exactly_called = cast(Decorator, njit(fastmath=False, error_model="numpy", **INN
 exactly_inlined = cast(Decorator, njit(fastmath=False, error_model="numpy", forceinline=True, **INNER))
 
 
+class _Index(IndexDataCacheFile):
+    """A function's index on disk, empty where it names types that this version of the project does not have."""
+
+    def _load_index(self) -> dict[object, str]:
+        try:
+            return cast(dict[object, str], super()._load_index())  # type: ignore[no-untyped-call]
+        except (ImportError, AttributeError, EOFError, pickle.UnpicklingError):
+            return {}
+
+
 def kept_on_disk(signature: object = None, **options: object) -> Decorator:
     """Decorate a function with `numba.njit` and these options, and keep the machine code on disk between processes.
 
@@ -55,7 +68,14 @@ def kept_on_disk(signature: object = None, **options: object) -> Decorator:
         named = code.replace(co_freevars=(*code.co_freevars, "sources_digest"))
         keyed = FunctionType(named, plain.__globals__, plain.__name__, plain.__defaults__, cells)
         functools.update_wrapper(keyed, plain)
-        return cast(F, cast(Callable[..., Decorator], njit)(signature, cache=True, no_cfunc_wrapper=True, **options)(keyed))
+        compiled = cast(Callable[..., Decorator], njit)(cache=True, no_cfunc_wrapper=True, **options)(keyed)
+        index = getattr(getattr(compiled, "_cache", None), "_cache_file", None)  # none where nothing is compiled, or kept
+        if index is not None:
+            index.__class__ = _Index
+        if signature is not None and is_jitted(compiled):
+            compiled.compile(signature)
+            compiled.disable_compile()
+        return cast(F, compiled)
 
     return compile_and_keep
 

@@ -39,13 +39,20 @@ def house(tmp_path: Path) -> Path:
     return package
 
 
-def run(house: Path) -> str:
+PAIR = "from typing import NamedTuple\n\nclass Pair(NamedTuple):\n    a: float\n    b: float\n"
+FIRST = "from controllers.compiled import exactly_compiled\n\n@exactly_compiled\ndef first(p):\n    return p[0]\n"
+OF_A_PAIR = (
+    "from controllers.caller import first; from controllers.{0} import Pair; print(first(Pair(1.0, 2.0)), first.stats.cache_hits.total())"
+)
+
+
+def run(house: Path, words: str = RUN) -> str:
     environment = os.environ | {
         "PYTHONPATH": str(house.parent),
         "NUMBA_CACHE_DIR": str(house.parent / "kept"),
         "PYTHONDONTWRITEBYTECODE": "1",
     }
-    done = subprocess.run([sys.executable, "-c", RUN], cwd=house.parent, env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, "-c", words], cwd=house.parent, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()
 
@@ -56,3 +63,14 @@ def test_an_edit_of_a_file_that_is_compiled_in_is_seen(house: Path) -> None:
     assert run(house) == "21.0 1 scaled controllers.caller", "the second process finds what the first has compiled"
     (house / "callee.py").write_text(CALLEE.format("3.0"))
     assert run(house) == "31.0 0 scaled controllers.caller"
+
+
+@pytest.mark.slow
+def test_an_index_that_names_a_type_which_is_gone_is_made_anew(house: Path) -> None:
+    """As an update leaves it that moves a named tuple to another file, where the function's own file stays as it was."""
+    (house / "caller.py").write_text(FIRST)
+    (house / "old.py").write_text(PAIR)
+    assert run(house, OF_A_PAIR.format("old")) == "1.0 0"
+    (house / "old.py").rename(house / "new.py")
+    assert run(house, OF_A_PAIR.format("new")) == "1.0 0"
+    assert run(house, OF_A_PAIR.format("new")) == "1.0 1"
