@@ -145,7 +145,8 @@ class ImuDriver:
 
     def rehearse(self) -> None:
         """Decode a stored message shortly before a real one, so that the real one is decoded faster."""
-        for message in self._rehearsal.feed(REHEARSED):
+        self._rehearsal.whole_reading(REHEARSED)
+        for message in self._rehearsal.feed(REHEARSED):  # in pieces, as it may come on a real line
             decode_reading(message.data)
 
     def poll(self, sample: Sample) -> bool:
