@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -145,7 +145,8 @@ class ImuDriver:
 
     def rehearse(self) -> None:
         """Decode a stored message shortly before a real one, so that the real one is decoded faster."""
-        for message in self._rehearsal.feed(REHEARSED):
+        self._rehearsal.whole_reading(REHEARSED)
+        for message in self._rehearsal.feed(REHEARSED):  # in pieces, as it may come on a real line
             decode_reading(message.data)
 
     def poll(self, sample: Sample) -> bool:
@@ -173,13 +174,16 @@ class ImuDriver:
             sample.imu_time_s = float("nan")
             sample.imu_counter = -1
             return False
-        sample.imu[:3] = newest.acceleration
-        sample.imu[3:] = newest.rate_of_turn
+        assert newest.acceleration is not None
+        assert newest.rate_of_turn is not None
+        imu = sample.imu
+        imu[0], imu[1], imu[2] = newest.acceleration  # one by one: numbers cost less than slices
+        imu[3], imu[4], imu[5] = newest.rate_of_turn
         sample.imu_time_s = self._time_ticks / TIME_TICKS_Hz
         sample.imu_counter = self._counter
         return True
 
-    def _receive(self) -> list[Reading]:
+    def _receive(self) -> Sequence[Reading]:
         """Return the complete readings that have arrived."""
         try:
             data = self._stream.read()
@@ -187,11 +191,17 @@ class ImuDriver:
             if not self._gone:
                 self._gone = True
                 self._report(str(error))
-            return []
+            return ()
         if not data:
-            return []
+            return ()
+        if (reading := self._parser.whole_reading(data)) is not None:
+            return (reading,)
+        return self._readings_in(self._parser.feed(data))
+
+    def _readings_in(self, messages: list[Message]) -> list[Reading]:
+        """Return the complete readings among messages, and keep what the others say."""
         readings = []
-        for message in self._parser.feed(data):
+        for message in messages:
             if message.message_id == MessageId.MTDATA2:
                 try:
                     reading = decode_reading(message.data)

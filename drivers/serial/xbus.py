@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import struct
 from enum import IntEnum
-from operator import itemgetter
 from typing import NamedTuple
 
 from drivers.errors import ProtocolError
@@ -130,9 +129,13 @@ def encode(message_id: int, data: bytes = b"") -> bytes:
     size = len(data)
     if size > MAX_DATA_BYTES:
         raise ProtocolError(f"xbus: {size} data bytes in message 0x{message_id:02X}: a message carries at most {MAX_DATA_BYTES}")
-    length = bytes((size,)) if size < EXTENDED_LENGTH else struct.pack(">BH", EXTENDED_LENGTH, size)
-    body = bytes((MASTER_BUS_ID, message_id)) + length + data
-    return bytes((PREAMBLE,)) + body + bytes((-sum(body) & 0xFF,))
+    length = (size,) if size < EXTENDED_LENGTH else (EXTENDED_LENGTH, size >> 8, size & 0xFF)
+    return _closed(bytes((PREAMBLE, MASTER_BUS_ID, message_id, *length)) + data)
+
+
+def _closed(message: bytes) -> bytes:
+    """Return a message behind its preamble with the checksum that makes its other bytes sum to zero modulo 256."""
+    return message + bytes((PREAMBLE - sum(message) & 0xFF,))
 
 
 class StreamParser:
@@ -174,6 +177,11 @@ class StreamParser:
             start = end
         del buffer[:start]
         return messages
+
+    def whole_reading(self, data: bytes) -> Reading | None:
+        """Take received bytes that are one whole message as this bench configures it; None: `feed` has to take them."""
+        is_one = len(data) == _STANDARD_BYTES and data.startswith(_STANDARD_START) and not self._buffer
+        return _standard_reading(data, len(_STANDARD_START)) if is_one and not sum(data) - PREAMBLE & 0xFF else None
 
     def give_up(self) -> list[Message]:
         """Return the messages behind a false start that still waits for its end; call this when nothing more will come."""
@@ -267,12 +275,27 @@ def decode_mtdata2(data: bytes) -> list[tuple[int, bytes]]:
 
 
 # The layout that this bench configures, all fields in float32, has its own struct, because one message passes in every tick.
-_STANDARD = struct.Struct(">HBHHBIHB3fHB3fHBI")
-_STANDARD_HEADS = (
-    *(DataId.PACKET_COUNTER, 2, DataId.SAMPLE_TIME_FINE, 4),
-    *(DataId.ACCELERATION, 12, DataId.RATE_OF_TURN, 12, DataId.STATUS_WORD, 4),
+_STANDARD = struct.Struct(">3sH3sI3s3f3s3f3sI")
+_STANDARD_HEADS = tuple(
+    struct.pack(">HB", identifier, size)
+    for identifier, size in (
+        (DataId.PACKET_COUNTER, 2),
+        (DataId.SAMPLE_TIME_FINE, 4),
+        (DataId.ACCELERATION, 12),
+        (DataId.RATE_OF_TURN, 12),
+        (DataId.STATUS_WORD, 4),
+    )
 )
-_HEAD_FIELDS = itemgetter(0, 1, 3, 4, 6, 7, 11, 12, 16, 17)
+_STANDARD_START = encode(MessageId.MTDATA2, bytes(_STANDARD.size))[: -_STANDARD.size - 1]
+_STANDARD_BYTES = len(_STANDARD_START) + _STANDARD.size + 1
+
+
+def _standard_reading(data: bytes, start: int) -> Reading | None:
+    """Read packets that begin at `start` and lie as this bench configures them; None where they lie otherwise."""
+    one, counter, two, time_ticks, three, x, y, z, four, p, q, r, five, status = _STANDARD.unpack_from(data, start)
+    if (one, two, three, four, five) != _STANDARD_HEADS:
+        return None
+    return Reading(counter, time_ticks, (x, y, z), (p, q, r), status)
 
 
 def encode_reading(reading: Reading, precision: Precision = Precision.FLOAT32) -> bytes:
@@ -281,11 +304,10 @@ def encode_reading(reading: Reading, precision: Precision = Precision.FLOAT32) -
         counter, time_ticks, acceleration, rate, status = reading
         assert acceleration is not None
         assert rate is not None
-        head = _STANDARD_HEADS
-        return encode(
-            MessageId.MTDATA2,
-            _STANDARD.pack(*head[:2], counter, *head[2:4], time_ticks, *head[4:6], *acceleration, *head[6:8], *rate, *head[8:], status),
-        )
+        (x, y, z), (p, q, r) = acceleration, rate
+        one, two, three, four, five = _STANDARD_HEADS
+        values = _STANDARD.pack(one, counter, two, time_ticks, three, x, y, z, four, p, q, r, five, status)
+        return _closed(_STANDARD_START + values)
     packets: list[tuple[int, bytes]] = []
     if reading.counter is not None:
         packets.append((DataId.PACKET_COUNTER, struct.pack(">H", reading.counter)))
@@ -308,8 +330,8 @@ def decode_reading(data: bytes) -> Reading:
     ProtocolError
         A packet is cut off or has the wrong size.
     """
-    if len(data) == _STANDARD.size and _HEAD_FIELDS(fields := _STANDARD.unpack(data)) == _STANDARD_HEADS:
-        return Reading(fields[2], fields[5], fields[8:11], fields[13:16], fields[18])
+    if len(data) == _STANDARD.size and (reading := _standard_reading(data, 0)) is not None:
+        return reading
     counter = time_ticks = status = None
     acceleration = rate_of_turn = None
     for identifier, value in decode_mtdata2(data):

@@ -149,11 +149,11 @@ class FaultyImu(EmulatedImu):
         super().rehearse()
         self._rehearsing = False
 
-    def _mtdata2(self, device_time_s: float, status: int, imu: np.ndarray) -> bytes:
+    def _mtdata2(self, device_time_s: float, status: int, imu: tuple[float, ...]) -> bytes:
         if self._rehearsing:
             return super()._mtdata2(device_time_s, status, imu)
         for of_reading in self.readings.at(""):
-            imu = of_reading(imu)
+            imu = tuple(of_reading(np.array(imu)).tolist())
         message = super()._mtdata2(device_time_s, status, imu)
         for of_message in self.messages.at(""):
             message = of_message(message)

@@ -91,6 +91,7 @@ class EmulatedIo:
         self._brake_delay_s = brake_delay_s
         self._open = np.zeros(len(axes), dtype=bool)
         self._moving: list[tuple[float, bool] | None] = [None] * len(axes)  # (when it arrives, open or closed)
+        self._followed: list[bool] = []  # the coils with which every brake has arrived
         self._word = FIRST_WORD
         self._refreshed = False  # since the last `advance`
         self._falls_s = -math.inf  # when the outputs fall unless refreshed
@@ -127,16 +128,24 @@ class EmulatedIo:
 
     def advance(self, time_s: float) -> None:
         """Move machine time to `time_s` [s]: brakes follow their coils after the mechanical delay, feedback follows the brakes."""
-        changed = False
         if self._refreshed:
             self._refreshed, self._falls_s = False, time_s + self.layout.watchdog_timeout_s
         if self.layout.watchdog_register is not None and time_s >= self._falls_s:
             self.coils[:] = [False] * len(self.coils)
+        if self.layout.loop_back is not None:
+            coil, looped = self.layout.loop_back
+            self.discrete_inputs[looped] = self.coils[coil]
+        if self.coils != self._followed:
+            self._follow(time_s)
+
+    def _follow(self, time_s: float) -> None:
+        """Let the brakes follow their coils."""
+        changed, coils = False, list(self.coils)
         for index, axis in enumerate(self.axes):
             coil = self.layout.brake_coils.get(axis)
             if coil is None:
                 continue
-            wanted = self.coils[coil]
+            wanted = coils[coil]
             moving = self._moving[index]
             if moving is None or moving[1] != wanted:
                 moving = (time_s + self._brake_delay_s, wanted) if wanted != self._open[index] else None
@@ -148,9 +157,7 @@ class EmulatedIo:
                 feedback = self.layout.brake_feedback_inputs.get(axis)
                 if feedback is not None:
                     self.discrete_inputs[feedback] = wanted
-        if self.layout.loop_back is not None:
-            coil, looped = self.layout.loop_back
-            self.discrete_inputs[looped] = self.coils[coil]
+        self._followed = [] if any(self._moving) else coils
         if changed and self._on_brakes is not None:
             self._on_brakes(self.brakes_closed)
 

@@ -11,7 +11,7 @@ class PipeEnd:
     """One end of the line, with the methods of `drivers.serial.stream.ByteStream`."""
 
     def __init__(self) -> None:
-        self._received = bytearray()
+        self._received = b""
         self._peer = self
         self.on_data: Callable[[], None] | None = None  # called after bytes have arrived at this end
 
@@ -21,16 +21,14 @@ class PipeEnd:
 
     def read(self) -> bytes:
         """Return all bytes that have arrived, or none."""
-        if not self._received:
-            return b""
-        data = bytes(self._received)
-        self._received.clear()
+        data, self._received = self._received, b""
         return data
 
     def write(self, data: bytes) -> None:
         """Hand bytes to the other end, which may answer before this returns."""
         peer = self._peer
-        peer._received += data[: max(0, CAPACITY_BYTES - len(peer._received))]
+        waiting = peer._received
+        peer._received = waiting + data[: CAPACITY_BYTES - len(waiting)]  # one message on an empty line is handed over without a copy
         if peer.on_data is not None:
             peer.on_data()
 

@@ -44,6 +44,11 @@ WAKE_UP_WINDOW_S = 0.5  # how long the device waits for WakeUpAck before it star
 
 ACCOMPANYING = (DataId.PACKET_COUNTER, DataId.SAMPLE_TIME_FINE, DataId.STATUS_WORD)
 INERTIAL = (DataId.ACCELERATION, DataId.RATE_OF_TURN)
+FIELDS = dict(zip(Reading._fields, (DataId.PACKET_COUNTER, DataId.SAMPLE_TIME_FINE, *INERTIAL, DataId.STATUS_WORD), strict=True))
+"""What a message holds, by the field of a reading."""
+
+NO_SAMPLE = (0.0,) * 6
+STATUS_VALID = STATUS_SELF_TEST_PASSED | STATUS_FILTER_VALID
 
 
 class State(Enum):
@@ -70,6 +75,8 @@ class EmulatedImu:
 
     Attributes
     ----------
+    is_triggered : bool
+        Whether SYNC makes it send; else its own clock does.
     reading_of : callable
         What a device on its own clock makes at a SYNC of what is there (6,): noise and rounding, once per message.
     """
@@ -92,10 +99,9 @@ class EmulatedImu:
             *((identifier, MAX_RATE) for identifier in ACCOMPANYING),
             *((identifier, DEFAULT_RATE_Hz) for identifier in INERTIAL),
         ]
-        self._sync = NO_SYNC
+        self._sync, self.is_triggered = NO_SYNC, False
         self._time_s = 0.0  # machine time
-        self._imu = np.zeros(6)  # the sample of that time
-        self._has_sample = False
+        self._imu: tuple[float, ...] = ()  # the sample of that time; none yet
         self.reading_of: Callable[[np.ndarray], np.ndarray] = _as_it_is
         self.power_on()
 
@@ -103,11 +109,6 @@ class EmulatedImu:
     def state(self) -> State:
         """The present state of the device."""
         return self._state
-
-    @property
-    def is_triggered(self) -> bool:
-        """Whether SYNC makes it send; else its own clock does."""
-        return self._sync.function == SYNC_FUNCTION_SEND_LATEST
 
     def power_on(self) -> bytes:
         """Start anew: send WakeUp and wait half a second for its acknowledgement.
@@ -140,18 +141,19 @@ class EmulatedImu:
         A device on its own clock sends what has become due: each read by `reading_of` on the straight line between the two samples.
         """
         before_s, self._time_s = self._time_s, time_s
-        now = self._imu if imu is None else imu.copy()
-        before, self._imu = self._imu if self._has_sample else now, now
-        self._has_sample |= imu is not None
+        before = self._imu
+        if imu is not None:
+            self._imu = tuple(imu.tolist())
         if self._state is State.WAKING and time_s - self._started_s >= WAKE_UP_WINDOW_S:
             self._measure()
         if self._state is not State.MEASUREMENT or self.is_triggered:
             return b""
-        sent = b""
+        sent, now = b"", self._imu or NO_SAMPLE
         while (due := self._measuring_since + (self._sent + 1) / self._rate_Hz) <= time_s * self._clock_rate:
             self._sent += 1
             left = min((time_s - due / self._clock_rate) / (time_s - before_s), 1.0) if time_s > before_s else 0.0
-            sent += self._mtdata2(due, 0, reading_of(left * before + (1.0 - left) * now if left > 0.0 else now))
+            seen = left * np.array(before or now) + (1.0 - left) * np.array(now) if left > 0.0 else np.array(now)
+            sent += self._mtdata2(due, 0, tuple(reading_of(seen).tolist()))
         return sent
 
     def receive(self, data: bytes) -> bytes:
@@ -164,7 +166,9 @@ class EmulatedImu:
 
     def _measure(self) -> None:
         self._state = State.MEASUREMENT
-        self._precision = {identifier & ~FORMAT_BITS: Precision(identifier & PRECISION_BITS) for identifier, _ in self._outputs}
+        precision = {identifier & ~FORMAT_BITS: Precision(identifier & PRECISION_BITS) for identifier, _ in self._outputs}
+        self._precision = precision.get(DataId.ACCELERATION, Precision.FLOAT32)
+        self._left_out = {name: None for name, identifier in FIELDS.items() if identifier not in precision}
         self._rate_Hz = max((rate for identifier, rate in self._outputs if identifier & ~FORMAT_BITS in INERTIAL), default=DEFAULT_RATE_Hz)
         self._measuring_since = self._time_s * self._clock_rate
         self._sent = self._pulses = 0
@@ -173,22 +177,15 @@ class EmulatedImu:
         """Prepare a message without sending it, so that its code and data are at hand."""
         if self._state is State.MEASUREMENT:
             counter = self._counter
-            self._mtdata2(self._time_s, 0, np.zeros(6))
+            self._mtdata2(self._time_s, 0, NO_SAMPLE)
             self._counter = counter
 
-    def _mtdata2(self, device_time_s: float, status: int, imu: np.ndarray) -> bytes:
+    def _mtdata2(self, device_time_s: float, status: int, imu: tuple[float, ...]) -> bytes:
         """Return one message with the outputs that are configured."""
-        precision = self._precision
-        values = tuple(imu.tolist())
-        reading = Reading(
-            counter=self._counter if DataId.PACKET_COUNTER in precision else None,
-            time_ticks=int(device_time_s * TIME_TICKS_Hz + 0.5) & 0xFFFFFFFF if DataId.SAMPLE_TIME_FINE in precision else None,
-            acceleration=values[:3] if DataId.ACCELERATION in precision else None,
-            rate_of_turn=values[3:] if DataId.RATE_OF_TURN in precision else None,
-            status=STATUS_SELF_TEST_PASSED | STATUS_FILTER_VALID | status if DataId.STATUS_WORD in precision else None,
-        )
+        time_ticks = int(device_time_s * TIME_TICKS_Hz + 0.5) & 0xFFFFFFFF
+        reading = Reading(self._counter, time_ticks, imu[:3], imu[3:], STATUS_VALID | status)
         self._counter = (self._counter + 1) & 0xFFFF
-        return encode_reading(reading, precision.get(DataId.ACCELERATION, Precision.FLOAT32))
+        return encode_reading(reading._replace(**self._left_out) if self._left_out else reading, self._precision)
 
     def _answer(self, message: Message) -> bytes:
         command, data = message
@@ -234,7 +231,7 @@ class EmulatedImu:
         (setting,) = decode_sync_settings(data)
         if setting != NO_SYNC and (setting.function, setting.line) != (SYNC_FUNCTION_SEND_LATEST, SYNC_LINE_IN1):
             return _error(ErrorCode.INVALID_PARAMETER)
-        self._sync = setting
+        self._sync, self.is_triggered = setting, setting.function == SYNC_FUNCTION_SEND_LATEST
         return _acknowledge(MessageId.SET_SYNC_SETTINGS)
 
 

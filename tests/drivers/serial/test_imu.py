@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 from imu_wiring import IMU, PERIOD_S, Bench, no_wait, reading
 
 from drivers.serial.xbus import (
@@ -16,6 +18,11 @@ from drivers.serial.xbus import (
     encode,
     encode_reading,
 )
+
+WHOLE = reading(7, 70)
+OTHER = encode_reading(Reading(8, None, (0.0, 0.0, 9.81), (0.0, 0.0, 0.0), 1))
+parts = st.sampled_from([WHOLE, OTHER, WHOLE[:30], encode(MessageId.WAKE_UP), b"\xfa"])
+changes = st.lists(st.tuples(st.integers(0, len(WHOLE) - 1), st.integers(0, 255)), max_size=2)
 
 
 @pytest.fixture
@@ -86,6 +93,35 @@ def test_a_packet_split_over_two_reads_arrives_whole(bench: Bench) -> None:
     bench.device_end.write(packet[23:])
     assert bench.driver.poll(bench.sample)
     assert np.array_equal(bench.sample.imu, IMU)
+
+
+def row(bench: Bench, pieces: list[bytes]) -> tuple[object, ...]:
+    """What has come when these pieces have arrived one after the other, each polled by itself."""
+    got = None
+    for piece in pieces:
+        bench.device_end.write(piece)
+        if bench.driver.poll(bench.sample):
+            got = bench.sample.imu.tolist(), bench.sample.imu_time_s, bench.sample.imu_counter
+    driver, sample = bench.driver, bench.sample
+    faults = driver.malformed, driver.first_malformed, driver.lost_packets, sample.imu_damaged, sample.imu_fault
+    return repr(got), *faults
+
+
+@given(st.lists(st.tuples(parts, changes, st.booleans()), max_size=4))
+@example([(WHOLE, [], False)])
+@example([(WHOLE[:30], [], False), (WHOLE, [], False)])  # the second is hidden until the first, cut off, has its length
+@example([(WHOLE, [(40, 1)], False), (WHOLE, [], False)])
+@example([(WHOLE, [(1, 0x01)], True), (WHOLE, [(2, 0x42)], True)])  # the other bus id, another message
+@example([(WHOLE, [(4, 0x11)], True), (WHOLE, [(3, 0x30)], True)])  # another identifier, another length
+def test_bytes_mean_the_same_whether_they_arrive_at_once_or_one_by_one(sent: list[tuple[bytes, list[tuple[int, int]], bool]]) -> None:
+    at_once, one_by_one = Bench(), Bench()
+    for part, changed, fits in sent:
+        wire = bytearray(part)
+        for position, byte in changed:
+            wire[position % len(wire)] = byte
+        if fits:
+            wire[-1] = -sum(wire[1:-1]) & 0xFF
+        assert row(at_once, [bytes(wire)]) == row(one_by_one, [bytes((byte,)) for byte in wire])
 
 
 def test_counter_and_time_run_on_where_the_device_wraps(bench: Bench) -> None:
