@@ -87,14 +87,21 @@ class LockstepBus(can.BusABC):
         while True:
             if not self._frames and not (timeout and self._wait_for_frame(timeout)):
                 return None
-            can_id, data = self._frames.popleft()
-            message = self._special(can_id, data) if can_id & FLAGS else ReceivedFrame(can_id, data, self.time_s)
+            message = self.as_message(*self._frames.popleft())
             if self._filters is None or self._matches_filters(message):
                 return message
 
     def receive_frame(self) -> tuple[int, bytes] | None:
-        """Return the next frame as (identifier, data), None when there is none."""
+        """Return the next frame as (identifier, data), None when there is none; no time passes."""
         return self._frames.popleft() if self._frames else None
+
+    def as_message(self, can_id: int, data: bytes) -> can.Message:
+        """Return a frame of `receive_frame` as `recv` would."""
+        if not can_id & FLAGS:
+            return ReceivedFrame(can_id, data, self.time_s)
+        message = message_of(can_id, data)
+        message.timestamp = self.time_s
+        return message
 
     def pass_time(self, seconds: float) -> None:
         """Let virtual time pass without a SYNC; frames that come meanwhile wait for `recv`."""
@@ -110,11 +117,6 @@ class LockstepBus(can.BusABC):
             self.pass_time(step_s)
             timeout_s -= step_s
         return bool(self._frames)
-
-    def _special(self, can_id: int, data: bytes) -> can.Message:
-        message = message_of(can_id, data)
-        message.timestamp = self.time_s
-        return message
 
     def _queue(self, can_id: int, data: bytes) -> None:
         if self.tap is not None and not can_id & FLAGS:
