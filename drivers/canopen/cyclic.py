@@ -80,7 +80,8 @@ class CyclicExchange:
         self._outstanding = 0  # TPDOs of the last SYNC that are still to come
         self._owed = 0  # answers that all of them together owe to earlier SYNCs
         self._rehearse_bus: Callable[[], None] | None = getattr(self._bus, "rehearse", None)  # only some buses have it
-        self._awake_s = network.clock.awake_s
+        self._polls = network.clock.awake_s > 0.0
+        self._asleep_at_s = max(0.0, self._answer_timeout_s - network.clock.awake_s)  # remaining time at which polling without sleep ends
         self._spread_s = ANSWER_SPREAD * settings.sync_period_s
         self._late = 0  # TPDOs of which this tick brought answers to earlier SYNCs
         self._missed = 0
@@ -212,8 +213,7 @@ class CyclicExchange:
         left_s = overdue_s - sent_s  # at the last look at the clock
         overtime = came = 0
         ready, by_cob_id, in_debt = self._ready, self._by_cob_id, self._owed > 0
-        awake = self._awake_s > 0.0
-        asleep_at = max(0.0, timeout_s - self._awake_s)  # remaining time at which polling without sleep ends
+        awake = self._polls
         data: bytes | bytearray
         while outstanding:
             message = None
@@ -226,7 +226,7 @@ class CyclicExchange:
                     break
                 left_s = overdue_s - self._clock.now()
                 if message is None:
-                    awake, remaining = left_s > asleep_at, max(0.0, left_s)
+                    awake, remaining = left_s > self._asleep_at_s, max(0.0, left_s)
                     continue
                 identifier, data = message.arbitration_id, message.data
                 tpdo = by_cob_id.get(identifier) if is_data_frame(message) else None
@@ -315,12 +315,11 @@ class CyclicExchange:
         self._network.hand_on(message)
 
     def _grow_ages(self, sample: Sample, outstanding: int) -> None:
-        missed = self._clock.missed
-        ticks = 1 + max(0, missed - self._missed)
-        self._missed = missed
+        before, self._missed = self._missed, self._clock.missed
         if not (outstanding or self._aged):
             return
         self._aged = outstanding != 0
+        ticks = 1 + max(0, self._missed - before)
         elapsed_s = self._period_s * ticks
         silent = outstanding == self._expected and self.silent_ticks and any(tpdo.usual_s == tpdo.usual_s for tpdo in self._tpdos)
         sample.unanswered = sample.unanswered + ticks if silent else 0

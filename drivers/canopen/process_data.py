@@ -23,6 +23,7 @@ STATUSWORD, POSITION, TORQUE_ACTUAL, CURRENT_ACTUAL, LINK_POSITION = 0x6041, 0x6
 CYCLIC_TARGETS = {"position": TARGET_POSITION, "velocity": TARGET_VELOCITY}
 PROFILE_TARGETS = {"profile_position": TARGET_POSITION, "profile_velocity": TARGET_VELOCITY}
 _HALF_RANGE, _RANGE = 1 << 31, 1 << 32
+_MOST_BACK = -_HALF_RANGE  # of the counter's steps
 INT16_MAX, _INT32_MAX = 32767, 0x7FFF_FFFF
 
 
@@ -38,16 +39,18 @@ class AxisInput:
         self.statusword = -1  # newest ever received
         self._counts_scale = scaling.sign * scaling.position_resolution
         self.effort_scale = scaling.sign * scaling.rated / 1000.0  # drive's unit in one of a current or torque actual value (6078h, 6077h)
+        self._link_zero, self._link_resolution = scaling.link_zero_counts, scaling.link_resolution
         self.last_raw: int | None = None  # newest position actual value
         self.turns = 0  # whole ranges of the 32-bit counter
 
     def position(self, raw: int) -> float:
         """Return the joint position [rad or m] of a position actual value (6064h)."""
-        last_raw = self.last_raw
-        if last_raw is not None and not -_HALF_RANGE <= raw - last_raw < _HALF_RANGE:
+        last_raw, self.last_raw = self.last_raw, raw
+        if last_raw is not None and not _MOST_BACK <= raw - last_raw < _HALF_RANGE:
             self.turns += 1 if raw < last_raw else -1
-        self.last_raw = raw
-        return self._counts_scale * (raw + self.turns * _RANGE) + self.offset
+        if self.turns:
+            raw += self.turns * _RANGE
+        return self._counts_scale * raw + self.offset
 
     def counts(self, position: float) -> float:
         """Return the drive's count of a joint position: the reverse of `position`, not in whole counts."""
@@ -55,7 +58,7 @@ class AxisInput:
 
     def link_position(self, raw: int) -> float:
         """Return the position of the absolute link encoder [rad or m]."""
-        return signed_counts(raw, self.scaling.link_zero_counts) * self.scaling.link_resolution
+        return signed_counts(raw, self._link_zero) * self._link_resolution
 
     def counter_was_set(self) -> None:
         """Forget the counter's last value, because the drive has set its counter (homing)."""
@@ -199,10 +202,11 @@ class Tpdo:
             sample.effort[axis] = source.effort_scale * values[self.effort]
         if self.link >= 0:
             sample.link_position[axis] = source.link_position(values[self.link])
-        for place, channel, step in self.imu:
-            sample.bus_imu[channel] = step * values[place]
-        if self.imu_counter >= 0:
-            sample.bus_imu_counter = values[self.imu_counter]
+        if not self.is_of_axis:
+            for place, channel, step in self.imu:
+                sample.bus_imu[channel] = step * values[place]
+            if self.imu_counter >= 0:
+                sample.bus_imu_counter = values[self.imu_counter]
         return True
 
     def rehearse(self) -> None:
