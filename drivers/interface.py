@@ -62,10 +62,13 @@ class Sample:
     fault: str = field(default="", init=False)  # first device fault since the last tick, in words; "" when none
     imu_damaged: int = field(default=0, init=False)  # messages of the IMU that failed their checksum since it was configured
     imu_fault: str = field(default="", init=False)  # the IMU's first fault since it was configured; motion does not depend on it
+    _memory: memoryview = field(init=False, repr=False, compare=False)  # of `answers`, and what it holds when all are missing
+    _missing: bytes = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         """Fill the arrays with missing values."""
         self.answers = np.full(self.axes, NO_ANSWER)
+        self._memory, self._missing = self.answers.view(np.uint8).data, self.answers.tobytes()
         self.position, self.link_position, self.effort = (self.answers[name] for name in ("position", "link_position", "effort"))
         self.statusword = self.answers["statusword"]
         self.position_late, self.link_late = self.answers["position_late"], self.answers["link_late"]
@@ -78,7 +81,7 @@ class Sample:
 
     def forget_answers(self) -> None:
         """Mark all that the devices answer to a SYNC as missing."""
-        self.answers[:] = NO_ANSWER
+        self._memory[:] = self._missing  # numpy takes records one field at a time, twenty times as long
 
     @property
     def is_whole(self) -> bool:

@@ -15,6 +15,8 @@ import can
 from can.interfaces.socketcan import SocketcanBus as PythonCanBus
 from can.interfaces.socketcan.socketcan import build_can_frame
 
+from drivers.data_frame import DataFrame
+
 FRAME = struct.Struct("=IB3x8s")  # linux/can.h, struct can_frame
 EXTENDED, REMOTE, ERROR = 0x8000_0000, 0x4000_0000, 0x2000_0000
 EXTENDED_ID, STANDARD_ID = 0x1FFF_FFFF, 0x7FF
@@ -70,6 +72,8 @@ class SocketcanBus(PythonCanBus):
 def message_of(frame: bytes) -> can.Message:
     """Return a frame of the kernel as python-can's message, stamped with the present time."""
     can_id, length, data = FRAME.unpack(frame)
+    if can_id <= STANDARD_ID:
+        return DataFrame(can_id, data[:length], time.time())
     extended, remote = bool(can_id & EXTENDED), bool(can_id & REMOTE)
     return can.Message(
         time.time(),

@@ -21,6 +21,8 @@ import can
 import msgpack
 from can.interfaces.udp_multicast.utils import pack_message
 
+from drivers.data_frame import DataFrame
+
 RECEIVE_BYTES = 4096
 PYTHON_CAN_PORT = 43113
 LOOPBACK_V4 = "127.0.0.1"
@@ -172,6 +174,8 @@ def frame_of(datagram: bytes) -> can.Message | None:
         return None
     if not 0 <= identifier < (_EXTENDED_IDS if extended else _STANDARD_IDS):
         return None
+    if not (extended or remote or error):
+        return DataFrame(identifier, data, time.time())
     return can.Message(time.time(), identifier, extended, remote, error, None, dlc, data)
 
 

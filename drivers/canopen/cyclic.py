@@ -8,25 +8,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from math import isfinite, nan
+from math import isfinite
+from typing import Any
 
 import can
 
 from drivers.canopen.foreign_sync import ForeignSync
 from drivers.canopen.heartbeat_consumer import HEARTBEAT_TOLERANCE, HeartbeatConsumer
-from drivers.canopen.network import PolledNetwork, is_data_frame, receive_frame, send_frame
+from drivers.canopen.network import PolledNetwork, frame_sender, is_data_frame, receive_frame
 from drivers.canopen.one_master import OneMaster
 from drivers.canopen.process_data import AxisInput, AxisOutput, Tpdo, check_inputs, drives
 from drivers.canopen.settings_watch import SettingsWatch
 from drivers.canopen.units import MotionUnits, units_in_data_sheet
-from drivers.errors import MotionRefusedError, ProtocolError
+from drivers.errors import MotionRefusedError
 from drivers.interface import Sample
 from drivers.settings import BusSettings
 
 ERROR_FRAME_BUS_OFF = 0x40  # class bit in the identifier of SocketCAN's error frames
 STALE_FRAMES_MAX = 256
 """Most frames read outside the answer time: a device that floods the bus must not keep the loop from its tick."""
-NOTHING = bytes(8)  # a frame of zeros
 ANSWER_SPREAD = 0.1
 """Share of a period within which a TPDO that answers a SYNC comes about its usual time; one of an earlier SYNC comes at any time."""
 USUAL_OVER = 16
@@ -54,7 +54,7 @@ class CyclicExchange:
         self._heartbeats = heartbeats
         self._period_s = settings.sync_period_s
         self._answer_timeout_s = settings.answer_timeout_s
-        self._sync = can.Message(arbitration_id=settings.sync_cob_id, is_extended_id=False, data=bytearray())
+        self._send_sync = frame_sender(network.can_bus, settings.sync_cob_id)
         every = settings.master_heartbeat_period_s / settings.sync_period_s
         self._heartbeat_ticks = max(1, int(every)) if every > 0.0 else 0
         self._tick = 0
@@ -65,33 +65,33 @@ class CyclicExchange:
             AxisOutput(drive, scaling, source, units_in_data_sheet(drive, scaling) if scaling.mode.endswith("velocity") else MotionUnits())
             for drive, scaling, source in parts
         ]
-        self._told = [scaling.mode == "torque" for scaling in settings.scalings]  # whether that is all of its effort
-        self._tpdos = [
-            Tpdo(node, pdo, axis, self.inputs[axis])
-            for node in settings.nodes
-            for axis in [self._axis_names.index(node.axis)]
-            for pdo in node.tpdos
-        ]
+        for output in self.outputs:
+            output.connect(network.can_bus)
+        mapped = [(node, pdo, self._axis_names.index(node.axis)) for node in settings.nodes for pdo in node.tpdos]
+        self._tpdos = [Tpdo(node, pdo, axis, self.inputs[axis], bit) for bit, (node, pdo, axis) in enumerate(mapped)]
         check_inputs(self._tpdos, self._axis_names)
-        self._by_cob_id = {tpdo.cob_id: (bit, tpdo) for bit, tpdo in enumerate(self._tpdos)}
-        self._expected = sum(1 << bit for bit, tpdo in enumerate(self._tpdos) if tpdo.every_sync)
+        self._by_cob_id = {tpdo.cob_id: tpdo for tpdo in self._tpdos}
+        self._expected = sum(tpdo.mask for tpdo in self._tpdos if tpdo.every_sync)
         self._axis_masks = [
-            sum(1 << b for b, t in enumerate(self._tpdos) if t.axis == a and t.every_sync and t.is_of_axis) for a in range(len(self.inputs))
+            sum(tpdo.mask for tpdo in self._tpdos if tpdo.axis == axis and tpdo.every_sync and tpdo.is_of_axis)
+            for axis in range(len(self.inputs))
         ]
         self.silent_ticks = _silent_ticks(settings)
         self._outstanding = 0  # TPDOs of the last SYNC that are still to come
-        self._owed = [0] * len(self._tpdos)  # how many SYNCs each has left unanswered
-        self._usual_s = [nan] * len(self._tpdos)  # when after SYNC each answers; none has yet
-        self._alone_s = [nan] * len(self._tpdos)  # when the last one came that may be of an earlier SYNC
+        self._owed = 0  # answers that all of them together owe to earlier SYNCs
         self._rehearse_bus: Callable[[], None] | None = getattr(self._bus, "rehearse", None)  # only some buses have it
-        self._awake_s = network.clock.awake_s
+        self._polls = network.clock.awake_s > 0.0
+        self._asleep_at_s = max(0.0, self._answer_timeout_s - network.clock.awake_s)  # remaining time at which polling without sleep ends
         self._spread_s = ANSWER_SPREAD * settings.sync_period_s
         self._late = 0  # TPDOs of which this tick brought answers to earlier SYNCs
         self._missed = 0
+        self._aged = False  # whether an answer was missing in the last tick
         self._fault = ""
         self._one_master = OneMaster(network, settings, [tpdo.who if tpdo.every_sync else None for tpdo in self._tpdos])
         self._foreign = ForeignSync(network, settings, self._one_master) if settings.sync_producer else None
         self._take: Callable[[float], can.Message | None] = self._foreign.take if self._foreign else partial(receive_frame, self._bus)
+        self._frames: Any = self._bus  # some buses have frames without message objects; where SYNC is foreign, some have been read already
+        self._ready: Callable[[], tuple[int, bytes] | None] | None = None if self._foreign else getattr(self._bus, "receive_frame", None)
         self._flood_frames = self._one_master.flood_frames
         self._others = self._last_other = 0  # frames of others in this tick, and the last one's identifier
         self.settings_watch = SettingsWatch(network, settings)
@@ -122,16 +122,12 @@ class CyclicExchange:
         BusError
             The bus failed.
         """
-        targets: list[int] = []
-        for output, effort in zip(self.outputs, efforts, strict=True):
+        for axis, (output, effort) in enumerate(zip(self.outputs, efforts, strict=True)):
             if not isfinite(effort):
-                raise MotionRefusedError(f"{self._axis_names[len(targets)]}: the command is {effort}; no number, no motion")
-            targets.append(output.permille(effort))
-            axis = len(targets) - 1
-            sample.commanded[axis] = output.effort(targets[-1]) if self._told[axis] else nan
-        bus = self._bus
-        for output, target in zip(self.outputs, targets, strict=True):
-            output.send(bus, target)
+                raise MotionRefusedError(f"{self._axis_names[axis]}: the command is {effort}; no number, no motion")
+            sample.commanded[axis] = output.command(effort)
+        for output in self.outputs:
+            output.send()
         if self._heartbeat_ticks and self._tick % self._heartbeat_ticks == 0:
             self._network.send_heartbeat()
         self._tick = self._one_master.tick = self._tick + 1
@@ -147,10 +143,11 @@ class CyclicExchange:
             if before_sync is not None:
                 before_sync()
             sample.forget_answers()
-            send_frame(bus, self._sync)
+            self._send_sync(b"")
         self.syncs += 1
-        overdue_s = self._clock.now() + self._answer_timeout_s
-        self._outstanding = outstanding = self._receive(sample, overdue_s)
+        sent_s = self._clock.now()
+        overdue_s = sent_s + self._answer_timeout_s
+        self._outstanding = outstanding = self._receive(sample, sent_s, overdue_s)
         if self._others > self._flood_frames:
             self._one_master.flooded(self._others, self._last_other)
         self._others = 0
@@ -175,16 +172,12 @@ class CyclicExchange:
         if self._rehearse_bus is not None:
             self._rehearse_bus()
         for tpdo in self._tpdos:
-            tpdo.unpack(NOTHING)
+            tpdo.rehearse()
 
     @property
     def missing(self) -> list[str]:
         """TPDOs that did not answer the last SYNC, in words, with what was wrong with their frames."""
-        return [
-            tpdo.who + (f" ({tpdo.malformed})" if tpdo.malformed else "")
-            for bit, tpdo in enumerate(self._tpdos)
-            if self._outstanding >> bit & 1
-        ]
+        return [tpdo.who + (f" ({tpdo.malformed})" if tpdo.malformed else "") for tpdo in self._tpdos if self._outstanding & tpdo.mask]
 
     def forget_remarks(self) -> None:
         """Begin to count anew."""
@@ -206,7 +199,7 @@ class CyclicExchange:
             found.append(f"{self._foreign.who}: {self._foreign.left_out} SYNCs did not come")
         return [*found, *self.settings_watch.remarks]
 
-    def _receive(self, sample: Sample, overdue_s: float) -> int:
+    def _receive(self, sample: Sample, sent_s: float, overdue_s: float) -> int:
         """Read until all answers to this SYNC are there or overdue; return a mask of those that are not.
 
         A node that has left earlier SYNCs unanswered may still answer them, so the last of its answers belongs to this SYNC. If the first
@@ -217,38 +210,45 @@ class CyclicExchange:
         """
         outstanding = self._expected
         remaining = timeout_s = self._answer_timeout_s
+        left_s = overdue_s - sent_s  # at the last look at the clock
         overtime = came = 0
-        take, by_cob_id, now, owed = self._take, self._by_cob_id, self._clock.now, self._owed
-        in_debt = any(owed)
-        awake = self._awake_s > 0.0
-        asleep_at = max(0.0, timeout_s - self._awake_s)  # remaining time at which polling without sleep ends
+        ready, by_cob_id, in_debt = self._ready, self._by_cob_id, self._owed > 0
+        awake = self._polls
+        data: bytes | bytearray
         while outstanding:
-            message = take(0.0 if awake else remaining)
-            if message is None and not awake:
-                break
-            remaining = overdue_s - now()
-            if message is None:
-                awake, remaining = remaining > asleep_at, max(0.0, remaining)
-                continue
-            entry = by_cob_id.get(message.arbitration_id)
-            if entry is None or not is_data_frame(message):
-                self._other(message)
+            message = None
+            if ready is not None and (frame := ready()) is not None:
+                identifier, data = frame
+                tpdo = by_cob_id.get(identifier)
+            else:
+                message = self._take(0.0 if awake else remaining)
+                if message is None and not awake:
+                    break
+                left_s = overdue_s - self._clock.now()
+                if message is None:
+                    awake, remaining = left_s > self._asleep_at_s, max(0.0, left_s)
+                    continue
+                identifier, data = message.arbitration_id, message.data
+                tpdo = by_cob_id.get(identifier) if is_data_frame(message) else None
+            remaining = left_s
+            if tpdo is None:
+                self._other(message or self._frames.as_message(identifier, data))
                 if self._foreign is not None and self._foreign.ahead:
                     break
+            elif not tpdo.take(data, sample):
+                self._drop_malformed(tpdo)
             else:
-                bit, tpdo = entry
-                if self._took(tpdo, message.data, sample):
-                    if came >> bit & 1:
-                        self._one_master.extra(bit)
-                    came |= 1 << bit
-                    if owed[bit]:
-                        owed[bit] -= 1
-                        self._alone_s[bit] = timeout_s - remaining
-                    else:
-                        outstanding &= ~(1 << bit)
-                        if not in_debt:
-                            usual_s, took_s = self._usual_s[bit], timeout_s - remaining
-                            self._usual_s[bit] = usual_s + (took_s - usual_s) / USUAL_OVER if usual_s == usual_s else took_s
+                if came & tpdo.mask:
+                    self._one_master.extra(tpdo.bit)
+                came |= tpdo.mask
+                if tpdo.owed:
+                    self._pay(tpdo)
+                    tpdo.alone_s = timeout_s - remaining
+                else:
+                    outstanding &= ~tpdo.mask
+                    if not in_debt:
+                        usual_s, took_s = tpdo.usual_s, timeout_s - remaining
+                        tpdo.usual_s = usual_s + (took_s - usual_s) / USUAL_OVER if usual_s == usual_s else took_s
             if remaining <= 0.0:
                 remaining = 0.0  # what already lies in the queue is still taken
                 overtime += 1
@@ -258,19 +258,20 @@ class CyclicExchange:
 
     def _in_doubt(self, outstanding: int, came: int, sample: Sample) -> int:
         """Update the count of owed answers; return `outstanding` without those that came. An answer to an earlier SYNC is no sample."""
-        for bit, tpdo in enumerate(self._tpdos):
-            if not outstanding >> bit & 1:
+        for tpdo in self._tpdos:
+            if not outstanding & tpdo.mask:
                 continue
-            if not came >> bit & 1:
-                self._one_master.missed(bit)
-            usual_s = self._usual_s[bit]
-            if came >> bit & 1 and abs(self._alone_s[bit] - usual_s) <= self._spread_s:
-                outstanding &= ~(1 << bit)
-                self._owed[bit] = 0
+            if not came & tpdo.mask:
+                self._one_master.missed(tpdo.bit)
+            answers = tpdo.usual_s == tpdo.usual_s
+            if came & tpdo.mask and abs(tpdo.alone_s - tpdo.usual_s) <= self._spread_s:
+                outstanding &= ~tpdo.mask
+                tpdo.owed = 0
             else:
-                self._owed[bit] = self._owed[bit] + 1 if usual_s == usual_s else 0
-                tpdo.unanswered += usual_s == usual_s
-                tpdo.forget(sample, late=bool((came | self._late) >> bit & 1))
+                tpdo.owed = tpdo.owed + 1 if answers else 0
+                tpdo.unanswered += answers
+                tpdo.forget(sample, late=bool((came | self._late) & tpdo.mask))
+        self._owed = sum(tpdo.owed for tpdo in self._tpdos)
         return outstanding
 
     def _drop_stale(self, sample: Sample) -> None:
@@ -282,27 +283,25 @@ class CyclicExchange:
             self._drop(sample, message)
 
     def _drop(self, sample: Sample, message: can.Message) -> None:
-        entry = self._by_cob_id.get(message.arbitration_id)
-        if entry is None or not is_data_frame(message):
+        tpdo = self._by_cob_id.get(message.arbitration_id)
+        if tpdo is None or not is_data_frame(message):
             self._other(message)
             return
-        bit, tpdo = entry
         self.late_frames += 1
-        self._owed[bit] = max(0, self._owed[bit] - 1)
-        if self._took(tpdo, message.data, sample):  # keeps the counter's wraps and newest statusword right; the row is cleared next
-            self._one_master.extra(bit)
-            self._late |= 1 << bit
+        if tpdo.owed:
+            self._pay(tpdo)
+        if not tpdo.take(message.data, sample):  # keeps the counter's wraps and newest statusword right; the row is cleared next
+            self._drop_malformed(tpdo)
+        else:
+            self._one_master.extra(tpdo.bit)
+            self._late |= tpdo.mask
 
-    def _took(self, tpdo: Tpdo, data: bytearray, sample: Sample) -> bool:
-        """Put a frame's values into the sample; drop a malformed frame and return False: its row lacks the values."""
-        try:
-            tpdo.take(data, sample)
-        except ProtocolError as error:
-            tpdo.malformed = str(error)
-            self._network.drop(f"{tpdo.who}: {error}")
-            return False
-        tpdo.longer += len(data) > tpdo.size
-        return True
+    def _pay(self, tpdo: Tpdo) -> None:
+        tpdo.owed -= 1
+        self._owed -= 1
+
+    def _drop_malformed(self, tpdo: Tpdo) -> None:
+        self._network.drop(f"{tpdo.who}: {tpdo.malformed}")
 
     def _other(self, message: can.Message) -> None:
         identifier = message.arbitration_id
@@ -316,11 +315,13 @@ class CyclicExchange:
         self._network.hand_on(message)
 
     def _grow_ages(self, sample: Sample, outstanding: int) -> None:
-        missed = self._clock.missed
-        ticks = 1 + max(0, missed - self._missed)
+        before, self._missed = self._missed, self._clock.missed
+        if not (outstanding or self._aged):
+            return
+        self._aged = outstanding != 0
+        ticks = 1 + max(0, self._missed - before)
         elapsed_s = self._period_s * ticks
-        self._missed = missed
-        silent = outstanding == self._expected and self.silent_ticks and any(usual_s == usual_s for usual_s in self._usual_s)
+        silent = outstanding == self._expected and self.silent_ticks and any(tpdo.usual_s == tpdo.usual_s for tpdo in self._tpdos)
         sample.unanswered = sample.unanswered + ticks if silent else 0
         for axis, mask in enumerate(self._axis_masks):
             sample.age_s[axis] = sample.age_s[axis] + elapsed_s if outstanding & mask else 0.0

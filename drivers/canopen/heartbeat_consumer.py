@@ -183,14 +183,15 @@ class HeartbeatConsumer:
         """
         if not self._guarded:
             return
-        if (away_s := now_s - self._checked_s - max(0.0, lost_s - self._lost_s)) > self._away_s:
+        since_s = now_s - self._checked_s
+        if since_s > self._away_s and (away_s := since_s - max(0.0, lost_s - self._lost_s)) > self._away_s:
             for each in self._guarded:  # nobody listened: this program stood still, or did something else
                 each.heard_s = min(now_s, each.heard_s + away_s)
         self._checked_s = now_s
         self._turn = (self._turn + 1) % len(self._guarded)
         watched, self._lost_s = self._guarded[self._turn], lost_s
-        age_s = now_s - watched.heard_s - max(0.0, lost_s - watched.lost_s)
-        if age_s > watched.timeout_s:
+        age_s = now_s - watched.heard_s
+        if age_s > watched.timeout_s and (age_s := age_s - max(0.0, lost_s - watched.lost_s)) > watched.timeout_s:
             state = NMT_STATES.get(watched.state, "unknown")
             raise HeartbeatLostError(
                 f"{watched.who}: no heartbeat for {age_s:.3f} s, {watched.timeout_s:.3f} s allowed; its last state was {state}"

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import errno
 import time
+from collections.abc import Callable
+from functools import partial
 
 import can
 import canopen
@@ -188,19 +190,40 @@ def send_frame(bus: can.BusABC, message: can.Message) -> None:
     """
     try:
         bus.send(message)
-        return
     except can.CanError as error:
-        failure = error
+        _send_again(bus, partial(bus.send, message), message.arbitration_id, error)
+
+
+def frame_sender(bus: can.BusABC, can_id: int) -> Callable[[bytes], None]:
+    """Return what sends data frames with this 11-bit identifier as `send_frame` does, without message objects where the bus can."""
+    message = can.Message(arbitration_id=can_id, is_extended_id=False)
+
+    def put_message(can_id: int, data: bytes) -> None:
+        message.data, message.dlc = bytearray(data), len(data)
+        bus.send(message)
+
+    put: Callable[[int, bytes], None] = getattr(bus, "send_frame", put_message)
+
+    def send(data: bytes) -> None:
+        try:
+            put(can_id, data)
+        except can.CanError as error:
+            _send_again(bus, partial(put, can_id, data), can_id, error)
+
+    return send
+
+
+def _send_again(bus: can.BusABC, send: Callable[[], None], can_id: int, failure: can.CanError) -> None:
     deadline = time.perf_counter() + SEND_PATIENCE_S
     while getattr(failure, "error_code", None) == errno.ENOBUFS or "buffer full" in str(failure):
         if time.perf_counter() > deadline:
             break
         try:
-            bus.send(message)
+            send()
             return
         except can.CanError as error:
             failure = error
-    raise BusError(f"{bus.channel_info}: frame {message.arbitration_id:03X} could not be sent: {failure}") from failure
+    raise BusError(f"{bus.channel_info}: frame {can_id:03X} could not be sent: {failure}") from failure
 
 
 def receive_frame(bus: can.BusABC, timeout_s: float) -> can.Message | None:

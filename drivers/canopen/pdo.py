@@ -7,7 +7,7 @@ and 64-bit objects go through one precompiled `struct`, any other widths through
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from drivers.errors import ProtocolError
@@ -45,6 +45,7 @@ class PdoCodec:
     bits: tuple[int, ...]
     signed: tuple[bool, ...]
     size: int = field(init=False)  # bytes
+    unpack_whole: Callable[[bytes | bytearray], tuple[int, ...]] = field(init=False, repr=False, compare=False)  # `size` bytes
     _struct: struct.Struct | None = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -55,6 +56,7 @@ class PdoCodec:
         packed = None if None in formats else struct.Struct("<" + "".join(f for f in formats if f))
         object.__setattr__(self, "size", (sum(self.bits) + 7) // 8)
         object.__setattr__(self, "_struct", packed)
+        object.__setattr__(self, "unpack_whole", self.unpack if packed is None else packed.unpack)
 
     @classmethod
     def of(cls, entries: Sequence[tuple[int, int, int]]) -> PdoCodec:
@@ -81,8 +83,8 @@ class PdoCodec:
             word >>= width
         return tuple(values)
 
-    def pack_into(self, data: bytearray, *values: int) -> None:
-        """Write the mapped values over `data` (at least `size` bytes).
+    def pack(self, *values: int) -> bytes:
+        """Return the mapped values as frame data.
 
         Raises
         ------
@@ -91,8 +93,7 @@ class PdoCodec:
         """
         try:
             if self._struct is not None:
-                self._struct.pack_into(data, 0, *values)
-                return
+                return self._struct.pack(*values)
         except struct.error as error:
             raise ProtocolError(f"values {values} do not fit PDO widths {self.bits}: {error}") from error
         word = shift = 0
@@ -102,10 +103,4 @@ class PdoCodec:
                 raise ProtocolError(f"value {value} does not fit {width} bits")
             word |= (value & (1 << width) - 1) << shift
             shift += width
-        data[: self.size] = word.to_bytes(self.size, "little")
-
-    def pack(self, *values: int) -> bytes:
-        """Return the mapped values as frame data."""
-        data = bytearray(self.size)
-        self.pack_into(data, *values)
-        return bytes(data)
+        return word.to_bytes(self.size, "little")

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import isfinite, nan
+from operator import itemgetter
 
 import can
 
 from drivers.canopen.can_imu import COUNTER, FORCE, OBJECTS, FORCE_STEP_m_s2, RATE_STEP_rad_s
 from drivers.canopen.cia402 import DISABLE_VOLTAGE, State, decode_state
 from drivers.canopen.cia406 import signed_counts
-from drivers.canopen.network import send_frame
+from drivers.canopen.network import frame_sender
 from drivers.canopen.pdo import PdoCodec
 from drivers.canopen.units import MotionUnits
-from drivers.errors import ConfigurationRefusedError, MotionRefusedError
+from drivers.errors import ConfigurationRefusedError, MotionRefusedError, ProtocolError
 from drivers.interface import Sample
 from drivers.settings import AxisScaling, BusSettings, Node, Pdo
 
@@ -22,6 +23,7 @@ STATUSWORD, POSITION, TORQUE_ACTUAL, CURRENT_ACTUAL, LINK_POSITION = 0x6041, 0x6
 CYCLIC_TARGETS = {"position": TARGET_POSITION, "velocity": TARGET_VELOCITY}
 PROFILE_TARGETS = {"profile_position": TARGET_POSITION, "profile_velocity": TARGET_VELOCITY}
 _HALF_RANGE, _RANGE = 1 << 31, 1 << 32
+_MOST_BACK = -_HALF_RANGE  # of the counter's steps
 INT16_MAX, _INT32_MAX = 32767, 0x7FFF_FFFF
 
 
@@ -36,32 +38,27 @@ class AxisInput:
         self.offset = 0.0
         self.statusword = -1  # newest ever received
         self._counts_scale = scaling.sign * scaling.position_resolution
-        self._effort_scale = scaling.sign * scaling.rated / 1000.0
+        self.effort_scale = scaling.sign * scaling.rated / 1000.0  # drive's unit in one of a current or torque actual value (6078h, 6077h)
+        self._link_zero, self._link_resolution = scaling.link_zero_counts, scaling.link_resolution
         self.last_raw: int | None = None  # newest position actual value
         self.turns = 0  # whole ranges of the 32-bit counter
 
     def position(self, raw: int) -> float:
         """Return the joint position [rad or m] of a position actual value (6064h)."""
-        if self.last_raw is not None:
-            step = raw - self.last_raw
-            if step >= _HALF_RANGE:
-                self.turns -= 1
-            elif step < -_HALF_RANGE:
-                self.turns += 1
-        self.last_raw = raw
-        return self._counts_scale * (raw + self.turns * _RANGE) + self.offset
+        last_raw, self.last_raw = self.last_raw, raw
+        if last_raw is not None and not _MOST_BACK <= raw - last_raw < _HALF_RANGE:
+            self.turns += 1 if raw < last_raw else -1
+        if self.turns:
+            raw += self.turns * _RANGE
+        return self._counts_scale * raw + self.offset
 
     def counts(self, position: float) -> float:
         """Return the drive's count of a joint position: the reverse of `position`, not in whole counts."""
         return (position - self.offset) / self._counts_scale
 
-    def effort(self, permille: int) -> float:
-        """Return the measured effort [drive's unit] of a current or torque actual value (6078h, 6077h)."""
-        return self._effort_scale * permille
-
     def link_position(self, raw: int) -> float:
         """Return the position of the absolute link encoder [rad or m]."""
-        return signed_counts(raw, self.scaling.link_zero_counts) * self.scaling.link_resolution
+        return signed_counts(raw, self._link_zero) * self._link_resolution
 
     def counter_was_set(self) -> None:
         """Forget the counter's last value, because the drive has set its counter (homing)."""
@@ -84,6 +81,8 @@ class AxisOutput:
     def __init__(self, node: Node, scaling: AxisScaling, source: AxisInput, units: MotionUnits = MotionUnits()) -> None:  # noqa: B008 - frozen
         self.controlword = DISABLE_VOLTAGE
         self.target = 0  # counts, or the drive's unit of velocity
+        self._effort = 0  # target torque (6071h) or torque offset (60B2h), per mille
+        self._is_all = scaling.mode == "torque"
         self._left = 0.0  # what the last target lacks by rounding
         self._source = source
         self._speed_scale = scaling.sign / scaling.position_resolution * units.velocity
@@ -99,21 +98,18 @@ class AxisOutput:
                 f"{node.name}: its RPDOs map {', '.join(f'{index:04X}h' for index in carried) or 'nothing'}; in {scaling.mode} mode the "
                 f"loop fills {', '.join(f'{index:04X}h' for index in filled)} and nothing else"
             )
-        self.frames: list[tuple[can.Message, Callable[..., None], tuple[int, ...]]] = []
-        for pdo in node.rpdos:
-            codec = PdoCodec.of(pdo.entries)
-            message = can.Message(arbitration_id=pdo.cob_id, is_extended_id=False, data=bytearray(codec.size))
-            places = {CONTROLWORD: 0, effort: 1, target: 2}
-            self.frames.append((message, codec.pack_into, tuple(places[index] for index, _, _ in pdo.entries)))
+        places = {CONTROLWORD: 0, effort: 1, target: 2}
+        self._rpdos = [(pdo.cob_id, PdoCodec.of(pdo.entries).pack, [places[index] for index, _, _ in pdo.entries]) for pdo in node.rpdos]
+        self._frames: list[tuple[Callable[[bytes], None], Callable[..., bytes], Callable[[tuple[int, ...]], tuple[int, ...]]]] = []
 
-    def permille(self, effort: float) -> int:
-        """Return the target torque (6071h) of an effort in the drive's unit, clipped to the axis limit."""
-        value = round(effort * self._permille)
-        return self._limit if value > self._limit else -self._limit if value < -self._limit else value
+    def command(self, effort: float) -> float:
+        """Set the effort [drive's unit] that is sent next, clipped to the axis limit.
 
-    def effort(self, permille: int) -> float:
-        """Return the effort [drive's unit] of a target torque (6071h)."""
-        return permille / self._permille
+        Returns it as it is on the wire, in whole per mille of the drive's rating; NaN where the drive's own loops add to it.
+        """
+        value, limit = round(effort * self._permille), self._limit
+        self._effort = value = limit if value > limit else -limit if value < -limit else value
+        return value / self._permille if self._is_all else nan
 
     def lead_to(self, target: float) -> None:
         """Set the position [rad or m] or velocity [rad/s or m/s] that the drive's own loops follow from the next tick on.
@@ -143,18 +139,22 @@ class AxisOutput:
         elif source.last_raw is not None and decode_state(source.statusword) is not State.OPERATION_ENABLED:
             self.target = source.last_raw
 
-    def send(self, bus: can.BusABC, permille: int) -> None:
-        """Send the drive's RPDOs with the controlword, this effort and the target."""
-        values = self.controlword, permille, self.target
-        for message, pack_into, places in self.frames:
-            pack_into(message.data, *[values[place] for place in places])
-            send_frame(bus, message)
+    def connect(self, bus: can.BusABC) -> None:
+        """Set the bus that `send` sends to."""
+        self._frames = [(frame_sender(bus, cob_id), pack, _picker(places)) for cob_id, pack, places in self._rpdos]
+
+    def send(self) -> None:
+        """Send the drive's RPDOs with controlword, effort and target."""
+        values = self.controlword, self._effort, self.target
+        for send, pack, pick in self._frames:
+            send(pack(*pick(values)))
 
 
 class Tpdo:
     """One TPDO of one node, and the destination of its values."""
 
-    def __init__(self, node: Node, pdo: Pdo, axis: int, source: AxisInput) -> None:
+    def __init__(self, node: Node, pdo: Pdo, axis: int, source: AxisInput, bit: int = 0) -> None:
+        self.bit, self.mask = bit, 1 << bit  # its place among all
         self.who = f"{node.name}: TPDO {pdo.number} ({pdo.cob_id:03X}h)"
         self.cob_id = pdo.cob_id
         self.malformed = ""  # what was wrong with the last frame that was dropped
@@ -162,7 +162,10 @@ class Tpdo:
         self.source = source
         self.every_sync = pdo.transmission_type == 1
         codec = PdoCodec.of(pdo.entries)
-        self.unpack, self.size = codec.unpack, codec.size
+        self._codec, self._unpack, self.size = codec, codec.unpack_whole, codec.size
+        self.owed = 0  # SYNCs that it has left unanswered and may still answer
+        self.usual_s = nan  # when after SYNC it answers; it has not yet
+        self.alone_s = nan  # when the last one came that may be of an earlier SYNC
         self.unanswered = self.longer = 0  # SYNCs without its answer in time; frames longer than what they map
         objects = [index for index, _, _ in pdo.entries]
         self.statusword, self.position, self.link = (
@@ -179,23 +182,36 @@ class Tpdo:
         self.imu_counter = objects.index(COUNTER) if COUNTER in objects else -1
         self.is_of_axis = node.role != "imu"  # what an axis is judged stale by
 
-    def take(self, data: bytearray, sample: Sample) -> None:
-        """Put the values of one frame into the sample."""
-        values = self.unpack(data)
+    def take(self, data: bytes | bytearray, sample: Sample) -> bool:
+        """Put the values of one frame into the sample; return False where it is malformed: the row lacks the values."""
+        if len(data) == self.size:
+            values = self._unpack(data)
+        else:
+            try:
+                values = self._codec.unpack(data)
+            except ProtocolError as error:
+                self.malformed = str(error)
+                return False
+            self.longer += 1
         axis, source = self.axis, self.source
         if self.statusword >= 0:
-            source.statusword = values[self.statusword]
-            sample.statusword[axis] = source.statusword
+            source.statusword = sample.statusword[axis] = values[self.statusword]
         if self.position >= 0:
             sample.position[axis] = source.position(values[self.position])
         if self.effort >= 0:
-            sample.effort[axis] = source.effort(values[self.effort])
+            sample.effort[axis] = source.effort_scale * values[self.effort]
         if self.link >= 0:
             sample.link_position[axis] = source.link_position(values[self.link])
-        for place, channel, step in self.imu:
-            sample.bus_imu[channel] = step * values[place]
-        if self.imu_counter >= 0:
-            sample.bus_imu_counter = values[self.imu_counter]
+        if not self.is_of_axis:
+            for place, channel, step in self.imu:
+                sample.bus_imu[channel] = step * values[place]
+            if self.imu_counter >= 0:
+                sample.bus_imu_counter = values[self.imu_counter]
+        return True
+
+    def rehearse(self) -> None:
+        """Decode a frame of zeros."""
+        self._unpack(bytes(self.size))
 
     def forget(self, sample: Sample, *, late: bool) -> None:
         """Remove the values of its frames from the sample; `late`: there were some, of an earlier SYNC."""
@@ -212,6 +228,11 @@ class Tpdo:
         for index, values in ((self.position, sample.position), (self.effort, sample.effort), (self.link, sample.link_position)):
             if index >= 0:
                 values[self.axis] = nan
+
+
+def _picker(places: Sequence[int]) -> Callable[[tuple[int, ...]], tuple[int, ...]]:
+    """Return what picks the values at these places."""
+    return itemgetter(*places) if len(places) > 1 else itemgetter(slice(places[0], places[0] + 1))
 
 
 def signed_32(value: int) -> int:

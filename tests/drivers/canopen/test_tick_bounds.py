@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import math
 import struct
 from collections.abc import Callable
@@ -10,11 +11,11 @@ from collections.abc import Callable
 import can
 import numpy as np
 import pytest
-from one_tick import ALL, NODES, PATIENCE_S, PERIOD_S, SYNC, Frame, Machine, answer, but
+from one_tick import ALL, NODES, PATIENCE_S, PERIOD_S, SYNC, Frame, Machine, Wire, answer, but
 from scripted_nodes import machine_settings
 
 from drivers.canopen.cyclic import STALE_FRAMES_MAX, CyclicExchange
-from drivers.errors import MotionRefusedError
+from drivers.errors import BusError, MotionRefusedError
 from drivers.interface import Sample
 
 # ---- what is sent
@@ -25,6 +26,26 @@ def test_commands_go_out_rounded_to_what_the_wire_carries_and_the_sample_says_so
     sample = machine.tick(efforts=(1.0012, -99.0))
     assert machine.wire.log == [(0x201, b"\0\0" + struct.pack("<h", 200)), (0x202, b"\0\0" + struct.pack("<h", -1600)), (SYNC, b"")]
     assert sample.commanded == pytest.approx([1.0, -8.0])
+
+
+@pytest.mark.parametrize("takes_bytes", [False, True])
+def test_a_transmit_queue_that_is_full_for_a_moment_loses_no_command(takes_bytes: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    refusals, send = [can.CanOperationError("no buffer space", errno.ENOBUFS), can.CanOperationError("Transmit buffer full")], Wire.send
+
+    def refusing(wire: Wire, message: can.Message) -> None:
+        if refusals:
+            raise refusals.pop()
+        send(wire, message)
+
+    def of_bytes(wire: Wire, can_id: int, data: bytes) -> None:
+        refusing(wire, can.Message(arbitration_id=can_id, is_extended_id=False, data=data))
+
+    monkeypatch.setattr(Wire, *(("send_frame", of_bytes) if takes_bytes else ("send", refusing)), raising=False)
+    machine = Machine().ticks(1)
+    assert [can_id for can_id, _ in machine.wire.log] == [0x201, 0x202, SYNC]
+    refusals += [can.CanOperationError("the interface went down")]
+    with pytest.raises(BusError, match="wire: frame 201 could not be sent: the interface went down"):
+        machine.tick()
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -244,6 +265,16 @@ def test_while_one_node_owes_answers_the_usual_time_of_others_stays() -> None:
     machine.ticks(2)
     machine.tick(*but(0x182))
     assert np.isfinite(machine.tick().position[1])
+
+
+def test_when_nothing_is_owed_any_more_the_usual_time_follows_again() -> None:
+    machine, later = Machine().ticks(3), answer(0x182, 0, 0.2 * PERIOD_S)
+    machine.tick(*but(0x182))
+    machine.wire.bring(answer(0x182))
+    for _ in range(50):
+        machine.tick(*but(0x182), later)
+    machine.tick(*but(0x182))
+    assert np.isfinite(machine.tick(*but(0x182), later).position[1])
 
 
 def test_a_second_sender_of_a_node_that_was_late_for_long_is_named_as_soon_as_any_other() -> None:

@@ -6,7 +6,6 @@ import struct
 from pathlib import Path
 from typing import ClassVar, TextIO
 
-import can
 import numpy as np
 import pytest
 from bench_machines import CARM, read_truth, run_in_lockstep
@@ -33,12 +32,11 @@ class IntrudedBus(LockstepBus):
         super().__init__(machine, log)
         self.machines.append(machine)
 
-    def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        super().send(msg, timeout)
-        if msg.arbitration_id == self._sync_id and self.intruder is not None:
-            can_id, data = self.intruder
-            self._frames.append((can_id, data))
-            self.machine.receive(can_id, data)
+    def send_frame(self, can_id: int, data: bytes) -> None:
+        super().send_frame(can_id, data)
+        if can_id == self._sync_id and self.intruder is not None:
+            self._frames.append(self.intruder)
+            self.machine.receive(*self.intruder)
 
 
 @pytest.mark.slow

@@ -224,10 +224,10 @@ def test_a_bus_that_breaks_in_the_run_is_one_line_that_tells_what_the_stop_ran_i
     part = out.with_name("run.mf4.part")
 
     class Breaking(LosingBus):
-        def send(self, message: can.Message, timeout: float | None = None) -> None:
+        def send_frame(self, can_id: int, data: bytes) -> None:
             if part.exists() and part.stat().st_size > 200_000:
                 raise can.CanOperationError("the interface went down")
-            super().send(message, timeout)
+            super().send_frame(can_id, data)
 
     monkeypatch.setattr("hil.bench.wiring.LockstepBus", Breaking)
     stopped = isocenter("run", "static", "--seconds", "6", "--bus", "lockstep:", "--machine", "carm", "-o", out)
