@@ -24,7 +24,8 @@ from virtual_bus.serial.xsens_imu import EmulatedImu
 from virtual_bus.settings import EmulatedBus
 
 if TYPE_CHECKING:
-    from virtual_bus.physics import Latched, Physics
+    from virtual_bus.physics import Physics
+    from virtual_bus.sensors.sensing import Latched
 
 NMT = 0x000
 SYNC_NOW_S = 1e-9  # a SYNC that is nearer than this is due: sums of floats miss the instant by less

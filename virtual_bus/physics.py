@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,27 +16,14 @@ from virtual_bus.linear.sampled import SampledPlant, sampled
 from virtual_bus.plant.compiled import compile_plant
 from virtual_bus.plant.drives import DRIVE_STATES
 from virtual_bus.plant.statics import holding_effort, resting_state
-from virtual_bus.sensors.effects import ANY, DROPOUTS, new_memory
-from virtual_bus.sensors.measure import Readings, compiled_sensors, new_readings, noise_rms, plain_sensors, sensor_model
+from virtual_bus.sensors.measure import noise_rms
+from virtual_bus.sensors.sensing import Latched, Sensing
 from virtual_bus.settings import PlantSettings
 
 if TYPE_CHECKING:
     import control
 
 NOISE_BLOCK = 256  # samples of noise drawn at once, since a call of a generator costs more than its numbers
-
-
-@dataclass
-class Latched:
-    """Sensor readings of one instant. One object is reused for every sample: copy what must be kept."""
-
-    position_counts: np.ndarray  # (axes,) int64 motor side, zero where the machine was placed; 0 without a resolution
-    link_counts: np.ndarray  # (axes,) int64 absolute, zero at joint position zero; 0 without a link encoder
-    position: np.ndarray  # (axes,) rad or m at the joint, on the encoder's lattice; NaN without one
-    link_position: np.ndarray  # (axes,) rad or m; NaN without a link encoder
-    effort: np.ndarray  # (axes,) drive's unit
-    imu: np.ndarray  # (6 imus,) specific force m/s^2, angular rate rad/s; six NaN without an IMU
-    temperature_degC: np.ndarray  # (axes,) NaN without a thermometer
 
 
 class Physics:
@@ -59,26 +47,27 @@ class Physics:
         self.axes = tuple(drive.axis for drive in settings.drives)
         self.plant = compile_plant(settings)
         self.model = self.plant.model()
-        self._reads_state = self.plant.filters_all(self.model)  # which saves compiling what an IMU without a low pass reads
+        axes, imus = len(self.axes), len(settings.imus)
+        self._state = np.zeros(self.plant.state_size)
+        self._effort, self._brakes = np.zeros(axes), np.zeros(axes)
         self._work = self.plant.new_work()
-        self._sensors = compiled_sensors()
-        self._sensor_model = sensor_model(settings)
-        self._plain_sensors = plain_sensors(self._sensor_model)
-        self._memory = new_memory(settings)
-        self._imu = np.zeros(6 * len(settings.imus))
-        self._seen_by_imu = np.full(6, np.nan)
+        acting = self._effort, self._brakes, self.model, self._work
+        # nothing to compute, and nothing to compile: without drive effects targets are currents, after low passes IMUs read the state
+        self._read_imus = self._find_currents = None
+        self._currents, imu_motion = self._effort, self._state[self.plant.filtered]
+        if self.model["has_drive_effects"][0]:
+            self._currents = np.zeros(axes)
+            self._find_currents = partial(self.plant.drive_currents, self._state, self._effort, self.model, self._currents)
+        if not self.plant.filters_all(self.model):
+            imu_motion = np.zeros(6 * imus)
+            self._read_imus = partial(self.plant.imu_reading, self._state, *acting, imu_motion)
+        self._sensing = Sensing(settings, self._state, self._currents, imu_motion)
+        self._step = partial(self.plant.advance, self._state, *acting)
         self._noise = _Noise(settings, seed) if noise else None
-        self._no_noise = np.zeros(len(self.axes) + 6 * len(settings.imus))
+        self._no_noise = np.zeros(axes + 6 * imus)
         self._drawn: np.ndarray | None = None  # the noise of this sample, once something has been measured with it
-        self._prepared: tuple[bytes, bytes] | None = None  # effort and brakes under which `_latched` holds this sample already
-        self._latched, self._readings = _latched_readings(settings)
-        self._effort = np.zeros(len(self.axes))
-        self._currents = np.zeros(len(self.axes))
-        self._brakes = np.zeros(len(self.axes))
-        self._temperature_rise = np.zeros(len(self.axes))
-        self._zero_counts = np.zeros(len(self.axes), dtype=np.int64)
-        self._no_counts = np.zeros(len(self.axes), dtype=np.int64)
-        self.place(np.zeros(len(self.axes)))
+        self._prepared: tuple[bytes, bytes] | None = None  # effort and brakes for which this sample is measured already
+        self.place(np.zeros(axes))
 
     @property
     def time_s(self) -> float:
@@ -96,14 +85,13 @@ class Physics:
         PlantError
             There is no such equilibrium.
         """
-        self._state = resting_state(self.plant, self.model, np.asarray(axis_positions, dtype=float), held_by_brakes=True)
+        self._state[:] = resting_state(self.plant, self.model, np.asarray(axis_positions, dtype=float), held_by_brakes=True)
         self._effort[:] = 0.0
         self._brakes[:] = 1.0
-        self._temperature_rise[:] = 0.0
         self._samples = 0
-        self._sensors.start(self._state, self._sensor_model, self._memory)
-        self._zero_counts[:] = 0
-        self._zero_counts[:] = self.latch_exactly().position_counts
+        self._sensing.start()
+        self.latch_exactly()
+        self._sensing.count_from_here()
 
     def hold(self, effort: np.ndarray) -> None:
         """Let the drives carry the load with this effort (axes,), as if they always had.
@@ -145,10 +133,10 @@ class Physics:
 
     def latch(self) -> Latched:
         """Return the sensors' readings at this instant. Every call draws new noise."""
-        if self._prepared != (self._effort.tobytes(), self._brakes.tobytes()):
+        if self._prepared is None or self._prepared != (self._effort.tobytes(), self._brakes.tobytes()):
             self._measure(self._noise_of_sample())
         self._drawn = self._prepared = None
-        return self._latched
+        return self._sensing.latched
 
     def prepare(self, effort: np.ndarray) -> None:
         """Measure in advance what `latch` returns if this effort (axes,) acts by then.
@@ -172,21 +160,12 @@ class Physics:
 
     def seen_by_imu(self) -> np.ndarray:
         """Return what the first IMU sees at the latched instant (6,): effects and bias, no noise and no lattice."""
-        axes, memory, sensors = len(self.axes), self._memory, self._sensor_model
-        readings = self._imu if self._plain_sensors is not None else memory.values[3 * axes :]
-        seen: np.ndarray = readings[:6] + sensors.imu_bias[:6]
-        if sensors.switches[DROPOUTS]:
-            lost = memory.latest[3 * axes :][:6] == memory.issued[3 * axes :][:6]
-            seen = np.where(lost & np.isfinite(self._seen_by_imu), self._seen_by_imu, seen)
-        self._seen_by_imu = seen
-        return seen
+        return self._sensing.seen_by_imu()
 
     def read_by_imu(self, seen: np.ndarray) -> np.ndarray:
         """Return a reading of the first IMU beside the rows' (6,), where it sees this (6,): with noise of its own, on its lattice."""
         value = seen if self._noise is None else seen + self._noise.of_a_message()
-        step = self._sensor_model.imu_resolution[:6]
-        lattice = np.where(step > 0.0, step, 1.0)
-        return np.where(step > 0.0, lattice * np.floor(value / lattice + 0.5), value)
+        return self._sensing.on_lattice_of_imu(value)
 
     def _noise_of_sample(self) -> np.ndarray:
         if self._drawn is None:
@@ -194,31 +173,20 @@ class Physics:
         return self._drawn
 
     def _measure(self, noise: np.ndarray) -> Latched:
-        if self._reads_state:
-            self._imu[:] = self._state[self.plant.filtered]
-        else:
-            self.plant.imu_reading(self._state, self._effort, self._brakes, self.model, self._work, self._imu)
-        self.plant.drive_currents(self._state, self._effort, self.model, self._currents)
-        readings, latched = self._readings, self._latched
-        true = self._state, self._currents, self._temperature_rise, self._imu, noise
-        if self._plain_sensors is not None:
-            self._sensors.measure_plain(*true, *self._plain_sensors, *readings)
-        else:
-            self._sensors.measure(*true, self._sensor_model, self._memory, readings)
-        sensors, count = self._sensor_model, self._sensors.count
-        count(readings.position, sensors.position_resolution, self._zero_counts, latched.position_counts)
-        count(readings.link_position, sensors.link_resolution, self._no_counts, latched.link_counts)
-        return latched
+        if self._read_imus is not None:
+            self._read_imus()
+        if self._find_currents is not None:
+            self._find_currents()
+        self._sensing.read(noise)
+        return self._sensing.latched
 
     def advance(self) -> None:
         """Let one sample period pass."""
         self._prepared = None
-        self.plant.drive_currents(self._state, self._effort, self.model, self._currents)
-        self.plant.advance(self._state, self._effort, self._brakes, self.model, self._work)
-        sensors = self._sensor_model
-        self._sensors.warm_up(self._temperature_rise, self._currents, sensors.rise_per_effort2, sensors.temperature_decay)
-        if sensors.switches[ANY]:
-            self._sensors.remember(sensors, self._memory)
+        if self._find_currents is not None:
+            self._find_currents()
+        self._step()
+        self._sensing.advance()
         self._samples += 1
 
     def truth(self) -> dict[str, np.ndarray]:
@@ -264,6 +232,7 @@ class _Noise:
         self._rms = np.array(list(rms.values()))
         self._streams = [np.random.default_rng([seed, zlib.crc32(name.encode())]) for name in rms]
         self._block = np.zeros((NOISE_BLOCK, len(rms)))
+        self._rows = list(self._block)
         self._used = NOISE_BLOCK
         self._imu_rms = self._rms[len(settings.drives) :][:6]
         self._messages = np.random.default_rng([seed, zlib.crc32(b"messages of the IMU")])
@@ -280,15 +249,4 @@ class _Noise:
                 self._block[:, column] = self._rms[column] * stream.standard_normal(NOISE_BLOCK)
             self._used = 0
         self._used += 1
-        drawn: np.ndarray = self._block[self._used - 1]
-        return drawn
-
-
-def _latched_readings(settings: PlantSettings) -> tuple[Latched, Readings]:
-    """Return what a latch hands out, and the same arrays as `measure` fills them."""
-    readings = new_readings(settings)
-    counts = np.zeros((2, len(settings.drives)), dtype=np.int64)
-    imu = readings.imu if settings.imus else np.full(6, np.nan)
-    return Latched(
-        counts[0], counts[1], readings.position, readings.link_position, readings.effort, imu, readings.temperature_degC
-    ), readings
+        return self._rows[self._used - 1]

@@ -34,6 +34,9 @@ INNER: dict[str, Any] = {"no_cpython_wrapper": True, **OUTER}
 # cache unless the call disappears, and the compiler then sees one body with known sizes.
 compiled: Compiler = numba.njit(fastmath=FAST_MATH, error_model="numpy", forceinline=True, **UNCOUNTED, **INNER)
 
+# For a large function with one caller: a part of that before it is compiled, so that it is optimised once and not once by itself besides.
+compiled_in_place: Compiler = numba.njit(fastmath=FAST_MATH, error_model="numpy", inline="always", **UNCOUNTED, **INNER)
+
 # For the functions of a generated module: machine code of their own, kept on disk. The second is for those that Python does not call.
 compiled_and_cached: Compiler = numba.njit(fastmath=FAST_MATH, error_model="numpy", cache=True, **UNCOUNTED, **OUTER)
 compiled_inside: Compiler = numba.njit(fastmath=FAST_MATH, error_model="numpy", cache=True, **UNCOUNTED, **INNER)

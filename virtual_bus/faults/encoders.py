@@ -9,7 +9,7 @@ import numpy as np
 from virtual_bus.faults.fault import Begin, FaultKind, Parameter, Place, Trial, Values
 from virtual_bus.faults.machine import FaultyMachine
 from virtual_bus.faults.seam import Undo
-from virtual_bus.physics import Latched
+from virtual_bus.sensors.sensing import Latched
 
 Wrong = Callable[[int], int]
 """From the counts that an encoder should show to those it shows."""

@@ -21,7 +21,8 @@ from virtual_bus.faults.motion_log import HOLDING, MotionLog
 from virtual_bus.faults.schedule import Injection, Schedule
 from virtual_bus.faults.seam import Seam
 from virtual_bus.machine import EmulatedMachine
-from virtual_bus.physics import Latched, Physics
+from virtual_bus.physics import Physics
+from virtual_bus.sensors.sensing import Latched
 from virtual_bus.settings import EmulatedBus
 
 Frame = tuple[int, bytes]

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from virtual_bus.faults.fault import FaultKind, Parameter, Trial, Values
 from virtual_bus.faults.machine import FaultyMachine
 from virtual_bus.faults.seam import Undo
-from virtual_bus.physics import Latched
+from virtual_bus.sensors.sensing import Latched
 
 SHOWN = Parameter("shown", "degC", 150.0, -200.0, 1000.0, "what it shows")
 RATE = Parameter("rate", "K/s", 20.0, -1000.0, 1000.0, "how fast it rises")

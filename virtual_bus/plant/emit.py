@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
+from collections.abc import Iterator
 
 from virtual_bus.plant.symbols import Node
 
+ENTRY = re.compile(r"\b([a-z])\[(\d+)\]")
 SIGNS = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
 
 
@@ -35,7 +38,8 @@ class Emitter:
 
         A target is a pair such as `("work.bias[1]", node)`.
         """
-        return self._function(f"@compiled_inside\ndef {name}(model, work):\n    {preamble}", targets, hoist=True)
+        head, *lines = self._function(f"@compiled_inside\ndef {name}(model, work):\n    {preamble}", targets, hoist=True)
+        return "\n".join([head, *_read_once(lines)]) + "\n"
 
     def derive_text(self) -> str:
         """Return the source of the function that fills `c` from the parameters `p`.
@@ -43,9 +47,9 @@ class Emitter:
         Call it last: the other functions decide what is in `c`.
         """
         targets = [(f"c[{k}]", node) for k, node in enumerate(self._constant_nodes)]
-        return self._function("from math import cos, sin\n\n\ndef derive(p, c):", targets, hoist=False)
+        return "\n".join(self._function("from math import cos, sin\n\n\ndef derive(p, c):", targets, hoist=False)) + "\n"
 
-    def _function(self, head: str, targets: list[tuple[str, Node]], hoist: bool) -> str:
+    def _function(self, head: str, targets: list[tuple[str, Node]], hoist: bool) -> list[str]:
         uses: Counter[int] = Counter()
         order: list[Node] = []
         stack = [(node, False) for _, node in reversed(targets)]
@@ -76,8 +80,7 @@ class Emitter:
                 lines.append(f"    {name} = {expression}")
                 expression = name
             text[node.number] = expression
-        lines += [f"    {target} = {text[node.number]}" for target, node in targets] or ["    pass"]
-        return "\n".join(lines) + "\n"
+        return lines + ([f"    {target} = {text[node.number]}" for target, node in targets] or ["    pass"])
 
     def _expression(self, node: Node, text: dict[int, str], hoist: bool) -> str:
         if node.operation == "constant":
@@ -92,3 +95,19 @@ class Emitter:
         if node.operation in SIGNS:
             return f"({operands[0]} {SIGNS[node.operation]} {operands[1]})"
         return f"{node.operation}({operands[0]})"
+
+
+def _read_once(lines: list[str]) -> Iterator[str]:
+    """Yield these lines with entries of arrays read into variables just before their first use: numba takes 2 ms for every reading.
+
+    After a store they are read anew, as if it might have changed them: only so are sums taken in the same order as without variables.
+    """
+    seen: set[str] = set()
+    for line in lines:
+        for entry in ENTRY.finditer(line):
+            if entry[0] not in seen:
+                seen.add(entry[0])
+                yield f"    {entry[1]}{entry[2]} = {entry[0]}"
+        yield ENTRY.sub(r"\1\2", line)
+        if line.startswith("    work."):
+            seen.clear()

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from virtual_bus.compilation.jit import compiled
+from virtual_bus.compilation.jit import compiled, compiled_in_place
 from virtual_bus.effects.motion import FrictionOf, LimitedBy, ReactionOf, RippleOf
 from virtual_bus.effects.table import MAX_REACTIONS
 from virtual_bus.plant.drives import DRIVE_STATES, drive_joints, load_joints, remember_targets
@@ -177,7 +177,7 @@ def second_order(k: int, model: np.record, work: np.record) -> None:
     work.filtered_slope[k] = by[k, 1, 0] * y + by[k, 1, 1] * slope + by[k, 1, 2] * start + by[k, 1, 3] * end
 
 
-@compiled
+@compiled_in_place
 def advance(
     axis_joints: tuple[int, ...], imus: int, equations: Equations, friction_of: FrictionOf, reaction_of: ReactionOf, limited_by: LimitedBy,
     ripple_of: RippleOf, imu: Equations, state: np.ndarray, effort: np.ndarray, brakes: np.ndarray, model: np.record, work: np.record,

@@ -8,7 +8,7 @@ from __future__ import annotations
 import inspect
 import sys
 from collections import namedtuple
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from types import ModuleType
 from typing import NamedTuple
 
@@ -61,7 +61,7 @@ class SensorModel(NamedTuple):
 
 PLAIN = SensorModel._fields[: SensorModel._fields.index("switches")]
 PlainSensors = namedtuple("PlainSensors", PLAIN)  # type: ignore[misc]
-"""The same without effects, for `measure_plain`."""
+"""The same without effects."""
 
 
 class Readings(NamedTuple):
@@ -98,11 +98,6 @@ def with_effects(own: SensorModel, settings: PlantSettings, effects: Sequence[Ef
         return own
     added = sensor_effects(settings, effects)
     return own._replace(switches=added.switches, effects=added)
-
-
-def plain_sensors(model: SensorModel) -> tuple[np.ndarray, ...] | None:
-    """Return the arrays that `measure_plain` takes; None where the sensors have effects."""
-    return None if model.switches[effects.ANY] else tuple(getattr(model, name) for name in PLAIN)
 
 
 def new_readings(settings: PlantSettings) -> Readings:
@@ -216,19 +211,37 @@ def warm_up(temperature_rise: np.ndarray, effort: np.ndarray, rise_per_effort2: 
 
 
 @compiled
-def count(position: np.ndarray, resolution: np.ndarray, zero: np.ndarray, counts: np.ndarray) -> None:
-    """Count whole steps from `zero` to positions that are on their lattices already.
+def counted(position: float, resolution: float) -> int:
+    """Return the whole steps to a position that is on its lattice already; 0 where there is no lattice."""
+    return round(position / resolution) if resolution > 0.0 else 0
 
-    0 where there is no lattice.
-    """
-    for i in range(len(position)):
-        counts[i] = 0 if not resolution[i] > 0.0 else round(position[i] / resolution[i]) - zero[i]
 
+@compiled
+def count(readings: Readings, sensors: SensorModel, counts: np.ndarray) -> None:
+    """Count both encoders of every axis into the second and third row; those on the motor side from the first row on."""
+    for i in range(len(readings.position)):
+        counts[1, i] = counted(readings.position[i], sensors.position_resolution[i]) - counts[0, i]
+        counts[2, i] = counted(readings.link_position[i], sensors.link_resolution[i])
+
+
+BLOCKS = {
+    "of_joints": ("position_joints", "link_joints", "speed_joints"),
+    "of_axes": (
+        "position_resolution", "link_resolution", "speed_resolution", "effort_resolution", "ambient_degC", "rise_per_effort2",
+        "temperature_decay", "temperature_resolution", "temperature_rise",
+        "read_position", "read_link_position", "read_speed", "read_effort", "read_temperature_degC",
+    ),
+    "of_imus": ("imu_bias", "imu_resolution", "seen", "read_imu"),
+}  # fmt: skip
+"""What `sense` takes of a machine: few arrays, and what their rows are.
+
+One by one the rows would take four times as long to hand over, in a tuple twenty times.
+"""
 
 ENTRY_POINTS = '''"""Generated: the sensors as cached entry points; do not edit."""
 
-from EFFECTS import encoder_error_of, lag_of, lost_by, signed_by
-from virtual_bus.compilation.jit import compiled_and_cached
+from MODULE import encoder_error_of, lag_of, lost_by, signed_by
+from virtual_bus.compilation.jit import compiled_and_cached, compiled_inside
 from virtual_bus.sensors import effects as _effects
 from virtual_bus.sensors import measure as _sensors
 
@@ -238,7 +251,7 @@ def start(state, sensors, memory):
     _sensors.start(state, encoder_error_of, sensors, memory)
 
 
-@compiled_and_cached
+@compiled_inside
 def measure(state, effort, temperature_rise, imu_reading, noise, sensors, memory, readings):
     if sensors.switches[0]:
         _sensors.measure_affected(
@@ -248,27 +261,43 @@ def measure(state, effort, temperature_rise, imu_reading, noise, sensors, memory
         _sensors.measure(state, effort, temperature_rise, imu_reading, noise, sensors, readings)
 
 
-@compiled_and_cached
-def measure_plain(state, effort, temperature_rise, imu_reading, noise, OWN, READ):
-    # without effects and with every array by itself: a tuple of arrays costs twice as much to hand over as its arrays
-    sensors, readings = _sensors.PlainSensors(OWN), _sensors.Readings(READ)
-    _sensors.measure(state, effort, temperature_rise, imu_reading, noise, sensors, readings)
-
-
-@compiled_and_cached
+@compiled_inside
 def remember(sensors, memory):
     if sensors.switches[0]:
         _effects.remember(sensors.effects, memory)
 
 
 @compiled_and_cached
-def warm_up(temperature_rise, effort, rise_per_effort2, temperature_decay):
-    _sensors.warm_up(temperature_rise, effort, rise_per_effort2, temperature_decay)
+def sense(state, effort, imu_reading, BLOCKS, counts, noise):
+    sensors, readings = _sensors.PlainSensors(OWN), _sensors.Readings(READ)
+    _sensors.measure(state, effort, of_axes[temperature_rise], imu_reading, noise, sensors, readings)
+    for k in range(imu_reading.shape[0]):
+        of_imus[seen][k] = imu_reading[k]
+    _sensors.count(readings, sensors, counts)
 
 
 @compiled_and_cached
-def count(position, resolution, zero, counts):
-    _sensors.count(position, resolution, zero, counts)
+def sense_affected(state, effort, imu_reading, BLOCKS, counts, EFFECTS, MEMORY, noise):
+    added, memory = _effects.SensorEffects(EFFECTS), _effects.SensorMemory(MEMORY)
+    sensors, readings = _sensors.SensorModel(OWN, added.switches, added), _sensors.Readings(READ)
+    _sensors.measure_affected(
+        state, effort, of_axes[temperature_rise], imu_reading, noise,
+        encoder_error_of, signed_by, lag_of, lost_by, sensors, memory, readings,
+    )
+    for k in range(imu_reading.shape[0]):
+        of_imus[seen][k] = memory.values[3 * effort.shape[0] + k]
+    _sensors.count(readings, sensors, counts)
+
+
+@compiled_and_cached
+def pass_sample(effort, of_axes):
+    _sensors.warm_up(of_axes[temperature_rise], effort, of_axes[rise_per_effort2], of_axes[temperature_decay])
+
+
+@compiled_and_cached
+def pass_affected(effort, of_axes, EFFECTS, MEMORY):
+    _sensors.warm_up(of_axes[temperature_rise], effort, of_axes[rise_per_effort2], of_axes[temperature_decay])
+    _effects.remember(_effects.SensorEffects(EFFECTS), _effects.SensorMemory(MEMORY))
 '''
 
 
@@ -282,7 +311,20 @@ def sensor_sources() -> str:
 
 
 def compiled_sensors() -> ModuleType:
-    """Return the module with `start`, `measure`, `measure_plain`, `count`, `remember` and `warm_up`, compiled once and cached."""
-    text = ENTRY_POINTS.replace("EFFECTS", compiled_effects().__name__)
-    text = text.replace("OWN", ", ".join(PLAIN)).replace("READ", ", ".join(f"read_{name}" for name in Readings._fields))
+    """Return the module of ENTRY_POINTS, compiled once and cached."""
+    text = ENTRY_POINTS.replace("MODULE", compiled_effects().__name__)
+    place = {}
+    for block, names in BLOCKS.items():
+        for row, name in enumerate(names):
+            place[name] = f"{block}[{row}]"
+            text = text.replace(f"{block}[{name}]", place[name])
+    lists: dict[str, Iterable[str]] = {
+        "BLOCKS": BLOCKS,
+        "OWN": [place[name] for name in PLAIN],
+        "READ": [place[f"read_{name}"] for name in Readings._fields],
+        "EFFECTS": SensorEffects._fields,
+        "MEMORY": SensorMemory._fields,
+    }
+    for word, listed in lists.items():
+        text = text.replace(word, ", ".join(listed))
     return load_generated("sensors", text, sensor_sources())

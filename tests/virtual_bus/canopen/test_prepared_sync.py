@@ -13,7 +13,8 @@ from hil.experiments import Static
 from hil.machine import Machine, load_machine
 from hil.machine.effects_file import effects_from_text
 from virtual_bus.machine import EmulatedMachine
-from virtual_bus.physics import Latched, Physics
+from virtual_bus.physics import Physics
+from virtual_bus.sensors.sensing import Latched
 
 CARM = load_machine("carm")
 SENSOR_EFFECTS = """
