@@ -230,7 +230,7 @@ class Cia402Drive(Node):
             return
         self._after_stop = after
         self._stopping = True
-        self._stop_began_s = self.now_s
+        self._stop_began_s = self.clock.now_s
         self._start_braking(option)
 
     def _halt(self, asked: bool) -> None:
@@ -290,7 +290,7 @@ class Cia402Drive(Node):
 
     def _finish_stop(self) -> None:
         after = self._after_stop
-        if self._stopping and after is not None and (self.servo.loop.standing or self.now_s - self._stop_began_s >= STOP_TIMEOUT_S):
+        if self._stopping and after is not None and (self.servo.loop.standing or self.clock.now_s - self._stop_began_s >= STOP_TIMEOUT_S):
             self._after_stop = None
             self._set_state(after)  # 5, 8, 12 or 14
             self._obey()

@@ -15,6 +15,7 @@ from typing import Protocol
 import canopen
 
 from virtual_bus.canopen import communication, pdo_rules
+from virtual_bus.canopen.clock import Clock
 from virtual_bus.canopen.cob_id import CAN_ID, SYNC
 from virtual_bus.canopen.emergency import HEARTBEAT_ERROR, Emergency
 from virtual_bus.canopen.guarding import Guarding
@@ -72,7 +73,7 @@ class Node:
         self.objects = Objects(dictionary)
         self.emit = self._emit_on_bus = emit
         self.state = NmtState.INITIALISING
-        self.now_s = 0.0
+        self.clock = Clock()  # its own, or that of the machine it is part of
         self.deadline_s = math.inf  # nothing is due before
         self.resolution_s = 0.0  # of its time: in a machine nobody knows when between two samples a frame came
         self.window_closes_s = math.inf  # synchronous RPDOs that come later wait for no SYNC (1007h)
@@ -92,6 +93,16 @@ class Node:
         self._sdo = SdoServer(self, self._send_sdo)
         self._rpdos = [Rpdo(self, number) for number in self._pdo_numbers(0x1400, 0x1600)]
         self._tpdos = [Tpdo(self, number) for number in self._pdo_numbers(0x1800, 0x1A00)]
+        self._timed: tuple[Timed, ...] = (
+            self._consumer,
+            self._guarding,
+            self._producer,
+            self._sync_producer,
+            self.emergency,
+            self._sdo,
+            *self._rpdos,
+            *self._tpdos,
+        )
         self._install_rules()
         self._sync_rpdos: list[Rpdo] = []
         self._sync_tpdos: list[Tpdo] = []
@@ -129,7 +140,7 @@ class Node:
 
     def power_on(self, now_s: float) -> None:
         """Initialise, boot up, and wait in pre-operational."""
-        self.now_s = now_s
+        self.clock.now_s = now_s
         self._reset(_ALL_OBJECTS)
 
     def _reset(self, indices: range) -> None:
@@ -197,31 +208,23 @@ class Node:
     # ---- time -----------------------------------------------------------------------------------------
     def after(self, seconds: float) -> float:
         """Return the time [s] that much later."""
-        return self.now_s + seconds - ROUNDING_S
+        return self.clock.now_s + seconds - ROUNDING_S
 
     def schedule(self, deadline_s: float) -> None:
         """Ask for a tick by then."""
         if deadline_s < self.deadline_s:
             self.deadline_s = deadline_s
+            if deadline_s < self.clock.due_s:
+                self.clock.due_s = deadline_s
 
     def tick(self, now_s: float) -> None:
         """Move time on to `now_s` and send what is due by then."""
-        self.now_s = now_s
+        self.clock.now_s = now_s
         if now_s >= self.deadline_s:
-            timed: tuple[Timed, ...] = (
-                self._consumer,
-                self._guarding,
-                self._producer,
-                self._sync_producer,
-                self.emergency,
-                self._sdo,
-                *self._rpdos,
-                *self._tpdos,
-            )
             self.deadline_s = math.inf
-            for part in timed:
+            for part in self._timed:
                 part.expire(now_s)
-            self.deadline_s = min(part.deadline_s for part in timed)
+            self.deadline_s = min([part.deadline_s for part in self._timed])
         for tpdo in self._event_tpdos:
             tpdo.check_event()
 
@@ -235,14 +238,14 @@ class Node:
     # ---- frames ---------------------------------------------------------------------------------------
     def receive(self, can_id: int, data: bytes, now_s: float) -> None:
         """Take one data frame from the bus."""
-        self.now_s = now_s
+        self.clock.now_s = now_s
         handler = self.routes.get(can_id)
         if handler is not None:
             handler(data)
 
     def receive_remote(self, can_id: int, now_s: float) -> None:
         """Take one remote frame from the bus: that of a guarding master is answered, others are not."""
-        self.now_s = now_s
+        self.clock.now_s = now_s
         if can_id == 0x700 + self.node_id and self.routes and self.state is not NmtState.INITIALISING:
             self._guarding.asked()
 
@@ -264,7 +267,8 @@ class Node:
             self.emergency.clear_error(_SYNC_LENGTH_ERROR)
         for rpdo in self._sync_rpdos:
             rpdo.on_sync()
-        self.window_closes_s = self.now_s + max(self._window_s, self.resolution_s)
+        if self._window_s < math.inf:
+            self.window_closes_s = self.clock.now_s + max(self._window_s, self.resolution_s)
         return data[0] if data else None
 
     def end_sync(self, counter: int | None) -> None:
@@ -273,6 +277,16 @@ class Node:
             tpdo.on_sync(counter)
         for tpdo in self._event_tpdos:
             tpdo.check_event()
+
+    @property
+    def takes_empty_sync(self) -> bool:
+        """Whether the first half of a SYNC without a counter has any effect here."""
+        return bool(self._sync_rpdos) or self._sync_length > 0
+
+    @property
+    def senders(self) -> list[Callable[[int | None], None]]:
+        """What the second half of a SYNC calls, in order; it holds until `on_routes` is called."""
+        return [self.end_sync] if self._event_tpdos else [tpdo.on_sync for tpdo in self._sync_tpdos]
 
     def rehearse(self) -> None:
         """Prepare the answer to a SYNC without sending it, so that its code and data are at hand; nothing changes."""

@@ -109,7 +109,7 @@ class Rpdo:
     def receive(self, data: bytes) -> None:
         """Take a frame with this PDO's identifier."""
         layout, node = self._layout, self._node
-        if self.synchronous and node.now_s > node.window_closes_s:
+        if self.synchronous and node.clock.now_s > node.window_closes_s:
             return  # too late for the next SYNC (1007h), and as if it had not come
         if len(data) != layout.length or self._length_error:
             self._judge_length(len(data))
@@ -226,7 +226,7 @@ class Tpdo:
         data = self._layout.pack()
         if data == self._last:
             return
-        if self._node.now_s >= self._not_before_s:
+        if self._node.clock.now_s >= self._not_before_s:
             self._send(data)
         else:
             self._set_deadline()
