@@ -222,8 +222,10 @@ class Node:
         self.clock.now_s = now_s
         if now_s >= self.deadline_s:
             self.deadline_s = math.inf
+            self._consumer.expire(now_s)  # it looks at its nodes anew whenever something else is due
             for part in self._timed:
-                part.expire(now_s)
+                if now_s >= part.deadline_s:
+                    part.expire(now_s)
             self.deadline_s = min([part.deadline_s for part in self._timed])
         for tpdo in self._event_tpdos:
             tpdo.check_event()

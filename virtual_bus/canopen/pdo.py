@@ -92,7 +92,7 @@ class Rpdo:
         self._node = node
         self.communication, self.mapping = 0x1400 + number, 0x1600 + number
         self.cob_id = 0
-        self.alive = self.synchronous = False
+        self.alive = self.synchronous = self._windowed = False
         self._pending: bytes | None = None
         self._timeout_s = 0.0
         self._length_error = 0  # EMCY code of the last frame's length, 0: it was right
@@ -112,6 +112,7 @@ class Rpdo:
         self._layout = Layout(mapped_entries(objects, self.mapping))
         self.alive = operational and not cob_id >> 31 and bool(self._layout.entries)
         self.synchronous = objects.number(self.communication, 2) <= MAX_SYNCHRONOUS
+        self._windowed = self.synchronous and objects.number(0x1007) > 0
         self._timeout_s = objects.number(self.communication, 5) * 1e-3
         self._taken = [(number, entry, objects.effects.get(entry.key)) for number, entry in enumerate(self._layout.entries)]
         self._pending = None
@@ -119,8 +120,7 @@ class Rpdo:
 
     def receive(self, data: bytes) -> None:
         """Take a frame with this PDO's identifier."""
-        node = self._node
-        if self.synchronous and node.clock.now_s > node.window_closes_s:
+        if self._windowed and self._node.clock.now_s > self._node.window_closes_s:
             return  # too late for the next SYNC (1007h), and as if it had not come
         length = len(data)
         if length != self._layout.length or self._length_error:
@@ -128,6 +128,7 @@ class Rpdo:
             if length < self._layout.length:
                 return
         if self._timeout_s:
+            node = self._node
             self.deadline_s = node.after(self._timeout_s)
             node.schedule(self.deadline_s)
             node.emergency.clear_error(_RPDO_TIMEOUT)
