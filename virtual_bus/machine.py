@@ -87,8 +87,8 @@ class EmulatedMachine:
             [*self.drives.values(), *self.encoders.values(), *self.bus_imus.values()], key=lambda node: node.node_id
         )
         self._sync_nodes: list[Node] = []
-        self._takers: list[Node] = []  # of those, the ones in which a SYNC without a counter begins something
-        self._senders: list[Callable[[int | None], None]] = []  # what they send at its end
+        self._takers: list[Callable[[], None]] = []  # the first half of a SYNC without a counter, in all of them
+        self._senders: list[Callable[[int | None], None]] = []  # the second half of a SYNC
         self._restless = False  # a device looks at its values every sample
         self._routes: dict[int, list[Callable[[bytes], None]]] = {}
         self._effort = np.zeros(len(physics.axes))
@@ -143,7 +143,7 @@ class EmulatedMachine:
 
     def _take_sync_nodes(self, nodes: list[Node]) -> None:
         self._sync_nodes = nodes
-        self._takers = [node for node in nodes if node.takes_empty_sync]
+        self._takers = [taker for node in nodes for taker in node.takers]
         self._senders = [sender for node in nodes for sender in node.senders]
         self._restless = any(node.event_driven for node in self._nodes)
 
@@ -228,12 +228,17 @@ class EmulatedMachine:
         self._answer(data, self.physics.latch_exactly)
 
     def _answer(self, data: bytes, latch: Callable[[], Latched]) -> None:
-        for node in self._sync_nodes if data else self._takers:
-            node.begin_sync(data)
+        counter = None
+        if data:
+            counter = data[0]
+            for node in self._sync_nodes:
+                node.begin_sync(data)
+        else:
+            for take in self._takers:
+                take()
         self._act()
         latched = latch()
         self._read(latched)
-        counter = data[0] if data else None
         for send in self._senders:
             send(counter)
         if self.imu is not None and (said := self.imu.on_sync(self._sampled(self.imu, latched), self.time_s)):

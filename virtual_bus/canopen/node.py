@@ -9,6 +9,7 @@ from __future__ import annotations
 import datetime
 import math
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -256,14 +257,11 @@ class Node:
         if len(data) > MOST_SYNC_BYTES:
             self.malformed += 1
             return
-        counter = self.begin_sync(data)
-        self.end_sync(counter)
+        self.begin_sync(data)
+        self.end_sync(data[0] if data else None)
 
-    def begin_sync(self, data: bytes) -> int | None:
-        """Apply synchronous RPDOs: the first half of a SYNC.
-
-        Returns the SYNC's counter, None without one.
-        """
+    def begin_sync(self, data: bytes) -> None:
+        """Apply synchronous RPDOs: the first half of a SYNC."""
         if len(data) != self._sync_length:
             self.emergency.raise_error(_SYNC_LENGTH_ERROR)
             self.emergency.clear_error(_SYNC_LENGTH_ERROR)
@@ -271,7 +269,6 @@ class Node:
             rpdo.on_sync()
         if self._window_s < math.inf:
             self.window_closes_s = self.clock.now_s + max(self._window_s, self.resolution_s)
-        return data[0] if data else None
 
     def end_sync(self, counter: int | None) -> None:
         """Send the synchronous TPDOs: the second half of a SYNC, when the actual values are in the dictionary."""
@@ -281,13 +278,15 @@ class Node:
             tpdo.check_event()
 
     @property
-    def takes_empty_sync(self) -> bool:
-        """Whether the first half of a SYNC without a counter has any effect here."""
-        return bool(self._sync_rpdos) or self._sync_length > 0
+    def takers(self) -> list[Callable[[], None]]:
+        """What the first half of a SYNC without a counter comes to, in order; it holds until `on_routes` is called."""
+        if self._sync_length or self._window_s < math.inf:
+            return [partial(self.begin_sync, b"")]
+        return [rpdo.on_sync for rpdo in self._sync_rpdos]
 
     @property
     def senders(self) -> list[Callable[[int | None], None]]:
-        """What the second half of a SYNC calls, in order; it holds until `on_routes` is called."""
+        """What the second half of a SYNC comes to, in order; it holds until `on_routes` is called."""
         return [self.end_sync] if self._event_tpdos else [tpdo.on_sync for tpdo in self._sync_tpdos]
 
     def rehearse(self) -> None:

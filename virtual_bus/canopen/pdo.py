@@ -132,10 +132,9 @@ class Rpdo:
             self.deadline_s = node.after(self._timeout_s)
             node.schedule(self.deadline_s)
             node.emergency.clear_error(_RPDO_TIMEOUT)
-        if self.synchronous:
-            self._pending = data
-        else:
-            self._apply(data)
+        self._pending = data
+        if not self.synchronous:
+            self.on_sync()
 
     def _judge_length(self, length: int) -> None:
         """Report a frame of the wrong length, and the first good one after it."""
@@ -148,23 +147,21 @@ class Rpdo:
         self._length_error = error
 
     def on_sync(self) -> None:
-        """Apply what came since the last SYNC."""
-        if (data := self._pending) is not None:
-            self._apply(data)
-            self._pending = None
+        """Apply what came since the last SYNC, if anything."""
+        if (data := self._pending) is None:
+            return
+        values = self._layout.unpack(data)
+        for number, entry, effect in self._taken:
+            entry.value = value = values[number]
+            if effect is not None:
+                effect(value)
+        self._pending = None
 
     def pending(self, entry: Entry) -> Value | None:
         """Return what the next SYNC will put into this entry; None: nothing."""
         if self._pending is None or entry not in self._layout.entries:
             return None
         return self._layout.unpack(self._pending)[self._layout.entries.index(entry)]
-
-    def _apply(self, data: bytes) -> None:
-        values = self._layout.unpack(data)
-        for number, entry, effect in self._taken:
-            entry.value = value = values[number]
-            if effect is not None:
-                effect(value)
 
     def expire(self, now_s: float) -> None:
         """Report the PDO as missing when its event timer has run out."""
