@@ -89,7 +89,6 @@ class EmulatedMachine:
         self._sync_nodes: list[Node] = []
         self._takers: list[Callable[[], None]] = []  # the first half of a SYNC without a counter, in all of them
         self._senders: list[Callable[[int | None], None]] = []  # the second half of a SYNC
-        self._restless = False  # a device looks at its values every sample
         self._routes: dict[int, list[Callable[[bytes], None]]] = {}
         self._effort = np.zeros(len(physics.axes))
         self._brakes_closed = [True] * len(physics.axes)
@@ -145,7 +144,7 @@ class EmulatedMachine:
         self._sync_nodes = nodes
         self._takers = [taker for node in nodes for taker in node.takers]
         self._senders = [sender for node in nodes for sender in node.senders]
-        self._restless = any(node.event_driven for node in self._nodes)
+        self._clock.due_s = -math.inf  # a device may have begun to look at its values every sample
 
     # ---- frames and time ------------------------------------------------------------------------------
     def receive(self, can_id: int, data: bytes) -> None:
@@ -241,25 +240,23 @@ class EmulatedMachine:
         self._read(latched)
         for send in self._senders:
             send(counter)
-        if self.imu is not None and (said := self.imu.on_sync(self._sampled(self.imu, latched), self.time_s)):
-            self.imu_out(said)  # the master is busy with the TPDOs by then
-
-    def _sampled(self, imu: EmulatedImu, latched: Latched) -> np.ndarray:
-        """Return what the IMU on the serial line takes (6,): on its own clock it reads between SYNCs, and makes noise by itself."""
-        return latched.imu[:6] if imu.is_triggered else self.physics.seen_by_imu()
+        if (imu := self.imu) is not None:
+            sampled = latched.imu[:6] if imu.is_triggered else self.physics.seen_by_imu()  # on its own clock it makes noise by itself
+            if said := imu.on_sync(sampled, self._clock.now_s):
+                self.imu_out(said)  # the master is busy with the TPDOs by then
 
     def _tick_nodes(self) -> bool:
         """Send what is due by the present time, node by node, and return whether there was anything."""
         clock = self._clock
         now_s = clock.now_s
-        if now_s < clock.due_s and not self._restless:
+        if now_s < clock.due_s:
             return False
         spoken = False
         for node in self._nodes:
             if now_s >= node.deadline_s or node.event_driven:
                 node.tick(now_s)
                 spoken = True
-        clock.due_s = min((node.deadline_s for node in self._nodes), default=math.inf)
+        clock.due_s = min((-math.inf if node.event_driven else node.deadline_s for node in self._nodes), default=math.inf)
         return spoken
 
     def _act(self) -> None:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 
+ROUNDING_S = 1e-6
+"""Everything is due a microsecond early, so that rounding does not decide whether a time that falls on a sample is due there."""
+
 
 class Clock:
     """Time as the devices see it.

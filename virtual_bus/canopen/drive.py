@@ -329,12 +329,11 @@ class Cia402Drive(Node):
 
     def _refresh(self) -> None:
         """Update the statusword."""
-        word = self._state_word
+        word, in_charge = self._state_word, self._enabled
         if self._warm:
             word |= WARNING
         if self.servo.limited:
             word |= INTERNAL_LIMIT
-        in_charge = self._enabled
         if self._halted or self._stopping:
             in_charge = False
             if self.servo.loop.standing:

@@ -16,7 +16,7 @@ from typing import Protocol
 import canopen
 
 from virtual_bus.canopen import communication, pdo_rules
-from virtual_bus.canopen.clock import Clock
+from virtual_bus.canopen.clock import ROUNDING_S, Clock
 from virtual_bus.canopen.cob_id import CAN_ID, SYNC
 from virtual_bus.canopen.emergency import HEARTBEAT_ERROR, Emergency
 from virtual_bus.canopen.guarding import Guarding
@@ -34,8 +34,6 @@ from virtual_bus.canopen.time_stamp import CONSUMES, TIME_BYTES, time_of_day
 Emit = Callable[[int, bytes], None]
 Handler = Callable[[bytes], None]
 
-ROUNDING_S = 1e-6
-"""Everything is due a microsecond early, so that rounding does not decide whether a time that falls on a sample is due there."""
 _ALL_OBJECTS = range(0x1000, 0x10000)
 NMT_BYTES, HEARTBEAT_BYTES, MOST_SYNC_BYTES, SDO_BYTES = 2, 1, 1, 8  # lengths of CiA 301's frames; others are malformed
 _SYNC_LENGTH_ERROR, _BUS_OFF_RECOVERED = 0x8240, 0x8140

@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 from canopen.objectdictionary import ODVariable
 
+from virtual_bus.canopen.clock import ROUNDING_S
 from virtual_bus.canopen.objects import Entry, Objects, Value
 from virtual_bus.canopen.port import Port
 
@@ -129,8 +130,9 @@ class Rpdo:
                 return
         if self._timeout_s:
             node = self._node
-            self.deadline_s = node.after(self._timeout_s)
-            node.schedule(self.deadline_s)
+            self.deadline_s = deadline_s = node.clock.now_s + self._timeout_s - ROUNDING_S  # `Node.after` written out: every RPDO
+            if deadline_s < node.deadline_s:
+                node.schedule(deadline_s)
             node.emergency.clear_error(_RPDO_TIMEOUT)
         self._pending = data
         if not self.synchronous:

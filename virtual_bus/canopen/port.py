@@ -22,6 +22,7 @@ class Port(Protocol):
     """A node as its parts see it (`virtual_bus.canopen.node.Node`)."""
 
     clock: Clock
+    deadline_s: float
     window_closes_s: float
 
     @property
