@@ -44,9 +44,10 @@ class IdleTime:
         if self._by_the_wall:
             return
         if self._pause_s < self._quiet_s:
-            self._waited_s -= self._quiet_s
-            if self._waited_s <= 0.0:
-                self.sync()
+            if self._waited_s > self._quiet_s:
+                self._waited_s -= self._quiet_s
+            else:
+                self._waited_s = self._owed_s = 0.0
         self._pause_s = 0.0
 
     def sync(self) -> None:

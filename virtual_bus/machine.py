@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from virtual_bus.canopen.clock import Clock
 from virtual_bus.canopen.drive import Cia402Drive
 from virtual_bus.canopen.encoder import Cia406Encoder
 from virtual_bus.canopen.imu import CanImu
@@ -68,7 +69,7 @@ class EmulatedMachine:
         witness: Callable[[float], None] | None = None,
     ) -> None:
         self.physics, self.bus, self.period_s, self.imu, self.io = physics, bus, period_s, imu, io
-        self.time_s = 0.0
+        self._clock = Clock()
         self.imu_out: Callable[[bytes], None] = lambda data: None  # takes what the IMU sends
         self._witness = witness
         if imu is not None:
@@ -87,6 +88,8 @@ class EmulatedMachine:
             [*self.drives.values(), *self.encoders.values(), *self.bus_imus.values()], key=lambda node: node.node_id
         )
         self._sync_nodes: list[Node] = []
+        self._takers: list[Callable[[], None]] = []  # the first half of a SYNC without a counter, in all of them
+        self._senders: list[Callable[[int | None], None]] = []  # the second half of a SYNC
         self._routes: dict[int, list[Callable[[bytes], None]]] = {}
         self._effort = np.zeros(len(physics.axes))
         self._brakes_closed = [True] * len(physics.axes)
@@ -96,8 +99,13 @@ class EmulatedMachine:
         self.until_sync_s = period_s if bus.produces_sync else math.inf  # until the machine's own producer sends the next
         self._put: Emit = nowhere
         for node in self._nodes:
-            node.resolution_s = period_s
+            node.clock, node.resolution_s = self._clock, period_s
             node.on_routes = self._collect_routes
+
+    @property
+    def time_s(self) -> float:
+        """Machine time [s]."""
+        return self._clock.now_s
 
     # ---- life -----------------------------------------------------------------------------------------
     def connect(self, emit: Emit) -> None:
@@ -131,7 +139,13 @@ class EmulatedMachine:
                 if can_id != sync:
                     routes.setdefault(can_id, []).append(handler)
         self._routes = routes
-        self._sync_nodes = [node for node in self._nodes if sync in node.routes]
+        self._take_sync_nodes([node for node in self._nodes if sync in node.routes])
+
+    def _take_sync_nodes(self, nodes: list[Node]) -> None:
+        self._sync_nodes = nodes
+        self._takers = [taker for node in nodes for taker in node.takers]
+        self._senders = [sender for node in nodes for sender in node.senders]
+        self._clock.due_s = -math.inf  # a device may have begun to look at its values every sample
 
     # ---- frames and time ------------------------------------------------------------------------------
     def receive(self, can_id: int, data: bytes) -> None:
@@ -204,45 +218,46 @@ class EmulatedMachine:
         self._idle.sync()
         self.syncs += 1
         self._tick_nodes()
-        counter = None
-        for node in self._sync_nodes:
-            counter = node.begin_sync(data)
-        self._act()
-        latched = self.physics.latch()
-        self._read(latched)
-        for node in self._sync_nodes:
-            node.end_sync(counter)
-        if self.imu is not None and (said := self.imu.on_sync(self._sampled(self.imu, latched), self.time_s)):
-            self.imu_out(said)  # the master is busy with the TPDOs by then
+        self._answer(data, self.physics.latch)
         if self._witness is not None:
             self._witness(self.time_s)  # after the answers, which the recording must not delay
         self._advance()
 
     def answer_foreign_sync(self, data: bytes) -> None:
         """Answer a SYNC that is not that which moves this machine's time: the devices act and answer."""
-        counter = None
-        for node in self._sync_nodes:
-            counter = node.begin_sync(data)
-        self._act()
-        latched = self.physics.latch_exactly()
-        self._read(latched)
-        for node in self._sync_nodes:
-            node.end_sync(counter)
-        if self.imu is not None and (said := self.imu.on_sync(self._sampled(self.imu, latched), self.time_s)):
-            self.imu_out(said)
+        self._answer(data, self.physics.latch_exactly)
 
-    def _sampled(self, imu: EmulatedImu, latched: Latched) -> np.ndarray:
-        """Return what the IMU on the serial line takes (6,): on its own clock it reads between SYNCs, and makes noise by itself."""
-        return latched.imu[:6] if imu.is_triggered else self.physics.seen_by_imu()
+    def _answer(self, data: bytes, latch: Callable[[], Latched]) -> None:
+        counter = None
+        if data:
+            counter = data[0]
+            for node in self._sync_nodes:
+                node.begin_sync(data)
+        else:
+            for take in self._takers:
+                take()
+        self._act()
+        latched = latch()
+        self._read(latched)
+        for send in self._senders:
+            send(counter)
+        if (imu := self.imu) is not None:
+            sampled = latched.imu[:6] if imu.is_triggered else self.physics.seen_by_imu()  # on its own clock it makes noise by itself
+            if said := imu.on_sync(sampled, self._clock.now_s):
+                self.imu_out(said)  # the master is busy with the TPDOs by then
 
     def _tick_nodes(self) -> bool:
         """Send what is due by the present time, node by node, and return whether there was anything."""
-        now_s = self.time_s
+        clock = self._clock
+        now_s = clock.now_s
+        if now_s < clock.due_s:
+            return False
         spoken = False
         for node in self._nodes:
             if now_s >= node.deadline_s or node.event_driven:
                 node.tick(now_s)
                 spoken = True
+        clock.due_s = min((-math.inf if node.event_driven else node.deadline_s for node in self._nodes), default=math.inf)
         return spoken
 
     def _act(self) -> None:
@@ -272,11 +287,9 @@ class EmulatedMachine:
     def _advance(self) -> None:
         self.physics.advance()
         self._samples += 1
-        self.time_s = now_s = self.time_s + self.period_s
-        for node in self._nodes:
-            node.now_s = now_s
+        self._clock.now_s = now_s = self._clock.now_s + self.period_s
         if self.io is not None:
-            self.io.advance(self.time_s)
+            self.io.advance(now_s)
 
     def _work_brakes(self) -> None:
         """Without an I/O device, open each axis's brake while its drive's power stage is on."""

@@ -56,6 +56,7 @@ class Cia402Drive(Node):
         super().__init__(load_object_dictionary(settings.eds, settings.node_id), settings.node_id, emit, memory)
         self.settings = settings
         self._period_s = period_s
+        self._sign = settings.sign
         self._effort_per_permille = settings.sign * settings.rated / 1000.0
         self._permille_per_effort = 1.0 / self._effort_per_permille
         self.factory_setting(0x6072, 0, int(1000.0 * settings.limit / settings.rated))
@@ -87,7 +88,7 @@ class Cia402Drive(Node):
     def _install_checks(self) -> None:
         for index, allowed in ((0x6060, self._modes), (0x6086, {TRAPEZOIDAL}), (0x6098, SUPPORTED_METHODS)):
             self.objects.checks[key_of(index)] = partial(_one_of, allowed)
-        self.objects.effects[key_of(0x6040)] = lambda value: self._obey()
+        self.objects.effects[key_of(0x6040)] = self._obey
         self.objects.effects[key_of(0x6060)] = lambda value: self._choose_mode()
 
     def _counts(self, position: float | None) -> int | None:
@@ -146,8 +147,8 @@ class Cia402Drive(Node):
         if option == 1:
             self._fault(HEARTBEAT_LOST if reason == "heartbeat" else CONNECTION_LOST)
         elif self.power_state in _POWERED:
-            self._controlword.value = 0x0002 if option == 3 else 0x0000
-            self._obey()
+            self._controlword.value = word = 0x0002 if option == 3 else 0x0000
+            self._obey(word)
 
     def _fault(self, code: int) -> None:
         self.emergency.raise_error(code)
@@ -161,11 +162,11 @@ class Cia402Drive(Node):
         self._stop(self.objects.number(0x605E, 0, QUICK_STOP_RAMP) if moving else 0, PowerState.FAULT)
 
     # ---- the automaton --------------------------------------------------------------------------------
-    def _obey(self) -> None:
+    def _obey(self, controlword: Value) -> None:
         """Follow the controlword as far as it leads."""
-        word = int(self._controlword.value)
-        if self._last_controlword == word and self._settled is self.power_state:
+        if controlword == self._last_controlword and self._settled is self.power_state:
             return
+        word = int(controlword)
         previous, self._last_controlword = self._last_controlword, word
         while True:
             option = self.objects.number(0x605A, 0, QUICK_STOP_RAMP)
@@ -230,7 +231,7 @@ class Cia402Drive(Node):
             return
         self._after_stop = after
         self._stopping = True
-        self._stop_began_s = self.now_s
+        self._stop_began_s = self.clock.now_s
         self._start_braking(option)
 
     def _halt(self, asked: bool) -> None:
@@ -258,8 +259,8 @@ class Cia402Drive(Node):
     # ---- one sample -----------------------------------------------------------------------------------
     def command(self) -> float:
         """Return the effort on the motor from this sample on, in the drive's unit, in steps of 1/1000 of the rated value."""
-        if self._controlword.value != self._last_controlword or self.power_state is not self._settled:
-            self._obey()
+        if (word := self._controlword.value) != self._last_controlword or self.power_state is not self._settled:
+            self._obey(word)
         mode, servo = self._active, self.servo
         if self._mode.value != mode.number:
             self._choose_mode()
@@ -275,8 +276,8 @@ class Cia402Drive(Node):
             servo.permille = mode.torque()
         else:
             servo.release()
-        self._demand.value = servo.permille
-        return servo.permille * self._effort_per_permille
+        self._demand.value = permille = servo.permille
+        return permille * self._effort_per_permille
 
     def foreseen(self) -> float:
         """Return what `command` will return at the next SYNC unless something happens until then.
@@ -290,10 +291,10 @@ class Cia402Drive(Node):
 
     def _finish_stop(self) -> None:
         after = self._after_stop
-        if self._stopping and after is not None and (self.servo.loop.standing or self.now_s - self._stop_began_s >= STOP_TIMEOUT_S):
+        if self._stopping and after is not None and (self.servo.loop.standing or self.clock.now_s - self._stop_began_s >= STOP_TIMEOUT_S):
             self._after_stop = None
             self._set_state(after)  # 5, 8, 12 or 14
-            self._obey()
+            self._obey(self._controlword.value)
 
     def latch(self, counts: int, effort: float, temperature_degC: float) -> None:
         """Take the sensors' readings at this sample.
@@ -301,15 +302,15 @@ class Cia402Drive(Node):
         They are the motor-side counter, the measured current in the drive's unit and the winding temperature (NaN: none).
         """
         servo = self.servo
-        servo.latch(counts * self.settings.sign)
+        absolute = servo.latch(counts * self._sign)
         permille = round(effort * self._permille_per_effort)
-        self._torque.value = self._current.value = min(max(permille, -_INT16), _INT16)
+        self._torque.value = self._current.value = permille if -_INT16 <= permille <= _INT16 else _INT16 if permille > 0 else -_INT16
         if temperature_degC != self._last_temperature_degC:
             self._check_temperature(temperature_degC)
-        reference, absolute = self.homing.reference, servo.absolute
-        self._inputs.value = reference.at_negative_switch(absolute) | reference.at_positive_switch(absolute) << 1
-        if self._active.observes and self._enabled and not self._stopping:
-            fault = self._active.observe(in_charge=self._in_charge is self._active)
+        self._inputs.value = self.homing.reference.switches(absolute)
+        mode = self._active
+        if mode.observes and self._enabled and not self._stopping:
+            fault = mode.observe(in_charge=self._in_charge is mode)
             if fault:
                 self._fault(fault)
         self._refresh()
@@ -328,12 +329,11 @@ class Cia402Drive(Node):
 
     def _refresh(self) -> None:
         """Update the statusword."""
-        word = self._state_word
+        word, in_charge = self._state_word, self._enabled
         if self._warm:
             word |= WARNING
         if self.servo.limited:
             word |= INTERNAL_LIMIT
-        in_charge = self._enabled
         if self._halted or self._stopping:
             in_charge = False
             if self.servo.loop.standing:

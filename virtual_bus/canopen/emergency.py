@@ -81,7 +81,7 @@ class Emergency:
 
     def _tell(self, code: int, manufacturer: bytes) -> None:
         self._queue.append(_FRAME.pack(code, self._node.objects.number(0x1001), manufacturer.ljust(5, b"\0")[:5]))
-        self.expire(self._node.now_s)
+        self.expire(self._node.clock.now_s)
 
     def expire(self, now_s: float) -> None:
         """Send what the inhibit time has held back."""

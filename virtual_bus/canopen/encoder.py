@@ -24,6 +24,7 @@ class Cia406Encoder(Node):
     def __init__(self, settings: EmulatedEncoder, emit: Emit, memory: Path | None = None) -> None:
         super().__init__(load_object_dictionary(settings.eds, settings.node_id), settings.node_id, emit, memory)
         self.settings = settings
+        self._zero_counts, self._sign = settings.zero_counts, settings.sign
         self._raw = settings.zero_counts
         entry = self.objects.find
         self._position, self._offset = entry(0x6004), entry(0x6509)
@@ -42,8 +43,8 @@ class Cia406Encoder(Node):
 
     def latch(self, counts: int) -> None:
         """Take the shaft's position at this sample, in counts from joint position zero."""
-        self._raw = self.settings.zero_counts + self.settings.sign * counts
-        self._position.value = (self._direction * self._raw + int(self._offset.value)) % self._range
+        self._raw = raw = self._zero_counts + self._sign * counts
+        self._position.value = (self._direction * raw + int(self._offset.value)) % self._range
 
     def application_reset(self) -> None:
         """Apply direction and preset as stored. An absolute encoder keeps its position."""

@@ -8,6 +8,7 @@ from enum import Enum
 PRESENT_POSITION = (35, 37)
 INDEX_PULSE = {33: -1, 34: +1}  # direction of the search
 LIMIT_SWITCH = {17: -1, 18: +1}
+NEGATIVE, POSITIVE = 1, 2  # limit switches, as in the digital inputs (60FDh)
 SUPPORTED_METHODS = frozenset({*PRESENT_POSITION, *INDEX_PULSE, *LIMIT_SWITCH})
 
 
@@ -33,13 +34,22 @@ class Reference:
     negative_switch: int | None
     positive_switch: int | None
 
+    def switches(self, counts: int) -> int:
+        """Return which limit switches are active: bit 0 the negative one, bit 1 the positive one."""
+        negative, positive, active = self.negative_switch, self.positive_switch, 0
+        if negative is not None and counts <= negative:
+            active = NEGATIVE
+        if positive is not None and counts >= positive:
+            active |= POSITIVE
+        return active
+
     def at_negative_switch(self, counts: int) -> bool:
         """Return whether the negative limit switch is active."""
-        return self.negative_switch is not None and counts <= self.negative_switch
+        return bool(self.switches(counts) & NEGATIVE)
 
     def at_positive_switch(self, counts: int) -> bool:
         """Return whether the positive limit switch is active."""
-        return self.positive_switch is not None and counts >= self.positive_switch
+        return bool(self.switches(counts) & POSITIVE)
 
     def index_between(self, before: int, after: int) -> int | None:
         """Return the index pulse passed on the way, None when there was none."""

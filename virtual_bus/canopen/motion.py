@@ -25,11 +25,13 @@ class SpeedMeter:
         self._last = None
         self.counts_s = 0.0
 
-    def update(self, counts: int) -> None:
-        """Take the count of one sample."""
-        if self._last is not None:
-            self.counts_s += self._share * ((counts - self._last) / self._period_s - self.counts_s)
-        self._last = counts
+    def update(self, counts: int) -> float:
+        """Take the count of one sample and return the speed."""
+        last, self._last = self._last, counts
+        speed = self.counts_s
+        if last is not None:
+            self.counts_s = speed = speed + self._share * ((counts - last) / self._period_s - speed)
+        return speed
 
 
 class Dwell:

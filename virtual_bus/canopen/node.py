@@ -9,12 +9,14 @@ from __future__ import annotations
 import datetime
 import math
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
 import canopen
 
 from virtual_bus.canopen import communication, pdo_rules
+from virtual_bus.canopen.clock import ROUNDING_S, Clock
 from virtual_bus.canopen.cob_id import CAN_ID, SYNC
 from virtual_bus.canopen.emergency import HEARTBEAT_ERROR, Emergency
 from virtual_bus.canopen.guarding import Guarding
@@ -32,8 +34,6 @@ from virtual_bus.canopen.time_stamp import CONSUMES, TIME_BYTES, time_of_day
 Emit = Callable[[int, bytes], None]
 Handler = Callable[[bytes], None]
 
-ROUNDING_S = 1e-6
-"""Everything is due a microsecond early, so that rounding does not decide whether a time that falls on a sample is due there."""
 _ALL_OBJECTS = range(0x1000, 0x10000)
 NMT_BYTES, HEARTBEAT_BYTES, MOST_SYNC_BYTES, SDO_BYTES = 2, 1, 1, 8  # lengths of CiA 301's frames; others are malformed
 _SYNC_LENGTH_ERROR, _BUS_OFF_RECOVERED = 0x8240, 0x8140
@@ -72,7 +72,7 @@ class Node:
         self.objects = Objects(dictionary)
         self.emit = self._emit_on_bus = emit
         self.state = NmtState.INITIALISING
-        self.now_s = 0.0
+        self.clock = Clock()  # its own, or that of the machine it is part of
         self.deadline_s = math.inf  # nothing is due before
         self.resolution_s = 0.0  # of its time: in a machine nobody knows when between two samples a frame came
         self.window_closes_s = math.inf  # synchronous RPDOs that come later wait for no SYNC (1007h)
@@ -92,6 +92,16 @@ class Node:
         self._sdo = SdoServer(self, self._send_sdo)
         self._rpdos = [Rpdo(self, number) for number in self._pdo_numbers(0x1400, 0x1600)]
         self._tpdos = [Tpdo(self, number) for number in self._pdo_numbers(0x1800, 0x1A00)]
+        self._timed: tuple[Timed, ...] = (
+            self._consumer,
+            self._guarding,
+            self._producer,
+            self._sync_producer,
+            self.emergency,
+            self._sdo,
+            *self._rpdos,
+            *self._tpdos,
+        )
         self._install_rules()
         self._sync_rpdos: list[Rpdo] = []
         self._sync_tpdos: list[Tpdo] = []
@@ -129,7 +139,7 @@ class Node:
 
     def power_on(self, now_s: float) -> None:
         """Initialise, boot up, and wait in pre-operational."""
-        self.now_s = now_s
+        self.clock.now_s = now_s
         self._reset(_ALL_OBJECTS)
 
     def _reset(self, indices: range) -> None:
@@ -197,31 +207,25 @@ class Node:
     # ---- time -----------------------------------------------------------------------------------------
     def after(self, seconds: float) -> float:
         """Return the time [s] that much later."""
-        return self.now_s + seconds - ROUNDING_S
+        return self.clock.now_s + seconds - ROUNDING_S
 
     def schedule(self, deadline_s: float) -> None:
         """Ask for a tick by then."""
         if deadline_s < self.deadline_s:
             self.deadline_s = deadline_s
+            if deadline_s < self.clock.due_s:
+                self.clock.due_s = deadline_s
 
     def tick(self, now_s: float) -> None:
         """Move time on to `now_s` and send what is due by then."""
-        self.now_s = now_s
+        self.clock.now_s = now_s
         if now_s >= self.deadline_s:
-            timed: tuple[Timed, ...] = (
-                self._consumer,
-                self._guarding,
-                self._producer,
-                self._sync_producer,
-                self.emergency,
-                self._sdo,
-                *self._rpdos,
-                *self._tpdos,
-            )
             self.deadline_s = math.inf
-            for part in timed:
-                part.expire(now_s)
-            self.deadline_s = min(part.deadline_s for part in timed)
+            self._consumer.expire(now_s)  # it looks at its nodes anew whenever something else is due
+            for part in self._timed:
+                if now_s >= part.deadline_s:
+                    part.expire(now_s)
+            self.deadline_s = min([part.deadline_s for part in self._timed])
         for tpdo in self._event_tpdos:
             tpdo.check_event()
 
@@ -235,14 +239,14 @@ class Node:
     # ---- frames ---------------------------------------------------------------------------------------
     def receive(self, can_id: int, data: bytes, now_s: float) -> None:
         """Take one data frame from the bus."""
-        self.now_s = now_s
+        self.clock.now_s = now_s
         handler = self.routes.get(can_id)
         if handler is not None:
             handler(data)
 
     def receive_remote(self, can_id: int, now_s: float) -> None:
         """Take one remote frame from the bus: that of a guarding master is answered, others are not."""
-        self.now_s = now_s
+        self.clock.now_s = now_s
         if can_id == 0x700 + self.node_id and self.routes and self.state is not NmtState.INITIALISING:
             self._guarding.asked()
 
@@ -251,21 +255,18 @@ class Node:
         if len(data) > MOST_SYNC_BYTES:
             self.malformed += 1
             return
-        counter = self.begin_sync(data)
-        self.end_sync(counter)
+        self.begin_sync(data)
+        self.end_sync(data[0] if data else None)
 
-    def begin_sync(self, data: bytes) -> int | None:
-        """Apply synchronous RPDOs: the first half of a SYNC.
-
-        Returns the SYNC's counter, None without one.
-        """
+    def begin_sync(self, data: bytes) -> None:
+        """Apply synchronous RPDOs: the first half of a SYNC."""
         if len(data) != self._sync_length:
             self.emergency.raise_error(_SYNC_LENGTH_ERROR)
             self.emergency.clear_error(_SYNC_LENGTH_ERROR)
         for rpdo in self._sync_rpdos:
             rpdo.on_sync()
-        self.window_closes_s = self.now_s + max(self._window_s, self.resolution_s)
-        return data[0] if data else None
+        if self._window_s < math.inf:
+            self.window_closes_s = self.clock.now_s + max(self._window_s, self.resolution_s)
 
     def end_sync(self, counter: int | None) -> None:
         """Send the synchronous TPDOs: the second half of a SYNC, when the actual values are in the dictionary."""
@@ -273,6 +274,18 @@ class Node:
             tpdo.on_sync(counter)
         for tpdo in self._event_tpdos:
             tpdo.check_event()
+
+    @property
+    def takers(self) -> list[Callable[[], None]]:
+        """What the first half of a SYNC without a counter comes to, in order; it holds until `on_routes` is called."""
+        if self._sync_length or self._window_s < math.inf:
+            return [partial(self.begin_sync, b"")]
+        return [rpdo.on_sync for rpdo in self._sync_rpdos]
+
+    @property
+    def senders(self) -> list[Callable[[int | None], None]]:
+        """What the second half of a SYNC comes to, in order; it holds until `on_routes` is called."""
+        return [self.end_sync] if self._event_tpdos else [tpdo.on_sync for tpdo in self._sync_tpdos]
 
     def rehearse(self) -> None:
         """Prepare the answer to a SYNC without sending it, so that its code and data are at hand; nothing changes."""

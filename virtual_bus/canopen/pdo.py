@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 from canopen.objectdictionary import ODVariable
 
+from virtual_bus.canopen.clock import ROUNDING_S
 from virtual_bus.canopen.objects import Entry, Objects, Value
 from virtual_bus.canopen.port import Port
 
@@ -24,22 +25,20 @@ class Layout:
         bits = sum(entry.bits for entry in entries)
         self.length = (bits + 7) // 8
         characters = [entry.character for entry in entries]
-        self._struct = struct.Struct("<" + "".join(characters)) if all(characters) else None
+        form = struct.Struct("<" + "".join(characters)) if all(characters) else None
+        self.pack: Callable[[], bytes] = self._pack_bits if form is None else _packer(form, entries)
+        """Returns the present values as they go into the frame."""
+        self.unpack: Callable[[bytes], tuple[Value, ...]] = self._unpack_bits if form is None else form.unpack_from
+        """Returns one value per entry."""
 
-    def pack(self) -> bytes:
-        """Return the present values as they go into the frame."""
-        if self._struct is not None:
-            return self._struct.pack(*[entry.value for entry in self.entries])
+    def _pack_bits(self) -> bytes:
         frame = shift = 0
         for entry in self.entries:
             frame |= (int.from_bytes(entry.encode(entry.value), "little") & ((1 << entry.bits) - 1)) << shift
             shift += entry.bits
         return frame.to_bytes(self.length, "little")
 
-    def unpack(self, data: bytes) -> tuple[Value, ...]:
-        """Return one value per entry."""
-        if self._struct is not None:
-            return self._struct.unpack_from(data)
+    def _unpack_bits(self, data: bytes) -> tuple[Value, ...]:
         frame = int.from_bytes(data[: self.length], "little")
         values: list[Value] = []
         for entry in self.entries:
@@ -47,6 +46,19 @@ class Layout:
             frame >>= entry.bits
             values.append(entry.decode(raw.to_bytes((entry.bits + 7) // 8, "little")))
         return tuple(values)
+
+
+def _packer(form: struct.Struct, entries: list[Entry]) -> Callable[[], bytes]:
+    """Return a function that packs the entries' values; the usual numbers of entries without a loop, in a third of its time."""
+    pack = form.pack
+    match entries:
+        case [a]:
+            return lambda: pack(a.value)
+        case [a, b]:
+            return lambda: pack(a.value, b.value)
+        case [a, b, c]:
+            return lambda: pack(a.value, b.value, c.value)
+    return lambda: pack(*[entry.value for entry in entries])
 
 
 def mapped_entries(objects: Objects, mapping_index: int) -> list[Entry]:
@@ -81,13 +93,13 @@ class Rpdo:
         self._node = node
         self.communication, self.mapping = 0x1400 + number, 0x1600 + number
         self.cob_id = 0
-        self.alive = self.synchronous = False
+        self.alive = self.synchronous = self._windowed = False
         self._pending: bytes | None = None
         self._timeout_s = 0.0
         self._length_error = 0  # EMCY code of the last frame's length, 0: it was right
         self.deadline_s = math.inf
         self._layout = Layout([])
-        self._effects: list[Callable[[Value], None] | None] = []
+        self._taken: list[tuple[int, Entry, Callable[[Value], None] | None]] = []  # each entry with its number and its effect
 
     def forget(self) -> None:
         """Forget what was wrong with the last frame: the communication is reset."""
@@ -101,28 +113,30 @@ class Rpdo:
         self._layout = Layout(mapped_entries(objects, self.mapping))
         self.alive = operational and not cob_id >> 31 and bool(self._layout.entries)
         self.synchronous = objects.number(self.communication, 2) <= MAX_SYNCHRONOUS
+        self._windowed = self.synchronous and objects.number(0x1007) > 0
         self._timeout_s = objects.number(self.communication, 5) * 1e-3
-        self._effects = [objects.effects.get(entry.key) for entry in self._layout.entries]
+        self._taken = [(number, entry, objects.effects.get(entry.key)) for number, entry in enumerate(self._layout.entries)]
         self._pending = None
         self.deadline_s = math.inf
 
     def receive(self, data: bytes) -> None:
         """Take a frame with this PDO's identifier."""
-        layout, node = self._layout, self._node
-        if self.synchronous and node.now_s > node.window_closes_s:
+        if self._windowed and self._node.clock.now_s > self._node.window_closes_s:
             return  # too late for the next SYNC (1007h), and as if it had not come
-        if len(data) != layout.length or self._length_error:
-            self._judge_length(len(data))
-            if len(data) < layout.length:
+        length = len(data)
+        if length != self._layout.length or self._length_error:
+            self._judge_length(length)
+            if length < self._layout.length:
                 return
         if self._timeout_s:
-            self.deadline_s = node.after(self._timeout_s)
-            node.schedule(self.deadline_s)
+            node = self._node
+            self.deadline_s = deadline_s = node.clock.now_s + self._timeout_s - ROUNDING_S  # `Node.after` written out: every RPDO
+            if deadline_s < node.deadline_s:
+                node.schedule(deadline_s)
             node.emergency.clear_error(_RPDO_TIMEOUT)
-        if self.synchronous:
-            self._pending = data
-        else:
-            self._apply(data)
+        self._pending = data
+        if not self.synchronous:
+            self.on_sync()
 
     def _judge_length(self, length: int) -> None:
         """Report a frame of the wrong length, and the first good one after it."""
@@ -135,23 +149,21 @@ class Rpdo:
         self._length_error = error
 
     def on_sync(self) -> None:
-        """Apply what came since the last SYNC."""
-        if self._pending is not None:
-            self._apply(self._pending)
-            self._pending = None
+        """Apply what came since the last SYNC, if anything."""
+        if (data := self._pending) is None:
+            return
+        values = self._layout.unpack(data)
+        for number, entry, effect in self._taken:
+            entry.value = value = values[number]
+            if effect is not None:
+                effect(value)
+        self._pending = None
 
     def pending(self, entry: Entry) -> Value | None:
         """Return what the next SYNC will put into this entry; None: nothing."""
         if self._pending is None or entry not in self._layout.entries:
             return None
         return self._layout.unpack(self._pending)[self._layout.entries.index(entry)]
-
-    def _apply(self, data: bytes) -> None:
-        layout = self._layout
-        for entry, effect, value in zip(layout.entries, self._effects, layout.unpack(data), strict=True):
-            entry.value = value
-            if effect is not None:
-                effect(value)
 
     def expire(self, now_s: float) -> None:
         """Report the PDO as missing when its event timer has run out."""
@@ -226,7 +238,7 @@ class Tpdo:
         data = self._layout.pack()
         if data == self._last:
             return
-        if self._node.now_s >= self._not_before_s:
+        if self._node.clock.now_s >= self._not_before_s:
             self._send(data)
         else:
             self._set_deadline()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from virtual_bus.canopen.clock import Clock
 from virtual_bus.canopen.objects import Objects
 
 
@@ -20,7 +21,8 @@ class Errors(Protocol):
 class Port(Protocol):
     """A node as its parts see it (`virtual_bus.canopen.node.Node`)."""
 
-    now_s: float
+    clock: Clock
+    deadline_s: float
     window_closes_s: float
 
     @property

@@ -109,12 +109,13 @@ class Servo:
         self.speed.restart()
         self._read_units()
 
-    def latch(self, counts: int) -> None:
-        """Take the counter's reading at this sample, from where it began."""
+    def latch(self, counts: int) -> int:
+        """Take the counter's reading at this sample, from where it began, and return where it is in absolute counts."""
         self.absolute = absolute = self.origin + counts
-        self.speed.update(absolute)
+        speed = self.speed.update(absolute)
         self.position.value = (absolute + self.offset + _HALF_TURN & _MASK) - _HALF_TURN  # `wrap_32` written out: every drive, every sample
-        self._velocity.value = (round(self.speed.counts_s * self.units.velocity) + _HALF_TURN & _MASK) - _HALF_TURN
+        self._velocity.value = (round(speed * self.units.velocity) + _HALF_TURN & _MASK) - _HALF_TURN
+        return absolute
 
     def take_home(self, home_counts: int) -> None:
         """Show the home offset (607Ch) at this absolute count."""
@@ -125,7 +126,8 @@ class Servo:
     @property
     def limit(self) -> int:
         """Greatest torque, per mille of rated: 6072h or 6073h, the smaller one."""
-        return min(int(self._max_torque.value), int(self._max_current.value))
+        torque, current = int(self._max_torque.value), int(self._max_current.value)
+        return torque if torque < current else current
 
     def release(self) -> None:
         """Give no torque: the motor is free, or held by its brake."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 
 from virtual_bus.canopen import abort
 from virtual_bus.canopen.abort import SdoAbortError
-from virtual_bus.canopen.homing import Homing, HomingState, Reference
+from virtual_bus.canopen.homing import NEGATIVE, POSITIVE, Homing, HomingState, Reference
 from virtual_bus.canopen.objects import Value, key_of
 from virtual_bus.canopen.power_state import PowerState
 from virtual_bus.faults.drives import drive_of
@@ -72,13 +72,9 @@ class ShiftedHoming(Homing):
 class SwitchStuck(Reference):
     """A reference whose limit switches are always active."""
 
-    def at_negative_switch(self, counts: int) -> bool:
-        """Return that it is."""
-        return True
-
-    def at_positive_switch(self, counts: int) -> bool:
-        """Return that it is."""
-        return True
+    def switches(self, counts: int) -> int:
+        """Return that both are."""
+        return NEGATIVE | POSITIVE
 
 
 @dataclass(frozen=True)

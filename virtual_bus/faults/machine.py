@@ -203,7 +203,7 @@ class FaultyMachine(EmulatedMachine):
                 if can_id != sync:
                     routes.setdefault(can_id, []).append(partial(self._hear, node.node_id, can_id, handler) if filtered else handler)
         self._routes = routes
-        self._sync_nodes = [node for node in self._nodes if sync in node.routes and self._passes(node.node_id, sync, b"") is not None]
+        self._take_sync_nodes([node for node in self._nodes if sync in node.routes and self._passes(node.node_id, sync, b"") is not None])
 
     def _passes(self, node_id: int, can_id: int, data: bytes) -> Frame | None:
         frame: Frame | None = (can_id, data)

@@ -11,7 +11,7 @@ import can
 import numpy as np
 import pytest
 from device_wires import PERIOD_S, SpinningMasses, two_axis_bus, u32
-from lockstep_client import Master
+from lockstep_client import NO_RTR, OFF, Master
 
 from virtual_bus.lockstep import LockstepBus, imu_line, io_line
 from virtual_bus.machine import EmulatedMachine
@@ -156,6 +156,33 @@ def test_heartbeats_fall_on_the_same_syncs_whenever_they_began(start: int) -> No
     master.configure(heartbeat_ms=100)
     ticks = [k for k in range(700) if 0x701 in master.tick({}, {})]
     assert ticks == [math.ceil(n * 25.6) for n in range(28)]
+
+
+def test_an_event_driven_device_tells_between_syncs_what_has_changed() -> None:
+    master = Master()
+    off, on = 0x18B | OFF | NO_RTR, 0x18B | NO_RTR
+    for subindex, data in ((1, u32(off)), (2, b"\xff"), (1, u32(on))):
+        master.write(11, 0x1800, subindex, data)
+    master.send(0x000, bytes((1, 11)))
+    *_, (_, first) = master.wait(1.0)
+    assert master.wait(1.0) == []
+    master.physics.position[0] += 0.5
+    ((can_id, then),) = master.wait(1.0)
+    assert can_id == 0x18B
+    assert int.from_bytes(then, "little") - int.from_bytes(first, "little") == round(0.5 / (2.0 * np.pi / 8388608))
+
+
+def test_a_drive_that_expects_a_counter_says_that_a_sync_has_none_and_the_other_the_opposite() -> None:
+    master = Master()
+    master.write(1, 0x1019, 0, b"\x0a")
+    master.configure()
+
+    def told(sync: bytes) -> list[int]:
+        master.send(0x080, sync)
+        return [can_id for can_id, data in master.drain() if data[:2] == b"\x40\x82"]
+
+    assert told(b"") == [0x081]
+    assert told(b"\x01") == [0x082, 0x08B, 0x08C]
 
 
 def test_waiting_draws_no_noise_and_triggers_nothing() -> None:

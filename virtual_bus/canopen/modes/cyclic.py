@@ -20,10 +20,11 @@ class CyclicTorque(Mode):
 
     def torque(self) -> int:
         """Return the sum, within the limits."""
-        servo = self.servo
-        target, limit = int(self._target.value) + int(self._offset.value), servo.limit
+        limit, target = self.servo.limit, int(self._target.value) + int(self._offset.value)
+        if -limit <= target <= limit:
+            return target
         torque = min(max(target, -limit), limit)
-        servo.limited = torque != target
+        self.servo.limited = torque != target
         return torque
 
     def foreseen(self, read: Read, *, takes_over: bool) -> int:
