@@ -66,6 +66,7 @@ class Sample:
     def __post_init__(self) -> None:
         """Fill the arrays with missing values."""
         self.answers = np.full(self.axes, NO_ANSWER)
+        self._bytes, self._missing = self.answers.view(np.uint8), self.answers.view(np.uint8).copy()
         self.position, self.link_position, self.effort = (self.answers[name] for name in ("position", "link_position", "effort"))
         self.statusword = self.answers["statusword"]
         self.position_late, self.link_late = self.answers["position_late"], self.answers["link_late"]
@@ -78,7 +79,7 @@ class Sample:
 
     def forget_answers(self) -> None:
         """Mark all that the devices answer to a SYNC as missing."""
-        self.answers[:] = NO_ANSWER
+        self._bytes[:] = self._missing  # field by field it takes ten times as long
 
     @property
     def is_whole(self) -> bool:

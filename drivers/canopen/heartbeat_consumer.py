@@ -7,7 +7,7 @@ and heartbeats are watched afterwards.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import inf
 
 from drivers.canopen.emcy import CODE_BYTES, Emergency, decode_emergency
@@ -57,10 +57,10 @@ class _Watched:
     late: int = 0  # heartbeats that came late, and were borne
     longest_s: float = 0.0  # pause before one of them
     emergency: Emergency | None = None  # newest that is not reset
+    timeout_s: float = field(init=False)
 
-    @property
-    def timeout_s(self) -> float:
-        return HEARTBEAT_TOLERANCE * self.period_s
+    def __post_init__(self) -> None:
+        self.timeout_s = HEARTBEAT_TOLERANCE * self.period_s
 
     @property
     def who(self) -> str:
@@ -183,14 +183,14 @@ class HeartbeatConsumer:
         """
         if not self._guarded:
             return
-        if (away_s := now_s - self._checked_s - max(0.0, lost_s - self._lost_s)) > self._away_s:
+        if (away_s := now_s - self._checked_s) > self._away_s and (away_s := away_s - max(0.0, lost_s - self._lost_s)) > self._away_s:
             for each in self._guarded:  # nobody listened: this program stood still, or did something else
                 each.heard_s = min(now_s, each.heard_s + away_s)
         self._checked_s = now_s
         self._turn = (self._turn + 1) % len(self._guarded)
         watched, self._lost_s = self._guarded[self._turn], lost_s
-        age_s = now_s - watched.heard_s - max(0.0, lost_s - watched.lost_s)
-        if age_s > watched.timeout_s:
+        age_s = now_s - watched.heard_s
+        if age_s > watched.timeout_s and (age_s := age_s - max(0.0, lost_s - watched.lost_s)) > watched.timeout_s:
             state = NMT_STATES.get(watched.state, "unknown")
             raise HeartbeatLostError(
                 f"{watched.who}: no heartbeat for {age_s:.3f} s, {watched.timeout_s:.3f} s allowed; its last state was {state}"
