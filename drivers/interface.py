@@ -11,21 +11,42 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
+from numba.extending import register_jitable
 
-ANSWER = np.dtype(
+VALUES = np.dtype(
     [
+        # what its devices answer to a SYNC
         ("position", "f8"),
         ("link_position", "f8"),
         ("effort", "f8"),
         ("statusword", "i8"),
         ("position_late", "?"),
         ("link_late", "?"),
+        # what is known beside
+        ("commanded", "f8"),
+        ("age_s", "f8"),
+        ("temperature_degC", "f8"),
+        ("brakes_open", "?"),
     ],
     align=True,
 )
-"""What one axis's devices answer to a SYNC, as compiled code takes it; `Sample` says what each is."""
+"""What a sample holds of one axis, as compiled code takes it; `Sample` says what each is."""
 
-NO_ANSWER = np.array((np.nan, np.nan, np.nan, -1, False, False), ANSWER)
+NOTHING = np.array((np.nan, np.nan, np.nan, -1, False, False, np.nan, 0.0, np.nan, False), VALUES)
+ANSWERED_BYTES, IMUS_BYTES = 40, 2 * 6 * 8
+"""Of what an axis's devices answer, at the beginning of its values, and of the readings of two IMUs."""
+
+
+@register_jitable
+def values_in(memory: np.ndarray) -> np.ndarray:
+    """Return (axes,) VALUES in the memory of a sample; callable from compiled code."""
+    return memory[IMUS_BYTES:].view(VALUES)
+
+
+@register_jitable
+def imus_in(memory: np.ndarray) -> np.ndarray:
+    """Return (12,) readings in the memory of a sample: of the IMU on a line of its own, and of the one on the bus."""
+    return memory[:IMUS_BYTES].view(np.float64)
 
 
 @dataclass
@@ -37,7 +58,8 @@ class Sample:
     """
 
     axes: int
-    answers: np.ndarray = field(init=False)  # ANSWER; the arrays of its fields, below, are views of it
+    memory: np.ndarray = field(init=False)  # bytes of all arrays below, which are views of it
+    values: np.ndarray = field(init=False)  # VALUES
     position: np.ndarray = field(init=False)  # rad or m
     link_position: np.ndarray = field(init=False)  # rad or m; NaN without a link encoder
     effort: np.ndarray = field(init=False)  # in the drive's unit
@@ -65,21 +87,22 @@ class Sample:
 
     def __post_init__(self) -> None:
         """Fill the arrays with missing values."""
-        self.answers = np.full(self.axes, NO_ANSWER)
-        self._bytes, self._missing = self.answers.view(np.uint8), self.answers.view(np.uint8).copy()
-        self.position, self.link_position, self.effort = (self.answers[name] for name in ("position", "link_position", "effort"))
-        self.statusword = self.answers["statusword"]
-        self.position_late, self.link_late = self.answers["position_late"], self.answers["link_late"]
-        self.commanded = np.full(self.axes, np.nan)
-        self.age_s = np.zeros(self.axes)
-        self.imu = np.full(6, np.nan)
-        self.bus_imu = np.full(6, np.nan)
-        self.temperature_degC = np.full(self.axes, np.nan)
-        self.brakes_open = np.zeros(self.axes, dtype=bool)
+        self.memory = np.zeros(IMUS_BYTES + self.axes * VALUES.itemsize, np.uint8)
+        self.values = values = values_in(self.memory)
+        values[:] = NOTHING
+        self.position, self.link_position, self.effort = values["position"], values["link_position"], values["effort"]
+        self.statusword = values["statusword"]
+        self.position_late, self.link_late = values["position_late"], values["link_late"]
+        self.commanded, self.age_s = values["commanded"], values["age_s"]
+        self.temperature_degC, self.brakes_open = values["temperature_degC"], values["brakes_open"]
+        self.imu, self.bus_imu = imus_in(self.memory).reshape(2, 6)
+        self.imu[:] = self.bus_imu[:] = np.nan
+        self._answers = self.memory[IMUS_BYTES:].reshape(self.axes, VALUES.itemsize)[:, :ANSWERED_BYTES]
+        self._no_answers = self._answers.copy()
 
     def forget_answers(self) -> None:
         """Mark all that the devices answer to a SYNC as missing."""
-        self._bytes[:] = self._missing  # field by field it takes ten times as long
+        self._answers[:] = self._no_answers  # field by field it takes ten times as long
 
     @property
     def is_whole(self) -> bool:

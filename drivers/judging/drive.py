@@ -48,7 +48,7 @@ DRIVE = np.dtype(
 
 
 @register_jitable
-def judged_drive(drive: Record, sent: np.ndarray, answer: Record, commanded: float, ticks: int, window_over: bool) -> int:
+def judged_drive(drive: Record, sent: np.ndarray, answer: Record, ticks: int, window_over: bool) -> int:
     """Return which of `CHECKS` the newest sample fails, 0 when none; callable from compiled code.
 
     Parameters
@@ -57,10 +57,8 @@ def judged_drive(drive: Record, sent: np.ndarray, answer: Record, commanded: flo
         Advanced in place.
     sent : (settling_ticks + 1 or more,) array
         The last efforts sent [drive's unit], in the order of a ring; advanced in place.
-    answer : ANSWER
+    answer : VALUES
         Of its axis.
-    commanded : float
-        Effort sent before this SYNC [drive's unit].
     ticks : int
         Passed since the sample before.
     window_over : bool
@@ -68,7 +66,7 @@ def judged_drive(drive: Record, sent: np.ndarray, answer: Record, commanded: flo
     """
     kept = drive.settling_ticks + 1
     drive.newest = (drive.newest + 1) % kept
-    sent[drive.newest] = commanded
+    sent[drive.newest] = answer.commanded
     drive.commands = min(drive.commands + 1, kept)
     low = high = sent[(drive.newest + 1 - drive.commands) % kept]
     for k in range(2 - drive.commands, 1):
@@ -159,8 +157,8 @@ class DriveJudge:
         axis, is_over = self._settings.axis, self._window is not None and self._window.over
         if is_over:
             self.take_window()
-        answer = record_of(sample.answers[axis : axis + 1])
-        return CHECKS[judged_drive(self._state, self._sent, answer, sample.commanded[axis], ticks, is_over)]
+        answer = record_of(sample.values[axis : axis + 1])
+        return CHECKS[judged_drive(self._state, self._sent, answer, ticks, is_over)]
 
     def take_window(self) -> None:
         """Judge the load by the window that is over; what is found stands to the end of the next one."""

@@ -144,7 +144,7 @@ def judged_encoders(pair: Record, motor: Record, link: Record, answer: Record, l
     pair : PAIR
     motor, link : PATH
         All three are advanced in place.
-    answer : ANSWER
+    answer : VALUES
         Of its axis.
     lateness_s : float
         Of the SYNC.
@@ -222,7 +222,7 @@ class EncoderJudge:
     def step(self, sample: Sample, ticks: int) -> str:
         """Return which check the newest sample fails, '' when none; `ticks` passed since the one before."""
         axis = self._settings.axis
-        answer = record_of(sample.answers[axis : axis + 1])
+        answer = record_of(sample.values[axis : axis + 1])
         return CHECKS[judged_encoders(self._state, self._motor, self._link, answer, sample.lateness_s, ticks)]
 
     def finish(self) -> str:

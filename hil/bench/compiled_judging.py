@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import boolean, float64, from_dtype, int64, types
+from numba import boolean, float64, from_dtype, int64, types, uint8
 
 from controllers.compiled import kept_on_disk
-from drivers.interface import ANSWER, Sample
+from drivers.interface import Sample, imus_in, values_in
 from drivers.judging.drive import DRIVE, judged_drive
 from drivers.judging.encoders import PAIR, PATH, judged_encoders
 from drivers.judging.imu import PACKETS, judged_imu
@@ -29,8 +29,7 @@ _MEMORY = types.NamedTuple(  # type: ignore[no-untyped-call]
 # One machine code for every machine, made when this is imported: compiling in the middle of a motion would stop the commands for seconds.
 _JUDGE = boolean(
     _MEMORY,
-    from_dtype(ANSWER)[::1],
-    *(float64[::1], float64[::1], float64[::1]),
+    uint8[::1],
     *(int64, float64, int64, boolean),
     *(float64, float64, int64, boolean, boolean),
 )
@@ -39,10 +38,7 @@ _JUDGE = boolean(
 @kept_on_disk(_JUDGE, fastmath=False, error_model="numpy")
 def _judge(
     memory: Memory,
-    answers: np.ndarray,
-    commanded: np.ndarray,
-    temperature_degC: np.ndarray,
-    imu: np.ndarray,
+    sample: np.ndarray,
     imu_counter: int,
     imu_time_s: float,
     imu_damaged: int,
@@ -54,7 +50,7 @@ def _judge(
     led: bool,
 ) -> bool:
     """Judge a sample by all laws, in the order of `found`; return whether any finds something."""
-    found = memory.found
+    found, values, imu = memory.found, values_in(sample), imus_in(sample)[:6]
     place, any_found = 0, False
     for k in range(len(memory.imus)):
         if led:
@@ -66,18 +62,18 @@ def _judge(
     for k in range(len(memory.pairs)):
         pair = memory.pairs[k]
         if led:
-            found[place] = judged_encoders(pair, memory.paths[k, 0], memory.paths[k, 1], answers[pair.axis], lateness_s, ticks)
+            found[place] = judged_encoders(pair, memory.paths[k, 0], memory.paths[k, 1], values[pair.axis], lateness_s, ticks)
         any_found = any_found or found[place] != 0
         place += 1
     for k in range(len(memory.thermometers)):
         thermometer = memory.thermometers[k]
-        found[place] = judged_temperature(thermometer, temperature_degC[thermometer.axis], io_age_s, ticks)
+        found[place] = judged_temperature(thermometer, values[thermometer.axis].temperature_degC, io_age_s, ticks)
         any_found = any_found or found[place] != 0
         place += 1
     for k in range(len(memory.drives)):
         drive = memory.drives[k]
         if led:
-            found[place] = judged_drive(drive, memory.sent[k], answers[drive.axis], commanded[drive.axis], ticks, window_over)
+            found[place] = judged_drive(drive, memory.sent[k], values[drive.axis], ticks, window_over)
         any_found = any_found or found[place] != 0
         place += 1
     return any_found
@@ -87,10 +83,7 @@ def judged_at_once(memory: Memory, sample: Sample, ticks: int, window_over: bool
     """Judge a sample by all laws at once, compiled; a `drivers.judging.judge.Law`."""
     return _judge(
         memory,
-        sample.answers,
-        sample.commanded,
-        sample.temperature_degC,
-        sample.imu,
+        sample.memory,
         sample.imu_counter,
         sample.imu_time_s,
         sample.imu_damaged,
