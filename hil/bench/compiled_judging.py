@@ -1,4 +1,4 @@
-"""The judges of all sensors as one compiled function: a call for a tick, where each by itself takes a call in Python."""
+"""The judges of all sensors, and the watch over all axes, as a compiled function each: a call for a tick of what takes many in Python."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 from numba import boolean, float64, from_dtype, int64, types, uint8
 
 from controllers.compiled import kept_on_disk
+from drivers.canopen.motion_bounds import CHECKS, WATCHED, watched
 from drivers.interface import Sample, imus_in, values_in
 from drivers.judging.drive import DRIVE, judged_drive
 from drivers.judging.encoders import PAIR, PATH, judged_encoders
@@ -94,3 +95,14 @@ def judged_at_once(memory: Memory, sample: Sample, ticks: int, window_over: bool
         window_over,
         led,
     )
+
+
+@kept_on_disk(int64(from_dtype(WATCHED)[::1], uint8[::1], int64), fastmath=False, error_model="numpy")
+def watched_at_once(axes: np.ndarray, sample: np.ndarray, ticks: int) -> int:
+    """Check the motion of all axes at once, compiled; a `drivers.canopen.motion_bounds.Law`."""
+    values = values_in(sample)
+    for k in range(len(axes)):
+        found = watched(axes[k], values[k], ticks)
+        if found != 0:
+            return k * len(CHECKS) + found
+    return 0
