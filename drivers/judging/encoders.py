@@ -50,6 +50,8 @@ PAIR = np.dtype(
         ("damping", "f8"),
         ("effort_scale", "f8"),
         # what was seen
+        ("motor", PATH),
+        ("link", PATH),
         ("found", "i8"),  # of CHECKS; it stands
         ("at_link", "?"),  # the encoder that jumped is the link's
         ("amount", "f8"),  # of what was found: second difference, growth a window, or distance [rad or m]
@@ -136,14 +138,13 @@ def _compare(pair: Record, motor: float, link: float, effort: float, ticks: int)
 
 
 @register_jitable
-def judged_encoders(pair: Record, motor: Record, link: Record, answer: Record, lateness_s: float, ticks: int) -> int:
+def judged_encoders(pair: Record, answer: Record, lateness_s: float, ticks: int) -> int:
     """Return which of `CHECKS` the newest sample fails, 0 when none; callable from compiled code.
 
     Parameters
     ----------
     pair : PAIR
-    motor, link : PATH
-        All three are advanced in place.
+        Advanced in place.
     answer : VALUES
         Of its axis.
     lateness_s : float
@@ -153,15 +154,15 @@ def judged_encoders(pair: Record, motor: Record, link: Record, answer: Record, l
     """
     pair.lag_ticks = 0
     if ticks != 1:
-        forgotten_path(motor)
-        forgotten_path(link)
+        forgotten_path(pair.motor)
+        forgotten_path(pair.link)
         pair.speed = nan
-    if jumped(motor, answer.position, lateness_s, pair.period_s) and pair.found == _FINE:
-        pair.found, pair.at_link, pair.amount, pair.allowed = _JUMP, False, motor.second, motor.allowed
+    if jumped(pair.motor, answer.position, lateness_s, pair.period_s) and pair.found == _FINE:
+        pair.found, pair.at_link, pair.amount, pair.allowed = _JUMP, False, pair.motor.second, pair.motor.allowed
     if not pair.has_link:
         return int(pair.found)
-    if jumped(link, answer.link_position, lateness_s, pair.period_s) and pair.found == _FINE:
-        pair.found, pair.at_link, pair.amount, pair.allowed = _JUMP, True, link.second, link.allowed
+    if jumped(pair.link, answer.link_position, lateness_s, pair.period_s) and pair.found == _FINE:
+        pair.found, pair.at_link, pair.amount, pair.allowed = _JUMP, True, pair.link.second, pair.link.allowed
     _compare(pair, answer.position, answer.link_position, answer.effort, ticks)
     pair.silent = 0 if isfinite(answer.link_position) else pair.silent + ticks
     if pair.found == _FINE and pair.silent > pair.stale_ticks:
@@ -180,18 +181,14 @@ class EncoderJudge:
     settings : EncoderJudging
     state : (1,) array of PAIR, optional
         Its memory.
-    paths : (2,) array of PATH, optional
-        Memory of motor side and link encoder.
     """
 
     checks = CHECKS
 
-    def __init__(self, settings: EncoderJudging, state: np.ndarray | None = None, paths: np.ndarray | None = None) -> None:
+    def __init__(self, settings: EncoderJudging, state: np.ndarray | None = None) -> None:
         self.sensor, self.follows = settings.sensor, settings.follows
         self._settings = settings
         self._state = record_of(np.zeros(1, PAIR) if state is None else state)
-        paths = np.zeros(2, PATH) if paths is None else paths
-        self._motor, self._link = record_of(paths[:1]), record_of(paths[1:])
         self.begin()
 
     def begin(self) -> None:
@@ -203,8 +200,8 @@ class EncoderJudge:
         state.compliance, state.inertia = settings.compliance, settings.inertia
         state.damping, state.effort_scale = settings.damping, settings.effort_scale
         for path, resolution, acceleration in (
-            (self._motor, settings.motor_resolution, settings.motor_acceleration),
-            (self._link, settings.link_resolution, settings.link_acceleration),
+            (state.motor, settings.motor_resolution, settings.motor_acceleration),
+            (state.link, settings.link_resolution, settings.link_acceleration),
         ):
             path.acceleration = acceleration * settings.period_s**2 + COUNTS * resolution
             forgotten_path(path)
@@ -223,7 +220,7 @@ class EncoderJudge:
         """Return which check the newest sample fails, '' when none; `ticks` passed since the one before."""
         axis = self._settings.axis
         answer = record_of(sample.values[axis : axis + 1])
-        return CHECKS[judged_encoders(self._state, self._motor, self._link, answer, sample.lateness_s, ticks)]
+        return CHECKS[judged_encoders(self._state, answer, sample.lateness_s, ticks)]
 
     def finish(self) -> str:
         """Judge the window that a run's end cuts off, where at least half of it is there; return which check fails, or ''."""

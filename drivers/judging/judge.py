@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
+from numba.extending import register_jitable
 
 from drivers.interface import Sample
 from drivers.judging.drive import DRIVE, DriveJudge
-from drivers.judging.encoders import PAIR, PATH, EncoderJudge
+from drivers.judging.encoders import PAIR, EncoderJudge
 from drivers.judging.imu import PACKETS, ImuJudge
 from drivers.judging.motion_window import MotionWindow
 from drivers.judging.settings import Follows, JudgingSettings
@@ -25,16 +26,43 @@ class Memory(NamedTuple):
 
     imus: np.ndarray  # (0 or 1,) PACKETS
     pairs: np.ndarray  # (encoder pairs,) PAIR
-    paths: np.ndarray  # (encoder pairs, 2) PATH
     thermometers: np.ndarray  # THERMOMETER
     drives: np.ndarray  # DRIVE
     sent: np.ndarray  # (drives, commands) efforts, drive's unit
     found: np.ndarray  # (judges,) which of its checks each failed last, 0 when none
 
 
-Law = Callable[[Memory, Sample, int, bool, bool], bool]
-"""Judges a sample by all laws at once: memory, sample, ticks since the one before, whether a motion window is over, whether all axes are
-led. It overwrites `found` and returns whether anything is."""
+_PARTS = len(Memory._fields)
+
+
+@register_jitable
+def memory_in(block: np.ndarray) -> Memory:
+    """Return what all judges know as views of the one block of bytes in which it lies; callable from compiled code."""
+    at = block[: 8 * (_PARTS + 2)].view(np.int64)  # where each part begins, where the last ends, and how many efforts of a drive are kept
+    return Memory(
+        block[at[0] : at[1]].view(PACKETS),
+        block[at[1] : at[2]].view(PAIR),
+        block[at[2] : at[3]].view(THERMOMETER),
+        block[at[3] : at[4]].view(DRIVE),
+        block[at[4] : at[5]].view(np.float64).reshape((at[5] - at[4]) // (8 * at[7]), at[7]),
+        block[at[5] : at[6]].view(np.int64),
+    )
+
+
+def _block_for(imus: int, pairs: int, thermometers: int, drives: int, commands: int) -> np.ndarray:
+    """Return a block of memory for so many judges, which keep so many efforts of each drive."""
+    floats, judges = 8 * drives * commands, imus + pairs + thermometers + drives
+    sizes = imus * PACKETS.itemsize, pairs * PAIR.itemsize, thermometers * THERMOMETER.itemsize, drives * DRIVE.itemsize, floats, 8 * judges
+    at = 8 * (_PARTS + 2) + np.cumsum((0, *sizes))
+    block = np.zeros(at[-1], np.uint8)
+    block[: 8 * (_PARTS + 2)].view(np.int64)[:] = *at, commands
+    memory_in(block).sent[:] = np.nan
+    return block
+
+
+Law = Callable[[np.ndarray, Sample, int, bool, bool], bool]
+"""Judges a sample by all laws at once: memory as `memory_in` takes it, sample, ticks since the one before, whether a motion window is over,
+whether all axes are led. It overwrites `found` and returns whether anything is."""
 
 
 class Judge(Protocol):
@@ -110,20 +138,13 @@ class SensorJudge:
         window = self._window = None if settings.expects is None else MotionWindow(settings.expects, axes, period_s)
         imu, encoders, temperatures, drives = settings.imu, settings.encoders, settings.temperatures, settings.drives
         longest = max((each.settling_ticks + 1 for each in drives), default=1)
-        memory = self._memory = Memory(
-            np.zeros(int(imu is not None), PACKETS),
-            np.zeros(len(encoders), PAIR),
-            np.zeros((len(encoders), 2), PATH),
-            np.zeros(len(temperatures), THERMOMETER),
-            np.zeros(len(drives), DRIVE),
-            np.full((len(drives), longest), np.nan),
-            np.zeros((imu is not None) + len(encoders) + len(temperatures) + len(drives), np.int64),
-        )
+        self._block = _block_for(int(imu is not None), len(encoders), len(temperatures), len(drives), longest)
+        memory = self._memory = memory_in(self._block)
         self._imu = None if imu is None else ImuJudge(imu, window, memory.imus)
         drive_judges = [DriveJudge(each, window, memory.drives[k : k + 1], memory.sent[k]) for k, each in enumerate(drives)]
         self._judges: list[Judge] = [
             *([] if self._imu is None else [self._imu]),
-            *(EncoderJudge(each, memory.pairs[k : k + 1], memory.paths[k]) for k, each in enumerate(encoders)),
+            *(EncoderJudge(each, memory.pairs[k : k + 1]) for k, each in enumerate(encoders)),
             *(TemperatureJudge(each, memory.thermometers[k : k + 1]) for k, each in enumerate(temperatures)),
             *drive_judges,
         ]
@@ -182,18 +203,19 @@ class SensorJudge:
                 each.take_window()
         if self._imu is not None and sample.imu_fault:
             self._imu.take_fault(sample)
-        is_failing = self._law(self._memory, sample, ticks, is_over, led)
+        is_failing = self._law(self._block, sample, ticks, is_over, led)
         if not is_failing and not self._is_failing:
             return ""
         self._is_failing = is_failing
         return self._take_findings(time_s, led=led)
 
-    def _each(self, memory: Memory, sample: Sample, ticks: int, window_over: bool, led: bool) -> bool:
+    def _each(self, block: np.ndarray, sample: Sample, ticks: int, window_over: bool, led: bool) -> bool:
         """Judge a sample by each judge itself."""
+        found = self._memory.found
         for bit, judge in enumerate(self._judges):
             if led or isinstance(judge, TemperatureJudge):
-                memory.found[bit] = judge.checks.index(judge.step(sample, ticks))
-        return bool(memory.found.any())
+                found[bit] = judge.checks.index(judge.step(sample, ticks))
+        return bool(found.any())
 
     def _take_findings(self, time_s: float, *, led: bool) -> str:
         """Keep what was found in the newest sample; return why the motors must be stopped, or ''."""

@@ -3,34 +3,20 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import boolean, float64, from_dtype, int64, types, uint8
+from numba import boolean, float64, from_dtype, int64, uint8
 
 from controllers.compiled import kept_on_disk
 from drivers.canopen.motion_bounds import CHECKS, WATCHED, watched
 from drivers.interface import Sample, imus_in, values_in
-from drivers.judging.drive import DRIVE, judged_drive
-from drivers.judging.encoders import PAIR, PATH, judged_encoders
-from drivers.judging.imu import PACKETS, judged_imu
-from drivers.judging.judge import Memory
-from drivers.judging.temperature import THERMOMETER, judged_temperature
-
-_MEMORY = types.NamedTuple(  # type: ignore[no-untyped-call]
-    (
-        from_dtype(PACKETS)[::1],
-        from_dtype(PAIR)[::1],
-        from_dtype(PATH)[:, ::1],
-        from_dtype(THERMOMETER)[::1],
-        from_dtype(DRIVE)[::1],
-        float64[:, ::1],
-        int64[::1],
-    ),
-    Memory,
-)
+from drivers.judging.drive import judged_drive
+from drivers.judging.encoders import judged_encoders
+from drivers.judging.imu import judged_imu
+from drivers.judging.judge import memory_in
+from drivers.judging.temperature import judged_temperature
 
 # One machine code for every machine, made when this is imported: compiling in the middle of a motion would stop the commands for seconds.
 _JUDGE = boolean(
-    _MEMORY,
-    uint8[::1],
+    *(uint8[::1], uint8[::1]),
     *(int64, float64, int64, boolean),
     *(float64, float64, int64, boolean, boolean),
 )
@@ -38,7 +24,7 @@ _JUDGE = boolean(
 
 @kept_on_disk(_JUDGE, fastmath=False, error_model="numpy")
 def _judge(
-    memory: Memory,
+    block: np.ndarray,
     sample: np.ndarray,
     imu_counter: int,
     imu_time_s: float,
@@ -51,6 +37,7 @@ def _judge(
     led: bool,
 ) -> bool:
     """Judge a sample by all laws, in the order of `found`; return whether any finds something."""
+    memory = memory_in(block)
     found, values, imu = memory.found, values_in(sample), imus_in(sample)[:6]
     place, any_found = 0, False
     for k in range(len(memory.imus)):
@@ -63,7 +50,7 @@ def _judge(
     for k in range(len(memory.pairs)):
         pair = memory.pairs[k]
         if led:
-            found[place] = judged_encoders(pair, memory.paths[k, 0], memory.paths[k, 1], values[pair.axis], lateness_s, ticks)
+            found[place] = judged_encoders(pair, values[pair.axis], lateness_s, ticks)
         any_found = any_found or found[place] != 0
         place += 1
     for k in range(len(memory.thermometers)):
@@ -80,10 +67,10 @@ def _judge(
     return any_found
 
 
-def judged_at_once(memory: Memory, sample: Sample, ticks: int, window_over: bool, led: bool) -> bool:
+def judged_at_once(block: np.ndarray, sample: Sample, ticks: int, window_over: bool, led: bool) -> bool:
     """Judge a sample by all laws at once, compiled; a `drivers.judging.judge.Law`."""
     return _judge(
-        memory,
+        block,
         sample.memory,
         sample.imu_counter,
         sample.imu_time_s,
