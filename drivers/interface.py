@@ -13,22 +13,21 @@ from typing import Protocol
 import numpy as np
 from numba.extending import register_jitable
 
-VALUES = np.dtype(
-    [
-        # what its devices answer to a SYNC
-        ("position", "f8"),
-        ("link_position", "f8"),
-        ("effort", "f8"),
-        ("statusword", "i8"),
-        ("position_late", "?"),
-        ("link_late", "?"),
-        # what is known beside
-        ("commanded", "f8"),
-        ("age_s", "f8"),
-        ("temperature_degC", "f8"),
-        ("brakes_open", "?"),
-    ],
-    align=True,
+from drivers.records import record_type
+
+VALUES = record_type(
+    # what its devices answer to a SYNC
+    ("position", "f8"),
+    ("link_position", "f8"),
+    ("effort", "f8"),
+    ("statusword", "i8"),
+    ("position_late", "?"),
+    ("link_late", "?"),
+    # what is known beside
+    ("commanded", "f8"),
+    ("age_s", "f8"),
+    ("temperature_degC", "f8"),
+    ("brakes_open", "?"),
 )
 """What a sample holds of one axis, as compiled code takes it; `Sample` says what each is."""
 

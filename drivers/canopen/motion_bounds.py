@@ -13,7 +13,7 @@ import numpy as np
 from numba.extending import register_jitable
 
 from drivers.interface import Clock, Sample, values_in
-from drivers.judging.records import Record, record_of
+from drivers.records import Record, record_type
 from drivers.settings import AxisScaling, HomingSettings, MotionLimits
 
 STANDING_SHARE = 0.1
@@ -41,41 +41,35 @@ CHECKS = ("", "silent", "fast", "far", "link silent", "link fast", "link far", "
 _FINE, _SILENT, _FAST, _FAR = range(4)
 _OF_LINK, _STILL, _PART_UNHEARD, _PART, _OUTSIDE, _LINK_OUTSIDE = 3, 7, 8, 9, 10, 11
 
-TRACK = np.dtype(
-    [
-        ("flicker", "f8"),  # rad or m
-        ("speed_per_tick", "f8"),  # rad or m: most that it may move
-        ("travel", "f8"),  # rad or m in all
-        ("stale_ticks", "i8"),
-        ("may_jump", "?"),  # the drive will once set its counter to what homing found
-        # what was seen
-        ("moved", "f8"),
-        ("stale", "i8"),
-        ("step", "f8"),
-        ("last", "f8"),
-        ("ticks", "i8"),  # since then
-    ],
-    align=True,
+TRACK = record_type(
+    ("flicker", "f8"),  # rad or m
+    ("speed_per_tick", "f8"),  # rad or m: most that it may move
+    ("travel", "f8"),  # rad or m in all
+    ("stale_ticks", "i8"),
+    ("may_jump", "?"),  # the drive will once set its counter to what homing found
+    # what was seen
+    ("moved", "f8"),
+    ("stale", "i8"),
+    ("step", "f8"),
+    ("last", "f8"),
+    ("ticks", "i8"),  # since then
 )
 """The path of one encoder since a phase began."""
 
-WATCHED = np.dtype(
-    [
-        ("motor", TRACK),
-        ("link", TRACK),
-        ("has_link", "?"),
-        ("homed", "?"),
-        ("in_range", "?"),
-        ("lower", "f8"),
-        ("upper", "f8"),
-        ("slack", "f8"),  # of the link's range: it is wound up by the load on the gear
-        ("stale_ticks", "i8"),
-        ("apart", "f8"),  # between both encoders
-        ("still_ticks", "f8"),
-        ("still", "i8"),
-        ("still_at", "f8"),
-    ],
-    align=True,
+WATCHED = record_type(
+    ("motor", TRACK),
+    ("link", TRACK),
+    ("has_link", "?"),
+    ("homed", "?"),
+    ("in_range", "?"),
+    ("lower", "f8"),
+    ("upper", "f8"),
+    ("slack", "f8"),  # of the link's range: it is wound up by the load on the gear
+    ("stale_ticks", "i8"),
+    ("apart", "f8"),  # between both encoders
+    ("still_ticks", "f8"),
+    ("still", "i8"),
+    ("still_at", "f8"),
 )
 """The bounds of one axis in the present phase, and the paths of its two encoders."""
 
@@ -164,11 +158,12 @@ def watched(axis: Record, values: Record, ticks: int) -> int:
     return _FINE
 
 
-def one_by_one(axes: np.ndarray, sample: np.ndarray, ticks: int) -> int:
-    """Check every axis by itself; a `Law`."""
+def watched_axes(axes: np.ndarray, sample: np.ndarray, ticks: int) -> int:
+    """Check every axis, the first that fails ends it; a `Law`."""
     values = values_in(sample)
     for k in range(len(axes)):
-        if found := watched(record_of(axes[k : k + 1]), record_of(values[k : k + 1]), ticks):
+        found = watched(axes[k], values[k], ticks)
+        if found != _FINE:
             return k * len(CHECKS) + found
     return _FINE
 
@@ -176,11 +171,10 @@ def one_by_one(axes: np.ndarray, sample: np.ndarray, ticks: int) -> int:
 class _AxisWatch:
     """The bounds of one axis, phase by phase, and what was found in words."""
 
-    def __init__(self, limits: MotionLimits, scaling: AxisScaling, period_s: float, state: np.ndarray) -> None:
-        self.limits, self.state = limits, record_of(state)
+    def __init__(self, limits: MotionLimits, scaling: AxisScaling, period_s: float, state: Record) -> None:
+        self.limits, self.state = limits, state
         self.unit = scaling.position_unit
         self._period_s = period_s
-        state = self.state
         state.motor.flicker, state.link.flicker = COUNTS * scaling.position_resolution, COUNTS * scaling.link_resolution
         state.has_link = scaling.link_resolution != 0.0
         state.lower, state.upper, state.slack, state.stale_ticks = limits.lower, limits.upper, limits.tracking_error, limits.stale_ticks
@@ -269,11 +263,10 @@ class MotionWatch:
     """
 
     def __init__(self, limits: Sequence[MotionLimits], scalings: Sequence[AxisScaling], clock: Clock, period_s: float) -> None:
-        self.law: Law = one_by_one
+        self.law: Law = watched_axes
         self._states = np.zeros(len(limits), WATCHED)
         self._axes = [
-            _AxisWatch(limit, scaling, period_s, self._states[k : k + 1])
-            for k, (limit, scaling) in enumerate(zip(limits, scalings, strict=True))
+            _AxisWatch(limit, scaling, period_s, self._states[k]) for k, (limit, scaling) in enumerate(zip(limits, scalings, strict=True))
         ]
         self._clock = clock
         self._missed = 0

@@ -10,8 +10,8 @@ from numba.extending import register_jitable
 from drivers.canopen.cia402 import WARNING
 from drivers.interface import Sample
 from drivers.judging.motion_window import WINDOW_S, MotionWindow
-from drivers.judging.records import Record, record_of
 from drivers.judging.settings import DriveJudging, Follows
+from drivers.records import Record, record_type
 
 LOST = 2.0
 """Multiple of the tolerance that a drive was sent, of which it measures none: it has lost its torque, and what it should hold may fall."""
@@ -22,27 +22,24 @@ UNSURE = 3.0
 CHECKS = ("", "effort", "warning", "load")
 _FINE, _EFFORT, _WARNING, _LOAD = range(4)
 
-DRIVE = np.dtype(
-    [
-        ("axis", "i8"),
-        ("tolerance", "f8"),  # drive's unit
-        ("stop_tolerance", "f8"),
-        ("settling_ticks", "i8"),
-        ("bridged_ticks", "i8"),
-        ("window_ticks", "i8"),  # of the motion window
-        # what was seen
-        ("commands", "i8"),  # how many were sent, at most settling_ticks + 1
-        ("newest", "i8"),  # place of the newest of them
-        ("off_ticks", "i8"),
-        ("far_ticks", "i8"),
-        ("measured", "f8"),  # drive's unit: the last effort that was off
-        ("expected", "f8"),
-        ("statusword", "i8"),  # with its warning
-        ("overloaded", "?"),
-        ("is_lost", "?"),  # the newest finding stops the motors, whatever follows otherwise
-        ("lag_ticks", "i8"),
-    ],
-    align=True,
+DRIVE = record_type(
+    ("axis", "i8"),
+    ("tolerance", "f8"),  # drive's unit
+    ("stop_tolerance", "f8"),
+    ("settling_ticks", "i8"),
+    ("bridged_ticks", "i8"),
+    ("window_ticks", "i8"),  # of the motion window
+    # what was seen
+    ("commands", "i8"),  # how many were sent, at most settling_ticks + 1
+    ("newest", "i8"),  # place of the newest of them
+    ("off_ticks", "i8"),
+    ("far_ticks", "i8"),
+    ("measured", "f8"),  # drive's unit: the last effort that was off
+    ("expected", "f8"),
+    ("statusword", "i8"),  # with its warning
+    ("overloaded", "?"),
+    ("is_lost", "?"),  # the newest finding stops the motors, whatever follows otherwise
+    ("lag_ticks", "i8"),
 )
 """Settings and memory of a drive's judge."""
 
@@ -127,7 +124,7 @@ class DriveJudge:
         self.sensor = settings.sensor
         self._settings = settings
         self._window = window
-        self._state = record_of(np.zeros(1, DRIVE) if state is None else state)
+        self._state = (np.zeros(1, DRIVE) if state is None else state)[0]
         self._sent = np.full(settings.settling_ticks + 1, nan) if sent is None else sent
         self.begin()
 
@@ -157,7 +154,7 @@ class DriveJudge:
         axis, is_over = self._settings.axis, self._window is not None and self._window.over
         if is_over:
             self.take_window()
-        answer = record_of(sample.values[axis : axis + 1])
+        answer = sample.values[axis]
         return CHECKS[judged_drive(self._state, self._sent, answer, ticks, is_over)]
 
     def take_window(self) -> None:

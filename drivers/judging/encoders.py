@@ -8,8 +8,8 @@ import numpy as np
 from numba.extending import register_jitable
 
 from drivers.interface import Sample
-from drivers.judging.records import Record, record_of
 from drivers.judging.settings import ENCODERS_WINDOW_S, EncoderJudging
+from drivers.records import Record, record_type
 
 GROWING = 4
 """Windows in a row in which a difference must grow to count as a drift. What friction and play leave ends soon after the reversal."""
@@ -21,54 +21,48 @@ CHECKS = ("", "jump", "drift", "apart", "silent")
 _FINE, _JUMP, _DRIFT, _APART, _SILENT = range(5)
 NAMES = ("motor side", "link encoder")
 
-PATH = np.dtype(
-    [
-        ("acceleration", "f8"),  # greatest second difference of a path at even speed [rad or m]
-        ("second", "f8"),  # newest second difference
-        ("allowed", "f8"),
-        ("last", "f8"),
-        ("before", "f8"),
-        ("late", "f8"),  # lateness [s] of the SYNCs of both
-        ("late_before", "f8"),
-    ],
-    align=True,
+PATH = record_type(
+    ("acceleration", "f8"),  # greatest second difference of a path at even speed [rad or m]
+    ("second", "f8"),  # newest second difference
+    ("allowed", "f8"),
+    ("last", "f8"),
+    ("before", "f8"),
+    ("late", "f8"),  # lateness [s] of the SYNCs of both
+    ("late_before", "f8"),
 )
 """Path of one encoder: an acceleration makes a second difference of itself times the period squared, a step makes any."""
 
-PAIR = np.dtype(
-    [
-        ("axis", "i8"),
-        ("has_link", "?"),
-        ("period_s", "f8"),
-        ("window", "i8"),  # ticks
-        ("stale_ticks", "i8"),
-        ("tolerance", "f8"),
-        ("drift", "f8"),
-        ("growth", "f8"),
-        ("compliance", "f8"),
-        ("inertia", "f8"),
-        ("damping", "f8"),
-        ("effort_scale", "f8"),
-        # what was seen
-        ("motor", PATH),
-        ("link", PATH),
-        ("found", "i8"),  # of CHECKS; it stands
-        ("at_link", "?"),  # the encoder that jumped is the link's
-        ("amount", "f8"),  # of what was found: second difference, growth a window, or distance [rad or m]
-        ("allowed", "f8"),  # at that moment
-        ("departed", "f8"),  # from the first window's difference
-        ("silent", "i8"),
-        ("position", "f8"),
-        ("speed", "f8"),
-        ("ticks", "i8"),
-        ("summed", "i8"),
-        ("total", "f8"),
-        ("first", "f8"),
-        ("apart", "f8"),
-        ("growing", "i8"),
-        ("lag_ticks", "i8"),
-    ],
-    align=True,
+PAIR = record_type(
+    ("axis", "i8"),
+    ("has_link", "?"),
+    ("period_s", "f8"),
+    ("window", "i8"),  # ticks
+    ("stale_ticks", "i8"),
+    ("tolerance", "f8"),
+    ("drift", "f8"),
+    ("growth", "f8"),
+    ("compliance", "f8"),
+    ("inertia", "f8"),
+    ("damping", "f8"),
+    ("effort_scale", "f8"),
+    # what was seen
+    ("motor", PATH),
+    ("link", PATH),
+    ("found", "i8"),  # of CHECKS; it stands
+    ("at_link", "?"),  # the encoder that jumped is the link's
+    ("amount", "f8"),  # of what was found: second difference, growth a window, or distance [rad or m]
+    ("allowed", "f8"),  # at that moment
+    ("departed", "f8"),  # from the first window's difference
+    ("silent", "i8"),
+    ("position", "f8"),
+    ("speed", "f8"),
+    ("ticks", "i8"),
+    ("summed", "i8"),
+    ("total", "f8"),
+    ("first", "f8"),
+    ("apart", "f8"),
+    ("growing", "i8"),
+    ("lag_ticks", "i8"),
 )
 """Settings and memory of the judge of an axis's encoders."""
 
@@ -188,7 +182,7 @@ class EncoderJudge:
     def __init__(self, settings: EncoderJudging, state: np.ndarray | None = None) -> None:
         self.sensor, self.follows = settings.sensor, settings.follows
         self._settings = settings
-        self._state = record_of(np.zeros(1, PAIR) if state is None else state)
+        self._state = (np.zeros(1, PAIR) if state is None else state)[0]
         self.begin()
 
     def begin(self) -> None:
@@ -219,7 +213,7 @@ class EncoderJudge:
     def step(self, sample: Sample, ticks: int) -> str:
         """Return which check the newest sample fails, '' when none; `ticks` passed since the one before."""
         axis = self._settings.axis
-        answer = record_of(sample.values[axis : axis + 1])
+        answer = sample.values[axis]
         return CHECKS[judged_encoders(self._state, answer, sample.lateness_s, ticks)]
 
     def finish(self) -> str:

@@ -10,15 +10,13 @@ from numba import float64, from_dtype, int64, types, uint8
 
 from controllers.compiled import kept_on_disk
 from drivers.interface import Sample, imus_in, values_in
+from drivers.records import record_type
 from hil.bench.signals import Signals
 from hil.recording.channels import imu_channels
 
-COLUMNS = np.dtype(
-    [
-        *((group, "i8") for group in ("reference", "reference_raw", "excitation", "feedforward", "command", "effort", "position")),
-        *((group, "i8") for group in ("link_position", "temperature", "statusword", "data_age", "imu", "bus_imu", "sync_lateness")),
-    ],
-    align=True,
+COLUMNS = record_type(
+    *((group, "i8") for group in ("reference", "reference_raw", "excitation", "feedforward", "command", "effort", "position")),
+    *((group, "i8") for group in ("link_position", "temperature", "statusword", "data_age", "imu", "bus_imu", "sync_lateness")),
 )
 """First column of each group of a row; negative where the machine has none."""
 
