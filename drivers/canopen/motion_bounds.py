@@ -260,13 +260,14 @@ class MotionWatch:
     ----------
     law : Law
         Of all axes at once. It may be replaced by a compiled one, which takes less time and finds the same.
+    states : (n_axes,) array of WATCHED
     """
 
     def __init__(self, limits: Sequence[MotionLimits], scalings: Sequence[AxisScaling], clock: Clock, period_s: float) -> None:
         self.law: Law = watched_axes
-        self._states = np.zeros(len(limits), WATCHED)
+        self.states = np.zeros(len(limits), WATCHED)
         self._axes = [
-            _AxisWatch(limit, scaling, period_s, self._states[k]) for k, (limit, scaling) in enumerate(zip(limits, scalings, strict=True))
+            _AxisWatch(limit, scaling, period_s, self.states[k]) for k, (limit, scaling) in enumerate(zip(limits, scalings, strict=True))
         ]
         self._clock = clock
         self._missed = 0
@@ -314,7 +315,7 @@ class MotionWatch:
         if sample.axes != len(self._axes):
             raise ValueError(f"a sample of {sample.axes} axes and a watch of {len(self._axes)}: one is longer")
         ticks, self._ticks = self._ticks, 0
-        found = self.law(self._states, sample.memory, ticks)
+        found = self.law(self.states, sample.memory, ticks)
         if not found:
             return ""
         axis, check = divmod(found, len(CHECKS))
