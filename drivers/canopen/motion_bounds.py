@@ -75,7 +75,7 @@ WATCHED = record_type(
 
 Law = Callable[[np.ndarray, np.ndarray, int], int]
 """Checks every axis: WATCHED, advanced in place; the memory of the sample; ticks since the one before. It returns 0, or the first axis that
-is out of bounds times the number of `CHECKS`, plus which of these it fails."""
+is out of bounds times the number of `CHECKS`, plus which of these it fails; or -1 for a sample of other axes."""
 
 
 @register_jitable
@@ -161,6 +161,8 @@ def watched(axis: Record, values: Record, ticks: int) -> int:
 def watched_axes(axes: np.ndarray, sample: np.ndarray, ticks: int) -> int:
     """Check every axis, the first that fails ends it; a `Law`."""
     values = values_in(sample)
+    if len(values) != len(axes):
+        return -1
     for k in range(len(axes)):
         found = watched(axes[k], values[k], ticks)
         if found != _FINE:
@@ -308,15 +310,17 @@ class MotionWatch:
     def check(self, sample: Sample) -> str:
         """Return what is wrong with this tick, in words; '' when nothing is."""
         missed = self._clock.missed
-        self._ticks += 1 + max(0, missed - self._missed)
-        self._missed = missed
+        self._ticks += 1
+        if missed != self._missed:
+            self._ticks += max(0, missed - self._missed)
+            self._missed = missed
         if sample.unanswered:  # the bus is late, and no axis is silent
             return ""
-        if sample.axes != len(self._axes):
-            raise ValueError(f"a sample of {sample.axes} axes and a watch of {len(self._axes)}: one is longer")
         ticks, self._ticks = self._ticks, 0
         found = self.law(self.states, sample.memory, ticks)
         if not found:
             return ""
+        if found < 0:
+            raise ValueError(f"a sample of {sample.axes} axes and a watch of {len(self._axes)}: one is longer")
         axis, check = divmod(found, len(CHECKS))
         return self._axes[axis].says(check, float(sample.position[axis]), float(sample.link_position[axis]))

@@ -66,11 +66,13 @@ def _fill(
         row[at.statusword + axis] = of_axis.statusword if of_axis.statusword >= 0 else np.nan
         row[at.data_age + axis] = of_axis.age_s
     if at.imu >= 0:
-        row[at.imu : at.imu + 6] = imus[:6]
+        for channel in range(6):
+            row[at.imu + channel] = imus[channel]
         row[at.imu + 6] = imu_time_s
         row[at.imu + 7] = imu_counter if imu_counter >= 0 else np.nan
     if at.bus_imu >= 0:  # it samples at SYNC, and has no clock of its own
-        row[at.bus_imu : at.bus_imu + 6] = imus[6:]
+        for channel in range(6):
+            row[at.bus_imu + channel] = imus[6 + channel]
         row[at.bus_imu + 6] = k * period_s if bus_imu_counter >= 0 else np.nan
         row[at.bus_imu + 7] = bus_imu_counter if bus_imu_counter >= 0 else np.nan
     row[at.sync_lateness] = lateness_s
