@@ -174,7 +174,8 @@ class SampleLoop:
                 if lost > self.overrun_ticks:
                     overrun = f"the loop lost {lost} ticks in a row; timing.overrun_ticks bridges {self.overrun_ticks}"
                 if k >= rows:  # the plan ended within the lost ticks; the newest sample is checked regardless
-                    found = self._see(sample, plan.reference[-1])
+                    self.control.expect(sample)
+                    found = self._bounds.see(sample, plan.reference[-1])
                     reason = self.stop_request.reason or self._violation(sample, plan.reference[-1], found, 1 + lost, rows)
                     if reason := self._after_silence(sample, lost, reason) or overrun:
                         raise _EndedError(f"after row {done - 1}", reason)
@@ -187,13 +188,13 @@ class SampleLoop:
                 reason = self._step(sample, plan, k, excitation, 1 + lost, is_whole=is_whole)
                 reason = (self._after_silence(sample, lost, reason) if reason else "") or overrun
                 handed_over_s = time.perf_counter()
-                lateness[done] = sample.lateness_s
-                work[done] = handed_over_s - self.clock.tick_began_s + tail_s
+                began_s = self.clock.tick_began_s
+                timing_s = sample.lateness_s, handed_over_s - began_s + tail_s, sample.arrived_s - began_s
+                lateness[done], work[done], answer[done] = timing_s
                 write[done] = tail_s
-                answer[done] = sample.arrived_s - self.clock.tick_began_s
                 done += 1
                 if sink is not None:
-                    timing_s = (lateness[done - 1], work[done - 1], answer[done - 1]) if self.timed else _UNTIMED
+                    timing_s = timing_s if self.timed else _UNTIMED
                     self.layout.fill(
                         self._row, k, sample, plan, self.control.command, timing_s, self.judge.marks if self.judge is not None else 0
                     )
@@ -242,7 +243,8 @@ class SampleLoop:
         reference = plan.reference[k]
         if self.control.led:
             self._follow_drives(sample, plan, k, is_whole=is_whole)
-        found = self._see(sample, reference)
+            self.control.expect(sample)  # before the next step changes what was commanded
+        found = self._bounds.see(sample, reference)
         if is_whole:
             feedforward = self._zeros if plan.feedforward is None else plan.feedforward[k]
             self.control.step(reference, self._bounds.position, excitation, feedforward)
@@ -257,23 +259,16 @@ class SampleLoop:
             elif before == before:
                 self.control.catch_up(axis, plan.reference[: max(k, 1), axis], before, position)
 
-    def _see(self, sample: Sample, reference: np.ndarray) -> int:
-        """Take over the positions that have arrived, and return what is out of bounds; what was commanded is as before the next step."""
-        if self.control.led:
-            self.control.expect(sample)
-        return self._bounds.see(sample, reference)
-
-    def _judged(self, sample: Sample, ticks: int, k: int) -> str:
-        """Return why the sensors stop the motors, or ''; they are judged when they answer, not when the whole bus is late."""
-        self._unjudged += ticks
-        if self.judge is None or sample.unanswered:
-            return ""
-        ticks, self._unjudged = self._unjudged, 0
-        return self.judge.step(sample, ticks, k * self.layout.period_s)
-
     def _violation(self, sample: Sample, reference: np.ndarray, found: int, ticks: int, k: int) -> str:
-        """Return why the motors must be stopped, or ''; `found` is what is out of the loop's own bounds."""
-        judged = self._judged(sample, ticks, k)
+        """Return why the motors must be stopped, or ''; `found` is what is out of the loop's own bounds.
+
+        Sensors are judged when they answer, not when the whole bus is late.
+        """
+        judged = ""
+        self._unjudged += ticks
+        if self.judge is not None and not sample.unanswered:
+            ticks, self._unjudged = self._unjudged, 0
+            judged = self.judge.step(sample, ticks, k * self.layout.period_s)
         if sample.fault:
             return sample.fault
         if found:
