@@ -74,8 +74,8 @@ WATCHED = record_type(
 """The bounds of one axis in the present phase, and the paths of its two encoders."""
 
 Law = Callable[[np.ndarray, np.ndarray, int], int]
-"""Checks every axis: WATCHED, advanced in place; the memory of the sample; ticks since the one before. It returns 0, or the first axis that
-is out of bounds times the number of `CHECKS`, plus which of these it fails; or -1 for a sample of other axes."""
+"""Checks every axis: bytes of their WATCHED, advanced in place; those of the sample; ticks since the one before. It returns 0, or the first
+axis that is out of bounds times the number of `CHECKS`, plus which of these it fails; or -1 for a sample of other axes."""
 
 
 @register_jitable
@@ -158,9 +158,9 @@ def watched(axis: Record, values: Record, ticks: int) -> int:
     return _FINE
 
 
-def watched_axes(axes: np.ndarray, sample: np.ndarray, ticks: int) -> int:
+def watched_axes(block: np.ndarray, sample: np.ndarray, ticks: int) -> int:
     """Check every axis, the first that fails ends it; a `Law`."""
-    values = values_in(sample)
+    axes, values = block.view(WATCHED), values_in(sample)
     if len(values) != len(axes):
         return -1
     for k in range(len(axes)):
@@ -268,6 +268,7 @@ class MotionWatch:
     def __init__(self, limits: Sequence[MotionLimits], scalings: Sequence[AxisScaling], clock: Clock, period_s: float) -> None:
         self.law: Law = watched_axes
         self.states = np.zeros(len(limits), WATCHED)
+        self._block = self.states.view(np.uint8)
         self._axes = [
             _AxisWatch(limit, scaling, period_s, self.states[k]) for k, (limit, scaling) in enumerate(zip(limits, scalings, strict=True))
         ]
@@ -317,7 +318,7 @@ class MotionWatch:
         if sample.unanswered:  # the bus is late, and no axis is silent
             return ""
         ticks, self._ticks = self._ticks, 0
-        found = self.law(self.states, sample.memory, ticks)
+        found = self.law(self._block, sample.memory, ticks)
         if not found:
             return ""
         if found < 0:

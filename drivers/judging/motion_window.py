@@ -86,12 +86,11 @@ class MotionWindow:
 
     def step(self, sample: Sample, ticks: int) -> None:
         """Take the newest sample; `ticks` passed since the one before. Lost ticks begin the window anew."""
-        k = self._tick = 0 if ticks != 1 else self._tick
+        k = self._tick if ticks == 1 else 0
         self._samples[k] = sample.memory
-        self._tick += 1
-        self.over = self._tick == self.ticks and self._compare()
-        if self._tick == self.ticks:
-            self._tick = 0
+        is_full = k + 1 == self.ticks
+        self._tick = 0 if is_full else k + 1
+        self.over = is_full and self._compare()
 
     def _compare(self) -> bool:
         """Compare the window that is full; return False where readings of its axes are missing."""

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from math import nan
 
 import numpy as np
-from numba import boolean, float64, from_dtype, int64, types, uint8
+from numba import boolean, float64, int64, types, uint8
 from numba.extending import register_jitable
 
 from controllers.compiled import kept_on_disk
@@ -40,12 +40,13 @@ def _exceeded(bound: Record, position: float, wanted: float, is_unanswered: bool
     return _FINE if abs(wanted - position) <= bound.tracking_error else _ERROR
 
 
-def seen(bounds: np.ndarray, newest: np.ndarray, sample: np.ndarray, reference: np.ndarray, is_unanswered: bool) -> int:
+def seen(block: np.ndarray, newest: np.ndarray, sample: np.ndarray, reference: np.ndarray, is_unanswered: bool) -> int:
     """Take over the positions that have arrived, count the ticks without one, and check the newest of every axis.
 
     Parameters
     ----------
-    bounds : (axes,) array of BOUND
+    block : array of bytes
+        A BOUND of each axis.
     newest : (axes,) array
         Positions [rad or m]; both are advanced in place.
     sample : array of bytes
@@ -60,7 +61,7 @@ def seen(bounds: np.ndarray, newest: np.ndarray, sample: np.ndarray, reference: 
     int
         The first axis that is out of bounds times the number of `CHECKS`, plus which of these it fails; 0 when none.
     """
-    values = values_in(sample)
+    values, bounds = values_in(sample), block.view(BOUND)
     for axis in range(len(bounds)):
         position = values[axis].position
         if position == position:
@@ -76,7 +77,7 @@ def seen(bounds: np.ndarray, newest: np.ndarray, sample: np.ndarray, reference: 
 
 
 _READ = types.Array(float64, 1, "A", readonly=True)
-_SEEN = int64(from_dtype(BOUND)[::1], float64[::1], uint8[::1], _READ, boolean)
+_SEEN = int64(uint8[::1], float64[::1], uint8[::1], _READ, boolean)
 _seen_at_once = kept_on_disk(_SEEN, fastmath=False, error_model="numpy")(seen)
 
 
@@ -100,10 +101,11 @@ class Bounds:
         self._limits = tuple(limits)
         self.position = np.full(len(limits), nan)
         self._bounds = np.array([(stale_ticks, each.lower, each.upper, each.tracking_error, 0) for each in limits], BOUND)
+        self._block = self._bounds.view(np.uint8)
 
     def see(self, sample: Sample, reference: np.ndarray) -> int:
         """Take over the positions of a sample; return what is out of bounds, 0 when nothing is."""
-        return _seen_at_once(self._bounds, self.position, sample.memory, reference, sample.unanswered > 0)
+        return _seen_at_once(self._block, self.position, sample.memory, reference, sample.unanswered > 0)
 
     def says(self, found: int, reference: np.ndarray) -> str:
         """Return in words what `see` has found."""

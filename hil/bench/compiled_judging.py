@@ -5,14 +5,14 @@ One machine code for every machine, made when this is imported: compiling in the
 
 from __future__ import annotations
 
-from numba import boolean, float64, from_dtype, int64, uint8
+from numba import boolean, float64, int64, uint8
 
 from controllers.compiled import kept_on_disk
-from drivers.canopen.motion_bounds import WATCHED, watched_axes
+from drivers.canopen.motion_bounds import watched_axes
 from drivers.judging.judge import judged
 
 _JUDGE = boolean(uint8[::1], uint8[::1], int64, float64, int64, boolean, float64, float64, int64, boolean, boolean)
-_WATCH = int64(from_dtype(WATCHED)[::1], uint8[::1], int64)
+_WATCH = int64(uint8[::1], uint8[::1], int64)
 
 judged_at_once = kept_on_disk(_JUDGE, fastmath=False, error_model="numpy")(judged)
 watched_at_once = kept_on_disk(_WATCH, fastmath=False, error_model="numpy")(watched_axes)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import float64, from_dtype, int64, types, uint8
+from numba import float64, int64, types, uint8
 
 from controllers.compiled import kept_on_disk
 from drivers.interface import Sample, imus_in, values_in
@@ -21,7 +21,7 @@ COLUMNS = record_type(
 """First column of each group of a row; negative where the machine has none."""
 
 _FILL = types.void(
-    *(float64[::1], from_dtype(COLUMNS)[::1], uint8[::1]),
+    *(float64[::1], uint8[::1], uint8[::1]),
     *(types.Array(float64, 1, "A", readonly=True),) * 5,
     *(int64, float64, float64, int64, int64, float64, float64, float64, int64),
 )
@@ -48,7 +48,7 @@ def _fill(
     marks: int,
 ) -> None:
     """Write tick k into a row; see `RowLayout.fill`."""
-    at, values, imus = columns[0], values_in(sample), imus_in(sample)
+    at, values, imus = columns.view(COLUMNS)[0], values_in(sample), imus_in(sample)
     row[0] = k * period_s
     for axis in range(len(values)):
         of_axis = values[axis]
@@ -159,7 +159,7 @@ class RowLayout:
         self._add("sensor_marks", [("sensor_marks", "")])
         self._add("observed", list(observed))
         self.observed = slice(len(self.channels) - len(observed), len(self.channels))
-        self._columns = np.array([tuple(self._groups.get(group, -1) for group in COLUMNS.names or ())], COLUMNS)
+        self._columns = np.array([tuple(self._groups.get(group, -1) for group in COLUMNS.names or ())], COLUMNS).view(np.uint8)
         self._no_feedforward = np.zeros(len(self.axes))
 
     def _add(self, group: str, channels: list[tuple[str, str]]) -> None:
