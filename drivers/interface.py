@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-from numba.extending import register_jitable
 
 from drivers.records import record_type
 
@@ -34,18 +33,6 @@ VALUES = record_type(
 NOTHING = np.array((np.nan, np.nan, np.nan, -1, False, False, np.nan, 0.0, np.nan, False), VALUES)
 ANSWERED_BYTES, IMUS_BYTES = 40, 2 * 6 * 8
 """Of what an axis's devices answer, at the beginning of its values, and of the readings of two IMUs."""
-
-
-@register_jitable
-def values_in(memory: np.ndarray) -> np.ndarray:
-    """Return (axes,) VALUES in the memory of a sample; callable from compiled code."""
-    return memory[IMUS_BYTES:].view(VALUES)
-
-
-@register_jitable
-def imus_in(memory: np.ndarray) -> np.ndarray:
-    """Return (12,) readings in the memory of a sample: of the IMU on a line of its own, and of the one on the bus."""
-    return memory[:IMUS_BYTES].view(np.float64)
 
 
 @dataclass
@@ -87,14 +74,14 @@ class Sample:
     def __post_init__(self) -> None:
         """Fill the arrays with missing values."""
         self.memory = np.zeros(IMUS_BYTES + self.axes * VALUES.itemsize, np.uint8)
-        self.values = values = values_in(self.memory)
+        self.values = values = self.memory[IMUS_BYTES:].view(VALUES)
         values[:] = NOTHING
         self.position, self.link_position, self.effort = values["position"], values["link_position"], values["effort"]
         self.statusword = values["statusword"]
         self.position_late, self.link_late = values["position_late"], values["link_late"]
         self.commanded, self.age_s = values["commanded"], values["age_s"]
         self.temperature_degC, self.brakes_open = values["temperature_degC"], values["brakes_open"]
-        self.imu, self.bus_imu = imus_in(self.memory).reshape(2, 6)
+        self.imu, self.bus_imu = self.memory[:IMUS_BYTES].view(np.float64).reshape(2, 6)
         self.imu[:] = self.bus_imu[:] = np.nan
         self._answers = self.memory[IMUS_BYTES:].reshape(self.axes, VALUES.itemsize)[:, :ANSWERED_BYTES]
         self._no_answers = self._answers.copy()

@@ -183,7 +183,8 @@ class HeartbeatConsumer:
         """
         if not self._guarded:
             return
-        if (away_s := now_s - self._checked_s) > self._away_s and (away_s := away_s - max(0.0, lost_s - self._lost_s)) > self._away_s:
+        since_s = now_s - self._checked_s
+        if since_s > self._away_s and (away_s := since_s - max(0.0, lost_s - self._lost_s)) > self._away_s:
             for each in self._guarded:  # nobody listened: this program stood still, or did something else
                 each.heard_s = min(now_s, each.heard_s + away_s)
         self._checked_s = now_s

@@ -12,9 +12,10 @@ from math import inf, isfinite, nan
 import numpy as np
 from numba.extending import register_jitable
 
-from drivers.interface import Clock, Sample, values_in
+from drivers.interface import Clock, Sample
 from drivers.records import Record, record_type
-from drivers.settings import AxisScaling, HomingSettings, MotionLimits
+from drivers.sample_memory import values_in
+from drivers.settings import LED_SPEED_MARGIN, AxisScaling, HomingSettings, MotionLimits
 
 STANDING_SHARE = 0.1
 """Share of the tracking error that stops a run by which a held axis may move: 5 mrad on the C-arm, where the first move takes 0.5."""
@@ -22,9 +23,6 @@ STANDING_SHARE = 0.1
 HOMING_SPEED_MARGIN = 2.0
 """Multiple of its homing speed that the motor side may reach: a drive's velocity loop overshoots, one of wrong sign runs away and exceeds
 this. The link swings behind its gear when the drive starts, so only the axis' speed limit applies to it."""
-
-LED_SPEED_MARGIN = 1.5
-"""Multiple of its speed limit that an axis may reach under the sample loop: the reference keeps to the limit, excitation adds to it."""
 
 STILL_S = 0.5
 """Longest time without motion of the motor side while its drive homes: turning round at a switch takes half of it."""

@@ -9,13 +9,14 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numba.extending import register_jitable
 
-from drivers.interface import Sample, imus_in, values_in
+from drivers.interface import Sample
 from drivers.judging.drive import DRIVE, DriveJudge, judged_drive
 from drivers.judging.encoders import PAIR, EncoderJudge, judged_encoders
 from drivers.judging.imu import PACKETS, ImuJudge, judged_imu
 from drivers.judging.motion_window import MotionWindow
 from drivers.judging.settings import Follows, JudgingSettings
 from drivers.judging.temperature import THERMOMETER, TemperatureJudge, judged_temperature
+from drivers.sample_memory import imus_in, values_in
 
 MOST_FINDINGS = 64
 """Findings kept, a sensor and a check each; there are fewer pairs on a machine of six axes."""

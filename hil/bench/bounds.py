@@ -11,8 +11,9 @@ from numba.extending import register_jitable
 
 from controllers.compiled import kept_on_disk
 from controllers.settings import AxisLimits
-from drivers.interface import Sample, values_in
+from drivers.interface import Sample
 from drivers.records import Record, record_type
+from drivers.sample_memory import values_in
 
 CHECKS = ("", "stale", "range", "tracking error")
 _FINE, _STALE, _RANGE, _ERROR = range(4)

@@ -9,8 +9,9 @@ import numpy as np
 from numba import float64, int64, types, uint8
 
 from controllers.compiled import kept_on_disk
-from drivers.interface import Sample, imus_in, values_in
+from drivers.interface import Sample
 from drivers.records import record_type
+from drivers.sample_memory import imus_in, values_in
 from hil.bench.signals import Signals
 from hil.recording.channels import imu_channels
 

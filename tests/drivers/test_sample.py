@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.interface import Sample, imus_in, values_in
+from drivers.interface import Sample
+from drivers.sample_memory import imus_in, values_in
 
 ANSWERED = ("position", "link_position", "effort", "statusword", "position_late", "link_late")
 KNOWN = ("commanded", "age_s", "temperature_degC", "brakes_open", "imu", "bus_imu")
