@@ -12,20 +12,27 @@ from typing import Protocol
 
 import numpy as np
 
-ANSWER = np.dtype(
-    [
-        ("position", "f8"),
-        ("link_position", "f8"),
-        ("effort", "f8"),
-        ("statusword", "i8"),
-        ("position_late", "?"),
-        ("link_late", "?"),
-    ],
-    align=True,
-)
-"""What one axis's devices answer to a SYNC, as compiled code takes it; `Sample` says what each is."""
+from drivers.records import record_type
 
-NO_ANSWER = np.array((np.nan, np.nan, np.nan, -1, False, False), ANSWER)
+VALUES = record_type(
+    # what its devices answer to a SYNC
+    ("position", "f8"),
+    ("link_position", "f8"),
+    ("effort", "f8"),
+    ("statusword", "i8"),
+    ("position_late", "?"),
+    ("link_late", "?"),
+    # what is known beside
+    ("commanded", "f8"),
+    ("age_s", "f8"),
+    ("temperature_degC", "f8"),
+    ("brakes_open", "?"),
+)
+"""What a sample holds of one axis, as compiled code takes it; `Sample` says what each is."""
+
+NOTHING = np.array((np.nan, np.nan, np.nan, -1, False, False, np.nan, 0.0, np.nan, False), VALUES)
+ANSWERED_BYTES, IMUS_BYTES = 40, 2 * 6 * 8
+"""Of what an axis's devices answer, at the beginning of its values, and of the readings of two IMUs."""
 
 
 @dataclass
@@ -37,7 +44,8 @@ class Sample:
     """
 
     axes: int
-    answers: np.ndarray = field(init=False)  # ANSWER; the arrays of its fields, below, are views of it
+    memory: np.ndarray = field(init=False)  # bytes of all arrays below, which are views of it
+    values: np.ndarray = field(init=False)  # VALUES
     position: np.ndarray = field(init=False)  # rad or m
     link_position: np.ndarray = field(init=False)  # rad or m; NaN without a link encoder
     effort: np.ndarray = field(init=False)  # in the drive's unit
@@ -62,26 +70,25 @@ class Sample:
     fault: str = field(default="", init=False)  # first device fault since the last tick, in words; "" when none
     imu_damaged: int = field(default=0, init=False)  # messages of the IMU that failed their checksum since it was configured
     imu_fault: str = field(default="", init=False)  # the IMU's first fault since it was configured; motion does not depend on it
-    _memory: memoryview = field(init=False, repr=False, compare=False)  # of `answers`, and what it holds when all are missing
-    _missing: bytes = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         """Fill the arrays with missing values."""
-        self.answers = np.full(self.axes, NO_ANSWER)
-        self._memory, self._missing = self.answers.view(np.uint8).data, self.answers.tobytes()
-        self.position, self.link_position, self.effort = (self.answers[name] for name in ("position", "link_position", "effort"))
-        self.statusword = self.answers["statusword"]
-        self.position_late, self.link_late = self.answers["position_late"], self.answers["link_late"]
-        self.commanded = np.full(self.axes, np.nan)
-        self.age_s = np.zeros(self.axes)
-        self.imu = np.full(6, np.nan)
-        self.bus_imu = np.full(6, np.nan)
-        self.temperature_degC = np.full(self.axes, np.nan)
-        self.brakes_open = np.zeros(self.axes, dtype=bool)
+        self.memory = np.zeros(IMUS_BYTES + self.axes * VALUES.itemsize, np.uint8)
+        self.values = values = self.memory[IMUS_BYTES:].view(VALUES)
+        values[:] = NOTHING
+        self.position, self.link_position, self.effort = values["position"], values["link_position"], values["effort"]
+        self.statusword = values["statusword"]
+        self.position_late, self.link_late = values["position_late"], values["link_late"]
+        self.commanded, self.age_s = values["commanded"], values["age_s"]
+        self.temperature_degC, self.brakes_open = values["temperature_degC"], values["brakes_open"]
+        self.imu, self.bus_imu = self.memory[:IMUS_BYTES].view(np.float64).reshape(2, 6)
+        self.imu[:] = self.bus_imu[:] = np.nan
+        self._answers = self.memory[IMUS_BYTES:].reshape(self.axes, VALUES.itemsize)[:, :ANSWERED_BYTES]
+        self._no_answers = self._answers.copy()
 
     def forget_answers(self) -> None:
         """Mark all that the devices answer to a SYNC as missing."""
-        self._memory[:] = self._missing  # numpy takes records one field at a time, twenty times as long
+        self._answers[:] = self._no_answers  # field by field it takes ten times as long
 
     @property
     def is_whole(self) -> bool:

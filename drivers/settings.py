@@ -11,6 +11,10 @@ LoopMode = Literal["torque", "velocity", "position", "profile_velocity", "profil
 """Mode in which a drive is commanded: cyclic synchronous torque, velocity and position, and profile velocity and position, of CiA 402."""
 
 
+LED_SPEED_MARGIN = 1.5
+"""Multiple of its speed limit that an axis may reach under the sample loop: the reference keeps to the limit, excitation adds to it."""
+
+
 @dataclass(frozen=True)
 class Pdo:
     """One process data object as configured over SDO: its content and its transmission."""

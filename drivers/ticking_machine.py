@@ -100,13 +100,13 @@ class TickingMachine:
         self._imu_triggered = settings.imu is not None and settings.imu.triggered_by_sync
         self._nodes: dict[int, SdoNode] = {}
         self._dictionaries: dict[int, canopen.ObjectDictionary] = {}  # of the EDS files, read once
-        self._armed, self._supplied = [False] * len(self.axes), [False] * len(self.axes)  # and bit 4 of the statusword when it was armed
+        self._armed = [(0, 0)] * len(self.axes)  # which bits of each statusword must stay as they are: mask and value
         self._ticking = self._ours = False  # ours: nobody else runs this machine; only then may anything be sent, even to stop it
         self._io_lost = ""
         self.open_brakes: set[str] = set()  # of these axes: they have reported open, and were not told to close since
         self.judged: Callable[[Sample], str] = lambda sample: ""  # why sensors stop the motors, in ticks that the machine makes by itself
         self._malformed_before = (0, 0, 0, 0)
-        self._late_ticks = [0] * len(self.axes)  # in a row in which each position came too late
+        self._late_ticks = self._none_late = [0] * len(self.axes)  # in a row in which each position came too late
         self.zeros = np.zeros(len(self.axes))  # no effort on any axis
 
     def start(self) -> None:
@@ -141,7 +141,7 @@ class TickingMachine:
             for node in self.settings.nodes:
                 self.network.command_nmt(NMT_START, node.node_id)
             self._cyclic.syncs = self.sample.unanswered = 0
-            self._late_ticks = [0] * len(self.axes)
+            self._late_ticks = self._none_late
             self._cyclic.forget_remarks()
             self.network.passed_over.clear()
             self.heartbeats.await_operational(self.settings.nodes)
@@ -178,10 +178,9 @@ class TickingMachine:
             self._refuse_intruder()
             self._poll(sample, overdue_s)
             for axis, source in enumerate(self.inputs):
-                if self._armed[axis] and source.statusword & OPERATION_ENABLED_MASK != OPERATION_ENABLED_VALUE:
+                mask, value = self._armed[axis]
+                if source.statusword & mask != value:
                     self._explain_fault(axis)
-                if self._armed[axis] and self._supplied[axis] and not source.statusword & cia402.VOLTAGE_ENABLED:
-                    raise DeviceFaultError(f"{self.drives[axis].name} (node {self.drives[axis].node_id}): {NO_VOLTAGE}")
             if self.heartbeats.left_operational:
                 raise DeviceFaultError("; ".join(filter(None, (self.heartbeats.left_operational, sample.fault))))
             self._check_answers(sample)
@@ -283,8 +282,8 @@ class TickingMachine:
 
     def arm(self, axis: int, armed: bool) -> None:
         """Arm or disarm a drive: an armed drive that leaves operation enabled is a fault."""
-        self._armed[axis] = armed
-        self._supplied[axis] = bool(self.inputs[axis].statusword & cia402.VOLTAGE_ENABLED)  # some drives never set it
+        supplied = self.inputs[axis].statusword & cia402.VOLTAGE_ENABLED  # some drives never set it
+        self._armed[axis] = (OPERATION_ENABLED_MASK | supplied, OPERATION_ENABLED_VALUE | supplied) if armed else (0, 0)
 
     def command_brakes(self, open_: dict[str, bool]) -> None:
         """Ask for brakes to open or close; axes without a brake are left out."""
@@ -348,24 +347,23 @@ class TickingMachine:
         ticks = math.ceil(max(node.boot_timeout_s for node in self.settings.nodes) / self.period_s)
         for _ in range(ticks):
             self.exchange(self.zeros)
-            if not self._cyclic.missing:
+            if not (who := ", ".join(self._cyclic.missing)):
                 return
-        who = ", ".join(self._cyclic.missing)
         raise BusTimeoutError(f"{who}: no answer to {ticks} SYNCs within {self.settings.answer_timeout_s} s each")
 
     def _check_answers(self, sample: Sample) -> None:
         """Where no node answers, or one too late, a bus or host is late: such ticks are lost, for as long as a node may be silent."""
-        bridged_s = self._cyclic.silent_ticks * self.period_s
-        late_ticks = [ticks + 1 if is_late else 0 for ticks, is_late in zip(self._late_ticks, sample.position_late.tolist(), strict=True)]
-        self._late_ticks = late_ticks
-        if (late_s := max(late_ticks) * self.period_s) > bridged_s:
-            late = ", ".join(axis for axis, ticks in zip(self.axes, late_ticks, strict=True) if ticks)
-            raise BusTimeoutError(f"{late}: position too late for {late_s:.3f} s, {bridged_s:.3f} s allowed, as for a heartbeat")
-        if sample.unanswered > self._cyclic.silent_ticks:
-            raise BusTimeoutError(
-                f"{self.network.can_bus.channel_info}: no node has answered for {sample.unanswered * self.period_s:.3f} s, "
-                f"{bridged_s:.3f} s allowed, as for a heartbeat"
-            )
+        is_late, bridged = sample.position_late.tolist(), self._cyclic.silent_ticks
+        if True not in is_late and not sample.unanswered:
+            self._late_ticks = self._none_late
+            return
+        self._late_ticks = late_ticks = [ticks + 1 if late else 0 for ticks, late in zip(self._late_ticks, is_late, strict=True)]
+        late = ", ".join(axis for axis, ticks in zip(self.axes, late_ticks, strict=True) if ticks)
+        bus = self.network.can_bus.channel_info
+        for ticks, what in ((max(late_ticks), f"{late}: position too late"), (sample.unanswered, f"{bus}: no node has answered")):
+            if ticks > bridged:
+                allowed = f"{bridged * self.period_s:.3f} s allowed, as for a heartbeat"
+                raise BusTimeoutError(f"{what} for {ticks * self.period_s:.3f} s, {allowed}")
 
     def _refuse_intruder(self) -> None:
         if self.network.intruder:
@@ -389,11 +387,13 @@ class TickingMachine:
             self._io.update(sample)
 
     def _explain_fault(self, axis: int) -> None:
-        """Raise the fault that made a drive leave operation enabled, with the EMCY that may still be in the queue."""
+        """Raise the fault that made a drive leave operation enabled, with the EMCY that may still be in the queue, or lost its supply."""
+        node, statusword = self.drives[axis], self.inputs[axis].statusword
+        if statusword & OPERATION_ENABLED_MASK == OPERATION_ENABLED_VALUE:
+            raise DeviceFaultError(f"{node.name} (node {node.node_id}): {NO_VOLTAGE}")
         for _ in range(PENDING_FRAMES):
             if not self.network.pump(0.0):
                 break
-        node = self.drives[axis]
         emergency = self.heartbeats.last_emergency(node.node_id) or "no EMCY"
         why = f"left operation enabled: {cia402.describe_statusword(self.inputs[axis].statusword)}"
         words = self.heartbeats.own_silence, f"{node.name} (node {node.node_id}): {why}", emergency
@@ -410,7 +410,7 @@ class TickingMachine:
 
     def _bring_to_rest(self) -> None:
         self.heartbeats.stand_down()
-        self._armed = [False] * len(self.axes)
+        self._armed = [(0, 0)] * len(self.axes)
         self._io_lost = ""
         attempts = Attempts()
         if self._ticking:

@@ -7,7 +7,7 @@ and heartbeats are watched afterwards.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import inf
 
 from drivers.canopen.emcy import CODE_BYTES, Emergency, decode_emergency
@@ -57,10 +57,10 @@ class _Watched:
     late: int = 0  # heartbeats that came late, and were borne
     longest_s: float = 0.0  # pause before one of them
     emergency: Emergency | None = None  # newest that is not reset
+    timeout_s: float = field(init=False)
 
-    @property
-    def timeout_s(self) -> float:
-        return HEARTBEAT_TOLERANCE * self.period_s
+    def __post_init__(self) -> None:
+        self.timeout_s = HEARTBEAT_TOLERANCE * self.period_s
 
     @property
     def who(self) -> str:

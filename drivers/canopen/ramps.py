@@ -9,11 +9,10 @@ from __future__ import annotations
 from collections.abc import Collection
 from math import isfinite
 
-from drivers.canopen.motion_bounds import LED_SPEED_MARGIN
 from drivers.canopen.sdo import SdoNode
 from drivers.canopen.units import MotionUnits, acceleration_units, check_units, in_data_sheet, units_of, whole_speed
 from drivers.errors import ConfigurationRefusedError
-from drivers.settings import AxisScaling, LoopMode, MotionLimits
+from drivers.settings import LED_SPEED_MARGIN, AxisScaling, LoopMode, MotionLimits
 
 MAX_PROFILE_VELOCITY, PROFILE_VELOCITY, PROFILE_ACCELERATION, PROFILE_DECELERATION, QUICK_STOP = 0x607F, 0x6081, 0x6083, 0x6084, 0x6085
 FOLLOWING_ERROR_WINDOW, FOLLOWING_ERROR_TIME = 0x6065, 0x6066

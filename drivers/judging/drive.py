@@ -10,8 +10,8 @@ from numba.extending import register_jitable
 from drivers.canopen.cia402 import WARNING
 from drivers.interface import Sample
 from drivers.judging.motion_window import WINDOW_S, MotionWindow
-from drivers.judging.records import Record, record_of
 from drivers.judging.settings import DriveJudging, Follows
+from drivers.records import Record, record_type
 
 LOST = 2.0
 """Multiple of the tolerance that a drive was sent, of which it measures none: it has lost its torque, and what it should hold may fall."""
@@ -22,33 +22,30 @@ UNSURE = 3.0
 CHECKS = ("", "effort", "warning", "load")
 _FINE, _EFFORT, _WARNING, _LOAD = range(4)
 
-DRIVE = np.dtype(
-    [
-        ("axis", "i8"),
-        ("tolerance", "f8"),  # drive's unit
-        ("stop_tolerance", "f8"),
-        ("settling_ticks", "i8"),
-        ("bridged_ticks", "i8"),
-        ("window_ticks", "i8"),  # of the motion window
-        # what was seen
-        ("commands", "i8"),  # how many were sent, at most settling_ticks + 1
-        ("newest", "i8"),  # place of the newest of them
-        ("off_ticks", "i8"),
-        ("far_ticks", "i8"),
-        ("measured", "f8"),  # drive's unit: the last effort that was off
-        ("expected", "f8"),
-        ("statusword", "i8"),  # with its warning
-        ("overloaded", "?"),
-        ("is_lost", "?"),  # the newest finding stops the motors, whatever follows otherwise
-        ("lag_ticks", "i8"),
-    ],
-    align=True,
+DRIVE = record_type(
+    ("axis", "i8"),
+    ("tolerance", "f8"),  # drive's unit
+    ("stop_tolerance", "f8"),
+    ("settling_ticks", "i8"),
+    ("bridged_ticks", "i8"),
+    ("window_ticks", "i8"),  # of the motion window
+    # what was seen
+    ("commands", "i8"),  # how many were sent, at most settling_ticks + 1
+    ("newest", "i8"),  # place of the newest of them
+    ("off_ticks", "i8"),
+    ("far_ticks", "i8"),
+    ("measured", "f8"),  # drive's unit: the last effort that was off
+    ("expected", "f8"),
+    ("statusword", "i8"),  # with its warning
+    ("overloaded", "?"),
+    ("is_lost", "?"),  # the newest finding stops the motors, whatever follows otherwise
+    ("lag_ticks", "i8"),
 )
 """Settings and memory of a drive's judge."""
 
 
 @register_jitable
-def judged_drive(drive: Record, sent: np.ndarray, answer: Record, commanded: float, ticks: int, window_over: bool) -> int:
+def judged_drive(drive: Record, sent: np.ndarray, answer: Record, ticks: int, window_over: bool) -> int:
     """Return which of `CHECKS` the newest sample fails, 0 when none; callable from compiled code.
 
     Parameters
@@ -57,10 +54,8 @@ def judged_drive(drive: Record, sent: np.ndarray, answer: Record, commanded: flo
         Advanced in place.
     sent : (settling_ticks + 1 or more,) array
         The last efforts sent [drive's unit], in the order of a ring; advanced in place.
-    answer : ANSWER
+    answer : VALUES
         Of its axis.
-    commanded : float
-        Effort sent before this SYNC [drive's unit].
     ticks : int
         Passed since the sample before.
     window_over : bool
@@ -68,7 +63,7 @@ def judged_drive(drive: Record, sent: np.ndarray, answer: Record, commanded: flo
     """
     kept = drive.settling_ticks + 1
     drive.newest = (drive.newest + 1) % kept
-    sent[drive.newest] = commanded
+    sent[drive.newest] = answer.commanded
     drive.commands = min(drive.commands + 1, kept)
     low = high = sent[(drive.newest + 1 - drive.commands) % kept]
     for k in range(2 - drive.commands, 1):
@@ -129,7 +124,7 @@ class DriveJudge:
         self.sensor = settings.sensor
         self._settings = settings
         self._window = window
-        self._state = record_of(np.zeros(1, DRIVE) if state is None else state)
+        self._state = (np.zeros(1, DRIVE) if state is None else state)[0]
         self._sent = np.full(settings.settling_ticks + 1, nan) if sent is None else sent
         self.begin()
 
@@ -159,8 +154,8 @@ class DriveJudge:
         axis, is_over = self._settings.axis, self._window is not None and self._window.over
         if is_over:
             self.take_window()
-        answer = record_of(sample.answers[axis : axis + 1])
-        return CHECKS[judged_drive(self._state, self._sent, answer, sample.commanded[axis], ticks, is_over)]
+        answer = sample.values[axis]
+        return CHECKS[judged_drive(self._state, self._sent, answer, ticks, is_over)]
 
     def take_window(self) -> None:
         """Judge the load by the window that is over; what is found stands to the end of the next one."""

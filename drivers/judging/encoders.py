@@ -8,8 +8,8 @@ import numpy as np
 from numba.extending import register_jitable
 
 from drivers.interface import Sample
-from drivers.judging.records import Record, record_of
 from drivers.judging.settings import ENCODERS_WINDOW_S, EncoderJudging
+from drivers.records import Record, record_type
 
 GROWING = 4
 """Windows in a row in which a difference must grow to count as a drift. What friction and play leave ends soon after the reversal."""
@@ -21,52 +21,48 @@ CHECKS = ("", "jump", "drift", "apart", "silent")
 _FINE, _JUMP, _DRIFT, _APART, _SILENT = range(5)
 NAMES = ("motor side", "link encoder")
 
-PATH = np.dtype(
-    [
-        ("acceleration", "f8"),  # greatest second difference of a path at even speed [rad or m]
-        ("second", "f8"),  # newest second difference
-        ("allowed", "f8"),
-        ("last", "f8"),
-        ("before", "f8"),
-        ("late", "f8"),  # lateness [s] of the SYNCs of both
-        ("late_before", "f8"),
-    ],
-    align=True,
+PATH = record_type(
+    ("acceleration", "f8"),  # greatest second difference of a path at even speed [rad or m]
+    ("second", "f8"),  # newest second difference
+    ("allowed", "f8"),
+    ("last", "f8"),
+    ("before", "f8"),
+    ("late", "f8"),  # lateness [s] of the SYNCs of both
+    ("late_before", "f8"),
 )
 """Path of one encoder: an acceleration makes a second difference of itself times the period squared, a step makes any."""
 
-PAIR = np.dtype(
-    [
-        ("axis", "i8"),
-        ("has_link", "?"),
-        ("period_s", "f8"),
-        ("window", "i8"),  # ticks
-        ("stale_ticks", "i8"),
-        ("tolerance", "f8"),
-        ("drift", "f8"),
-        ("growth", "f8"),
-        ("compliance", "f8"),
-        ("inertia", "f8"),
-        ("damping", "f8"),
-        ("effort_scale", "f8"),
-        # what was seen
-        ("found", "i8"),  # of CHECKS; it stands
-        ("at_link", "?"),  # the encoder that jumped is the link's
-        ("amount", "f8"),  # of what was found: second difference, growth a window, or distance [rad or m]
-        ("allowed", "f8"),  # at that moment
-        ("departed", "f8"),  # from the first window's difference
-        ("silent", "i8"),
-        ("position", "f8"),
-        ("speed", "f8"),
-        ("ticks", "i8"),
-        ("summed", "i8"),
-        ("total", "f8"),
-        ("first", "f8"),
-        ("apart", "f8"),
-        ("growing", "i8"),
-        ("lag_ticks", "i8"),
-    ],
-    align=True,
+PAIR = record_type(
+    ("axis", "i8"),
+    ("has_link", "?"),
+    ("period_s", "f8"),
+    ("window", "i8"),  # ticks
+    ("stale_ticks", "i8"),
+    ("tolerance", "f8"),
+    ("drift", "f8"),
+    ("growth", "f8"),
+    ("compliance", "f8"),
+    ("inertia", "f8"),
+    ("damping", "f8"),
+    ("effort_scale", "f8"),
+    # what was seen
+    ("motor", PATH),
+    ("link", PATH),
+    ("found", "i8"),  # of CHECKS; it stands
+    ("at_link", "?"),  # the encoder that jumped is the link's
+    ("amount", "f8"),  # of what was found: second difference, growth a window, or distance [rad or m]
+    ("allowed", "f8"),  # at that moment
+    ("departed", "f8"),  # from the first window's difference
+    ("silent", "i8"),
+    ("position", "f8"),
+    ("speed", "f8"),
+    ("ticks", "i8"),
+    ("summed", "i8"),
+    ("total", "f8"),
+    ("first", "f8"),
+    ("apart", "f8"),
+    ("growing", "i8"),
+    ("lag_ticks", "i8"),
 )
 """Settings and memory of the judge of an axis's encoders."""
 
@@ -136,15 +132,14 @@ def _compare(pair: Record, motor: float, link: float, effort: float, ticks: int)
 
 
 @register_jitable
-def judged_encoders(pair: Record, motor: Record, link: Record, answer: Record, lateness_s: float, ticks: int) -> int:
+def judged_encoders(pair: Record, answer: Record, lateness_s: float, ticks: int) -> int:
     """Return which of `CHECKS` the newest sample fails, 0 when none; callable from compiled code.
 
     Parameters
     ----------
     pair : PAIR
-    motor, link : PATH
-        All three are advanced in place.
-    answer : ANSWER
+        Advanced in place.
+    answer : VALUES
         Of its axis.
     lateness_s : float
         Of the SYNC.
@@ -153,15 +148,15 @@ def judged_encoders(pair: Record, motor: Record, link: Record, answer: Record, l
     """
     pair.lag_ticks = 0
     if ticks != 1:
-        forgotten_path(motor)
-        forgotten_path(link)
+        forgotten_path(pair.motor)
+        forgotten_path(pair.link)
         pair.speed = nan
-    if jumped(motor, answer.position, lateness_s, pair.period_s) and pair.found == _FINE:
-        pair.found, pair.at_link, pair.amount, pair.allowed = _JUMP, False, motor.second, motor.allowed
+    if jumped(pair.motor, answer.position, lateness_s, pair.period_s) and pair.found == _FINE:
+        pair.found, pair.at_link, pair.amount, pair.allowed = _JUMP, False, pair.motor.second, pair.motor.allowed
     if not pair.has_link:
         return int(pair.found)
-    if jumped(link, answer.link_position, lateness_s, pair.period_s) and pair.found == _FINE:
-        pair.found, pair.at_link, pair.amount, pair.allowed = _JUMP, True, link.second, link.allowed
+    if jumped(pair.link, answer.link_position, lateness_s, pair.period_s) and pair.found == _FINE:
+        pair.found, pair.at_link, pair.amount, pair.allowed = _JUMP, True, pair.link.second, pair.link.allowed
     _compare(pair, answer.position, answer.link_position, answer.effort, ticks)
     pair.silent = 0 if isfinite(answer.link_position) else pair.silent + ticks
     if pair.found == _FINE and pair.silent > pair.stale_ticks:
@@ -180,18 +175,14 @@ class EncoderJudge:
     settings : EncoderJudging
     state : (1,) array of PAIR, optional
         Its memory.
-    paths : (2,) array of PATH, optional
-        Memory of motor side and link encoder.
     """
 
     checks = CHECKS
 
-    def __init__(self, settings: EncoderJudging, state: np.ndarray | None = None, paths: np.ndarray | None = None) -> None:
+    def __init__(self, settings: EncoderJudging, state: np.ndarray | None = None) -> None:
         self.sensor, self.follows = settings.sensor, settings.follows
         self._settings = settings
-        self._state = record_of(np.zeros(1, PAIR) if state is None else state)
-        paths = np.zeros(2, PATH) if paths is None else paths
-        self._motor, self._link = record_of(paths[:1]), record_of(paths[1:])
+        self._state = (np.zeros(1, PAIR) if state is None else state)[0]
         self.begin()
 
     def begin(self) -> None:
@@ -203,8 +194,8 @@ class EncoderJudge:
         state.compliance, state.inertia = settings.compliance, settings.inertia
         state.damping, state.effort_scale = settings.damping, settings.effort_scale
         for path, resolution, acceleration in (
-            (self._motor, settings.motor_resolution, settings.motor_acceleration),
-            (self._link, settings.link_resolution, settings.link_acceleration),
+            (state.motor, settings.motor_resolution, settings.motor_acceleration),
+            (state.link, settings.link_resolution, settings.link_acceleration),
         ):
             path.acceleration = acceleration * settings.period_s**2 + COUNTS * resolution
             forgotten_path(path)
@@ -222,8 +213,8 @@ class EncoderJudge:
     def step(self, sample: Sample, ticks: int) -> str:
         """Return which check the newest sample fails, '' when none; `ticks` passed since the one before."""
         axis = self._settings.axis
-        answer = record_of(sample.answers[axis : axis + 1])
-        return CHECKS[judged_encoders(self._state, self._motor, self._link, answer, sample.lateness_s, ticks)]
+        answer = sample.values[axis]
+        return CHECKS[judged_encoders(self._state, answer, sample.lateness_s, ticks)]
 
     def finish(self) -> str:
         """Judge the window that a run's end cuts off, where at least half of it is there; return which check fails, or ''."""

@@ -10,8 +10,8 @@ from numba.extending import register_jitable
 from drivers.interface import Sample
 from drivers.judging.motion_window import WINDOW_S as MOTION_WINDOW_S
 from drivers.judging.motion_window import MotionWindow
-from drivers.judging.records import Record, record_of
 from drivers.judging.settings import ImuJudging
+from drivers.records import Record, record_type
 
 WINDOW_S = 1.0
 """Time over which packets are counted: long against a pause of the host, short against a run."""
@@ -26,39 +26,36 @@ CHANNELS = ("x", "y", "z", "rate x", "rate y", "rate z")
 CHECKS = ("", "fault", "garbage", "age", "number", "range", "frozen", "rate", "late", "specific force", "angular rate")
 _FINE, _FAULT, _GARBAGE, _AGE, _NUMBER, _RANGE, _FROZEN, _RATE, _LATE, _FORCE, _TURN = range(11)
 
-PACKETS = np.dtype(
-    [
-        ("is_triggered", "?"),
-        ("period_s", "f8"),
-        ("window", "i8"),  # ticks
-        ("expected", "f8"),  # readings a tick: a row holds one
-        ("rate_tolerance", "f8"),
-        ("age_s", "f8"),
-        ("late_s", "f8"),
-        ("damaged_most", "i8"),
-        ("full_scale", "f8", 6),
-        ("frozen_packets", "i8", 6),
-        ("motion_ticks", "i8"),  # of the motion window
-        # what was seen
-        ("silent", "i8"),
-        ("ticks", "i8"),
-        ("came", "i8"),
-        ("came_before", "i8"),
-        ("is_wrong_rate", "?"),
-        ("damaged_before", "i8"),
-        ("damaged", "i8"),
-        ("garbage_ticks", "i8"),
-        ("values", "f8", 6),
-        ("equal", "i8", 6),
-        ("channel", "i8"),
-        ("elapsed_s", "f8"),
-        ("youngest_s", "f8"),  # age of a reading, up to a constant
-        ("older_s", "f8"),
-        ("late_ticks", "i8"),
-        ("departed", "i8"),  # of CHECKS, by the newest motion window
-        ("lag_ticks", "i8"),
-    ],
-    align=True,
+PACKETS = record_type(
+    ("is_triggered", "?"),
+    ("period_s", "f8"),
+    ("window", "i8"),  # ticks
+    ("expected", "f8"),  # readings a tick: a row holds one
+    ("rate_tolerance", "f8"),
+    ("age_s", "f8"),
+    ("late_s", "f8"),
+    ("damaged_most", "i8"),
+    ("full_scale", "f8", 6),
+    ("frozen_packets", "i8", 6),
+    ("motion_ticks", "i8"),  # of the motion window
+    # what was seen
+    ("silent", "i8"),
+    ("ticks", "i8"),
+    ("came", "i8"),
+    ("came_before", "i8"),
+    ("is_wrong_rate", "?"),
+    ("damaged_before", "i8"),
+    ("damaged", "i8"),
+    ("garbage_ticks", "i8"),
+    ("values", "f8", 6),
+    ("equal", "i8", 6),
+    ("channel", "i8"),
+    ("elapsed_s", "f8"),
+    ("youngest_s", "f8"),  # age of a reading, up to a constant
+    ("older_s", "f8"),
+    ("late_ticks", "i8"),
+    ("departed", "i8"),  # of CHECKS, by the newest motion window
+    ("lag_ticks", "i8"),
 )
 """Settings and memory of an IMU's judge."""
 
@@ -208,7 +205,7 @@ class ImuJudge:
         self.sensor, self.follows = settings.sensor, settings.follows
         self._settings = settings
         self._motion = window
-        self._state = record_of(np.zeros(1, PACKETS) if state is None else state)
+        self._state = (np.zeros(1, PACKETS) if state is None else state)[0]
         self.begin()
 
     def begin(self) -> None:

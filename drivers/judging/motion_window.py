@@ -14,7 +14,7 @@ from math import nan
 
 import numpy as np
 
-from drivers.interface import Sample
+from drivers.interface import IMUS_BYTES, VALUES, Sample
 
 WINDOW_S = 0.5
 """Time over which means are taken: two periods of the slowest vibration, and short against a run."""
@@ -73,8 +73,7 @@ class MotionWindow:
         rate = turn / period_s
         weight = 0.5 * (1.0 - np.cos(phase))
         self._weights = np.stack((weight, -0.5 * rate * np.sin(phase), 0.5 * rate**2 * np.cos(phase))) / weight.sum()
-        self._position, self._link, self._effort = (np.zeros((self.ticks, axes)) for _ in range(3))
-        self._imu = np.zeros((self.ticks, 6))
+        self._samples = np.zeros((self.ticks, len(Sample(axes).memory)), np.uint8)
         self.begin()
 
     def begin(self) -> None:
@@ -87,21 +86,22 @@ class MotionWindow:
 
     def step(self, sample: Sample, ticks: int) -> None:
         """Take the newest sample; `ticks` passed since the one before. Lost ticks begin the window anew."""
-        k = self._tick = 0 if ticks != 1 else self._tick
-        self._position[k], self._link[k], self._effort[k] = sample.position, sample.link_position, sample.effort
-        self._imu[k] = sample.imu
-        self._tick += 1
-        self.over = self._tick == self.ticks and self._compare()
-        if self._tick == self.ticks:
-            self._tick = 0
+        k = self._tick if ticks == 1 else 0
+        self._samples[k] = sample.memory
+        is_full = k + 1 == self.ticks
+        self._tick = 0 if is_full else k + 1
+        self.over = is_full and self._compare()
 
     def _compare(self) -> bool:
         """Compare the window that is full; return False where readings of its axes are missing."""
-        position, effort = self._position, self._weights[0] @ self._effort
+        values, imu = self._samples[:, IMUS_BYTES:].view(VALUES), self._samples[:, :IMUS_BYTES].view(np.float64)[:, :6]
+        # as whole arrays, since sums over parts of others are rounded in another order
+        position, link, effort = (np.ascontiguousarray(values[each]) for each in ("position", "link_position", "effort"))
+        effort = self._weights[0] @ effort
         motor = self._weights @ position  # position, speed, acceleration (3, axes)
         if not (np.isfinite(motor).all() and np.isfinite(effort).all()):
             return False
-        link = self._weights @ self._link
+        link = self._weights @ link
         link = np.where(np.isnan(link), motor, link)
         between, speed = self._weights[0, 1:], np.diff(position, axis=0) / self._period_s
         deviation = np.sqrt(between @ (speed - between @ speed) ** 2)
@@ -109,8 +109,8 @@ class MotionWindow:
         expected = self._expects(Means(both[0], both[1], both[2], deviation, effort))
         self.effort_off = effort - expected.effort
         self.effort_unsure = expected.unsure
-        came = np.isfinite(self._imu).all(axis=1)
+        came = np.isfinite(imu).all(axis=1)
         weight = self._weights[0] * came
         if weight.sum() > 0.5 and expected.imu.size:  # half of the readings: the mean is still that of the window
-            self.imu_off = weight[came] @ self._imu[came] / weight.sum() - expected.imu
+            self.imu_off = weight[came] @ imu[came] / weight.sum() - expected.imu
         return True

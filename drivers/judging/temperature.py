@@ -8,8 +8,8 @@ import numpy as np
 from numba.extending import register_jitable
 
 from drivers.interface import Sample
-from drivers.judging.records import Record, record_of
 from drivers.judging.settings import TemperatureJudging
+from drivers.records import Record, record_type
 
 WINDOW_S = 10.0
 """Time over which a change is judged: some steps of a thermometer of a tenth of a kelvin under full load."""
@@ -20,21 +20,18 @@ STEPS = 3.0
 CHECKS = ("", "broken", "limit", "rate")
 _FINE, _BROKEN, _LIMIT, _RATE = range(4)
 
-THERMOMETER = np.dtype(
-    [
-        ("axis", "i8"),
-        ("limit_degC", "f8"),
-        ("rate_K_s", "f8"),
-        ("step_K", "f8"),
-        ("io_stale_s", "f8"),
-        ("period_s", "f8"),
-        ("window", "i8"),  # ticks
-        # what was seen
-        ("reference", "f8"),  # degC, at the start of the window
-        ("newest", "f8"),
-        ("ticks", "i8"),  # of the window, so far
-    ],
-    align=True,
+THERMOMETER = record_type(
+    ("axis", "i8"),
+    ("limit_degC", "f8"),
+    ("rate_K_s", "f8"),
+    ("step_K", "f8"),
+    ("io_stale_s", "f8"),
+    ("period_s", "f8"),
+    ("window", "i8"),  # ticks
+    # what was seen
+    ("reference", "f8"),  # degC, at the start of the window
+    ("newest", "f8"),
+    ("ticks", "i8"),  # of the window, so far
 )
 """Settings and memory of a thermometer's judge."""
 
@@ -88,7 +85,7 @@ class TemperatureJudge:
     def __init__(self, settings: TemperatureJudging, state: np.ndarray | None = None) -> None:
         self.sensor, self.follows = settings.sensor, settings.follows
         self._settings = settings
-        self._state = record_of(np.zeros(1, THERMOMETER) if state is None else state)
+        self._state = (np.zeros(1, THERMOMETER) if state is None else state)[0]
         self.begin()
 
     def begin(self) -> None:

@@ -1,103 +1,18 @@
-"""The judges of all sensors as one compiled function: a call for a tick, where each by itself takes a call in Python."""
+"""The judges of all sensors, and the watch over all axes, compiled: a call for a tick of what takes many in Python.
+
+One machine code for every machine, made when this is imported: compiling in the middle of a motion would stop the commands for seconds.
+"""
 
 from __future__ import annotations
 
-import numpy as np
-from numba import boolean, float64, from_dtype, int64, types
+from numba import boolean, float64, int64, uint8
 
 from controllers.compiled import kept_on_disk
-from drivers.interface import ANSWER, Sample
-from drivers.judging.drive import DRIVE, judged_drive
-from drivers.judging.encoders import PAIR, PATH, judged_encoders
-from drivers.judging.imu import PACKETS, judged_imu
-from drivers.judging.judge import Memory
-from drivers.judging.temperature import THERMOMETER, judged_temperature
+from drivers.canopen.motion_bounds import watched_axes
+from drivers.judging.judge import judged
 
-_MEMORY = types.NamedTuple(  # type: ignore[no-untyped-call]
-    (
-        from_dtype(PACKETS)[::1],
-        from_dtype(PAIR)[::1],
-        from_dtype(PATH)[:, ::1],
-        from_dtype(THERMOMETER)[::1],
-        from_dtype(DRIVE)[::1],
-        float64[:, ::1],
-        int64[::1],
-    ),
-    Memory,
-)
+_JUDGE = boolean(uint8[::1], uint8[::1], int64, float64, int64, boolean, float64, float64, int64, boolean, boolean)
+_WATCH = int64(uint8[::1], uint8[::1], int64)
 
-# One machine code for every machine, made when this is imported: compiling in the middle of a motion would stop the commands for seconds.
-_JUDGE = boolean(
-    _MEMORY,
-    from_dtype(ANSWER)[::1],
-    *(float64[::1], float64[::1], float64[::1]),
-    *(int64, float64, int64, boolean),
-    *(float64, float64, int64, boolean, boolean),
-)
-
-
-@kept_on_disk(_JUDGE, fastmath=False, error_model="numpy")
-def _judge(
-    memory: Memory,
-    answers: np.ndarray,
-    commanded: np.ndarray,
-    temperature_degC: np.ndarray,
-    imu: np.ndarray,
-    imu_counter: int,
-    imu_time_s: float,
-    imu_damaged: int,
-    has_imu_fault: bool,
-    lateness_s: float,
-    io_age_s: float,
-    ticks: int,
-    window_over: bool,
-    led: bool,
-) -> bool:
-    """Judge a sample by all laws, in the order of `found`; return whether any finds something."""
-    found = memory.found
-    place, any_found = 0, False
-    for k in range(len(memory.imus)):
-        if led:
-            found[place] = judged_imu(
-                memory.imus[k], imu, imu_counter, imu_time_s, imu_damaged, has_imu_fault, lateness_s, ticks, window_over
-            )
-        any_found = any_found or found[place] != 0
-        place += 1
-    for k in range(len(memory.pairs)):
-        pair = memory.pairs[k]
-        if led:
-            found[place] = judged_encoders(pair, memory.paths[k, 0], memory.paths[k, 1], answers[pair.axis], lateness_s, ticks)
-        any_found = any_found or found[place] != 0
-        place += 1
-    for k in range(len(memory.thermometers)):
-        thermometer = memory.thermometers[k]
-        found[place] = judged_temperature(thermometer, temperature_degC[thermometer.axis], io_age_s, ticks)
-        any_found = any_found or found[place] != 0
-        place += 1
-    for k in range(len(memory.drives)):
-        drive = memory.drives[k]
-        if led:
-            found[place] = judged_drive(drive, memory.sent[k], answers[drive.axis], commanded[drive.axis], ticks, window_over)
-        any_found = any_found or found[place] != 0
-        place += 1
-    return any_found
-
-
-def judged_at_once(memory: Memory, sample: Sample, ticks: int, window_over: bool, led: bool) -> bool:
-    """Judge a sample by all laws at once, compiled; a `drivers.judging.judge.Law`."""
-    return _judge(
-        memory,
-        sample.answers,
-        sample.commanded,
-        sample.temperature_degC,
-        sample.imu,
-        sample.imu_counter,
-        sample.imu_time_s,
-        sample.imu_damaged,
-        sample.imu_fault != "",
-        sample.lateness_s,
-        sample.io_age_s,
-        ticks,
-        window_over,
-        led,
-    )
+judged_at_once = kept_on_disk(_JUDGE, fastmath=False, error_model="numpy")(judged)
+watched_at_once = kept_on_disk(_WATCH, fastmath=False, error_model="numpy")(watched_axes)

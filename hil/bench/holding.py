@@ -113,6 +113,8 @@ class Loads:
 
     def between_at(self, joints: np.ndarray) -> np.ndarray:
         """Return the same at joint positions (n,)."""
+        if not (self._changed or self._pulls):
+            return np.zeros((len(self._model.plant.driven_joints), 2))
         plant, own = self._model.plant, self._model.model
         between, pulls = np.zeros((2, len(plant.driven_joints), 2))
         stated = effort_at(plant, own, joints)

@@ -18,6 +18,7 @@ from controllers.settings import AxisLimits
 from drivers.events import Events
 from drivers.interface import MachineLink, Sample
 from drivers.judging.judge import SensorJudge
+from hil.bench.bounds import Bounds
 from hil.bench.control import Control
 from hil.bench.judging import judged_lines
 from hil.bench.row_layout import RowLayout
@@ -130,8 +131,7 @@ class SampleLoop:
     def __post_init__(self) -> None:
         """Allocate everything that a tick needs."""
         axes = len(self.limits)
-        self._position = np.full(axes, np.nan)  # the newest of each axis
-        self._stale = [0] * axes  # ticks since then in which somebody answered
+        self._bounds = Bounds(self.limits, self.stale_ticks)
         self._unjudged = 0  # ticks since the sensors were judged
         self._row = np.full(self.layout.width, np.nan)
         self._zeros = np.zeros(axes)
@@ -160,18 +160,23 @@ class SampleLoop:
         if self.judge is not None:
             self.judge.restart()
         try:
+            for signal in (plan.reference, plan.reference_raw, plan.excitation, plan.feedforward):
+                if signal is not None and signal.shape[1] != len(self.limits):
+                    raise ValueError(f"a plan of {signal.shape[1]} axes for a loop of {len(self.limits)}: one is longer")
             while k + 1 < rows:
                 sample = self.link.exchange(self.control.effort)
                 lost = self.clock.missed - missed_seen
                 missed_seen += lost
                 k += 1 + (lost if done else 0)  # row 0 is wherever the run begins
-                unanswered += not sample.is_whole
+                is_whole = sample.is_whole
+                unanswered += not is_whole
                 overrun = ""
                 if lost > self.overrun_ticks:
                     overrun = f"the loop lost {lost} ticks in a row; timing.overrun_ticks bridges {self.overrun_ticks}"
                 if k >= rows:  # the plan ended within the lost ticks; the newest sample is checked regardless
-                    self._see(sample)
-                    reason = self.stop_request.reason or self._violation(sample, plan.reference[-1], 1 + lost, rows)
+                    self.control.expect(sample)
+                    found = self._bounds.see(sample, plan.reference[-1])
+                    reason = self.stop_request.reason or self._violation(sample, plan.reference[-1], found, 1 + lost, rows)
                     if reason := self._after_silence(sample, lost, reason) or overrun:
                         raise _EndedError(f"after row {done - 1}", reason)
                     break
@@ -180,15 +185,16 @@ class SampleLoop:
                 if observer is not None:
                     observer.step(sample, self.control.demand, k)
                     excitation = np.add(excitation, observer.effort, out=self._added)
-                reason = self._after_silence(sample, lost, self._step(sample, plan, k, excitation, 1 + lost)) or overrun
+                reason = self._step(sample, plan, k, excitation, 1 + lost, is_whole=is_whole)
+                reason = (self._after_silence(sample, lost, reason) if reason else "") or overrun
                 handed_over_s = time.perf_counter()
-                lateness[done] = sample.lateness_s
-                work[done] = handed_over_s - self.clock.tick_began_s + tail_s
+                began_s = self.clock.tick_began_s
+                timing_s = sample.lateness_s, handed_over_s - began_s + tail_s, sample.arrived_s - began_s
+                lateness[done], work[done], answer[done] = timing_s
                 write[done] = tail_s
-                answer[done] = sample.arrived_s - self.clock.tick_began_s
                 done += 1
                 if sink is not None:
-                    timing_s = (lateness[done - 1], work[done - 1], answer[done - 1]) if self.timed else _UNTIMED
+                    timing_s = timing_s if self.timed else _UNTIMED
                     self.layout.fill(
                         self._row, k, sample, plan, self.control.command, timing_s, self.judge.marks if self.judge is not None else 0
                     )
@@ -232,67 +238,54 @@ class SampleLoop:
         if self.events is not None:
             self.events.add("operator" if reason == self.stop_request.reason else "loop", "stop asked", reason=reason)
 
-    def _step(self, sample: Sample, plan: Signals, k: int, excitation: np.ndarray, ticks: int) -> str:
+    def _step(self, sample: Sample, plan: Signals, k: int, excitation: np.ndarray, ticks: int, *, is_whole: bool) -> str:
         """Compute the next command; return why the motors must be stopped, or ''."""
-        self._follow_drives(sample, plan, k)
-        self._see(sample)
         reference = plan.reference[k]
-        feedforward = self._zeros if plan.feedforward is None else plan.feedforward[k]
-        if sample.is_whole:
-            self.control.step(reference, self._position, excitation, feedforward)
-        return self.stop_request.reason or self._violation(sample, reference, ticks, k)
+        if self.control.led:
+            self._follow_drives(sample, plan, k, is_whole=is_whole)
+            self.control.expect(sample)  # before the next step changes what was commanded
+        found = self._bounds.see(sample, reference)
+        if is_whole:
+            feedforward = self._zeros if plan.feedforward is None else plan.feedforward[k]
+            self.control.step(reference, self._bounds.position, excitation, feedforward)
+        return self.stop_request.reason or self._violation(sample, reference, found, ticks, k)
 
-    def _follow_drives(self, sample: Sample, plan: Signals, k: int) -> None:
+    def _follow_drives(self, sample: Sample, plan: Signals, k: int, *, is_whole: bool) -> None:
         """Let the filters of axes whose drives close loops of their own make up for ticks whose positions did not come."""
         for axis in self.control.led:
-            position = float(sample.position[axis])
-            if not sample.is_whole or position != position:
+            position, before = float(sample.position[axis]), float(self._bounds.position[axis])
+            if not is_whole or position != position:
                 self.control.fall_behind(axis)
-            elif self._position[axis] == self._position[axis]:
-                self.control.catch_up(axis, plan.reference[: max(k, 1), axis], float(self._position[axis]), position)
+            elif before == before:
+                self.control.catch_up(axis, plan.reference[: max(k, 1), axis], before, position)
 
-    def _see(self, sample: Sample) -> None:
-        """Take over the positions that have arrived, count the ticks without one; what was commanded is as it was before the next step."""
-        self.control.expect(sample)
-        for axis, position in enumerate(sample.position.tolist()):
-            if position == position:
-                self._position[axis] = position
-                self._stale[axis] = 0
-            elif not sample.unanswered:
-                self._stale[axis] = 1 if sample.position_late[axis] else self._stale[axis] + 1
+    def _violation(self, sample: Sample, reference: np.ndarray, found: int, ticks: int, k: int) -> str:
+        """Return why the motors must be stopped, or ''; `found` is what is out of the loop's own bounds.
 
-    def _judged(self, sample: Sample, ticks: int, k: int) -> str:
-        """Return why the sensors stop the motors, or ''; they are judged when they answer, not when the whole bus is late."""
+        Sensors are judged when they answer, not when the whole bus is late.
+        """
+        judged = ""
         self._unjudged += ticks
-        if self.judge is None or sample.unanswered:
-            return ""
-        ticks, self._unjudged = self._unjudged, 0
-        return self.judge.step(sample, ticks, k * self.layout.period_s)
-
-    def _violation(self, sample: Sample, reference: np.ndarray, ticks: int, k: int) -> str:
-        judged = self._judged(sample, ticks, k)
+        if self.judge is not None and not sample.unanswered:
+            ticks, self._unjudged = self._unjudged, 0
+            judged = self.judge.step(sample, ticks, k * self.layout.period_s)
         if sample.fault:
             return sample.fault
-        for limit, wanted, position, stale in zip(self.limits, reference.tolist(), self._position.tolist(), self._stale, strict=True):
-            if stale > self.stale_ticks:
-                return f"{limit.axis}: no position for {stale} ticks, timing.stale_ticks bridges {self.stale_ticks}"
-            if position != position or sample.unanswered:  # missing from the first tick, or not known now: the command stays
-                continue
-            if not limit.lower <= position <= limit.upper:
-                return f"{limit.axis}: position {position:.4f} {limit.unit} is outside {limit.lower:.4f} to {limit.upper:.4f} {limit.unit}"
-            error = abs(wanted - position)
-            if not error <= limit.tracking_error:
-                return f"{limit.axis}: tracking error {error:.4f} {limit.unit} exceeds {limit.tracking_error:.4f} {limit.unit}"
+        if found:
+            return self._bounds.says(found, reference)
         if self.watch is not None and (reason := self.watch(sample)):
             return reason
-        if self.guard_io:
-            if not sample.io_age_s <= self.io_stale_s:  # the rest of such a state is the safe one, not what was read
-                return f"the I/O has given no valid state for {sample.io_age_s:.2f} s, {self.io_stale_s:.2f} s are allowed"
-            if not sample.hold_to_run:
-                return "hold-to-run was released"
-            for axis, is_open in enumerate(sample.brakes_open.tolist()):
-                if not is_open and self.braked and self.braked[axis]:
+        return (self._guarded(sample) if self.guard_io else "") or judged
+
+    def _guarded(self, sample: Sample) -> str:
+        """Return what of the I/O stops the motors, or ''."""
+        if not sample.io_age_s <= self.io_stale_s:  # the rest of such a state is the safe one, not what was read
+            return f"the I/O has given no valid state for {sample.io_age_s:.2f} s, {self.io_stale_s:.2f} s are allowed"
+        if not sample.hold_to_run:
+            return "hold-to-run was released"
+        is_open = sample.brakes_open.tolist()
+        if False in is_open:
+            for axis, has_brake in enumerate(self.braked):
+                if has_brake and not is_open[axis]:
                     return f"{self.limits[axis].axis}: its brake reports closed during the run"
-            if not sample.door_closed:
-                return "the door was opened"
-        return judged
+        return "" if sample.door_closed else "the door was opened"

@@ -13,7 +13,7 @@ from drivers.judging.judge import SensorJudge
 from drivers.modbus.transport import parse_io_url
 from hil.bench.bench import Bench
 from hil.bench.clock import WallClock
-from hil.bench.compiled_judging import judged_at_once
+from hil.bench.compiled_judging import judged_at_once, watched_at_once
 from hil.bench.control import Control
 from hil.bench.holding import with_holding_efforts
 from hil.bench.judging import judging_of
@@ -79,6 +79,7 @@ def open_bench(
             lockstep_wiring(machine, options, start_pose, stop_request) if lockstep else wall_wiring(machine, options, stop_request)
         )
         links.append(wiring.link)
+        wiring.link.watch.law = watched_at_once
         io = machine.bus.io
         judging = judging_of(machine, model, noise=options.noise)
         judge = SensorJudge(judging, 1.0 / machine.sample_rate_Hz, _noticing(wiring.link.events), judged_at_once)

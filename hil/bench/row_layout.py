@@ -1,4 +1,4 @@
-"""Layout of a recording's rows: names and units are fixed before the loop starts, so that a tick only fills slices."""
+"""Layout of a recording's rows: names, units and places are fixed before the loop starts, so that a tick only fills a row, compiled."""
 
 from __future__ import annotations
 
@@ -6,10 +6,80 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import float64, int64, types, uint8
 
+from controllers.compiled import kept_on_disk
 from drivers.interface import Sample
+from drivers.records import record_type
+from drivers.sample_memory import imus_in, values_in
 from hil.bench.signals import Signals
 from hil.recording.channels import imu_channels
+
+COLUMNS = record_type(
+    *((group, "i8") for group in ("reference", "reference_raw", "excitation", "feedforward", "command", "effort", "position")),
+    *((group, "i8") for group in ("link_position", "temperature", "statusword", "data_age", "imu", "bus_imu", "sync_lateness")),
+)
+"""First column of each group of a row; negative where the machine has none."""
+
+_FILL = types.void(
+    *(float64[::1], uint8[::1], uint8[::1]),
+    *(types.Array(float64, 1, "A", readonly=True),) * 5,
+    *(int64, float64, float64, int64, int64, float64, float64, float64, int64),
+)
+
+
+@kept_on_disk(_FILL, fastmath=False, error_model="numpy")
+def _fill(
+    row: np.ndarray,
+    columns: np.ndarray,
+    sample: np.ndarray,
+    reference: np.ndarray,
+    reference_raw: np.ndarray,
+    excitation: np.ndarray,
+    feedforward: np.ndarray,
+    command: np.ndarray,
+    k: int,
+    period_s: float,
+    imu_time_s: float,
+    imu_counter: int,
+    bus_imu_counter: int,
+    lateness_s: float,
+    work_s: float,
+    answer_s: float,
+    marks: int,
+) -> None:
+    """Write tick k into a row; see `RowLayout.fill`."""
+    at, values, imus = columns.view(COLUMNS)[0], values_in(sample), imus_in(sample)
+    row[0] = k * period_s
+    for axis in range(len(values)):
+        of_axis = values[axis]
+        row[at.reference + axis] = reference[axis]
+        row[at.reference_raw + axis] = reference_raw[axis]
+        row[at.excitation + axis] = excitation[axis]
+        row[at.feedforward + axis] = feedforward[axis]
+        row[at.command + axis] = command[axis]
+        row[at.effort + axis] = of_axis.effort
+        row[at.position + axis] = of_axis.position
+        if at.link_position >= 0:
+            row[at.link_position + axis] = of_axis.link_position
+        if at.temperature >= 0:
+            row[at.temperature + axis] = of_axis.temperature_degC
+        row[at.statusword + axis] = of_axis.statusword if of_axis.statusword >= 0 else np.nan
+        row[at.data_age + axis] = of_axis.age_s
+    if at.imu >= 0:
+        for channel in range(6):
+            row[at.imu + channel] = imus[channel]
+        row[at.imu + 6] = imu_time_s
+        row[at.imu + 7] = imu_counter if imu_counter >= 0 else np.nan
+    if at.bus_imu >= 0:  # it samples at SYNC, and has no clock of its own
+        for channel in range(6):
+            row[at.bus_imu + channel] = imus[6 + channel]
+        row[at.bus_imu + 6] = k * period_s if bus_imu_counter >= 0 else np.nan
+        row[at.bus_imu + 7] = bus_imu_counter if bus_imu_counter >= 0 else np.nan
+    row[at.sync_lateness] = lateness_s
+    row[at.sync_lateness + 1] = work_s
+    row[at.sync_lateness + 2] = answer_s
+    row[at.sync_lateness + 3] = marks
 
 
 @dataclass(frozen=True)
@@ -59,7 +129,7 @@ class RowLayout:
         self.axes = tuple(axes)
         self.period_s = period_s
         self.channels: list[tuple[str, str]] = [("time", "s")]
-        self._groups: dict[str, slice] = {}
+        self._groups: dict[str, int] = {}
         for group, name_of, unit_of in (
             ("reference", lambda a: f"reference_{a.name}", lambda a: a.position_unit),
             ("reference_raw", lambda a: f"reference_raw_{a.name}", lambda a: a.position_unit),
@@ -89,10 +159,12 @@ class RowLayout:
         self._add("answer_time", [("answer_time", "s")])
         self._add("sensor_marks", [("sensor_marks", "")])
         self._add("observed", list(observed))
-        self.observed = self._groups["observed"]
+        self.observed = slice(len(self.channels) - len(observed), len(self.channels))
+        self._columns = np.array([tuple(self._groups.get(group, -1) for group in COLUMNS.names or ())], COLUMNS).view(np.uint8)
+        self._no_feedforward = np.zeros(len(self.axes))
 
     def _add(self, group: str, channels: list[tuple[str, str]]) -> None:
-        self._groups[group] = slice(len(self.channels), len(self.channels) + len(channels))
+        self._groups[group] = len(self.channels)
         self.channels += channels
 
     @property
@@ -115,31 +187,20 @@ class RowLayout:
         `timing_s`: lateness of the SYNC; work time, from the SYNC until the loop was ready to wait again; and the part of it in which the
         loop waited for the devices' answers. `marks`: a bit per sensor that is not to be believed.
         """
-        groups = self._groups
-        row[0] = k * self.period_s
-        row[groups["reference"]] = plan.reference[k]
-        row[groups["reference_raw"]] = plan.reference_raw[k]
-        row[groups["excitation"]] = plan.excitation[k]
-        row[groups["feedforward"]] = 0.0 if plan.feedforward is None else plan.feedforward[k]
-        row[groups["command"]] = command
-        row[groups["effort"]] = sample.effort
-        row[groups["position"]] = sample.position
-        if "link_position" in groups:
-            row[groups["link_position"]] = sample.link_position
-        if "temperature" in groups:
-            row[groups["temperature"]] = sample.temperature_degC
-        status = row[groups["statusword"]]
-        status[:] = sample.statusword
-        status[status < 0.0] = np.nan
-        row[groups["data_age"]] = sample.age_s
-        if "imu" in groups:
-            row[groups["imu"]] = sample.imu
-            row[groups["imu_time"]] = sample.imu_time_s
-            row[groups["imu_counter"]] = sample.imu_counter if sample.imu_counter >= 0 else np.nan
-        if "bus_imu" in groups:  # it samples at SYNC, and has no clock of its own
-            row[groups["bus_imu"]] = sample.bus_imu
-            has_come = sample.bus_imu_counter >= 0
-            row[groups["bus_imu_time"]] = k * self.period_s if has_come else np.nan
-            row[groups["bus_imu_counter"]] = sample.bus_imu_counter if has_come else np.nan
-        row[groups["sync_lateness"]], row[groups["work_time"]], row[groups["answer_time"]] = timing_s
-        row[groups["sensor_marks"]] = marks
+        _fill(
+            row,
+            self._columns,
+            sample.memory,
+            plan.reference[k],
+            plan.reference_raw[k],
+            plan.excitation[k],
+            self._no_feedforward if plan.feedforward is None else plan.feedforward[k],
+            command,
+            k,
+            self.period_s,
+            sample.imu_time_s,
+            sample.imu_counter,
+            sample.bus_imu_counter,
+            *timing_s,
+            marks,
+        )

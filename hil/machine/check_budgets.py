@@ -9,11 +9,10 @@ import numpy as np
 
 from drivers.canopen.eds import load_object_dictionary
 from drivers.canopen.heartbeat_consumer import HEARTBEAT_TOLERANCE
-from drivers.canopen.motion_bounds import LED_SPEED_MARGIN
 from drivers.canopen.ramps import QUICK_STOP
 from drivers.canopen.units import acceleration_units, in_data_sheet
 from drivers.errors import ConfigurationRefusedError, ProtocolError
-from drivers.settings import BusSettings, Node
+from drivers.settings import LED_SPEED_MARGIN, BusSettings, Node
 from hil.machine.finding import Finding, PoseResult, shown_pose
 from hil.machine.machine import Machine
 from hil.machine.standstill import CLASSES, AxisFacts, Stop

@@ -65,6 +65,7 @@ def ended_by(script: dict[int, Script], change: Callable[[SampleLoop], object] =
 def test_an_axis_may_stand_at_its_limit_and_be_as_far_behind_as_is_allowed(way: float) -> None:
     def no_tracking(loop: SampleLoop) -> None:
         loop.limits = [type(limit)(limit.axis, -1.0, 1.0, 1.0, 1.0, 1.0, 9.0) for limit in loop.limits]
+        loop.__post_init__()
 
     assert ended_by({5: sets(position=(1, way))}, no_tracking) == ""
     beyond = math.nextafter(way, 2.0 * way)
