@@ -41,10 +41,19 @@ class SupervisorInProcess:
         Virtual time [s].
     send : callable
         Sends a frame: identifier and data.
+    supervisor : Supervisor, optional
+        Who judges, where that is a compiled one: it finds the same in less time.
     """
 
-    def __init__(self, settings: BusSettings, now: Callable[[], float], send: Callable[[int, bytes], None]) -> None:
-        self._supervisor = Supervisor(settings)
+    def __init__(
+        self,
+        settings: BusSettings,
+        now: Callable[[], float],
+        send: Callable[[int, bytes], None],
+        supervisor: Supervisor | None = None,
+    ) -> None:
+        self._supervisor = supervisor or Supervisor(settings)
+        self._take = self._supervisor.frame
         self._sync_id = settings.sync_cob_id
         self._now, self._send = now, send
 
@@ -65,10 +74,9 @@ class SupervisorInProcess:
 
     def frame(self, time_s: float, can_id: int, data: bytes) -> None:
         """Take a frame of the bus; judge with every SYNC."""
-        supervisor = self._supervisor
-        supervisor.frame(time_s, can_id, data)
-        if can_id == self._sync_id and not supervisor.check(time_s):
-            for command in supervisor.commands(time_s):
+        self._take(time_s, can_id, data)
+        if can_id == self._sync_id and not self._supervisor.check(time_s):
+            for command in self._supervisor.commands(time_s):
                 self._send(NMT, bytes(command))
 
     def refresh(self, state: IoState) -> int | None:

@@ -29,6 +29,7 @@ from drivers.supervisor_link.process import SupervisorProcess
 from hil.bench.asking import stop_socket
 from hil.bench.attendant import LockstepAttendant, Operator
 from hil.bench.clock import ANSWERS_AWAKE_S, LockstepClock, WallClock
+from hil.bench.compiled_supervising import CompiledSupervisor
 from hil.bench.notice import noticed
 from hil.bench.options import BenchOptions
 from hil.bench.signals import StopRequest
@@ -184,7 +185,7 @@ def lockstep_wiring(machine: Machine, options: BenchOptions, start_pose: np.ndar
         if faulty is not None:
             stack.callback(options.events.extend, faulty.schedule.events)
             stack.callback(faulty.let_rest, bus.pass_time, REST_AT_MOST_S)
-        supervisor = SupervisorInProcess(settings, lambda: bus.time_s, bus.send_frame)
+        supervisor = SupervisorInProcess(settings, lambda: bus.time_s, bus.send_frame, CompiledSupervisor(settings))
         bus.tap = supervisor.frame
         imu = ImuDriver(settings.imu, imu_line(emulated)) if settings.imu is not None else None
         io: Io | None = None

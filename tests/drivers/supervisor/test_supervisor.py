@@ -11,8 +11,8 @@ from bench_machines import CARM, carm_text_in
 
 from drivers.canopen.pdo import PdoCodec
 from drivers.settings import BusSettings
-from drivers.supervisor import supervisor as rules
-from drivers.supervisor.supervisor import Supervisor
+from drivers.supervisor import laws as rules
+from drivers.supervisor.supervisor import NMT_RESET, NMT_STOP, Supervisor
 from hil.machine import machine_from_text
 
 assert CARM.bus is not None
@@ -227,7 +227,7 @@ def test_a_sync_that_stops_while_a_drive_has_torque(machine: Machine) -> None:
     assert machine.supervisor.check(machine.time_s + 0.99 * allowed_s)
     assert not machine.supervisor.check(machine.time_s + 1.01 * allowed_s)
     assert "no SYNC for" in machine.supervisor.reason
-    assert machine.supervisor.commands(machine.time_s + 1.01 * allowed_s) == [(rules.NMT_STOP, 2)]
+    assert machine.supervisor.commands(machine.time_s + 1.01 * allowed_s) == [(NMT_STOP, 2)]
 
 
 @pytest.mark.parametrize("status", [QUICK_STOP_ACTIVE, FAULT_REACTION])
@@ -345,7 +345,7 @@ def test_a_loop_that_does_not_stop_its_axes_is_taken_the_network(machine: Machin
     machine.move(1.2 * FASTEST, 0.3 * rules.OBEYED_S)
     assert machine.supervisor.commands(machine.time_s) == []
     machine.move(1.2 * FASTEST, 0.7 * rules.OBEYED_S)
-    assert machine.supervisor.commands(machine.time_s) == [(rules.NMT_STOP, 2)]
+    assert machine.supervisor.commands(machine.time_s) == [(NMT_STOP, 2)]
 
 
 def test_a_loop_that_stops_its_axes_keeps_the_network(machine: Machine) -> None:
@@ -386,7 +386,7 @@ def test_a_drive_that_pushes_is_reset(machine: Machine, sign: float, push: float
     machine.move(sign * speed, 0.2)
     stopping(machine, sign * speed, sign * push, 0.8, rests=False)
     assert re.fullmatch("roll: its drive does not hold it, as its (motor|link) shows; its voltage is taken", machine.supervisor.reason)
-    assert machine.supervisor.commands(machine.time_s) == [(rules.NMT_RESET, 2)]
+    assert machine.supervisor.commands(machine.time_s) == [(NMT_RESET, 2)]
     assert machine.supervisor.commands(machine.time_s + 0.99 * rules.NMT_EVERY_S) == []
     machine.status = 0x0650  # it has booted
     machine.ticks(100)
@@ -397,7 +397,7 @@ def test_a_drive_that_pushes_is_reset(machine: Machine, sign: float, push: float
 def test_either_encoder_shows_a_drive_that_pushes(machine: Machine, side: str) -> None:
     stopping(machine, 0.0, 1.0, 0.5, side=side, rests=False)
     assert f"as its {side} shows" in machine.supervisor.reason or "apart" in machine.supervisor.reason
-    assert machine.supervisor.commands(machine.time_s) == [(rules.NMT_RESET, 2)]
+    assert machine.supervisor.commands(machine.time_s) == [(NMT_RESET, 2)]
 
 
 def test_an_axis_that_creeps_under_its_drive_is_held_where_it_is(machine: Machine) -> None:
@@ -432,11 +432,11 @@ def test_a_drive_that_holds_with_more_effort_than_any_pose_takes_is_reset_after_
     ramp_s = LIMITS.speed / LIMITS.acceleration
     assert after_s == pytest.approx(ramp_s + 7.5 * math.log(2.0), abs=0.03), "a low pass of one and a half times the loop's 5 s"
     assert machine.supervisor.reason == "roll: its drive does not hold it, as its effort shows; its voltage is taken"
-    assert machine.supervisor.commands(machine.time_s) == [(rules.NMT_RESET, 2)]
+    assert machine.supervisor.commands(machine.time_s) == [(NMT_RESET, 2)]
     machine.ticks(round(5.0 / PERIOD_S))
     assert machine.supervisor.commands(machine.time_s) == [], "it is given as long again"
     machine.ticks(round(2.0 / PERIOD_S))
-    assert machine.supervisor.commands(machine.time_s) == [(rules.NMT_RESET, 2)]
+    assert machine.supervisor.commands(machine.time_s) == [(NMT_RESET, 2)]
 
 
 def test_the_effort_of_a_hold_is_judged_in_a_hold_and_where_there_is_a_limit() -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import statistics
 import struct
+from collections.abc import Sequence
 from dataclasses import replace
 
 import pytest
@@ -12,8 +14,10 @@ from hypothesis import strategies as st
 
 from drivers.canopen.pdo import PdoCodec
 from drivers.settings import BusSettings, Pdo
-from drivers.supervisor import supervisor as rules
-from drivers.supervisor.supervisor import Supervisor, _Axis, _Encoder, _fields
+from drivers.supervisor import laws as rules
+from drivers.supervisor.laws import Entry
+from drivers.supervisor.memory import axis_of, encoder_of
+from drivers.supervisor.supervisor import NMT_RESET, NMT_STOP, Supervisor
 
 assert CARM.bus is not None
 PERIOD_S, COUNT, SPEED, TRACKING = 2.0**-8, 2.0**-16, 0.25, 2.0**-5
@@ -70,83 +74,103 @@ class Line:
         return self.supervisor.check(self.time_s)
 
 
+def told_by(entries: Sequence[tuple[int, int, int]], data: bytes) -> dict[int, int]:
+    """Return what a supervisor takes from a frame of a drive that maps these objects."""
+    supervisor = Supervisor(settings(nodes=(replace(settings().nodes[0], tpdos=(Pdo(1, SENT, 1, tuple(entries)),)),)))
+    supervisor.frame(1.0, SENT, data)
+    (axis,) = supervisor._axes
+    read = {index: encoder.counts for index, encoder in ((0x6064, axis.motor), (0x6004, axis.link)) if encoder.was_read}
+    return read | ({0x6041: axis.statusword} if axis.statusword >= 0 else {})
+
+
 @given(st.lists(st.sampled_from([8, 16, 32]), min_size=1, max_size=4).filter(lambda bits: sum(bits) <= 64), st.data())
-def test_a_field_reads_what_the_codec_packs(bits: list[int], data: st.DataObject) -> None:
+def test_what_a_frame_tells_is_what_the_codec_packs(bits: list[int], data: st.DataObject) -> None:
     indices = data.draw(
         st.lists(st.sampled_from([0x6041, 0x6064, 0x6004, 0x6071, 0x6077]), min_size=len(bits), max_size=len(bits), unique=True)
     )
-    codec = PdoCodec.of([(index, 0, width) for index, width in zip(indices, bits, strict=True)])
+    entries = [(index, 0, width) for index, width in zip(indices, bits, strict=True)]
+    codec = PdoCodec.of(entries)
     values = [
         data.draw(st.integers(-(1 << width - 1), (1 << width - 1) - 1) if signed else st.integers(0, (1 << width) - 1))
         for width, signed in zip(codec.bits, codec.signed, strict=True)
     ]
     packed = codec.pack(*values)
-    fields = _fields((index, 0, width) for index, width in zip(indices, bits, strict=True))
-    assert set(fields) == set(indices)
-    for index, value in zip(indices, values, strict=True):
-        field = fields[index]
-        if index != 0x6077:
-            assert field.read(packed) == value
-        cut = packed[: (field.shift + field.bits) // 8 - 1]
-        assert field.read(cut) is None
+    for length in range(len(packed) + 1):
+        whole = {index for k, index in enumerate(indices) if sum(bits[: k + 1]) <= 8 * length} & {0x6041, 0x6064, 0x6004}
+        expected = {index: value for index, value in zip(indices, values, strict=True) if index in whole}
+        assert told_by(entries, packed[:length]) == expected
+
+
+def encoder(furthest: float = TRACKING) -> Entry:
+    """One that was not read."""
+    return encoder_of(COUNT, replace(settings().motions[0], tracking_error=furthest))
+
+
+def take(of: Entry, counts: int, bits: int = 32, took_s: float = PERIOD_S) -> None:
+    """Let it be read so long after the reading before."""
+    rules.take_reading(of, of.seen_at_s + took_s, counts, 1 << bits - 1, PERIOD_S)
 
 
 @pytest.mark.parametrize("bits", [16, 32])
 @pytest.mark.parametrize("step", [1, -1, 90, -90])
 @pytest.mark.parametrize("where", [0, -1, 0.5])
 def test_an_encoder_counts_over_its_wrap(bits: int, step: int, where: float) -> None:
-    encoder = _Encoder(COUNT, FASTEST, TRACKING)
-    assert (encoder.moved, encoder.speed, encoder.too_fast, encoder.jumped) == (0.0, 0.0, False, False)
+    turned = encoder()
+    assert (turned.moved, rules.speed(turned), turned.too_fast_steps, turned.jumped) == (0.0, 0.0, 0, False)
     at = int(where * (1 << bits))
     for number in range(20):
-        encoder.take((at + number * step) & (1 << bits) - 1, bits, PERIOD_S)
-    assert encoder.moved == 19 * step * COUNT
-    assert encoder.speed == (step * COUNT / PERIOD_S if abs(step) > rules.COUNTS else 0.0)
-    assert not encoder.too_fast
+        take(turned, (at + number * step) & (1 << bits) - 1, bits)
+    assert turned.moved == 19 * step * COUNT
+    assert rules.speed(turned) == (step * COUNT / PERIOD_S if abs(step) > rules.COUNTS else 0.0)
+    assert turned.too_fast_steps == 0
 
 
 def test_three_steps_of_five_beyond_the_largest_are_too_fast() -> None:
-    encoder, at = _Encoder(COUNT, FASTEST, TRACKING), 0
-    encoder.take(at, 32, PERIOD_S)
+    turned, at = encoder(), 0
+    take(turned, at)
     for step, fast in ((98, False), (99, False), (99, False), (98, False), (99, True), (0, True), (0, False), (0, False)):
         at += step
-        encoder.take(at, 32, PERIOD_S)
-        assert encoder.too_fast is fast, at
+        take(turned, at)
+        assert (turned.too_fast_steps > rules.SPEED_STEPS // 2) is fast, at
     assert LARGEST_STEP == 98
 
 
 def test_a_step_is_a_jump_beyond_four_times_the_largest() -> None:
-    encoder = _Encoder(COUNT, FASTEST, TRACKING)
-    encoder.take(0, 32, PERIOD_S)
-    encoder = _Encoder(COUNT, FASTEST, 1.0)
-    encoder.take(0, 32, PERIOD_S)
+    turned = encoder(furthest=1.0)
+    take(turned, 0)
     most = int(rules.JUMP * FASTEST * PERIOD_S / COUNT + rules.COUNTS)
-    encoder.take(most, 32, PERIOD_S)
-    assert (encoder.jumped, encoder.moved) == (False, most * COUNT)
-    encoder.take(2 * most + 1, 32, PERIOD_S)
-    assert (encoder.jumped, encoder.moved) == (True, most * COUNT)
+    take(turned, most)
+    assert (turned.jumped, turned.moved) == (False, most * COUNT)
+    take(turned, 2 * most + 1)
+    assert (turned.jumped, turned.moved) == (True, most * COUNT)
 
 
 def test_speed_needs_three_steps_and_is_the_median_of_the_last_five() -> None:
-    encoder, at = _Encoder(COUNT, FASTEST, TRACKING), 0
+    turned, at = encoder(), 0
     for number, step in enumerate((0, 10, 20, 30, 40, 50)):
         at += step
-        encoder.take(at, 32, 2.0 * PERIOD_S)
-        median = (0.0, 0.0, 0.0, 20.0, 25.0, 30.0)[number]
-        assert encoder.speed == median * COUNT / (2.0 * PERIOD_S)
+        take(turned, at, took_s=2.0 * PERIOD_S)
+        middle = (0.0, 0.0, 0.0, 20.0, 25.0, 30.0)[number]
+        assert rules.speed(turned) == middle * COUNT / (2.0 * PERIOD_S)
+
+
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False, width=32), min_size=1, max_size=5), st.integers(0, 4))
+def test_a_median_is_that_of_the_library(values: list[float], more: int) -> None:
+    assert rules.median([*values, *[0.0] * more], len(values)) == statistics.median(values)
 
 
 def test_what_is_beyond_sixteen_bits_of_torque_is_cut() -> None:
     assert CARM.bus is not None
     strong = replace(settings().scalings[0], rated=1.0, limit=1000.0)
-    assert _Axis(strong, settings().motions[0], 1.0, PERIOD_S).torque_permille == 32767
+    assert axis_of(strong, settings().motions[0], 1.0, PERIOD_S).torque_permille == 32767
 
 
 def test_readings_are_a_period_apart_at_least() -> None:
-    axis = _Axis(settings().scalings[0], settings().motions[0], 1.0, PERIOD_S)
-    assert axis._took(5.0, -float("inf")) == float("inf")
-    assert axis._took(5.0, 5.0 - 0.5 * PERIOD_S) == PERIOD_S
-    assert axis._took(5.0, 5.0 - 2.0 * PERIOD_S) == 2.0 * PERIOD_S
+    for took_s, counted_s in ((0.0, PERIOD_S), (0.5 * PERIOD_S, PERIOD_S), (-PERIOD_S, PERIOD_S), (2.0 * PERIOD_S, 2.0 * PERIOD_S)):
+        turned = encoder()
+        for k in range(4):
+            take(turned, 16 * k, took_s=took_s)
+        assert rules.speed(turned) == 16 * COUNT / counted_s
 
 
 @pytest.mark.parametrize("way", [1, -1])
@@ -180,7 +204,7 @@ def test_bounds_of_time_belong_to_what_is_allowed() -> None:
     assert line.supervisor.check(line.time_s + silent_s)
     assert not line.supervisor.check(line.time_s + silent_s + 2.0**-20)
     assert line.supervisor.commands(line.time_s + silent_s) == []
-    assert line.supervisor.commands(line.time_s + silent_s + 2.0**-20) == [(rules.NMT_STOP, 1)]
+    assert line.supervisor.commands(line.time_s + silent_s + 2.0**-20) == [(NMT_STOP, 1)]
 
 
 def test_a_second_producer_is_judged_over_all_its_syncs() -> None:
@@ -218,7 +242,7 @@ def test_who_asked_is_named_and_when() -> None:
     assert line.supervisor.reason == ""
     moving(line, 90, 1, at)
     assert line.supervisor.reason == "propeller: it is still led 0.2 s after hold-to-run or the door asked for a stop"
-    assert line.supervisor.commands(line.time_s) == [(rules.NMT_STOP, 1)]
+    assert line.supervisor.commands(line.time_s) == [(NMT_STOP, 1)]
 
 
 def test_an_axis_that_goes_on_is_stopped_by_its_network_after_its_time() -> None:
@@ -232,14 +256,14 @@ def test_an_axis_that_goes_on_is_stopped_by_its_network_after_its_time() -> None
     assert line.supervisor.commands(refused_s + rules.OBEYED_S) == []
     at = moving(line, 1, 1, at)
     assert line.supervisor.commands(refused_s + rules.OBEYED_S) == []
-    assert line.supervisor.commands(line.time_s) == [(rules.NMT_STOP, 1)]
+    assert line.supervisor.commands(line.time_s) == [(NMT_STOP, 1)]
     assert line.supervisor.commands(line.time_s + 0.999 * rules.NMT_EVERY_S) == []
     line.tick(at, status=QUICK_STOP)
     assert line.supervisor.commands(line.time_s + rules.NMT_EVERY_S) == []  # what holds is left to hold
     line.tick(at)
     assert line.supervisor.commands(line.time_s + 2.0 * rules.NMT_EVERY_S) == [], "from here it is led anew"
     moving(line, 50, int(TRACKING / COUNT / 50) + 1, at)
-    assert line.supervisor.commands(line.time_s + 3.0 * rules.NMT_EVERY_S) == [(rules.NMT_STOP, 1)]
+    assert line.supervisor.commands(line.time_s + 3.0 * rules.NMT_EVERY_S) == [(NMT_STOP, 1)]
 
 
 @pytest.mark.parametrize("way", [1, -1])
@@ -257,7 +281,7 @@ def test_a_hold_may_miss_its_way_by_the_tracking_error_and_a_half(way: int, begi
     assert line.supervisor.reason == ""
     line.tick(at + way * (beyond + most + 2), status=QUICK_STOP)
     assert line.supervisor.reason.startswith("propeller: its drive does not hold it, as its ")
-    assert line.supervisor.commands(line.time_s) == [(rules.NMT_RESET, 1)]
+    assert line.supervisor.commands(line.time_s) == [(NMT_RESET, 1)]
 
 
 def test_a_hold_may_go_back_from_its_furthest_place_by_as_much() -> None:
@@ -288,7 +312,7 @@ def test_a_drive_that_is_reset_and_pushes_on_is_reset_again() -> None:
     for _ in range(400):
         at += 60
         line.tick(at, status=QUICK_STOP)
-        resets += line.supervisor.commands(line.time_s) == [(rules.NMT_RESET, 1)]
+        resets += line.supervisor.commands(line.time_s) == [(NMT_RESET, 1)]
     assert resets >= 2
 
 
@@ -453,16 +477,15 @@ def test_a_speed_is_told_with_what_is_allowed() -> None:
 
 
 def test_a_frame_that_lacks_a_byte_says_nothing() -> None:
-    field = _fields((STATUS, POSITION))[0x6064]
-    assert field.read(bytes(5)) is None
-    assert field.read(bytes(6)) == 0
+    assert told_by((STATUS, POSITION), bytes(5)) == {0x6041: 0}
+    assert told_by((STATUS, POSITION), bytes(6)) == {0x6041: 0, 0x6064: 0}
 
 
 def test_a_counter_that_is_half_its_range_away_was_set() -> None:
-    encoder = _Encoder(COUNT, FASTEST, TRACKING)
-    encoder.take(0, 32, PERIOD_S)
-    encoder.take(1 << 31, 32, PERIOD_S)
-    assert (encoder.jumped, encoder.moved) == (True, 0.0)
+    turned = encoder()
+    take(turned, 0)
+    take(turned, 1 << 31)
+    assert (turned.jumped, turned.moved) == (True, 0.0)
 
 
 def test_a_drive_that_was_never_heard_has_as_long_as_any() -> None:
@@ -476,9 +499,9 @@ def test_a_drive_that_was_never_heard_has_as_long_as_any() -> None:
 
 
 def test_a_field_whose_last_bits_are_missing_says_nothing() -> None:
-    field = _fields(((0x6041, 0, 48), (0x6064, 0, 12)))[0x6064]
-    assert field.read(bytes(7)) is None
-    assert field.read(bytes(8)) == 0
+    entries = ((0x6041, 0, 48), (0x6064, 0, 12))
+    assert 0x6064 not in told_by(entries, bytes(7))
+    assert told_by(entries, bytes(8))[0x6064] == 0
 
 
 def test_an_axis_that_moves_on_after_the_session_is_stopped_by_its_network() -> None:
@@ -487,7 +510,7 @@ def test_an_axis_that_moves_on_after_the_session_is_stopped_by_its_network() -> 
     line.supervisor.end()
     assert line.supervisor.commands(line.time_s) == []  # from here on it should stand
     moving(line, 50, int(TRACKING / COUNT / 50) + 1, at)
-    assert line.supervisor.commands(line.time_s) == [(rules.NMT_STOP, 1)]
+    assert line.supervisor.commands(line.time_s) == [(NMT_STOP, 1)]
 
 
 def test_a_supervisor_that_was_held_up_knows_the_last_sync() -> None:
@@ -499,9 +522,9 @@ def test_a_supervisor_that_was_held_up_knows_the_last_sync() -> None:
 
 @pytest.mark.parametrize("zero", [0, 0x5000])
 def test_a_link_encoder_counts_to_half_its_range_both_ways(zero: int) -> None:
-    axis = _Axis(replace(settings().scalings[0], link_zero_counts=zero), settings().motions[0], 1.0, PERIOD_S)
+    axis = axis_of(replace(settings().scalings[0], link_zero_counts=zero), settings().motions[0], 1.0, PERIOD_S)
     for counts in (0x6000, -0x6000, 0x7FFF, -0x8000):
-        axis.link_position(1.0, (zero + counts) & 0xFFFF, 16)
+        rules.take_link_position(axis, 1.0, (zero + counts) & 0xFFFF, 1 << 15)
         assert axis.link_at == counts * COUNT
 
 
@@ -512,7 +535,7 @@ def test_a_loop_has_its_whole_time_to_stop_an_axis() -> None:
     assert line.supervisor.commands(rules.OBEYED_S) == []
     moving(line, 50, int(TRACKING / COUNT / 50) + 1, at)
     assert line.supervisor.commands(rules.OBEYED_S) == []
-    assert line.supervisor.commands(rules.OBEYED_S + 1e-9) == [(rules.NMT_STOP, 1)]
+    assert line.supervisor.commands(rules.OBEYED_S + 1e-9) == [(NMT_STOP, 1)]
 
 
 def test_every_axis_has_limits() -> None:
