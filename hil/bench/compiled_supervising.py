@@ -15,7 +15,6 @@ from numba import boolean, float64, int64, uint8
 from numba.extending import register_jitable
 
 from controllers.compiled import kept_on_disk
-from drivers.judging.records import record_of
 from drivers.supervisor import laws
 from drivers.supervisor.laws import ASKS, TAKE, Entry, judged, take_frame
 from drivers.supervisor.memory import AXIS, FIELD, MACHINE, MOST_NOTED, NOTED_FORMAT
@@ -59,7 +58,7 @@ class CompiledSupervisor(Supervisor):
         self._asking = {can_id for can_id, place in self._places.items() if self._fields[place].kind in ASKS}
         machines, axes = array_of(MACHINE, [self._machine]), array_of(AXIS, self._axes)
         self._bytes = machines.view(np.uint8), axes.view(np.uint8), array_of(FIELD, self._fields).view(np.uint8)
-        self._machine, self._axes = record_of(machines), [record_of(axes[k:]) for k in range(len(axes))]
+        self._machine, self._axes = machines.view(np.recarray)[0], list(axes.view(np.recarray))
         self._image = machines["noted"].view(np.uint8).reshape(-1).data
         self._is_permitted = True  # at the last judgement
         self._noted: list[tuple[int, bytes, float]] = []
