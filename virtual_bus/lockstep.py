@@ -77,7 +77,11 @@ class LockstepBus(can.BusABC):
 
     def receive_frame(self) -> tuple[int, bytes] | None:
         """Return the next frame as (identifier, data), None when there is none; no time passes."""
-        return self._frames.popleft() if self._frames else None
+        while self._frames:
+            frame = self._frames.popleft()
+            if self._filters is None or self._matches_filters(self.as_message(*frame)):
+                return frame
+        return None
 
     def as_message(self, can_id: int, data: bytes) -> can.Message:
         """Return a frame of `receive_frame` as `recv` would."""

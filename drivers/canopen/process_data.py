@@ -173,14 +173,14 @@ class Tpdo:
         )
         effort = CURRENT_ACTUAL if CURRENT_ACTUAL in objects else TORQUE_ACTUAL
         self.effort = objects.index(effort) if effort in objects else -1
-        mapped = [(index, subindex) for index, subindex, _ in pdo.entries]
+        self.is_of_axis = node.role != "imu"  # what an axis is judged stale by
+        mapped = [] if self.is_of_axis else [(index, subindex) for index, subindex, _ in pdo.entries]
         self.imu = [
             (place, OBJECTS.index(each), FORCE_STEP_m_s2 if each[0] == FORCE else RATE_STEP_rad_s)
             for place, each in enumerate(mapped)
             if each in OBJECTS
         ]
-        self.imu_counter = objects.index(COUNTER) if COUNTER in objects else -1
-        self.is_of_axis = node.role != "imu"  # what an axis is judged stale by
+        self.imu_counter = -1 if self.is_of_axis or COUNTER not in objects else objects.index(COUNTER)
 
     def take(self, data: bytes | bytearray, sample: Sample) -> bool:
         """Put the values of one frame into the sample; return False where it is malformed: the row lacks the values."""

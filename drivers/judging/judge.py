@@ -83,7 +83,7 @@ def judged(
     Parameters
     ----------
     block, sample : arrays of bytes
-        As `memory_in` and `drivers.interface.values_in` take them.
+        As `memory_in` and `drivers.sample_memory.values_in` take them.
     imu_counter, imu_time_s, imu_damaged, has_imu_fault, lateness_s, io_age_s
         See `Sample`.
     ticks : int

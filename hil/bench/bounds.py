@@ -106,6 +106,8 @@ class Bounds:
 
     def see(self, sample: Sample, reference: np.ndarray) -> int:
         """Take over the positions of a sample; return what is out of bounds, 0 when nothing is."""
+        if sample.axes != len(self._limits):
+            raise ValueError(f"a sample of {sample.axes} axes and limits of {len(self._limits)}")
         return _seen_at_once(self._block, self.position, sample.memory, reference, sample.unanswered > 0)
 
     def says(self, found: int, reference: np.ndarray) -> str:

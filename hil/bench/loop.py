@@ -87,7 +87,7 @@ class SampleLoop:
     control : Control
         All axes' feedback.
     limits : sequence of AxisLimits
-        Every sample is checked against these.
+        Every sample is checked against these, as they are when the loop is made.
     layout : RowLayout
         The column of each value.
     guard_io : bool

@@ -187,6 +187,8 @@ class RowLayout:
         `timing_s`: lateness of the SYNC; work time, from the SYNC until the loop was ready to wait again; and the part of it in which the
         loop waited for the devices' answers. `marks`: a bit per sensor that is not to be believed.
         """
+        if sample.axes != len(self.axes):
+            raise ValueError(f"a sample of {sample.axes} axes and a row of {len(self.axes)}")
         _fill(
             row,
             self._columns,

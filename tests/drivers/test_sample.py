@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.interface import Sample
+from drivers.interface import ANSWERED_BYTES, VALUES, Sample
 from drivers.sample_memory import imus_in, values_in
 
 ANSWERED = ("position", "link_position", "effort", "statusword", "position_late", "link_late")
@@ -15,7 +15,8 @@ def filled() -> tuple[Sample, dict[str, list[float]]]:
     sample, given = Sample(3), {}
     for number, name in enumerate((*ANSWERED, *KNOWN)):
         values = getattr(sample, name)
-        values[:] = np.arange(len(values)) + 10 * number + 1
+        of_bits = number % len(values) == np.arange(len(values))  # of those that are true or false, each another one is true
+        values[:] = of_bits if values.dtype == bool else np.arange(len(values)) + 10 * number + 1
         given[name] = values.tolist()
     return sample, given
 
@@ -36,3 +37,8 @@ def test_answers_are_forgotten_and_nothing_else() -> None:
     for name in ANSWERED:
         np.testing.assert_array_equal(getattr(sample, name), getattr(fresh, name))
     assert {name: getattr(sample, name).tolist() for name in KNOWN} == {name: given[name] for name in KNOWN}
+
+
+def test_what_is_forgotten_ends_where_what_is_known_beside_begins() -> None:
+    assert VALUES.fields is not None
+    assert VALUES.fields[KNOWN[0]][1] == ANSWERED_BYTES

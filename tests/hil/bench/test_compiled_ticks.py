@@ -17,6 +17,8 @@ from drivers.settings import HomingSettings, MotionLimits
 from hil.bench import bounds, row_layout
 from hil.bench.bounds import Bounds
 from hil.bench.compiled_judging import watched_at_once
+from hil.bench.row_layout import AxisColumns, RowLayout
+from hil.recording.channels import imu_channels
 
 SETTINGS = machine_settings()
 COUNT = 2.0**-16
@@ -106,3 +108,36 @@ def test_a_row_is_filled_with_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
             plain.setattr(row_layout, "_fill", row_layout._fill.py_func)  # type: ignore[attr-defined]
             columns.fill(rows[1], *rest)
         assert rows[0].tobytes() == rows[1].tobytes()
+
+
+def test_a_sample_of_other_axes_is_refused() -> None:
+    with pytest.raises(ValueError, match="a sample of 2 axes and limits of 1"):
+        Bounds([AxisLimits("roll", -1.0, 1.0, 1.0, 1.0, 1.0, 0.4)], 2).see(Sample(2), np.zeros(1))
+    columns, plan = layout(), still(1)
+    with pytest.raises(ValueError, match="a sample of 3 axes and a row of 2"):
+        columns.fill(np.zeros(columns.width), 0, Sample(3), plan, np.zeros(2), (0.0, 0.0, 0.0))
+
+
+def test_every_value_of_a_row_stands_in_its_channel() -> None:
+    columns = RowLayout(
+        [AxisColumns(axis, "rad", "A", "A") for axis in AXES], PERIOD_S, imu="imu", bus_imu="near", link=True, temperature=False
+    )
+    sample, plan, row = Sample(len(AXES)), still(3), np.full(columns.width, -7.0)
+    given = {"position": 1.0, "link_position": 3.0, "effort": 5.0, "age_s": 7.0}
+    for name, first in given.items():
+        getattr(sample, name)[:] = first, first + 1.0
+    sample.statusword[:] = 9, -1
+    sample.imu[:], sample.bus_imu[:] = np.arange(11.0, 17.0), np.arange(21.0, 27.0)
+    sample.imu_time_s, sample.imu_counter, sample.bus_imu_counter = 0.5, -1, 31
+    columns.fill(row, 2, sample, plan, np.array([41.0, 42.0]), (0.1, 0.2, 0.3), 6)
+    got = dict(zip([name for name, _ in columns.channels], row.tolist(), strict=True))
+    assert [got[f"{name}_{axis}"] for name in ("position", "link_position", "current", "data_age", "command") for axis in AXES] == [
+        *(1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 41.0, 42.0)
+    ]
+    assert [got[f"statusword_{AXES[0]}"], got["imu_time"], got["near_counter"], got["near_time"], got["time"]] == [
+        *(9.0, 0.5, 31.0, 2 * PERIOD_S, 2 * PERIOD_S)
+    ]
+    assert np.isnan([got[f"statusword_{AXES[1]}"], got["imu_counter"]]).all()
+    assert [got[name] for name in imu_channels("imu")] == np.arange(11.0, 17.0).tolist()
+    assert [got[name] for name in imu_channels("near")] == np.arange(21.0, 27.0).tolist()
+    assert [got[name] for name in ("sync_lateness", "work_time", "answer_time", "sensor_marks")] == [0.1, 0.2, 0.3, 6.0]

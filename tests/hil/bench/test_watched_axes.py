@@ -44,7 +44,8 @@ def flipped(drive: Cia402Drive, bench: Bench) -> None:
 
 def mute(drive: Cia402Drive, bench: Bench) -> None:
     """The drive's TPDO is lost; its heartbeat is not."""
-    drive.end_sync = lambda counter: None
+    emit, own = drive.emit, 0x180 + drive.node_id
+    drive.emit = lambda can_id, data: None if can_id == own else emit(can_id, data)
 
 
 def powerless(drive: Cia402Drive, bench: Bench) -> None:
