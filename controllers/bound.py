@@ -8,9 +8,10 @@ goes on reading and writing them; which arrays they are cannot be changed.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
-from numba import types
+from numba import config, types
 from numba.experimental import structref
 
 from controllers.compiled import exactly_compiled
@@ -28,7 +29,7 @@ structref.register(BoundType)  # type: ignore[no-untyped-call]
 
 
 class Bound(structref.StructRefProxy):
-    """A reference to a tuple, of arrays or of named tuples of them, for compiled functions."""
+    """A reference to a tuple, of arrays or of named tuples of them, for compiled functions. It is neither copied nor pickled."""
 
     held: tuple[Any, ...]
 
@@ -38,6 +39,10 @@ structref.define_constructor(Bound, BoundType, ["held"])  # type: ignore[no-unty
 
 
 @exactly_compiled
-def bound(held: tuple[object, ...]) -> Bound:
-    """Bind a tuple; see `Bound`."""
+def _bound(held: tuple[object, ...]) -> Bound:
     return Bound(held)  # type: ignore[no-untyped-call]
+
+
+def bound(held: tuple[object, ...]) -> Bound:
+    """Bind a tuple; see `Bound`. With numba's compilation switched off, an object with the tuple does as well."""
+    return cast(Bound, SimpleNamespace(held=held)) if config.DISABLE_JIT else _bound(held)  # type: ignore[attr-defined]

@@ -86,7 +86,7 @@ class LockstepBus(can.BusABC):
     def as_message(self, can_id: int, data: bytes) -> can.Message:
         """Return a frame of `receive_frame` as `recv` would."""
         message = message_of(can_id, data)
-        message.timestamp = self.time_s
+        message.timestamp, message.channel = self.time_s, CHANNEL
         return message
 
     def pass_time(self, seconds: float) -> None:

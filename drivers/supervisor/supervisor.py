@@ -134,7 +134,7 @@ class Supervisor:
         return following_word(word) if self.check(time_s) else None
 
     def commands(self, time_s: float) -> list[tuple[int, int]]:
-        """Return what the supervisor now commands itself (NMT), as command and node, because the loop does not stop these axes."""
+        """Return what the supervisor commands itself where the loop does not stop an axis (NMT; `laws.command`), as command and node."""
         self._judged(COMMAND, time_s)
         if not self._machine.commands:
             return []

@@ -65,7 +65,9 @@ class CompiledSupervisor(Supervisor):
 
     def frame(self, time_s: float, can_id: int, data: bytes) -> None:
         """Take note of a data frame with an 11-bit identifier, whoever sent it."""
-        self._noted.append((can_id, data, time_s))
+        self._noted.append((can_id, bytes(data), time_s))
+        if len(self._noted) >= MOST_NOTED:
+            self._judged(TAKE, 0.0)
 
     @property
     def reason(self) -> str:
@@ -76,18 +78,11 @@ class CompiledSupervisor(Supervisor):
 
     def _judged(self, question: int, time_s: float) -> bool:
         """Judge all that was noted, answer the question, and return whether motion is permitted."""
-        noted = self._noted
-        while len(noted) > MOST_NOTED:
-            self._taken(noted[:MOST_NOTED], TAKE, time_s)
-            del noted[:MOST_NOTED]
-        self._is_permitted = self._taken(noted, question, time_s)
-        noted.clear()
+        number = len(self._noted)
+        _PACKS[number](self._image, 0, *chain.from_iterable(self._noted))
+        self._noted.clear()
+        self._is_permitted = _judge(*self._bytes, number, question, time_s)
         return self._is_permitted
-
-    def _taken(self, frames: list[tuple[int, bytes, float]], question: int, time_s: float) -> bool:
-        number = len(frames)
-        _PACKS[number](self._image, 0, *chain.from_iterable(frames))
-        return _judge(*self._bytes, number, question, time_s)
 
 
 def array_of(kind: np.dtype, entries: list[Entry]) -> np.ndarray:

@@ -27,8 +27,8 @@ class Prediction:
     `expected_missed` extrapolates block maxima with a generalised extreme-value distribution. The intervals do not rest on it. They are for
     what the `HORIZON_S` after the trial will show, nine times of ten. Load, other guests of a host and its clock change over minutes, so
     that ten minutes differ from a trial by more than chance: see `wandering`. `p999_least_s` to `p999_most_s` is that of the 99.9th
-    percentile. `least_missed` to `most_missed` begins with the exact binomial interval (Clopper and Pearson 1934) of the share of blocks
-    with a lost tick, times the ticks that such a block loses.
+    percentile. `least_missed` to `most_missed` is the binomial interval (Clopper and Pearson 1934) of the share of blocks with a lost tick,
+    widened by `_dispersion`, times the ticks that such a block loses.
     """
 
     ticks: int
@@ -90,7 +90,8 @@ def predict(tick_s: np.ndarray, period_s: float) -> Prediction:
     longest = used.max(axis=1)
     levels = np.array([np.log(part).mean() for part in np.array_split(longest, WINDOWS)])
     wander = t.ppf(0.5 * (1.0 + CONFIDENCE), WINDOWS - 2) * np.sqrt(wandering(levels, in_horizon / blocks))
-    below, above = (float(np.hypot(np.log(end / p999), wander)) for end in _p999_interval(used))
+    by_chance = np.sqrt(1.0 + blocks / in_horizon)  # of the trial, and of the horizon itself
+    below, above = (float(np.hypot(by_chance * np.log(end / p999), wander)) for end in _p999_interval(used))
     return Prediction(
         len(tick_s),
         period_s,
@@ -126,15 +127,16 @@ def wandering(windows: np.ndarray, horizon: float) -> float:
 
 
 def _dispersion(is_bad: np.ndarray, horizon: float) -> float:
-    """Return how many times the binomial variance the share of bad blocks of a horizon has about that of a trial, at least 1.
+    """Return how many times a trial's binomial variance the share of bad blocks of the horizon has about the trial's, at least 1.
 
-    What the windows of the trial differ by beyond chance is wandering (quasi-likelihood: McCullagh and Nelder 1989, section 4.5).
+    The horizon adds its own, which is smaller as it is longer. What the windows of the trial differ by beyond chance is wandering
+    (quasi-likelihood: McCullagh and Nelder 1989, section 4.5).
     """
     shares = np.array([part.mean() for part in np.array_split(is_bad, WINDOWS)])
     chance = max(is_bad.mean() * (1.0 - is_bad.mean()), np.finfo(float).tiny) / len(is_bad)
     by_chance = 2.0 * WINDOWS * chance  # mean squared difference of adjacent windows
     beyond = max(0.0, float(np.mean(np.diff(shares) ** 2)) / by_chance - 1.0)
-    return float(1.0 + beyond * wandering(np.array([0.0, np.sqrt(by_chance)]), horizon) / chance)
+    return float(1.0 + 1.0 / horizon + beyond * wandering(np.array([0.0, np.sqrt(by_chance)]), horizon) / chance)
 
 
 def _p999_interval(blocks: np.ndarray) -> tuple[float, float]:

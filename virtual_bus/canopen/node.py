@@ -1,7 +1,7 @@
 """One CANopen device (CiA 301, CiA 305): NMT, SDO, PDO, SYNC, TIME, heartbeat, guarding, emergency, stored parameters, LSS.
 
-A node owns no bus and no clock. Frames and time go in by `receive` and `tick`, frames come out through `emit`. Profile devices derive from
-it and fill in the hooks at the end of the class.
+A node owns no bus, and its time is that of its owner. Frames and time go in by `receive` and `tick`, frames come out through `emit`.
+Profile devices derive from it and fill in the hooks at the end of the class.
 """
 
 from __future__ import annotations

@@ -149,7 +149,7 @@ class Rpdo:
         self._length_error = error
 
     def on_sync(self) -> None:
-        """Apply what came since the last SYNC, if anything."""
+        """Apply what has come and was not applied yet, if anything."""
         if (data := self._pending) is None:
             return
         values = self._layout.unpack(data)

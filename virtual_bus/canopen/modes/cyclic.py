@@ -19,7 +19,7 @@ class CyclicTorque(Mode):
         self._target, self._offset = servo.entry(0x6071), servo.entry(0x60B2)
 
     def torque(self) -> int:
-        """Return the sum, within the limits."""
+        """Return the sum, within the limits; the drive has marked the servo as not limited."""
         limit, target = self.servo.limit, int(self._target.value) + int(self._offset.value)
         if -limit <= target <= limit:
             return target
