@@ -1,7 +1,7 @@
 """Arrays that are handed to compiled functions once, instead of with every call.
 
-numba takes each array of a tuple apart at every call, which is a sixth of a microsecond when caches are warm and several times that in a
-tick. What is bound is taken apart once: a call then costs the same for one array and for fifty. The arrays are those of the caller, who
+numba takes each array of a tuple apart at every call, which for the fifty of an observer is a good part of a step. What is bound is taken
+apart once: a call then costs the same for one array and for all. The arrays are those of the caller, who
 goes on reading and writing them; which arrays they are cannot be changed.
 """
 

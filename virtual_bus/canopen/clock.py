@@ -16,7 +16,8 @@ class Clock:
     now_s : float
         The present time.
     due_s : float
-        Nothing is due in any device before; something may be due then.
+        Nothing is due in any device before; something may be due then. Whoever ticks the devices sets it anew; a device that stands alone
+        does without.
     """
 
     __slots__ = ("due_s", "now_s")

@@ -98,7 +98,7 @@ class Emitter:
 
 
 def _read_once(lines: list[str]) -> Iterator[str]:
-    """Yield these lines with entries of arrays read into variables just before their first use: numba takes 2 ms for every reading.
+    """Yield these lines with entries of arrays read into variables just before their first use: numba compiles every reading anew.
 
     After a store they are read anew, as if it might have changed them: only so are sums taken in the same order as without variables.
     """

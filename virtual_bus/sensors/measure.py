@@ -235,7 +235,7 @@ BLOCKS = {
 }  # fmt: skip
 """What `sense` takes of a machine: few arrays, and what their rows are.
 
-One by one the rows would take four times as long to hand over, in a tuple twenty times.
+One by one the rows would take longer to hand over, in a tuple longer still.
 """
 
 ENTRY_POINTS = '''"""Generated: the sensors as cached entry points; do not edit."""

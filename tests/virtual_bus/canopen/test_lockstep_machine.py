@@ -223,6 +223,17 @@ def test_it_is_a_python_can_bus() -> None:
     assert master.bus.recv(0.0) is None
 
 
+def test_frames_without_message_objects_are_filtered_as_well() -> None:
+    master = Master()
+    master.bus.set_filters([{"can_id": 0x581, "can_mask": 0x7FF}])
+    for node in (2, 1):
+        master.send(0x600 + node, bytes.fromhex("40 00 10 00 00 00 00 00"))
+    frame = master.bus.receive_frame()
+    assert frame is not None
+    assert frame[0] == 0x581
+    assert master.bus.receive_frame() is None
+
+
 def test_remote_and_long_frames_find_no_listener() -> None:
     master = Master()
     master.bus.send(can.Message(arbitration_id=0x601, is_remote_frame=True, dlc=8, is_extended_id=False))
