@@ -347,3 +347,12 @@ def signals(constants: Constants, scheduled: Scheduled, x: np.ndarray, command: 
     carried(constants, scheduled.sees, x, 0, out)
     acted(constants, scheduled.sees, command, out)
     others_seen(constants, x, out)
+
+
+@exactly_inlined
+def alone(constants: Constants, scheduled: Scheduled, x: np.ndarray, k: int, out: np.ndarray) -> None:
+    """Write the signals (signals,) of a deviation x of which only state k is not zero."""
+    moves, width = k < moving(constants), scheduled.sees.shape[1]
+    for j in range(width):
+        out[j] = x[k] * scheduled.sees[k, j] if moves else 0.0
+    others_seen(constants, x, out)
