@@ -13,7 +13,7 @@ from drivers.interface import Sample
 from drivers.judging.drive import DRIVE, DriveJudge, judged_drive
 from drivers.judging.encoders import PAIR, EncoderJudge, judged_encoders
 from drivers.judging.imu import PACKETS, ImuJudge, judged_imu
-from drivers.judging.motion_window import MotionWindow
+from drivers.judging.motion_window import Average, MotionWindow, average
 from drivers.judging.settings import Follows, JudgingSettings
 from drivers.judging.temperature import THERMOMETER, TemperatureJudge, judged_temperature
 from drivers.sample_memory import imus_in, values_in
@@ -176,6 +176,8 @@ class SensorJudge:
         Called with time, sensor, check and words when a check begins to fail, and with no words when it ends.
     law : Law, optional
         Of all judges at once: a compiled one takes less time and finds the same.
+    average : Average, optional
+        Of a motion window: likewise.
 
     Attributes
     ----------
@@ -191,9 +193,10 @@ class SensorJudge:
         period_s: float,
         noticed: Callable[[float, str, str, str], None] | None = None,
         law: Law = judged,
+        average: Average = average,
     ) -> None:
         axes = len(settings.drives)
-        window = self._window = None if settings.expects is None else MotionWindow(settings.expects, axes, period_s)
+        window = self._window = None if settings.expects is None else MotionWindow(settings.expects, axes, period_s, average)
         imu, encoders, temperatures, drives = settings.imu, settings.encoders, settings.temperatures, settings.drives
         longest = max((each.settling_ticks + 1 for each in drives), default=1)
         self._block = _block_for(int(imu is not None), len(encoders), len(temperatures), len(drives), longest)
@@ -278,6 +281,12 @@ class SensorJudge:
             return ""
         self._is_failing = is_failing
         return self._take_findings(time_s, led=led)
+
+    def rehearse(self) -> None:
+        """Execute what the end of a motion window takes, shortly before it: it is code that no other tick has brought into the caches."""
+        if self._window is not None and self._window.rehearse():
+            for each in self._of_windows:
+                each.take_window()  # the newest window once more
 
     def _take_findings(self, time_s: float, *, led: bool) -> str:
         """Keep what was found in the newest sample; return why the motors must be stopped, or ''."""

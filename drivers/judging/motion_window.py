@@ -10,14 +10,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import nan
+from math import isfinite, isnan, nan, sqrt
 
 import numpy as np
+from numba.extending import register_jitable
 
-from drivers.interface import IMUS_BYTES, VALUES, Sample
+from drivers.interface import Sample
+from drivers.sample_memory import imus_in, values_in
 
 WINDOW_S = 0.5
 """Time over which means are taken: two periods of the slowest vibration, and short against a run."""
+
+ORDERS = 3  # position, speed and acceleration
+DEVIATION, EFFORT = 2 * ORDERS, 2 * ORDERS + 1  # rows of `Means`
+ROWS = EFFORT + 1
 
 
 @dataclass(frozen=True)
@@ -31,16 +37,101 @@ class Expected:
 
 @dataclass(frozen=True)
 class Means:
-    """Means over a window."""
+    """Means over a window.
 
-    position: np.ndarray  # (2, axes) rad or m: motor side, link
-    speed: np.ndarray  # (2, axes)
-    acceleration: np.ndarray  # (2, axes)
-    deviation: np.ndarray  # (axes,) of the motor side's speed about its mean
-    effort: np.ndarray  # (axes,) drive's unit
+    Parameters
+    ----------
+    rows : (ROWS, axes) array
+        Position, speed and acceleration, of motor side and link each; the deviation of the motor side's speed about its mean; the effort.
+    """
+
+    rows: np.ndarray
+
+    @property
+    def position(self) -> np.ndarray:
+        """Return (2, axes) rad or m: motor side, link."""
+        return self.rows[0:2]
+
+    @property
+    def speed(self) -> np.ndarray:
+        """Return (2, axes)."""
+        return self.rows[2:4]
+
+    @property
+    def acceleration(self) -> np.ndarray:
+        """Return (2, axes)."""
+        return self.rows[4:6]
+
+    @property
+    def deviation(self) -> np.ndarray:
+        """Return (axes,) of the motor side's speed about its mean."""
+        deviation: np.ndarray = self.rows[DEVIATION]
+        return deviation
+
+    @property
+    def effort(self) -> np.ndarray:
+        """Return (axes,) in the drive's unit."""
+        effort: np.ndarray = self.rows[EFFORT]
+        return effort
 
 
 Expects = Callable[[Means], Expected]
+
+Average = Callable[[np.ndarray, np.ndarray, float, np.ndarray, np.ndarray], None]
+"""`average`, or the same compiled."""
+
+
+@register_jitable
+def average(samples: np.ndarray, weights: np.ndarray, period_s: float, means: np.ndarray, imu: np.ndarray) -> None:
+    """Write the means of a window; an axis whose readings are missing has none, and a link without an encoder those of its motor side.
+
+    Parameters
+    ----------
+    samples : array of bytes
+        The memories of a window's samples, one after the other.
+    weights : (ORDERS, ticks) array
+        Of the mean, of its first and of its second derivative.
+    period_s : float
+    means : (ROWS, axes) array
+        Overwritten, see `Means`.
+    imu : (7,) array
+        Overwritten by sums of the first IMU's channels [m/s^2, rad/s], and behind them the sum of their weights.
+    """
+    ticks, axes = weights.shape[1], means.shape[1]
+    size = len(samples) // ticks
+    means[:] = 0.0
+    imu[:] = 0.0
+    for k in range(ticks):
+        memory = samples[k * size : (k + 1) * size]
+        values, readings, is_whole = values_in(memory), imus_in(memory), True
+        for axis in range(axes):
+            position, link = values[axis].position, values[axis].link_position
+            for order in range(ORDERS):
+                means[2 * order, axis] += weights[order, k] * position
+                means[2 * order + 1, axis] += weights[order, k] * link
+            means[EFFORT, axis] += weights[0, k] * values[axis].effort
+        for channel in range(6):
+            is_whole = is_whole and isfinite(readings[channel])
+        if is_whole:
+            for channel in range(6):
+                imu[channel] += weights[0, k] * readings[channel]
+            imu[6] += weights[0, k]
+    for axis in range(axes):
+        for order in range(ORDERS):
+            if isnan(means[2 * order + 1, axis]):
+                means[2 * order + 1, axis] = means[2 * order, axis]
+        mean, total = 0.0, 0.0
+        for is_about in (False, True):  # the mean speed, then the deviation about it
+            before = values_in(samples[:size])[axis].position
+            for k in range(1, ticks):
+                position = values_in(samples[k * size : (k + 1) * size])[axis].position
+                speed = (position - before) / period_s
+                before = position
+                if is_about:
+                    total += weights[0, k] * (speed - mean) ** 2
+                else:
+                    mean += weights[0, k] * speed
+        means[DEVIATION, axis] = sqrt(total)
 
 
 class MotionWindow:
@@ -52,6 +143,8 @@ class MotionWindow:
     axes : int
     period_s : float
         Between ticks.
+    average : Average
+        A compiled one takes less time.
 
     Attributes
     ----------
@@ -65,8 +158,8 @@ class MotionWindow:
         The same of the IMU's channels [m/s^2, rad/s].
     """
 
-    def __init__(self, expects: Expects, axes: int, period_s: float) -> None:
-        self._expects, self._axes, self._period_s = expects, axes, period_s
+    def __init__(self, expects: Expects, axes: int, period_s: float, average: Average = average) -> None:
+        self._expects, self._average, self._axes, self._period_s = expects, average, axes, period_s
         self.ticks = max(8, round(WINDOW_S / period_s))
         turn = 2.0 * math.pi / self.ticks
         phase = turn * (np.arange(self.ticks) + 0.5)
@@ -74,6 +167,8 @@ class MotionWindow:
         weight = 0.5 * (1.0 - np.cos(phase))
         self._weights = np.stack((weight, -0.5 * rate * np.sin(phase), 0.5 * rate**2 * np.cos(phase))) / weight.sum()
         self._samples = np.zeros((self.ticks, len(Sample(axes).memory)), np.uint8)
+        self._in_order = self._samples.reshape(-1)
+        self._means, self._imu = np.zeros((ROWS, axes)), np.zeros(7)
         self.begin()
 
     def begin(self) -> None:
@@ -92,25 +187,28 @@ class MotionWindow:
         self._tick = 0 if is_full else k + 1
         self.over = is_full and self._compare()
 
+    def rehearse(self) -> bool:
+        """Compare what is there, without consequence, where the next sample ends a window; return whether it does."""
+        ends = self._tick == self.ticks - 1
+        if ends:
+            self._expected()
+        return ends
+
+    def _expected(self) -> tuple[Means, Expected] | None:
+        """Return the means of the window and what is expected of them; None where readings of its axes are missing."""
+        self._average(self._in_order, self._weights, self._period_s, self._means, self._imu)
+        if not isfinite(self._means.sum()):
+            return None
+        means = Means(self._means.copy())
+        return means, self._expects(means)
+
     def _compare(self) -> bool:
         """Compare the window that is full; return False where readings of its axes are missing."""
-        values, imu = self._samples[:, IMUS_BYTES:].view(VALUES), self._samples[:, :IMUS_BYTES].view(np.float64)[:, :6]
-        # as whole arrays, since sums over parts of others are rounded in another order
-        position, link, effort = (np.ascontiguousarray(values[each]) for each in ("position", "link_position", "effort"))
-        effort = self._weights[0] @ effort
-        motor = self._weights @ position  # position, speed, acceleration (3, axes)
-        if not (np.isfinite(motor).all() and np.isfinite(effort).all()):
+        if (found := self._expected()) is None:
             return False
-        link = self._weights @ link
-        link = np.where(np.isnan(link), motor, link)
-        between, speed = self._weights[0, 1:], np.diff(position, axis=0) / self._period_s
-        deviation = np.sqrt(between @ (speed - between @ speed) ** 2)
-        both = np.stack((motor, link), axis=1)
-        expected = self._expects(Means(both[0], both[1], both[2], deviation, effort))
-        self.effort_off = effort - expected.effort
+        means, expected = found
+        self.effort_off = means.effort - expected.effort
         self.effort_unsure = expected.unsure
-        came = np.isfinite(imu).all(axis=1)
-        weight = self._weights[0] * came
-        if weight.sum() > 0.5 and expected.imu.size:  # half of the readings: the mean is still that of the window
-            self.imu_off = weight[came] @ imu[came] / weight.sum() - expected.imu
+        if self._imu[6] > 0.5 and expected.imu.size:  # half of the readings: the mean is still that of the window
+            self.imu_off = self._imu[:6] / self._imu[6] - expected.imu
         return True

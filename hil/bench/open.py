@@ -13,7 +13,7 @@ from drivers.judging.judge import SensorJudge
 from drivers.modbus.transport import parse_io_url
 from hil.bench.bench import Bench
 from hil.bench.clock import WallClock
-from hil.bench.compiled_judging import judged_at_once, watched_at_once
+from hil.bench.compiled_judging import averaged_at_once, judged_at_once, watched_at_once
 from hil.bench.control import Control
 from hil.bench.holding import with_holding_efforts
 from hil.bench.judging import judging_of
@@ -82,7 +82,7 @@ def open_bench(
         wiring.link.watch.law = watched_at_once
         io = machine.bus.io
         judging = judging_of(machine, model, noise=options.noise)
-        judge = SensorJudge(judging, 1.0 / machine.sample_rate_Hz, _noticing(wiring.link.events), judged_at_once)
+        judge = SensorJudge(judging, 1.0 / machine.sample_rate_Hz, _noticing(wiring.link.events), judged_at_once, averaged_at_once)
         loop = SampleLoop(
             wiring.link,
             wiring.clock,
@@ -102,9 +102,11 @@ def open_bench(
             events=wiring.link.events,
         )
         pose = _look(machine, model, wiring)
-        if observer is not None and isinstance(wiring.clock, WallClock):
-            if options.real_time:
+        if isinstance(wiring.clock, WallClock) and options.real_time:
+            wiring.clock.rehearsals.append(judge.rehearse)
+            if observer is not None:
                 wiring.clock.rehearsals.append(observer.rehearse)
+        if observer is not None and isinstance(wiring.clock, WallClock):
             stack.enter_context(observer.shown(options.bus_url))  # not before a second bench has been refused
         yield Bench(machine, options, wiring, loop, model, Scheduling("default scheduler", False), pose, observer=observer)
 

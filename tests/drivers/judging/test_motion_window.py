@@ -142,3 +142,21 @@ def test_a_window_is_half_a_second_and_eight_samples_at_least(period_s: float, t
     watched = Watched(period_s=period_s)
     assert watched.window.ticks == ticks
     assert watched.run(rows=2 * ticks) == [ticks - 1, 2 * ticks - 1]
+
+
+def test_a_rehearsal_before_the_sample_that_ends_a_window_is_without_consequence() -> None:
+    def move(sample: Sample, k: int) -> None:
+        sample.position[:] = np.sin(0.1 * k)
+        sample.effort[:] = np.cos(0.2 * k)
+
+    plain, rehearsed = Watched(), Watched()
+    ends = []
+    for k in range(2 * TICKS):
+        ends += [k] if rehearsed.window.rehearse() else []
+        known = rehearsed.window.over, rehearsed.window.effort_off.copy()
+        assert rehearsed.run(move, 1) == plain.run(move, 1)
+        assert known[0] is (k == TICKS), "a rehearsal ends no window"
+        np.testing.assert_array_equal(rehearsed.window.effort_off, plain.window.effort_off)
+    assert ends == [TICKS - 1, 2 * TICKS - 1]
+    np.testing.assert_array_equal(rehearsed.means[1].rows, plain.means[0].rows)
+    np.testing.assert_array_equal(rehearsed.means[3].rows, plain.means[1].rows)

@@ -10,9 +10,9 @@ import pytest
 
 from drivers.interface import Sample
 from drivers.judging.judge import SensorJudge, judged
-from drivers.judging.motion_window import Expected
+from drivers.judging.motion_window import Expected, average
 from drivers.judging.settings import DriveJudging, EncoderJudging, ImuJudging, JudgingSettings, TemperatureJudging
-from hil.bench.compiled_judging import judged_at_once
+from hil.bench.compiled_judging import averaged_at_once, judged_at_once
 
 PERIOD_S = 1.0 / 64.0
 AXES = 2
@@ -60,7 +60,8 @@ def samples(seed: int, rows: int) -> list[tuple[Sample, int, bool]]:
 
 @pytest.mark.parametrize("seed", range(12))
 def test_compiled_or_not_the_judges_find_the_same(seed: int) -> None:
-    ways = [SensorJudge(SETTINGS, PERIOD_S, law=law) for law in (judged, judged_at_once)]
+    laws = (judged, average), (judged_at_once, averaged_at_once)
+    ways = [SensorJudge(SETTINGS, PERIOD_S, law=law, average=mean) for law, mean in laws]
     marked = set()
     for k, (sample, ticks, led) in enumerate(samples(seed, 400)):
         alone, compiled = (judge.step(sample, ticks, k * PERIOD_S, led=led) for judge in ways)

@@ -30,7 +30,7 @@ def moving(pose: list[float], speed: float = 0.0, acceleration: float = 0.0) -> 
     still = np.zeros((2, 2))
     speeds, accelerations = still.copy(), still.copy()
     speeds[:, ROLL], accelerations[:, ROLL] = speed, acceleration
-    return Means(np.array([pose, pose]), speeds, accelerations, np.zeros(2), MODEL.holding_effort(np.array(pose)))
+    return Means(np.vstack((pose, pose, speeds, accelerations, np.zeros(2), MODEL.holding_effort(np.array(pose)))))
 
 
 @pytest.mark.parametrize("pose", [[0.0, 0.0], [0.5, -0.8], [-1.2, 1.0]])
