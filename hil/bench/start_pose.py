@@ -24,7 +24,7 @@ def standing(machine: Machine, model: Physics, sample: Sample) -> tuple[np.ndarr
 def _windup(machine: Machine, model: Physics, pose: np.ndarray) -> np.ndarray:
     """Return how far each link encoder is ahead of its motor side with the motor sides braked at `pose`, (n_axes,)."""
     model.place(pose)
-    deflection = model.truth()["joint_position"]
+    deflection = model.joint_positions
     tree = machine.plant.tree
     ahead = np.zeros(len(machine.axes))
     for encoder in machine.plant.encoders:
