@@ -232,7 +232,7 @@ class Cia402Drive(Node):
             self._set_state(after if after is not None else PowerState.SWITCH_ON_DISABLED)
             return
         self._after_stop = after
-        self._stopping, self._steady = True, False
+        self._stopping = True
         self._stop_began_s = self.clock.now_s
         self._start_braking(option)
 
@@ -347,7 +347,7 @@ class Cia402Drive(Node):
                 word |= TARGET_REACHED
         mode = self._active
         self._statusword.value = self._steady_word = word | mode.status(in_charge=in_charge)
-        self._steady = mode.steady and not (self._halted or self._stopping or self.servo.limited)
+        self._steady = in_charge and mode.steady and not self.servo.limited
 
 
 def _one_of(allowed: Container[int], value: Value) -> None:
