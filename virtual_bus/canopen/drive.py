@@ -268,13 +268,14 @@ class Cia402Drive(Node):
             self._choose_mode()
             mode = self._active
         servo.limited = False
-        if self._stopping or self._halted:
+        if self._in_charge is mode:  # of an enabled drive that neither stops nor halts
+            servo.permille = mode.torque()
+        elif self._stopping or self._halted:
             servo.permille = servo.brake()
             self._finish_stop()
         elif self._enabled:
-            if self._in_charge is not mode:
-                mode.start()
-                self._in_charge, servo.released = mode, False
+            mode.start()
+            self._in_charge, servo.released = mode, False
             servo.permille = mode.torque()
         else:
             servo.release()
@@ -312,15 +313,15 @@ class Cia402Drive(Node):
         if temperature_degC != self._last_temperature_degC:
             self._check_temperature(temperature_degC)
         self._inputs.value = self.homing.reference.switches(absolute)
+        if self._steady and not servo.limited:
+            self._statusword.value = self._steady_word
+            return
         mode = self._active
         if mode.observes and self._enabled and not self._stopping:
             fault = mode.observe(in_charge=self._in_charge is mode)
             if fault:
                 self._fault(fault)
-        if self._steady and not servo.limited:
-            self._statusword.value = self._steady_word
-        else:
-            self._refresh()
+        self._refresh()
 
     def _check_temperature(self, temperature_degC: float) -> None:
         if math.isnan(temperature_degC) or self._temperature is None:

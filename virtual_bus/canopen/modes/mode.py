@@ -29,7 +29,7 @@ class Mode:
     observes : bool
         Whether the mode judges every sample by `observe`.
     steady : bool
-        Whether its bits of the statusword change with nothing but being in charge.
+        Whether its bits of the statusword change with nothing but being in charge; such a mode observes nothing.
     """
 
     number: ClassVar[int] = 0
