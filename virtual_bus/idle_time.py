@@ -30,11 +30,17 @@ class IdleTime:
     by_the_wall : bool
         All time since the last SYNC passes then, whoever speaks: devices as real ones, for tools that judge their timers. Runs are not
         the same frame by frame any more.
+
+    Attributes
+    ----------
+    waiting : bool
+        Whether there has been any silence since the last SYNC: until then frames say nothing.
     """
 
     def __init__(self, period_s: float, silence_s: float = SILENCE_S, *, by_the_wall: bool = False) -> None:
         self._period_s, self._silence_s, self._by_the_wall = period_s, silence_s, by_the_wall
         self._quiet_s, self._answer_s = QUIET_SHARE * silence_s, ANSWER_SHARE * silence_s
+        self.waiting = False
         self._pause_s = 0.0  # since the last frame
         self._waited_s = 0.0  # up to the silence after which time passes
         self._owed_s = 0.0  # silence that has not yet become machine time
@@ -53,6 +59,7 @@ class IdleTime:
     def sync(self) -> None:
         """Take note of a SYNC: it alone moves time, and all waiting begins anew."""
         self._pause_s = self._waited_s = self._owed_s = 0.0
+        self.waiting = False
 
     def spoken(self) -> None:
         """Take note that a device has sent something unasked."""
@@ -61,6 +68,7 @@ class IdleTime:
 
     def add(self, seconds: float) -> None:
         """Add silence of the bus, in slices of any length."""
+        self.waiting = True
         if self._by_the_wall:
             self._waited_s += seconds
             self._owed_s += seconds

@@ -156,7 +156,8 @@ class EmulatedMachine:
             else:
                 self._sync(data)
             return
-        self._idle.frame()
+        if self._idle.waiting:
+            self._idle.frame()
         if can_id == NMT and data and data[0] == NmtCommand.START:
             self.syncs = 0
         for handler in self._routes.get(can_id, ()):
@@ -215,9 +216,11 @@ class EmulatedMachine:
             for node in self._sync_nodes:
                 node.malformed += 1
             return
-        self._idle.sync()
+        if self._idle.waiting:
+            self._idle.sync()
         self.syncs += 1
-        self._tick_nodes()
+        if (clock := self._clock).now_s >= clock.due_s:
+            self._tick_nodes()
         self._answer(data, self.physics.latch)
         if self._witness is not None:
             self._witness(self.time_s)  # after the answers, which the recording must not delay

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import repeat
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -65,6 +66,7 @@ class Physics:
         self._step = partial(self.plant.advance, self._state, *acting)
         self._noise = _Noise(settings, seed) if noise else None
         self._no_noise = np.zeros(axes + 6 * imus)
+        self._rows_of_noise = repeat(self._no_noise) if self._noise is None else self._noise.rows()
         self._drawn: np.ndarray | None = None  # the noise of this sample, once something has been measured with it
         self._prepared: tuple[bytes, bytes] | None = None  # effort and brakes for which this sample is measured already
         self.place(np.zeros(axes))
@@ -134,7 +136,7 @@ class Physics:
     def latch(self) -> Latched:
         """Return the sensors' readings at this instant. Every call draws new noise."""
         if self._prepared is None or self._prepared != (self._effort.tobytes(), self._brakes.tobytes()):
-            self._measure(self._noise_of_sample())
+            self._measure(next(self._rows_of_noise) if self._drawn is None else self._drawn)
         self._drawn = self._prepared = None
         return self._sensing.latched
 
@@ -146,7 +148,9 @@ class Physics:
         """
         acting = self._effort.copy()
         self._effort[:] = effort
-        self._measure(self._noise_of_sample())
+        if self._drawn is None:
+            self._drawn = next(self._rows_of_noise)
+        self._measure(self._drawn)
         self._prepared = self._effort.tobytes(), self._brakes.tobytes()
         self._effort[:] = acting
 
@@ -166,11 +170,6 @@ class Physics:
         """Return a reading of the first IMU beside the rows' (6,), where it sees this (6,): with noise of its own, on its lattice."""
         value = seen if self._noise is None else seen + self._noise.of_a_message()
         return self._sensing.on_lattice_of_imu(value)
-
-    def _noise_of_sample(self) -> np.ndarray:
-        if self._drawn is None:
-            self._drawn = self._no_noise if self._noise is None else self._noise.draw()
-        return self._drawn
 
     def _measure(self, noise: np.ndarray) -> Latched:
         if self._read_imus is not None:
@@ -232,8 +231,6 @@ class _Noise:
         self._rms = np.array(list(rms.values()))
         self._streams = [np.random.default_rng([seed, zlib.crc32(name.encode())]) for name in rms]
         self._block = np.zeros((NOISE_BLOCK, len(rms)))
-        self._rows = list(self._block)
-        self._used = NOISE_BLOCK
         self._imu_rms = self._rms[len(settings.drives) :][:6]
         self._messages = np.random.default_rng([seed, zlib.crc32(b"messages of the IMU")])
 
@@ -242,11 +239,10 @@ class _Noise:
         drawn: np.ndarray = self._imu_rms * self._messages.standard_normal(6)
         return drawn
 
-    def draw(self) -> np.ndarray:
-        """Return the noise (channels,) of one sample, in the channels' units."""
-        if self._used == NOISE_BLOCK:
+    def rows(self) -> Iterator[np.ndarray]:
+        """Draw the noise (channels,) of one sample after another, in the channels' units."""
+        rows = list(self._block)
+        while True:
             for column, stream in enumerate(self._streams):
                 self._block[:, column] = self._rms[column] * stream.standard_normal(NOISE_BLOCK)
-            self._used = 0
-        self._used += 1
-        return self._rows[self._used - 1]
+            yield from rows

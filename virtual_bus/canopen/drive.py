@@ -10,13 +10,14 @@ import math
 from collections.abc import Container
 from functools import partial
 from pathlib import Path
+from typing import cast
 
 from drivers.canopen.eds import load_object_dictionary
 from virtual_bus.canopen import abort
 from virtual_bus.canopen.abort import SdoAbortError
 from virtual_bus.canopen.homing import SUPPORTED_METHODS, Homing, Reference
 from virtual_bus.canopen.modes import modes_of
-from virtual_bus.canopen.modes.mode import TARGET_REACHED, Mode
+from virtual_bus.canopen.modes.mode import TARGET_REACHED, Mode, Read
 from virtual_bus.canopen.node import Emit, Node
 from virtual_bus.canopen.objects import Value, key_of
 from virtual_bus.canopen.power_state import HALT, PowerState, next_state
@@ -115,6 +116,7 @@ class Cia402Drive(Node):
         self._last_controlword = 0
         self._after_stop: PowerState | None = None
         self._stopping = self._halted = self._warm = False
+        self._steady, self._steady_word = False, 0  # whether the statusword stays as it was while no limit acts
         self._stop_began_s = 0.0
         self.servo.permille, self.servo.limited = 0, False
         self._active = self._modes[0]
@@ -247,7 +249,7 @@ class Cia402Drive(Node):
     # ---- modes ----------------------------------------------------------------------------------------
     def _choose_mode(self) -> None:
         """Change to the mode of 6060h; one that the drive does not have leaves it in its mode."""
-        mode = self._modes.get(int(self._mode.value))
+        mode = self._modes.get(self._mode.value)
         if mode is None or mode is self._active:
             return
         self._active.leave()
@@ -266,13 +268,14 @@ class Cia402Drive(Node):
             self._choose_mode()
             mode = self._active
         servo.limited = False
-        if self._stopping or self._halted:
+        if self._in_charge is mode:  # of an enabled drive that neither stops nor halts
+            servo.permille = mode.torque()
+        elif self._stopping or self._halted:
             servo.permille = servo.brake()
             self._finish_stop()
         elif self._enabled:
-            if self._in_charge is not mode:
-                mode.start()
-                self._in_charge, servo.released = mode, False
+            mode.start()
+            self._in_charge, servo.released = mode, False
             servo.permille = mode.torque()
         else:
             servo.release()
@@ -287,7 +290,7 @@ class Cia402Drive(Node):
         if not self._enabled or self._stopping or self._halted:
             return self.servo.permille * self._effort_per_permille
         mode = self._active
-        return mode.foreseen(self.after_sync, takes_over=self._in_charge is not mode) * self._effort_per_permille
+        return mode.foreseen(cast("Read", self.after_sync), takes_over=self._in_charge is not mode) * self._effort_per_permille
 
     def _finish_stop(self) -> None:
         after = self._after_stop
@@ -304,10 +307,15 @@ class Cia402Drive(Node):
         servo = self.servo
         absolute = servo.latch(counts * self._sign)
         permille = round(effort * self._permille_per_effort)
-        self._torque.value = self._current.value = permille if -_INT16 <= permille <= _INT16 else _INT16 if permille > 0 else -_INT16
+        if not -_INT16 <= permille <= _INT16:
+            permille = _INT16 if permille > 0 else -_INT16
+        self._torque.value = self._current.value = permille
         if temperature_degC != self._last_temperature_degC:
             self._check_temperature(temperature_degC)
         self._inputs.value = self.homing.reference.switches(absolute)
+        if self._steady and not servo.limited:
+            self._statusword.value = self._steady_word
+            return
         mode = self._active
         if mode.observes and self._enabled and not self._stopping:
             fault = mode.observe(in_charge=self._in_charge is mode)
@@ -318,7 +326,7 @@ class Cia402Drive(Node):
     def _check_temperature(self, temperature_degC: float) -> None:
         if math.isnan(temperature_degC) or self._temperature is None:
             return
-        self._last_temperature_degC = temperature_degC
+        self._last_temperature_degC, self._steady = temperature_degC, False
         tenths = min(max(round(temperature_degC * 10.0), -_INT16), _INT16)
         self._temperature.value = tenths
         self._warm = tenths >= self.objects.number(0x2001, 1)
@@ -338,7 +346,9 @@ class Cia402Drive(Node):
             in_charge = False
             if self.servo.loop.standing:
                 word |= TARGET_REACHED
-        self._statusword.value = word | self._active.status(in_charge=in_charge)
+        mode = self._active
+        self._statusword.value = self._steady_word = word | mode.status(in_charge=in_charge)
+        self._steady = in_charge and mode.steady and not self.servo.limited
 
 
 def _one_of(allowed: Container[int], value: Value) -> None:

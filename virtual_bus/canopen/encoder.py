@@ -24,8 +24,6 @@ class Cia406Encoder(Node):
     def __init__(self, settings: EmulatedEncoder, emit: Emit, memory: Path | None = None) -> None:
         super().__init__(load_object_dictionary(settings.eds, settings.node_id), settings.node_id, emit, memory)
         self.settings = settings
-        self._zero_counts, self._sign = settings.zero_counts, settings.sign
-        self._raw = settings.zero_counts
         entry = self.objects.find
         self._position, self._offset = entry(0x6004), entry(0x6509)
         for index, value in ((0x6001, settings.counts_per_turn), (0x6002, settings.counts_per_turn), (0x6501, settings.counts_per_turn)):
@@ -38,13 +36,14 @@ class Cia406Encoder(Node):
         self.objects.effects[key_of(0x6002)] = lambda value: self._take_parameters()
         self.objects.effects[key_of(0x6003)] = self._preset
         self.objects.effects[key_of(0x6200)] = self._set_cyclic_timer
+        self._counts = 0  # from joint position zero
         self._range = settings.counts_per_turn
-        self._direction = 1
+        self._direction, self._at_zero = settings.sign, settings.zero_counts  # of the position: per count, and at joint position zero
 
     def latch(self, counts: int) -> None:
         """Take the shaft's position at this sample, in counts from joint position zero."""
-        self._raw = raw = self._zero_counts + self._sign * counts
-        self._position.value = (self._direction * raw + int(self._offset.value)) % self._range
+        self._counts = counts
+        self._position.value = (self._direction * counts + self._at_zero) % self._range
 
     def application_reset(self) -> None:
         """Apply direction and preset as stored. An absolute encoder keeps its position."""
@@ -61,17 +60,16 @@ class Cia406Encoder(Node):
 
     def _take_parameters(self) -> None:
         parameters = self.objects.number(0x6000)
-        self._direction = -1 if parameters & DESCENDING else 1
+        turn = -1 if parameters & DESCENDING else 1
+        self._direction, self._at_zero = turn * self.settings.sign, turn * self.settings.zero_counts + self.objects.number(0x6509)
         self._range = self.objects.number(0x6002) if parameters & SCALING else self.settings.counts_per_turn
         self.objects.find(0x6500).value = parameters
-        self._show()
+        self.latch(self._counts)
 
     def _preset(self, value: Value) -> None:
-        self._offset.value = int(value) - (self._direction * self._raw) % self._range
-        self._show()
-
-    def _show(self) -> None:
-        self._position.value = (self._direction * self._raw + int(self._offset.value)) % self._range
+        raw = self._direction * self._counts + self._at_zero - self.objects.number(0x6509)
+        self._offset.value = int(value) - raw % self._range
+        self._take_parameters()
 
     def _set_cyclic_timer(self, value: Value) -> None:
         """Set the event timer of the first TPDO, for which 6200h is an older name."""

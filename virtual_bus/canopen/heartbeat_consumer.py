@@ -96,5 +96,5 @@ class HeartbeatConsumer:
             self._node.heartbeat_lost(node_id)
 
     def _set_deadline(self) -> None:
-        self.deadline_s = min((watch.deadline_s for watch in self._watches.values()), default=math.inf)
+        self.deadline_s = min([watch.deadline_s for watch in self._watches.values()], default=math.inf)
         self._node.schedule(self.deadline_s)

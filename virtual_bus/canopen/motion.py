@@ -1,4 +1,4 @@
-"""The drive's own speed: how it is measured, and the slow velocity loop that moves and stops the motor when no master commands torque."""
+"""The drive's own motion: the slow velocity loop that moves and stops the motor when no master commands torque."""
 
 from __future__ import annotations
 
@@ -10,28 +10,6 @@ import scipy.signal
 
 STANDSTILL_S = 0.078  # below the standstill speed for so long: the motor stands
 _ROUNDING_S = 1e-9  # a time that is a whole number of samples is over at that sample
-
-
-class SpeedMeter:
-    """Speed from encoder counts: differences, smoothed by a first-order filter that takes this share of the newest one."""
-
-    def __init__(self, period_s: float, share: float) -> None:
-        self._period_s, self._share = period_s, share
-        self._last: int | None = None
-        self.counts_s = 0.0
-
-    def restart(self) -> None:
-        """Begin anew: the counter has jumped or starts."""
-        self._last = None
-        self.counts_s = 0.0
-
-    def update(self, counts: int) -> float:
-        """Take the count of one sample and return the speed."""
-        last, self._last = self._last, counts
-        speed = self.counts_s
-        if last is not None:
-            self.counts_s = speed = speed + self._share * ((counts - last) / self._period_s - speed)
-        return speed
 
 
 class Dwell:

@@ -92,19 +92,13 @@ class Node:
         self._sdo = SdoServer(self, self._send_sdo)
         self._rpdos = [Rpdo(self, number) for number in self._pdo_numbers(0x1400, 0x1600)]
         self._tpdos = [Tpdo(self, number) for number in self._pdo_numbers(0x1800, 0x1A00)]
-        self._timed: tuple[Timed, ...] = (
-            self._consumer,
-            self._guarding,
-            self._producer,
-            self._sync_producer,
-            self.emergency,
-            self._sdo,
-            *self._rpdos,
-            *self._tpdos,
-        )
+        own = self._consumer, self._guarding, self._producer, self._sync_producer, self.emergency, self._sdo
+        self._own_timed: tuple[Timed, ...] = own
+        self._timed: tuple[Timed, ...] = own  # and the PDOs that are alive
         self._install_rules()
         self._sync_rpdos: list[Rpdo] = []
         self._sync_tpdos: list[Tpdo] = []
+        self._sync_senders: list[Callable[[int | None], None]] = []
         self._event_tpdos: list[Tpdo] = []
         self._sync_length = 0
         self._window_s = math.inf
@@ -270,8 +264,8 @@ class Node:
 
     def end_sync(self, counter: int | None) -> None:
         """Send the synchronous TPDOs: the second half of a SYNC, when the actual values are in the dictionary."""
-        for tpdo in self._sync_tpdos:
-            tpdo.on_sync(counter)
+        for send in self._sync_senders:
+            send(counter)
         for tpdo in self._event_tpdos:
             tpdo.check_event()
 
@@ -285,7 +279,7 @@ class Node:
     @property
     def senders(self) -> list[Callable[[int | None], None]]:
         """What the second half of a SYNC comes to, in order; it holds until `on_routes` is called."""
-        return [self.end_sync] if self._event_tpdos else [tpdo.on_sync for tpdo in self._sync_tpdos]
+        return [self.end_sync] if self._event_tpdos else self._sync_senders
 
     def rehearse(self) -> None:
         """Prepare the answer to a SYNC without sending it, so that its code and data are at hand; nothing changes."""
@@ -364,7 +358,9 @@ class Node:
             tpdo.configure(operational)
         self._sync_rpdos = [rpdo for rpdo in self._rpdos if rpdo.alive and rpdo.synchronous]
         self._sync_tpdos = [tpdo for tpdo in self._tpdos if tpdo.alive and tpdo.synchronous]
+        self._sync_senders = [tpdo.sender for tpdo in self._sync_tpdos]
         self._event_tpdos = [tpdo for tpdo in self._tpdos if tpdo.alive and not tpdo.synchronous]
+        self._timed = (*self._own_timed, *(rpdo for rpdo in self._rpdos if rpdo.alive), *(tpdo for tpdo in self._tpdos if tpdo.alive))
         self._sync_length = 1 if self.objects.number(0x1019) else 0
         self._window_s = 1e-6 * self.objects.number(0x1007) or math.inf
         self.window_closes_s = math.inf

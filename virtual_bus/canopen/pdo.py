@@ -213,11 +213,15 @@ class Tpdo:
         self._next_event_s = self._node.after(self._event_s) if timed else math.inf
         self._set_deadline()
 
-    def on_sync(self, counter: int | None) -> None:
-        """Send if it is this PDO's turn; the latched values are in the dictionary."""
-        if self._type == 1 and not self._start:
-            self._node.emit(self.cob_id, self._layout.pack())
-            return
+    @property
+    def sender(self) -> Callable[[int | None], None]:
+        """What a SYNC comes to, as this PDO is configured: it takes the SYNC's counter, with the latched values in the dictionary."""
+        if self._type != 1 or self._start:
+            return self._send_in_turn
+        node, cob_id, pack = self._node, self.cob_id, self._layout.pack
+        return lambda counter: node.emit(cob_id, pack())
+
+    def _send_in_turn(self, counter: int | None) -> None:
         if self._type == 0:
             data = self._layout.pack()
             if data != self._last:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, cast
 
 from drivers.canopen import units
-from virtual_bus.canopen.motion import SpeedMeter, VelocityGains, VelocityLoop
-from virtual_bus.canopen.objects import Entry, Objects, Value, key_of
+from virtual_bus.canopen.motion import VelocityGains, VelocityLoop
+from virtual_bus.canopen.objects import Objects, Value, key_of
 from virtual_bus.canopen.pdo import dummy_entry
 from virtual_bus.settings import EmulatedDrive
 
@@ -17,6 +17,13 @@ NO_LIMIT = 0xFFFF_FFFF  # a window of this width watches nothing, a greatest spe
 _INTEGER32 = 0x04
 _MOST_PERMILLE = 0xFFFF  # of 6072h
 _HALF_TURN, _TURN, _MASK = 0x8000_0000, 0x1_0000_0000, 0xFFFF_FFFF  # of a counter of 32 bits
+_LOWEST, _HIGHEST = -_HALF_TURN, _HALF_TURN - 1
+
+
+class Number(Protocol):
+    """An entry of the dictionary that holds an integer."""
+
+    value: int
 
 
 class Demand(NamedTuple):
@@ -43,6 +50,8 @@ class Servo:
         Units of which no object of the device speaks, in force from the next restart on.
     origin, absolute, offset : int
         Motor counts: where the counter began, where it is, and what is added to show the position actual value.
+    speed_counts_s : float
+        Differences of the counter, smoothed by a first-order filter.
     """
 
     def __init__(self, objects: Objects, settings: EmulatedDrive, period_s: float) -> None:
@@ -50,8 +59,10 @@ class Servo:
         self.position_gain = settings.position_gain
         per_count = settings.position_resolution * 1000.0 / settings.rated
         gains = VelocityGains(settings.velocity_gain * per_count, settings.velocity_integral_gain * per_count)
-        self.speed = SpeedMeter(period_s, settings.speed_filter)
         self._settings = settings
+        self._speed_share = settings.speed_filter  # of the newest difference
+        self._last: int | None = None  # where the counter was one sample ago
+        self.speed_counts_s = 0.0
         self.units = units.MotionUnits()
         self.built_in: units.MotionUnits | None = None
         self._read_units()
@@ -62,7 +73,7 @@ class Servo:
         slowest = settings.counts_per_turn // TURNS_OF_A_SLOW_SEARCH if slow is None else self.counts_s(slow.value)
         self.standstill_counts_s = STANDSTILL_SHARE * slowest
         self.loop = VelocityLoop(gains, period_s, self.standstill_counts_s, settings.torque_sections)
-        self.position, self._velocity = objects.find(0x6064), self.entry(0x606C)
+        self.position, self._velocity = self.entry(0x6064), self.entry(0x606C)
         self.position_demand, self.velocity_demand, self.following_error = self.entry(0x6062), self.entry(0x606B), self.entry(0x60F4)
         limit = min(int(1000.0 * settings.limit / settings.rated), _MOST_PERMILLE)
         self._max_torque, self._max_current = self.entry(0x6072, limit), self.entry(0x6073, limit)
@@ -72,12 +83,12 @@ class Servo:
         self.origin = self.absolute = self.offset = 0
         self._deceleration = math.inf
 
-    def entry(self, index: int, value: int = 0) -> Entry:
+    def entry(self, index: int, value: int = 0) -> Number:
         """Return an object, or one of this value that nobody sees where the device's data sheet has none."""
         if (entry := self.objects.get(index)) is None:
             entry = dummy_entry(_INTEGER32)
             entry.value = value
-        return entry
+        return cast("Number", entry)
 
     # ---- units ----------------------------------------------------------------------------------------
     def _read_units(self) -> None:
@@ -106,15 +117,18 @@ class Servo:
     def restart(self) -> None:
         """Call the present position zero."""
         self.offset = -self.absolute
-        self.speed.restart()
+        self._last, self.speed_counts_s = None, 0.0
         self._read_units()
 
     def latch(self, counts: int) -> int:
         """Take the counter's reading at this sample, from where it began, and return where it is in absolute counts."""
         self.absolute = absolute = self.origin + counts
-        speed = self.speed.update(absolute)
-        self.position.value = (absolute + self.offset + _HALF_TURN & _MASK) - _HALF_TURN  # `wrap_32` written out: every drive, every sample
-        self._velocity.value = (round(speed * self.units.velocity) + _HALF_TURN & _MASK) - _HALF_TURN
+        if (last := self._last) is not None:
+            self.speed_counts_s += self._speed_share * ((absolute - last) / self.period_s - self.speed_counts_s)
+        self._last = absolute
+        position, velocity = absolute + self.offset, round(self.speed_counts_s * self.units.velocity)
+        self.position.value = position if _LOWEST <= position <= _HIGHEST else wrap_32(position)
+        self._velocity.value = velocity if _LOWEST <= velocity <= _HIGHEST else wrap_32(velocity)
         return absolute
 
     def take_home(self, home_counts: int) -> None:
@@ -126,7 +140,7 @@ class Servo:
     @property
     def limit(self) -> int:
         """Greatest torque, per mille of rated: 6072h or 6073h, the smaller one."""
-        torque, current = int(self._max_torque.value), int(self._max_current.value)
+        torque, current = self._max_torque.value, self._max_current.value
         return torque if torque < current else current
 
     def release(self) -> None:
@@ -139,7 +153,7 @@ class Servo:
 
         Of a released motor it begins at zero: what is fed forward acts at once.
         """
-        self.loop.start(self.speed.counts_s, self._left_by(feedforward_permille))
+        self.loop.start(self.speed_counts_s, self._left_by(feedforward_permille))
 
     def _left_by(self, feedforward_permille: int) -> int:
         return 0 if self.released else self.permille - feedforward_permille
@@ -147,7 +161,7 @@ class Servo:
     def follow(self, demand: Demand) -> int:
         """Return the torque that follows a demand, which is shown in 6062h and 606Bh."""
         limit = self.limit
-        torque = round(self.loop.follow(demand.speed, self.speed.counts_s, demand.torque, limit))
+        torque = round(self.loop.follow(demand.speed, self.speed_counts_s, demand.torque, limit))
         self._show(demand.speed, demand.position)
         self.limited = demand.limited or abs(torque) >= limit
         return torque
@@ -155,12 +169,12 @@ class Servo:
     def foreseen(self, demand: Demand, *, takes_over: bool) -> int:
         """Return what `follow` would return for this demand, after `take_over` if the mode has yet to; nothing changes."""
         start = float(self._left_by(demand.torque)) if takes_over else None
-        return round(self.loop.foreseen(demand.speed, self.speed.counts_s, demand.torque, self.limit, start_permille=start))
+        return round(self.loop.foreseen(demand.speed, self.speed_counts_s, demand.torque, self.limit, start_permille=start))
 
     def move(self, speed: float, ramp: float) -> int:
         """Return the torque that brings the motor to a speed [counts/s] along a ramp [counts/s^2]."""
         limit = self.limit
-        torque = round(self.loop.torque(speed, min(ramp, 1e12), self.speed.counts_s, limit))
+        torque = round(self.loop.torque(speed, min(ramp, 1e12), self.speed_counts_s, limit))
         self._show(self.loop.set_counts_s)
         self.limited = abs(torque) >= limit
         return torque
@@ -169,7 +183,7 @@ class Servo:
         """Begin a stop of 605Ah to 605Eh: 1 along 6084h, 2 along 6085h, 3 and 4 as hard as the limits allow."""
         ramp = {1: self.objects.number(0x6084), 2: self.objects.number(0x6085)}.get(option, 0)
         self._deceleration = self.counts_s2(ramp) if ramp else math.inf
-        self.loop.start(self.speed.counts_s if math.isfinite(self._deceleration) else 0.0, self.permille)
+        self.loop.start(self.speed_counts_s if math.isfinite(self._deceleration) else 0.0, self.permille)
 
     def brake(self) -> int:
         """Return the torque of the stop that has begun, and at its end of standing still."""
@@ -187,7 +201,7 @@ class Servo:
 
     def way_to(self, position: float) -> float:
         """Return the way [counts] from the position actual value, over the end of the counter of 32 bits where it is shorter."""
-        way = position - int(self.position.value)
+        way = position - self.position.value
         return way if -_HALF_TURN <= way < _HALF_TURN else (way + _HALF_TURN) % _TURN - _HALF_TURN
 
     def within_software_limits(self, position: int) -> int:

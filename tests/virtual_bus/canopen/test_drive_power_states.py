@@ -224,6 +224,23 @@ def test_statusword_bits_beside_the_state() -> None:
     assert bench.state == "switch on disabled"
 
 
+@pytest.mark.parametrize("mode", [8, 9, 10])
+def test_a_warning_and_a_limit_come_and_go_with_the_sample_while_the_drive_follows_its_target(mode: int) -> None:
+    bench = Bench()
+    bench.remote.sdo[0x6060].raw = mode
+    bench.go_to("operation enabled")
+    bench.sample(3)
+    assert bench.statusword & 0x1880 == 0x1000, "it follows its target, with neither"
+    for degC, warns in ((95.0, True), (95.0, True), (24.0, False), (95.0, True)):
+        bench.drive.latch(0, bench.drive.command(), degC)
+        assert bool(bench.statusword & 0x0080) is warns
+    bench.sample()
+    for offset, limited in ((3000, True), (3000, True), (0, False), (3000, True)):
+        bench.remote.sdo[0x60B2].raw = offset
+        bench.sample()
+        assert bench.statusword & 0x1880 == 0x1000 | 0x0800 * limited
+
+
 @pytest.mark.parametrize(
     ("index", "value"), [(0x6060, 2), (0x6060, 7), (0x6060, -1), (0x6086, 3), (0x6098, 1), (0x605B, 2), (0x605D, 0), (0x6007, 4)]
 )

@@ -47,6 +47,8 @@ def test_a_preset_shifts_the_position_and_shows_in_the_offset(encoder: tuple[Wir
     assert remote.sdo[0x6509].raw == 77 - (4194304 + 1000)
     device.latch(1010)
     assert remote.sdo[0x6004].raw == 87
+    remote.sdo[0x6003].raw = 5
+    assert (remote.sdo[0x6004].raw, remote.sdo[0x6509].raw) == (5, 5 - (4194304 + 1010)), "a second one replaces the first"
     assert abort_code(lambda: remote.sdo.download(0x6003, 0, u32(TURN))) == 0x06090031
 
 

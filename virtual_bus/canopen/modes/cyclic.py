@@ -13,6 +13,7 @@ class CyclicTorque(Mode):
     number = 10
     supported_bit = 9
     needs = (0x6071,)
+    steady = True
 
     def __init__(self, servo: Servo) -> None:
         super().__init__(servo)
@@ -20,7 +21,7 @@ class CyclicTorque(Mode):
 
     def torque(self) -> int:
         """Return the sum, within the limits; the drive has marked the servo as not limited."""
-        limit, target = self.servo.limit, int(self._target.value) + int(self._offset.value)
+        limit, target = self.servo.limit, self._target.value + self._offset.value
         if -limit <= target <= limit:
             return target
         torque = min(max(target, -limit), limit)
@@ -29,7 +30,7 @@ class CyclicTorque(Mode):
 
     def foreseen(self, read: Read, *, takes_over: bool) -> int:
         """Return the sum that will be, within the limits."""
-        limit, target = self.servo.limit, int(read(self._target)) + int(read(self._offset))
+        limit, target = self.servo.limit, read(self._target) + read(self._offset)
         return min(max(target, -limit), limit)
 
     def status(self, *, in_charge: bool) -> int:
@@ -43,6 +44,7 @@ class CyclicVelocity(Following):
     number = 9
     supported_bit = 8
     needs = (0x60FF,)
+    steady = True
 
     def __init__(self, servo: Servo) -> None:
         super().__init__(servo)
@@ -51,11 +53,11 @@ class CyclicVelocity(Following):
 
     def start(self) -> None:
         """Let the velocity loop take over what the torque offset leaves to it."""
-        self.servo.take_over(int(self._torque_offset.value))
+        self.servo.take_over(self._torque_offset.value)
 
     def demand(self, read: Read) -> Demand:
         """Return the sum of target and offset; it is not ramped."""
-        return Demand(self.servo.counts_s(int(read(self._target)) + int(read(self._velocity_offset))), int(read(self._torque_offset)))
+        return Demand(self.servo.counts_s(read(self._target) + read(self._velocity_offset)), read(self._torque_offset))
 
     def status(self, *, in_charge: bool) -> int:
         """Return bit 12: the drive follows its target."""
@@ -82,15 +84,15 @@ class CyclicPosition(Following):
     def start(self) -> None:
         """Let the loops take over what the torque offset leaves to them."""
         self._following_error.restart()
-        self.servo.take_over(int(self._torque_offset.value))
+        self.servo.take_over(self._torque_offset.value)
 
     def demand(self, read: Read) -> Demand:
         """Return the sum of target and offset within the software limits, and the speed that leads there."""
-        asked = int(read(self._target)) + int(read(self._position_offset))
+        asked = read(self._target) + read(self._position_offset)
         position = self.servo.within_software_limits(asked)
         ahead = self.servo.counts_s(read(self._velocity_offset)) if position == asked else 0.0
         speed = self.servo.position_gain * self.servo.way_to(position) + ahead
-        return Demand(speed, int(read(self._torque_offset)), position, limited=position != asked)
+        return Demand(speed, read(self._torque_offset), position, limited=position != asked)
 
     def observe(self, *, in_charge: bool) -> int:
         """Watch the following error."""

@@ -33,7 +33,7 @@ class FollowingError:
             self.restart()
             return 0
         servo = self._servo
-        error = servo.way_to(int(servo.position_demand.value))
+        error = servo.way_to(servo.position_demand.value)
         servo.following_error.value = int(error)
-        beyond = abs(error) > int(self._window.value)  # never where the window is FFFF FFFFh: switched off
-        return FOLLOWING_ERROR if self._beyond.held(beyond, int(self._timeout_ms.value) * 1e-3) else 0
+        beyond = abs(error) > self._window.value  # never where the window is FFFF FFFFh: switched off
+        return FOLLOWING_ERROR if self._beyond.held(beyond, self._timeout_ms.value * 1e-3) else 0

@@ -6,10 +6,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import ClassVar
 
-from virtual_bus.canopen.objects import Entry, Value
-from virtual_bus.canopen.servo import Demand, Servo
+from virtual_bus.canopen.servo import Demand, Number, Servo
 
-Read = Callable[[Entry], Value]
+Read = Callable[[Number], int]
 """Returns what an object holds: now, or after the next SYNC."""
 
 TARGET_REACHED, MODE_BIT_12, MODE_BIT_13 = 1 << 10, 1 << 12, 1 << 13  # of the statusword
@@ -29,12 +28,15 @@ class Mode:
         Objects without which the device does not have the mode.
     observes : bool
         Whether the mode judges every sample by `observe`.
+    steady : bool
+        Whether its bits of the statusword change with nothing but being in charge; such a mode observes nothing.
     """
 
     number: ClassVar[int] = 0
     supported_bit: ClassVar[int] = -1
     needs: ClassVar[tuple[int, ...]] = ()
     observes: ClassVar[bool] = False
+    steady: ClassVar[bool] = False
 
     def __init__(self, servo: Servo) -> None:
         self.servo = servo
@@ -84,6 +86,6 @@ class Following(Mode, ABC):
         return self.servo.foreseen(self.demand(read), takes_over=takes_over)
 
 
-def present(entry: Entry) -> Value:
+def present(entry: Number) -> int:
     """Return what an object holds now."""
     return entry.value

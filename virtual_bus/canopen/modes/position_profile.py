@@ -69,11 +69,11 @@ class ProfilePosition(Following):
             self._acknowledged = False
 
     def _asked_for(self) -> SetPoint:
-        asked = int(self._target.value)
+        asked = self._target.value
         if self._word & RELATIVE:
             asked += round(self._profile.end)
         target = self.servo.within_software_limits(asked)
-        servo, speed = self.servo, max(1, min(int(self._velocity.value), int(self._fastest.value)))
+        servo, speed = self.servo, max(1, min(self._velocity.value, self._fastest.value))
         limits = Limits(servo.counts_s(speed), servo.counts_s2(self._acceleration.value), servo.counts_s2(self._deceleration.value))
         return SetPoint(target, limits, target != asked)
 
@@ -97,7 +97,7 @@ class ProfilePosition(Following):
         servo = self.servo
         servo.take_over()
         self._following_error.restart()
-        position, speed = float(int(servo.position.value)), servo.speed.counts_s
+        position, speed = float(servo.position.value), servo.speed_counts_s
         if self._last is not None:
             self._begin(to_target(position, speed, self._last.target, self._last.limits))
         else:
@@ -118,12 +118,12 @@ class ProfilePosition(Following):
     def observe(self, *, in_charge: bool) -> int:
         """Take a set-point that has come, and judge the target and the following error."""
         self._take_set_point()
-        reached = self._reached.held(self._done and self._within_window(), int(self._window_ms.value) * 1e-3)
+        reached = self._reached.held(self._done and self._within_window(), self._window_ms.value * 1e-3)
         self._status = TARGET_REACHED if reached and in_charge else 0
         return self._following_error.observe(in_charge=in_charge)
 
     def _within_window(self) -> bool:
-        return abs(self.servo.way_to(self._profile.end)) <= int(self._window.value)
+        return abs(self.servo.way_to(self._profile.end)) <= self._window.value
 
     def leave(self) -> None:
         """Forget all set-points."""

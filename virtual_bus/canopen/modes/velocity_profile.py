@@ -20,7 +20,7 @@ class ProfileVelocity(Following):
         super().__init__(servo)
         entry = servo.entry
         self._target, self._fastest = entry(0x60FF), entry(0x607F, NO_LIMIT)
-        self._acceleration, self._deceleration = entry(0x6083), servo.objects.get(0x6084) or entry(0x6083)
+        self._acceleration, self._deceleration = entry(0x6083), entry(0x6084 if servo.objects.get(0x6084) else 0x6083)
         slow = round(servo.standstill_counts_s * servo.units.velocity)
         self._window, self._window_ms, self._threshold, self._threshold_ms = (
             entry(0x606D, slow),
@@ -35,12 +35,12 @@ class ProfileVelocity(Following):
     def start(self) -> None:
         """Ramp from the present speed on."""
         self.servo.take_over()
-        self._speed = self.servo.speed.counts_s
+        self._speed = self.servo.speed_counts_s
         self._reached.restart()
 
     def demand(self, read: Read) -> Demand:
         """Return the ramp's next speed."""
-        servo, asked, fastest = self.servo, int(read(self._target)), int(read(self._fastest))
+        servo, asked, fastest = self.servo, read(self._target), read(self._fastest)
         target = min(max(asked, -fastest), fastest)
         limits = Limits(servo.counts_s(fastest), servo.counts_s2(read(self._acceleration)), servo.counts_s2(read(self._deceleration)))
         return Demand(ramped(self._speed, servo.counts_s(target), limits, servo.period_s), limited=target != asked)
@@ -53,10 +53,10 @@ class ProfileVelocity(Following):
 
     def observe(self, *, in_charge: bool) -> int:
         """Compare the speed with its target and with standstill."""
-        speed = self.servo.speed.counts_s * self.servo.units.velocity
-        near = abs(int(self._target.value) - speed) <= int(self._window.value)
-        reached = self._reached.held(near, int(self._window_ms.value) * 1e-3)
-        moving = self._moving.held(abs(speed) > int(self._threshold.value), int(self._threshold_ms.value) * 1e-3)
+        speed = self.servo.speed_counts_s * self.servo.units.velocity
+        near = abs(self._target.value - speed) <= self._window.value
+        reached = self._reached.held(near, self._window_ms.value * 1e-3)
+        moving = self._moving.held(abs(speed) > self._threshold.value, self._threshold_ms.value * 1e-3)
         self._status = (TARGET_REACHED if reached else 0) | (0 if moving else MODE_BIT_12)
         return 0
 
