@@ -6,6 +6,7 @@ to the network's subscribers.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 from math import isfinite
@@ -91,7 +92,8 @@ class CyclicExchange:
         self._foreign = ForeignSync(network, settings, self._one_master) if settings.sync_producer else None
         self._take: Callable[[float], can.Message | None] = self._foreign.take if self._foreign else partial(receive_frame, self._bus)
         self._frames: Any = self._bus  # some buses have frames without message objects; where SYNC is foreign, some have been read already
-        self._ready: Callable[[], tuple[int, bytes] | None] | None = None if self._foreign else getattr(self._bus, "receive_frame", None)
+        has_frames = hasattr(self._bus, "waiting_frames") and self._foreign is None
+        self._waiting: Callable[[], deque[tuple[int, bytes]]] = self._frames.waiting_frames if has_frames else deque
         self._flood_frames = self._one_master.flood_frames
         self._others = self._last_other = 0  # frames of others in this tick, and the last one's identifier
         self.settings_watch = SettingsWatch(network, settings)
@@ -212,13 +214,13 @@ class CyclicExchange:
         remaining = timeout_s = self._answer_timeout_s
         left_s = overdue_s - sent_s  # at the last look at the clock
         overtime = came = 0
-        ready, by_cob_id, in_debt = self._ready, self._by_cob_id, self._owed > 0
+        waiting, by_cob_id, in_debt = self._waiting(), self._by_cob_id, self._owed > 0
         awake = self._polls
         data: bytes | bytearray
         while outstanding:
             message = None
-            if ready is not None and (frame := ready()) is not None:
-                identifier, data = frame
+            if waiting:
+                identifier, data = waiting.popleft()
                 tpdo = by_cob_id.get(identifier)
             else:
                 message = self._take(0.0 if awake else remaining)

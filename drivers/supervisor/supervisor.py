@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from math import inf
+from typing import Any
 
 from drivers.modbus.refresh import following_word
 from drivers.settings import BusSettings
@@ -93,6 +94,11 @@ class Supervisor:
         if place is not None:
             word = int.from_bytes(data, "little")
             take_frame(self._machine, self._axes, self._fields, place, len(data), word, time_s)
+
+    def frames(self, heard: list[Any]) -> None:
+        """Take frames: identifier, data and time of each, one after the other."""
+        for can_id, data, time_s in zip(*[iter(heard)] * 3, strict=True):
+            self.frame(time_s, can_id, data)
 
     def io(self, time_s: float, hold_to_run: bool, door_closed: bool, brakes_open: Iterable[bool] = ()) -> None:
         """Take a state of the I/O; `brakes_open` in the order of the axes, empty where it is not known."""

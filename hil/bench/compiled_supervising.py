@@ -6,9 +6,9 @@ call takes a tick's frames, where each by itself takes a call of many in Python.
 
 from __future__ import annotations
 
-from itertools import chain
 from struct import Struct
 from types import FunctionType
+from typing import Any
 
 import numpy as np
 from numba import boolean, float64, int64, uint8
@@ -61,25 +61,29 @@ class CompiledSupervisor(Supervisor):
         self._machine, self._axes = machines.view(np.recarray)[0], list(axes.view(np.recarray))
         self._image = machines["noted"].view(np.uint8).reshape(-1).data
         self._is_permitted = True  # at the last judgement
-        self._noted: list[tuple[int, bytes, float]] = []
+        self._noted: list[Any] = []  # identifier, data and time of each frame
 
     def frame(self, time_s: float, can_id: int, data: bytes) -> None:
         """Take note of a data frame with an 11-bit identifier, whoever sent it."""
-        self._noted.append((can_id, bytes(data), time_s))
-        if len(self._noted) >= MOST_NOTED:
+        self.frames([can_id, bytes(data), time_s])
+
+    def frames(self, heard: list[Any]) -> None:
+        """Take note of no more than MOST_NOTED frames: identifier, data and time of each, one after the other."""
+        if len(self._noted) + len(heard) > 3 * MOST_NOTED:
             self._judged(TAKE, 0.0)
+        self._noted += heard
 
     @property
     def reason(self) -> str:
         """What was wrong first, in words; '' where nothing was."""
-        if not self._asking.isdisjoint([frame[0] for frame in self._noted]):  # no other ends the permission by itself
+        if not self._asking.isdisjoint(self._noted[::3]):  # no other ends the permission by itself
             self._judged(TAKE, 0.0)
         return self._words if self._words or self._is_permitted else super().reason
 
     def _judged(self, question: int, time_s: float) -> bool:
         """Judge all that was noted, answer the question, and return whether motion is permitted."""
-        number = len(self._noted)
-        _PACKS[number](self._image, 0, *chain.from_iterable(self._noted))
+        number = len(self._noted) // 3
+        _PACKS[number](self._image, 0, *self._noted)
         self._noted.clear()
         self._is_permitted = _judge(*self._bytes, number, question, time_s)
         return self._is_permitted
