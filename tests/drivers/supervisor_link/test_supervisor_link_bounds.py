@@ -278,6 +278,15 @@ def test_in_lockstep_it_answers_the_io_until_it_takes_its_permission_back_and_th
     assert machine.sent[: len(drives)] == [(0x000, bytes((0x02, node))) for node in drives]
 
 
+def test_in_lockstep_what_was_heard_since_the_sync_counts_at_once() -> None:
+    node = next(node for node in SETTINGS.nodes if node.rpdos)
+    for ask in ("trouble", "refresh"):
+        machine = InProcess()
+        machine.tick()
+        machine._frame(node.rpdos[0], {0x6071: 0x7FFF})
+        assert "was asked for" in machine.supervisor.trouble() if ask == "trouble" else machine.refresh() is None
+
+
 def test_in_lockstep_what_the_io_reports_counts() -> None:
     for pressed, closed in ((True, True), (True, False), (False, True)):
         machine = InProcess()
