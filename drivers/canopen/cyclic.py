@@ -92,8 +92,9 @@ class CyclicExchange:
         self._foreign = ForeignSync(network, settings, self._one_master) if settings.sync_producer else None
         self._take: Callable[[float], can.Message | None] = self._foreign.take if self._foreign else partial(receive_frame, self._bus)
         self._frames: Any = self._bus  # some buses have frames without message objects; where SYNC is foreign, some have been read already
-        self._has_frames = hasattr(self._bus, "waiting_frames") and self._foreign is None
-        self._waiting: Callable[[], deque[tuple[int, bytes]]] = self._frames.waiting_frames if self._has_frames else deque
+        waiting = None if self._foreign else getattr(self._bus, "waiting_frames", None)
+        self._has_frames = waiting is not None
+        self._waiting: Callable[[], deque[tuple[int, bytes]]] = waiting or deque
         self._flood_frames = self._one_master.flood_frames
         self._others = self._last_other = 0  # frames of others in this tick, and the last one's identifier
         self.settings_watch = SettingsWatch(network, settings)
