@@ -47,7 +47,7 @@ class SupervisorInProcess:
     Attributes
     ----------
     heard : list
-        Frames of the bus since the last call of `take`: identifier, data and time of each, one after the other.
+        Frames of the bus since the last call of `take`, which whoever carries them notes here, see `Supervisor.noted`.
     """
 
     def __init__(
@@ -58,18 +58,16 @@ class SupervisorInProcess:
         supervisor: Supervisor | None = None,
     ) -> None:
         self._supervisor = supervisor or Supervisor(settings)
-        self.heard: list[Any] = []
+        self.heard: list[Any] = self._supervisor.noted
         self._sync_id = settings.sync_cob_id
         self._now, self._send = now, send
 
     def begin(self) -> None:
         """Begin a session."""
-        self.heard.clear()
         self._supervisor.begin()
 
     def end(self) -> None:
         """End the session: nothing is permitted before the next."""
-        self._hand_over()
         self._supervisor.end()
 
     def ticks_begin(self) -> None:
@@ -77,24 +75,19 @@ class SupervisorInProcess:
 
     def trouble(self) -> str:
         """Return why nothing may move, in words; '' where it may."""
-        self._hand_over()
         return took_back(reason) if (reason := self._supervisor.reason) else ""
 
     def take(self) -> None:
         """Take what was heard; judge where that ends with a SYNC."""
         can_id, _, time_s = self.heard[-3:]
-        self._hand_over()
-        if can_id == self._sync_id and not self._supervisor.check(time_s):
+        if can_id != self._sync_id:
+            self._supervisor.take_noted()
+        elif not self._supervisor.check(time_s):
             for command in self._supervisor.commands(time_s):
                 self._send(NMT, bytes(command))
 
     def refresh(self, state: IoState) -> int | None:
         """Take a state of the I/O; return the word that refreshes its outputs, None without permission."""
-        self._hand_over()
         now_s = self._now()
         self._supervisor.io(now_s, state.hold_to_run, state.door_closed, state.brakes_open)
         return self._supervisor.answer(now_s, state.word)
-
-    def _hand_over(self) -> None:
-        self._supervisor.frames(self.heard)
-        self.heard.clear()
